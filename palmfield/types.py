@@ -1,0 +1,89 @@
+"""The data that flows from stage to stage (see docs/architecture.md). SI units; e^{-i w t}, so a delay is +phase."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+Complex = NDArray[np.complex128]
+Int = NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class Air:
+    """Still air. Defaults are the project's reference conditions."""
+
+    temperature_C: float = 20.0
+    humidity_percent: float = 50.0
+    pressure_Pa: float = 101325.0
+
+
+@dataclass(frozen=True)
+class Array:
+    """Transducers of one array, in the array frame (origin at their centroid, x right, y up the board, z out).
+
+    positions: [m], shape (n, 3), float64
+    normals: unit emitting directions, shape (n, 3), float64
+    p0_Pa_m: peak pressure of one transducer at 1 m on its axis at full drive, without absorption [Pa m]
+    piston_radius_m: radius of the baffled piston whose directivity is used [m]
+    address: position of each transducer in the board's byte order, shape (n,), or None
+    """
+
+    name: str
+    positions: Float
+    normals: Float
+    p0_Pa_m: float
+    frequency_Hz: float = 40e3
+    piston_radius_m: float = 4.5e-3
+    address: Int | None = None
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+
+@dataclass(frozen=True)
+class Field:
+    """Incident sound at points, in the frame in which the points were given.
+
+    pressure: complex peak pressure [Pa], shape (n,), complex64
+    gradient: its gradient [Pa/m], shape (n, 3), complex64, or None
+    """
+
+    pressure: NDArray[np.complex64]
+    gradient: NDArray[np.complex64] | None = None
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A triangle mesh in a body frame, with unit outward normals by vertex.
+
+    vertices: [m], shape (n, 3), float64; faces: shape (m, 3), int32; normals: shape (n, 3), float64
+    """
+
+    vertices: Float
+    faces: Int
+    normals: Float
+
+
+@dataclass(frozen=True)
+class Patch:
+    """The part of a surface that gets a skin layer; extrusion along `inward` makes the solid.
+
+    vertices: [m], shape (n, 3), float64, in the body frame
+    faces: shape (m, 3), int32, counter-clockwise seen from outside
+    inward: unit directions into the body, shape (n, 3), float64
+    depth: thickness of the layer along `inward` [m], shape (n,), float64
+    rim: True on vertices of the lateral boundary, shape (n,), bool
+    axis: symmetry axis direction for roller sides (unit, outward), shape (3,), or None where there is none
+    report: facts for the plan and the result file (share thinned, smallest quality, ...)
+    """
+
+    vertices: Float
+    faces: Int
+    inward: Float
+    depth: Float
+    rim: NDArray[np.bool_]
+    axis: Float | None = None
+    report: dict[str, float] = field(default_factory=dict)

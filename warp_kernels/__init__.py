@@ -1,0 +1,1 @@
+"""Warp kernels and device functions. Imports warp and nothing of palmfield."""
