@@ -1,0 +1,65 @@
+"""Checks of what users pass to the acoustics, shared by the float32 field and its float64 twin."""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from palmfield.errors import PalmfieldError, SceneError
+from palmfield.types import Array
+
+
+def first_bad(values: NDArray[np.inexact]) -> int:
+    """Index of the first row that holds NaN or infinity."""
+    rows = np.isfinite(values).reshape(len(values), -1).all(axis=1)
+    return int(np.argmin(rows))
+
+
+def points(values: ArrayLike, dtype: type[np.floating]) -> NDArray[np.floating]:
+    """Positions as a contiguous array of `dtype`, shape (n, 3). Raises PalmfieldError for another shape, NaN or inf."""
+    found = np.ascontiguousarray(values, dtype=dtype)
+    if found.ndim != 2 or found.shape[1] != 3:
+        raise PalmfieldError(f"points have shape {found.shape}: give (n, 3), in metres")
+    if not np.isfinite(found).all():
+        i = first_bad(found)
+        raise PalmfieldError(f"points[{i}] = {found[i].tolist()} is not finite: remove or mend it")
+    return found
+
+
+def drive(values: ArrayLike, array: Array) -> NDArray[np.complex128]:
+    """Complex amplitudes, shape (len(array),). Raises PalmfieldError for another shape, NaN or infinity."""
+    found = np.asarray(values, dtype=np.complex128)
+    if found.shape != (len(array),):
+        raise PalmfieldError(
+            f"drive has shape {found.shape} but array '{array.name}' has {len(array)} transducers: "
+            f"give shape ({len(array)},)"
+        )
+    if not np.isfinite(found).all():
+        i = first_bad(found)
+        raise PalmfieldError(f"drive[{i}] = {found[i]} is not finite: remove or mend it")
+    return found
+
+
+def array(value: Array) -> None:
+    """Raise SceneError when the array's geometry or constants cannot radiate."""
+    count = len(value.positions)
+    for name, vectors in (("positions", value.positions), ("normals", value.normals)):
+        if vectors.shape != (count, 3) or not np.isfinite(vectors).all():
+            raise SceneError(f"array '{value.name}' {name} of shape {vectors.shape} must be finite and ({count}, 3)")
+    lengths = np.linalg.norm(value.normals, axis=1)
+    if np.any(np.abs(lengths - 1.0) > 1e-6):
+        i = int(np.argmax(np.abs(lengths - 1.0)))
+        raise SceneError(f"array '{value.name}' normals[{i}] has length {lengths[i]:.6g}: divide it by its length")
+    for name in ("p0_Pa_m", "frequency_Hz"):
+        number = getattr(value, name)
+        if not 0.0 < number < np.inf:
+            raise SceneError(f"array '{value.name}' {name} = {number} must be positive and finite")
+    if not 0.0 <= value.piston_radius_m < np.inf:
+        raise SceneError(
+            f"array '{value.name}' piston_radius_m = {value.piston_radius_m} must be 0 or more, and finite"
+        )
+
+
+def absorption(value: float) -> float:
+    """The absorption [Np/m] itself. Raises PalmfieldError when it is negative or not finite."""
+    if not 0.0 <= value < np.inf:
+        raise PalmfieldError(f"absorption_Np_m = {value} must be 0 or more, and finite")
+    return float(value)

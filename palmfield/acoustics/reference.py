@@ -1,0 +1,67 @@
+"""The field in float64 NumPy: slow, direct, and what the fast kernels are held against."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import jv
+
+from palmfield.acoustics import check
+from palmfield.acoustics.air import absorption_Np_m as air_absorption
+from palmfield.acoustics.air import sound_speed
+from palmfield.acoustics.polynomials import piston
+from palmfield.types import Air, Array, Complex, Float
+
+CHUNK = 256
+
+
+def pressure64(
+    points: ArrayLike,
+    array: Array,
+    drive: ArrayLike,
+    air: Air,
+    *,
+    gradient: bool = False,
+    absorption_Np_m: float | None = None,
+) -> tuple[Complex, Complex | None]:
+    """Complex peak pressure of baffled pistons, and its gradient if asked.
+
+    p = p0/d A D(angle) exp(ikd - beta d), D = 2 J1(kb sin)/(kb sin), summed over the transducers; a transducer gives
+    nothing at points in or behind its own plane (baffle).
+
+    points: [m], array frame, shape (n, 3)
+    drive: complex amplitudes, 1 is full drive, shape (len(array),)
+    absorption_Np_m: instead of that of the air, for example 0 for lossless air
+    Returns pressure [Pa], shape (n,), complex128, and gradient [Pa/m], shape (n, 3), complex128, or None.
+    Raises PalmfieldError for NaN, infinity or a wrong shape in points or drive, SceneError for a bad array or air.
+    """
+    check.array(array)
+    where = check.points(points, np.float64)
+    strength = array.p0_Pa_m * check.drive(drive, array)
+    beta = check.absorption(air_absorption(air, array.frequency_Hz) if absorption_Np_m is None else absorption_Np_m)
+    k = 2.0 * np.pi * array.frequency_Hz / sound_speed(air)
+    pressure = np.zeros(len(where), np.complex128)
+    slope = np.zeros((len(where), 3), np.complex128) if gradient else None
+    for start in range(0, len(where), CHUNK):
+        part = slice(start, start + CHUNK)
+        rays = where[part, None, :] - array.positions
+        d = np.sqrt(np.einsum("ijk,ijk->ij", rays, rays))
+        d = np.maximum(d, 1e-9)
+        cosine = np.einsum("ijk,jk->ij", rays, array.normals) / d
+        front = cosine > 0.0
+        kb_sine = k * array.piston_radius_m * np.sqrt(np.maximum(1.0 - cosine**2, 0.0))
+        directivity = np.where(front, piston(kb_sine), 0.0)
+        wave = strength / d * np.exp((1j * k - beta) * d)
+        pressure[part] = (wave * directivity).sum(axis=1)
+        if slope is not None:
+            # dD/d(cosine) = 2 (kb)^2 cosine J2(x)/x^2, since (J1(x)/x)' = -J2(x)/x
+            bend = np.where(front, cosine * (k * array.piston_radius_m) ** 2 * jinc2(kb_sine), 0.0)
+            along = directivity * (1j * k - beta - 1.0 / d) - bend * cosine / d
+            slope[part] = np.einsum("ij,ijk->ik", wave * along / d, rays)
+            slope[part] += (wave * bend / d) @ array.normals
+    return pressure, slope
+
+
+def jinc2(x: Float) -> Float:
+    """2 J2(x)/x^2, and its limit 1/4 at x = 0."""
+    small = x < 1e-4
+    safe = np.where(small, 1.0, x)
+    return np.where(small, 0.25, 2.0 * jv(2, safe) / safe**2)

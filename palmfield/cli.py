@@ -1,0 +1,167 @@
+"""The command line. Each command loads what it needs only, so that --help is quick."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from palmfield.errors import PalmfieldError, SceneError
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    help="Ultrasonic mid-air haptics: from an array's drive to radiation pressure on a hand, to skin waves and what is felt.\n\n"
+    "Start with `palmfield new first` and `palmfield run first.xml`.",
+)
+SceneFile = Annotated[Path, typer.Argument(help="MJCF scene with palmfield plugins", metavar="SCENE.xml")]
+Device = Annotated[str | None, typer.Option(help="where the field kernels run: auto, cpu or cuda:0", metavar="DEVICE")]
+Accuracy = Annotated[
+    float | None, typer.Option(help="wanted relative error of the skin displacement, e.g. 0.05", metavar="REL")
+]
+
+
+@app.command()
+def run(
+    scene: SceneFile,
+    out: Annotated[Path | None, typer.Option(help="folder for the results [default: out/SCENE]")] = None,
+    device: Device = None,
+    duration: Annotated[float | None, typer.Option(help="simulated time [s] [default: the scene's]")] = None,
+    accuracy: Accuracy = None,
+) -> None:
+    """Simulate a scene and write result.nc, summary.json, pictures and scene.usdc.
+
+    Interrupting with Ctrl-C keeps what was computed (marked incomplete). After a crash of the machine,
+    `palmfield recover DIR` assembles what had reached the disk.
+
+    Example: palmfield run mjcf/scenes/palm_am200.xml --out out/palm
+    """
+    import palmfield
+    from palmfield.report import format_report
+
+    if duration is not None and not 0 < duration < 3600:
+        raise SceneError(f"--duration has value {duration:g}; allowed: seconds > 0 and < 3600")
+    loaded = palmfield.load(scene, device=device, accuracy=accuracy)
+    result = palmfield.run(loaded, out or Path("out") / scene.stem, duration_s=duration)
+    print(format_report(result.summary), end="")
+    for path in result.files.values():
+        print(f"wrote {path}")
+
+
+@app.command()
+def plan(scene: SceneFile, device: Device = None, accuracy: Accuracy = None) -> None:
+    """Say what would be modelled and what left out, why, and at what cost and error. Simulates nothing.
+
+    Example: palmfield plan mjcf/scenes/palm_am200.xml --accuracy 0.02
+    """
+    import palmfield
+
+    print(palmfield.plan(palmfield.load(scene, device=device, accuracy=accuracy)), end="")
+
+
+@app.command()
+def info(scene: SceneFile) -> None:
+    """Show what a scene contains: array, air, stimulus, surface, skin layer, material, laws and conventions.
+
+    Example: palmfield info mjcf/scenes/phantom_step.xml
+    """
+    import palmfield
+    from palmfield.planning import describe
+
+    print(describe(palmfield.load(scene)), end="")
+
+
+@app.command()
+def drive(
+    scene: Annotated[Path | None, typer.Argument(help="scene to play", metavar="[SCENE.xml]")] = None,
+    focus: Annotated[
+        tuple[float, float, float] | None, typer.Option(help="a still focus in the array frame [m]", metavar="X Y Z")
+    ] = None,
+    board: Annotated[str, typer.Option(help="which board: sonicsurface")] = "sonicsurface",
+    port: Annotated[
+        str | None, typer.Option(help="serial port or URL: /dev/ttyUSB0, COM3, socket://host:port, loop://")
+    ] = None,
+    record: Annotated[Path | None, typer.Option(help="write the bytes to this file instead")] = None,
+    duration: Annotated[float | None, typer.Option(help="how long to play [s] [default: the scene's, or 10]")] = None,
+) -> None:
+    """Play a scene, or one focus, on a real board; or record the bytes that it would get.
+
+    What is sent is what `palmfield run` simulates. A board that can't play the scene is refused with exit code 2. The
+    board is switched off at the end, on Ctrl-C and on errors. An uncalibrated board does not focus: about half of its
+    transducers are wired with inverted polarity.
+
+    Examples: palmfield drive --focus 0 0 0.15 --port /dev/ttyUSB0 --duration 5
+    palmfield drive mjcf/scenes/palm_circle_sonicsurface.xml --record circle.bin
+    """
+    from palmfield.play import play_focus, play_scene
+
+    if (scene is None) == (focus is None):
+        raise SceneError("`palmfield drive` plays either a SCENE.xml or --focus X Y Z; give one of them")
+    if (port is None) == (record is None):
+        raise SceneError("`palmfield drive` needs either --port (a board) or --record (a file); give one of them")
+    if duration is not None and not 0 < duration < 3600:
+        raise SceneError(f"--duration has value {duration:g}; allowed: seconds > 0 and < 3600")
+    if focus is not None:
+        print(play_focus(focus, board, port, record, 10.0 if duration is None else duration))
+    elif scene is not None:
+        print(play_scene(scene, board, port, record, duration))
+
+
+@app.command()
+def keys(
+    plugin: Annotated[str | None, typer.Argument(help="one module, e.g. palmfield.skin", metavar="[PLUGIN]")] = None,
+    markdown: Annotated[bool, typer.Option(help="as the page docs/keys.md")] = False,
+) -> None:
+    """List every key that a scene can set, with unit, allowed values, default and meaning.
+
+    Example: palmfield keys palmfield.stimulus
+    """
+    from palmfield.keys import as_markdown, as_text
+
+    print(as_markdown() if markdown else as_text(plugin), end="")
+
+
+@app.command()
+def new(
+    name: Annotated[str, typer.Argument(help="name of the scene; writes NAME.xml and NAME_plain.xml here")],
+) -> None:
+    """Write a commented scene that runs: a hand over an array and a 200 Hz focus on the palm.
+
+    NAME_plain.xml opens in any MuJoCo; NAME.xml adds the haptics and opens where palmfield is installed.
+
+    Example: palmfield new first && palmfield run first.xml
+    """
+    from palmfield.template import write_scene
+
+    for path in write_scene(name):
+        print(f"wrote {path}")
+    print(f"next: palmfield run {name}.xml")
+
+
+@app.command()
+def recover(out: Annotated[Path, typer.Argument(help="folder of a run that was cut off", metavar="DIR")]) -> None:
+    """Assemble the results of a run that was killed into DIR/result.nc, marked incomplete.
+
+    Example: palmfield recover out/palm
+    """
+    from palmfield.outputs.store import load, write_json
+    from palmfield.outputs.store import recover as assemble
+    from palmfield.outputs.summary import summary
+
+    path = assemble(out)
+    write_json(out / "summary.json", summary(load(path), {"complete": False, "reason": "recovered after a crash"}))
+    print(f"wrote {path} (incomplete) and {out / 'summary.json'}")
+
+
+def main() -> None:
+    """Entry point: users' errors become one line on standard error and exit code 2."""
+    try:
+        app(standalone_mode=True)
+    except PalmfieldError as error:
+        Console(stderr=True, soft_wrap=True, markup=False, highlight=False).print(f"palmfield: {error}")
+        sys.exit(2)
+    except KeyboardInterrupt:
+        print("palmfield: interrupted; what was computed is kept, marked incomplete", file=sys.stderr)
+        sys.exit(130)

@@ -1,0 +1,217 @@
+"""Python classes as MuJoCo engine plugins.
+
+A module is a subclass of `Module`; `register` turns it into an mjpPlugin whose callbacks call it. Other packages add
+modules of their own by an entry point of the group `mujoco.plugins` that calls `register`.
+"""
+
+import ctypes
+import threading
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, ClassVar
+
+import mujoco
+
+from palmfield.config import Config, parse
+from palmfield.engine.structs import Plugin, library
+from palmfield.engine.world import ModelView, World
+from palmfield.errors import PalmfieldError
+
+
+class Module:
+    """One plugin instance of one mjData. Override what the module does; the rest stays empty.
+
+    name: plugin name in the scene, e.g. `palmfield.skin`
+    config: keys of the module, a `palmfield.config.Config`
+    sensor: whether `<sensor><plugin>` may refer to it
+    """
+
+    name: ClassVar[str]
+    config: ClassVar[type[Config]]
+    sensor: ClassVar[bool] = False
+
+    def __init__(self, settings: Any, world: World, instance: int):
+        self.settings, self.world, self.instance = settings, world, instance
+
+    @classmethod
+    def state_size(cls, settings: Any, model: ModelView) -> int:
+        """Numbers of plugin state that MuJoCo keeps in mjData for this instance."""
+        return 0
+
+    @classmethod
+    def sensor_size(cls, settings: Any, model: ModelView, sensor: int) -> int:
+        """Dimension of one sensor of this module."""
+        return 0
+
+    def forces(self) -> None:
+        """Passive forces at the present time; may be called several times for one step."""
+
+    def sense(self) -> None:
+        """Fill the module's sensors (`self.world.sensors(self.instance)`)."""
+
+    def advance(self) -> None:
+        """Carry the module's own state over one step; MuJoCo's time already stands at its end."""
+
+
+_worlds: dict[int, World] = {}
+_lock = threading.RLock()
+_thunks: list[Any] = []
+_compiling = threading.local()
+
+
+def world_of(data: mujoco.MjData) -> World | None:
+    """The world behind an MjData, or None where its model has no palmfield plugin."""
+    return _worlds.get(data._address)
+
+
+def raise_errors(data: mujoco.MjData) -> None:
+    """Raise, once, what a module could not raise through MuJoCo's C frames."""
+    world = world_of(data)
+    if world is not None and world.error is not None:
+        error, world.error = world.error, None
+        raise error
+
+
+@contextmanager
+def compiling() -> Iterator[None]:
+    """Modules neither compute nor advance inside: MuJoCo steps a model once to test it, which would factorise a skin."""
+    _compiling.active = True
+    try:
+        yield
+    finally:
+        _compiling.active = False
+
+
+def take_compile_error() -> Exception | None:
+    """What a module's construction raised since the last call, in this thread; MuJoCo's own error only quotes it."""
+    error, _compiling.error = getattr(_compiling, "error", None), None
+    return error
+
+
+def _fail(world: World | None, module: str, error: Exception) -> None:
+    """Keep the first error for `raise_errors`, show it through MuJoCo, and put NaN where a result would stand."""
+    if world is None or world.error is None:
+        known = isinstance(error, PalmfieldError)
+        text = str(error) if known else "".join(traceback.format_exception(error))
+        library().mju_warning(b"%s", f"{module}: {text}".encode())
+    if world is not None:
+        world.error = world.error or error
+        for instance in world.modules:
+            for *_, data in world.sensors(instance):
+                data[:] = float("nan")
+
+
+def settings_of(module: type[Module], model: ModelView, instance: int) -> Config:
+    """Typed configuration of a plugin instance; SceneError as in `palmfield.config.parse`."""
+    name = next(n for i, _, n in model.instances() if i == instance)
+    values = model.values(instance, list(module.config.model_fields))
+    return parse(module.config, values, f"plugin '{module.name}' instance '{name}'")
+
+
+def register(module: type[Module]) -> None:
+    """Make a module known to MuJoCo under its name. Registering the same name again changes nothing."""
+    lib = library()
+    if lib.mjp_getPlugin(module.name.encode(), None):
+        return
+
+    def nstate(model: int, instance: int) -> int:
+        try:
+            view = ModelView(model)
+            return module.state_size(settings_of(module, view, instance), view)
+        except Exception:
+            return 0  # init meets the same error and can report it
+
+    def nsensordata(model: int, instance: int, sensor: int) -> int:
+        try:
+            view = ModelView(model)
+            return module.sensor_size(settings_of(module, view, instance), view, sensor)
+        except Exception:
+            return 1  # as above
+
+    def init(model: int, data: int, instance: int) -> int:
+        try:
+            with _lock:
+                world = _worlds.get(data)
+                if world is None or instance in world.modules or world.model.address != model:
+                    world = _worlds[data] = World(model, data)
+            world.modules[instance] = module(settings_of(module, world.model, instance), world, instance)
+            return 0
+        except Exception as error:
+            _compiling.error = error
+            _fail(None, module.name, error)
+            return -1
+
+    def copy(data: int, model: int, source: int, instance: int) -> None:
+        # The state itself lies in mjData and is copied by MuJoCo; a copy into new memory still lacks the module.
+        world = _worlds.get(data)
+        if world is None or instance not in world.modules or world.model.address != model:
+            init(model, data, instance)
+
+    # At exit MuJoCo frees its data after this file's globals are gone; the closure keeps what `destroy` needs.
+    worlds, lock = _worlds, _lock
+
+    def destroy(data: int, instance: int) -> None:
+        with lock:
+            world = worlds.get(data)
+            if world is not None:
+                world.modules.pop(instance, None)
+                if not world.modules:
+                    del worlds[data]
+
+    def reset(model: int, state: int, plugin_data: int, instance: int) -> None:
+        count = int(ModelView(model).raw.plugin_statenum[instance])
+        if count:
+            view = (ctypes.c_double * count).from_address(state)
+            ctypes.memset(view, 0, ctypes.sizeof(view))
+
+    def compute(model: int, data: int, instance: int, capability: int) -> None:
+        if getattr(_compiling, "active", False):
+            return
+        world = _worlds[data]
+        try:
+            target = world.modules[instance]
+            target.sense() if capability == int(mujoco.mjtPluginCapabilityBit.mjPLUGIN_SENSOR) else target.forces()
+        except Exception as error:
+            _fail(world, module.name, error)
+
+    def advance(model: int, data: int, instance: int) -> None:
+        if getattr(_compiling, "active", False):
+            return
+        world = _worlds[data]
+        try:
+            world.modules[instance].advance()
+        except Exception as error:
+            _fail(world, module.name, error)
+
+    void, integer = ctypes.c_void_p, ctypes.c_int
+    flags = int(mujoco.mjtPluginCapabilityBit.mjPLUGIN_PASSIVE)
+    if module.sensor:
+        flags |= int(mujoco.mjtPluginCapabilityBit.mjPLUGIN_SENSOR)
+    keys = [key.encode() for key in module.config.model_fields]
+    attributes = (ctypes.c_char_p * max(len(keys), 1))(*keys)
+    plugin = Plugin()
+    lib.mjp_defaultPlugin(ctypes.byref(plugin))
+    plugin.name = module.name.encode()
+    plugin.nattribute, plugin.attributes = len(keys), attributes
+    plugin.capabilityflags = flags
+    plugin.needstage = int(mujoco.mjtStage.mjSTAGE_ACC)
+    prototypes = {
+        "nstate": (nstate, ctypes.CFUNCTYPE(integer, void, integer)),
+        "nsensordata": (nsensordata, ctypes.CFUNCTYPE(integer, void, integer, integer)),
+        "init": (init, ctypes.CFUNCTYPE(integer, void, void, integer)),
+        "destroy": (destroy, ctypes.CFUNCTYPE(None, void, integer)),
+        "copy": (copy, ctypes.CFUNCTYPE(None, void, void, void, integer)),
+        "reset": (reset, ctypes.CFUNCTYPE(None, void, void, void, integer)),
+        "compute": (compute, ctypes.CFUNCTYPE(None, void, void, integer, integer)),
+        "advance": (advance, ctypes.CFUNCTYPE(None, void, void, integer)),
+    }
+    for field, (function, prototype) in prototypes.items():
+        thunk = prototype(function)
+        # MuJoCo calls destroy after the interpreter has begun to shut down: the thunk must never be freed.
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(thunk))
+        _thunks.append(thunk)
+        setattr(plugin, field, ctypes.cast(thunk, void))
+    _thunks.append((plugin, attributes))
+    if lib.mjp_registerPlugin(ctypes.byref(plugin)) < 0:
+        raise PalmfieldError(f"MuJoCo refused the plugin '{module.name}'")

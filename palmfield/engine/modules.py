@@ -1,0 +1,176 @@
+"""The four modules of palmfield as MuJoCo plugins. They read the scene; `palmfield.chain` does the work."""
+
+from typing import Any, ClassVar
+
+import numpy as np
+
+from palmfield.config import ArrayConfig, Config, DriverConfig, SkinConfig, StimulusConfig
+from palmfield.engine.host import Module, settings_of
+from palmfield.engine.world import ModelView, World
+from palmfield.errors import SceneError
+from palmfield.types import Float
+
+SENSOR_CHANNELS = (
+    "arp_force_x_N", "arp_force_y_N", "arp_force_z_N", "normal_displacement_m", "normal_velocity_m_s", "arp_Pa",
+)  # fmt: skip
+
+
+class ArrayModule(Module):
+    """Holds the array's keys; the skin module evaluates it."""
+
+    name: ClassVar[str] = ArrayConfig.plugin
+    config: ClassVar[type[Config]] = ArrayConfig
+
+
+class StimulusModule(Module):
+    """Holds the stimulus's keys."""
+
+    name: ClassVar[str] = StimulusConfig.plugin
+    config: ClassVar[type[Config]] = StimulusConfig
+
+
+class DriverModule(Module):
+    """Holds the device's keys."""
+
+    name: ClassVar[str] = DriverConfig.plugin
+    config: ClassVar[type[Config]] = DriverConfig
+
+
+class SkinModule(Module):
+    """Pushes the body with the ARP's resultant and carries the skin layer's motion in the plugin state.
+
+    Its sensor, on a site of the body, reads SENSOR_CHANNELS: the force in world axes, and at the skin point nearest to
+    the site the displacement and velocity along the outward normal and the ARP.
+    """
+
+    name: ClassVar[str] = SkinConfig.plugin
+    config: ClassVar[type[Config]] = SkinConfig
+    sensor: ClassVar[bool] = True
+
+    def __init__(self, settings: Any, world: World, instance: int):
+        # Imported here: MuJoCo registers the plugins in every process, and Warp takes half a second to load.
+        from palmfield.chain import Chain, Pose
+
+        super().__init__(settings, world, instance)
+        model = world.model
+        self._between = Pose.between
+        self.rig = rig_of(settings, model)
+        self.body = model.find("body", settings.body, _element(self))
+        self.site = model.find("site", self.rig.array_config.site, "plugin 'palmfield.array': key 'site'")
+        self.frame = _frame_site(self.rig.stimulus, model)
+        self.chain = Chain(self.rig)
+        self.chain.check_clear(
+            Pose.between(model.reference_pose("site", self.site), model.reference_pose("body", self.body))
+        )
+        self._probes: dict[int, Any] = {}
+
+    @classmethod
+    def state_size(cls, settings: Any, model: ModelView) -> int:
+        """Displacement, velocity, acceleration and branch variable of the skin layer."""
+        return rig_of(settings, model).state_size
+
+    @classmethod
+    def sensor_size(cls, settings: Any, model: ModelView, sensor: int) -> int:
+        """See SENSOR_CHANNELS."""
+        return len(SENSOR_CHANNELS)
+
+    def pose(self) -> Any:
+        """Body in the array frame, as MuJoCo has it now."""
+        return self._between(self.world.pose("site", self.site), self.world.pose("body", self.body))
+
+    def to_array(self, point: Float) -> Float:
+        """A position in the stimulus's frame [m], shape (3,), in the array frame."""
+        if self.frame is None:
+            return point
+        frame, array = self.world.pose("site", self.frame), self.world.pose("site", self.site)
+        return array[1].T @ (frame[0] + frame[1] @ point - array[0])
+
+    def now(self) -> tuple[Any, float]:
+        """The sound at MuJoCo's present time and its factor; (None, 0) while silent."""
+        from palmfield.stimulus import frame_at
+
+        frame = frame_at(self.rig.stimulus, self.world.time)
+        if frame.arp_factor == 0.0:
+            return None, 0.0
+        return self.chain.sound(self.to_array(frame.focus), self.pose()), frame.arp_factor
+
+    def body_force(self) -> tuple[Float, Float]:
+        """Force [N] and torque about the body's origin [N m] of the ARP now, world axes, shapes (3,)."""
+        sound, factor = self.now()
+        if sound is None:
+            return np.zeros(3), np.zeros(3)
+        turn = factor * self.world.pose("body", self.body)[1]
+        force, torque = self.chain.resultant(sound)
+        return turn @ force, turn @ torque
+
+    def forces(self) -> None:
+        """Apply the ARP's resultant to the body."""
+        force, torque = self.body_force()
+        self.world.apply(self.body, force, torque, self.world.pose("body", self.body)[0])
+
+    def sense(self) -> None:
+        """Fill the sensors from the state at the present time."""
+        sound, factor = self.now()
+        motion = self.chain.motion(self.world.state(self.instance))
+        for number, kind, target, data in self.world.sensors(self.instance):
+            if number not in self._probes:
+                self._probes[number] = self._probe(kind, target)
+            probe = self._probes[number]
+            data[:3] = self.body_force()[0]
+            data[3], data[4] = (probe.operator @ motion[0])[0], (probe.operator @ motion[1])[0]
+            data[5] = 0.0
+            if sound is not None:
+                data[5] = factor * self.chain.arp_at(probe.closest, probe.normals, sound.pose, sound.drive)[0][0]
+
+    def _probe(self, kind: str, target: int) -> Any:
+        model = self.world.model
+        if kind != "site" or model.site_body(target) != self.body:
+            raise SceneError(f"{_element(self)}: its sensor needs objtype='site' and a site of body '{self.rig.skin.body}'")
+        return self.chain.probe(model.site_position(target))
+
+    def advance(self) -> None:
+        """Carry the skin over MuJoCo's last step, with the pose at its beginning."""
+        start = self.world.time - self.world.model.timestep
+        self.chain.advance(self.world.state(self.instance), start, self.to_array, self.pose())
+
+
+MODULES: tuple[type[Module], ...] = (ArrayModule, StimulusModule, DriverModule, SkinModule)
+
+
+def _element(module: Module) -> str:
+    name = next(n for i, _, n in module.world.model.instances() if i == module.instance)
+    return f"plugin '{module.name}' instance '{name}'"
+
+
+def _single(module: type[Module], model: ModelView) -> Any:
+    found = [i for i, plugin, _ in model.instances() if plugin == module.name]
+    if not found and module is DriverModule:
+        return DriverConfig()
+    if len(found) != 1:
+        raise SceneError(f"plugin 'palmfield.skin': the scene has {len(found)} of '{module.name}'; exactly one is needed")
+    return settings_of(module, model, found[0])
+
+
+def _frame_site(stimulus: StimulusConfig, model: ModelView) -> int | None:
+    if stimulus.frame == "array":
+        return None
+    return model.find("site", stimulus.frame, "plugin 'palmfield.stimulus': key 'frame'")
+
+
+def rig_of(skin: SkinConfig, model: ModelView) -> Any:
+    """The rig of the scene that this skin instance stands in."""
+    from palmfield.rig import rig
+
+    array, stimulus, driver = (_single(m, model) for m in (ArrayModule, StimulusModule, DriverModule))
+    focus, site = np.array(stimulus.focus_m), model.find("site", array.site, "plugin 'palmfield.array': key 'site'")
+    if stimulus.path == "circle":
+        focus[0] += 0.5 * stimulus.path_diameter_m
+    frame = _frame_site(stimulus, model)
+    if frame is not None:
+        (origin, turn), (board, axes) = model.reference_pose("site", frame), model.reference_pose("site", site)
+        focus = axes.T @ (origin + turn @ focus - board)
+    centre = np.zeros(3)
+    if skin.patch_site is not None:
+        number = model.find("site", skin.patch_site, "plugin 'palmfield.skin': key 'patch_site'")
+        centre = model.site_position(number)
+    return rig(array, stimulus, skin, driver, model.timestep, tuple(focus.tolist()), tuple(centre.tolist()))

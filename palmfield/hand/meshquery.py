@@ -1,0 +1,61 @@
+"""Point and ray queries on triangle meshes: Warp finds the face, double precision gives the answer on it."""
+
+import numpy as np
+import warp as wp
+
+import warp_kernels.mesh_query as kernels
+from palmfield.device import resolve
+from palmfield.types import Float, Int
+
+GRAZING_COSINE = 0.05
+
+
+def build_mesh(vertices: Float, faces: Int) -> wp.Mesh:
+    """Bounding volume hierarchy of a mesh, on the CPU."""
+    return wp.Mesh(
+        wp.array(vertices.astype(np.float32), dtype=wp.vec3, device=resolve("cpu")),
+        wp.array(faces.astype(np.int32).ravel(), dtype=wp.int32, device="cpu"),
+    )
+
+
+def closest_faces(mesh: wp.Mesh, points: Float, reach_m: float) -> Int:
+    """Nearest face of each point, shape (n,); -1 where none lies within `reach_m`."""
+    out = wp.empty(len(points), dtype=wp.int32, device="cpu")
+    at: wp.array = wp.array(points.astype(np.float32), dtype=wp.vec3, device="cpu")
+    wp.launch(kernels.closest_face, dim=len(points), inputs=[mesh.id, at, reach_m], outputs=[out], device="cpu")
+    return out.numpy()
+
+
+def barycentric(corners: Float, points: Float) -> Float:
+    """Weights of the corners at the foot of each point, clipped to the triangle; corners (n, 3, d) -> (n, 3)."""
+    a, u, v = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    w = points - a
+    uu, uv, vv = (np.einsum("ij,ij->i", *pair) for pair in ((u, u), (u, v), (v, v)))
+    wu, wv = np.einsum("ij,ij->i", w, u), np.einsum("ij,ij->i", w, v)
+    determinant = uu * vv - uv * uv
+    s, t = (vv * wu - uv * wv) / determinant, (uu * wv - uv * wu) / determinant
+    weights = np.clip(np.stack([1.0 - s - t, s, t], axis=1), 0.0, 1.0)
+    return weights / weights.sum(axis=1, keepdims=True)
+
+
+def exit_distances(vertices: Float, faces: Int, origins: Float, directions: Float, reach_m: float) -> Float:
+    """Distance along unit `directions` to where each ray leaves the closed mesh [m], shape (n,); inf if it does not."""
+    mesh = build_mesh(vertices, faces)
+    out = wp.empty(len(origins), dtype=wp.int32, device="cpu")
+    at: wp.array = wp.array(origins.astype(np.float32), dtype=wp.vec3, device="cpu")
+    along: wp.array = wp.array(directions.astype(np.float32), dtype=wp.vec3, device="cpu")
+    wp.launch(
+        kernels.exit_face,
+        dim=len(origins),
+        inputs=[mesh.id, at, along, 1e-5, reach_m, GRAZING_COSINE],
+        outputs=[out],
+        device="cpu",
+    )
+    face = out.numpy()
+    hit = face >= 0
+    corners = vertices[faces[face[hit]]]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    height = np.einsum("ij,ij->i", corners[:, 0] - origins[hit], normal)
+    distance = np.full(len(origins), np.inf)
+    distance[hit] = height / np.einsum("ij,ij->i", directions[hit], normal)
+    return distance

@@ -1,0 +1,169 @@
+"""From a closed surface to the patch of skin that is simulated: remeshed as asked, with sound thickness."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from palmfield.errors import SceneError
+from palmfield.hand.grading import graded_size, triangulate
+from palmfield.hand.layer import fit_thickness, inward_directions
+from palmfield.hand.meshquery import barycentric, build_mesh, closest_faces, exit_distances
+from palmfield.hand.region import Region, facing_region, trace_shape
+from palmfield.hand.triangles import corner_angles, face_normals, unique_edges
+from palmfield.types import Float, Int, Patch, Surface
+
+CENTRE_TOLERANCE_m = 0.005
+
+
+def surface_patch(
+    surface: Surface,
+    depth: ArrayLike | float,
+    centre: ArrayLike,
+    radius_m: float,
+    fine_m: float,
+    coarse_m: float,
+    fine_radius_m: float,
+    *,
+    max_depth_m: float,
+    axis: ArrayLike | None = None,
+    facing: ArrayLike | None = None,
+    max_fraction: float = 0.45,
+) -> Patch:
+    """Patch of a closed surface around `centre`, with a graded triangulation of its own and a layer under it.
+
+    The patch is a height field over the plane across `facing`: it takes what is connected to the centre, within
+    `radius_m` in that plane, and no steeper than 75 degrees to it. Where the region ends before the radius, the rim
+    follows its end; spikes and necks narrower than 1.5 `coarse_m` are cut off. Positions lie on the given triangles.
+
+    surface: closed mesh [m]; depth: skin thickness at its vertices [m], shape (n,), or one number
+    centre: [m], shape (3,), at most 5 mm off the surface; moved to the nearest point of the surface
+    fine_m, coarse_m: edge lengths within `fine_radius_m` and at the radius [m]; linear between
+    max_depth_m: largest thickness [m]
+    axis: passed on to the patch; facing: outward direction, shape (3,), default the normal at the centre
+    max_fraction: largest thickness as a share of the way through the body along the inward direction. 0.45 leaves room
+        for a layer on the far side; use 1 where the far side is the rigid base itself.
+
+    Patch.report: vertices, triangles, area_m2, angle_min_deg, edge_mean_m, quality_min (scaled Jacobian of the wedges),
+    share_thinned (of vertices, by more than 0.1 %), depth_asked_{min,p10,mean}_m, depth_got_{min,p10,mean}_m.
+
+    Raises SceneError for numbers out of range, a centre off the surface or facing away, and a layer that folds.
+    """
+    middle = np.asarray(centre, dtype=np.float64)
+    _check_numbers(middle, radius_m, fine_m, coarse_m, fine_radius_m, max_depth_m, max_fraction)
+    thickness = _depth_by_vertex(surface, depth)
+    origin, seed = _closest(surface, middle)
+    outward = _outward(surface, seed, origin, facing)
+
+    region = facing_region(surface, origin, seed, outward, radius_m)
+    shape = trace_shape(region, step_m=max(0.5 * fine_m, radius_m / 80.0), spike_m=0.75 * coarse_m)
+    plane, faces = triangulate(shape, graded_size(fine_m, coarse_m, fine_radius_m, radius_m), radius_m)
+    vertices, asked = _lift(region, plane, thickness)
+
+    asked = np.minimum(asked, max_depth_m)
+    inward = inward_directions(vertices, faces)
+    span = float(np.ptp(surface.vertices, axis=0).sum())
+    way = exit_distances(surface.vertices, surface.faces, vertices, inward, span)
+    got, quality = fit_thickness(vertices, faces, inward, asked, max_fraction * way)
+
+    edges, count = unique_edges(faces)
+    rim = np.zeros(len(vertices), dtype=np.bool_)
+    rim[edges[count == 1]] = True
+    report = _report(vertices, faces, edges, asked, got, quality)
+    symmetry = None if axis is None else _unit_vector(axis, "axis")
+    return Patch(vertices, faces, inward, got, rim, symmetry, report)
+
+
+def _check_numbers(centre, radius_m, fine_m, coarse_m, fine_radius_m, max_depth_m, max_fraction) -> None:
+    if centre.shape != (3,) or not np.isfinite(centre).all():
+        raise SceneError(f"patch centre {centre.tolist()} must be three finite numbers [m]")
+    for name, value in (
+        ("radius_m", radius_m),
+        ("fine_m", fine_m),
+        ("coarse_m", coarse_m),
+        ("max_depth_m", max_depth_m),
+    ):
+        if not (np.isfinite(value) and value > 0.0):
+            raise SceneError(f"patch {name} {value:g} must be a positive length in metres")
+    if not (np.isfinite(fine_radius_m) and fine_radius_m >= 0.0):
+        raise SceneError(f"patch fine_radius_m {fine_radius_m:g} must not be negative")
+    if coarse_m < fine_m:
+        raise SceneError(f"patch coarse_m {coarse_m:g} is below fine_m {fine_m:g}; give coarse_m >= fine_m")
+    if radius_m < 2.0 * fine_m:
+        raise SceneError(f"patch radius {radius_m:g} m is below two fine edges of {fine_m:g} m; enlarge it or refine")
+    if not 0.0 < max_fraction <= 1.0:
+        raise SceneError(f"patch max_fraction {max_fraction:g} is out of range; use more than 0 and at most 1")
+
+
+def _depth_by_vertex(surface: Surface, depth: ArrayLike | float) -> Float:
+    value = np.asarray(depth, dtype=np.float64)
+    if value.ndim == 0:
+        value = np.full(len(surface.vertices), float(value))
+    if value.shape != (len(surface.vertices),):
+        raise SceneError(
+            f"skin depth has shape {value.shape}; give one number, or one for each "
+            f"of the {len(surface.vertices)} vertices"
+        )
+    if not (np.isfinite(value) & (value > 0.0)).all():
+        raise SceneError(
+            f"skin depth {value[~(np.isfinite(value) & (value > 0.0))][0]:g} m must be positive and finite"
+        )
+    return value
+
+
+def _closest(surface: Surface, centre: Float) -> tuple[Float, int]:
+    """Nearest point of the surface and its face."""
+    mesh = build_mesh(surface.vertices, surface.faces)
+    reach = float(np.linalg.norm(surface.vertices - centre, axis=1).min()) * 1.01 + 1e-6
+    face = int(closest_faces(mesh, centre[None], reach)[0])
+    corners = surface.vertices[surface.faces[face]][None]
+    origin = (barycentric(corners, centre[None])[0, :, None] * corners[0]).sum(axis=0)
+    gap = float(np.linalg.norm(origin - centre))
+    if gap > CENTRE_TOLERANCE_m:
+        place = ", ".join(f"{1e3 * c:.1f}" for c in centre)
+        raise SceneError(
+            f"patch centre ({place}) mm is {1e3 * gap:.1f} mm from the surface; at most "
+            f"{1e3 * CENTRE_TOLERANCE_m:g} mm is allowed, move it onto the skin"
+        )
+    return origin, face
+
+
+def _outward(surface: Surface, seed: int, origin: Float, facing: ArrayLike | None) -> Float:
+    if facing is not None:
+        return _unit_vector(facing, "facing")
+    corners = surface.faces[seed]
+    weights = barycentric(surface.vertices[corners][None], origin[None])[0]
+    return _unit_vector(weights @ surface.normals[corners], "facing")
+
+
+def _unit_vector(vector: ArrayLike, name: str) -> Float:
+    value = np.asarray(vector, dtype=np.float64)
+    if value.shape != (3,) or not np.isfinite(value).all() or np.linalg.norm(value) == 0.0:
+        raise SceneError(f"patch {name} {value.tolist()} must be three finite numbers that are not all zero")
+    return value / np.linalg.norm(value)
+
+
+def _lift(region: Region, plane: Float, thickness: Float) -> tuple[Float, Float]:
+    """Positions on the surface under points of the plane, and the depth there."""
+    flat = np.concatenate([region.shadow, np.zeros((len(region.shadow), 1))], axis=1)
+    points = np.concatenate([plane, np.zeros((len(plane), 1))], axis=1)
+    face = closest_faces(build_mesh(flat, region.faces), points, 4.0 * region.radius_m)
+    corners = region.faces[face]
+    weights = barycentric(region.shadow[corners], plane)
+    lifted = np.einsum("ij,ijk->ik", weights, region.vertices[corners])
+    return lifted, np.einsum("ij,ij->i", weights, thickness[region.index][corners])
+
+
+def _report(vertices: Float, faces: Int, edges: Int, asked: Float, got: Float, quality: Float) -> dict[str, float]:
+    report = {
+        "vertices": float(len(vertices)),
+        "triangles": float(len(faces)),
+        "area_m2": float(face_normals(vertices, faces)[1].sum()),
+        "angle_min_deg": float(np.rad2deg(corner_angles(vertices, faces).min())),
+        "edge_mean_m": float(np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1).mean()),
+        "quality_min": float(quality.min()),
+        "share_thinned": float(np.mean(got < 0.999 * asked)),
+    }
+    for name, value in (("asked", asked), ("got", got)):
+        report[f"depth_{name}_min_m"] = float(value.min())
+        report[f"depth_{name}_p10_m"] = float(np.percentile(value, 10.0))
+        report[f"depth_{name}_mean_m"] = float(value.mean())
+    return report

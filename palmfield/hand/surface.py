@@ -1,0 +1,236 @@
+"""Closed skin surface of a hand preset: signed distance, marching cubes, relaxation; cached on disk."""
+
+import hashlib
+import io
+import os
+import tempfile
+from dataclasses import dataclass, replace
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import platformdirs
+import trimesh
+import warp as wp
+from trimesh.exchange import ply
+from warp.geometry import IsoSurfaceMarchingCubes
+
+import warp_kernels.sdf as kernels
+from palmfield.device import resolve
+from palmfield.errors import SceneError
+from palmfield.hand import preset as preset_module
+from palmfield.hand import skeleton as skeleton_module
+from palmfield.hand.preset import HandPreset
+from palmfield.hand.skeleton import (
+    BETWEEN_FINGERS_BLEND_m,
+    Bone,
+    FINGER_BLEND_m,
+    Skeleton,
+    THUMB_BLEND_m,
+    build_skeleton,
+)
+from palmfield.hand.triangles import adjacency, neighbour_mean, vertex_normals
+from palmfield.types import Float, Int, Surface
+
+GRADIENT_STEP_m = 1e-4
+# Relaxed marching-cubes triangles have edges of about this many voxels.
+EDGE_PER_VOXEL = 0.87
+
+
+@dataclass(frozen=True)
+class HandSurface:
+    """Skin of a hand in the hand frame.
+
+    surface: closed triangle mesh
+    depth_to_bone: distance from each vertex to the nearest bone surface [m], shape (n,), float64
+    landmarks: named positions [m], shape (3,) each: palm_centre, wrist, <digit>_tip, <digit>_pad, <digit>_knuckle
+    """
+
+    surface: Surface
+    depth_to_bone: Float
+    landmarks: dict[str, Float]
+
+
+def hand_surface(preset: HandPreset, edge_m: float = 0.003) -> HandSurface:
+    """Watertight skin mesh of a preset, with mean edge length close to `edge_m` [m].
+
+    The mesh is kept in the user's cache folder under a hash of the preset, the edge length and the generating code. A
+    damaged file there is made anew; a folder that cannot be written is done without.
+
+    Raises SceneError for an edge length outside 1 to 4 mm (a coarser grid closes the gaps between fingers), and where
+    digits of the preset touch.
+    """
+    if not 0.001 <= edge_m <= 0.004:
+        raise SceneError(f"hand surface edge length {edge_m:g} m is out of range; use 0.001 to 0.004 m")
+    skeleton = centred_skeleton(preset)
+    _check_apart(skeleton)
+    path = _cache_path(preset, edge_m)
+    mesh = _read_cache(path)
+    if mesh is None:
+        data = _generate(skeleton, edge_m)
+        _write_cache(path, data)
+        mesh = trimesh.load_mesh(io.BytesIO(data), file_type="ply", process=False)
+    vertices = np.asarray(mesh.vertices, dtype=np.float64)
+    faces = np.asarray(mesh.faces, dtype=np.int32)
+    surface = Surface(vertices, faces, vertex_normals(vertices, faces))
+    return HandSurface(surface, bone_distance(vertices, skeleton.bones), skeleton.landmarks)
+
+
+def centred_skeleton(preset: HandPreset) -> Skeleton:
+    """Skeleton in the hand frame: its palmar skin passes through the origin."""
+    skeleton = build_skeleton(preset)
+    low, high = -0.08, 0.0
+    while high - low > 1e-7:
+        middle = 0.5 * (low + high)
+        outside = skin_distance(skeleton, np.array([[0.0, 0.0, middle]]))[0] > 0.0
+        low, high = (middle, high) if outside else (low, middle)
+    up = np.array([0.0, 0.0, -0.5 * (low + high)])
+    fixed = {"palm_centre": np.zeros(3)}
+    return Skeleton(
+        [replace(s, start=s.start + up, end=s.end + up) for s in skeleton.skin],
+        [replace(b, start=b.start + up, end=b.end + up) for b in skeleton.bones],
+        {name: position + up for name, position in skeleton.landmarks.items()} | fixed,
+    )
+
+
+def skin_distance(skeleton: Skeleton, points: Float) -> Float:
+    """Signed distance to the skin, negative inside [m], shape (n,); first order, exact at the surface of one part."""
+    return _distance_and_gradient(_segments(skeleton), points)[0]
+
+
+def bone_distance(points: Float, bones: list[Bone]) -> Float:
+    """Distance to the nearest bone surface [m], shape (n,); negative inside a bone."""
+    best = np.full(len(points), np.inf)
+    for bone in bones:
+        axis = bone.end - bone.start
+        t = np.clip((points - bone.start) @ axis / (axis @ axis), 0.0, 1.0)
+        radius = bone.radius_start_m + t * (bone.radius_end_m - bone.radius_start_m)
+        best = np.minimum(best, np.linalg.norm(points - bone.start - t[:, None] * axis, axis=1) - radius)
+    return best
+
+
+def _segments(skeleton: Skeleton) -> wp.array:
+    records = np.zeros(len(skeleton.skin), dtype=kernels.Segment.numpy_dtype())
+    for name in ("start", "end", "semi_start", "semi_end", "dorsal", "group"):
+        records[name] = [getattr(s, name) for s in skeleton.skin]
+    records["blend"] = [s.blend_m for s in skeleton.skin]
+    return wp.array(records, dtype=kernels.Segment, device=resolve("cpu"))
+
+
+def _distance_and_gradient(segments: wp.array, points: Float) -> tuple[Float, Float]:
+    at: wp.array = wp.array(points.astype(np.float32), dtype=wp.vec3, device="cpu")
+    distance = wp.empty(len(points), dtype=wp.float32, device="cpu")
+    gradient = wp.empty(len(points), dtype=wp.vec3, device="cpu")
+    blends = [THUMB_BLEND_m, FINGER_BLEND_m, BETWEEN_FINGERS_BLEND_m]
+    wp.launch(
+        kernels.hand_distance_at_points,
+        dim=len(points),
+        inputs=[segments, *blends, at, GRADIENT_STEP_m],
+        outputs=[distance, gradient],
+        device="cpu",
+    )
+    return distance.numpy().astype(np.float64), gradient.numpy().astype(np.float64)
+
+
+def _check_apart(skeleton: Skeleton) -> None:
+    """Beyond the webs, the skin of no digit may reach into another's: the smooth union would fuse them."""
+    free = [s for s in skeleton.skin if s.name.endswith(("_middle", "_distal"))]
+    share = np.linspace(0.0, 1.0, 21)[:, None]
+    for a, b in combinations(free, 2):
+        if a.group == b.group:
+            continue
+        apart = (a.start + share * (a.end - a.start))[:, None] - (b.start + share * (b.end - b.start))[None]
+        across = [s.semi_start[0] + share * (s.semi_end[0] - s.semi_start[0]) for s in (a, b)]
+        gap = float((np.linalg.norm(apart, axis=2) - across[0] - across[1].T).min())
+        if gap < BETWEEN_FINGERS_BLEND_m:
+            raise SceneError(
+                f"hand preset: digits touch, {a.name} and {b.name} have a gap of {1e3 * gap:.1f} mm and "
+                f"{1e3 * BETWEEN_FINGERS_BLEND_m:g} mm are needed; spread them more or make them thinner"
+            )
+
+
+def _generate(skeleton: Skeleton, edge_m: float) -> bytes:
+    """The relaxed mesh as PLY bytes."""
+    segments = _segments(skeleton)
+    step = edge_m / EDGE_PER_VOXEL
+    ends = np.array([end for s in skeleton.skin for end in (s.start, s.end)])
+    widest = max(float(max(s.semi_start.max(), s.semi_end.max())) for s in skeleton.skin)
+    # Off any plane of symmetry, so that no grid plane lies on a flat part of the surface.
+    lower = ends.min(axis=0) - widest - step * np.array([2.31, 2.47, 2.59])
+    shape = np.ceil((ends.max(axis=0) + widest + 3.0 * step - lower) / step).astype(int)
+    field: Any = wp.empty(tuple(shape.tolist()), dtype=wp.float32, device="cpu")
+    blends = [THUMB_BLEND_m, FINGER_BLEND_m, BETWEEN_FINGERS_BLEND_m]
+    wp.launch(
+        kernels.hand_distance_on_grid,
+        dim=field.shape,
+        inputs=[segments, *blends, wp.vec3(*lower), step],
+        outputs=[field],
+        device="cpu",
+    )
+    upper = lower + step * (shape - 1)
+    found, indices = IsoSurfaceMarchingCubes.extract(field, 0.0, lower=wp.vec3(*lower), upper=wp.vec3(*upper))
+    vertices = found.numpy().astype(np.float64)
+    faces = indices.numpy().reshape(-1, 3).astype(np.int32)
+    vertices = _relax(segments, vertices, faces, rounds=12)
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    if not mesh.is_watertight or mesh.euler_number != 2:
+        raise SceneError(
+            f"hand preset gives a skin with Euler number {mesh.euler_number} and not 2: digits touch; "
+            "spread them more, make them thinner, or use a smaller edge length"
+        )
+    if mesh.volume < 0.0:
+        mesh.invert()
+    return ply.export_ply(mesh)
+
+
+def _relax(segments: wp.array, vertices: Float, faces: Int, rounds: int) -> Float:
+    """Tangential smoothing, each round followed by a projection back onto the zero level."""
+    links = adjacency(faces, len(vertices))
+    for _ in range(rounds):
+        move = neighbour_mean(vertices, links) - vertices
+        _, gradient = _distance_and_gradient(segments, vertices)
+        normal = gradient / np.linalg.norm(gradient, axis=1, keepdims=True)
+        move -= np.einsum("ij,ij->i", move, normal)[:, None] * normal
+        vertices = _project(segments, vertices + 0.6 * move)
+    return _project(segments, vertices)
+
+
+def _project(segments: wp.array, points: Float) -> Float:
+    for _ in range(2):
+        distance, gradient = _distance_and_gradient(segments, points)
+        squared = np.maximum(np.einsum("ij,ij->i", gradient, gradient), 0.25)
+        points = points - (distance / squared)[:, None] * gradient
+    return points
+
+
+def _cache_path(preset: HandPreset, edge_m: float) -> Path:
+    digest = hashlib.sha256(f"{preset.model_dump_json()} {edge_m!r}".encode())
+    for source in (__file__, preset_module.__file__, skeleton_module.__file__, kernels.__file__):
+        digest.update(Path(source).read_bytes())
+    return Path(platformdirs.user_cache_dir("palmfield")) / "hands" / f"{digest.hexdigest()[:24]}.ply"
+
+
+def _read_cache(path: Path) -> trimesh.Trimesh | None:
+    """The mesh in the cache, or None where there is none or it is damaged."""
+    try:
+        data = path.read_bytes()
+        if path.with_suffix(".sha256").read_text() != hashlib.sha256(data).hexdigest():
+            return None
+    except (OSError, UnicodeDecodeError):
+        return None
+    return trimesh.load_mesh(io.BytesIO(data), file_type="ply", process=False)
+
+
+def _write_cache(path: Path, data: bytes) -> None:
+    """Write both files under another name first, so that a reader never meets half a file."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        checksum = hashlib.sha256(data).hexdigest().encode()
+        for target, content in ((path, data), (path.with_suffix(".sha256"), checksum)):
+            handle, temporary = tempfile.mkstemp(dir=path.parent)
+            with os.fdopen(handle, "wb") as file:
+                file.write(content)
+            os.replace(temporary, target)
+    except OSError:
+        return

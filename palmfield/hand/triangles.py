@@ -1,0 +1,107 @@
+"""Small facts about triangle meshes that several hand modules need. Arrays as in `types.Surface`."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from palmfield.types import Float, Int
+
+
+def face_normals(vertices: Float, faces: Int) -> tuple[Float, Float]:
+    """Unit normals, shape (m, 3), and areas [m2], shape (m,); the normal of a face without area is zero."""
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    cross = np.cross(b - a, c - a)
+    twice = np.linalg.norm(cross, axis=1)
+    return cross / np.where(twice > 0.0, twice, 1.0)[:, None], 0.5 * twice
+
+
+def vertex_normals(vertices: Float, faces: Int) -> Float:
+    """Unit normals by vertex, faces weighted by their angle there, shape (n, 3)."""
+    unit, _ = face_normals(vertices, faces)
+    angles = corner_angles(vertices, faces)
+    total = np.zeros_like(vertices)
+    for i in range(3):
+        np.add.at(total, faces[:, i], unit * angles[:, i, None])
+    length = np.linalg.norm(total, axis=1)
+    return total / np.where(length > 0.0, length, 1.0)[:, None]
+
+
+def corner_angles(vertices: Float, faces: Int) -> Float:
+    """Angle at each corner of each face [rad], shape (m, 3)."""
+    corners = vertices[faces]
+    out = np.empty(faces.shape)
+    for i in range(3):
+        u = corners[:, (i + 1) % 3] - corners[:, i]
+        v = corners[:, (i + 2) % 3] - corners[:, i]
+        out[:, i] = np.arctan2(np.linalg.norm(np.cross(u, v), axis=1), np.einsum("ij,ij->i", u, v))
+    return out
+
+
+def directed_edges(faces: Int) -> Int:
+    """The three directed edges of each face, shape (3 m, 2), face by face within each third."""
+    return np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+
+
+def unique_edges(faces: Int) -> tuple[Int, NDArray[np.int64]]:
+    """Undirected edges, shape (e, 2), and by how many faces each is used, shape (e,)."""
+    edges, count = np.unique(np.sort(directed_edges(faces), axis=1), axis=0, return_counts=True)
+    return edges, count
+
+
+def adjacency(faces: Int, number: int) -> sparse.csr_array:
+    """Vertex adjacency as a symmetric 0/1 matrix, shape (number, number)."""
+    edges, _ = unique_edges(faces)
+    ones = np.ones(len(edges))
+    half = sparse.coo_array((ones, (edges[:, 0], edges[:, 1])), shape=(number, number))
+    return sparse.csr_array(half + half.T)
+
+
+def neighbour_mean(values: Float, links: sparse.csr_array) -> Float:
+    """Mean over each vertex's neighbours; shape of `values`."""
+    count = np.asarray(links.sum(axis=1)).reshape((-1,) + (1,) * (values.ndim - 1))
+    return (links @ values) / np.maximum(count, 1.0)
+
+
+def face_components(faces: Int) -> Int:
+    """Label of the edge-connected part that each face belongs to, shape (m,)."""
+    edges = np.sort(directed_edges(faces), axis=1)
+    owner = np.tile(np.arange(len(faces)), 3)
+    order = np.lexsort((edges[:, 1], edges[:, 0]))
+    same = np.all(edges[order][1:] == edges[order][:-1], axis=1)
+    a, b = owner[order][:-1][same], owner[order][1:][same]
+    graph = sparse.coo_array((np.ones(len(a)), (a, b)), shape=(len(faces), len(faces)))
+    return sparse.csgraph.connected_components(graph, directed=False)[1]
+
+
+def consistent_winding(faces: Int) -> Int:
+    """Faces turned so that neighbours run along their common edge in opposite directions.
+
+    The first face of each part stays. Meant for meshes whose every edge has two faces.
+    """
+    directed = directed_edges(faces)
+    edges = np.sort(directed, axis=1)
+    order = np.lexsort((edges[:, 1], edges[:, 0]))
+    owner = np.tile(np.arange(len(faces)), 3)[order].reshape(-1, 2)
+    forward = (directed[:, 0] < directed[:, 1])[order].reshape(-1, 2)
+    # 1 where the two faces agree already, 2 where one must be turned.
+    weight = np.where(forward[:, 0] != forward[:, 1], 1, 2)
+    graph = sparse.coo_array((weight, owner.T), shape=(len(faces), len(faces)))
+    links = sparse.csr_array(graph + graph.T)
+    turned = np.zeros(len(faces), dtype=np.bool_)
+    seen = np.zeros(len(faces), dtype=np.bool_)
+    for start in range(len(faces)):
+        if seen[start]:
+            continue
+        seen[start] = True
+        stack = [start]
+        while stack:
+            face = stack.pop()
+            for i in range(links.indptr[face], links.indptr[face + 1]):
+                other = links.indices[i]
+                if not seen[other]:
+                    seen[other] = True
+                    turned[other] = turned[face] ^ (links.data[i] == 2)
+                    stack.append(other)
+    out = faces.copy()
+    out[turned] = out[turned][:, ::-1]
+    return out

@@ -1,0 +1,38 @@
+"""The scene's keys as text and as the page docs/keys.md, from the configuration models."""
+
+import io
+
+from rich.console import Console
+from rich.table import Table
+
+from palmfield.config import CONFIGS, table
+from palmfield.errors import SceneError
+
+HEADINGS = ("key", "unit", "allowed", "default", "meaning")
+
+
+def as_text(plugin: str | None = None) -> str:
+    """Tables for the terminal, of one module or of all. Raises SceneError for an unknown module."""
+    chosen = [c for c in CONFIGS if plugin in (None, c.plugin)]
+    if not chosen:
+        raise SceneError(f"there is no plugin '{plugin}'; allowed: {', '.join(c.plugin for c in CONFIGS)}")
+    stream = io.StringIO()
+    console = Console(file=stream, width=130)
+    for config in chosen:
+        grid = Table(*HEADINGS, title=f"{config.plugin}: {config.about}", title_justify="left")
+        for row in table(config):
+            grid.add_row(*row)
+        console.print(grid)
+    return stream.getvalue()
+
+
+def as_markdown() -> str:
+    """The page docs/keys.md."""
+    lines = ["# Keys of a scene", "", "Made by `palmfield keys --markdown`; do not edit.", ""]
+    for config in CONFIGS:
+        lines += [f"## {config.plugin}", "", config.about, ""]
+        lines += ["| " + " | ".join(HEADINGS) + " |", "|" + "---|" * len(HEADINGS)]
+        for row in table(config):
+            lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |")
+        lines.append("")
+    return "\n".join(lines)

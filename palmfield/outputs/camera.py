@@ -1,0 +1,63 @@
+"""Where the picture of a scene is taken from."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from palmfield.outputs.frames import axes
+from palmfield.types import Float
+
+FIELD_OF_VIEW_DEG = 24.0
+SLANT_DEG = 35.0
+AZIMUTH_DEG = 205.0
+MARGIN = 0.05
+
+
+class Camera(NamedTuple):
+    """A pinhole camera: eye [m], unit axes in the world, and where points fall in the picture.
+
+    focal: distance of the picture plane [pixels]; centre: pixel that lies straight ahead, (column, row)
+    """
+
+    eye: Float
+    forward: Float
+    right: Float
+    up: Float
+    focal: float
+    centre: Float
+
+    def project(self, points: Float) -> Float:
+        """Column and row [pixels] of world points [m], shape (n, 3) -> (n, 2)."""
+        local = points - self.eye
+        plane = np.column_stack([local @ self.right, -(local @ self.up)])
+        return self.centre + self.focal * plane / (local @ self.forward)[:, None]
+
+
+def look_along_emission(points: Float, array_pose: Float, window: tuple[float, float, float, float]) -> Camera:
+    """Camera that sees the side of things which the array's sound reaches, with all points in a window of the picture.
+
+    points: [m] in the world, shape (n, 3); array_pose: shape (7,); window: left, top, width, height [pixels]
+    It looks along the array's +z, slanted, so array and target lie beside each other. The world's z points up.
+    """
+    x, y, z = axes(array_pose)
+    azimuth, slant = np.radians(AZIMUTH_DEG), np.radians(SLANT_DEG)
+    forward = np.cos(slant) * (np.cos(azimuth) * x + np.sin(azimuth) * y) + np.sin(slant) * z
+    # Where the camera looks straight up or down, the world's z gives no direction in the picture; the board's y does.
+    vertical = np.array([0.0, 0.0, 1.0]) if abs(forward[2]) < 0.95 else y
+    right = np.cross(forward, vertical)
+    right /= np.linalg.norm(right)
+    up = np.cross(right, forward)
+    left, top, width, height = window
+    focal = 0.5 * height / np.tan(np.radians(FIELD_OF_VIEW_DEG) / 2)
+    limits = (0.5 - MARGIN) * np.array([width, height]) / focal
+    middle, distance = points.mean(axis=0), 1.0
+    # Each round backs off until the widest point touches the margin, then moves sideways to the middle of what is seen.
+    for _ in range(20):
+        local = points - middle
+        across, depth = np.column_stack([local @ right, local @ up]), local @ forward
+        distance = float((np.abs(across) / limits - depth[:, None]).max())
+        seen = across / (distance + depth)[:, None]
+        offset = 0.5 * (seen.min(axis=0) + seen.max(axis=0)) * distance
+        middle = middle + offset[0] * right + offset[1] * up
+    centre = np.array([left + 0.5 * width, top + 0.5 * height])
+    return Camera(middle - distance * forward, forward, right, up, focal, centre)

@@ -1,0 +1,164 @@
+"""From skin motion to level above threshold, by named observers; and the amplitude of lines in a motion.
+
+The observers differ by up to 16 dB: give results for each rather than for one.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.signal.windows import hann
+
+from palmfield.errors import OutputError
+from palmfield.types import Float
+
+
+@dataclass(frozen=True)
+class Observer:
+    """Detection thresholds of one study.
+
+    frequency_Hz: rising [Hz], shape (n,); peak_m: peak displacement at threshold [m], shape (n,)
+    stated: what the source's table holds (quantity, peak or rms)
+    percent_correct: share of correct answers at threshold [%], None where it is not established
+    source: where the values come from, and what they do and do not stand for
+    """
+
+    name: str
+    frequency_Hz: Float
+    peak_m: Float
+    stated: str
+    percent_correct: float | None
+    source: str
+
+
+def _morioka_griffin() -> Observer:
+    frequency = np.array([8, 10, 12.5, 16, 20, 25, 31.5, 40, 50, 63, 80, 100, 125, 160, 200, 250, 315])
+    rms = [0.095, 0.1, 0.095, 0.108, 0.15, 0.16, 0.109, 0.065, 0.072, 0.049, 0.028, 0.023, 0.022, 0.021, 0.029, 0.032]
+    acceleration = np.array([*rms, 0.061])
+    return Observer(
+        name="morioka_griffin_2006",
+        frequency_Hz=frequency,
+        peak_m=np.sqrt(2) * acceleration / (2 * np.pi * frequency) ** 2,
+        stated="acceleration, m/s^2 rms; peak displacement = sqrt(2) a / (2 pi f)^2",
+        percent_correct=None,
+        source="M. Morioka and M. J. Griffin, J. Sound Vib. 295 (2006) 633-648: hand-transmitted vibration, hand round "
+        "a handle. The contact is large, so thresholds for a small area lie higher. Percent correct not established "
+        "here.",
+    )
+
+
+def _afferent_human() -> Observer:
+    peak_um = [24.3, 11.1, 5.34, 1.87, 0.908, 0.304, 0.115, 0.079, 0.050, 0.042, 0.046, 0.070, 0.120]
+    return Observer(
+        name="afferent_human",
+        frequency_Hz=np.array([2.0, 5, 10, 20, 30, 50, 80, 100, 150, 200, 250, 300, 350]),
+        peak_m=1e-6 * np.array(peak_um),
+        stated="displacement, um peak",
+        percent_correct=None,
+        source="Human detection thresholds digitised in the public data of a model of single afferents, where they "
+        "stand beside those of RA1, PC and SA1 units. Not digitised again from the psychophysics; contact size and "
+        "percent correct not established here.",
+    )
+
+
+OBSERVERS = {observer.name: observer for observer in (_morioka_griffin(), _afferent_human())}
+
+
+def threshold_m(observer: Observer, f_Hz: ArrayLike) -> Float:
+    """Peak displacement at threshold [m], interpolated on log-log axes.
+
+    f_Hz: [Hz], any shape; the result has the same shape and is NaN outside the observer's table.
+    """
+    frequency = np.asarray(f_Hz, dtype=np.float64)
+    low, high = observer.frequency_Hz[0], observer.frequency_Hz[-1]
+    inside = (frequency >= low) & (frequency <= high)
+    log_f = np.log(np.where(inside, frequency, low))
+    log_peak = np.interp(log_f, np.log(observer.frequency_Hz), np.log(observer.peak_m))
+    return np.where(inside, np.exp(log_peak), np.nan)
+
+
+def level_dB_SL(observer: Observer, frequencies: ArrayLike, peak_amplitudes_m: ArrayLike) -> float:
+    """Sensation level 20 log10 sqrt(sum (A_i / T(f_i))^2) [dB]; 0 dB is just felt, -inf where nothing counts.
+
+    frequencies: lines of the motion [Hz], shape (n,); peak_amplitudes_m: their peak amplitudes [m], shape (n,)
+    DC and lines outside the observer's table are left out: `share_left_out` tells how much that is. Give lines, or the
+    bins of a spectrum with window "none" over whole periods: the bins of a Hann window count every line 1.5 times.
+    """
+    amplitude = np.asarray(peak_amplitudes_m, dtype=np.float64)
+    excess = amplitude / threshold_m(observer, frequencies)
+    total = float(np.nansum(excess**2))
+    return 10 * np.log10(total) if total > 0 else -np.inf
+
+
+def share_left_out(observer: Observer, frequencies: ArrayLike, peak_amplitudes_m: ArrayLike) -> float:
+    """Share of the squared amplitude, DC excluded, on lines outside the observer's table, 0 to 1 (0 for no motion).
+
+    frequencies: [Hz], shape (n,); peak_amplitudes_m: [m], shape (n,)
+    """
+    frequency = np.asarray(frequencies, dtype=np.float64)
+    energy = np.where(frequency > 0, np.asarray(peak_amplitudes_m, dtype=np.float64) ** 2, 0.0)
+    total = float(energy.sum())
+    return float(energy[np.isnan(threshold_m(observer, frequency))].sum()) / total if total > 0 else 0.0
+
+
+def spectrum(
+    time_s: ArrayLike, displacement_m: ArrayLike, window: Literal["hann", "none"] = "hann"
+) -> tuple[Float, Float]:
+    """Single-sided spectrum of peak amplitude.
+
+    time_s: evenly spaced [s], shape (n,), n >= 8; displacement_m: [m], shape (n,)
+    Returns frequencies [Hz] from 0 and peak amplitudes [m], shape (n // 2 + 1,). A sine of amplitude A on a bin gives A
+    there; the bin at 0 Hz holds the (weighted) mean, which is taken off first so that it does not leak.
+    Raises OutputError for fewer than 8 samples, for uneven times and for another window.
+    """
+    time = np.asarray(time_s, dtype=np.float64)
+    motion = np.asarray(displacement_m, dtype=np.float64)
+    if window not in ("hann", "none"):
+        raise OutputError(f"window '{window}' is not known; use hann or none")
+    step = _even_step(time)
+    weights = hann(len(time), sym=False) if window == "hann" else np.ones(len(time))
+    mean = np.average(motion, weights=weights)
+    amplitude = 2 * np.abs(np.fft.rfft((motion - mean) * weights)) / weights.sum()
+    if len(time) % 2 == 0:
+        amplitude[-1] /= 2
+    amplitude[0] = abs(mean)
+    return np.asarray(np.fft.rfftfreq(len(time), step), dtype=np.float64), amplitude
+
+
+def _even_step(time: Float) -> float:
+    if len(time) < 8:
+        raise OutputError(f"a spectrum needs at least 8 samples, got {len(time)}; run for longer")
+    steps = np.diff(time)
+    step = float(time[-1] - time[0]) / len(steps)
+    if step <= 0 or np.abs(steps - step).max() > 1e-3 * step:
+        raise OutputError(
+            f"times are not evenly spaced (steps {steps.min():.3g} to {steps.max():.3g} s); take a stretch without gaps"
+        )
+    return step
+
+
+def line_amplitude(time: ArrayLike, x: ArrayLike, f: float, periods: int | None = None) -> float:
+    """Peak amplitude of the line at `f`: least-squares fit of DC and one sine over whole periods at the record's end.
+
+    time: rising [s], shape (n,); x: shape (n,), in any unit, which the result shares; f: [Hz]
+    periods: how many periods before the end are used; None for all that fit
+    Raises OutputError for f <= 0, and for a record shorter than that or with fewer than 3 samples a period.
+    """
+    times = np.asarray(time, dtype=np.float64)
+    if not f > 0:
+        raise OutputError(f"frequency {f} Hz has no line; give one above 0")
+    # A record of n samples stands for n steps, so its length is one step more than from first to last sample.
+    step = (times[-1] - times[0]) / (len(times) - 1) if len(times) > 1 else 0.0
+    held = int(np.floor((times[-1] - times[0] + step) * f + 1e-6))
+    used = held if periods is None else periods
+    if not 1 <= used <= held or step * f > 1 / 3:
+        raise OutputError(
+            f"a fit at {f:g} Hz over {used} periods needs that many whole periods with 3 samples or more in each; the "
+            f"record holds {held} at {step:.3g} s a sample: run for longer, or store more often"
+        )
+    last = times > times[-1] - used / f + 1e-6 * step
+    phase = 2 * np.pi * f * (times[last] - times[-1])
+    basis = np.column_stack([np.ones(phase.size), np.cos(phase), np.sin(phase)])
+    _, cosine, sine = np.linalg.lstsq(basis, np.asarray(x, dtype=np.float64)[last], rcond=None)[0]
+    return float(np.hypot(cosine, sine))

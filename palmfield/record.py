@@ -1,0 +1,156 @@
+"""What a running simulation writes: blocks of labelled arrays for the store."""
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from palmfield.chain import Chain, Sound
+from palmfield.engine.modules import SkinModule
+from palmfield.outputs.schema import dataset
+from palmfield.outputs.store import Store
+from palmfield.skin.surface import output_triangles
+from palmfield.skin.wedges import WedgeMesh
+from palmfield.types import Float, Float32, Int
+
+
+def closed_boundary(mesh: WedgeMesh) -> tuple[Float, Int]:
+    """Skin surface, base and cut side of a layer as one closed triangle mesh.
+
+    Returns vertices [m], shape (2 S, 3), of which the first S are the skin's surface nodes, and faces, shape (m, 3).
+    """
+    count, top = mesh.surface_nodes, output_triangles(mesh)
+    vertices = np.concatenate([mesh.nodes[:count], mesh.nodes[-count:]])
+    edges = np.concatenate([top[:, [0, 1]], top[:, [1, 2]], top[:, [2, 0]]])
+    _, index, uses = np.unique(np.sort(edges, axis=1), axis=0, return_index=True, return_counts=True)
+    rim = edges[index[uses == 1]]
+    a, b = rim[:, 0], rim[:, 1]
+    side = np.concatenate([np.stack([b, a, a + count], axis=1), np.stack([b, a + count, b + count], axis=1)])
+    return vertices, np.concatenate([top, top[:, ::-1] + count, side]).astype(np.int32)
+
+
+class Recorder:
+    """Watches a skin module and passes what happens on to a store."""
+
+    def __init__(self, skin: SkinModule, store: Store):
+        self.skin, self.chain, self.store = skin, skin.chain, store
+        self.nodes, self.normals = self.chain.surface_nodes()
+        self._last: tuple[Sound | None, Float32] = (None, np.zeros(len(self.nodes), dtype=np.float32))
+        self._loudest: tuple[float, Sound | None] = (0.0, None)
+        self._playing: tuple[Sound | None, float] | None = None
+        self._blocks: dict[str, list[Any]] = {}
+
+    def _add(self, **values: Any) -> None:
+        for name, value in values.items():
+            self._blocks.setdefault(name, []).append(value)
+
+    def observe(self, t: float, motion: Float, sound: Sound | None, factor: float) -> None:
+        """One skin step has ended at time t [s] (called by the chain)."""
+        operator = self.chain.surface_operator
+        arp = np.zeros(len(self.nodes), dtype=np.float32)
+        focus = np.full(3, np.nan)
+        if sound is not None:
+            if self._last[0] is not sound:
+                self._last = (sound, self.chain.arp_at(self.nodes, self.normals, sound.pose, sound.drive)[0])
+            arp = np.float32(factor) * self._last[1]
+            position, turn = self.skin.world.pose("site", self.skin.site)
+            focus = position + turn @ sound.focus
+            if factor > self._loudest[0]:
+                self._loudest = (factor, sound)
+        self._add(
+            time=t,
+            normal_displacement=(operator @ motion[0]).astype(np.float32),
+            normal_velocity=(operator @ motion[1]).astype(np.float32),
+            arp=arp,
+            focus=focus,
+        )
+        self._drive(t, sound, factor)
+
+    def _drive(self, t: float, sound: Sound | None, factor: float) -> None:
+        if self._playing is not None and self._playing[0] is sound and self._playing[1] == factor:
+            return
+        self._playing = (sound, factor)
+        drive = np.zeros(len(self.skin.rig.array), dtype=complex) if sound is None else sound.drive * np.sqrt(factor)
+        self._add(
+            frame_time=t,
+            drive_amplitude=np.abs(drive).astype(np.float32),
+            drive_phase=np.angle(drive).astype(np.float32),
+        )
+
+    def step(self) -> None:
+        """One MuJoCo step has ended: note body and force, and hand the block over."""
+        world = self.skin.world
+        position, turn = world.pose("body", self.skin.body)
+        self._add(
+            step_time=world.time,
+            body_pose=np.concatenate([position, quaternion(turn)]),
+            arp_force=self.skin.body_force()[0],
+        )
+        block = {name: np.asarray(values) for name, values in self._blocks.items()}
+        self._blocks = {}
+        self.store.append(dataset(**block))
+
+    @property
+    def loudest(self) -> Sound | None:
+        """The sound at the highest level so far."""
+        return self._loudest[1]
+
+    def surfaces(self) -> xr.Dataset:
+        """ARP and pressure on the whole surface and on the skin at the loudest moment."""
+        factor, sound = self._loudest
+        vertices, _ = self._surface
+        rows: dict[str, Float32] = {}
+        for prefix, points, normals in (("surface", vertices, self._surface_normals), ("skin", self.nodes, self.normals)):
+            arp, pressure = np.zeros(len(points), np.float32), np.zeros(len(points), np.float32)
+            if sound is not None:
+                arp, pressure = self.chain.arp_at(points, normals, sound.pose, sound.drive)
+            rows[f"{prefix}_pressure"] = (np.sqrt(factor) * pressure).astype(np.float32)
+            rows[f"{prefix}_arp"] = (factor * arp).astype(np.float32)
+        return dataset(**{k: v for k, v in rows.items() if k != "skin_arp"})
+
+    @cached_property
+    def _surface(self) -> tuple[Float, Int]:
+        return whole_surface(self.chain)
+
+    @cached_property
+    def _surface_normals(self) -> Float:
+        vertices, faces = self._surface
+        cross = np.cross(*(vertices[faces[:, i]] - vertices[faces[:, 0]] for i in (1, 2)))
+        total = np.zeros_like(vertices)
+        for i in range(3):
+            np.add.at(total, faces[:, i], cross)
+        return total / np.linalg.norm(total, axis=1, keepdims=True)
+
+
+def whole_surface(chain: Chain) -> tuple[Float, Int]:
+    """Vertices [m] and faces of the body that the sound meets, closed."""
+    surface = chain.rig.surface
+    return closed_boundary(chain.rig.mesh) if surface is None else (surface.vertices, surface.faces)
+
+
+def static_data(skin: SkinModule) -> xr.Dataset:
+    """What is known before the first step."""
+    rig, chain = skin.rig, skin.chain
+    vertices, faces = whole_surface(chain)
+    nodes, _ = chain.surface_nodes()
+    base = rig.mesh.nodes[-len(nodes) :]
+    position, turn = skin.world.pose("site", skin.site)
+    return dataset(
+        skin_position=nodes,
+        skin_faces=output_triangles(rig.mesh).astype(np.int32),
+        skin_depth=np.linalg.norm(nodes - base, axis=1),
+        surface_vertices=vertices,
+        surface_faces=faces,
+        transducer_position=rig.array.positions,
+        array_pose=np.concatenate([position, quaternion(turn)]),
+    )
+
+
+def quaternion(turn: Float) -> Float:
+    """Unit quaternion (w, x, y, z) of a rotation matrix, shape (3, 3)."""
+    import mujoco
+
+    out = np.empty(4)
+    mujoco.mju_mat2Quat(out, np.ascontiguousarray(turn).ravel())
+    return out

@@ -1,0 +1,260 @@
+"""Everything of a scene that does not change while it runs: array, device, surface, skin layer, matrices."""
+
+import math
+import threading
+from collections.abc import Sequence
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from palmfield.acoustics.air import density, sound_speed
+from palmfield.acoustics.arrays import layout
+from palmfield.acoustics.field import FieldEvaluator
+from palmfield.acoustics.focus import focus
+from palmfield.acoustics.reference import pressure64
+from palmfield.config import ArrayConfig, DriverConfig, SkinConfig, StimulusConfig
+from palmfield.device import resolve
+from palmfield.drive.device import DEVICES, check, play
+from palmfield.errors import DeviceError, SceneError
+from palmfield.hand.meshfile import load_mesh
+from palmfield.hand.patch import surface_patch
+from palmfield.hand.preset import load_preset
+from palmfield.hand.surface import hand_surface
+from palmfield.skin.assembly import SkinSystem, assemble
+from palmfield.skin.disc import disc_patch
+from palmfield.skin.estimate import choose_sizes
+from palmfield.skin.load import SurfaceQuadrature
+from palmfield.skin.material import Material, preset
+from palmfield.skin.solver import SkinSolver
+from palmfield.skin.wedges import WedgeMesh, extrude
+from palmfield.stimulus import frame_rates, main_frequencies
+from palmfield.types import Air, Complex, Float, Patch, Surface
+
+Triple = tuple[float, float, float]
+
+
+T = TypeVar("T")
+
+
+class once(cached_property[T]):
+    """A cached property that several threads may ask for: the first one computes, the others wait."""
+
+    def __get__(self, instance: Any, owner: Any = None) -> Any:
+        if instance is None:
+            return self
+        with instance.lock:
+            return super().__get__(instance, owner)
+
+
+class Rig:
+    """The static part of a scene. Costly parts are made when first asked for, once, also from several threads."""
+
+    def __init__(
+        self,
+        array: ArrayConfig,
+        stimulus: StimulusConfig,
+        skin: SkinConfig,
+        driver: DriverConfig,
+        timestep_s: float,
+        reference_focus: Triple,
+        patch_centre: Triple,
+    ):
+        self.array_config, self.stimulus, self.skin, self.driver = array, stimulus, skin, driver
+        self.timestep_s = timestep_s
+        self.reference_focus, self.patch_centre = np.array(reference_focus), np.array(patch_centre)
+        self.lock = threading.RLock()
+        self.air = Air(array.temperature_C, array.humidity_percent, array.pressure_Pa)
+        self.array = layout(array.layout, p0_Pa_m=array.p0_Pa_m)
+        self.device = DEVICES[driver.device]
+        self.material = material_of(skin)
+        self.impedance = density(self.air) * sound_speed(self.air) ** 2
+        check_device(self)
+        self.unit_drive(self.reference_focus)
+
+    # -- sound ---------------------------------------------------------------------------------------------------
+
+    def unit_drive(self, point: Float) -> tuple[Complex, float]:
+        """What the array emits for a focus at `point` (array frame [m], shape (3,)) at the loudest moment.
+
+        Returns the complex amplitude of each transducer relative to full drive, shape (n,), and the amplitude asked
+        for, 0..1. Raises SceneError for a focus that the array cannot make or a level that it cannot reach.
+        """
+        phases = focus(self.array, self.air, point)
+        level = 1.0 if self.stimulus.drive_amplitude is None else self.stimulus.drive_amplitude
+        wanted = self.stimulus.arp_peak_Pa
+        if wanted is not None:
+            full = abs(pressure64(point[None], self.array, phases, self.air)[0][0]) ** 2 / self.impedance
+            level = math.sqrt(wanted / full)
+            if level > 1.0:
+                raise SceneError(
+                    f"plugin 'palmfield.stimulus': arp_peak_Pa {wanted:g} is more than the array gives at "
+                    f"{_mm(point)}: {full:.3g} Pa at full drive with p0_Pa_m {self.array.p0_Pa_m:g}"
+                )
+        return play(self.device, level * phases), level
+
+    @once
+    def evaluator(self) -> FieldEvaluator:
+        """Field kernels for this array on the scene's device."""
+        return FieldEvaluator(self.array, self.air, resolve(self.array_config.compute))
+
+    @once
+    def spot_fwhm_m(self) -> float:
+        """Full width at half maximum of |p|^2 around the reference focus, along the array's x axis [m]."""
+        drive, _ = self.unit_drive(self.reference_focus)
+        offset = np.linspace(0.0, 0.06, 241)
+        points = self.reference_focus + offset[:, None] * np.array([1.0, 0.0, 0.0])
+        square = np.abs(pressure64(points, self.array, drive, self.air)[0]) ** 2
+        below = np.flatnonzero(square < 0.5 * square[0])
+        return 2 * float(offset[below[0]]) if len(below) else 2 * float(offset[-1])
+
+    # -- surface and skin ----------------------------------------------------------------------------------------
+
+    @once
+    def _hand(self) -> tuple[Surface, Float | float]:
+        if self.skin.shape == "mesh":
+            assert self.skin.mesh and self.skin.mesh_unit
+            return load_mesh(Path(self.skin.mesh), self.skin.mesh_unit), self.skin.depth_m
+        hand = hand_surface(load_preset(self.skin.hand))
+        return hand.surface, hand.depth_to_bone
+
+    @property
+    def surface(self) -> Surface | None:
+        """The whole closed surface in the body frame; None for a disc, whose lit face is the skin itself."""
+        return None if self.skin.shape == "disc" else self._hand[0]
+
+    @once
+    def max_frequency_Hz(self) -> float:
+        """Highest frequency that mesh and step resolve."""
+        if self.skin.max_frequency_Hz is not None:
+            return self.skin.max_frequency_Hz
+        return max([200.0, *main_frequencies(self.stimulus)])
+
+    @once
+    def sizes(self) -> tuple[float, float, float, Float, float, float]:
+        """Edge at the focus, edge at the rim, radius of the fine part [m], depth fractions, step [s], radius [m]."""
+        s = self.skin
+        fine, coarse, fine_radius, fractions, step, radius = choose_sizes(
+            self.material, self.spot_fwhm_m, self.max_frequency_Hz, s.accuracy
+        )
+        if s.element_m is not None:
+            coarse, fine = max(coarse * s.element_m / fine, s.element_m), s.element_m
+        if self.stimulus.path_diameter_m:
+            fine_radius += 0.5 * self.stimulus.path_diameter_m
+            radius += 0.5 * self.stimulus.path_diameter_m
+        radius = s.radius_m or s.patch_radius_m or radius
+        step = s.step_s or step
+        if self.stimulus.modulation == "none" and self.stimulus.control_rate_Hz:
+            step = min(step, 1 / self.stimulus.control_rate_Hz)
+        count = math.ceil(self.timestep_s / step - 1e-9)
+        if s.step_s is not None and abs(count * s.step_s - self.timestep_s) > 1e-9:
+            raise SceneError(f"plugin 'palmfield.skin': step_s {s.step_s:g} must divide the timestep {self.timestep_s:g}")
+        return fine, coarse, min(fine_radius, radius), np.asarray(fractions), self.timestep_s / count, radius
+
+    @once
+    def patch(self) -> Patch:
+        """The part of the surface that gets a skin layer."""
+        fine, coarse, fine_radius, _, _, radius = self.sizes
+        if self.skin.shape == "disc":
+            assert self.skin.radius_m and self.skin.thickness_m
+            return disc_patch(self.skin.radius_m, self.skin.thickness_m, fine, coarse, fine_radius)
+        surface, depth = self._hand
+        return surface_patch(
+            surface, depth, self.patch_centre, radius, fine, coarse, fine_radius, max_depth_m=self.skin.depth_m
+        )
+
+    @once
+    def mesh(self) -> WedgeMesh:
+        """The skin layer's elements."""
+        return extrude(self.patch, self.sizes[3])
+
+    @once
+    def system(self) -> SkinSystem:
+        """Mass and stiffness."""
+        return assemble(
+            self.mesh, self.material, base=self.skin.base, side=self.skin.side,
+            foundation_Pa_m=self.skin.foundation_Pa_m,
+        )  # fmt: skip
+
+    @once
+    def quadrature(self) -> SurfaceQuadrature:
+        """Points of the skin at which ARP is integrated."""
+        return SurfaceQuadrature(self.mesh, self.system)
+
+    @once
+    def solver(self) -> SkinSolver:
+        """Time stepping with its factorised matrix."""
+        return SkinSolver(self.system, self.sizes[4])
+
+    @property
+    def state_size(self) -> int:
+        """Numbers of state: an upper bound that does not need the matrices."""
+        return 4 * 3 * len(self.mesh.nodes)
+
+
+def material_of(skin: SkinConfig) -> Material:
+    """The preset with the scene's overrides."""
+    keys = ("density_kg_m3", "shear_relaxed_Pa", "shear_branch_Pa", "relaxation_time_s", "bulk_Pa")
+    changed = {key: getattr(skin, key) for key in keys if getattr(skin, key) is not None}
+    base = preset(skin.material)
+    if not changed:
+        return base
+    values = {key: getattr(base, key) for key in keys} | changed
+    return Material(
+        name=f"{base.name}, changed", source=f"{base.source}; set by the scene: {', '.join(changed)}", **values
+    )
+
+
+def check_device(rig: Rig) -> None:
+    """Refuse a stimulus that the scene's device cannot play (DeviceError) and a device on another array (SceneError)."""
+    stimulus, device = rig.stimulus, rig.device
+    if device.name == "ideal":
+        return
+    if rig.array_config.layout != device.name:
+        raise SceneError(
+            f"plugin 'palmfield.driver': device '{device.name}' drives the layout '{device.name}' only; "
+            f"plugin 'palmfield.array' has layout '{rig.array_config.layout}'"
+        )
+    rates = frame_rates(stimulus)
+    moving = stimulus.path != "point"
+    if moving and not rates:
+        raise DeviceError(
+            f"plugin 'palmfield.stimulus': a path without steps needs any number of frames/s; {device.name} gives "
+            f"{device.max_frame_rate_Hz:.1f}: set path_points and a path_rate_Hz that fit, or use device ideal"
+        )
+    turn = rates[0] / stimulus.path_rate_Hz if moving and stimulus.path_rate_Hz else None
+    wants_level = stimulus.arp_peak_Pa is not None or stimulus.drive_amplitude not in (None, 0.0, 1.0)
+    modulated = stimulus.modulation == "am"
+    rate = max(rates) if rates else 0.0
+    if modulated and not rates:
+        rate = 10 * (stimulus.am_frequency_Hz or 0.0)
+    check(device, frame_rate_Hz=rate, points_per_turn=turn, modulated=modulated, element="palmfield.stimulus")
+    if stimulus.ramp_s > 0 or wants_level:
+        raise DeviceError(
+            f"plugin 'palmfield.stimulus': a ramp or a level between off and full needs continuous amplitude; "
+            f"{device.name} gives on or off: drop ramp_s, arp_peak_Pa and drive_amplitude, or use device ideal"
+        )
+
+
+def _mm(point: Sequence[float] | Float) -> str:
+    return "(" + ", ".join(f"{1e3 * float(x):.1f}" for x in point) + ") mm"
+
+
+@lru_cache(maxsize=8)
+def rig(
+    array: ArrayConfig,
+    stimulus: StimulusConfig,
+    skin: SkinConfig,
+    driver: DriverConfig,
+    timestep_s: float,
+    reference_focus: Triple,
+    patch_centre: Triple,
+) -> Rig:
+    """The rig for these configurations; equal ones share it, so that two models of one scene factorise once.
+
+    timestep_s: MuJoCo's step [s]
+    reference_focus: focus at time 0 in the array frame, in the reference pose [m]
+    patch_centre: middle of the skin layer in the body frame [m]
+    """
+    return Rig(array, stimulus, skin, driver, timestep_s, reference_focus, patch_centre)

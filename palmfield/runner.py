@@ -1,0 +1,155 @@
+"""Run a scene and write its results."""
+
+import json
+import platform
+import resource
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import mujoco
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from palmfield.engine.host import raise_errors
+from palmfield.errors import OutputError, PalmfieldError
+from palmfield.outputs.plots import plot_displacement, plot_pressure
+from palmfield.outputs.render import render_scene
+from palmfield.outputs.store import Store, load, write_json
+from palmfield.outputs.summary import summary
+from palmfield.outputs.usd import write_usd
+from palmfield.record import Recorder, static_data
+from palmfield.report import numbers
+from palmfield.scene import Scene
+
+PICTURES: tuple[tuple[str, Callable[[Any, Path], None]], ...] = (
+    ("pressure.png", plot_pressure),
+    ("displacement.png", plot_displacement),
+    ("scene.png", render_scene),
+    ("scene.usdc", write_usd),
+)
+CONVENTIONS = {
+    "time_factor": "e^{-i w t}: a delay is +phase",
+    "pressure": "complex peak amplitude of the incident field [Pa]",
+    "arp_sign": "positive pushes into the surface",
+    "normal_displacement": "along the outward normal: a push is negative",
+    "pose": "position [m] and quaternion (w, x, y, z)",
+}
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a run left behind.
+
+    out: folder; files: paths written, by name; summary: the numbers of summary.json; complete: whether it ran to the end
+    """
+
+    out: Path
+    files: dict[str, Path]
+    summary: dict[str, Any]
+    complete: bool
+
+
+def run(scene: Scene, out: str | Path, *, duration_s: float | None = None, progress: bool = True) -> Result:
+    """Simulate a scene from its present state and write result.nc, summary.json, pictures and scene.usdc.
+
+    out: folder, made where missing; duration_s: simulated time [s], the scene's own by default
+    Ctrl-C, a full disk or an error in a module end the run early: what was computed by then is assembled and marked
+    incomplete, and the error is raised afterwards (KeyboardInterrupt as such).
+    Raises OutputError where `out` cannot be written or holds an unfinished run.
+    """
+    started = time.perf_counter()
+    out = Path(out)
+    duration = scene.duration_s if duration_s is None else duration_s
+    steps = max(1, round(duration / scene.model.opt.timestep))
+    skin, data = scene.skin, scene.data
+    mujoco.mj_forward(scene.model, data)
+    raise_errors(data)
+    stopped: BaseException | None = None
+    with _progress(progress) as bar:
+        setup = bar.add_task("preparing the skin layer", total=None)
+        skin.now()
+        _ = skin.rig.solver
+        bar.remove_task(setup)
+        store = Store(out, static_data(skin).assign_attrs(_parameters(scene)))
+        recorder = Recorder(skin, store)
+        skin.chain.observer = recorder.observe
+        task = bar.add_task(f"simulating {1e3 * duration:g} ms", total=steps)
+        try:
+            for _ in range(steps):
+                mujoco.mj_step(scene.model, data)
+                raise_errors(data)
+                recorder.step()
+                bar.advance(task)
+        except (KeyboardInterrupt, PalmfieldError, MemoryError) as error:
+            stopped = error
+        finally:
+            skin.chain.observer = None
+        reason = "ran to its end" if stopped is None else f"stopped by {type(stopped).__name__}: {stopped}".rstrip(": ")
+        extra: dict[str, Any] = {"complete": stopped is None, "reason": reason}
+        try:
+            store.append(recorder.surfaces())
+        except OutputError as error:
+            stopped = stopped or error
+        path = store.finish({"reason": reason}, complete=stopped is None)
+        ds = load(path)
+        if stopped is None:
+            task = bar.add_task("estimating the error", total=None)
+            extra |= numbers(scene, ds, recorder.loudest)
+            bar.remove_task(task)
+        files = {"result.nc": path}
+        if stopped is None:
+            task = bar.add_task("drawing", total=len(PICTURES))
+            for name, draw in PICTURES:
+                bar.update(task, description=f"writing {name}")
+                draw(ds, out / name)
+                files[name] = out / name
+                bar.advance(task)
+    extra |= {"wall_time_s": time.perf_counter() - started, "peak_memory_MiB": _peak_memory_MiB()}
+    numbers_written = summary(ds, extra)
+    files["summary.json"] = out / "summary.json"
+    write_json(files["summary.json"], numbers_written)
+    if stopped is not None:
+        raise stopped
+    return Result(out, files, numbers_written, True)
+
+
+def _progress(show: bool) -> Progress:
+    """Bars on standard error, with the time left."""
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    return Progress(*columns, console=Console(stderr=True), disable=not show, transient=True)
+
+
+def _peak_memory_MiB() -> float:
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / 2**20 if platform.system() == "Darwin" else peak / 2**10
+
+
+def _parameters(scene: Scene) -> dict[str, Any]:
+    """Every setting, convention and version, as attributes of the result."""
+    rig = scene.skin.rig
+    fine, coarse, fine_radius, fractions, step, radius = rig.sizes
+    packages = ("palmfield", "warp-lang", "mujoco", "numpy", "scipy", "trimesh", "usd-core", "xarray")
+    return {
+        "scene": str(scene.path),
+        "array": rig.array_config.model_dump_json(),
+        "stimulus": rig.stimulus.model_dump_json(),
+        "skin": rig.skin.model_dump_json(),
+        "driver": rig.driver.model_dump_json(),
+        "material": json.dumps(vars(rig.material)),
+        "mesh": json.dumps(
+            {
+                "edge_at_focus_m": fine, "edge_at_rim_m": coarse, "fine_radius_m": fine_radius, "radius_m": radius,
+                "depth_fractions": [float(x) for x in fractions], "dofs": rig.system.ndof,
+                "elements": len(rig.mesh.elements), **rig.patch.report,
+            }
+        ),
+        "skin_step_s": step,
+        "timestep_s": rig.timestep_s,
+        "compute": rig.evaluator.device,
+        "conventions": json.dumps(CONVENTIONS),
+        "versions": json.dumps({name: version(name) for name in packages} | {"python": platform.python_version()}),
+    }  # fmt: skip

@@ -1,0 +1,95 @@
+"""A scene file, loaded: MuJoCo's model with the modules' settings."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+
+from palmfield.engine.host import compiling, take_compile_error, world_of
+from palmfield.engine.modules import SkinModule
+from palmfield.errors import PalmfieldError, SceneError
+
+DURATION = "palmfield_duration_s"
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A compiled scene.
+
+    path: the MJCF file; model: MuJoCo's model; data: a fresh mjData at time 0, poses computed
+    skin: the scene's skin module, which holds rig and chain
+    duration_s: how long `palmfield run` runs it by default
+    """
+
+    path: Path
+    model: mujoco.MjModel
+    data: mujoco.MjData
+    skin: SkinModule
+    duration_s: float
+
+
+def load(
+    path: str | Path, *, device: str | None = None, accuracy: float | None = None, board: str | None = None
+) -> Scene:
+    """Read and check a scene.
+
+    path: MJCF file; device: overrides where field kernels run (auto, cpu, cuda:N); accuracy: overrides the wanted relative
+    error of the skin displacement; board: overrides the device that plays the drive
+    Raises SceneError (or DeviceError) with a one-line message that names element, key, value and what is allowed.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise SceneError(f"scene {path} does not exist; `palmfield new NAME` writes one to start from")
+    take_compile_error()
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+    except (ValueError, mujoco.FatalError) as error:
+        raise SceneError(f"{path}: {_one_line(error)}") from None
+    names = [plugin.plugin_name for plugin in spec.plugins]
+    if SkinModule.name not in names:
+        raise SceneError(f"{path} has no plugin '{SkinModule.name}'; it is a plain MuJoCo scene (see `palmfield new`)")
+    overrides = {
+        "palmfield.array": {"compute": device},
+        "palmfield.skin": {"accuracy": accuracy},
+        "palmfield.driver": {"device": board},
+    }
+    for plugin in spec.plugins:
+        changes = {k: str(v) for k, v in overrides.get(plugin.plugin_name, {}).items() if v is not None}
+        mesh = plugin.config.get("mesh")
+        if mesh and not Path(mesh).is_absolute():
+            changes["mesh"] = str(path.resolve().parent / mesh)
+        plugin.config = {**plugin.config, **changes}
+    if board is not None and "palmfield.driver" not in names:
+        raise SceneError(f"{path} has no plugin 'palmfield.driver', so there is no device to replace by '{board}'")
+    try:
+        with compiling():
+            model = spec.compile()
+        data = mujoco.MjData(model)
+    except (ValueError, mujoco.FatalError) as error:
+        cause = take_compile_error()
+        if isinstance(cause, PalmfieldError):
+            raise type(cause)(f"{path}: {cause}") from None
+        if cause is not None:
+            raise cause from None
+        raise SceneError(f"{path}: {_one_line(error)}") from None
+    mujoco.mj_kinematics(model, data)
+    world = world_of(data)
+    assert world is not None
+    skins = [module for module in world.modules.values() if isinstance(module, SkinModule)]
+    if len(skins) != 1:
+        raise SceneError(f"{path} has {len(skins)} instances of '{SkinModule.name}'; exactly one is needed")
+    return Scene(path, model, data, skins[0], _duration(path, model))
+
+
+def _duration(path: Path, model: mujoco.MjModel) -> float:
+    number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, DURATION)
+    if number < 0:
+        return 0.1
+    value = float(model.numeric_data[model.numeric_adr[number]])
+    if not value > 0:
+        raise SceneError(f"{path}: numeric '{DURATION}' has value {value:g}; allowed: seconds > 0")
+    return value
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split()).removeprefix("Error: ")

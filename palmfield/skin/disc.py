@@ -1,0 +1,56 @@
+"""A flat round layer, the phantom on which solvers are compared."""
+
+import math
+
+import numpy as np
+from scipy.spatial import Delaunay
+
+from palmfield.errors import SceneError
+from palmfield.types import Patch
+
+
+def disc_patch(
+    radius_m: float, thickness_m: float, fine_m: float, coarse_m: float, fine_radius_m: float
+) -> Patch:
+    """Disc of concentric rings of vertices, joined by Delaunay triangles.
+
+    radius_m, thickness_m: of the disc [m]; fine_m: edge length within fine_radius_m of the centre [m]; coarse_m: edge
+    length at the rim [m], reached linearly in the distance from the centre
+    Returns a Patch with its face at z = 0 looking along +z, `inward` along -z and `axis` +z.
+    Raises SceneError unless all lengths are > 0, fine_m <= coarse_m <= radius_m and fine_radius_m <= radius_m.
+    """
+    if not 0.0 < fine_m <= coarse_m <= radius_m or not 0.0 < fine_radius_m <= radius_m or not thickness_m > 0.0:
+        raise SceneError(
+            f"disc of radius {radius_m} m, thickness {thickness_m} m, edges {fine_m} to {coarse_m} m, fine radius "
+            f"{fine_radius_m} m: need 0 < fine <= coarse <= radius, 0 < fine radius <= radius and thickness > 0"
+        )
+
+    def edge(r: float) -> float:
+        if r <= fine_radius_m:
+            return fine_m
+        return fine_m + (coarse_m - fine_m) * (r - fine_radius_m) / (radius_m - fine_radius_m)
+
+    # An equilateral ring is sqrt(3)/2 edges wide; stretch all rings alike so that the last one is the rim.
+    radii = [0.0]
+    while radii[-1] < radius_m:
+        radii.append(radii[-1] + math.sqrt(0.75) * edge(radii[-1]))
+    radii = [r * radius_m / radii[-1] for r in radii]
+    rings = [np.zeros((1, 2))]
+    for number, r in enumerate(radii[1:]):
+        count = max(6, round(2.0 * math.pi * r / edge(r)))
+        angle = 2.0 * math.pi * (np.arange(count) + 0.5 * (number % 2)) / count
+        rings.append(r * np.column_stack([np.cos(angle), np.sin(angle)]))
+    points = np.concatenate(rings)
+    faces = Delaunay(points).simplices
+    a, b, c = (points[faces[:, i]] for i in range(3))
+    twice_area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
+    faces[twice_area < 0] = faces[twice_area < 0][:, ::-1]
+    count = len(points)
+    return Patch(
+        vertices=np.column_stack([points, np.zeros(count)]),
+        faces=faces.astype(np.int32),
+        inward=np.tile([0.0, 0.0, -1.0], (count, 1)),
+        depth=np.full(count, thickness_m),
+        rim=np.arange(count) >= count - len(rings[-1]),
+        axis=np.array([0.0, 0.0, 1.0]),
+    )

@@ -1,0 +1,79 @@
+"""The wedge on its reference prism: triangle (xi, eta >= 0, xi + eta <= 1) times zeta in -1..1, zeta towards the surface.
+
+Displacement: quadratic on the triangle (three vertices, then edges 01, 12, 20) times quadratic in zeta, 18 nodes, by
+level (base side, middle, surface side). Geometry: linear times linear, 6 corners, by level. Volumetric strain: projected
+on {1, xi - 1/3, eta - 1/3, zeta} of each element.
+"""
+
+import numpy as np
+
+from palmfield.types import Float
+
+EDGES = np.array([[0, 1], [1, 2], [2, 0]])
+
+
+def triangle_rule() -> tuple[Float, Float]:
+    """Six points (6, 2) and weights (6,) on the reference triangle, exact to degree 4 (Dunavant 1985)."""
+    a, b = 0.445948490915965, 0.091576213509771
+    wa, wb = 0.223381589678011, 0.109951743655322
+    points = [(p, q) for s in (a, b) for p, q in ((s, s), (1 - 2 * s, s), (s, 1 - 2 * s))]
+    return np.array(points), 0.5 * np.array([wa] * 3 + [wb] * 3)
+
+
+def triangle_shape(points: Float) -> Float:
+    """Values of the six quadratic shape functions at points (q, 2); shape (q, 6)."""
+    b = _barycentric(points)
+    return np.concatenate([b * (2 * b - 1), 4 * b[:, EDGES[:, 0]] * b[:, EDGES[:, 1]]], axis=1)
+
+
+def triangle_slopes(points: Float) -> Float:
+    """Their derivatives by (xi, eta), shape (q, 6, 2)."""
+    b = _barycentric(points)
+    db = np.array([[-1.0, -1.0], [1.0, 0.0], [0.0, 1.0]])
+    vertex = (4 * b - 1)[:, :, None] * db
+    i, j = EDGES.T
+    edge = 4 * (b[:, i, None] * db[j] + b[:, j, None] * db[i])
+    return np.concatenate([vertex, edge], axis=1)
+
+
+def _barycentric(points: Float) -> Float:
+    return np.column_stack([1.0 - points.sum(axis=1), points])
+
+
+def prism_rule() -> tuple[Float, Float]:
+    """Eighteen points (18, 3) and weights (18,): the triangle's six times three Gauss points."""
+    points, weights = triangle_rule()
+    zeta, line = np.polynomial.legendre.leggauss(3)
+    prism = np.column_stack([np.tile(points, (3, 1)), np.repeat(zeta, 6)])
+    return prism, np.repeat(line, 6) * np.tile(weights, 3)
+
+
+def displacement_shape(points: Float) -> tuple[Float, Float]:
+    """Values (q, 18) and derivatives by (xi, eta, zeta) (q, 18, 3) of the displacement's shape functions."""
+    z = points[:, 2]
+    line = np.column_stack([z * (z - 1) / 2, 1 - z**2, z * (z + 1) / 2])
+    line_slope = np.column_stack([z - 0.5, -2 * z, z + 0.5])
+    return _product(triangle_shape(points[:, :2]), triangle_slopes(points[:, :2]), line, line_slope)
+
+
+def corner_slopes(points: Float) -> Float:
+    """Derivatives by (xi, eta, zeta) of the six corner functions of the geometry, shape (q, 6, 3)."""
+    z = points[:, 2]
+    line = np.column_stack([(1 - z) / 2, (1 + z) / 2])
+    line_slope = np.broadcast_to([-0.5, 0.5], line.shape)
+    slopes = np.broadcast_to([[-1.0, -1.0], [1.0, 0.0], [0.0, 1.0]], (len(points), 3, 2))
+    return _product(_barycentric(points[:, :2]), slopes, line, line_slope)[1]
+
+
+def _product(flat: Float, flat_slopes: Float, line: Float, line_slope: Float) -> tuple[Float, Float]:
+    """Tensor product of triangle and line functions, the line's index slowest."""
+    count = len(flat)
+    values = np.einsum("ql,qt->qlt", line, flat).reshape(count, -1)
+    lateral = np.einsum("ql,qtd->qltd", line, flat_slopes)
+    depth = np.einsum("ql,qt->qlt", line_slope, flat)
+    return values, np.concatenate([lateral, depth[..., None]], axis=3).reshape(count, -1, 3)
+
+
+def volume_basis(points: Float) -> Float:
+    """Values of the functions on which the volumetric strain is projected, shape (q, 4)."""
+    return np.column_stack([np.ones(len(points)), points[:, :2] - 1.0 / 3.0, points[:, 2]])

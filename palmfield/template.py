@@ -1,0 +1,89 @@
+"""The scene that `palmfield new` writes."""
+
+import os
+from pathlib import Path
+
+from palmfield.data import folder
+from palmfield.errors import OutputError, SceneError
+
+PLAIN = """<!-- {name}: an open hand, palm down, 200 mm over a 16x16 array. No plugins: opens in any MuJoCo. -->
+<mujoco model="{name}_plain">
+  <include file="{arrays}/uhev1.xml"/>
+  <include file="{hands}/open_men_p50.xml"/>
+  <statistic center="0 0 0.1" extent="0.4"/>
+  <worldbody>
+    <light pos="0.2 -0.4 0.6" dir="-0.3 0.5 -0.7"/>
+  </worldbody>
+</mujoco>
+"""
+
+HAPTIC = """<!-- {name}: run with `palmfield run {name}.xml`, or watch with `python -m mujoco.viewer`.
+     `palmfield keys` lists every key; units are in the names. -->
+<mujoco model="{name}">
+  <include file="{name}_plain.xml"/>
+  <option timestep="0.001"/>
+  <custom>
+    <numeric name="palmfield_duration_s" data="0.1"/>
+  </custom>
+  <extension>
+    <plugin plugin="palmfield.array">
+      <instance name="array">
+        <!-- Peak pressure of one transducer at 1 m. Calibrate it: published values differ by a factor of 6. -->
+        <config key="p0_Pa_m" value="2.53"/>
+      </instance>
+    </plugin>
+    <plugin plugin="palmfield.stimulus">
+      <instance name="stimulus">
+        <!-- The focus, in the array frame: z points out of the emitting face. -->
+        <config key="focus_m" value="0 0 0.2"/>
+        <!-- Amplitude modulation of the sound pressure; with am_of arp, of the radiation pressure. -->
+        <config key="modulation" value="am"/>
+        <config key="am_of" value="pressure"/>
+        <config key="am_frequency_Hz" value="200"/>
+        <config key="am_depth" value="1"/>
+        <!-- The level: full drive unless you set drive_amplitude (0..1) or arp_peak_Pa. -->
+      </instance>
+    </plugin>
+    <plugin plugin="palmfield.skin">
+      <instance name="skin">
+        <config key="body" value="hand"/>
+        <config key="hand" value="open_men_p50"/>
+        <!-- The skin layer lies around this site of the hand, down to the bone or depth_m. -->
+        <config key="patch_site" value="palm_centre"/>
+        <config key="material" value="palm"/>
+        <config key="accuracy" value="0.05"/>
+      </instance>
+    </plugin>
+    <plugin plugin="palmfield.driver">
+      <instance name="driver">
+        <!-- ideal plays anything; sonicsurface only what the board can. -->
+        <config key="device" value="ideal"/>
+      </instance>
+    </plugin>
+  </extension>
+  <sensor>
+    <!-- ARP force (3), then normal displacement, velocity and ARP at the site. -->
+    <plugin name="skin" plugin="palmfield.skin" instance="skin" objtype="site" objname="palm_centre"/>
+  </sensor>
+</mujoco>
+"""
+
+
+def write_scene(name: str, where: Path = Path()) -> list[Path]:
+    """Write NAME_plain.xml and NAME.xml; returns their paths.
+
+    Raises SceneError for a name that is no file name, OutputError where a file exists or can't be written.
+    """
+    if not name.replace("_", "").replace("-", "").isalnum():
+        raise SceneError(f"scene name '{name}' is not usable; allowed: letters, digits, - and _")
+    data = os.path.relpath(folder("mjcf"), where)
+    texts = {where / f"{name}_plain.xml": PLAIN, where / f"{name}.xml": HAPTIC}
+    for path in texts:
+        if path.exists():
+            raise OutputError(f"{path} exists already; choose another name or move it away")
+    for path, text in texts.items():
+        try:
+            path.write_text(text.format(name=name, arrays=f"{data}/arrays", hands=f"{data}/hands"))
+        except OSError as error:
+            raise OutputError(f"{path} can't be written ({error.strerror}); choose another folder") from error
+    return list(texts)

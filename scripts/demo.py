@@ -1,0 +1,55 @@
+#!/usr/bin/env python3
+"""Runs one scene from a bare Python and says what it cost in time and memory."""
+
+import argparse
+import os
+import shlex
+import subprocess
+import sys
+import time
+
+sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
+
+import _setup
+
+SCENE = _setup.ROOT / "mjcf" / "scenes" / "palm_am200.xml"
+OUT = _setup.ROOT / "out" / "demo"
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        description="Make .venv, install palmfield in it, and run mjcf/scenes/palm_am200.xml: a focus on the palm, "
+        "modulated at 200 Hz. Results go to out/demo.",
+        epilog="Anything else is passed on to `palmfield run`, for instance --out FOLDER.",
+        allow_abbrev=False,
+    )
+    _, passed_on = parser.parse_known_args()
+    python = _setup.environment()
+    command = [python.with_name("palmfield" + python.suffix), "run", SCENE, "--out", OUT, *passed_on]
+    shown = ["palmfield", "run", os.path.relpath(SCENE), "--out", os.path.relpath(OUT), *passed_on]
+    _setup.say(shlex.join(shown))
+    began = time.monotonic()
+    status, peak_bytes = run_measured(command)
+    memory = f", peak memory {peak_bytes / 2**20:.0f} MiB" if peak_bytes else ""
+    _setup.say(f"{time.monotonic() - began:.1f} s{memory}")
+    return status
+
+
+def run_measured(command):
+    """Run `command`; gives its exit status and peak resident memory [bytes], 0 where the system does not tell."""
+    child = subprocess.Popen(command)
+    if not hasattr(os, "wait4"):
+        return child.wait(), 0
+    while True:
+        try:
+            _, ended, usage = os.wait4(child.pid, 0)
+            break
+        except KeyboardInterrupt:  # the child got it as well and is about to end
+            continue
+    child.returncode = os.WEXITSTATUS(ended) if os.WIFEXITED(ended) else 128 + os.WTERMSIG(ended)
+    unit_bytes = 1 if sys.platform == "darwin" else 1024
+    return child.returncode, usage.ru_maxrss * unit_bytes
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,185 @@
+"""The float32 kernels against the float64 twin, and against one another."""
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from palmfield.acoustics import polynomials
+from palmfield.acoustics.arrays import layout
+from palmfield.acoustics.field import FieldEvaluator, pressure
+from palmfield.acoustics.focus import focus
+from palmfield.acoustics.reference import pressure64
+from palmfield.errors import PalmfieldError, SceneError
+from palmfield.types import Air, Array, Field
+
+AIR = Air()
+LIMIT = 3e-5
+
+
+def cloud(count: int, seed: int = 0, low: float = 0.05, high: float = 0.4) -> np.ndarray:
+    return np.random.default_rng(seed).uniform([-0.1, -0.1, low], [0.1, 0.1, high], (count, 3))
+
+
+def difference(found: np.ndarray, expected: np.ndarray) -> float:
+    return float(np.linalg.norm(found - expected) / np.linalg.norm(expected))
+
+
+def assert_close(found: Field, points: np.ndarray, array: Array, drive: np.ndarray, **options: float) -> None:
+    p, g = pressure64(points, array, drive, AIR, gradient=True, **options)
+    assert found.gradient is not None and g is not None
+    assert found.pressure.dtype == found.gradient.dtype == np.complex64
+    assert difference(found.pressure, p) < LIMIT
+    assert difference(found.gradient, g) < LIMIT
+
+
+@pytest.mark.parametrize("name", ["uhev1", "sonicsurface"])
+@pytest.mark.parametrize("target", [(0.0, 0.0, 0.2), (0.05, -0.03, 0.1), (-0.08, 0.06, 0.35)])
+def test_field_agrees_with_its_float64_twin(name: str, target: tuple[float, float, float]) -> None:
+    array = layout(name)
+    drive = focus(array, AIR, target)
+    points = cloud(3001)
+    found = pressure(points, array, drive, AIR, gradient=True, device="cpu")
+    assert_close(found, points, array, drive)
+    only = pressure(points, array, drive, AIR, device="cpu")
+    assert only.gradient is None
+    assert difference(only.pressure, found.pressure.astype(complex)) < 1e-6
+
+
+def test_plain_kernel_agrees_with_the_wide_one_and_the_twin() -> None:
+    array = layout("uhev1")
+    drive = focus(array, AIR, (0.02, 0.01, 0.2))
+    points = cloud(2003)
+    wide = FieldEvaluator(array, AIR, "cpu").pressure(points, drive, gradient=True)
+    plain = FieldEvaluator(array, AIR, "cpu", form="plain").pressure(points, drive, gradient=True)
+    assert_close(plain, points, array, drive)
+    assert difference(plain.pressure, wide.pressure.astype(complex)) < LIMIT
+    assert wide.gradient is not None and plain.gradient is not None
+    assert difference(plain.gradient, wide.gradient.astype(complex)) < LIMIT
+    alone = FieldEvaluator(array, AIR, "cpu", form="plain").pressure(points, drive)
+    assert difference(alone.pressure, plain.pressure.astype(complex)) < 1e-6
+
+
+@pytest.mark.parametrize("form", ["wide", "plain"])
+def test_tilted_transducers_and_points_behind_some_of_them(form: str) -> None:
+    flat = layout("uhev1")
+    normals = flat.normals + np.random.default_rng(1).uniform(-0.6, 0.6, (256, 3))
+    array = replace(flat, normals=normals / np.linalg.norm(normals, axis=1, keepdims=True))
+    drive = np.random.default_rng(2).normal(size=(256, 2)) @ [1, 1j]
+    points = cloud(500, low=0.01, high=0.1)
+    behind = np.einsum("ijk,jk->ij", points[:, None] - array.positions, array.normals) <= 0
+    assert behind.any()
+    found = FieldEvaluator(array, AIR, "cpu", form=form).pressure(points, drive, gradient=True)
+    assert_close(found, points, array, drive)
+
+
+@pytest.mark.parametrize("form", ["wide", "plain"])
+def test_baffle_and_an_elements_own_position(form: str) -> None:
+    array = layout("uhev1")
+    points = np.array([array.positions[17], [0.0, 0.0, -0.1], [0.3, 0.0, 0.0]])
+    found = FieldEvaluator(array, AIR, "cpu", form=form).pressure(points, np.ones(256), gradient=True)
+    assert found.gradient is not None
+    assert np.all(found.pressure == 0.0) and np.all(found.gradient == 0.0)
+
+
+def test_far_points_and_strong_absorption_leave_the_cubic_and_stay_right() -> None:
+    array = layout("uhev1")
+    drive = focus(array, AIR, (0.0, 0.0, 0.2))
+    points = cloud(300)
+    evaluator = FieldEvaluator(array, AIR, "cpu", absorption_Np_m=8.0)
+    assert polynomials.ATTENUATION_REACH_Np < 8.0 * 0.4
+    assert_close(evaluator.pressure(points, drive, gradient=True), points, array, drive, absorption_Np_m=8.0)
+
+
+def test_large_sets_are_shared_among_threads_with_the_same_result() -> None:
+    array = layout("uhev1")
+    drive = focus(array, AIR, (0.0, 0.0, 0.2))
+    points = cloud(20_011).astype(np.float32)
+    one = FieldEvaluator(array, AIR, "cpu", threads=1).pressure(points, drive, gradient=True)
+    three = FieldEvaluator(array, AIR, "cpu", threads=3).pressure(points, drive, gradient=True)
+    np.testing.assert_array_equal(one.pressure, three.pressure)
+    np.testing.assert_array_equal(one.gradient, three.gradient)
+
+
+def test_one_evaluator_serves_several_threads_at_once() -> None:
+    array = layout("uhev1")
+    evaluator = FieldEvaluator(array, AIR, "cpu")
+    points = cloud(8000)
+    drives = [focus(array, AIR, (0.0, y, 0.2)) for y in (-0.03, -0.01, 0.01, 0.03)]
+    alone = [evaluator.pressure(points, drive).pressure for drive in drives]
+    with ThreadPoolExecutor(4) as pool:
+        together = list(pool.map(lambda drive: evaluator.pressure(points, drive).pressure, drives * 3))
+    for i, found in enumerate(together):
+        np.testing.assert_array_equal(found, alone[i % 4])
+
+
+def test_no_points_give_an_empty_field() -> None:
+    found = pressure(np.zeros((0, 3)), layout("uhev1"), np.ones(256), AIR, gradient=True, device="cpu")
+    assert found.pressure.shape == (0,)
+    assert found.gradient is not None and found.gradient.shape == (0, 3)
+
+
+@settings(max_examples=40, deadline=None)
+@given(points=st.integers(1, 131), transducers=st.integers(1, 70), seed=st.integers(0, 2**31))
+def test_any_number_of_points_and_transducers(points: int, transducers: int, seed: int) -> None:
+    random = np.random.default_rng(seed)
+    positions = np.column_stack([random.uniform(-0.1, 0.1, (transducers, 2)), np.zeros(transducers)])
+    array = Array("any", positions, np.tile([0.0, 0.0, 1.0], (transducers, 1)), p0_Pa_m=2.53)
+    drive = random.normal(size=(transducers, 2)) @ [1, 1j]
+    where = cloud(points, seed)
+    p, g = pressure64(where, array, drive, AIR, gradient=True)
+    found = pressure(where, array, drive, AIR, gradient=True, device="cpu")
+    # One point can lie in a null, so the scale is that of the parts, not of the sum
+    scale = np.sqrt(points) * 2.53 / 0.4 * np.linalg.norm(drive)
+    assert g is not None and found.gradient is not None
+    assert np.linalg.norm(found.pressure - p) < 1e-4 * scale
+    assert np.linalg.norm(found.gradient - g) < 1e-4 * 732.0 * scale
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_points_and_drive_must_be_finite(bad: float) -> None:
+    points, drive = cloud(5), np.ones(256, complex)
+    points[3, 1] = bad
+    with pytest.raises(PalmfieldError, match=r"points\[3\]"):
+        pressure(points, layout("uhev1"), drive, AIR, device="cpu")
+    drive[17] = bad
+    with pytest.raises(PalmfieldError, match=r"drive\[17\]"):
+        pressure(cloud(5), layout("uhev1"), drive, AIR, device="cpu")
+
+
+def test_wrong_shapes_are_refused() -> None:
+    with pytest.raises(PalmfieldError, match=r"\(n, 3\)"):
+        pressure(np.zeros((4, 2)), layout("uhev1"), np.ones(256), AIR, device="cpu")
+    with pytest.raises(PalmfieldError, match="256 transducers"):
+        pressure(cloud(4), layout("uhev1"), np.ones(255), AIR, device="cpu")
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"piston_radius_m": 8e-3}, "too large"),
+        ({"p0_Pa_m": np.nan}, "p0_Pa_m"),
+        ({"normals": np.tile([0.0, 0.0, 2.0], (256, 1))}, "length"),
+        ({"positions": np.full((256, 3), np.nan)}, "positions"),
+    ],
+)
+def test_arrays_that_cannot_radiate_are_refused(change: dict[str, object], match: str) -> None:
+    with pytest.raises(SceneError, match=match):
+        FieldEvaluator(replace(layout("uhev1"), **change), AIR, "cpu")
+
+
+def test_polynomials_hold_their_printed_errors() -> None:
+    f = np.linspace(-0.5, 0.5, 2001)
+    sine, cosine = polynomials.sine_cosine()
+    evaluate = np.polynomial.polynomial.polyval
+    assert np.abs(f * evaluate(f * f, sine) - np.sin(2 * np.pi * f)).max() < 1e-6
+    assert np.abs(evaluate(f * f, cosine) - np.cos(2 * np.pi * f)).max() < 1e-6
+    d = np.linspace(0.0, polynomials.ATTENUATION_REACH_Np / 0.15, 500)
+    assert np.abs(evaluate(d, polynomials.attenuation(0.15)) * np.exp(0.15 * d) - 1).max() < 1.5e-6
+    directivity, slope = polynomials.directivity(3.30)
+    s = np.linspace(0.0, 1.0, 500)
+    assert np.abs(evaluate(s, directivity) - polynomials.piston(3.30 * np.sqrt(s))).max() < 5e-8
+    np.testing.assert_allclose(evaluate(s, slope), np.gradient(evaluate(s, directivity), s, edge_order=2), atol=1e-5)

@@ -1,0 +1,357 @@
+"""The link against a virtual board on a pseudo-terminal that takes bytes no faster than the real line."""
+
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import tty
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from palmfield.drive.link import Played, RecordLink, open_link, play_frames
+from palmfield.drive.sonicsurface import BAUD, FRAME_RATE_HZ, OFF_FRAME, Board, decode, encode
+from palmfield.errors import DeviceError, OutputError
+
+LINE_BYTES_PER_S = BAUD / 10
+
+
+def turned(step: int) -> np.ndarray:
+    return np.full(256, np.exp(2j * np.pi * step / 32))
+
+
+def step_of(emitted: np.ndarray) -> int:
+    return round(np.angle(emitted[0]) * 32 / (2 * np.pi)) % 32
+
+
+class VirtualBoard:
+    """A board behind a pty. It reads at the line's rate; `pause` holds it, `unplug` takes it away."""
+
+    def __init__(self) -> None:
+        self.master, slave = os.openpty()
+        tty.setraw(slave)
+        self.port = os.ttyname(slave)
+        self._slave = slave
+        self.received = bytearray()
+        self.times: list[float] = []
+        self.emitted: list[np.ndarray] = []
+        self._board = Board()
+        self.pause = threading.Event()
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._read, daemon=True)
+        self._thread.start()
+
+    def _read(self) -> None:
+        allowed, before = 0.0, time.monotonic()
+        os.set_blocking(self.master, False)
+        while not self._stop.is_set():
+            time.sleep(0.001)
+            now = time.monotonic()
+            allowed = min(allowed + (now - before) * LINE_BYTES_PER_S, 0.02 * LINE_BYTES_PER_S)
+            before = now
+            if self.pause.is_set() or allowed < 1:
+                continue
+            with contextlib.suppress(BlockingIOError):
+                data = os.read(self.master, int(allowed))
+                allowed -= len(data)
+                self.received += data
+                new = self._board.feed(data)
+                self.emitted += new
+                self.times += [now] * len(new)
+
+    def settle(self) -> None:
+        """Wait until nothing has come in for a while."""
+        seen = -1
+        while seen != len(self.received):
+            seen = len(self.received)
+            time.sleep(0.1)
+
+    def unplug(self) -> None:
+        self._stop.set()
+        self._thread.join()
+        os.close(self._slave)
+        os.close(self.master)
+
+
+@pytest.fixture
+def board():
+    virtual = VirtualBoard()
+    yield virtual
+    with contextlib.suppress(OSError):
+        virtual.unplug()
+
+
+def schedule(count: int, interval_s: float):
+    return [(n * interval_s, encode(turned(n % 32))) for n in range(count)]
+
+
+def test_frames_come_in_order_and_on_time_and_the_board_ends_silent(board):
+    with open_link(board.port) as link:
+        played = play_frames(link, schedule(30, 0.02))
+    board.settle()
+    assert (played.frames, played.skipped) == (30, 0)
+    assert [step_of(frame) for frame in board.emitted[:30]] == [n % 32 for n in range(30)]
+    assert len(board.emitted) == 32
+    assert not np.any(board.emitted[-1])
+    assert not np.any(board.emitted[-2])
+    intervals = np.diff(board.times[:30])
+    assert np.median(intervals) == pytest.approx(0.02, abs=0.003)
+
+
+def test_frames_faster_than_the_line_are_thinned_to_its_rate(board):
+    with open_link(board.port) as link:
+        played = play_frames(link, schedule(800, 0.001))
+    board.settle()
+    assert played.frames + played.skipped == 800
+    # 0.8 s of line is 71.4 frames, less what a busy machine loses; never more.
+    assert 50 <= played.frames <= 0.8 * FRAME_RATE_HZ + 1
+    # The newest frame that was due is what went out, so each is newer than the one before.
+    steps = np.unwrap([2 * np.pi * step_of(frame) / 32 for frame in board.emitted[: played.frames]])
+    assert np.all(np.diff(steps) > 0)
+    assert played.late_s < 0.2
+    assert len(board.received) == (played.frames + 2) * 258
+
+
+def test_a_board_that_stalls_gets_whole_frames_again_and_the_newest(board):
+    frames = schedule(120, 1 / 80)
+    with open_link(board.port) as link:
+        timer_on = threading.Timer(0.2, board.pause.set)
+        timer_off = threading.Timer(1.9, board.pause.clear)
+        timer_on.start()
+        timer_off.start()
+        playing = play_frames(link, frames)
+        board.settle()
+    timer_on.join()
+    timer_off.join()
+    # Board.feed raises on overlong frames in the reader thread, which then no longer empties the line.
+    assert playing.skipped > 0
+    assert board.received.endswith(OFF_FRAME + OFF_FRAME)
+    assert not np.any(board.emitted[-1])
+
+
+def test_a_board_that_takes_nothing_is_given_up(board, monkeypatch):
+    monkeypatch.setattr("palmfield.drive.link.WRITE_TIMEOUT_S", 0.02)
+    board.pause.set()
+    link = open_link(board.port)
+    with pytest.raises(DeviceError, match="lost the board on /dev/pts/"):
+        play_frames(link, schedule(200, 1 / 80))
+    link.close()
+
+
+def test_unplugged_in_the_middle(board):
+    link = open_link(board.port)
+    sent: list[int] = []
+
+    def progress(played: Played) -> None:
+        sent.append(played.frames)
+        if played.frames == 5:
+            board.unplug()
+
+    with pytest.raises(DeviceError) as lost:
+        play_frames(link, schedule(100, 0.012), on_progress=progress)
+    assert sent[-1] < 20
+    assert str(lost.value) == (
+        f"lost the board on {board.port} after {sent[-1]} frames; the SonicSurface keeps emitting its last frame "
+        "until power is cut"
+    )
+    link.close()
+
+
+def test_unplugged_before_close(board):
+    link = open_link(board.port)
+    link.write(OFF_FRAME)
+    board.unplug()
+    with pytest.raises(DeviceError, match="lost the board"):
+        link.close()
+    link.close()
+
+
+def test_an_exception_in_the_schedule_leaves_the_board_off(board):
+    def broken():
+        yield from schedule(5, 0.012)
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError), open_link(board.port) as link:
+        play_frames(link, broken())
+    board.settle()
+    assert board.received.endswith(OFF_FRAME + OFF_FRAME)
+    assert board.received.count(OFF_FRAME) == 2
+
+
+def test_closing_silences_a_board_that_was_never_played(board):
+    with open_link(board.port):
+        pass
+    board.settle()
+    assert bytes(board.received) == OFF_FRAME + OFF_FRAME
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_killed_process_leaves_the_board_off(board, number):
+    program = f"""
+from palmfield.drive.link import open_link, play_frames
+from palmfield.drive.sonicsurface import encode
+import numpy as np
+frame = encode(np.ones(256))
+with open_link({board.port!r}) as link:
+    play_frames(link, ((n * 0.02, frame) for n in range(10_000)))
+"""
+    process = subprocess.Popen([sys.executable, "-c", program], stderr=subprocess.DEVNULL)
+    while len(board.emitted) < 5:
+        assert process.poll() is None
+        time.sleep(0.01)
+    process.send_signal(number)
+    assert process.wait(10) in (128 + number, -number)
+    board.settle()
+    assert board.received.endswith(OFF_FRAME + OFF_FRAME)
+    assert not np.any(board.emitted[-1])
+
+
+def test_a_port_that_another_program_holds(board):
+    with open_link(board.port), pytest.raises(DeviceError, match="another program holds it"):
+        open_link(board.port)
+
+
+@pytest.mark.parametrize("port", ["/dev/no_such_port", "nonsense://x", "socket://127.0.0.1:1"])
+def test_a_port_that_is_not_there(port):
+    with pytest.raises(DeviceError) as refused:
+        open_link(port)
+    message = str(refused.value)
+    assert message.startswith(f"cannot open {port}: ")
+    assert "\n" not in message
+    assert "port" in message.split(";")[1]
+
+
+def test_loop_port():
+    link = open_link("loop://")
+    frame = encode(turned(3))
+    assert link.write(frame)
+    assert link._stream.read(258) == frame
+    # More than the loop's buffer of 4096 bytes: nobody reads the echo.
+    assert play_frames(link, schedule(20, 0.0115)).frames == 20
+    link.close()
+    link.close()
+
+
+def test_socket_port():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        link = open_link(f"socket://127.0.0.1:{server.getsockname()[1]}")
+        peer, _ = server.accept()
+        with peer:
+            assert play_frames(link, schedule(3, 0.012)).frames == 3
+            link.close()
+            received = b"".join(iter(lambda: peer.recv(65536), b""))
+    emitted = decode(received)
+    assert [step_of(frame) for frame in emitted[:3]] == [0, 1, 2]
+    assert not np.any(emitted[-2:])
+
+
+def test_socket_peer_gone():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        link = open_link(f"socket://127.0.0.1:{server.getsockname()[1]}")
+        peer, _ = server.accept()
+        peer.close()
+        with pytest.raises(DeviceError, match="lost the board on socket://"):
+            play_frames(link, schedule(50, 0.012))
+        link.close()
+
+
+def test_record_holds_what_the_line_would_have_carried(tmp_path):
+    path = tmp_path / "run.bin"
+    began = time.monotonic()
+    with RecordLink(path) as link:
+        played = play_frames(link, schedule(2000, 0.001))
+        assert not path.exists()
+        assert link.part.stat().st_size == (played.frames + 2) * 258
+    assert time.monotonic() - began < 1.5
+    assert not link.part.exists()
+    data = path.read_bytes()
+    assert len(data) == (played.frames + 2) * 258
+    assert data.endswith(OFF_FRAME + OFF_FRAME)
+    assert played.frames == pytest.approx(2.0 * FRAME_RATE_HZ, abs=2)
+    assert played.frames + played.skipped == 2000
+    # Deterministic, and on time to one line time.
+    with RecordLink(tmp_path / "again.bin") as link:
+        play_frames(link, schedule(2000, 0.001))
+    assert (tmp_path / "again.bin").read_bytes() == data
+    assert played.late_s <= 1 / FRAME_RATE_HZ
+
+
+def test_record_is_readable_while_running(tmp_path):
+    link = RecordLink(tmp_path / "run.bin")
+    link.write(OFF_FRAME)
+    link.write(encode(turned(5)))
+    assert step_of(decode(link.part.read_bytes())[-1]) == 5
+    link.close()
+    link.close()
+
+
+def test_record_where_nothing_can_be_written(tmp_path):
+    with pytest.raises(OutputError, match=r"cannot write .*No such file"):
+        RecordLink(tmp_path / "missing" / "run.bin")
+
+
+def test_record_on_a_full_disk(tmp_path):
+    (tmp_path / "run.bin.part").symlink_to("/dev/full")
+    with pytest.raises(OutputError, match="No space left"), RecordLink(tmp_path / "run.bin") as link:
+        play_frames(link, schedule(3, 0.0))
+    assert not (tmp_path / "run.bin").exists()
+
+
+class SlowWire:
+    """A link without a port, on a clock of its own, whose first `bad` writes time out."""
+
+    def __init__(self, bad: int) -> None:
+        self.clock = 0.0
+        self.bad = bad
+        self.sent: list[tuple[float, bytes]] = []
+
+    def now(self) -> float:
+        return self.clock
+
+    def wait_until(self, when: float) -> None:
+        self.clock = max(self.clock, when)
+
+    def write(self, frame: bytes) -> bool:
+        if self.bad:
+            self.bad -= 1
+            self.clock += 0.25
+            return False
+        self.sent.append((self.clock, frame))
+        return True
+
+    def off(self) -> None:
+        self.sent.append((self.clock, OFF_FRAME))
+
+
+def test_after_a_timeout_the_newest_frame_goes_whole():
+    wire = SlowWire(bad=1)
+    frames = schedule(40, 0.02)
+    played = play_frames(wire, frames)
+    # The first write ends at 0.25 s; the newest frame due then is number 12 (0.24 s).
+    assert wire.sent[0] == (0.25, frames[12][1])
+    assert (played.frames, played.skipped) == (28, 12)
+
+
+def test_after_a_timeout_on_the_last_frame_it_is_sent_again():
+    wire = SlowWire(bad=3)
+    ((_, frame),) = frames = schedule(1, 0.0)
+    assert play_frames(wire, frames).frames == 1
+    assert wire.sent[0] == (0.75, frame)
+
+
+def test_no_two_frames_start_closer_than_the_line_allows():
+    wire = SlowWire(bad=0)
+    play_frames(wire, schedule(500, 0.003))
+    starts = [when for when, _ in wire.sent]
+    assert min(b - a for a, b in pairwise(starts)) >= 1 / FRAME_RATE_HZ - 1e-9
+
+
+def test_an_empty_schedule_only_silences():
+    wire = SlowWire(bad=0)
+    assert play_frames(wire, []) == Played(0, 0, 0.0)
+    assert wire.sent == [(0.0, OFF_FRAME)]

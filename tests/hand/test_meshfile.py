@@ -1,0 +1,115 @@
+import numpy as np
+import pytest
+import trimesh
+
+from palmfield.errors import SceneError
+from palmfield.hand.meshfile import load_mesh
+
+
+def ball(size=180.0):
+    mesh = trimesh.creation.icosphere(subdivisions=3)
+    mesh.apply_scale([0.45 * size, 0.5 * size, 0.2 * size])
+    return mesh
+
+
+def fails(path, unit, says):
+    with pytest.raises(SceneError, match=says) as caught:
+        load_mesh(path, unit)
+    assert "\n" not in str(caught.value) and str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize("suffix", ["obj", "ply", "stl"])
+@pytest.mark.parametrize("unit, size", [("mm", 180.0), ("cm", 18.0), ("in", 7.0), ("m", 0.18)])
+def test_formats_and_units(tmp_path, suffix, unit, size):
+    path = tmp_path / f"hand.{suffix}"
+    ball(size).export(path)
+    surface = load_mesh(path, unit)
+    metres = size * {"mm": 1e-3, "cm": 1e-2, "in": 0.0254, "m": 1.0}[unit]
+    assert np.ptp(surface.vertices[:, 1]) == pytest.approx(metres, rel=1e-5)
+    assert len(surface.vertices) == len(ball().vertices), "an STL's corners are merged"
+    assert (np.einsum("ij,ij->i", surface.normals, surface.vertices) > 0).all()
+
+
+def test_uv_seam_is_merged(tmp_path):
+    box = trimesh.creation.box(extents=[80, 190, 30])
+    split = trimesh.Trimesh(box.vertices[box.faces].reshape(-1, 3), np.arange(36).reshape(-1, 3), process=False)
+    path = tmp_path / "seam.obj"
+    split.export(path)
+    assert len(load_mesh(path, "mm").vertices) == 8
+
+
+@pytest.mark.parametrize("flip", [slice(None), slice(0, 300), slice(0, None, 2)])
+def test_winding_is_turned_outward(tmp_path, flip):
+    mesh = ball()
+    faces = np.array(mesh.faces)
+    faces[flip] = faces[flip][:, ::-1]
+    path = tmp_path / "hand.ply"
+    trimesh.Trimesh(mesh.vertices, faces, process=False).export(path)
+    surface = load_mesh(path, "mm")
+    mended = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
+    assert mended.is_winding_consistent
+    assert mended.volume == pytest.approx(mesh.volume * 1e-9, rel=1e-5)
+
+
+def test_unit_is_never_guessed(tmp_path):
+    path = tmp_path / "hand.ply"
+    ball().export(path)
+    fails(path, "furlong", "unit 'furlong' is unknown; use one of m, cm, mm, in")
+    fails(path, "m", "1.8e[+]05 mm long with unit m; .* 180 mm with unit mm")
+    fails(path, "cm", "180 mm with unit mm")
+
+
+def test_missing_unreadable_and_empty(tmp_path):
+    fails(tmp_path / "none.obj", "mm", "does not exist")
+    odd = tmp_path / "hand.doc"
+    odd.write_text("hand")
+    fails(odd, "mm", "format '.doc' is not read")
+    broken = tmp_path / "broken.ply"
+    broken.write_bytes(b"ply\nformat binary_little_endian 1.0\nelement vertex 900\n")
+    fails(broken, "mm", "cannot be read|is empty")
+    for suffix in ("obj", "stl", "ply"):
+        empty = tmp_path / f"empty.{suffix}"
+        empty.write_text("")
+        fails(empty, "mm", "cannot be read|is empty")
+    points = tmp_path / "points.obj"
+    points.write_text("v 0 0 0\nv 1 0 0\nv 0 90 0\n")
+    fails(points, "mm", "cannot be read|is empty")
+
+
+def test_no_size_and_not_finite(tmp_path):
+    point = tmp_path / "point.obj"
+    point.write_text("v 1 1 1\nv 1 1 1\nv 1 1 1\nf 1 2 3\n")
+    fails(point, "mm", "lie in one point|empty")
+    line = tmp_path / "line.obj"
+    line.write_text("v 0 0 0\nv 50 0 0\nv 100 0 0\nf 1 2 3\n")
+    fails(line, "mm", "no area")
+    mesh = ball()
+    vertices = np.array(mesh.vertices)
+    vertices[7, 1] = np.nan
+    lost = tmp_path / "nan.ply"
+    trimesh.Trimesh(vertices, mesh.faces, process=False).export(lost)
+    fails(lost, "mm", "1 of 642 vertices are not finite")
+
+
+def test_holes_are_counted_and_placed(tmp_path):
+    mesh = ball()
+    centre = mesh.triangles_center
+    keep = (centre[:, 1] > -80) & (centre[:, 2] < 33)
+    path = tmp_path / "open.ply"
+    trimesh.Trimesh(mesh.vertices, mesh.faces[keep], process=False).export(path)
+    fails(path, "mm", r"not watertight: 2 holes at \(.*-8\d\.\d, .*\)")
+
+
+def test_flat_doubled_and_several(tmp_path):
+    sheet = tmp_path / "sheet.obj"
+    sheet.write_text("v 0 0 0\nv 90 0 0\nv 0 90 0\nf 1 2 3\nf 1 3 2\n")
+    fails(sheet, "mm", "encloses no volume")
+    two = tmp_path / "two.ply"
+    other = ball(60.0)
+    other.apply_translation([200, 0, 0])
+    trimesh.util.concatenate([ball(), other]).export(two)
+    fails(two, "mm", "2 separate bodies")
+    mesh = ball()
+    doubled = tmp_path / "doubled.ply"
+    trimesh.Trimesh(mesh.vertices, np.concatenate([mesh.faces, mesh.faces[:1]]), process=False).export(doubled)
+    fails(doubled, "mm", "more than two faces")

@@ -1,0 +1,162 @@
+"""The package as users get it: a wheel, an editable install, an sdist; and the scripts on a bare Python."""
+
+import os
+import shutil
+import subprocess
+import sys
+import tarfile
+import zipfile
+from pathlib import Path
+
+import pytest
+
+CLONE = Path(__file__).resolve().parents[1]
+SOURCES = ("palmfield", "warp_kernels", "mjcf", "hand_models")
+FILES = ("pyproject.toml", "setup.py", "MANIFEST.in", "README.md", "LICENSE")
+TELL = """
+import palmfield.data
+print(palmfield.data.__file__)
+for name in ("mjcf", "hand_models"):
+    print(palmfield.data.folder(name))
+import warp_kernels
+print(warp_kernels.__file__)
+"""
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory):
+    """A copy of the clone, so that building leaves nothing in the clone and finds nothing left from earlier builds."""
+    copy = tmp_path_factory.mktemp("source") / "palmfield"
+    copy.mkdir()
+    for name in SOURCES:
+        shutil.copytree(CLONE / name, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in FILES:
+        shutil.copy(CLONE / name, copy / name)
+    return copy
+
+
+def python(*arguments, cwd, path=None) -> str:
+    environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+    if path is not None:
+        environment["PYTHONPATH"] = str(path)
+    done = subprocess.run([sys.executable, *arguments], cwd=cwd, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def build(kind: str, source: Path, out: Path) -> Path:
+    """What a front end makes of the source by its build backend: `wheel`, `editable` or `sdist`."""
+    out.mkdir()
+    python("-c", f"import setuptools.build_meta as b; b.build_{kind}({str(out)!r})", cwd=source)
+    (built,) = out.iterdir()
+    return built
+
+
+def install(wheel: Path, site: Path) -> None:
+    python("-m", "pip", "install", "--quiet", "--no-deps", "--target", str(site), str(wheel), cwd=site.parent)
+
+
+def tree(folder: Path) -> set[str]:
+    return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.fixture(scope="module")
+def wheel(source, tmp_path_factory):
+    out = tmp_path_factory.mktemp("wheels")
+    options = ("--quiet", "--no-deps", "--no-build-isolation", "--no-index", "--wheel-dir", str(out))
+    python("-m", "pip", "wheel", *options, str(source), cwd=out)
+    (built,) = out.glob("*.whl")
+    return built
+
+
+def test_the_wheel_finds_its_data_without_the_clone(wheel, tmp_path):
+    site = tmp_path / "site"
+    install(wheel, site)
+    told = python("-c", TELL, cwd=tmp_path, path=site).splitlines()
+    assert told == [
+        str(site / "palmfield" / "data.py"),
+        str(site / "palmfield" / "_data" / "mjcf"),
+        str(site / "palmfield" / "_data" / "hand_models"),
+        str(site / "warp_kernels" / "__init__.py"),
+    ]
+    for name in ("mjcf", "hand_models"):
+        assert tree(site / "palmfield" / "_data" / name) == tree(CLONE / name)
+        assert tree(CLONE / name)
+
+
+def test_the_wheel_holds_the_packages_the_licence_and_nothing_else(wheel):
+    with zipfile.ZipFile(wheel) as archive:
+        names = archive.namelist()
+        metadata = archive.read(next(name for name in names if name.endswith("METADATA"))).decode()
+        entry_points = archive.read(next(name for name in names if name.endswith("entry_points.txt"))).decode()
+    assert {name.split("/")[0].split("-")[0] for name in names} == {"palmfield", "warp_kernels"}
+    assert not any("tests" in name or "scripts" in name for name in names)
+    assert any(name.endswith("licenses/LICENSE") for name in names)
+    assert "License-Expression: Apache-2.0" in metadata
+    assert "palmfield = palmfield.cli:main" in entry_points
+    assert "[mujoco.plugins]" in entry_points
+    modules = {name for name in names if name.endswith(".py")}
+    assert modules == {
+        str(path.relative_to(CLONE))
+        for package in ("palmfield", "warp_kernels")
+        for path in (CLONE / package).rglob("*.py")
+    }
+
+
+def test_building_leaves_no_data_in_the_source_tree(wheel, source):
+    assert not (source / "palmfield" / "_data").exists()
+
+
+def test_a_second_build_drops_data_that_is_gone(source, tmp_path):
+    again = tmp_path / "source"
+    shutil.copytree(source, again, ignore=shutil.ignore_patterns("build", "*.egg-info"))
+    (again / "mjcf" / "passing.xml").write_text("<mujoco/>")
+    names = []
+    for number in (1, 2):
+        with zipfile.ZipFile(build("wheel", again, tmp_path / str(number))) as archive:
+            names.append("palmfield/_data/mjcf/passing.xml" in archive.namelist())
+        (again / "mjcf" / "passing.xml").unlink(missing_ok=True)
+    assert names == [True, False]
+
+
+def test_an_editable_install_finds_the_data_beside_its_source(source, tmp_path):
+    site = tmp_path / "site"
+    install(build("editable", source, tmp_path / "out"), site)
+    # Without -S the interpreter of the tests would find its own editable install of the clone first.
+    told = python("-S", "-c", f"import site; site.addsitedir({str(site)!r}){TELL}", cwd=tmp_path).splitlines()
+    assert told == [
+        str(source / "palmfield" / "data.py"),
+        str(source / "mjcf"),
+        str(source / "hand_models"),
+        str(source / "warp_kernels" / "__init__.py"),
+    ]
+
+
+def test_the_sdist_can_build_the_same_wheel(source, wheel, tmp_path):
+    with tarfile.open(build("sdist", source, tmp_path / "sdist")) as archive:
+        archive.extractall(tmp_path, filter="data")
+    (unpacked,) = tmp_path.glob("palmfield-*")
+    with zipfile.ZipFile(build("wheel", unpacked, tmp_path / "wheel")) as mine, zipfile.ZipFile(wheel) as first:
+        assert sorted(mine.namelist()) == sorted(first.namelist())
+
+
+def test_the_licence_is_the_whole_apache_licence():
+    text = (CLONE / "LICENSE").read_text()
+    assert "Version 2.0, January 2004" in text
+    assert "9. Accepting Warranty or Additional Liability" in text
+    assert "END OF TERMS AND CONDITIONS" in text
+
+
+@pytest.mark.parametrize("script", ["demo.py", "test.py"])
+def test_help_needs_no_packages(script, tmp_path):
+    told = python("-I", "-S", str(CLONE / "scripts" / script), "--help", cwd=tmp_path)
+    assert "passed on" in told
+    assert ".venv" in told
+    assert not any(tmp_path.iterdir())
+
+
+def test_ci_calls_the_test_script():
+    run = CLONE / ".ci" / "run"
+    assert os.access(run, os.X_OK)
+    assert "set -euo pipefail" in run.read_text()
+    assert "python3 scripts/test.py" in run.read_text()

@@ -1,0 +1,183 @@
+"""Thresholds, levels and lines against values worked out by hand."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from palmfield.errors import OutputError
+from palmfield.percept import (
+    OBSERVERS,
+    level_dB_SL,
+    line_amplitude,
+    share_left_out,
+    spectrum,
+    threshold_m,
+)
+
+HANDLE = OBSERVERS["morioka_griffin_2006"]
+HUMAN = OBSERVERS["afferent_human"]
+
+
+def test_observers_are_named_and_say_what_their_table_holds():
+    assert set(OBSERVERS) == {"morioka_griffin_2006", "afferent_human"}
+    for name, observer in OBSERVERS.items():
+        assert observer.name == name
+        assert observer.source
+        assert ("rms" in observer.stated) != ("um peak" in observer.stated)
+        assert observer.frequency_Hz.shape == observer.peak_m.shape
+        assert np.all(np.diff(observer.frequency_Hz) > 0)
+
+
+@pytest.mark.parametrize(
+    ("f_Hz", "peak_um"),
+    [
+        # sqrt(2) 0.029 / (2 pi 200)^2 = 0.041012 / 1.579137e6
+        (200, 0.025971),
+        # sqrt(2) 0.023 / (2 pi 100)^2 = 0.032527 / 3.947842e5
+        (100, 0.082392),
+        # sqrt(2) 0.095 / (2 pi 8)^2 = 0.134350 / 2526.619
+        (8, 53.174),
+    ],
+)
+def test_acceleration_thresholds_become_peak_displacement(f_Hz, peak_um):
+    assert threshold_m(HANDLE, f_Hz) == pytest.approx(1e-6 * peak_um, rel=2e-4)
+
+
+def test_table_points_of_the_second_observer():
+    np.testing.assert_allclose(threshold_m(HUMAN, [2, 200, 350]), [24.3e-6, 0.042e-6, 0.12e-6])
+
+
+def test_between_points_the_interpolation_is_log_log():
+    # Halfway in log f between 10 Hz (5.34 um) and 20 Hz (1.87 um): sqrt(5.34 1.87) = 3.1600 um
+    assert threshold_m(HUMAN, 10 * np.sqrt(2)) == pytest.approx(3.1600e-6, rel=1e-4)
+
+
+def test_outside_the_table_there_is_no_threshold():
+    assert np.isnan(threshold_m(HANDLE, [0, 7.99, 315.1, -10, np.nan])).all()
+    assert threshold_m(HANDLE, [[8.0, 315.0]]).shape == (1, 2)
+
+
+def test_a_line_at_threshold_is_0_dB_and_ten_times_that_20_dB():
+    at_threshold = 0.042e-6
+    assert level_dB_SL(HUMAN, [200], [at_threshold]) == pytest.approx(0, abs=1e-9)
+    assert level_dB_SL(HUMAN, [200], [10 * at_threshold]) == pytest.approx(20)
+
+
+def test_lines_add_by_energy_and_dc_and_outsiders_do_not():
+    # 3 thresholds at 100 Hz and 4 at 200 Hz make 5: 20 log10 5 = 13.979 dB
+    frequencies = [0, 1, 100, 200, 900]
+    amplitudes = [1e-3, 1e-3, 3 * 0.079e-6, 4 * 0.042e-6, 1e-3]
+    assert level_dB_SL(HUMAN, frequencies, amplitudes) == pytest.approx(13.979, abs=1e-3)
+
+
+def test_nothing_that_counts_is_minus_infinity():
+    assert level_dB_SL(HUMAN, [0, 1000], [1e-3, 1e-3]) == -np.inf
+    assert level_dB_SL(HUMAN, [100], [0.0]) == -np.inf
+
+
+def test_share_left_out():
+    # 1 and 4 of 1 + 4 + 4 units of energy lie outside; DC is no part of it
+    assert share_left_out(HANDLE, [0, 4, 100, 1000], [9, 1, 2, 2]) == pytest.approx(5 / 9)
+    assert share_left_out(HANDLE, [0, 100], [9, 1]) == 0
+    assert share_left_out(HANDLE, [0, 100], [9, 0]) == 0
+
+
+@pytest.mark.parametrize("window", ["hann", "none"])
+@pytest.mark.parametrize("samples", [400, 401])
+def test_a_sine_on_a_bin_has_its_amplitude_and_dc_its_own(window, samples):
+    time = np.arange(samples) / 4000
+    line = 20 / (samples / 4000)
+    frequency, amplitude = spectrum(time, -5e-6 + 2e-6 * np.sin(2 * np.pi * line * time + 0.7), window)
+    assert frequency[20] == pytest.approx(line)
+    assert amplitude[20] == pytest.approx(2e-6, rel=1e-9)
+    assert amplitude[0] == pytest.approx(5e-6, rel=1e-9)
+    assert amplitude.shape == (samples // 2 + 1,)
+    assert amplitude[1] < 1e-15
+    assert amplitude[30:].max() < 1e-15
+
+
+def test_nyquist_line():
+    frequency, amplitude = spectrum(np.arange(64) / 64, np.tile([3.0, -3.0], 32), "none")
+    assert frequency[-1] == 32
+    assert amplitude[-1] == pytest.approx(3.0)
+
+
+def test_bins_without_window_hold_the_energy():
+    # Parseval: mean square about the mean = sum of A^2 / 2 (odd length, so no Nyquist bin)
+    motion = np.random.default_rng(3).normal(size=501)
+    _, amplitude = spectrum(np.arange(501) * 1e-3, motion, "none")
+    assert np.sum(amplitude[1:] ** 2) / 2 == pytest.approx(motion.var())
+
+
+def test_hann_bins_count_a_line_one_and_a_half_times():
+    time = np.arange(400) / 4000
+    motion = 0.42e-6 * np.sin(2 * np.pi * 200 * time)
+    plain = level_dB_SL(HUMAN, *spectrum(time, motion, "none"))
+    windowed = level_dB_SL(HUMAN, *spectrum(time, motion))
+    assert plain == pytest.approx(20, abs=1e-6)
+    # Side bins at 190 and 210 Hz have half the amplitude: 10 log10 1.5 = 1.76, thresholds there almost those at 200.
+    assert windowed - plain == pytest.approx(10 * np.log10(1.5), abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("time", "window", "match"),
+    [
+        (np.arange(7), "hann", "at least 8"),
+        (np.array([0, 1, 2, 3, 4, 5, 6, 8.0]), "hann", "not evenly spaced"),
+        (np.zeros(8), "hann", "not evenly spaced"),
+        (np.arange(8), "flattop", "use hann or none"),
+    ],
+)
+def test_spectra_that_are_refused(time, window, match):
+    with pytest.raises(OutputError, match=match):
+        spectrum(time, np.zeros(len(time)), window)
+
+
+@given(
+    amplitude=st.floats(1e-9, 1e-3),
+    phase=st.floats(-np.pi, np.pi),
+    offset=st.floats(-1e-3, 1e-3),
+    frequency=st.floats(5, 300),
+)
+def test_the_fit_finds_a_line_at_any_frequency_and_phase(amplitude, phase, offset, frequency):
+    time = np.arange(3000) / 4000
+    motion = offset + amplitude * np.sin(2 * np.pi * frequency * time + phase)
+    # Rounding of the offset is what is left.
+    assert line_amplitude(time, motion, frequency) == pytest.approx(amplitude, rel=1e-9, abs=1e-12 * abs(offset))
+
+
+def test_the_fit_uses_the_end_of_the_record():
+    time = np.arange(2000) / 4000
+    motion = np.where(time < 0.4, 7.0, np.sin(2 * np.pi * 200 * time))
+    assert line_amplitude(time, motion, 200, periods=20) == pytest.approx(1.0)
+    assert line_amplitude(time, motion, 200) < 0.5
+
+
+def test_over_whole_periods_harmonics_do_not_leak_into_the_line():
+    time = np.arange(1000) / 4000
+    motion = np.sin(2 * np.pi * 200 * time) + 0.5 * np.sin(2 * np.pi * 400 * time + 1)
+    assert line_amplitude(time, motion, 200, periods=3) == pytest.approx(1.0, rel=1e-9)
+    assert line_amplitude(time, motion, 400, periods=6) == pytest.approx(0.5, rel=1e-9)
+
+
+def test_one_period_is_enough_and_less_is_not():
+    time = np.arange(20) / 4000
+    assert line_amplitude(time, np.sin(2 * np.pi * 200 * time), 200) == pytest.approx(1.0)
+    with pytest.raises(OutputError, match="holds 0"):
+        line_amplitude(time[:-1], np.zeros(19), 200)
+    with pytest.raises(OutputError, match="holds 1"):
+        line_amplitude(time, np.zeros(20), 200, periods=2)
+
+
+@pytest.mark.parametrize("frequency", [0.0, -5.0, np.nan])
+def test_no_line_at_or_below_zero(frequency):
+    with pytest.raises(OutputError, match="give one above 0"):
+        line_amplitude(np.arange(100) / 100, np.zeros(100), frequency)
+
+
+def test_too_few_samples_a_period():
+    with pytest.raises(OutputError, match="3 samples or more"):
+        line_amplitude(np.arange(100) / 100, np.zeros(100), 40)
+    with pytest.raises(OutputError, match="holds 0"):
+        line_amplitude([0.0], [1.0], 10)
