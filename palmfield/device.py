@@ -1,10 +1,26 @@
 """Where Warp kernels run."""
 
+import os
+
 import warp as wp
 
 from palmfield.errors import PalmfieldError
 
-wp.config.log_level = wp.LOG_WARNING
+
+def _start() -> None:
+    """Initialise Warp without its notice that there is no GPU, which C code writes straight to standard error."""
+    wp.config.log_level = wp.LOG_WARNING
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 2)
+    try:
+        wp.init()
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
+
+
+_start()
 
 
 def resolve(device: str = "auto") -> str:

@@ -60,7 +60,9 @@ class Rig:
         timestep_s: float,
         reference_focus: Triple,
         patch_centre: Triple,
+        coarsening: float = 1.0,
     ):
+        self.coarsening = coarsening
         self.array_config, self.stimulus, self.skin, self.driver = array, stimulus, skin, driver
         self.timestep_s = timestep_s
         self.reference_focus, self.patch_centre = np.array(reference_focus), np.array(patch_centre)
@@ -109,6 +111,13 @@ class Rig:
         below = np.flatnonzero(square < 0.5 * square[0])
         return 2 * float(offset[below[0]]) if len(below) else 2 * float(offset[-1])
 
+    def coarser(self, factor: float) -> "Rig":
+        """The same scene on elements larger by `factor`, to see what the resolution does."""
+        return Rig(
+            self.array_config, self.stimulus, self.skin, self.driver, self.timestep_s,
+            tuple(self.reference_focus), tuple(self.patch_centre), coarsening=factor,
+        )  # fmt: skip
+
     # -- surface and skin ----------------------------------------------------------------------------------------
 
     @once
@@ -138,8 +147,13 @@ class Rig:
         fine, coarse, fine_radius, fractions, step, radius = choose_sizes(
             self.material, self.spot_fwhm_m, self.max_frequency_Hz, s.accuracy
         )
+        shares = np.asarray(fractions)
         if s.element_m is not None:
             coarse, fine = max(coarse * s.element_m / fine, s.element_m), s.element_m
+        if self.coarsening != 1.0:
+            fine, coarse = fine * self.coarsening, coarse * self.coarsening
+            layers = max(1, round((len(shares) - 1) / self.coarsening))
+            shares = np.interp(np.linspace(0, 1, layers + 1), np.linspace(0, 1, len(shares)), shares)
         if self.stimulus.path_diameter_m:
             fine_radius += 0.5 * self.stimulus.path_diameter_m
             radius += 0.5 * self.stimulus.path_diameter_m
@@ -150,7 +164,7 @@ class Rig:
         count = math.ceil(self.timestep_s / step - 1e-9)
         if s.step_s is not None and abs(count * s.step_s - self.timestep_s) > 1e-9:
             raise SceneError(f"plugin 'palmfield.skin': step_s {s.step_s:g} must divide the timestep {self.timestep_s:g}")
-        return fine, coarse, min(fine_radius, radius), np.asarray(fractions), self.timestep_s / count, radius
+        return fine, coarse, min(fine_radius, radius), shares, self.timestep_s / count, radius
 
     @once
     def patch(self) -> Patch:

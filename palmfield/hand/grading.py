@@ -8,7 +8,7 @@ from scipy.spatial import Delaunay
 from palmfield.hand.region import Shape
 from palmfield.types import Float, Int
 
-SMOOTHING_ROUNDS = 30
+SMOOTHING_ROUNDS = 12
 Size = Callable[[Float], Float]
 
 
@@ -37,7 +37,7 @@ def triangulate(shape: Shape, size: Size, radius_m: float) -> tuple[Float, Int]:
     for _ in range(SMOOTHING_ROUNDS):
         faces = _inside(points, shape)
         centroid = points[faces].mean(axis=1)
-        weight = _areas(points, faces) / size(centroid) ** 4
+        weight = _areas(points, faces) / size(centroid) ** 3
         total = np.bincount(faces.ravel(), np.repeat(weight, 3), len(points))
         moved = np.stack(
             [np.bincount(faces.ravel(), np.repeat(weight * centroid[:, k], 3), len(points)) for k in (0, 1)], axis=1

@@ -17,7 +17,7 @@ def inward_directions(vertices: Float, faces: Int, smoothing_rounds: int = 3) ->
     """Unit directions into the body, shape (n, 3): minus the most visible normals, smoothed where that stays visible.
 
     The most visible normal of a vertex maximises its smallest cosine to the faces there (Aubry & Lohner 2008,
-    doi 10.1002/nme.1446); smoothing may cost at most half of that cosine.
+    "On the most normal normal"); smoothing may cost at most half of that cosine.
     """
     unit, _ = face_normals(vertices, faces)
 

@@ -72,7 +72,15 @@ def surface_patch(
     return Patch(vertices, faces, inward, got, rim, symmetry, report)
 
 
-def _check_numbers(centre, radius_m, fine_m, coarse_m, fine_radius_m, max_depth_m, max_fraction) -> None:
+def _check_numbers(
+    centre: Float,
+    radius_m: float,
+    fine_m: float,
+    coarse_m: float,
+    fine_radius_m: float,
+    max_depth_m: float,
+    max_fraction: float,
+) -> None:
     if centre.shape != (3,) or not np.isfinite(centre).all():
         raise SceneError(f"patch centre {centre.tolist()} must be three finite numbers [m]")
     for name, value in (

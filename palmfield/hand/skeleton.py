@@ -1,5 +1,6 @@
 """Bones and skin capsules of a hand preset, posed, in the hand frame."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -9,6 +10,7 @@ from numpy.typing import ArrayLike
 from palmfield.hand.preset import DIGITS, Digit, HandPreset
 from palmfield.types import Float
 
+Palm = Callable[[str, ArrayLike, ArrayLike, ArrayLike, ArrayLike], None]
 PALM, THUMB = 0, 1
 PALM_BLEND_m, JOINT_BLEND_m = 0.011, 0.003
 THUMB_BLEND_m, FINGER_BLEND_m, BETWEEN_FINGERS_BLEND_m = 0.012, 0.008, 0.0025
@@ -133,7 +135,15 @@ def _knuckles(preset: HandPreset, wrist_y: float) -> tuple[dict[str, Float], dic
     return knuckles, bases
 
 
-def _pads(preset, knuckles, palm, from_wrist, mm, long) -> None:
+def _pads(
+    preset: HandPreset,
+    knuckles: dict[str, Float],
+    palm: Palm,
+    from_wrist: Callable[[float, float, float], Float],
+    mm: Callable[..., Float],
+    long: float,
+) -> None:
+    """Thenar, hypothenar and distal pads, and the webs between the fingers."""
     palm("thenar", from_wrist(-17, 17, -10), from_wrist(-31, 45, -11), mm(13, 10, 15.5), mm(13.5, 10, 15))
     palm("hypothenar", from_wrist(24, 15, -9), from_wrist(29, 62, -8), mm(13, 10, 13.5), mm(12.5, 10, 13.5))
     for a, b in pairwise(DIGITS[1:]):
@@ -156,14 +166,29 @@ def _pads(preset, knuckles, palm, from_wrist, mm, long) -> None:
         palm(f"{a}_{b}_web", ends[0], ends[1], mm(5.5, 4.5, 7.0, long), mm(5.5, 4.5, 7.0, long))
 
 
-def _web_of_thumb(skin, palm, bases, knuckles, mm) -> None:
+def _web_of_thumb(
+    skin: list[SkinSegment],
+    palm: Palm,
+    bases: dict[str, Float],
+    knuckles: dict[str, Float],
+    mm: Callable[..., Float],
+) -> None:
     thumb = next(s for s in skin if s.name == "thumb_metacarpal")
     start = thumb.start + 0.72 * (thumb.end - thumb.start)
     end = bases["index"] + 0.74 * (knuckles["index"] - bases["index"])
     palm("thumb_web", start, end + np.array([0.0, 0.0, -0.004]), mm(9, 5.5, 7), mm(12, 7, 9))
 
 
-def _digit(preset, name, group, base, knuckle, skin, bones, landmarks) -> None:
+def _digit(
+    preset: HandPreset,
+    name: str,
+    group: int,
+    base: Float,
+    knuckle: Float | None,
+    skin: list[SkinSegment],
+    bones: list[Bone],
+    landmarks: dict[str, Float],
+) -> None:
     """Chain of one digit; a finger starts at its knuckle, the thumb at its metacarpal base."""
     digit: Digit = preset.digits[name]
     spread, palmar, twist = np.deg2rad([digit.spread_deg, digit.palmar_deg, digit.twist_deg])
@@ -203,7 +228,7 @@ def _semi(preset: HandPreset, breadth: float) -> Float:
     return np.array([0.5 * breadth, 0.46 * depth, 0.54 * depth])
 
 
-def _carpal_bones(from_wrist, wide, bones) -> None:
+def _carpal_bones(from_wrist: Callable[[float, float, float], Float], wide: float, bones: list[Bone]) -> None:
     bones.append(Bone("carpus_distal", from_wrist(-14, 28, 0), from_wrist(15, 28, -1), 0.008 * wide, 0.007 * wide))
     bones.append(Bone("carpus_proximal", from_wrist(-14, 14, -1), from_wrist(15, 14, -1), 0.008 * wide, 0.007 * wide))
     bones.append(Bone("radius", from_wrist(-12, -18, -2), from_wrist(-10, 3, -2), 0.009 * wide, 0.010 * wide))

@@ -34,6 +34,11 @@ from palmfield.hand.triangles import adjacency, neighbour_mean, vertex_normals
 from palmfield.types import Float, Int, Surface
 
 GRADIENT_STEP_m = 1e-4
+# The memory layout of warp_kernels.sdf.Segment.
+SEGMENT_RECORD = np.dtype(
+    [(name, np.float32, 3) for name in ("start", "end", "semi_start", "semi_end", "dorsal")]
+    + [("group", np.int32), ("blend", np.float32)]
+)
 # Relaxed marching-cubes triangles have edges of about this many voxels.
 EDGE_PER_VOXEL = 0.87
 
@@ -111,7 +116,7 @@ def bone_distance(points: Float, bones: list[Bone]) -> Float:
 
 
 def _segments(skeleton: Skeleton) -> wp.array:
-    records = np.zeros(len(skeleton.skin), dtype=kernels.Segment.numpy_dtype())
+    records: Any = np.zeros(len(skeleton.skin), dtype=SEGMENT_RECORD)
     for name in ("start", "end", "semi_start", "semi_end", "dorsal", "group"):
         records[name] = [getattr(s, name) for s in skeleton.skin]
     records["blend"] = [s.blend_m for s in skeleton.skin]

@@ -67,7 +67,9 @@ def assemble(
     Raises SceneError for other conditions, a roller side without an axis, or foundation stiffnesses not >= 0.
     """
     if base not in BASES or side not in SIDES:
-        raise SceneError(f"base '{base}', side '{side}': use a base of {', '.join(BASES)}, a side of {', '.join(SIDES)}")
+        raise SceneError(
+            f"base '{base}', side '{side}': use a base of {', '.join(BASES)}, a side of {', '.join(SIDES)}"
+        )
     deviatoric, volumetric, mass = element_matrices(mesh)
     pattern = _Pattern(mesh)
     k_dev = pattern.blocks(material.shear_relaxed_Pa * deviatoric)
@@ -90,7 +92,9 @@ def assemble(
         k_dev=_csr(reduce @ k_dev @ dof_map),
         k_vol=_csr(reduce @ k_vol @ dof_map),
         dof_map=dof_map,
-        surface_node=((dof_map.tocsc().indices[dof_map.tocsc().indptr[:-1]] // 3) % mesh.surface_nodes).astype(np.int32),
+        surface_node=((dof_map.tocsc().indices[dof_map.tocsc().indptr[:-1]] // 3) % mesh.surface_nodes).astype(
+            np.int32
+        ),
     )
 
 
@@ -188,7 +192,9 @@ def _free_directions(mesh: WedgeMesh, base: Base, side: Side) -> sparse.csr_matr
         held = {int(n): [d] for n, d in zip(mesh.base, mesh.surface_normals(mesh.levels - 1), strict=True)}
     if side == "roller":
         if mesh.axis is None:
-            raise SceneError("roller sides need a patch with an axis, and this one has none; use side 'fixed' or 'free'")
+            raise SceneError(
+                "roller sides need a patch with an axis, and this one has none; use side 'fixed' or 'free'"
+            )
         for n, d in zip(mesh.side, mesh.side_normals, strict=True):
             held.setdefault(int(n), []).append(d)
     for node, directions in held.items():

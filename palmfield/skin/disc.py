@@ -9,9 +9,7 @@ from palmfield.errors import SceneError
 from palmfield.types import Patch
 
 
-def disc_patch(
-    radius_m: float, thickness_m: float, fine_m: float, coarse_m: float, fine_radius_m: float
-) -> Patch:
+def disc_patch(radius_m: float, thickness_m: float, fine_m: float, coarse_m: float, fine_radius_m: float) -> Patch:
     """Disc of concentric rings of vertices, joined by Delaunay triangles.
 
     radius_m, thickness_m: of the disc [m]; fine_m: edge length within fine_radius_m of the centre [m]; coarse_m: edge

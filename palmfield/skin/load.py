@@ -45,5 +45,7 @@ class SurfaceQuadrature:
         """
         pressure = np.asarray(traction_normal, dtype=float)
         if pressure.shape != self.weights.shape:
-            raise SceneError(f"pressure has shape {pressure.shape}; give one value at each of {len(self.weights)} points")
+            raise SceneError(
+                f"pressure has shape {pressure.shape}; give one value at each of {len(self.weights)} points"
+            )
         return self.operator @ pressure

@@ -37,4 +37,6 @@ def _dissect(graph: sparse.csr_matrix, points: Float, nodes: Int, leaf: int) -> 
     near = ~far & ~separator
     if not near.any() or not far.any():
         return list(nodes)
-    return _dissect(graph, points, nodes[near], leaf) + _dissect(graph, points, nodes[far], leaf) + list(nodes[separator])
+    return (
+        _dissect(graph, points, nodes[near], leaf) + _dissect(graph, points, nodes[far], leaf) + list(nodes[separator])
+    )

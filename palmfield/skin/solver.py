@@ -11,7 +11,6 @@ import time
 from typing import Any
 
 import numpy as np
-from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from palmfield.errors import SceneError
@@ -129,9 +128,7 @@ def harmonic(system: SkinSystem, force: Float, f_Hz: float) -> Complex:
     return _solve_dynamic(system, force, -((2.0 * math.pi * f_Hz) ** 2), scale)
 
 
-def harmonic_discrete(
-    system: SkinSystem, force: Float, f_Hz: float, step_s: float, rho_inf: float = 0.8
-) -> Complex:
+def harmonic_discrete(system: SkinSystem, force: Float, f_Hz: float, step_s: float, rho_inf: float = 0.8) -> Complex:
     """The steady state that SkinSolver itself reaches under force [N] times e^{-i w t}: its z-symbol.
 
     |harmonic_discrete - harmonic| is the error of the time step. f_Hz > 0, below half the step rate.
@@ -140,7 +137,9 @@ def harmonic_discrete(
     e, start, end = branch_weights(step_s, system.material.relaxation_time_s)
     z = cmath.exp(-2j * math.pi * f_Hz * step_s)
     # u (z - 1) = h v + h^2 a (1/2 - beta + beta z) and v (z - 1) = h a (1 - gamma + gamma z).
-    displacement_over_acceleration = step_s**2 * ((1.0 - gamma + gamma * z) / (z - 1.0) ** 2 + (0.5 - beta + beta * z) / (z - 1.0))
+    displacement_over_acceleration = step_s**2 * (
+        (1.0 - gamma + gamma * z) / (z - 1.0) ** 2 + (0.5 - beta + beta * z) / (z - 1.0)
+    )
     inertia = (alpha_m + (1.0 - alpha_m) * z) / (alpha_f + (1.0 - alpha_f) * z) / displacement_over_acceleration
     branch = 1.0 - (start + end * z) / (z - e)
     return _solve_dynamic(system, force, inertia, 1.0 + system.material.branch_ratio * branch)

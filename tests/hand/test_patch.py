@@ -169,7 +169,8 @@ def test_wedge_quality_of_known_wedges():
     crossing = side.mean(axis=0) - np.array([0, 0, 0.5]) - side
     crossing /= np.linalg.norm(crossing, axis=1, keepdims=True)
     assert wedge_quality(side, face, crossing, np.full(3, 0.3))[0] > 0
-    assert wedge_quality(side, face, crossing, np.full(3, 2.0))[0] < 0
+    for past_the_apex in (1.0, 2.0):
+        assert wedge_quality(side, face, crossing, np.full(3, past_the_apex))[0] < 0
 
 
 def test_inward_directions_at_a_sharp_ridge_see_both_sides():

@@ -1,0 +1,208 @@
+"""What a scene needs to be modelled, what is left out and why, and what it costs; decided before anything runs."""
+
+import io
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from palmfield.acoustics.air import absorption_Np_m, density, sound_speed
+from palmfield.acoustics.arp import LAWS
+from palmfield.rig import Rig
+from palmfield.scene import Scene
+from palmfield.skin.material import complex_shear, shear_wave
+from palmfield.stimulus import frame_rates, main_frequencies
+
+# One transducer at resonance (acoustics literature on 40 kHz emitters): quality factor about 25.
+QUALITY = 25.0
+# Measured on two cores of a server CPU (docs/bench/): pairs a second with gradient; seconds for a degree of freedom.
+PAIRS_PER_S = 4e8
+FACTOR_S, SOLVE_S = 1.3e-4, 1.4e-6
+
+
+@dataclass(frozen=True)
+class Row:
+    """One decision. size: what it amounts to (resolution, error bound or cost); why: the reason, in words."""
+
+    what: str
+    size: str
+    why: str
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Decisions for a scene. seconds: expected wall time of `palmfield run` on two CPU cores, pictures included."""
+
+    scene: str
+    modelled: tuple[Row, ...]
+    left_out: tuple[Row, ...]
+    error: tuple[Row, ...]
+    seconds: float
+
+    def __str__(self) -> str:
+        stream = io.StringIO()
+        console = Console(file=stream, width=130)
+        console.print(f"Plan for {self.scene}", highlight=False)
+        for title, rows in (
+            ("Modelled", self.modelled),
+            ("Left out", self.left_out),
+            ("Expected error of the skin displacement", self.error),
+        ):
+            grid = Table("what", "size", "why", title=title, title_justify="left")
+            for row in rows:
+                grid.add_row(row.what, row.size, row.why)
+            console.print(grid)
+        console.print(f"Expected time on two CPU cores: {self.seconds:.0f} s", highlight=False)
+        return stream.getvalue()
+
+
+def plan(scene: Scene) -> Plan:
+    """Decide what to model, from the scene's stimulus, surface and accuracy; simulates nothing.
+
+    Raises SceneError where the skin patch cannot be made.
+    """
+    rig = scene.skin.rig
+    substeps = round(scene.duration_s / rig.sizes[4])
+    dofs = 3 * len(rig.mesh.nodes)
+    pairs = _points_a_step(rig) * len(rig.array) * scene.duration_s / rig.timestep_s
+    seconds = 12 + FACTOR_S * dofs * (1 + 1.5) + SOLVE_S * dofs * substeps + pairs / PAIRS_PER_S
+    return Plan(str(scene.path), _modelled(rig, dofs, substeps), _left_out(rig), _errors(rig), seconds)
+
+
+def _points_a_step(rig: Rig) -> float:
+    skin = 6 * len(rig.mesh.surface_triangles6)
+    body = 0 if rig.surface is None else len(rig.surface.faces)
+    moving = rig.stimulus.path == "circle" and not frame_rates(rig.stimulus)
+    changes = round(rig.timestep_s / rig.sizes[4]) if moving else 1
+    return changes * (skin + rig.mesh.surface_nodes) + body
+
+
+def _modelled(rig: Rig, dofs: int, substeps: int) -> tuple[Row, ...]:
+    fine, coarse, _, fractions, step, radius = rig.sizes
+    surface = f"{6 * len(rig.mesh.surface_triangles6)} skin points"
+    if rig.surface is not None:
+        surface += f", {len(rig.surface.faces)} faces of the {rig.skin.shape} for the force"
+    depth = rig.patch.depth
+    speed, _ = shear_wave(rig.material, rig.max_frequency_Hz)
+    drive = rig.unit_drive(rig.reference_focus)[1]
+    return (
+        Row(
+            "sound field",
+            f"{len(rig.array)} transducers, {surface}",
+            "pressure and gradient where the surface is, no volume; pistons with directivity and air absorption",
+        ),
+        Row("drive", f"amplitude {drive:.3f} of full", f"device {rig.device.name}: {rig.device.description}"),
+        Row("ARP", f"law {rig.skin.arp_law}", LAWS[rig.skin.arp_law]),
+        Row(
+            "skin layer",
+            f"radius {1e3 * radius:.0f} mm, {1e3 * depth.min():.1f}-{1e3 * depth.max():.1f} mm deep",
+            "the part of the surface where waves matter at this accuracy; sides "
+            f"{rig.skin.side}, base {'on a foundation' if rig.skin.foundation_Pa_m else rig.skin.base}",
+        ),
+        Row(
+            "elements",
+            f"{len(rig.mesh.elements)} quadratic wedges, {dofs} unknowns, edge {1e3 * fine:.1f}-{1e3 * coarse:.1f} mm, "
+            f"{len(fractions) - 1} through the depth",
+            f"spot {1e3 * rig.spot_fwhm_m:.1f} mm wide, shear wave {1e3 * speed / rig.max_frequency_Hz:.0f} mm long at "
+            f"{rig.max_frequency_Hz:.0f} Hz",
+        ),
+        Row(
+            "time",
+            f"{substeps} steps of {1e3 * step:.3g} ms in MuJoCo steps of {1e3 * rig.timestep_s:.3g} ms",
+            "implicit, one factorisation for the scene: the sound or the pose changes, so a static answer will not do",
+        ),
+    )
+
+
+def _left_out(rig: Rig) -> tuple[Row, ...]:
+    frequency = max(main_frequencies(rig.stimulus), default=0.0)
+    ring = QUALITY / (math.pi * rig.array.frequency_Hz)
+    loss = 1 - 1 / math.sqrt(1 + (2 * math.pi * frequency * ring) ** 2)
+    far = np.linalg.norm(rig.array.positions - rig.reference_focus, axis=1)
+    c = sound_speed(rig.air)
+    spread = (far.max() - far.min()) / c
+    cutoff = shear_wave(rig.material, max(frequency, 50.0))[0] / (4 * float(rig.patch.depth.mean()))
+    drive, _ = rig.unit_drive(rig.reference_focus)
+    pressure = rig.array.p0_Pa_m * np.abs(drive).sum() / far.mean()
+    shock = density(rig.air) * c**3 / (1.2 * 2 * math.pi * rig.array.frequency_Hz * pressure)
+    rows = [
+        Row("scattered sound", "not estimated", "the law takes the wall as locally flat and rigid; no echo between hand and array"),
+        Row("cast shadows", "not estimated", "faces turned away from the sound are unlit; one part does not shade another"),
+        Row(
+            "transducers' ring-up",
+            f"<= {100 * loss:.1f} % of the sound pressure's swing at {frequency:.0f} Hz",
+            f"one pole, Q about {QUALITY:.0f}: {1e3 * ring:.2f} ms",
+        ),
+        Row(
+            "flight time",
+            f"{1e3 * far.mean() / c:.2f} ms delay, {1e3 * spread:.3f} ms spread",
+            f"a common delay shifts results in time; the spread blurs {frequency:.0f} Hz by "
+            f"{100 * (math.pi * frequency * spread) ** 2 / 6:.2f} %",
+        ),
+        Row(
+            "nonlinear sound",
+            f"focal distance / shock distance <= {rig.reference_focus[2] / shock:.2f}",
+            "beyond 0.3 devices saturate and this linear field is too strong",
+        ),
+        Row("large strain", "not estimated", "linear elasticity; micrometres on a layer of millimetres"),
+        Row(
+            "waves below the cut-off",
+            f"c_s/4h = {cutoff:.0f} Hz",
+            "a layer bonded to rigid bone guides no shear wave below this; motion there stays local",
+        ),
+    ]
+    if rig.surface is not None:
+        rows.append(Row("skin elsewhere", "not modelled", "only the resultant force acts on the rest of the body"))
+    return tuple(rows)
+
+
+def _errors(rig: Rig) -> tuple[Row, ...]:
+    p0 = rig.array_config
+    rows = [
+        Row(
+            "mesh and time step",
+            f"{100 * rig.skin.accuracy:g} % wanted",
+            "sizes follow a convergence study on a disc (docs/bench/skin_c0.md); the run estimates what was reached",
+        ),
+        Row("material", "of the order of 50 %", f"{rig.material.name}: {rig.material.source}"),
+    ]
+    if p0.p0_low_Pa_m is not None and p0.p0_high_Pa_m is not None and rig.stimulus.arp_peak_Pa is None:
+        low, high = (p0.p0_low_Pa_m / p0.p0_Pa_m) ** 2, (p0.p0_high_Pa_m / p0.p0_Pa_m) ** 2
+        rows.append(Row("p0", f"x {low:.2f} to x {high:.2f}", "displacement goes with p0 squared; the given range"))
+    elif rig.stimulus.arp_peak_Pa is None:
+        low, high = (1.27 / p0.p0_Pa_m) ** 2, (8.02 / p0.p0_Pa_m) ** 2
+        rows.append(Row("p0", f"x {low:.2f} to x {high:.1f}", "uncalibrated: published values run from 1.27 to 8.02 Pa m"))
+    else:
+        rows.append(Row("p0", "none", "arp_peak_Pa sets the level"))
+    return tuple(rows)
+
+
+def describe(scene: Scene) -> str:
+    """What `palmfield info` prints."""
+    rig = scene.skin.rig
+    c = sound_speed(rig.air)
+    modulus = complex_shear(rig.material, 200.0)
+    rows = [
+        ("scene", f"{scene.path}, {scene.duration_s:g} s in steps of {1e3 * rig.timestep_s:g} ms"),
+        ("array", f"{rig.array.name}: {len(rig.array)} transducers, {rig.array.frequency_Hz / 1e3:g} kHz, p0 {rig.array.p0_Pa_m:g} Pa m"),
+        (
+            "air",
+            f"{rig.air.temperature_C:g} C, {rig.air.humidity_percent:g} %, {rig.air.pressure_Pa:g} Pa: c {c:.1f} m/s, "
+            f"rho {density(rig.air):.3f} kg/m3, absorption {absorption_Np_m(rig.air, rig.array.frequency_Hz):.3f} Np/m",
+        ),
+        ("stimulus", ", ".join(f"{k} {v}" for k, v in rig.stimulus.model_dump(exclude_none=True).items())),
+        ("drive", f"{rig.device.name}; amplitude {rig.unit_drive(rig.reference_focus)[1]:.4f} of full at the first focus"),
+        ("surface", f"{rig.skin.shape} on body '{rig.skin.body}'"),
+        ("material", f"{rig.material.name}: rho {rig.material.density_kg_m3:g} kg/m3, G*(200 Hz) {modulus.real:.0f}{modulus.imag:+.0f}i Pa"),
+        ("material source", rig.material.source),
+        ("ARP law", LAWS[rig.skin.arp_law]),
+        ("conventions", "e^{-i w t}, pressure as complex peak; ARP positive into the surface; displacement positive outward"),
+    ]  # fmt: skip
+    stream = io.StringIO()
+    grid = Table(show_header=False)
+    for name, text in rows:
+        grid.add_row(name, text)
+    Console(file=stream, width=130).print(grid)
+    return stream.getvalue()

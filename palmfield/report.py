@@ -1,0 +1,132 @@
+"""What a run says at its end: error estimate, felt level, and the short table."""
+
+import io
+import math
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from rich.console import Console
+from rich.table import Table
+
+from palmfield.chain import Chain, Sound
+from palmfield.percept import OBSERVERS, level_dB_SL, line_amplitude
+from palmfield.rig import Rig
+from palmfield.scene import Scene
+from palmfield.skin.solver import harmonic, harmonic_discrete, static
+from palmfield.stimulus import main_frequencies
+from palmfield.types import Float
+
+COARSENING = 1.5
+# Quadratic elements near an edge of a load converge at least with the square of their size.
+ORDER = 2
+
+
+def numbers(scene: Scene, ds: xr.Dataset, loudest: Sound | None) -> dict[str, Any]:
+    """Drive level, error estimate and felt level of a finished run, units in the names.
+
+    ds: the run's result; loudest: the sound at the highest level, None for a silent run
+    """
+    rig = scene.skin.rig
+    out: dict[str, Any] = {"drive_level": 0.0 if loudest is None else loudest.level}
+    motion = ds["normal_displacement"].values
+    vertex = int(np.abs(motion).max(axis=0).argmax())
+    if loudest is not None:
+        errors = error_estimate(rig, loudest, ds["skin_position"].values[vertex])
+        peak = float(np.abs(motion).max())
+        out |= errors | {"displacement_error_m": errors["displacement_error_relative"] * peak}
+        out |= _p0_band(rig, peak)
+    frequencies = main_frequencies(rig.stimulus)
+    if frequencies:
+        out |= _levels(ds["time"].values, motion[:, vertex].astype(np.float64), frequencies)
+    return out
+
+
+def error_estimate(rig: Rig, sound: Sound, point: Float) -> dict[str, float]:
+    """Relative error of the displacement at a skin point (body frame [m]) from mesh and time step.
+
+    mesh: static and harmonic response (at the stimulus's main frequency) on the scene's mesh against one 1.5 x coarser,
+        divided by 1.5^2 - 1 (Richardson); the larger of the two
+    step: the discrete scheme's exact steady state against the continuous one, on the coarser mesh, where it costs less
+    The model's own error (law, material, linearity) is not in these; the plan names it.
+    """
+    frequency = main_frequencies(rig.stimulus)[0] if main_frequencies(rig.stimulus) else rig.max_frequency_Hz
+    coarse = rig.coarser(COARSENING)
+    answers = []
+    for r in (rig, coarse):
+        chain = Chain(r)
+        force = chain.sound(sound.focus, sound.pose).skin_force
+        read = chain.probe(point).operator
+        answers.append(((read @ static(r.system, force))[0], (read @ harmonic(r.system, force, frequency))[0]))
+    stepped = (read @ harmonic_discrete(coarse.system, force, frequency, rig.sizes[4]))[0]
+    mesh = max(abs(c - f) / abs(f) for f, c in zip(*answers, strict=True)) / (COARSENING**ORDER - 1)
+    step = abs(stepped - answers[1][1]) / abs(answers[1][1])
+    return {
+        "mesh_error_relative": float(mesh),
+        "step_error_relative": float(step),
+        "displacement_error_relative": float(math.hypot(mesh, step)),
+    }
+
+
+def _p0_band(rig: Rig, peak_m: float) -> dict[str, float]:
+    low, high = rig.array_config.p0_low_Pa_m, rig.array_config.p0_high_Pa_m
+    if low is None or high is None or rig.stimulus.arp_peak_Pa is not None:
+        return {}
+    p0 = rig.array_config.p0_Pa_m
+    return {
+        "peak_displacement_low_m": peak_m * (low / p0) ** 2,
+        "peak_displacement_high_m": peak_m * (high / p0) ** 2,
+    }
+
+
+def _levels(time: Float, motion: Float, frequencies: list[float]) -> dict[str, float]:
+    """Level above threshold by observer: at the first main frequency, and of all main frequencies together."""
+    usable = [f for f in frequencies if f * (time[-1] - time[0]) >= 2]
+    if not usable:
+        return {}
+    lines = [line_amplitude(time, motion, f) for f in usable]
+    out = {"main_frequency_Hz": usable[0], "main_line_amplitude_m": lines[0]}
+    for name, observer in OBSERVERS.items():
+        out[f"level_{name}_dB_SL"] = float(level_dB_SL(observer, usable[:1], lines[:1]))
+        out[f"level_all_lines_{name}_dB_SL"] = float(level_dB_SL(observer, usable, lines))
+    return out
+
+
+def format_report(summary: dict[str, Any]) -> str:
+    """The short table that `palmfield run` prints."""
+    error = summary.get("displacement_error_relative")
+    band = "" if error is None else f" +- {100 * error:.1f} %"
+    rows = [
+        ("peak sound pressure", f"{summary['peak_pressure_Pa']:.0f} Pa ({summary['peak_pressure_dB_SPL'] or 0:.1f} dB SPL)"),
+        ("peak ARP", f"{summary['peak_arp_Pa']:.3g} Pa"),
+        ("total force", f"{1e3 * summary['total_force_peak_N']:.3g} mN"),
+        ("drive", f"{summary['drive_level']:.3f} of full"),
+        ("peak skin displacement", f"{1e6 * summary['peak_displacement_m']:.3g} um{band}"),
+        (
+            "rms skin displacement",
+            f"{1e6 * summary['rms_displacement_m']:.3g} um{band} "
+            f"({1e6 * summary['rms_displacement_without_dc_m']:.3g} um without the mean)",
+        ),
+    ]  # fmt: skip
+    if error is not None:
+        rows.append(
+            (
+                "error estimate",
+                f"mesh {100 * summary['mesh_error_relative']:.2f} %, time step {100 * summary['step_error_relative']:.2f} %; "
+                "material and p0 not included (see plan)",
+            )
+        )
+    if "peak_displacement_low_m" in summary:
+        low, high = summary["peak_displacement_low_m"], summary["peak_displacement_high_m"]
+        rows.append(("peak for the p0 range", f"{1e6 * low:.3g} to {1e6 * high:.3g} um"))
+    for number, name in enumerate(OBSERVERS, start=1):
+        key = f"level_{name}_dB_SL"
+        if key in summary:
+            rows.append((f"level at {summary['main_frequency_Hz']:g} Hz", f"{summary[key]:.1f} dB SL (observer {number}, {name})"))
+    rows.append(("wall time, peak memory", f"{summary['wall_time_s']:.1f} s, {summary['peak_memory_MiB']:.0f} MiB"))
+    grid = Table(show_header=False)
+    for name, text in rows:
+        grid.add_row(name, text)
+    stream = io.StringIO()
+    Console(file=stream, width=110).print(grid)
+    return stream.getvalue()
