@@ -175,18 +175,16 @@ def parse(model: type[Config], values: dict[str, str], element: str) -> Config:
     try:
         return model.model_validate(values)
     except ValidationError as error:
-        raise SceneError(f"{element}: " + "; ".join(_explain(model, e) for e in error.errors())) from None
+        raise SceneError(f"{element}: " + "; ".join(_explain(model, values, e) for e in error.errors())) from None
 
 
-def _explain(model: type[Config], error: Any) -> str:
+def _explain(model: type[Config], values: dict[str, str], error: Any) -> str:
     if not error["loc"]:
         return error["msg"].removeprefix("Value error, ")
     key = str(error["loc"][0])
     if key not in model.model_fields:
         return f"unknown key '{key}'; allowed: {', '.join(model.model_fields)}"
-    value = error["input"]
-    text = " ".join(value) if isinstance(value, list) else value
-    return f"key '{key}' has value '{text}'; allowed: {allowed(model, key)}"
+    return f"key '{key}' has value '{values[key]}'; allowed: {allowed(model, key)}"
 
 
 def allowed(model: type[Config], key: str) -> str:

@@ -79,16 +79,19 @@ def _p0_band(rig: Rig, peak_m: float) -> dict[str, float]:
     }
 
 
-def _levels(time: Float, motion: Float, frequencies: list[float]) -> dict[str, float]:
-    """Level above threshold by observer: at the first main frequency, and of all main frequencies together."""
-    usable = [f for f in frequencies if f * (time[-1] - time[0]) >= 2]
-    if not usable:
+def _levels(time: Float, motion: Float, frequencies: list[float]) -> dict[str, float | None]:
+    """Level above threshold by observer: at the main frequency, and of all main frequencies together.
+
+    None where an observer's table does not reach; nothing at all for less than two periods of the main frequency.
+    """
+    if frequencies[0] * (time[-1] - time[0]) < 2:
         return {}
-    lines = [line_amplitude(time, motion, f) for f in usable]
-    out = {"main_frequency_Hz": usable[0], "main_line_amplitude_m": lines[0]}
+    lines = [line_amplitude(time, motion, f) for f in frequencies]
+    out: dict[str, float | None] = {"main_frequency_Hz": frequencies[0], "main_line_amplitude_m": lines[0]}
     for name, observer in OBSERVERS.items():
-        out[f"level_{name}_dB_SL"] = float(level_dB_SL(observer, usable[:1], lines[:1]))
-        out[f"level_all_lines_{name}_dB_SL"] = float(level_dB_SL(observer, usable, lines))
+        for key, count in (("level", 1), ("level_all_lines", len(lines))):
+            level = float(level_dB_SL(observer, frequencies[:count], lines[:count]))
+            out[f"{key}_{name}_dB_SL"] = level if math.isfinite(level) else None
     return out
 
 
@@ -122,7 +125,8 @@ def format_report(summary: dict[str, Any]) -> str:
     for number, name in enumerate(OBSERVERS, start=1):
         key = f"level_{name}_dB_SL"
         if key in summary:
-            rows.append((f"level at {summary['main_frequency_Hz']:g} Hz", f"{summary[key]:.1f} dB SL (observer {number}, {name})"))
+            level = "outside the table of" if summary[key] is None else f"{summary[key]:.1f} dB SL,"
+            rows.append((f"level at {summary['main_frequency_Hz']:g} Hz", f"{level} observer {number} ({name})"))
     rows.append(("wall time, peak memory", f"{summary['wall_time_s']:.1f} s, {summary['peak_memory_MiB']:.0f} MiB"))
     grid = Table(show_header=False)
     for name, text in rows:

@@ -3,8 +3,11 @@
 import json
 import platform
 import resource
+import signal
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -79,11 +82,13 @@ def run(scene: Scene, out: str | Path, *, duration_s: float | None = None, progr
         skin.chain.observer = recorder.observe
         task = bar.add_task(f"simulating {1e3 * duration:g} ms", total=steps)
         try:
-            for _ in range(steps):
-                mujoco.mj_step(scene.model, data)
-                raise_errors(data)
-                recorder.step()
-                bar.advance(task)
+            with _interrupts_between_steps() as check:
+                for _ in range(steps):
+                    mujoco.mj_step(scene.model, data)
+                    raise_errors(data)
+                    recorder.step()
+                    bar.advance(task)
+                    check()
         except (KeyboardInterrupt, PalmfieldError, MemoryError) as error:
             stopped = error
         finally:
@@ -115,6 +120,28 @@ def run(scene: Scene, out: str | Path, *, duration_s: float | None = None, progr
     if stopped is not None:
         raise stopped
     return Result(out, files, numbers_written, True)
+
+
+@contextmanager
+def _interrupts_between_steps() -> Iterator[Callable[[], None]]:
+    """Ctrl-C waits for the end of a step, so that no half step is recorded. Yields a check that raises it.
+
+    Elsewhere than in the main thread signals can't be caught, and Ctrl-C does not arrive.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield lambda: None
+        return
+    asked: list[int] = []
+
+    def check() -> None:
+        if asked:
+            raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGINT, lambda number, frame: asked.append(number))
+    try:
+        yield check
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _progress(show: bool) -> Progress:

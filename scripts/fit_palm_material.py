@@ -20,6 +20,7 @@ FREQUENCIES = (50.0, 100.0, 200.0, 400.0)
 SPEEDS = np.array([3.6, 4.6, 6.0, 7.1])
 DECAY = 0.085
 RAYLEIGH = 0.9553
+BOUNDS = ([2e3, 2e3, 2e-5], [2e5, 2e5, 1e-2])
 
 
 def solid(logs: np.ndarray) -> Material:
@@ -54,7 +55,7 @@ def report(label: str, material: Material) -> None:
 
 def main() -> None:
     starts = [(10e3, 60e3, 4e-4), (20e3, 30e3, 2e-4), (30e3, 40e3, 1e-4)]
-    fits = [least_squares(misfit, np.log(start), x_scale=0.3) for start in starts]
+    fits = [least_squares(misfit, np.log(start), bounds=np.log(BOUNDS)) for start in starts]
     for start, fit in zip(starts, fits, strict=True):
         print(f"start {start}: cost {fit.cost:.5f}, {np.round(np.exp(fit.x), 7).tolist()}")
     report("best fit", solid(min(fits, key=lambda fit: fit.cost).x))

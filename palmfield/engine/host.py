@@ -4,6 +4,7 @@ A module is a subclass of `Module`; `register` turns it into an mjpPlugin whose 
 modules of their own by an entry point of the group `mujoco.plugins` that calls `register`.
 """
 
+import _thread
 import ctypes
 import threading
 import traceback
@@ -172,6 +173,8 @@ def register(module: type[Module]) -> None:
         try:
             target = world.modules[instance]
             target.sense() if capability == int(mujoco.mjtPluginCapabilityBit.mjPLUGIN_SENSOR) else target.forces()
+        except KeyboardInterrupt:
+            _thread.start_new_thread(_thread.interrupt_main, ())
         except Exception as error:
             _fail(world, module.name, error)
 
@@ -181,6 +184,9 @@ def register(module: type[Module]) -> None:
         world = _worlds[data]
         try:
             world.modules[instance].advance()
+        except KeyboardInterrupt:
+            # It can't pass through MuJoCo's C frames: raised again as soon as this thread is back in Python.
+            _thread.start_new_thread(_thread.interrupt_main, ())
         except Exception as error:
             _fail(world, module.name, error)
 

@@ -67,9 +67,7 @@ def assemble(
     Raises SceneError for other conditions, a roller side without an axis, or foundation stiffnesses not >= 0.
     """
     if base not in BASES or side not in SIDES:
-        raise SceneError(
-            f"base '{base}', side '{side}': use a base of {', '.join(BASES)}, a side of {', '.join(SIDES)}"
-        )
+        raise SceneError(f"base '{base}', side '{side}': base is one of {', '.join(BASES)}, side of {', '.join(SIDES)}")
     deviatoric, volumetric, mass = element_matrices(mesh)
     pattern = _Pattern(mesh)
     k_dev = pattern.blocks(material.shear_relaxed_Pa * deviatoric)
@@ -85,6 +83,7 @@ def assemble(
         k_dev = k_dev + tangential * across
     dof_map = _free_directions(mesh, base, side)
     reduce = dof_map.T.tocsr()
+    columns = dof_map.tocsc()
     return SkinSystem(
         mesh=mesh,
         material=material,
@@ -92,9 +91,7 @@ def assemble(
         k_dev=_csr(reduce @ k_dev @ dof_map),
         k_vol=_csr(reduce @ k_vol @ dof_map),
         dof_map=dof_map,
-        surface_node=((dof_map.tocsc().indices[dof_map.tocsc().indptr[:-1]] // 3) % mesh.surface_nodes).astype(
-            np.int32
-        ),
+        surface_node=((columns.indices[columns.indptr[:-1]] // 3) % mesh.surface_nodes).astype(np.int32),
     )
 
 
@@ -157,7 +154,7 @@ class _Pattern:
         self.starts = np.searchsorted(keys // self.nodes, np.arange(self.nodes + 1))
 
     def _sum(self, values: Float) -> Float:
-        return np.bincount(self.slot, weights=values.ravel(), minlength=len(self.indices))
+        return np.bincount(self.slot, weights=values.ravel(), minlength=len(self.indices)).astype(np.float64)
 
     def blocks(self, values: Float) -> sparse.csr_matrix:
         """Sum of element blocks (m, 18, 18, 3, 3) as a csr matrix over 3 components a node."""
@@ -192,9 +189,7 @@ def _free_directions(mesh: WedgeMesh, base: Base, side: Side) -> sparse.csr_matr
         held = {int(n): [d] for n, d in zip(mesh.base, mesh.surface_normals(mesh.levels - 1), strict=True)}
     if side == "roller":
         if mesh.axis is None:
-            raise SceneError(
-                "roller sides need a patch with an axis, and this one has none; use side 'fixed' or 'free'"
-            )
+            raise SceneError("roller sides need a patch with an axis; this one has none: use side 'fixed' or 'free'")
         for n, d in zip(mesh.side, mesh.side_normals, strict=True):
             held.setdefault(int(n), []).append(d)
     for node, directions in held.items():

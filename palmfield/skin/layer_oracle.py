@@ -2,10 +2,10 @@
 
 Plane strain, e^{ikx - i w t}, depth z from the loaded face (z = 0) to the base (z = h). With
 alpha^2 = k^2 - w^2/c_p^2 and beta^2 = k^2 - w^2/c_s^2 the fields are a compression wave P = (ik, -alpha) e^{-alpha z},
-a shear wave S = (i beta, -k) e^{-beta z}, and their mirror images from the base (Achenbach 1973, ch. 5; Ewing, Jardetzky
-& Press 1957). P and S coincide as w -> 0, so S is replaced by (S - P)/(beta - alpha), written out without cancellation;
-its limit is the second static solution, with a factor z. All exponentials decay away from their own face: nothing
-overflows at large k h.
+a shear wave S = (i beta, -k) e^{-beta z}, and their mirror images from the base (Achenbach 1973, ch. 5; Ewing,
+Jardetzky & Press 1957). P and S coincide as w -> 0, so S is replaced by (S - P)/(beta - alpha), written out without
+cancellation; its limit is the second static solution, with a factor z. All exponentials decay away from their own face:
+nothing overflows at large k h.
 """
 
 import math
@@ -145,7 +145,7 @@ def centre_response(
 
 
 def _hankel(f_Hz: float, material: Material, h: float, spread: float, r: Float, base: Base) -> Complex:
-    """u(r) = integral of C(k) s^2 exp(-k^2 s^2 / 2) J0(k r) k dk, by Gauss-Legendre panels, doubled until they agree."""
+    """u(r) = integral of C(k) s^2 exp(-k^2 s^2 / 2) J0(k r) k dk, by Gauss panels, doubled until they agree."""
     nodes, weights = np.polynomial.legendre.leggauss(8)
     end = 9.0 / spread
     previous = None

@@ -18,15 +18,15 @@ def dissection_order(system: SkinSystem, leaf: int = 12) -> Int:
     rows, columns = np.repeat(triangles, 6, axis=1).ravel(), np.tile(triangles, (1, 6)).ravel()
     size = mesh.surface_nodes
     graph = sparse.csr_matrix((np.ones(len(rows)), (rows, columns)), shape=(size, size))
-    order = np.array(_dissect(graph, mesh.nodes[:size], np.arange(size), leaf))
+    order = _dissect(graph, mesh.nodes[:size], np.arange(size, dtype=np.int32), leaf)
     place = np.empty(size, dtype=np.int64)
     place[order] = np.arange(size)
     return np.argsort(place[system.surface_node], kind="stable").astype(np.int32)
 
 
-def _dissect(graph: sparse.csr_matrix, points: Float, nodes: Int, leaf: int) -> list[int]:
+def _dissect(graph: sparse.csr_matrix, points: Float, nodes: Int, leaf: int) -> Int:
     if len(nodes) <= leaf:
-        return list(nodes)
+        return nodes
     centred = points[nodes] - points[nodes].mean(axis=0)
     _, axes = np.linalg.eigh(centred.T @ centred)
     along = centred @ axes[:, -1]
@@ -36,7 +36,6 @@ def _dissect(graph: sparse.csr_matrix, points: Float, nodes: Int, leaf: int) -> 
     separator = ~far & (graph[nodes] @ touches > 0.0)
     near = ~far & ~separator
     if not near.any() or not far.any():
-        return list(nodes)
-    return (
-        _dissect(graph, points, nodes[near], leaf) + _dissect(graph, points, nodes[far], leaf) + list(nodes[separator])
-    )
+        return nodes
+    parts = [_dissect(graph, points, nodes[part], leaf) for part in (near, far)]
+    return np.concatenate([*parts, nodes[separator]])

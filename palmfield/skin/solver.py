@@ -53,9 +53,11 @@ def branch_weights(step_s: float, tau_s: float) -> tuple[float, float, float]:
 class SkinSolver:
     """Steps a system in time; the effective matrix is factored once.
 
-    step_s: time step h [s]; rho_inf: spectral radius at infinite frequency, 0 (strongest damping of what the step cannot
-        resolve) to 1 (none, the trapezoid rule's sibling); 0.8 removes unresolved pressure waves in some ten steps
-    A state has shape (4, ndof): displacement u [m], velocity v [m/s], acceleration a [m/s^2], internal displacement q [m].
+    step_s: time step h [s]
+    rho_inf: spectral radius at infinite frequency, 0 (strongest damping of what the step cannot resolve) to 1 (none,
+        the trapezoid rule's sibling); 0.8 takes unresolved pressure waves to a tenth in ten steps
+    A state has shape (4, ndof): displacement u [m], velocity v [m/s], acceleration a [m/s^2], internal
+    displacement q [m].
     Raises SceneError for a step <= 0 or rho_inf outside 0..1.
     """
 
@@ -137,10 +139,8 @@ def harmonic_discrete(system: SkinSystem, force: Float, f_Hz: float, step_s: flo
     e, start, end = branch_weights(step_s, system.material.relaxation_time_s)
     z = cmath.exp(-2j * math.pi * f_Hz * step_s)
     # u (z - 1) = h v + h^2 a (1/2 - beta + beta z) and v (z - 1) = h a (1 - gamma + gamma z).
-    displacement_over_acceleration = step_s**2 * (
-        (1.0 - gamma + gamma * z) / (z - 1.0) ** 2 + (0.5 - beta + beta * z) / (z - 1.0)
-    )
-    inertia = (alpha_m + (1.0 - alpha_m) * z) / (alpha_f + (1.0 - alpha_f) * z) / displacement_over_acceleration
+    u_over_a = step_s**2 * ((1.0 - gamma + gamma * z) / (z - 1.0) ** 2 + (0.5 - beta + beta * z) / (z - 1.0))
+    inertia = (alpha_m + (1.0 - alpha_m) * z) / (alpha_f + (1.0 - alpha_f) * z) / u_over_a
     branch = 1.0 - (start + end * z) / (z - e)
     return _solve_dynamic(system, force, inertia, 1.0 + system.material.branch_ratio * branch)
 

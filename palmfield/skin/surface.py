@@ -70,6 +70,6 @@ def surface_motion(mesh: WedgeMesh, system: SkinSystem) -> sparse.csr_matrix:
 
 
 def output_triangles(mesh: WedgeMesh) -> Int:
-    """Four flat triangles for each quadratic one, over the S surface nodes, counter-clockwise, shape (4 t, 3), int32."""
+    """Four flat triangles for each quadratic one, over the S surface nodes, counter-clockwise, (4 t, 3), int32."""
     pieces = [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]]
     return mesh.surface_triangles6[:, pieces].reshape(-1, 3)

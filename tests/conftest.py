@@ -1,0 +1,76 @@
+"""Scenes small enough to step in a test."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+ARRAYS = Path(__file__).parent.parent / "mjcf" / "arrays"
+
+PLAIN = """
+<mujoco model="small_plain">
+  <include file="{arrays}/uhev1.xml"/>
+  <worldbody>
+    <body name="pad" pos="0 0 0.12" quat="0 1 0 0" gravcomp="1">
+      <joint name="slide" type="slide" axis="1 0 0" stiffness="400" damping="10"/>
+      <site name="centre" size="0.001"/>
+      <geom type="cylinder" size="0.02 0.004" pos="0 0 -0.004" contype="0" conaffinity="0"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+HAPTIC = """
+<mujoco model="small">
+  <include file="plain.xml"/>
+  <option timestep="0.001"/>
+  <custom><numeric name="palmfield_duration_s" data="0.015"/></custom>
+  <extension>
+    <plugin plugin="palmfield.array"><instance name="array">{array}</instance></plugin>
+    <plugin plugin="palmfield.stimulus"><instance name="stimulus">{stimulus}</instance></plugin>
+    <plugin plugin="palmfield.skin"><instance name="skin">{skin}</instance></plugin>
+    <plugin plugin="palmfield.driver"><instance name="driver">{driver}</instance></plugin>
+  </extension>
+  <sensor><plugin name="skin" plugin="palmfield.skin" instance="skin" objtype="site" objname="centre"/></sensor>
+</mujoco>
+"""
+
+DEFAULTS: dict[str, dict[str, object]] = {
+    "array": {"compute": "cpu"},
+    "stimulus": {
+        "focus_m": "0 0 0.12", "modulation": "am", "am_of": "pressure", "am_frequency_Hz": 200, "am_depth": 1,
+    },
+    "skin": {
+        "body": "pad", "shape": "disc", "radius_m": 0.02, "thickness_m": 0.008, "material": "ecoflex_00-10",
+        "side": "free", "element_m": 0.006, "step_s": 0.0005,
+    },
+    "driver": {"device": "ideal"},
+}  # fmt: skip
+
+Write = Callable[..., Path]
+
+
+def _writer(folder: Path) -> Write:
+    def write(**changes: dict[str, object]) -> Path:
+        texts = {}
+        for module, defaults in DEFAULTS.items():
+            keys = defaults | changes.get(module, {})
+            texts[module] = "".join(f'<config key="{k}" value="{v}"/>' for k, v in keys.items() if v is not None)
+        (folder / "plain.xml").write_text(PLAIN.format(arrays=ARRAYS))
+        path = folder / "small.xml"
+        path.write_text(HAPTIC.format(**texts))
+        return path
+
+    return write
+
+
+@pytest.fixture
+def small_scene(tmp_path: Path) -> Write:
+    """Writes a disc of 40 mm over an array; keywords such as skin={"base": "free_slip"} change or (None) drop keys."""
+    return _writer(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def module_scene(tmp_path_factory: pytest.TempPathFactory) -> Write:
+    """As small_scene, for a fixture that serves a whole file."""
+    return _writer(tmp_path_factory.mktemp("scene"))
