@@ -1,9 +1,9 @@
 """palmfield: from an ultrasonic array's drive to radiation pressure on a hand, skin waves and what is felt.
 
-    import palmfield
-    scene = palmfield.load("mjcf/scenes/palm_am200.xml")
-    print(palmfield.plan(scene))
-    result = palmfield.run(scene, "out/palm")
+import palmfield
+scene = palmfield.load("mjcf/scenes/palm_am200.xml")
+print(palmfield.plan(scene))
+result = palmfield.run(scene, "out/palm")
 """
 
 from importlib import import_module
@@ -11,7 +11,12 @@ from typing import Any
 
 from palmfield.errors import DeviceError, OutputError, PalmfieldError, SceneError
 
-_WHERE = {"load": "palmfield.scene", "Scene": "palmfield.scene", "plan": "palmfield.planning", "run": "palmfield.runner"}
+_WHERE = {
+    "load": "palmfield.scene",
+    "Scene": "palmfield.scene",
+    "plan": "palmfield.planning",
+    "run": "palmfield.runner",
+}
 __all__ = ["DeviceError", "OutputError", "PalmfieldError", "SceneError", *_WHERE]
 
 

@@ -1,4 +1,4 @@
-"""From a moment of the stimulus to forces on the body and motion of the skin. Holds caches only: all state is passed in."""
+"""From a moment of the stimulus to forces on the body and motion of the skin. Holds caches only; state is passed in."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -109,7 +109,9 @@ class Chain:
     def check_clear(self, pose: Pose) -> None:
         """SceneError where the surface reaches into the array's board."""
         surface = self.rig.surface
-        points = pose.points(self.rig.mesh.nodes[: self.rig.mesh.surface_nodes] if surface is None else surface.vertices)
+        points = pose.points(
+            self.rig.mesh.nodes[: self.rig.mesh.surface_nodes] if surface is None else surface.vertices
+        )
         board = np.abs(self.rig.array.positions[:, :2]).max(axis=0) + 5e-3
         over = np.all(np.abs(points[:, :2]) <= board, axis=1)
         low = points[over, 2].min() if over.any() else np.inf

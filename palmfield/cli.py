@@ -13,7 +13,8 @@ app = typer.Typer(
     add_completion=False,
     no_args_is_help=True,
     rich_markup_mode=None,
-    help="Ultrasonic mid-air haptics: from an array's drive to radiation pressure on a hand, to skin waves and what is felt.\n\n"
+    help="Ultrasonic mid-air haptics: from an array's drive to radiation pressure on a hand, skin waves and what is "
+    "felt.\n\n"
     "Start with `palmfield new first` and `palmfield run first.xml`.",
 )
 SceneFile = Annotated[Path, typer.Argument(help="MJCF scene with palmfield plugins", metavar="SCENE.xml")]

@@ -110,7 +110,9 @@ class SkinConfig(Config):
     hand: str = Field("open_men_p50", description="shape hand: a preset in hand_models/ or the path of a .toml file")
     mesh: str | None = Field(None, description="shape mesh: .obj, .ply or .stl file, relative to the scene")
     mesh_unit: Literal["m", "cm", "mm", "in"] | None = Field(None, description="shape mesh: unit of the file")
-    radius_m: Positive | None = Field(None, description="shape disc: radius; the loaded face is z = 0, looking along +z")
+    radius_m: Positive | None = Field(
+        None, description="shape disc: radius; the loaded face is z = 0, looking along +z"
+    )
     thickness_m: Positive | None = Field(None, description="shape disc: thickness")
     patch_site: str | None = Field(
         None, description="site on the body at the middle of the skin layer (shapes hand and mesh)"
@@ -126,9 +128,10 @@ class SkinConfig(Config):
     relaxation_time_s: Positive | None = Field(None, description="overrides the preset: time of the Maxwell branch")
     bulk_Pa: Positive | None = Field(None, description="overrides the preset: bulk modulus")
     base: Base = Field("bonded", description="inner face of the layer")
-    foundation_Pa_m: Positive | None = Field(
+    foundation_normal_Pa_m: Positive | None = Field(
         None, description="stiffness per area of what lies below the layer, in place of a bonded base"
     )
+    foundation_tangential_Pa_m: Positive | None = Field(None, description="the same along the base")
     side: Side = Field("fixed", description="cut faces of the layer; a disc takes roller too")
     arp_law: ArpLaw = Field("default", description="radiation-pressure law (see `palmfield info`)")
     accuracy: Annotated[float, Field(ge=0.002, le=0.5)] = Field(
@@ -148,9 +151,18 @@ class SkinConfig(Config):
             raise ValueError("shape 'mesh' needs mesh and mesh_unit")
         if self.shape != "disc" and self.patch_site is None:
             raise ValueError(f"shape '{self.shape}' needs patch_site")
+        if (self.foundation_normal_Pa_m is None) != (self.foundation_tangential_Pa_m is None):
+            raise ValueError("foundation_normal_Pa_m and foundation_tangential_Pa_m belong together; give both")
         if self.side == "roller" and self.shape != "disc":
             raise ValueError("side 'roller' needs the symmetry of shape 'disc'; use fixed or free")
         return self
+
+    @property
+    def foundation(self) -> tuple[float, float] | None:
+        """Normal and tangential stiffness per area of what lies below the layer [Pa/m], or None."""
+        if self.foundation_normal_Pa_m is None or self.foundation_tangential_Pa_m is None:
+            return None
+        return self.foundation_normal_Pa_m, self.foundation_tangential_Pa_m
 
 
 class DriverConfig(Config):
@@ -205,10 +217,10 @@ def allowed(model: type[Config], key: str) -> str:
 
 
 def unit(key: str) -> str:
-    """Unit that a key's name carries, e.g. `Pa/m` for `foundation_Pa_m`; empty for a pure number or text."""
+    """Unit that a key's name carries, e.g. `Pa/m` for `foundation_normal_Pa_m`; empty for a pure number or text."""
     units = {
-        "_kg_m3": "kg/m^3", "foundation_Pa_m": "Pa/m", "_Pa_m": "Pa m", "_Pa": "Pa", "_m": "m", "_s": "s",
-        "_Hz": "Hz", "_C": "C", "_percent": "%",
+        "_kg_m3": "kg/m^3", "normal_Pa_m": "Pa/m", "tangential_Pa_m": "Pa/m", "_Pa_m": "Pa m", "_Pa": "Pa", "_m": "m",
+        "_s": "s", "_Hz": "Hz", "_C": "C", "_percent": "%",
     }  # fmt: skip
     return next((text for ending, text in units.items() if key.endswith(ending)), "")
 

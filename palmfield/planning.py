@@ -10,6 +10,7 @@ from rich.table import Table
 
 from palmfield.acoustics.air import absorption_Np_m, density, sound_speed
 from palmfield.acoustics.arp import LAWS
+from palmfield.acoustics.reference import pressure64
 from palmfield.rig import Rig
 from palmfield.scene import Scene
 from palmfield.skin.material import complex_shear, shear_wave
@@ -99,7 +100,7 @@ def _modelled(rig: Rig, dofs: int, substeps: int) -> tuple[Row, ...]:
             "skin layer",
             f"radius {1e3 * radius:.0f} mm, {1e3 * depth.min():.1f}-{1e3 * depth.max():.1f} mm deep",
             "the part of the surface where waves matter at this accuracy; sides "
-            f"{rig.skin.side}, base {'on a foundation' if rig.skin.foundation_Pa_m else rig.skin.base}",
+            f"{rig.skin.side}, base {'on a foundation' if rig.skin.foundation else rig.skin.base}",
         ),
         Row(
             "elements",
@@ -125,11 +126,19 @@ def _left_out(rig: Rig) -> tuple[Row, ...]:
     spread = (far.max() - far.min()) / c
     cutoff = shear_wave(rig.material, max(frequency, 50.0))[0] / (4 * float(rig.patch.depth.mean()))
     drive, _ = rig.unit_drive(rig.reference_focus)
-    pressure = rig.array.p0_Pa_m * np.abs(drive).sum() / far.mean()
+    pressure = abs(pressure64(rig.reference_focus[None], rig.array, drive, rig.air)[0][0])
     shock = density(rig.air) * c**3 / (1.2 * 2 * math.pi * rig.array.frequency_Hz * pressure)
     rows = [
-        Row("scattered sound", "not estimated", "the law takes the wall as locally flat and rigid; no echo between hand and array"),
-        Row("cast shadows", "not estimated", "faces turned away from the sound are unlit; one part does not shade another"),
+        Row(
+            "scattered sound",
+            "not estimated",
+            "the law takes the wall as locally flat and rigid; no echo between hand and array",
+        ),
+        Row(
+            "cast shadows",
+            "not estimated",
+            "faces turned away from the sound are unlit; one part does not shade another",
+        ),
         Row(
             "transducers' ring-up",
             f"<= {100 * loss:.1f} % of the sound pressure's swing at {frequency:.0f} Hz",
@@ -143,8 +152,8 @@ def _left_out(rig: Rig) -> tuple[Row, ...]:
         ),
         Row(
             "nonlinear sound",
-            f"focal distance / shock distance <= {rig.reference_focus[2] / shock:.2f}",
-            "beyond 0.3 devices saturate and this linear field is too strong",
+            f"focal distance / shock distance {far.mean() / shock:.2f}",
+            f"a plane wave of the focus's {pressure:.0f} Pa; beyond 0.3 expect less than this linear field gives",
         ),
         Row("large strain", "not estimated", "linear elasticity; micrometres on a layer of millimetres"),
         Row(
@@ -173,7 +182,9 @@ def _errors(rig: Rig) -> tuple[Row, ...]:
         rows.append(Row("p0", f"x {low:.2f} to x {high:.2f}", "displacement goes with p0 squared; the given range"))
     elif rig.stimulus.arp_peak_Pa is None:
         low, high = (1.27 / p0.p0_Pa_m) ** 2, (8.02 / p0.p0_Pa_m) ** 2
-        rows.append(Row("p0", f"x {low:.2f} to x {high:.1f}", "uncalibrated: published values run from 1.27 to 8.02 Pa m"))
+        rows.append(
+            Row("p0", f"x {low:.2f} to x {high:.1f}", "uncalibrated: published values run from 1.27 to 8.02 Pa m")
+        )
     else:
         rows.append(Row("p0", "none", "arp_peak_Pa sets the level"))
     return tuple(rows)
@@ -184,21 +195,33 @@ def describe(scene: Scene) -> str:
     rig = scene.skin.rig
     c = sound_speed(rig.air)
     modulus = complex_shear(rig.material, 200.0)
+    drive = rig.unit_drive(rig.reference_focus)[1]
+    array, material = rig.array, rig.material
     rows = [
         ("scene", f"{scene.path}, {scene.duration_s:g} s in steps of {1e3 * rig.timestep_s:g} ms"),
-        ("array", f"{rig.array.name}: {len(rig.array)} transducers, {rig.array.frequency_Hz / 1e3:g} kHz, p0 {rig.array.p0_Pa_m:g} Pa m"),
+        (
+            "array",
+            f"{array.name}: {len(array)} transducers, {array.frequency_Hz / 1e3:g} kHz, p0 {array.p0_Pa_m:g} Pa m",
+        ),
         (
             "air",
             f"{rig.air.temperature_C:g} C, {rig.air.humidity_percent:g} %, {rig.air.pressure_Pa:g} Pa: c {c:.1f} m/s, "
             f"rho {density(rig.air):.3f} kg/m3, absorption {absorption_Np_m(rig.air, rig.array.frequency_Hz):.3f} Np/m",
         ),
         ("stimulus", ", ".join(f"{k} {v}" for k, v in rig.stimulus.model_dump(exclude_none=True).items())),
-        ("drive", f"{rig.device.name}; amplitude {rig.unit_drive(rig.reference_focus)[1]:.4f} of full at the first focus"),
+        ("drive", f"{rig.device.name}; amplitude {drive:.4f} of full at the first focus"),
         ("surface", f"{rig.skin.shape} on body '{rig.skin.body}'"),
-        ("material", f"{rig.material.name}: rho {rig.material.density_kg_m3:g} kg/m3, G*(200 Hz) {modulus.real:.0f}{modulus.imag:+.0f}i Pa"),
-        ("material source", rig.material.source),
+        (
+            "material",
+            f"{material.name}: rho {material.density_kg_m3:g} kg/m3, "
+            f"G*(200 Hz) {modulus.real:.0f}{modulus.imag:+.0f}i Pa",
+        ),
+        ("material source", material.source),
         ("ARP law", LAWS[rig.skin.arp_law]),
-        ("conventions", "e^{-i w t}, pressure as complex peak; ARP positive into the surface; displacement positive outward"),
+        (
+            "conventions",
+            "e^{-i w t}, pressure as complex peak; ARP positive into the surface; displacement positive outward",
+        ),
     ]  # fmt: skip
     stream = io.StringIO()
     grid = Table(show_header=False)

@@ -23,7 +23,9 @@ BOARDS = ("sonicsurface",)
 REFRESH_S = 0.1
 
 
-def play_focus(point: tuple[float, float, float], board: str, port: str | None, record: Path | None, time_s: float) -> str:
+def play_focus(
+    point: tuple[float, float, float], board: str, port: str | None, record: Path | None, time_s: float
+) -> str:
     """Hold one focus (array frame [m]) for `time_s`; returns what happened, in a sentence.
 
     Raises SceneError for a focus behind the array, DeviceError for an unknown or lost board.

@@ -101,7 +101,10 @@ class Recorder:
         factor, sound = self._loudest
         vertices, _ = self._surface
         rows: dict[str, Float32] = {}
-        for prefix, points, normals in (("surface", vertices, self._surface_normals), ("skin", self.nodes, self.normals)):
+        for prefix, points, normals in (
+            ("surface", vertices, self._surface_normals),
+            ("skin", self.nodes, self.normals),
+        ):
             arp, pressure = np.zeros(len(points), np.float32), np.zeros(len(points), np.float32)
             if sound is not None:
                 arp, pressure = self.chain.arp_at(points, normals, sound.pose, sound.drive)
@@ -116,7 +119,8 @@ class Recorder:
     @cached_property
     def _surface_normals(self) -> Float:
         vertices, faces = self._surface
-        cross = np.cross(*(vertices[faces[:, i]] - vertices[faces[:, 0]] for i in (1, 2)))
+        a, b, c = (vertices[faces[:, i]] for i in range(3))
+        cross = np.cross(b - a, c - a)
         total = np.zeros_like(vertices)
         for i in range(3):
             np.add.at(total, faces[:, i], cross)

@@ -99,8 +99,10 @@ def format_report(summary: dict[str, Any]) -> str:
     """The short table that `palmfield run` prints."""
     error = summary.get("displacement_error_relative")
     band = "" if error is None else f" +- {100 * error:.1f} %"
+    level = summary["peak_pressure_dB_SPL"]
+    spl = "silence" if level is None else f"{level:.1f} dB SPL"
     rows = [
-        ("peak sound pressure", f"{summary['peak_pressure_Pa']:.0f} Pa ({summary['peak_pressure_dB_SPL'] or 0:.1f} dB SPL)"),
+        ("peak sound pressure", f"{summary['peak_pressure_Pa']:.0f} Pa ({spl})"),
         ("peak ARP", f"{summary['peak_arp_Pa']:.3g} Pa"),
         ("total force", f"{1e3 * summary['total_force_peak_N']:.3g} mN"),
         ("drive", f"{summary['drive_level']:.3f} of full"),
@@ -115,8 +117,8 @@ def format_report(summary: dict[str, Any]) -> str:
         rows.append(
             (
                 "error estimate",
-                f"mesh {100 * summary['mesh_error_relative']:.2f} %, time step {100 * summary['step_error_relative']:.2f} %; "
-                "material and p0 not included (see plan)",
+                f"mesh {100 * summary['mesh_error_relative']:.2f} %, "
+                f"time step {100 * summary['step_error_relative']:.2f} %; material and p0 not included (see plan)",
             )
         )
     if "peak_displacement_low_m" in summary:
@@ -125,8 +127,8 @@ def format_report(summary: dict[str, Any]) -> str:
     for number, name in enumerate(OBSERVERS, start=1):
         key = f"level_{name}_dB_SL"
         if key in summary:
-            level = "outside the table of" if summary[key] is None else f"{summary[key]:.1f} dB SL,"
-            rows.append((f"level at {summary['main_frequency_Hz']:g} Hz", f"{level} observer {number} ({name})"))
+            felt = "outside the table of" if summary[key] is None else f"{summary[key]:.1f} dB SL,"
+            rows.append((f"level at {summary['main_frequency_Hz']:g} Hz", f"{felt} observer {number} ({name})"))
     rows.append(("wall time, peak memory", f"{summary['wall_time_s']:.1f} s, {summary['peak_memory_MiB']:.0f} MiB"))
     grid = Table(show_header=False)
     for name, text in rows:

@@ -163,7 +163,9 @@ class Rig:
             step = min(step, 1 / self.stimulus.control_rate_Hz)
         count = math.ceil(self.timestep_s / step - 1e-9)
         if s.step_s is not None and abs(count * s.step_s - self.timestep_s) > 1e-9:
-            raise SceneError(f"plugin 'palmfield.skin': step_s {s.step_s:g} must divide the timestep {self.timestep_s:g}")
+            raise SceneError(
+                f"plugin 'palmfield.skin': step_s {s.step_s:g} must divide the timestep {self.timestep_s:g}"
+            )
         return fine, coarse, min(fine_radius, radius), shares, self.timestep_s / count, radius
 
     @once
@@ -188,7 +190,7 @@ class Rig:
         """Mass and stiffness."""
         return assemble(
             self.mesh, self.material, base=self.skin.base, side=self.skin.side,
-            foundation_Pa_m=self.skin.foundation_Pa_m,
+            foundation_Pa_m=self.skin.foundation,
         )  # fmt: skip
 
     @once
@@ -221,7 +223,7 @@ def material_of(skin: SkinConfig) -> Material:
 
 
 def check_device(rig: Rig) -> None:
-    """Refuse a stimulus that the scene's device cannot play (DeviceError) and a device on another array (SceneError)."""
+    """Refuse a stimulus that the device cannot play (DeviceError) and a device on another array (SceneError)."""
     stimulus, device = rig.stimulus, rig.device
     if device.name == "ideal":
         return

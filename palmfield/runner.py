@@ -47,7 +47,8 @@ CONVENTIONS = {
 class Result:
     """What a run left behind.
 
-    out: folder; files: paths written, by name; summary: the numbers of summary.json; complete: whether it ran to the end
+    out: folder; files: paths written, by name; summary: the numbers of summary.json
+    complete: whether it ran to its end
     """
 
     out: Path

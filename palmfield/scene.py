@@ -33,8 +33,8 @@ def load(
 ) -> Scene:
     """Read and check a scene.
 
-    path: MJCF file; device: overrides where field kernels run (auto, cpu, cuda:N); accuracy: overrides the wanted relative
-    error of the skin displacement; board: overrides the device that plays the drive
+    path: MJCF file; device: overrides where field kernels run (auto, cpu, cuda:N)
+    accuracy: overrides the wanted relative error of the skin displacement; board: overrides the device of the drive
     Raises SceneError (or DeviceError) with a one-line message that names element, key, value and what is allowed.
     """
     path = Path(path)
@@ -48,7 +48,7 @@ def load(
     names = [plugin.plugin_name for plugin in spec.plugins]
     if SkinModule.name not in names:
         raise SceneError(f"{path} has no plugin '{SkinModule.name}'; it is a plain MuJoCo scene (see `palmfield new`)")
-    overrides = {
+    overrides: dict[str, dict[str, object]] = {
         "palmfield.array": {"compute": device},
         "palmfield.skin": {"accuracy": accuracy},
         "palmfield.driver": {"device": board},

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -22,7 +23,7 @@ class Frame:
 
 
 def held_time(config: StimulusConfig, t: float) -> float:
-    """Time [s] whose frame is playing at time t: the last control tick or path point, or t itself where nothing is held.
+    """Time [s] whose frame is playing at time t: the last control tick or path point, or t itself.
 
     A tick counts as passed when it is less than a nanosecond ahead, so that t = k / rate lands on frame k.
     """
@@ -32,7 +33,7 @@ def held_time(config: StimulusConfig, t: float) -> float:
 
 
 def frame_rates(config: StimulusConfig) -> list[float]:
-    """Rates [1/s] at which frames are held: points of a stepped path, and control ticks; empty for a smooth stimulus."""
+    """Rates [1/s] at which frames are held: points of a stepped path, and control ticks; none if smooth."""
     rates = []
     if config.path == "circle" and config.path_points > 0 and config.path_rate_Hz:
         rates.append(config.path_points * config.path_rate_Hz)
@@ -86,7 +87,7 @@ def held_frames(config: StimulusConfig, start: float, end: float) -> list[tuple[
             if start < k / rate < end
         }
     )
-    return [(a, (b - a) / (end - start)) for a, b in zip(ticks, ticks[1:], strict=False) if b - a > 1e-12]
+    return [(a, (b - a) / (end - start)) for a, b in pairwise(ticks) if b - a > 1e-12]
 
 
 def main_frequencies(config: StimulusConfig) -> list[float]:

@@ -37,7 +37,15 @@ def test_everything_is_written(finished):
 
 def test_result_is_labelled_and_consistent(finished):
     _, ds = finished
-    for name in ("time", "skin_position", "normal_displacement", "normal_velocity", "arp", "drive_amplitude", "drive_phase"):
+    for name in (
+        "time",
+        "skin_position",
+        "normal_displacement",
+        "normal_velocity",
+        "arp",
+        "drive_amplitude",
+        "drive_phase",
+    ):
         assert ds[name].attrs["units"] and ds[name].attrs["long_name"]
     assert ds.sizes["time"] == 30 and ds.sizes["step_time"] == 15
     # Velocity is the displacement's slope.
@@ -59,8 +67,9 @@ def test_result_is_labelled_and_consistent(finished):
 def test_summary_holds_the_tables_numbers(finished):
     result, ds = finished
     stored = json.loads((result.out / "summary.json").read_text())
-    for key in ("peak_pressure_Pa", "peak_arp_Pa", "total_force_peak_N", "peak_displacement_m", "rms_displacement_m",
-                "displacement_error_relative", "level_morioka_griffin_2006_dB_SL", "level_afferent_human_dB_SL"):  # fmt: skip
+    levels = ("level_morioka_griffin_2006_dB_SL", "level_afferent_human_dB_SL")
+    peaks = ("peak_pressure_Pa", "peak_arp_Pa", "total_force_peak_N", "peak_displacement_m", "rms_displacement_m")
+    for key in (*peaks, "displacement_error_relative", *levels):
         assert np.isfinite(stored[key]), key
     assert stored["peak_displacement_m"] == pytest.approx(float(np.abs(ds["normal_displacement"]).max()))
     assert 0 < stored["displacement_error_relative"] < 1
@@ -91,14 +100,25 @@ def test_halving_p0_quarters_the_displacement(small_scene, tmp_path):
 START = "import palmfield, sys; palmfield.run(palmfield.load(sys.argv[1]), sys.argv[2], duration_s=30, progress=False)"
 
 
-def begin(path, out, **options):
-    command = [sys.executable, "-c", START, str(path), str(out)]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, **options)
-    deadline = time.monotonic() + 60
-    while not list(out.glob(".partial/chunk_*.nc")):
-        assert process.poll() is None and time.monotonic() < deadline, process.stderr.read()
-        time.sleep(0.05)
-    return process
+@pytest.fixture
+def begin():
+    """Starts a run of 30 s in a process of its own and returns when its first chunk is on the disk."""
+    started: list[subprocess.Popen] = []
+
+    def start(path, out, **options):
+        command = [sys.executable, "-c", START, str(path), str(out)]
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, **options)
+        started.append(process)
+        deadline = time.monotonic() + 60
+        while not list(out.glob(".partial/chunk_*.nc")):
+            assert process.poll() is None and time.monotonic() < deadline, process.stderr.read()
+            time.sleep(0.05)
+        return process
+
+    yield start
+    for process in started:
+        process.kill()
+        process.wait()
 
 
 def read(out):
@@ -106,7 +126,7 @@ def read(out):
         return ds.load()
 
 
-def test_interrupt_keeps_what_was_computed(small_scene, tmp_path):
+def test_interrupt_keeps_what_was_computed(begin, small_scene, tmp_path):
     out = tmp_path / "out"
     process = begin(small_scene(), out)
     process.send_signal(signal.SIGINT)
@@ -118,7 +138,7 @@ def test_interrupt_keeps_what_was_computed(small_scene, tmp_path):
     assert json.loads((out / "summary.json").read_text())["complete"] is False
 
 
-def test_kill_then_recover(small_scene, tmp_path):
+def test_kill_then_recover(begin, small_scene, tmp_path):
     out = tmp_path / "out"
     path = small_scene()
     process = begin(path, out)
@@ -133,7 +153,7 @@ def test_kill_then_recover(small_scene, tmp_path):
     assert np.abs(ds["normal_displacement"].values).max() > 0
 
 
-def test_full_disk_keeps_what_was_written(small_scene, tmp_path):
+def test_full_disk_keeps_what_was_written(begin, small_scene, tmp_path):
     """A limit on file sizes, set from outside once a chunk is there, makes writes fail as a full disk does."""
     out = tmp_path / "out"
     process = begin(small_scene(), out, preexec_fn=lambda: signal.signal(signal.SIGXFSZ, signal.SIG_IGN))

@@ -28,7 +28,8 @@ def test_plain_scene_opens_without_palmfield(path):
     code = (
         "import sys; sys.modules['palmfield'] = None\n"  # any import of palmfield fails
         "import warnings; warnings.simplefilter('ignore')\nimport mujoco\n"
-        f"m = mujoco.MjModel.from_xml_path({str(path)!r}); d = mujoco.MjData(m); mujoco.mj_step(m, d)\nprint(m.nplugin)\n"
+        f"m = mujoco.MjModel.from_xml_path({str(path)!r})\n"
+        "d = mujoco.MjData(m); mujoco.mj_step(m, d)\nprint(m.nplugin)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
     assert done.stdout.strip() == "0"
@@ -40,8 +41,10 @@ def test_sonicsurface_circle_is_within_the_boards_reach():
 
 
 BAD = {
-    "nan": ({"array": {"p0_Pa_m": "nan"}}, "plugin 'palmfield.array' instance 'array': key 'p0_Pa_m' has value 'nan'; allowed"),
-    "unit": ({"stimulus": {"focus_m": "0 0 120mm"}}, "key 'focus_m' has value '0 0 120mm'; allowed: three finite numbers"),
+    "nan": (
+        {"array": {"p0_Pa_m": "nan"}}, "plugin 'palmfield.array' instance 'array': key 'p0_Pa_m' has value 'nan';",
+    ),
+    "unit": ({"stimulus": {"focus_m": "0 0 120mm"}}, "key 'focus_m' has value '0 0 120mm'; allowed: three finite"),
     "choice": ({"skin": {"base": "glued"}}, "key 'base' has value 'glued'; allowed: bonded | free_slip"),
     "behind": ({"stimulus": {"focus_m": "0 0 -0.1"}}, "behind the array"),
     "too loud": ({"stimulus": {"arp_peak_Pa": 1e6}}, "arp_peak_Pa 1e+06 is more than the array gives"),

@@ -8,7 +8,7 @@ import _thread
 import ctypes
 import threading
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, ClassVar
 
@@ -76,7 +76,7 @@ def raise_errors(data: mujoco.MjData) -> None:
 
 @contextmanager
 def compiling() -> Iterator[None]:
-    """Modules neither compute nor advance inside: MuJoCo steps a model once to test it, which would factorise a skin."""
+    """Modules neither compute nor advance inside: MuJoCo tests a model by a step, which would factorise a skin."""
     _compiling.active = True
     try:
         yield
@@ -202,7 +202,7 @@ def register(module: type[Module]) -> None:
     plugin.nattribute, plugin.attributes = len(keys), attributes
     plugin.capabilityflags = flags
     plugin.needstage = int(mujoco.mjtStage.mjSTAGE_ACC)
-    prototypes = {
+    prototypes: dict[str, tuple[Callable[..., Any], Any]] = {
         "nstate": (nstate, ctypes.CFUNCTYPE(integer, void, integer)),
         "nsensordata": (nsensordata, ctypes.CFUNCTYPE(integer, void, integer, integer)),
         "init": (init, ctypes.CFUNCTYPE(integer, void, void, integer)),

@@ -125,7 +125,9 @@ class SkinModule(Module):
     def _probe(self, kind: str, target: int) -> Any:
         model = self.world.model
         if kind != "site" or model.site_body(target) != self.body:
-            raise SceneError(f"{_element(self)}: its sensor needs objtype='site' and a site of body '{self.rig.skin.body}'")
+            raise SceneError(
+                f"{_element(self)}: its sensor needs objtype='site' and a site of body '{self.rig.skin.body}'"
+            )
         return self.chain.probe(model.site_position(target))
 
     def advance(self) -> None:
@@ -145,9 +147,11 @@ def _element(module: Module) -> str:
 def _single(module: type[Module], model: ModelView) -> Any:
     found = [i for i, plugin, _ in model.instances() if plugin == module.name]
     if not found and module is DriverModule:
-        return DriverConfig()
+        return DriverConfig.model_validate({})
     if len(found) != 1:
-        raise SceneError(f"plugin 'palmfield.skin': the scene has {len(found)} of '{module.name}'; exactly one is needed")
+        raise SceneError(
+            f"plugin 'palmfield.skin': the scene has {len(found)} of '{module.name}'; exactly one is needed"
+        )
     return settings_of(module, model, found[0])
 
 

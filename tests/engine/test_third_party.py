@@ -4,7 +4,7 @@ import os
 import subprocess
 import sys
 
-PACKAGE = '''
+PACKAGE = """
 from typing import ClassVar
 import mujoco
 from pydantic import Field
@@ -41,7 +41,7 @@ class Meter(Module):
 
 def register_all():
     register(Meter)
-'''
+"""
 
 
 def test_a_module_from_another_package(small_scene, tmp_path):
@@ -52,11 +52,13 @@ def test_a_module_from_another_package(small_scene, tmp_path):
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: thirdparty\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text("[mujoco.plugins]\nthirdparty = thirdparty:register_all\n")
     path = small_scene(stimulus={"modulation": "none", "am_of": None, "am_frequency_Hz": None, "am_depth": None})
-    text = path.read_text().replace(
+    sensor = '<plugin name="meter" plugin="thirdparty.meter" instance="meter" objtype="body" objname="pad"/></sensor>'
+    text = path.read_text().replace("</sensor>", sensor)
+    text = text.replace(
         "</extension>",
         '<plugin plugin="thirdparty.meter"><instance name="meter"><config key="threshold_N" value="THRESHOLD"/>'
         '</instance></plugin></extension>',
-    ).replace("</sensor>", '<plugin name="meter" plugin="thirdparty.meter" instance="meter" objtype="body" objname="pad"/></sensor>')  # fmt: skip
+    )  # fmt: skip
     path.write_text(text.replace("THRESHOLD", "1e-6"))
     bad = path.with_name("bad.xml")
     bad.write_text(text.replace("THRESHOLD", "-1"))

@@ -1,0 +1,89 @@
+"""The command line as a user types it."""
+
+import subprocess
+import sys
+
+import mujoco
+import pytest
+
+from palmfield.cli import main
+
+COMMANDS = ("run", "plan", "info", "drive", "keys", "new", "recover")
+
+
+def call(monkeypatch, capsys, *arguments):
+    monkeypatch.setattr(sys, "argv", ["palmfield", *map(str, arguments)])
+    with pytest.raises(SystemExit) as stop:
+        main()
+    return stop.value.code, capsys.readouterr()
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_teaches_by_example(command, monkeypatch, capsys):
+    code, out = call(monkeypatch, capsys, command, "--help")
+    assert code == 0 and f"palmfield {command}" in out.out and "Example" in out.out
+
+
+def test_help_is_quick_to_import():
+    code = "import sys; sys.argv = ['palmfield', '--help']\nfrom palmfield import cli\nprint('warp' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "False\n"
+
+
+def test_new_scene_runs(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert call(monkeypatch, capsys, "new", "first")[0] == 0
+    assert mujoco.MjModel.from_xml_path("first_plain.xml").nplugin == 0
+    code, out = call(monkeypatch, capsys, "run", "first.xml", "--duration", "0.011", "--out", "o", "--device", "cpu")
+    assert code == 0
+    assert "peak ARP" in out.out and "observer 1" in out.out and "observer 2" in out.out and "o/scene.usdc" in out.out
+    code, out = call(monkeypatch, capsys, "new", "first")
+    assert code == 2 and "exists already" in out.err
+
+
+def test_new_refuses_a_path(monkeypatch, capsys):
+    code, out = call(monkeypatch, capsys, "new", "../x")
+    assert code == 2 and "'../x'" in out.err
+
+
+def test_drive_records_what_run_simulates(tmp_path, monkeypatch, capsys):
+    from palmfield.acoustics.arrays import layout
+    from palmfield.acoustics.focus import focus
+    from palmfield.drive.sonicsurface import FRAME_BYTES, OFF_FRAME, decode
+    from palmfield.types import Air
+
+    file = tmp_path / "focus.bin"
+    code, out = call(monkeypatch, capsys, "drive", "--focus", 0.02, -0.01, 0.15, "--record", file, "--duration", 0.5)
+    assert code == 0, out.err
+    data = file.read_bytes()
+    assert len(data) % FRAME_BYTES == 0 and data.endswith(OFF_FRAME * 2)
+    import numpy as np
+
+    emitted = decode(data)[0]
+    wanted = focus(layout("sonicsurface"), Air(), np.array([0.02, -0.01, 0.15]))
+    assert np.abs(np.angle(emitted / wanted)).max() <= np.pi / 32 + 1e-9
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("drive",),
+        ("drive", "--focus", 0, 0, 0.2),
+        ("drive", "--focus", 0, 0, -0.2, "--record", "x"),
+        ("drive", "--focus", 0, 0, 0.2, "--record", "x", "--board", "toaster"),
+        ("drive", "--focus", 0, 0, 0.2, "--port", "/dev/none"),
+        ("drive", "--focus", 0, 0, 0.2, "--record", "x", "--duration", -1),
+        ("run", "none.xml"),
+        ("recover", "none"),
+        ("keys", "nose"),
+    ],
+)
+def test_bad_arguments_end_in_one_line_and_exit_code_2(arguments, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    code, out = call(monkeypatch, capsys, *arguments)
+    assert code == 2
+    assert out.err.startswith("palmfield: ") and len(out.err.strip().splitlines()) == 1
+
+
+def test_info_names_array_material_and_law(small_scene, monkeypatch, capsys):
+    code, out = call(monkeypatch, capsys, "info", small_scene())
+    assert code == 0 and "uhev1" in out.out and "ecoflex" in out.out and "ARP law" in out.out
