@@ -14,7 +14,7 @@ from palmfield.acoustics.arrays import layout
 from palmfield.acoustics.field import FieldEvaluator
 from palmfield.acoustics.focus import focus
 from palmfield.acoustics.reference import pressure64
-from palmfield.config import ArrayConfig, DriverConfig, SkinConfig, StimulusConfig
+from palmfield.config import ArrayConfig, DriverConfig, Side, SkinConfig, StimulusConfig
 from palmfield.device import resolve
 from palmfield.drive.device import DEVICES, check, play
 from palmfield.errors import DeviceError, SceneError
@@ -111,12 +111,19 @@ class Rig:
         below = np.flatnonzero(square < 0.5 * square[0])
         return 2 * float(offset[below[0]]) if len(below) else 2 * float(offset[-1])
 
-    def coarser(self, factor: float) -> "Rig":
-        """The same scene on elements larger by `factor`, to see what the resolution does."""
+    def coarser(self, factor: float, *, side: Side | None = None) -> "Rig":
+        """The same scene on elements larger by `factor`, perhaps with other cut faces, to see what that does."""
+        skin = self.skin if side is None else self.skin.model_copy(update={"side": side})
         return Rig(
-            self.array_config, self.stimulus, self.skin, self.driver, self.timestep_s,
-            tuple(self.reference_focus), tuple(self.patch_centre), coarsening=factor,
-        )  # fmt: skip
+            self.array_config,
+            self.stimulus,
+            skin,
+            self.driver,
+            self.timestep_s,
+            tuple(self.reference_focus),
+            tuple(self.patch_centre),
+            coarsening=factor,
+        )
 
     # -- surface and skin ----------------------------------------------------------------------------------------
 

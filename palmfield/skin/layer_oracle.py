@@ -76,7 +76,7 @@ def _wave_compliance(k: Float, f_Hz: float, material: Material, h: float, base: 
         """u_x/i, u_z, their z-derivatives and the divergence of P and of (S - P)/(beta - alpha) at depth z."""
         e = np.exp(-alpha * z)
         delta = -ks2 * (1.0 - ratio) / (alpha + beta)
-        d = np.full_like(alpha, -z) * e if omega == 0.0 else e * np.expm1(-delta * z) / delta
+        d = e * np.divide(np.expm1(-delta * z), delta, out=np.full_like(alpha, -z), where=delta != 0.0)
         s = (alpha + beta) / (1.0 - ratio)
         p_wave = {"x": k * e, "z": -alpha * e, "dx": -k * alpha * e, "dz": alpha**2 * e, "div": -kp2 * e}
         beta_k = s / (beta + k)
