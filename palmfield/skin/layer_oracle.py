@@ -29,7 +29,8 @@ def layer_compliance(
 
     k: lateral wavenumber, >= 0 [rad/m], any shape; f_Hz: frequency, 0 for static [Hz]; thickness_m: layer depth [m]
     base: "bonded" (no motion), "free_slip" (no normal motion, no shear traction) or "free" (no traction)
-    Returns complex128 of k's shape, under e^{-i w t}.
+    Returns complex128 of k's shape, under e^{-i w t}. k = 0 is a column that cannot widen. A static free-slip layer under
+    long waves can: its limit for k -> 0 is another, h (1 - nu^2) / E.
     Raises SceneError for an unknown base, a thickness <= 0, a negative frequency, or a free layer under static uniform
     pressure, which nothing holds.
     """
@@ -76,7 +77,7 @@ def _wave_compliance(k: Float, f_Hz: float, material: Material, h: float, base: 
         """u_x/i, u_z, their z-derivatives and the divergence of P and of (S - P)/(beta - alpha) at depth z."""
         e = np.exp(-alpha * z)
         delta = -ks2 * (1.0 - ratio) / (alpha + beta)
-        d = e * np.divide(np.expm1(-delta * z), delta, out=np.full_like(alpha, -z), where=delta != 0.0)
+        d = e * np.divide(np.expm1(-delta * z), delta, out=np.full_like(alpha, -z), where=np.abs(delta) > 1e-200)
         s = (alpha + beta) / (1.0 - ratio)
         p_wave = {"x": k * e, "z": -alpha * e, "dx": -k * alpha * e, "dz": alpha**2 * e, "div": -kp2 * e}
         beta_k = s / (beta + k)
