@@ -32,7 +32,7 @@ def disc_patch(radius_m: float, thickness_m: float, fine_m: float, coarse_m: flo
     radii = [0.0]
     while radii[-1] < radius_m:
         radii.append(radii[-1] + math.sqrt(0.75) * edge(radii[-1]))
-    radii = [r * radius_m / radii[-1] for r in radii]
+    radii = [min(r * radius_m / radii[-1], radius_m) for r in radii]
     rings = [np.zeros((1, 2))]
     for number, r in enumerate(radii[1:]):
         count = max(6, round(2.0 * math.pi * r / edge(r)))

@@ -51,7 +51,13 @@ def extrude(patch: Patch, fractions: Float) -> WedgeMesh:
     Raises SceneError for other fractions, and for an inverted or flat element, with its place [m].
     """
     shares = np.asarray(fractions, dtype=float)
-    if shares.ndim != 1 or len(shares) < 2 or shares[0] != 0.0 or shares[-1] != 1.0 or np.any(np.diff(shares) <= 0.0):
+    if (
+        shares.ndim != 1
+        or len(shares) < 2
+        or shares[0] != 0.0
+        or shares[-1] != 1.0
+        or not np.all(np.diff(shares) > 0.0)
+    ):
         raise SceneError(f"depth fractions are {np.round(shares, 4).tolist()}; they must rise from 0 to 1")
     layers = len(shares) - 1
     levels = 2 * layers + 1
@@ -105,13 +111,19 @@ def _rim_normals(vertices: Float, directed: Int, axis: Float, surface_nodes: int
 
 
 def _check_volumes(nodes: Float, elements: Int) -> None:
-    """Every element must have det J > 0 at its quadrature points and corners, on the scale of its edges."""
+    """Every element must have det J > 0 at its quadrature points and corners, on the scale of its edges.
+
+    Where inward directions meet in a point, a column that passes it comes out turned by half a turn with det J > 0 again:
+    so no edge of the base side may run against its fellow on the surface side either.
+    """
     corner_points = [[x, y, z] for z in (-1.0, 1.0) for x, y in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))]
     slopes = corner_slopes(np.concatenate([prism_rule()[0], corner_points]))
     corners = nodes[elements[:, [0, 1, 2, 12, 13, 14]]]
     jacobian = np.einsum("mai,qaj->mqij", corners, slopes)
     scale = np.prod(np.linalg.norm(jacobian, axis=2), axis=2)
     shape = np.divide(np.linalg.det(jacobian), scale, out=np.zeros_like(scale), where=scale > 0.0).min(axis=1)
+    down, up = (np.roll(c, -1, axis=1) - c for c in (corners[:, :3], corners[:, 3:]))
+    shape[np.einsum("mad,mad->ma", down, up).min(axis=1) <= 0.0] = -1.0
     worst = int(np.argmin(shape))
     if not shape[worst] > 1e-9:
         place = ", ".join(f"{x:.4g}" for x in corners[worst].mean(axis=0))

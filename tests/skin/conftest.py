@@ -1,0 +1,63 @@
+"""The reference disc (120 x 20 mm Ecoflex, spot of 10.3 mm) for the tests of this folder."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from palmfield.skin.assembly import SkinSystem, assemble
+from palmfield.skin.disc import disc_patch
+from palmfield.skin.load import SurfaceQuadrature
+from palmfield.skin.material import PRESETS, Material
+from palmfield.skin.surface import SurfaceProbe
+from palmfield.skin.wedges import WedgeMesh, extrude
+from palmfield.types import Float
+
+SPOT_M, DEPTH_M, RADIUS_M = 0.0103, 0.02, 0.06
+
+
+def depth_fractions(layers: int) -> Float:
+    edges = np.concatenate([[0.0], np.cumsum(1.6 ** np.arange(layers))])
+    return edges / edges[-1]
+
+
+@dataclass
+class Spot:
+    """A layer under a Gaussian spot at its centre: the force, and the operator that reads the centre's push."""
+
+    mesh: WedgeMesh
+    system: SkinSystem
+    force: Float
+    read: Float
+
+    def push(self, u):
+        return -(self.read @ u)[0]
+
+
+def disc_spot(
+    fine_m: float,
+    layers: int,
+    material: Material = PRESETS["ecoflex_00-10"],
+    radius_m: float = RADIUS_M,
+    depth_m: float = DEPTH_M,
+    growth: float = 2.5,
+    **conditions,
+) -> Spot:
+    fine_radius = min(0.012, 0.5 * radius_m)
+    mesh = extrude(disc_patch(radius_m, depth_m, fine_m, growth * fine_m, fine_radius), depth_fractions(layers))
+    system = assemble(mesh, material, **{"side": "roller", **conditions})
+    quadrature = SurfaceQuadrature(mesh, system)
+    distance2 = (quadrature.points[:, :2] ** 2).sum(axis=1)
+    force = quadrature.assemble(np.exp(-4 * np.log(2) * distance2 / SPOT_M**2))
+    return Spot(mesh, system, force, SurfaceProbe(mesh, np.zeros((1, 3)), system).operator)
+
+
+@pytest.fixture(scope="session")
+def make_spot():
+    return disc_spot
+
+
+@pytest.fixture(scope="session")
+def coarse_spot():
+    """About 1.5 k degrees of freedom: for what must hold on any mesh."""
+    return disc_spot(0.009, 1, radius_m=0.03)
