@@ -27,7 +27,7 @@ def numbers(scene: Scene, ds: xr.Dataset, loudest: Sound | None) -> dict[str, An
     ds: the run's result; loudest: the sound at the highest level, None for a silent run
     """
     rig = scene.skin.rig
-    out: dict[str, Any] = {"drive_level": 0.0 if loudest is None else loudest.level}
+    out: dict[str, Any] = {"drive_level": 0.0 if loudest is None else loudest.level, "dofs": rig.system.ndof}
     motion = ds["normal_displacement"].values
     vertex = int(np.abs(motion).max(axis=0).argmax())
     if loudest is not None:

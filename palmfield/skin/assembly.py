@@ -62,6 +62,8 @@ def assemble(
 
     base: "bonded" (no motion), "free_slip" (no motion along the base's normal) or "free" (no traction)
     side: "fixed" (no motion), "free" (no traction) or "roller" (no motion along the side's normal, square to the axis)
+        A free-slip base under roller sides leaves the disc free to spin about its axis: its static sideways motion is
+        then any rotation that round-off leaves, its normal motion is right.
     foundation_Pa_m: (normal, tangential) stiffness by area [Pa/m] of what lies below, in place of `base`. The
         tangential part is a shear spring and relaxes with the material; the normal part is elastic.
     Raises SceneError for other conditions, a roller side without an axis, or foundation stiffnesses not >= 0.

@@ -113,8 +113,8 @@ def _rim_normals(vertices: Float, directed: Int, axis: Float, surface_nodes: int
 def _check_volumes(nodes: Float, elements: Int) -> None:
     """Every element must have det J > 0 at its quadrature points and corners, on the scale of its edges.
 
-    Where inward directions meet in a point, a column that passes it comes out turned by half a turn with det J > 0 again:
-    so no edge of the base side may run against its fellow on the surface side either.
+    Where inward directions meet in a point, a column that passes it comes out turned by half a turn with det J > 0
+    again: so no edge of the base side may run against its fellow on the surface side either.
     """
     corner_points = [[x, y, z] for z in (-1.0, 1.0) for x, y in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))]
     slopes = corner_slopes(np.concatenate([prism_rule()[0], corner_points]))

@@ -121,7 +121,9 @@ def test_uniform_pressure_on_a_roller_disc_is_exactly_confined_compression():
         modulus = material.bulk_Pa + 4 / 3 * material.shear_relaxed_Pa
         expected = np.zeros_like(mesh.nodes)
         expected[:, 2] = -(mesh.nodes[:, 2] + 0.02) / modulus
-        np.testing.assert_allclose(u.reshape(-1, 3), expected, atol=1e-9 * 0.02 / modulus)
+        # A slippery base lets the disc spin about its axis; its push is defined all the same.
+        compared = slice(0, 3) if base == "bonded" else slice(2, 3)
+        np.testing.assert_allclose(u.reshape(-1, 3)[:, compared], expected[:, compared], atol=1e-9 * 0.02 / modulus)
 
 
 def test_foundation_replaces_the_missing_half_of_a_column():
@@ -168,7 +170,7 @@ def test_dissection_is_a_permutation_with_columns_together(coarse_spot):
 
 def test_bad_conditions():
     mesh = crooked_mesh()
-    with pytest.raises(SceneError, match="needs? a patch with an axis"):
+    with pytest.raises(SceneError, match="need a patch with an axis"):
         assemble(mesh, solid(), side="roller")
     with pytest.raises(SceneError, match="glued"):
         assemble(mesh, solid(), base="glued")
