@@ -13,12 +13,12 @@ from palmfield.chain import Chain, Sound
 from palmfield.percept import OBSERVERS, level_dB_SL, line_amplitude
 from palmfield.rig import Rig
 from palmfield.scene import Scene
-from palmfield.skin.estimate import mesh_error
+from palmfield.skin.estimate import ORDER, mesh_error
 from palmfield.skin.solver import harmonic, harmonic_discrete, static
 from palmfield.stimulus import main_frequencies
 from palmfield.types import Float
 
-COARSENING = 1.5
+RATIO = 1.5
 
 
 def numbers(scene: Scene, ds: xr.Dataset, loudest: Sound | None) -> dict[str, Any]:
@@ -44,22 +44,26 @@ def numbers(scene: Scene, ds: xr.Dataset, loudest: Sound | None) -> dict[str, An
 def error_estimate(rig: Rig, sound: Sound, point: Float) -> dict[str, float]:
     """Relative error of the displacement at a skin point (body frame [m]), by source.
 
-    mesh: static and harmonic response (at the stimulus's main frequency) on the scene's mesh against one 1.5 x coarser,
-        by Richardson's rule; the larger of the two
+    mesh: static and harmonic response (at the stimulus's main frequency) on the scene's mesh and on one 1.5 x finer, or
+        1.5 x coarser where the scene's has three layers and more, by Richardson's rule; the larger of the two
     step: the discrete scheme's exact steady state against the continuous one, on the coarser mesh, where it costs less
     edge: half the difference that fixed or free cut faces make to the harmonic response, also there: a layer on a hand
         ends where the body goes on; 0 for a disc, whose side is its own
     The model's other errors (law, material, linearity) are not in these; the plan names them.
     """
     frequency = main_frequencies(rig.stimulus)[0] if main_frequencies(rig.stimulus) else rig.max_frequency_Hz
-    coarse = rig.coarser(COARSENING)
-    fine_static, fine_wave, _ = _answers(rig, sound, point, frequency)
-    coarse_static, coarse_wave, coarse_step = _answers(coarse, sound, point, frequency, rig.sizes[4])
-    mesh = mesh_error(np.array([coarse_static, coarse_wave]), np.array([fine_static, fine_wave]), COARSENING)
+    # A single layer is too coarse to extrapolate from.
+    finer = len(rig.sizes[3]) - 1 < 3
+    low, high = (rig, rig.resized(1 / RATIO)) if finer else (rig.resized(RATIO), rig)
+    coarse_static, coarse_wave, coarse_step = _answers(low, sound, point, frequency, rig.sizes[4])
+    fine_static, fine_wave, _ = _answers(high, sound, point, frequency)
+    mesh = mesh_error(np.array([coarse_static, coarse_wave]), np.array([fine_static, fine_wave]), RATIO)
+    if finer:
+        mesh *= RATIO**ORDER
     step = abs(coarse_step - coarse_wave) / abs(coarse_wave)
     edge = 0.0
     if rig.skin.shape != "disc":
-        other = rig.coarser(COARSENING, side="free" if rig.skin.side == "fixed" else "fixed")
+        other = low.resized(low.resizing, side="free" if rig.skin.side == "fixed" else "fixed")
         edge = 0.5 * abs(_answers(other, sound, point, frequency)[1] - coarse_wave) / abs(coarse_wave)
     return {
         "mesh_error_relative": mesh,

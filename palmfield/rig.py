@@ -60,9 +60,9 @@ class Rig:
         timestep_s: float,
         reference_focus: Triple,
         patch_centre: Triple,
-        coarsening: float = 1.0,
+        resizing: float = 1.0,
     ):
-        self.coarsening = coarsening
+        self.resizing = resizing
         self.array_config, self.stimulus, self.skin, self.driver = array, stimulus, skin, driver
         self.timestep_s = timestep_s
         self.reference_focus, self.patch_centre = np.array(reference_focus), np.array(patch_centre)
@@ -111,8 +111,8 @@ class Rig:
         below = np.flatnonzero(square < 0.5 * square[0])
         return 2 * float(offset[below[0]]) if len(below) else 2 * float(offset[-1])
 
-    def coarser(self, factor: float, *, side: Side | None = None) -> "Rig":
-        """The same scene on elements larger by `factor`, perhaps with other cut faces, to see what that does."""
+    def resized(self, factor: float, *, side: Side | None = None) -> "Rig":
+        """The same scene with elements of `factor` times the plan's size, and perhaps other cut faces."""
         skin = self.skin if side is None else self.skin.model_copy(update={"side": side})
         return Rig(
             self.array_config,
@@ -122,7 +122,7 @@ class Rig:
             self.timestep_s,
             tuple(self.reference_focus),
             tuple(self.patch_centre),
-            coarsening=factor,
+            resizing=factor,
         )
 
     # -- surface and skin ----------------------------------------------------------------------------------------
@@ -157,14 +157,16 @@ class Rig:
         shares = np.asarray(fractions)
         if s.element_m is not None:
             coarse, fine = max(coarse * s.element_m / fine, s.element_m), s.element_m
-        if self.coarsening != 1.0:
-            fine, coarse = fine * self.coarsening, coarse * self.coarsening
-            layers = max(1, round((len(shares) - 1) / self.coarsening))
+        if self.resizing != 1.0:
+            fine, coarse = fine * self.resizing, coarse * self.resizing
+            layers = max(1, round((len(shares) - 1) / self.resizing))
             shares = np.interp(np.linspace(0, 1, layers + 1), np.linspace(0, 1, len(shares)), shares)
         if self.stimulus.path_diameter_m:
             fine_radius += 0.5 * self.stimulus.path_diameter_m
             radius += 0.5 * self.stimulus.path_diameter_m
         radius = s.radius_m or s.patch_radius_m or radius
+        coarse = min(coarse, 0.5 * radius)
+        fine = min(fine, coarse)
         step = s.step_s or step
         if self.stimulus.modulation == "none" and self.stimulus.control_rate_Hz:
             step = min(step, 1 / self.stimulus.control_rate_Hz)
