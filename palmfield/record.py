@@ -45,6 +45,12 @@ class Recorder:
         for name, value in values.items():
             self._blocks.setdefault(name, []).append(value)
 
+    def start(self) -> None:
+        """Note the state before the first step."""
+        sound, factor = self.skin.now()
+        motion = self.chain.motion(self.skin.world.state(self.skin.instance))
+        self.observe(self.skin.world.time, motion, sound, factor)
+
     def observe(self, t: float, motion: Float, sound: Sound | None, factor: float) -> None:
         """One skin step has ended at time t [s] (called by the chain)."""
         operator = self.chain.surface_operator
@@ -79,13 +85,13 @@ class Recorder:
         )
 
     def step(self) -> None:
-        """One MuJoCo step has ended: note body and force, and hand the block over."""
+        """One MuJoCo step has ended: note body and force at its beginning, and hand the block over."""
         world = self.skin.world
         position, turn = world.pose("body", self.skin.body)
         self._add(
-            step_time=world.time,
+            step_time=world.time - world.model.timestep,
             body_pose=np.concatenate([position, quaternion(turn)]),
-            arp_force=self.skin.body_force()[0],
+            arp_force=self.skin.applied,
         )
         block = {name: np.asarray(values) for name, values in self._blocks.items()}
         self._blocks = {}

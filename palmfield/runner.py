@@ -80,6 +80,7 @@ def run(scene: Scene, out: str | Path, *, duration_s: float | None = None, progr
         bar.remove_task(setup)
         store = Store(out, static_data(skin).assign_attrs(_parameters(scene)))
         recorder = Recorder(skin, store)
+        recorder.start()
         skin.chain.observer = recorder.observe
         task = bar.add_task(f"simulating {1e3 * duration:g} ms", total=steps)
         try:

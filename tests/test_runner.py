@@ -47,7 +47,7 @@ def test_result_is_labelled_and_consistent(finished):
         "drive_phase",
     ):
         assert ds[name].attrs["units"] and ds[name].attrs["long_name"]
-    assert ds.sizes["time"] == 30 and ds.sizes["step_time"] == 15
+    assert ds.sizes["time"] == 31 and ds.sizes["step_time"] == 15
     # Velocity is the displacement's slope.
     u, v, t = (ds[n].values.astype(float) for n in ("normal_displacement", "normal_velocity", "time"))
     vertex = np.abs(u).max(axis=0).argmax()

@@ -39,8 +39,9 @@ class DriverModule(Module):
 class SkinModule(Module):
     """Pushes the body with the ARP's resultant and carries the skin layer's motion in the plugin state.
 
-    Its sensor, on a site of the body, reads SENSOR_CHANNELS: the force in world axes, and at the skin point nearest to
-    the site the displacement and velocity along the outward normal and the ARP.
+    `applied` is the force of the present step [N], world axes. The sensor, on a site of the body, reads
+    SENSOR_CHANNELS: the force in world axes, and at the skin point nearest to the site the displacement and velocity
+    along the outward normal and the ARP.
     """
 
     name: ClassVar[str] = SkinConfig.plugin
@@ -63,6 +64,7 @@ class SkinModule(Module):
             Pose.between(model.reference_pose("site", self.site), model.reference_pose("body", self.body))
         )
         self._probes: dict[int, Any] = {}
+        self.applied = np.zeros(3)
 
     @classmethod
     def state_size(cls, settings: Any, model: ModelView) -> int:
@@ -106,6 +108,7 @@ class SkinModule(Module):
     def forces(self) -> None:
         """Apply the ARP's resultant to the body."""
         force, torque = self.body_force()
+        self.applied = force
         self.world.apply(self.body, force, torque, self.world.pose("body", self.body)[0])
 
     def sense(self) -> None:

@@ -12,12 +12,16 @@ from typing import Any
 
 import numpy as np
 from scipy.sparse.linalg import splu
+from threadpoolctl import ThreadpoolController
 
 from palmfield.errors import SceneError
 from palmfield.skin.assembly import SkinSystem
 from palmfield.skin.material import complex_shear
 from palmfield.skin.ordering import dissection_order
 from palmfield.types import Complex, Float, Int
+
+# SuperLU asks BLAS for blocks so small that its threads wait for each other: up to 200 times slower than one thread.
+BLAS = ThreadpoolController()
 
 
 class Factor:
@@ -26,16 +30,18 @@ class Factor:
     def __init__(self, matrix: Any, order: Int) -> None:
         self.order = order
         # A symmetric positive real part needs no pivoting, and pivoting would undo the order.
-        self.lu = splu(
-            matrix[order][:, order].tocsc(),
-            permc_spec="NATURAL",
-            diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
-        )
+        with BLAS.limit(limits=1, user_api="blas"):
+            self.lu = splu(
+                matrix[order][:, order].tocsc(),
+                permc_spec="NATURAL",
+                diag_pivot_thresh=0.0,
+                options={"SymmetricMode": True},
+            )
 
     def solve(self, right: Any) -> Any:
         result = np.empty_like(right)
-        result[self.order] = self.lu.solve(right[self.order])
+        with BLAS.limit(limits=1, user_api="blas"):
+            result[self.order] = self.lu.solve(right[self.order])
         return result
 
 

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from scipy.sparse.linalg import splu
+from trimesh.creation import icosphere
 
 from palmfield.errors import SceneError
 from palmfield.skin.assembly import assemble
@@ -14,7 +15,9 @@ from palmfield.skin.load import SurfaceQuadrature
 from palmfield.skin.material import Material, bulk_from_poisson
 from palmfield.skin.ordering import dissection_order
 from palmfield.skin.solver import static
+from palmfield.skin.surface import surface_motion
 from palmfield.skin.wedges import extrude
+from palmfield.types import Patch
 
 THIRDS = np.array([0.0, 0.35, 1.0])
 
@@ -124,6 +127,40 @@ def test_uniform_pressure_on_a_roller_disc_is_exactly_confined_compression():
         # A slippery base lets the disc spin about its axis; its push is defined all the same.
         compared = slice(0, 3) if base == "bonded" else slice(2, 3)
         np.testing.assert_allclose(u.reshape(-1, 3)[:, compared], expected[:, compared], atol=1e-9 * 0.02 / modulus)
+
+
+def test_pressed_sphere_on_a_rigid_core():
+    """Closed curved patch, inward directions all different: u = A r + B / r^2 (Lame), zero at the core, -p outside.
+
+    The flat facets leave an error of second order in the edge length.
+    """
+    material, outer, core = solid(0.495), 0.03, 0.018
+    # 3 K A - 4 G B / r^3 = -1 at the outside and A + B / r^3 = 0 at the core.
+    a = -1.0 / (3 * material.bulk_Pa + 4 * material.shear_relaxed_Pa * (core / outer) ** 3)
+    exact = a * outer * (1 - (core / outer) ** 3)
+    errors = []
+    for subdivisions in (1, 2, 3):
+        ball = icosphere(subdivisions=subdivisions, radius=outer)
+        count = len(ball.vertices)
+        patch = Patch(
+            vertices=np.array(ball.vertices),
+            faces=np.array(ball.faces, dtype=np.int32),
+            inward=-ball.vertices / outer,
+            depth=np.full(count, outer - core),
+            rim=np.zeros(count, dtype=bool),
+        )
+        mesh = extrude(patch, np.array([0.0, 1.0]))
+        system = assemble(mesh, material)
+        quadrature = SurfaceQuadrature(mesh, system)
+        force = quadrature.assemble(np.ones(len(quadrature.weights)))
+        u = static(system, force)
+        # The load's work by area is the mean push over the surface, vertices and sunken middles of facets alike.
+        errors.append(abs(-(force @ u) / quadrature.weights.sum() / exact - 1))
+        assert np.ptp((surface_motion(mesh, system) @ u)[:count]) < 0.01 * abs(exact)
+    rates = np.log2(np.array(errors[:-1]) / errors[1:])
+    print("sphere errors", errors, "rates", rates)
+    assert errors[2] < 0.005
+    np.testing.assert_allclose(rates, 2.0, atol=0.1)
 
 
 def test_foundation_replaces_the_missing_half_of_a_column():

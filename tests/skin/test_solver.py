@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.sparse.linalg import spsolve
 
 from palmfield.errors import SceneError
 from palmfield.skin.assembly import assemble
 from palmfield.skin.disc import disc_patch
 from palmfield.skin.layer_oracle import centre_response
+from palmfield.skin.load import SurfaceQuadrature
 from palmfield.skin.material import PRESETS, Material, bulk_from_poisson
 from palmfield.skin.solver import SkinSolver, alpha_weights, branch_weights, harmonic, harmonic_discrete, static
 from palmfield.skin.wedges import extrude
@@ -31,7 +33,7 @@ def energy(system, state, branch_factor=1.0):
 def consistent_acceleration(system, state):
     u, _, _, q = state
     pull = system.k_vol @ u + system.k_dev @ (u + system.material.branch_ratio * (u - q))
-    state[2] = -SkinSolver(system, 1.0).factor.__class__(system.mass, np.arange(system.ndof)).solve(pull)
+    state[2] = -spsolve(system.mass.tocsc(), pull)
 
 
 def test_reference_disc_within_three_percent(make_spot):
@@ -44,39 +46,56 @@ def test_reference_disc_within_three_percent(make_spot):
         assert abs(spot.push(u) / exact - 1) < limit
 
 
-@pytest.mark.parametrize("nu", [0.45, 0.495, 0.4999, 0.499999])
 @pytest.mark.parametrize("depth", [0.02, 0.004])
-def test_no_locking(make_spot, nu, depth):
-    """The error does not grow as Poisson's ratio nears 0.5, on a deep layer and on a thin one."""
-    material = dataclasses.replace(ECOFLEX, bulk_Pa=bulk_from_poisson(nu, 12.5e3))
-    spot = make_spot(0.005, 2, material=material, radius_m=0.03, depth_m=depth)
-    for f in (0.0, 200.0):
-        exact = complex(centre_response(f, material, depth, SPOT, 0.03))
-        u = static(spot.system, spot.force) if f == 0.0 else harmonic(spot.system, spot.force, f)
-        assert abs(spot.push(u) / exact - 1) < 0.02, f
+def test_no_locking(make_spot, depth):
+    """Within the 3 % asked for at every Poisson's ratio, on a deep layer and on a thin one, 5 mm edges and two layers.
+
+    From 0.4999 to 0.499999 the bulk modulus grows a hundredfold: an element that locks would follow it.
+    """
+    errors = []
+    for nu in (0.45, 0.495, 0.4999, 0.499999):
+        material = dataclasses.replace(ECOFLEX, bulk_Pa=bulk_from_poisson(nu, 12.5e3))
+        spot = make_spot(0.005, 2, material=material, radius_m=0.03, depth_m=depth, growth=1.0)
+        for f in (0.0, 200.0):
+            exact = complex(centre_response(f, material, depth, SPOT, 0.03))
+            u = static(spot.system, spot.force) if f == 0.0 else harmonic(spot.system, spot.force, f)
+            errors.append(abs(spot.push(u) / exact - 1))
+    by_nu = np.array(errors).reshape(4, 2)
+    print("errors by nu (static, 200 Hz)", by_nu)
+    assert by_nu.max() < 0.03
+    assert np.abs(by_nu[3] - by_nu[2]).max() < 1e-3
 
 
-def test_work_converges_at_the_elements_rate(make_spot):
-    """Static work of the load, all directions refined together; expected rate 4 = 2 x 2 (energy), at least 3 seen."""
-    exact = exact_work(0.03)
-    errors = [abs(s.force @ static(s.system, s.force) / exact - 1) for s in refined(make_spot)]
-    rates = np.log2(np.array(errors[:-1]) / errors[1:])
-    print("work errors", errors, "rates", rates)
-    assert rates.min() > 2.5
-    assert errors[-1] < 1e-3
+@pytest.mark.slow
+def test_work_converges_at_the_elements_rate():
+    """Work of the load, all directions refined together. Quadratic elements: rate 4 = 2 x 2 where the answer is smooth.
+
+    The exact disc has the polygon's area, which takes away the rim's own second-order error.
+    """
+    errors = []
+    for n in (1, 2, 3):
+        mesh = extrude(disc_patch(0.02, 0.01, 0.006 / n, 0.006 / n, 0.02), np.linspace(0.0, 1.0, n + 1))
+        system = assemble(mesh, ECOFLEX, side="roller")
+        quadrature = SurfaceQuadrature(mesh, system)
+        distance2 = (quadrature.points[:, :2] ** 2).sum(axis=1)
+        force = quadrature.assemble(np.exp(-4 * np.log(2) * distance2 / SPOT**2))
+        radius = math.sqrt(quadrature.weights.sum() / math.pi)
+        still = force @ static(system, force) / exact_work(radius, 0.01, 0.0) - 1
+        moving = force @ harmonic(system, force, 200.0) / exact_work(radius, 0.01, 200.0) - 1
+        errors.append([abs(still), abs(moving)])
+    rates = np.log(np.array(errors)[0] / errors[2]) / math.log(3.0)
+    print("work errors (static, 200 Hz)", errors, "rates", rates)
+    assert rates[0] > 2.5
+    assert rates[1] > 3.5
 
 
-def refined(make_spot):
-    return [make_spot(0.009 / n, n, radius_m=0.03, growth=1.5) for n in (1, 2, 4)]
-
-
-def exact_work(radius):
+def exact_work(radius, depth, f):
     """Integral of p u over the roller disc, by radial quadrature of the exact series."""
     nodes, weights = np.polynomial.legendre.leggauss(120)
     r = 0.5 * radius * (1 + nodes)
     p = np.exp(-4 * np.log(2) * r**2 / SPOT**2)
-    u = centre_response(0.0, ECOFLEX, 0.02, SPOT, radius, at=r).real
-    return float(np.sum(2 * np.pi * r * p * u * weights) * 0.5 * radius)
+    u = centre_response(f, ECOFLEX, depth, SPOT, radius, at=r)
+    return np.sum(2 * np.pi * r * p * u * weights) * 0.5 * radius
 
 
 def test_uniform_shear_relaxes_by_the_analytic_curve():
@@ -87,7 +106,7 @@ def test_uniform_shear_relaxes_by_the_analytic_curve():
         extrude(disc_patch(0.02, 0.01, 0.01, 0.01, 0.01), np.array([0.0, 0.4, 1.0])), ECOFLEX, base="free", side="free"
     )
     sheared = np.column_stack([system.mesh.nodes[:, 2], *np.zeros((2, len(system.mesh.nodes)))]).ravel()
-    volume = float(np.prod([0.01]) * 0.5 * np.cross(*_edges(system.mesh))[:, 2].sum())
+    volume = 0.01 * 0.5 * np.cross(*_edges(system.mesh))[:, 2].sum()
     q = np.zeros_like(sheared)
     for n in range(1, 60):
         q = e * q + (start + end) * sheared
@@ -120,21 +139,24 @@ def test_branch_weights_are_exact(x):
     rho=st.sampled_from([0, 0.5, 0.8, 1]),
 )
 def test_every_mode_is_stable(frequency, relaxation, ratio, rho):
-    """Spectral radius of a step of one mode never above 1: w h from 1e-6 to 1e6, h/tau from 1e-6 to 1e6, any G_m/G_r."""
+    """Spectral radius of a step of a mode never above 1: w h and h/tau from 1e-6 to 1e6, any G_m/G_r."""
     stiffness = 10.0 ** (2 * frequency)
     a_m, a_f, beta, gamma = alpha_weights(rho)
     e, start, end = branch_weights(1.0, 10.0**-relaxation)
-    # State (u, v, a, q) with h = 1 and unit mass; scaled by the stiffness so that no entry dwarfs the others.
+    # State (u, v, a, q) with h = 1 and unit mass; v and a in units of w and w^2 where w > 1, for well-scaled matrices.
     left = np.zeros((4, 4))
     right = np.zeros((4, 4))
-    scale = 1.0 + stiffness * (1 + ratio)
-    left[0] = np.array([(1 - a_f) * stiffness * (1 + ratio), 0, 1 - a_m, -(1 - a_f) * stiffness * ratio]) / scale
-    right[0] = -np.array([a_f * stiffness * (1 + ratio), 0, a_m, -a_f * stiffness * ratio]) / scale
+    left[0] = [(1 - a_f) * stiffness * (1 + ratio), 0, 1 - a_m, -(1 - a_f) * stiffness * ratio]
+    right[0] = [-a_f * stiffness * (1 + ratio), 0, -a_m, a_f * stiffness * ratio]
     left[1], right[1] = [1, 0, -beta, 0], [1, 1, 0.5 - beta, 0]
     left[2], right[2] = [0, 1, -gamma, 0], [0, 1, 1 - gamma, 0]
     left[3], right[3] = [-end, 0, 0, 1], [start, 0, 0, e]
-    radius = np.abs(np.linalg.eigvals(np.linalg.solve(left, right))).max()
-    assert radius <= 1 + 1e-5
+    unit = max(1.0, math.sqrt(stiffness * (1 + ratio)))
+    columns = np.array([1.0, unit, unit**2, 1.0])
+    rows = np.abs(left * columns).max(axis=1, keepdims=True)
+    radius = np.abs(np.linalg.eigvals(np.linalg.solve(left * columns / rows, right * columns / rows))).max()
+    # Double eigenvalues at 1 and -1 are known to the square root of round-off only.
+    assert radius <= 1 + 1e-6
 
 
 def test_unloaded_energy_never_grows(coarse_spot):

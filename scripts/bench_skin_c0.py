@@ -1,0 +1,177 @@
+"""Cost and error of the skin solver on the reference disc; writes docs/bench/skin_c0.md.
+
+    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python scripts/bench_skin_c0.py
+
+The disc is 120 x 20 mm of Ecoflex 00-10, bonded below, roller sides, under a Gaussian spot of 10.3 mm full width;
+errors are those of the centre's displacement against the exact Fourier-Bessel series. Set the thread counts: with
+several threads the BLAS inside SuperLU has been seen to take 200 times as long on a busy machine.
+"""
+
+import os
+import platform
+import subprocess
+import time
+from pathlib import Path
+
+import numpy as np
+from scipy.sparse.linalg import splu
+
+from palmfield.skin.assembly import SkinSystem, assemble, element_matrices
+from palmfield.skin.disc import disc_patch
+from palmfield.skin.layer_oracle import centre_response
+from palmfield.skin.load import SurfaceQuadrature
+from palmfield.skin.material import PRESETS
+from palmfield.skin.ordering import dissection_order
+from palmfield.skin.solver import Factor, SkinSolver, harmonic, harmonic_discrete, static
+from palmfield.skin.surface import SurfaceProbe
+from palmfield.skin.wedges import extrude
+
+ROOT = Path(__file__).resolve().parent.parent
+SPOT, DEPTH, RADIUS, STEP = 0.0103, 0.02, 0.06, 2e-4
+MATERIAL = PRESETS["ecoflex_00-10"]
+# Edge under the spot and at the rim [mm], layers: growing 1.6 times each from the surface down.
+MESHES = ((8.0, 20.0, 2), (6.0, 15.0, 3), (4.0, 10.0, 3), (4.5, 11.0, 4))
+
+
+def build(fine_mm: float, coarse_mm: float, layers: int, side: str = "roller", base: str = "bonded"):
+    edges = np.concatenate([[0.0], np.cumsum(1.6 ** np.arange(layers))])
+    mesh = extrude(disc_patch(RADIUS, DEPTH, fine_mm * 1e-3, coarse_mm * 1e-3, 0.012), edges / edges[-1])
+    begin = time.perf_counter()
+    system = assemble(mesh, MATERIAL, side=side, base=base)
+    seconds = time.perf_counter() - begin
+    quadrature = SurfaceQuadrature(mesh, system)
+    force = quadrature.assemble(np.exp(-4 * np.log(2) * (quadrature.points[:, :2] ** 2).sum(axis=1) / SPOT**2))
+    read = -SurfaceProbe(mesh, np.zeros((1, 3)), system).operator
+    return system, force, read, seconds
+
+
+def mesh_row(fine_mm: float, coarse_mm: float, layers: int) -> str:
+    system, force, read, assembly_s = build(fine_mm, coarse_mm, layers)
+    still = (read @ static(system, force))[0]
+    begin = time.perf_counter()
+    moving = (read @ harmonic(system, force, 200.0))[0]
+    harmonic_s = time.perf_counter() - begin
+    errors = [abs(u / complex(exact(f)) - 1) for u, f in ((still, 0.0), (moving, 200.0))]
+    solver = SkinSolver(system, STEP)
+    state = solver.new_state()
+    begin = time.perf_counter()
+    for _ in range(20):
+        solver.step(state, force, force)
+    step_s = (time.perf_counter() - begin) / 20
+    errors_text = " | ".join(f"{100 * error:.2f} %" for error in errors)
+    return (
+        f"| {fine_mm:g} / {coarse_mm:g} mm, {layers} layers | {system.ndof} | {errors_text} "
+        f"| {assembly_s:.2f} | {solver.factor_seconds:.2f} | {step_s:.4f} | {harmonic_s:.2f} |"
+    )
+
+
+def exact(f_Hz: float, radius_m: float | None = RADIUS, base: str = "bonded"):
+    return centre_response(f_Hz, MATERIAL, DEPTH, SPOT, radius_m, base=base)
+
+
+def order_rows(system: SkinSystem) -> list[str]:
+    """Factor and solve times of the orders tried, on the matrix of a 0.2 ms step."""
+    matrix = (4.0 / STEP**2 * system.mass + system.k_dev + system.k_vol).tocsc()
+    right = np.ones(system.ndof)
+    rows = []
+
+    def row(name, factor, solve, nonzeros):
+        begin = time.perf_counter()
+        lu = factor()
+        middle = time.perf_counter()
+        solve(lu)
+        end = time.perf_counter()
+        rows.append(f"| {name} | {middle - begin:.2f} | {end - middle:.3f} | {nonzeros(lu) / 1e6:.1f} |")
+
+    order = dissection_order(system)
+    row(
+        "nested dissection of the surface (used)",
+        lambda: Factor(matrix, order),
+        lambda f: f.solve(right),
+        lambda f: f.lu.L.nnz,
+    )
+    symmetric = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+    row(
+        "MMD_AT_PLUS_A, SymmetricMode",
+        lambda: splu(matrix, permc_spec="MMD_AT_PLUS_A", **symmetric),
+        lambda lu: lu.solve(right),
+        lambda lu: lu.L.nnz,
+    )
+    return rows
+
+
+def side_rows() -> list[str]:
+    rows = []
+    for base in ("bonded", "free_slip"):
+        for side in ("fixed", "roller", "free"):
+            system, force, read, _ = build(6.0, 15.0, 3, side, base)
+            still, moving = ((read @ u)[0] for u in (static(system, force), harmonic(system, force, 200.0)))
+            rows.append(f"| {base} | {side} | {still * 1e9:.2f} | {abs(moving) * 1e9:.2f} |")
+        still, moving = (exact(f, None, base) for f in (0.0, 200.0))
+        rows.append(f"| {base} | endless (exact) | {still.real * 1e9:.2f} | {abs(moving) * 1e9:.2f} |")
+    return rows
+
+
+def step_rows() -> list[str]:
+    system, force, read, _ = build(8.0, 20.0, 2)
+    reference = (read @ harmonic(system, force, 200.0))[0]
+    rows = []
+    for count in (10, 20, 40, 80):
+        stepped = (read @ harmonic_discrete(system, force, 200.0, 1 / 200.0 / count))[0]
+        rows.append(f"| {5.0 / count:g} | {count} | {100 * abs(stepped / reference - 1):.3f} % |")
+    return rows
+
+
+def processor() -> str:
+    for line in Path("/proc/cpuinfo").read_text().splitlines():
+        if line.startswith("model name"):
+            return line.split(":", 1)[1].strip()
+    return platform.processor()
+
+
+def main() -> None:
+    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True).stdout
+    element_matrices(extrude(disc_patch(0.01, 0.01, 0.01, 0.01, 0.01), np.array([0.0, 1.0])))
+    mesh_rows = [mesh_row(*mesh) for mesh in MESHES]
+    system = build(*MESHES[-1])[0]
+    lines = [
+        "# Skin solver on the reference disc",
+        "",
+        "Command: `OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python scripts/bench_skin_c0.py`",
+        f"CPU: {processor()}, {os.cpu_count()} cores, threads: OMP_NUM_THREADS={os.environ.get('OMP_NUM_THREADS')}, "
+        f"OPENBLAS_NUM_THREADS={os.environ.get('OPENBLAS_NUM_THREADS')}. Commit: {commit.strip()}.",
+        "",
+        "Disc 120 x 20 mm, Ecoflex 00-10 (nu 0.495), bonded, roller sides, Gaussian spot of 10.3 mm. Errors of the",
+        "centre against the exact series; seconds. Factor and step: generalised-alpha, 0.2 ms; kernels compiled.",
+        "",
+        "| edge at spot / rim | unknowns | static | 200 Hz | assembly | factor | step | harmonic |",
+        "|---|---|---|---|---|---|---|---|",
+        *mesh_rows,
+        "",
+        f"Elimination orders, {system.ndof} unknowns (seconds; millions of nonzeros in L):",
+        "",
+        "| order | factor | solve | nonzeros |",
+        "|---|---|---|---|",
+        *order_rows(system),
+        "",
+        "Conditions, 6 / 15 mm, 3 layers: centre push in nm per Pa, static and magnitude at 200 Hz:",
+        "",
+        "| base | side | static | 200 Hz |",
+        "|---|---|---|---|",
+        *side_rows(),
+        "",
+        "Time step, error of the discrete steady state at 200 Hz (8 / 20 mm, 2 layers):",
+        "",
+        "| step [ms] | steps a period | error |",
+        "|---|---|---|",
+        *step_rows(),
+        "",
+    ]
+    target = ROOT / "docs" / "bench" / "skin_c0.md"
+    target.parent.mkdir(parents=True, exist_ok=True)
+    target.write_text("\n".join(lines))
+    print("\n".join(lines))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,80 @@
+"""The rules must give what they promise, on the phantom they were read off and on another material."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from palmfield.errors import SceneError
+from palmfield.skin.assembly import assemble
+from palmfield.skin.disc import disc_patch
+from palmfield.skin.estimate import choose_sizes, mesh_error
+from palmfield.skin.layer_oracle import centre_response
+from palmfield.skin.load import SurfaceQuadrature
+from palmfield.skin.material import PRESETS, shear_wave
+from palmfield.skin.solver import harmonic, harmonic_discrete, static
+from palmfield.skin.surface import SurfaceProbe
+from palmfield.skin.wedges import extrude
+
+
+def centre(material, fwhm, depth, fine, coarse, fine_radius, fractions, step, radius, f):
+    """Static, harmonic and stepped harmonic push of the centre."""
+    mesh = extrude(disc_patch(radius, depth, fine, coarse, fine_radius), fractions)
+    system = assemble(mesh, material, side="fixed")
+    quadrature = SurfaceQuadrature(mesh, system)
+    force = quadrature.assemble(np.exp(-4 * np.log(2) * (quadrature.points[:, :2] ** 2).sum(axis=1) / fwhm**2))
+    read = -SurfaceProbe(mesh, np.zeros((1, 3)), system).operator
+    fields = [static(system, force), harmonic(system, force, f), harmonic_discrete(system, force, f, step)]
+    return np.array([(read @ u)[0] for u in fields])
+
+
+@pytest.mark.parametrize(("name", "depth", "fwhm"), [("ecoflex_00-10", 0.02, 0.0103), ("palm", 0.012, 0.0085)])
+def test_sizes_give_the_accuracy_asked_for(name, depth, fwhm):
+    """Against the endless layer, so that mesh, step and patch radius all count. 5 % asked for."""
+    material = PRESETS[name]
+    sizes = choose_sizes(material, fwhm, 200.0, 0.05)
+    answers = centre(material, fwhm, depth, *sizes, f=200.0)
+    exact = [centre_response(f, material, depth, fwhm) for f in (0.0, 200.0, 200.0)]
+    errors = np.abs(answers / exact - 1)
+    print(name, "errors: static, 200 Hz, 200 Hz stepped", errors)
+    assert errors.max() < 0.05
+
+
+def test_sizes_shrink_with_accuracy_and_frequency():
+    material = PRESETS["palm"]
+    loose, tight = (choose_sizes(material, 0.01, 200.0, a) for a in (0.05, 0.005))
+    assert tight[0] < loose[0]
+    assert tight[4] < loose[4]
+    assert len(tight[3]) > len(loose[3])
+    assert tight[5] > loose[5]
+    assert choose_sizes(material, 0.01, 800.0, 0.05)[0] < loose[0]
+    elastic = dataclasses.replace(material, shear_branch_Pa=0.0)
+    assert choose_sizes(elastic, 0.01, 200.0, 0.05)[5] == pytest.approx(4 * shear_wave(elastic, 200.0)[0] / 200.0)
+
+
+def test_mesh_error_of_a_known_law():
+    exact = np.array([2.0, 3.0 + 1j])
+    fine, coarse = exact * (1 + 0.01), exact * (1 + 0.04)
+    assert mesh_error(coarse, fine, 2.0, 2.0) == pytest.approx(0.01 / 1.01)
+
+
+def test_mesh_error_is_of_the_size_of_the_true_error():
+    """On the reference disc: estimate between a third and ten times the true error of the finer mesh."""
+    material = PRESETS["ecoflex_00-10"]
+    exact = np.array([complex(centre_response(f, material, 0.02, 0.0103, 0.06)) for f in (0.0, 200.0)])
+    answers = []
+    for scale, layers in ((2.0, 1), (1.0, 2)):
+        fractions = np.linspace(0.0, 1.0, layers + 1)
+        sizes = (0.007 * scale, 0.012 * scale, 0.012, fractions, 1e-4, 0.06)
+        answers.append(centre(material, 0.0103, 0.02, *sizes, f=200.0)[:2])
+    true = np.max(np.abs(answers[1] / exact - 1))
+    estimate = mesh_error(*answers, 2.0)
+    print("true", true, "estimated", estimate)
+    assert true / 3 < estimate < 10 * true
+
+
+def test_bad_input():
+    with pytest.raises(SceneError, match="accuracy"):
+        choose_sizes(PRESETS["palm"], 0.01, 200.0, 0.0)
+    with pytest.raises(SceneError, match="size ratio"):
+        mesh_error(1.0, 2.0, 1.0)
