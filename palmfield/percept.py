@@ -4,11 +4,9 @@ The observers differ by up to 16 dB: give results for each rather than for one.
 """
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.signal.windows import hann
 
 from palmfield.errors import OutputError
 from palmfield.types import Float
@@ -82,8 +80,8 @@ def level_dB_SL(observer: Observer, frequencies: ArrayLike, peak_amplitudes_m: A
     """Sensation level 20 log10 sqrt(sum (A_i / T(f_i))^2) [dB]; 0 dB is just felt, -inf where nothing counts.
 
     frequencies: lines of the motion [Hz], shape (n,); peak_amplitudes_m: their peak amplitudes [m], shape (n,)
-    DC and lines outside the observer's table are left out: `share_left_out` tells how much that is. Give lines, or the
-    bins of a spectrum with window "none" over whole periods: the bins of a Hann window count every line 1.5 times.
+    DC and lines outside the observer's table are left out: `share_left_out` tells how much that is. Give lines
+    (`line_amplitude`), not the bins of a windowed spectrum: Hann's count every line 1.5 times.
     """
     amplitude = np.asarray(peak_amplitudes_m, dtype=np.float64)
     excess = amplitude / threshold_m(observer, frequencies)
@@ -100,42 +98,6 @@ def share_left_out(observer: Observer, frequencies: ArrayLike, peak_amplitudes_m
     energy = np.where(frequency > 0, np.asarray(peak_amplitudes_m, dtype=np.float64) ** 2, 0.0)
     total = float(energy.sum())
     return float(energy[np.isnan(threshold_m(observer, frequency))].sum()) / total if total > 0 else 0.0
-
-
-def spectrum(
-    time_s: ArrayLike, displacement_m: ArrayLike, window: Literal["hann", "none"] = "hann"
-) -> tuple[Float, Float]:
-    """Single-sided spectrum of peak amplitude.
-
-    time_s: evenly spaced [s], shape (n,), n >= 8; displacement_m: [m], shape (n,)
-    Returns frequencies [Hz] from 0 and peak amplitudes [m], shape (n // 2 + 1,). A sine of amplitude A on a bin gives A
-    there; the bin at 0 Hz holds the (weighted) mean, which is taken off first so that it does not leak.
-    Raises OutputError for fewer than 8 samples, for uneven times and for another window.
-    """
-    time = np.asarray(time_s, dtype=np.float64)
-    motion = np.asarray(displacement_m, dtype=np.float64)
-    if window not in ("hann", "none"):
-        raise OutputError(f"window '{window}' is not known; use hann or none")
-    step = _even_step(time)
-    weights = hann(len(time), sym=False) if window == "hann" else np.ones(len(time))
-    mean = np.average(motion, weights=weights)
-    amplitude = 2 * np.abs(np.fft.rfft((motion - mean) * weights)) / weights.sum()
-    if len(time) % 2 == 0:
-        amplitude[-1] /= 2
-    amplitude[0] = abs(mean)
-    return np.asarray(np.fft.rfftfreq(len(time), step), dtype=np.float64), amplitude
-
-
-def _even_step(time: Float) -> float:
-    if len(time) < 8:
-        raise OutputError(f"a spectrum needs at least 8 samples, got {len(time)}; run for longer")
-    steps = np.diff(time)
-    step = float(time[-1] - time[0]) / len(steps)
-    if step <= 0 or np.abs(steps - step).max() > 1e-3 * step:
-        raise OutputError(
-            f"times are not evenly spaced (steps {steps.min():.3g} to {steps.max():.3g} s); take a stretch without gaps"
-        )
-    return step
 
 
 def line_amplitude(time: ArrayLike, x: ArrayLike, f: float, periods: int | None = None) -> float:

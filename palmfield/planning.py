@@ -11,6 +11,7 @@ from rich.table import Table
 from palmfield.acoustics.air import absorption_Np_m, density, sound_speed
 from palmfield.acoustics.arp import LAWS
 from palmfield.acoustics.reference import pressure64
+from palmfield.report import RATIO
 from palmfield.rig import Rig
 from palmfield.scene import Scene
 from palmfield.skin.material import complex_shear, shear_wave
@@ -18,9 +19,10 @@ from palmfield.stimulus import frame_rates, main_frequencies
 
 # One transducer at resonance (acoustics literature on 40 kHz emitters): quality factor about 25.
 QUALITY = 25.0
-# Measured on two cores of a server CPU (docs/bench/): pairs a second with gradient; seconds for a degree of freedom.
-PAIRS_PER_S = 4e8
-FACTOR_S, SOLVE_S = 1.3e-4, 1.4e-6
+# Measured on two cores of a server CPU (docs/bench/): pairs a second with gradient, seconds a step and unknown.
+PAIRS_PER_S = 5e8
+SOLVE_S = 1.7e-6
+START_AND_PICTURES_S = 12.0
 
 
 @dataclass(frozen=True)
@@ -66,10 +68,24 @@ def plan(scene: Scene) -> Plan:
     """
     rig = scene.skin.rig
     substeps = round(scene.duration_s / rig.sizes[4])
-    dofs = 3 * len(rig.mesh.nodes)
+    bonded = rig.skin.base == "bonded" and rig.skin.foundation is None
+    dofs = 3 * (len(rig.mesh.nodes) - (rig.mesh.surface_nodes if bonded else 0))
     pairs = _points_a_step(rig) * len(rig.array) * scene.duration_s / rig.timestep_s
-    seconds = 12 + FACTOR_S * dofs * (1 + 1.5) + SOLVE_S * dofs * substeps + pairs / PAIRS_PER_S
+    seconds = START_AND_PICTURES_S + _estimate_s(rig, dofs) + SOLVE_S * dofs * substeps + pairs / PAIRS_PER_S
     return Plan(str(scene.path), _modelled(rig, dofs, substeps), _left_out(rig), _errors(rig), seconds)
+
+
+def _factor_s(dofs: float) -> float:
+    """Seconds of one real factorisation, fitted to docs/bench/skin_c0.md; a complex one takes twice as long."""
+    return 1.3e-7 * dofs**1.7
+
+
+def _estimate_s(rig: Rig, dofs: int) -> float:
+    """Seconds for the run's factorisation and those of its error estimate (palmfield/report.py)."""
+    more = RATIO**3
+    low, high = (dofs, more * dofs) if len(rig.sizes[3]) - 1 < 3 else (dofs / more, dofs)
+    edge = 0 if rig.skin.shape == "disc" else 3
+    return _factor_s(dofs) + (5 + edge) * _factor_s(low) + 3 * _factor_s(high)
 
 
 def _points_a_step(rig: Rig) -> float:

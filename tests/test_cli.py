@@ -2,11 +2,21 @@
 
 import subprocess
 import sys
+from itertools import pairwise
+from pathlib import Path
 
 import mujoco
+import numpy as np
 import pytest
+import xarray as xr
 
+from palmfield.acoustics.arrays import layout
+from palmfield.acoustics.focus import focus
 from palmfield.cli import main
+from palmfield.drive.sonicsurface import FRAME_BYTES, OFF_FRAME, decode
+from palmfield.types import Air
+
+SCENES = Path(__file__).parent.parent / "mjcf" / "scenes"
 
 COMMANDS = ("run", "plan", "info", "drive", "keys", "new", "recover")
 
@@ -46,21 +56,28 @@ def test_new_refuses_a_path(monkeypatch, capsys):
 
 
 def test_drive_records_what_run_simulates(tmp_path, monkeypatch, capsys):
-    from palmfield.acoustics.arrays import layout
-    from palmfield.acoustics.focus import focus
-    from palmfield.drive.sonicsurface import FRAME_BYTES, OFF_FRAME, decode
-    from palmfield.types import Air
-
     file = tmp_path / "focus.bin"
     code, out = call(monkeypatch, capsys, "drive", "--focus", 0.02, -0.01, 0.15, "--record", file, "--duration", 0.5)
     assert code == 0, out.err
     data = file.read_bytes()
     assert len(data) % FRAME_BYTES == 0 and data.endswith(OFF_FRAME * 2)
-    import numpy as np
-
     emitted = decode(data)[0]
     wanted = focus(layout("sonicsurface"), Air(), np.array([0.02, -0.01, 0.15]))
     assert np.abs(np.angle(emitted / wanted)).max() <= np.pi / 32 + 1e-9
+
+
+def test_simulated_drive_is_decoded_from_the_recorded_bytes(tmp_path, monkeypatch, capsys):
+    """Each frame that the board would get makes exactly the phases that the simulation used for it."""
+    scene = SCENES / "palm_circle_sonicsurface.xml"
+    file, out = tmp_path / "circle.bin", tmp_path / "out"
+    assert call(monkeypatch, capsys, "drive", scene, "--record", file, "--duration", 0.03)[0] == 0
+    assert call(monkeypatch, capsys, "run", scene, "--out", out, "--duration", 0.03, "--device", "cpu")[0] == 0
+    emitted = [frame for frame in decode(file.read_bytes()) if np.abs(frame).max() > 0]
+    with xr.open_dataset(out / "result.nc", engine="h5netcdf") as ds:
+        simulated = ds["drive_amplitude"].values * np.exp(1j * ds["drive_phase"].values)
+    distinct = [simulated[0]] + [b for a, b in pairwise(simulated) if not np.allclose(a, b, atol=1e-6)]
+    assert len(distinct) == len(emitted) == 3
+    np.testing.assert_allclose(distinct, emitted, atol=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,6 @@ from palmfield.percept import (
     level_dB_SL,
     line_amplitude,
     share_left_out,
-    spectrum,
     threshold_m,
 )
 
@@ -81,57 +80,6 @@ def test_share_left_out():
     assert share_left_out(HANDLE, [0, 4, 100, 1000], [9, 1, 2, 2]) == pytest.approx(5 / 9)
     assert share_left_out(HANDLE, [0, 100], [9, 1]) == 0
     assert share_left_out(HANDLE, [0, 100], [9, 0]) == 0
-
-
-@pytest.mark.parametrize("window", ["hann", "none"])
-@pytest.mark.parametrize("samples", [400, 401])
-def test_a_sine_on_a_bin_has_its_amplitude_and_dc_its_own(window, samples):
-    time = np.arange(samples) / 4000
-    line = 20 / (samples / 4000)
-    frequency, amplitude = spectrum(time, -5e-6 + 2e-6 * np.sin(2 * np.pi * line * time + 0.7), window)
-    assert frequency[20] == pytest.approx(line)
-    assert amplitude[20] == pytest.approx(2e-6, rel=1e-9)
-    assert amplitude[0] == pytest.approx(5e-6, rel=1e-9)
-    assert amplitude.shape == (samples // 2 + 1,)
-    assert amplitude[1] < 1e-15
-    assert amplitude[30:].max() < 1e-15
-
-
-def test_nyquist_line():
-    frequency, amplitude = spectrum(np.arange(64) / 64, np.tile([3.0, -3.0], 32), "none")
-    assert frequency[-1] == 32
-    assert amplitude[-1] == pytest.approx(3.0)
-
-
-def test_bins_without_window_hold_the_energy():
-    # Parseval: mean square about the mean = sum of A^2 / 2 (odd length, so no Nyquist bin)
-    motion = np.random.default_rng(3).normal(size=501)
-    _, amplitude = spectrum(np.arange(501) * 1e-3, motion, "none")
-    assert np.sum(amplitude[1:] ** 2) / 2 == pytest.approx(motion.var())
-
-
-def test_hann_bins_count_a_line_one_and_a_half_times():
-    time = np.arange(400) / 4000
-    motion = 0.42e-6 * np.sin(2 * np.pi * 200 * time)
-    plain = level_dB_SL(HUMAN, *spectrum(time, motion, "none"))
-    windowed = level_dB_SL(HUMAN, *spectrum(time, motion))
-    assert plain == pytest.approx(20, abs=1e-6)
-    # Side bins at 190 and 210 Hz have half the amplitude: 10 log10 1.5 = 1.76, thresholds there almost those at 200.
-    assert windowed - plain == pytest.approx(10 * np.log10(1.5), abs=0.1)
-
-
-@pytest.mark.parametrize(
-    ("time", "window", "match"),
-    [
-        (np.arange(7), "hann", "at least 8"),
-        (np.array([0, 1, 2, 3, 4, 5, 6, 8.0]), "hann", "not evenly spaced"),
-        (np.zeros(8), "hann", "not evenly spaced"),
-        (np.arange(8), "flattop", "use hann or none"),
-    ],
-)
-def test_spectra_that_are_refused(time, window, match):
-    with pytest.raises(OutputError, match=match):
-        spectrum(time, np.zeros(len(time)), window)
 
 
 @given(

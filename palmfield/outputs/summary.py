@@ -1,20 +1,14 @@
 """The numbers of a run in one flat, plain dictionary."""
 
-import io
 import math
 from typing import Any
 
 import numpy as np
 import xarray as xr
-from rich.console import Console
-from rich.table import Table
 
 from palmfield.outputs.frames import has_records
 
 REFERENCE_PA = 20e-6
-UNITS = {"_dB_SPL": "dB SPL", "_m_s": "m/s", "_Pa": "Pa", "_N": "N", "_m": "m", "_s": "s", "_Hz": "Hz"}
-PREFIXES = ((1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
-PREFIXED = {"Pa", "N", "m", "s", "Hz", "m/s"}
 
 
 def summary(ds: xr.Dataset, extra: dict[str, Any]) -> dict[str, Any]:
@@ -53,42 +47,7 @@ def summary(ds: xr.Dataset, extra: dict[str, Any]) -> dict[str, Any]:
     return out | extra
 
 
-def format_table(summary: dict[str, Any]) -> str:
-    """The summary as a text table for a terminal, in readable units."""
-    table = Table(title="palmfield result", title_justify="left")
-    table.add_column("quantity")
-    table.add_column("value", justify="right")
-    table.add_column("unit")
-    for name, value in summary.items():
-        label, unit = _split(name)
-        text, unit = _readable(value, unit)
-        table.add_row(label, text, unit)
-    stream = io.StringIO()
-    Console(file=stream, width=100, color_system=None).print(table)
-    return stream.getvalue()
-
-
 def _add_peak(out: dict[str, Any], ds: xr.Dataset, key: str, names: tuple[str, ...]) -> None:
     found = [float(np.abs(ds[name].values).max()) for name in names if has_records(ds, name)]
     if found:
         out[key] = max(found)
-
-
-def _split(name: str) -> tuple[str, str]:
-    for suffix, unit in UNITS.items():
-        if name.endswith(suffix):
-            return name.removesuffix(suffix).replace("_", " "), unit
-    return name.replace("_", " "), ""
-
-
-def _readable(value: Any, unit: str) -> tuple[str, str]:
-    """Text and unit, with the metric prefix that leaves one to three digits before the point."""
-    numbers = value if isinstance(value, list) else [value]
-    if not numbers or any(isinstance(v, bool) or not isinstance(v, int | float) for v in numbers):
-        return str(value), unit
-    scale, prefix = 1.0, ""
-    size = max(abs(v) for v in numbers)
-    if unit in PREFIXED and size > 0:
-        scale, prefix = next(((s, p) for s, p in PREFIXES if size >= s), PREFIXES[-1])
-    texts = [str(v) if isinstance(v, int) and scale == 1.0 else f"{v / scale:.4g}" for v in numbers]
-    return ", ".join(texts), prefix + unit

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from palmfield.outputs.schema import dataset
-from palmfield.outputs.summary import format_table, summary
+from palmfield.outputs.summary import summary
 
 
 def test_numbers_of_a_known_motion(static_arrays):
@@ -46,14 +46,3 @@ def test_a_run_without_steps_leaves_motion_out(static):
     found = summary(static, {})
     assert found["skin_vertices"] == 469
     assert not [name for name in found if "displacement" in name or "force" in name or "velocity" in name]
-
-
-def test_the_table_is_readable(result):
-    text = format_table(summary(result, {"skin_error_percent": 3.5, "complete": True, "note": None}))
-    rows = {line.split("│")[1].strip(): line for line in text.splitlines() if line.startswith("│")}
-    assert "µm" in rows["peak displacement"]
-    assert "kPa" in rows["peak pressure"] or "dB SPL" in rows["peak pressure"]
-    assert "0, 0, 3 │ mN" in rows["total force mean"]
-    assert "3.5" in rows["skin error percent"]
-    assert "True" in rows["complete"]
-    assert "\x1b" not in text
