@@ -8,12 +8,15 @@ from scipy.spatial import Delaunay
 from palmfield.errors import SceneError
 from palmfield.types import Patch
 
+STEEPEST = 0.4
+"""Growth of the edge with distance from the centre above which rings of triangles turn into slivers."""
+
 
 def disc_patch(radius_m: float, thickness_m: float, fine_m: float, coarse_m: float, fine_radius_m: float) -> Patch:
     """Disc of concentric rings of vertices, joined by Delaunay triangles.
 
     radius_m, thickness_m: of the disc [m]; fine_m: edge length within fine_radius_m of the centre [m]; coarse_m: edge
-    length at the rim [m], reached linearly in the distance from the centre
+    length at the rim [m], reached linearly in the distance from the centre, but no faster than STEEPEST
     Returns a Patch with its face at z = 0 looking along +z, `inward` along -z and `axis` +z.
     Raises SceneError unless all lengths are > 0, fine_m <= coarse_m <= radius_m and fine_radius_m <= radius_m.
     """
@@ -26,7 +29,8 @@ def disc_patch(radius_m: float, thickness_m: float, fine_m: float, coarse_m: flo
     def edge(r: float) -> float:
         if r <= fine_radius_m:
             return fine_m
-        return fine_m + (coarse_m - fine_m) * (r - fine_radius_m) / (radius_m - fine_radius_m)
+        wanted = (coarse_m - fine_m) / (radius_m - fine_radius_m)
+        return fine_m + min(wanted, STEEPEST) * (r - fine_radius_m)
 
     # An equilateral ring is sqrt(3)/2 edges wide; stretch all rings alike so that the last one is the rim.
     radii = [0.0]
