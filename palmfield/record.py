@@ -38,6 +38,7 @@ class Recorder:
         self.nodes, self.normals = self.chain.surface_nodes()
         self._last: tuple[Sound | None, Float32] = (None, np.zeros(len(self.nodes), dtype=np.float32))
         self._loudest: tuple[float, Sound | None] = (0.0, None)
+        self._loudest_Pa = 0.0
         self._playing: tuple[Sound | None, float] | None = None
         self._blocks: dict[str, list[Any]] = {}
 
@@ -62,8 +63,8 @@ class Recorder:
             arp = np.float32(factor) * self._last[1]
             position, turn = self.skin.world.pose("site", self.skin.site)
             focus = position + turn @ sound.focus
-            if factor > self._loudest[0]:
-                self._loudest = (factor, sound)
+            if arp.max() > self._loudest_Pa:
+                self._loudest_Pa, self._loudest = float(arp.max()), (factor, sound)
         self._add(
             time=t,
             normal_displacement=(operator @ motion[0]).astype(np.float32),
@@ -99,7 +100,7 @@ class Recorder:
 
     @property
     def loudest(self) -> Sound | None:
-        """The sound at the highest level so far."""
+        """The sound with the highest ARP on the skin so far."""
         return self._loudest[1]
 
     def surfaces(self) -> xr.Dataset:

@@ -28,6 +28,7 @@ def numbers(scene: Scene, ds: xr.Dataset, loudest: Sound | None) -> dict[str, An
     """
     rig = scene.skin.rig
     out: dict[str, Any] = {"drive_level": 0.0 if loudest is None else loudest.level, "dofs": rig.system.ndof}
+    out["accuracy_wanted_relative"] = rig.skin.accuracy
     motion = ds["normal_displacement"].values
     vertex = int(np.abs(motion).max(axis=0).argmax())
     if loudest is not None:
@@ -111,6 +112,18 @@ def _levels(time: Float, motion: Float, frequencies: list[float]) -> dict[str, f
     return out
 
 
+def mend(summary: dict[str, Any]) -> str:
+    """What would lower the largest part of the error."""
+    parts = {
+        "a smaller --accuracy makes the mesh finer": summary["mesh_error_relative"],
+        "a smaller --accuracy or step_s shortens the step": summary["step_error_relative"],
+        "the layer's cut sides matter here: compare side fixed and free, or patch_radius_m": summary[
+            "edge_error_relative"
+        ],
+    }
+    return max(parts, key=lambda text: parts[text])
+
+
 def format_report(summary: dict[str, Any]) -> str:
     """The short table that `palmfield run` prints."""
     error = summary.get("displacement_error_relative")
@@ -138,6 +151,9 @@ def format_report(summary: dict[str, Any]) -> str:
                 f"cut edge {100 * summary['edge_error_relative']:.2f} %; material and p0 not included (see plan)",
             )
         )
+        wanted = summary["accuracy_wanted_relative"]
+        if error > wanted:
+            rows.append(("accuracy", f"NOT reached: {100 * wanted:g} % wanted; {mend(summary)}"))
     if "peak_displacement_low_m" in summary:
         low, high = summary["peak_displacement_low_m"], summary["peak_displacement_high_m"]
         rows.append(("peak for the p0 range", f"{1e6 * low:.3g} to {1e6 * high:.3g} um"))

@@ -115,17 +115,22 @@ def _draw_spectra(axes: Any, time_s: Float, motion: Float, vertices: list[tuple[
     top = max(first.max() * 1e6, 1e-9)
     for (_, amplitude), colour in zip(spectra, COLOURS, strict=False):
         axes.semilogy(frequency, np.maximum(amplitude * 1e6, 1e-9 * top), color=colour)
-    for at, height in peaks:
+    last = max([1000.0] + [1.3 * at for at, _ in peaks])
+    before = -np.inf
+    lifted = False
+    for at, height in sorted(peaks):
+        # Two lines of text side by side need a tenth of the axis.
+        lifted = not lifted and at - before < 0.1 * last
+        before = at
         axes.annotate(
             f"{at:.4g} Hz\n{_number(height * 1e6)} µm",
             (at, height * 1e6),
-            (0, 6),
+            (0, 30 if lifted else 6),
             textcoords="offset points",
             ha="center",
             fontsize=8,
         )
-    last = max([1000.0] + [1.3 * at for at, _ in peaks])
-    axes.set(xlim=(0, min(last, frequency[-1])), ylim=(top * 1e-4, top * 8))
+    axes.set(xlim=(0, min(last, frequency[-1])), ylim=(top * 1e-4, top * 40))
     axes.set(xlabel="frequency [Hz]", ylabel="amplitude [µm]")
     axes.set_title(f"Amplitude spectrum (single-sided, Hann window, DC excluded, bins of {frequency[0]:.3g} Hz)")
 
