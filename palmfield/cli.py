@@ -40,12 +40,20 @@ def run(
     Example: palmfield run mjcf/scenes/palm_am200.xml --out out/palm
     """
     import palmfield
+    from palmfield.planning import warnings
     from palmfield.report import format_report
 
     if duration is not None and not 0 < duration < 3600:
         raise SceneError(f"--duration has value {duration:g}; allowed: seconds > 0 and < 3600")
     loaded = palmfield.load(scene, device=device, accuracy=accuracy)
-    result = palmfield.run(loaded, out or Path("out") / scene.stem, duration_s=duration)
+    target = out or Path("out") / scene.stem
+    for warning in warnings(loaded):
+        complain(f"warning: {warning}")
+    try:
+        result = palmfield.run(loaded, target, duration_s=duration)
+    except KeyboardInterrupt:
+        complain(f"interrupted; what was computed is in {target}; `palmfield recover {target}` draws its pictures")
+        raise typer.Exit(130) from None
     print(format_report(result.summary), end="")
     for path in result.files.values():
         print(f"wrote {path}")
@@ -134,26 +142,24 @@ def new(
 
     Example: palmfield new first && palmfield run first.xml
     """
+    from palmfield.data import folder
     from palmfield.template import write_scene
 
     for path in write_scene(name):
         print(f"wrote {path}")
-    print(f"next: palmfield run {name}.xml")
+    print(f"next: palmfield run {name}.xml (it refers to the arrays and hands in {folder('mjcf')})")
 
 
 @app.command()
 def recover(out: Annotated[Path, typer.Argument(help="folder of a run that was cut off", metavar="DIR")]) -> None:
-    """Assemble the results of a run that was killed into DIR/result.nc, marked incomplete.
+    """Assemble the results of a run that was cut off into DIR/result.nc, marked incomplete, and draw its pictures.
 
     Example: palmfield recover out/palm
     """
-    from palmfield.outputs.store import load, write_json
-    from palmfield.outputs.store import recover as assemble
-    from palmfield.outputs.summary import summary
+    from palmfield.runner import recover as finish
 
-    path = assemble(out)
-    write_json(out / "summary.json", summary(load(path), {"complete": False, "reason": "recovered after a crash"}))
-    print(f"wrote {path} (incomplete) and {out / 'summary.json'}")
+    for path in finish(out).values():
+        print(f"wrote {path}")
 
 
 def main() -> None:
@@ -161,8 +167,10 @@ def main() -> None:
     try:
         app(standalone_mode=True)
     except PalmfieldError as error:
-        Console(stderr=True, soft_wrap=True, markup=False, highlight=False).print(f"palmfield: {error}")
+        complain(str(error))
         sys.exit(2)
-    except KeyboardInterrupt:
-        print("palmfield: interrupted; what was computed is kept, marked incomplete", file=sys.stderr)
-        sys.exit(130)
+
+
+def complain(text: str) -> None:
+    """One line on standard error."""
+    Console(stderr=True, soft_wrap=True, markup=False, highlight=False).print(f"palmfield: {text}")

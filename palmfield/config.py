@@ -13,6 +13,7 @@ def _split(value: Any) -> Any:
 
 Vector = Annotated[tuple[float, float, float], BeforeValidator(_split)]
 Positive = Annotated[float, Field(gt=0)]
+Length = Annotated[float, Field(ge=5e-4, le=1.0)]
 NonNegative = Annotated[float, Field(ge=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 ArpLaw = Literal["default", "alpha"]
@@ -110,10 +111,8 @@ class SkinConfig(Config):
     hand: str = Field("open_men_p50", description="shape hand: a preset in hand_models/ or the path of a .toml file")
     mesh: str | None = Field(None, description="shape mesh: .obj, .ply or .stl file, relative to the scene")
     mesh_unit: Literal["m", "cm", "mm", "in"] | None = Field(None, description="shape mesh: unit of the file")
-    radius_m: Positive | None = Field(
-        None, description="shape disc: radius; the loaded face is z = 0, looking along +z"
-    )
-    thickness_m: Positive | None = Field(None, description="shape disc: thickness")
+    radius_m: Length | None = Field(None, description="shape disc: radius; the loaded face is z = 0, looking along +z")
+    thickness_m: Length | None = Field(None, description="shape disc: thickness")
     patch_site: str | None = Field(
         None, description="site on the body at the middle of the skin layer (shapes hand and mesh)"
     )

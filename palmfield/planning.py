@@ -15,7 +15,7 @@ from palmfield.report import RATIO
 from palmfield.rig import Rig
 from palmfield.scene import Scene
 from palmfield.skin.material import complex_shear, shear_wave
-from palmfield.stimulus import frame_rates, main_frequencies
+from palmfield.stimulus import frame_at, frame_rates, main_frequencies
 
 # One transducer at resonance (acoustics literature on 40 kHz emitters): quality factor about 25.
 QUALITY = 25.0
@@ -43,6 +43,7 @@ class Plan:
     left_out: tuple[Row, ...]
     error: tuple[Row, ...]
     seconds: float
+    warnings: tuple[str, ...]
 
     def __str__(self) -> str:
         stream = io.StringIO()
@@ -57,6 +58,8 @@ class Plan:
             for row in rows:
                 grid.add_row(row.what, row.size, row.why)
             console.print(grid)
+        for warning in self.warnings:
+            console.print(f"Warning: {warning}", highlight=False)
         console.print(f"Expected time on two CPU cores: {self.seconds:.0f} s", highlight=False)
         return stream.getvalue()
 
@@ -72,7 +75,22 @@ def plan(scene: Scene) -> Plan:
     dofs = 3 * (len(rig.mesh.nodes) - (rig.mesh.surface_nodes if bonded else 0))
     pairs = _points_a_step(rig) * len(rig.array) * scene.duration_s / rig.timestep_s
     seconds = START_AND_PICTURES_S + _estimate_s(rig, dofs) + SOLVE_S * dofs * substeps + pairs / PAIRS_PER_S
-    return Plan(str(scene.path), _modelled(rig, dofs, substeps), _left_out(rig), _errors(rig), seconds)
+    return Plan(
+        str(scene.path), _modelled(rig, dofs, substeps), _left_out(rig), _errors(rig), seconds, tuple(warnings(scene))
+    )
+
+
+def warnings(scene: Scene) -> list[str]:
+    """What a user should know before the run, in words."""
+    skin = scene.skin
+    rig = skin.rig
+    pose = skin.pose()
+    focus = skin.to_array(frame_at(rig.stimulus, rig.stimulus.start_s).focus)
+    nodes = pose.points(rig.mesh.nodes[: rig.mesh.surface_nodes])
+    distance = float(np.linalg.norm(nodes - focus, axis=1).min())
+    if distance > max(rig.spot_fwhm_m, 2 * rig.sizes[1]):
+        return [f"the focus is {1e3 * distance:.0f} mm away from the skin layer, which then hardly moves"]
+    return []
 
 
 def _factor_s(dofs: float) -> float:
@@ -124,6 +142,11 @@ def _modelled(rig: Rig, dofs: int, substeps: int) -> tuple[Row, ...]:
             f"{len(fractions) - 1} through the depth",
             f"spot {1e3 * rig.spot_fwhm_m:.1f} mm wide, shear wave {1e3 * speed / rig.max_frequency_Hz:.0f} mm long at "
             f"{rig.max_frequency_Hz:.0f} Hz",
+        ),
+        Row(
+            "error estimate",
+            f"about {_estimate_s(rig, dofs):.0f} s",
+            f"the same load on elements {RATIO} x smaller or larger, static and harmonic",
         ),
         Row(
             "time",

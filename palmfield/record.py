@@ -99,9 +99,9 @@ class Recorder:
         self.store.append(dataset(**block))
 
     @property
-    def loudest(self) -> Sound | None:
-        """The sound with the highest ARP on the skin so far."""
-        return self._loudest[1]
+    def loudest(self) -> tuple[Sound | None, float]:
+        """The sound with the highest ARP on the skin so far, and its ARP factor."""
+        return self._loudest[1], self._loudest[0]
 
     def surfaces(self) -> xr.Dataset:
         """ARP and pressure on the whole surface and on the skin at the loudest moment."""

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from palmfield.chain import Chain, Sound
+from palmfield.errors import PalmfieldError
 from palmfield.percept import OBSERVERS, level_dB_SL, line_amplitude
 from palmfield.rig import Rig
 from palmfield.scene import Scene
@@ -21,21 +22,27 @@ from palmfield.types import Float
 RATIO = 1.5
 
 
-def numbers(scene: Scene, ds: xr.Dataset, loudest: Sound | None) -> dict[str, Any]:
+def numbers(scene: Scene, ds: xr.Dataset, loudest: Sound | None, factor: float) -> dict[str, Any]:
     """Drive level, error estimate and felt level of a finished run, units in the names.
 
-    ds: the run's result; loudest: the sound at the highest level, None for a silent run
+    ds: the run's result; loudest: the sound at the highest level, None for a silent run; factor: its ARP factor
+    An error estimate that fails leaves its reason in `displacement_error_missing`; the results stand without it.
     """
     rig = scene.skin.rig
     out: dict[str, Any] = {"drive_level": 0.0 if loudest is None else loudest.level, "dofs": rig.system.ndof}
     out["accuracy_wanted_relative"] = rig.skin.accuracy
     motion = ds["normal_displacement"].values
     vertex = int(np.abs(motion).max(axis=0).argmax())
+    peak = float(np.abs(motion).max())
     if loudest is not None:
-        errors = error_estimate(rig, loudest, ds["skin_position"].values[vertex])
-        peak = float(np.abs(motion).max())
-        out |= errors | {"displacement_error_m": errors["displacement_error_relative"] * peak}
+        out["total_force_peak_N"] = factor * float(np.linalg.norm(Chain(rig).resultant(loudest)[0]))
         out |= _p0_band(rig, peak)
+    if loudest is not None and peak > 0:
+        try:
+            errors = error_estimate(rig, loudest, ds["skin_position"].values[vertex])
+            out |= errors | {"displacement_error_m": errors["displacement_error_relative"] * peak}
+        except (PalmfieldError, MemoryError) as error:
+            out["displacement_error_missing"] = f"{error}"
     frequencies = main_frequencies(rig.stimulus)
     if frequencies:
         out |= _levels(ds["time"].values, motion[:, vertex].astype(np.float64), frequencies)
@@ -103,6 +110,10 @@ def _levels(time: Float, motion: Float, frequencies: list[float]) -> dict[str, f
     """
     if frequencies[0] * (time[-1] - time[0]) < 2:
         return {}
+    step = float(time[1] - time[0])
+    frequencies = [f for f in frequencies if f * step <= 1 / 3]
+    if not frequencies:
+        return {}
     lines = [line_amplitude(time, motion, f) for f in frequencies]
     out: dict[str, float | None] = {"main_frequency_Hz": frequencies[0], "main_line_amplitude_m": lines[0]}
     for name, observer in OBSERVERS.items():
@@ -154,6 +165,8 @@ def format_report(summary: dict[str, Any]) -> str:
         wanted = summary["accuracy_wanted_relative"]
         if error > wanted:
             rows.append(("accuracy", f"NOT reached: {100 * wanted:g} % wanted; {mend(summary)}"))
+    if "displacement_error_missing" in summary:
+        rows.append(("error estimate", f"none: {summary['displacement_error_missing']}"))
     if "peak_displacement_low_m" in summary:
         low, high = summary["peak_displacement_low_m"], summary["peak_displacement_high_m"]
         rows.append(("peak for the p0 range", f"{1e6 * low:.3g} to {1e6 * high:.3g} um"))

@@ -68,6 +68,7 @@ class Rig:
         self.reference_focus, self.patch_centre = np.array(reference_focus), np.array(patch_centre)
         self.lock = threading.RLock()
         self.air = Air(array.temperature_C, array.humidity_percent, array.pressure_Pa)
+        resolve(array.compute)
         self.array = layout(array.layout, p0_Pa_m=array.p0_Pa_m)
         self.device = DEVICES[driver.device]
         self.material = material_of(skin)
@@ -83,7 +84,10 @@ class Rig:
         Returns the complex amplitude of each transducer relative to full drive, shape (n,), and the amplitude asked
         for, 0..1. Raises SceneError for a focus that the array cannot make or a level that it cannot reach.
         """
-        phases = focus(self.array, self.air, point)
+        try:
+            phases = focus(self.array, self.air, point)
+        except SceneError as error:
+            raise SceneError(f"plugin 'palmfield.stimulus': key 'focus_m': {error}") from None
         level = 1.0 if self.stimulus.drive_amplitude is None else self.stimulus.drive_amplitude
         wanted = self.stimulus.arp_peak_Pa
         if wanted is not None:
@@ -168,8 +172,6 @@ class Rig:
         coarse = min(coarse, 0.5 * radius)
         fine = min(fine, coarse)
         step = s.step_s or step
-        if self.stimulus.modulation == "none" and self.stimulus.control_rate_Hz:
-            step = min(step, 1 / self.stimulus.control_rate_Hz)
         count = math.ceil(self.timestep_s / step - 1e-9)
         if s.step_s is not None and abs(count * s.step_s - self.timestep_s) > 1e-9:
             raise SceneError(
@@ -185,14 +187,20 @@ class Rig:
             assert self.skin.radius_m and self.skin.thickness_m
             return disc_patch(self.skin.radius_m, self.skin.thickness_m, fine, coarse, fine_radius)
         surface, depth = self._hand
-        return surface_patch(
-            surface, depth, self.patch_centre, radius, fine, coarse, fine_radius, max_depth_m=self.skin.depth_m
-        )
+        try:
+            return surface_patch(
+                surface, depth, self.patch_centre, radius, fine, coarse, fine_radius, max_depth_m=self.skin.depth_m
+            )
+        except SceneError as error:
+            raise _with_keys(error) from None
 
     @once
     def mesh(self) -> WedgeMesh:
         """The skin layer's elements."""
-        return extrude(self.patch, self.sizes[3])
+        try:
+            return extrude(self.patch, self.sizes[3])
+        except SceneError as error:
+            raise _with_keys(error) from None
 
     @once
     def system(self) -> SkinSystem:
@@ -236,11 +244,6 @@ def check_device(rig: Rig) -> None:
     stimulus, device = rig.stimulus, rig.device
     if device.name == "ideal":
         return
-    if rig.array_config.layout != device.name:
-        raise SceneError(
-            f"plugin 'palmfield.driver': device '{device.name}' drives the layout '{device.name}' only; "
-            f"plugin 'palmfield.array' has layout '{rig.array_config.layout}'"
-        )
     rates = frame_rates(stimulus)
     moving = stimulus.path != "point"
     if moving and not rates:
@@ -260,6 +263,17 @@ def check_device(rig: Rig) -> None:
             f"plugin 'palmfield.stimulus': a ramp or a level between off and full needs continuous amplitude; "
             f"{device.name} gives on or off: drop ramp_s, arp_peak_Pa and drive_amplitude, or use device ideal"
         )
+    if rig.array_config.layout != device.name:
+        raise SceneError(
+            f"plugin 'palmfield.driver': device '{device.name}' drives the layout '{device.name}' only; "
+            f"plugin 'palmfield.array' has layout '{rig.array_config.layout}': set it to '{device.name}'"
+        )
+
+
+def _with_keys(error: SceneError) -> SceneError:
+    return SceneError(
+        f"plugin 'palmfield.skin': {error} (the scene's keys for these: patch_site, patch_radius_m, depth_m, element_m)"
+    )
 
 
 def _mm(point: Sequence[float] | Float) -> str:

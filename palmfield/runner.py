@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import mujoco
+import xarray as xr
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
@@ -22,6 +23,7 @@ from palmfield.errors import OutputError, PalmfieldError
 from palmfield.outputs.plots import plot_displacement, plot_pressure
 from palmfield.outputs.render import render_scene
 from palmfield.outputs.store import Store, load, write_json
+from palmfield.outputs.store import recover as assemble
 from palmfield.outputs.summary import summary
 from palmfield.outputs.usd import write_usd
 from palmfield.record import Recorder, static_data
@@ -48,13 +50,11 @@ class Result:
     """What a run left behind.
 
     out: folder; files: paths written, by name; summary: the numbers of summary.json
-    complete: whether it ran to its end
     """
 
     out: Path
     files: dict[str, Path]
     summary: dict[str, Any]
-    complete: bool
 
 
 def run(scene: Scene, out: str | Path, *, duration_s: float | None = None, progress: bool = True) -> Result:
@@ -68,60 +68,101 @@ def run(scene: Scene, out: str | Path, *, duration_s: float | None = None, progr
     started = time.perf_counter()
     out = Path(out)
     duration = scene.duration_s if duration_s is None else duration_s
-    steps = max(1, round(duration / scene.model.opt.timestep))
-    skin, data = scene.skin, scene.data
-    mujoco.mj_forward(scene.model, data)
-    raise_errors(data)
-    stopped: BaseException | None = None
-    with _progress(progress) as bar:
-        setup = bar.add_task("preparing the skin layer", total=None)
-        skin.now()
-        _ = skin.rig.solver
-        bar.remove_task(setup)
-        store = Store(out, static_data(skin).assign_attrs(_parameters(scene)))
-        recorder = Recorder(skin, store)
-        recorder.start()
-        skin.chain.observer = recorder.observe
-        task = bar.add_task(f"simulating {1e3 * duration:g} ms", total=steps)
-        try:
-            with _interrupts_between_steps() as check:
-                for _ in range(steps):
-                    mujoco.mj_step(scene.model, data)
-                    raise_errors(data)
-                    recorder.step()
-                    bar.advance(task)
-                    check()
-        except (KeyboardInterrupt, PalmfieldError, MemoryError) as error:
-            stopped = error
-        finally:
-            skin.chain.observer = None
-        reason = "ran to its end" if stopped is None else f"stopped by {type(stopped).__name__}: {stopped}".rstrip(": ")
-        extra: dict[str, Any] = {"complete": stopped is None, "reason": reason}
-        try:
-            store.append(recorder.surfaces())
-        except OutputError as error:
-            stopped = stopped or error
-        path = store.finish({"reason": reason}, complete=stopped is None)
-        ds = load(path)
-        if stopped is None:
+    world = scene.skin.world
+    world.quiet = True
+    try:
+        with _progress(progress) as bar:
+            store, recorder = _prepare(scene, out, bar)
+            stopped = _simulate(scene, recorder, duration, bar)
+            reason = "ran to its end" if stopped is None else f"{type(stopped).__name__}: {stopped}".rstrip(": ")
+            try:
+                store.append(recorder.surfaces())
+            except OutputError as error:
+                stopped = stopped or error
+            path = store.finish({"reason": reason}, complete=stopped is None)
+            ds = load(path)
+            files = {"result.nc": path, "summary.json": out / "summary.json"}
+            extra: dict[str, Any] = {"complete": stopped is None, "reason": reason}
+            # Written before what may take long or be interrupted, and again at the end.
+            write_json(files["summary.json"], summary(ds, extra))
+            if stopped is not None:
+                raise stopped
             task = bar.add_task("estimating the error", total=None)
-            extra |= numbers(scene, ds, recorder.loudest)
+            extra |= numbers(scene, ds, *recorder.loudest)
             bar.remove_task(task)
-        files = {"result.nc": path}
-        if stopped is None:
-            task = bar.add_task("drawing", total=len(PICTURES))
-            for name, draw in PICTURES:
-                bar.update(task, description=f"writing {name}")
-                draw(ds, out / name)
-                files[name] = out / name
-                bar.advance(task)
+            files |= draw(ds, out, bar)
+    finally:
+        world.quiet = False
     extra |= {"wall_time_s": time.perf_counter() - started, "peak_memory_MiB": _peak_memory_MiB()}
-    numbers_written = summary(ds, extra)
-    files["summary.json"] = out / "summary.json"
-    write_json(files["summary.json"], numbers_written)
-    if stopped is not None:
-        raise stopped
-    return Result(out, files, numbers_written, True)
+    written = summary(ds, extra)
+    write_json(files["summary.json"], written)
+    return Result(out, files, written)
+
+
+def recover(out: str | Path) -> dict[str, Path]:
+    """Assemble what a killed run left, or complete the files of one that was cut off while drawing.
+
+    Returns the files by name. Raises OutputError where there is nothing to recover or no room.
+    """
+    out = Path(out)
+    path = out / "result.nc"
+    if (out / ".partial").is_dir() or not path.exists():
+        path = assemble(out)
+    ds = load(path)
+    target = out / "summary.json"
+    if not ds.attrs["complete"] or not target.exists():
+        write_json(target, summary(ds, {"complete": bool(ds.attrs["complete"]), "reason": ds.attrs["reason"]}))
+    with _progress(True) as bar:
+        return {"result.nc": path, "summary.json": target} | draw(ds, out, bar)
+
+
+def draw(ds: xr.Dataset, out: Path, bar: Progress) -> dict[str, Path]:
+    """Write each picture and the USD scene that the data allow; what can't be drawn is said and left out."""
+    files = {}
+    task = bar.add_task("drawing", total=len(PICTURES))
+    for name, make in PICTURES:
+        bar.update(task, description=f"writing {name}")
+        try:
+            make(ds, out / name)
+            files[name] = out / name
+        except OutputError as error:
+            bar.console.print(f"palmfield: no {name}: {error}", highlight=False, markup=False, soft_wrap=True)
+        bar.advance(task)
+    return files
+
+
+def _prepare(scene: Scene, out: Path, bar: Progress) -> tuple[Store, Recorder]:
+    """Everything that can fail before the first step."""
+    task = bar.add_task("preparing the skin layer", total=None)
+    skin = scene.skin
+    mujoco.mj_forward(scene.model, scene.data)
+    raise_errors(scene.data)
+    _ = skin.rig.solver
+    bar.remove_task(task)
+    store = Store(out, static_data(skin).assign_attrs(_parameters(scene)))
+    return store, Recorder(skin, store)
+
+
+def _simulate(scene: Scene, recorder: Recorder, duration_s: float, bar: Progress) -> BaseException | None:
+    """Step to the end; returns what ended it early, or None."""
+    steps = max(1, round(duration_s / scene.model.opt.timestep))
+    chain = scene.skin.chain
+    task = bar.add_task(f"simulating {1e3 * duration_s:g} ms", total=steps)
+    try:
+        recorder.start()
+        chain.observer = recorder.observe
+        with _interrupts_between_steps() as check:
+            for _ in range(steps):
+                mujoco.mj_step(scene.model, scene.data)
+                raise_errors(scene.data)
+                recorder.step()
+                bar.advance(task)
+                check()
+    except (KeyboardInterrupt, PalmfieldError, MemoryError) as error:
+        return error
+    finally:
+        chain.observer = None
+    return None
 
 
 @contextmanager

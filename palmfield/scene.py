@@ -1,12 +1,13 @@
 """A scene file, loaded: MuJoCo's model with the modules' settings."""
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
 
 from palmfield.engine.host import compiling, take_compile_error, world_of
-from palmfield.engine.modules import SkinModule
+from palmfield.engine.modules import MODULES, SkinModule
 from palmfield.errors import PalmfieldError, SceneError
 
 DURATION = "palmfield_duration_s"
@@ -38,13 +39,15 @@ def load(
     Raises SceneError (or DeviceError) with a one-line message that names element, key, value and what is allowed.
     """
     path = Path(path)
+    if device is not None and not re.fullmatch(r"auto|cpu|cuda:\d+", device):
+        raise SceneError(f"device '{device}' is not known; allowed: auto, cpu or cuda:N")
     if not path.is_file():
         raise SceneError(f"scene {path} does not exist; `palmfield new NAME` writes one to start from")
     take_compile_error()
     try:
         spec = mujoco.MjSpec.from_file(str(path))
     except (ValueError, mujoco.FatalError) as error:
-        raise SceneError(f"{path}: {_one_line(error)}") from None
+        raise SceneError(f"{path}: {_with_choices(_one_line(error))}") from None
     names = [plugin.plugin_name for plugin in spec.plugins]
     if SkinModule.name not in names:
         raise SceneError(f"{path} has no plugin '{SkinModule.name}'; it is a plain MuJoCo scene (see `palmfield new`)")
@@ -71,7 +74,7 @@ def load(
             raise type(cause)(f"{path}: {cause}") from None
         if cause is not None:
             raise cause from None
-        raise SceneError(f"{path}: {_one_line(error)}") from None
+        raise SceneError(f"{path}: {_with_choices(_one_line(error))}") from None
     mujoco.mj_kinematics(model, data)
     world = world_of(data)
     assert world is not None
@@ -89,6 +92,17 @@ def _duration(path: Path, model: mujoco.MjModel) -> float:
     if not value > 0:
         raise SceneError(f"{path}: numeric '{DURATION}' has value {value:g}; allowed: seconds > 0")
     return value
+
+
+def _with_choices(message: str) -> str:
+    """MuJoCo's message about a plugin or key that it doesn't know, with those there are."""
+    known = {module.name: module.config for module in MODULES}
+    key = re.search(r"unrecognized attribute 'plugin:(\w+)' for plugin (\S+?)'", message)
+    if key and key[2] in known:
+        return f"{message}: plugin '{key[2]}' has no key '{key[1]}'; allowed: {', '.join(known[key[2]].model_fields)}"
+    if re.search(r"plugin \S+ not found", message):
+        return f"{message}; palmfield's are: {', '.join(known)}"
+    return message
 
 
 def _one_line(error: Exception) -> str:

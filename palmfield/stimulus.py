@@ -22,30 +22,68 @@ class Frame:
     arp_factor: float
 
 
-def held_time(config: StimulusConfig, t: float) -> float:
-    """Time [s] whose frame is playing at time t: the last control tick or path point, or t itself.
-
-    A tick counts as passed when it is less than a nanosecond ahead, so that t = k / rate lands on frame k.
-    """
-    for rate in frame_rates(config):
-        t = math.floor((t + 1e-9) * rate) / rate
-    return t
-
-
 def frame_rates(config: StimulusConfig) -> list[float]:
-    """Rates [1/s] at which frames are held: points of a stepped path, and control ticks; none if smooth."""
-    rates = []
-    if config.path == "circle" and config.path_points > 0 and config.path_rate_Hz:
-        rates.append(config.path_points * config.path_rate_Hz)
-    if config.control_rate_Hz > 0:
-        rates.append(config.control_rate_Hz)
-    return rates
+    """Rates [1/s] at which something is held: points of a stepped path, and control ticks; none if smooth."""
+    return [rate for rate, _ in _grids(config)]
 
 
 def frame_at(config: StimulusConfig, t: float) -> Frame:
-    """Focus and level at time t [s], holds included."""
-    t = held_time(config, t)
-    return Frame(_focus(config, t), _arp_factor(config, t))
+    """Focus and level at time t [s].
+
+    A control tick holds both; a path point holds the focus only, so that the level goes on between points.
+    """
+    if config.control_rate_Hz > 0:
+        t = _floor(t, config.control_rate_Hz, 0.0)
+    on_path = t
+    if _point_rate(config) > 0:
+        on_path = _floor(t, _point_rate(config), config.start_s)
+    return Frame(_focus(config, on_path), _arp_factor(config, t))
+
+
+def held_frames(config: StimulusConfig, start: float, end: float) -> list[tuple[float, float]]:
+    """Moments that stand for the parts of an interval of time [s] as (time, share of the interval).
+
+    The parts lie between ticks, path points, start and end of the sound. The shares add up to 1, so that the load's
+    impulse is right over any step. Empty where nothing jumps or is held: the load is then smooth over the interval.
+    """
+    grids = _grids(config)
+    jumps = {t for t in (config.start_s, config.stop_s) if t is not None and start + 1e-12 < t <= end + 1e-12}
+    if not grids and not jumps:
+        return []
+    ticks = {start, end} | {t for t in jumps if t < end}
+    for rate, first in grids:
+        low, high = math.ceil((start - first) * rate), math.floor((end - first) * rate)
+        ticks |= {t for t in (first + k / rate for k in range(low, high + 1)) if start < t < end}
+    parts = [(a, b) for a, b in pairwise(sorted(ticks)) if b - a > 1e-12]
+    return [(0.5 * (a + b), (b - a) / (end - start)) for a, b in parts]
+
+
+def mean_arp_factor(config: StimulusConfig, start: float, end: float, count: int) -> float:
+    """Mean of the ARP factor over an interval [s], from `count` midpoints between jumps."""
+    total = 0.0
+    width = (end - start) / count
+    for i in range(count):
+        a, b = start + i * width, start + (i + 1) * width
+        parts = held_frames(config, a, b) or [(0.5 * (a + b), 1.0)]
+        total += sum(share * frame_at(config, t).arp_factor for t, share in parts)
+    return total / count
+
+
+def _point_rate(config: StimulusConfig) -> float:
+    if config.path == "circle" and config.path_points > 0:
+        return config.path_points * (config.path_rate_Hz or 0.0)
+    return 0.0
+
+
+def _grids(config: StimulusConfig) -> list[tuple[float, float]]:
+    """(rate, time of the first tick) of what is held."""
+    grids = [(_point_rate(config), config.start_s), (config.control_rate_Hz, 0.0)]
+    return [(rate, first) for rate, first in grids if rate > 0]
+
+
+def _floor(t: float, rate: float, first: float) -> float:
+    # A tick less than a nanosecond ahead counts as passed, so that t = k / rate lands on frame k.
+    return first + math.floor((t - first + 1e-9) * rate) / rate
 
 
 def _focus(config: StimulusConfig, t: float) -> Float:
@@ -69,25 +107,6 @@ def _arp_factor(config: StimulusConfig, t: float) -> float:
         wave = (1 + config.am_depth * math.sin(2 * math.pi * config.am_frequency_Hz * since)) / (1 + config.am_depth)
         level *= wave**2 if config.am_of == "pressure" else wave
     return level
-
-
-def held_frames(config: StimulusConfig, start: float, end: float) -> list[tuple[float, float]]:
-    """Frames that play between two times [s] as (time, share of the interval); one smooth stimulus has none.
-
-    The shares add up to 1, so that a load held over each frame keeps its impulse over any step.
-    """
-    if not frame_rates(config) or end <= start:
-        return []
-    ticks = sorted(
-        {start, end}
-        | {
-            k / rate
-            for rate in frame_rates(config)
-            for k in range(math.ceil(start * rate), math.floor(end * rate) + 1)
-            if start < k / rate < end
-        }
-    )
-    return [(a, (b - a) / (end - start)) for a, b in pairwise(ticks) if b - a > 1e-12]
 
 
 def main_frequencies(config: StimulusConfig) -> list[float]:

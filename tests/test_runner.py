@@ -9,11 +9,15 @@ import time
 
 import numpy as np
 import pytest
+import trimesh
 import xarray as xr
 from pxr import Usd, UsdGeom
 
 import palmfield
 from palmfield.outputs.usd import validate_usd
+from palmfield.report import format_report
+from palmfield.runner import recover
+from palmfield.skin.solver import static
 
 FILES = ("result.nc", "summary.json", "pressure.png", "displacement.png", "scene.png", "scene.usdc")
 
@@ -29,7 +33,7 @@ def finished(tmp_path_factory, module_scene):
 
 def test_everything_is_written(finished):
     result, ds = finished
-    assert result.complete and set(result.files) == set(FILES)
+    assert set(result.files) == set(FILES)
     assert all((result.out / name).stat().st_size > 1000 for name in FILES)
     assert not (result.out / ".partial").exists()
     assert ds.attrs["complete"] == 1
@@ -53,13 +57,14 @@ def test_result_is_labelled_and_consistent(finished):
     vertex = np.abs(u).max(axis=0).argmax()
     slope = np.gradient(u[:, vertex], t)
     assert np.corrcoef(slope, v[:, vertex])[0, 1] > 0.98
-    # The force is the ARP summed over the disc.
+    # The force is the mean over its step of the ARP summed over the disc (Simpson over begin, middle and end).
     corners = ds["skin_position"].values[ds["skin_faces"].values]
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     total = (area * ds["arp"].values[:, ds["skin_faces"].values].mean(axis=2)).sum(axis=1)
     force = np.linalg.norm(ds["arp_force"].values, axis=1)
-    matching = np.searchsorted(ds["time"].values, ds["step_time"].values - 1e-9)
-    np.testing.assert_allclose(force, np.abs(total[matching]), rtol=0.05, atol=0.02 * force.max())
+    begin = np.searchsorted(ds["time"].values, ds["step_time"].values - 1e-9)
+    mean = (total[begin] + 4 * total[begin + 1] + total[begin + 2]) / 6
+    np.testing.assert_allclose(force, mean, rtol=0.05, atol=0.01 * force.max())
     for key in ("array", "stimulus", "skin", "driver", "material", "conventions", "versions"):
         assert json.loads(ds.attrs[key])
 
@@ -93,8 +98,48 @@ def test_halving_p0_quarters_the_displacement(small_scene, tmp_path):
         scene = palmfield.load(small_scene(array={"p0_Pa_m": p0}))
         skin = scene.skin
         sound = skin.chain.sound(np.array([0, 0, 0.12]), skin.pose())
-        peaks.append(np.abs(skin.chain.surface_operator @ skin.chain.settled(sound)).max())
+        settled = static(skin.rig.system, sound.skin_force)
+        peaks.append(np.abs(skin.chain.surface_operator @ settled).max())
     assert peaks[0] / peaks[1] == pytest.approx(4, rel=1e-4)
+
+
+def test_pictures_of_a_run_cut_off_while_drawing_can_be_made_later(small_scene, tmp_path):
+    out = tmp_path / "out"
+    palmfield.run(palmfield.load(small_scene()), out, progress=False)
+    summary = (out / "summary.json").read_text()
+    for name in ("scene.usdc", "displacement.png"):
+        (out / name).unlink()
+    assert set(recover(out)) == set(FILES)
+    assert (out / "summary.json").read_text() == summary
+    assert (out / "scene.usdc").exists() and (out / "displacement.png").exists()
+
+
+@pytest.mark.parametrize("changes", [{"stimulus": {"drive_amplitude": 0}}, {"skin": {"step_s": 0.001}}], ids=str)
+def test_silence_and_a_coarse_step_end_well(changes, small_scene, tmp_path):
+    result = palmfield.run(palmfield.load(small_scene(**changes)), tmp_path / "out", progress=False)
+    assert set(result.files) == set(FILES)
+    assert "displacement_error_relative" in result.summary or result.summary["peak_displacement_m"] == 0
+    assert "peak ARP" in format_report(result.summary)
+
+
+def test_force_on_a_mesh_of_large_faces(small_scene, tmp_path):
+    """A box of twelve faces feels the force that the fine skin on its lit face adds up to."""
+    path = small_scene(
+        stimulus={"modulation": "none", "am_of": None, "am_frequency_Hz": None, "am_depth": None},
+        skin={"shape": "mesh", "mesh": "box.obj", "mesh_unit": "mm", "patch_site": "centre", "patch_radius_m": 0.028,
+              "radius_m": None, "thickness_m": None, "element_m": 0.004},
+    )  # fmt: skip
+    box = trimesh.creation.box((60, 60, 30))
+    box.apply_translation((0, 0, -15))
+    box.export(path.with_name("box.obj"))
+    skin = palmfield.load(path).skin
+    sound = skin.chain.sound(np.array([0, 0, 0.12]), skin.pose())
+    quadrature = skin.rig.quadrature
+    load, _ = skin.chain.arp_at(quadrature.points, quadrature.normals, sound.pose, sound.drive)
+    on_patch = float(load @ quadrature.weights)
+    force, _ = skin.chain.resultant(sound)
+    # Side lobes beyond the patch add a little.
+    assert 1.0 < -force[2] / on_patch < 1.08
 
 
 START = "import palmfield, sys; palmfield.run(palmfield.load(sys.argv[1]), sys.argv[2], duration_s=30, progress=False)"

@@ -46,17 +46,20 @@ BAD = {
     ),
     "unit": ({"stimulus": {"focus_m": "0 0 120mm"}}, "key 'focus_m' has value '0 0 120mm'; allowed: three finite"),
     "choice": ({"skin": {"base": "glued"}}, "key 'base' has value 'glued'; allowed: bonded | free_slip"),
-    "behind": ({"stimulus": {"focus_m": "0 0 -0.1"}}, "behind the array"),
+    "behind": ({"stimulus": {"focus_m": "0 0 -0.1"}}, "plugin 'palmfield.stimulus': key 'focus_m': focus"),
     "too loud": ({"stimulus": {"arp_peak_Pa": 1e6}}, "arp_peak_Pa 1e+06 is more than the array gives"),
     "missing am": ({"stimulus": {"am_depth": None}}, "modulation 'am' needs am_depth"),
-    "unknown key": ({"skin": {"radius_mm": 20}}, "radius_mm"),
+    "unknown key": ({"skin": {"radius_mm": 20}}, "'palmfield.skin' has no key 'radius_mm'; allowed: body, shape, hand"),
     "no body": ({"skin": {"body": "paw"}}, "the scene has no body 'paw'; it has: world"),
     "missing mesh": (
         {"skin": {"shape": "mesh", "mesh": "gone.obj", "mesh_unit": "mm", "patch_site": "centre"}}, "gone.obj",
     ),
     "step": ({"skin": {"step_s": 0.0003}}, "must divide the timestep"),
     "am on board": ({"driver": {"device": "sonicsurface"}, "array": {"layout": "sonicsurface"}}, "sonicsurface gives"),
-    "other board": ({"driver": {"device": "sonicsurface"}}, "drives the layout 'sonicsurface' only"),
+    "other board": (
+        {"driver": {"device": "sonicsurface"}, "stimulus": {"modulation": "none"}},
+        "drives the layout 'sonicsurface' only",
+    ),
     "no device": ({"array": {"compute": "cuda:7"}}, "device 'cuda:7' is not on this machine"),
 }  # fmt: skip
 
@@ -91,7 +94,7 @@ def test_hand_inside_the_array(small_scene):
 def test_unknown_plugin(small_scene):
     path = small_scene()
     path.write_text(path.read_text().replace("palmfield.driver", "palmfield.drivr"))
-    refuse(path, "palmfield.drivr")
+    refuse(path, "palmfield.drivr not found.*palmfield's are: palmfield.array")
 
 
 def test_zero_size_mesh(small_scene):

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from palmfield.config import StimulusConfig
-from palmfield.stimulus import frame_at, frame_rates, held_frames, main_frequencies
+from palmfield.stimulus import frame_at, frame_rates, held_frames, main_frequencies, mean_arp_factor
 
 
 def am(of, depth=1.0, **more):
@@ -61,6 +61,31 @@ def test_stepped_circle_holds_its_points():
 def test_held_frames_share_out_the_whole_step(start, length, rate):
     shares = held_frames(am("arp", control_rate_Hz=rate), start, start + length)
     assert sum(share for _, share in shares) == pytest.approx(1, abs=1e-6)
+
+
+@pytest.mark.parametrize(("control", "start"), [(0, 0), (1000, 0), (0, 0.005), (1000, 0.005)])
+def test_path_points_keep_their_angles_whatever_else_is_held(control, start):
+    config = StimulusConfig(
+        path="circle", path_diameter_m=0.02, path_rate_Hz=10, path_points=8, control_rate_Hz=control, start_s=start
+    )
+    points = np.array([frame_at(config, t).focus for t in start + np.linspace(0, 0.2, 777)])
+    angle = np.degrees(np.arctan2(points[:, 1], points[:, 0]))
+    assert np.abs(angle / 45 - np.round(angle / 45)).max() < 1e-6
+    assert frame_at(config, start).focus[0] == pytest.approx(0.01)
+
+
+def test_level_goes_on_between_path_points():
+    config = am("arp", path="circle", path_diameter_m=0.02, path_rate_Hz=10, path_points=8)
+    assert frame_at(config, 0.00125).arp_factor == pytest.approx(1)
+    assert frame_at(config, 0.00375).arp_factor == pytest.approx(0, abs=1e-12)
+
+
+def test_mean_factor_of_a_modulation_faster_than_the_step():
+    assert mean_arp_factor(am("pressure"), 0.001, 0.006, 64) == pytest.approx(1.5 / 4, rel=1e-6)
+
+
+def test_mean_factor_of_a_sound_that_starts_within_the_step():
+    assert mean_arp_factor(StimulusConfig(start_s=0.00033), 0, 0.001, 4) == pytest.approx(0.67, rel=1e-9)
 
 
 def test_on_off_and_ramp():

@@ -39,9 +39,10 @@ class DriverModule(Module):
 class SkinModule(Module):
     """Pushes the body with the ARP's resultant and carries the skin layer's motion in the plugin state.
 
-    `applied` is the force of the present step [N], world axes. The sensor, on a site of the body, reads
-    SENSOR_CHANNELS: the force in world axes, and at the skin point nearest to the site the displacement and velocity
-    along the outward normal and the ARP.
+    `applied` is the mean force over the present step [N], world axes. The sensor, on a site of the body, reads
+    SENSOR_CHANNELS: that force, and at the skin point nearest to the site the displacement and velocity along the
+    outward normal and the ARP. As all of MuJoCo's sensors it belongs to the step's beginning: after mj_step it is one
+    timestep older than data.time, until mj_forward.
     """
 
     name: ClassVar[str] = SkinConfig.plugin
@@ -97,10 +98,19 @@ class SkinModule(Module):
         return self.chain.sound(self.to_array(frame.focus), self.pose()), frame.arp_factor
 
     def body_force(self) -> tuple[Float, Float]:
-        """Force [N] and torque about the body's origin [N m] of the ARP now, world axes, shapes (3,)."""
-        sound, factor = self.now()
-        if sound is None:
+        """Force [N] and torque about the body's origin [N m] of the ARP, world axes, shapes (3,).
+
+        The mean over the MuJoCo step that begins now, with the focus at its beginning: a modulation faster than the
+        step gives the right impulse.
+        """
+        from palmfield.stimulus import frame_at, mean_arp_factor
+
+        stimulus, start = self.rig.stimulus, self.world.time
+        end = start + self.world.model.timestep
+        factor = mean_arp_factor(stimulus, start, end, max(4, round(self.rig.timestep_s / self.rig.sizes[4])))
+        if factor == 0.0:
             return np.zeros(3), np.zeros(3)
+        sound = self.chain.sound(self.to_array(frame_at(stimulus, start).focus), self.pose())
         turn = factor * self.world.pose("body", self.body)[1]
         force, torque = self.chain.resultant(sound)
         return turn @ force, turn @ torque

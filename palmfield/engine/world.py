@@ -86,7 +86,10 @@ class ModelView:
 
 
 class World:
-    """One mjData with its model. Arrays are views: they show MuJoCo's present values."""
+    """One mjData with its model. Arrays are views: they show MuJoCo's present values.
+
+    error: what a module could not raise through C; quiet: whether somebody will raise it, so that MuJoCo need not warn
+    """
 
     def __init__(self, model: int, data: int):
         self.model = ModelView(model)
@@ -94,6 +97,7 @@ class World:
         self.raw = mirror("mjData").from_address(data)
         self.modules: dict[int, Any] = {}
         self.error: Exception | None = None
+        self.quiet = False
         counts = self.model.raw
         self._views = {
             "body": (self._view("xpos", counts.nbody, 3), self._view("xmat", counts.nbody, 9)),

@@ -194,14 +194,18 @@ def test_plain_mj_step_equals_palmfield_run(tmp_path):
         f"m = mujoco.MjModel.from_xml_path({str(PALM)!r})\n"
         "d = mujoco.MjData(m)\n"
         "while d.time < 0.05 - 1e-9: mujoco.mj_step(m, d)\n"
+        "print(*d.sensordata)\n"
         "mujoco.mj_forward(m, d)\nprint(*d.sensordata)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300, check=True)
-    plain = np.array([float(x) for x in done.stdout.split()])
+    before, plain = (np.array([float(x) for x in line.split()]) for line in done.stdout.splitlines())
     assert np.linalg.norm(plain[:3]) > 1e-6 or abs(plain[3]) > 1e-8
     np.testing.assert_allclose(scene.data.sensordata[:5], plain[:5], rtol=1e-6, atol=1e-15)
     with xr.open_dataset(tmp_path / "out" / "result.nc", engine="h5netcdf") as ds:
         distance = np.linalg.norm(ds["skin_position"].values, axis=1)
         motion = ds["normal_displacement"].values[:, int(distance.argmin())]
+        # Without mj_forward the sensor belongs to the last step's beginning, as the file says.
+        assert ds["step_time"].values[-1] == pytest.approx(0.049)
+        np.testing.assert_allclose(ds["arp_force"].values[-1], before[:3], rtol=1e-6)
     # The nearest node of the mesh is not quite the site, and at 50 ms the skin passes through zero.
     assert abs(motion[-1] - plain[3]) < 0.02 * np.abs(motion).max()
