@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from palmfield.chain import Chain, Sound
-from palmfield.errors import PalmfieldError
+from palmfield.errors import PalmfieldError, SceneError
 from palmfield.percept import OBSERVERS, level_dB_SL, line_amplitude
 from palmfield.rig import Rig
 from palmfield.scene import Scene
@@ -58,10 +58,18 @@ def error_estimate(rig: Rig, sound: Sound, point: Float) -> dict[str, float]:
     edge: half the difference that fixed or free cut faces make to the harmonic response, also there: a layer on a hand
         ends where the body goes on; 0 for a disc, whose side is its own
     The model's other errors (law, material, linearity) are not in these; the plan names them.
+    Raises SceneError where neither a finer nor a coarser mesh of the layer can be made.
     """
-    frequency = main_frequencies(rig.stimulus)[0] if main_frequencies(rig.stimulus) else rig.max_frequency_Hz
     # A single layer is too coarse to extrapolate from.
     finer = len(rig.sizes[3]) - 1 < 3
+    try:
+        return _error_estimate(rig, sound, point, finer)
+    except SceneError:
+        return _error_estimate(rig, sound, point, not finer)
+
+
+def _error_estimate(rig: Rig, sound: Sound, point: Float, finer: bool) -> dict[str, float]:
+    frequency = main_frequencies(rig.stimulus)[0] if main_frequencies(rig.stimulus) else rig.max_frequency_Hz
     low, high = (rig, rig.resized(1 / RATIO)) if finer else (rig.resized(RATIO), rig)
     coarse_static, coarse_wave, coarse_step = _answers(low, sound, point, frequency, rig.sizes[4])
     fine_static, fine_wave, _ = _answers(high, sound, point, frequency)

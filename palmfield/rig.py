@@ -197,8 +197,9 @@ class Rig:
     @once
     def mesh(self) -> WedgeMesh:
         """The skin layer's elements."""
+        patch = self.patch
         try:
-            return extrude(self.patch, self.sizes[3])
+            return extrude(patch, self.sizes[3])
         except SceneError as error:
             raise _with_keys(error) from None
 
