@@ -118,7 +118,7 @@ class SkinConfig(Config):
     )
     patch_radius_m: Positive | None = Field(None, description="radius of the skin layer (default: the plan's)")
     depth_m: Positive = Field(
-        0.012, description="greatest depth of the layer; a hand's own depth to bone applies where it is less"
+        0.02, description="greatest depth of the layer; a hand's own depth to bone applies where it is less"
     )
     material: str = Field("palm", description="a preset of palmfield.skin.material")
     density_kg_m3: Positive | None = Field(None, description="overrides the preset")

@@ -11,7 +11,7 @@ from rich.table import Table
 from palmfield.acoustics.air import absorption_Np_m, density, sound_speed
 from palmfield.acoustics.arp import LAWS
 from palmfield.acoustics.reference import pressure64
-from palmfield.report import RATIO
+from palmfield.report import FINER_BELOW, RATIO
 from palmfield.rig import Rig
 from palmfield.scene import Scene
 from palmfield.skin.material import complex_shear, shear_wave
@@ -101,7 +101,7 @@ def _factor_s(dofs: float) -> float:
 def _estimate_s(rig: Rig, dofs: int) -> float:
     """Seconds for the run's factorisation and those of its error estimate (palmfield/report.py)."""
     more = RATIO**3
-    low, high = (dofs, more * dofs) if len(rig.sizes[3]) - 1 < 3 else (dofs / more, dofs)
+    low, high = (dofs, more * dofs) if dofs < FINER_BELOW else (dofs / more, dofs)
     edge = 0 if rig.skin.shape == "disc" else 3
     return _factor_s(dofs) + (5 + edge) * _factor_s(low) + 3 * _factor_s(high)
 
@@ -133,7 +133,7 @@ def _modelled(rig: Rig, dofs: int, substeps: int) -> tuple[Row, ...]:
         Row(
             "skin layer",
             f"radius {1e3 * radius:.0f} mm, {1e3 * depth.min():.1f}-{1e3 * depth.max():.1f} mm deep",
-            "the part of the surface where waves matter at this accuracy; sides "
+            f"the part of the surface where waves matter at this accuracy{_thinned(rig)}; sides "
             f"{rig.skin.side}, base {'on a foundation' if rig.skin.foundation else rig.skin.base}",
         ),
         Row(
@@ -154,6 +154,11 @@ def _modelled(rig: Rig, dofs: int, substeps: int) -> tuple[Row, ...]:
             "implicit, one factorisation for the scene: the sound or the pose changes, so a static answer will not do",
         ),
     )
+
+
+def _thinned(rig: Rig) -> str:
+    share = rig.patch.report.get("share_thinned", 0.0)
+    return f", thinner than asked at {100 * share:.0f} % of its vertices (curved rims and webs)" if share > 0 else ""
 
 
 def _left_out(rig: Rig) -> tuple[Row, ...]:
