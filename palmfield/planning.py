@@ -11,7 +11,7 @@ from rich.table import Table
 from palmfield.acoustics.air import absorption_Np_m, density, sound_speed
 from palmfield.acoustics.arp import LAWS
 from palmfield.acoustics.reference import pressure64
-from palmfield.report import FINER_BELOW, RATIO
+from palmfield.report import RATIO, compares_with_finer
 from palmfield.rig import Rig
 from palmfield.scene import Scene
 from palmfield.skin.material import complex_shear, shear_wave
@@ -101,7 +101,7 @@ def _factor_s(dofs: float) -> float:
 def _estimate_s(rig: Rig, dofs: int) -> float:
     """Seconds for the run's factorisation and those of its error estimate (palmfield/report.py)."""
     more = RATIO**3
-    low, high = (dofs, more * dofs) if dofs < FINER_BELOW else (dofs / more, dofs)
+    low, high = (dofs, more * dofs) if compares_with_finer(rig, dofs) else (dofs / more, dofs)
     edge = 0 if rig.skin.shape == "disc" else 3
     return _factor_s(dofs) + (5 + edge) * _factor_s(low) + 3 * _factor_s(high)
 
