@@ -27,8 +27,12 @@ class Array:
     positions: [m], shape (n, 3), float64
     normals: unit emitting directions, shape (n, 3), float64
     p0_Pa_m: peak pressure of one transducer at 1 m on its axis at full drive, without absorption [Pa m]
-    piston_radius_m: radius of the baffled piston whose directivity is used [m]
+    piston_radius_m: radius of the baffled piston whose directivity is used [m]; 0 is a point source
     address: position of each transducer in the board's byte order, shape (n,), or None
+    gain: complex factor of each transducer's sound, shape (n,): 0 where it is dead, -1 where it is wired the other way
+        round; None is 1 for all
+    directivity_table: measured directivity in place of the piston's, shape (m, 2): angle off the axis [deg] and
+        amplitude relative to that on the axis; None is the piston
     """
 
     name: str
@@ -38,6 +42,8 @@ class Array:
     frequency_Hz: float = 40e3
     piston_radius_m: float = 4.5e-3
     address: Int | None = None
+    gain: Complex | None = None
+    directivity_table: Float | None = None
 
     def __len__(self) -> int:
         return len(self.positions)
