@@ -56,6 +56,26 @@ def array(value: Array) -> None:
         raise SceneError(
             f"array '{value.name}' piston_radius_m = {value.piston_radius_m} must be 0 or more, and finite"
         )
+    if value.gain is not None and (value.gain.shape != (count,) or not np.isfinite(value.gain).all()):
+        raise SceneError(f"array '{value.name}' gain of shape {value.gain.shape} must be finite and ({count},)")
+    if value.directivity_table is not None:
+        directivity_table(value.name, value.directivity_table)
+
+
+def directivity_table(name: str, table: NDArray[np.float64]) -> None:
+    """Raise SceneError unless the table goes from (0 deg, 1) to 90 deg, angles rising, amplitudes 0 or more."""
+    if table.ndim != 2 or table.shape[1] != 2 or len(table) < 3 or not np.isfinite(table).all():
+        raise SceneError(f"array '{name}' directivity_table of shape {table.shape} must be finite and (3 or more, 2)")
+    angle, amplitude = table.T
+    if angle[0] != 0.0 or angle[-1] != 90.0 or np.any(np.diff(angle) <= 0.0):
+        raise SceneError(
+            f"array '{name}' directivity_table has angles {angle[0]:g} to {angle[-1]:g} deg: let them rise from 0 to 90"
+        )
+    if amplitude[0] != 1.0 or np.any(amplitude < 0.0):
+        raise SceneError(
+            f"array '{name}' directivity_table has {amplitude[0]:g} on the axis and {amplitude.min():g} at least: "
+            "divide it by the value on the axis, and use magnitudes"
+        )
 
 
 def absorption(value: float) -> float:

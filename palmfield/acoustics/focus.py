@@ -1,4 +1,4 @@
-"""Drives that focus an array."""
+"""Drives that focus an array, and that make up for what its transducers get wrong."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,3 +25,19 @@ def focus(array: Array, air: Air, point: ArrayLike) -> Complex:
         raise SceneError(f"focus {target.tolist()} is behind the array '{array.name}' or in its plane: use z > 0")
     k = 2.0 * np.pi * array.frequency_Hz / sound_speed(air)
     return np.exp(-1j * k * np.linalg.norm(rays, axis=1))
+
+
+def compensate(array: Array, drive: ArrayLike) -> Complex:
+    """Drive that undoes the phase errors of the array's `gain`: every sound leaves with the phase that was asked for.
+
+    Magnitudes stay as they are, since a transducer at full drive cannot be made louder; a dead one (gain 0) gets 0.
+
+    drive: complex amplitudes that a faultless array should emit, shape (len(array),)
+    Returns complex amplitudes, shape (len(array),), complex128.
+    Raises PalmfieldError for a drive of another shape or not finite, SceneError for a bad array.
+    """
+    check.array(array)
+    asked = check.drive(drive, array)
+    if array.gain is None:
+        return asked
+    return np.where(array.gain == 0.0, 0.0, asked * np.exp(-1j * np.angle(array.gain)))

@@ -38,9 +38,11 @@ def directivity(kb: float) -> tuple[Float, Float]:
     """Coefficients, lowest power first, of the piston's directivity in s = sin^2(angle) and of its derivative.
 
     kb: wavenumber times piston radius [rad]
-    Returns arrays of shape (6,) and (5,).
+    Returns arrays of shape (6,) and (5,); exactly 1 and 0 for kb = 0, a point source.
     Raises SceneError when a quintic is not good enough, which is above kb of about 4.5.
     """
+    if kb == 0.0:
+        return np.eye(6)[0], np.zeros(5)
     quintic = fit(lambda s: piston(kb * np.sqrt(s)), 5, 1.0)
     s = np.linspace(0.0, 1.0, 501)
     error = float(np.abs(polynomial.polyval(s, quintic) - piston(kb * np.sqrt(s))).max())

@@ -1,6 +1,7 @@
 """The field in float64 NumPy: slow, direct, and what the fast kernels are held against."""
 
 import numpy as np
+from numpy.polynomial.polynomial import polyval
 from numpy.typing import ArrayLike
 from scipy.special import jv
 
@@ -8,6 +9,7 @@ from palmfield.acoustics import check
 from palmfield.acoustics.air import absorption_Np_m as air_absorption
 from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.polynomials import piston
+from palmfield.acoustics.transducer import directivity_coefficients
 from palmfield.types import Air, Array, Complex, Float
 
 CHUNK = 256
@@ -22,10 +24,11 @@ def pressure64(
     gradient: bool = False,
     absorption_Np_m: float | None = None,
 ) -> tuple[Complex, Complex | None]:
-    """Complex peak pressure of baffled pistons, and its gradient if asked.
+    """Complex peak pressure of an array in a baffle, and its gradient if asked.
 
-    p = p0/d A D(angle) exp(ikd - beta d), D = 2 J1(kb sin)/(kb sin), summed over the transducers; a transducer gives
-    nothing at points in or behind its own plane (baffle).
+    p = p0/d A g D(angle) exp(ikd - beta d), summed over the transducers, with their drive A and gain g; a transducer
+    gives nothing at points in or behind its own plane (baffle). D = 2 J1(kb sin)/(kb sin) for a piston; where the array
+    has a directivity table, the quintic of `transducer.table_coefficients`.
 
     points: [m], array frame, shape (n, 3)
     drive: complex amplitudes, 1 is full drive, shape (len(array),)
@@ -36,6 +39,8 @@ def pressure64(
     check.array(array)
     where = check.points(points, np.float64)
     strength = array.p0_Pa_m * check.drive(drive, array)
+    if array.gain is not None:
+        strength = strength * array.gain
     beta = check.absorption(air_absorption(air, array.frequency_Hz) if absorption_Np_m is None else absorption_Np_m)
     k = 2.0 * np.pi * array.frequency_Hz / sound_speed(air)
     pressure = np.zeros(len(where), np.complex128)
@@ -47,17 +52,28 @@ def pressure64(
         d = np.maximum(d, 1e-9)
         cosine = np.einsum("ijk,jk->ij", rays, array.normals) / d
         front = cosine > 0.0
-        kb_sine = k * array.piston_radius_m * np.sqrt(np.maximum(1.0 - cosine**2, 0.0))
-        directivity = np.where(front, piston(kb_sine), 0.0)
+        directivity, bend = directivity_and_bend(array, k, cosine)
+        directivity = np.where(front, directivity, 0.0)
         wave = strength / d * np.exp((1j * k - beta) * d)
         pressure[part] = (wave * directivity).sum(axis=1)
         if slope is not None:
-            # dD/d(cosine) = 2 (kb)^2 cosine J2(x)/x^2, since (J1(x)/x)' = -J2(x)/x
-            bend = np.where(front, cosine * (k * array.piston_radius_m) ** 2 * jinc2(kb_sine), 0.0)
+            bend = np.where(front, bend, 0.0)
             along = directivity * (1j * k - beta - 1.0 / d) - bend * cosine / d
             slope[part] = np.einsum("ij,ijk->ik", wave * along / d, rays)
             slope[part] += (wave * bend / d) @ array.normals
     return pressure, slope
+
+
+def directivity_and_bend(array: Array, wavenumber: float, cosine: Float) -> tuple[Float, Float]:
+    """Directivity at the cosine of the angle off the axis, and its derivative with respect to that cosine."""
+    square = np.maximum(1.0 - cosine**2, 0.0)
+    if array.directivity_table is not None:
+        quintic, derivative = directivity_coefficients(array, wavenumber)
+        return np.asarray(polyval(square, quintic)), -2.0 * cosine * polyval(square, derivative)
+    kb = wavenumber * array.piston_radius_m
+    x = kb * np.sqrt(square)
+    # dD/d(cosine) = 2 (kb)^2 cosine J2(x)/x^2, since (J1(x)/x)' = -J2(x)/x
+    return piston(x), cosine * kb**2 * jinc2(x)
 
 
 def jinc2(x: Float) -> Float:

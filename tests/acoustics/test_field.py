@@ -2,6 +2,7 @@
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -9,10 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from palmfield.acoustics import polynomials
-from palmfield.acoustics.arrays import layout
-from palmfield.acoustics.field import FieldEvaluator, pressure
+from palmfield.acoustics.arrays import layout, with_faults
+from palmfield.acoustics.field import MODES, CUBIC_REACH_Np, FieldEvaluator, Mode, cubic_fall, pressure
 from palmfield.acoustics.focus import focus
 from palmfield.acoustics.reference import pressure64
+from palmfield.acoustics.transducer import T4010A1_DIRECTIVITY
 from palmfield.errors import PalmfieldError, SceneError
 from palmfield.types import Air, Array, Field
 
@@ -49,22 +51,50 @@ def test_field_agrees_with_its_float64_twin(name: str, target: tuple[float, floa
     assert difference(only.pressure, found.pressure.astype(complex)) < 1e-6
 
 
-def test_plain_kernel_agrees_with_the_wide_one_and_the_twin() -> None:
-    array = layout("uhev1")
+@pytest.mark.parametrize(("mode", "low", "high", "limit"), [
+    ("fast", 0.05, 0.4, 3e-5), ("fast", 0.4, 1.2, 1e-4), ("accurate", 0.05, 0.4, 2e-5), ("accurate", 0.4, 1.2, 2e-5),
+])  # fmt: skip
+def test_error_by_mode_and_distance(mode: Mode, low: float, high: float, limit: float) -> None:
+    array = layout("autd3_2x2")
     drive = focus(array, AIR, (0.02, 0.01, 0.2))
-    points = cloud(2003)
-    wide = FieldEvaluator(array, AIR, "cpu").pressure(points, drive, gradient=True)
-    plain = FieldEvaluator(array, AIR, "cpu", form="plain").pressure(points, drive, gradient=True)
-    assert_close(plain, points, array, drive)
-    assert difference(plain.pressure, wide.pressure.astype(complex)) < LIMIT
-    assert wide.gradient is not None and plain.gradient is not None
-    assert difference(plain.gradient, wide.gradient.astype(complex)) < LIMIT
-    alone = FieldEvaluator(array, AIR, "cpu", form="plain").pressure(points, drive)
-    assert difference(alone.pressure, plain.pressure.astype(complex)) < 1e-6
+    points = cloud(2003, low=low, high=high)
+    found = FieldEvaluator(array, AIR, "cpu", mode=mode).pressure(points, drive, gradient=True)
+    p, g = pressure64(points, array, drive, AIR, gradient=True)
+    assert found.gradient is not None and g is not None
+    assert difference(found.pressure, p) < limit
+    assert difference(found.gradient, g) < limit
 
 
-@pytest.mark.parametrize("form", ["wide", "plain"])
-def test_tilted_transducers_and_points_behind_some_of_them(form: str) -> None:
+def test_accurate_mode_keeps_what_float32_positions_lose() -> None:
+    array = layout("uhev1")
+    drive = focus(array, AIR, (0.0, 0.0, 3.0))
+    points = cloud(500, low=2.9, high=3.1)
+    exact, _ = pressure64(points, array, drive, AIR)
+    errors = [
+        difference(FieldEvaluator(array, AIR, "cpu", mode=mode).pressure(points, drive).pressure, exact)
+        for mode in ("fast", "accurate")
+    ]
+    assert errors[1] < 2e-5 < errors[0]
+
+
+def test_gain_and_measured_directivity_reach_the_kernels() -> None:
+    flat = layout("uhev1")
+    array = replace(with_faults(flat, dead=[3, 77], inverted=[5, 200]), directivity_table=T4010A1_DIRECTIVITY)
+    drive = np.random.default_rng(2).normal(size=(256, 2)) @ [1, 1j]
+    points = cloud(1501)
+    found = FieldEvaluator(array, AIR, "cpu").pressure(points, drive, gradient=True)
+    assert_close(found, points, array, drive)
+    without = FieldEvaluator(flat, AIR, "cpu").pressure(points, drive)
+    assert difference(without.pressure, found.pressure.astype(complex)) > 0.01
+
+
+def test_an_unknown_mode_is_refused() -> None:
+    with pytest.raises(PalmfieldError, match=r"'exact'.*fast, accurate"):
+        FieldEvaluator(layout("uhev1"), AIR, "cpu", mode=cast(Any, "exact"))
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_tilted_transducers_and_points_behind_some_of_them(mode: Mode) -> None:
     flat = layout("uhev1")
     normals = flat.normals + np.random.default_rng(1).uniform(-0.6, 0.6, (256, 3))
     array = replace(flat, normals=normals / np.linalg.norm(normals, axis=1, keepdims=True))
@@ -72,25 +102,25 @@ def test_tilted_transducers_and_points_behind_some_of_them(form: str) -> None:
     points = cloud(500, low=0.01, high=0.1)
     behind = np.einsum("ijk,jk->ij", points[:, None] - array.positions, array.normals) <= 0
     assert behind.any()
-    found = FieldEvaluator(array, AIR, "cpu", form=form).pressure(points, drive, gradient=True)
+    found = FieldEvaluator(array, AIR, "cpu", mode=mode).pressure(points, drive, gradient=True)
     assert_close(found, points, array, drive)
 
 
-@pytest.mark.parametrize("form", ["wide", "plain"])
-def test_baffle_and_an_elements_own_position(form: str) -> None:
+@pytest.mark.parametrize("mode", MODES)
+def test_baffle_and_an_elements_own_position(mode: Mode) -> None:
     array = layout("uhev1")
     points = np.array([array.positions[17], [0.0, 0.0, -0.1], [0.3, 0.0, 0.0]])
-    found = FieldEvaluator(array, AIR, "cpu", form=form).pressure(points, np.ones(256), gradient=True)
+    found = FieldEvaluator(array, AIR, "cpu", mode=mode).pressure(points, np.ones(256), gradient=True)
     assert found.gradient is not None
     assert np.all(found.pressure == 0.0) and np.all(found.gradient == 0.0)
 
 
-def test_far_points_and_strong_absorption_leave_the_cubic_and_stay_right() -> None:
+def test_far_points_and_strong_absorption_leave_the_cubic_fall_and_stay_right() -> None:
     array = layout("uhev1")
     drive = focus(array, AIR, (0.0, 0.0, 0.2))
     points = cloud(300)
     evaluator = FieldEvaluator(array, AIR, "cpu", absorption_Np_m=8.0)
-    assert polynomials.ATTENUATION_REACH_Np < 8.0 * 0.4
+    assert CUBIC_REACH_Np < 8.0 * 0.35
     assert_close(evaluator.pressure(points, drive, gradient=True), points, array, drive, absorption_Np_m=8.0)
 
 
@@ -177,8 +207,8 @@ def test_polynomials_hold_their_printed_errors() -> None:
     evaluate = np.polynomial.polynomial.polyval
     assert np.abs(f * evaluate(f * f, sine) - np.sin(2 * np.pi * f)).max() < 1e-6
     assert np.abs(evaluate(f * f, cosine) - np.cos(2 * np.pi * f)).max() < 1e-6
-    d = np.linspace(0.0, polynomials.ATTENUATION_REACH_Np / 0.15, 500)
-    assert np.abs(evaluate(d, polynomials.attenuation(0.15)) * np.exp(0.15 * d) - 1).max() < 1.5e-6
+    d = np.linspace(0.2, 0.2 + CUBIC_REACH_Np / 0.15, 500)
+    assert np.abs(evaluate(d, cubic_fall(0.15, d[0], d[-1])) * np.exp(0.15 * d) - 1).max() < 1e-5
     directivity, slope = polynomials.directivity(3.30)
     s = np.linspace(0.0, 1.0, 500)
     assert np.abs(evaluate(s, directivity) - polynomials.piston(3.30 * np.sqrt(s))).max() < 5e-8

@@ -1,0 +1,47 @@
+"""Loudness of a real array's transducers from pressures measured with a microphone."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from palmfield.acoustics import check
+from palmfield.acoustics.reference import pressure64
+from palmfield.errors import PalmfieldError
+from palmfield.types import Air, Array
+
+
+def calibrate_p0(
+    points: ArrayLike, pressures_Pa: ArrayLike, array: Array, drive: ArrayLike, air: Air
+) -> tuple[float, float]:
+    """p0 of an array [Pa m] and its standard error, by least squares over measured pressure magnitudes.
+
+    The model is |p_i| = p0 m_i + e_i, with m_i the simulated magnitude for p0 = 1 and errors e_i of one variance, as
+    from a microphone with a noise floor. Then p0 = sum(m_i |p_i|)/sum(m_i^2), and the variance is estimated from the
+    residuals with n - 1 degrees of freedom. The standard error holds the scatter only, not errors that all readings
+    share, such as that of the microphone's own calibration.
+
+    points: where the microphone was [m], array frame, shape (n, 3)
+    pressures_Pa: magnitudes of the peak pressure there (rms times sqrt 2), shape (n,)
+    array: its p0_Pa_m is not used; gain and directivity are
+    drive: complex amplitudes during the measurement, shape (len(array),)
+    Raises PalmfieldError for fewer than 2 points, pressures that are negative, not finite or of another number, and for
+    points at which the array makes no sound; further as `pressure64` does.
+    """
+    where = check.points(points, np.float64)
+    measured = np.asarray(pressures_Pa, dtype=float)
+    if measured.shape != (len(where),) or len(where) < 2:
+        raise PalmfieldError(
+            f"pressures_Pa has shape {measured.shape} for {len(where)} points: give one reading a point, 2 at least"
+        )
+    bad = ~(np.isfinite(measured) & (measured >= 0.0))
+    if bad.any():
+        i = int(np.argmax(bad))
+        raise PalmfieldError(f"pressures_Pa[{i}] = {measured[i]} is not 0 or more and finite: give peak magnitudes")
+    model = np.abs(pressure64(where, array, drive, air)[0]) / array.p0_Pa_m
+    square = float(model @ model)
+    if square == 0.0:
+        raise PalmfieldError(
+            "the array makes no sound at these points: measure in front of it, with a drive other than 0"
+        )
+    p0 = float(model @ measured) / square
+    variance = float(np.sum((measured - p0 * model) ** 2)) / (len(where) - 1)
+    return p0, float(np.sqrt(variance / square))

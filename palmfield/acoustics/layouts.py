@@ -1,0 +1,225 @@
+"""Known boards, in palmfield's array frame (origin at the transducers' centroid, x right, y up, z out)."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import brentq
+
+from palmfield.acoustics.placement import combined, from_poses, placed
+from palmfield.acoustics.transducer import T4010A1_DIRECTIVITY
+from palmfield.types import Array, Float, Int
+
+AUTD_COLUMNS, AUTD_ROWS, AUTD_PITCH_M = 18, 14, 10.16e-3
+AUTD_MISSING = ((1, 1), (2, 1), (16, 1))
+"""Sites of an AUTD unit without a transducer, as (column, row), both from 0 at the corner of transducer 0."""
+
+AUTD_BOARD_M = (192.0e-3, 151.4e-3)
+"""Outer width and height of an AUTD unit's board."""
+
+TRANSDUCER_DIAMETER_M = 10e-3
+"""Outer diameter of the common 40 kHz transducers."""
+
+SONICSURFACE_BLOCK = ((0, 7, 1, 2), (4, 3, 6, 5))
+"""Addresses within one block of 2 rows and 4 columns, rows in the direction of +y.
+
+Blocks follow one another up the board, 8 addresses each; 8 blocks make a strip of 64 addresses, and strips follow one
+another to the right.
+"""
+
+BOW_TILT_DEG = 30.0
+BOW_SPACING_M = 10e-3
+
+
+@dataclass(frozen=True)
+class Layout:
+    """One known board.
+
+    about: what it is; source: where its figures come from, and what they leave open
+    focus_m: the point at which it is commonly used [m], array frame
+    build: makes the array with the default p0
+    """
+
+    about: str
+    source: str
+    focus_m: tuple[float, float, float]
+    build: Callable[[], Array]
+
+
+def lattice(columns: int, rows: int, pitch_m: float) -> Float:
+    """Sites of a flat board in z = 0 [m], shape (columns rows, 3), centred: row by row from low y, x runs fastest."""
+    y, x = np.meshgrid(np.arange(rows) - (rows - 1) / 2, np.arange(columns) - (columns - 1) / 2, indexing="ij")
+    return np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]) * pitch_m
+
+
+def grid(pitch_m: float) -> Float:
+    """Sites of a flat 16 x 16 board [m], shape (256, 3), in the order of `lattice`."""
+    return lattice(16, 16, pitch_m)
+
+
+def sonicsurface_order() -> Int:
+    """Address of each site of `grid` on a SonicSurface board, shape (256,)."""
+    row, column = np.divmod(np.arange(256), 16)
+    block = np.array(SONICSURFACE_BLOCK)
+    return (64 * (column // 4) + 8 * (row // 2) + block[row % 2, column % 4]).astype(np.int32)
+
+
+def centred(array: Array) -> Array:
+    """The array moved so that its transducers' centroid is the origin."""
+    return placed(array, -array.positions.mean(axis=0), np.eye(3))
+
+
+def uhev1() -> Array:
+    return from_poses("uhev1", grid(10.3e-3), np.tile([0.0, 0.0, 1.0], (256, 1)))
+
+
+def sonicsurface() -> Array:
+    sites = grid(10.5e-3)[np.argsort(sonicsurface_order())]
+    normals = np.tile([0.0, 0.0, 1.0], (256, 1))
+    return from_poses("sonicsurface", sites, normals, address=np.arange(256, dtype=np.int32))
+
+
+def autd_board() -> Array:
+    """An AUTD unit; origin at the centre of the rectangle of 18 x 14 sites, not at the centroid of the 249 in use."""
+    sites = lattice(AUTD_COLUMNS, AUTD_ROWS, AUTD_PITCH_M)
+    missing = [AUTD_COLUMNS * row + column for column, row in AUTD_MISSING]
+    positions = np.delete(sites, missing, axis=0)
+    normals = np.tile([0.0, 0.0, 1.0], (len(positions), 1))
+    return from_poses("autd", positions, normals, directivity_table=T4010A1_DIRECTIVITY)
+
+
+def autd2018() -> Array:
+    return centred(autd_board())
+
+
+def autd2018_2x2() -> Array:
+    """Four units, left column then right, from below: the margins are left and below in the left column, and right and
+    above in the right column, whose units are turned by half a turn."""
+    board = autd_board()
+    # from the board's centre to that of its sites, which reach the board's right and upper edges
+    aside = [
+        (outer - ((count - 1) * AUTD_PITCH_M + TRANSDUCER_DIAMETER_M)) / 2
+        for outer, count in zip(AUTD_BOARD_M, (AUTD_COLUMNS, AUTD_ROWS), strict=True)
+    ]
+    units = []
+    for side in (-1.0, 1.0):
+        turn = np.diag([-side, -side, 1.0])
+        for step in (-1.0, 1.0):
+            centre = np.array([side * AUTD_BOARD_M[0] / 2, step * AUTD_BOARD_M[1] / 2, 0.0])
+            units.append(placed(board, centre + turn @ [*aside, 0.0], turn))
+    return centred(combined(units, "autd2018_2x2"))
+
+
+def autd3() -> Array:
+    return replace(centred(autd_board()), address=np.arange(249, dtype=np.int32))
+
+
+def autd3_2x2() -> Array:
+    width, height = AUTD_BOARD_M
+    places = [(0.0, 0.0, 0.0), (width, 0.0, 0.0), (0.0, height, 0.0), (width, height, 0.0)]
+    return centred(combined([placed(autd3(), place, np.eye(3)) for place in places], "autd3_2x2"))
+
+
+def bow(focal_length_m: float) -> tuple[Float, Float]:
+    """Six speakers in the plane x = 0 on the parabola z = y^2/(4 f), its vertex midway between the third and fourth.
+
+    Neighbours are BOW_SPACING_M apart, centre to centre; every speaker looks at the parabola's focus.
+    Returns positions relative to the focus [m] and unit normals, shapes (6, 3).
+    """
+
+    def height(y: float) -> float:
+        return y**2 / (4.0 * focal_length_m)
+
+    def excess(y: float, last: float) -> float:
+        return float(np.hypot(y - last, height(y) - height(last))) - BOW_SPACING_M
+
+    half = [BOW_SPACING_M / 2]
+    for _ in range(2):
+        half.append(brentq(excess, half[-1], half[-1] + 2 * BOW_SPACING_M, args=(half[-1],)))
+    positions = np.array([[0.0, y, height(y) - focal_length_m] for y in [-v for v in reversed(half)] + half])
+    return positions, -positions / np.linalg.norm(positions, axis=1, keepdims=True)
+
+
+def two_bow(name: str, focal_length_m: float, piston_radius_m: float) -> Array:
+    """Two bows along y that lean from either side towards their common focus; speakers 1-6 at low x, then 7-12."""
+    positions, normals = bow(focal_length_m)
+    one = from_poses(name, positions, normals, piston_radius_m=piston_radius_m)
+    tilt = np.radians(BOW_TILT_DEG)
+    bows = []
+    for angle in (tilt, -tilt):
+        turn = [[np.cos(angle), 0.0, np.sin(angle)], [0.0, 1.0, 0.0], [-np.sin(angle), 0.0, np.cos(angle)]]
+        bows.append(placed(one, np.zeros(3), turn))
+    return centred(combined(bows, name))
+
+
+def two_bow_as_printed() -> Array:
+    return two_bow("two_bow_as_printed", 50e-3, 3e-3)
+
+
+def two_bow_corrected() -> Array:
+    return two_bow("two_bow_corrected", 30e-3, 5e-3)
+
+
+def bow_focus(array: Array) -> tuple[float, float, float]:
+    """Where the axes of the first and the last speaker of a two-bow array meet [m], by symmetry on the z axis."""
+    (_, y, z), (_, slope_y, slope_z) = array.positions[0], array.normals[0]
+    return 0.0, 0.0, float(z - y * slope_z / slope_y)
+
+
+AUTD_UNIT = (
+    "AUTD3 software (shinolab, MIT): 18 x 14 sites, 10.16 mm (10.18 in its first releases), board 192 x 151.4 mm; "
+    "sites (1,1), (2,1) and (16,1) stay empty, a rule there since 2016. Directivity: table of the T4010A1"
+)
+BOW_SETUP = (
+    "Mizushima & Sato 2024: 6 speakers a bow, 10 mm apart on a parabola, bows leaning 30 deg; every axis taken to look "
+    "at the common focus, as their sum of on-axis pressures implies. "
+)
+
+LAYOUTS = {
+    "uhev1": Layout(
+        "Ultrahaptics UHEV1: 16 x 16 elements, 10.3 mm pitch",
+        "Chilles et al. 2019 do not print the pitch; 10.3 to 10.5 mm is the usual figure. Pistons: MA40S4S",
+        (0.0, 0.0, 0.2),
+        uhev1,
+    ),
+    "sonicsurface": Layout(
+        "SonicSurface: 16 x 16 elements, 10.5 mm pitch, in the order of the board's data bytes",
+        "SonicSurface (upnalab, MIT): positions and byte order. Pistons: as MA40S4S",
+        (0.0, 0.0, 0.2),
+        sonicsurface,
+    ),
+    "autd2018": Layout(
+        "One unit of Hasegawa & Shinoda 2018: 249 elements, aperture printed as 180 x 140 mm",
+        f"Hasegawa & Shinoda 2018 print count and aperture; the rest is taken from the {AUTD_UNIT}",
+        (0.0, 0.0, 0.2),
+        autd2018,
+    ),
+    "autd2018_2x2": Layout(
+        "Four units of Hasegawa & Shinoda 2018, arranged to span the printed 364 x 302.8 mm",
+        "Hasegawa & Shinoda 2018. 302.8 mm is two boards, 364 mm two boards less a margin of 10 mm at either side: so "
+        "the right column is taken to be turned by half a turn. The pitch leaves margins of 9.3 mm, so 365.4 mm",
+        (0.0, 0.0, 0.4),
+        autd2018_2x2,
+    ),
+    "autd3": Layout("AUTD3 unit: 249 elements in the order of its index", AUTD_UNIT, (0.0, 0.0, 0.2), autd3),
+    "autd3_2x2": Layout(
+        "Four AUTD3 units, none turned, boards edge to edge: 192 x 151.4 mm from unit to unit",
+        AUTD_UNIT,
+        (0.0, 0.0, 0.4),
+        autd3_2x2,
+    ),
+    "two_bow_as_printed": Layout(
+        "Two bows of 6 speakers, focal length 50 mm, diaphragms 6 mm across",
+        BOW_SETUP + "As printed: focal length 50 mm, a = 6 mm called the diameter",
+        bow_focus(two_bow_as_printed()),
+        two_bow_as_printed,
+    ),
+    "two_bow_corrected": Layout(
+        "Two bows of 6 speakers, focal length 30 mm, pistons of 5 mm radius",
+        BOW_SETUP
+        + "Corrected: 30 mm, which comes nearer to the printed angles 40, 28 and 10 deg; the radius 5 mm whose "
+        "k a^2/2 = 9.2 mm fits the printed Rayleigh length of about 10 mm",
+        bow_focus(two_bow_corrected()),
+        two_bow_corrected,
+    ),
+}

@@ -1,0 +1,128 @@
+"""Arrays from single transducers and from one another: poses, rigid motion, several boards as one, faults."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from palmfield.acoustics import check
+from palmfield.errors import SceneError
+from palmfield.types import Array, Complex, Float, Int
+
+DEFAULT_P0_PA_M = 2.53
+"""Peak pressure of one transducer at 1 m [Pa m].
+
+Published values for 40 kHz transducers of this kind run from 1.27 to 8.02 Pa at 1 m, a factor 40 in radiation pressure,
+and depend on the supply voltage. It is a calibration of a given board: measure it, or treat results as relative.
+"""
+
+
+def from_poses(
+    name: str,
+    positions: ArrayLike,
+    normals: ArrayLike,
+    p0_Pa_m: float = DEFAULT_P0_PA_M,
+    *,
+    frequency_Hz: float = 40e3,
+    piston_radius_m: float = 4.5e-3,
+    address: Int | None = None,
+    gain: Complex | None = None,
+    directivity_table: Float | None = None,
+) -> Array:
+    """Array of any transducers, for example the sites of an MJCF file; its frame is that in which they are given.
+
+    For sites `ids` of a MuJoCo model: positions `data.site_xpos[ids]`, normals their z axes,
+    `data.site_xmat[ids].reshape(-1, 3, 3)[:, :, 2]`.
+
+    positions: [m], shape (n, 3), n at least 1
+    normals: emitting directions of any length but 0, shape (n, 3)
+    p0_Pa_m, frequency_Hz, piston_radius_m, address, gain, directivity_table: see `palmfield.types.Array`
+    Raises SceneError for wrong shapes, values that are not finite, and constants that cannot radiate.
+    """
+    where, facing = np.array(positions, dtype=float), np.array(normals, dtype=float)
+    if where.ndim != 2 or len(where) == 0:
+        raise SceneError(f"array '{name}' positions have shape {where.shape}: give (n, 3), n at least 1, in metres")
+    if facing.shape == where.shape:
+        lengths = np.linalg.norm(facing, axis=1, keepdims=True)
+        if np.any(lengths == 0.0):
+            raise SceneError(f"array '{name}' normals[{int(np.argmin(lengths))}] is zero: give the emitting direction")
+        facing = facing / lengths
+    array = Array(name, where, facing, p0_Pa_m, frequency_Hz, piston_radius_m, address, gain, directivity_table)
+    check.array(array)
+    return array
+
+
+def placed(array: Array, position: ArrayLike, rotation: ArrayLike) -> Array:
+    """The array moved rigidly into another frame: x -> rotation x + position.
+
+    position: of the array's origin in the other frame [m], shape (3,)
+    rotation: matrix whose columns are the array's axes in the other frame, shape (3, 3)
+    Raises SceneError for a position that is not three finite numbers and for a matrix that is not a rotation.
+    """
+    shift, turn = np.asarray(position, dtype=float), np.asarray(rotation, dtype=float)
+    if shift.shape != (3,) or not np.isfinite(shift).all():
+        raise SceneError(f"position {shift.tolist()} is not three finite numbers: give (x, y, z), in metres")
+    if turn.shape != (3, 3) or not np.allclose(turn @ turn.T, np.eye(3), atol=1e-9) or np.linalg.det(turn) < 0.0:
+        raise SceneError(f"rotation {turn.tolist()} is not a rotation matrix: give orthonormal columns, determinant +1")
+    return replace(array, positions=array.positions @ turn.T + shift, normals=array.normals @ turn.T)
+
+
+def combined(arrays: Sequence[Array], name: str | None = None) -> Array:
+    """Several arrays, already placed in one frame, as one; their transducers follow one another in the given order.
+
+    p0 becomes the largest of them; quieter arrays keep theirs through `gain`. Addresses go on from array to array where
+    every array has them.
+
+    name: the names joined by " + " where it is None
+    Raises SceneError for no arrays, and for differing frequency, piston radius or directivity table.
+    """
+    if not arrays:
+        raise SceneError("no arrays to combine: give at least 1")
+    first = arrays[0]
+    for other in arrays[1:]:
+        for key in ("frequency_Hz", "piston_radius_m"):
+            mine, its = getattr(first, key), getattr(other, key)
+            if mine != its:
+                raise SceneError(
+                    f"arrays '{first.name}' and '{other.name}' differ in {key}, {mine:g} and {its:g}: make them equal"
+                )
+        tables = [a.directivity_table for a in (first, other) if a.directivity_table is not None]
+        if len(tables) == 1 or (tables and not np.array_equal(tables[0], tables[1])):
+            raise SceneError(f"arrays '{first.name}' and '{other.name}' differ in directivity_table: use one for both")
+    p0 = max(a.p0_Pa_m for a in arrays)
+    gains = [(np.ones(len(a), complex) if a.gain is None else a.gain) * (a.p0_Pa_m / p0) for a in arrays]
+    plain = all(a.gain is None and a.p0_Pa_m == p0 for a in arrays)
+    addresses: list[Int] = []
+    for a in arrays:
+        if a.address is not None:
+            addresses.append(a.address + sum(len(before) for before in addresses))
+    return replace(
+        first,
+        name=" + ".join(a.name for a in arrays) if name is None else name,
+        positions=np.concatenate([a.positions for a in arrays]),
+        normals=np.concatenate([a.normals for a in arrays]),
+        p0_Pa_m=p0,
+        address=np.concatenate(addresses).astype(np.int32) if len(addresses) == len(arrays) else None,
+        gain=None if plain else np.concatenate(gains),
+    )
+
+
+def with_faults(array: Array, dead: Iterable[int] = (), inverted: Iterable[int] = ()) -> Array:
+    """The array with silent transducers and with ones wired the other way round, on top of the gain that it has.
+
+    dead, inverted: indices of transducers in the array's order, 0 to len(array) - 1
+    Raises SceneError for an index that the array does not have or that is named twice.
+    """
+    silent, turned = list(dead), list(inverted)
+    seen: set[int] = set()
+    for i in silent + turned:
+        if not 0 <= i < len(array):
+            raise SceneError(f"transducer {i} is not in array '{array.name}': use 0 to {len(array) - 1}")
+        if i in seen:
+            raise SceneError(f"transducer {i} is named twice among the dead and inverted: name it once")
+        seen.add(i)
+    gain = np.ones(len(array), complex) if array.gain is None else array.gain.astype(complex)
+    gain[silent] = 0.0
+    gain[turned] *= -1.0
+    return replace(array, gain=gain)

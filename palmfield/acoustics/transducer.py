@@ -1,0 +1,75 @@
+"""How loud a transducer is off its axis: a point, a baffled piston or a measured table, as one polynomial."""
+
+import numpy as np
+from numpy.polynomial import polynomial
+from scipy.interpolate import PchipInterpolator
+
+from palmfield.acoustics import polynomials
+from palmfield.errors import SceneError
+from palmfield.types import Array, Float
+
+T4010A1_DIRECTIVITY: Float = np.column_stack(
+    [np.arange(0.0, 91.0, 10.0), [1.0, 1.0, 1.0, 0.891, 0.708, 0.501, 0.355, 0.251, 0.200, 0.178]]
+)
+"""Nippon Ceramic T4010A1 at 40 kHz: angle [deg] and relative amplitude, shape (10, 2).
+
+0, 0, 0, -1, -3, -6, -9, -12, -14 and -15 dB from 0 to 90 deg: the maker's diagram as read by the AUTD3 software.
+"""
+
+TABLE_MISFIT_LIMIT = 0.02
+"""Largest distance of the fitted polynomial from a table's entries that is accepted, relative to the axis."""
+
+
+def directivity_coefficients(array: Array, wavenumber: float) -> tuple[Float, Float]:
+    """Directivity of the array's transducers as a quintic in s = sin^2(angle off the axis), and its derivative in s.
+
+    A point source gives (1, 0, 0, 0, 0, 0); a piston the fit of 2 J1(x)/x, x = k b sin(angle), to 2e-6; a table the fit
+    of `table_coefficients`, which then is the model, whatever the wavenumber.
+
+    wavenumber: 2 pi f/c [rad/m]
+    Returns coefficients, lowest power first, of shapes (6,) and (5,).
+    Raises SceneError for a piston too large for the fit and for a table that a quintic does not follow.
+    """
+    if array.directivity_table is not None:
+        quintic = table_coefficients(array.directivity_table)
+        return quintic, quintic[1:] * np.arange(1, 6)
+    return polynomials.directivity(wavenumber * array.piston_radius_m)
+
+
+def table_coefficients(table: Float) -> Float:
+    """Quintic in sin^2(angle) nearest to a table, shape (6,), lowest power first; it is exactly 1 on the axis.
+
+    Least squares over every half degree of the table's monotone cubic interpolant (PCHIP), which is continued evenly
+    across the axis so that it is smooth there.
+
+    table: angle [deg] from 0 to 90 and amplitude relative to the axis, shape (m, 2)
+    Raises SceneError when the quintic is more than TABLE_MISFIT_LIMIT away from an entry of the table.
+    """
+    quintic = nearest_quintic(table)
+    misfit = _misfit(quintic, table)
+    worst = int(np.argmax(misfit))
+    if misfit[worst] > TABLE_MISFIT_LIMIT:
+        raise SceneError(
+            f"directivity_table: a quintic in sin^2 misses the entry at {table[worst, 0]:g} deg by {misfit[worst]:.3f} "
+            f"of the value on the axis (at most {TABLE_MISFIT_LIMIT:g}): smooth the table"
+        )
+    return quintic
+
+
+def table_misfit(table: Float) -> float:
+    """Largest distance between a table's entries and the quintic fitted to it, relative to the value on the axis."""
+    return float(_misfit(nearest_quintic(table), table).max())
+
+
+def nearest_quintic(table: Float) -> Float:
+    """The fit of `table_coefficients`, however bad."""
+    angle, amplitude = table.T
+    smooth = PchipInterpolator(np.concatenate([-angle[:0:-1], angle]), np.concatenate([amplitude[:0:-1], amplitude]))
+    degrees = np.linspace(0.0, 90.0, 181)
+    powers = polynomial.polyvander(np.sin(np.radians(degrees)) ** 2, 5)
+    higher = np.linalg.lstsq(powers[:, 1:], smooth(degrees) - 1.0, rcond=None)[0]
+    return np.concatenate([[1.0], higher])
+
+
+def _misfit(quintic: Float, table: Float) -> Float:
+    return np.abs(polynomial.polyval(np.sin(np.radians(table[:, 0])) ** 2, quintic) - table[:, 1])

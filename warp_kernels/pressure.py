@@ -1,0 +1,365 @@
+"""Pressure of transducers that lie in planes, and its gradient; one source for the CPU and GPUs.
+
+Phasors go with e^{-i w t}. Transducers come in groups that share a plane and an axis: in the group's frame (x, y in the
+plane, z along the axis) they differ by x, y, strength and phase alone, and z^2, cos^2 of the angle off the axis and
+"behind the plane" cost nothing or nearly nothing a pair.
+
+One thread holds several points. On the CPU, where Warp runs scalar code per thread, LLVM vectorises the loop over them:
+16 fill one AVX-512 register. On a GPU 3 or 4 share the loads of a transducer.
+
+Choices are made when the kernels are built (`Form`): among them where the phase comes from (`angle_*`), and how the
+amplitude falls with distance (`fall_*`).
+"""
+
+import functools
+from dataclasses import dataclass
+from typing import Any
+
+import warp as wp
+
+vec6 = wp.types.vector(length=6, dtype=wp.float32)
+
+NEAREST_M2 = wp.constant(1.0e-18)  # keeps 1/d finite at an element's own position
+TURN = wp.constant(6.283185307179586)
+
+CPU = {
+    "max_unroll": 1,  # LLVM vectorises loops, not what Warp has unrolled
+    # Contraction lets LLVM fuse multiply and add across Warp's function calls: a fifth faster, no less accurate
+    "cpu_compiler_flags": "-march=native -ffp-contract=fast",
+}
+GPU = {"fast_math": True}
+
+
+@wp.struct
+class Sound:
+    """Numbers shared by every pair of transducer and point; polynomials have the lowest power first.
+
+    turns_per_m, wavenumber_rad_m: one over the wavelength [1/m], and 2 pi times that
+    absorption_Np_m: amplitude lost on the way [Np/m]
+    directivity: in q = cos^2 of the angle off the axis
+    slope: 2/k times the directivity's derivative in q
+    sine, cosine: sin(2 pi f)/f and cos(2 pi f) in f^2, for f within half a turn
+    """
+
+    turns_per_m: wp.float64
+    wavenumber_rad_m: wp.float32
+    absorption_Np_m: wp.float32
+    directivity: vec6
+    slope: vec6
+    sine: vec6
+    cosine: vec6
+
+
+@wp.func
+def quintic(c: vec6, x: wp.float32):
+    return c[0] + x * (c[1] + x * (c[2] + x * (c[3] + x * (c[4] + x * c[5]))))
+
+
+@wp.func
+def cubic(c: vec6, x: wp.float32):
+    return c[0] + x * (c[1] + x * (c[2] + x * c[3]))
+
+
+@wp.func
+def quartic(c: vec6, x: wp.float32):
+    return c[0] + x * (c[1] + x * (c[2] + x * (c[3] + x * c[4])))
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
+    return rsqrtf(x);
+#else
+    return 1.0f / sqrtf(x);
+#endif
+"""
+)
+def inverse_root(x: wp.float32) -> wp.float32: ...
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
+    const float4 v = __ldg(reinterpret_cast<const float4*>(rows.data) + i);
+    return wp::vec_t<4, wp::float32>(v.x, v.y, v.z, v.w);
+#else
+    return rows.data[i];
+#endif
+"""
+)
+def row32(rows: wp.array(dtype=wp.vec4), i: wp.int32) -> wp.vec4:
+    """One load for four numbers, which Warp's own indexing does in four."""
+    ...
+
+
+@wp.func
+def row64(rows: wp.array(dtype=wp.vec4d), i: wp.int32):
+    return rows[i]
+
+
+@wp.func
+def root32(square: wp.float32):
+    """Distance [m] and its inverse [1/m] from a squared distance."""
+    inverse = inverse_root(square)
+    return wp.vec2(square * inverse, inverse)
+
+
+@wp.func
+def root64(square: wp.float64):
+    inverse = inverse_root(wp.float32(square))
+    return wp.vec2(wp.float32(square) * inverse, inverse)
+
+
+@wp.func
+def polynomial_wave(sound: Sound, f: wp.float32):
+    q = f * f
+    return wp.vec2(quintic(sound.cosine, q), f * quintic(sound.sine, q))
+
+
+# cosine and sine of the phase after distance d; phase: at the transducer [turns]
+@wp.func
+def angle_cpu32(sound: Sound, square: wp.float32, d: wp.float32, inverse: wp.float32, phase: wp.float32):
+    turns = d * wp.float32(sound.turns_per_m) + phase
+    return polynomial_wave(sound, turns - wp.floor(turns + 0.5))
+
+
+@wp.func
+def angle_gpu32(sound: Sound, square: wp.float32, d: wp.float32, inverse: wp.float32, phase: wp.float32):
+    # Phase in radians here, and unreduced: the hardware's sine takes turns off by itself
+    angle = d * sound.wavenumber_rad_m + phase
+    return wp.vec2(wp.cos(angle), wp.sin(angle))
+
+
+@wp.func
+def turns64(sound: Sound, square: wp.float64, d: wp.float32, inverse: wp.float32, phase: wp.float64):
+    """Phase within half a turn, from a distance that one Newton step has made good to float64."""
+    rough = wp.float64(d)
+    exact = rough + wp.float64(0.5) * wp.float64(inverse) * (square - rough * rough)
+    turns = exact * sound.turns_per_m + phase
+    return wp.float32(turns - wp.floor(turns + wp.float64(0.5)))
+
+
+@wp.func
+def angle_cpu64(sound: Sound, square: wp.float64, d: wp.float32, inverse: wp.float32, phase: wp.float64):
+    return polynomial_wave(sound, turns64(sound, square, d, inverse, phase))
+
+
+@wp.func
+def angle_gpu64(sound: Sound, square: wp.float64, d: wp.float32, inverse: wp.float32, phase: wp.float64):
+    angle = TURN * turns64(sound, square, d, inverse, phase)
+    return wp.vec2(wp.cos(angle), wp.sin(angle))
+
+
+@wp.func
+def fall_cubic(sound: Sound, strength: wp.vec4, d: wp.float32, inverse: wp.float32):
+    """Strength times exp(-absorption d)/d, the exponential as a cubic whose coefficients the strengths carry."""
+    return strength[0] * inverse + (strength[1] + d * (strength[2] + d * strength[3]))
+
+
+@wp.func
+def fall_exponential(sound: Sound, strength: wp.vec4, d: wp.float32, inverse: wp.float32):
+    return strength[0] * inverse * wp.exp(-sound.absorption_Np_m * d)
+
+
+@dataclass(frozen=True)
+class Form:
+    """Choices under which kernels are built.
+
+    gpu: for a GPU rather than the CPU
+    accurate: geometry and phase in float64, the rest in float32
+    steep: exponential fall with distance instead of a cubic
+    smooth: directivity as a quartic and its slope as a cubic, instead of a quintic and a quartic
+    """
+
+    gpu: bool
+    accurate: bool
+    steep: bool
+    smooth: bool
+
+    @property
+    def angle(self) -> Any:
+        if self.gpu:
+            return angle_gpu64 if self.accurate else angle_gpu32
+        return angle_cpu64 if self.accurate else angle_cpu32
+
+    @property
+    def vectors(self) -> tuple[Any, Any, Any]:
+        """Warp's types of a position, of four numbers and of a rotation."""
+        return (wp.vec3d, wp.vec4d, wp.mat33d) if self.accurate else (wp.vec3, wp.vec4, wp.mat33)
+
+
+PRESSURE_WIDTH = {"cpu": 16, "gpu": 4}
+GRADIENT_WIDTH = {"cpu": 16, "gpu": 3}
+
+
+@functools.cache
+def pressure(form: Form) -> Any:
+    """Kernel of the pressure alone; PRESSURE_WIDTH points a thread."""
+    vec3, vec4, mat33 = form.vectors
+    width = PRESSURE_WIDTH["gpu" if form.gpu else "cpu"]
+    real = wp.float64 if form.accurate else wp.float32
+    places = wp.types.vector(length=width, dtype=real)
+    lanes = wp.types.vector(length=width, dtype=wp.float32)
+    row = row64 if form.accurate else row32
+    root = root64 if form.accurate else root32
+    angle = form.angle
+    fall = fall_exponential if form.steep else fall_cubic
+    directivity = quartic if form.smooth else quintic
+
+    @wp.kernel(module="unique", module_options=GPU if form.gpu else CPU, enable_backward=False)
+    def kernel(
+        points: wp.array(dtype=vec3),
+        origins: wp.array(dtype=vec3),
+        turns: wp.array(dtype=mat33),
+        ranges: wp.array(dtype=wp.vec2i),
+        elements: wp.array(dtype=vec4),
+        strengths: wp.array(dtype=wp.vec4),
+        sound: Sound,
+        result: wp.array(dtype=wp.vec2),
+    ):
+        """By group: origin, rotation into its frame, range of its transducers. By transducer: x, y and phase; strength
+        [Pa m] times the coefficients of the fall. result: real and imaginary pressure [Pa] by point.
+        """
+        first = wp.tid() * width
+        count = points.shape[0]
+        x = places()
+        y = places()
+        z2 = places()
+        near = lanes()
+        re = lanes()
+        im = lanes()
+        for group in range(ranges.shape[0]):
+            front = lanes()
+            for i in range(width):
+                local = turns[group] * (points[wp.min(first + i, count - 1)] - origins[group])
+                x[i] = local[0]
+                y[i] = local[1]
+                z2[i] = local[2] * local[2] + real(NEAREST_M2)
+                near[i] = wp.float32(z2[i])
+                front[i] = wp.where(local[2] > real(0.0), wp.float32(1.0), wp.float32(0.0))
+            part_re = lanes()
+            part_im = lanes()
+            for e in range(ranges[group][0], ranges[group][1]):
+                element = row(elements, e)
+                strength = row32(strengths, e)
+                for i in range(width):
+                    dx = x[i] - element[0]
+                    dy = y[i] - element[1]
+                    square = dx * dx + (dy * dy + z2[i])
+                    distance = root(square)
+                    d = distance[0]
+                    inverse = distance[1]
+                    wave = angle(sound, square, d, inverse, element[2])
+                    gain = fall(sound, strength, d, inverse)
+                    gain *= directivity(sound.directivity, near[i] * (inverse * inverse))
+                    part_re[i] += gain * wave[0]
+                    part_im[i] += gain * wave[1]
+            for i in range(width):
+                re[i] += front[i] * part_re[i]
+                im[i] += front[i] * part_im[i]
+        for i in range(width):
+            if first + i < count:
+                result[first + i] = wp.vec2(re[i], im[i])
+
+    return kernel
+
+
+@functools.cache
+def gradient(form: Form) -> Any:
+    """Kernel of the pressure and its gradient; GRADIENT_WIDTH points a thread.
+
+    With r from transducer to point, d = |r|, q = z^2/d^2, D the directivity and S = (2/k) dD/dq, the gradient of
+    exp(ikd - bd) D/d over k exp(ikd - bd)/d is [(i - (b + 1/d)/k) D/d - q S/d^2] r + S z/d^2 along the axis.
+    """
+    vec3, vec4, mat33 = form.vectors
+    width = GRADIENT_WIDTH["gpu" if form.gpu else "cpu"]
+    real = wp.float64 if form.accurate else wp.float32
+    places = wp.types.vector(length=width, dtype=real)
+    lanes = wp.types.vector(length=width, dtype=wp.float32)
+    row = row64 if form.accurate else row32
+    root = root64 if form.accurate else root32
+    angle = form.angle
+    fall = fall_exponential if form.steep else fall_cubic
+    directivity = quartic if form.smooth else quintic
+    slope = cubic if form.smooth else quartic
+
+    @wp.kernel(module="unique", module_options=GPU if form.gpu else CPU, enable_backward=False)
+    def kernel(
+        points: wp.array(dtype=vec3),
+        origins: wp.array(dtype=vec3),
+        turns: wp.array(dtype=mat33),
+        ranges: wp.array(dtype=wp.vec2i),
+        elements: wp.array(dtype=vec4),
+        strengths: wp.array(dtype=wp.vec4),
+        sound: Sound,
+        result: wp.array(dtype=wp.vec2),
+        rows: wp.array2d(dtype=wp.vec2),
+    ):
+        """As `pressure`, and in `rows` the gradient [Pa/m], shape (points, 3); both must hold zeros."""
+        first = wp.tid() * width
+        count = points.shape[0]
+        loss = -sound.absorption_Np_m / sound.wavenumber_rad_m
+        spread = -1.0 / sound.wavenumber_rad_m
+        x = places()
+        y = places()
+        z2 = places()
+        near = lanes()
+        for group in range(ranges.shape[0]):
+            for i in range(width):
+                local = turns[group] * (points[wp.min(first + i, count - 1)] - origins[group])
+                x[i] = local[0]
+                y[i] = local[1]
+                z2[i] = local[2] * local[2] + real(NEAREST_M2)
+                near[i] = wp.float32(z2[i])
+            re = lanes()
+            im = lanes()
+            x_re = lanes()
+            x_im = lanes()
+            y_re = lanes()
+            y_im = lanes()
+            z_re = lanes()
+            z_im = lanes()
+            for e in range(ranges[group][0], ranges[group][1]):
+                element = row(elements, e)
+                strength = row32(strengths, e)
+                for i in range(width):
+                    dx = x[i] - element[0]
+                    dy = y[i] - element[1]
+                    square = dx * dx + (dy * dy + z2[i])
+                    distance = root(square)
+                    d = distance[0]
+                    inverse = distance[1]
+                    wave = angle(sound, square, d, inverse, element[2])
+                    gain = fall(sound, strength, d, inverse)
+                    wave_re = gain * wave[0]
+                    wave_im = gain * wave[1]
+                    inverse2 = inverse * inverse
+                    q = near[i] * inverse2
+                    direct = directivity(sound.directivity, q)
+                    bend = inverse2 * slope(sound.slope, q)
+                    swing = direct * inverse
+                    decay = (loss + spread * inverse) * swing - q * bend
+                    along_re = decay * wave_re - swing * wave_im
+                    along_im = decay * wave_im + swing * wave_re
+                    re[i] += direct * wave_re
+                    im[i] += direct * wave_im
+                    x_re[i] += along_re * wp.float32(dx)
+                    x_im[i] += along_im * wp.float32(dx)
+                    y_re[i] += along_re * wp.float32(dy)
+                    y_im[i] += along_im * wp.float32(dy)
+                    z_re[i] += along_re + bend * wave_re
+                    z_im[i] += along_im + bend * wave_im
+            back = wp.transpose(turns[group])
+            for i in range(width):
+                if first + i < count:
+                    local = turns[group] * (points[first + i] - origins[group])
+                    if local[2] > real(0.0):
+                        z = wp.float32(local[2])
+                        cosine = wp.vec3(x_re[i], y_re[i], z * z_re[i]) * sound.wavenumber_rad_m
+                        sine = wp.vec3(x_im[i], y_im[i], z * z_im[i]) * sound.wavenumber_rad_m
+                        result[first + i] = result[first + i] + wp.vec2(re[i], im[i])
+                        for j in range(3):
+                            axis = wp.vec3(wp.float32(back[j, 0]), wp.float32(back[j, 1]), wp.float32(back[j, 2]))
+                            rows[first + i, j] = rows[first + i, j] + wp.vec2(wp.dot(axis, cosine), wp.dot(axis, sine))
+
+    return kernel
