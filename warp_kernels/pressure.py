@@ -34,7 +34,7 @@ GPU = {"fast_math": True}
 class Sound:
     """Numbers shared by every pair of transducer and point; polynomials have the lowest power first.
 
-    turns_per_m, wavenumber_rad_m: one over the wavelength [1/m], and 2 pi times that
+    turns_per_m, turns32_per_m, wavenumber_rad_m: one over the wavelength [1/m], in both precisions, and 2 pi times that
     absorption_Np_m: amplitude lost on the way [Np/m]
     directivity: in q = cos^2 of the angle off the axis
     slope: 2/k times the directivity's derivative in q
@@ -42,6 +42,7 @@ class Sound:
     """
 
     turns_per_m: wp.float64
+    turns32_per_m: wp.float32
     wavenumber_rad_m: wp.float32
     absorption_Np_m: wp.float32
     directivity: vec6
@@ -119,7 +120,7 @@ def polynomial_wave(sound: Sound, f: wp.float32):
 # cosine and sine of the phase after distance d; phase: at the transducer [turns]
 @wp.func
 def angle_cpu32(sound: Sound, square: wp.float32, d: wp.float32, inverse: wp.float32, phase: wp.float32):
-    turns = d * wp.float32(sound.turns_per_m) + phase
+    turns = d * sound.turns32_per_m + phase
     return polynomial_wave(sound, turns - wp.floor(turns + 0.5))
 
 

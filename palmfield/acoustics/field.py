@@ -72,6 +72,7 @@ class FieldEvaluator:
         self._sound = filled(
             kernels.Sound(),
             turns_per_m=wavenumber / (2.0 * np.pi),
+            turns32_per_m=wavenumber / (2.0 * np.pi),
             wavenumber_rad_m=wavenumber,
             absorption_Np_m=self.absorption_Np_m,
             directivity=kernels.vec6(*directivity),
@@ -194,7 +195,9 @@ def shared(values: NDArray[np.complex64]) -> Any:
 
 def distances(points: NDArray[Any], positions: Float) -> tuple[float, float]:
     """Bounds of the distance between any point and any position [m], from their boxes."""
-    low, high = points.min(axis=0), points.max(axis=0)
+    # By column: NumPy's reduction along the short rows takes 20 times as long
+    low = np.array([points[:, i].min() for i in range(3)])
+    high = np.array([points[:, i].max() for i in range(3)])
     least, most = positions.min(axis=0), positions.max(axis=0)
     gap = np.maximum(np.maximum(least - high, low - most), 0.0)
     reach = np.maximum(high, most) - np.minimum(low, least)

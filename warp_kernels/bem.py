@@ -1,0 +1,222 @@
+"""Double layer of the Helmholtz equation on flat triangles with one value each. All lengths are in wavelengths.
+
+With R = y - x, d = |R| and k = 2 pi, the kernel n_y . grad_y exp(ikd)/(4 pi d) is
+n_y . R (ikd - 1) exp(ikd)/(4 pi d^3).
+Far triangles count with their centroid alone. What that lacks near a triangle is added from a sparse list: the
+static part is the triangle's solid angle (Van Oosterom & Strackee 1983, doi 10.1109/TBME.1983.325207), exact at any
+distance, and the bounded rest is summed over the points of a rule.
+"""
+
+import functools
+
+import warp as wp
+
+PLAIN = {"enable_backward": False, "max_unroll": 1}
+wp.set_module_options(PLAIN)
+
+vec6 = wp.types.vector(length=6, dtype=wp.float32)
+
+TURN = wp.constant(6.283185307179586)
+FOUR_PI = wp.constant(12.566370614359172)
+NEAREST = wp.constant(1.0e-12)  # square of the distance at which the centroid's own term is cut, where it is 0 anyway
+
+
+@wp.func
+def quintic(c: vec6, x: wp.float32):
+    return c[0] + x * (c[1] + x * (c[2] + x * (c[3] + x * (c[4] + x * c[5]))))
+
+
+@functools.cache
+def far(width: int) -> wp.Kernel:
+    """Kernel of the one-point sum with `width` points per thread: 16 fill a CPU's vector registers, 1 suits a GPU."""
+    lanes = wp.types.vector(length=width, dtype=wp.float32)
+    # Contraction lets LLVM fuse multiply and add across Warp's function calls
+    flags = {"cpu_compiler_flags": "-march=native -ffp-contract=fast", "fast_math": True}
+
+    @wp.kernel(module="unique", module_options=PLAIN | flags)
+    def far(
+        points: wp.array(dtype=wp.vec3),
+        centroids: wp.array(dtype=wp.vec3),
+        moments: wp.array(dtype=wp.vec3),
+        density: wp.array(dtype=wp.vec2),
+        sine: vec6,
+        cosine: vec6,
+        parts: int,
+        result: wp.array(dtype=wp.vec2),
+    ):
+        """Add to `result` by point; moments: normal times area over 4 pi; sine, cosine: polynomials in f^2 for sin(2 pi f)/f and
+            cos(2 pi f), |f| <= 1/2, lowest power first.
+
+        parts: into how many the triangles are split, the second dimension of the launch
+        """
+        block, part = wp.tid()
+        first = block * width
+        count = points.shape[0]
+        low = (centroids.shape[0] * part) // parts
+        high = (centroids.shape[0] * (part + 1)) // parts
+        x = lanes()
+        y = lanes()
+        z = lanes()
+        re = lanes()
+        im = lanes()
+        for i in range(width):
+            point = points[wp.min(first + i, count - 1)]
+            x[i] = point[0]
+            y[i] = point[1]
+            z[i] = point[2]
+        for j in range(low, high):
+            c = centroids[j]
+            m = moments[j]
+            q = density[j]
+            for i in range(width):
+                dx = c[0] - x[i]
+                dy = c[1] - y[i]
+                dz = c[2] - z[i]
+                square = dx * dx + dy * dy + dz * dz + NEAREST
+                d = wp.sqrt(square)
+                over = 1.0 / square
+                gain = (dx * m[0] + dy * m[1] + dz * m[2]) * d * over * over
+                f = d - wp.floor(d + 0.5)
+                s = f * quintic(sine, f * f)
+                t = quintic(cosine, f * f)
+                kd = TURN * d
+                a = gain * (-t - kd * s)
+                b = gain * (kd * t - s)
+                re[i] += a * q[0] - b * q[1]
+                im[i] += a * q[1] + b * q[0]
+        for i in range(width):
+            if first + i < count:
+                wp.atomic_add(result, first + i, wp.vec2(re[i], im[i]))
+
+    return far
+
+
+@wp.kernel
+def far_gradient(
+    points: wp.array(dtype=wp.vec3),
+    centroids: wp.array(dtype=wp.vec3),
+    moments: wp.array(dtype=wp.vec3),
+    density: wp.array(dtype=wp.vec2),
+    gradient: wp.array2d(dtype=wp.vec2),
+):
+    """Gradient by the point of the one-point sum, per wavelength.
+
+    Of m.R F(d) with F = (ikd - 1) exp(ikd)/d^3 it is -m F - R (m.R) F'/d, F' = ((ikd)^2 - 3 ikd + 3) exp(ikd)/d^4.
+    """
+    i = wp.tid()
+    real = wp.vec3()
+    imag = wp.vec3()
+    for j in range(centroids.shape[0]):
+        r = centroids[j] - points[i]
+        d = wp.sqrt(wp.dot(r, r) + NEAREST)
+        kd = TURN * d
+        angle = TURN * (d - wp.floor(d + 0.5))
+        s = wp.sin(angle)
+        t = wp.cos(angle)
+        over = 1.0 / (d * d * d)
+        q = density[j]
+        wave_re = (t * q[0] - s * q[1]) * over
+        wave_im = (t * q[1] + s * q[0]) * over
+        f_re = -wave_re - kd * wave_im
+        f_im = -wave_im + kd * wave_re
+        bend = wp.dot(moments[j], r) / (d * d)
+        g_re = bend * ((3.0 - kd * kd) * wave_re + 3.0 * kd * wave_im)
+        g_im = bend * ((3.0 - kd * kd) * wave_im - 3.0 * kd * wave_re)
+        real -= f_re * moments[j] + g_re * r
+        imag -= f_im * moments[j] + g_im * r
+    for axis in range(3):
+        gradient[i, axis] = wp.vec2(real[axis], imag[axis])
+
+
+@wp.func
+def wave_factor(d: wp.float32):
+    """(ikd - 1) exp(ikd)."""
+    kd = TURN * d
+    s = wp.sin(kd)
+    t = wp.cos(kd)
+    return wp.vec2(-t - kd * s, kd * t - s)
+
+
+@wp.func
+def solid_angle(a: wp.vec3, b: wp.vec3, c: wp.vec3):
+    """Of the triangle with these corners relative to the eye, positive where its normal points away from the eye."""
+    la = wp.length(a)
+    lb = wp.length(b)
+    lc = wp.length(c)
+    height = wp.dot(a, wp.cross(b, c))
+    return 2.0 * wp.atan2(height, la * lb * lc + wp.dot(a, b) * lc + wp.dot(b, c) * la + wp.dot(c, a) * lb)
+
+
+@wp.kernel
+def near_count(
+    grid: wp.uint64,
+    points: wp.array(dtype=wp.vec3),
+    centroids: wp.array(dtype=wp.vec3),
+    reach: wp.array(dtype=float),
+    largest: float,
+    count: wp.array(dtype=int),
+):
+    """How many triangles have the point within their reach."""
+    i = wp.tid()
+    found = wp.int32(0)
+    for j in wp.hash_grid_query(grid, points[i], largest):
+        if wp.length(centroids[j] - points[i]) < reach[j]:
+            found += 1
+    count[i] = found
+
+
+@wp.kernel
+def near_fill(
+    grid: wp.uint64,
+    points: wp.array(dtype=wp.vec3),
+    centroids: wp.array(dtype=wp.vec3),
+    moments: wp.array(dtype=wp.vec3),
+    corners: wp.array2d(dtype=wp.vec3),
+    reach: wp.array(dtype=float),
+    largest: float,
+    rule: wp.array(dtype=wp.vec4),
+    start: wp.array(dtype=int),
+    column: wp.array(dtype=int),
+    value: wp.array(dtype=wp.vec2),
+):
+    """Columns and values of the sparse correction: the triangle's integral less the one-point sum's term.
+
+    rule: three barycentric coordinates and the weight of each point
+    """
+    i = wp.tid()
+    x = points[i]
+    slot = start[i]
+    for j in wp.hash_grid_query(grid, x, largest):
+        r = centroids[j] - x
+        d = wp.sqrt(wp.dot(r, r) + NEAREST)
+        if wp.length(r) < reach[j]:
+            column[slot] = j
+            value[slot] = wp.vec2()
+            # On the triangle itself the integral is 0: the kernel vanishes in its plane
+            if d > 1.0e-2 * reach[j] or wp.abs(wp.dot(r, wp.normalize(moments[j]))) > 1.0e-4 * reach[j]:
+                total = wp.vec2(-solid_angle(corners[j, 0] - x, corners[j, 1] - x, corners[j, 2] - x) / FOUR_PI, 0.0)
+                for q in range(rule.shape[0]):
+                    at = rule[q][0] * corners[j, 0] + rule[q][1] * corners[j, 1] + rule[q][2] * corners[j, 2] - x
+                    e = wp.sqrt(wp.dot(at, at) + NEAREST)
+                    rest = wave_factor(e) + wp.vec2(1.0, 0.0)
+                    total += rule[q][3] * wp.dot(moments[j], at) / (e * e * e) * rest
+                value[slot] = total - wp.dot(moments[j], r) / (d * d * d) * wave_factor(d)
+            slot += 1
+
+
+@wp.kernel
+def near_apply(
+    start: wp.array(dtype=int),
+    column: wp.array(dtype=int),
+    value: wp.array(dtype=wp.vec2),
+    density: wp.array(dtype=wp.vec2),
+    result: wp.array(dtype=wp.vec2),
+):
+    """Add the sparse correction, one row a thread."""
+    i = wp.tid()
+    total = wp.vec2()
+    for slot in range(start[i], start[i + 1]):
+        v = value[slot]
+        q = density[column[slot]]
+        total += wp.vec2(v[0] * q[0] - v[1] * q[1], v[0] * q[1] + v[1] * q[0])
+    result[i] = result[i] + total
