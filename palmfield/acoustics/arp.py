@@ -32,8 +32,7 @@ def arp(
     Raises SceneError for an unknown law or bad air, PalmfieldError for a field without gradient, for normals of another
     shape or length, and for a field that is not finite.
     """
-    if law not in LAWS:
-        raise SceneError(f"ARP law '{law}' is unknown: use one of {', '.join(LAWS)}")
+    check_law(law)
     if not 0.0 < frequency_Hz < np.inf:
         raise SceneError(
             f"frequency_Hz = {frequency_Hz} is not positive and finite: give the carrier, for example 40e3"
@@ -42,14 +41,8 @@ def arp(
         raise PalmfieldError(
             "the field has no gradient, but radiation pressure needs it: compute it with gradient=True"
         )
-    outward = np.ascontiguousarray(normals, dtype=np.float32)
     count = len(field.pressure)
-    if outward.shape != (count, 3):
-        raise PalmfieldError(f"normals have shape {outward.shape} but the field has {count} points: give ({count}, 3)")
-    excess = np.abs(np.einsum("ij,ij->i", outward, outward) - 1.0)
-    if not np.all(excess < 1e-3):
-        i = int(np.argmin(excess < 1e-3))
-        raise PalmfieldError(f"normals[{i}] = {outward[i].tolist()} is not a unit vector: divide it by its length")
+    outward = unit_normals(normals, count)
     for name, values in (("pressure", field.pressure), ("gradient", field.gradient)):
         if not np.isfinite(values).all():
             raise PalmfieldError(f"field {name}[{check.first_bad(values)}] is not finite: mend the points or the drive")
@@ -76,3 +69,21 @@ def arp(
         device=device,
     )
     return result.numpy()
+
+
+def check_law(law: str) -> None:
+    """Raise SceneError for a law that is not in LAWS."""
+    if law not in LAWS:
+        raise SceneError(f"ARP law '{law}' is unknown: use one of {', '.join(LAWS)}")
+
+
+def unit_normals(normals: ArrayLike, count: int) -> Float32:
+    """The normals, shape (count, 3), float32. Raises PalmfieldError for another shape or length."""
+    outward = np.ascontiguousarray(normals, dtype=np.float32)
+    if outward.shape != (count, 3):
+        raise PalmfieldError(f"normals have shape {outward.shape} but the field has {count} points: give ({count}, 3)")
+    excess = np.abs(np.einsum("ij,ij->i", outward, outward) - 1.0)
+    if not np.all(excess < 1e-3):
+        i = int(np.argmin(excess < 1e-3))
+        raise PalmfieldError(f"normals[{i}] = {outward[i].tolist()} is not a unit vector: divide it by its length")
+    return outward

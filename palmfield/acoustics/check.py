@@ -38,6 +38,22 @@ def drive(values: ArrayLike, array: Array) -> NDArray[np.complex128]:
     return found
 
 
+def frames(values: ArrayLike, array: Array) -> NDArray[np.complex128]:
+    """Drives of several frames, shape (frames, len(array)).
+
+    Raises PalmfieldError for another shape, NaN or infinity.
+    """
+    found = np.asarray(values, dtype=np.complex128)
+    if found.ndim != 2 or found.shape[1] != len(array):
+        raise PalmfieldError(
+            f"drives have shape {found.shape} but array '{array.name}' has {len(array)} transducers: "
+            f"give shape (frames, {len(array)})"
+        )
+    if not np.isfinite(found).all():
+        raise PalmfieldError(f"drives[{first_bad(found)}] are not finite: remove or mend the frame")
+    return found
+
+
 def array(value: Array) -> None:
     """Raise SceneError when the array's geometry or constants cannot radiate."""
     count = len(value.positions)

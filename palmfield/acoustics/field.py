@@ -69,7 +69,7 @@ class FieldEvaluator:
         wavenumber = 2.0 * np.pi * array.frequency_Hz / sound_speed(air)
         directivity, slope, self._smooth = off_axis(array, wavenumber)
         sine, cosine = polynomials.sine_cosine()
-        self._sound = filled(
+        self.sound = filled(
             kernels.Sound(),
             turns_per_m=wavenumber / (2.0 * np.pi),
             turns32_per_m=wavenumber / (2.0 * np.pi),
@@ -101,7 +101,7 @@ class FieldEvaluator:
         _, vec4, _ = form.vectors
         inputs = [
             self._origins, self._turns, self._ranges,
-            self._upload(elements, vec4), self._upload(strengths, wp.vec4), self._sound,
+            self._upload(elements, vec4), self._upload(strengths, wp.vec4), self.sound,
         ]  # fmt: skip
         if self._gpu:
             self._on_gpu(kernel, width, where, inputs, pressure, slope)

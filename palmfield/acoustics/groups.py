@@ -50,9 +50,9 @@ def groups(array: Array) -> Groups:
     return Groups(order, np.array(origins).reshape(-1, 3), np.array(turns).reshape(-1, 3, 3), ranges, places)
 
 
-def axes(normal: Float) -> Float:
-    """Right-handed unit axes, rows, shape (3, 3), the last along `normal`; those of the array frame for z."""
-    helper = np.array([1.0, 0.0, 0.0]) if abs(normal[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
-    x = helper - (helper @ normal) * normal
-    x /= np.linalg.norm(x)
-    return np.array([x, np.cross(normal, x), normal])
+def axes(normals: Float) -> Float:
+    """Right-handed unit axes, rows, shape (..., 3, 3), the last along `normals`, shape (..., 3)."""
+    helper = np.where(np.abs(normals[..., :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
+    x = helper - np.sum(helper * normals, axis=-1, keepdims=True) * normals
+    x /= np.linalg.norm(x, axis=-1, keepdims=True)
+    return np.stack([x, np.cross(normals, x), normals], axis=-2)

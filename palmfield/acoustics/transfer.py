@@ -1,0 +1,220 @@
+"""Many drive frames on the same points: the field of each transducer once, then a matrix product a frame."""
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike, NDArray
+from threadpoolctl import threadpool_limits
+
+from palmfield.acoustics import check
+from palmfield.acoustics.air import density, sound_speed
+from palmfield.acoustics.arp import arp, check_law, unit_normals
+from palmfield.acoustics.field import CUBIC_REACH_Np, FieldEvaluator, cubic_fall, distances, pool
+from palmfield.acoustics.groups import axes
+from palmfield.errors import PalmfieldError
+from palmfield.types import Air, Float32
+from warp_kernels import transfer as kernels
+
+DROPPED = 1e-5
+"""Part of the drives' norm that a reduction to fewer frames may lose; the field loses as much at most in the mean."""
+
+# Eight rows of points for a block of frames are 1 MB: they stay in the cache between product and ARP
+POINTS_A_BLOCK = 256
+FRAMES_A_BLOCK = 128
+GPU_SCRATCH_BYTES = 2**31
+BYTES_LIMIT = 2**32
+MATRIX_FROM = 16
+"""Frames from which the matrix is cheaper: it takes as long as about ten frames, docs/bench/field.md."""
+
+
+class Transfer:
+    """What every transducer of an array does at fixed points: pressure, and gradient along the surface and its normal.
+
+    evaluator: array, air, absorption and device
+    points: [m], array frame, shape (n, 3); normals: unit outward, shape (n, 3)
+    It takes 32 bytes a transducer and point. Raises PalmfieldError for bad points or normals, and for more than
+    BYTES_LIMIT.
+    """
+
+    def __init__(self, evaluator: FieldEvaluator, points: ArrayLike, normals: ArrayLike, air: Air):
+        self.evaluator, self.air = evaluator, air
+        where = check.points(points, np.float32)
+        outward = unit_normals(normals, len(where))
+        self.points = len(where)
+        elements = len(evaluator.array)
+        self.nbytes = matrix_bytes(elements, self.points)
+        if self.nbytes > BYTES_LIMIT:
+            raise PalmfieldError(
+                f"a transfer matrix of {elements} transducers and {self.points} points takes {self.nbytes / 2**30:.1f} "
+                f"GiB (at most {BYTES_LIMIT / 2**30:g}): give the points in parts"
+            )
+        self._matrix = self._compute(where, outward)
+        self._on_gpu: Any = None
+
+    def _compute(self, points: Float32, normals: Float32) -> Float32:
+        """Pressure and gradient over k, real parts first, shape (transducers, 8, points)."""
+        evaluator, array = self.evaluator, self.evaluator.array
+        result = np.zeros((len(array), 8, len(points)), np.float32)
+        if result.size == 0:
+            return result
+        low, high = distances(points, array.positions)
+        if evaluator.absorption_Np_m * (high - low) > CUBIC_REACH_Np:
+            raise PalmfieldError(
+                f"points {low:.2f} to {high:.2f} m from the array's elements are too far apart for an absorption of "
+                f"{evaluator.absorption_Np_m:.3g} Np/m: give near and far ones apart"
+            )
+        strength = array.p0_Pa_m * cubic_fall(evaluator.absorption_Np_m, low, high)
+        place: Any = wp.array(points, dtype=wp.vec3, device="cpu", copy=False)
+        turn: Any = wp.array(axes(normals.astype(float)).astype(np.float32), dtype=wp.mat33, device="cpu")
+        wp.load_module(kernels, device="cpu")
+
+        def run(first: int, stop: int) -> None:
+            inputs = [
+                place,
+                turn,
+                wp.array(array.positions[first:stop].astype(np.float32), dtype=wp.vec3, device="cpu"),
+                wp.array(array.normals[first:stop].astype(np.float32), dtype=wp.vec3, device="cpu"),
+                wp.vec4(*strength),
+                evaluator.sound,
+                wp.array(result[first:stop], dtype=wp.float32, device="cpu", copy=False),
+            ]
+            dim = (-(-len(points) // kernels.WIDTH), stop - first)
+            wp.launch(kernels.matrix, dim=dim, inputs=inputs, device="cpu")
+
+        bounds = np.linspace(0, len(array), evaluator.threads + 1).astype(int)
+        list(pool().map(run, bounds[:-1], bounds[1:]))
+        return result
+
+    def pressure(self, drives: ArrayLike) -> NDArray[np.complex64]:
+        """Complex peak pressure [Pa], shape (frames, points), for drives of shape (frames, transducers)."""
+        left, basis = self._reduced(drives)
+        right = self._matrix[:, 0] + 1j * self._matrix[:, 4]
+        return np.asarray(left @ (right if basis is None else basis.conj().T @ right), np.complex64)
+
+    def arp(self, drives: ArrayLike, law: str = "default") -> Float32:
+        """ARP [Pa], shape (frames, points), for drives of shape (frames, transducers); see `palmfield.acoustics.arp`.
+
+        Raises SceneError for an unknown law, PalmfieldError for drives that are not finite or of another shape.
+        """
+        per_pressure, per_slope = self._weights(law)
+        left, basis = self._reduced(drives)
+        stacked = np.concatenate([left.real, left.imag], axis=1)
+        result = np.empty((len(left), self.points), np.float32)
+        if result.size == 0:
+            return result
+        wp.load_module(kernels, device="cpu")
+        target: Any = wp.array(result, dtype=wp.float32, device="cpu", copy=False)
+
+        def run(first: int) -> None:
+            right = real_form(self._matrix[:, :, first : first + POINTS_A_BLOCK], basis)
+            room = np.empty((FRAMES_A_BLOCK, right.shape[1]), np.float32)
+            for start in range(0, len(left), FRAMES_A_BLOCK):
+                rows = stacked[start : start + FRAMES_A_BLOCK]
+                parts = np.matmul(rows, right, out=room[: len(rows)])
+                inputs = [
+                    wp.array(parts, dtype=wp.float32, device="cpu", copy=False),
+                    per_pressure, per_slope, start, first, target,
+                ]  # fmt: skip
+                wp.launch(kernels.arp_rows, dim=len(parts), inputs=inputs, device="cpu")
+
+        # One BLAS thread in each of ours: its own would share out products that fit one core's cache
+        with threadpool_limits(1, user_api="blas"):
+            list(pool().map(run, range(0, self.points, POINTS_A_BLOCK)))
+        return result
+
+    def arp_on_gpu(self, drives: ArrayLike, law: str = "default") -> Any:
+        """As `arp`, but computed and left on the evaluator's GPU: a Warp array of shape (frames, points)."""
+        per_pressure, per_slope = self._weights(law)
+        left, basis = self._reduced(drives)
+        device = self.evaluator.device
+        right = self._gpu_matrix(basis)
+        result = wp.empty((len(left), self.points), dtype=wp.float32, device=device)
+        stacked: Any = wp.array(np.concatenate([left.real, left.imag], axis=1), dtype=wp.float32, device=device)
+        step = max(kernels.TILE_FRAMES, GPU_SCRATCH_BYTES // (32 * self.points))
+        parts = wp.empty((min(step, len(left)), 8 * self.points), dtype=wp.float32, device=device)
+        for first in range(0, len(left), step):
+            rows = stacked[first : first + step]
+            wp.launch_tiled(
+                kernels.product,
+                dim=(-(-rows.shape[0] // kernels.TILE_FRAMES), -(-8 * self.points // kernels.TILE_COLUMNS)),
+                inputs=[rows, right, parts], block_dim=kernels.TILE_THREADS, device=device,
+            )  # fmt: skip
+            inputs = [parts, per_pressure, per_slope, first, result]
+            wp.launch(kernels.arp_columns, dim=(rows.shape[0], self.points), inputs=inputs, device=device)
+        return result
+
+    def _gpu_matrix(self, basis: NDArray[np.complex64] | None) -> Any:
+        """Real form of the matrix: (real, imaginary) rows of the drive -> four real and four imaginary blocks."""
+        if basis is None and self._on_gpu is not None:
+            return self._on_gpu
+        right = real_form(self._matrix, basis)
+        uploaded: Any = wp.array(right, dtype=wp.float32, device=self.evaluator.device)
+        if basis is None:
+            self._on_gpu = uploaded
+        return uploaded
+
+    def _weights(self, law: str) -> tuple[float, float]:
+        """Factors of |p|^2 and of |grad p/k|^2 along the surface; |u| = |grad p|/(w rho), so rho |u|^2 has the same."""
+        check_law(law)
+        per_pressure = 1.0 / (density(self.air) * sound_speed(self.air) ** 2)
+        return per_pressure, per_pressure if law == "default" else 0.0
+
+    def _reduced(self, drives: ArrayLike) -> tuple[NDArray[np.complex64], NDArray[np.complex64] | None]:
+        """The frames, or their coordinates in a smaller orthonormal basis, shape (transducers, r), if that saves work.
+
+        Foci along a path span few dimensions: neighbouring frames are nearly alike.
+        """
+        frames = check.frames(drives, self.evaluator.array)
+        if self.evaluator.array.gain is not None:
+            frames = frames * self.evaluator.array.gain
+        elements = frames.shape[1]
+        if len(frames) > 2 * elements:
+            energy, vectors = np.linalg.eigh(frames.conj().T @ frames)
+            lost = np.cumsum(np.maximum(energy, 0.0))
+            rank = elements - int(np.searchsorted(lost, DROPPED**2 * lost[-1], side="right"))
+            if rank < 0.7 * elements:
+                # p = F H is F V V^H H: with F = sum of rows in the span of V's conjugate
+                basis = vectors[:, elements - rank :]
+                return (frames @ basis).astype(np.complex64), basis.astype(np.complex64)
+        return frames.astype(np.complex64), None
+
+
+def real_form(matrix: Float32, basis: NDArray[np.complex64] | None) -> Float32:
+    """Matrix that takes (real, imaginary) coordinates of a drive to eight blocks of points, shape (2 r, 8 n).
+
+    matrix: as Transfer keeps it, shape (transducers, 8, n); basis: see Transfer._reduced
+    """
+    real = matrix[:, :4].reshape(len(matrix), -1)
+    imag = matrix[:, 4:].reshape(len(matrix), -1)
+    if basis is not None:
+        back = basis.conj().T
+        real, imag = back.real @ real - back.imag @ imag, back.real @ imag + back.imag @ real
+    return np.block([[real, imag], [-imag, real]])
+
+
+def matrix_bytes(elements: int, points: int) -> int:
+    """Memory of a transfer matrix [bytes]."""
+    return 32 * elements * points
+
+
+def arp_frames(
+    evaluator: FieldEvaluator, points: ArrayLike, normals: ArrayLike, drives: ArrayLike, air: Air, law: str = "default"
+) -> Float32:
+    """ARP [Pa] of many drive frames on the same points, shape (frames, points), by the cheaper way.
+
+    That is a transfer matrix for more than MATRIX_FROM frames when it fits BYTES_LIMIT, else frame by frame.
+
+    points: [m], array frame, shape (n, 3); normals: unit outward, shape (n, 3)
+    drives: complex amplitudes, shape (frames, transducers)
+    Raises what `palmfield.acoustics.arp.arp` and FieldEvaluator raise.
+    """
+    frames = check.frames(drives, evaluator.array)
+    where = check.points(points, np.float32)
+    if len(frames) >= MATRIX_FROM and matrix_bytes(len(evaluator.array), len(where)) <= BYTES_LIMIT:
+        return Transfer(evaluator, where, normals, air).arp(frames, law)
+    result = np.empty((len(frames), len(where)), np.float32)
+    for row, drive in zip(result, frames, strict=True):
+        field = evaluator.pressure(where, drive, gradient=True)
+        row[:] = arp(field, normals, air, evaluator.array.frequency_Hz, law=law, device=evaluator.device)
+    return result

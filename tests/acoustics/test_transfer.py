@@ -1,0 +1,112 @@
+"""Many frames by a matrix product, against the field kernel frame by frame."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from palmfield.acoustics.arp import arp
+from palmfield.acoustics.arrays import layout, with_faults
+from palmfield.acoustics.field import FieldEvaluator
+from palmfield.acoustics.focus import focus
+from palmfield.acoustics.reference import pressure64
+from palmfield.acoustics.transfer import Transfer, arp_frames
+from palmfield.errors import PalmfieldError, SceneError
+from palmfield.types import Air, Array, Complex, Float
+
+AIR = Air()
+
+
+def skin(count: int, seed: int = 0) -> tuple[Float, Float]:
+    """Points on a shallow dome over the array, and its normals, which look down."""
+    random = np.random.default_rng(seed)
+    x, y = random.uniform(-0.05, 0.05, (2, count))
+    points = np.column_stack([x, y, 0.2 + 2.0 * (x * x + y * y)])
+    normals = np.column_stack([4.0 * x, 4.0 * y, -np.ones(count)])
+    return points, normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
+
+def circle(array: Array, count: int, radius: float = 0.01) -> Complex:
+    angle = 2 * np.pi * np.arange(count) / count
+    places = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.full(count, 0.2)])
+    return np.array([focus(array, AIR, place) for place in places])
+
+
+def one_by_one(array: Array, points: Float, normals: Float, drives: Complex, law: str = "default") -> Float:
+    rows = []
+    for drive in drives:
+        p, g = pressure64(points, array, drive, AIR, gradient=True)
+        k = 2 * np.pi * array.frequency_Hz / 343.2
+        assert g is not None and k > 0
+        field = FieldEvaluator(array, AIR, "cpu", mode="accurate").pressure(points, drive, gradient=True)
+        assert np.linalg.norm(field.pressure - p) < 1e-4 * np.linalg.norm(p)
+        rows.append(arp(field, normals, AIR, array.frequency_Hz, law=law, device="cpu"))
+    return np.array(rows, dtype=float)
+
+
+@pytest.mark.parametrize("law", ["default", "alpha"])
+@pytest.mark.parametrize("frames", [20, 600])
+def test_arp_of_many_frames_equals_that_of_each(frames: int, law: str) -> None:
+    array = layout("uhev1")
+    points, normals = skin(217)
+    drives = circle(array, frames)
+    found = Transfer(FieldEvaluator(array, AIR, "cpu"), points, normals, AIR).arp(drives, law)
+    some = slice(0, frames, frames // 10)
+    expected = one_by_one(array, points, normals, drives[some], law)
+    assert np.linalg.norm(found[some] - expected) < 1e-4 * np.linalg.norm(expected)
+
+
+def test_frames_without_structure_are_not_reduced_and_stay_right() -> None:
+    array = layout("uhev1")
+    points, normals = skin(50)
+    drives = np.exp(2j * np.pi * np.random.default_rng(3).random((600, 256)))
+    found = Transfer(FieldEvaluator(array, AIR, "cpu"), points, normals, AIR).arp(drives)
+    expected = one_by_one(array, points, normals, drives[:5])
+    assert np.linalg.norm(found[:5] - expected) < 1e-4 * np.linalg.norm(expected)
+
+
+def test_gain_tilt_and_pressure() -> None:
+    flat = layout("uhev1")
+    normals = flat.normals + np.random.default_rng(1).uniform(-0.3, 0.3, (256, 3))
+    array = with_faults(
+        replace(flat, normals=normals / np.linalg.norm(normals, axis=1, keepdims=True)), dead=[4], inverted=[9, 10]
+    )
+    points, outward = skin(101)
+    drives = circle(flat, 20)
+    transfer = Transfer(FieldEvaluator(array, AIR, "cpu"), points, outward, AIR)
+    expected = np.array([pressure64(points, array, drive, AIR)[0] for drive in drives])
+    assert np.linalg.norm(transfer.pressure(drives) - expected) < 3e-5 * np.linalg.norm(expected)
+    found = transfer.arp(drives)
+    wanted = one_by_one(array, points, outward, drives)
+    assert np.linalg.norm(found - wanted) < 1e-4 * np.linalg.norm(wanted)
+
+
+def test_the_cheaper_way_gives_the_same() -> None:
+    array = layout("uhev1")
+    points, normals = skin(150)
+    drives = circle(array, 40)
+    evaluator = FieldEvaluator(array, AIR, "cpu")
+    many = arp_frames(evaluator, points, normals, drives, AIR)
+    few = np.concatenate([arp_frames(evaluator, points, normals, drives[i : i + 4], AIR) for i in range(0, 40, 4)])
+    assert np.linalg.norm(many - few) < 1e-4 * np.linalg.norm(few)
+
+
+def test_bad_input() -> None:
+    array = layout("uhev1")
+    points, normals = skin(10)
+    evaluator = FieldEvaluator(array, AIR, "cpu")
+    transfer = Transfer(evaluator, points, normals, AIR)
+    with pytest.raises(PalmfieldError, match=r"shape \(3, 255\)"):
+        transfer.arp(np.ones((3, 255)))
+    drives = np.ones((3, 256), complex)
+    drives[1, 7] = np.nan
+    with pytest.raises(PalmfieldError, match=r"drives\[1\]"):
+        transfer.arp(drives)
+    with pytest.raises(SceneError, match="ARP law 'beta'"):
+        transfer.arp(np.ones((3, 256)), "beta")
+    with pytest.raises(PalmfieldError, match="GiB"):
+        Transfer(evaluator, np.tile(points, (100_000, 1)), np.tile(normals, (100_000, 1)), AIR)
+    with pytest.raises(PalmfieldError, match="near and far"):
+        Transfer(FieldEvaluator(array, AIR, "cpu", absorption_Np_m=9.0), points, normals, AIR)
+    assert transfer.arp(np.ones((0, 256))).shape == (0, 10)
+    assert Transfer(evaluator, np.zeros((0, 3)), np.zeros((0, 3)), AIR).arp(np.ones((2, 256))).shape == (2, 0)

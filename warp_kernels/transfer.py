@@ -1,0 +1,165 @@
+"""The field of each transducer by itself at fixed points, and radiation pressure from products with it."""
+
+import warp as wp
+
+from warp_kernels.pressure import NEAREST_M2, Sound, fall_cubic, inverse_root, polynomial_wave, quartic, quintic
+
+wp.set_module_options(
+    {"enable_backward": False, "max_unroll": 1, "cpu_compiler_flags": "-march=native -ffp-contract=fast"}
+)
+
+WIDTH = 16
+lanes = wp.types.vector(length=WIDTH, dtype=wp.float32)
+TILE_FRAMES = 64
+TILE_COLUMNS = 128
+TILE_DEPTH = 32
+TILE_THREADS = 128
+
+
+@wp.kernel
+def matrix(
+    points: wp.array(dtype=wp.vec3),
+    axes: wp.array(dtype=wp.mat33),
+    positions: wp.array(dtype=wp.vec3),
+    normals: wp.array(dtype=wp.vec3),
+    strength: wp.vec4,
+    sound: Sound,
+    result: wp.array(dtype=wp.float32, ndim=3),
+):
+    """result[e, 0 and 4, i]: real and imaginary pressure [Pa] at point i for unit drive of transducer e; [e, 1..3 and
+    5..7, i]: its gradient over k along the rows of axes[i] [Pa]. The formula is that of `pressure.gradient`.
+    WIDTH points a thread.
+    """
+    block, e = wp.tid()
+    first = block * WIDTH
+    count = points.shape[0]
+    position = positions[e]
+    normal = normals[e]
+    x = lanes()
+    y = lanes()
+    z = lanes()
+    for i in range(WIDTH):
+        point = points[wp.min(first + i, count - 1)]
+        x[i] = point[0] - position[0]
+        y[i] = point[1] - position[1]
+        z[i] = point[2] - position[2]
+    re = lanes()
+    im = lanes()
+    along_re = lanes()
+    along_im = lanes()
+    axial_re = lanes()
+    axial_im = lanes()
+    for i in range(WIDTH):
+        square = x[i] * x[i] + y[i] * y[i] + z[i] * z[i] + wp.float32(NEAREST_M2)
+        inverse = inverse_root(square)
+        d = square * inverse
+        cosine = (x[i] * normal[0] + y[i] * normal[1] + z[i] * normal[2]) * inverse
+        turns = d * sound.turns32_per_m
+        wave = polynomial_wave(sound, turns - wp.floor(turns + 0.5))
+        gain = wp.where(cosine > 0.0, fall_cubic(sound, strength, d, inverse), 0.0)
+        wave_re = gain * wave[0]
+        wave_im = gain * wave[1]
+        q = cosine * cosine
+        direct = quintic(sound.directivity, q)
+        bend = quartic(sound.slope, q) * inverse
+        swing = direct * inverse
+        decay = -(sound.absorption_Np_m + inverse) / sound.wavenumber_rad_m * swing - q * bend * inverse
+        re[i] = direct * wave_re
+        im[i] = direct * wave_im
+        along_re[i] = decay * wave_re - swing * wave_im
+        along_im[i] = decay * wave_im + swing * wave_re
+        axial_re[i] = cosine * bend * wave_re
+        axial_im[i] = cosine * bend * wave_im
+    for i in range(WIDTH):
+        k = first + i
+        if k < count:
+            ray = axes[k] * wp.vec3(x[i], y[i], z[i])
+            axis = axes[k] * normal
+            result[e, 0, k] = re[i]
+            result[e, 4, k] = im[i]
+            for j in range(3):
+                result[e, 1 + j, k] = along_re[i] * ray[j] + axial_re[i] * axis[j]
+                result[e, 5 + j, k] = along_im[i] * ray[j] + axial_im[i] * axis[j]
+
+
+@wp.func_native(
+    snippet="""
+    const float* __restrict a = reinterpret_cast<const float*>(reinterpret_cast<const char*>(parts.data)
+        + size_t(frame) * parts.strides[0]);
+    float* __restrict to = reinterpret_cast<float*>(reinterpret_cast<char*>(result.data)
+        + size_t(first_frame + frame) * result.strides[0]) + first;
+    for (int k = 0; k < count; ++k) {
+        const float p_re = a[k], s_re = a[count + k], t_re = a[2 * count + k], n_re = a[3 * count + k];
+        const float p_im = a[4 * count + k], s_im = a[5 * count + k], t_im = a[6 * count + k], n_im = a[7 * count + k];
+        const float load = per_pressure * (p_re * p_re + p_im * p_im)
+            - per_slope * (s_re * s_re + s_im * s_im + t_re * t_re + t_im * t_im);
+        to[k] = p_re * n_im - p_im * n_re < 0.0f ? load : 0.0f;
+    }
+"""
+)
+def arp_row(
+    parts: wp.array(dtype=wp.float32, ndim=2),
+    count: wp.int32,
+    per_pressure: wp.float32,
+    per_slope: wp.float32,
+    frame: wp.int32,
+    first_frame: wp.int32,
+    first: wp.int32,
+    result: wp.array(dtype=wp.float32, ndim=2),
+):
+    """In C, as Warp's indexing goes through strides, which LLVM can't vectorise: a tenth of the speed."""
+    ...
+
+
+@wp.kernel
+def arp_rows(
+    parts: wp.array(dtype=wp.float32, ndim=2),
+    per_pressure: wp.float32,
+    per_slope: wp.float32,
+    first_frame: wp.int32,
+    first: wp.int32,
+    result: wp.array(dtype=wp.float32, ndim=2),
+):
+    """ARP [Pa] from a row of eight blocks, see `matrix`, a frame a thread: the form for the CPU."""
+    frame = wp.tid()
+    arp_row(parts, parts.shape[1] / 8, per_pressure, per_slope, frame, first_frame, first, result)
+
+
+@wp.kernel
+def product(
+    left: wp.array(dtype=wp.float32, ndim=2),
+    right: wp.array(dtype=wp.float32, ndim=2),
+    result: wp.array(dtype=wp.float32, ndim=2),
+):
+    """Matrix product by tiles, for GPUs; what reaches over the edges counts as zero."""
+    i, j = wp.tid()
+    total = wp.tile_zeros(shape=(TILE_FRAMES, TILE_COLUMNS), dtype=wp.float32)
+    for k in range((left.shape[1] + TILE_DEPTH - 1) / TILE_DEPTH):
+        a = wp.tile_load(left, shape=(TILE_FRAMES, TILE_DEPTH), offset=(i * TILE_FRAMES, k * TILE_DEPTH))
+        b = wp.tile_load(right, shape=(TILE_DEPTH, TILE_COLUMNS), offset=(k * TILE_DEPTH, j * TILE_COLUMNS))
+        wp.tile_matmul(a, b, total)
+    wp.tile_store(result, total, offset=(i * TILE_FRAMES, j * TILE_COLUMNS))
+
+
+@wp.kernel
+def arp_columns(
+    parts: wp.array(dtype=wp.float32, ndim=2),
+    per_pressure: wp.float32,
+    per_slope: wp.float32,
+    first: int,
+    result: wp.array(dtype=wp.float32, ndim=2),
+):
+    """As `arp_rows`, one point and frame a thread: the form for GPUs."""
+    frame, k = wp.tid()
+    count = parts.shape[1] / 8
+    p_re = parts[frame, k]
+    s_re = parts[frame, count + k]
+    t_re = parts[frame, 2 * count + k]
+    n_re = parts[frame, 3 * count + k]
+    p_im = parts[frame, 4 * count + k]
+    s_im = parts[frame, 5 * count + k]
+    t_im = parts[frame, 6 * count + k]
+    n_im = parts[frame, 7 * count + k]
+    load = per_pressure * (p_re * p_re + p_im * p_im)
+    load -= per_slope * (s_re * s_re + s_im * s_im + t_re * t_re + t_im * t_im)
+    result[first + frame, k] = wp.where(p_re * n_im - p_im * n_re < 0.0, load, 0.0)
