@@ -1,0 +1,318 @@
+"""Drives for several foci at once, each with a wanted loudness relative to the others.
+
+A drive makes the pressures p = H a at the foci, H the transfer matrix. All methods look for phases of p that the array
+can serve together; they differ in how, and in whether the transducers may be driven below full.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import minimize
+from scipy.special import logsumexp, softmax
+from threadpoolctl import threadpool_limits
+
+from palmfield.acoustics import check
+from palmfield.acoustics.air import absorption_Np_m, sound_speed
+from palmfield.acoustics.reference import directivity_and_bend
+from palmfield.errors import SceneError
+from palmfield.types import Air, Array, Complex, Float
+
+Method = Literal["naive", "gs", "gsw", "lbfgs", "tikhonov"]
+ITERATIONS: dict[Method, int] = {"naive": 0, "gs": 50, "gsw": 80, "lbfgs": 300, "tikhonov": 0}
+"""Iterations that each method may take by default; the first and last are direct."""
+
+COINCIDENT_WAVELENGTHS = 0.01
+"""Foci nearer to each other than this cannot be told apart: their rows of the transfer matrix are parallel."""
+
+REGULARISATION = 0.01
+"""Tikhonov parameter of method "tikhonov", relative to the mean squared row norm of the transfer matrix."""
+
+RELAXATION = 0.4
+"""Power of the correction of the weights in "gsw".
+
+At 1, as published, half of all pairs of foci before 256 transducers swung for ever between one and the other being
+louder; at 0.6 it was one in fifty, at 0.4 none of 400. More foci settle at any of these, at 1 somewhat sooner.
+"""
+
+SHARPNESS = (10.0, 40.0, 160.0, 640.0)
+"""Sharpness of the soft minimum that "lbfgs" raises, stage by stage; at the last it is the minimum within ln(m)/640."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Foci:
+    """A drive for m foci and what it makes there.
+
+    drive: complex amplitudes, |a| <= 1, shape (n,); 0 where a transducer is dead
+    pressure: complex peak pressure at the foci [Pa], shape (m,)
+    targets: wanted |pressure|, relative, shape (m,)
+    bound_Pa: |pressure| of a single focus at each place, which nothing at |a| <= 1 exceeds, shape (m,)
+    iterations: how many were made
+    residual: `misfit` before the first and after each iteration, shape (iterations + 1,); the last is that of `drive`
+    """
+
+    drive: Complex
+    pressure: Complex
+    targets: Float
+    bound_Pa: Float
+    iterations: int
+    residual: Float
+
+    @property
+    def magnitude_Pa(self) -> Float:
+        """Peak pressure at the foci [Pa], shape (m,)."""
+        return np.abs(self.pressure)
+
+    @property
+    def uniformity(self) -> float:
+        """Smallest over largest |p|/target: 1 where every focus is as loud as wanted beside the others."""
+        ratio = self.magnitude_Pa / self.targets
+        return float(ratio.min() / ratio.max())
+
+    @property
+    def level(self) -> float:
+        """Mean of |p| over that of a single focus: at most about 1/sqrt(m) for m equal foci that do not overlap."""
+        return float(np.mean(self.magnitude_Pa / self.bound_Pa))
+
+    @property
+    def efficiency(self) -> float:
+        """Sum of |p|^2, each over that of a single focus: about 1 at best for foci that do not overlap."""
+        return float(np.sum((self.magnitude_Pa / self.bound_Pa) ** 2))
+
+    @property
+    def power(self) -> float:
+        """Mean |a|^2 over the transducers: 1 where all are driven fully."""
+        return float(np.mean(np.abs(self.drive) ** 2))
+
+
+def transfer64(points: ArrayLike, array: Array, air: Air) -> Complex:
+    """Complex peak pressure [Pa] at each point from each transducer alone at full drive, in float64.
+
+    transfer64(points, array, air) @ drive is pressure64(points, array, drive, air) to rounding: the same formula, with
+    the array's gain, directivity and the air's absorption, but not summed.
+
+    points: [m], array frame, shape (m, 3)
+    Returns shape (m, n), complex128, n transducers.
+    Raises PalmfieldError for NaN, infinity or a wrong shape in points, SceneError for a bad array or air.
+    """
+    check.array(array)
+    rays = check.points(points, np.float64)[:, None, :] - array.positions
+    k = 2.0 * np.pi * array.frequency_Hz / sound_speed(air)
+    beta = absorption_Np_m(air, array.frequency_Hz)
+    d = np.maximum(np.linalg.norm(rays, axis=2), 1e-9)
+    cosine = np.einsum("ijk,jk->ij", rays, array.normals) / d
+    directivity, _ = directivity_and_bend(array, k, cosine)
+    strength = array.p0_Pa_m * (np.ones(len(array)) if array.gain is None else array.gain)
+    return np.where(cosine > 0.0, strength * directivity / d * np.exp((1j * k - beta) * d), 0.0)
+
+
+def solve_foci(
+    points: ArrayLike,
+    array: Array,
+    air: Air,
+    *,
+    amplitudes: ArrayLike | None = None,
+    method: Method = "gsw",
+    iterations: int | None = None,
+    seed: int = 0,
+) -> Foci:
+    """Drive for several foci in front of an array. Dead and inverted transducers (array.gain) are allowed for.
+
+    points: the foci [m], array frame, shape (m, 3)
+    amplitudes: wanted |p| of each relative to the others, shape (m,), positive; None is equal
+    method: see `solve_transfer`
+    iterations: at most so many; None is ITERATIONS[method]
+    seed: of the random phases of "naive"
+    Raises PalmfieldError for points that are not finite or not (m, 3), SceneError for foci behind a transducer,
+    coincident foci, more foci than live transducers, bad amplitudes, method or iterations.
+    """
+    where = check.points(points, np.float64)
+    check.array(array)
+    for i, point in enumerate(where):
+        if np.any(np.einsum("ij,ij->i", point - array.positions, array.normals) <= 0.0):
+            raise SceneError(
+                f"focus {i} at {point.tolist()} is behind the array '{array.name}' or in its plane: use z > 0"
+            )
+    closest = COINCIDENT_WAVELENGTHS * sound_speed(air) / array.frequency_Hz
+    for i in range(1, len(where)):
+        distances = np.linalg.norm(where[:i] - where[i], axis=1)
+        j = int(distances.argmin())
+        if distances[j] < closest:
+            raise SceneError(
+                f"foci {j} and {i} are {distances[j]:.3g} m apart, the least is {closest:.3g} m: drop one of them"
+            )
+    return solve_transfer(
+        transfer64(where, array, air), amplitudes=amplitudes, method=method, iterations=iterations, seed=seed
+    )
+
+
+def solve_transfer(
+    transfer: Complex,
+    *,
+    amplitudes: ArrayLike | None = None,
+    method: Method = "gsw",
+    iterations: int | None = None,
+    seed: int = 0,
+) -> Foci:
+    """As solve_foci, for a transfer matrix that is known already (also one computed in float32).
+
+    method:
+        "naive": the sum of the single foci under random phases, its amplitude set to 1 (Di Leonardo's "SR")
+        "gs": Gerchberg-Saxon between the foci's magnitudes and the drive's (Di Leonardo et al. 2007)
+        "gsw": the same with weights that make the foci as loud as wanted (the same paper)
+        "lbfgs": phases that raise the quietest focus, by L-BFGS on a soft minimum with its exact gradient
+        "tikhonov": amplitudes and phases, by regularised least squares (after Long et al. 2014), scaled to max |a| = 1
+    The first four drive every live transducer fully. All but the first begin with the phases of `reinforcing_phases`.
+
+    transfer: complex pressure from each transducer at full drive [Pa], shape (m, n)
+    Raises SceneError for more foci than live transducers, bad amplitudes, method or iterations.
+    Sources: R. Di Leonardo, F. Ianni, G. Ruocco, Opt. Express 15, 1913 (2007); B. Long, S. A. Seah, T. Carter,
+    S. Subramanian, ACM Trans. Graph. 33(6), 181 (2014).
+    """
+    matrix = np.asarray(transfer, np.complex128)
+    live = np.any(matrix != 0.0, axis=0)
+    targets = _targets(amplitudes, len(matrix))
+    if len(matrix) == 0:
+        raise SceneError("no focus is given: give 1 or more")
+    if len(matrix) > live.sum():
+        raise SceneError(f"{len(matrix)} foci for {live.sum()} live transducers: give at most {live.sum()} foci")
+    if method not in get_args(Method):
+        raise SceneError(f"method '{method}' is unknown: use one of {', '.join(get_args(Method))}")
+    count = ITERATIONS[method] if iterations is None else iterations
+    if count < 0:
+        raise SceneError(f"iterations = {count} is negative: give 0 or more")
+    if method == "naive":
+        phases = np.exp(2j * np.pi * np.random.default_rng(seed).random(len(matrix)))
+    else:
+        phases = reinforcing_phases(matrix, targets)
+    part, residual = SOLVERS[method](matrix[:, live], targets, phases, count)
+    drive = np.zeros(matrix.shape[1], np.complex128)
+    drive[live] = part
+    return Foci(drive, matrix @ drive, targets, np.abs(matrix).sum(axis=1), len(residual) - 1, np.array(residual))
+
+
+def _targets(amplitudes: ArrayLike | None, count: int) -> Float:
+    targets = np.ones(count) if amplitudes is None else np.asarray(amplitudes, np.float64)
+    if targets.shape != (count,):
+        raise SceneError(f"amplitudes have shape {targets.shape} for {count} foci: give ({count},)")
+    if not np.all((targets > 0.0) & np.isfinite(targets)):
+        i = int(np.argmin((targets > 0.0) & np.isfinite(targets)))
+        raise SceneError(f"amplitudes[{i}] = {targets[i]} is not positive and finite: give a relative pressure above 0")
+    return targets
+
+
+def misfit(pressure: Complex, targets: Float) -> float:
+    """Rms over the foci of |p|/target about its mean, relative to that mean."""
+    ratio = np.abs(pressure) / targets
+    return float(ratio.std() / ratio.mean())
+
+
+def unit(values: Complex) -> Complex:
+    """Phase factors of complex values; 1 for 0."""
+    return np.exp(1j * np.angle(values))
+
+
+def reinforcing_phases(matrix: Complex, targets: Float) -> Complex:
+    """Phase factors of the foci under which single foci help each other most, shape (m,) (Long et al. 2014).
+
+    Row i, column k of G W is the pressure at focus i of the single focus that on its own makes target k at k, with
+    G = H H* and W = diag(target_k/G_kk); its dominant eigenvector is found from the Hermitian form of the same problem.
+    From here "gsw" ends about as loud as from the best of ten random starts (docs/bench/foci.md).
+    """
+    half = np.sqrt(targets) / np.linalg.norm(matrix, axis=1)
+    scaled = matrix * half[:, None]
+    return unit(np.linalg.eigh(scaled @ scaled.conj().T)[1][:, -1])
+
+
+def superposed(matrix: Complex, targets: Float, phases: Complex) -> tuple[Complex, Float]:
+    """Sum of the single foci with amplitude set to 1, shape (n,), and their weights, shape (m,)."""
+    weights = targets / np.sum(np.abs(matrix) ** 2, axis=1)
+    return unit(matrix.conj().T @ (weights * phases)), weights
+
+
+def naive(matrix: Complex, targets: Float, phases: Complex, count: int) -> tuple[Complex, list[float]]:
+    drive, _ = superposed(matrix, targets, phases)
+    return drive, [misfit(matrix @ drive, targets)]
+
+
+def gs(matrix: Complex, targets: Float, phases: Complex, count: int) -> tuple[Complex, list[float]]:
+    return _gerchberg_saxon(matrix, targets, phases, count, weighted=False)
+
+
+def gsw(matrix: Complex, targets: Float, phases: Complex, count: int) -> tuple[Complex, list[float]]:
+    return _gerchberg_saxon(matrix, targets, phases, count, weighted=True)
+
+
+def _gerchberg_saxon(
+    matrix: Complex, targets: Float, phases: Complex, count: int, weighted: bool
+) -> tuple[Complex, list[float]]:
+    adjoint = matrix.conj().T
+    drive, weights = superposed(matrix, targets, phases)
+    pressure = matrix @ drive
+    residual = [misfit(pressure, targets)]
+    for _ in range(count):
+        if weighted:
+            ratio = np.abs(pressure) / targets
+            weights = weights * (ratio.mean() / np.maximum(ratio, 1e-3 * ratio.mean())) ** RELAXATION
+        drive = unit(adjoint @ (weights * unit(pressure)))
+        pressure = matrix @ drive
+        residual.append(misfit(pressure, targets))
+    return drive, residual
+
+
+def soft_minimum(phases: Float, matrix: Complex, sharpness: float) -> tuple[float, Float]:
+    """Minus the soft minimum of |H exp(i phases)| over the foci, and its gradient by the phases, shape (n,).
+
+    softmin(q) = -logsumexp(-s q)/s, with s the sharpness. matrix: rows already divided by what they are compared with.
+    """
+    waves = matrix * np.exp(1j * phases)
+    pressure = waves.sum(axis=1)
+    magnitude = np.abs(pressure)
+    share = softmax(-sharpness * magnitude)
+    slope = -np.imag(np.conj(unit(pressure))[:, None] * waves)
+    return float(logsumexp(-sharpness * magnitude) / sharpness), -share @ slope
+
+
+def lbfgs(matrix: Complex, targets: Float, phases: Complex, count: int) -> tuple[Complex, list[float]]:
+    start, residual = naive(matrix, targets, phases, 0)
+    angles = np.angle(start)
+    scaled = matrix / targets[:, None]
+    scaled = scaled / np.abs(scaled).sum(axis=1).mean()
+
+    def note(found: Float) -> None:
+        residual.append(misfit(matrix @ np.exp(1j * found), targets))
+
+    with threadpool_limits(1, user_api="blas"):  # threads of the BLAS made these small products 40 times slower
+        for stage, sharpness in enumerate(SHARPNESS):
+            left = (count - (len(residual) - 1)) // (len(SHARPNESS) - stage)
+            if left > 0:
+                found = minimize(
+                    soft_minimum,
+                    angles,
+                    (scaled, sharpness),
+                    method="L-BFGS-B",
+                    jac=True,
+                    callback=note,
+                    options={"maxiter": left, "ftol": 1e-12, "gtol": 1e-9},
+                )
+                angles = found.x
+    return np.exp(1j * angles), residual
+
+
+def tikhonov(matrix: Complex, targets: Float, phases: Complex, count: int) -> tuple[Complex, list[float]]:
+    gram = matrix @ matrix.conj().T
+    ridge = REGULARISATION * np.trace(gram).real / len(gram) * np.eye(len(gram))
+    drive = matrix.conj().T @ np.linalg.solve(gram + ridge, targets * phases)
+    drive /= np.abs(drive).max()
+    return drive, [misfit(matrix @ drive, targets)]
+
+
+SOLVERS: dict[Method, Callable[[Complex, Float, Complex, int], tuple[Complex, list[float]]]] = {
+    "naive": naive,
+    "gs": gs,
+    "gsw": gsw,
+    "lbfgs": lbfgs,
+    "tikhonov": tikhonov,
+}

@@ -1,0 +1,94 @@
+"""Rounding of a drive to the phases and amplitudes that a device has, and the error that it makes."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from palmfield.errors import DeviceError
+from palmfield.types import Complex, Float, Int
+
+FULL = 1.0 + 1e-9
+"""Largest |a| accepted: full drive and rounding."""
+
+
+def phase_codes(drive: ArrayLike, steps: int) -> Int:
+    """Nearest of `steps` equal phase steps, round(steps arg(a)/2 pi) mod steps, shape of drive, int32.
+
+    Rounded, never floored: a focus gives phases such as -1e-17, which a floor would turn into steps - 1.
+    A larger code is a later wave (e^{-iwt}). Raises DeviceError for a drive that is not finite and for steps < 1.
+    """
+    amplitudes = _checked(drive)
+    _at_least_one(steps, "phase_steps")
+    return np.mod(np.rint(steps * np.angle(amplitudes) / (2.0 * np.pi)), steps).astype(np.int32)
+
+
+def amplitude_codes(drive: ArrayLike, steps: int) -> Int:
+    """Nearest of the levels 0, 1/steps, ..., 1 of |a|, as 0..steps, shape of drive, int32.
+
+    One step is off or full, 255 is 8 bits. Raises DeviceError for |a| > 1 or not finite, and for steps < 1.
+    """
+    amplitudes = _checked(drive)
+    _at_least_one(steps, "amplitude_steps")
+    return np.rint(steps * np.abs(amplitudes)).astype(np.int32)
+
+
+def quantise(drive: ArrayLike, *, phase_steps: int | None = None, amplitude_steps: int | None = None) -> Complex:
+    """The drive with phases and amplitudes rounded to the nearest that a device has.
+
+    drive: complex amplitudes, |a| <= 1, any shape
+    phase_steps: phases in a turn, 32 on a SonicSurface, 256 on AUTD3; None leaves phases alone
+    amplitude_steps: levels above 0 (equal in amplitude, not in pulse width: see pulse_width); None leaves them alone
+    Returns complex amplitudes, same shape. Raises DeviceError as the functions above.
+    """
+    amplitudes = _checked(drive)
+    magnitude, phase = np.abs(amplitudes), np.angle(amplitudes)
+    if phase_steps is not None:
+        phase = 2.0 * np.pi * phase_codes(amplitudes, phase_steps) / phase_steps
+    if amplitude_steps is not None:
+        magnitude = amplitude_codes(amplitudes, amplitude_steps) / amplitude_steps
+    return magnitude * np.exp(1j * phase)
+
+
+def phase_loss(steps: int) -> float:
+    """Expected focal pressure with rounded phases over that without: sin(pi/N)/(pi/N) for N steps.
+
+    It is the mean of cos over an error spread evenly over +-pi/N, which the phases of a focus give closely. What does
+    not arrive at the focus is scattered: `phase_noise`. Raises DeviceError for steps < 1.
+    """
+    _at_least_one(steps, "phase_steps")
+    return float(np.sinc(1.0 / steps))
+
+
+def phase_noise(steps: int, transducers: int) -> float:
+    """Rms pressure that phase rounding scatters, over the pressure of the focus without rounding.
+
+    Each transducer's error has the variance 1 - sinc^2(1/N) about its mean; n independent ones add as 1/sqrt(n), in
+    every direction that they reach equally. Raises DeviceError for steps < 1 or transducers < 1.
+    """
+    _at_least_one(transducers, "transducers")
+    return float(np.sqrt((1.0 - phase_loss(steps) ** 2) / transducers))
+
+
+def amplitude_noise(steps: int, transducers: int) -> float:
+    """Rms pressure that amplitude rounding adds, over the pressure of a focus at full drive: 1/(steps sqrt(12 n)).
+
+    For amplitudes that spread over many steps; rounding then has no mean. Raises DeviceError for counts below 1.
+    """
+    _at_least_one(steps, "amplitude_steps")
+    _at_least_one(transducers, "transducers")
+    return float(1.0 / (steps * np.sqrt(12.0 * transducers)))
+
+
+def _checked(drive: ArrayLike) -> Complex:
+    amplitudes = np.asarray(drive, np.complex128)
+    magnitude: Float = np.abs(amplitudes)
+    if not np.all(magnitude <= FULL):
+        worst = np.max(np.where(np.isnan(magnitude), np.inf, magnitude))
+        raise DeviceError(
+            f"drive amplitude {worst:.4g} is above 1 (full drive) or not finite: scale the drive to |a| <= 1"
+        )
+    return amplitudes
+
+
+def _at_least_one(value: int, name: str) -> None:
+    if value < 1:
+        raise DeviceError(f"{name} = {value} is below 1: give a whole number of steps")

@@ -1,0 +1,139 @@
+"""Drives that shape one beam: traps, vortices, plane waves, wide foci. All are phases only, |a| = 1 (or 0).
+
+As `palmfield.acoustics.focus.focus` they say what to ask for, and take no account of dead or inverted transducers.
+
+Shapes that divide the array do so round the beam's axis: the line into the focus along the mean direction of the sound
+that arrives there. Under an off-axis focus the parts then still balance, which parts round the board's normal do not.
+"""
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from palmfield.acoustics import check
+from palmfield.acoustics.air import sound_speed
+from palmfield.acoustics.focus import focus
+from palmfield.drive.foci import transfer64
+from palmfield.errors import SceneError
+from palmfield.types import Air, Array, Complex, Float
+
+ON_LINE = 1e-9
+"""Sine of the angle within which a transducer is on the line that divides a twin trap, and belongs to neither half."""
+
+
+def twin_trap(array: Array, air: Air, point: ArrayLike, azimuth_rad: float = 0.0) -> Complex:
+    """Focus whose halves are in antiphase: two lobes, and silence on the plane between them.
+
+    The plane holds the beam's axis; the lobes lie along azimuth_rad from x, seen along the beam. The silence is exact
+    where plane and array are mirror-symmetric. Transducers on the plane are off.
+
+    point: the focus [m], array frame, shape (3,)
+    Returns complex amplitudes, shape (len(array),).
+    Raises SceneError for a bad focus (see `focus`) or azimuth.
+    Source: A. Marzo et al., Nat. Commun. 6, 8661 (2015).
+    """
+    if not np.isfinite(azimuth_rad):
+        raise SceneError(f"azimuth_rad = {azimuth_rad} is not finite: give the direction of the lobes in radians")
+    drive = focus(array, air, point)
+    across, _ = round_beam(array, air, point)
+    along = across @ np.array([np.cos(azimuth_rad), np.sin(azimuth_rad)])
+    return drive * np.where(np.abs(along) < ON_LINE, 0.0, np.sign(along))
+
+
+def vortex(array: Array, air: Air, point: ArrayLike, order: int = 1) -> Complex:
+    """Focus whose phase winds `order` times round the beam's axis: a dark core in a ring of sound.
+
+    A positive order is later sound at larger azimuth, counted from x towards y. High orders on a coarse board alias:
+    within a few millimetres of the axis other orders, left by the board's square outline, are louder.
+
+    point: the focus [m], array frame, shape (3,)
+    Returns complex amplitudes, shape (len(array),).
+    Raises SceneError for a bad focus (see `focus`) or an order that is no whole number.
+    Source: B. T. Hefner, P. L. Marston, J. Acoust. Soc. Am. 106, 3313 (1999).
+    """
+    if not np.isfinite(order) or int(order) != order:
+        raise SceneError(f"vortex order = {order} is not a whole number: the phase must close on itself after a turn")
+    drive = focus(array, air, point)
+    across, _ = round_beam(array, air, point)
+    return drive * np.exp(1j * order * np.arctan2(across[:, 1], across[:, 0]))
+
+
+def bottle(array: Array, air: Air, point: ArrayLike) -> Complex:
+    """Focus whose inner and outer transducers are in antiphase: silence with sound before, behind and round it.
+
+    The outer ones begin where the inner ones give half of what all give at the focus, so that the two cancel there to
+    within the transducers of one ring.
+
+    point: the focus [m], array frame, shape (3,)
+    Returns complex amplitudes, shape (len(array),).
+    Raises SceneError for a bad focus (see `focus`).
+    Source: A. Marzo et al., Nat. Commun. 6, 8661 (2015).
+    """
+    drive = focus(array, air, point)
+    across, share = round_beam(array, air, point)
+    rings, ring = np.unique(np.round(np.linalg.norm(across, axis=1), 9), return_inverse=True)
+    inside = np.cumsum(np.bincount(ring, share, len(rings)))
+    split = int(np.argmin(np.abs(inside - 0.5 * inside[-1])))
+    return drive * np.where(ring <= split, 1.0, -1.0)
+
+
+def plane_wave(array: Array, air: Air, direction: ArrayLike) -> Complex:
+    """Plane wave along `direction`, as far as the aperture reaches: exp(i k n.x) at the transducers.
+
+    direction: array frame, shape (3,), of any length; it must lead out of the front of every transducer
+    Returns complex amplitudes, shape (len(array),).
+    Raises SceneError for another direction.
+    """
+    check.array(array)
+    wanted = np.asarray(direction, float)
+    if wanted.shape != (3,) or not np.isfinite(wanted).all() or not wanted.any():
+        raise SceneError(
+            f"direction {wanted.tolist()} is not a finite vector (x, y, z) other than 0: give three numbers"
+        )
+    along = wanted / np.linalg.norm(wanted)
+    if np.any(array.normals @ along <= 0.0):
+        raise SceneError(f"direction {wanted.tolist()} does not lead out of the array '{array.name}': use z > 0")
+    k = 2.0 * np.pi * array.frequency_Hz / sound_speed(air)
+    return np.exp(1j * k * (array.positions @ along))
+
+
+def defocused(array: Array, air: Air, point: ArrayLike, shift_m: float) -> Complex:
+    """Wider spot at `point`: a focus that lies `shift_m` beyond it, on the line from the array's centre.
+
+    By rays the spot is the aperture's width times |shift|/(distance + shift); the sharp focus's width adds to it. Its
+    middle need not be its loudest part. Negative shifts focus before the point.
+
+    point: middle of the spot [m], array frame, shape (3,)
+    shift_m: [m]; 0 is the sharp focus
+    Returns complex amplitudes, shape (len(array),).
+    Raises SceneError for a point or shifted focus that is not in front of the array (see `focus`).
+    """
+    focus(array, air, point)  # the point itself must lie in front, too
+    target = np.asarray(point, float)
+    centre = array.positions.mean(axis=0)
+    distance = float(np.linalg.norm(target - centre))
+    if not -distance < shift_m < np.inf:
+        raise SceneError(f"shift_m = {shift_m} is not finite and above {-distance:.3g}: keep it in front of the array")
+    return focus(array, air, centre + (target - centre) * (1.0 + shift_m / distance))
+
+
+def round_beam(array: Array, air: Air, point: ArrayLike) -> tuple[Float, Float]:
+    """Where each transducer stands round the beam's axis, seen from the focus, and how much it gives there.
+
+    The axis is the mean direction of arrival, weighted by |p|. x is the array's x as seen along the axis.
+
+    Returns the sines of the angles from the axis, shape (n, 2), and |p| at the focus [Pa], shape (n,), both without
+    `array.gain`. Raises SceneError when the axis does not lead along z, out of the array.
+    """
+    target = np.asarray(point, float)
+    share = np.abs(transfer64(target[None], dataclasses.replace(array, gain=None), air)[0])
+    rays = target - array.positions
+    arrival = rays / np.linalg.norm(rays, axis=1)[:, None]
+    axis = share @ arrival / share.sum()
+    if axis[2] < 0.1:
+        raise SceneError(f"sound from '{array.name}' has no mean direction along z at the focus: move the focus")
+    axis /= np.linalg.norm(axis)
+    x = np.cross([0.0, 1.0, 0.0], axis)
+    x /= np.linalg.norm(x)
+    return -np.column_stack([arrival @ x, arrival @ np.cross(axis, x)]), share
