@@ -1,0 +1,105 @@
+"""Results of the field benchmark as markdown."""
+
+import os
+import platform
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class Row:
+    """One method in one range; with `missing` set nothing was measured. Seconds are medians.
+
+    model: a key of MODELS; range: for the reader
+    setup_s: what need not be done again for another drive; clock_s: one run
+    pairs_per_core_s: per second that cores worked, or None on a GPU
+    error, gradient_error: relative L2 difference to float64 of the same model; of magnitudes where `magnitude` is set
+    memory_MiB: peak beyond what the program takes for a few points
+    """
+
+    name: str
+    model: str
+    range: str
+    missing: str = ""
+    version: str = ""
+    setup_s: float = 0.0
+    clock_s: float = 0.0
+    pairs_per_s: float = 0.0
+    pairs_per_core_s: float | None = None
+    error: float = 0.0
+    gradient_error: float | None = None
+    magnitude: bool = False
+    memory_MiB: float = 0.0
+
+
+@dataclass(frozen=True)
+class Head:
+    """What stands above the table."""
+
+    command: str
+    commit: str
+    processor: str
+    device: str
+    yardstick_s: float
+    cores: float
+    runs: int
+    transducers: int
+    points: tuple[int, ...]
+    picture: str
+
+
+def processor() -> str:
+    for line in Path("/proc/cpuinfo").read_text().splitlines():
+        if line.startswith("model name"):
+            return line.split(":", 1)[1].strip()
+    return platform.processor()
+
+
+def as_markdown(rows: list[Row], head: Head, models: dict[str, str]) -> str:
+    lines = [
+        "# Speed and error of the field",
+        "",
+        f"    {head.command}",
+        "",
+        f"{head.processor}; palmfield on {head.device}; commit {head.commit}. Yardstick, just before each turn: one "
+        f"float64 product of 1000 x 1000 matrices on one thread took {1e3 * head.yardstick_s:.1f} ms, "
+        f"{2.0 / head.yardstick_s:.1f} GFLOP/s; {os.cpu_count()} threads of plain hashing did {head.cores:.2f} times "
+        "the work of one, which is what all cores could give.",
+        "",
+        f"{head.transducers} transducers (four AUTD3 units); the same points and drive for all, "
+        f"{' and '.join(str(n) for n in head.points)} points in a box 0.2 m wide over the middle, at two ranges of "
+        "distance from the array's plane. Every method runs in a process of its own, on one thread unless it says "
+        f"otherwise, in turns with the others; medians of {head.runs} runs. A pair is one transducer and one point. "
+        "Set-up is what need not be done again for another drive. Error: relative L2 difference of the complex "
+        "pressure to float64 of the same model; (m): of its magnitude, which is all that this program gives. "
+        "Memory: the host's, peak beyond what the program takes for 64 points.",
+        "",
+    ]
+    for model, text in models.items():
+        some = [row for row in rows if row.model == model]
+        if some:
+            lines += [
+                f"## {text[0].upper() + text[1:]}",
+                "",
+                "| method | distance | time [ms] | set-up [ms] | M pairs/s | M pairs/core-s | error | memory [MiB] |",
+                "|---|---|---|---|---|---|---|---|",
+                *(line(row) for row in some),
+                "",
+            ]
+    if head.picture:
+        lines += [f"![Speed against error]({head.picture})", ""]
+    return "\n".join(lines)
+
+
+def line(row: Row) -> str:
+    if row.missing:
+        return f"| {row.name} | {row.range} | not installed ({row.missing}) | | | | | |"
+    name = row.name + (f" ({row.version})" if row.version else "")
+    error = f"{row.error:.1e}" + (" (m)" if row.magnitude else "")
+    if row.gradient_error is not None:
+        error += f", gradient {row.gradient_error:.1e}"
+    per_core = "" if row.pairs_per_core_s is None else f"{row.pairs_per_core_s / 1e6:.0f}"
+    return (
+        f"| {name} | {row.range} | {1e3 * row.clock_s:.3g} | {1e3 * row.setup_s:.3g} | {row.pairs_per_s / 1e6:.0f} "
+        f"| {per_core} | {error} | {max(row.memory_MiB, 0.0):.0f} |"
+    )
