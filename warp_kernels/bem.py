@@ -44,9 +44,10 @@ def far(width: int) -> wp.Kernel:
         parts: int,
         result: wp.array(dtype=wp.vec2),
     ):
-        """Add to `result` by point; moments: normal times area over 4 pi; sine, cosine: polynomials in f^2 for sin(2 pi f)/f and
-            cos(2 pi f), |f| <= 1/2, lowest power first.
+        """Add to `result` by point.
 
+        moments: normal times area over 4 pi
+        sine, cosine: polynomials in f^2 for sin(2 pi f)/f and cos(2 pi f), |f| <= 1/2, lowest power first
         parts: into how many the triangles are split, the second dimension of the launch
         """
         block, part = wp.tid()

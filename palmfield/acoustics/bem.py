@@ -1,0 +1,133 @@
+"""Double-layer operator from triangles with one value each to any points, without a matrix, on the CPU or a GPU."""
+
+import os
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from palmfield.acoustics.field import pool
+from palmfield.acoustics.polynomials import sine_cosine
+from palmfield.hand.triangles import face_normals
+from palmfield.types import Complex, Float, Int
+from warp_kernels import bem as kernels
+
+NEAR_EDGES = 3.0
+"""Within this many edge lengths of a triangle its integral is done exactly."""
+
+CPU_WIDTH = 16
+GPU_THREADS = 500_000
+"""Threads that keep a large GPU busy; fewer points than this share the triangles among several threads."""
+
+RULE = np.array(
+    [(1 / 3, 1 / 3, 1 / 3, 0.225)]
+    + [
+        (*np.roll([1.0 - 2.0 * b, b, b], shift), weight)
+        for b, weight in ((0.470142064105115, 0.132394152788506), (0.101286507323456, 0.125939180544827))
+        for shift in range(3)
+    ]
+)
+"""Seven points of degree 5 (Radon 1948; Dunavant 1985, doi 10.1002/nme.1620210612): barycentric coordinates, weight."""
+
+
+class DoubleLayer:
+    """p -> integral of p dG/dn over a triangle mesh, at fixed points; G = exp(ikr)/(4 pi r), p constant by triangle.
+
+    On a triangle's own plane its integral is 0 (the principal value). Float32 sums: 1e-6 of the largest result.
+
+    points: [m], shape (n, 3); vertices: [m], shape (v, 3); faces: shape (m, 3), outward counter-clockwise
+    wavenumber: [rad/m]; device: a name that `palmfield.device.resolve` gave
+    """
+
+    def __init__(self, points: Float, vertices: Float, faces: Int, wavenumber: float, device: str) -> None:
+        per_m = wavenumber / (2.0 * np.pi)
+        middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+        corners = (vertices[faces] - middle) * per_m
+        normals, areas = face_normals(vertices, faces)
+        centroids = corners.mean(axis=1)
+        reach = NEAR_EDGES * np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean(axis=1)
+        self.per_m = per_m
+        self.device = device
+        self.count = len(points)
+        self.sine, self.cosine = (kernels.vec6(*c) for c in sine_cosine())
+        self.points = self._vectors((points - middle) * per_m)
+        self.centroids = self._vectors(centroids)
+        self.moments = self._vectors(normals * (areas * per_m**2 / (4.0 * np.pi))[:, None])
+        self._correct(self._vectors(corners), reach)
+
+    def _vectors(self, values: Float) -> wp.array:
+        return wp.array(np.ascontiguousarray(values, np.float32), dtype=wp.vec3, device=self.device)
+
+    def _correct(self, corners: wp.array, reach_in_wavelengths: Float) -> None:
+        """Fill the sparse list of pairs that the one-point sum gets wrong."""
+        largest = float(reach_in_wavelengths.max())
+        reach: wp.array = wp.array(reach_in_wavelengths.astype(np.float32), dtype=float, device=self.device)
+        grid = wp.HashGrid(128, 128, 128, device=self.device)
+        grid.build(self.centroids, radius=largest)
+        count = wp.zeros(self.count, dtype=int, device=self.device)
+        inputs = [grid.id, self.points, self.centroids, reach, largest, count]
+        wp.launch(kernels.near_count, dim=self.count, inputs=inputs, device=self.device)
+        start = np.zeros(self.count + 1, np.int32)
+        np.cumsum(count.numpy(), out=start[1:])
+        self.start: wp.array = wp.array(start, dtype=int, device=self.device)
+        self.column = wp.empty(int(start[-1]), dtype=int, device=self.device)
+        self.value = wp.empty(int(start[-1]), dtype=wp.vec2, device=self.device)
+        rule: wp.array = wp.array(RULE.astype(np.float32), dtype=wp.vec4, device=self.device)
+        inputs = [grid.id, self.points, self.centroids, self.moments, corners, reach, largest, rule]
+        inputs += [self.start, self.column, self.value]
+        wp.launch(kernels.near_fill, dim=self.count, inputs=inputs, device=self.device)
+
+    def apply(self, density: Complex) -> Complex:
+        """Values at the points, shape (n,), of a density by triangle, shape (m,)."""
+        result = wp.zeros(self.count, dtype=wp.vec2, device=self.device)
+        if self.count == 0:
+            return np.zeros(0, np.complex128)
+        given = self.pairs(density)
+        if self.device == "cpu":
+            self._far_on_cpu(given, result)
+        else:
+            parts = max(1, GPU_THREADS // self.count)
+            wp.launch(
+                kernels.far(1),
+                (self.count, parts),
+                [*self.summands(self.points, given, parts), result],
+                device=self.device,
+            )
+        inputs = [self.start, self.column, self.value, given, result]
+        wp.launch(kernels.near_apply, dim=self.count, inputs=inputs, device=self.device)
+        return result.numpy().view(np.complex64)[:, 0].astype(np.complex128)
+
+    def gradient(self, density: Complex) -> Complex:
+        """Gradient at the points [1/m], shape (n, 3), by the one-point sum alone: for points away from the mesh."""
+        result = wp.empty((self.count, 3), dtype=wp.vec2, device=self.device)
+        inputs = [self.points, self.centroids, self.moments, self.pairs(density), result]
+        wp.launch(kernels.far_gradient, dim=self.count, inputs=inputs, device=self.device)
+        return self.per_m * result.numpy().view(np.complex64)[..., 0].astype(np.complex128)
+
+    def near_pairs(self) -> NDArray[np.int64]:
+        """Number of triangles whose reach holds each point, shape (n,)."""
+        return np.diff(self.start.numpy())
+
+    def pairs(self, density: Complex) -> wp.array:
+        """Real and imaginary parts by triangle, on the device."""
+        pairs = np.ascontiguousarray(density, np.complex64).view(np.float32).reshape(-1, 2)
+        return wp.array(pairs, dtype=wp.vec2, device=self.device)
+
+    def summands(self, points: wp.array, density: wp.array, parts: int) -> list:
+        """Arguments of the kernel `far` but for the result."""
+        return [points, self.centroids, self.moments, density, self.sine, self.cosine, parts]
+
+    def _far_on_cpu(self, density: wp.array, result: wp.array) -> None:
+        """One slice of the points per thread; Warp lets go of the interpreter's lock while a kernel runs."""
+        kernel = kernels.far(CPU_WIDTH)
+        wp.load_module(kernel.module, device="cpu")
+        threads = os.cpu_count() or 1
+        size = -(-self.count // (threads * CPU_WIDTH)) * CPU_WIDTH
+
+        def run(first: int) -> None:
+            part = slice(first, min(first + size, self.count))
+            blocks = -(-(part.stop - part.start) // CPU_WIDTH)
+            wp.launch(kernel, (blocks, 1), [*self.summands(self.points[part], density, 1), result[part]], device="cpu")
+
+        for job in [pool().submit(run, first) for first in range(0, self.count, size)]:
+            job.result()

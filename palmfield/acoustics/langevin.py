@@ -1,0 +1,50 @@
+"""Radiation stress of any sound field in air, and the force on what a closed surface holds."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from palmfield.acoustics.air import density, sound_speed
+from palmfield.errors import PalmfieldError
+from palmfield.types import Air, Field, Float
+
+
+def radiation_stress(field: Field, air: Air, frequency_Hz: float) -> Float:
+    """Time-averaged flux of momentum [Pa], shape (n, 3, 3): entry (i, j) is the i-momentum that flows along j.
+
+    (<p^2>/(2 rho c^2) - rho <u^2>/2) I + rho <u u>, to second order (Brillouin's tensor), which with peak amplitudes is
+    (|p|^2/(4 rho c^2) - rho |u|^2/4) I + (rho/2) Re(u u*^T), u = grad p/(i w rho). A travelling plane
+    wave carries E = |p|^2/(2 rho c^2) along its direction and nothing across it.
+
+    field: total pressure and gradient, n points
+    Raises PalmfieldError for a field without gradient and a frequency that is not positive, SceneError for bad air.
+    """
+    if field.gradient is None:
+        raise PalmfieldError("the field has no gradient, but radiation stress needs it: compute it with gradient=True")
+    if not 0.0 < frequency_Hz < np.inf:
+        raise PalmfieldError(f"frequency_Hz = {frequency_Hz} is not positive and finite: give the carrier, as 40e3")
+    rho, c = density(air), sound_speed(air)
+    pressure = field.pressure.astype(np.complex128)
+    velocity = field.gradient.astype(np.complex128) / (2j * np.pi * frequency_Hz * rho)
+    speed_squared = (np.abs(velocity) ** 2).sum(axis=1)
+    lagrangian = np.abs(pressure) ** 2 / (4.0 * rho * c**2) - rho * speed_squared / 4.0
+    flux = 0.5 * rho * np.real(velocity[:, :, None] * velocity[:, None, :].conj())
+    return lagrangian[:, None, None] * np.eye(3) + flux
+
+
+def radiation_force(field: Field, normals: ArrayLike, areas: ArrayLike, air: Air, frequency_Hz: float) -> Float:
+    """Force on what the closed surface holds [N], shape (3,): less the momentum that flows out through it.
+
+    In lossless air every surface around the same bodies gives the same force.
+
+    field: total sound at the middle of each surface element, n points
+    normals: unit, outward, shape (n, 3); areas: or weights of a quadrature [m2], shape (n,)
+    Raises as `radiation_stress`, and PalmfieldError for normals or areas of another length.
+    """
+    outward, weight = np.asarray(normals, dtype=float), np.asarray(areas, dtype=float)
+    count = len(field.pressure)
+    if outward.shape != (count, 3) or weight.shape != (count,):
+        raise PalmfieldError(
+            f"normals of shape {outward.shape} and areas of shape {weight.shape} for {count} points: "
+            f"give ({count}, 3) and ({count},)"
+        )
+    return -np.einsum("nij,nj,n->i", radiation_stress(field, air, frequency_Hz), outward, weight)

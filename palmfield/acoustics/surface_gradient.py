@@ -1,0 +1,58 @@
+"""Gradient along a surface of values given by triangle."""
+
+import numpy as np
+from scipy import sparse
+
+from palmfield.hand.triangles import face_normals
+from palmfield.types import Complex, Float, Int
+
+CHUNK = 4096
+POWERS = [(a, total - a) for total in range(4) for a in range(total + 1)]
+"""Exponents of the cubic's ten terms; (0, 1) and (1, 0) stand at 1 and 2."""
+
+NEARNESS = 0.15
+LEAST_COSINE = 0.5
+"""Faces turned by 60 deg or more take no part: across a sharp edge the gradient is not continuous."""
+
+RIDGE = 1e-9
+
+
+def surface_gradient(vertices: Float, faces: Int, values: Complex) -> Complex:
+    """Tangential gradient at the centroids [per m], shape (m, 3), of values at the centroids, shape (m,).
+
+    A cubic in the face's plane, fitted by least squares to two rings of neighbours: those that share a vertex, and
+    those that share one with these. Near faces weigh more, turned ones less. At eight triangles a wavelength a cubic
+    follows a wave along the surface to 1 %, a quadratic over one ring to 6 %.
+    """
+    count = len(faces)
+    ones = np.ones(3 * count, np.float32)
+    corner = sparse.csr_array((ones, (np.repeat(np.arange(count), 3), faces.ravel())), shape=(count, len(vertices)))
+    ring = sparse.csr_array(corner @ corner.T)
+    around = sparse.csr_array(ring @ ring)
+    centroids = vertices[faces].mean(axis=1)
+    normals, _ = face_normals(vertices, faces)
+    helper = np.eye(3)[np.argmin(np.abs(normals), axis=1)]
+    right = np.cross(normals, helper)
+    right /= np.linalg.norm(right, axis=1, keepdims=True)
+    up = np.cross(normals, right)
+    result = np.empty((count, 3), np.complex128)
+    for first in range(0, count, CHUNK):
+        rows = np.arange(first, min(first + CHUNK, count))
+        size = np.diff(around.indptr)[rows]
+        slot = np.arange(size.max())
+        there = slot < size[:, None]
+        found = around.indices[np.where(there, around.indptr[rows][:, None] + slot, around.indptr[rows][:, None])]
+        offset = centroids[found] - centroids[rows, None]
+        x, y = (np.einsum("nsk,nk->ns", offset, axis[rows]) for axis in (right, up))
+        scale = np.sqrt(np.where(there, x**2 + y**2, 0.0).max(axis=1))
+        x, y = x / scale[:, None], y / scale[:, None]
+        facing = np.einsum("nsk,nk->ns", normals[found], normals[rows])
+        weight = np.where(there, np.maximum(facing - LEAST_COSINE, 0.0) / (NEARNESS + x**2 + y**2) ** 2, 0.0)
+        terms = np.stack([x**a * y**b for a, b in POWERS], axis=2)
+        weighted = terms * weight[..., None]
+        left = weighted.transpose(0, 2, 1) @ terms
+        left += RIDGE * np.einsum("naa->n", left)[:, None, None] * np.eye(len(POWERS))
+        wanted = weighted.transpose(0, 2, 1) @ np.stack([values[found].real, values[found].imag], axis=2)
+        fitted = (np.linalg.solve(left, wanted) @ np.array([1.0, 1j])) / scale[:, None]
+        result[rows] = fitted[:, 2, None] * right[rows] + fitted[:, 1, None] * up[rows]
+    return result

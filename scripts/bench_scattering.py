@@ -1,0 +1,315 @@
+"""Boundary elements on spheres, a finger, a cupped sheet and a hand; writes docs/bench/scattering.md and its pictures.
+
+    python scripts/bench_scattering.py [--device cuda:0] [--hand] [--commit HASH] [--out FILE]
+
+--hand adds the whole open hand (100 k elements: seconds on a GPU, some minutes on two CPU cores). Pictures go to
+docs/images/scattering when the file is the default one, else beside the file.
+"""
+
+import argparse
+import os
+import subprocess
+import time
+import warnings
+from pathlib import Path
+
+import numpy as np
+import warp as wp
+from _scattering_bodies import FOCUS, Body, cupped, draw_bodies, draw_spheres, finger, front, palm, turned, whole_hand
+from scipy.spatial import cKDTree
+
+from palmfield.acoustics.air import density, sound_speed
+from palmfield.acoustics.arp import arp
+from palmfield.acoustics.arrays import layout
+from palmfield.acoustics.bem import DoubleLayer
+from palmfield.acoustics.field import FieldEvaluator
+from palmfield.acoustics.focus import focus
+from palmfield.acoustics.langevin import radiation_force
+from palmfield.acoustics.scattering import Scattering, array_sound, scatter, scattered_field, wall_arp, wall_force
+from palmfield.acoustics.shadow import lit, shadow_mesh, shadowed_pressure
+from palmfield.acoustics.sphere import force_over_energy, geodesic, surface_pressure
+from palmfield.device import resolve
+from palmfield.hand.triangles import face_normals, vertex_normals
+from palmfield.types import Air, Field, Float, Surface
+
+ROOT = Path(__file__).resolve().parents[1]
+AIR = Air()
+FREQUENCY_HZ = 40e3
+K = 2 * np.pi * FREQUENCY_HZ / sound_speed(AIR)
+ENERGY = 1.0 / (2 * density(AIR) * sound_speed(AIR) ** 2)
+
+SPHERES = [(1.0, 6), (np.pi, 6), (3.0, 6), (5.9, 9), (10.0, 15), (30.0, 46)]
+"""ka and divisions of the geodesic mesh (20 divisions^2 triangles); for ka = 1 and pi what the shape takes."""
+
+
+LARGEST_FOR_FAR_FORCE = 30_000
+"""Elements above which the check through a far sphere takes minutes on a CPU."""
+
+
+class Memory:
+    """Peak memory: what a block of work adds to the process on the CPU, the highest so far of Warp's pool on a GPU."""
+
+    def __init__(self, device: str) -> None:
+        self.device = device
+
+    def start(self) -> None:
+        if self.device == "cpu":
+            Path("/proc/self/clear_refs").write_text("5")
+            self.before = self._status("VmRSS")
+
+    def MB(self) -> float:
+        if self.device == "cpu":
+            return (self._status("VmHWM") - self.before) / 1e6
+        return wp.get_mempool_used_mem_high(self.device) / 1e6
+
+    @staticmethod
+    def _status(key: str) -> int:
+        lines = Path("/proc/self/status").read_text().splitlines()
+        return 1024 * int(next(line for line in lines if line.startswith(key)).split()[1])
+
+
+def timed(body: Body, device: str, memory: Memory, sound) -> tuple[Scattering, float, float]:
+    """Solution, seconds and MB, after a first solution on a small sphere has compiled the kernels."""
+    memory.start()
+    start = time.perf_counter()
+    found = scatter(body.vertices, body.faces, sound, K, device=device)
+    return found, time.perf_counter() - start, memory.MB()
+
+
+def plane_wave(points: Float) -> np.ndarray:
+    return np.exp(1j * K * points[:, 2])
+
+
+def sphere(ka: float, divisions: int, device: str) -> tuple[Scattering, float]:
+    """Solution and relative L2 error of its surface pressure."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # the refinement study goes below six a wavelength
+        found = scatter(*geodesic(ka / K, divisions), plane_wave, K, device=device)
+    return found, sphere_error(found, found.pressure, ka)
+
+
+def sphere_error(found: Scattering, pressure: np.ndarray, ka: float) -> float:
+    exact = surface_pressure(ka, found.centroids[:, 2] / np.linalg.norm(found.centroids, axis=1))
+    return float(np.sqrt(found.areas @ np.abs(pressure - exact) ** 2 / (found.areas @ np.abs(exact) ** 2)))
+
+
+def outer_surface_alone(found: Scattering, device: str) -> np.ndarray:
+    """Pressure of the equation on the outer surface only, by a dense matrix."""
+    layer = DoubleLayer(found.centroids, found.vertices, found.faces, K, device)
+    units = np.eye(len(found.faces))
+    matrix = 0.5 * units - np.stack([layer.apply(unit) for unit in units], axis=1)
+    return np.linalg.solve(matrix, plane_wave(found.centroids))
+
+
+def sphere_rows(device: str, memory: Memory) -> list[str]:
+    rows = []
+    for ka, divisions in SPHERES:
+        body = Body("sphere", "", *geodesic(ka / K, divisions), 0.0)
+        found, seconds, size = timed(body, device, memory, plane_wave)
+        force = wall_force(found, AIR)[2] / (np.pi * (ka / K) ** 2 * ENERGY)
+        known = force_over_energy(ka)
+        rows.append(
+            f"| {ka:.3g} | {len(body.faces)} | {found.elements_per_wavelength:.1f} | "
+            f"{100 * sphere_error(found, found.pressure, ka):.2f} % | {force:.4f} | {known:.4f} | "
+            f"{100 * (force / known - 1):+.2f} % | {found.iterations} | {seconds:.2f} | {size:.0f} |"
+        )
+        print(rows[-1], flush=True)
+    return rows
+
+
+def sphere_pictures(path: Path, device: str) -> None:
+    found, _ = sphere(10.0, 15, device)
+    cosine = found.centroids[:, 2] / np.linalg.norm(found.centroids, axis=1)
+    angle = np.degrees(np.arccos(cosine)), np.abs(found.pressure), np.abs(surface_pressure(10.0, cosine))
+    refined = [(s.elements_per_wavelength, e) for n in (5, 7, 9, 13, 18) for s, e in [sphere(6.0, n, device)]]
+    sweep = []
+    for ka in np.arange(3.0, 7.001, 0.025):
+        small, error = sphere(ka, 5, device)
+        sweep.append((ka, error, sphere_error(small, outer_surface_alone(small, device), ka)))
+    draw_spheres(path, angle, tuple(np.array(refined).T), tuple(np.array(sweep).T))
+
+
+def smoothed(centroids: Float, areas: Float, values: Float, radius_m: float) -> Float:
+    """Mean over the faces within a radius, weighted by area."""
+    near = cKDTree(centroids).query_ball_point(centroids, radius_m)
+    return np.array([areas[i] @ values[i] / areas[i].sum() for i in near])
+
+
+def far_force(found: Scattering, incident: FieldEvaluator, drive: np.ndarray, device: str) -> Float:
+    """Radiation force [N] by the momentum through a sphere around the body, at four triangles a wavelength."""
+    low, high = found.vertices.min(axis=0), found.vertices.max(axis=0)
+    radius = 0.5 * float(np.linalg.norm(high - low)) + 6e-3
+    vertices, faces = geodesic(radius, round(1.1 * radius / (np.pi / (2.0 * K))))
+    vertices = vertices + 0.5 * (low + high)
+    normals, areas = face_normals(vertices, faces)
+    points = vertices[faces].mean(axis=1)
+    added = scattered_field(found, points, gradient=True, device=device)
+    alone = incident.pressure(points, drive, gradient=True)
+    assert added.gradient is not None
+    assert alone.gradient is not None
+    total = Field(added.pressure + alone.pressure, added.gradient + alone.gradient)
+    return radiation_force(total, normals, areas, AIR, FREQUENCY_HZ)
+
+
+def compare(body: Body, device: str, memory: Memory) -> tuple[list[str], str, np.ndarray, dict[str, Float]]:
+    """Rows of the models against boundary elements, a row of cost, the faces looked at, and the ARP of each model."""
+    array = layout("uhev1")
+    drive = focus(array, AIR, FOCUS)
+    found, seconds, size = timed(body, device, memory, array_sound(array, drive, AIR, device, absorption_Np_m=0.0))
+    normals, areas = face_normals(body.vertices, body.faces)
+    centroids = found.centroids
+    surface = Surface(body.vertices, body.faces, vertex_normals(body.vertices, body.faces))
+    start = time.perf_counter()
+    evaluator = FieldEvaluator(array, AIR, device, absorption_Np_m=0.0)
+    incident = evaluator.pressure(centroids, drive, gradient=True)
+    plain = arp(incident, normals, AIR, FREQUENCY_HZ, device=device)
+    plain_s = time.perf_counter() - start
+    start = time.perf_counter()
+    mesh = shadow_mesh(surface, device)
+    assert incident.gradient is not None
+    flux = np.imag(incident.pressure.conj()[:, None] * incident.gradient)  # Re(p u*) times 2 w rho
+    rays = np.where(lit(centroids, flux, mesh), plain, 0.0)
+    rays_s = time.perf_counter() - start + plain_s
+    start = time.perf_counter()
+    part = shadowed_pressure(centroids, normals, mesh, array, drive, AIR, absorption_Np_m=0.0)
+    shaded = arp(part, normals, AIR, FREQUENCY_HZ, device=device)
+    shaded_s = time.perf_counter() - start
+    pressed = {
+        "boundary elements": wall_arp(found, AIR),
+        "seen transducers": shaded.astype(float),
+        "one ray": rays.astype(float),
+        "no shadow": plain.astype(float),
+    }
+    look = front(body, normals)
+    spot = look & (np.linalg.norm(centroids - FOCUS, axis=1) < 0.01)
+    true = pressed["boundary elements"]
+    half_wave = np.pi / K
+    mean_true = smoothed(centroids[look], areas[look], true[look], half_wave)
+    rows = []
+    for (model, values), model_s in zip(pressed.items(), (seconds, shaded_s, rays_s, plain_s), strict=True):
+        rough = np.sqrt(areas[look] @ (values - true)[look] ** 2 / (areas[look] @ true[look] ** 2))
+        mean = smoothed(centroids[look], areas[look], values[look], half_wave)
+        fine = np.sqrt(areas[look] @ (mean - mean_true) ** 2 / (areas[look] @ mean_true**2))
+        at_spot = -1e3 * (areas * values * normals[:, 2])[spot].sum()
+        total = -1e3 * (areas * values) @ normals
+        rows.append(
+            f"| {body.name} | {model} | {values[look].max():.1f} | {100 * rough:.0f} % | {100 * fine:.0f} % | "
+            f"{at_spot:.3f} | {total[2]:.3f} | {np.hypot(*total[:2]):.3f} | {model_s:.2f} |"
+        )
+        print(rows[-1], flush=True)
+    affordable = device != "cpu" or len(body.faces) < LARGEST_FOR_FAR_FORCE
+    far = f"{1e3 * far_force(found, evaluator, drive, device)[2]:.3f}" if affordable else "-"
+    cost = (
+        f"| {body.name}: {body.what} | {len(body.faces)} | {found.elements_per_wavelength:.1f} | {found.iterations} | "
+        f"{found.residual:.1e} | {1e3 * wall_force(found, AIR)[2]:.3f} | {far} | {seconds:.1f} | {size:.0f} |"
+    )
+    print(cost, flush=True)
+    return rows, cost, look, pressed
+
+
+def machine(device: str) -> str:
+    if device != "cpu":
+        return wp.get_device(device).name
+    lines = Path("/proc/cpuinfo").read_text().splitlines()
+    model = next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
+    return f"{model}, {os.cpu_count()} cores"
+
+
+def commit() -> str:
+    def git(*arguments: str) -> str:
+        return subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
+
+    watched = ("palmfield/acoustics", "warp_kernels", "scripts/bench_scattering.py", "scripts/_scattering_bodies.py")
+    changed = git("status", "--porcelain", "--", *watched)
+    return git("rev-parse", "--short", "HEAD") + (" with uncommitted changes" if changed else "")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
+    parser.add_argument("--device", default="cpu")
+    parser.add_argument("--hand", action="store_true", help="also the whole open hand")
+    parser.add_argument("--commit", help="what to print as the commit, where there is no git")
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "bench" / "scattering.md")
+    options = parser.parse_args()
+    wp.config.log_level = wp.LOG_WARNING
+    device = resolve(options.device)
+    at_home = options.out.resolve() == ROOT / "docs" / "bench" / "scattering.md"
+    pictures = ROOT / "docs" / "images" / "scattering" if at_home else options.out.resolve().parent
+    pictures.mkdir(parents=True, exist_ok=True)
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    memory = Memory(device)
+    sphere(1.0, 4, device)
+
+    spheres = sphere_rows(device, memory)
+    sphere_pictures(pictures / "spheres.png", device)
+    hand = whole_hand()
+    bodies = [finger(hand), cupped(), turned(cupped(), 60.0)] + ([palm(hand)] if options.hand else [])
+    rows, costs, seen, pressed = [], [], {}, {}
+    for body in bodies:
+        lines, cost, seen[body.name], pressed[body.name] = compare(body, device, memory)
+        rows += lines
+        costs.append(cost)
+    draw_bodies(pictures / "bodies.png", bodies, seen, pressed)
+    prefix = "../images/scattering/" if at_home else ""
+    options.out.write_text(
+        REPORT.format(
+            command=f"python scripts/bench_scattering.py --device {options.device}{' --hand' if options.hand else ''}",
+            machine=machine(device),
+            warp=wp.config.version,
+            commit=options.commit or commit(),
+            spheres="\n".join(spheres),
+            costs="\n".join(costs),
+            rows="\n".join(rows),
+            images=prefix,
+        )
+    )
+    print(options.out.read_text())
+
+
+REPORT = """# Scattering by boundary elements, and how far the cheap models are from it
+
+`{command}`, {machine}, Warp {warp}, commit {commit}.
+40 kHz, 20 C. Elements a wavelength are the wavelength over the mean edge. Times are whole calls of `scatter` with
+compiled kernels; memory is what the call adds at its peak (on a GPU the highest in the pool so far). GMRES stops at a
+residual of 1e-4.
+
+## Rigid sphere in a plane wave
+
+Error: relative L2 of the surface pressure against the series. Force: over pi a^2 E, wall pressure of the elements'
+total field against that of the series. The mesh for ka = 1, 3 and pi is the one that a sphere's shape takes.
+
+| ka | elements | a wavelength | error | force | series | difference | iterations | s | MB |
+|---|---|---|---|---|---|---|---|---|---|
+{spheres}
+
+![spheres]({images}spheres.png)
+
+## Bodies before the array
+
+Array uhev1 at full drive with p0 = 2.53 Pa m in lossless air, focused 200 mm above its middle, where the skin is.
+
+"Up" is the force of the sound at the wall, "far" that of the momentum through a sphere around the body; the latter is
+the better one. They differ by the error of the field on the surface. On smooth bodies that is small. At a sharp rim in
+full sound the velocity along the surface is singular, and the suction there is larger than flat faces can hold: for the
+force on such a body as a whole take the sphere.
+
+| body | elements | a wavelength | iterations | residual | up, mN | far, mN | s | MB |
+|---|---|---|---|---|---|---|---|---|
+{costs}
+
+ARP on the faces that look at the array within 60 mm of the focus: its peak, its relative L2 distance from boundary
+elements face by face, and that of its mean over half a wavelength around each face (skin averages so). Forces in mN:
+upwards within 10 mm of the focus, upwards on the whole body, and sideways on the whole body. "Seen transducers" is
+the default ARP law on the sound of just the transducers that a face sees, "no shadow" that on the whole array's sound,
+"one ray" the same where the way back along the energy flux is free.
+
+| body | model | peak, Pa | L2 | L2 of the mean | spot | up | sideways | s |
+|---|---|---|---|---|---|---|---|---|
+{rows}
+
+![bodies]({images}bodies.png)
+"""
+
+
+if __name__ == "__main__":
+    main()
