@@ -1,36 +1,47 @@
 """From a moment of the stimulus to forces on the body and motion of the skin. Holds caches only; state is passed in."""
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from scipy import sparse
+from scipy.spatial import cKDTree
 from trimesh.remesh import subdivide_to_size
 
 from palmfield.acoustics.arp import arp
+from palmfield.drive.response import pole_step
+from palmfield.emission import asked
+from palmfield.emitter import Placement
 from palmfield.errors import SceneError
 from palmfield.rig import Rig
 from palmfield.skin.surface import SurfaceProbe, surface_motion
-from palmfield.stimulus import frame_at, held_frames
-from palmfield.types import Complex, Float, Float32
+from palmfield.stimulus import frame_at, held_frames, mean_arp_factor
+from palmfield.types import Array, Complex, Float, Float32
 
 CLEARANCE_M = 2e-3
+HOUSING_M = 5e-3
+SILENT = 1e-9  # of full drive
 # The resultant takes one sample a face: half of the 8.6 mm wavelength, so that ARP, which goes with p squared, is seen.
 FACE_M = 4.3e-3
 
 
 @dataclass(frozen=True)
 class Pose:
-    """Frame of the skin's body, seen from the array: x_array = turn @ x_body + shift [m]."""
+    """Frame of the skin's body, seen from the first array: x_array = turn @ x_body + shift [m].
+
+    arrays: placement of every array, seen from the first
+    """
 
     shift: Float
     turn: Float
+    arrays: tuple[Placement, ...]
 
     @staticmethod
-    def between(array: tuple[Float, Float], body: tuple[Float, Float]) -> "Pose":
-        """From the world poses (position, rotation) of array and body."""
-        return Pose(array[1].T @ (body[0] - array[0]), array[1].T @ body[1])
+    def between(arrays: Sequence[tuple[Float, Float]], body: tuple[Float, Float]) -> "Pose":
+        """From the world poses (position, rotation) of arrays and body."""
+        return Pose(*relative(arrays[0], body), placements(arrays))
 
     def points(self, x: Float) -> Float:
         """Body positions in the array frame, shape (n, 3)."""
@@ -38,7 +49,19 @@ class Pose:
 
     def same(self, other: "Pose") -> bool:
         """Exactly equal: only then may a field be used again."""
-        return np.array_equal(self.shift, other.shift) and np.array_equal(self.turn, other.turn)
+        equal = np.array_equal(self.shift, other.shift) and np.array_equal(self.turn, other.turn)
+        return equal and self.arrays == other.arrays
+
+
+def relative(seen_from: tuple[Float, Float], pose: tuple[Float, Float]) -> tuple[Float, Float]:
+    """Position [m] and rotation of a pose in the frame of another, both given in world axes."""
+    return seen_from[1].T @ (pose[0] - seen_from[0]), seen_from[1].T @ pose[1]
+
+
+def placements(arrays: Sequence[tuple[Float, Float]]) -> tuple[Placement, ...]:
+    """Placement of every array in the frame of the first, from world poses."""
+    seen = [relative(arrays[0], pose) for pose in arrays]
+    return tuple((tuple(shift.tolist()), tuple(turn.ravel().tolist())) for shift, turn in seen)
 
 
 @dataclass(frozen=True)
@@ -56,7 +79,20 @@ class Sound:
     skin_force: Float
 
 
-Observer = Callable[[float, Float, "Sound | None", float], None]
+def clearance(array: Array, points: Float) -> float:
+    """Least distance of points (array frame [m], shape (n, 3)) from an array's board, negative behind it.
+
+    A curved array has no board: there it is the distance from the face of the nearest transducer.
+    """
+    if np.ptp(array.positions[:, 2]) > 1e-6:
+        away, _ = cKDTree(array.positions).query(points)
+        return float(away.min()) - HOUSING_M
+    board = np.abs(array.positions[:, :2]).max(axis=0) + HOUSING_M
+    over = np.all(np.abs(points[:, :2]) <= board, axis=1)
+    return float(points[over, 2].min()) if over.any() else np.inf
+
+
+Observer = Callable[[float, Float, "Sound | None", float, Complex], None]
 
 
 class Chain:
@@ -65,6 +101,7 @@ class Chain:
     def __init__(self, rig: Rig):
         self.rig = rig
         self._last: Sound | None = None
+        self._ringing: Sound | None = None
         self._resultant: tuple[Sound | None, Float, Float] = (None, np.zeros(3), np.zeros(3))
         self.observer: Observer | None = None
         surface = rig.surface
@@ -82,10 +119,11 @@ class Chain:
 
     def arp_at(self, points: Float, normals: Float, pose: Pose, drive: Complex) -> tuple[Float32, Float32]:
         """ARP [Pa] and peak pressure amplitude [Pa], shapes (n,), at body points with outward normals."""
-        field = self.rig.evaluator.pressure(pose.points(points), drive, gradient=True)
+        evaluator = self.rig.emitter(pose.arrays).evaluator
+        field = evaluator.pressure(pose.points(points), drive, gradient=True)
         load = arp(
             field, normals @ pose.turn.T, self.rig.air, self.rig.array.frequency_Hz,
-            law=self.rig.skin.arp_law, device=self.rig.evaluator.device,
+            law=self.rig.skin.arp_law, device=evaluator.device,
         )  # fmt: skip
         return load, np.abs(field.pressure)
 
@@ -96,7 +134,7 @@ class Chain:
             return last
         rig = self.rig
         self.check_clear(pose)
-        drive, level = rig.unit_drive(focus)
+        drive, level = rig.emitter(pose.arrays).unit_drive(focus)
         load, _ = self.arp_at(rig.quadrature.points, rig.quadrature.normals, pose, drive)
         self._last = Sound(focus, pose, drive, level, rig.quadrature.assemble(load.astype(np.float64)))
         return self._last
@@ -112,48 +150,148 @@ class Chain:
     def check_clear(self, pose: Pose) -> None:
         """SceneError where the surface reaches into the array's board."""
         surface = self.rig.surface
-        points = pose.points(
-            self.rig.mesh.nodes[: self.rig.mesh.surface_nodes] if surface is None else surface.vertices
-        )
-        board = np.abs(self.rig.array.positions[:, :2]).max(axis=0) + 5e-3
-        over = np.all(np.abs(points[:, :2]) <= board, axis=1)
-        low = points[over, 2].min() if over.any() else np.inf
-        if low < CLEARANCE_M:
-            raise SceneError(
-                f"plugin 'palmfield.skin': body '{self.rig.skin.body}' reaches into the array (lowest point "
-                f"{1e3 * low:.1f} mm above the board, at least {1e3 * CLEARANCE_M:g} mm needed); move the body up"
-            )
+        body = self.rig.mesh.nodes[: self.rig.mesh.surface_nodes] if surface is None else surface.vertices
+        emitter = self.rig.emitter(pose.arrays)
+        for part, (shift, turn) in zip(emitter.parts, emitter.placements, strict=True):
+            points = (pose.points(body) - np.array(shift)) @ np.array(turn).reshape(3, 3)
+            above = clearance(part, points)
+            if above < CLEARANCE_M:
+                raise SceneError(
+                    f"plugin 'palmfield.skin': body '{self.rig.skin.body}' reaches into the array (lowest point "
+                    f"{1e3 * above:.1f} mm above the board, at least {1e3 * CLEARANCE_M:g} mm needed); move the body up"
+                )
 
     # -- motion --------------------------------------------------------------------------------------------------
 
     def advance(self, state: Float, start: float, to_array: Callable[[Float], Float], pose: Pose) -> None:
-        """Carry the skin from `start` [s] over one MuJoCo step, in place.
+        """Carry transducers and skin from `start` [s] over one MuJoCo step, in place.
 
         state: plugin state, shape (rig.state_size,)
-        to_array: stimulus frame -> array frame, positions of shape (3,)
+        to_array: stimulus frame -> frame of the first array, positions of shape (3,)
         """
         rig = self.rig
         step = rig.solver.step_s
         motion = self.motion(state)
         for i in range(round(rig.timestep_s / step)):
             t0, t1 = start + i * step, start + (i + 1) * step
-            held = held_frames(rig.stimulus, t0, t1)
-            if held:
-                total = sum(share * self._force(time, to_array, pose) for time, share in held)
-                rig.solver.step(motion, total, total)
-            else:
-                first = self._force(t0, to_array, pose)
-                rig.solver.step(motion, first, self._force(t1, to_array, pose))
+            first, last = self._loads(state, t0, t1, to_array, pose)
+            rig.solver.step(motion, first, last)
             if self.observer is not None:
-                frame = frame_at(rig.stimulus, t1)
-                sound = self.sound(to_array(frame.focus), pose) if frame.arp_factor > 0 else None
-                self.observer(t1, motion, sound, frame.arp_factor)
+                self.observer(t1, motion, *self.now(state, t1, to_array, pose), self.drive(t1, to_array, pose))
+
+    def drive(self, t: float, to_array: Callable[[Float], Float], pose: Pose) -> Complex:
+        """What the device gives the transducers at time t [s], shape (n,); what they make of it comes later."""
+        frame = frame_at(self.rig.stimulus, t)
+        if frame.arp_factor == 0.0:
+            return np.zeros(len(self.rig.array), complex)
+        return math.sqrt(frame.arp_factor) * self.rig.emitter(pose.arrays).unit_drive(to_array(frame.focus))[0]
+
+    def now(self, state: Float, t: float, to_array: Callable[[Float], Float], pose: Pose) -> tuple[Sound | None, float]:
+        """The sound at time t [s], which the state must be at, and its ARP factor; (None, 0) while silent."""
+        frame = frame_at(self.rig.stimulus, t)
+        if self.rig.response.on:
+            return self._emitted(self.emitted(state), to_array(frame.focus), pose)
+        if frame.arp_factor == 0.0:
+            return None, 0.0
+        return self.sound(to_array(frame.focus), pose), frame.arp_factor
+
+    def _loads(
+        self, state: Float, t0: float, t1: float, to_array: Callable[[Float], Float], pose: Pose
+    ) -> tuple[Float, Float]:
+        """Nodal forces [N] at the ends of a step, equal where something jumps or is held: then their mean.
+
+        Steps the transducers, in place.
+        """
+        held = held_frames(self.rig.stimulus, t0, t1)
+        if not self.rig.response.on:
+            if held:
+                total = np.sum([share * self._force(time, to_array, pose) for time, share in held], axis=0)
+                return total, total
+            return self._force(t0, to_array, pose), self._force(t1, to_array, pose)
+        emitted = self.emitted(state)
+        if not held:
+            first = self._pushed(emitted, to_array(frame_at(self.rig.stimulus, t0).focus), pose)
+            self._ring(emitted, t0, t1, to_array, pose)
+            return first, self._pushed(emitted, to_array(frame_at(self.rig.stimulus, t1).focus), pose)
+        total = np.zeros(self.rig.system.ndof)
+        for time, share in held:
+            half = 0.5 * share * (t1 - t0)
+            focus = to_array(frame_at(self.rig.stimulus, time).focus)
+            self._ring(emitted, time, time, to_array, pose, half)
+            total += share * self._pushed(emitted, focus, pose)
+            self._ring(emitted, time, time, to_array, pose, half)
+        return total, total
 
     def _force(self, t: float, to_array: Callable[[Float], Float], pose: Pose) -> Float:
         frame = frame_at(self.rig.stimulus, t)
         if frame.arp_factor == 0.0:
             return np.zeros(self.rig.system.ndof)
         return frame.arp_factor * self.sound(to_array(frame.focus), pose).skin_force
+
+    # -- transducers that ring -------------------------------------------------------------------------------------
+
+    def emitted(self, state: Float) -> Complex:
+        """Complex amplitude that each transducer emits, a view into the state, shape (n,)."""
+        return state[len(state) - 2 * len(self.rig.array) :].view(np.complex128)
+
+    def _ring(
+        self,
+        emitted: Complex,
+        t0: float,
+        t1: float,
+        to_array: Callable[[Float], Float],
+        pose: Pose,
+        time_s: float | None = None,
+    ) -> None:
+        """Step the transducers, in place, over t1 - t0 or `time_s` [s], the drive going from that at t0 to t1's."""
+        response, emitter = self.rig.response, self.rig.emitter(pose.arrays)
+        first = asked(self.rig.stimulus, emitter, response.delays_s, t0, to_array)
+        last = first if t1 == t0 else asked(self.rig.stimulus, emitter, response.delays_s, t1, to_array)
+        emitted[:] = pole_step(emitted, first, last, response.pole, t1 - t0 if time_s is None else time_s)
+
+    def _emitted(self, emitted: Complex, focus: Float, pose: Pose) -> tuple[Sound | None, float]:
+        """What is emitted as a sound and its ARP factor; one and the same sound while only its level changes."""
+        if np.abs(emitted).max() < SILENT:
+            return None, 0.0
+        if self.rig.stimulus.path == "point":
+            unit = self.sound(focus, pose)
+            level = np.vdot(unit.drive, emitted) / np.vdot(unit.drive, unit.drive)
+            if np.abs(emitted - level * unit.drive).max() < SILENT:
+                return unit, float(abs(level) ** 2)
+        last = self._ringing
+        if last is None or not (np.array_equal(last.drive, emitted) and last.pose.same(pose)):
+            load, _ = self.arp_at(self.rig.quadrature.points, self.rig.quadrature.normals, pose, emitted)
+            force = self.rig.quadrature.assemble(load.astype(np.float64))
+            last = Sound(focus, pose, emitted.copy(), float(np.abs(emitted).max()), force)
+            self._ringing = last
+        return last, 1.0
+
+    def _pushed(self, emitted: Complex, focus: Float, pose: Pose) -> Float:
+        sound, factor = self._emitted(emitted, focus, pose)
+        return np.zeros(self.rig.system.ndof) if sound is None else factor * sound.skin_force
+
+    def mean_factor(self, state: Float, start: float, to_array: Callable[[Float], Float], pose: Pose) -> float:
+        """Mean ARP factor, relative to the sound of `now`, over the MuJoCo step that begins at `start` [s]."""
+        rig = self.rig
+        end = start + rig.timestep_s
+        count = max(4, round(rig.timestep_s / rig.sizes[4]))
+        asked_for = mean_arp_factor(rig.stimulus, start, end, count)
+        if not rig.response.on or rig.stimulus.path != "point":
+            return asked_for
+        emitted = self.emitted(state).copy()
+        width = rig.timestep_s / count
+        total = 0.0
+        for i in range(count):
+            for time, share in held_frames(rig.stimulus, start + i * width, start + (i + 1) * width) or [
+                (start + (i + 0.5) * width, 1.0)
+            ]:
+                half = 0.5 * share * width
+                self._ring(emitted, time, time, to_array, pose, half)
+                total += share * float(np.vdot(emitted, emitted).real)
+                self._ring(emitted, time, time, to_array, pose, half)
+        unit, _ = rig.emitter(pose.arrays).unit_drive(to_array(frame_at(rig.stimulus, start).focus))
+        full = float(np.vdot(unit, unit).real)
+        return total / count / full if full > 0.0 else 0.0
 
     def motion(self, state: Float) -> Float:
         """The part of the plugin state that the solver uses, as a view, shape (4, ndof)."""

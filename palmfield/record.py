@@ -12,7 +12,7 @@ from palmfield.outputs.schema import dataset
 from palmfield.outputs.store import Store
 from palmfield.skin.surface import output_triangles
 from palmfield.skin.wedges import WedgeMesh
-from palmfield.types import Float, Float32, Int
+from palmfield.types import Complex, Float, Float32, Int
 
 
 def closed_boundary(mesh: WedgeMesh) -> tuple[Float, Int]:
@@ -39,7 +39,7 @@ class Recorder:
         self._last: tuple[Sound | None, Float32] = (None, np.zeros(len(self.nodes), dtype=np.float32))
         self._loudest: tuple[float, Sound | None] = (0.0, None)
         self._loudest_Pa = 0.0
-        self._playing: tuple[Sound | None, float] | None = None
+        self._playing: Complex | None = None
         self._blocks: dict[str, list[Any]] = {}
 
     def _add(self, **values: Any) -> None:
@@ -50,9 +50,10 @@ class Recorder:
         """Note the state before the first step."""
         sound, factor = self.skin.now()
         motion = self.chain.motion(self.skin.world.state(self.skin.instance))
-        self.observe(self.skin.world.time, motion, sound, factor)
+        t = self.skin.world.time
+        self.observe(t, motion, sound, factor, self.chain.drive(t, self.skin.to_array, self.skin.pose()))
 
-    def observe(self, t: float, motion: Float, sound: Sound | None, factor: float) -> None:
+    def observe(self, t: float, motion: Float, sound: Sound | None, factor: float, drive: Complex) -> None:
         """One skin step has ended at time t [s] (called by the chain)."""
         operator = self.chain.surface_operator
         arp = np.zeros(len(self.nodes), dtype=np.float32)
@@ -61,7 +62,7 @@ class Recorder:
             if self._last[0] is not sound:
                 self._last = (sound, self.chain.arp_at(self.nodes, self.normals, sound.pose, sound.drive)[0])
             arp = np.float32(factor) * self._last[1]
-            position, turn = self.skin.world.pose("site", self.skin.site)
+            position, turn = self.skin.world.pose("site", self.skin.sites[0])
             focus = position + turn @ sound.focus
             if arp.max() > self._loudest_Pa:
                 self._loudest_Pa, self._loudest = float(arp.max()), (factor, sound)
@@ -72,13 +73,12 @@ class Recorder:
             arp=arp,
             focus=focus,
         )
-        self._drive(t, sound, factor)
+        self._drive(t, drive)
 
-    def _drive(self, t: float, sound: Sound | None, factor: float) -> None:
-        if self._playing is not None and self._playing[0] is sound and self._playing[1] == factor:
+    def _drive(self, t: float, drive: Complex) -> None:
+        if self._playing is not None and np.array_equal(self._playing, drive):
             return
-        self._playing = (sound, factor)
-        drive = np.zeros(len(self.skin.rig.array), dtype=complex) if sound is None else sound.drive * np.sqrt(factor)
+        self._playing = drive
         self._add(
             frame_time=t,
             drive_amplitude=np.abs(drive).astype(np.float32),
@@ -146,7 +146,7 @@ def static_data(skin: SkinModule) -> xr.Dataset:
     vertices, faces = whole_surface(chain)
     nodes, _ = chain.surface_nodes()
     base = rig.mesh.nodes[-len(nodes) :]
-    position, turn = skin.world.pose("site", skin.site)
+    position, turn = skin.world.pose("site", skin.sites[0])
     return dataset(
         skin_position=nodes,
         skin_faces=output_triangles(rig.mesh).astype(np.int32),

@@ -2,21 +2,18 @@
 
 import math
 import threading
-from collections.abc import Sequence
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
-from palmfield.acoustics.air import density, sound_speed
-from palmfield.acoustics.arrays import layout
-from palmfield.acoustics.field import FieldEvaluator
-from palmfield.acoustics.focus import focus
 from palmfield.acoustics.reference import pressure64
-from palmfield.config import ArrayConfig, DriverConfig, Side, SkinConfig, StimulusConfig
+from palmfield.config import DriverConfig, Side, SkinConfig, StimulusConfig
 from palmfield.device import resolve
-from palmfield.drive.device import DEVICES, check, play
+from palmfield.drive.device import DEVICES, check
+from palmfield.emission import response
+from palmfield.emitter import Board, Emitter, Placement
 from palmfield.errors import DeviceError, SceneError
 from palmfield.hand.meshfile import load_mesh
 from palmfield.hand.patch import surface_patch
@@ -30,7 +27,7 @@ from palmfield.skin.material import Material, preset
 from palmfield.skin.solver import SkinSolver
 from palmfield.skin.wedges import WedgeMesh, extrude
 from palmfield.stimulus import frame_rates, main_frequencies
-from palmfield.types import Air, Complex, Float, Patch, Surface
+from palmfield.types import Complex, Float, Patch, Surface
 
 # The rules are calibrated on a disc of even depth. A hand's layer thins at rims and webs, differently on each mesh: its
 # 200 Hz response still moves by 2.5 % where the disc's is within 0.5 %.
@@ -56,7 +53,7 @@ class Rig:
 
     def __init__(
         self,
-        array: ArrayConfig,
+        boards: tuple[Board, ...],
         stimulus: StimulusConfig,
         skin: SkinConfig,
         driver: DriverConfig,
@@ -66,47 +63,37 @@ class Rig:
         resizing: float = 1.0,
     ):
         self.resizing = resizing
-        self.array_config, self.stimulus, self.skin, self.driver = array, stimulus, skin, driver
+        self.boards, self.stimulus, self.skin, self.driver = boards, stimulus, skin, driver
+        self.array_config = boards[0].config
         self.timestep_s = timestep_s
         self.reference_focus, self.patch_centre = np.array(reference_focus), np.array(patch_centre)
         self.lock = threading.RLock()
-        self.air = Air(array.temperature_C, array.humidity_percent, array.pressure_Pa)
-        resolve(array.compute)
-        self.array = layout(array.layout, p0_Pa_m=array.p0_Pa_m)
+        resolve(self.array_config.compute)
         self.device = DEVICES[driver.device]
         self.material = material_of(skin)
-        self.impedance = density(self.air) * sound_speed(self.air) ** 2
+        self._placements = tuple(board.placement for board in boards)
+        self.reference_emitter = Emitter(boards, self._placements, stimulus, self.device)
+        self.air, self.array = self.reference_emitter.air, self.reference_emitter.array
+        self._emitters = [self.reference_emitter]
         check_device(self)
         self.unit_drive(self.reference_focus)
+        self.response = response(boards, self.reference_emitter, stimulus, self.reference_focus, skin.accuracy)
 
     # -- sound ---------------------------------------------------------------------------------------------------
 
+    def emitter(self, placements: tuple[Placement, ...]) -> Emitter:
+        """The arrays in this relative pose; the reference one and the last are kept."""
+        with self.lock:
+            for emitter in self._emitters:
+                if emitter.same(placements):
+                    return emitter
+            made = Emitter(self.boards, placements, self.stimulus, self.device)
+            self._emitters = [self.reference_emitter, made]
+            return made
+
     def unit_drive(self, point: Float) -> tuple[Complex, float]:
-        """What the array emits for a focus at `point` (array frame [m], shape (3,)) at the loudest moment.
-
-        Returns the complex amplitude of each transducer relative to full drive, shape (n,), and the amplitude asked
-        for, 0..1. Raises SceneError for a focus that the array cannot make or a level that it cannot reach.
-        """
-        try:
-            phases = focus(self.array, self.air, point)
-        except SceneError as error:
-            raise SceneError(f"plugin 'palmfield.stimulus': key 'focus_m': {error}") from None
-        level = 1.0 if self.stimulus.drive_amplitude is None else self.stimulus.drive_amplitude
-        wanted = self.stimulus.arp_peak_Pa
-        if wanted is not None:
-            full = abs(pressure64(point[None], self.array, phases, self.air)[0][0]) ** 2 / self.impedance
-            level = math.sqrt(wanted / full)
-            if level > 1.0:
-                raise SceneError(
-                    f"plugin 'palmfield.stimulus': arp_peak_Pa {wanted:g} is more than the array gives at "
-                    f"{_mm(point)}: {full:.3g} Pa at full drive with p0_Pa_m {self.array.p0_Pa_m:g}"
-                )
-        return play(self.device, level * phases), level
-
-    @once
-    def evaluator(self) -> FieldEvaluator:
-        """Field kernels for this array on the scene's device."""
-        return FieldEvaluator(self.array, self.air, resolve(self.array_config.compute))
+        """What the arrays emit for a focus at `point` in the reference pose; see `Emitter.unit_drive`."""
+        return self.reference_emitter.unit_drive(point)
 
     @once
     def spot_fwhm_m(self) -> float:
@@ -122,7 +109,7 @@ class Rig:
         """The same scene with elements of `factor` times the plan's size, and perhaps other cut faces."""
         skin = self.skin if side is None else self.skin.model_copy(update={"side": side})
         return Rig(
-            self.array_config,
+            self.boards,
             self.stimulus,
             skin,
             self.driver,
@@ -238,8 +225,8 @@ class Rig:
 
     @property
     def state_size(self) -> int:
-        """Numbers of state: an upper bound that does not need the matrices."""
-        return 4 * 3 * len(self.mesh.nodes)
+        """Numbers of state: an upper bound that does not need the matrices, and what the transducers emit."""
+        return 4 * 3 * len(self.mesh.nodes) + (2 * len(self.array) if self.response.on else 0)
 
 
 def material_of(skin: SkinConfig) -> Material:
@@ -279,6 +266,11 @@ def check_device(rig: Rig) -> None:
             f"plugin 'palmfield.stimulus': a ramp or a level between off and full needs continuous amplitude; "
             f"{device.name} gives on or off: drop ramp_s, arp_peak_Pa and drive_amplitude, or use device ideal"
         )
+    if len(rig.boards) > 1:
+        raise SceneError(
+            f"plugin 'palmfield.driver': device '{device.name}' drives one array; the scene has "
+            f"{len(rig.boards)} of 'palmfield.array': use device ideal"
+        )
     if rig.array_config.layout != device.name:
         raise SceneError(
             f"plugin 'palmfield.driver': device '{device.name}' drives the layout '{device.name}' only; "
@@ -292,13 +284,9 @@ def _with_keys(error: SceneError) -> SceneError:
     )
 
 
-def _mm(point: Sequence[float] | Float) -> str:
-    return "(" + ", ".join(f"{1e3 * float(x):.1f}" for x in point) + ") mm"
-
-
 @lru_cache(maxsize=8)
 def rig(
-    array: ArrayConfig,
+    boards: tuple[Board, ...],
     stimulus: StimulusConfig,
     skin: SkinConfig,
     driver: DriverConfig,
@@ -308,8 +296,8 @@ def rig(
 ) -> Rig:
     """The rig for these configurations; equal ones share it, so that two models of one scene factorise once.
 
-    timestep_s: MuJoCo's step [s]
-    reference_focus: focus at time 0 in the array frame, in the reference pose [m]
+    boards: the scene's arrays; timestep_s: MuJoCo's step [s]
+    reference_focus: focus at time 0 in the frame of the first array, in the reference pose [m]
     patch_centre: middle of the skin layer in the body frame [m]
     """
-    return Rig(array, stimulus, skin, driver, timestep_s, reference_focus, patch_centre)
+    return Rig(boards, stimulus, skin, driver, timestep_s, reference_focus, patch_centre)

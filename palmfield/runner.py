@@ -205,7 +205,7 @@ def _parameters(scene: Scene) -> dict[str, Any]:
     packages = ("palmfield", "warp-lang", "mujoco", "numpy", "scipy", "trimesh", "usd-core", "xarray")
     return {
         "scene": str(scene.path),
-        "array": rig.array_config.model_dump_json(),
+        "array": json.dumps([board.config.model_dump(mode="json") for board in rig.boards]),
         "stimulus": rig.stimulus.model_dump_json(),
         "skin": rig.skin.model_dump_json(),
         "driver": rig.driver.model_dump_json(),
@@ -219,7 +219,7 @@ def _parameters(scene: Scene) -> dict[str, Any]:
         ),
         "skin_step_s": step,
         "timestep_s": rig.timestep_s,
-        "compute": rig.evaluator.device,
+        "compute": rig.reference_emitter.evaluator.device,
         "conventions": json.dumps(CONVENTIONS),
         "versions": json.dumps({name: version(name) for name in packages} | {"python": platform.python_version()}),
     }  # fmt: skip

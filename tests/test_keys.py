@@ -21,7 +21,7 @@ def test_every_key_has_a_meaning_and_every_quantity_a_unit():
     for config in CONFIGS:
         for key, key_unit, allowed, _, meaning in table(config):
             assert meaning and allowed
-            pure = {"am_depth", "drive_amplitude", "path_points", "accuracy"}
+            pure = {"am_depth", "drive_amplitude", "path_points", "accuracy", "quality"}
             assert bool(key_unit) == ("number" in allowed and key not in pure) or "whole" in allowed, key
 
 

@@ -132,9 +132,9 @@ def test_driving_what_the_board_cannot_play(capsys, monkeypatch, tmp_path):
 def test_two_skins_are_refused(small_scene):
     path = small_scene()
     text = path.read_text()
-    start, end = text.index('<plugin plugin="palmfield.array">'), text.index('<plugin plugin="palmfield.stimulus">')
-    path.write_text(text[:end] + text[start:end].replace('name="array"', 'name="again"') + text[end:])
-    refuse(path, "the scene has 2 of 'palmfield.array'; exactly one is needed")
+    start, end = text.index('<plugin plugin="palmfield.stimulus">'), text.index('<plugin plugin="palmfield.skin">')
+    path.write_text(text[:end] + text[start:end].replace('name="stimulus"', 'name="again"') + text[end:])
+    refuse(path, "the scene has 2 of 'palmfield.stimulus'; exactly one is needed")
 
 
 def test_mujoco_itself_reports_the_error(small_scene):

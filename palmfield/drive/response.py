@@ -93,6 +93,16 @@ def filter_frames(
     return emitted
 
 
+def pole_step(emitted: Complex, first: Complex, last: Complex, pole: Pole, time_s: float) -> Complex:
+    """Emitted amplitudes after a drive that went from `first` to `last` along a line, exact, shape (n,).
+
+    Relative to the steady response at the carrier, where p0 is measured: under a constant drive they settle to it.
+    time_s: [s], above 0
+    """
+    decay, held, slope = _weights(pole.rate * time_s)
+    return np.asarray(decay * emitted + held * first + slope * (last - first), np.complex128)
+
+
 def emitted_at(
     times: ArrayLike, drives: ArrayLike, dt: float, pole: Pole, *, initial: ArrayLike | None = None
 ) -> Complex:

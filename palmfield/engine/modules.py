@@ -16,7 +16,7 @@ SENSOR_CHANNELS = (
 
 
 class ArrayModule(Module):
-    """Holds the array's keys; the skin module evaluates it."""
+    """Holds the keys of one array; the skin module evaluates all of them together."""
 
     name: ClassVar[str] = ArrayConfig.plugin
     config: ClassVar[type[Config]] = ArrayConfig
@@ -58,11 +58,13 @@ class SkinModule(Module):
         self._between = Pose.between
         self.rig = rig_of(settings, model)
         self.body = model.find("body", settings.body, _element(self))
-        self.site = model.find("site", self.rig.array_config.site, "plugin 'palmfield.array': key 'site'")
+        self.sites = [_array_site(board.config, model) for board in self.rig.boards]
         self.frame = _frame_site(self.rig.stimulus, model)
         self.chain = Chain(self.rig)
         self.chain.check_clear(
-            Pose.between(model.reference_pose("site", self.site), model.reference_pose("body", self.body))
+            Pose.between(
+                [model.reference_pose("site", site) for site in self.sites], model.reference_pose("body", self.body)
+            )
         )
         self._probes: dict[int, Any] = {}
         self.applied = np.zeros(3)
@@ -78,24 +80,19 @@ class SkinModule(Module):
         return len(SENSOR_CHANNELS)
 
     def pose(self) -> Any:
-        """Body in the array frame, as MuJoCo has it now."""
-        return self._between(self.world.pose("site", self.site), self.world.pose("body", self.body))
+        """Body and arrays in the frame of the first array, as MuJoCo has them now."""
+        return self._between([self.world.pose("site", site) for site in self.sites], self.world.pose("body", self.body))
 
     def to_array(self, point: Float) -> Float:
-        """A position in the stimulus's frame [m], shape (3,), in the array frame."""
+        """A position in the stimulus's frame [m], shape (3,), in the frame of the first array."""
         if self.frame is None:
             return point
-        frame, array = self.world.pose("site", self.frame), self.world.pose("site", self.site)
+        frame, array = self.world.pose("site", self.frame), self.world.pose("site", self.sites[0])
         return array[1].T @ (frame[0] + frame[1] @ point - array[0])
 
     def now(self) -> tuple[Any, float]:
         """The sound at MuJoCo's present time and its factor; (None, 0) while silent."""
-        from palmfield.stimulus import frame_at
-
-        frame = frame_at(self.rig.stimulus, self.world.time)
-        if frame.arp_factor == 0.0:
-            return None, 0.0
-        return self.chain.sound(self.to_array(frame.focus), self.pose()), frame.arp_factor
+        return self.chain.now(self.world.state(self.instance), self.world.time, self.to_array, self.pose())
 
     def body_force(self) -> tuple[Float, Float]:
         """Force [N] and torque about the body's origin [N m] of the ARP, world axes, shapes (3,).
@@ -103,14 +100,13 @@ class SkinModule(Module):
         The mean over the MuJoCo step that begins now, with the focus at its beginning: a modulation faster than the
         step gives the right impulse.
         """
-        from palmfield.stimulus import frame_at, mean_arp_factor
+        from palmfield.stimulus import frame_at
 
-        stimulus, start = self.rig.stimulus, self.world.time
-        end = start + self.world.model.timestep
-        factor = mean_arp_factor(stimulus, start, end, max(4, round(self.rig.timestep_s / self.rig.sizes[4])))
+        start, pose = self.world.time, self.pose()
+        factor = self.chain.mean_factor(self.world.state(self.instance), start, self.to_array, pose)
         if factor == 0.0:
             return np.zeros(3), np.zeros(3)
-        sound = self.chain.sound(self.to_array(frame_at(stimulus, start).focus), self.pose())
+        sound = self.chain.sound(self.to_array(frame_at(self.rig.stimulus, start).focus), pose)
         turn = factor * self.world.pose("body", self.body)[1]
         force, torque = self.chain.resultant(sound)
         return turn @ force, turn @ torque
@@ -174,20 +170,61 @@ def _frame_site(stimulus: StimulusConfig, model: ModelView) -> int | None:
     return model.find("site", stimulus.frame, "plugin 'palmfield.stimulus': key 'frame'")
 
 
+def _array_site(config: ArrayConfig, model: ModelView) -> int:
+    return model.find("site", config.site, "plugin 'palmfield.array': key 'site'")
+
+
+def _boards(model: ModelView) -> tuple[Any, ...]:
+    """The scene's arrays, in the reference pose; each has a site of its own, the first one's is the array frame."""
+    from palmfield.chain import placements, relative
+    from palmfield.emitter import Board
+
+    found = [i for i, plugin, _ in model.instances() if plugin == ArrayModule.name]
+    if not found:
+        raise SceneError("plugin 'palmfield.skin': the scene has no 'palmfield.array'; at least one is needed")
+    configs: list[Any] = [settings_of(ArrayModule, model, i) for i in found]
+    for config in configs[1:]:
+        for key in ("temperature_C", "humidity_percent", "pressure_Pa", "compute", "precision"):
+            if getattr(config, key) != getattr(configs[0], key):
+                raise SceneError(
+                    f"plugin 'palmfield.array': key '{key}' has value {getattr(config, key)} at site '{config.site}' "
+                    f"and {getattr(configs[0], key)} at site '{configs[0].site}'; allowed: the same for all arrays"
+                )
+    poses = [model.reference_pose("site", _array_site(config, model)) for config in configs]
+    boards = []
+    for config, pose, placement in zip(configs, poses, placements(poses), strict=True):
+        sites = []
+        if config.layout == "sites":
+            names = [name for name in model.names("site") if name.startswith(config.sites)]
+            if not names:
+                raise SceneError(
+                    f"plugin 'palmfield.array': key 'sites' has value '{config.sites}'; allowed: how names of sites "
+                    f"begin; the scene has: {', '.join(model.names('site'))}"
+                )
+            for name in names:
+                number = model.find("site", name, "plugin 'palmfield.array': key 'sites'")
+                position, turn = relative(pose, model.reference_pose("site", number))
+                sites.append((tuple(position.tolist()), tuple(turn[:, 2].tolist())))
+        boards.append(Board(config, placement, tuple(sites)))
+    return tuple(boards)
+
+
 def rig_of(skin: SkinConfig, model: ModelView) -> Any:
     """The rig of the scene that this skin instance stands in."""
     from palmfield.rig import rig
 
-    array, stimulus, driver = (_single(m, model) for m in (ArrayModule, StimulusModule, DriverModule))
-    focus, site = np.array(stimulus.focus_m), model.find("site", array.site, "plugin 'palmfield.array': key 'site'")
+    boards = _boards(model)
+    stimulus, driver = (_single(m, model) for m in (StimulusModule, DriverModule))
+    focus = np.array(stimulus.focus_m)
     if stimulus.path == "circle":
         focus[0] += 0.5 * stimulus.path_diameter_m
     frame = _frame_site(stimulus, model)
     if frame is not None:
+        site = _array_site(boards[0].config, model)
         (origin, turn), (board, axes) = model.reference_pose("site", frame), model.reference_pose("site", site)
         focus = axes.T @ (origin + turn @ focus - board)
     centre = np.zeros(3)
     if skin.patch_site is not None:
         number = model.find("site", skin.patch_site, "plugin 'palmfield.skin': key 'patch_site'")
         centre = model.site_position(number)
-    return rig(array, stimulus, skin, driver, model.timestep, tuple(focus.tolist()), tuple(centre.tolist()))
+    return rig(boards, stimulus, skin, driver, model.timestep, tuple(focus.tolist()), tuple(centre.tolist()))

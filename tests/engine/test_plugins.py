@@ -157,7 +157,7 @@ def test_process_exits_cleanly_with_live_data(small_scene):
     code = (
         "import mujoco, sys\n"
         f"m = mujoco.MjModel.from_xml_path({str(small_scene())!r})\n"
-        "d = mujoco.MjData(m)\nmujoco.mj_step(m, d)\nprint(d.sensordata[5] > 0)\n"
+        "d = mujoco.MjData(m)\nmujoco.mj_step(m, d, 2)\nprint(d.sensordata[5] > 0)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
     assert (done.returncode, done.stdout.strip(), done.stderr.strip()) == (0, "True", "")
