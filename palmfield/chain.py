@@ -10,11 +10,14 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 from trimesh.remesh import subdivide_to_size
 
+from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.arp import arp
+from palmfield.acoustics.shadow import lit
 from palmfield.drive.response import pole_step
 from palmfield.emission import asked
 from palmfield.emitter import Placement
 from palmfield.errors import SceneError
+from palmfield.obstacle import WallSound, energy_flux
 from palmfield.rig import Rig
 from palmfield.skin.surface import SurfaceProbe, surface_motion
 from palmfield.stimulus import frame_at, held_frames, mean_arp_factor
@@ -102,6 +105,7 @@ class Chain:
         self.rig = rig
         self._last: Sound | None = None
         self._ringing: Sound | None = None
+        self._wall: tuple[Pose, Complex, WallSound] | None = None
         self._resultant: tuple[Sound | None, Float, Float] = (None, np.zeros(3), np.zeros(3))
         self.observer: Observer | None = None
         surface = rig.surface
@@ -119,13 +123,33 @@ class Chain:
 
     def arp_at(self, points: Float, normals: Float, pose: Pose, drive: Complex) -> tuple[Float32, Float32]:
         """ARP [Pa] and peak pressure amplitude [Pa], shapes (n,), at body points with outward normals."""
-        evaluator = self.rig.emitter(pose.arrays).evaluator
+        rig = self.rig
+        if rig.skin.body_sound == "scattering":
+            return self._wall_sound(pose, drive).at(points)
+        evaluator = rig.emitter(pose.arrays).evaluator
         field = evaluator.pressure(pose.points(points), drive, gradient=True)
         load = arp(
-            field, normals @ pose.turn.T, self.rig.air, self.rig.array.frequency_Hz,
-            law=self.rig.skin.arp_law, device=evaluator.device,
+            field, normals @ pose.turn.T, rig.air, rig.array.frequency_Hz,
+            law=rig.skin.arp_law, device=evaluator.device,
         )  # fmt: skip
+        if rig.skin.body_sound == "shadows":
+            load = np.where(lit(points, energy_flux(field) @ pose.turn, rig.shadow_mesh), load, np.float32(0.0))
         return load, np.abs(field.pressure)
+
+    def _wall_sound(self, pose: Pose, drive: Complex) -> WallSound:
+        """Total sound on the body; the last one is kept."""
+        if self._wall is not None and self._wall[0].same(pose) and np.array_equal(self._wall[1], drive):
+            return self._wall[2]
+        rig = self.rig
+        evaluator = rig.emitter(pose.arrays).evaluator
+
+        def incident(points: Float) -> Complex:
+            return evaluator.pressure(pose.points(points), drive).pressure.astype(np.complex128)
+
+        wavenumber = 2.0 * np.pi * rig.array.frequency_Hz / sound_speed(rig.air)
+        wall = WallSound.of(rig.boundary_mesh, incident, wavenumber, rig.air, evaluator.device)
+        self._wall = (pose, drive, wall)
+        return wall
 
     def sound(self, focus: Float, pose: Pose) -> Sound:
         """ARP for a focus (array frame [m], shape (3,)); the last one is kept."""

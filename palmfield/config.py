@@ -161,6 +161,9 @@ class SkinConfig(Config):
     foundation_tangential_Pa_m: Positive | None = Field(None, description="the same along the base")
     side: Side = Field("fixed", description="cut faces of the layer; a disc takes roller too")
     arp_law: ArpLaw = Field("default", description="radiation-pressure law (see `palmfield info`)")
+    body_sound: Literal["none", "shadows", "scattering"] = Field(
+        "none", description="what other parts of the body do to the sound: nothing, shadows by rays, boundary elements"
+    )
     accuracy: Annotated[float, Field(ge=0.002, le=0.5)] = Field(
         0.05, description="wanted relative error of the skin displacement"
     )

@@ -49,13 +49,34 @@ def envelope_frequency(stimulus: StimulusConfig, emitter: Emitter, focus: Float)
     return found
 
 
+def late_at_focus(emitter: Emitter, times_s: Float, focus: Float, frequency_Hz: float) -> float:
+    """Relative error of the pressure at a still focus if the sound of all transducers arrives at their mean time.
+
+    Exact for an envelope of this frequency: |1 - sum of w exp(i 2 pi f (t - mean))| with w the shares of the pressure.
+    """
+    shares = emitter.array.p0_Pa_m / np.linalg.norm(focus - emitter.array.positions, axis=1)
+    shares = shares * np.abs(emitter.unit_drive(focus)[0])
+    total = shares.sum()
+    if total == 0.0:
+        return 0.0
+    shares = shares / total
+    turns = frequency_Hz * (times_s - shares @ times_s)
+    return float(abs(1.0 - shares @ np.exp(2j * np.pi * turns)))
+
+
 def response(
-    boards: tuple[Board, ...], emitter: Emitter, stimulus: StimulusConfig, focus: Float, accuracy: float
+    boards: tuple[Board, ...],
+    emitter: Emitter,
+    stimulus: StimulusConfig,
+    focus: Float,
+    accuracy: float,
+    *,
+    spread: bool = True,
 ) -> Response:
     """Decide what to model. ARP goes with the square of the pressure, so `auto` allows a quarter of the accuracy.
 
     focus: where the sound goes in the reference pose, frame of the first array [m]; accuracy: wanted of the skin's
-    displacement, relative
+    displacement, relative; spread: whether flight times may differ
     """
     counts = [len(part) for part in emitter.parts]
     configs = [board.config for board in boards]
@@ -63,15 +84,17 @@ def response(
     quality = np.concatenate([np.full(n, config.quality) for n, config in zip(counts, configs, strict=True)])
     pole = Pole(f0, quality, emitter.array.frequency_Hz)
     times = flight_times(emitter.array, focus, emitter.air)
-    spread = float(np.ptp(times))
+    apart = float(np.ptp(times))
     fastest = envelope_frequency(stimulus, emitter, focus)
-    ring, late = ring_bound(fastest, pole, remove_delay=True), delay_bound(fastest, spread)
+    ring = ring_bound(fastest, pole, remove_delay=True)
+    still = stimulus.path == "point"
+    late = late_at_focus(emitter, times, focus, fastest) if still else delay_bound(fastest, apart)
     wanted = {config.response for config in configs}
     on = "on" in wanted or ("auto" in wanted and ring + late > 0.25 * accuracy)
     delays = np.zeros(len(times))
-    if on and late > 0.05 * accuracy:
+    if on and spread and late > 0.05 * accuracy:
         delays = np.round((times - 0.5 * (times.max() + times.min())) / DELAY_STEP_S) * DELAY_STEP_S
-    return Response(on, fastest, ring, late, spread, pole, delays)
+    return Response(on, fastest, ring, late, apart, pole, delays)
 
 
 def asked(

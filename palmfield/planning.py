@@ -11,6 +11,7 @@ from rich.table import Table
 from palmfield.acoustics.air import absorption_Np_m, density, sound_speed
 from palmfield.acoustics.arp import LAWS
 from palmfield.acoustics.reference import pressure64
+from palmfield.obstacle import BODY_SOUNDS
 from palmfield.report import RATIO, compares_with_finer
 from palmfield.rig import Rig
 from palmfield.scene import Scene
@@ -18,7 +19,6 @@ from palmfield.skin.material import complex_shear, shear_wave
 from palmfield.stimulus import frame_at, frame_rates, main_frequencies
 
 # One transducer at resonance (acoustics literature on 40 kHz emitters): quality factor about 25.
-QUALITY = 25.0
 # Measured on two cores of a server CPU (docs/bench/): pairs a second with gradient, seconds a step and unknown.
 PAIRS_PER_S = 5e8
 SOLVE_S = 1.7e-6
@@ -130,6 +130,8 @@ def _modelled(rig: Rig, dofs: int, substeps: int) -> tuple[Row, ...]:
         ),
         Row("drive", f"amplitude {drive:.3f} of full", f"device {rig.device.name}: {rig.device.description}"),
         Row("ARP", f"law {rig.skin.arp_law}", LAWS[rig.skin.arp_law]),
+        Row("sound at the body", f"body_sound {rig.skin.body_sound}", BODY_SOUNDS[rig.skin.body_sound]),
+        *_rings(rig),
         Row(
             "skin layer",
             f"radius {1e3 * radius:.0f} mm, {1e3 * depth.min():.1f}-{1e3 * depth.max():.1f} mm deep",
@@ -156,6 +158,21 @@ def _modelled(rig: Rig, dofs: int, substeps: int) -> tuple[Row, ...]:
     )
 
 
+def _rings(rig: Rig) -> list[Row]:
+    heard = rig.response
+    if not heard.on:
+        return []
+    late = f", flight times spread over {1e3 * heard.spread_s:.2f} ms" if heard.delays_s.any() else ""
+    return [
+        Row(
+            "transducers' ring-up",
+            f"one pole each, Q {rig.array_config.quality:g}{late}",
+            f"drives change at up to {heard.envelope_Hz:.0f} Hz: without, the pressure could be off by "
+            f"{100 * (heard.ring_bound + heard.delay_bound):.1f} %",
+        )
+    ]
+
+
 def _thinned(rig: Rig) -> str:
     share = rig.patch.report.get("share_thinned", 0.0)
     return f", thinner than asked at {100 * share:.0f} % of its vertices (curved rims and webs)" if share > 0 else ""
@@ -163,37 +180,14 @@ def _thinned(rig: Rig) -> str:
 
 def _left_out(rig: Rig) -> tuple[Row, ...]:
     frequency = max(main_frequencies(rig.stimulus), default=0.0)
-    ring = QUALITY / (math.pi * rig.array.frequency_Hz)
-    loss = 1 - 1 / math.sqrt(1 + (2 * math.pi * frequency * ring) ** 2)
     far = np.linalg.norm(rig.array.positions - rig.reference_focus, axis=1)
     c = sound_speed(rig.air)
-    spread = (far.max() - far.min()) / c
     cutoff = shear_wave(rig.material, max(frequency, 50.0))[0] / (4 * float(rig.patch.depth.mean()))
     drive, _ = rig.unit_drive(rig.reference_focus)
     pressure = abs(pressure64(rig.reference_focus[None], rig.array, drive, rig.air)[0][0])
     shock = density(rig.air) * c**3 / (1.2 * 2 * math.pi * rig.array.frequency_Hz * pressure)
-    rows = [
-        Row(
-            "scattered sound",
-            "not estimated",
-            "the law takes the wall as locally flat and rigid; no echo between hand and array",
-        ),
-        Row(
-            "cast shadows",
-            "not estimated",
-            "faces turned away from the sound are unlit; one part does not shade another",
-        ),
-        Row(
-            "transducers' ring-up",
-            f"<= {100 * loss:.1f} % of the sound pressure's swing at {frequency:.0f} Hz",
-            f"one pole, Q about {QUALITY:.0f}: {1e3 * ring:.2f} ms",
-        ),
-        Row(
-            "flight time",
-            f"{1e3 * far.mean() / c:.2f} ms delay, {1e3 * spread:.3f} ms spread",
-            f"a common delay shifts results in time; the spread blurs {frequency:.0f} Hz by "
-            f"{100 * (math.pi * frequency * spread) ** 2 / 6:.2f} %",
-        ),
+    rows = _sound_left_out(rig)
+    rows += [
         Row(
             "nonlinear sound",
             f"focal distance / shock distance {far.mean() / shock:.2f}",
@@ -209,6 +203,43 @@ def _left_out(rig: Rig) -> tuple[Row, ...]:
     if rig.surface is not None:
         rows.append(Row("skin elsewhere", "not modelled", "only the resultant force acts on the rest of the body"))
     return tuple(rows)
+
+
+def _sound_left_out(rig: Rig) -> list[Row]:
+    rows = []
+    # Figures of a hand, a finger and cupped sheets: docs/bench/scattering.md
+    if rig.skin.body_sound == "none":
+        rows.append(Row("cast shadows", "nothing on an open hand", "one part of the body does not shade another"))
+    if rig.skin.body_sound != "scattering":
+        rows.append(
+            Row(
+                "scattered sound",
+                "1 % of the ARP on an open hand, 7 % on a finger, 17 % in a cup",
+                "the law takes the wall as locally flat and rigid; no echo between parts, or between hand and array; "
+                "docs/bench/scattering.md",
+            )
+        )
+    heard = rig.response
+    if not heard.on:
+        rows.append(
+            Row(
+                "transducers' ring-up",
+                f"<= {100 * heard.ring_bound:.2f} % of the pressure, drives changing at {heard.envelope_Hz:.0f} Hz",
+                f"one pole, Q {rig.array_config.quality:g}; a delay of {1e3 / heard.pole.damping.min():.2f} ms",
+            )
+        )
+    if not heard.delays_s.any():
+        rows.append(
+            Row(
+                "spread of the flight time",
+                f"<= {100 * heard.delay_bound:.2f} % of the pressure",
+                f"{1e3 * heard.spread_s:.3f} ms between the first and the last transducer's sound",
+            )
+        )
+    middle = 0.5 * np.ptp(np.linalg.norm(rig.array.positions - rig.reference_focus, axis=1))
+    late = (np.linalg.norm(rig.array.positions - rig.reference_focus, axis=1).min() + middle) / sound_speed(rig.air)
+    rows.append(Row("common flight time", f"{1e3 * late:.2f} ms", "shifts results in time"))
+    return rows
 
 
 def _errors(rig: Rig) -> tuple[Row, ...]:

@@ -6,28 +6,12 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from palmfield.chain import Chain, Sound
+from palmfield.chain import Sound
 from palmfield.engine.modules import SkinModule
 from palmfield.outputs.schema import dataset
 from palmfield.outputs.store import Store
 from palmfield.skin.surface import output_triangles
-from palmfield.skin.wedges import WedgeMesh
 from palmfield.types import Complex, Float, Float32, Int
-
-
-def closed_boundary(mesh: WedgeMesh) -> tuple[Float, Int]:
-    """Skin surface, base and cut side of a layer as one closed triangle mesh.
-
-    Returns vertices [m], shape (2 S, 3), of which the first S are the skin's surface nodes, and faces, shape (m, 3).
-    """
-    count, top = mesh.surface_nodes, output_triangles(mesh)
-    vertices = np.concatenate([mesh.nodes[:count], mesh.nodes[-count:]])
-    edges = np.concatenate([top[:, [0, 1]], top[:, [1, 2]], top[:, [2, 0]]])
-    _, index, uses = np.unique(np.sort(edges, axis=1), axis=0, return_index=True, return_counts=True)
-    rim = edges[index[uses == 1]]
-    a, b = rim[:, 0], rim[:, 1]
-    side = np.concatenate([np.stack([b, a, a + count], axis=1), np.stack([b, a + count, b + count], axis=1)])
-    return vertices, np.concatenate([top, top[:, ::-1] + count, side]).astype(np.int32)
 
 
 class Recorder:
@@ -121,7 +105,7 @@ class Recorder:
 
     @cached_property
     def _surface(self) -> tuple[Float, Int]:
-        return whole_surface(self.chain)
+        return self.chain.rig.closed_surface
 
     @cached_property
     def _surface_normals(self) -> Float:
@@ -134,16 +118,10 @@ class Recorder:
         return total / np.linalg.norm(total, axis=1, keepdims=True)
 
 
-def whole_surface(chain: Chain) -> tuple[Float, Int]:
-    """Vertices [m] and faces of the body that the sound meets, closed."""
-    surface = chain.rig.surface
-    return closed_boundary(chain.rig.mesh) if surface is None else (surface.vertices, surface.faces)
-
-
 def static_data(skin: SkinModule) -> xr.Dataset:
     """What is known before the first step."""
     rig, chain = skin.rig, skin.chain
-    vertices, faces = whole_surface(chain)
+    vertices, faces = chain.rig.closed_surface
     nodes, _ = chain.surface_nodes()
     base = rig.mesh.nodes[-len(nodes) :]
     position, turn = skin.world.pose("site", skin.sites[0])

@@ -8,7 +8,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.reference import pressure64
+from palmfield.acoustics.shadow import shadow_mesh
 from palmfield.config import DriverConfig, Side, SkinConfig, StimulusConfig
 from palmfield.device import resolve
 from palmfield.drive.device import DEVICES, check
@@ -19,15 +21,17 @@ from palmfield.hand.meshfile import load_mesh
 from palmfield.hand.patch import surface_patch
 from palmfield.hand.preset import load_preset
 from palmfield.hand.surface import hand_surface
+from palmfield.obstacle import boundary_mesh
 from palmfield.skin.assembly import SkinSystem, assemble
 from palmfield.skin.disc import disc_patch
 from palmfield.skin.estimate import choose_sizes
 from palmfield.skin.load import SurfaceQuadrature
 from palmfield.skin.material import Material, preset
 from palmfield.skin.solver import SkinSolver
+from palmfield.skin.surface import closed_boundary
 from palmfield.skin.wedges import WedgeMesh, extrude
 from palmfield.stimulus import frame_rates, main_frequencies
-from palmfield.types import Complex, Float, Patch, Surface
+from palmfield.types import Complex, Float, Int, Patch, Surface
 
 # The rules are calibrated on a disc of even depth. A hand's layer thins at rims and webs, differently on each mesh: its
 # 200 Hz response still moves by 2.5 % where the disc's is within 0.5 %.
@@ -77,7 +81,11 @@ class Rig:
         self._emitters = [self.reference_emitter]
         check_device(self)
         self.unit_drive(self.reference_focus)
-        self.response = response(boards, self.reference_emitter, stimulus, self.reference_focus, skin.accuracy)
+        self.response = response(
+            boards, self.reference_emitter, stimulus, self.reference_focus, skin.accuracy,
+            spread=skin.body_sound != "scattering",
+        )  # fmt: skip
+        check_body_sound(self)
 
     # -- sound ---------------------------------------------------------------------------------------------------
 
@@ -119,6 +127,18 @@ class Rig:
             resizing=factor,
         )
 
+    @once
+    def shadow_mesh(self) -> Any:
+        """What casts shadows, in the body frame."""
+        vertices, faces = self.closed_surface
+        return shadow_mesh(Surface(vertices, faces, np.zeros_like(vertices)), self.reference_emitter.evaluator.device)
+
+    @once
+    def boundary_mesh(self) -> tuple[Float, Int]:
+        """Boundary elements of the body, in its frame."""
+        wavelength = sound_speed(self.air) / self.array.frequency_Hz
+        return boundary_mesh(*self.closed_surface, wavelength)
+
     # -- surface and skin ----------------------------------------------------------------------------------------
 
     @once
@@ -133,6 +153,11 @@ class Rig:
     def surface(self) -> Surface | None:
         """The whole closed surface in the body frame; None for a disc, whose lit face is the skin itself."""
         return None if self.skin.shape == "disc" else self._hand[0]
+
+    @property
+    def closed_surface(self) -> tuple[Float, Int]:
+        """Vertices [m] and faces of the body that the sound meets, closed, in the body frame."""
+        return closed_boundary(self.mesh) if self.surface is None else (self.surface.vertices, self.surface.faces)
 
     @once
     def max_frequency_Hz(self) -> float:
@@ -240,6 +265,19 @@ def material_of(skin: SkinConfig) -> Material:
     return Material(
         name=f"{base.name}, changed", source=f"{base.source}; set by the scene: {', '.join(changed)}", **values
     )
+
+
+def check_body_sound(rig: Rig) -> None:
+    """Refuse what boundary elements can't follow in sensible time: they solve once for a focus and a pose."""
+    if rig.skin.body_sound != "scattering":
+        return
+    name = "plugin 'palmfield.skin': key 'body_sound' has value 'scattering'; allowed:"
+    if rig.stimulus.path != "point":
+        raise SceneError(f"{name} with path 'point' only, as each focus takes a solution of its own; use shadows")
+    if rig.skin.arp_law != "default":
+        raise SceneError(f"{name} with arp_law 'default' only; it has the total field")
+    if rig.response.on and np.ptp(np.abs(rig.response.pole.rate)) > 0.0:
+        raise SceneError(f"{name} with transducers that change together; set key 'response' of the array to off")
 
 
 def check_device(rig: Rig) -> None:
