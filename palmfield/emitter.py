@@ -77,12 +77,12 @@ class Emitter:
         self.stimulus, self.device = stimulus, device
         self.air = Air(first.temperature_C, first.humidity_percent, first.pressure_Pa)
         self.compute, self.precision = first.compute, first.precision
-        self.parts = tuple(board.array() for board in boards)
         self.placements = tuple(placements)
         self.impedance = density(self.air) * sound_speed(self.air) ** 2
         self._lock = threading.RLock()
         self._unit: tuple[tuple[float, ...], tuple[Complex, float]] = ((), (np.zeros(0, complex), 0.0))
         try:
+            self.parts = tuple(board.array() for board in boards)
             moved = [
                 part if i == 0 else placed(part, np.array(p), np.array(turn).reshape(3, 3))
                 for i, (part, (p, turn)) in enumerate(zip(self.parts, placements, strict=True))
