@@ -162,6 +162,45 @@ def recover(out: Annotated[Path, typer.Argument(help="folder of a run that was c
         print(f"wrote {path}")
 
 
+bench = typer.Typer(
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    help="Measure how fast palmfield is on this machine, how exact, and how other programs do beside it.\n\n"
+    "Example: palmfield bench field",
+)
+app.add_typer(bench, name="bench")
+
+
+@bench.command("field")
+def bench_field(
+    out: Annotated[Path | None, typer.Option(help="markdown file to write the table to")] = None,
+    picture: Annotated[Path | None, typer.Option(help="PNG to draw speed against error in")] = None,
+    peers_python: Annotated[
+        Path | None,
+        typer.Option(help="interpreter that has other programs, made by scripts/peers/setup.py [default: this one]"),
+    ] = None,
+    device: Annotated[str, typer.Option(help="where palmfield's own methods run: cpu or cuda:0")] = "cpu",
+    points: Annotated[int, typer.Option(help="roughly how many points a range of distances has")] = 20_000,
+    runs: Annotated[int, typer.Option(help="how often each method runs; medians are printed")] = 5,
+    only: Annotated[str, typer.Option(help="leave out methods whose names lack this text")] = "",
+    commit: Annotated[str, typer.Option(help="for the head, where no git is [default: git's]")] = "",
+) -> None:
+    """Speed and error of the pressure field, as a markdown table.
+
+    996 transducers, two ranges of distances. Every method computes the same problem in a process of its own, in turns
+    with the others, so that what else the machine does meets all alike. Errors are against float64. A program that is
+    not installed is named as such. A yardstick in the head says how fast the machine was: compare speeds within one
+    table, not between tables.
+
+    Examples: palmfield bench field --only palmfield
+
+    palmfield bench field --peers-python ~/.cache/palmfield-peers/bin/python --out field.md --picture field.png
+    """
+    from palmfield.bench.field import main as measure
+
+    print(measure(out, picture, peers_python, device, points, runs, only, commit), end="")
+
+
 def main() -> None:
     """Entry point: users' errors become one line on standard error and exit code 2."""
     try:

@@ -3,6 +3,7 @@
 import functools
 import os
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -81,8 +82,8 @@ class FieldEvaluator:
             cosine=kernels.vec6(*cosine),
         )
         self._groups = groups(array)
-        vec3, _, mat33 = self._form(False).vectors
-        self._origins = self._upload(self._groups.origins.astype(self._real), vec3)
+        self._vec3, _, mat33 = self._form(False).vectors
+        self._origins = self._upload(self._groups.origins.astype(self._real), self._vec3)
         self._turns = self._upload(self._groups.turns.astype(self._real), mat33)
         self._ranges = self._upload(self._groups.ranges, wp.vec2i)
 
@@ -95,29 +96,41 @@ class FieldEvaluator:
         slope = np.zeros((count, 3), np.complex64) if gradient else None
         if count == 0 or len(self.array) == 0:
             return Field(pressure, slope)
-        form, elements, strengths = self._elements(where, amplitude)
-        kernel = (kernels.gradient if gradient else kernels.pressure)(form)
-        width = (kernels.GRADIENT_WIDTH if gradient else kernels.PRESSURE_WIDTH)["gpu" if self._gpu else "cpu"]
-        _, vec4, _ = form.vectors
-        inputs = [
-            self._origins, self._turns, self._ranges,
-            self._upload(elements, vec4), self._upload(strengths, wp.vec4), self.sound,
-        ]  # fmt: skip
+        bounds = distances(where, self.array.positions)
         if self._gpu:
-            self._on_gpu(kernel, width, where, inputs, pressure, slope)
+            outputs = self._launch(self._upload(where, self._vec3), bounds, amplitude, gradient)
+            for target, output in zip((pressure, slope), outputs, strict=False):
+                assert target is not None
+                target[:] = output.numpy().view(np.complex64)[..., 0]
         else:
-            self._on_cpu(kernel, width, where, inputs, pressure, slope)
+            self._on_cpu(where, bounds, amplitude, pressure, slope)
         return Field(pressure, slope)
+
+    def upload(self, points: ArrayLike) -> "Points":
+        """Points, [m], shape (n, 3), on the evaluator's GPU for `pressure_on_gpu`. Errors as `pressure`."""
+        where = check.points(points, self._real)
+        bounds = distances(where, self.array.positions) if len(where) else (0.0, 0.0)
+        return Points(self._upload(where, self._vec3), bounds)
+
+    def pressure_on_gpu(self, points: "Points", drive: ArrayLike, gradient: bool = False) -> tuple[Any, ...]:
+        """As `pressure`, with the results left on the GPU, and not waited for.
+
+        Returns Warp arrays of (real, imaginary): pressure [Pa], shape (n,), and if asked its gradient [Pa/m], shape
+        (n, 3). Raises PalmfieldError for an evaluator on the CPU.
+        """
+        if not self._gpu:
+            raise PalmfieldError(f"pressure_on_gpu on device '{self.device}': make the evaluator with device cuda:0")
+        return self._launch(points.array, points.distances_m, check.drive(drive, self.array), gradient)
 
     def _form(self, steep: bool) -> kernels.Form:
         return kernels.Form(self._gpu, self._accurate, steep, self._smooth and not self._accurate)
 
-    def _elements(self, points: NDArray[Any], drive: NDArray[np.complex128]) -> tuple[kernels.Form, Any, Any]:
-        """Form of the kernel for these points; place and phase, and strength and fall, of the ordered transducers."""
+    def _inputs(self, bounds: tuple[float, float], drive: NDArray[np.complex128]) -> tuple[kernels.Form, list[Any]]:
+        """Form of the kernel for points within these distances [m], and what it takes between points and results."""
         order = self._groups.order
         emitted = drive if self.array.gain is None else drive * self.array.gain
         emitted = emitted[order]
-        low, high = distances(points, self.array.positions)
+        low, high = bounds
         steep = self.absorption_Np_m * (high - low) > CUBIC_REACH_Np
         fall = np.array([1.0, 0.0, 0.0, 0.0]) if steep else cubic_fall(self.absorption_Np_m, low, high)
         strengths = (self.array.p0_Pa_m * np.abs(emitted)[:, None] * fall).astype(np.float32)
@@ -125,26 +138,31 @@ class FieldEvaluator:
         elements[:, :2] = self._groups.places
         radians = self._gpu and not self._accurate
         elements[:, 2] = np.angle(emitted) / (1.0 if radians else 2.0 * np.pi)
-        return self._form(bool(steep)), elements, strengths
+        form = self._form(bool(steep))
+        _, vec4, _ = form.vectors
+        return form, [
+            self._origins, self._turns, self._ranges,
+            self._upload(elements, vec4), self._upload(strengths, wp.vec4), self.sound,
+        ]  # fmt: skip
 
     def _upload(self, values: NDArray[Any], dtype: Any) -> Any:
         return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self.device)
 
     def _on_cpu(
         self,
-        kernel: Any,
-        width: int,
         points: NDArray[Any],
-        inputs: list[Any],
+        bounds: tuple[float, float],
+        drive: NDArray[np.complex128],
         pressure: NDArray[np.complex64],
         slope: NDArray[np.complex64] | None,
     ) -> None:
         """Fill pressure and slope in place: Warp sees NumPy's memory, one slice of the points per thread."""
+        form, inputs = self._inputs(bounds, drive)
+        kernel, width = kernel_of(form, slope is not None)
         wp.load_module(kernel.module, device="cpu")
-        vec3, _, _ = self._form(False).vectors
 
         def run(start: int, stop: int) -> None:
-            part: Any = wp.array(points[start:stop], dtype=vec3, device="cpu", copy=False)
+            part: Any = wp.array(points[start:stop], dtype=self._vec3, device="cpu", copy=False)
             outputs = [shared(pressure[start:stop])]
             if slope is not None:
                 outputs.append(shared(slope[start:stop]))
@@ -160,25 +178,34 @@ class FieldEvaluator:
         for job in jobs:
             job.result()
 
-    def _on_gpu(
-        self,
-        kernel: Any,
-        width: int,
-        points: NDArray[Any],
-        inputs: list[Any],
-        pressure: NDArray[np.complex64],
-        slope: NDArray[np.complex64] | None,
-    ) -> None:
-        vec3, _, _ = self._form(False).vectors
+    def _launch(
+        self, points: Any, bounds: tuple[float, float], drive: NDArray[np.complex128], gradient: bool
+    ) -> tuple[Any, ...]:
+        form, inputs = self._inputs(bounds, drive)
+        kernel, width = kernel_of(form, gradient)
         count = len(points)
         outputs = [wp.zeros(count, dtype=wp.vec2, device=self.device)]
-        if slope is not None:
+        if gradient:
             outputs.append(wp.zeros((count, 3), dtype=wp.vec2, device=self.device))
-        place = self._upload(points, vec3)
-        wp.launch(kernel, dim=-(-count // width), inputs=[place, *inputs, *outputs], device=self.device, block_dim=128)
-        for target, output in zip((pressure, slope), outputs, strict=False):
-            assert target is not None
-            target[:] = output.numpy().view(np.complex64)[..., 0]
+        inputs = [points, *inputs, *outputs]
+        wp.launch(kernel, dim=-(-count // width), inputs=inputs, device=self.device, block_dim=128)
+        return tuple(outputs)
+
+
+@dataclass(frozen=True)
+class Points:
+    """Points on a GPU; array: Warp's, shape (n,); distances_m: bounds of those to the transducers."""
+
+    array: Any
+    distances_m: tuple[float, float]
+
+
+def kernel_of(form: kernels.Form, gradient: bool) -> tuple[Any, int]:
+    """Kernel and the points that one of its threads holds."""
+    where = "gpu" if form.gpu else "cpu"
+    if gradient:
+        return kernels.gradient(form), kernels.GRADIENT_WIDTH[where]
+    return kernels.pressure(form), kernels.PRESSURE_WIDTH[where]
 
 
 def filled(struct: Any, **values: Any) -> Any:

@@ -25,7 +25,7 @@ FRAMES_A_BLOCK = 128
 GPU_SCRATCH_BYTES = 2**31
 BYTES_LIMIT = 2**32
 MATRIX_FROM = 16
-"""Frames from which the matrix is cheaper: it takes as long as about ten frames, docs/bench/field.md."""
+"""Frames from which the matrix is cheaper: it takes as long as 10 to 15 frames, docs/bench/frames.md."""
 
 
 class Transfer:
@@ -88,53 +88,76 @@ class Transfer:
 
     def pressure(self, drives: ArrayLike) -> NDArray[np.complex64]:
         """Complex peak pressure [Pa], shape (frames, points), for drives of shape (frames, transducers)."""
-        left, basis = self._reduced(drives)
+        left, basis = self.reduced(drives)
         right = self._matrix[:, 0] + 1j * self._matrix[:, 4]
         return np.asarray(left @ (right if basis is None else basis.conj().T @ right), np.complex64)
 
-    def arp(self, drives: ArrayLike, law: str = "default") -> Float32:
+    def arp(self, drives: ArrayLike, law: str = "default", out: Float32 | None = None) -> Float32:
         """ARP [Pa], shape (frames, points), for drives of shape (frames, transducers); see `palmfield.acoustics.arp`.
 
-        Raises SceneError for an unknown law, PalmfieldError for drives that are not finite or of another shape.
+        out: array to fill and return, float32; memory used before has no new pages for the system to clear
+        Raises SceneError for an unknown law, PalmfieldError for drives that are not finite or of another shape, and for
+        an `out` of another shape or type.
         """
-        per_pressure, per_slope = self._weights(law)
-        left, basis = self._reduced(drives)
+        weights = self._weights(law)
+        # One BLAS thread in each of ours: its own would share out products that fit one core's cache, and where other
+        # programs run its waiting threads took up to twenty times as long for the reduction
+        with threadpool_limits(1, user_api="blas"):
+            left, basis = self.reduced(drives)
+            result = np.empty((len(left), self.points), np.float32) if out is None else out
+            if result.shape != (len(left), self.points) or result.dtype != np.float32 or not result.flags.c_contiguous:
+                raise PalmfieldError(
+                    f"out is {result.dtype} of shape {result.shape}: give contiguous float32 of shape "
+                    f"({len(left)}, {self.points})"
+                )
+            if result.size > 0:
+                self._fill(result, left, basis, *weights)
+        return result
+
+    def _fill(
+        self,
+        result: Float32,
+        left: NDArray[np.complex64],
+        basis: NDArray[np.complex64] | None,
+        per_pressure: float,
+        per_slope: float,
+    ) -> None:
+        """Write the ARP of frames with coordinates `left` in `basis`, blocks of points shared among the threads."""
         stacked = np.concatenate([left.real, left.imag], axis=1)
-        result = np.empty((len(left), self.points), np.float32)
-        if result.size == 0:
-            return result
         wp.load_module(kernels, device="cpu")
         target: Any = wp.array(result, dtype=wp.float32, device="cpu", copy=False)
+        # The threads share one iterator, so that a slow core takes fewer blocks
+        blocks = iter(range(0, self.points, POINTS_A_BLOCK))
 
-        def run(first: int) -> None:
-            right = real_form(self._matrix[:, :, first : first + POINTS_A_BLOCK], basis)
-            room = np.empty((FRAMES_A_BLOCK, right.shape[1]), np.float32)
-            for start in range(0, len(left), FRAMES_A_BLOCK):
-                rows = stacked[start : start + FRAMES_A_BLOCK]
-                parts = np.matmul(rows, right, out=room[: len(rows)])
-                inputs = [
-                    wp.array(parts, dtype=wp.float32, device="cpu", copy=False),
-                    per_pressure, per_slope, start, first, target,
-                ]  # fmt: skip
-                wp.launch(kernels.arp_rows, dim=len(parts), inputs=inputs, device="cpu")
+        def run(_: int) -> None:
+            room = np.empty((FRAMES_A_BLOCK, 8 * POINTS_A_BLOCK), np.float32)
+            for first in blocks:
+                right = real_form(self._matrix[:, :, first : first + POINTS_A_BLOCK], basis)
+                for start in range(0, len(left), FRAMES_A_BLOCK):
+                    rows = stacked[start : start + FRAMES_A_BLOCK]
+                    parts = np.matmul(rows, right, out=room[: len(rows), : right.shape[1]])
+                    inputs = [
+                        wp.array(parts, dtype=wp.float32, device="cpu", copy=False),
+                        per_pressure, per_slope, start, first, target,
+                    ]  # fmt: skip
+                    wp.launch(kernels.arp_rows, dim=len(parts), inputs=inputs, device="cpu")
 
-        # One BLAS thread in each of ours: its own would share out products that fit one core's cache
-        with threadpool_limits(1, user_api="blas"):
-            list(pool().map(run, range(0, self.points, POINTS_A_BLOCK)))
-        return result
+        list(pool().map(run, range(self.evaluator.threads)))
 
     def arp_on_gpu(self, drives: ArrayLike, law: str = "default") -> Any:
         """As `arp`, but computed and left on the evaluator's GPU: a Warp array of shape (frames, points)."""
         per_pressure, per_slope = self._weights(law)
-        left, basis = self._reduced(drives)
+        left, basis = self.reduced(drives)
         device = self.evaluator.device
         right = self._gpu_matrix(basis)
         result = wp.empty((len(left), self.points), dtype=wp.float32, device=device)
+        if result.size == 0:
+            return result
         stacked: Any = wp.array(np.concatenate([left.real, left.imag], axis=1), dtype=wp.float32, device=device)
         step = max(kernels.TILE_FRAMES, GPU_SCRATCH_BYTES // (32 * self.points))
         parts = wp.empty((min(step, len(left)), 8 * self.points), dtype=wp.float32, device=device)
         for first in range(0, len(left), step):
-            rows = stacked[first : first + step]
+            rows = stacked[first : min(first + step, len(left))]
             wp.launch_tiled(
                 kernels.product,
                 dim=(-(-rows.shape[0] // kernels.TILE_FRAMES), -(-8 * self.points // kernels.TILE_COLUMNS)),
@@ -160,9 +183,10 @@ class Transfer:
         per_pressure = 1.0 / (density(self.air) * sound_speed(self.air) ** 2)
         return per_pressure, per_pressure if law == "default" else 0.0
 
-    def _reduced(self, drives: ArrayLike) -> tuple[NDArray[np.complex64], NDArray[np.complex64] | None]:
+    def reduced(self, drives: ArrayLike) -> tuple[NDArray[np.complex64], NDArray[np.complex64] | None]:
         """The frames, or their coordinates in a smaller orthonormal basis, shape (transducers, r), if that saves work.
 
+        The second is that basis, or None. drives: shape (frames, transducers), as for `arp`.
         Foci along a path span few dimensions: neighbouring frames are nearly alike.
         """
         frames = check.frames(drives, self.evaluator.array)
@@ -183,7 +207,7 @@ class Transfer:
 def real_form(matrix: Float32, basis: NDArray[np.complex64] | None) -> Float32:
     """Matrix that takes (real, imaginary) coordinates of a drive to eight blocks of points, shape (2 r, 8 n).
 
-    matrix: as Transfer keeps it, shape (transducers, 8, n); basis: see Transfer._reduced
+    matrix: as Transfer keeps it, shape (transducers, 8, n); basis: see Transfer.reduced
     """
     real = matrix[:, :4].reshape(len(matrix), -1)
     imag = matrix[:, 4:].reshape(len(matrix), -1)

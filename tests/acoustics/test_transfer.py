@@ -91,6 +91,31 @@ def test_the_cheaper_way_gives_the_same() -> None:
     assert np.linalg.norm(many - few) < 1e-4 * np.linalg.norm(few)
 
 
+@pytest.mark.parametrize("threads", [1, 2, 3])
+def test_memory_given_is_filled_whatever_the_threads(threads: int) -> None:
+    array = layout("uhev1")
+    points, normals = skin(700)
+    drives = circle(array, 530)
+    transfer = Transfer(FieldEvaluator(array, AIR, "cpu", threads=threads), points, normals, AIR)
+    room = np.full((530, 700), np.nan, np.float32)
+    assert transfer.arp(drives, out=room) is room
+    np.testing.assert_array_equal(room, transfer.arp(drives))
+    expected = one_by_one(array, points, normals, drives[::100])
+    assert np.linalg.norm(room[::100] - expected) < 1e-4 * np.linalg.norm(expected)
+
+
+@pytest.mark.parametrize("frames", [70, 600])
+def test_kernels_for_gpus_give_the_same_in_several_batches(frames: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("palmfield.acoustics.transfer.GPU_SCRATCH_BYTES", 0)
+    array = layout("uhev1")
+    points, normals = skin(40)
+    drives = circle(array, frames)
+    transfer = Transfer(FieldEvaluator(array, AIR, "cpu"), points, normals, AIR)
+    expected = transfer.arp(drives)
+    assert np.linalg.norm(transfer.arp_on_gpu(drives).numpy() - expected) < 1e-5 * np.linalg.norm(expected)
+    assert transfer.arp_on_gpu(drives[:0]).shape == (0, 40)
+
+
 def test_bad_input() -> None:
     array = layout("uhev1")
     points, normals = skin(10)
@@ -104,6 +129,9 @@ def test_bad_input() -> None:
         transfer.arp(drives)
     with pytest.raises(SceneError, match="ARP law 'beta'"):
         transfer.arp(np.ones((3, 256)), "beta")
+    for room in (np.empty((3, 11), np.float32), np.empty((3, 10)), np.empty((10, 3), np.float32).T):
+        with pytest.raises(PalmfieldError, match="out is float"):
+            transfer.arp(np.ones((3, 256)), out=room)
     with pytest.raises(PalmfieldError, match="GiB"):
         Transfer(evaluator, np.tile(points, (100_000, 1)), np.tile(normals, (100_000, 1)), AIR)
     with pytest.raises(PalmfieldError, match="near and far"):

@@ -1,0 +1,238 @@
+"""Thousands of focus positions on the same skin: the transfer matrix against frame by frame. Writes a markdown page.
+
+python scripts/bench_frames.py                      # the processor: docs/bench/frames.md
+python scripts/bench_frames.py --device cuda:0      # a GPU: prints its table only, or writes --out
+"""
+
+import argparse
+import os
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from palmfield.acoustics.air import density, sound_speed
+from palmfield.acoustics.arp import arp
+from palmfield.acoustics.arrays import layout
+from palmfield.acoustics.field import FieldEvaluator
+from palmfield.acoustics.focus import focus
+from palmfield.acoustics.reference import pressure64
+from palmfield.acoustics.transfer import Transfer
+from palmfield.bench.field import device_name, git_commit
+from palmfield.bench.processes import cores, yardstick
+from palmfield.bench.table import processor
+from palmfield.device import resolve
+from palmfield.drive.quantise import quantise
+from palmfield.types import Air, Array, Complex, Float, Float32
+
+ROOT = Path(__file__).resolve().parents[1]
+AIR = Air()
+LAYOUT = "uhev1"
+FRAMES, TURNS, RADIUS_M, HEIGHT_M = 8000, 40, 0.01, 0.2
+POINTS = 20_000
+RUNS, ONE_BY_ONE, CHECKED = 5, 20, 5
+SGEMM = 4000
+"""Rows of the matrices whose product is taken as the ceiling."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """Frames and what float64 makes of CHECKED of them; expected: ARP [Pa], shape (CHECKED, POINTS)."""
+
+    name: str
+    drives: Complex
+    expected: Float
+
+    def error(self, found: Float32) -> float:
+        """Relative L2 difference; found: ARP of all frames."""
+        return float(np.linalg.norm(found[some()] - self.expected) / np.linalg.norm(self.expected))
+
+
+def skin() -> tuple[Float, Float]:
+    """Points on a shallow dome over the array and its normals, which look down."""
+    x, y = np.random.default_rng(0).uniform(-0.05, 0.05, (2, POINTS))
+    normals = np.column_stack([4.0 * x, 4.0 * y, -np.ones(POINTS)])
+    points = np.column_stack([x, y, HEIGHT_M + 2.0 * (x * x + y * y)])
+    return points, normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
+
+def circle(array: Array) -> Complex:
+    """Drives of a focus that runs round, shape (FRAMES, transducers); no two are the same."""
+    angle = np.linspace(0.0, 2.0 * np.pi * TURNS, FRAMES)
+    places = RADIUS_M * np.column_stack([np.cos(angle), np.sin(angle), np.full(FRAMES, HEIGHT_M / RADIUS_M)])
+    return np.array([focus(array, AIR, place) for place in places])
+
+
+def arp64(points: Float, normals: Float, array: Array, drive: Complex) -> Float:
+    """ARP [Pa] by the default law in float64 NumPy, from `pressure64` on."""
+    p, slope = pressure64(points, array, drive, AIR, gradient=True)
+    assert slope is not None
+    rho, c = density(AIR), sound_speed(AIR)
+    u = slope / (2j * np.pi * array.frequency_Hz * rho)
+    along = np.einsum("ij,ij->i", u, normals)
+    tangential = u - along[:, None] * normals
+    load = np.abs(p) ** 2 / (rho * c**2) - rho * (np.abs(tangential) ** 2).sum(axis=1)
+    return np.where((p * along.conj()).real < 0.0, load, 0.0)
+
+
+def median_s(work: Callable[[], object], runs: int = RUNS) -> float:
+    seconds = []
+    for _ in range(runs):
+        start = time.perf_counter()
+        work()
+        seconds.append(time.perf_counter() - start)
+    return statistics.median(seconds)
+
+
+def ceiling(threads: int) -> float:
+    """GFLOP/s of a large float32 product of NumPy's BLAS on so many threads."""
+    matrix = np.random.default_rng(0).normal(size=(SGEMM, SGEMM)).astype(np.float32)
+    with threadpool_limits(threads, user_api="blas"):
+        return 2e-9 * SGEMM**3 / median_s(lambda: matrix @ matrix)
+
+
+def some() -> NDArray[np.int64]:
+    """Frames that are compared with float64."""
+    return np.linspace(0, FRAMES - 1, CHECKED).astype(int)
+
+
+def one_by_one(evaluator: FieldEvaluator, points: Float, normals: Float, drives: Complex) -> None:
+    for drive in drives[:ONE_BY_ONE]:
+        field = evaluator.pressure(points, drive, gradient=True)
+        arp(field, normals, AIR, evaluator.array.frequency_Hz, device="cpu")
+
+
+def new_pages_s() -> float:
+    """Seconds by which the result's memory is dearer to fill when it's new."""
+    used = np.ones((FRAMES, POINTS), np.float32)
+    return median_s(lambda: np.ones_like(used)) - median_s(lambda: used.fill(2.0))
+
+
+def on_cpu(points: Float, normals: Float, cases: list[Case]) -> list[str]:
+    lines = [
+        "| frames | threads | matrix [s] | rank | reduction [s] | product and ARP [s] | GFLOP/s | frame by frame [s] "
+        "| error |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    for threads in sorted({1, os.cpu_count() or 1}):
+        evaluator = FieldEvaluator(layout(LAYOUT), AIR, "cpu", threads=threads)
+        transfer = Transfer(evaluator, points, normals, AIR)
+        build_s = median_s(partial(Transfer, evaluator, points, normals, AIR))
+        for case in cases:
+            single_s = median_s(partial(one_by_one, evaluator, points, normals, case.drives)) * FRAMES / ONE_BY_ONE
+            with threadpool_limits(1, user_api="blas"):
+                reduce_s = median_s(partial(transfer.reduced, case.drives))
+            error = case.error(transfer.arp(case.drives))
+            arp_s = median_s(partial(transfer.arp, case.drives)) - reduce_s
+            rank = transfer.reduced(case.drives)[0].shape[1]
+            work = 2.0 * (2.0 * rank) * (8.0 * POINTS) * FRAMES
+            lines.append(
+                f"| {case.name} | {threads} | {build_s:.2f} | {rank} | {reduce_s:.2f} | {arp_s:.2f} "
+                f"| {1e-9 * work / arp_s:.0f} | {single_s:.0f} | {error:.1e} |"
+            )
+    return lines
+
+
+def gpu_s(transfer: Transfer, drives: Complex, device: str) -> float:
+    """Seconds of one call, with the GPU idle before and after."""
+    wp.synchronize_device(device)
+    start = time.perf_counter()
+    kept = transfer.arp_on_gpu(drives)
+    wp.synchronize_device(device)
+    seconds = time.perf_counter() - start
+    assert kept.shape == (FRAMES, POINTS)
+    return seconds
+
+
+def on_gpu(points: Float, normals: Float, cases: list[Case], device: str) -> list[str]:
+    lines = [
+        "| frames | rank | first call [s] | again [s] | of both, reduction on the processor [s] | error |",
+        "|---|---|---|---|---|---|",
+    ]
+    evaluator = FieldEvaluator(layout(LAYOUT), AIR, device)
+    for case in cases:
+        transfer = Transfer(evaluator, points, normals, AIR)
+        error = case.error(transfer.arp_on_gpu(case.drives).numpy())
+        first_s = statistics.median(
+            gpu_s(Transfer(evaluator, points, normals, AIR), case.drives, device) for _ in range(RUNS)
+        )
+        again_s = statistics.median(gpu_s(transfer, case.drives, device) for _ in range(RUNS))
+        reduce_s = median_s(partial(transfer.reduced, case.drives))
+        rank = transfer.reduced(case.drives)[0].shape[1]
+        lines.append(f"| {case.name} | {rank} | {first_s:.3f} | {again_s:.3f} | {reduce_s:.3f} | {error:.1e} |")
+    return lines
+
+
+def head(device: str, commit: str) -> list[str]:
+    option = "" if device == "cpu" else f" --device {device} --out docs/bench/frames.md"
+    peaks = ", ".join(f"{ceiling(n):.0f} on {n}" for n in sorted({1, os.cpu_count() or 1}))
+    with threadpool_limits(1, user_api="blas"):
+        yard_s = statistics.median(yardstick() for _ in range(RUNS))
+    share = statistics.median(cores() for _ in range(RUNS))
+    place = processor() if device == "cpu" else f"{device_name(device)}, Warp {wp.__version__}, beside {processor()}"
+    return [
+        f"    python scripts/bench_frames.py{option}",
+        "",
+        f"{place}; commit {commit}. Yardstick: one float64 product of 1000 x 1000 matrices on one thread took "
+        f"{1e3 * yard_s:.1f} ms; {os.cpu_count()} threads of plain hashing did {share:.2f} times the work of one. "
+        f"NumPy's product of {SGEMM} x {SGEMM} float32 matrices, the ceiling, in GFLOP/s: {peaks} threads.",
+        "",
+    ]
+
+
+TEXT = f"""# Many frames on the same skin
+
+{FRAMES} frames of 256 transducers (uhev1) to radiation pressure on {POINTS} points of a dome {HEIGHT_M:g} m above: a
+focus that goes {TURNS} times round a circle of {2e3 * RADIUS_M:g} mm (frames differ, so none is computed twice), and
+the same with its phases rounded to 8 bits. `Transfer` computes the matrix of pressures and gradients once, reduces the
+frames to the dimensions that they span, where that saves work, and turns all of them into ARP by products. The result
+holds {4e-6 * FRAMES * POINTS:.0f} MB. Medians of {RUNS} runs. Error: relative L2 difference to float64 over {CHECKED}
+frames.
+"""
+
+CPU_TEXT = f"""
+The matrix serves any number of frames. GFLOP/s is the product's work over the time of product and ARP. Of that time
+{{pages_s:.2f}} s go to the system, which clears new pages for the result; `out` saves them. Frame by frame is
+extrapolated from {ONE_BY_ONE} frames.
+"""
+
+GPU_TEXT = """
+All times hold the whole call of `Transfer.arp_on_gpu`, from NumPy drives to ARP on the GPU, after a call that compiled
+the kernels. A reduced matrix goes over with every call, as it depends on the frames; a whole one only with the first.
+"""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--device", default="cpu")
+    parser.add_argument("--commit", default="", help="where no git is")
+    parser.add_argument("--out", type=Path, help="page [default: docs/bench/frames.md, none on a GPU]")
+    given = parser.parse_args()
+    device = resolve(given.device)
+    array, (points, normals) = layout(LAYOUT), skin()
+    exact = circle(array)
+    cases = []
+    for name, drives in (("circle", exact), ("circle, 8 bits", quantise(exact, phase_steps=256))):
+        expected = np.array([arp64(points, normals, array, drives[i]) for i in some()])
+        cases.append(Case(name, drives, expected))
+    lines = head(device, given.commit or git_commit())
+    if device == "cpu":
+        lines = [TEXT, *lines, *on_cpu(points, normals, cases), CPU_TEXT.format(pages_s=new_pages_s())]
+    else:
+        lines = ["", "## On a GPU", "", *lines, *on_gpu(points, normals, cases, device), GPU_TEXT]
+    text = "\n".join(lines)
+    print(text)
+    if given.out is not None or device == "cpu":
+        with open(given.out or ROOT / "docs" / "bench" / "frames.md", "w" if device == "cpu" else "a") as page:
+            page.write(text)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,90 @@
+"""Limits of the model, against the Rayleigh integral and published shock distances."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from palmfield.acoustics.air import sound_speed
+from palmfield.acoustics.arrays import layout, with_faults
+from palmfield.acoustics.focus import focus
+from palmfield.acoustics.reference import pressure64
+from palmfield.acoustics.validity import far_field_m, near_field_m, shock_distance_m, warnings
+from palmfield.bench.rayleigh import hemisphere, one_piston, piston
+from palmfield.errors import PalmfieldError
+from palmfield.types import Air
+
+AIR = Air()
+K = 2 * np.pi * 40e3 / sound_speed(AIR)
+FOCUS = np.array([0.0, 0.0, 0.2])
+
+
+@pytest.mark.parametrize("kb", [1.0, 2.0, 3.0, 3.3])
+@pytest.mark.parametrize("error", [0.1, 0.01, 1e-3])
+def test_far_field_begins_where_the_rayleigh_integral_says(kb: float, error: float) -> None:
+    one = one_piston(kb / K)
+    distance = far_field_m(one, error)
+    points = hemisphere(distance)
+    ratio = pressure64(points, one, [1.0], AIR, absorption_Np_m=0.0)[0] / piston(points, kb / K, K, 1.0)
+    assert 0.5 * error < np.abs(np.abs(ratio) - 1.0).max() < 1.01 * error
+    assert np.abs(np.angle(ratio)).max() < 1.4 * near_field_m(one, AIR) / (2.0 * distance)
+
+
+def test_near_field_of_the_usual_transducer() -> None:
+    assert near_field_m(layout("uhev1"), AIR) == pytest.approx(7.4e-3, abs=5e-5)
+    assert near_field_m(replace(layout("uhev1"), piston_radius_m=0.0), AIR) == 0.0
+
+
+@pytest.mark.parametrize(("pressure", "published_m"), [(1300.0, 0.124), (8500.0, 0.019)])
+def test_shock_distance(pressure: float, published_m: float) -> None:
+    assert shock_distance_m(pressure, AIR, 40e3) == pytest.approx(published_m, abs=5e-4)
+    assert shock_distance_m(-2.0 * pressure, AIR, 40e3) == pytest.approx(published_m / 2, abs=5e-4)
+    assert shock_distance_m(0.0, AIR, 40e3) == np.inf
+
+
+def focused(p0_Pa_m: float, z: float = 0.2, name: str = "uhev1") -> list[str]:
+    array = layout(name, p0_Pa_m)
+    at = np.array([0.0, 0.0, z])
+    return warnings(array, at, pressure64(at[None], array, focus(array, AIR, at), AIR)[0], AIR)
+
+
+def test_a_quiet_far_focus_needs_no_warning() -> None:
+    assert focused(0.2) == []
+
+
+def test_warnings_come_with_loudness() -> None:
+    (shock,) = focused(2.53)
+    assert shock.startswith("focal distance / shock distance is") and "harmonics" in shock
+    shock, saturation = focused(4.386, name="autd3_2x2")
+    assert "radiation pressure" in saturation and "saturate near 500 Pa" in saturation
+
+
+def test_a_near_point_is_warned_of() -> None:
+    array = layout("uhev1")
+    points = np.array([[0.0, 0.0, 0.1], array.positions[5] + [0.0, 0.0, 0.02]])
+    (near,) = warnings(array, points, np.ones(2), AIR)
+    assert near.startswith("a point is 20.0 mm from a transducer: nearer than 30 mm")
+    assert warnings(replace(array, piston_radius_m=0.0), points, np.ones(2), AIR) == []
+
+
+def test_pressure_that_the_array_cannot_give_is_implausible() -> None:
+    array = layout("uhev1", 0.3)
+    most = float((0.3 / np.linalg.norm(array.positions - FOCUS, axis=1)).sum())
+    assert not any("can give" in line for line in warnings(array, FOCUS, most, AIR))
+    assert any("can give" in line for line in warnings(array, FOCUS, 1.01 * most, AIR))
+    halved = with_faults(array, dead=list(range(128)))
+    assert any("can give" in line for line in warnings(halved, FOCUS, most, AIR))
+    assert any("air's own pressure" in line for line in warnings(array, FOCUS, 2e5j, AIR))
+
+
+def test_bad_input() -> None:
+    array = layout("uhev1")
+    with pytest.raises(PalmfieldError, match=r"pressure has shape \(2,\)"):
+        warnings(array, FOCUS, [1.0, 2.0], AIR)
+    with pytest.raises(PalmfieldError, match=r"pressure\[0\] is not finite"):
+        warnings(array, FOCUS, np.nan, AIR)
+    with pytest.raises(PalmfieldError, match="pressure_Pa = nan"):
+        shock_distance_m(np.nan, AIR, 40e3)
+    with pytest.raises(PalmfieldError, match=r"error = 0\.5"):
+        far_field_m(array, 0.5)
+    assert warnings(array, np.zeros((0, 3)), [], AIR) == []

@@ -1,0 +1,45 @@
+"""`palmfield bench` as a user types it."""
+
+import inspect
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+from palmfield import cli
+from palmfield.bench import field
+
+
+def call(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple:
+    monkeypatch.setattr(sys, "argv", ["palmfield", *arguments])
+    with pytest.raises(SystemExit) as stop:
+        cli.main()
+    return stop.value.code, capsys.readouterr()
+
+
+def test_help_lists_what_there_is_and_teaches(monkeypatch, capsys) -> None:
+    code, out = call(monkeypatch, capsys, "bench", "--help")
+    assert code == 0 and re.search(r"^\W*field\s+Speed and error", out.out, re.MULTILINE)
+    code, out = call(monkeypatch, capsys, "bench", "field", "--help")
+    assert code == 0 and "palmfield bench field --only palmfield" in out.out
+
+
+def test_options_and_defaults_are_those_of_the_benchmark() -> None:
+    command, measured = inspect.signature(cli.bench_field), inspect.signature(field.main)
+    assert {name: one.default for name, one in command.parameters.items()} == {
+        name: one.default for name, one in measured.parameters.items()
+    }
+
+
+def test_it_prints_what_it_writes(tmp_path: Path, monkeypatch, capsys) -> None:
+    file = tmp_path / "field.md"
+    options = ("--points", "200", "--runs", "1", "--only", "NumPy", "--out", str(file))
+    code, out = call(monkeypatch, capsys, "bench", "field", *options)
+    assert code == 0 and out.out == file.read_text()
+    assert "palmfield bench field --points 200 --runs 1 --only 'NumPy' --out FILE" in out.out
+
+
+def test_bad_option_is_one_line_and_exit_code_2(monkeypatch, capsys) -> None:
+    code, out = call(monkeypatch, capsys, "bench", "field", "--runs", "0")
+    assert code == 2 and out.err == "palmfield: --runs has value 0; allowed: 1 to 63\n"
