@@ -1,13 +1,13 @@
 """What a scene needs to be modelled, what is left out and why, and what it costs; decided before anything runs."""
 
 import io
-import math
 from dataclasses import dataclass
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from palmfield.acoustics import validity
 from palmfield.acoustics.air import absorption_Np_m, density, sound_speed
 from palmfield.acoustics.arp import LAWS
 from palmfield.acoustics.reference import pressure64
@@ -88,9 +88,12 @@ def warnings(scene: Scene) -> list[str]:
     focus = skin.to_array(frame_at(rig.stimulus, rig.stimulus.start_s).focus)
     nodes = pose.points(rig.mesh.nodes[: rig.mesh.surface_nodes])
     distance = float(np.linalg.norm(nodes - focus, axis=1).min())
+    found = []
     if distance > max(rig.spot_fwhm_m, 2 * rig.sizes[1]):
-        return [f"the focus is {1e3 * distance:.0f} mm away from the skin layer, which then hardly moves"]
-    return []
+        found.append(f"the focus is {1e3 * distance:.0f} mm away from the skin layer, which then hardly moves")
+    drive, _ = rig.unit_drive(rig.reference_focus)
+    pressure = pressure64(rig.reference_focus[None], rig.array, drive, rig.air)[0]
+    return found + validity.warnings(rig.array, rig.reference_focus, pressure, rig.air)
 
 
 def _factor_s(dofs: float) -> float:
@@ -185,7 +188,7 @@ def _left_out(rig: Rig) -> tuple[Row, ...]:
     cutoff = shear_wave(rig.material, max(frequency, 50.0))[0] / (4 * float(rig.patch.depth.mean()))
     drive, _ = rig.unit_drive(rig.reference_focus)
     pressure = abs(pressure64(rig.reference_focus[None], rig.array, drive, rig.air)[0][0])
-    shock = density(rig.air) * c**3 / (1.2 * 2 * math.pi * rig.array.frequency_Hz * pressure)
+    shock = validity.shock_distance_m(pressure, rig.air, rig.array.frequency_Hz)
     rows = _sound_left_out(rig)
     rows += [
         Row(

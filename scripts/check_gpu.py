@@ -8,6 +8,7 @@ Needs a CUDA device. A pair is one transducer and one point; times are medians o
 import argparse
 import statistics
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -16,13 +17,14 @@ import warp as wp
 
 import palmfield
 from palmfield.acoustics.arrays import layout
-from palmfield.acoustics.field import FieldEvaluator
+from palmfield.acoustics.field import MODES, FieldEvaluator
 from palmfield.acoustics.focus import focus
 from palmfield.acoustics.reference import pressure64
 from palmfield.device import resolve
 from palmfield.engine.register import register
 from palmfield.types import Air
 
+eight = wp.types.vector(length=8, dtype=wp.float32)
 ROOT = Path(__file__).resolve().parents[1]
 SCENE = ROOT / "mjcf" / "scenes" / "palm_am200.xml"
 
@@ -51,6 +53,79 @@ def field_rows(device: str) -> list[str]:
     return rows
 
 
+SLOTS = {"p": 25.5, "p + gradient": 48.7}
+"""Instructions a pair in the inner loops of mode fast, as compiled for sm_90 (counted with nvdisasm)."""
+
+SINES = 3
+"""Of them on the special-function unit: a root, a sine, a cosine; it takes 16 a clock and multiprocessor."""
+
+CHAINS = 8
+
+
+@wp.kernel(module="unique", module_options={"fast_math": True}, enable_backward=False)
+def multiply_add(result: wp.array(dtype=wp.float32), rounds: int, factor: wp.float32):
+    thread = wp.tid()
+    values = eight()
+    for i in range(CHAINS):
+        values[i] = wp.float32(thread + i)
+    for _ in range(rounds):
+        for _ in range(CHAINS):
+            for i in range(CHAINS):
+                values[i] = values[i] * factor + factor
+    total = wp.float32(0.0)
+    for i in range(CHAINS):
+        total += values[i]
+    result[thread] = total
+
+
+def issue_rate(device: str) -> float:
+    """Fused multiply-adds that this GPU does a second, which is what its schedulers issue."""
+    result = wp.zeros(132 * 2048 * 8, dtype=wp.float32, device=device)
+    times = []
+    for _ in range(5):
+        wp.synchronize_device(device)
+        start = time.perf_counter()
+        wp.launch(multiply_add, dim=len(result), inputs=[result, 2000, 0.999], device=device)
+        wp.synchronize_device(device)
+        times.append(time.perf_counter() - start)
+    return len(result) * 2000 * CHAINS**2 / statistics.median(times)
+
+
+def kernel_rows(device: str, rate: float) -> list[str]:
+    """The field kernels by themselves: points and results stay on the GPU, 996 transducers, eight million points."""
+    array, air = layout("autd3_2x2"), Air()
+    array = replace(array, directivity_table=None)
+    drive = focus(array, air, np.array([0.02, -0.01, 0.2]))
+    rng = np.random.default_rng(2)
+    rows = []
+    for low, high in ((0.05, 0.4), (0.4, 1.2)):
+        points = rng.uniform([-0.15, -0.15, low], [0.15, 0.15, high], (8_000_000, 3))
+        exact = pressure64(points[:10_000], array, drive, air, gradient=True)
+        for mode in MODES:
+            evaluator = FieldEvaluator(array, air, device, mode=mode)
+            there = evaluator.upload(points)
+            for gradient in (False, True):
+                found = evaluator.pressure_on_gpu(there, drive, gradient)
+                times = []
+                for _ in range(7):
+                    wp.synchronize_device(device)
+                    start = time.perf_counter()
+                    found = evaluator.pressure_on_gpu(there, drive, gradient)
+                    wp.synchronize_device(device)
+                    times.append(time.perf_counter() - start)
+                errors = [
+                    np.linalg.norm(got.numpy()[: len(wanted)].view(np.complex64)[..., 0] - wanted)
+                    / np.linalg.norm(wanted)
+                    for got, wanted in zip(found, exact, strict=False)
+                ]
+                speed = len(points) * len(array) / statistics.median(times) / 1e12
+                what = "p + gradient" if gradient else "p"
+                error = ", gradient ".join(f"{e:.1e}" for e in errors)
+                share = f"{100 * speed * 1e12 * SLOTS[what] / rate:.0f} %" if mode == "fast" else ""
+                rows.append(f"| {low} to {high} m | {mode} | {what} | {speed:.3f} | {share} | {error} |")
+    return rows
+
+
 def sensor(device: str, steps: int = 20) -> tuple[np.ndarray, float]:
     scene = palmfield.load(SCENE, device=device)
     mujoco.mj_step(scene.model, scene.data)
@@ -69,6 +144,7 @@ def main() -> None:
     arguments = parser.parse_args()
     register()
     device = resolve("cuda:0")
+    rate = issue_rate(device)
     lines = [
         "# The GPU beside the CPU",
         "",
@@ -79,6 +155,19 @@ def main() -> None:
         "| device | what | G pairs/s | rel-L2 |",
         "|---|---|---|---|",
         *field_rows(device),
+        "",
+        "## The kernels by themselves",
+        "",
+        "996 transducers (four AUTD3 units, pistons with absorption), 8,000,000 points that stay on the GPU. "
+        f"It does {rate / 1e12:.1f} T multiply-adds a second. A pair takes {SLOTS['p']} instructions, with gradient "
+        f"{SLOTS['p + gradient']}: at most {rate / SLOTS['p'] / 1e12:.2f} and {rate / SLOTS['p + gradient'] / 1e12:.2f} "
+        f"T pairs/s; {SINES} of them are roots, sines and cosines, at most {rate / 8 / SINES / 1e12:.2f} T pairs/s.",
+        "",
+        "| distance | mode | what | T pairs/s | share of the issue ceiling | rel-L2 |",
+        "|---|---|---|---|---|---|",
+        *kernel_rows(device, rate),
+        "",
+        "## The main example",
         "",
     ]
     (gpu, gpu_s), (cpu, cpu_s) = sensor(device), sensor("cpu")
