@@ -184,7 +184,6 @@ def _thinned(rig: Rig) -> str:
 def _left_out(rig: Rig) -> tuple[Row, ...]:
     frequency = max(main_frequencies(rig.stimulus), default=0.0)
     far = np.linalg.norm(rig.array.positions - rig.reference_focus, axis=1)
-    c = sound_speed(rig.air)
     cutoff = shear_wave(rig.material, max(frequency, 50.0))[0] / (4 * float(rig.patch.depth.mean()))
     drive, _ = rig.unit_drive(rig.reference_focus)
     pressure = abs(pressure64(rig.reference_focus[None], rig.array, drive, rig.air)[0][0])
