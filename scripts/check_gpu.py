@@ -161,8 +161,8 @@ def main() -> None:
         "",
         "996 transducers (four AUTD3 units, pistons with absorption), 8,000,000 points that stay on the GPU. "
         f"It does {rate / 1e12:.1f} T multiply-adds a second. A pair takes {SLOTS['p']} instructions, with gradient "
-        f"{SLOTS['p + gradient']}: at most {most[0] / 1e12:.2f} and {most[1] / 1e12:.2f} T pairs/s; {SINES} of them are "
-        f"roots, sines and cosines, at most {most[2] / 1e12:.2f} T pairs/s.",
+        f"{SLOTS['p + gradient']}: at most {most[0] / 1e12:.2f} and {most[1] / 1e12:.2f} T pairs/s; {SINES} of "
+        f"them are roots, sines and cosines, at most {most[2] / 1e12:.2f} T pairs/s.",
         "",
         "| distance | mode | what | T pairs/s | share of the issue ceiling | rel-L2 |",
         "|---|---|---|---|---|---|",
