@@ -205,7 +205,7 @@ extrapolated from {ONE_BY_ONE} frames.
 
 GPU_TEXT = """
 All times hold the whole call of `Transfer.arp_on_gpu`, from NumPy drives to ARP on the GPU, after a call that compiled
-the kernels. A reduced matrix goes over with every call, as it depends on the frames; a whole one only with the first.
+the kernels. The matrix goes over with the first call.
 """
 
 

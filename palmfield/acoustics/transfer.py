@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import qr
 from threadpoolctl import threadpool_limits
 
 from palmfield.acoustics import check
@@ -13,11 +14,14 @@ from palmfield.acoustics.arp import arp, check_law, unit_normals
 from palmfield.acoustics.field import CUBIC_REACH_Np, FieldEvaluator, cubic_fall, distances, pool
 from palmfield.acoustics.groups import axes
 from palmfield.errors import PalmfieldError
-from palmfield.types import Air, Float32
+from palmfield.types import Air, Complex, Float32
 from warp_kernels import transfer as kernels
 
 DROPPED = 1e-5
 """Part of the drives' norm that a reduction to fewer frames may lose; the field loses as much at most in the mean."""
+SPAN_FROM = 0.7
+"""Share of the transducers above which fewer dimensions save no work."""
+FIRST_SAMPLE = 64
 
 # Eight rows of points for a block of frames are 1 MB: they stay in the cache between product and ARP
 POINTS_A_BLOCK = 256
@@ -158,24 +162,31 @@ class Transfer:
         parts = wp.empty((min(step, len(left)), 8 * self.points), dtype=wp.float32, device=device)
         for first in range(0, len(left), step):
             rows = stacked[first : min(first + step, len(left))]
-            wp.launch_tiled(
-                kernels.product,
-                dim=(-(-rows.shape[0] // kernels.TILE_FRAMES), -(-8 * self.points // kernels.TILE_COLUMNS)),
-                inputs=[rows, right, parts], block_dim=kernels.TILE_THREADS, device=device,
-            )  # fmt: skip
+            self._product(rows, right, parts[: rows.shape[0]])
             inputs = [parts, per_pressure, per_slope, first, result]
             wp.launch(kernels.arp_columns, dim=(rows.shape[0], self.points), inputs=inputs, device=device)
         return result
 
     def _gpu_matrix(self, basis: NDArray[np.complex64] | None) -> Any:
         """Real form of the matrix: (real, imaginary) rows of the drive -> four real and four imaginary blocks."""
-        if basis is None and self._on_gpu is not None:
-            return self._on_gpu
-        right = real_form(self._matrix, basis)
-        uploaded: Any = wp.array(right, dtype=wp.float32, device=self.evaluator.device)
+        device = self.evaluator.device
+        if self._on_gpu is None:
+            self._on_gpu = wp.array(real_form(self._matrix, None), dtype=wp.float32, device=device)
         if basis is None:
-            self._on_gpu = uploaded
-        return uploaded
+            return self._on_gpu
+        back = basis.conj().T
+        rows: Any = wp.array(np.block([[back.real, back.imag], [-back.imag, back.real]]), wp.float32, device=device)
+        reduced = wp.empty((len(rows), 8 * self.points), dtype=wp.float32, device=device)
+        self._product(rows, self._on_gpu, reduced)
+        return reduced
+
+    def _product(self, left: Any, right: Any, result: Any) -> None:
+        """result = left @ right on the GPU."""
+        tiles = (-(-result.shape[0] // kernels.TILE_FRAMES), -(-result.shape[1] // kernels.TILE_COLUMNS))
+        wp.launch_tiled(
+            kernels.product, dim=tiles, inputs=[left, right, result], block_dim=kernels.TILE_THREADS,
+            device=self.evaluator.device,
+        )  # fmt: skip
 
     def _weights(self, law: str) -> tuple[float, float]:
         """Factors of |p|^2 and of |grad p/k|^2 along the surface; |u| = |grad p|/(w rho), so rho |u|^2 has the same."""
@@ -192,16 +203,42 @@ class Transfer:
         frames = check.frames(drives, self.evaluator.array)
         if self.evaluator.array.gain is not None:
             frames = frames * self.evaluator.array.gain
-        elements = frames.shape[1]
-        if len(frames) > 2 * elements:
-            energy, vectors = np.linalg.eigh(frames.conj().T @ frames)
-            lost = np.cumsum(np.maximum(energy, 0.0))
-            rank = elements - int(np.searchsorted(lost, DROPPED**2 * lost[-1], side="right"))
-            if rank < 0.7 * elements:
-                # p = F H is F V V^H H: with F = sum of rows in the span of V's conjugate
-                basis = vectors[:, elements - rank :]
-                return (frames @ basis).astype(np.complex64), basis.astype(np.complex64)
-        return frames.astype(np.complex64), None
+        found = span(frames) if len(frames) > 2 * frames.shape[1] else None
+        if found is None:
+            return frames.astype(np.complex64), None
+        coordinates, basis = found
+        return coordinates.astype(np.complex64), basis.astype(np.complex64)
+
+
+def span(frames: Complex) -> tuple[Complex, Complex] | None:
+    """Coordinates C and orthonormal basis V, shape (transducers, r), with frames = C V^H but for DROPPED of their norm.
+
+    None where r isn't well below the number of transducers. The basis comes from few frames: some at random, then
+    those that the basis of the others serves worst.
+    """
+    elements = frames.shape[1]
+    energy = np.einsum("ij,ij->i", frames.view(float), frames.view(float))
+    if not energy.any():
+        return None
+    sample = np.random.default_rng(0).permutation(len(frames))[:FIRST_SAMPLE]
+    while len(sample) < elements:
+        columns, triangle, _ = qr(frames[sample].T, mode="economic", pivoting=True)
+        weight = np.abs(np.diag(triangle))
+        rank = int(np.count_nonzero(weight > 0.1 * DROPPED * weight[0]))
+        if rank >= SPAN_FROM * elements:
+            return None
+        basis = columns[:, :rank].conj()
+        if rank < len(sample):
+            inside = frames @ basis
+            lost = energy - np.einsum("ij,ij->i", inside.view(float), inside.view(float))
+            if lost.sum() <= DROPPED**2 * energy.sum():
+                return inside, basis
+            worst = np.argsort(lost)[-len(sample) :]
+        else:
+            worst = np.arange(len(frames))
+        fresh = np.setdiff1d(worst, sample)
+        sample = np.append(sample, np.random.default_rng(1).permutation(fresh)[: len(sample)])
+    return None
 
 
 def real_form(matrix: Float32, basis: NDArray[np.complex64] | None) -> Float32:

@@ -10,7 +10,7 @@ from palmfield.acoustics.arrays import layout, with_faults
 from palmfield.acoustics.field import FieldEvaluator
 from palmfield.acoustics.focus import focus
 from palmfield.acoustics.reference import pressure64
-from palmfield.acoustics.transfer import Transfer, arp_frames
+from palmfield.acoustics.transfer import DROPPED, Transfer, arp_frames, span
 from palmfield.errors import PalmfieldError, SceneError
 from palmfield.types import Air, Array, Complex, Float
 
@@ -63,6 +63,27 @@ def test_frames_without_structure_are_not_reduced_and_stay_right() -> None:
     found = Transfer(FieldEvaluator(array, AIR, "cpu"), points, normals, AIR).arp(drives)
     expected = one_by_one(array, points, normals, drives[:5])
     assert np.linalg.norm(found[:5] - expected) < 1e-4 * np.linalg.norm(expected)
+
+
+def test_span_finds_a_frame_that_is_unlike_all_others() -> None:
+    drives = circle(layout("uhev1"), 3000)
+    drives[1234] = np.exp(2j * np.pi * np.random.default_rng(4).random(256))
+    found = span(drives)
+    assert found is not None
+    coordinates, basis = found
+    assert basis.shape[1] < 40
+    assert np.linalg.norm(basis.conj().T @ basis - np.eye(basis.shape[1])) < 1e-12
+    assert np.linalg.norm(coordinates @ basis.conj().T - drives) <= DROPPED * np.linalg.norm(drives)
+
+
+def test_span_of_silence_and_of_noise() -> None:
+    assert span(np.zeros((600, 256), complex)) is None
+    noise = np.random.default_rng(5).normal(size=(600, 256, 2)) @ [1.0, 1j]
+    assert span(noise) is None
+    low = noise[:, :100] @ noise[:100]
+    found = span(low)
+    assert found is not None and found[1].shape == (256, 100)
+    assert np.linalg.norm(found[0] @ found[1].conj().T - low) < DROPPED * np.linalg.norm(low)
 
 
 def test_gain_tilt_and_pressure() -> None:
