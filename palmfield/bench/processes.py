@@ -5,6 +5,7 @@ import json
 import os
 import statistics
 import subprocess
+import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -61,6 +62,9 @@ class Process:
     def __init__(self, python: Path, path: Path, one: Measured, problem: Path, words: Path) -> None:
         self.name = one.method.name
         self.words = words
+        paths = [str(path)]
+        if python == Path(sys.executable) and os.environ.get("PYTHONPATH"):
+            paths.append(os.environ["PYTHONPATH"])
         with words.open("w") as stream:
             self.child = subprocess.Popen(
                 [python, "-m", "palmfield.bench.worker", one.module, self.name, problem],
@@ -68,7 +72,7 @@ class Process:
                 stdout=subprocess.PIPE,
                 stderr=stream,
                 text=True,
-                env={**os.environ, **ONE_THREAD, "PYTHONPATH": str(path)},
+                env={**os.environ, **ONE_THREAD, "PYTHONPATH": os.pathsep.join(paths)},
             )
 
     def __enter__(self) -> "Process":
