@@ -62,7 +62,7 @@ def main() -> None:
         "",
         f"`python scripts/bench_threads.py`, {processor()}, {os.cpu_count()} cores seen, commit {git_commit()}. "
         f"Pressure of 996 pistons with absorption, mode fast. {given.turns} turns each: plain hashing on all cores "
-        "over one, the same for the field, hashing again; sorted by the mean of the two hashings, medians of each class.",
+        "over one, the same for the field, hashing again; sorted by the mean of the two hashings, medians of each.",
         "",
         "| points | hashing, all cores over one | turns | field, all cores over one | M pairs/s on all |",
         "|---|---|---|---|---|",
