@@ -2,13 +2,12 @@
 
 Phasors go with e^{-i w t}. Transducers come in groups that share a plane and an axis: in the group's frame (x, y in the
 plane, z along the axis) they differ by x, y, strength and phase alone, and z^2, cos^2 of the angle off the axis and
-"behind the plane" cost nothing or nearly nothing a pair.
+"behind the plane" cost nothing or nearly nothing a pair. Where they share only the axis each has a z as well.
 
 One thread holds several points. On the CPU, where Warp runs scalar code per thread, LLVM vectorises the loop over them:
 16 fill one AVX-512 register. On a GPU 3 or 4 share the loads of a transducer.
 
-Choices are made when the kernels are built (`Form`): among them where the phase comes from (`angle_*`), and how the
-amplitude falls with distance (`fall_*`).
+Choices are made when the kernels are built (`Form`), among them those of functions `angle_*` and `fall_*`.
 """
 
 import functools
@@ -170,12 +169,14 @@ class Form:
     accurate: geometry and phase in float64, the rest in float32
     steep: exponential fall with distance instead of a cubic
     smooth: directivity as a quartic and its slope as a cubic, instead of a quintic and a quartic
+    flat: a group's transducers lie in a plane; else the fourth number of an element is its height over it
     """
 
     gpu: bool
     accurate: bool
     steep: bool
     smooth: bool
+    flat: bool
 
     @property
     def angle(self) -> Any:
@@ -204,6 +205,7 @@ def pressure(form: Form) -> Any:
     row = row64 if form.accurate else row32
     root = root64 if form.accurate else root32
     angle = form.angle
+    flat = form.flat
     fall = fall_exponential if form.steep else fall_cubic
     directivity = quartic if form.smooth else quintic
 
@@ -218,14 +220,14 @@ def pressure(form: Form) -> Any:
         sound: Sound,
         result: wp.array(dtype=wp.vec2),
     ):
-        """By group: origin, rotation into its frame, range of its transducers. By transducer: x, y and phase; strength
+        """By group: origin, rotation into its frame, range of its transducers. By transducer: x, y, phase, z; strength
         [Pa m] times the coefficients of the fall. result: real and imaginary pressure [Pa] by point.
         """
         first = wp.tid() * width
         count = points.shape[0]
         x = places()
         y = places()
-        z2 = places()
+        z = places()  # its square in the flat form
         near = lanes()
         re = lanes()
         im = lanes()
@@ -235,9 +237,13 @@ def pressure(form: Form) -> Any:
                 local = turns[group] * (points[wp.min(first + i, count - 1)] - origins[group])
                 x[i] = local[0]
                 y[i] = local[1]
-                z2[i] = local[2] * local[2] + real(NEAREST_M2)
-                near[i] = wp.float32(z2[i])
-                front[i] = wp.where(local[2] > real(0.0), wp.float32(1.0), wp.float32(0.0))
+                if flat:
+                    z[i] = local[2] * local[2] + real(NEAREST_M2)
+                    near[i] = wp.float32(z[i])
+                    front[i] = wp.where(local[2] > real(0.0), wp.float32(1.0), wp.float32(0.0))
+                else:
+                    z[i] = local[2]
+                    front[i] = wp.float32(1.0)
             part_re = lanes()
             part_im = lanes()
             for e in range(ranges[group][0], ranges[group][1]):
@@ -246,13 +252,23 @@ def pressure(form: Form) -> Any:
                 for i in range(width):
                     dx = x[i] - element[0]
                     dy = y[i] - element[1]
-                    square = dx * dx + (dy * dy + z2[i])
+                    if flat:
+                        z2 = z[i]
+                    else:
+                        dz = z[i] - element[3]
+                        z2 = dz * dz + real(NEAREST_M2)
+                    square = dx * dx + (dy * dy + z2)
                     distance = root(square)
                     d = distance[0]
                     inverse = distance[1]
                     wave = angle(sound, square, d, inverse, element[2])
                     gain = fall(sound, strength, d, inverse)
-                    gain *= directivity(sound.directivity, near[i] * (inverse * inverse))
+                    if flat:
+                        rise2 = near[i]
+                    else:
+                        rise2 = wp.float32(z2)
+                        gain = wp.where(dz > real(0.0), gain, wp.float32(0.0))
+                    gain *= directivity(sound.directivity, rise2 * (inverse * inverse))
                     part_re[i] += gain * wave[0]
                     part_im[i] += gain * wave[1]
             for i in range(width):
@@ -280,6 +296,7 @@ def gradient(form: Form) -> Any:
     row = row64 if form.accurate else row32
     root = root64 if form.accurate else root32
     angle = form.angle
+    flat = form.flat
     fall = fall_exponential if form.steep else fall_cubic
     directivity = quartic if form.smooth else quintic
     slope = cubic if form.smooth else quartic
@@ -303,15 +320,18 @@ def gradient(form: Form) -> Any:
         spread = -1.0 / sound.wavenumber_rad_m
         x = places()
         y = places()
-        z2 = places()
+        z = places()  # its square in the flat form
         near = lanes()
         for group in range(ranges.shape[0]):
             for i in range(width):
                 local = turns[group] * (points[wp.min(first + i, count - 1)] - origins[group])
                 x[i] = local[0]
                 y[i] = local[1]
-                z2[i] = local[2] * local[2] + real(NEAREST_M2)
-                near[i] = wp.float32(z2[i])
+                if flat:
+                    z[i] = local[2] * local[2] + real(NEAREST_M2)
+                    near[i] = wp.float32(z[i])
+                else:
+                    z[i] = local[2]
             re = lanes()
             im = lanes()
             x_re = lanes()
@@ -326,16 +346,26 @@ def gradient(form: Form) -> Any:
                 for i in range(width):
                     dx = x[i] - element[0]
                     dy = y[i] - element[1]
-                    square = dx * dx + (dy * dy + z2[i])
+                    if flat:
+                        z2 = z[i]
+                    else:
+                        dz = z[i] - element[3]
+                        z2 = dz * dz + real(NEAREST_M2)
+                    square = dx * dx + (dy * dy + z2)
                     distance = root(square)
                     d = distance[0]
                     inverse = distance[1]
                     wave = angle(sound, square, d, inverse, element[2])
                     gain = fall(sound, strength, d, inverse)
+                    if flat:
+                        rise2 = near[i]
+                    else:
+                        rise2 = wp.float32(z2)
+                        gain = wp.where(dz > real(0.0), gain, wp.float32(0.0))
                     wave_re = gain * wave[0]
                     wave_im = gain * wave[1]
                     inverse2 = inverse * inverse
-                    q = near[i] * inverse2
+                    q = rise2 * inverse2
                     direct = directivity(sound.directivity, q)
                     bend = inverse2 * slope(sound.slope, q)
                     swing = direct * inverse
@@ -348,16 +378,20 @@ def gradient(form: Form) -> Any:
                     x_im[i] += along_im * wp.float32(dx)
                     y_re[i] += along_re * wp.float32(dy)
                     y_im[i] += along_im * wp.float32(dy)
-                    z_re[i] += along_re + bend * wave_re
-                    z_im[i] += along_im + bend * wave_im
+                    if flat:
+                        z_re[i] += along_re + bend * wave_re
+                        z_im[i] += along_im + bend * wave_im
+                    else:
+                        z_re[i] += wp.float32(dz) * (along_re + bend * wave_re)
+                        z_im[i] += wp.float32(dz) * (along_im + bend * wave_im)
             back = wp.transpose(turns[group])
             for i in range(width):
                 if first + i < count:
                     local = turns[group] * (points[first + i] - origins[group])
-                    if local[2] > real(0.0):
-                        z = wp.float32(local[2])
-                        cosine = wp.vec3(x_re[i], y_re[i], z * z_re[i]) * sound.wavenumber_rad_m
-                        sine = wp.vec3(x_im[i], y_im[i], z * z_im[i]) * sound.wavenumber_rad_m
+                    height = wp.float32(local[2]) if flat else wp.float32(1.0)
+                    if height > 0.0:
+                        cosine = wp.vec3(x_re[i], y_re[i], height * z_re[i]) * sound.wavenumber_rad_m
+                        sine = wp.vec3(x_im[i], y_im[i], height * z_im[i]) * sound.wavenumber_rad_m
                         result[first + i] = result[first + i] + wp.vec2(re[i], im[i])
                         for j in range(3):
                             axis = wp.vec3(wp.float32(back[j, 0]), wp.float32(back[j, 1]), wp.float32(back[j, 2]))

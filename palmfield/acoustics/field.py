@@ -2,6 +2,7 @@
 
 import functools
 import os
+import warnings
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -11,7 +12,7 @@ import warp as wp
 from numpy.polynomial import Chebyshev, Polynomial
 from numpy.typing import ArrayLike, NDArray
 
-from palmfield.acoustics import check, polynomials
+from palmfield.acoustics import check, polynomials, validity
 from palmfield.acoustics.air import absorption_Np_m as air_absorption
 from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.groups import groups
@@ -42,6 +43,7 @@ class FieldEvaluator:
 
     mode: "fast" computes in float32, whose phase error grows with distance: 1.2e-5 of the field at 0.05 to 0.4 m and
         4e-5 at 0.4 to 1.2 m (on a GPU 2e-5 and 6e-5); "accurate" takes distance and phase in float64
+    threads: 1 or more; None is all cores that this process may use
     absorption_Np_m: instead of that of the air, for example 0 for lossless air
     """
 
@@ -58,9 +60,11 @@ class FieldEvaluator:
         check.array(array)
         if mode not in MODES:
             raise PalmfieldError(f"mode '{mode}' is unknown: use one of {', '.join(MODES)}")
-        self.array = array
+        if threads is not None and threads < 1:
+            raise PalmfieldError(f"threads = {threads} can't compute: give 1 or more, or None for all cores")
+        self.array, self.air = array, air
         self.device = resolve(device)
-        self.threads = threads or os.cpu_count() or 1
+        self.threads = cores() if threads is None else threads
         self.mode = mode
         self.absorption_Np_m = check.absorption(
             air_absorption(air, array.frequency_Hz) if absorption_Np_m is None else absorption_Np_m
@@ -124,7 +128,7 @@ class FieldEvaluator:
         return self._launch(points.array, points.distances_m, check.drive(drive, self.array), gradient)
 
     def _form(self, steep: bool) -> kernels.Form:
-        return kernels.Form(self._gpu, self._accurate, steep, self._smooth and not self._accurate)
+        return kernels.Form(self._gpu, self._accurate, steep, self._smooth and not self._accurate, self._groups.flat)
 
     def _inputs(self, bounds: tuple[float, float], drive: NDArray[np.complex128]) -> tuple[kernels.Form, list[Any]]:
         """Form of the kernel for points within these distances [m], and what it takes between points and results."""
@@ -136,7 +140,7 @@ class FieldEvaluator:
         fall = np.array([1.0, 0.0, 0.0, 0.0]) if steep else cubic_fall(self.absorption_Np_m, low, high)
         strengths = (self.array.p0_Pa_m * np.abs(emitted)[:, None] * fall).astype(np.float32)
         elements = np.zeros((len(order), 4), self._real)
-        elements[:, :2] = self._groups.places
+        elements[:, [0, 1, 3]] = self._groups.places
         radians = self._gpu and not self._accurate
         elements[:, 2] = np.angle(emitted) / (1.0 if radians else 2.0 * np.pi)
         form = self._form(bool(steep))
@@ -265,10 +269,22 @@ def padded(function: Polynomial | Chebyshev, count: int) -> Float:
     return np.pad(coefficients, (0, count - len(coefficients)))
 
 
+def cores() -> int:
+    """Cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 @functools.cache
 def pool() -> ThreadPoolExecutor:
     """Threads shared by all evaluators of this process."""
-    return ThreadPoolExecutor(os.cpu_count(), thread_name_prefix="palmfield-field")
+    return ThreadPoolExecutor(cores(), thread_name_prefix="palmfield-field")
+
+
+if hasattr(os, "register_at_fork"):
+    # A child inherits the pool but none of its threads, and would wait for them for ever
+    os.register_at_fork(after_in_child=pool.cache_clear)
 
 
 def pressure(
@@ -280,6 +296,7 @@ def pressure(
     gradient: bool = False,
     device: str = "auto",
     mode: Mode = "fast",
+    warn: bool = True,
 ) -> Field:
     """Incident field of an array: p = p0/d A g D(angle) exp(ikd - beta d) summed over its transducers.
 
@@ -291,7 +308,14 @@ def pressure(
     points: [m], array frame, shape (n, 3)
     drive: complex amplitudes, 1 is full drive, shape (len(array),)
     gradient: also the gradient of the whole expression; mode: see FieldEvaluator
+    warn: say so (PalmfieldWarning, once a call) where sound is too loud for a linear field or a point too near for the
+        transducers' far field; see `palmfield.acoustics.validity.warnings`. FieldEvaluator is silent.
     Returns Field: complex peak pressure [Pa], shape (n,), and gradient [Pa/m], shape (n, 3), or None.
     Raises PalmfieldError for NaN, infinity or a wrong shape in points or drive, SceneError for a bad array or air.
     """
-    return FieldEvaluator(array, air, device, mode=mode).pressure(points, drive, gradient)
+    field = FieldEvaluator(array, air, device, mode=mode).pressure(points, drive, gradient)
+    if warn:
+        found = validity.warnings(array, points, field.pressure, air)
+        if found:
+            warnings.warn("; ".join(found), validity.PalmfieldWarning, stacklevel=2)
+    return field
