@@ -20,6 +20,7 @@ from palmfield.acoustics.transducer import directivity_coefficients
 from palmfield.device import resolve
 from palmfield.errors import PalmfieldError
 from palmfield.types import Air, Array, Field, Float
+from warp_kernels import gradient as with_gradient
 from warp_kernels import pressure as kernels
 
 BLOCKS_PER_THREAD = 4
@@ -28,6 +29,9 @@ PAIRS_PER_THREAD = 1_000_000
 
 CUBIC_REACH_Np = 0.4
 """Absorption times range of distances up to which a cubic follows the exponential, with an error of 1e-5."""
+
+QUADRATIC_REACH_Np = 0.08
+"""The same for a quadratic, with an error of 3e-6."""
 
 SMOOTH = 1e-5
 """Directivities that a quartic follows as well as this take one power less, which is a twentieth of the work."""
@@ -75,21 +79,32 @@ class FieldEvaluator:
         wavenumber = 2.0 * np.pi * array.frequency_Hz / sound_speed(air)
         directivity, slope, self._smooth = off_axis(array, wavenumber)
         sine, cosine = polynomials.sine_cosine()
-        self.sound = filled(
-            kernels.Sound(),
-            turns_per_m=wavenumber / (2.0 * np.pi),
-            turns32_per_m=wavenumber / (2.0 * np.pi),
-            wavenumber_rad_m=wavenumber,
-            absorption_Np_m=self.absorption_Np_m,
-            directivity=kernels.vec6(*directivity),
-            slope=kernels.vec6(*slope / wavenumber),
-            sine=kernels.vec6(*sine),
-            cosine=kernels.vec6(*cosine),
-        )
+        polynomial = {
+            "directivity": kernels.vec6(*directivity),
+            "sine": kernels.vec6(*sine),
+            "cosine": kernels.vec6(*cosine),
+        }
+
+        def sound(unit_m: float) -> Any:
+            """The kernels' numbers where lengths are in this unit."""
+            return filled(
+                kernels.Sound(),
+                turns_per_m=unit_m * wavenumber / (2.0 * np.pi),
+                turns32_per_m=unit_m * wavenumber / (2.0 * np.pi),
+                wavenumber_rad_m=unit_m * wavenumber,
+                absorption_Np_m=unit_m * self.absorption_Np_m,
+                slope=kernels.vec6(*slope / (unit_m * wavenumber)),
+                **polynomial,
+            )
+
+        self.sound, self._radians = sound(1.0), sound(1.0 / wavenumber)
+        self._wavenumber = wavenumber
+        self._shapes = self._upload(np.array([directivity, slope], np.float32), kernels.vec6)
         self._groups = groups(array)
-        self._vec3, _, mat33 = self._form(False).vectors
+        self._vec3, _, mat33 = self._form("cubic").vectors
         self._origins = self._upload(self._groups.origins.astype(self._real), self._vec3)
         self._turns = self._upload(self._groups.turns.astype(self._real), mat33)
+        self._turns_radians = self._upload((wavenumber * self._groups.turns).astype(self._real), mat33)
         self._ranges = self._upload(self._groups.ranges, wp.vec2i)
 
     def pressure(self, points: ArrayLike, drive: ArrayLike, gradient: bool = False) -> Field:
@@ -127,28 +142,39 @@ class FieldEvaluator:
             raise PalmfieldError(f"pressure_on_gpu on device '{self.device}': make the evaluator with device cuda:0")
         return self._launch(points.array, points.distances_m, check.drive(drive, self.array), gradient)
 
-    def _form(self, steep: bool) -> kernels.Form:
-        return kernels.Form(self._gpu, self._accurate, steep, self._smooth and not self._accurate, self._groups.flat)
+    def _form(self, fall: str) -> kernels.Form:
+        return kernels.Form(self._gpu, self._accurate, fall, self._smooth and not self._accurate, self._groups.flat)
 
-    def _inputs(self, bounds: tuple[float, float], drive: NDArray[np.complex128]) -> tuple[kernels.Form, list[Any]]:
-        """Form of the kernel for points within these distances [m], and what it takes between points and results."""
+    def _inputs(
+        self, bounds: tuple[float, float], drive: NDArray[np.complex128], gradient: bool
+    ) -> tuple[Any, int, list[Any]]:
+        """Kernel for points within these distances [m], points a thread, and what it takes between them and results.
+
+        For the gradient lengths are in units of 1/k.
+        """
         order = self._groups.order
         emitted = drive if self.array.gain is None else drive * self.array.gain
         emitted = emitted[order]
         low, high = bounds
-        steep = self.absorption_Np_m * (high - low) > CUBIC_REACH_Np
-        fall = np.array([1.0, 0.0, 0.0, 0.0]) if steep else cubic_fall(self.absorption_Np_m, low, high)
+        kind, fall = falling(self.absorption_Np_m, low, high)
+        scale = self._wavenumber if gradient else 1.0
+        fall = fall * scale ** np.array([1.0, 0.0, -1.0, -2.0])
         strengths = (self.array.p0_Pa_m * np.abs(emitted)[:, None] * fall).astype(np.float32)
         elements = np.zeros((len(order), 4), self._real)
-        elements[:, [0, 1, 3]] = self._groups.places
+        elements[:, [0, 1, 3]] = scale * self._groups.places
         radians = self._gpu and not self._accurate
         elements[:, 2] = np.angle(emitted) / (1.0 if radians else 2.0 * np.pi)
-        form = self._form(bool(steep))
+        form = self._form(kind)
         _, vec4, _ = form.vectors
-        return form, [
-            self._origins, self._turns, self._ranges,
-            self._upload(elements, vec4), self._upload(strengths, wp.vec4), self.sound,
+        module = with_gradient if gradient else kernels
+        kernel = with_gradient.gradient(form) if gradient else kernels.pressure(form)
+        turns, sound = (self._turns_radians, self._radians) if gradient else (self._turns, self.sound)
+        inputs = [
+            self._origins, turns, self._ranges, self._upload(elements, vec4), self._upload(strengths, wp.vec4), sound,
         ]  # fmt: skip
+        if gradient:
+            inputs.append(self._shapes)
+        return kernel, module.WIDTH["gpu" if form.gpu else "cpu"], inputs
 
     def _upload(self, values: NDArray[Any], dtype: Any) -> Any:
         return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self.device)
@@ -162,8 +188,7 @@ class FieldEvaluator:
         slope: NDArray[np.complex64] | None,
     ) -> None:
         """Fill pressure and slope in place: Warp sees NumPy's memory, slices of the points shared out among threads."""
-        form, inputs = self._inputs(bounds, drive)
-        kernel, width = kernel_of(form, slope is not None)
+        kernel, width, inputs = self._inputs(bounds, drive, slope is not None)
         wp.load_module(kernel.module, device="cpu")
 
         def run(start: int, stop: int) -> None:
@@ -191,8 +216,7 @@ class FieldEvaluator:
     def _launch(
         self, points: Any, bounds: tuple[float, float], drive: NDArray[np.complex128], gradient: bool
     ) -> tuple[Any, ...]:
-        form, inputs = self._inputs(bounds, drive)
-        kernel, width = kernel_of(form, gradient)
+        kernel, width, inputs = self._inputs(bounds, drive, gradient)
         count = len(points)
         outputs = [wp.zeros(count, dtype=wp.vec2, device=self.device)]
         if gradient:
@@ -208,14 +232,6 @@ class Points:
 
     array: Any
     distances_m: tuple[float, float]
-
-
-def kernel_of(form: kernels.Form, gradient: bool) -> tuple[Any, int]:
-    """Kernel and the points that one of its threads holds."""
-    where = "gpu" if form.gpu else "cpu"
-    if gradient:
-        return kernels.gradient(form), kernels.GRADIENT_WIDTH[where]
-    return kernels.pressure(form), kernels.PRESSURE_WIDTH[where]
 
 
 def filled(struct: Any, **values: Any) -> Any:
@@ -241,11 +257,21 @@ def distances(points: NDArray[Any], positions: Float) -> tuple[float, float]:
     return float(np.linalg.norm(gap)), float(np.linalg.norm(reach))
 
 
-def cubic_fall(absorption_Np_m: float, low: float, high: float) -> Float:
+def falling(absorption_Np_m: float, low: float, high: float) -> tuple[str, Float]:
+    """How kernels compute exp(-absorption d) for d from low to high [m], and its coefficients, shape (4,)."""
+    reach = absorption_Np_m * (high - low)
+    if reach > CUBIC_REACH_Np:
+        return "exponential", np.array([1.0, 0.0, 0.0, 0.0])
+    if reach > QUADRATIC_REACH_Np:
+        return "cubic", polynomial_fall(absorption_Np_m, low, high, 3)
+    return "quadratic", polynomial_fall(absorption_Np_m, low, high, 2)
+
+
+def polynomial_fall(absorption_Np_m: float, low: float, high: float, power: int = 3) -> Float:
     """Coefficients, lowest power first, shape (4,), of exp(-absorption d) for d from low to high [m]."""
     if absorption_Np_m == 0.0 or high <= low:
         return np.array([np.exp(-absorption_Np_m * low), 0.0, 0.0, 0.0])
-    return padded(Chebyshev.interpolate(lambda d: np.exp(-absorption_Np_m * d), 3, domain=[low, high]), 4)
+    return padded(Chebyshev.interpolate(lambda d: np.exp(-absorption_Np_m * d), power, domain=[low, high]), 4)
 
 
 def off_axis(array: Array, wavenumber: float) -> tuple[Float, Float, bool]:

@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 from palmfield.acoustics import check
 from palmfield.acoustics.air import density, sound_speed
 from palmfield.acoustics.arp import arp, check_law, unit_normals
-from palmfield.acoustics.field import CUBIC_REACH_Np, FieldEvaluator, cubic_fall, distances, pool
+from palmfield.acoustics.field import CUBIC_REACH_Np, FieldEvaluator, distances, polynomial_fall, pool
 from palmfield.acoustics.groups import axes
 from palmfield.errors import PalmfieldError
 from palmfield.types import Complex, Float, Float32
@@ -78,7 +78,7 @@ class Transfer:
                 f"points {low:.2f} to {high:.2f} m from the array's elements are too far apart for an absorption of "
                 f"{evaluator.absorption_Np_m:.3g} Np/m: give near and far ones apart"
             )
-        strength = array.p0_Pa_m * cubic_fall(evaluator.absorption_Np_m, low, high)
+        strength = array.p0_Pa_m * polynomial_fall(evaluator.absorption_Np_m, low, high)
         place: Any = wp.array(points, dtype=wp.vec3, device="cpu", copy=False)
         turn: Any = wp.array(axes(normals.astype(float)).astype(np.float32), dtype=wp.mat33, device="cpu")
         wp.load_module(kernels, device="cpu")

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from palmfield.acoustics import polynomials
 from palmfield.acoustics.arrays import layout, with_faults
-from palmfield.acoustics.field import MODES, CUBIC_REACH_Np, FieldEvaluator, Mode, cubic_fall, pressure
+from palmfield.acoustics.field import MODES, CUBIC_REACH_Np, FieldEvaluator, Mode, polynomial_fall, pressure
 from palmfield.acoustics.focus import focus
 from palmfield.acoustics.reference import pressure64
 from palmfield.acoustics.transducer import T4010A1_DIRECTIVITY
@@ -53,7 +53,8 @@ def test_field_agrees_with_its_float64_twin(name: str, target: tuple[float, floa
     assert_close(found, points, array, drive)
     only = pressure(points, array, drive, AIR, device="cpu", warn=False)
     assert only.gradient is None
-    assert difference(only.pressure, found.pressure.astype(complex)) < 1e-6
+    # Each kernel rounds in its own units of length
+    assert difference(only.pressure, found.pressure.astype(complex)) < LIMIT
 
 
 @pytest.mark.parametrize(("mode", "low", "high", "limit"), [
@@ -120,7 +121,7 @@ def test_baffle_and_an_elements_own_position(mode: Mode) -> None:
     assert np.all(found.pressure == 0.0) and np.all(found.gradient == 0.0)
 
 
-def test_far_points_and_strong_absorption_leave_the_cubic_fall_and_stay_right() -> None:
+def test_far_points_and_strong_absorption_leave_the_polynomial_fall_and_stay_right() -> None:
     array = layout("uhev1")
     drive = focus(array, AIR, (0.0, 0.0, 0.2))
     points = cloud(300)
@@ -262,7 +263,7 @@ def test_polynomials_hold_their_printed_errors() -> None:
     assert np.abs(f * evaluate(f * f, sine) - np.sin(2 * np.pi * f)).max() < 1e-6
     assert np.abs(evaluate(f * f, cosine) - np.cos(2 * np.pi * f)).max() < 1e-6
     d = np.linspace(0.2, 0.2 + CUBIC_REACH_Np / 0.15, 500)
-    assert np.abs(evaluate(d, cubic_fall(0.15, d[0], d[-1])) * np.exp(0.15 * d) - 1).max() < 1e-5
+    assert np.abs(evaluate(d, polynomial_fall(0.15, d[0], d[-1])) * np.exp(0.15 * d) - 1).max() < 1e-5
     directivity, slope = polynomials.directivity(3.30)
     s = np.linspace(0.0, 1.0, 500)
     assert np.abs(evaluate(s, directivity) - polynomials.piston(3.30 * np.sqrt(s))).max() < 5e-8
