@@ -116,8 +116,8 @@ def ceilings(rate: float) -> str:
         return sines + "pairs/s. The others were not counted for these kernels: no share of the issue ceiling is given."
     most = [rate / SLOTS[what] / 1e12 for what in SLOTS]
     return (
-        f"A pair takes {SLOTS['p']} instructions, with gradient {SLOTS['p + gradient']}, beyond 0.4 m one more: at most "
-        f"{most[0]:.2f} and {most[1]:.2f} T pairs/s. {sines}pairs/s."
+        f"A pair takes {SLOTS['p']} instructions, with gradient {SLOTS['p + gradient']}, beyond 0.4 m one more: at "
+        f"most {most[0]:.2f} and {most[1]:.2f} T pairs/s. {sines}pairs/s."
     )
 
 
