@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from palmfield.skin.layer_oracle import centre_response
-from palmfield.skin.material import PRESETS, Material, bulk_from_poisson, shear_wave
+from palmfield.skin.material import PRESETS, Branch, Material, bulk_from_poisson, shear_wave
 
 FREQUENCIES = (50.0, 100.0, 200.0, 400.0)
 SPEEDS = np.array([3.6, 4.6, 6.0, 7.1])
@@ -25,7 +25,9 @@ BOUNDS = ([2e3, 2e3, 2e-5], [2e5, 2e5, 1e-2])
 
 def solid(logs: np.ndarray) -> Material:
     relaxed, branch, tau = np.exp(logs)
-    return Material("trial", 1100.0, relaxed, branch, tau, bulk_from_poisson(0.4999, relaxed + branch), "trial")
+    return Material(
+        "trial", 1100.0, relaxed, (Branch(branch, tau),), bulk_from_poisson(0.4999, relaxed + branch), "trial"
+    )
 
 
 def speeds(material: Material) -> np.ndarray:
@@ -44,8 +46,8 @@ def misfit(logs: np.ndarray) -> np.ndarray:
 
 def report(label: str, material: Material) -> None:
     print(
-        f"{label}: G_r {material.shear_relaxed_Pa:.0f} Pa, G_m {material.shear_branch_Pa:.0f} Pa, "
-        f"tau {material.relaxation_time_s * 1e6:.1f} us"
+        f"{label}: G_r {material.shear_relaxed_Pa:.0f} Pa, G_m {material.branches[0].shear_Pa:.0f} Pa, "
+        f"tau {material.branches[0].time_s * 1e6:.1f} us"
     )
     print("  speed [m/s] at 50/100/200/400 Hz:", np.round(speeds(material), 2), "aim", SPEEDS)
     print("  speed misfit [%]:", np.round(100 * (speeds(material) / SPEEDS - 1), 1))

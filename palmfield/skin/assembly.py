@@ -1,4 +1,4 @@
-"""Matrices of a skin layer: mass, deviatoric and volumetric stiffness over its free degrees of freedom."""
+"""Matrices of a skin layer: mass, elastic and relaxing stiffness over its free degrees of freedom."""
 
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -29,10 +29,20 @@ SIDES = ("fixed", "free", "roller")
 
 
 @dataclass(frozen=True)
-class SkinSystem:
-    """M u'' + K_vol u + K_dev (u + g (u - q)) = F, q' = (u - q) / tau, over n free degrees of freedom.
+class Part:
+    """Stiffness [N/m], symmetric csr of shape (n, n), that relaxes as a material's shear modulus; of G_r."""
 
-    mass [kg], k_dev and k_vol [N/m]: symmetric csr matrices, shape (n, n); k_dev is that of the relaxed shear modulus
+    stiffness: sparse.csr_matrix
+    material: Material
+
+
+@dataclass(frozen=True)
+class SkinSystem:
+    """M u'' + E u + sum over parts K_p (u + sum_i g_i (u - q_i) + t u') = F, q_i' = (u - q_i) / tau_i, t = eta / G_r.
+
+    mass [kg], elastic [N/m]: symmetric csr matrices over n free degrees of freedom, shape (n, n)
+    parts: what relaxes, a part for each material
+    material: of the surface
     dof_map: nodal displacements (3 * nodes, by node) = dof_map @ u, csr, shape (3 * nodes, n), orthonormal columns
     surface_node: surface node under which each free degree of freedom lies, shape (n,)
     """
@@ -40,8 +50,8 @@ class SkinSystem:
     mesh: WedgeMesh
     material: Material
     mass: sparse.csr_matrix
-    k_dev: sparse.csr_matrix
-    k_vol: sparse.csr_matrix
+    elastic: sparse.csr_matrix
+    parts: tuple[Part, ...]
     dof_map: sparse.csr_matrix
     surface_node: Int
 
@@ -72,8 +82,9 @@ def assemble(
         raise SceneError(f"base '{base}', side '{side}': base is one of {', '.join(BASES)}, side of {', '.join(SIDES)}")
     deviatoric, volumetric, mass = element_matrices(mesh)
     pattern = _Pattern(mesh)
-    k_dev = pattern.blocks(material.shear_relaxed_Pa * deviatoric)
-    k_vol = pattern.blocks(material.bulk_Pa * volumetric)
+    relaxing = pattern.blocks(material.shear_relaxed_Pa * deviatoric)
+    elastic = pattern.blocks(material.bulk_Pa * volumetric)
+    support = 0.0 * elastic
     inertia = pattern.scalars(material.density_kg_m3 * mass)
     if foundation_Pa_m is not None:
         base = "free"
@@ -81,17 +92,20 @@ def assemble(
         if not (normal >= 0.0 and tangential >= 0.0):
             raise SceneError(f"foundation stiffness is ({normal}, {tangential}) Pa/m; give two numbers, 0 or above")
         along, across = _foundation(mesh)
-        k_vol = k_vol + normal * along
-        k_dev = k_dev + tangential * across
+        support = normal * along
+        relaxing = relaxing + tangential * across
     dof_map = _free_directions(mesh, base, side)
     reduce = dof_map.T.tocsr()
     columns = dof_map.tocsc()
+    if material.bulk_relaxes:
+        relaxing = relaxing + elastic
+        elastic = 0.0 * elastic
     return SkinSystem(
         mesh=mesh,
         material=material,
         mass=_csr(reduce @ inertia @ dof_map),
-        k_dev=_csr(reduce @ k_dev @ dof_map),
-        k_vol=_csr(reduce @ k_vol @ dof_map),
+        elastic=_csr(reduce @ (elastic + support) @ dof_map),
+        parts=(Part(_csr(reduce @ relaxing @ dof_map), material),),
         dof_map=dof_map,
         surface_node=((columns.indices[columns.indptr[:-1]] // 3) % mesh.surface_nodes).astype(np.int32),
     )

@@ -1,6 +1,6 @@
 """Motion of a skin layer: static, harmonic, and in time.
 
-Time: generalised-alpha (Chung & Hulbert 1993). The branch's internal displacement q, q' = (u - q) / tau, is integrated
+Time: generalised-alpha (Chung & Hulbert 1993). A branch's internal displacement q, q' = (u - q) / tau, is integrated
 exactly for u linear over the step, so that q1 = e q0 + a u0 + b u1 with e = exp(-h/tau), b = 1 - (1 - e) tau/h and
 a = 1 - e - b. It is stable for every h/tau, and q1 -> u1 as h/tau -> infinity: the branch then simply relaxes.
 """
@@ -16,7 +16,7 @@ from threadpoolctl import ThreadpoolController
 
 from palmfield.errors import SceneError
 from palmfield.skin.assembly import SkinSystem
-from palmfield.skin.material import complex_shear
+from palmfield.skin.material import stiffening
 from palmfield.skin.ordering import dissection_order
 from palmfield.types import Complex, Float, Int
 
@@ -62,8 +62,8 @@ class SkinSolver:
     step_s: time step h [s]
     rho_inf: spectral radius at infinite frequency, 0 (strongest damping of what the step cannot resolve) to 1 (none,
         the trapezoid rule's sibling); 0.8 takes unresolved pressure waves to a tenth in ten steps
-    A state has shape (4, ndof): displacement u [m], velocity v [m/s], acceleration a [m/s^2], internal
-    displacement q [m].
+    A state has a row of ndof numbers each for displacement u [m], velocity v [m/s], acceleration a [m/s^2] and the
+    internal displacement q [m] of every branch of every part.
     Raises SceneError for a step <= 0 or rho_inf outside 0..1.
     """
 
@@ -74,46 +74,60 @@ class SkinSolver:
         self.step_s = step_s
         self.rho_inf = rho_inf
         self.alpha_m, self.alpha_f, self.beta, self.gamma = alpha_weights(rho_inf)
-        self.weights = branch_weights(step_s, system.material.relaxation_time_s)
-        ratio = system.material.branch_ratio
+        self.weights = [[branch_weights(step_s, tau) for tau in part.material.times_s] for part in system.parts]
         implicit = 1.0 - self.alpha_f
         begin = time.perf_counter()
-        effective = (
-            (1.0 - self.alpha_m) / (self.beta * step_s**2) * system.mass
-            + implicit * system.k_vol
-            + implicit * (1.0 + ratio * (1.0 - self.weights[2])) * system.k_dev
-        )
+        effective = (1.0 - self.alpha_m) / (self.beta * step_s**2) * system.mass + implicit * system.elastic
+        for part, weights in zip(system.parts, self.weights, strict=True):
+            held = sum(g * (1.0 - end) for g, (_, _, end) in zip(part.material.ratios, weights, strict=True))
+            viscous = part.material.viscous_time_s * self.gamma / (self.beta * step_s)
+            effective = effective + implicit * (1.0 + held + viscous) * part.stiffness
         self.factor = Factor(effective, dissection_order(system))
         self.factor_seconds = time.perf_counter() - begin
 
     @property
+    def state_rows(self) -> int:
+        """Rows of a state: three, and one for each branch of each part."""
+        return 3 + sum(len(weights) for weights in self.weights)
+
+    @property
     def state_size(self) -> int:
-        """Numbers in a state: 4 * ndof."""
-        return 4 * self.system.ndof
+        """Numbers in a state."""
+        return self.state_rows * self.system.ndof
 
     def new_state(self) -> Float:
-        """A layer at rest, shape (4, ndof)."""
-        return np.zeros((4, self.system.ndof))
+        """A layer at rest, shape (state_rows, ndof)."""
+        return np.zeros((self.state_rows, self.system.ndof))
 
     def step(self, state: Float, force_start: Float, force_end: Float) -> None:
         """Advance a state by one step, in place, under a force [N], (ndof,), linear between its two values."""
         system, h = self.system, self.step_s
-        u, v, a, q = state
-        e, weight_start, weight_end = self.weights
-        ratio = system.material.branch_ratio
+        u, v, a = state[:3]
         implicit = 1.0 - self.alpha_f
         predicted = u + h * v
         inertia = (1.0 - self.alpha_m) / (self.beta * h**2) * predicted
         inertia += ((1.0 - self.alpha_m) * (0.5 / self.beta - 1.0) - self.alpha_m) * a
-        known_q = e * q + weight_start * u
-        # Without the new displacement: what the old one carries, less the pull of the new q's known part.
+        # Everything but the share of the new displacement
+        known_v = v + h * (1.0 - 0.5 * self.gamma / self.beta) * a - self.gamma / (self.beta * h) * predicted
         right = implicit * force_end + self.alpha_f * force_start
-        right += system.mass @ inertia - self.alpha_f * (system.k_vol @ u)
-        right -= system.k_dev @ (self.alpha_f * (u + ratio * (u - q)) - implicit * ratio * known_q)
+        right += system.mass @ inertia - self.alpha_f * (system.elastic @ u)
+        internal = iter(state[3:])
+        relaxing = []
+        for part, weights in zip(system.parts, self.weights, strict=True):
+            strain = self.alpha_f * u
+            if part.material.viscous_time_s > 0.0:
+                strain = strain + part.material.viscous_time_s * (self.alpha_f * v + implicit * known_v)
+            for ratio, (e, start, end) in zip(part.material.ratios, weights, strict=True):
+                q = next(internal)
+                known_q = e * q + start * u
+                strain += ratio * (self.alpha_f * (u - q) - implicit * known_q)
+                relaxing.append((q, known_q, end))
+            right -= part.stiffness @ strain
         new_u = self.factor.solve(right)
         new_a = (new_u - predicted) / (self.beta * h**2) - (0.5 / self.beta - 1.0) * a
+        for q, known_q, end in relaxing:
+            q[:] = known_q + end * new_u
         state[1] = v + h * ((1.0 - self.gamma) * a + self.gamma * new_a)
-        state[3] = known_q + weight_end * new_u
         state[0] = new_u
         state[2] = new_a
 
@@ -126,14 +140,15 @@ def alpha_weights(rho_inf: float) -> tuple[float, float, float, float]:
 
 
 def static(system: SkinSystem, force: Float) -> Float:
-    """Displacement [m], (ndof,), under a force [N] that has acted for ever: the branch is relaxed."""
-    return Factor(system.k_vol + system.k_dev, dissection_order(system)).solve(np.asarray(force, dtype=float))
+    """Displacement [m], (ndof,), under a force [N] that has acted for ever: the branches are relaxed."""
+    matrix = system.elastic + sum(part.stiffness for part in system.parts)
+    return Factor(matrix, dissection_order(system)).solve(np.asarray(force, dtype=float))
 
 
 def harmonic(system: SkinSystem, force: Float, f_Hz: float) -> Complex:
     """Complex displacement [m], (ndof,), under force [N] times e^{-i w t}, exact in time."""
-    scale = complex_shear(system.material, f_Hz) / system.material.shear_relaxed_Pa
-    return _solve_dynamic(system, force, -((2.0 * math.pi * f_Hz) ** 2), scale)
+    scales = [complex(stiffening(part.material, -2j * math.pi * f_Hz)) for part in system.parts]
+    return _solve_dynamic(system, force, -((2.0 * math.pi * f_Hz) ** 2), scales)
 
 
 def harmonic_discrete(system: SkinSystem, force: Float, f_Hz: float, step_s: float, rho_inf: float = 0.8) -> Complex:
@@ -142,15 +157,23 @@ def harmonic_discrete(system: SkinSystem, force: Float, f_Hz: float, step_s: flo
     |harmonic_discrete - harmonic| is the error of the time step. f_Hz > 0, below half the step rate.
     """
     alpha_m, alpha_f, beta, gamma = alpha_weights(rho_inf)
-    e, start, end = branch_weights(step_s, system.material.relaxation_time_s)
     z = cmath.exp(-2j * math.pi * f_Hz * step_s)
     # u (z - 1) = h v + h^2 a (1/2 - beta + beta z) and v (z - 1) = h a (1 - gamma + gamma z).
     u_over_a = step_s**2 * ((1.0 - gamma + gamma * z) / (z - 1.0) ** 2 + (0.5 - beta + beta * z) / (z - 1.0))
+    v_over_u = step_s * (1.0 - gamma + gamma * z) / (z - 1.0) / u_over_a
     inertia = (alpha_m + (1.0 - alpha_m) * z) / (alpha_f + (1.0 - alpha_f) * z) / u_over_a
-    branch = 1.0 - (start + end * z) / (z - e)
-    return _solve_dynamic(system, force, inertia, 1.0 + system.material.branch_ratio * branch)
+    scales = []
+    for part in system.parts:
+        scale = 1.0 + part.material.viscous_time_s * v_over_u
+        for ratio, tau in zip(part.material.ratios, part.material.times_s, strict=True):
+            e, start, end = branch_weights(step_s, tau)
+            scale += ratio * (1.0 - (start + end * z) / (z - e))
+        scales.append(scale)
+    return _solve_dynamic(system, force, inertia, scales)
 
 
-def _solve_dynamic(system: SkinSystem, force: Float, inertia: complex, shear_scale: complex) -> Complex:
-    matrix = inertia * system.mass + system.k_vol + shear_scale * system.k_dev
+def _solve_dynamic(system: SkinSystem, force: Float, inertia: complex, scales: list[complex]) -> Complex:
+    matrix = inertia * system.mass + system.elastic
+    for part, scale in zip(system.parts, scales, strict=True):
+        matrix = matrix + scale * part.stiffness
     return Factor(matrix.astype(complex), dissection_order(system)).solve(np.asarray(force, dtype=complex))

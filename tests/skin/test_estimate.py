@@ -48,7 +48,7 @@ def test_sizes_shrink_with_accuracy_and_frequency():
     assert len(tight[3]) > len(loose[3])
     assert tight[5] > loose[5]
     assert choose_sizes(material, 0.01, 800.0, 0.05)[0] < loose[0]
-    elastic = dataclasses.replace(material, shear_branch_Pa=0.0)
+    elastic = dataclasses.replace(material, branches=())
     assert choose_sizes(elastic, 0.01, 200.0, 0.05)[5] == pytest.approx(4 * shear_wave(elastic, 200.0)[0] / 200.0)
 
 

@@ -18,7 +18,7 @@ SPOT, DEPTH = 0.0103, 0.02
 
 
 def elastic(nu, shear=1e4):
-    return Material("elastic", 1000.0, shear, 0.0, 0.0, bulk_from_poisson(nu, shear), "")
+    return Material("elastic", 1000.0, shear, (), bulk_from_poisson(nu, shear), "")
 
 
 @pytest.mark.parametrize("nu", [0.0, 0.3, 0.495, 0.499999])

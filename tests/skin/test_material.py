@@ -4,12 +4,12 @@ import pytest
 
 from palmfield.errors import SceneError
 from palmfield.skin.layer_oracle import centre_response
-from palmfield.skin.material import PRESETS, Material, bulk_from_poisson, complex_shear, preset, shear_wave
+from palmfield.skin.material import PRESETS, Branch, Material, bulk_from_poisson, complex_shear, preset, shear_wave
 
 
 def solid(**changes):
-    values = {"density_kg_m3": 1000.0, "shear_relaxed_Pa": 1e4, "shear_branch_Pa": 2e4, "relaxation_time_s": 1e-3}
-    return Material(name="t", bulk_Pa=1e6, source="", **values | changes)
+    values = {"density_kg_m3": 1000.0, "shear_relaxed_Pa": 1e4, "branches": (Branch(2e4, 1e-3),), "bulk_Pa": 1e6}
+    return Material(name="t", source="", **values | changes)
 
 
 def test_ecoflex_modulus_matches_hand_calculation():
@@ -31,8 +31,8 @@ def test_modulus_limits():
     material = solid()
     assert complex_shear(material, 0.0) == 1e4
     assert complex_shear(material, 1e9).real == pytest.approx(3e4, rel=1e-6)
-    assert complex_shear(solid(relaxation_time_s=0.0), 1e3) == 1e4
-    assert shear_wave(solid(shear_branch_Pa=0.0), 100.0) == (pytest.approx(math.sqrt(10.0)), math.inf)
+    assert complex_shear(solid(branches=(Branch(2e4, 0.0),)), 1e3) == 1e4
+    assert shear_wave(solid(branches=()), 100.0) == (pytest.approx(math.sqrt(10.0)), math.inf)
 
 
 def test_poisson_round_trip():
@@ -47,15 +47,22 @@ def test_palm_preset_keeps_what_its_source_says():
     assert far / near == pytest.approx(0.085, abs=0.001)
     for f, speed in [(50, 4.5), (100, 5.0), (200, 5.4), (400, 5.5)]:
         assert 0.9553 * shear_wave(palm, f)[0] == pytest.approx(speed, abs=0.05)
-    instantaneous = palm.shear_relaxed_Pa + palm.shear_branch_Pa
-    assert palm.bulk_Pa == pytest.approx(bulk_from_poisson(0.4999, instantaneous), rel=1e-9)
+    assert palm.bulk_Pa == pytest.approx(bulk_from_poisson(0.4999, palm.shear_instant_Pa), rel=1e-9)
 
 
 @pytest.mark.parametrize("value", [-1.0, math.nan, math.inf])
-@pytest.mark.parametrize("field", ["density_kg_m3", "shear_relaxed_Pa", "shear_branch_Pa", "relaxation_time_s"])
+@pytest.mark.parametrize("field", ["density_kg_m3", "shear_relaxed_Pa", "bulk_Pa", "viscosity_Pa_s"])
 def test_bad_numbers_are_named(field, value):
     with pytest.raises(SceneError, match=field):
         solid(**{field: value})
+
+
+@pytest.mark.parametrize("value", [-1.0, math.nan, math.inf])
+def test_bad_branches_are_named(value):
+    with pytest.raises(SceneError, match=r"branches\[1\].time_s"):
+        solid(branches=(Branch(1.0, 1.0), Branch(1.0, value)))
+    with pytest.raises(SceneError, match=r"branches\[0\].shear_Pa"):
+        solid(branches=(Branch(value, 1.0),))
 
 
 @pytest.mark.parametrize("field", ["density_kg_m3", "shear_relaxed_Pa"])
