@@ -27,7 +27,8 @@ from palmfield.skin.assembly import SkinSystem, assemble
 from palmfield.skin.disc import disc_patch
 from palmfield.skin.estimate import choose_sizes
 from palmfield.skin.load import SurfaceQuadrature
-from palmfield.skin.material import Branch, Material, preset
+from palmfield.skin.material import Branch, Material
+from palmfield.skin.presets import preset
 from palmfield.skin.solver import SkinSolver
 from palmfield.skin.surface import closed_boundary
 from palmfield.skin.wedges import WedgeMesh, extrude
@@ -252,7 +253,8 @@ class Rig:
     @property
     def state_size(self) -> int:
         """Numbers of state: an upper bound that does not need the matrices, and what the transducers emit."""
-        return 4 * 3 * len(self.mesh.nodes) + (2 * len(self.array) if self.response.on else 0)
+        skin = (3 + len(self.material.branches)) * 3 * len(self.mesh.nodes)
+        return skin + (2 * len(self.array) if self.response.on else 0)
 
 
 def material_of(skin: SkinConfig) -> Material:

@@ -20,8 +20,8 @@ from palmfield.skin.assembly import SkinSystem, assemble, element_matrices
 from palmfield.skin.disc import disc_patch
 from palmfield.skin.layer_oracle import centre_response
 from palmfield.skin.load import SurfaceQuadrature
-from palmfield.skin.material import PRESETS
 from palmfield.skin.ordering import dissection_order
+from palmfield.skin.presets import PRESETS
 from palmfield.skin.solver import Factor, SkinSolver, harmonic, harmonic_discrete, static
 from palmfield.skin.surface import SurfaceProbe
 from palmfield.skin.wedges import extrude

@@ -131,6 +131,7 @@ class Spot:
     law: Law = "linear"
 
     def __post_init__(self) -> None:
+        as_floats(self, "times_s", "peak_Pa", "centre_m")
         if not (math.isfinite(self.fwhm_m) and self.fwhm_m > 0.0):
             raise SceneError(f"spot: fwhm_m is {self.fwhm_m}; give a width above 0")
         check_times("spot", self.times_s, self.law)
@@ -160,6 +161,7 @@ class Traction:
     law: Law = "linear"
 
     def __post_init__(self) -> None:
+        as_floats(self, "points", "weights_m2", "times_s", "pressure_Pa")
         check_times("traction", self.times_s, self.law)
         count = len(self.points)
         check_finite("traction: points", self.points, (count, 3))
@@ -198,6 +200,15 @@ def check_base_and_side(base: BaseKind | Springs, side: SideKind | None, none: b
             raise SceneError(f"side is '{side}', but an infinite slab has none: leave it out")
     elif side not in SIDES:
         raise SceneError(f"side is '{side}'; use one of {', '.join(SIDES)}")
+
+
+def as_floats(load: object, *names: str) -> None:
+    """Make float64 arrays of these fields of a frozen load."""
+    for name in names:
+        try:
+            object.__setattr__(load, name, np.asarray(getattr(load, name), dtype=float))
+        except (TypeError, ValueError) as error:
+            raise SceneError(f"load: {name} is no array of numbers ({error})") from error
 
 
 def check_times(what: str, times_s: Float, law: str) -> None:

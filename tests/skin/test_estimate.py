@@ -11,7 +11,8 @@ from palmfield.skin.disc import disc_patch
 from palmfield.skin.estimate import choose_sizes, mesh_error
 from palmfield.skin.layer_oracle import centre_response
 from palmfield.skin.load import SurfaceQuadrature
-from palmfield.skin.material import PRESETS, shear_wave
+from palmfield.skin.material import shear_wave
+from palmfield.skin.presets import PRESETS
 from palmfield.skin.solver import harmonic, harmonic_discrete, static
 from palmfield.skin.surface import SurfaceProbe
 from palmfield.skin.wedges import extrude

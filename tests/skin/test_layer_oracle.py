@@ -11,7 +11,8 @@ from scipy.integrate import solve_bvp
 
 from palmfield.errors import SceneError
 from palmfield.skin.layer_oracle import BASES, centre_response, layer_compliance
-from palmfield.skin.material import PRESETS, Material, bulk_from_poisson, complex_shear
+from palmfield.skin.material import Material, bulk_from_poisson, complex_shear
+from palmfield.skin.presets import PRESETS
 
 ECOFLEX = PRESETS["ecoflex_00-10"]
 SPOT, DEPTH = 0.0103, 0.02
