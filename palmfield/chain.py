@@ -1,7 +1,7 @@
 """From a moment of the stimulus to forces on the body and motion of the skin. Holds caches only; state is passed in."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,9 +14,10 @@ from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.arp import arp
 from palmfield.acoustics.shadow import lit
 from palmfield.drive.response import pole_step
-from palmfield.emission import asked
+from palmfield.emission import asked, delays_to
 from palmfield.emitter import Placement
 from palmfield.errors import SceneError
+from palmfield.foresight import STEPS, Foresight
 from palmfield.obstacle import WallSound, energy_flux
 from palmfield.rig import Rig
 from palmfield.skin.surface import SurfaceProbe, surface_motion
@@ -42,9 +43,11 @@ class Pose:
     arrays: tuple[Placement, ...]
 
     @staticmethod
-    def between(arrays: Sequence[tuple[Float, Float]], body: tuple[Float, Float]) -> "Pose":
-        """From the world poses (position, rotation) of arrays and body."""
-        return Pose(*relative(arrays[0], body), placements(arrays))
+    def between(
+        arrays: Sequence[tuple[Float, Float]], body: tuple[Float, Float], sites: Sequence[tuple[Float, Float]]
+    ) -> "Pose":
+        """From the world poses (position, rotation) of arrays and body; sites: see `placements`."""
+        return Pose(*relative(arrays[0], body), placements(arrays, sites))
 
     def points(self, x: Float) -> Float:
         """Body positions in the array frame, shape (n, 3)."""
@@ -56,15 +59,27 @@ class Pose:
         return equal and self.arrays == other.arrays
 
 
+Wall = tuple[Pose, Complex, WallSound]
+
+
 def relative(seen_from: tuple[Float, Float], pose: tuple[Float, Float]) -> tuple[Float, Float]:
     """Position [m] and rotation of a pose in the frame of another, both given in world axes."""
     return seen_from[1].T @ (pose[0] - seen_from[0]), seen_from[1].T @ pose[1]
 
 
-def placements(arrays: Sequence[tuple[Float, Float]]) -> tuple[Placement, ...]:
-    """Placement of every array in the frame of the first, from world poses."""
-    seen = [relative(arrays[0], pose) for pose in arrays]
-    return tuple((tuple(shift.tolist()), tuple(turn.ravel().tolist())) for shift, turn in seen)
+def placements(arrays: Sequence[tuple[Float, Float]], sites: Sequence[tuple[Float, Float]]) -> tuple[Placement, ...]:
+    """Placement of every array in the frame of the first, from world poses.
+
+    sites: for every array the world positions [m] and emitting directions of its transducers, shapes (n, 3), where
+        they are sites; else n is 0
+    """
+    found = []
+    for pose, (where, facing) in zip(arrays, sites, strict=True):
+        shift, turn = relative(arrays[0], pose)
+        own = zip(((where - pose[0]) @ pose[1]).tolist(), (facing @ pose[1]).tolist(), strict=True)
+        transducers = tuple((tuple(position), tuple(direction)) for position, direction in own)
+        found.append(Placement(tuple(shift.tolist()), tuple(turn.ravel().tolist()), transducers))
+    return tuple(found)
 
 
 @dataclass(frozen=True)
@@ -85,27 +100,33 @@ class Sound:
 def clearance(array: Array, points: Float) -> float:
     """Least distance of points (array frame [m], shape (n, 3)) from an array's board, negative behind it.
 
-    A curved array has no board: there it is the distance from the face of the nearest transducer.
+    The board is the rectangle around transducers that lie in one plane of constant z and face along z. Any other array
+    has none: there it is the distance from the face of the nearest transducer.
     """
-    if np.ptp(array.positions[:, 2]) > 1e-6:
-        away, _ = cKDTree(array.positions).query(points)
+    positions = array.positions
+    if np.ptp(positions[:, 2]) > 1e-6 or array.normals[:, 2].min() < 0.5:
+        away, _ = cKDTree(positions).query(points)
         return float(away.min()) - HOUSING_M
-    board = np.abs(array.positions[:, :2]).max(axis=0) + HOUSING_M
-    over = np.all(np.abs(points[:, :2]) <= board, axis=1)
-    return float(points[over, 2].min()) if over.any() else np.inf
+    low, high = positions[:, :2].min(axis=0) - HOUSING_M, positions[:, :2].max(axis=0) + HOUSING_M
+    over = np.all((points[:, :2] >= low) & (points[:, :2] <= high), axis=1)
+    return float(points[over, 2].min() - positions[:, 2].mean()) if over.any() else np.inf
 
 
 Observer = Callable[[float, Float, "Sound | None", float, Complex], None]
 
 
 class Chain:
-    """The stages array -> field -> ARP -> skin for one simulation."""
+    """The stages array -> field -> ARP -> skin for one simulation.
 
-    def __init__(self, rig: Rig):
+    wall: the last solution by boundary elements with its pose and drive; a chain of the same body may begin with it
+    """
+
+    def __init__(self, rig: Rig, wall: Wall | None = None):
         self.rig = rig
         self._last: Sound | None = None
         self._ringing: Sound | None = None
-        self._wall: tuple[Pose, Complex, WallSound] | None = None
+        self._before: Pose | None = None
+        self.wall = wall
         self._resultant: tuple[Sound | None, Float, Float] = (None, np.zeros(3), np.zeros(3))
         self.observer: Observer | None = None
         surface = rig.surface
@@ -138,8 +159,8 @@ class Chain:
 
     def _wall_sound(self, pose: Pose, drive: Complex) -> WallSound:
         """Total sound on the body; the last one is kept."""
-        if self._wall is not None and self._wall[0].same(pose) and np.array_equal(self._wall[1], drive):
-            return self._wall[2]
+        if self.wall is not None and self.wall[0].same(pose) and np.array_equal(self.wall[1], drive):
+            return self.wall[2]
         rig = self.rig
         evaluator = rig.emitter(pose.arrays).evaluator
 
@@ -148,7 +169,7 @@ class Chain:
 
         wavenumber = 2.0 * np.pi * rig.array.frequency_Hz / sound_speed(rig.air)
         wall = WallSound.of(rig.boundary_mesh, incident, wavenumber, rig.air, evaluator.device)
-        self._wall = (pose, drive, wall)
+        self.wall = (pose, drive, wall)
         return wall
 
     def sound(self, focus: Float, pose: Pose) -> Sound:
@@ -159,9 +180,16 @@ class Chain:
         rig = self.rig
         self.check_clear(pose)
         drive, level = rig.emitter(pose.arrays).unit_drive(focus)
-        load, _ = self.arp_at(rig.quadrature.points, rig.quadrature.normals, pose, drive)
-        self._last = Sound(focus, pose, drive, level, rig.quadrature.assemble(load.astype(np.float64)))
+        self._last = Sound(focus, pose, drive, level, self._skin_force(pose, drive))
         return self._last
+
+    def _skin_force(self, pose: Pose, drive: Complex) -> Float:
+        """Consistent nodal forces on the skin [N], shape (ndof,)."""
+        quadrature = self.rig.quadrature
+        load = self._foresight.take(pose, drive)
+        if load is None:
+            load, _ = self.arp_at(quadrature.points, quadrature.normals, pose, drive)
+        return quadrature.assemble(load.astype(np.float64))
 
     def resultant(self, sound: Sound) -> tuple[Float, Float]:
         """Force [N] and torque about the body's origin [N m] on the whole body, in body axes, shapes (3,)."""
@@ -176,8 +204,8 @@ class Chain:
         surface = self.rig.surface
         body = self.rig.mesh.nodes[: self.rig.mesh.surface_nodes] if surface is None else surface.vertices
         emitter = self.rig.emitter(pose.arrays)
-        for part, (shift, turn) in zip(emitter.parts, emitter.placements, strict=True):
-            points = (pose.points(body) - np.array(shift)) @ np.array(turn).reshape(3, 3)
+        for part, place in zip(emitter.parts, emitter.placements, strict=True):
+            points = (pose.points(body) - np.array(place.position)) @ np.array(place.rotation).reshape(3, 3)
             above = clearance(part, points)
             if above < CLEARANCE_M:
                 raise SceneError(
@@ -196,8 +224,12 @@ class Chain:
         rig = self.rig
         step = rig.solver.step_s
         motion = self.motion(state)
+        still = self._before is not None and self._before.same(pose)
+        self._before = pose
         for i in range(round(rig.timestep_s / step)):
             t0, t1 = start + i * step, start + (i + 1) * step
+            if still and self._can_foresee and not self._foresight.knows(pose, t0):
+                self._foresee(state, t0, to_array, pose)
             first, last = self._loads(state, t0, t1, to_array, pose)
             rig.solver.step(motion, first, last)
             if self.observer is not None:
@@ -226,31 +258,63 @@ class Chain:
 
         Steps the transducers, in place.
         """
-        held = held_frames(self.rig.stimulus, t0, t1)
-        if not self.rig.response.on:
-            if held:
-                total = np.sum([share * self._force(time, to_array, pose) for time, share in held], axis=0)
-                return total, total
-            return self._force(t0, to_array, pose), self._force(t1, to_array, pose)
-        emitted = self.emitted(state)
-        if not held:
-            first = self._pushed(emitted, to_array(frame_at(self.rig.stimulus, t0).focus), pose)
-            self._ring(emitted, t0, t1, to_array, pose)
-            return first, self._pushed(emitted, to_array(frame_at(self.rig.stimulus, t1).focus), pose)
-        total = np.zeros(self.rig.system.ndof)
-        for time, share in held:
-            half = 0.5 * share * (t1 - t0)
-            focus = to_array(frame_at(self.rig.stimulus, time).focus)
-            self._ring(emitted, time, time, to_array, pose, half)
-            total += share * self._pushed(emitted, focus, pose)
-            self._ring(emitted, time, time, to_array, pose, half)
+        moments = self._moments(state, t0, t1, to_array, pose)
+        forces = [(share, self._force(state, time, to_array, pose)) for time, share in moments]
+        if not held_frames(self.rig.stimulus, t0, t1):
+            return forces[0][1], forces[1][1]
+        total = np.sum([share * force for share, force in forces], axis=0)
         return total, total
 
-    def _force(self, t: float, to_array: Callable[[Float], Float], pose: Pose) -> Float:
-        frame = frame_at(self.rig.stimulus, t)
-        if frame.arp_factor == 0.0:
-            return np.zeros(self.rig.system.ndof)
-        return frame.arp_factor * self.sound(to_array(frame.focus), pose).skin_force
+    def _moments(
+        self, state: Float, t0: float, t1: float, to_array: Callable[[Float], Float], pose: Pose
+    ) -> Iterator[tuple[float, float]]:
+        """The moments of a step at which the skin's load is taken, as (time, share); both ends where nothing is held.
+
+        Transducers are stepped in place: at each moment the state holds what they emit then.
+        """
+        held = held_frames(self.rig.stimulus, t0, t1)
+        if not self.rig.response.on:
+            yield from held or [(t0, 0.5), (t1, 0.5)]
+            return
+        emitted = self.emitted(state)
+        if not held:
+            yield t0, 0.5
+            self._ring(emitted, t0, t1, to_array, pose)
+            yield t1, 0.5
+        for time, share in held:
+            half = 0.5 * share * (t1 - t0)
+            self._ring(emitted, time, time, to_array, pose, half)
+            yield time, share
+            self._ring(emitted, time, time, to_array, pose, half)
+
+    def _force(self, state: Float, t: float, to_array: Callable[[Float], Float], pose: Pose) -> Float:
+        sound, factor = self.now(state, t, to_array, pose)
+        return np.zeros(self.rig.system.ndof) if sound is None else factor * sound.skin_force
+
+    @cached_property
+    def _foresight(self) -> Foresight:
+        return Foresight(self.rig.quadrature.points, self.rig.quadrature.normals, self.rig.skin.arp_law)
+
+    @cached_property
+    def _can_foresee(self) -> bool:
+        """Whether the coming drives differ, and a transfer matrix gives their load."""
+        rig = self.rig
+        changing = rig.stimulus.path != "point" or rig.response.delays_s.any()
+        kernels = rig.reference_emitter.evaluator.evaluators
+        return bool(changing and rig.skin.body_sound == "none" and len(kernels) == 1 and kernels[0].mode == "fast")
+
+    def _foresee(self, state: Float, t0: float, to_array: Callable[[Float], Float], pose: Pose) -> None:
+        """Compute the load of the coming steps together, from a rehearsal with a copy of the state."""
+        rig, step = self.rig, self.rig.solver.step_s
+        emitter, rehearsed = rig.emitter(pose.arrays), state.copy()
+        drives = []
+        for i in range(STEPS):
+            for time, _ in self._moments(rehearsed, t0 + i * step, t0 + (i + 1) * step, to_array, pose):
+                if rig.response.on:
+                    drives.append(self.emitted(rehearsed).copy())
+                elif frame_at(rig.stimulus, time).arp_factor > 0.0:
+                    drives.append(emitter.unit_drive(to_array(frame_at(rig.stimulus, time).focus))[0])
+        self._foresight.fill(pose, t0 + (STEPS - 0.5) * step, emitter.evaluator.evaluators[0], drives)
 
     # -- transducers that ring -------------------------------------------------------------------------------------
 
@@ -268,9 +332,12 @@ class Chain:
         time_s: float | None = None,
     ) -> None:
         """Step the transducers, in place, over t1 - t0 or `time_s` [s], the drive going from that at t0 to t1's."""
-        response, emitter = self.rig.response, self.rig.emitter(pose.arrays)
-        first = asked(self.rig.stimulus, emitter, response.delays_s, t0, to_array)
-        last = first if t1 == t0 else asked(self.rig.stimulus, emitter, response.delays_s, t1, to_array)
+        response, emitter, stimulus = self.rig.response, self.rig.emitter(pose.arrays), self.rig.stimulus
+        delays = response.delays_s
+        if delays.any():
+            delays = delays_to(emitter, to_array(frame_at(stimulus, stimulus.start_s).focus))
+        first = asked(stimulus, emitter, delays, t0, to_array)
+        last = first if t1 == t0 else asked(stimulus, emitter, delays, t1, to_array)
         emitted[:] = pole_step(emitted, first, last, response.pole, t1 - t0 if time_s is None else time_s)
 
     def _emitted(self, emitted: Complex, focus: Float, pose: Pose) -> tuple[Sound | None, float]:
@@ -284,15 +351,10 @@ class Chain:
                 return unit, float(abs(level) ** 2)
         last = self._ringing
         if last is None or not (np.array_equal(last.drive, emitted) and last.pose.same(pose)):
-            load, _ = self.arp_at(self.rig.quadrature.points, self.rig.quadrature.normals, pose, emitted)
-            force = self.rig.quadrature.assemble(load.astype(np.float64))
+            force = self._skin_force(pose, emitted)
             last = Sound(focus, pose, emitted.copy(), float(np.abs(emitted).max()), force)
             self._ringing = last
         return last, 1.0
-
-    def _pushed(self, emitted: Complex, focus: Float, pose: Pose) -> Float:
-        sound, factor = self._emitted(emitted, focus, pose)
-        return np.zeros(self.rig.system.ndof) if sound is None else factor * sound.skin_force
 
     def mean_factor(self, state: Float, start: float, to_array: Callable[[Float], Float], pose: Pose) -> float:
         """Mean ARP factor, relative to the sound of `now`, over the MuJoCo step that begins at `start` [s]."""

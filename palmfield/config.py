@@ -4,6 +4,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
+from palmfield.acoustics.air import LIMITS
 from palmfield.errors import SceneError
 
 
@@ -26,6 +27,11 @@ Fraction = Annotated[float, Field(ge=0, le=1)]
 ArpLaw = Literal["default", "alpha"]
 Base = Literal["bonded", "free_slip"]
 Side = Literal["fixed", "free", "roller"]
+
+
+def _air(name: str) -> Any:
+    low, high = LIMITS[name]
+    return Field(ge=low, le=high)
 
 
 class Config(BaseModel):
@@ -66,9 +72,9 @@ class ArrayConfig(Config):
     precision: Literal["fast", "accurate"] = Field(
         "fast", description="field: float32 throughout, or distances and phases in float64 at half the speed"
     )
-    temperature_C: Annotated[float, Field(ge=-20, le=60)] = Field(20.0, description="air temperature")
-    humidity_percent: Annotated[float, Field(ge=0, le=100)] = Field(50.0, description="relative humidity")
-    pressure_Pa: Annotated[float, Field(ge=50e3, le=120e3)] = Field(101325.0, description="static air pressure")
+    temperature_C: Annotated[float, _air("temperature_C")] = Field(20.0, description="air temperature")
+    humidity_percent: Annotated[float, _air("humidity_percent")] = Field(50.0, description="relative humidity")
+    pressure_Pa: Annotated[float, _air("pressure_Pa")] = Field(101325.0, description="static air pressure")
     compute: Annotated[str, Field(pattern=r"^(auto|cpu|cuda:\d+)$")] = Field(
         "auto", description="where the field kernels run: auto, cpu or cuda:N"
     )

@@ -10,19 +10,20 @@ from rich.table import Table
 from palmfield.acoustics import validity
 from palmfield.acoustics.air import absorption_Np_m, density, sound_speed
 from palmfield.acoustics.arp import LAWS
-from palmfield.acoustics.reference import pressure64
 from palmfield.obstacle import BODY_SOUNDS
-from palmfield.report import RATIO, compares_with_finer
+from palmfield.report import RATIO, PUBLISHED_P0_Pa_m, compares_with_finer, p0_band, p0_given
 from palmfield.rig import Rig
 from palmfield.scene import Scene
 from palmfield.skin.material import complex_shear, shear_wave
 from palmfield.stimulus import frame_at, frame_rates, main_frequencies
 
-# One transducer at resonance (acoustics literature on 40 kHz emitters): quality factor about 25.
 # Measured on two cores of a server CPU (docs/bench/): pairs a second with gradient, seconds a step and unknown.
 PAIRS_PER_S = 5e8
 SOLVE_S = 1.7e-6
 START_AND_PICTURES_S = 12.0
+# One solution of the boundary elements, docs/bench/scattering.md: 20 iterations of all pairs of elements, and set-up
+SCATTER_PAIR_S = 2e-8
+SCATTER_ELEMENT_S = 1e-4
 
 
 @dataclass(frozen=True)
@@ -75,6 +76,7 @@ def plan(scene: Scene) -> Plan:
     dofs = 3 * (len(rig.mesh.nodes) - (rig.mesh.surface_nodes if bonded else 0))
     pairs = _points_a_step(rig) * len(rig.array) * scene.duration_s / rig.timestep_s
     seconds = START_AND_PICTURES_S + _estimate_s(rig, dofs) + SOLVE_S * dofs * substeps + pairs / PAIRS_PER_S
+    seconds += _solutions(scene) * _scatter_s(rig)
     return Plan(
         str(scene.path), _modelled(rig, dofs, substeps), _left_out(rig), _errors(rig), seconds, tuple(warnings(scene))
     )
@@ -92,8 +94,44 @@ def warnings(scene: Scene) -> list[str]:
     if distance > max(rig.spot_fwhm_m, 2 * rig.sizes[1]):
         found.append(f"the focus is {1e3 * distance:.0f} mm away from the skin layer, which then hardly moves")
     drive, _ = rig.unit_drive(rig.reference_focus)
-    pressure = pressure64(rig.reference_focus[None], rig.array, drive, rig.air)[0]
+    pressure = rig.reference_emitter.pressure64(rig.reference_focus[None], drive)
+    if rig.skin.body_sound == "scattering" and _can_move(scene):
+        found.append(
+            f"body_sound scattering on body '{rig.skin.body}', which can move: each pose takes about "
+            f"{_scatter_s(rig):.2g} s, {_solutions(scene)} poses {_solutions(scene) * _scatter_s(rig):.0f} s"
+        )
     return found + validity.warnings(rig.array, rig.reference_focus, pressure, rig.air)
+
+
+def _can_move(scene: Scene) -> bool:
+    """Whether body or arrays have degrees of freedom or are moved as mocap bodies, or lie on a body that is."""
+    model = scene.model
+    bodies = {scene.skin.body, *(int(model.site_bodyid[site]) for site in scene.skin.sites)}
+    for numbers in scene.skin.transducers:
+        bodies |= {int(body) for body in model.site_bodyid[numbers]}
+    for body in bodies:
+        while body > 0:
+            if model.body_dofnum[body] > 0 or model.body_mocapid[body] >= 0:
+                return True
+            body = int(model.body_parentid[body])
+    return False
+
+
+def _solutions(scene: Scene) -> int:
+    """Solutions by boundary elements in a run: one a pose, the loudest again, and a disc's other mesh in the report."""
+    rig = scene.skin.rig
+    if rig.skin.body_sound != "scattering":
+        return 0
+    poses = round(scene.duration_s / rig.timestep_s) + 1 if _can_move(scene) else 1
+    return poses + (rig.skin.shape == "disc")
+
+
+def _scatter_s(rig: Rig) -> float:
+    """Seconds of one solution by boundary elements on two CPU cores."""
+    if rig.skin.body_sound != "scattering":
+        return 0.0
+    elements = len(rig.boundary_mesh[1])
+    return SCATTER_PAIR_S * elements**2 + SCATTER_ELEMENT_S * elements
 
 
 def _factor_s(dofs: float) -> float:
@@ -129,7 +167,7 @@ def _modelled(rig: Rig, dofs: int, substeps: int) -> tuple[Row, ...]:
         Row(
             "sound field",
             f"{len(rig.array)} transducers, {surface}",
-            "pressure and gradient where the surface is, no volume; pistons with directivity and air absorption",
+            f"pressure and gradient where the surface is, no volume; {_directivity(rig)}; air absorption",
         ),
         Row("drive", f"amplitude {drive:.3f} of full", f"device {rig.device.name}: {rig.device.description}"),
         Row("ARP", f"law {rig.skin.arp_law}", LAWS[rig.skin.arp_law]),
@@ -161,6 +199,23 @@ def _modelled(rig: Rig, dofs: int, substeps: int) -> tuple[Row, ...]:
     )
 
 
+def _directivity(rig: Rig) -> str:
+    """What the transducers are off their axes, in words."""
+    words = []
+    for kind in rig.reference_emitter.kinds:
+        if kind.array.directivity_table is not None:
+            words.append("measured directivity")
+        elif kind.array.piston_radius_m == 0.0:
+            words.append("point sources")
+        else:
+            words.append(f"pistons of {1e3 * kind.array.piston_radius_m:g} mm radius")
+    return " and ".join(words)
+
+
+def _qualities(rig: Rig) -> str:
+    return "Q " + " and ".join(f"{q:g}" for q in sorted({board.config.quality for board in rig.boards}))
+
+
 def _rings(rig: Rig) -> list[Row]:
     heard = rig.response
     if not heard.on:
@@ -169,9 +224,9 @@ def _rings(rig: Rig) -> list[Row]:
     return [
         Row(
             "transducers' ring-up",
-            f"one pole each, Q {rig.array_config.quality:g}{late}",
-            f"drives change at up to {heard.envelope_Hz:.0f} Hz: without, the pressure could be off by "
-            f"{100 * (heard.ring_bound + heard.delay_bound):.1f} %",
+            f"one pole each, {_qualities(rig)}{late}",
+            f"without, the pressure would be off by {heard.ring}, measured on samples of the drive"
+            + (f"; without the flight times by {heard.late}" if late else ""),
         )
     ]
 
@@ -186,7 +241,7 @@ def _left_out(rig: Rig) -> tuple[Row, ...]:
     far = np.linalg.norm(rig.array.positions - rig.reference_focus, axis=1)
     cutoff = shear_wave(rig.material, max(frequency, 50.0))[0] / (4 * float(rig.patch.depth.mean()))
     drive, _ = rig.unit_drive(rig.reference_focus)
-    pressure = abs(pressure64(rig.reference_focus[None], rig.array, drive, rig.air)[0][0])
+    pressure = abs(rig.reference_emitter.pressure64(rig.reference_focus[None], drive)[0])
     shock = validity.shock_distance_m(pressure, rig.air, rig.array.frequency_Hz)
     rows = _sound_left_out(rig)
     rows += [
@@ -209,16 +264,17 @@ def _left_out(rig: Rig) -> tuple[Row, ...]:
 
 def _sound_left_out(rig: Rig) -> list[Row]:
     rows = []
-    # Figures of a hand, a finger and cupped sheets: docs/bench/scattering.md
     if rig.skin.body_sound == "none":
-        rows.append(Row("cast shadows", "nothing on an open hand", "one part of the body does not shade another"))
+        rows.append(
+            Row("cast shadows", "nothing on the open hand there", "one part of the body does not shade another")
+        )
     if rig.skin.body_sound != "scattering":
         rows.append(
             Row(
                 "scattered sound",
-                "1 % of the ARP on an open hand, 7 % on a finger, 17 % in a cup",
-                "the law takes the wall as locally flat and rigid; no echo between parts, or between hand and array; "
-                "docs/bench/scattering.md",
+                "4 % of the ARP on an open hand, 8 % on a finger, 16 % in a cup, more than half on skin turned away",
+                "relative L2, face by face, on the bodies of docs/bench/scattering.md, not on this one: the law takes "
+                "the wall as locally flat and rigid; no echo between parts, or between hand and array",
             )
         )
     heard = rig.response
@@ -226,16 +282,18 @@ def _sound_left_out(rig: Rig) -> list[Row]:
         rows.append(
             Row(
                 "transducers' ring-up",
-                f"<= {100 * heard.ring_bound:.2f} % of the pressure, drives changing at {heard.envelope_Hz:.0f} Hz",
-                f"one pole, Q {rig.array_config.quality:g}; a delay of {1e3 / heard.pole.damping.min():.2f} ms",
+                f"{heard.ring} of the pressure",
+                f"measured on samples of the drive; one pole, {_qualities(rig)}: a delay of "
+                f"{1e3 / heard.pole.damping.min():.2f} ms",
             )
         )
     if not heard.delays_s.any():
         rows.append(
             Row(
                 "spread of the flight time",
-                f"<= {100 * heard.delay_bound:.2f} % of the pressure",
-                f"{1e3 * heard.spread_s:.3f} ms between the first and the last transducer's sound",
+                f"{heard.late} of the pressure",
+                f"measured on samples of the drive; {1e3 * heard.spread_s:.3f} ms between the first and the last "
+                "transducer's sound",
             )
         )
     middle = 0.5 * np.ptp(np.linalg.norm(rig.array.positions - rig.reference_focus, axis=1))
@@ -245,7 +303,6 @@ def _sound_left_out(rig: Rig) -> list[Row]:
 
 
 def _errors(rig: Rig) -> tuple[Row, ...]:
-    p0 = rig.array_config
     rows = [
         Row(
             "mesh and time step",
@@ -254,16 +311,20 @@ def _errors(rig: Rig) -> tuple[Row, ...]:
         ),
         Row("material", "of the order of 50 %", f"{rig.material.name}: {rig.material.source}"),
     ]
-    if p0.p0_low_Pa_m is not None and p0.p0_high_Pa_m is not None and rig.stimulus.arp_peak_Pa is None:
-        low, high = (p0.p0_low_Pa_m / p0.p0_Pa_m) ** 2, (p0.p0_high_Pa_m / p0.p0_Pa_m) ** 2
-        rows.append(Row("p0", f"x {low:.2f} to x {high:.2f}", "displacement goes with p0 squared; the given range"))
-    elif rig.stimulus.arp_peak_Pa is None:
-        low, high = (1.27 / p0.p0_Pa_m) ** 2, (8.02 / p0.p0_Pa_m) ** 2
-        rows.append(
-            Row("p0", f"x {low:.2f} to x {high:.1f}", "uncalibrated: published values run from 1.27 to 8.02 Pa m")
-        )
-    else:
+    band = p0_band(rig)
+    if rig.stimulus.arp_peak_Pa is not None:
         rows.append(Row("p0", "none", "arp_peak_Pa sets the level"))
+    elif band is not None:
+        published = "{:g} to {:g} Pa m".format(*PUBLISHED_P0_Pa_m)
+        rows.append(
+            Row(
+                "p0",
+                f"x {band[0]:.2f} to x {band[1]:.2f}",
+                "displacement goes with p0 squared; the given range"
+                if p0_given(rig)
+                else f"displacement goes with p0 squared; where no range is given, published values: {published}",
+            )
+        )
     return tuple(rows)
 
 

@@ -9,7 +9,7 @@ import xarray as xr
 from rich.console import Console
 from rich.table import Table
 
-from palmfield.chain import Chain, Sound
+from palmfield.chain import Chain, Sound, Wall
 from palmfield.errors import PalmfieldError, SceneError
 from palmfield.percept import OBSERVERS, level_dB_SL, line_amplitude
 from palmfield.rig import Rig
@@ -23,6 +23,7 @@ RATIO = 1.25
 # Above this a finer mesh costs minutes and gigabytes. A coarser one must keep two layers: one alone is off by 20 %.
 FINER_BELOW = 15_000
 LAYERS = 3
+PUBLISHED_P0_Pa_m = (1.27, 8.02)  # of transducers of 10 mm at 40 kHz, see palmfield.acoustics.placement
 
 
 def numbers(scene: Scene, ds: xr.Dataset, loudest: Sound | None, factor: float) -> dict[str, Any]:
@@ -38,11 +39,14 @@ def numbers(scene: Scene, ds: xr.Dataset, loudest: Sound | None, factor: float) 
     vertex = int(np.abs(motion).max(axis=0).argmax())
     peak = float(np.abs(motion).max())
     if loudest is not None:
-        out["total_force_peak_N"] = factor * float(np.linalg.norm(Chain(rig).resultant(loudest)[0]))
-        out |= _p0_band(rig, peak)
+        chain = Chain(rig, scene.skin.chain.wall)
+        out["total_force_peak_N"] = factor * float(np.linalg.norm(chain.resultant(loudest)[0]))
+        band = p0_band(rig) if p0_given(rig) else None
+        if band is not None:
+            out |= {"peak_displacement_low_m": peak * band[0], "peak_displacement_high_m": peak * band[1]}
     if loudest is not None and peak > 0:
         try:
-            errors = error_estimate(rig, loudest)
+            errors = error_estimate(rig, loudest, scene.skin.chain.wall)
             out |= errors | {"displacement_error_m": errors["displacement_error_relative"] * peak}
         except (PalmfieldError, MemoryError) as error:
             out["displacement_error_missing"] = f"{error}"
@@ -57,9 +61,10 @@ def compares_with_finer(rig: Rig, dofs: int) -> bool:
     return dofs < FINER_BELOW or len(rig.sizes[3]) - 1 < LAYERS
 
 
-def error_estimate(rig: Rig, sound: Sound) -> dict[str, float]:
+def error_estimate(rig: Rig, sound: Sound, wall: Wall | None = None) -> dict[str, float]:
     """Relative error of the displacement at the skin point nearest to the focus, by source.
 
+    wall: see Chain; it saves solving for the same sound again
     mesh: static and harmonic response on the scene's mesh and on one RATIO finer (or coarser, for more than
         FINER_BELOW unknowns and at least LAYERS layers), by Richardson's rule; the larger of the two. Frequency: the
         stimulus's main one; half of the highest that mesh and step are made for where there is none, as the spectrum
@@ -73,17 +78,17 @@ def error_estimate(rig: Rig, sound: Sound) -> dict[str, float]:
     point = (sound.focus - sound.pose.shift) @ sound.pose.turn
     finer = compares_with_finer(rig, rig.system.ndof)
     try:
-        return _error_estimate(rig, sound, point, finer)
+        return _error_estimate(rig, sound, point, finer, wall)
     except SceneError:
-        return _error_estimate(rig, sound, point, not finer)
+        return _error_estimate(rig, sound, point, not finer, wall)
 
 
-def _error_estimate(rig: Rig, sound: Sound, point: Float, finer: bool) -> dict[str, float]:
+def _error_estimate(rig: Rig, sound: Sound, point: Float, finer: bool, wall: Wall | None) -> dict[str, float]:
     frequencies = main_frequencies(rig.stimulus)
     frequency = frequencies[0] if frequencies else 0.5 * rig.max_frequency_Hz
     low, high = (rig, rig.resized(1 / RATIO)) if finer else (rig.resized(RATIO), rig)
-    coarse_static, coarse_wave, coarse_step = _answers(low, sound, point, frequency, rig.sizes[4])
-    fine_static, fine_wave, _ = _answers(high, sound, point, frequency)
+    coarse_static, coarse_wave, coarse_step = _answers(low, sound, point, frequency, wall, rig.sizes[4])
+    fine_static, fine_wave, _ = _answers(high, sound, point, frequency, wall)
     mesh = mesh_error(np.array([coarse_static, coarse_wave]), np.array([fine_static, fine_wave]), RATIO)
     if finer:
         mesh *= RATIO**ORDER
@@ -91,7 +96,7 @@ def _error_estimate(rig: Rig, sound: Sound, point: Float, finer: bool) -> dict[s
     edge = 0.0
     if rig.skin.shape != "disc":
         other = low.resized(low.resizing, side="free" if rig.skin.side == "fixed" else "fixed")
-        edge = 0.5 * abs(_answers(other, sound, point, frequency)[1] - coarse_wave) / abs(coarse_wave)
+        edge = 0.5 * abs(_answers(other, sound, point, frequency, wall)[1] - coarse_wave) / abs(coarse_wave)
     return {
         "mesh_error_relative": mesh,
         "step_error_relative": float(step),
@@ -101,25 +106,43 @@ def _error_estimate(rig: Rig, sound: Sound, point: Float, finer: bool) -> dict[s
 
 
 def _answers(
-    rig: Rig, sound: Sound, point: Float, frequency: float, step_s: float | None = None
+    rig: Rig, sound: Sound, point: Float, frequency: float, wall: Wall | None, step_s: float | None = None
 ) -> tuple[float, complex, complex]:
     """Displacement at a point: static, harmonic, and (where a step is given) of the discrete scheme."""
-    chain = Chain(rig)
+    # The boundary of a disc is that of its skin's mesh, any other body's is its own
+    chain = Chain(rig, wall if rig.skin.shape != "disc" or rig.resizing == 1.0 else None)
     force = chain.sound(sound.focus, sound.pose).skin_force
     read = chain.probe(point).operator
     stepped = 0j if step_s is None else (read @ harmonic_discrete(rig.system, force, frequency, step_s))[0]
     return (read @ static(rig.system, force))[0], (read @ harmonic(rig.system, force, frequency))[0], stepped
 
 
-def _p0_band(rig: Rig, peak_m: float) -> dict[str, float]:
-    low, high = rig.array_config.p0_low_Pa_m, rig.array_config.p0_high_Pa_m
-    if low is None or high is None or rig.stimulus.arp_peak_Pa is not None:
-        return {}
-    p0 = rig.array_config.p0_Pa_m
-    return {
-        "peak_displacement_low_m": peak_m * (low / p0) ** 2,
-        "peak_displacement_high_m": peak_m * (high / p0) ** 2,
-    }
+def p0_band(rig: Rig) -> tuple[float, float] | None:
+    """Factors on the skin's motion at the low and high ends of every array's p0; None where arp_peak_Pa sets the level.
+
+    An array without a range of its own has the published one. The pressures of the arrays add up at the focus, each
+    with its own p0, and the motion goes with the square.
+    """
+    emitter = rig.reference_emitter
+    drive, _ = rig.unit_drive(rig.reference_focus)
+    ends = np.cumsum([len(part) for part in emitter.parts])
+    parts = []
+    for part, end in zip(emitter.parts, ends, strict=True):
+        alone = np.zeros_like(drive)
+        alone[end - len(part) : end] = drive[end - len(part) : end]
+        parts.append(emitter.pressure64(rig.reference_focus[None], alone)[0])
+    whole = abs(sum(parts)) ** 2
+    if rig.stimulus.arp_peak_Pa is not None or whole == 0.0:
+        return None
+    configs = [board.config for board in rig.boards]
+    low = [(c.p0_low_Pa_m or PUBLISHED_P0_Pa_m[0]) / c.p0_Pa_m for c in configs]
+    high = [(c.p0_high_Pa_m or PUBLISHED_P0_Pa_m[1]) / c.p0_Pa_m for c in configs]
+    return abs(np.dot(low, parts)) ** 2 / whole, abs(np.dot(high, parts)) ** 2 / whole
+
+
+def p0_given(rig: Rig) -> bool:
+    """Whether every array has a range of p0 of its own."""
+    return all(board.config.p0_low_Pa_m is not None for board in rig.boards)
 
 
 def _levels(time: Float, motion: Float, frequencies: list[float]) -> dict[str, float | None]:

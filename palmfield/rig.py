@@ -10,7 +10,6 @@ from typing import Any, TypeVar
 import numpy as np
 
 from palmfield.acoustics.air import sound_speed
-from palmfield.acoustics.reference import pressure64
 from palmfield.acoustics.shadow import shadow_mesh
 from palmfield.config import DriverConfig, Side, SkinConfig, StimulusConfig
 from palmfield.device import resolve
@@ -32,7 +31,7 @@ from palmfield.skin.presets import preset
 from palmfield.skin.solver import SkinSolver
 from palmfield.skin.surface import closed_boundary
 from palmfield.skin.wedges import WedgeMesh, extrude
-from palmfield.stimulus import frame_rates, main_frequencies
+from palmfield.stimulus import frame_at, frame_rates, main_frequencies
 from palmfield.types import Complex, Float, Int, Patch, Surface
 
 # The rules are calibrated on a disc of even depth. A hand's layer thins at rims and webs, differently on each mesh: its
@@ -64,17 +63,18 @@ class Rig:
         skin: SkinConfig,
         driver: DriverConfig,
         timestep_s: float,
-        reference_focus: Triple,
+        stimulus_frame: Placement,
         patch_centre: Triple,
         resizing: float = 1.0,
     ):
         self.resizing = resizing
         self.boards, self.stimulus, self.skin, self.driver = boards, stimulus, skin, driver
-        self.array_config = boards[0].config
         self.timestep_s = timestep_s
-        self.reference_focus, self.patch_centre = np.array(reference_focus), np.array(patch_centre)
+        self.stimulus_frame, self.patch_centre = stimulus_frame, np.array(patch_centre)
+        turn = np.array(stimulus_frame.rotation).reshape(3, 3)
+        self.reference_focus = np.array(stimulus_frame.position) + turn @ frame_at(stimulus, stimulus.start_s).focus
         self.lock = threading.RLock()
-        resolve(self.array_config.compute)
+        resolve(boards[0].config.compute)
         self.device = DEVICES[driver.device]
         self.material = material_of(skin)
         self._placements = tuple(board.placement for board in boards)
@@ -84,7 +84,7 @@ class Rig:
         check_device(self)
         self.unit_drive(self.reference_focus)
         self.response = response(
-            boards, self.reference_emitter, stimulus, self.reference_focus, skin.accuracy,
+            boards, self.reference_emitter, stimulus, stimulus_frame, self.reference_focus, skin.accuracy,
             spread=skin.body_sound != "scattering",
         )  # fmt: skip
         check_body_sound(self)
@@ -111,7 +111,7 @@ class Rig:
         drive, _ = self.unit_drive(self.reference_focus)
         offset = np.linspace(0.0, 0.06, 241)
         points = self.reference_focus + offset[:, None] * np.array([1.0, 0.0, 0.0])
-        square = np.abs(pressure64(points, self.array, drive, self.air)[0]) ** 2
+        square = np.abs(self.reference_emitter.pressure64(points, drive)) ** 2
         below = np.flatnonzero(square < 0.5 * square[0])
         return 2 * float(offset[below[0]]) if len(below) else 2 * float(offset[-1])
 
@@ -124,7 +124,7 @@ class Rig:
             skin,
             self.driver,
             self.timestep_s,
-            tuple(self.reference_focus),
+            self.stimulus_frame,
             tuple(self.patch_centre),
             resizing=factor,
         )
@@ -326,10 +326,11 @@ def check_device(rig: Rig) -> None:
             f"plugin 'palmfield.driver': device '{device.name}' drives one array; the scene has "
             f"{len(rig.boards)} of 'palmfield.array': use device ideal"
         )
-    if rig.array_config.layout != device.name:
+    layout = rig.boards[0].config.layout
+    if layout != device.name:
         raise SceneError(
             f"plugin 'palmfield.driver': device '{device.name}' drives the layout '{device.name}' only; "
-            f"plugin 'palmfield.array' has layout '{rig.array_config.layout}': set it to '{device.name}'"
+            f"plugin 'palmfield.array' has layout '{layout}': set it to '{device.name}'"
         )
 
 
@@ -346,13 +347,13 @@ def rig(
     skin: SkinConfig,
     driver: DriverConfig,
     timestep_s: float,
-    reference_focus: Triple,
+    stimulus_frame: Placement,
     patch_centre: Triple,
 ) -> Rig:
     """The rig for these configurations; equal ones share it, so that two models of one scene factorise once.
 
     boards: the scene's arrays; timestep_s: MuJoCo's step [s]
-    reference_focus: focus at time 0 in the frame of the first array, in the reference pose [m]
+    stimulus_frame: frame of focus and path, in the frame of the first array, in the reference pose
     patch_centre: middle of the skin layer in the body frame [m]
     """
-    return Rig(boards, stimulus, skin, driver, timestep_s, reference_focus, patch_centre)
+    return Rig(boards, stimulus, skin, driver, timestep_s, stimulus_frame, patch_centre)

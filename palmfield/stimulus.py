@@ -32,12 +32,18 @@ def frame_at(config: StimulusConfig, t: float) -> Frame:
 
     A control tick holds both; a path point holds the focus only, so that the level goes on between points.
     """
+    focus, factor = frames_at(config, np.array([t]))
+    return Frame(focus[0], float(factor[0]))
+
+
+def frames_at(config: StimulusConfig, times: Float) -> tuple[Float, Float]:
+    """Foci [m], shape (n, 3), and ARP factors, shape (n,), at times [s], shape (n,); see `frame_at`."""
     if config.control_rate_Hz > 0:
-        t = _floor(t, config.control_rate_Hz, 0.0)
-    on_path = t
+        times = _floor(times, config.control_rate_Hz, 0.0)
+    on_path = times
     if _point_rate(config) > 0:
-        on_path = _floor(t, _point_rate(config), config.start_s)
-    return Frame(_focus(config, on_path), _arp_factor(config, t))
+        on_path = _floor(times, _point_rate(config), config.start_s)
+    return _foci(config, on_path), _arp_factors(config, times)
 
 
 def held_frames(config: StimulusConfig, start: float, end: float) -> list[tuple[float, float]]:
@@ -81,30 +87,30 @@ def _grids(config: StimulusConfig) -> list[tuple[float, float]]:
     return [(rate, first) for rate, first in grids if rate > 0]
 
 
-def _floor(t: float, rate: float, first: float) -> float:
+def _floor(times: Float, rate: float, first: float) -> Float:
     # A tick less than a nanosecond ahead counts as passed, so that t = k / rate lands on frame k.
-    return first + math.floor((t - first + 1e-9) * rate) / rate
+    return first + np.floor((times - first + 1e-9) * rate) / rate
 
 
-def _focus(config: StimulusConfig, t: float) -> Float:
-    centre = np.array(config.focus_m, dtype=np.float64)
+def _foci(config: StimulusConfig, times: Float) -> Float:
+    centre = np.tile(np.array(config.focus_m, dtype=np.float64), (len(times), 1))
     if config.path == "circle":
         assert config.path_diameter_m and config.path_rate_Hz
-        angle = 2 * math.pi * config.path_rate_Hz * (t - config.start_s)
-        centre[:2] += 0.5 * config.path_diameter_m * np.array([math.cos(angle), math.sin(angle)])
+        angle = 2 * math.pi * config.path_rate_Hz * (times - config.start_s)
+        centre[:, :2] += 0.5 * config.path_diameter_m * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     return centre
 
 
-def _arp_factor(config: StimulusConfig, t: float) -> float:
-    since = t - config.start_s
-    if since < -1e-9 or (config.stop_s is not None and t >= config.stop_s - 1e-9):
-        return 0.0
-    level = 1.0
-    if config.ramp_s > 0 and since < config.ramp_s:
-        level = 0.5 - 0.5 * math.cos(math.pi * max(since, 0.0) / config.ramp_s)
+def _arp_factors(config: StimulusConfig, times: Float) -> Float:
+    since = times - config.start_s
+    level = np.where(since < -1e-9, 0.0, 1.0)
+    if config.stop_s is not None:
+        level[times >= config.stop_s - 1e-9] = 0.0
+    if config.ramp_s > 0:
+        level *= 0.5 - 0.5 * np.cos(math.pi * np.clip(since / config.ramp_s, 0.0, 1.0))
     if config.modulation == "am":
         assert config.am_depth is not None and config.am_frequency_Hz
-        wave = (1 + config.am_depth * math.sin(2 * math.pi * config.am_frequency_Hz * since)) / (1 + config.am_depth)
+        wave = (1 + config.am_depth * np.sin(2 * math.pi * config.am_frequency_Hz * since)) / (1 + config.am_depth)
         level *= wave**2 if config.am_of == "pressure" else wave
     return level
 

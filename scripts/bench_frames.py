@@ -123,8 +123,8 @@ def on_cpu(points: Float, normals: Float, cases: list[Case]) -> list[str]:
     ]
     for threads in sorted({1, os.cpu_count() or 1}):
         evaluator = FieldEvaluator(layout(LAYOUT), AIR, "cpu", threads=threads)
-        transfer = Transfer(evaluator, points, normals, AIR)
-        build_s = median_s(partial(Transfer, evaluator, points, normals, AIR))
+        transfer = Transfer(evaluator, points, normals)
+        build_s = median_s(partial(Transfer, evaluator, points, normals))
         for case in cases:
             single_s = median_s(partial(one_by_one, evaluator, points, normals, case.drives)) * FRAMES / ONE_BY_ONE
             with threadpool_limits(1, user_api="blas"):
@@ -158,10 +158,10 @@ def on_gpu(points: Float, normals: Float, cases: list[Case], device: str) -> lis
     ]
     evaluator = FieldEvaluator(layout(LAYOUT), AIR, device)
     for case in cases:
-        transfer = Transfer(evaluator, points, normals, AIR)
+        transfer = Transfer(evaluator, points, normals)
         error = case.error(transfer.arp_on_gpu(case.drives).numpy())
         first_s = statistics.median(
-            gpu_s(Transfer(evaluator, points, normals, AIR), case.drives, device) for _ in range(RUNS)
+            gpu_s(Transfer(evaluator, points, normals), case.drives, device) for _ in range(RUNS)
         )
         again_s = statistics.median(gpu_s(transfer, case.drives, device) for _ in range(RUNS))
         reduce_s = median_s(partial(transfer.reduced, case.drives))

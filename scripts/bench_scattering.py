@@ -8,7 +8,6 @@ docs/images/scattering when the file is the default one, else beside the file.
 
 import argparse
 import os
-import subprocess
 import time
 import warnings
 from pathlib import Path
@@ -28,6 +27,8 @@ from palmfield.acoustics.langevin import radiation_force
 from palmfield.acoustics.scattering import Scattering, array_sound, scatter, scattered_field, wall_arp, wall_force
 from palmfield.acoustics.shadow import lit, shadow_mesh, shadowed_pressure
 from palmfield.acoustics.sphere import force_over_energy, geodesic, surface_pressure
+from palmfield.bench.field import device_name, git_commit
+from palmfield.bench.table import processor
 from palmfield.device import resolve
 from palmfield.hand.triangles import face_normals, vertex_normals
 from palmfield.types import Air, Field, Float, Surface
@@ -95,7 +96,7 @@ def sphere_error(found: Scattering, pressure: np.ndarray, ka: float) -> float:
 
 def outer_surface_alone(found: Scattering, device: str) -> np.ndarray:
     """Pressure of the equation on the outer surface only, by a dense matrix."""
-    layer = DoubleLayer(found.centroids, found.vertices, found.faces, K, device)
+    layer = DoubleLayer(found.centroids, found.vertices, found.faces, K, device, np.arange(len(found.faces)))
     units = np.eye(len(found.faces))
     matrix = 0.5 * units - np.stack([layer.apply(unit) for unit in units], axis=1)
     return np.linalg.solve(matrix, plane_wave(found.centroids))
@@ -207,23 +208,6 @@ def compare(body: Body, device: str, memory: Memory) -> tuple[list[str], str, np
     return rows, cost, look, pressed
 
 
-def machine(device: str) -> str:
-    if device != "cpu":
-        return wp.get_device(device).name
-    lines = Path("/proc/cpuinfo").read_text().splitlines()
-    model = next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
-    return f"{model}, {os.cpu_count()} cores"
-
-
-def commit() -> str:
-    def git(*arguments: str) -> str:
-        return subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
-
-    watched = ("palmfield/acoustics", "warp_kernels", "scripts/bench_scattering.py", "scripts/_scattering_bodies.py")
-    changed = git("status", "--porcelain", "--", *watched)
-    return git("rev-parse", "--short", "HEAD") + (" with uncommitted changes" if changed else "")
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
     parser.add_argument("--device", default="cpu")
@@ -254,9 +238,9 @@ def main() -> None:
     options.out.write_text(
         REPORT.format(
             command=f"python scripts/bench_scattering.py --device {options.device}{' --hand' if options.hand else ''}",
-            machine=machine(device),
+            machine=device_name(device) if device != "cpu" else f"{processor()}, {os.cpu_count()} cores",
             warp=wp.config.version,
-            commit=options.commit or commit(),
+            commit=options.commit or git_commit(),
             spheres="\n".join(spheres),
             costs="\n".join(costs),
             rows="\n".join(rows),

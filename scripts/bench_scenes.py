@@ -13,7 +13,9 @@ import time
 from pathlib import Path
 
 import numpy as np
-from bench_field import commit, cpu_model
+
+from palmfield.bench.field import git_commit
+from palmfield.bench.table import processor
 
 ROOT = Path(__file__).resolve().parents[1]
 SCENES = ROOT / "mjcf" / "scenes"
@@ -59,8 +61,8 @@ def main() -> None:
     head = [
         "# The shipped scenes",
         "",
-        f"`python scripts/bench_scenes.py`, {cpu_model()}, {os.cpu_count()} cores, commit {commit()}; yardstick (ten "
-        f"products of 1000 x 1000) {yardstick_s():.2f} s. One run each, wall time of the whole command, compiled "
+        f"`python scripts/bench_scenes.py`, {processor()}, {os.cpu_count()} cores, commit {git_commit()}; yardstick "
+        f"(ten products of 1000 x 1000) {yardstick_s():.2f} s. One run each, wall time of the whole command, compiled "
         "kernels cached. Errors in percent of the displacement: mesh, time step, cut edge of the skin layer.",
         "",
         "| scene | wall [s] | memory [MiB] | unknowns | steps | peak ARP [Pa] | force [mN] | peak [um] | rms [um] "

@@ -4,26 +4,21 @@ With R = y - x, d = |R| and k = 2 pi, the kernel n_y . grad_y exp(ikd)/(4 pi d) 
 n_y . R (ikd - 1) exp(ikd)/(4 pi d^3).
 Far triangles count with their centroid alone. What that lacks near a triangle is added from a sparse list: the
 static part is the triangle's solid angle (Van Oosterom & Strackee 1983, doi 10.1109/TBME.1983.325207), exact at any
-distance, and the bounded rest is summed over the points of a rule.
+distance, and the bounded rest is summed over the points of a rule. The centroid's own term, which has no bound, is
+softened: d^2 is |R|^2 and a small square more, in the sum and in what the list takes off again.
 """
 
 import functools
 
 import warp as wp
 
+from warp_kernels.pressure import TURN, quintic, vec6
+
 PLAIN = {"enable_backward": False, "max_unroll": 1}
 wp.set_module_options(PLAIN)
 
-vec6 = wp.types.vector(length=6, dtype=wp.float32)
-
-TURN = wp.constant(6.283185307179586)
 FOUR_PI = wp.constant(12.566370614359172)
-NEAREST = wp.constant(1.0e-12)  # square of the distance at which the centroid's own term is cut, where it is 0 anyway
-
-
-@wp.func
-def quintic(c: vec6, x: wp.float32):
-    return c[0] + x * (c[1] + x * (c[2] + x * (c[3] + x * (c[4] + x * c[5]))))
+NEAREST = wp.constant(1.0e-12)  # keeps 1/d finite at a point of the rule, where the rest is 0
 
 
 @functools.cache
@@ -41,6 +36,7 @@ def far(width: int) -> wp.Kernel:
         density: wp.array(dtype=wp.vec2),
         sine: vec6,
         cosine: vec6,
+        softening: float,
         parts: int,
         result: wp.array(dtype=wp.vec2),
     ):
@@ -48,6 +44,7 @@ def far(width: int) -> wp.Kernel:
 
         moments: normal times area over 4 pi
         sine, cosine: polynomials in f^2 for sin(2 pi f)/f and cos(2 pi f), |f| <= 1/2, lowest power first
+        softening: added to the square of the distance
         parts: into how many the triangles are split, the second dimension of the launch
         """
         block, part = wp.tid()
@@ -73,7 +70,7 @@ def far(width: int) -> wp.Kernel:
                 dx = c[0] - x[i]
                 dy = c[1] - y[i]
                 dz = c[2] - z[i]
-                square = dx * dx + dy * dy + dz * dz + NEAREST
+                square = dx * dx + dy * dy + dz * dz + softening
                 d = wp.sqrt(square)
                 over = 1.0 / square
                 gain = (dx * m[0] + dy * m[1] + dz * m[2]) * d * over * over
@@ -139,6 +136,19 @@ def wave_factor(d: wp.float32):
 
 
 @wp.func
+def wave_rest(d: wp.float32):
+    """1 + (ikd - 1) exp(ikd), by its series where the difference would lose its digits."""
+    x = TURN * d
+    if x > 0.5:
+        return wave_factor(d) + wp.vec2(1.0, 0.0)
+    q = x * x
+    return wp.vec2(
+        q * (-1.0 / 2.0 + q * (1.0 / 8.0 - q * (1.0 / 144.0))),
+        q * x * (-1.0 / 3.0 + q * (1.0 / 30.0 - q * (1.0 / 840.0))),
+    )
+
+
+@wp.func
 def solid_angle(a: wp.vec3, b: wp.vec3, c: wp.vec3):
     """Of the triangle with these corners relative to the eye, positive where its normal points away from the eye."""
     la = wp.length(a)
@@ -176,6 +186,8 @@ def near_fill(
     reach: wp.array(dtype=float),
     largest: float,
     rule: wp.array(dtype=wp.vec4),
+    softening: float,
+    own: wp.array(dtype=int),
     start: wp.array(dtype=int),
     column: wp.array(dtype=int),
     value: wp.array(dtype=wp.vec2),
@@ -183,25 +195,25 @@ def near_fill(
     """Columns and values of the sparse correction: the triangle's integral less the one-point sum's term.
 
     rule: three barycentric coordinates and the weight of each point
+    softening: as in `far`
+    own: the triangle on whose plane a point lies, or -1; its integral is 0, as the kernel vanishes in the plane
     """
     i = wp.tid()
     x = points[i]
     slot = start[i]
     for j in wp.hash_grid_query(grid, x, largest):
         r = centroids[j] - x
-        d = wp.sqrt(wp.dot(r, r) + NEAREST)
         if wp.length(r) < reach[j]:
-            column[slot] = j
-            value[slot] = wp.vec2()
-            # On the triangle itself the integral is 0: the kernel vanishes in its plane
-            if d > 1.0e-2 * reach[j] or wp.abs(wp.dot(r, wp.normalize(moments[j]))) > 1.0e-4 * reach[j]:
-                total = wp.vec2(-solid_angle(corners[j, 0] - x, corners[j, 1] - x, corners[j, 2] - x) / FOUR_PI, 0.0)
+            total = wp.vec2()
+            if j != own[i]:
+                total[0] = -solid_angle(corners[j, 0] - x, corners[j, 1] - x, corners[j, 2] - x) / FOUR_PI
                 for q in range(rule.shape[0]):
                     at = rule[q][0] * corners[j, 0] + rule[q][1] * corners[j, 1] + rule[q][2] * corners[j, 2] - x
                     e = wp.sqrt(wp.dot(at, at) + NEAREST)
-                    rest = wave_factor(e) + wp.vec2(1.0, 0.0)
-                    total += rule[q][3] * wp.dot(moments[j], at) / (e * e * e) * rest
-                value[slot] = total - wp.dot(moments[j], r) / (d * d * d) * wave_factor(d)
+                    total += rule[q][3] * wp.dot(moments[j], at) / (e * e * e) * wave_rest(e)
+            d = wp.sqrt(wp.dot(r, r) + softening)
+            column[slot] = j
+            value[slot] = total - wp.dot(moments[j], r) / (d * d * d) * wave_factor(d)
             slot += 1
 
 

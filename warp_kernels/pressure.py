@@ -1,14 +1,13 @@
-"""Pressure of transducers that lie in planes, and its gradient; one source for the CPU and GPUs.
+"""Pressure of transducers that lie in planes; one source for the CPU and GPUs. gradient.py has its gradient.
 
 Phasors go with e^{-i w t}. Transducers come in groups that share a plane and an axis: in the group's frame (x, y in the
 plane, z along the axis) they differ by x, y, strength and phase alone, and z^2, cos^2 of the angle off the axis and
-"behind the plane" cost nothing or nearly nothing a pair.
+"behind the plane" cost nothing or nearly nothing a pair. Where they share only the axis each has a z as well.
 
 One thread holds several points. On the CPU, where Warp runs scalar code per thread, LLVM vectorises the loop over them:
-16 fill one AVX-512 register. On a GPU 3 or 4 share the loads of a transducer.
+16 fill one AVX-512 register. On a GPU 4 share the loads of a transducer.
 
-Choices are made when the kernels are built (`Form`): among them where the phase comes from (`angle_*`), and how the
-amplitude falls with distance (`fall_*`).
+Choices are made when the kernels are built (`Form`), among them those of functions `angle_*` and `fall_*`.
 """
 
 import functools
@@ -37,7 +36,7 @@ class Sound:
     turns_per_m, turns32_per_m, wavenumber_rad_m: one over the wavelength [1/m], in both precisions, and 2 pi times that
     absorption_Np_m: amplitude lost on the way [Np/m]
     directivity: in q = cos^2 of the angle off the axis
-    slope: 2/k times the directivity's derivative in q
+    slope: twice the directivity's derivative in q, over k
     sine, cosine: sin(2 pi f)/f and cos(2 pi f) in f^2, for f within half a turn
     """
 
@@ -158,8 +157,16 @@ def fall_cubic(sound: Sound, strength: wp.vec4, d: wp.float32, inverse: wp.float
 
 
 @wp.func
+def fall_quadratic(sound: Sound, strength: wp.vec4, d: wp.float32, inverse: wp.float32):
+    return strength[0] * inverse + (strength[1] + d * strength[2])
+
+
+@wp.func
 def fall_exponential(sound: Sound, strength: wp.vec4, d: wp.float32, inverse: wp.float32):
     return strength[0] * inverse * wp.exp(-sound.absorption_Np_m * d)
+
+
+FALLS = {"quadratic": fall_quadratic, "cubic": fall_cubic, "exponential": fall_exponential}
 
 
 @dataclass(frozen=True)
@@ -168,14 +175,20 @@ class Form:
 
     gpu: for a GPU rather than the CPU
     accurate: geometry and phase in float64, the rest in float32
-    steep: exponential fall with distance instead of a cubic
+    fall: of the amplitude with distance, a key of FALLS
     smooth: directivity as a quartic and its slope as a cubic, instead of a quintic and a quartic
+    flat: a group's transducers lie in a plane; else the fourth number of an element is its height over it
     """
 
     gpu: bool
     accurate: bool
-    steep: bool
+    fall: str
     smooth: bool
+    flat: bool
+
+    @property
+    def fall_of(self) -> Any:
+        return FALLS[self.fall]
 
     @property
     def angle(self) -> Any:
@@ -189,22 +202,22 @@ class Form:
         return (wp.vec3d, wp.vec4d, wp.mat33d) if self.accurate else (wp.vec3, wp.vec4, wp.mat33)
 
 
-PRESSURE_WIDTH = {"cpu": 16, "gpu": 4}
-GRADIENT_WIDTH = {"cpu": 16, "gpu": 3}
+WIDTH = {"cpu": 16, "gpu": 4}
 
 
 @functools.cache
 def pressure(form: Form) -> Any:
-    """Kernel of the pressure alone; PRESSURE_WIDTH points a thread."""
+    """Kernel of the pressure alone; WIDTH points a thread."""
     vec3, vec4, mat33 = form.vectors
-    width = PRESSURE_WIDTH["gpu" if form.gpu else "cpu"]
+    width = WIDTH["gpu" if form.gpu else "cpu"]
     real = wp.float64 if form.accurate else wp.float32
     places = wp.types.vector(length=width, dtype=real)
     lanes = wp.types.vector(length=width, dtype=wp.float32)
     row = row64 if form.accurate else row32
     root = root64 if form.accurate else root32
     angle = form.angle
-    fall = fall_exponential if form.steep else fall_cubic
+    flat = form.flat
+    fall = form.fall_of
     directivity = quartic if form.smooth else quintic
 
     @wp.kernel(module="unique", module_options=GPU if form.gpu else CPU, enable_backward=False)
@@ -218,14 +231,14 @@ def pressure(form: Form) -> Any:
         sound: Sound,
         result: wp.array(dtype=wp.vec2),
     ):
-        """By group: origin, rotation into its frame, range of its transducers. By transducer: x, y and phase; strength
+        """By group: origin, rotation into its frame, range of its transducers. By transducer: x, y, phase, z; strength
         [Pa m] times the coefficients of the fall. result: real and imaginary pressure [Pa] by point.
         """
         first = wp.tid() * width
         count = points.shape[0]
         x = places()
         y = places()
-        z2 = places()
+        z = places()  # its square in the flat form
         near = lanes()
         re = lanes()
         im = lanes()
@@ -235,9 +248,13 @@ def pressure(form: Form) -> Any:
                 local = turns[group] * (points[wp.min(first + i, count - 1)] - origins[group])
                 x[i] = local[0]
                 y[i] = local[1]
-                z2[i] = local[2] * local[2] + real(NEAREST_M2)
-                near[i] = wp.float32(z2[i])
-                front[i] = wp.where(local[2] > real(0.0), wp.float32(1.0), wp.float32(0.0))
+                if flat:
+                    z[i] = local[2] * local[2] + real(NEAREST_M2)
+                    near[i] = wp.float32(z[i])
+                    front[i] = wp.where(local[2] > real(0.0), wp.float32(1.0), wp.float32(0.0))
+                else:
+                    z[i] = local[2]
+                    front[i] = wp.float32(1.0)
             part_re = lanes()
             part_im = lanes()
             for e in range(ranges[group][0], ranges[group][1]):
@@ -246,13 +263,23 @@ def pressure(form: Form) -> Any:
                 for i in range(width):
                     dx = x[i] - element[0]
                     dy = y[i] - element[1]
-                    square = dx * dx + (dy * dy + z2[i])
+                    if flat:
+                        z2 = z[i]
+                    else:
+                        dz = z[i] - element[3]
+                        z2 = dz * dz + real(NEAREST_M2)
+                    square = dx * dx + (dy * dy + z2)
                     distance = root(square)
                     d = distance[0]
                     inverse = distance[1]
                     wave = angle(sound, square, d, inverse, element[2])
                     gain = fall(sound, strength, d, inverse)
-                    gain *= directivity(sound.directivity, near[i] * (inverse * inverse))
+                    if flat:
+                        rise2 = near[i]
+                    else:
+                        rise2 = wp.float32(z2)
+                        gain = wp.where(dz > real(0.0), gain, wp.float32(0.0))
+                    gain *= directivity(sound.directivity, rise2 * (inverse * inverse))
                     part_re[i] += gain * wave[0]
                     part_im[i] += gain * wave[1]
             for i in range(width):
@@ -261,106 +288,5 @@ def pressure(form: Form) -> Any:
         for i in range(width):
             if first + i < count:
                 result[first + i] = wp.vec2(re[i], im[i])
-
-    return kernel
-
-
-@functools.cache
-def gradient(form: Form) -> Any:
-    """Kernel of the pressure and its gradient; GRADIENT_WIDTH points a thread.
-
-    With r from transducer to point, d = |r|, q = z^2/d^2, D the directivity and S = (2/k) dD/dq, the gradient of
-    exp(ikd - bd) D/d over k exp(ikd - bd)/d is [(i - (b + 1/d)/k) D/d - q S/d^2] r + S z/d^2 along the axis.
-    """
-    vec3, vec4, mat33 = form.vectors
-    width = GRADIENT_WIDTH["gpu" if form.gpu else "cpu"]
-    real = wp.float64 if form.accurate else wp.float32
-    places = wp.types.vector(length=width, dtype=real)
-    lanes = wp.types.vector(length=width, dtype=wp.float32)
-    row = row64 if form.accurate else row32
-    root = root64 if form.accurate else root32
-    angle = form.angle
-    fall = fall_exponential if form.steep else fall_cubic
-    directivity = quartic if form.smooth else quintic
-    slope = cubic if form.smooth else quartic
-
-    @wp.kernel(module="unique", module_options=GPU if form.gpu else CPU, enable_backward=False)
-    def kernel(
-        points: wp.array(dtype=vec3),
-        origins: wp.array(dtype=vec3),
-        turns: wp.array(dtype=mat33),
-        ranges: wp.array(dtype=wp.vec2i),
-        elements: wp.array(dtype=vec4),
-        strengths: wp.array(dtype=wp.vec4),
-        sound: Sound,
-        result: wp.array(dtype=wp.vec2),
-        rows: wp.array2d(dtype=wp.vec2),
-    ):
-        """As `pressure`, and in `rows` the gradient [Pa/m], shape (points, 3); both must hold zeros."""
-        first = wp.tid() * width
-        count = points.shape[0]
-        loss = -sound.absorption_Np_m / sound.wavenumber_rad_m
-        spread = -1.0 / sound.wavenumber_rad_m
-        x = places()
-        y = places()
-        z2 = places()
-        near = lanes()
-        for group in range(ranges.shape[0]):
-            for i in range(width):
-                local = turns[group] * (points[wp.min(first + i, count - 1)] - origins[group])
-                x[i] = local[0]
-                y[i] = local[1]
-                z2[i] = local[2] * local[2] + real(NEAREST_M2)
-                near[i] = wp.float32(z2[i])
-            re = lanes()
-            im = lanes()
-            x_re = lanes()
-            x_im = lanes()
-            y_re = lanes()
-            y_im = lanes()
-            z_re = lanes()
-            z_im = lanes()
-            for e in range(ranges[group][0], ranges[group][1]):
-                element = row(elements, e)
-                strength = row32(strengths, e)
-                for i in range(width):
-                    dx = x[i] - element[0]
-                    dy = y[i] - element[1]
-                    square = dx * dx + (dy * dy + z2[i])
-                    distance = root(square)
-                    d = distance[0]
-                    inverse = distance[1]
-                    wave = angle(sound, square, d, inverse, element[2])
-                    gain = fall(sound, strength, d, inverse)
-                    wave_re = gain * wave[0]
-                    wave_im = gain * wave[1]
-                    inverse2 = inverse * inverse
-                    q = near[i] * inverse2
-                    direct = directivity(sound.directivity, q)
-                    bend = inverse2 * slope(sound.slope, q)
-                    swing = direct * inverse
-                    decay = (loss + spread * inverse) * swing - q * bend
-                    along_re = decay * wave_re - swing * wave_im
-                    along_im = decay * wave_im + swing * wave_re
-                    re[i] += direct * wave_re
-                    im[i] += direct * wave_im
-                    x_re[i] += along_re * wp.float32(dx)
-                    x_im[i] += along_im * wp.float32(dx)
-                    y_re[i] += along_re * wp.float32(dy)
-                    y_im[i] += along_im * wp.float32(dy)
-                    z_re[i] += along_re + bend * wave_re
-                    z_im[i] += along_im + bend * wave_im
-            back = wp.transpose(turns[group])
-            for i in range(width):
-                if first + i < count:
-                    local = turns[group] * (points[first + i] - origins[group])
-                    if local[2] > real(0.0):
-                        z = wp.float32(local[2])
-                        cosine = wp.vec3(x_re[i], y_re[i], z * z_re[i]) * sound.wavenumber_rad_m
-                        sine = wp.vec3(x_im[i], y_im[i], z * z_im[i]) * sound.wavenumber_rad_m
-                        result[first + i] = result[first + i] + wp.vec2(re[i], im[i])
-                        for j in range(3):
-                            axis = wp.vec3(wp.float32(back[j, 0]), wp.float32(back[j, 1]), wp.float32(back[j, 2]))
-                            rows[first + i, j] = rows[first + i, j] + wp.vec2(wp.dot(axis, cosine), wp.dot(axis, sine))
 
     return kernel

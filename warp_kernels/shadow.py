@@ -2,17 +2,9 @@
 
 import warp as wp
 
+from warp_kernels.pressure import NEAREST_M2, TURN, quintic, vec6
+
 wp.set_module_options({"enable_backward": False, "fast_math": True})
-
-vec6 = wp.types.vector(length=6, dtype=wp.float32)
-
-TURN = wp.constant(6.283185307179586)
-NEAREST_M2 = wp.constant(1.0e-18)  # keeps 1/d finite at an element's own position
-
-
-@wp.func
-def quintic(c: vec6, x: wp.float32):
-    return c[0] + x * (c[1] + x * (c[2] + x * (c[3] + x * (c[4] + x * c[5]))))
 
 
 @wp.func

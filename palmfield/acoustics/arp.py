@@ -33,10 +33,7 @@ def arp(
     shape or length, and for a field that is not finite.
     """
     check_law(law)
-    if not 0.0 < frequency_Hz < np.inf:
-        raise SceneError(
-            f"frequency_Hz = {frequency_Hz} is not positive and finite: give the carrier, for example 40e3"
-        )
+    check.frequency(frequency_Hz)
     if field.gradient is None:
         raise PalmfieldError(
             "the field has no gradient, but radiation pressure needs it: compute it with gradient=True"

@@ -1,12 +1,10 @@
 """Double-layer operator from triangles with one value each to any points, without a matrix, on the CPU or a GPU."""
 
-import os
-
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from palmfield.acoustics.field import pool
+from palmfield.acoustics.field import cores, pool
 from palmfield.acoustics.polynomials import sine_cosine
 from palmfield.hand.triangles import face_normals
 from palmfield.types import Complex, Float, Int
@@ -14,6 +12,10 @@ from warp_kernels import bem as kernels
 
 NEAR_EDGES = 3.0
 """Within this many edge lengths of a triangle its integral is done exactly."""
+
+SOFTENING_EDGES = 0.01
+"""Distance below which the one-point sum is cut: an error of 1e-5 where it holds, and no large numbers where it is
+taken off again."""
 
 CPU_WIDTH = 16
 GPU_THREADS = 500_000
@@ -33,19 +35,24 @@ RULE = np.array(
 class DoubleLayer:
     """p -> integral of p dG/dn over a triangle mesh, at fixed points; G = exp(ikr)/(4 pi r), p constant by triangle.
 
-    On a triangle's own plane its integral is 0 (the principal value). Float32 sums: 1e-6 of the largest result.
+    On the wall itself it jumps: a point of triangle `own` gets the principal value there, half-way between the limits
+    from both sides; any other point must be off the wall. Float32 sums: 1e-6 of the largest result.
 
     points: [m], shape (n, 3); vertices: [m], shape (v, 3); faces: shape (m, 3), outward counter-clockwise
     wavenumber: [rad/m]; device: a name that `palmfield.device.resolve` gave
+    own: the triangle whose centroid a point is, -1 for points off the wall, shape (n,); None is -1 for all
     """
 
-    def __init__(self, points: Float, vertices: Float, faces: Int, wavenumber: float, device: str) -> None:
+    def __init__(
+        self, points: Float, vertices: Float, faces: Int, wavenumber: float, device: str, own: Int | None = None
+    ) -> None:
         per_m = wavenumber / (2.0 * np.pi)
         middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
         corners = (vertices[faces] - middle) * per_m
         normals, areas = face_normals(vertices, faces)
         centroids = corners.mean(axis=1)
-        reach = NEAR_EDGES * np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean(axis=1)
+        edge = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean(axis=1)
+        self.softening = float((SOFTENING_EDGES * edge.mean()) ** 2)
         self.per_m = per_m
         self.device = device
         self.count = len(points)
@@ -53,12 +60,12 @@ class DoubleLayer:
         self.points = self._vectors((points - middle) * per_m)
         self.centroids = self._vectors(centroids)
         self.moments = self._vectors(normals * (areas * per_m**2 / (4.0 * np.pi))[:, None])
-        self._correct(self._vectors(corners), reach)
+        self._correct(self._vectors(corners), NEAR_EDGES * edge, np.full(self.count, -1) if own is None else own)
 
     def _vectors(self, values: Float) -> wp.array:
         return wp.array(np.ascontiguousarray(values, np.float32), dtype=wp.vec3, device=self.device)
 
-    def _correct(self, corners: wp.array, reach_in_wavelengths: Float) -> None:
+    def _correct(self, corners: wp.array, reach_in_wavelengths: Float, own: NDArray[np.integer]) -> None:
         """Fill the sparse list of pairs that the one-point sum gets wrong."""
         largest = float(reach_in_wavelengths.max())
         reach: wp.array = wp.array(reach_in_wavelengths.astype(np.float32), dtype=float, device=self.device)
@@ -73,8 +80,8 @@ class DoubleLayer:
         self.column = wp.empty(int(start[-1]), dtype=int, device=self.device)
         self.value = wp.empty(int(start[-1]), dtype=wp.vec2, device=self.device)
         rule: wp.array = wp.array(RULE.astype(np.float32), dtype=wp.vec4, device=self.device)
-        inputs = [grid.id, self.points, self.centroids, self.moments, corners, reach, largest, rule]
-        inputs += [self.start, self.column, self.value]
+        inputs = [grid.id, self.points, self.centroids, self.moments, corners, reach, largest, rule, self.softening]
+        inputs += [wp.array(own.astype(np.int32), dtype=int, device=self.device), self.start, self.column, self.value]
         wp.launch(kernels.near_fill, dim=self.count, inputs=inputs, device=self.device)
 
     def apply(self, density: Complex) -> Complex:
@@ -115,13 +122,13 @@ class DoubleLayer:
 
     def summands(self, points: wp.array, density: wp.array, parts: int) -> list:
         """Arguments of the kernel `far` but for the result."""
-        return [points, self.centroids, self.moments, density, self.sine, self.cosine, parts]
+        return [points, self.centroids, self.moments, density, self.sine, self.cosine, self.softening, parts]
 
     def _far_on_cpu(self, density: wp.array, result: wp.array) -> None:
         """One slice of the points per thread; Warp lets go of the interpreter's lock while a kernel runs."""
         kernel = kernels.far(CPU_WIDTH)
         wp.load_module(kernel.module, device="cpu")
-        threads = os.cpu_count() or 1
+        threads = cores()
         size = -(-self.count // (threads * CPU_WIDTH)) * CPU_WIDTH
 
         def run(first: int) -> None:

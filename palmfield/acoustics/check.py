@@ -1,10 +1,26 @@
 """Checks of what users pass to the acoustics, shared by the float32 field and its float64 twin."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from palmfield.errors import PalmfieldError, SceneError
 from palmfield.types import Array
+
+FARTHEST_m = 1e4
+"""Largest coordinate of a point: beyond it float32 knows places to half a millimetre only, and sound is long gone."""
+
+
+def numbers(values: ArrayLike, name: str) -> NDArray[Any]:
+    """The values as an array. Raises PalmfieldError for text, objects and rows of unequal length."""
+    try:
+        found = np.asarray(values)
+    except ValueError as error:
+        raise PalmfieldError(f"{name} have rows of unequal length: give a rectangular array of numbers") from error
+    if found.dtype.kind not in "biufc":
+        raise PalmfieldError(f"{name} are of type {found.dtype}: give numbers")
+    return found
 
 
 def first_bad(values: NDArray[np.inexact]) -> int:
@@ -14,19 +30,27 @@ def first_bad(values: NDArray[np.inexact]) -> int:
 
 
 def points(values: ArrayLike, dtype: type[np.floating]) -> NDArray[np.floating]:
-    """Positions as a contiguous array of `dtype`, shape (n, 3). Raises PalmfieldError for another shape, NaN or inf."""
-    found = np.ascontiguousarray(values, dtype=dtype)
-    if found.ndim != 2 or found.shape[1] != 3:
-        raise PalmfieldError(f"points have shape {found.shape}: give (n, 3), in metres")
-    if not np.isfinite(found).all():
-        i = first_bad(found)
-        raise PalmfieldError(f"points[{i}] = {found[i].tolist()} is not finite: remove or mend it")
-    return found
+    """Positions as a contiguous array of `dtype`, shape (n, 3).
+
+    Raises PalmfieldError for another shape, complex numbers, text, NaN, infinity, and beyond FARTHEST_m.
+    """
+    given = numbers(values, "points")
+    if given.dtype.kind == "c":
+        raise PalmfieldError("points are complex: give real positions (x, y, z), in metres")
+    if given.ndim != 2 or given.shape[1] != 3:
+        raise PalmfieldError(f"points have shape {given.shape}: give (n, 3), in metres")
+    if not (np.abs(given) <= FARTHEST_m).all():
+        if np.isfinite(given).all():
+            i = int(np.argmax(np.abs(given).max(axis=1)))
+            raise PalmfieldError(f"points[{i}] = {given[i].tolist()} is over {FARTHEST_m:g} m away: give metres")
+        i = first_bad(given)
+        raise PalmfieldError(f"points[{i}] = {given[i].tolist()} is not finite: remove or mend it")
+    return np.ascontiguousarray(given, dtype=dtype)
 
 
 def drive(values: ArrayLike, array: Array) -> NDArray[np.complex128]:
-    """Complex amplitudes, shape (len(array),). Raises PalmfieldError for another shape, NaN or infinity."""
-    found = np.asarray(values, dtype=np.complex128)
+    """Complex amplitudes, shape (len(array),). Raises PalmfieldError for another shape, text, NaN or infinity."""
+    found = numbers(values, "drive").astype(np.complex128)
     if found.shape != (len(array),):
         raise PalmfieldError(
             f"drive has shape {found.shape} but array '{array.name}' has {len(array)} transducers: "
@@ -39,11 +63,11 @@ def drive(values: ArrayLike, array: Array) -> NDArray[np.complex128]:
 
 
 def frames(values: ArrayLike, array: Array) -> NDArray[np.complex128]:
-    """Drives of several frames, shape (frames, len(array)).
+    """Drives of several frames, shape (frames, len(array)), contiguous.
 
-    Raises PalmfieldError for another shape, NaN or infinity.
+    Raises PalmfieldError for another shape, text, NaN or infinity.
     """
-    found = np.asarray(values, dtype=np.complex128)
+    found = np.ascontiguousarray(numbers(values, "drives"), dtype=np.complex128)
     if found.ndim != 2 or found.shape[1] != len(array):
         raise PalmfieldError(
             f"drives have shape {found.shape} but array '{array.name}' has {len(array)} transducers: "
@@ -56,6 +80,13 @@ def frames(values: ArrayLike, array: Array) -> NDArray[np.complex128]:
 
 def array(value: Array) -> None:
     """Raise SceneError when the array's geometry or constants cannot radiate."""
+    for name in ("positions", "normals", "gain", "directivity_table"):
+        given = getattr(value, name)
+        if not isinstance(given, np.ndarray) and not (given is None and name in ("gain", "directivity_table")):
+            raise SceneError(
+                f"array '{value.name}' {name} is a {type(given).__name__}: give a NumPy array, np.array(...), or "
+                "make the array with palmfield.acoustics.arrays.from_poses"
+            )
     count = len(value.positions)
     for name, vectors in (("positions", value.positions), ("normals", value.normals)):
         if vectors.shape != (count, 3) or not np.isfinite(vectors).all():
@@ -91,6 +122,24 @@ def directivity_table(name: str, table: NDArray[np.float64]) -> None:
         raise SceneError(
             f"array '{name}' directivity_table has {amplitude[0]:g} on the axis and {amplitude.min():g} at least: "
             "divide it by the value on the axis, and use magnitudes"
+        )
+
+
+def frequency(value: float) -> float:
+    """The carrier [Hz] itself. Raises SceneError when it is not positive and finite."""
+    if not 0.0 < value < np.inf:
+        raise SceneError(f"frequency_Hz = {value} is not positive and finite: give the carrier, for example 40e3")
+    return value
+
+
+def in_front(array: Array, point: NDArray[np.float64], name: str) -> None:
+    """Raise SceneError unless the point [m], shape (3,), is in front of every transducer; `name` begins the message."""
+    height = np.einsum("ij,ij->i", point - array.positions, array.normals)
+    if np.any(height <= 0.0):
+        i = int(np.argmin(height))
+        raise SceneError(
+            f"{name} is behind the array '{array.name}' or in its plane ({height[i]:.3g} m before transducer {i}): "
+            "give a point in front of the array"
         )
 
 

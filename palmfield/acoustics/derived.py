@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from palmfield.acoustics import check
 from palmfield.acoustics.air import density
 from palmfield.errors import PalmfieldError
 from palmfield.types import Air, Complex, Field, Float
@@ -11,7 +12,7 @@ def particle_velocity(field: Field, air: Air, frequency_Hz: float) -> Complex:
     """Complex peak velocity u = grad p/(i w rho) [m/s], shape (n, 3), complex128: Euler's equation for e^{-iwt}.
 
     field: pressure with gradient, n points; frequency_Hz: the carrier
-    Raises PalmfieldError for a field without gradient and a frequency that is not positive, SceneError for bad air.
+    Raises PalmfieldError for a field without gradient, SceneError for a frequency that is not positive and bad air.
     """
     if field.gradient is None:
         raise PalmfieldError("the field has no gradient, but velocity needs it: compute it with gradient=True")
@@ -35,9 +36,5 @@ def reactive_intensity(field: Field, air: Air, frequency_Hz: float) -> Float:
 
 
 def angular_frequency(frequency_Hz: float) -> float:
-    """2 pi f [rad/s]. Raises PalmfieldError for a frequency that is not positive and finite."""
-    if not 0.0 < frequency_Hz < np.inf:
-        raise PalmfieldError(
-            f"frequency_Hz = {frequency_Hz} is not positive and finite: give the carrier, for example 40e3"
-        )
-    return 2.0 * np.pi * frequency_Hz
+    """2 pi f [rad/s]. Raises SceneError for a frequency that is not positive and finite."""
+    return 2.0 * np.pi * check.frequency(frequency_Hz)

@@ -2,6 +2,7 @@
 
 import functools
 import os
+import warnings
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -11,7 +12,7 @@ import warp as wp
 from numpy.polynomial import Chebyshev, Polynomial
 from numpy.typing import ArrayLike, NDArray
 
-from palmfield.acoustics import check, polynomials
+from palmfield.acoustics import check, polynomials, validity
 from palmfield.acoustics.air import absorption_Np_m as air_absorption
 from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.groups import groups
@@ -19,13 +20,18 @@ from palmfield.acoustics.transducer import directivity_coefficients
 from palmfield.device import resolve
 from palmfield.errors import PalmfieldError
 from palmfield.types import Air, Array, Field, Float
+from warp_kernels import gradient as with_gradient
 from warp_kernels import pressure as kernels
 
+BLOCKS_PER_THREAD = 4
 PAIRS_PER_THREAD = 1_000_000
 """Fewest pairs of point and transducer worth a thread of its own: about 1 ms of work against 0.1 ms to hand it over."""
 
 CUBIC_REACH_Np = 0.4
 """Absorption times range of distances up to which a cubic follows the exponential, with an error of 1e-5."""
+
+QUADRATIC_REACH_Np = 0.08
+"""The same for a quadratic, with an error of 3e-6."""
 
 SMOOTH = 1e-5
 """Directivities that a quartic follows as well as this take one power less, which is a twentieth of the work."""
@@ -41,6 +47,7 @@ class FieldEvaluator:
 
     mode: "fast" computes in float32, whose phase error grows with distance: 1.2e-5 of the field at 0.05 to 0.4 m and
         4e-5 at 0.4 to 1.2 m (on a GPU 2e-5 and 6e-5); "accurate" takes distance and phase in float64
+    threads: 1 or more; None is all cores that this process may use
     absorption_Np_m: instead of that of the air, for example 0 for lossless air
     """
 
@@ -57,9 +64,11 @@ class FieldEvaluator:
         check.array(array)
         if mode not in MODES:
             raise PalmfieldError(f"mode '{mode}' is unknown: use one of {', '.join(MODES)}")
-        self.array = array
+        if threads is not None and threads < 1:
+            raise PalmfieldError(f"threads = {threads} can't compute: give 1 or more, or None for all cores")
+        self.array, self.air = array, air
         self.device = resolve(device)
-        self.threads = threads or os.cpu_count() or 1
+        self.threads = cores() if threads is None else threads
         self.mode = mode
         self.absorption_Np_m = check.absorption(
             air_absorption(air, array.frequency_Hz) if absorption_Np_m is None else absorption_Np_m
@@ -70,21 +79,32 @@ class FieldEvaluator:
         wavenumber = 2.0 * np.pi * array.frequency_Hz / sound_speed(air)
         directivity, slope, self._smooth = off_axis(array, wavenumber)
         sine, cosine = polynomials.sine_cosine()
-        self.sound = filled(
-            kernels.Sound(),
-            turns_per_m=wavenumber / (2.0 * np.pi),
-            turns32_per_m=wavenumber / (2.0 * np.pi),
-            wavenumber_rad_m=wavenumber,
-            absorption_Np_m=self.absorption_Np_m,
-            directivity=kernels.vec6(*directivity),
-            slope=kernels.vec6(*slope / wavenumber),
-            sine=kernels.vec6(*sine),
-            cosine=kernels.vec6(*cosine),
-        )
+        polynomial = {
+            "directivity": kernels.vec6(*directivity),
+            "sine": kernels.vec6(*sine),
+            "cosine": kernels.vec6(*cosine),
+        }
+
+        def sound(unit_m: float) -> Any:
+            """The kernels' numbers where lengths are in this unit."""
+            return filled(
+                kernels.Sound(),
+                turns_per_m=unit_m * wavenumber / (2.0 * np.pi),
+                turns32_per_m=unit_m * wavenumber / (2.0 * np.pi),
+                wavenumber_rad_m=unit_m * wavenumber,
+                absorption_Np_m=unit_m * self.absorption_Np_m,
+                slope=kernels.vec6(*slope / (unit_m * wavenumber)),
+                **polynomial,
+            )
+
+        self.sound, self._radians = sound(1.0), sound(1.0 / wavenumber)
+        self._wavenumber = wavenumber
+        self._shapes = self._upload(np.array([directivity, slope], np.float32), kernels.vec6)
         self._groups = groups(array)
-        self._vec3, _, mat33 = self._form(False).vectors
+        self._vec3, _, mat33 = self._form("cubic").vectors
         self._origins = self._upload(self._groups.origins.astype(self._real), self._vec3)
         self._turns = self._upload(self._groups.turns.astype(self._real), mat33)
+        self._turns_radians = self._upload((wavenumber * self._groups.turns).astype(self._real), mat33)
         self._ranges = self._upload(self._groups.ranges, wp.vec2i)
 
     def pressure(self, points: ArrayLike, drive: ArrayLike, gradient: bool = False) -> Field:
@@ -122,28 +142,39 @@ class FieldEvaluator:
             raise PalmfieldError(f"pressure_on_gpu on device '{self.device}': make the evaluator with device cuda:0")
         return self._launch(points.array, points.distances_m, check.drive(drive, self.array), gradient)
 
-    def _form(self, steep: bool) -> kernels.Form:
-        return kernels.Form(self._gpu, self._accurate, steep, self._smooth and not self._accurate)
+    def _form(self, fall: str) -> kernels.Form:
+        return kernels.Form(self._gpu, self._accurate, fall, self._smooth and not self._accurate, self._groups.flat)
 
-    def _inputs(self, bounds: tuple[float, float], drive: NDArray[np.complex128]) -> tuple[kernels.Form, list[Any]]:
-        """Form of the kernel for points within these distances [m], and what it takes between points and results."""
+    def _inputs(
+        self, bounds: tuple[float, float], drive: NDArray[np.complex128], gradient: bool
+    ) -> tuple[Any, int, list[Any]]:
+        """Kernel for points within these distances [m], points a thread, and what it takes between them and results.
+
+        For the gradient lengths are in units of 1/k.
+        """
         order = self._groups.order
         emitted = drive if self.array.gain is None else drive * self.array.gain
         emitted = emitted[order]
         low, high = bounds
-        steep = self.absorption_Np_m * (high - low) > CUBIC_REACH_Np
-        fall = np.array([1.0, 0.0, 0.0, 0.0]) if steep else cubic_fall(self.absorption_Np_m, low, high)
+        kind, fall = falling(self.absorption_Np_m, low, high)
+        scale = self._wavenumber if gradient else 1.0
+        fall = fall * scale ** np.array([1.0, 0.0, -1.0, -2.0])
         strengths = (self.array.p0_Pa_m * np.abs(emitted)[:, None] * fall).astype(np.float32)
         elements = np.zeros((len(order), 4), self._real)
-        elements[:, :2] = self._groups.places
+        elements[:, [0, 1, 3]] = scale * self._groups.places
         radians = self._gpu and not self._accurate
         elements[:, 2] = np.angle(emitted) / (1.0 if radians else 2.0 * np.pi)
-        form = self._form(bool(steep))
+        form = self._form(kind)
         _, vec4, _ = form.vectors
-        return form, [
-            self._origins, self._turns, self._ranges,
-            self._upload(elements, vec4), self._upload(strengths, wp.vec4), self.sound,
+        module = with_gradient if gradient else kernels
+        kernel = with_gradient.gradient(form) if gradient else kernels.pressure(form)
+        turns, sound = (self._turns_radians, self._radians) if gradient else (self._turns, self.sound)
+        inputs = [
+            self._origins, turns, self._ranges, self._upload(elements, vec4), self._upload(strengths, wp.vec4), sound,
         ]  # fmt: skip
+        if gradient:
+            inputs.append(self._shapes)
+        return kernel, module.WIDTH["gpu" if form.gpu else "cpu"], inputs
 
     def _upload(self, values: NDArray[Any], dtype: Any) -> Any:
         return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self.device)
@@ -156,9 +187,8 @@ class FieldEvaluator:
         pressure: NDArray[np.complex64],
         slope: NDArray[np.complex64] | None,
     ) -> None:
-        """Fill pressure and slope in place: Warp sees NumPy's memory, one slice of the points per thread."""
-        form, inputs = self._inputs(bounds, drive)
-        kernel, width = kernel_of(form, slope is not None)
+        """Fill pressure and slope in place: Warp sees NumPy's memory, slices of the points shared out among threads."""
+        kernel, width, inputs = self._inputs(bounds, drive, slope is not None)
         wp.load_module(kernel.module, device="cpu")
 
         def run(start: int, stop: int) -> None:
@@ -169,20 +199,24 @@ class FieldEvaluator:
             wp.launch(kernel, dim=-(-(stop - start) // width), inputs=[part, *inputs, *outputs], device="cpu")
 
         count = len(points)
-        parts = min(self.threads, 1 + count * len(self.array) // PAIRS_PER_THREAD)
-        if parts == 1:
+        threads = min(self.threads, 1 + count * len(self.array) // PAIRS_PER_THREAD)
+        if threads == 1:
             run(0, count)
             return
-        size = -(-count // (parts * width)) * width
-        jobs = [pool().submit(run, start, min(start + size, count)) for start in range(0, count, size)]
-        for job in jobs:
-            job.result()
+        size = -(-count // (BLOCKS_PER_THREAD * threads * width)) * width
+        # The threads share one iterator, so that a slow core takes fewer blocks
+        starts = iter(range(0, count, size))
+
+        def work(_: int) -> None:
+            for start in starts:
+                run(start, min(start + size, count))
+
+        list(pool().map(work, range(threads)))
 
     def _launch(
         self, points: Any, bounds: tuple[float, float], drive: NDArray[np.complex128], gradient: bool
     ) -> tuple[Any, ...]:
-        form, inputs = self._inputs(bounds, drive)
-        kernel, width = kernel_of(form, gradient)
+        kernel, width, inputs = self._inputs(bounds, drive, gradient)
         count = len(points)
         outputs = [wp.zeros(count, dtype=wp.vec2, device=self.device)]
         if gradient:
@@ -198,14 +232,6 @@ class Points:
 
     array: Any
     distances_m: tuple[float, float]
-
-
-def kernel_of(form: kernels.Form, gradient: bool) -> tuple[Any, int]:
-    """Kernel and the points that one of its threads holds."""
-    where = "gpu" if form.gpu else "cpu"
-    if gradient:
-        return kernels.gradient(form), kernels.GRADIENT_WIDTH[where]
-    return kernels.pressure(form), kernels.PRESSURE_WIDTH[where]
 
 
 def filled(struct: Any, **values: Any) -> Any:
@@ -231,11 +257,21 @@ def distances(points: NDArray[Any], positions: Float) -> tuple[float, float]:
     return float(np.linalg.norm(gap)), float(np.linalg.norm(reach))
 
 
-def cubic_fall(absorption_Np_m: float, low: float, high: float) -> Float:
+def falling(absorption_Np_m: float, low: float, high: float) -> tuple[str, Float]:
+    """How kernels compute exp(-absorption d) for d from low to high [m], and its coefficients, shape (4,)."""
+    reach = absorption_Np_m * (high - low)
+    if reach > CUBIC_REACH_Np:
+        return "exponential", np.array([1.0, 0.0, 0.0, 0.0])
+    if reach > QUADRATIC_REACH_Np:
+        return "cubic", polynomial_fall(absorption_Np_m, low, high, 3)
+    return "quadratic", polynomial_fall(absorption_Np_m, low, high, 2)
+
+
+def polynomial_fall(absorption_Np_m: float, low: float, high: float, power: int = 3) -> Float:
     """Coefficients, lowest power first, shape (4,), of exp(-absorption d) for d from low to high [m]."""
     if absorption_Np_m == 0.0 or high <= low:
         return np.array([np.exp(-absorption_Np_m * low), 0.0, 0.0, 0.0])
-    return padded(Chebyshev.interpolate(lambda d: np.exp(-absorption_Np_m * d), 3, domain=[low, high]), 4)
+    return padded(Chebyshev.interpolate(lambda d: np.exp(-absorption_Np_m * d), power, domain=[low, high]), 4)
 
 
 def off_axis(array: Array, wavenumber: float) -> tuple[Float, Float, bool]:
@@ -259,10 +295,22 @@ def padded(function: Polynomial | Chebyshev, count: int) -> Float:
     return np.pad(coefficients, (0, count - len(coefficients)))
 
 
+def cores() -> int:
+    """Cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 @functools.cache
 def pool() -> ThreadPoolExecutor:
     """Threads shared by all evaluators of this process."""
-    return ThreadPoolExecutor(os.cpu_count(), thread_name_prefix="palmfield-field")
+    return ThreadPoolExecutor(cores(), thread_name_prefix="palmfield-field")
+
+
+if hasattr(os, "register_at_fork"):
+    # A child inherits the pool but none of its threads, and would wait for them for ever
+    os.register_at_fork(after_in_child=pool.cache_clear)
 
 
 def pressure(
@@ -274,6 +322,7 @@ def pressure(
     gradient: bool = False,
     device: str = "auto",
     mode: Mode = "fast",
+    warn: bool = True,
 ) -> Field:
     """Incident field of an array: p = p0/d A g D(angle) exp(ikd - beta d) summed over its transducers.
 
@@ -285,7 +334,14 @@ def pressure(
     points: [m], array frame, shape (n, 3)
     drive: complex amplitudes, 1 is full drive, shape (len(array),)
     gradient: also the gradient of the whole expression; mode: see FieldEvaluator
+    warn: say so (PalmfieldWarning, once a call) where sound is too loud for a linear field or a point too near for the
+        transducers' far field; see `palmfield.acoustics.validity.warnings`. FieldEvaluator is silent.
     Returns Field: complex peak pressure [Pa], shape (n,), and gradient [Pa/m], shape (n, 3), or None.
     Raises PalmfieldError for NaN, infinity or a wrong shape in points or drive, SceneError for a bad array or air.
     """
-    return FieldEvaluator(array, air, device, mode=mode).pressure(points, drive, gradient)
+    field = FieldEvaluator(array, air, device, mode=mode).pressure(points, drive, gradient)
+    if warn:
+        found = validity.warnings(array, points, field.pressure, air)
+        if found:
+            warnings.warn("; ".join(found), validity.PalmfieldWarning, stacklevel=2)
+    return field

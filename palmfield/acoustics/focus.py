@@ -21,8 +21,7 @@ def focus(array: Array, air: Air, point: ArrayLike) -> Complex:
     if target.shape != (3,) or not np.isfinite(target).all():
         raise SceneError(f"focus {target.tolist()} is not a finite position (x, y, z): give three numbers, in metres")
     rays = target - array.positions
-    if np.any(np.einsum("ij,ij->i", rays, array.normals) <= 0.0):
-        raise SceneError(f"focus {target.tolist()} is behind the array '{array.name}' or in its plane: use z > 0")
+    check.in_front(array, target, f"focus {target.tolist()}")
     k = 2.0 * np.pi * array.frequency_Hz / sound_speed(air)
     return np.exp(-1j * k * np.linalg.norm(rays, axis=1))
 

@@ -4,22 +4,26 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from palmfield.types import Array, Float, Int
 
 SAME_PLANE_M = 1e-9
 SAME_AXIS = 1e-9
+FLAT_FROM = 32
+"""Transducers for each plane saved, up to which it is cheaper to give every transducer a height than to keep planes
+apart: to begin a group costs as much as two to four pairs, a height a twentieth to a tenth of a pair."""
 
 
 @dataclass(frozen=True)
 class Groups:
-    """Transducers of each group lie in one plane and radiate along its normal.
+    """Transducers of each group radiate along one axis, and lie in one plane across it if `flat`.
 
     order: the array's transducers, group after group, shape (n,)
     origins: of each group's frame [m], array frame, shape (g, 3); turns: rotations from the array frame into it,
         rows are its axes, shape (g, 3, 3)
     ranges: first transducer and one past the last, counted in `order`, shape (g, 2)
-    places: x and y of the ordered transducers in their group's frame [m], shape (n, 2)
+    places: x, y, z of the ordered transducers in their group's frame [m], shape (n, 3); z is 0 if `flat`
     """
 
     order: Int
@@ -27,27 +31,38 @@ class Groups:
     turns: Float
     ranges: Int
     places: Float
+    flat: bool
 
 
 def groups(array: Array) -> Groups:
-    """Sort the array's transducers into groups; a flat board is one."""
+    """Sort the array's transducers into groups; a flat board is one, and so is one whose positions are rounded."""
     offset = np.einsum("ij,ij->i", array.positions, array.normals)
-    keys = np.column_stack([np.round(array.normals / SAME_AXIS), np.round(offset / SAME_PLANE_M)]).astype(np.int64)
-    _, member = np.unique(keys, axis=0, return_inverse=True)
-    member = member.reshape(-1)
+    axis = numbered(np.round(array.normals / SAME_AXIS).astype(np.int64))
+    plane = numbered(np.column_stack([axis, np.round(offset / SAME_PLANE_M).astype(np.int64)]))
+    flat = FLAT_FROM * (plane.max(initial=-1) - axis.max(initial=-1)) <= len(array)
+    member = plane if flat else axis
     order = np.argsort(member, kind="stable").astype(np.int32)
     bounds = np.searchsorted(member[order], np.arange(member.max(initial=-1) + 2))
     origins, turns = [], []
-    places = np.zeros((len(array), 2))
+    places = np.zeros((len(array), 3))
     for first, stop in itertools.pairwise(bounds):
         part = order[first:stop]
         turn = axes(array.normals[part[0]])
         origin = array.positions[part].mean(axis=0)
-        places[first:stop] = (array.positions[part] - origin) @ turn[:2].T
+        places[first:stop] = (array.positions[part] - origin) @ turn.T
         origins.append(origin)
         turns.append(turn)
     ranges = np.column_stack([bounds[:-1], bounds[1:]]).astype(np.int32)
-    return Groups(order, np.array(origins).reshape(-1, 3), np.array(turns).reshape(-1, 3, 3), ranges, places)
+    if flat:
+        places[:, 2] = 0.0
+    return Groups(
+        order, np.array(origins).reshape(-1, 3), np.array(turns).reshape(-1, 3, 3), ranges, places, bool(flat)
+    )
+
+
+def numbered(rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """For each row the number of its kind, from 0 without gaps, shape (n,)."""
+    return np.unique(rows, axis=0, return_inverse=True)[1].reshape(-1)
 
 
 def axes(normals: Float) -> Float:

@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
+from palmfield.acoustics import check
 from palmfield.acoustics.air import density, sound_speed
 from palmfield.errors import PalmfieldError
 from palmfield.types import Air, Field, Float
@@ -16,12 +17,11 @@ def radiation_stress(field: Field, air: Air, frequency_Hz: float) -> Float:
     wave carries E = |p|^2/(2 rho c^2) along its direction and nothing across it.
 
     field: total pressure and gradient, n points
-    Raises PalmfieldError for a field without gradient and a frequency that is not positive, SceneError for bad air.
+    Raises PalmfieldError for a field without gradient, SceneError for a frequency that is not positive and bad air.
     """
     if field.gradient is None:
         raise PalmfieldError("the field has no gradient, but radiation stress needs it: compute it with gradient=True")
-    if not 0.0 < frequency_Hz < np.inf:
-        raise PalmfieldError(f"frequency_Hz = {frequency_Hz} is not positive and finite: give the carrier, as 40e3")
+    check.frequency(frequency_Hz)
     rho, c = density(air), sound_speed(air)
     pressure = field.pressure.astype(np.complex128)
     velocity = field.gradient.astype(np.complex128) / (2j * np.pi * frequency_Hz * rho)

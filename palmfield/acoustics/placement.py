@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import polar
 
 from palmfield.acoustics import check
 from palmfield.errors import SceneError
@@ -16,6 +17,9 @@ DEFAULT_P0_PA_M = 2.53
 Published values for 40 kHz transducers of this kind run from 1.27 to 8.02 Pa at 1 m, a factor 40 in radiation pressure,
 and depend on the supply voltage. It is a calibration of a given board: measure it, or treat results as relative.
 """
+
+ROUNDED = 1e-6
+"""By how much a rotation rounded to float32 misses being orthonormal, at most."""
 
 
 def from_poses(
@@ -57,14 +61,16 @@ def placed(array: Array, position: ArrayLike, rotation: ArrayLike) -> Array:
     """The array moved rigidly into another frame: x -> rotation x + position.
 
     position: of the array's origin in the other frame [m], shape (3,)
-    rotation: matrix whose columns are the array's axes in the other frame, shape (3, 3)
+    rotation: matrix whose columns are the array's axes in the other frame, shape (3, 3); it may be rounded to float32,
+        the nearest rotation is taken
     Raises SceneError for a position that is not three finite numbers and for a matrix that is not a rotation.
     """
     shift, turn = np.asarray(position, dtype=float), np.asarray(rotation, dtype=float)
     if shift.shape != (3,) or not np.isfinite(shift).all():
         raise SceneError(f"position {shift.tolist()} is not three finite numbers: give (x, y, z), in metres")
-    if turn.shape != (3, 3) or not np.allclose(turn @ turn.T, np.eye(3), atol=1e-9) or np.linalg.det(turn) < 0.0:
+    if turn.shape != (3, 3) or not np.allclose(turn @ turn.T, np.eye(3), 0.0, ROUNDED) or np.linalg.det(turn) < 0.0:
         raise SceneError(f"rotation {turn.tolist()} is not a rotation matrix: give orthonormal columns, determinant +1")
+    turn = polar(turn)[0]
     return replace(array, positions=array.positions @ turn.T + shift, normals=array.normals @ turn.T)
 
 
@@ -108,13 +114,15 @@ def combined(arrays: Sequence[Array], name: str | None = None) -> Array:
     )
 
 
-def with_faults(array: Array, dead: Iterable[int] = (), inverted: Iterable[int] = ()) -> Array:
+def with_faults(
+    array: Array, dead: Iterable[int] | Iterable[bool] = (), inverted: Iterable[int] | Iterable[bool] = ()
+) -> Array:
     """The array with silent transducers and with ones wired the other way round, on top of the gain that it has.
 
-    dead, inverted: indices of transducers in the array's order, 0 to len(array) - 1
-    Raises SceneError for an index that the array does not have or that is named twice.
+    dead, inverted: indices of transducers in the array's order, 0 to len(array) - 1, or masks, shape (len(array),)
+    Raises SceneError for an index that the array does not have or that is named twice, and a mask of another length.
     """
-    silent, turned = list(dead), list(inverted)
+    silent, turned = indices(array, dead, "dead"), indices(array, inverted, "inverted")
     seen: set[int] = set()
     for i in silent + turned:
         if not 0 <= i < len(array):
@@ -126,3 +134,15 @@ def with_faults(array: Array, dead: Iterable[int] = (), inverted: Iterable[int] 
     gain[silent] = 0.0
     gain[turned] *= -1.0
     return replace(array, gain=gain)
+
+
+def indices(array: Array, chosen: Iterable[int] | Iterable[bool], name: str) -> list[int]:
+    """Transducers by number, from numbers or a mask. Raises SceneError for a mask of another length, and fractions."""
+    found = np.asarray(chosen if isinstance(chosen, np.ndarray) else list(chosen))
+    if found.dtype == bool:
+        if found.shape != (len(array),):
+            raise SceneError(f"mask {name} has shape {found.shape}: give ({len(array)},), one for each transducer")
+        return np.flatnonzero(found).tolist()
+    if found.ndim != 1 or (len(found) and not np.issubdtype(found.dtype, np.integer)):
+        raise SceneError(f"{name} = {found.tolist()} are no indices of transducers: give whole numbers, or a mask")
+    return found.tolist()

@@ -10,16 +10,20 @@ from scipy.sparse.linalg import LinearOperator, gmres
 from palmfield.acoustics import check
 from palmfield.acoustics.air import density, sound_speed
 from palmfield.acoustics.bem import NEAR_EDGES, DoubleLayer
-from palmfield.acoustics.bem_mesh import checked, elements_per_wavelength, inner_points
+from palmfield.acoustics.bem_mesh import checked, elements_per_wavelength, inner_points, mean_edge_m
 from palmfield.acoustics.field import FieldEvaluator
 from palmfield.acoustics.surface_gradient import surface_gradient
 from palmfield.device import resolve
 from palmfield.errors import PalmfieldError
+from palmfield.hand.meshquery import barycentric, build_mesh, closest_faces
 from palmfield.hand.triangles import face_normals
 from palmfield.types import Air, Array, Complex, Field, Float, Int
 
 Incident = Callable[[Float], Complex]
 """Complex peak pressure [Pa], shape (n,), of the sound without the body at points [m], shape (n, 3)."""
+
+WALL_EDGES = 1e-3
+"""Over this part of an edge the pressure changes by its square only, as the wall's normal velocity is 0."""
 
 RESTART = 60
 LARGEST_ITERATIONS = 300
@@ -106,7 +110,8 @@ def scatter(
             f"incident sound of shape {sound.shape} at {2 * count} points on and inside the body must be finite and of "
             f"shape ({2 * count},): mend the function, or move the body off the sources"
         )
-    layer = DoubleLayer(points, vertices, triangles, wavenumber, resolve(device))
+    own = np.concatenate([np.arange(count), np.full(count, -1)])
+    layer = DoubleLayer(points, vertices, triangles, wavenumber, resolve(device), own)
 
     def equation(pressure: Complex) -> Complex:
         doubled = layer.apply(pressure)
@@ -170,13 +175,14 @@ def wall_force(found: Scattering, air: Air) -> Float:
 def scattered_field(found: Scattering, points: ArrayLike, *, gradient: bool = False, device: str = "auto") -> Field:
     """Sound that the body adds at points outside it, in the mesh's frame; the incident sound is not in it.
 
-    points: [m], shape (n, 3)
+    points: [m], shape (n, 3); one nearer to the wall than a thousandth of an edge, on either side, gets the limit from
+        outside; where it is on a sharp edge, that on one of the faces
     gradient: also its gradient; then every point must lie 3 edge lengths or more from the body
     Returns Field: complex peak pressure [Pa], shape (n,), and gradient [Pa/m], shape (n, 3), or None.
     Raises PalmfieldError for NaN, infinity or a wrong shape in points, and for a gradient wanted too near the body.
     """
     where = np.asarray(check.points(points, np.float64))
-    layer = DoubleLayer(where, found.vertices, found.faces, found.wavenumber, resolve(device))
+    layer = DoubleLayer(off_wall(found, where), found.vertices, found.faces, found.wavenumber, resolve(device))
     pressure = layer.apply(found.pressure).astype(np.complex64)
     if not gradient:
         return Field(pressure)
@@ -188,3 +194,16 @@ def scattered_field(found: Scattering, points: ArrayLike, *, gradient: bool = Fa
             "accurate: move it away or do without the gradient"
         )
     return Field(pressure, layer.gradient(found.pressure).astype(np.complex64))
+
+
+def off_wall(found: Scattering, points: Float) -> Float:
+    """The points, those nearer to the wall than WALL_EDGES moved out to there, where float32 knows the side."""
+    least = WALL_EDGES * mean_edge_m(found.vertices, found.faces)
+    face = closest_faces(build_mesh(found.vertices, found.faces), points, 2.0 * least)
+    near = np.flatnonzero(face >= 0)
+    corners = found.vertices[found.faces[face[near]]]
+    feet = np.einsum("ij,ijk->ik", barycentric(corners, points[near]), corners)
+    close = np.linalg.norm(points[near] - feet, axis=1) < least
+    moved = points.copy()
+    moved[near[close]] = feet[close] + least * found.normals[face[near[close]]]
+    return moved

@@ -1,5 +1,6 @@
 """Many drive frames on the same points: the field of each transducer once, then a matrix product a frame."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,14 +12,14 @@ from threadpoolctl import threadpool_limits
 from palmfield.acoustics import check
 from palmfield.acoustics.air import density, sound_speed
 from palmfield.acoustics.arp import arp, check_law, unit_normals
-from palmfield.acoustics.field import CUBIC_REACH_Np, FieldEvaluator, cubic_fall, distances, pool
+from palmfield.acoustics.field import CUBIC_REACH_Np, FieldEvaluator, distances, polynomial_fall, pool
 from palmfield.acoustics.groups import axes
 from palmfield.errors import PalmfieldError
-from palmfield.types import Air, Complex, Float32
+from palmfield.types import Complex, Float, Float32
 from warp_kernels import transfer as kernels
 
 DROPPED = 1e-5
-"""Part of the drives' norm that a reduction to fewer frames may lose; the field loses as much at most in the mean."""
+"""Part of a frame's norm that a reduction to fewer dimensions may lose, for each frame."""
 SPAN_FROM = 0.7
 """Share of the transducers above which fewer dimensions save no work."""
 FIRST_SAMPLE = 64
@@ -28,6 +29,9 @@ POINTS_A_BLOCK = 256
 FRAMES_A_BLOCK = 128
 GPU_SCRATCH_BYTES = 2**31
 BYTES_LIMIT = 2**32
+"""Most that a matrix may take [bytes], however much memory there is."""
+GPU_SHARE = 8
+"""A GPU holds the matrix twice over, reduced once more, and blocks of products beside the result."""
 MATRIX_FROM = 16
 """Frames from which the matrix is cheaper: it takes as long as 10 to 15 frames, docs/bench/frames.md."""
 
@@ -35,23 +39,29 @@ MATRIX_FROM = 16
 class Transfer:
     """What every transducer of an array does at fixed points: pressure, and gradient along the surface and its normal.
 
-    evaluator: array, air, absorption and device
+    evaluator: array, air, absorption and device, of mode "fast": the matrix is computed in float32
     points: [m], array frame, shape (n, 3); normals: unit outward, shape (n, 3)
-    It takes 32 bytes a transducer and point. Raises PalmfieldError for bad points or normals, and for more than
-    BYTES_LIMIT.
+    It takes 32 bytes a transducer and point. Raises PalmfieldError for an evaluator of mode "accurate", for bad points
+    or normals, for points too far apart (see CUBIC_REACH_Np), and for more than `memory_limit`.
     """
 
-    def __init__(self, evaluator: FieldEvaluator, points: ArrayLike, normals: ArrayLike, air: Air):
-        self.evaluator, self.air = evaluator, air
+    def __init__(self, evaluator: FieldEvaluator, points: ArrayLike, normals: ArrayLike):
+        self.evaluator = evaluator
+        if evaluator.mode != "fast":
+            raise PalmfieldError(
+                f"a transfer matrix is in float32 but the evaluator's mode is '{evaluator.mode}': use mode 'fast', or "
+                "arp_frames, which then goes frame by frame"
+            )
         where = check.points(points, np.float32)
         outward = unit_normals(normals, len(where))
         self.points = len(where)
         elements = len(evaluator.array)
         self.nbytes = matrix_bytes(elements, self.points)
-        if self.nbytes > BYTES_LIMIT:
+        limit = memory_limit(evaluator.device)
+        if self.nbytes > limit:
             raise PalmfieldError(
-                f"a transfer matrix of {elements} transducers and {self.points} points takes {self.nbytes / 2**30:.1f} "
-                f"GiB (at most {BYTES_LIMIT / 2**30:g}): give the points in parts"
+                f"a transfer matrix of {elements} transducers and {self.points} points takes {self.nbytes / 2**30:.2g} "
+                f"GiB (at most {limit / 2**30:.2g} now): give the points in parts"
             )
         self._matrix = self._compute(where, outward)
         self._on_gpu: Any = None
@@ -63,12 +73,12 @@ class Transfer:
         if result.size == 0:
             return result
         low, high = distances(points, array.positions)
-        if evaluator.absorption_Np_m * (high - low) > CUBIC_REACH_Np:
+        if too_steep(evaluator, points):
             raise PalmfieldError(
                 f"points {low:.2f} to {high:.2f} m from the array's elements are too far apart for an absorption of "
                 f"{evaluator.absorption_Np_m:.3g} Np/m: give near and far ones apart"
             )
-        strength = array.p0_Pa_m * cubic_fall(evaluator.absorption_Np_m, low, high)
+        strength = array.p0_Pa_m * polynomial_fall(evaluator.absorption_Np_m, low, high)
         place: Any = wp.array(points, dtype=wp.vec3, device="cpu", copy=False)
         turn: Any = wp.array(axes(normals.astype(float)).astype(np.float32), dtype=wp.mat33, device="cpu")
         wp.load_module(kernels, device="cpu")
@@ -191,7 +201,8 @@ class Transfer:
     def _weights(self, law: str) -> tuple[float, float]:
         """Factors of |p|^2 and of |grad p/k|^2 along the surface; |u| = |grad p|/(w rho), so rho |u|^2 has the same."""
         check_law(law)
-        per_pressure = 1.0 / (density(self.air) * sound_speed(self.air) ** 2)
+        air = self.evaluator.air
+        per_pressure = 1.0 / (density(air) * sound_speed(air) ** 2)
         return per_pressure, per_pressure if law == "default" else 0.0
 
     def reduced(self, drives: ArrayLike) -> tuple[NDArray[np.complex64], NDArray[np.complex64] | None]:
@@ -211,27 +222,29 @@ class Transfer:
 
 
 def span(frames: Complex) -> tuple[Complex, Complex] | None:
-    """Coordinates C and orthonormal basis V, shape (transducers, r), with frames = C V^H but for DROPPED of their norm.
+    """Coordinates C and orthonormal basis V, shape (transducers, r), with frames = C V^H.
 
-    None where r isn't well below the number of transducers. The basis comes from few frames: some at random, then
+    Every frame loses DROPPED of its own norm at most, however quiet it is beside the others. None where r isn't well
+    below the number of transducers. The basis comes from few frames, each divided by its norm: some at random, then
     those that the basis of the others serves worst.
     """
     elements = frames.shape[1]
-    energy = np.einsum("ij,ij->i", frames.view(float), frames.view(float))
+    energy = squares(frames)
     if not energy.any():
         return None
+    norm = np.sqrt(np.where(energy > 0.0, energy, 1.0))
     sample = np.random.default_rng(0).permutation(len(frames))[:FIRST_SAMPLE]
     while len(sample) < elements:
-        columns, triangle, _ = qr(frames[sample].T, mode="economic", pivoting=True)
+        columns, triangle, _ = qr((frames[sample] / norm[sample, None]).T, mode="economic", pivoting=True)
         weight = np.abs(np.diag(triangle))
-        rank = int(np.count_nonzero(weight > 0.1 * DROPPED * weight[0]))
+        rank = int(np.count_nonzero(weight > 0.1 * DROPPED))
         if rank >= SPAN_FROM * elements:
             return None
         basis = columns[:, :rank].conj()
         if rank < len(sample):
             inside = frames @ basis
-            lost = energy - np.einsum("ij,ij->i", inside.view(float), inside.view(float))
-            if lost.sum() <= DROPPED**2 * energy.sum():
+            lost = (energy - squares(inside)) / norm**2
+            if lost.max() <= DROPPED**2:
                 return inside, basis
             worst = np.argsort(lost)[-len(sample) :]
         else:
@@ -239,6 +252,12 @@ def span(frames: Complex) -> tuple[Complex, Complex] | None:
         fresh = np.setdiff1d(worst, sample)
         sample = np.append(sample, np.random.default_rng(1).permutation(fresh)[: len(sample)])
     return None
+
+
+def squares(frames: Complex) -> Float:
+    """Sum of |a|^2 of each row; the rows must be contiguous."""
+    parts = frames.view(float)
+    return np.einsum("ij,ij->i", parts, parts)
 
 
 def real_form(matrix: Float32, basis: NDArray[np.complex64] | None) -> Float32:
@@ -259,23 +278,61 @@ def matrix_bytes(elements: int, points: int) -> int:
     return 32 * elements * points
 
 
+def memory_limit(device: str) -> int:
+    """Most bytes for a matrix now: half of the memory that is free, a GPU_SHARE-th on a GPU, at most BYTES_LIMIT."""
+    limit = min(BYTES_LIMIT, available_bytes() // 2)
+    return limit if device == "cpu" else min(limit, wp.get_device(device).free_memory // GPU_SHARE)
+
+
+def available_bytes() -> int:
+    """Memory that programs can take without swapping; twice BYTES_LIMIT where the system doesn't say."""
+    try:
+        lines = Path("/proc/meminfo").read_text().splitlines()
+    except OSError:
+        return 2 * BYTES_LIMIT
+    return next(1024 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable:"))
+
+
+def too_steep(evaluator: FieldEvaluator, points: NDArray[np.floating]) -> bool:
+    """Whether absorption over the range of distances is more than the matrix's cubic follows."""
+    low, high = distances(points, evaluator.array.positions)
+    return evaluator.absorption_Np_m * (high - low) > CUBIC_REACH_Np
+
+
 def arp_frames(
-    evaluator: FieldEvaluator, points: ArrayLike, normals: ArrayLike, drives: ArrayLike, air: Air, law: str = "default"
+    evaluator: FieldEvaluator, points: ArrayLike, normals: ArrayLike, drives: ArrayLike, law: str = "default"
 ) -> Float32:
     """ARP [Pa] of many drive frames on the same points, shape (frames, points), by the cheaper way.
 
-    That is a transfer matrix for more than MATRIX_FROM frames when it fits BYTES_LIMIT, else frame by frame.
+    That is a transfer matrix from MATRIX_FROM frames on, in blocks of points where all of them would take more than
+    `memory_limit`. Fewer frames, mode "accurate" and points too far apart for the matrix go frame by frame.
 
+    evaluator: array, air, absorption, mode and device; on a GPU the products are done there
     points: [m], array frame, shape (n, 3); normals: unit outward, shape (n, 3)
     drives: complex amplitudes, shape (frames, transducers)
     Raises what `palmfield.acoustics.arp.arp` and FieldEvaluator raise.
     """
-    frames = check.frames(drives, evaluator.array)
-    where = check.points(points, np.float32)
-    if len(frames) >= MATRIX_FROM and matrix_bytes(len(evaluator.array), len(where)) <= BYTES_LIMIT:
-        return Transfer(evaluator, where, normals, air).arp(frames, law)
-    result = np.empty((len(frames), len(where)), np.float32)
-    for row, drive in zip(result, frames, strict=True):
-        field = evaluator.pressure(where, drive, gradient=True)
-        row[:] = arp(field, normals, air, evaluator.array.frequency_Hz, law=law, device=evaluator.device)
+    check_law(law)
+    array = evaluator.array
+    frames = check.frames(drives, array)
+    where = check.points(points, np.float64)
+    outward = unit_normals(normals, len(where))
+    result = np.zeros((len(frames), len(where)), np.float32)
+    if result.size == 0 or len(array) == 0:
+        return result
+    if len(frames) < MATRIX_FROM or evaluator.mode == "accurate" or too_steep(evaluator, where):
+        for row, drive in zip(result, frames, strict=True):
+            field = evaluator.pressure(where, drive, gradient=True)
+            row[:] = arp(field, outward, evaluator.air, array.frequency_Hz, law=law, device=evaluator.device)
+        return result
+    size = max(POINTS_A_BLOCK, memory_limit(evaluator.device) // (matrix_bytes(len(array), 1) + 4 * len(frames)))
+    for first in range(0, len(where), size):
+        part = slice(first, first + size)
+        transfer = Transfer(evaluator, where[part], outward[part])
+        if evaluator.device != "cpu":
+            result[:, part] = transfer.arp_on_gpu(frames, law).numpy()
+        elif size >= len(where):
+            transfer.arp(frames, law, out=result)
+        else:
+            result[:, part] = transfer.arp(frames, law)
     return result

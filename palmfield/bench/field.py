@@ -2,6 +2,7 @@
 
 import functools
 import os
+import shutil
 import statistics
 import subprocess
 import sys
@@ -76,19 +77,22 @@ def main(
     only: leave out methods whose names do not contain this text
     commit: for the report's head, where no git is [default: git's]
     Raises PalmfieldError for options that can't be, and where a method fails; OutputError where a file can't be
-    written.
+    written: before anything is measured, or, if it comes to that afterwards only, once the report is printed.
     """
     if not 1 <= runs < peers.PERIODS:
         raise PalmfieldError(f"--runs has value {runs}; allowed: 1 to {peers.PERIODS - 1}")
     if not 64 <= points <= 10_000_000:
         raise PalmfieldError(f"--points has value {points}; allowed: 64 to 10000000")
-    if peers_python is not None and not peers_python.is_file():
-        raise PalmfieldError(f"--peers-python {peers_python} is no file: make one with scripts/peers/setup.py")
+    if peers_python is not None:
+        peers_python = interpreter(peers_python)
     chosen = [(module, method) for module, method in METHODS if only in method.name]
     if not chosen:
         names = ", ".join(method.name for _, method in METHODS)
         raise PalmfieldError(f"--only '{only}' is in no method's name: use part of {names}")
     device = resolve(device)
+    for option, path in (("--out", out), ("--picture", picture)):
+        if path is not None:
+            check_writable(option, path)
     if device != "cpu":
         chosen = [(module, method) for module, method in chosen if method.name != own.ALL_CORES]
     rows: list[Row] = []
@@ -128,15 +132,50 @@ def main(
         picture=os.path.relpath(picture, out.parent) if picture is not None and out is not None else "",
     )
     report = as_markdown(rows, head, MODELS)
-    if picture is not None and not all(row.missing for row in rows):
-        draw(rows, MODELS, picture)
-    if out is not None:
-        try:
-            out.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        if out is not None:
             out.write_text(report)
-        except OSError as error:
-            raise OutputError(f"cannot write {out}: {error.strerror}; choose another --out") from error
+        if picture is not None and not all(row.missing for row in rows):
+            draw(rows, MODELS, picture)
+    except (OSError, OutputError) as error:
+        print(report, end="")  # minutes of measuring must not be lost
+        raise OutputError(f"the report above is not in its files: {error}") from error
     return report
+
+
+def interpreter(python: Path) -> Path:
+    """The program that `python` names, in a folder of PATH if it is a bare name.
+
+    Raises PalmfieldError where it doesn't run or has no NumPy, which every method needs.
+    """
+    program = shutil.which(python)
+    if program is None:
+        raise PalmfieldError(f"--peers-python {python} is no program: make one with scripts/peers/setup.py")
+    try:
+        alone = {**os.environ, "PYTHONPATH": ""}
+        found = subprocess.run([program, "-c", "import numpy"], capture_output=True, text=True, env=alone)
+    except OSError as error:
+        raise PalmfieldError(f"--peers-python {python} does not run: {error.strerror}; give an interpreter") from error
+    if found.returncode != 0:
+        words = (found.stderr.strip().splitlines() or ["no message"])[-1]
+        raise PalmfieldError(
+            f"--peers-python {python} can't import NumPy ({words}): make one with scripts/peers/setup.py"
+        )
+    return Path(program)
+
+
+def check_writable(option: str, path: Path) -> None:
+    """Make the file's folder. Raises OutputError where the file can't be written."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.is_dir():
+            raise IsADirectoryError(None, "it is a folder")
+        with tempfile.TemporaryFile(dir=path.parent):
+            pass
+        if path.exists():
+            path.open("a").close()
+    except OSError as error:
+        raise OutputError(f"cannot write {path}: {error.strerror}; choose another {option}") from error
 
 
 def run_range(

@@ -131,10 +131,7 @@ def solve_foci(
     where = check.points(points, np.float64)
     check.array(array)
     for i, point in enumerate(where):
-        if np.any(np.einsum("ij,ij->i", point - array.positions, array.normals) <= 0.0):
-            raise SceneError(
-                f"focus {i} at {point.tolist()} is behind the array '{array.name}' or in its plane: use z > 0"
-            )
+        check.in_front(array, point, f"focus {i} at {point.tolist()}")
     closest = COINCIDENT_WAVELENGTHS * sound_speed(air) / array.frequency_Hz
     for i in range(1, len(where)):
         distances = np.linalg.norm(where[:i] - where[i], axis=1)
@@ -167,11 +164,16 @@ def solve_transfer(
     The first four drive every live transducer fully. All but the first begin with the phases of `reinforcing_phases`.
 
     transfer: complex pressure from each transducer at full drive [Pa], shape (m, n)
-    Raises SceneError for more foci than live transducers, bad amplitudes, method or iterations.
+    Raises SceneError for a transfer matrix of another shape or not finite, more foci than live transducers, bad
+    amplitudes, method or iterations.
     Sources: R. Di Leonardo, F. Ianni, G. Ruocco, Opt. Express 15, 1913 (2007); B. Long, S. A. Seah, T. Carter,
     S. Subramanian, ACM Trans. Graph. 33(6), 181 (2014).
     """
-    matrix = np.asarray(transfer, np.complex128)
+    matrix = check.numbers(transfer, "transfer").astype(np.complex128)
+    if matrix.ndim != 2:
+        raise SceneError(f"transfer has shape {matrix.shape}: give (foci, transducers)")
+    if not np.isfinite(matrix).all():
+        raise SceneError(f"transfer[{check.first_bad(matrix)}] is not finite: mend that focus's pressures")
     live = np.any(matrix != 0.0, axis=0)
     targets = _targets(amplitudes, len(matrix))
     if len(matrix) == 0:

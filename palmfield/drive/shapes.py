@@ -21,6 +21,9 @@ from palmfield.types import Air, Array, Complex, Float
 ON_LINE = 1e-9
 """Sine of the angle within which a transducer is on the line that divides a twin trap, and belongs to neither half."""
 
+ALONG_Y = 1.0 - 1e-12
+"""Cosine to y from which an array looks along it."""
+
 
 def twin_trap(array: Array, air: Air, point: ArrayLike, azimuth_rad: float = 0.0) -> Complex:
     """Focus whose halves are in antiphase: two lobes, and silence on the plane between them.
@@ -93,7 +96,11 @@ def plane_wave(array: Array, air: Air, direction: ArrayLike) -> Complex:
         )
     along = wanted / np.linalg.norm(wanted)
     if np.any(array.normals @ along <= 0.0):
-        raise SceneError(f"direction {wanted.tolist()} does not lead out of the array '{array.name}': use z > 0")
+        i = int(np.argmin(array.normals @ along))
+        raise SceneError(
+            f"direction {wanted.tolist()} does not lead out of the array '{array.name}', whose transducer {i} looks "
+            f"along {array.normals[i].tolist()}: give one that goes out in front of the array"
+        )
     k = 2.0 * np.pi * array.frequency_Hz / sound_speed(air)
     return np.exp(1j * k * (array.positions @ along))
 
@@ -121,19 +128,28 @@ def defocused(array: Array, air: Air, point: ArrayLike, shift_m: float) -> Compl
 def round_beam(array: Array, air: Air, point: ArrayLike) -> tuple[Float, Float]:
     """Where each transducer stands round the beam's axis, seen from the focus, and how much it gives there.
 
-    The axis is the mean direction of arrival, weighted by |p|. x is the array's x as seen along the axis.
+    The axis is the mean direction of arrival, weighted by |p|. y is the frame's y as seen along the array's mean
+    normal, or, where that is along y itself, what a board's y becomes when it is turned about x to look there.
 
     Returns the sines of the angles from the axis, shape (n, 2), and |p| at the focus [Pa], shape (n,), both without
-    `array.gain`. Raises SceneError when the axis does not lead along z, out of the array.
+    `array.gain`. Raises SceneError when the axis does not lead out of the array.
     """
     target = np.asarray(point, float)
     share = np.abs(transfer64(target[None], dataclasses.replace(array, gain=None), air)[0])
     rays = target - array.positions
     arrival = rays / np.linalg.norm(rays, axis=1)[:, None]
     axis = share @ arrival / share.sum()
-    if axis[2] < 0.1:
-        raise SceneError(f"sound from '{array.name}' has no mean direction along z at the focus: move the focus")
+    out = array.normals.mean(axis=0)
+    length = float(np.linalg.norm(out))
+    if length < 1e-9 or axis @ out < 0.1 * length:
+        raise SceneError(
+            f"sound from '{array.name}' has the mean direction {np.round(axis, 3).tolist()} at the focus "
+            f"{target.tolist()}, not along the array's mean normal {np.round(out, 3).tolist()}: move the focus"
+        )
     axis /= np.linalg.norm(axis)
-    x = np.cross([0.0, 1.0, 0.0], axis)
+    out /= length
+    up = np.array([0.0, 1.0, 0.0]) if abs(out[1]) < ALONG_Y else np.array([0.0, 0.0, -np.sign(out[1])])
+    up -= (up @ out) * out
+    x = np.cross(up, axis)
     x /= np.linalg.norm(x)
     return -np.column_stack([arrival @ x, arrival @ np.cross(axis, x)]), share

@@ -8,7 +8,7 @@ from palmfield.config import ArrayConfig, Config, DriverConfig, SkinConfig, Stim
 from palmfield.engine.host import Module, settings_of
 from palmfield.engine.world import ModelView, World
 from palmfield.errors import SceneError
-from palmfield.types import Float
+from palmfield.types import Float, Int
 
 SENSOR_CHANNELS = (
     "arp_force_x_N", "arp_force_y_N", "arp_force_z_N", "normal_displacement_m", "normal_velocity_m_s", "arp_Pa",
@@ -59,11 +59,14 @@ class SkinModule(Module):
         self.rig = rig_of(settings, model)
         self.body = model.find("body", settings.body, _element(self))
         self.sites = [_array_site(board.config, model) for board in self.rig.boards]
+        self.transducers = [_transducer_sites(board.config, model) for board in self.rig.boards]
         self.frame = _frame_site(self.rig.stimulus, model)
         self.chain = Chain(self.rig)
         self.chain.check_clear(
             Pose.between(
-                [model.reference_pose("site", site) for site in self.sites], model.reference_pose("body", self.body)
+                [model.reference_pose("site", site) for site in self.sites],
+                model.reference_pose("body", self.body),
+                [_reference_sites(numbers, model) for numbers in self.transducers],
             )
         )
         self._probes: dict[int, Any] = {}
@@ -81,7 +84,11 @@ class SkinModule(Module):
 
     def pose(self) -> Any:
         """Body and arrays in the frame of the first array, as MuJoCo has them now."""
-        return self._between([self.world.pose("site", site) for site in self.sites], self.world.pose("body", self.body))
+        return self._between(
+            [self.world.pose("site", site) for site in self.sites],
+            self.world.pose("body", self.body),
+            [self.world.sites(numbers) for numbers in self.transducers],
+        )
 
     def to_array(self, point: Float) -> Float:
         """A position in the stimulus's frame [m], shape (3,), in the frame of the first array."""
@@ -176,7 +183,7 @@ def _array_site(config: ArrayConfig, model: ModelView) -> int:
 
 def _boards(model: ModelView) -> tuple[Any, ...]:
     """The scene's arrays, in the reference pose; each has a site of its own, the first one's is the array frame."""
-    from palmfield.chain import placements, relative
+    from palmfield.chain import placements
     from palmfield.emitter import Board
 
     found = [i for i, plugin, _ in model.instances() if plugin == ArrayModule.name]
@@ -191,40 +198,54 @@ def _boards(model: ModelView) -> tuple[Any, ...]:
                     f"and {getattr(configs[0], key)} at site '{configs[0].site}'; allowed: the same for all arrays"
                 )
     poses = [model.reference_pose("site", _array_site(config, model)) for config in configs]
-    boards = []
-    for config, pose, placement in zip(configs, poses, placements(poses), strict=True):
-        sites = []
-        if config.layout == "sites":
-            names = [name for name in model.names("site") if name.startswith(config.sites)]
-            if not names:
-                raise SceneError(
-                    f"plugin 'palmfield.array': key 'sites' has value '{config.sites}'; allowed: how names of sites "
-                    f"begin; the scene has: {', '.join(model.names('site'))}"
-                )
-            for name in names:
-                number = model.find("site", name, "plugin 'palmfield.array': key 'sites'")
-                position, turn = relative(pose, model.reference_pose("site", number))
-                sites.append((tuple(position.tolist()), tuple(turn[:, 2].tolist())))
-        boards.append(Board(config, placement, tuple(sites)))
-    return tuple(boards)
+    sites = [_reference_sites(_transducer_sites(config, model), model) for config in configs]
+    return tuple(Board(*pair) for pair in zip(configs, placements(poses, sites), strict=True))
+
+
+def _transducer_sites(config: ArrayConfig, model: ModelView) -> Int:
+    """Numbers of the sites that are an array's transducers, shape (n,); none for another layout than `sites`.
+
+    A site that a key names serves another purpose, however its name begins.
+    """
+    if config.sites is None:
+        return np.zeros(0, np.int32)
+    keys = ["site", "frame", "patch_site"]
+    named = {config.site} | {text for i, _, _ in model.instances() for text in model.values(i, keys).values()}
+    names = [name for name in model.names("site") if name.startswith(config.sites) and name not in named]
+    if not names:
+        raise SceneError(
+            f"plugin 'palmfield.array': key 'sites' has value '{config.sites}'; allowed: how names of sites begin that "
+            f"no key names; the scene has: {', '.join(model.names('site'))}"
+        )
+    element = "plugin 'palmfield.array': key 'sites'"
+    return np.array([model.find("site", name, element) for name in names], dtype=np.int32)
+
+
+def _reference_sites(numbers: Int, model: ModelView) -> tuple[Float, Float]:
+    """World positions [m] and z axes of sites in the reference pose, shapes (n, 3)."""
+    poses = [model.reference_pose("site", int(number)) for number in numbers]
+    return (
+        np.array([position for position, _ in poses]).reshape(-1, 3),
+        np.array([turn[:, 2] for _, turn in poses]).reshape(-1, 3),
+    )
 
 
 def rig_of(skin: SkinConfig, model: ModelView) -> Any:
     """The rig of the scene that this skin instance stands in."""
+    from palmfield.chain import relative
+    from palmfield.emitter import Placement
     from palmfield.rig import rig
 
     boards = _boards(model)
     stimulus, driver = (_single(m, model) for m in (StimulusModule, DriverModule))
-    focus = np.array(stimulus.focus_m)
-    if stimulus.path == "circle":
-        focus[0] += 0.5 * stimulus.path_diameter_m
+    shift, turn = np.zeros(3), np.eye(3)
     frame = _frame_site(stimulus, model)
     if frame is not None:
         site = _array_site(boards[0].config, model)
-        (origin, turn), (board, axes) = model.reference_pose("site", frame), model.reference_pose("site", site)
-        focus = axes.T @ (origin + turn @ focus - board)
+        shift, turn = relative(model.reference_pose("site", site), model.reference_pose("site", frame))
+    stimulus_frame = Placement(tuple(shift.tolist()), tuple(turn.ravel().tolist()))
     centre = np.zeros(3)
     if skin.patch_site is not None:
         number = model.find("site", skin.patch_site, "plugin 'palmfield.skin': key 'patch_site'")
         centre = model.site_position(number)
-    return rig(boards, stimulus, skin, driver, model.timestep, tuple(focus.tolist()), tuple(centre.tolist()))
+    return rig(boards, stimulus, skin, driver, model.timestep, stimulus_frame, tuple(centre.tolist()))

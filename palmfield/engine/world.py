@@ -8,7 +8,7 @@ import numpy as np
 
 from palmfield.engine.structs import Plugin, library, mirror
 from palmfield.errors import SceneError
-from palmfield.types import Float
+from palmfield.types import Float, Int
 
 Kind = Literal["body", "site", "geom"]
 _OBJECT = {"body": mujoco.mjtObj.mjOBJ_BODY, "site": mujoco.mjtObj.mjOBJ_SITE, "geom": mujoco.mjtObj.mjOBJ_GEOM}
@@ -118,6 +118,11 @@ class World:
         """World position [m], shape (3,), and rotation matrix, shape (3, 3), copied."""
         position, matrix = self._views[kind]
         return position[number].copy(), matrix[number].reshape(3, 3).copy()
+
+    def sites(self, numbers: Int) -> tuple[Float, Float]:
+        """World positions [m] and z axes of some sites, shapes (n, 3), copied."""
+        position, matrix = self._views["site"]
+        return position[numbers], matrix[numbers, 2::3]
 
     def apply(self, body: int, force: Float, torque: Float, point: Float) -> None:
         """Add a force [N] and torque [N m], both shape (3,) in world axes, at a world point to the passive forces."""

@@ -24,7 +24,7 @@ def test_all_transducers_arrive_in_phase() -> None:
 
 @pytest.mark.parametrize("point", [(0.0, 0.0, 0.0), (0.0, 0.0, -0.2), (0.5, 0.0, 0.0)])
 def test_focus_behind_the_array_is_refused(point: tuple[float, float, float]) -> None:
-    with pytest.raises(SceneError, match="use z > 0"):
+    with pytest.raises(SceneError, match="give a point in front of the array"):
         focus(layout("uhev1"), Air(), point)
 
 

@@ -1,8 +1,10 @@
 """The benchmark itself: that it measures what it says, names what is missing and reports what fails."""
 
 import re
+import shutil
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +14,7 @@ from hypothesis import strategies as st
 from palmfield.bench import field, own
 from palmfield.bench.problem import Method, Problem, load
 from palmfield.bench.processes import ROOT, Measured, measure
-from palmfield.errors import PalmfieldError
+from palmfield.errors import OutputError, PalmfieldError
 
 PROGRAM = """
 import time
@@ -114,10 +116,46 @@ def test_grid_fills_the_box_with_about_so_many_points(low: float, depth: float, 
         ({"runs": 0}, "--runs has value 0"),
         ({"points": 3}, "--points has value 3"),
         ({"only": "abacus"}, "'abacus' is in no method's name"),
-        ({"peers_python": Path("nowhere/python")}, "nowhere/python is no file"),
+        ({"peers_python": Path("nowhere/python")}, "nowhere/python is no program"),
+        ({"peers_python": Path(__file__)}, "is no program"),
+        ({"peers_python": Path("no-such-interpreter")}, "no-such-interpreter is no program"),
+        ({"peers_python": Path("false")}, "false can't import NumPy"),
+        ({"out": Path("/proc/field.md")}, "cannot write /proc/field.md: .*; choose another --out"),
+        ({"picture": Path(__file__) / "field.png"}, "cannot write .*field.png: .*; choose another --picture"),
+        ({"picture": Path(__file__).parent}, "it is a folder; choose another --picture"),
         ({"device": "cuda:99"}, "cuda:99"),
     ],
 )
-def test_options_that_cannot_be_are_refused(options: dict, match: str) -> None:
-    with pytest.raises(PalmfieldError, match=match):
+def test_options_that_cannot_be_are_refused_before_measuring(
+    options: dict, match: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(field, "run_range", lambda *_: pytest.fail("it measured"))
+    with pytest.raises(PalmfieldError, match=match) as caught:
         field.main(**options)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_interpreter_that_cannot_start_is_named(tmp_path: Path) -> None:
+    program = tmp_path / "python"
+    program.write_text("#!/nowhere/at/all\n")
+    program.chmod(0o755)
+    with pytest.raises(PalmfieldError, match="python does not run: No such file"):
+        field.interpreter(program)
+
+
+@pytest.mark.parametrize("name", ["out", "picture"])
+def test_what_was_measured_is_printed_though_its_file_cannot_be_written(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The folder goes away while the benchmark runs."""
+    target = tmp_path / "gone" / "file"
+    measure_range = field.run_range
+
+    def run_range(*arguments: Any) -> Any:
+        shutil.rmtree(target.parent, ignore_errors=True)
+        return measure_range(*arguments)
+
+    monkeypatch.setattr(field, "run_range", run_range)
+    with pytest.raises(OutputError, match="the report above is not in its files"):
+        field.main(**{name: target}, points=100, runs=1, only="NumPy", commit="abc1234")
+    assert "| NumPy float32 (numpy" in capsys.readouterr().out

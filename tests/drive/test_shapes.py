@@ -2,12 +2,14 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from palmfield.acoustics.air import sound_speed
-from palmfield.acoustics.arrays import layout
+from palmfield.acoustics.arrays import combined, layout, placed
 from palmfield.acoustics.focus import focus
 from palmfield.acoustics.reference import pressure64
 from palmfield.drive import shapes
+from palmfield.drive.foci import solve_foci
 from palmfield.errors import SceneError
 from palmfield.types import Air, Array, Complex, Float
 
@@ -172,6 +174,49 @@ def test_defocused_spot_is_wider_and_as_wide_as_its_rays() -> None:
     np.testing.assert_array_equal(shapes.defocused(UHEV1, AIR, AHEAD, 0.0), focus(UHEV1, AIR, AHEAD))
 
 
+@pytest.mark.parametrize(
+    "turn",
+    [("x", 90.0), ("x", -90.0), ("y", 90.0), ("y", -90.0), ("y", 180.0), ("x", 60.0), ("y", -120.0)],
+    ids=lambda turn: f"{turn[0]} {turn[1]:g}",
+)
+def test_turned_arrays_shape_their_beams_the_same(turn: tuple[str, float]) -> None:
+    """A board turned about its x or y, up to a right angle or half a turn, has the drives that it had."""
+    matrix = Rotation.from_euler(*turn, degrees=True).as_matrix()
+    shift = np.array([0.1, -0.2, 0.3])
+    there = placed(UHEV1, shift, matrix)
+    point = matrix @ ASIDE + shift
+    for work in (
+        lambda array, at: shapes.twin_trap(array, AIR, at, 0.3),
+        lambda array, at: shapes.vortex(array, AIR, at, 2),
+        lambda array, at: shapes.bottle(array, AIR, at),
+    ):
+        np.testing.assert_allclose(work(there, point), work(UHEV1, np.array(ASIDE)), atol=1e-6)
+
+
+def test_an_array_turned_anyhow_has_its_vortex_round_the_beam() -> None:
+    """The frame's x may stand anywhere round the beam: the drive then differs by one phase factor."""
+    matrix = Rotation.from_euler("zyx", [40.0, 130.0, -70.0], degrees=True).as_matrix()
+    there = shapes.vortex(placed(UHEV1, [0.0, 0.0, 0.0], matrix), AIR, matrix @ ASIDE)
+    ratio = there / shapes.vortex(UHEV1, AIR, ASIDE)
+    np.testing.assert_allclose(ratio, ratio[0], atol=1e-6)
+    bottle = shapes.bottle(placed(UHEV1, [0.0, 0.0, 0.0], matrix), AIR, matrix @ ASIDE)
+    np.testing.assert_allclose(bottle, shapes.bottle(UHEV1, AIR, ASIDE), atol=1e-6)
+
+
+def test_messages_for_a_turned_array_say_what_was_given() -> None:
+    """It looks along -z: z > 0 would be the wrong advice."""
+    down = placed(UHEV1, [0.0, 0.0, 0.4], np.diag([1.0, -1.0, -1.0]))
+    with pytest.raises(SceneError, match=r"\[0.0, 0.0, 0.6\] is behind .*-0\.2 m before .*in front of the array"):
+        focus(down, AIR, (0.0, 0.0, 0.6))
+    with pytest.raises(SceneError, match=r"\[0.0, 0.0, 1.0\].*looks along \[0.0, 0.0, -1.0\].*in front of the array"):
+        shapes.plane_wave(down, AIR, (0.0, 0.0, 1.0))
+    with pytest.raises(SceneError, match=r"focus 1 at \[0.0, 0.0, 0.5\] is behind .*in front of the array"):
+        solve_foci([(0.0, 0.0, 0.2), (0.0, 0.0, 0.5)], down, AIR)
+    facing = combined([UHEV1, down])
+    with pytest.raises(SceneError, match="not along the array's mean normal"):
+        shapes.bottle(facing, AIR, (0.0, 0.0, 0.2))
+
+
 def test_every_drive_is_of_phases_only() -> None:
     drives = [
         shapes.vortex(UHEV1, AIR, ASIDE, 2),
@@ -188,7 +233,7 @@ def test_every_drive_is_of_phases_only() -> None:
 @pytest.mark.parametrize(
     ("work", "message"),
     [
-        (lambda: shapes.twin_trap(UHEV1, AIR, (0, 0, -0.2)), "use z > 0"),
+        (lambda: shapes.twin_trap(UHEV1, AIR, (0, 0, -0.2)), "give a point in front of the array"),
         (lambda: shapes.twin_trap(UHEV1, AIR, AHEAD, np.nan), "azimuth_rad = nan"),
         (lambda: shapes.vortex(UHEV1, AIR, AHEAD, 1.5), "order = 1.5 is not a whole number"),
         (lambda: shapes.bottle(UHEV1, AIR, (0, np.inf, 0.2)), "not a finite position"),
