@@ -4,13 +4,17 @@ Every function takes a resolution and returns the centre's push per pascal, stat
 program has no such answer), and its number of unknowns.
 """
 
+import json
 import math
+import sys
+import time
 from typing import Any
 
 import numpy as np
 from scipy.sparse.linalg import splu
+from threadpoolctl import threadpool_limits
 
-from palmfield.bench.skin_case import Case, F_Hz, graded, pressure
+from palmfield.bench.skin_case import CASE, Case, F_Hz, graded, pressure
 
 Answer = tuple[float | None, complex | None, int]
 HALF_M = 0.06
@@ -82,7 +86,7 @@ def warp_fem(case: Case, cells: int, layers: int) -> Answer:
         )
         space = fem.make_polynomial_space(mesh, degree=2, dtype=wp.vec3)
         inside = fem.Cells(mesh)
-        both = {"u": fem.make_trial(space, domain=inside), "v": fem.make_test(space, domain=inside)}
+        both: dict[str, Any] = {"u": fem.make_trial(space, domain=inside), "v": fem.make_test(space, domain=inside)}
         matrices = [
             _scipy(fem.integrate(form, fields=both, output_dtype=wp.float64))
             for form in (forms.deviatoric, forms.volumetric, forms.inertia)
@@ -180,3 +184,21 @@ def _scipy(matrix: Any) -> Any:
     return bsr_array(
         (blocks, matrix.columns.numpy()[:count], matrix.offsets.numpy()), shape=(3 * matrix.nrow, 3 * matrix.ncol)
     ).tocsr()
+
+
+def main() -> None:
+    """A process's only task: one program on one mesh, solved twice; prints the second's answer as JSON."""
+    name, cells, layers = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
+    run = {"scikit_fem": scikit_fem, "warp_fem": warp_fem, "mujoco_flex": mujoco_flex}[name]
+    with threadpool_limits(1):
+        run(CASE, cells, layers)
+        begin = time.perf_counter()
+        static, moving, unknowns = run(CASE, cells, layers)
+        seconds = time.perf_counter() - begin
+    answer: dict[str, Any] = {"static": static, "unknowns": unknowns, "seconds": seconds}
+    answer["moving"] = None if moving is None else [moving.real, moving.imag]
+    print(json.dumps(answer))
+
+
+if __name__ == "__main__":
+    main()

@@ -18,12 +18,12 @@ def volumetric(s: fem.Sample, u: fem.Field, v: fem.Field):
 
 @fem.integrand
 def inertia(s: fem.Sample, u: fem.Field, v: fem.Field):
-    return wp.dot(u(s), v(s))
+    return wp.dot(fem.inner(u, s), fem.inner(v, s))
 
 
 @fem.integrand
 def load(s: fem.Sample, domain: fem.Domain, v: fem.Field, width: float, slope: float):
     """Pressure of a Gaussian spot on the face z = 0."""
-    x = domain(s)
+    x = fem.position(domain, s)
     p = wp.where(x[2] > -1.0e-4, wp.exp(-slope * (x[0] * x[0] + x[1] * x[1]) / (width * width)), 0.0)
-    return -p * v(s)[2]
+    return -p * fem.inner(v, s)[2]

@@ -11,10 +11,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from palmfield.skin.choose import choices, solve
     from palmfield.skin.material import Branch, Material
     from palmfield.skin.presets import preset
     from palmfield.skin.problem import Layer, Motion, Sheet, Slab, Spot, Springs, Traction
-    from palmfield.skin.choose import choices, solve
 
 _WHERE = {
     **dict.fromkeys(("Branch", "Material"), "material"),

@@ -16,14 +16,15 @@ from palmfield.types import Float
 
 Name = Literal["auto", "spectral", "disc", "implicit", "explicit", "particles"]
 
+ASKED = ("solve", "refusal", "cost")
 WHERE = {
-    "spectral": ("palmfield.skin.spectral.solve", "palmfield.skin.spectral.build"),
-    "disc": ("palmfield.skin.disc_fem", "palmfield.skin.disc_fem"),
-    "implicit": ("palmfield.skin.implicit", "palmfield.skin.implicit"),
-    "explicit": ("palmfield.skin.explicit.solve", "palmfield.skin.explicit.solve"),
-    "particles": ("palmfield.skin.particles.solve", "palmfield.skin.particles.resolution"),
+    "spectral": {"solve": "spectral.solve", "refusal": "spectral.build", "cost": "spectral.cost"},
+    "disc": dict.fromkeys(ASKED, "disc_fem"),
+    "implicit": dict.fromkeys(ASKED, "implicit"),
+    "explicit": dict.fromkeys(ASKED, "explicit.solve"),
+    "particles": {"solve": "particles.solve", "refusal": "particles.resolution", "cost": "particles.resolution"},
 }
-"""Modules that hold each solver's solve_NAME, and its refusal_NAME and cost_NAME."""
+"""Modules of palmfield.skin that hold each solver's solve_NAME, refusal_NAME and cost_NAME."""
 
 PREVIEW = ("particles",)
 """Solvers for large deformation and previews: never chosen by `auto`."""
@@ -49,7 +50,7 @@ def choices(
     where = resolve(device)
     found = []
     for name in WHERE:
-        refusal = function(name, "refusal", 1)(body, load)
+        refusal = function(name, "refusal")(body, load)
         seconds = math.inf
         if refusal is None:
             seconds = cost(name, body, load, moments, points, accuracy, where)
@@ -96,10 +97,10 @@ def solve(
         why = f"auto: predicted {able[0].seconds:.2g} s" + (f"; {others}" if others else "")
     else:
         name, why = solver, "asked for"
-        refusal = function(name, "refusal", 1)(body, load)
+        refusal = function(name, "refusal")(body, load)
         if refusal is not None:
             raise SceneError(f"solver '{name}': {refusal}")
-    run = function(name, "solve", 0)
+    run = function(name, "solve")
     wanted, spent = accuracy, 0.0
     for _ in range(1 + FINER):
         motion: Motion = run(body, load, moments, points, accuracy=wanted, device=where, **resolution)
@@ -124,14 +125,14 @@ def checked(times: ArrayLike, at: ArrayLike, accuracy: float) -> tuple[Float, Fl
     return moments, points
 
 
-def function(name: str, what: str, module: int) -> Callable[..., Any]:
+def function(name: str, what: str) -> Callable[..., Any]:
     """A solver's solve_NAME, refusal_NAME or cost_NAME; loaded when asked for, as some take Warp."""
-    return getattr(import_module(WHERE[name][module]), f"{what}_{name}")
+    return getattr(import_module(f"palmfield.skin.{WHERE[name][what]}"), f"{what}_{name}")
 
 
 def cost(name: str, body: Body, load: Load, times: Float, at: Float, accuracy: float, device: str) -> float:
     """Predicted seconds."""
-    predict = function(name, "cost", 1)
+    predict = function(name, "cost")
     if device != "cpu" and name in ("explicit", "particles"):
         return predict(body, load, times, at, accuracy, device)
     return predict(body, load, times, at, accuracy)

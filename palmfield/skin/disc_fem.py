@@ -32,7 +32,7 @@ WIDTH = 1.0 / math.sqrt(8.0 * math.log(2.0))
 """Standard deviation of a Gaussian per full width at half maximum."""
 FINE = 1.8
 """Edge of the elements under the spot, in standard deviations; they grow away from it."""
-BAND_STEP = 1.6
+BAND_STEP = 1.25
 """Ratio of the bands of two runs that are compared: what a jump excites above them shows in the difference."""
 CORNER = 0.15
 """Width of the elements at a singular corner, in those of their neighbours (Szabo & Babuska 1991, ch. 10)."""
@@ -103,7 +103,7 @@ def solve_disc(
     while True:
         finer = _motion(problem, first, fine, band)
         elements = SAFETY * _difference(coarse.moved[0], finer.moved[0])
-        error = elements + finer.error + problem.dropped + problem.path
+        error = elements + finer.error + finer.dropped + problem.path
         if degree is not None or error <= accuracy or first >= MOST_DEGREE:
             break
         coarse, first, band = finer, first + 1, BAND_STEP * band
@@ -114,7 +114,7 @@ def solve_disc(
         velocity_m_s=finer.moved[1],
         error=error,
         error_source=f"twice the difference from degree {first - 1} and a narrower band: {elements:.2g}; reduced "
-        f"models, by residuals: {finer.error:.2g}; harmonics left out: {problem.dropped:.2g}; path: {problem.path:.2g}",
+        f"models, by residuals: {finer.error:.2g}; harmonics left out: {finer.dropped:.2g}; path: {problem.path:.2g}",
         solver=f"disc, {finer.elements} elements of degree {first} (r x z), {len(problem.numbers)} harmonics, "
         f"{len(problem.samples.times_s)} times",
         seconds=time.perf_counter() - begin,
@@ -160,10 +160,11 @@ class _Problem:
 
 @dataclass(frozen=True)
 class _Found:
-    """Displacement and velocity (2, t, n, 3), the reduced models' error and the grid in words."""
+    """Displacement and velocity (2, t, n, 3), errors by reduced models and left-out harmonics, the grid in words."""
 
     moved: Float
     error: float
+    dropped: float
     elements: str
 
 
@@ -174,9 +175,8 @@ def _problem(body: Slab, load: Spot, times: Float, points: Float, accuracy: floa
     share = [float(ive(0, ratio**2))]
     while True:
         highest = len(share) - 1
-        # The higher half-space compliance falls as 1 / k, and a harmonic m at distance d has k >= m / d.
-        dropped = max(1.0 - sum(share), 0.0) * min(1.0, ratio / (highest + 1))
-        if highest == harmonics or (harmonics is None and dropped <= 0.1 * accuracy):
+        dropped = max(1.0 - sum(share), 0.0)
+        if highest == harmonics or (harmonics is None and dropped <= 0.02 * accuracy):
             break
         share.append(2.0 * float(ive(highest + 1, ratio**2)))
     # On the axis itself only the harmonics 0 and 1 move.
@@ -204,8 +204,12 @@ def _motion(problem: _Problem, degree: int, fine: float | None, band_Hz: float) 
             mine[kind, after] = _turned(part[wanted[after]], m, points)
         moved += mine
         missed += error**2 * (mine[0] ** 2).sum(axis=(0, 2))
-    error = _worst(np.sqrt(missed), np.sqrt((moved[0] ** 2).sum(axis=(0, 2))))
-    return _Found(moved, error, f"{grid.radial.elements} x {grid.depth.elements}")
+    size = np.sqrt((moved[0] ** 2).sum(axis=(0, 2)))
+    error = _worst(np.sqrt(missed), size)
+    # Those left out move as the last one does, by their share of the load.
+    last = _worst(np.sqrt((mine[0] ** 2).sum(axis=(0, 2))), size)
+    dropped = last * problem.dropped / float(problem.share[-1])
+    return _Found(moved, error, dropped, f"{grid.radial.elements} x {grid.depth.elements}")
 
 
 def _difference(coarse: Float, fine: Float) -> float:
