@@ -42,7 +42,7 @@ BAND, MOST_BAND = 8.0, 24.0
 """Least and most that the reduced models hold, in c / (2 pi s): a load of size s answers as 1 / f^2 above that."""
 
 MOST_DEGREE = 9
-SAFETY = 2.0
+SAFETY = 1.25
 """Error of a degree p per difference from p - 1: errors fall in pairs (3.6, 1.6, 0.1 parts in 1000 for p = 4, 5, 6)."""
 MOST_BINS = 1 << 16
 
@@ -113,8 +113,8 @@ def solve_disc(
         displacement_m=finer.moved[0],
         velocity_m_s=finer.moved[1],
         error=error,
-        error_source=f"twice the difference from degree {first - 1} and a narrower band: {elements:.2g}; reduced "
-        f"models, by residuals: {finer.error:.2g}; harmonics left out: {finer.dropped:.2g}; path: {problem.path:.2g}",
+        error_source=f"{SAFETY} times the difference from degree {first - 1} and a narrower band: {elements:.2g}; "
+        f"reduced models, by residuals: {finer.error:.2g}; harmonics left out: {finer.dropped:.2g}; path: {problem.path:.2g}",
         solver=f"disc, {finer.elements} elements of degree {first} (r x z), {len(problem.numbers)} harmonics, "
         f"{len(problem.samples.times_s)} times",
         seconds=time.perf_counter() - begin,
@@ -142,7 +142,7 @@ def cost_disc(body: Body, load: Load, times: Float, at: Float, accuracy: float) 
 class _Problem:
     """What all resolutions share.
 
-    share: part of the load's peak in each harmonic; dropped: in those left out; path: mean error of its samples
+    share: pressure of each harmonic per peak; dropped: of those left out; path: mean error of its samples
     """
 
     body: Slab
@@ -171,21 +171,30 @@ class _Found:
 def _problem(body: Slab, load: Spot, times: Float, points: Float, accuracy: float, harmonics: int | None) -> _Problem:
     samples = sample(load, times, 0.1 * accuracy)
     s = WIDTH * load.fwhm_m
-    ratio = float(samples.distance_m.max()) / s
-    share = [float(ive(0, ratio**2))]
-    while True:
-        highest = len(share) - 1
-        dropped = max(1.0 - sum(share), 0.0)
-        if highest == harmonics or (harmonics is None and dropped <= 0.02 * accuracy):
-            break
-        share.append(2.0 * float(ive(highest + 1, ratio**2)))
+    share = _shares(float(samples.distance_m.max()) / s, 1e-3 * accuracy)
+    left = np.append(np.cumsum(share[::-1])[::-1][1:], 0.0)
+    highest = int(np.argmax(left <= 0.05 * accuracy)) if harmonics is None else min(harmonics, len(share) - 1)
     # On the axis itself only the harmonics 0 and 1 move.
     central = not points[:, :2].any()
-    numbers = tuple(m for m in range(highest + 1) if m < 2 or not central)
+    numbers = tuple(range(min(highest, 1) + 1 if central else highest + 1))
+    dropped = 0.0 if central and highest > 0 else float(left[highest])
     band = _band(body, load, samples, 0.3 * accuracy)
     # Between two samples a parabola is off its chord by two thirds of its height on average.
     path = 0.1 * accuracy * 2.0 / 3.0 if load.law == "linear" and np.ptp(load.centres(), axis=0).any() else 0.0
-    return _Problem(body, load, times, points, samples, numbers, np.array(share), dropped, path, 0.1 * accuracy, band)
+    return _Problem(body, load, times, points, samples, numbers, share, dropped, path, 0.1 * accuracy, band)
+
+
+def _shares(ratio: float, least: float) -> Float:
+    """Largest pressure of each harmonic, of a spot of peak 1 at `ratio` standard deviations off the axis, to `least`.
+
+    Taken over all distances from the axis: close to it a spot's high harmonics are strongest outside its middle.
+    """
+    r = np.linspace(0.0, ratio + 8.0, 400)
+    spot = np.exp(-0.5 * (r - ratio) ** 2)
+    share = [float((spot * ive(0, r * ratio)).max())]
+    while len(share) == 1 or share[-1] > least:
+        share.append(2.0 * float((spot * ive(len(share), r * ratio)).max()))
+    return np.array(share)
 
 
 def _motion(problem: _Problem, degree: int, fine: float | None, band_Hz: float) -> _Found:
@@ -208,7 +217,7 @@ def _motion(problem: _Problem, degree: int, fine: float | None, band_Hz: float) 
     error = _worst(np.sqrt(missed), size)
     # Those left out move as the last one does, by their share of the load.
     last = _worst(np.sqrt((mine[0] ** 2).sum(axis=(0, 2))), size)
-    dropped = last * problem.dropped / float(problem.share[-1])
+    dropped = last * problem.dropped / float(problem.share[problem.numbers[-1]])
     return _Found(moved, error, dropped, f"{grid.radial.elements} x {grid.depth.elements}")
 
 
