@@ -114,7 +114,8 @@ def solve_disc(
         velocity_m_s=finer.moved[1],
         error=error,
         error_source=f"{SAFETY} times the difference from degree {first - 1} and a narrower band: {elements:.2g}; "
-        f"reduced models, by residuals: {finer.error:.2g}; harmonics left out: {finer.dropped:.2g}; path: {problem.path:.2g}",
+        f"reduced models, by residuals: {finer.error:.2g}; harmonics left out: "
+        f"{finer.dropped:.2g}; path: {problem.path:.2g}",
         solver=f"disc, {finer.elements} elements of degree {first} (r x z), {len(problem.numbers)} harmonics, "
         f"{len(problem.samples.times_s)} times",
         seconds=time.perf_counter() - begin,
