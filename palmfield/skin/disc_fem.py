@@ -42,8 +42,6 @@ BAND, MOST_BAND = 8.0, 24.0
 """Least and most that the reduced models hold, in c / (2 pi s): a load of size s answers as 1 / f^2 above that."""
 
 MOST_DEGREE = 9
-SAFETY = 1.25
-"""Error of a degree p per difference from p - 1: errors fall in pairs (3.6, 1.6, 0.1 parts in 1000 for p = 4, 5, 6)."""
 MOST_BINS = 1 << 16
 
 
@@ -102,7 +100,7 @@ def solve_disc(
     coarse = _motion(problem, first - 1, fine, band / BAND_STEP)
     while True:
         finer = _motion(problem, first, fine, band)
-        elements = SAFETY * _difference(coarse.moved[0], finer.moved[0])
+        elements = _difference(coarse.moved[0], finer.moved[0])
         error = elements + finer.error + finer.dropped + problem.path
         if degree is not None or error <= accuracy or first >= MOST_DEGREE:
             break
@@ -113,7 +111,7 @@ def solve_disc(
         displacement_m=finer.moved[0],
         velocity_m_s=finer.moved[1],
         error=error,
-        error_source=f"{SAFETY} times the difference from degree {first - 1} and a narrower band: {elements:.2g}; "
+        error_source=f"difference from degree {first - 1} and a narrower band: {elements:.2g}; "
         f"reduced models, by residuals: {finer.error:.2g}; harmonics left out: "
         f"{finer.dropped:.2g}; path: {problem.path:.2g}",
         solver=f"disc, {finer.elements} elements of degree {first} (r x z), {len(problem.numbers)} harmonics, "
