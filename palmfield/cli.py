@@ -201,6 +201,33 @@ def bench_field(
     print(measure(out, picture, peers_python, device, points, runs, only, commit), end="")
 
 
+@bench.command("skin")
+def bench_skin(
+    out: Annotated[Path | None, typer.Option(help="markdown file to write the table to")] = None,
+    picture: Annotated[Path | None, typer.Option(help="PNG to draw time against error in")] = None,
+    peers_python: Annotated[
+        Path | None,
+        typer.Option(help="interpreter that has other programs, made by scripts/peers/setup.py [default: this one]"),
+    ] = None,
+    device: Annotated[str, typer.Option(help="where palmfield's own methods run: cpu or cuda:0")] = "cpu",
+    runs: Annotated[int, typer.Option(help="how often each method runs; medians are printed")] = 3,
+    only: Annotated[str, typer.Option(help="leave out methods whose names lack this text")] = "",
+    commit: Annotated[str, typer.Option(help="for the head, where no git is [default: git's]")] = "",
+) -> None:
+    """Time and error of the skin solvers on one slab, as a markdown table.
+
+    Ours at several wanted accuracies; scikit-fem, warp.fem and MuJoCo's flexes on several meshes. Errors are against
+    plane waves in depth, which are exact. It takes some minutes.
+
+    Examples: palmfield bench skin --only spectral
+
+    palmfield bench skin --peers-python ~/.cache/palmfield-peers/bin/python --out skin.md --picture skin.png
+    """
+    from palmfield.bench.skin import main as measure
+
+    print(measure(out, picture, peers_python, device, runs, only, commit), end="")
+
+
 def main() -> None:
     """Entry point: users' errors become one line on standard error and exit code 2."""
     try:

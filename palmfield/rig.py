@@ -2,6 +2,7 @@
 
 import math
 import threading
+from dataclasses import astuple, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
@@ -25,7 +26,8 @@ from palmfield.skin.assembly import SkinSystem, assemble
 from palmfield.skin.disc import disc_patch
 from palmfield.skin.estimate import choose_sizes
 from palmfield.skin.load import SurfaceQuadrature
-from palmfield.skin.material import Material, preset
+from palmfield.skin.material import Branch, Material
+from palmfield.skin.presets import preset
 from palmfield.skin.solver import SkinSolver
 from palmfield.skin.surface import closed_boundary
 from palmfield.skin.wedges import WedgeMesh, extrude
@@ -251,19 +253,34 @@ class Rig:
     @property
     def state_size(self) -> int:
         """Numbers of state: an upper bound that does not need the matrices, and what the transducers emit."""
-        return 4 * 3 * len(self.mesh.nodes) + (2 * len(self.array) if self.response.on else 0)
+        skin = (3 + len(self.material.branches)) * 3 * len(self.mesh.nodes)
+        return skin + (2 * len(self.array) if self.response.on else 0)
 
 
 def material_of(skin: SkinConfig) -> Material:
     """The preset with the scene's overrides."""
-    keys = ("density_kg_m3", "shear_relaxed_Pa", "shear_branch_Pa", "relaxation_time_s", "bulk_Pa")
+    keys = ("density_kg_m3", "shear_relaxed_Pa", "bulk_Pa", "shear_branch_Pa", "relaxation_time_s")
     changed = {key: getattr(skin, key) for key in keys if getattr(skin, key) is not None}
     base = preset(skin.material)
     if not changed:
         return base
-    values = {key: getattr(base, key) for key in keys} | changed
-    return Material(
-        name=f"{base.name}, changed", source=f"{base.source}; set by the scene: {', '.join(changed)}", **values
+    values = {key: value for key, value in changed.items() if key in keys[:3]}
+    branch = [changed.get(key) for key in keys[3:]]
+    if branch != [None, None]:
+        if None in branch and len(base.branches) != 1:
+            raise SceneError(
+                f"plugin 'palmfield.skin': material '{base.name}' has {len(base.branches)} branches; "
+                "give both shear_branch_Pa and relaxation_time_s, which then stand for all of them"
+            )
+        own = base.branches[0] if base.branches else Branch(0.0, 0.0)
+        values["branches"] = (
+            Branch(*(new if new is not None else old for new, old in zip(branch, astuple(own), strict=True))),
+        )
+    return replace(
+        base,
+        name=f"{base.name}, changed",
+        source=f"{base.source}; set by the scene: {', '.join(changed)}",
+        **values,
     )
 
 

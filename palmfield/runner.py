@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -209,7 +209,7 @@ def _parameters(scene: Scene) -> dict[str, Any]:
         "stimulus": rig.stimulus.model_dump_json(),
         "skin": rig.skin.model_dump_json(),
         "driver": rig.driver.model_dump_json(),
-        "material": json.dumps(vars(rig.material)),
+        "material": json.dumps(asdict(rig.material)),
         "mesh": json.dumps(
             {
                 "edge_at_focus_m": fine, "edge_at_rim_m": coarse, "fine_radius_m": fine_radius, "radius_m": radius,

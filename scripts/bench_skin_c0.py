@@ -20,8 +20,8 @@ from palmfield.skin.assembly import SkinSystem, assemble, element_matrices
 from palmfield.skin.disc import disc_patch
 from palmfield.skin.layer_oracle import centre_response
 from palmfield.skin.load import SurfaceQuadrature
-from palmfield.skin.material import PRESETS
 from palmfield.skin.ordering import dissection_order
+from palmfield.skin.presets import PRESETS
 from palmfield.skin.solver import Factor, SkinSolver, harmonic, harmonic_discrete, static
 from palmfield.skin.surface import SurfaceProbe
 from palmfield.skin.wedges import extrude
@@ -71,7 +71,7 @@ def exact(f_Hz: float, radius_m: float | None = RADIUS, base: str = "bonded"):
 
 def order_rows(system: SkinSystem) -> list[str]:
     """Factor and solve times of the orders tried, on the matrix of a 0.2 ms step."""
-    matrix = (4.0 / STEP**2 * system.mass + system.k_dev + system.k_vol).tocsc()
+    matrix = (4.0 / STEP**2 * system.mass + system.parts[0].stiffness + system.elastic).tocsc()
     right = np.ones(system.ndof)
     rows = []
 

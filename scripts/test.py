@@ -17,13 +17,14 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         description="Make .venv, install palmfield and its test tools in it, and run ruff check, ruff format --check, "
         "mypy and pytest. Stops at the first that fails.",
-        epilog="Anything else is passed on to pytest, for instance -k NAME, -m 'not slow', or a path from the "
+        epilog="Tests run on all cores, those of a file one after the other. Anything else is passed "
+        "on to pytest, for instance -k NAME, -m 'not slow', or a path from the "
         "repository's root.",
         allow_abbrev=False,
     )
     _, passed_on = parser.parse_known_args()
     python = _setup.environment("test")
-    for tool, *options in (*CHECKS, ("pytest", *passed_on)):
+    for tool, *options in (*CHECKS, ("pytest", "-n", "auto", "--dist", "loadfile", *passed_on)):
         _setup.say(" ".join([tool, *options]))
         status = subprocess.run([python, "-m", tool, *options], cwd=_setup.ROOT, check=False).returncode
         if status != 0:

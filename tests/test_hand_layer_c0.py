@@ -10,7 +10,7 @@ from palmfield.hand.patch import surface_patch
 from palmfield.skin.assembly import assemble
 from palmfield.skin.layer_oracle import centre_response
 from palmfield.skin.load import SurfaceQuadrature
-from palmfield.skin.material import preset
+from palmfield.skin.presets import preset
 from palmfield.skin.solver import harmonic, static
 from palmfield.skin.surface import SurfaceProbe
 from palmfield.skin.wedges import extrude

@@ -1,5 +1,6 @@
-"""Matrices of a skin layer: mass, deviatoric and volumetric stiffness over its free degrees of freedom."""
+"""Matrices of a skin layer: mass, damping, elastic and relaxing stiffness over its free degrees of freedom."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -9,41 +10,50 @@ from scipy import sparse
 
 from palmfield.device import resolve
 from palmfield.errors import SceneError
-from palmfield.skin.element import (
-    corner_slopes,
-    displacement_shape,
-    prism_rule,
-    triangle_rule,
-    triangle_shape,
-    volume_basis,
-)
+from palmfield.skin.absorbing import side_dashpots
+from palmfield.skin.element import corner_slopes, displacement_shape, prism_rule, volume_basis
+from palmfield.skin.foundation import Form, Foundation, base_matrix, of_springs
 from palmfield.skin.material import Material
+from palmfield.skin.problem import Springs
 from palmfield.skin.wedges import WedgeMesh
 from palmfield.types import Float, Int
 from warp_kernels import wedge
 
 Base = Literal["bonded", "free_slip", "free"]
-Side = Literal["fixed", "free", "roller"]
+Side = Literal["fixed", "free", "roller", "absorbing"]
 BASES = ("bonded", "free_slip", "free")
-SIDES = ("fixed", "free", "roller")
+SIDES = ("fixed", "free", "roller", "absorbing")
+
+
+@dataclass(frozen=True)
+class Part:
+    """Stiffness [N/m], symmetric csr of shape (n, n), that relaxes as a material's shear modulus; of G_r."""
+
+    stiffness: sparse.csr_matrix
+    material: Material
 
 
 @dataclass(frozen=True)
 class SkinSystem:
-    """M u'' + K_vol u + K_dev (u + g (u - q)) = F, q' = (u - q) / tau, over n free degrees of freedom.
+    """M u'' + C u' + E u + sum over parts K_p (u + sum_i g_i (u - q_i) + t u') = F, q_i' = (u - q_i) / tau_i.
 
-    mass [kg], k_dev and k_vol [N/m]: symmetric csr matrices, shape (n, n); k_dev is that of the relaxed shear modulus
+    mass M [kg], damping C [N s/m], elastic E [N/m]: symmetric csr matrices over n free degrees of freedom, (n, n)
+    parts: what relaxes, a part for each relaxation law, with its g_i, tau_i and t = eta / G_r
+    material: of the surface
     dof_map: nodal displacements (3 * nodes, by node) = dof_map @ u, csr, shape (3 * nodes, n), orthonormal columns
     surface_node: surface node under which each free degree of freedom lies, shape (n,)
+    supported: whether base or sides hold the body against a push, so that a static answer exists
     """
 
     mesh: WedgeMesh
     material: Material
     mass: sparse.csr_matrix
-    k_dev: sparse.csr_matrix
-    k_vol: sparse.csr_matrix
+    damping: sparse.csr_matrix
+    elastic: sparse.csr_matrix
+    parts: tuple[Part, ...]
     dof_map: sparse.csr_matrix
     surface_node: Int
+    supported: bool
 
     @property
     def ndof(self) -> int:
@@ -52,49 +62,122 @@ class SkinSystem:
 
 def assemble(
     mesh: WedgeMesh,
-    material: Material,
+    material: Material | Sequence[Material],
     *,
-    base: Base = "bonded",
+    base: Base | Springs | Foundation = "bonded",
     side: Side = "fixed",
     foundation_Pa_m: tuple[float, float] | None = None,
+    absorbing_Hz: float | None = None,
+    sponge_1_s: Float | None = None,
 ) -> SkinSystem:
-    """Assemble a layer of one material.
+    """Assemble a layer.
 
-    base: "bonded" (no motion), "free_slip" (no motion along the base's normal) or "free" (no traction)
-    side: "fixed" (no motion), "free" (no traction) or "roller" (no motion along the side's normal, square to the axis)
+    material: of the whole layer, or of each of its rows of elements, the one at the surface first
+    base: "bonded" (no motion), "free_slip" (no motion along the base's normal), "free" (no traction), Springs, or a
+        Foundation (springs, membranes, dashpots and masses by area)
+    side: "fixed" (no motion), "free" (no traction), "roller" (no motion along the side's normal, square to the axis)
+        or "absorbing" (dashpots)
         A free-slip base under roller sides leaves the disc free to spin about its axis: its static sideways motion is
         then any rotation that round-off leaves, its normal motion is right.
     foundation_Pa_m: (normal, tangential) stiffness by area [Pa/m] of what lies below, in place of `base`. The
-        tangential part is a shear spring and relaxes with the material; the normal part is elastic.
-    Raises SceneError for other conditions, a roller side without an axis, or foundation stiffnesses not >= 0.
+        tangential part is a shear spring and relaxes with the deepest material; the normal part is elastic.
+    absorbing_Hz: frequency at which the dashpots of absorbing sides match the material [Hz], > 0
+    sponge_1_s: damping by mass of each column of elements [1/s], shape (triangles,); none by default
+    Raises SceneError for other conditions, a roller side without an axis, a number of materials that is not the
+    mesh's, absorbing sides without a frequency, or foundation stiffnesses not >= 0.
     """
-    if base not in BASES or side not in SIDES:
+    if (isinstance(base, str) and base not in BASES) or side not in SIDES:
         raise SceneError(f"base '{base}', side '{side}': base is one of {', '.join(BASES)}, side of {', '.join(SIDES)}")
-    deviatoric, volumetric, mass = element_matrices(mesh)
-    pattern = _Pattern(mesh)
-    k_dev = pattern.blocks(material.shear_relaxed_Pa * deviatoric)
-    k_vol = pattern.blocks(material.bulk_Pa * volumetric)
-    inertia = pattern.scalars(material.density_kg_m3 * mass)
+    rows = materials_of_rows(mesh, material)
+    below: Foundation | None = None
     if foundation_Pa_m is not None:
-        base = "free"
         normal, tangential = foundation_Pa_m
         if not (normal >= 0.0 and tangential >= 0.0):
             raise SceneError(f"foundation stiffness is ({normal}, {tangential}) Pa/m; give two numbers, 0 or above")
-        along, across = _foundation(mesh)
-        k_vol = k_vol + normal * along
-        k_dev = k_dev + tangential * across
-    dof_map = _free_directions(mesh, base, side)
+        below = Foundation(elastic=Form(volume=normal), relaxing=Form(shear=tangential), law=rows[-1])
+    elif not isinstance(base, str):
+        below = base if isinstance(base, Foundation) else of_springs(base)
+
+    deviatoric, volumetric, unit_mass = element_matrices(mesh)
+    pattern = _Pattern(mesh)
+    mass = _by_row(mesh, [row.density_kg_m3 for row in rows]) * unit_mass
+    inertia = pattern.scalars(mass)
+    damping = sparse.csr_matrix(inertia.shape)
+    if sponge_1_s is not None:
+        damping = damping + pattern.scalars(np.tile(sponge_1_s, len(rows))[:, None, None] * mass)
+    if side == "absorbing":
+        if absorbing_Hz is None:
+            raise SceneError("absorbing sides need absorbing_Hz, the frequency at which their dashpots match")
+        damping = damping + side_dashpots(mesh, rows, absorbing_Hz)
+
+    held_bulk = [0.0 if row.bulk_relaxes else row.bulk_Pa for row in rows]
+    elastic = pattern.blocks(_by_row(mesh, held_bulk)[..., None, None] * volumetric)
+    relaxing = {}
+    for law in dict.fromkeys(map(relaxation_law, rows)):
+        own = [row if relaxation_law(row) == law else None for row in rows]
+        blocks = _by_row(mesh, [row.shear_relaxed_Pa if row else 0.0 for row in own])[..., None, None] * deviatoric
+        bulk = [row.bulk_Pa if row and row.bulk_relaxes else 0.0 for row in own]
+        if any(bulk):
+            blocks += _by_row(mesh, bulk)[..., None, None] * volumetric
+        relaxing[law] = (pattern.blocks(blocks), next(row for row in own if row))
+    if below is not None:
+        elastic = elastic + base_matrix(mesh, below.elastic)
+        damping = damping + base_matrix(mesh, below.damping)
+        inertia = inertia + base_matrix(mesh, below.mass)
+        if below.law is not None:
+            spring, law = base_matrix(mesh, below.relaxing), relaxation_law(below.law)
+            before, owner = relaxing.get(law, (0.0 * spring, below.law))
+            relaxing[law] = (before + spring, owner)
+    held_base: Base = "free" if not isinstance(base, str) or below is not None else base
+    dof_map = _free_directions(mesh, held_base, side)
     reduce = dof_map.T.tocsr()
     columns = dof_map.tocsc()
+
+    def free(matrix: sparse.csr_matrix) -> sparse.csr_matrix:
+        result = sparse.csr_matrix(reduce @ matrix @ dof_map)
+        result.sort_indices()
+        result.eliminate_zeros()
+        return result
+
     return SkinSystem(
         mesh=mesh,
-        material=material,
-        mass=_csr(reduce @ inertia @ dof_map),
-        k_dev=_csr(reduce @ k_dev @ dof_map),
-        k_vol=_csr(reduce @ k_vol @ dof_map),
+        material=rows[0],
+        mass=free(inertia),
+        damping=free(damping),
+        elastic=free(elastic),
+        parts=tuple(Part(free(matrix), owner) for matrix, owner in relaxing.values()),
         dof_map=dof_map,
         surface_node=((columns.indices[columns.indptr[:-1]] // 3) % mesh.surface_nodes).astype(np.int32),
+        supported=_supported(mesh, held_base, side, below),
     )
+
+
+def materials_of_rows(mesh: WedgeMesh, material: Material | Sequence[Material]) -> list[Material]:
+    """One material for each row of elements. Raises SceneError for another number than the mesh has rows."""
+    count = (mesh.levels - 1) // 2
+    rows = [material] * count if isinstance(material, Material) else list(material)
+    if len(rows) != count:
+        raise SceneError(f"{len(rows)} materials for {count} rows of elements: give one, or one for each row")
+    return rows
+
+
+def relaxation_law(material: Material) -> tuple:
+    """What tells one relaxation law from another: g_i, tau_i, eta / G_r."""
+    return material.ratios, material.times_s, material.viscous_time_s
+
+
+def _by_row(mesh: WedgeMesh, values: list[float]) -> Float:
+    """A value for each element from those of the rows, shape (m, 1, 1)."""
+    return np.repeat(values, len(mesh.surface_triangles6))[:, None, None]
+
+
+def _supported(mesh: WedgeMesh, base: str, side: str, below: Foundation | None) -> bool:
+    if base == "bonded" or (side == "fixed" and len(mesh.side)):
+        return True
+    if below is not None:
+        return below.holds or (side == "roller" and below.elastic.volume > 0.0)
+    # A slippery base round a closed body, or with rollers beside a flat one, leaves only spins that no push drives.
+    return base == "free_slip" and (side == "roller" or not len(mesh.side))
 
 
 def element_matrices(mesh: WedgeMesh) -> tuple[Float, Float, Float]:
@@ -175,12 +258,6 @@ class _Pattern:
         return sparse.bsr_matrix((data, self.indices, self.starts), shape=(3 * self.nodes, 3 * self.nodes)).tocsr()
 
 
-def _csr(matrix: Any) -> sparse.csr_matrix:
-    result = sparse.csr_matrix(matrix)
-    result.sort_indices()
-    return result
-
-
 def _free_directions(mesh: WedgeMesh, base: Base, side: Side) -> sparse.csr_matrix:
     """Orthonormal directions in which each node may move, as columns over the nodal components."""
     count = len(mesh.nodes)
@@ -208,25 +285,3 @@ def _free_directions(mesh: WedgeMesh, base: Base, side: Side) -> sparse.csr_matr
     directions = sparse.csr_matrix(blocks.tocsr()[:, kept])
     directions.eliminate_zeros()
     return directions
-
-
-def _foundation(mesh: WedgeMesh) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
-    """Integrals of N_i N_j n n^T and of N_i N_j (I - n n^T) over the base [m^2], over all nodal components."""
-    offset = int(mesh.base[0])
-    triangles = mesh.surface_triangles6 + offset
-    a, b, c = (mesh.nodes[triangles[:, i]] for i in range(3))
-    area = np.cross(b - a, c - a)
-    twice = np.linalg.norm(area, axis=1)
-    normals = area / twice[:, None]
-    points, weights = triangle_rule()
-    shape = triangle_shape(points)
-    pairs = twice[:, None, None] * np.einsum("q,qi,qj->ij", weights, shape, shape)
-    along = np.einsum("ta,tb->tab", normals, normals)
-    size = 3 * len(mesh.nodes)
-    matrices = []
-    for projector in (along, np.eye(3) - along):
-        blocks = np.einsum("tij,tab->tiajb", pairs, projector)
-        dofs = (3 * triangles[..., None] + np.arange(3)).reshape(len(triangles), 18)
-        rows, columns = np.repeat(dofs, 18, axis=1).ravel(), np.tile(dofs, (1, 18)).ravel()
-        matrices.append(sparse.coo_matrix((blocks.ravel(), (rows, columns)), shape=(size, size)).tocsr())
-    return matrices[0], matrices[1]

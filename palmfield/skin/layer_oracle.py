@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import j0, jn_zeros
 
 from palmfield.errors import SceneError
-from palmfield.skin.material import Material, complex_shear
+from palmfield.skin.material import Material, complex_bulk, complex_shear
 from palmfield.types import Complex, Float
 
 Base = Literal["bonded", "free_slip", "free"]
@@ -52,7 +52,7 @@ def layer_compliance(
 def _uniform_compliance(f_Hz: float, material: Material, h: float, base: Base) -> complex:
     """The k = 0 layer: a one-dimensional compression column."""
     omega = 2.0 * math.pi * f_Hz
-    modulus = material.bulk_Pa + 4.0 / 3.0 * complex_shear(material, f_Hz)
+    modulus = complex_bulk(material, f_Hz) + 4.0 / 3.0 * complex_shear(material, f_Hz)
     if omega == 0.0:
         if base == "free":
             raise SceneError("a layer with a free base has no static answer to uniform pressure; use base='bonded'")
@@ -65,8 +65,9 @@ def _uniform_compliance(f_Hz: float, material: Material, h: float, base: Base) -
 def _wave_compliance(k: Float, f_Hz: float, material: Material, h: float, base: Base) -> Complex:
     omega = 2.0 * math.pi * f_Hz
     shear = complex_shear(material, f_Hz)
-    pressure_modulus = material.bulk_Pa + 4.0 / 3.0 * shear
-    lame = material.bulk_Pa - 2.0 / 3.0 * shear
+    bulk = complex_bulk(material, f_Hz)
+    pressure_modulus = bulk + 4.0 / 3.0 * shear
+    lame = bulk - 2.0 / 3.0 * shear
     ks2 = material.density_kg_m3 * omega**2 / shear
     ratio = shear / pressure_modulus
     kp2 = ratio * ks2

@@ -1,4 +1,7 @@
-"""Normal pressure on the skin, as consistent nodal forces."""
+"""Normal pressure on the skin, as consistent nodal forces, at a time and over time."""
+
+import itertools
+import math
 
 import numpy as np
 from scipy import sparse
@@ -6,6 +9,8 @@ from scipy import sparse
 from palmfield.errors import SceneError
 from palmfield.skin.assembly import SkinSystem
 from palmfield.skin.element import triangle_rule, triangle_shape
+from palmfield.skin.problem import GAUSSIAN, Load, Spot, Traction
+from palmfield.skin.surface import SurfaceProbe
 from palmfield.skin.wedges import WedgeMesh
 from palmfield.types import Float
 
@@ -49,3 +54,81 @@ class SurfaceQuadrature:
                 f"pressure has shape {pressure.shape}; give one value at each of {len(self.weights)} points"
             )
         return self.operator @ pressure
+
+
+class PressureHistory:
+    """The force of a load on a layer as time goes on.
+
+    focus_m: points about which the pressure lies, shape (p, 3); knots_s: the load's own times [s]
+    Raises SceneError for a load whose points lie off the surface.
+    """
+
+    def __init__(self, load: Load, mesh: WedgeMesh, system: SkinSystem) -> None:
+        self.load = load
+        self.knots_s = np.asarray(load.times_s, dtype=float)
+        if isinstance(load, Spot):
+            quadrature = SurfaceQuadrature(mesh, system)
+            self.points, self.operator = quadrature.points, quadrature.operator
+            self.centres = on_surface(mesh, system, load.centres())
+        else:
+            probe = SurfaceProbe(mesh, load.points, system)
+            self.operator = sparse.csr_matrix(-(probe.operator.T @ sparse.diags(load.weights_m2)))
+        self._still: Float | None = None
+
+    def force(self, start_s: float, end_s: float) -> tuple[Float, Float]:
+        """Forces [N], (n,), at the ends of a step whose straight line has the load's own impulse and first moment.
+
+        Where the load itself is a straight line over the step, that is the load; a jump or a bend inside the step keeps
+        its effect to second order. Two Gauss points between knots: exact for linear pressure.
+        """
+        inside = self.knots_s[(self.knots_s > start_s) & (self.knots_s < end_s)]
+        edges = np.concatenate([[start_s], inside, [end_s]])
+        first = last = 0.0
+        for a, b in itertools.pairwise(edges):
+            for node in (-1.0, 1.0):
+                t = 0.5 * (a + b) + 0.5 * (b - a) * node / math.sqrt(3.0)
+                share, x = 0.5 * (b - a) / (end_s - start_s), (t - start_s) / (end_s - start_s)
+                pressure = self.pressure(t)
+                first = first + share * (4.0 - 6.0 * x) * pressure
+                last = last + share * (6.0 * x - 2.0) * pressure
+        return self.operator @ first, self.operator @ last
+
+    def final_force(self) -> Float:
+        """Force [N], (n,), of the load after its last time."""
+        return self.operator @ self.pressure(float(self.knots_s[-1]))
+
+    def pressure(self, t: float) -> Float:
+        """Pressure [Pa] at the load's points at time t [s]; 0 before the first time, at rest after the last."""
+        place, share = self._between(t)
+        weights = np.zeros(len(self.knots_s))
+        if place >= 0:
+            weights[place] += 1.0 - share
+            weights[min(place + 1, len(weights) - 1)] += share
+        if isinstance(self.load, Traction):
+            return weights @ np.asarray(self.load.pressure_Pa)
+        peak = float(weights @ np.asarray(self.load.peak_Pa))
+        if len(self.centres) == 1 or not np.ptp(self.centres, axis=0).any():
+            if self._still is None:
+                self._still = self._bell(self.centres[0])
+            return peak * self._still
+        return peak * self._bell(weights @ self.centres)
+
+    def _bell(self, centre: Float) -> Float:
+        assert isinstance(self.load, Spot)
+        return np.exp(-GAUSSIAN * ((self.points - centre) ** 2).sum(axis=1) / self.load.fwhm_m**2)
+
+    def _between(self, t: float) -> tuple[int, float]:
+        """Index of the last knot not after t (-1: before all) and the share of the way to the next."""
+        place = int(np.searchsorted(self.knots_s, t, side="right")) - 1
+        if place < 0 or place == len(self.knots_s) - 1 or self.load.law == "held":
+            return place, 0.0
+        return place, (t - self.knots_s[place]) / (self.knots_s[place + 1] - self.knots_s[place])
+
+
+def on_surface(mesh: WedgeMesh, system: SkinSystem, places: Float) -> Float:
+    """The points of the skin closest to places (n, 2) of the plane z = 0, or (n, 3); shape (n, 3) [m]."""
+    flat = np.asarray(places, dtype=float)
+    if flat.shape[1] == 2:
+        flat = np.column_stack([flat, np.zeros(len(flat))])
+    unique, back = np.unique(flat, axis=0, return_inverse=True)
+    return SurfaceProbe(mesh, unique, system).closest[back.ravel()]

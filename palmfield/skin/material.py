@@ -1,21 +1,48 @@
-"""Skin materials: a standard linear solid in shear, elastic in bulk."""
+"""Skin materials: linear viscoelastic solids, isotropic. Named ones are in palmfield.skin.presets."""
 
 import cmath
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
 
 from palmfield.errors import SceneError
+from palmfield.types import Complex
+
+INCOMPRESSIBLE = 1e6
+"""K over the shear modulus that stands for nu = 0.5 in `elastic`, `kelvin_voigt` and their like.
+
+Under spots of 6 to 20 mm on bonded layers 1 to 20 mm deep, at 0 to 400 Hz, the motion is then within 6e-5 of the
+incompressible one (docs/materials.md; tests/skin/test_material.py). Thinner layers and wider spots: more.
+"""
+
+NuOf = Literal["instant", "relaxed"]
+
+
+@dataclass(frozen=True)
+class Branch:
+    """Maxwell branch: spring G_m [Pa], >= 0, in series with a dashpot; time_s: tau = eta / G_m [s], >= 0.
+
+    At tau = 0 the branch carries nothing.
+    """
+
+    shear_Pa: float
+    time_s: float
 
 
 @dataclass(frozen=True)
 class Material:
-    """Isotropic solid: spring G_r beside one Maxwell branch (G_m, tau) in shear, elastic bulk modulus K.
+    """Spring G_r beside Maxwell branches and a dashpot, in shear: G(s) = G_r + sum G_i s tau_i / (1 + s tau_i) + eta s.
+
+    No branch and no dashpot: elastic. A dashpot alone: Kelvin-Voigt. One branch: standard linear solid. More: Prony
+    series.
 
     density_kg_m3: rho [kg/m^3], > 0
     shear_relaxed_Pa: G_r [Pa], > 0
-    shear_branch_Pa: G_m [Pa], >= 0 (0: no branch, a purely elastic solid)
-    relaxation_time_s: tau = eta / G_m [s], >= 0 (0: the branch carries nothing)
-    bulk_Pa: K [Pa], > 0
+    branches: Maxwell branches, any number
+    bulk_Pa: K [Pa], > 0, of the relaxed solid
+    viscosity_Pa_s: eta [Pa s], >= 0
+    bulk_relaxes: whether K follows G, K(s) = K G(s) / G_r (Poisson's ratio is constant), or is elastic
     source: where the numbers come from
 
     Raises SceneError for a value outside these ranges.
@@ -24,25 +51,43 @@ class Material:
     name: str
     density_kg_m3: float
     shear_relaxed_Pa: float
-    shear_branch_Pa: float
-    relaxation_time_s: float
+    branches: tuple[Branch, ...]
     bulk_Pa: float
     source: str
+    viscosity_Pa_s: float = 0.0
+    bulk_relaxes: bool = False
 
     def __post_init__(self) -> None:
-        for field in ("density_kg_m3", "shear_relaxed_Pa", "bulk_Pa"):
-            value = getattr(self, field)
+        values = {name: getattr(self, name) for name in ("density_kg_m3", "shear_relaxed_Pa", "bulk_Pa")}
+        for name, value in values.items():
             if not (math.isfinite(value) and value > 0.0):
-                raise SceneError(f"material '{self.name}': {field} is {value}; give a finite number above 0")
-        for field in ("shear_branch_Pa", "relaxation_time_s"):
-            value = getattr(self, field)
+                raise SceneError(f"material '{self.name}': {name} is {value}; give a finite number above 0")
+        values = {"viscosity_Pa_s": self.viscosity_Pa_s}
+        for number, branch in enumerate(self.branches):
+            values |= {f"branches[{number}].shear_Pa": branch.shear_Pa, f"branches[{number}].time_s": branch.time_s}
+        for name, value in values.items():
             if not (math.isfinite(value) and value >= 0.0):
-                raise SceneError(f"material '{self.name}': {field} is {value}; give a finite number, 0 or above")
+                raise SceneError(f"material '{self.name}': {name} is {value}; give a finite number, 0 or above")
 
     @property
-    def branch_ratio(self) -> float:
-        """g = G_m / G_r."""
-        return self.shear_branch_Pa / self.shear_relaxed_Pa
+    def ratios(self) -> tuple[float, ...]:
+        """g_i = G_i / G_r of each branch."""
+        return tuple(branch.shear_Pa / self.shear_relaxed_Pa for branch in self.branches)
+
+    @property
+    def times_s(self) -> tuple[float, ...]:
+        """tau_i of each branch [s]."""
+        return tuple(branch.time_s for branch in self.branches)
+
+    @property
+    def viscous_time_s(self) -> float:
+        """eta / G_r [s]."""
+        return self.viscosity_Pa_s / self.shear_relaxed_Pa
+
+    @property
+    def shear_instant_Pa(self) -> float:
+        """G_r + sum G_i [Pa], the shear modulus at once; with a dashpot it is infinite, which this leaves out."""
+        return self.shear_relaxed_Pa + sum(b.shear_Pa for b in self.branches if b.time_s > 0.0)
 
 
 def bulk_from_poisson(nu: float, shear: float) -> float:
@@ -57,10 +102,106 @@ def bulk_from_poisson(nu: float, shear: float) -> float:
     return 2.0 * shear * (1.0 + nu) / (3.0 * (1.0 - 2.0 * nu))
 
 
+def elastic(
+    name: str,
+    density_kg_m3: float,
+    shear_Pa: float,
+    nu: float = 0.4999,
+    *,
+    source: str = "",
+    bulk_relaxes: bool = False,
+) -> Material:
+    """Spring G alone: density rho [kg/m^3], shear modulus G [Pa], Poisson's ratio nu; errors as `prony`."""
+    return prony(name, density_kg_m3, shear_Pa, (), (), nu, source=source, bulk_relaxes=bulk_relaxes)
+
+
+def kelvin_voigt(
+    name: str,
+    density_kg_m3: float,
+    shear_Pa: float,
+    viscosity_Pa_s: float,
+    nu: float = 0.4999,
+    *,
+    source: str = "",
+    bulk_relaxes: bool = False,
+) -> Material:
+    """Spring G [Pa] beside a dashpot eta [Pa s]: G(s) = G + eta s. nu is of the spring; errors as `prony`."""
+    return prony(
+        name, density_kg_m3, shear_Pa, (), (), nu,
+        viscosity_Pa_s=viscosity_Pa_s, source=source, bulk_relaxes=bulk_relaxes,
+    )  # fmt: skip
+
+
+def standard_linear(
+    name: str,
+    density_kg_m3: float,
+    relaxed_Pa: float,
+    branch_Pa: float,
+    time_s: float,
+    nu: float = 0.4999,
+    *,
+    nu_of: NuOf = "instant",
+    source: str = "",
+    bulk_relaxes: bool = False,
+) -> Material:
+    """Spring G_r [Pa] beside one Maxwell branch G_m [Pa], tau [s] (standard linear solid); errors as `prony`."""
+    return prony(
+        name, density_kg_m3, relaxed_Pa, (branch_Pa,), (time_s,), nu,
+        nu_of=nu_of, source=source, bulk_relaxes=bulk_relaxes,
+    )  # fmt: skip
+
+
+def prony(
+    name: str,
+    density_kg_m3: float,
+    relaxed_Pa: float,
+    branches_Pa: Sequence[float],
+    times_s: Sequence[float],
+    nu: float = 0.4999,
+    *,
+    nu_of: NuOf = "instant",
+    viscosity_Pa_s: float = 0.0,
+    source: str = "",
+    bulk_relaxes: bool = False,
+) -> Material:
+    """Spring G_r [Pa] beside Maxwell branches of moduli G_i [Pa] and times tau_i [s], and a dashpot eta [Pa s].
+
+    nu: Poisson's ratio, above -1; 0.5 gives K = INCOMPRESSIBLE times the modulus it is of
+    nu_of: the shear modulus beside which nu is meant: "instant", G_r + sum G_i (the dashpot left out), or "relaxed",
+        G_r. Soft tissue is nearly incompressible however fast it moves: hence "instant". Where the bulk relaxes too,
+        nu is the same at all rates and K, of the relaxed solid, follows from G_r.
+    Raises SceneError as Material and bulk_from_poisson, for unequal numbers of moduli and times, and an unknown nu_of.
+    """
+    if len(branches_Pa) != len(times_s):
+        raise SceneError(
+            f"material '{name}': {len(branches_Pa)} branch moduli, {len(times_s)} times; give one for each"
+        )
+    if nu_of not in ("instant", "relaxed"):
+        raise SceneError(f"material '{name}': nu_of is '{nu_of}'; use 'instant' or 'relaxed'")
+    branches = tuple(Branch(float(shear), float(time)) for shear, time in zip(branches_Pa, times_s, strict=True))
+    springs = Material(
+        name, density_kg_m3, relaxed_Pa, branches, 1.0, source, viscosity_Pa_s=viscosity_Pa_s, bulk_relaxes=bulk_relaxes
+    )
+    shear = springs.shear_relaxed_Pa if bulk_relaxes or nu_of == "relaxed" else springs.shear_instant_Pa
+    return replace(springs, bulk_Pa=INCOMPRESSIBLE * shear if nu == 0.5 else bulk_from_poisson(nu, shear))
+
+
+def stiffening(material: Material, s: complex | Complex) -> complex | Complex:
+    """G(s) / G_r at complex rates s [1/s] of e^{st}, any shape."""
+    total = 1.0 + material.viscous_time_s * s
+    for ratio, time_s in zip(material.ratios, material.times_s, strict=True):
+        total = total + ratio * (s * time_s) / (1.0 + s * time_s)
+    return total
+
+
 def complex_shear(material: Material, f_Hz: float) -> complex:
-    """Complex shear modulus G' - iG'' [Pa] at f [Hz] under e^{-i w t}: G_r + G_m x / (1 + x), x = -i w tau."""
-    x = -2j * math.pi * f_Hz * material.relaxation_time_s
-    return material.shear_relaxed_Pa + material.shear_branch_Pa * x / (1.0 + x)
+    """Complex shear modulus G' - iG'' [Pa] at f [Hz] under e^{-i w t}."""
+    return complex(material.shear_relaxed_Pa * stiffening(material, -2j * math.pi * f_Hz))
+
+
+def complex_bulk(material: Material, f_Hz: float) -> complex:
+    """Complex bulk modulus [Pa] at f [Hz] under e^{-i w t}; real unless it follows the shear modulus."""
+    return complex(material.bulk_Pa * (stiffening(material, -2j * math.pi * f_Hz) if material.bulk_relaxes else 1.0))
 
 
 def shear_wave(material: Material, f_Hz: float) -> tuple[float, float]:
@@ -73,36 +214,3 @@ def shear_wave(material: Material, f_Hz: float) -> tuple[float, float]:
     omega = 2.0 * math.pi * f_Hz
     wavenumber = omega * cmath.sqrt(material.density_kg_m3 / complex_shear(material, f_Hz))
     return omega / wavenumber.real, 1.0 / wavenumber.imag if wavenumber.imag > 0.0 else math.inf
-
-
-PRESETS: dict[str, Material] = {
-    "ecoflex_00-10": Material(
-        name="ecoflex_00-10",
-        density_kg_m3=1030.0,
-        shear_relaxed_Pa=12.5e3,
-        shear_branch_Pa=20e3,
-        relaxation_time_s=3.42 / 20e3,
-        bulk_Pa=bulk_from_poisson(0.495, 12.5e3),
-        source="Chilles et al., Ecoflex 00-10 phantom: G_r 12.5 kPa, G_m 20 kPa, eta 3.42 Pa s (tau = eta/G_m = "
-        "171 us), nu 0.495 read as printed, that is on the relaxed modulus",
-    ),
-    "palm": Material(
-        name="palm",
-        density_kg_m3=1100.0,
-        shear_relaxed_Pa=19.9e3,
-        shear_branch_Pa=17.3e3,
-        relaxation_time_s=1.56e-3,
-        bulk_Pa=bulk_from_poisson(0.4999, 37.2e3),
-        source="fitted by scripts/fit_palm_material.py to speed and decay at once: surface wave 4.5/5.0/5.4/5.5 m/s at "
-        "50/100/200/400 Hz against an aim of 3.6/4.6/6.0/7.1 m/s, rising to 7 m/s as on the finger pad (Manfredi "
-        "et al. 2012): misfit +26/+9/-11/-23 %; |u(40 mm)/u(5 mm)| at 200 Hz 0.085 on 12 mm bonded to bone (0.081 at "
-        "16 mm, 0.086 at 20 mm) against 0.085; one branch cannot meet both. nu 0.4999 on the instantaneous modulus",
-    ),
-}
-
-
-def preset(name: str) -> Material:
-    """The material of that name in PRESETS. Raises SceneError with the known names otherwise."""
-    if name not in PRESETS:
-        raise SceneError(f"skin material '{name}' is not known; use one of {', '.join(sorted(PRESETS))}")
-    return PRESETS[name]

@@ -1,6 +1,6 @@
 """Motion of a skin layer: static, harmonic, and in time.
 
-Time: generalised-alpha (Chung & Hulbert 1993). The branch's internal displacement q, q' = (u - q) / tau, is integrated
+Time: generalised-alpha (Chung & Hulbert 1993). A branch's internal displacement q, q' = (u - q) / tau, is integrated
 exactly for u linear over the step, so that q1 = e q0 + a u0 + b u1 with e = exp(-h/tau), b = 1 - (1 - e) tau/h and
 a = 1 - e - b. It is stable for every h/tau, and q1 -> u1 as h/tau -> infinity: the branch then simply relaxes.
 """
@@ -16,7 +16,7 @@ from threadpoolctl import ThreadpoolController
 
 from palmfield.errors import SceneError
 from palmfield.skin.assembly import SkinSystem
-from palmfield.skin.material import complex_shear
+from palmfield.skin.material import stiffening
 from palmfield.skin.ordering import dissection_order
 from palmfield.types import Complex, Float, Int
 
@@ -56,66 +56,98 @@ def branch_weights(step_s: float, tau_s: float) -> tuple[float, float, float]:
     return e, -math.expm1(-x) - b, b
 
 
+class Scheme:
+    """One step of generalised-alpha for a system, as numbers: what is solved, and what goes in and out.
+
+    A state S has a row of n numbers each for displacement u [m], velocity v [m/s], acceleration a [m/s^2] and the
+    internal displacement q [m] of every branch of every part. Over a step the new displacement x solves
+    effective @ x = (1 - alpha_f) force_end + alpha_f force_start + sum over terms of matrix @ (row @ S),
+    then the new state is advance @ S + follow x.
+
+    step_s, rho_inf: as for SkinSolver; state_rows: rows of a state
+    effective: csr (n, n) [N/m]; terms: (csr (n, n), row (state_rows,)); advance: (r, r); follow: (r,)
+    """
+
+    def __init__(self, system: SkinSystem, step_s: float, rho_inf: float) -> None:
+        if not (math.isfinite(step_s) and step_s > 0.0) or not 0.0 <= rho_inf <= 1.0:
+            raise SceneError(f"step {step_s} s, rho_inf {rho_inf}: the step must be above 0 and rho_inf in 0..1")
+        self.system, self.step_s, self.rho_inf = system, step_s, rho_inf
+        alpha_m, self.alpha_f, beta, gamma = alpha_weights(rho_inf)
+        before, after = self.alpha_f, 1.0 - self.alpha_f
+        self.state_rows = 3 + sum(len(part.material.times_s) for part in system.parts)
+        u, v, a, *internal = np.eye(self.state_rows)
+        # New acceleration and velocity are a share of x and a row of the old state.
+        a_of_x = 1.0 / (beta * step_s**2)
+        a_of_state = -a_of_x * (u + step_s * v) - (0.5 / beta - 1.0) * a
+        v_of_x = step_s * gamma * a_of_x
+        v_of_state = v + step_s * ((1.0 - gamma) * a + gamma * a_of_state)
+        self.follow = np.zeros(self.state_rows)
+        self.follow[:3] = 1.0, v_of_x, a_of_x
+        self.advance = np.zeros((self.state_rows, self.state_rows))
+        self.advance[1], self.advance[2] = v_of_state, a_of_state
+        self.effective = (1.0 - alpha_m) * a_of_x * system.mass + after * (v_of_x * system.damping + system.elastic)
+        self.terms = [
+            (system.mass, -((1.0 - alpha_m) * a_of_state + alpha_m * a)),
+            (system.elastic, -before * u),
+        ]
+        if system.damping.nnz:
+            self.terms.append((system.damping, -(after * v_of_state + before * v)))
+        row = 3
+        for part in system.parts:
+            viscous = part.material.viscous_time_s
+            of_x, old, new = 1.0 + viscous * v_of_x, u + viscous * v, viscous * v_of_state
+            for ratio, tau in zip(part.material.ratios, part.material.times_s, strict=True):
+                q = internal[row - 3]
+                e, start, end = branch_weights(step_s, tau)
+                self.follow[row] = end
+                self.advance[row] = e * q + start * u
+                of_x += ratio * (1.0 - end)
+                old = old + ratio * (u - q)
+                new = new - ratio * self.advance[row]
+                row += 1
+            self.effective = self.effective + after * of_x * part.stiffness
+            self.terms.append((part.stiffness, -(before * old + after * new)))
+
+
 class SkinSolver:
     """Steps a system in time; the effective matrix is factored once.
 
     step_s: time step h [s]
-    rho_inf: spectral radius at infinite frequency, 0 (strongest damping of what the step cannot resolve) to 1 (none,
-        the trapezoid rule's sibling); 0.8 takes unresolved pressure waves to a tenth in ten steps
-    A state has shape (4, ndof): displacement u [m], velocity v [m/s], acceleration a [m/s^2], internal
-    displacement q [m].
+    rho_inf: spectral radius at infinite frequency, 0 (L-stable: what the step cannot resolve is gone at once) to 1
+        (none is lost, the trapezoid rule's sibling); 0.8 takes unresolved pressure waves to a tenth in ten steps
+    A state is described at Scheme.
     Raises SceneError for a step <= 0 or rho_inf outside 0..1.
     """
 
     def __init__(self, system: SkinSystem, step_s: float, rho_inf: float = 0.8) -> None:
-        if not (math.isfinite(step_s) and step_s > 0.0) or not 0.0 <= rho_inf <= 1.0:
-            raise SceneError(f"step {step_s} s, rho_inf {rho_inf}: the step must be above 0 and rho_inf in 0..1")
-        self.system = system
-        self.step_s = step_s
-        self.rho_inf = rho_inf
-        self.alpha_m, self.alpha_f, self.beta, self.gamma = alpha_weights(rho_inf)
-        self.weights = branch_weights(step_s, system.material.relaxation_time_s)
-        ratio = system.material.branch_ratio
-        implicit = 1.0 - self.alpha_f
+        self.scheme = Scheme(system, step_s, rho_inf)
+        self.system, self.step_s, self.rho_inf = system, step_s, rho_inf
         begin = time.perf_counter()
-        effective = (
-            (1.0 - self.alpha_m) / (self.beta * step_s**2) * system.mass
-            + implicit * system.k_vol
-            + implicit * (1.0 + ratio * (1.0 - self.weights[2])) * system.k_dev
-        )
-        self.factor = Factor(effective, dissection_order(system))
+        self.factor = Factor(self.scheme.effective, dissection_order(system))
         self.factor_seconds = time.perf_counter() - begin
 
     @property
+    def state_rows(self) -> int:
+        """Rows of a state: three, and one for each branch of each part."""
+        return self.scheme.state_rows
+
+    @property
     def state_size(self) -> int:
-        """Numbers in a state: 4 * ndof."""
-        return 4 * self.system.ndof
+        """Numbers in a state."""
+        return self.state_rows * self.system.ndof
 
     def new_state(self) -> Float:
-        """A layer at rest, shape (4, ndof)."""
-        return np.zeros((4, self.system.ndof))
+        """A layer at rest, shape (state_rows, ndof)."""
+        return np.zeros((self.state_rows, self.system.ndof))
 
     def step(self, state: Float, force_start: Float, force_end: Float) -> None:
         """Advance a state by one step, in place, under a force [N], (ndof,), linear between its two values."""
-        system, h = self.system, self.step_s
-        u, v, a, q = state
-        e, weight_start, weight_end = self.weights
-        ratio = system.material.branch_ratio
-        implicit = 1.0 - self.alpha_f
-        predicted = u + h * v
-        inertia = (1.0 - self.alpha_m) / (self.beta * h**2) * predicted
-        inertia += ((1.0 - self.alpha_m) * (0.5 / self.beta - 1.0) - self.alpha_m) * a
-        known_q = e * q + weight_start * u
-        # Without the new displacement: what the old one carries, less the pull of the new q's known part.
-        right = implicit * force_end + self.alpha_f * force_start
-        right += system.mass @ inertia - self.alpha_f * (system.k_vol @ u)
-        right -= system.k_dev @ (self.alpha_f * (u + ratio * (u - q)) - implicit * ratio * known_q)
-        new_u = self.factor.solve(right)
-        new_a = (new_u - predicted) / (self.beta * h**2) - (0.5 / self.beta - 1.0) * a
-        state[1] = v + h * ((1.0 - self.gamma) * a + self.gamma * new_a)
-        state[3] = known_q + weight_end * new_u
-        state[0] = new_u
-        state[2] = new_a
+        scheme = self.scheme
+        right = (1.0 - scheme.alpha_f) * force_end + scheme.alpha_f * force_start
+        for matrix, row in scheme.terms:
+            right += matrix @ (row @ state)
+        moved = self.factor.solve(right)
+        state[:] = scheme.advance @ state + np.multiply.outer(scheme.follow, moved)
 
 
 def alpha_weights(rho_inf: float) -> tuple[float, float, float, float]:
@@ -126,14 +158,23 @@ def alpha_weights(rho_inf: float) -> tuple[float, float, float, float]:
 
 
 def static(system: SkinSystem, force: Float) -> Float:
-    """Displacement [m], (ndof,), under a force [N] that has acted for ever: the branch is relaxed."""
-    return Factor(system.k_vol + system.k_dev, dissection_order(system)).solve(np.asarray(force, dtype=float))
+    """Displacement [m], (ndof,), under a force [N] that has acted for ever: the branches are relaxed.
+
+    Raises SceneError for a body that nothing holds.
+    """
+    if not system.supported:
+        raise SceneError(
+            "a static answer needs a support: this body's base and sides leave it free to move away; bond the base, "
+            "give it Springs, or fix a side"
+        )
+    matrix = system.elastic + sum(part.stiffness for part in system.parts)
+    return Factor(matrix, dissection_order(system)).solve(np.asarray(force, dtype=float))
 
 
 def harmonic(system: SkinSystem, force: Float, f_Hz: float) -> Complex:
     """Complex displacement [m], (ndof,), under force [N] times e^{-i w t}, exact in time."""
-    scale = complex_shear(system.material, f_Hz) / system.material.shear_relaxed_Pa
-    return _solve_dynamic(system, force, -((2.0 * math.pi * f_Hz) ** 2), scale)
+    s = -2j * math.pi * f_Hz
+    return _solve_dynamic(system, force, s**2, s, [complex(stiffening(part.material, s)) for part in system.parts])
 
 
 def harmonic_discrete(system: SkinSystem, force: Float, f_Hz: float, step_s: float, rho_inf: float = 0.8) -> Complex:
@@ -142,15 +183,23 @@ def harmonic_discrete(system: SkinSystem, force: Float, f_Hz: float, step_s: flo
     |harmonic_discrete - harmonic| is the error of the time step. f_Hz > 0, below half the step rate.
     """
     alpha_m, alpha_f, beta, gamma = alpha_weights(rho_inf)
-    e, start, end = branch_weights(step_s, system.material.relaxation_time_s)
     z = cmath.exp(-2j * math.pi * f_Hz * step_s)
     # u (z - 1) = h v + h^2 a (1/2 - beta + beta z) and v (z - 1) = h a (1 - gamma + gamma z).
     u_over_a = step_s**2 * ((1.0 - gamma + gamma * z) / (z - 1.0) ** 2 + (0.5 - beta + beta * z) / (z - 1.0))
+    v_over_u = step_s * (1.0 - gamma + gamma * z) / (z - 1.0) / u_over_a
     inertia = (alpha_m + (1.0 - alpha_m) * z) / (alpha_f + (1.0 - alpha_f) * z) / u_over_a
-    branch = 1.0 - (start + end * z) / (z - e)
-    return _solve_dynamic(system, force, inertia, 1.0 + system.material.branch_ratio * branch)
+    scales = []
+    for part in system.parts:
+        scale = 1.0 + part.material.viscous_time_s * v_over_u
+        for ratio, tau in zip(part.material.ratios, part.material.times_s, strict=True):
+            e, start, end = branch_weights(step_s, tau)
+            scale += ratio * (1.0 - (start + end * z) / (z - e))
+        scales.append(scale)
+    return _solve_dynamic(system, force, inertia, v_over_u, scales)
 
 
-def _solve_dynamic(system: SkinSystem, force: Float, inertia: complex, shear_scale: complex) -> Complex:
-    matrix = inertia * system.mass + system.k_vol + shear_scale * system.k_dev
+def _solve_dynamic(system: SkinSystem, force: Float, inertia: complex, rate: complex, scales: list[complex]) -> Complex:
+    matrix = inertia * system.mass + rate * system.damping + system.elastic
+    for part, scale in zip(system.parts, scales, strict=True):
+        matrix = matrix + scale * part.stiffness
     return Factor(matrix.astype(complex), dissection_order(system)).solve(np.asarray(force, dtype=complex))

@@ -18,6 +18,7 @@ class SurfaceProbe:
     points: positions [m], shape (n, 3); each is moved to the closest point of the surface
     closest: those points [m], (n, 3); distance: how far each moved [m], (n,); normals: outward normals there, (n, 3)
     operator: csr, shape (n, free degrees of freedom): displacement along the outward normal = operator @ u
+    vectors: csr, shape (3 n, free degrees of freedom): displacement, three components a point = vectors @ u
     Raises SceneError unless points is (n, 3) and finite.
     """
 
@@ -40,6 +41,10 @@ class SurfaceProbe:
             shape=(len(points), 3 * len(mesh.nodes)),
         )
         self.operator = sparse.csr_matrix(nodal.tocsr() @ system.dof_map)
+        shares = sparse.coo_matrix(
+            (shape.ravel(), (np.repeat(np.arange(len(points)), 6), nodes.ravel())), shape=(len(points), len(mesh.nodes))
+        )
+        self.vectors = sparse.csr_matrix(sparse.kron(shares, sparse.identity(3)) @ system.dof_map)
 
 
 def _closest(corners: Float, points: Float) -> tuple[Int, Float]:

@@ -18,7 +18,7 @@ class WedgeMesh:
     surface_nodes: number S of nodes in a level: the patch's vertices, then the midpoints of its edges
     levels: number of node levels, 2 L + 1 for L elements through the depth
     surface_triangles6: vertices, then edges 01, 12, 20, as surface nodes, shape (t, 6), int32
-    side: nodes of the lateral boundary, all levels; base: nodes of the deepest level
+    side: nodes of the lateral boundary, all levels, right-angled corners twice; base: nodes of the deepest level
     side_normals: unit normals of the lateral boundary, square to `axis`, shape (len(side), 3); empty without an axis
     axis: the patch's axis for roller sides, or None
     """
@@ -86,7 +86,9 @@ def extrude(patch: Patch, fractions: Float) -> WedgeMesh:
     normals = np.zeros((0, 3))
     if patch.axis is not None:
         directed = np.column_stack([pairs, corners + edge_of.ravel()])[outer[edge_of.ravel()]]
-        normals = np.tile(_rim_normals(patch.vertices, directed, patch.axis, surface_nodes)[rim], (levels, 1))
+        at_rim, turned, other = _rim_normals(patch.vertices, directed, patch.axis, surface_nodes)
+        normals = np.tile(np.concatenate([at_rim[rim], other]), (levels, 1))
+        rim = np.concatenate([rim, turned])
     return WedgeMesh(
         nodes=nodes,
         elements=elements,
@@ -100,14 +102,24 @@ def extrude(patch: Patch, fractions: Float) -> WedgeMesh:
     )
 
 
-def _rim_normals(vertices: Float, directed: Int, axis: Float, surface_nodes: int) -> Float:
-    """Unit normals, square to the axis, at the nodes (start, end, middle) of the rim's directed edges; 0 elsewhere."""
+def _rim_normals(vertices: Float, directed: Int, axis: Float, surface_nodes: int) -> tuple[Float, Int, Float]:
+    """Unit normals, square to the axis, at the nodes (start, end, middle) of the rim's directed edges; 0 elsewhere.
+
+    Also the vertices where the rim turns by more than 75 degrees, the corners of a box, and their second normals: a
+    roller holds both directions there.
+    """
     outwards = np.cross(vertices[directed[:, 1]] - vertices[directed[:, 0]], axis)
     total = np.zeros((surface_nodes, 3))
     for column in directed.T:
         np.add.at(total, column, outwards)
+    arriving, leaving = np.zeros_like(total), np.zeros_like(total)
+    unit = outwards / np.linalg.norm(outwards, axis=1, keepdims=True)
+    arriving[directed[:, 1]], leaving[directed[:, 0]] = unit, unit
+    cosine = np.sum(arriving * leaving, axis=1)
+    turned = np.flatnonzero((cosine < 0.26) & arriving.any(axis=1) & leaving.any(axis=1)).astype(np.int32)
+    total[turned] = arriving[turned]
     length = np.linalg.norm(total, axis=1, keepdims=True)
-    return np.divide(total, length, out=np.zeros_like(total), where=length > 0.0)
+    return np.divide(total, length, out=np.zeros_like(total), where=length > 0.0), turned, leaving[turned]
 
 
 def _check_volumes(nodes: Float, elements: Int) -> None:

@@ -1,4 +1,4 @@
-"""Makes an environment with the programs that palmfield's field is held against. Standard library only.
+"""Makes an environment with the programs that palmfield's field and skin are held against. Standard library only.
 
     python3 scripts/peers/setup.py --dir ~/.cache/palmfield-peers
 
@@ -19,6 +19,8 @@ PACKAGES = (
     "autd3-emulator==0.12.0",
     "autd3-pattern==0.12.0",
     "numba>=0.60",
+    "scikit-fem>=12",
+    "threadpoolctl",
 )
 
 

@@ -8,7 +8,8 @@ import pytest
 from palmfield.skin.assembly import SkinSystem, assemble
 from palmfield.skin.disc import disc_patch
 from palmfield.skin.load import SurfaceQuadrature
-from palmfield.skin.material import PRESETS, Material
+from palmfield.skin.material import Material
+from palmfield.skin.presets import PRESETS
 from palmfield.skin.surface import SurfaceProbe
 from palmfield.skin.wedges import WedgeMesh, extrude
 from palmfield.types import Float

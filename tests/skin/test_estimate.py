@@ -11,7 +11,8 @@ from palmfield.skin.disc import disc_patch
 from palmfield.skin.estimate import choose_sizes, mesh_error
 from palmfield.skin.layer_oracle import centre_response
 from palmfield.skin.load import SurfaceQuadrature
-from palmfield.skin.material import PRESETS, shear_wave
+from palmfield.skin.material import shear_wave
+from palmfield.skin.presets import PRESETS
 from palmfield.skin.solver import harmonic, harmonic_discrete, static
 from palmfield.skin.surface import SurfaceProbe
 from palmfield.skin.wedges import extrude
@@ -48,7 +49,7 @@ def test_sizes_shrink_with_accuracy_and_frequency():
     assert len(tight[3]) > len(loose[3])
     assert tight[5] > loose[5]
     assert choose_sizes(material, 0.01, 800.0, 0.05)[0] < loose[0]
-    elastic = dataclasses.replace(material, shear_branch_Pa=0.0)
+    elastic = dataclasses.replace(material, branches=())
     assert choose_sizes(elastic, 0.01, 200.0, 0.05)[5] == pytest.approx(4 * shear_wave(elastic, 200.0)[0] / 200.0)
 
 

@@ -11,14 +11,15 @@ from scipy.integrate import solve_bvp
 
 from palmfield.errors import SceneError
 from palmfield.skin.layer_oracle import BASES, centre_response, layer_compliance
-from palmfield.skin.material import PRESETS, Material, bulk_from_poisson, complex_shear
+from palmfield.skin.material import Material, bulk_from_poisson, complex_shear
+from palmfield.skin.presets import PRESETS
 
 ECOFLEX = PRESETS["ecoflex_00-10"]
 SPOT, DEPTH = 0.0103, 0.02
 
 
 def elastic(nu, shear=1e4):
-    return Material("elastic", 1000.0, shear, 0.0, 0.0, bulk_from_poisson(nu, shear), "")
+    return Material("elastic", 1000.0, shear, (), bulk_from_poisson(nu, shear), "")
 
 
 @pytest.mark.parametrize("nu", [0.0, 0.3, 0.495, 0.499999])

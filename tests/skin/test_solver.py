@@ -14,7 +14,8 @@ from palmfield.skin.assembly import assemble
 from palmfield.skin.disc import disc_patch
 from palmfield.skin.layer_oracle import centre_response
 from palmfield.skin.load import SurfaceQuadrature
-from palmfield.skin.material import PRESETS, Material, bulk_from_poisson
+from palmfield.skin.material import Branch, Material, bulk_from_poisson
+from palmfield.skin.presets import PRESETS
 from palmfield.skin.solver import SkinSolver, alpha_weights, branch_weights, harmonic, harmonic_discrete, static
 from palmfield.skin.wedges import extrude
 
@@ -26,13 +27,13 @@ def energy(system, state, branch_factor=1.0):
     """Kinetic, elastic and stored branch energy [J]."""
     u, v, _, q = state
     w = u - q
-    branch = system.material.branch_ratio * branch_factor * (w @ (system.k_dev @ w))
-    return 0.5 * (v @ (system.mass @ v) + u @ (system.k_vol @ u) + u @ (system.k_dev @ u) + branch)
+    branch = system.material.ratios[0] * branch_factor * (w @ (system.parts[0].stiffness @ w))
+    return 0.5 * (v @ (system.mass @ v) + u @ (system.elastic @ u) + u @ (system.parts[0].stiffness @ u) + branch)
 
 
 def consistent_acceleration(system, state):
     u, _, _, q = state
-    pull = system.k_vol @ u + system.k_dev @ (u + system.material.branch_ratio * (u - q))
+    pull = system.elastic @ u + system.parts[0].stiffness @ (u + system.material.ratios[0] * (u - q))
     state[2] = -spsolve(system.mass.tocsc(), pull)
 
 
@@ -100,7 +101,7 @@ def exact_work(radius, depth, f):
 
 def test_uniform_shear_relaxes_by_the_analytic_curve():
     """A layer sheared by its boundary is in uniform shear: the internal force follows G_r + G_m e^{-t/tau}."""
-    tau, step = ECOFLEX.relaxation_time_s, 5e-5
+    tau, step = ECOFLEX.branches[0].time_s, 5e-5
     e, start, end = branch_weights(step, tau)
     system = assemble(
         extrude(disc_patch(0.02, 0.01, 0.01, 0.01, 0.01), np.array([0.0, 0.4, 1.0])), ECOFLEX, base="free", side="free"
@@ -110,8 +111,8 @@ def test_uniform_shear_relaxes_by_the_analytic_curve():
     q = np.zeros_like(sheared)
     for n in range(1, 60):
         q = e * q + (start + end) * sheared
-        force = system.k_dev @ (sheared + ECOFLEX.branch_ratio * (sheared - q))
-        modulus = ECOFLEX.shear_relaxed_Pa + ECOFLEX.shear_branch_Pa * math.exp(-n * step / tau)
+        force = system.parts[0].stiffness @ (sheared + ECOFLEX.ratios[0] * (sheared - q))
+        modulus = ECOFLEX.shear_relaxed_Pa + ECOFLEX.branches[0].shear_Pa * math.exp(-n * step / tau)
         assert sheared @ force == pytest.approx(modulus * volume, rel=1e-10)
 
 
@@ -164,7 +165,7 @@ def test_unloaded_energy_never_grows(coarse_spot):
     system = coarse_spot.system
     solver = SkinSolver(system, 2e-4, rho_inf=1.0)
     state = kicked(coarse_spot)
-    _, start, end = solver.weights
+    _, start, end = branch_weights(2e-4, ECOFLEX.branches[0].time_s)
     rest = np.zeros(system.ndof)
     levels = []
     for _ in range(300):
@@ -289,13 +290,13 @@ def test_scaling_the_load_scales_the_answer(coarse_spot):
     np.testing.assert_allclose(large / size, 1000 * small / size, atol=1e-11)
 
 
-@pytest.mark.parametrize("changes", [{"shear_branch_Pa": 0.0}, {"relaxation_time_s": 0.0}])
-def test_without_branch_or_viscosity_the_layer_is_elastic(coarse_spot, changes):
+@pytest.mark.parametrize("branches", [(), (Branch(0.0, 1e-3),), (Branch(2e4, 0.0),)])
+def test_without_branch_or_viscosity_the_layer_is_elastic(coarse_spot, branches):
     mesh = coarse_spot.mesh
     answers = []
     for material in (
-        dataclasses.replace(ECOFLEX, **changes),
-        Material("elastic", 1030.0, 12.5e3, 0.0, 1.0, ECOFLEX.bulk_Pa, ""),
+        dataclasses.replace(ECOFLEX, branches=branches),
+        Material("elastic", 1030.0, 12.5e3, (), ECOFLEX.bulk_Pa, ""),
     ):
         system = assemble(mesh, material, side="roller")
         solver = SkinSolver(system, 1e-4)
@@ -308,10 +309,9 @@ def test_without_branch_or_viscosity_the_layer_is_elastic(coarse_spot, changes):
 
 def test_stiff_skin_on_soft_material_scales():
     """A thousand times stiffer and denser material moves a thousand times less, at the same time."""
-    base = dict(relaxation_time_s=1e-3, source="")
     pushes = []
     for s in (1.0, 1000.0):
-        material = Material("s", 1000.0 * s, shear_relaxed_Pa=1e4 * s, shear_branch_Pa=2e4 * s, bulk_Pa=1e7 * s, **base)
+        material = Material("s", 1000.0 * s, 1e4 * s, (Branch(2e4 * s, 1e-3),), 1e7 * s, "")
         system = assemble(extrude(disc_patch(0.02, 0.01, 0.01, 0.01, 0.01), np.array([0.0, 1.0])), material)
         solver = SkinSolver(system, 1e-4)
         state = solver.new_state()

@@ -10,7 +10,7 @@ from palmfield.errors import SceneError
 from palmfield.skin.assembly import assemble
 from palmfield.skin.disc import disc_patch
 from palmfield.skin.load import SurfaceQuadrature
-from palmfield.skin.material import PRESETS
+from palmfield.skin.presets import PRESETS
 from palmfield.skin.surface import SurfaceProbe, output_triangles, surface_motion
 from palmfield.skin.wedges import extrude
 

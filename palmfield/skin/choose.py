@@ -1,0 +1,138 @@
+"""One call for every skin solver: the cheapest that reaches the wanted accuracy, and solved finer where it did not."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from importlib import import_module
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from palmfield.device import resolve
+from palmfield.errors import SceneError
+from palmfield.skin.problem import Body, Load, Motion
+from palmfield.types import Float
+
+Name = Literal["auto", "spectral", "disc", "implicit", "explicit", "particles"]
+
+ASKED = ("solve", "refusal", "cost")
+WHERE = {
+    "spectral": {"solve": "spectral.solve", "refusal": "spectral.build", "cost": "spectral.cost"},
+    "disc": dict.fromkeys(ASKED, "disc_fem"),
+    "implicit": dict.fromkeys(ASKED, "implicit"),
+    "explicit": dict.fromkeys(ASKED, "explicit.solve"),
+    "particles": {"solve": "particles.solve", "refusal": "particles.resolution", "cost": "particles.resolution"},
+}
+"""Modules of palmfield.skin that hold each solver's solve_NAME, refusal_NAME and cost_NAME."""
+
+PREVIEW = ("particles",)
+"""Solvers for large deformation and previews: never chosen by `auto`."""
+
+FINER = 3
+"""How often a solution is made finer when its estimate misses the wanted accuracy."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What a solver would do: predicted seconds, or the sentence with which it refuses (then seconds is infinite)."""
+
+    name: str
+    seconds: float
+    refusal: str | None
+
+
+def choices(
+    body: Body, load: Load, times: ArrayLike, at: ArrayLike, *, accuracy: float = 0.05, device: str = "auto"
+) -> list[Choice]:
+    """Every solver's prediction for a problem, the cheapest first; arguments as for `solve`."""
+    moments, points = checked(times, at, accuracy)
+    where = resolve(device)
+    found = []
+    for name in WHERE:
+        refusal = function(name, "refusal")(body, load)
+        seconds = math.inf
+        if refusal is None:
+            seconds = cost(name, body, load, moments, points, accuracy, where)
+        found.append(Choice(name, seconds, refusal))
+    return sorted(found, key=lambda choice: choice.seconds)
+
+
+def solve(
+    body: Body,
+    load: Load,
+    times: ArrayLike,
+    at: ArrayLike,
+    *,
+    solver: Name = "auto",
+    accuracy: float = 0.05,
+    device: str = "auto",
+    **resolution: Any,
+) -> Motion:
+    """Motion of skin under a load, with an estimate of its error.
+
+    body: Slab or Layer; load: Spot or Traction (palmfield.skin.problem); the body is at rest before the load begins
+    times: asked times [s], rising, shape (t,); at: points on the face [m], shape (n, 2) or (n, 3)
+    solver: "auto", the cheapest by prediction that doesn't refuse, or one by name
+    accuracy: wanted relative error of the displacement, L2 over the times at a point, the largest of the points
+    device: "auto", "cpu" or "cuda:N"
+    resolution: passed on to a solver asked for by name
+    Where the estimate misses the accuracy the problem is solved again, finer, up to FINER times; a Motion whose `error`
+    is above `accuracy` says so in its `solver`.
+    Raises SceneError for bad arguments and where no solver, or not the one asked for, can do it.
+    """
+    moments, points = checked(times, at, accuracy)
+    where = resolve(device)
+    if solver != "auto" and solver not in WHERE:
+        raise SceneError(f"solver is '{solver}'; use auto or one of {', '.join(WHERE)}")
+    if solver == "auto":
+        if resolution:
+            raise SceneError(f"{', '.join(resolution)}: resolutions are a solver's own; name one with solver=")
+        ranked = choices(body, load, moments, points, accuracy=accuracy, device=where)
+        able = [choice for choice in ranked if choice.refusal is None and choice.name not in PREVIEW]
+        if not able:
+            raise SceneError("no solver can do this: " + "; ".join(f"{c.name}: {c.refusal}" for c in ranked))
+        name = able[0].name
+        others = ", ".join(f"{c.name} {c.seconds:.2g} s" for c in able[1:])
+        why = f"auto: predicted {able[0].seconds:.2g} s" + (f"; {others}" if others else "")
+    else:
+        name, why = solver, "asked for"
+        refusal = function(name, "refusal")(body, load)
+        if refusal is not None:
+            raise SceneError(f"solver '{name}': {refusal}")
+    run = function(name, "solve")
+    wanted, spent = accuracy, 0.0
+    for _ in range(1 + FINER):
+        motion: Motion = run(body, load, moments, points, accuracy=wanted, device=where, **resolution)
+        spent += motion.seconds
+        if motion.error <= accuracy or resolution:
+            break
+        wanted *= 0.7 * accuracy / motion.error
+    if motion.error > accuracy:
+        why += f"; error {100 * motion.error:.2g} % NOT within the wanted {100 * accuracy:.2g} %"
+    return replace(motion, solver=f"{motion.solver} ({why})", seconds=spent)
+
+
+def checked(times: ArrayLike, at: ArrayLike, accuracy: float) -> tuple[Float, Float]:
+    """Times, shape (t,), and points, shape (n, 2 or 3). Raises SceneError."""
+    moments, points = np.asarray(times, dtype=float), np.asarray(at, dtype=float)
+    if moments.ndim != 1 or not len(moments) or not np.isfinite(moments).all() or not (np.diff(moments) > 0.0).all():
+        raise SceneError(f"times of shape {moments.shape} must be finite, rising and at least one")
+    if points.ndim != 2 or points.shape[1] not in (2, 3) or not len(points) or not np.isfinite(points).all():
+        raise SceneError(f"at of shape {points.shape} must be finite points on the face, shape (n, 2) or (n, 3)")
+    if not 1e-5 <= accuracy <= 0.5:
+        raise SceneError(f"accuracy is {accuracy}; give a relative error of 1e-5 to 0.5")
+    return moments, points
+
+
+def function(name: str, what: str) -> Callable[..., Any]:
+    """A solver's solve_NAME, refusal_NAME or cost_NAME; loaded when asked for, as some take Warp."""
+    return getattr(import_module(f"palmfield.skin.{WHERE[name][what]}"), f"{what}_{name}")
+
+
+def cost(name: str, body: Body, load: Load, times: Float, at: Float, accuracy: float, device: str) -> float:
+    """Predicted seconds."""
+    predict = function(name, "cost")
+    if device != "cpu" and name in ("explicit", "particles"):
+        return predict(body, load, times, at, accuracy, device)
+    return predict(body, load, times, at, accuracy)

@@ -1,0 +1,49 @@
+"""Gauss-Lobatto-Legendre nodes on [-1, 1]: quadrature and interpolation in one set of points."""
+
+import functools
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from palmfield.types import Float
+
+
+@dataclass(frozen=True)
+class Rule:
+    """GLL rule of a polynomial order N, n = N + 1 nodes; it integrates polynomials of degree 2 N - 1 exactly.
+
+    nodes: rising, shape (n,); weights: shape (n,); derivative: D[i, m] = l_m'(x_i), shape (n, n)
+    top: Legendre polynomial of degree N at the nodes, shape (n,)
+    top_weights: weights that give a function's share of it in the rule's own inner product, shape (n,)
+    """
+
+    nodes: Float
+    weights: Float
+    derivative: Float
+    top: Float
+    top_weights: Float
+
+
+@functools.cache
+def rule(order: int) -> Rule:
+    """The rule of order N >= 1 (Canuto et al., Spectral Methods, 2006, sections 2.3 and 3.8)."""
+    top_series = np.zeros(order + 1)
+    top_series[order] = 1.0
+    inner = np.real(legendre.legroots(legendre.legder(top_series))) if order > 1 else np.zeros(0)
+    nodes = np.concatenate([[-1.0], np.sort(inner), [1.0]])
+    top = legendre.legval(nodes, top_series)
+    weights = 2.0 / (order * (order + 1) * top**2)
+    gaps = nodes[:, None] - nodes + np.eye(order + 1)
+    derivative = top[:, None] / (top * gaps)
+    np.fill_diagonal(derivative, 0.0)
+    # Rows that sum to nothing, so that a rigid shift gives no strain to the last digit
+    np.fill_diagonal(derivative, -derivative.sum(axis=1))
+    return Rule(nodes, weights, derivative, top, weights * top / (weights @ top**2))
+
+
+def lagrange(order: int, x: Float) -> Float:
+    """Values of the order's Lagrange polynomials at x, shape (len(x), n)."""
+    vandermonde = legendre.legvander(rule(order).nodes, order)
+    at = legendre.legvander(np.asarray(x, dtype=np.float64), order)
+    return np.asarray(np.linalg.solve(vandermonde.T, at.T).T, dtype=np.float64)

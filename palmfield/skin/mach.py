@@ -1,0 +1,48 @@
+"""Half-angle of the fronts behind a focus that runs faster than the waves it makes."""
+
+import numpy as np
+
+from palmfield.errors import SceneError
+from palmfield.types import Float
+
+STEP_DEG = 0.1
+
+
+def mach_half_angle(
+    normal_velocity: Float,
+    x: Float,
+    y: Float,
+    skip_m: float,
+    *,
+    between_deg: tuple[float, float] = (20.0, 89.0),
+) -> float:
+    """Angle [deg] between the fronts and the way of a focus that runs along +x on y = 0.
+
+    normal_velocity: snapshot at x (m,) and y (n,) [m], shape (m, n), both rising
+    skip_m: strip |y| < skip_m left out, where the load itself and what follows it lie; one and a half spot widths do
+
+    A slant stack (discrete Radon transform): at a trial angle b the mean over |y| of the snapshot along the lines
+    x + |y| / tan b = s is taken for each s; b is where the sum of its squares over s is largest, by a parabola through
+    the three best values. Straight fronts of that slope add up there; round ones don't. The sum runs over x: over the
+    distance between the lines it would favour steep ones.
+    Raises SceneError for shapes that don't fit and where skip_m leaves less than three rows on a side.
+    """
+    values = np.asarray(normal_velocity, dtype=float)
+    if values.shape != (len(x), len(y)) or not np.isfinite(values).all():
+        raise SceneError(f"snapshot has shape {values.shape}; give finite values of shape ({len(x)}, {len(y)})")
+    rows = np.flatnonzero(np.abs(y) >= skip_m)
+    if min((y[rows] > 0.0).sum(), (y[rows] < 0.0).sum()) < 3:
+        raise SceneError(f"skip_m is {skip_m} m, y ends at {np.abs(y).max():.3g} m: leave three rows on each side")
+    angles = np.arange(between_deg[0], between_deg[1] + 0.5 * STEP_DEG, STEP_DEG)
+    power = np.array([_stacked(values, x, y, rows, np.radians(angle)) for angle in angles])
+    best = int(np.clip(np.argmax(power), 1, len(angles) - 2))
+    before, top, after = power[best - 1 : best + 2]
+    return float(angles[best] + 0.5 * STEP_DEG * (before - after) / (before - 2.0 * top + after))
+
+
+def _stacked(values: Float, x: Float, y: Float, rows: np.ndarray, angle: float) -> float:
+    """Sum over s of the squared mean along the lines of one slope; what lies off the snapshot counts as still."""
+    total = np.zeros(len(x))
+    for row in rows:
+        total += np.interp(x - abs(y[row]) / np.tan(angle), x, values[:, row], left=0.0, right=0.0)
+    return float(np.sum((total / len(rows)) ** 2))

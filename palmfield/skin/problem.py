@@ -1,0 +1,228 @@
+"""What a skin solver is given and gives back: body, load, motion.
+
+Frame of a slab: its face is the plane z = 0, the body lies below it, x and y along the face, origin in the middle. A
+layer is in the frame of its patch. A pressure pushes into the body; displacements are vectors, so that a slab under a
+spot moves by negative z.
+"""
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from palmfield.errors import SceneError
+from palmfield.skin.material import Material
+from palmfield.types import Float, Patch
+
+Law = Literal["linear", "held"]
+Shape = Literal["infinite", "disc", "box"]
+BaseKind = Literal["bonded", "free_slip", "free"]
+SideKind = Literal["fixed", "free", "roller", "absorbing"]
+BASES = ("bonded", "free_slip", "free")
+SIDES = ("fixed", "free", "roller", "absorbing")
+SHAPES = ("infinite", "disc", "box")
+GAUSSIAN = 4.0 * math.log(2.0)
+"""exp(-GAUSSIAN (r / fwhm)^2) is half at r = fwhm / 2."""
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A sub-layer: thickness_m [m], > 0, of one material."""
+
+    material: Material
+    thickness_m: float
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.thickness_m) and self.thickness_m > 0.0):
+            raise SceneError(f"sheet of '{self.material.name}': thickness_m is {self.thickness_m}; give one above 0")
+
+
+@dataclass(frozen=True)
+class Springs:
+    """A base of springs and dashpots by area, along the base's normal and along the base.
+
+    normal_Pa_m, tangential_Pa_m: stiffness [Pa/m]; normal_Pa_s_m, tangential_Pa_s_m: damping [Pa s/m]; all >= 0
+    """
+
+    normal_Pa_m: float
+    tangential_Pa_m: float
+    normal_Pa_s_m: float = 0.0
+    tangential_Pa_s_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not (math.isfinite(value) and value >= 0.0):
+                raise SceneError(f"base springs: {name} is {value}; give a finite number, 0 or above")
+
+
+@dataclass(frozen=True)
+class Slab:
+    """Flat sheets on a base, the first at the surface.
+
+    shape: "infinite", "disc" (radius_m) or "box" (size_m along x and y)
+    base: "bonded" (no motion), "free_slip" (no normal motion, no shear traction), "free" (no traction) or Springs
+    side: "fixed" (no motion), "free" (no traction), "roller" (no normal motion, no shear traction) or "absorbing";
+        none where the shape is infinite
+    Raises SceneError for other values and missing sizes.
+    """
+
+    sheets: tuple[Sheet, ...]
+    shape: Shape = "infinite"
+    base: BaseKind | Springs = "bonded"
+    side: SideKind | None = None
+    radius_m: float | None = None
+    size_m: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        check_base_and_side(self.base, self.side, none=self.shape == "infinite")
+        if not self.sheets:
+            raise SceneError("slab: sheets is empty; give at least one")
+        if self.shape not in SHAPES:
+            raise SceneError(f"slab: shape is '{self.shape}'; use one of {', '.join(SHAPES)}")
+        sizes = {"disc": (self.radius_m,), "box": self.size_m or (None,), "infinite": ()}[self.shape]
+        for size in sizes:
+            if size is None or not (math.isfinite(size) and size > 0.0):
+                name = "radius_m" if self.shape == "disc" else "size_m"
+                raise SceneError(f"slab: {name} is {getattr(self, name)}; a {self.shape} needs lengths above 0")
+
+    @property
+    def thickness_m(self) -> float:
+        return sum(sheet.thickness_m for sheet in self.sheets)
+
+
+@dataclass(frozen=True)
+class Layer:
+    """Sheets below a patch of surface: their thicknesses are shares of the patch's own depth, the first at the skin.
+
+    Raises SceneError for an unknown base or side.
+    """
+
+    patch: Patch
+    sheets: tuple[Sheet, ...]
+    base: BaseKind | Springs = "bonded"
+    side: SideKind = "fixed"
+
+    def __post_init__(self) -> None:
+        check_base_and_side(self.base, self.side, none=False)
+        if not self.sheets:
+            raise SceneError("layer: sheets is empty; give at least one")
+
+
+Body = Slab | Layer
+
+
+@dataclass(frozen=True)
+class Spot:
+    """A round Gaussian spot of pressure a(t) exp(-4 ln 2 |x - c(t)|^2 / fwhm^2), measured along the face.
+
+    fwhm_m: full width at half maximum [m]
+    times_s: [s], rising, shape (f,); before the first the load is 0, after the last it stays
+    peak_Pa: a at these times, shape (f,); centre_m: c, shape (f, 2) or, at rest, (2,)
+    law: a and c between these times: "linear", or "held" at the value of the earlier one
+    A static load is one time, 0, with law "held", asked for at a late time or by `static`.
+    Raises SceneError for other shapes, times that do not rise, and numbers that are not finite.
+    """
+
+    fwhm_m: float
+    times_s: Float
+    peak_Pa: Float
+    centre_m: Float = field(default_factory=lambda: np.zeros(2))
+    law: Law = "linear"
+
+    def __post_init__(self) -> None:
+        as_floats(self, "times_s", "peak_Pa", "centre_m")
+        if not (math.isfinite(self.fwhm_m) and self.fwhm_m > 0.0):
+            raise SceneError(f"spot: fwhm_m is {self.fwhm_m}; give a width above 0")
+        check_times("spot", self.times_s, self.law)
+        count = len(self.times_s)
+        check_finite("spot: peak_Pa", self.peak_Pa, (count,))
+        if np.shape(self.centre_m) != (2,):
+            check_finite("spot: centre_m", self.centre_m, (count, 2))
+
+    def centres(self) -> Float:
+        """Centre at each time, shape (f, 2)."""
+        return np.broadcast_to(np.asarray(self.centre_m, dtype=float), (len(self.times_s), 2))
+
+
+@dataclass(frozen=True)
+class Traction:
+    """Pressure given at points of the face.
+
+    points: [m], shape (n, 3); weights_m2: area that each point stands for [m^2], shape (n,)
+    times_s: [s], rising, shape (f,); pressure_Pa: shape (f, n); law: as for Spot
+    Raises SceneError as Spot.
+    """
+
+    points: Float
+    weights_m2: Float
+    times_s: Float
+    pressure_Pa: Float
+    law: Law = "linear"
+
+    def __post_init__(self) -> None:
+        as_floats(self, "points", "weights_m2", "times_s", "pressure_Pa")
+        check_times("traction", self.times_s, self.law)
+        count = len(self.points)
+        check_finite("traction: points", self.points, (count, 3))
+        check_finite("traction: weights_m2", self.weights_m2, (count,))
+        check_finite("traction: pressure_Pa", self.pressure_Pa, (len(self.times_s), count))
+
+
+Load = Spot | Traction
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What the skin does at the asked times and points.
+
+    times_s: shape (t,); points: [m], shape (n, 3)
+    displacement_m, velocity_m_s: shape (t, n, 3)
+    error: estimated relative error of the displacement (L2 over times and points); error_source: how it was found
+    solver: which one, with its resolution in words; seconds: what it took
+    """
+
+    times_s: Float
+    points: Float
+    displacement_m: Float
+    velocity_m_s: Float
+    error: float
+    error_source: str
+    solver: str
+    seconds: float
+
+
+def check_base_and_side(base: BaseKind | Springs, side: SideKind | None, none: bool) -> None:
+    if not isinstance(base, Springs) and base not in BASES:
+        raise SceneError(f"base is '{base}'; use one of {', '.join(BASES)} or Springs")
+    if none:
+        if side is not None:
+            raise SceneError(f"side is '{side}', but an infinite slab has none: leave it out")
+    elif side not in SIDES:
+        raise SceneError(f"side is '{side}'; use one of {', '.join(SIDES)}")
+
+
+def as_floats(load: object, *names: str) -> None:
+    """Make float64 arrays of these fields of a frozen load."""
+    for name in names:
+        try:
+            object.__setattr__(load, name, np.asarray(getattr(load, name), dtype=float))
+        except (TypeError, ValueError) as error:
+            raise SceneError(f"load: {name} is no array of numbers ({error})") from error
+
+
+def check_times(what: str, times_s: Float, law: str) -> None:
+    times = np.asarray(times_s, dtype=float)
+    if times.ndim != 1 or len(times) == 0 or not np.isfinite(times).all() or not np.all(np.diff(times) > 0.0):
+        raise SceneError(f"{what}: times_s of shape {times.shape} must be finite, rising and at least one")
+    if law not in ("linear", "held"):
+        raise SceneError(f"{what}: law is '{law}'; use 'linear' or 'held'")
+
+
+def check_finite(what: str, values: Float, shape: tuple[int, ...]) -> None:
+    found = np.asarray(values, dtype=float)
+    if found.shape != shape:
+        raise SceneError(f"{what} has shape {found.shape}; give {shape}")
+    if not np.isfinite(found).all():
+        place = np.argwhere(~np.isfinite(found))[0].tolist()
+        raise SceneError(f"{what} is not finite at {place}: mend it")

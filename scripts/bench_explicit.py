@@ -1,0 +1,229 @@
+"""Time and error of the explicit solver: the reference disc, a fast focus, a hand's layer.
+
+    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python scripts/bench_explicit.py [--device cuda:0] [--out FILE]
+
+Errors of the roller disc and the endless slab are against the exact layer (palmfield/skin/layer_oracle.py) through its
+frequency response; those of fixed and free sides and of the hand's layer against a finer run of the same solver, and
+so are those of the fast focus. Times are with
+meshing and, on the disc, the coarser run that estimates the error; kernels are compiled before.
+"""
+
+import argparse
+import time
+from pathlib import Path
+
+import numpy as np
+import warp as wp
+
+from palmfield.device import resolve
+from palmfield.hand.patch import surface_patch
+from palmfield.hand.preset import load_preset
+from palmfield.hand.surface import hand_surface
+from palmfield.skin.explicit.solve import solve_explicit
+from palmfield.skin.layer_oracle import centre_response
+from palmfield.skin.material import Material, bulk_from_poisson
+from palmfield.skin.presets import preset
+from palmfield.skin.problem import Layer, Sheet, Slab, Spot
+
+ROOT = Path(__file__).resolve().parents[1]
+SPOT, DEPTH, RADIUS, END = 0.0103, 0.02, 0.06, 0.2
+PLACES = np.array([[0.0, 0.0], [0.01, 0.0]])
+ECOFLEX = preset("ecoflex_00-10")
+
+
+def courses() -> dict[str, Spot]:
+    grid = np.arange(0.0, END + 1e-9, 5e-5)
+    ramp = np.where(grid < 1e-3, 0.5 - 0.5 * np.cos(np.pi * grid / 1e-3), 1.0)
+    modulated = 0.5 * (1.0 + np.sin(2.0 * np.pi * 200.0 * grid))
+    turn = 2.0 * np.pi * 70.0 * grid
+    circle = 0.01 * np.column_stack([np.cos(turn), np.sin(turn)])
+    return {
+        "ramp": Spot(SPOT, grid, ramp),
+        "AM 200 Hz": Spot(SPOT, grid, modulated),
+        "STM 70 Hz": Spot(SPOT, grid, np.ones_like(grid), circle),
+    }
+
+
+def exact(course: Spot, times: np.ndarray, radius: float | None) -> np.ndarray:
+    """Exact displacement into the layer at PLACES, (t, 2), of a spot at rest that is switched off at END.
+
+    The period of 0.6 s leaves 0.4 s to forget it; a jump's share above 4 kHz is left out.
+    """
+    period, top, step = 0.6, 4000.0, 5e-5
+    count = round(period / step)
+    grid = step * np.arange(count)
+    # The mean of both sides where the course jumps
+    values = np.interp(grid, course.times_s, course.peak_Pa, right=0.0)
+    values[0] *= 0.5
+    spectrum = np.fft.rfft(values)
+    responses = np.zeros((len(spectrum), len(PLACES)), dtype=complex)
+    for index in range(round(top * period)):
+        responses[index] = centre_response(index / period, ECOFLEX, DEPTH, SPOT, radius, PLACES[:, 0]).conj()
+    series = np.fft.irfft(spectrum[:, None] * responses, n=count, axis=0)
+    return np.stack([np.interp(times, grid, column) for column in series.T], axis=1)
+
+
+def timed(device: str, *arguments, **keywords):
+    """A solution, after a step or two of the same that compile what it needs."""
+    body, load, _, at = arguments
+    solve_explicit(body, load, load.times_s[:1] + 1e-4, at, device=device, **keywords)
+    return solve_explicit(*arguments, device=device, **keywords)
+
+
+def gap(found: np.ndarray, wanted: np.ndarray) -> float:
+    return float((np.linalg.norm(found - wanted, axis=0) / np.linalg.norm(wanted, axis=0)).max())
+
+
+def disc_rows(device: str) -> list[str]:
+    times = np.arange(1, 1001) * 2e-4
+    sheets = (Sheet(ECOFLEX, DEPTH),)
+    bodies = {side: Slab(sheets, "disc", "bonded", side, radius_m=RADIUS) for side in ("roller", "fixed", "free")} | {
+        "endless": Slab(sheets)
+    }
+    rows = []
+    for side, body in bodies.items():
+        for name, course in courses().items():
+            motion = timed(device, body, course, times, PLACES, accuracy=0.02)
+            if side in ("roller", "endless") and name != "STM 70 Hz":
+                wanted = exact(course, times, RADIUS if side == "roller" else None)
+            else:
+                wanted = -solve_explicit(
+                    body, course, times, PLACES, device=device, order=4, size_m=0.0067, deep=(3,), estimate=False
+                ).displacement_m[:, :, 2]
+            error = gap(-motion.displacement_m[:, :, 2], wanted)
+            rows.append(
+                f"| {side} | {name} | {motion.seconds:.2f} | {100 * error:.2f} % | {100 * motion.error:.2f} % "
+                f"| {motion.solver.removeprefix('explicit, ')} |"
+            )
+    return rows
+
+
+def fast_rows(device: str, sizes: dict[int, tuple[float, ...]]) -> list[str]:
+    """A focus at 7 m/s over an endless plate of 10 mm, snapshot of the normal velocity at the end of its way."""
+    rows = []
+    grid = np.array([0.0, 0.16 / 7.0])
+    load = Spot(0.006, grid, np.ones(2), np.array([[-0.08, 0.0], [0.08, 0.0]]))
+    x, y = (a.ravel() for a in np.meshgrid(np.arange(-0.1, 0.1001, 0.002), np.arange(-0.04, 0.0401, 0.002)))
+    at = np.column_stack([x, y])
+    shear = 23087.5
+    plate = Material("plate", 923.5, shear, (), bulk_from_poisson(0.495, shear), "Reardon et al. 2023", 0.0202, True)
+    for base in ("bonded", "free"):
+        body = Slab((Sheet(plate, 0.01),), base=base)
+        finest = None
+        for order, widths in sizes.items():
+            for width in widths:
+                motion = timed(device, body, load, grid[1:], at, order=order, size_m=width, estimate=False)
+                speed = motion.velocity_m_s[0, :, 2]
+                finest = speed if finest is None else finest
+                error = float(np.linalg.norm(speed - finest) / np.linalg.norm(finest))
+                text = "reference" if speed is finest else f"{100 * error:.2f} %"
+                rows.append(f"| {base} | {motion.solver.removeprefix('explicit, ')} | {motion.seconds:.2f} | {text} |")
+    return rows
+
+
+def hand_rows(device: str, end: float) -> list[str]:
+    """Palmar skin of 2 mm, AM 200 Hz, from rest to `end` [s]; nu 0.495 at once, which its sheet bounds (`soften`)."""
+    skin = hand_surface(load_preset("open_men_p50"))
+    patch = surface_patch(
+        skin.surface, 0.002, np.zeros(3), 0.045, 0.0018, 0.0018, 0.045, max_depth_m=0.002, max_fraction=1.0
+    )
+    body = Layer(patch, (Sheet(preset("finger_pad"), 0.002),))
+    grid = np.arange(0.0, END + 1e-9, 5e-5)
+    middle = patch.vertices[int(np.argmin(np.linalg.norm(patch.vertices[:, :2], axis=1)))]
+    load = Spot(SPOT, grid, 0.5 * (1.0 + np.sin(2.0 * np.pi * 200.0 * grid)), middle[:2])
+    motions = [
+        timed(
+            device,
+            body,
+            load,
+            grid[1 : round(end / 5e-5) + 1],
+            middle[None],
+            order=order,
+            deep=(deep,),
+            nu_at_most=0.495,
+            accuracy=0.06,
+            estimate=False,
+        )
+        for order, deep in ((2, 3), (1, 3), (2, 1))
+    ]
+    best = motions[0].displacement_m[:, 0]
+    rows = []
+    for motion in motions:
+        error = np.linalg.norm(motion.displacement_m[:, 0] - best) / np.linalg.norm(best)
+        text = "reference" if motion is motions[0] else f"{100 * error:.2f} %"
+        each = motion.seconds / end * END
+        rows.append(f"| {motion.solver.removeprefix('explicit, ')} | {motion.seconds:.1f} | {each:.0f} | {text} |")
+    return rows
+
+
+def processor() -> str:
+    for line in Path("/proc/cpuinfo").read_text().splitlines():
+        if line.startswith("model name"):
+            return line.split(":", 1)[1].strip()
+    return "unknown"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--device", default="cpu")
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "bench" / "skin_explicit.md")
+    parser.add_argument("--cases", default="disc,hand", help="any of disc, fast, hand")
+    arguments = parser.parse_args()
+    device = resolve(arguments.device)
+    gpu = device != "cpu"
+    where = wp.get_device(device).name if gpu else f"{processor()}, one core"
+    lines = [
+        "# Explicit spectral elements",
+        "",
+        f"`python scripts/bench_explicit.py --device {arguments.device} --cases {arguments.cases}`, {where}, Warp "
+        f"{wp.__version__}. Seconds with meshing and, on the disc, the coarser run of the estimate; kernels compiled "
+        "before.",
+    ]
+    begun = time.perf_counter()
+    if "disc" in arguments.cases:
+        lines += [
+            "",
+            "## The reference disc",
+            "",
+            f"Disc 120 x 20 mm and endless slab, Ecoflex 00-10, bonded, spot of {1e3 * SPOT:g} mm, {END} s, accuracy "
+            "0.02. Error over the series, the worse of centre and 10 mm off: rollers and endless slab against the "
+            "exact frequency response, the rest and STM against elements of 6.7 mm, three deep.",
+            "",
+            "| side | load | seconds | error | estimate | elements |",
+            "|---|---|---|---|---|---|",
+            *disc_rows(device),
+        ]
+    if "fast" in arguments.cases:
+        sizes = {5: (0.0025,), 4: (0.0025, 0.004), 2: (0.002,)}
+        lines += [
+            "",
+            "## A focus at 7 m/s",
+            "",
+            "Endless plate of 10 mm, rho 923.5, mu 23087.5 Pa, Kelvin-Voigt 0.0202 Pa s with the bulk following, nu "
+            "0.495, spot of 6 mm from -80 to 80 mm; normal velocity at the end, on 200 x 80 mm.",
+            "",
+            "| base | elements | seconds | difference |",
+            "|---|---|---|---|",
+            *fast_rows(device, sizes if gpu else {4: (0.004, 0.006), 2: (0.003,)}),
+        ]
+    if "hand" in arguments.cases:
+        end = END if gpu else 0.002
+        lines += [
+            "",
+            "## A layer of palmar skin",
+            "",
+            f"2 mm on the palm, patch of 45 mm radius with triangles of 1.8 mm, each cut in three, finger-pad material "
+            f"with nu 0.495 at once, bonded, AM 200 Hz for {end} s. Difference at the middle of the spot.",
+            "",
+            f"| elements | seconds | seconds for {END} s, in proportion | difference |",
+            "|---|---|---|---|",
+            *hand_rows(device, end),
+        ]
+    lines += ["", f"All of it took {time.perf_counter() - begun:.0f} s.", ""]
+    arguments.out.parent.mkdir(parents=True, exist_ok=True)
+    arguments.out.write_text("\n".join(lines))
+    print("\n".join(lines))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,52 @@
+"""`palmfield bench skin`: its numbers against what is known, and what it says where a program is missing."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from palmfield.bench import skin
+from palmfield.bench.skin_case import CASE
+from palmfield.errors import OutputError, PalmfieldError
+
+
+def test_our_row_holds_the_true_error_and_the_stated_one() -> None:
+    row = skin.own(CASE, "spectral", 0.01, "cpu", 1)
+    assert row.static is not None and row.moving is not None and row.stated is not None
+    assert row.worst < 0.01 and row.stated < 0.01
+    assert row.seconds > 0.0
+
+
+def test_another_program_gives_its_error_and_a_missing_one_its_name(tmp_path: Path) -> None:
+    row = skin.peer(CASE, "mujoco_flex", 4, 2, Path(sys.executable))
+    assert row.missing == "" and row.moving is None
+    # Trilinear cells lock at nu 0.495: they move by less than half of what is right
+    assert row.static is not None and 0.5 < row.static < 1.0
+    broken = tmp_path / "python"
+    broken.write_text("#!/bin/sh\necho no such module >&2\nexit 1\n")
+    broken.chmod(0o755)
+    row = skin.peer(CASE, "scikit_fem", 4, 2, broken)
+    assert "no such module" in row.missing and "skfem" in row.missing
+
+
+def test_report_and_picture(tmp_path: Path) -> None:
+    rows = [
+        skin.Row("palmfield spectral", "asked for 0.1", 0.3, 0.004, 0.007, 0.005),
+        skin.Row("scikit-fem, quadratic", "4 cells", missing="not here"),
+        skin.Row("MuJoCo flex, trilinear", "8 cells", 3.8, 0.53, None),
+    ]
+    picture = tmp_path / "skin.png"
+    skin.draw([row for row in rows if not row.missing], picture)
+    assert picture.stat().st_size > 5000
+    text = skin.as_markdown(rows, "cpu", 0.04, "abc", picture, tmp_path / "skin.md")
+    assert "| palmfield spectral | asked for 0.1 | 0.3 | 0.4 % | 0.7 % | 0.5 % |" in text
+    assert "not run: not here" in text and "![Time against error](skin.png)" in text
+
+
+def test_bad_options_are_refused_before_measuring(tmp_path: Path) -> None:
+    with pytest.raises(PalmfieldError, match="--only 'magic' is in no method's name"):
+        skin.main(only="magic")
+    with pytest.raises(PalmfieldError, match="--runs has value 0"):
+        skin.main(runs=0)
+    with pytest.raises(OutputError):
+        skin.main(out=Path("/proc/no/table.md"), only="spectral")
