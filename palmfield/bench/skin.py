@@ -25,7 +25,7 @@ from palmfield.bench.skin_case import CASE, Case, F_Hz
 from palmfield.bench.table import processor
 from palmfield.device import resolve
 from palmfield.errors import OutputError, PalmfieldError
-from palmfield.outputs.style import COLOURS, save, style
+from palmfield.outputs.style import save, style
 from palmfield.skin.choose import Name, solve
 from palmfield.skin.problem import Motion, Sheet, Slab, Spot
 
@@ -45,6 +45,7 @@ PEERS = {
 }
 """Of each other program: its name here, the module that it needs, cells along a side and layers."""
 
+MARKERS = "o^sDvP*X"
 END_s, LAST_s = 0.1, 0.02
 RADIUS_M = 0.06
 
@@ -213,9 +214,10 @@ def draw(rows: list[Row], path: Path) -> None:
         names = list(dict.fromkeys(row.name for row in rows))
         for number, name in enumerate(names):
             some = [row for row in rows if row.name == name and row.worst > 0.0]
+            line = "-" if name.startswith("palmfield") else "--"
             axis.plot(
                 [100 * row.worst for row in some], [row.seconds for row in some],
-                "o-" if name.startswith("palmfield") else "s--", color=COLOURS[number % len(COLOURS)], label=name,
+                MARKERS[number % len(MARKERS)] + line, color=f"C{number % 10}", label=name,
             )  # fmt: skip
         axis.set_xscale("log")
         axis.set_yscale("log")
