@@ -1,6 +1,5 @@
 """The case on which skin solvers and other programs are held side by side, and what is known of its answer."""
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,6 +7,7 @@ import numpy as np
 from palmfield.skin.layer_oracle import centre_response
 from palmfield.skin.material import Material, complex_bulk, complex_shear
 from palmfield.skin.presets import preset
+from palmfield.skin.problem import GAUSSIAN
 
 F_Hz = 200.0
 
@@ -56,4 +56,4 @@ def graded(half_m: float, cells: int, depth_m: float, layers: int) -> tuple[list
 
 def pressure(case: Case, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """The spot of 1 Pa, centred on the z axis."""
-    return np.exp(-4.0 * math.log(2.0) * (x**2 + y**2) / case.fwhm_m**2)
+    return np.exp(-GAUSSIAN * (x**2 + y**2) / case.fwhm_m**2)

@@ -15,6 +15,7 @@ from scipy.sparse.linalg import splu
 from threadpoolctl import threadpool_limits
 
 from palmfield.bench.skin_case import CASE, Case, F_Hz, graded, pressure
+from palmfield.skin.problem import GAUSSIAN
 
 Answer = tuple[float | None, complex | None, int]
 HALF_M = 0.06
@@ -93,7 +94,7 @@ def warp_fem(case: Case, cells: int, layers: int) -> Answer:
         ]
         nodes = 1e-3 * space.node_positions().numpy()
         sides = fem.BoundarySides(mesh)
-        values = {"width": 1e3 * case.fwhm_m, "slope": 4.0 * math.log(2.0)}
+        values = {"width": 1e3 * case.fwhm_m, "slope": GAUSSIAN}
         force = fem.integrate(
             forms.load, fields={"v": fem.make_test(space, domain=sides)}, values=values, output_dtype=wp.vec3d
         ).numpy()

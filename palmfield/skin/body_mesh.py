@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from palmfield.errors import SceneError
 from palmfield.skin.absorbing import match_speed, sponge
 from palmfield.skin.assembly import SkinSystem, assemble
 from palmfield.skin.disc import disc_patch
@@ -168,19 +167,3 @@ def quartered(patch: Patch) -> Patch:
         depth=np.concatenate([patch.depth, patch.depth[edges].mean(axis=1)]),
         rim=np.concatenate([patch.rim, (uses == 1) & patch.rim[edges].all(axis=1)]),
     )
-
-
-def check_on_face(body: Body, points: Float) -> Float:
-    """Asked points as (n, 3). Raises SceneError for other shapes, and for points off a slab's face."""
-    found = np.asarray(points, dtype=float)
-    if found.ndim != 2 or found.shape[1] not in (2, 3) or not np.isfinite(found).all():
-        raise SceneError(f"at has shape {found.shape}; give finite points of the face, (n, 2) or (n, 3)")
-    if found.shape[1] == 2:
-        found = np.column_stack([found, np.zeros(len(found))])
-    if isinstance(body, Slab) and body.shape != "infinite":
-        limit = np.array(body.size_m) / 2.0 if body.shape == "box" else body.radius_m
-        over = np.abs(found[:, :2]) - limit if body.shape == "box" else np.hypot(*found.T[:2])[:, None] - limit
-        worst = int(over.max(axis=1).argmax()) if len(over) else 0
-        if len(over) and over[worst].max() > 1e-9:
-            raise SceneError(f"point {worst} at {found[worst].tolist()} m lies off the slab's face; give points on it")
-    return found

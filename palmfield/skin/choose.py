@@ -6,12 +6,11 @@ from dataclasses import dataclass, replace
 from importlib import import_module
 from typing import Any, Literal
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from palmfield.device import resolve
 from palmfield.errors import SceneError
-from palmfield.skin.problem import Body, Load, Motion
+from palmfield.skin.problem import Body, Load, Motion, asked_points, rising
 from palmfield.types import Float
 
 Name = Literal["auto", "spectral", "disc", "implicit", "explicit", "particles"]
@@ -115,11 +114,7 @@ def solve(
 
 def checked(times: ArrayLike, at: ArrayLike, accuracy: float) -> tuple[Float, Float]:
     """Times, shape (t,), and points, shape (n, 2 or 3). Raises SceneError."""
-    moments, points = np.asarray(times, dtype=float), np.asarray(at, dtype=float)
-    if moments.ndim != 1 or not len(moments) or not np.isfinite(moments).all() or not (np.diff(moments) > 0.0).all():
-        raise SceneError(f"times of shape {moments.shape} must be finite, rising and at least one")
-    if points.ndim != 2 or points.shape[1] not in (2, 3) or not len(points) or not np.isfinite(points).all():
-        raise SceneError(f"at of shape {points.shape} must be finite points on the face, shape (n, 2) or (n, 3)")
+    moments, points = rising("times", times), asked_points(at)
     if not 1e-5 <= accuracy <= 0.5:
         raise SceneError(f"accuracy is {accuracy}; give a relative error of 1e-5 to 0.5")
     return moments, points

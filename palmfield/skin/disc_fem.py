@@ -24,11 +24,10 @@ from scipy.special import ive
 from palmfield.errors import SceneError
 from palmfield.skin.disc_element import DiscGrid, Line, graded
 from palmfield.skin.material import stiffening
-from palmfield.skin.problem import Body, Law, Load, Motion, Slab, Spot
+from palmfield.skin.problem import Body, Law, Load, Motion, Slab, Spot, points_on_face, rising, spread
 from palmfield.skin.reduced import pod, reduce
 from palmfield.types import Complex, Float
 
-WIDTH = 1.0 / math.sqrt(8.0 * math.log(2.0))
 """Standard deviation of a Gaussian per full width at half maximum."""
 FINE = 1.8
 """Edge of the elements under the spot, in standard deviations; they grow away from it."""
@@ -169,7 +168,7 @@ class _Found:
 
 def _problem(body: Slab, load: Spot, times: Float, points: Float, accuracy: float, harmonics: int | None) -> _Problem:
     samples = sample(load, times, 0.1 * accuracy)
-    s = WIDTH * load.fwhm_m
+    s = spread(load.fwhm_m)
     share = _shares(float(samples.distance_m.max()) / s, 1e-3 * accuracy)
     left = np.append(np.cumsum(share[::-1])[::-1][1:], 0.0)
     highest = int(np.argmax(left <= 0.05 * accuracy)) if harmonics is None else min(harmonics, len(share) - 1)
@@ -230,15 +229,7 @@ def _worst(part: Float, whole: Float) -> float:
 
 
 def _checked(body: Slab, times: Float, at: Float, accuracy: float) -> tuple[Float, Float]:
-    times, points = np.asarray(times, dtype=float), np.asarray(at, dtype=float)
-    if times.ndim != 1 or len(times) == 0 or not np.isfinite(times).all() or not np.all(np.diff(times) > 0.0):
-        raise SceneError(f"asked times of shape {times.shape} must be finite, rising and at least one")
-    if points.ndim != 2 or points.shape[1] not in (2, 3) or len(points) == 0 or not np.isfinite(points).all():
-        raise SceneError(f"asked points of shape {points.shape}: give finite positions of shape (n, 2) or (n, 3)")
-    points = np.column_stack([points[:, :2], np.zeros(len(points))])
-    furthest = float(np.hypot(points[:, 0], points[:, 1]).max())
-    if body.radius_m is None or furthest > body.radius_m * (1.0 + 1e-9):
-        raise SceneError(f"asked point {furthest} m from the axis is off the disc of radius {body.radius_m} m")
+    times, points = rising("times", times), points_on_face(body, at)
     if not 1e-4 <= accuracy <= 0.5:
         raise SceneError(f"accuracy is {accuracy}; give 1e-4 to 0.5")
     return times, points
@@ -254,7 +245,7 @@ def sample(load: Spot, times: Float, error: float) -> Samples:
     knots = [own, times[times >= start]]
     if load.law == "linear":
         far = np.linalg.norm(np.diff(load.centres(), axis=0), axis=1)
-        pieces = np.ceil(far / (WIDTH * load.fwhm_m * math.sqrt(8.0 * error))).astype(int)
+        pieces = np.ceil(far / (spread(load.fwhm_m) * math.sqrt(8.0 * error))).astype(int)
         for n in np.flatnonzero(pieces > 1):
             inner = np.linspace(load.times_s[n], load.times_s[n + 1], pieces[n] + 1)
             knots.append(inner[inner <= end])
@@ -272,7 +263,7 @@ def sample(load: Spot, times: Float, error: float) -> Samples:
 
 def _grid(body: Slab, load: Spot, samples: Samples, degree: int, fine: float) -> tuple[Line, Line, np.ndarray]:
     """Elements in r and in z, and the sheet of each of the latter."""
-    s = WIDTH * load.fwhm_m
+    s = spread(load.fwhm_m)
     radius = float(body.radius_m or 0.0)
     near, far = float(samples.distance_m.min()) - REACH * s, float(samples.distance_m.max()) + REACH * s
     # Waves leave the spot at c / (2 pi s) and below, at which a wave is 2 pi s long.
@@ -320,7 +311,7 @@ def _speed(body: Slab, s: float) -> float:
 
 def _band(body: Slab, load: Spot, samples: Samples, error: float) -> float:
     """Highest frequency that the reduced models must hold [Hz]: the spot's own, that of its path, that of its law."""
-    s = WIDTH * load.fwhm_m
+    s = spread(load.fwhm_m)
     own = _speed(body, s) / (2.0 * math.pi * s)
     steps = np.diff(samples.times_s)
     if len(steps) == 0:
@@ -343,7 +334,7 @@ def _band(body: Slab, load: Spot, samples: Samples, error: float) -> float:
 def _harmonic(grid: DiscGrid, problem: _Problem, m: int, band_Hz: float) -> tuple[Complex, Complex, float]:
     """U, V, W of one harmonic at all samples and asked points, displacement and velocity (t, n, 3); their error."""
     samples, system = problem.samples, grid.system(m)
-    s = WIDTH * problem.load.fwhm_m
+    s = spread(problem.load.fwhm_m)
     near, far = float(samples.distance_m.min()), float(samples.distance_m.max())
     table = np.linspace(near, far, 2 + math.ceil(10.0 * (far - near) / s))
 

@@ -34,7 +34,7 @@ from palmfield.skin.absorbing import scatter
 from palmfield.skin.depth import condensed, surface_compliance
 from palmfield.skin.element import triangle_rule, triangle_shape, triangle_slopes
 from palmfield.skin.material import Material, complex_bulk, stiffening
-from palmfield.skin.problem import BaseKind, Sheet, Springs
+from palmfield.skin.problem import BaseKind, Sheet, Springs, spread
 from palmfield.skin.wedges import WedgeMesh
 from palmfield.types import Complex, Float
 
@@ -175,10 +175,10 @@ def fit_foundation(
             f"foundation: {len(above)} sheets above, {len(below)} below, spot {fwhm_m} m, frequencies "
             f"{list(frequencies_Hz)} Hz: give sheets on both sides, and numbers above 0"
         )
-    spread = fwhm_m / math.sqrt(8.0 * math.log(2.0))
+    width = spread(fwhm_m)
     nodes, rule = np.polynomial.legendre.leggauss(20)
-    k = 2.0 / spread * (1.0 + nodes)
-    weight = np.sqrt(rule * k) * np.exp(-0.5 * (k * spread) ** 2)
+    k = 2.0 / width * (1.0 + nodes)
+    weight = np.sqrt(rule * k) * np.exp(-0.5 * (k * width) ** 2)
     exact = np.array([surface_compliance(k, f, [*above, *below], base) for f in frequencies_Hz])
     scale = np.linalg.norm(exact * weight, axis=1)
     upper = [condensed(k, f, above) for f in frequencies_Hz]

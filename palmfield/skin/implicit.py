@@ -14,12 +14,12 @@ import numpy as np
 from palmfield.device import resolve
 from palmfield.errors import SceneError
 from palmfield.skin.assembly import SkinSystem
-from palmfield.skin.body_mesh import Sizes, build, check_on_face
+from palmfield.skin.body_mesh import Sizes, build
 from palmfield.skin.estimate import load_centre, load_frequency, load_width
 from palmfield.skin.load import PressureHistory
 from palmfield.skin.material import shear_wave
 from palmfield.skin.pcg import DeviceStepper
-from palmfield.skin.problem import Body, Layer, Load, Motion, Slab
+from palmfield.skin.problem import Body, Layer, Load, Motion, Slab, points_on_face, rising
 from palmfield.skin.solver import Scheme, SkinSolver, static
 from palmfield.skin.surface import SurfaceProbe
 from palmfield.types import Float
@@ -296,10 +296,7 @@ def _check(body: Body, load: Load, times: Float, at: Float, accuracy: float) -> 
     reason = refusal_implicit(body, load)
     if reason is not None:
         raise SceneError(f"solver 'implicit': {reason}")
-    asked = np.asarray(times, dtype=float)
-    if asked.ndim != 1 or len(asked) == 0 or not np.isfinite(asked).all() or not (np.diff(asked) > 0.0).all():
-        raise SceneError(f"times of shape {asked.shape} must be finite, rising and at least one")
-    return asked, check_on_face(body, at)
+    return rising("times", times), points_on_face(body, at)
 
 
 def _probe(system: SkinSystem, points: Float) -> SurfaceProbe:

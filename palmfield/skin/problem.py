@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from palmfield.errors import SceneError
 from palmfield.skin.material import Material
@@ -211,10 +212,49 @@ def as_floats(load: object, *names: str) -> None:
             raise SceneError(f"load: {name} is no array of numbers ({error})") from error
 
 
-def check_times(what: str, times_s: Float, law: str) -> None:
+def rising(what: str, times_s: ArrayLike) -> Float:
+    """Times [s] as an array, shape (t,). Raises SceneError for others than at least one, finite and rising."""
     times = np.asarray(times_s, dtype=float)
     if times.ndim != 1 or len(times) == 0 or not np.isfinite(times).all() or not np.all(np.diff(times) > 0.0):
-        raise SceneError(f"{what}: times_s of shape {times.shape} must be finite, rising and at least one")
+        raise SceneError(f"{what} of shape {times.shape} must be finite, rising and at least one")
+    return times
+
+
+def asked_points(at: ArrayLike) -> Float:
+    """Points as an array, (n, 2) or (n, 3). Raises SceneError for other shapes, for none, and for NaN or infinity."""
+    points = np.asarray(at, dtype=float)
+    if points.ndim != 2 or points.shape[1] not in (2, 3) or len(points) == 0 or not np.isfinite(points).all():
+        raise SceneError(f"at of shape {points.shape}: give finite positions on the face, shape (n, 2) or (n, 3)")
+    return points
+
+
+def points_on_face(body: Body, at: ArrayLike) -> Float:
+    """Asked points [m], (n, 3), with z = 0 on a slab. Raises SceneError as `asked_points`, and for one off a slab."""
+    points = asked_points(at)
+    if isinstance(body, Layer):
+        return points if points.shape[1] == 3 else np.column_stack([points, np.zeros(len(points))])
+    flat = np.column_stack([points[:, :2], np.zeros(len(points))])
+    outside = np.zeros(len(flat), dtype=bool)
+    if body.shape == "disc":
+        outside = np.hypot(flat[:, 0], flat[:, 1]) > (1.0 + 1e-9) * np.array(body.radius_m)
+    elif body.shape == "box":
+        outside = np.any(np.abs(flat[:, :2]) > (0.5 + 1e-9) * np.array(body.size_m), axis=1)
+    if outside.any():
+        worst = int(np.flatnonzero(outside)[0])
+        raise SceneError(
+            f"point {worst} at {flat[worst].tolist()} m lies off the slab, off the {body.shape} of "
+            f"{body.radius_m or body.size_m} m; give points on its face"
+        )
+    return flat
+
+
+def spread(fwhm_m: float) -> float:
+    """Standard deviation of a Gaussian of that full width at half maximum [m]."""
+    return fwhm_m / math.sqrt(2.0 * GAUSSIAN)
+
+
+def check_times(what: str, times_s: Float, law: str) -> None:
+    rising(f"{what}: times_s", times_s)
     if law not in ("linear", "held"):
         raise SceneError(f"{what}: law is '{law}'; use 'linear' or 'held'")
 

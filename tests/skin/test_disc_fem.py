@@ -8,12 +8,12 @@ import pytest
 
 from palmfield.errors import SceneError
 from palmfield.skin.disc_element import DiscGrid, Line, graded
-from palmfield.skin.disc_fem import WIDTH, cost_disc, refusal_disc, sample, solve_disc
+from palmfield.skin.disc_fem import cost_disc, refusal_disc, sample, solve_disc
 from palmfield.skin.layer_oracle import centre_response
 from palmfield.skin.material import bulk_from_poisson
 from palmfield.skin.pencil import Pencil
 from palmfield.skin.presets import preset
-from palmfield.skin.problem import Sheet, Slab, Spot, Springs, Traction
+from palmfield.skin.problem import Sheet, Slab, Spot, Springs, Traction, spread
 
 ECOFLEX = preset("ecoflex_00-10")
 FWHM = 0.0103
@@ -27,7 +27,7 @@ def disc(material=ECOFLEX, depth=0.02, radius=0.06, side="roller", base="bonded"
 
 def push(body, degree, f_Hz, r, fine=1.8):
     """Complex push per pascal of a centred spot at distances r, without any reduced model."""
-    s = WIDTH * FWHM
+    s = spread(FWHM)
     radial = Line(graded(body.radius_m, lambda x: fine * s + 0.0 * x), degree)
     depth = Line(-graded(body.thickness_m, lambda z: fine * s + 0.4 * z)[::-1], degree)
     grid = DiscGrid(body, radial, depth, np.zeros(depth.elements, dtype=int))
@@ -162,7 +162,7 @@ def test_free_body_keeps_its_momentum():
     t = np.array([0.0, 1e-3, 2e-3])
     body = disc(radius=0.02, depth=0.01, base="free", side="free")
     motion = solve_disc(body, Spot(FWHM, t, np.array([0.0, 1.0, 0.0])), np.array([2.0, 2.2]), np.zeros((1, 2)))
-    s = WIDTH * FWHM
+    s = spread(FWHM)
     impulse = 1e-3 * 2 * math.pi * s**2 * (1 - math.exp(-0.5 * (0.02 / s) ** 2))
     mass = 1030.0 * math.pi * 0.02**2 * 0.01
     np.testing.assert_allclose(-motion.velocity_m_s[:, 0, 2], impulse / mass, rtol=1e-6)
@@ -173,7 +173,7 @@ def test_base_of_springs_and_dashpots():
     still = solve_disc(disc(), STATIC, LATE, np.zeros((1, 2)), degree=5).displacement_m
     stiff = solve_disc(disc(base=Springs(1e14, 1e14)), STATIC, LATE, np.zeros((1, 2)), degree=5).displacement_m
     np.testing.assert_allclose(stiff, still, rtol=1e-5, atol=1e-5 * np.abs(still).max())
-    s = WIDTH * FWHM
+    s = spread(FWHM)
     force = 2 * math.pi * s**2 * (1 - math.exp(-0.5 * (0.06 / s) ** 2))
     oil = disc(base=Springs(0.0, 0.0, 5e4, 0.0))
     motion = solve_disc(oil, STATIC, np.array([4.0]), np.zeros((1, 2)), degree=5)
@@ -227,7 +227,7 @@ def test_samples_of_a_moving_spot():
     assert samples.times_s[-1] == 0.7
     x = samples.distance_m * np.cos(samples.angle_rad)
     middle = 0.5 * (x[1:] + x[:-1])
-    s = WIDTH * 0.01
+    s = spread(0.01)
     between = np.exp(-0.5 * (middle / s) ** 2) - 0.5 * (
         np.exp(-0.5 * (x[1:] / s) ** 2) + np.exp(-0.5 * (x[:-1] / s) ** 2)
     )

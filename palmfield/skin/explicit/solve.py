@@ -17,7 +17,7 @@ from palmfield.skin.explicit.places import find
 from palmfield.skin.explicit.run import Points, Stepper
 from palmfield.skin.layer_oracle import centre_response
 from palmfield.skin.material import bulk_from_poisson
-from palmfield.skin.problem import Body, Layer, Load, Motion, Springs
+from palmfield.skin.problem import Body, Layer, Load, Motion, Springs, rising
 from palmfield.types import Float
 
 COARSER = 1.4
@@ -128,9 +128,7 @@ def solve_explicit(
     """
     began = time.perf_counter()
     device = resolve(device)
-    asked = np.asarray(times, dtype=float)
-    if asked.ndim != 1 or len(asked) == 0 or not np.isfinite(asked).all() or not np.all(np.diff(asked) > 0.0):
-        raise SceneError(f"explicit skin: times of shape {asked.shape} must be finite, rising and at least one")
+    asked = rising("times", times)
     if precision not in ("float32", "float64"):
         raise SceneError(f"explicit skin: precision is '{precision}'; use float32 or float64")
     if order is not None and not 1 <= order <= 7:

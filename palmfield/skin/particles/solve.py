@@ -18,7 +18,7 @@ from palmfield.skin.particles.resolution import (
     refusal_particles,
 )
 from palmfield.skin.particles.run import BLOCK, SAFETY, Particles, Reader, StepTooLongError, stable_step
-from palmfield.skin.problem import Body, Load, Motion, Slab, check_times
+from palmfield.skin.problem import Body, Load, Motion, Slab, rising
 from palmfield.types import Float, Int
 
 ORDER = 1.5
@@ -54,8 +54,7 @@ def solve_particles(
     refused = refusal_particles(body, load)
     if refused is not None:
         raise SceneError(refused)
-    asked = np.asarray(times, dtype=float)
-    check_times("asked", asked, "linear")
+    asked = rising("times", times)
     spacing = choose_spacing(body, load, accuracy) if spacing_m is None else spacing_m
     longest = length_of(body) / (2.0 * COARSER)
     if isinstance(body, Slab) and spacing > longest:

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from palmfield.errors import SceneError
-from palmfield.skin.problem import Slab
+from palmfield.skin.problem import Slab, points_on_face, rising
 from palmfield.types import Float, Int
 
 SERIES_FROM = 8
@@ -35,21 +35,7 @@ def pick(displacement: Float) -> Int:
 
 def check_points(body: Slab, times: ArrayLike, at: ArrayLike, accuracy: float) -> tuple[Float, Float]:
     """Times (t,) and points (n, 3) on the face. Raises SceneError for others, and for an accuracy out of range."""
-    asked = np.asarray(times, dtype=float)
-    if asked.ndim != 1 or len(asked) == 0 or not np.isfinite(asked).all() or not np.all(np.diff(asked) > 0.0):
-        raise SceneError(f"times of shape {asked.shape} must be finite, rising and at least one")
-    points = np.asarray(at, dtype=float)
-    if points.ndim != 2 or points.shape[1] not in (2, 3) or len(points) == 0 or not np.isfinite(points).all():
-        raise SceneError(f"points have shape {points.shape}; give finite ones of shape (n, 2) or (n, 3), at least one")
+    asked, points = rising("times", times), points_on_face(body, at)
     if not 1e-7 <= accuracy <= 0.5:
         raise SceneError(f"accuracy is {accuracy}; give a relative error from 1e-7 to 0.5")
-    flat = np.zeros((len(points), 3))
-    flat[:, :2] = points[:, :2]
-    outside = np.zeros(len(points), dtype=bool)
-    if body.radius_m is not None:
-        outside = np.linalg.norm(flat, axis=1) > (1.0 + 1e-9) * body.radius_m
-    elif body.size_m is not None:
-        outside = np.any(np.abs(flat[:, :2]) > (0.5 + 1e-9) * np.asarray(body.size_m), axis=1)
-    if outside.any():
-        raise SceneError(f"point {points[outside][0].tolist()} lies off the {body.shape}; give points on its face")
-    return asked, flat
+    return asked, points

@@ -4,8 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palmfield.skin.problem import Load, Spot
-from palmfield.skin.spectral.resolution import spread
+from palmfield.skin.problem import Load, Spot, spread
 from palmfield.skin.spectral.waves import WaveSet, transform
 from palmfield.types import Complex, Float, Int
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palmfield.skin.problem import Load, Slab, Spot
+from palmfield.skin.problem import Load, Slab, Spot, spread
 from palmfield.types import Float
 
 SUDDEN_1_S = 2.0 * math.pi * 500.0
@@ -54,11 +54,6 @@ class Resolution:
             wave += min(self.pace_1_s / speed, 12.0 * self.digits / sheet.thickness_m)
             result.append(self.degree + math.ceil(self.per_radian * 0.5 * wave * sheet.thickness_m))
         return tuple(result)
-
-
-def spread(fwhm_m: float) -> float:
-    """Standard deviation of a Gaussian of that full width at half maximum [m]."""
-    return fwhm_m / math.sqrt(8.0 * math.log(2.0))
 
 
 def choose(load: Load, tolerance: float) -> Resolution:
