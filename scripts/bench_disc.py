@@ -7,8 +7,6 @@ centre and at r = 10 mm, where the circling spot starts. `--quick` leaves the ra
 """
 
 import os
-import platform
-import subprocess
 import sys
 import time
 from functools import partial
@@ -17,6 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
+from palmfield.bench.field import git_commit
+from palmfield.bench.table import processor
 from palmfield.skin.assembly import assemble
 from palmfield.skin.disc import disc_patch
 from palmfield.skin.disc_fem import cost_disc, solve_disc
@@ -217,21 +217,13 @@ def random_case(random: np.random.Generator) -> tuple[Slab, Spot, np.ndarray, np
     return body, Spot(fwhm, times, amplitude, centre), times, points
 
 
-def processor() -> str:
-    for line in Path("/proc/cpuinfo").read_text().splitlines():
-        if line.startswith("model name"):
-            return line.split(":", 1)[1].strip()
-    return platform.processor()
-
-
 def main() -> None:
-    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True).stdout
+    commit = git_commit()
     lines = [
         "# Disc by harmonics, and the reduced model",
         "",
         "Command: `OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python scripts/bench_disc.py`",
-        f"CPU: {processor()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} when started; commit "
-        f"{commit.strip()}.",
+        f"CPU: {processor()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} when started; commit {commit}.",
         "",
         "Reference disc at accuracy 1 %, 0.2 s, 2001 times, centre and r = 10 mm. Error: L2 over the times",
         "of the displacement vector, the worse point, against degree 7 with reduced models at 0.02 %. A load that",

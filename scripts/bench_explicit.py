@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import warp as wp
 
+from palmfield.bench.table import processor
 from palmfield.device import resolve
 from palmfield.hand.patch import surface_patch
 from palmfield.hand.preset import load_preset
@@ -154,13 +155,6 @@ def hand_rows(device: str, end: float) -> list[str]:
         each = motion.seconds / end * END
         rows.append(f"| {motion.solver.removeprefix('explicit, ')} | {motion.seconds:.1f} | {each:.0f} | {text} |")
     return rows
-
-
-def processor() -> str:
-    for line in Path("/proc/cpuinfo").read_text().splitlines():
-        if line.startswith("model name"):
-            return line.split(":", 1)[1].strip()
-    return "unknown"
 
 
 def main() -> None:

@@ -3,7 +3,6 @@
 import argparse
 import os
 import statistics
-import subprocess
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +14,8 @@ from threadpoolctl import threadpool_limits
 
 from palmfield.acoustics.arrays import layout
 from palmfield.acoustics.field import FieldEvaluator
+from palmfield.bench.field import git_commit
+from palmfield.bench.table import processor
 from palmfield.drive.foci import ITERATIONS, Foci, Method, gsw, solve_transfer, transfer64
 from palmfield.outputs.style import COLOURS, save, style
 from palmfield.types import Air, Array, Complex, Float
@@ -29,21 +30,6 @@ HALF_WIDTH_M = 0.05
 APART_M = 0.02
 LOBE_M = 0.012
 """Radius round each focus that is not searched for side lobes; the first null of a 16 x 16 board is at 10.4 mm."""
-
-
-def cpu_model() -> str:
-    for line in Path("/proc/cpuinfo").read_text().splitlines():
-        if line.startswith("model name"):
-            return line.split(":", 1)[1].strip()
-    return "unknown CPU"
-
-
-def commit() -> str:
-    def git(*arguments: str) -> str:
-        return subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
-
-    changed = git("status", "--porcelain", "--", "palmfield/drive", "palmfield/acoustics", "scripts/bench_foci.py")
-    return git("rev-parse", "--short", "HEAD") + (" with uncommitted changes" if changed else "")
 
 
 def median_s(work: Callable[[], object]) -> float:
@@ -105,7 +91,7 @@ def starts(transfers: list[Complex]) -> tuple[float, float, float]:
 def main() -> None:
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("--commit", help="what to write as the commit where no git is")
-    name = options.parse_args().commit or commit()
+    name = options.parse_args().commit or git_commit()
     with threadpool_limits(1, user_api="blas"):
         measure(name)
 
@@ -141,7 +127,7 @@ def measure(name: str) -> None:
     lines = [
         "# Several foci at once",
         "",
-        f"{cpu_model()}, {os.cpu_count()} cores seen, NumPy on one thread; commit {name}.",
+        f"{processor()}, {os.cpu_count()} cores seen, NumPy on one thread; commit {name}.",
         f"Array uhev1 (256 pistons, p0 = {array.p0_Pa_m} Pa m), {LAYOUTS} random layouts of equal foci in a square of",
         f"{200 * HALF_WIDTH_M:.0f} cm, {100 * HEIGHT_M:.0f} cm away, at least {1e3 * APART_M:.0f} mm apart; means over",
         "the layouts.",

@@ -8,14 +8,14 @@ several threads the BLAS inside SuperLU has been seen to take 200 times as long 
 """
 
 import os
-import platform
-import subprocess
 import time
 from pathlib import Path
 
 import numpy as np
 from scipy.sparse.linalg import splu
 
+from palmfield.bench.field import git_commit
+from palmfield.bench.table import processor
 from palmfield.skin.assembly import SkinSystem, assemble, element_matrices
 from palmfield.skin.disc import disc_patch
 from palmfield.skin.layer_oracle import centre_response
@@ -122,15 +122,8 @@ def step_rows() -> list[str]:
     return rows
 
 
-def processor() -> str:
-    for line in Path("/proc/cpuinfo").read_text().splitlines():
-        if line.startswith("model name"):
-            return line.split(":", 1)[1].strip()
-    return platform.processor()
-
-
 def main() -> None:
-    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True).stdout
+    commit = git_commit()
     element_matrices(extrude(disc_patch(0.01, 0.01, 0.01, 0.01, 0.01), np.array([0.0, 1.0])))
     mesh_rows = [mesh_row(*mesh) for mesh in MESHES]
     system = build(*MESHES[-1])[0]
@@ -139,7 +132,7 @@ def main() -> None:
         "",
         "Command: `OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python scripts/bench_skin_c0.py`",
         f"CPU: {processor()}, {os.cpu_count()} cores, threads: OMP_NUM_THREADS={os.environ.get('OMP_NUM_THREADS')}, "
-        f"OPENBLAS_NUM_THREADS={os.environ.get('OPENBLAS_NUM_THREADS')}. Commit: {commit.strip()}.",
+        f"OPENBLAS_NUM_THREADS={os.environ.get('OPENBLAS_NUM_THREADS')}. Commit: {commit}.",
         "",
         "Disc 120 x 20 mm, Ecoflex 00-10 (nu 0.495), bonded, roller sides, Gaussian spot of 10.3 mm. Errors of the",
         "centre against the exact series; seconds. Factor and step: generalised-alpha, 0.2 ms; kernels compiled.",

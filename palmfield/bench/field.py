@@ -29,7 +29,7 @@ from palmfield.bench.processes import ROOT, Measured, measure
 from palmfield.bench.table import Head, Row, as_markdown, processor
 from palmfield.device import resolve
 from palmfield.errors import OutputError, PalmfieldError
-from palmfield.types import Air, Array, Complex
+from palmfield.types import Air, Complex
 
 AIR = Air(temperature_C=273.15 * ((340.0 / 331.3) ** 2 - 1.0))
 """Air whose sound speed is 340 m/s, which every program can represent."""
@@ -280,17 +280,9 @@ def stride(problem: Problem) -> int:
 @functools.cache
 def reference(problem: Problem) -> tuple[Complex, Complex]:
     """Pressure and gradient in float64 at every stride-th point of the problem."""
-    array = Array(
-        "bench",
-        problem.positions,
-        problem.normals,
-        problem.p0_Pa_m,
-        frequency_Hz=problem.frequency_Hz,
-        piston_radius_m=problem.piston_radius_m,
-    )
     points = problem.points()[:: stride(problem)]
     lost = problem.absorption_Np_m
-    pressure, gradient = pressure64(points, array, problem.drive, AIR, gradient=True, absorption_Np_m=lost)
+    pressure, gradient = pressure64(points, problem.array(), problem.drive, AIR, gradient=True, absorption_Np_m=lost)
     assert gradient is not None
     return pressure, gradient
 

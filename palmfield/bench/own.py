@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from palmfield.acoustics.field import FieldEvaluator
 from palmfield.bench.problem import Method, Problem
-from palmfield.types import Air, Array, Complex, Float32
+from palmfield.types import Air, Complex, Float32
 
 State = tuple[FieldEvaluator, Float32, Complex]
 
@@ -17,16 +17,8 @@ def evaluator(**options: Any) -> Callable[[Problem], State]:
     """A `prepare` that makes a FieldEvaluator with these options."""
 
     def prepare(problem: Problem) -> State:
-        array = Array(
-            "bench",
-            problem.positions,
-            problem.normals,
-            problem.p0_Pa_m,
-            frequency_Hz=problem.frequency_Hz,
-            piston_radius_m=problem.piston_radius_m,
-        )
         air = Air(temperature_C=problem.temperature_C)
-        field = FieldEvaluator(array, air, problem.device, absorption_Np_m=problem.absorption_Np_m, **options)
+        field = FieldEvaluator(problem.array(), air, problem.device, absorption_Np_m=problem.absorption_Np_m, **options)
         return field, problem.points(), problem.drive
 
     return prepare

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from palmfield.types import Complex, Float, Float32
+from palmfield.types import Array, Complex, Float, Float32
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +48,17 @@ class Problem:
     def wavenumber(self) -> float:
         """[rad/m]"""
         return 2.0 * np.pi * self.frequency_Hz / self.sound_speed_m_s
+
+    def array(self) -> Array:
+        """The transducers, all alike."""
+        return Array(
+            "bench",
+            self.positions,
+            self.normals,
+            self.p0_Pa_m,
+            frequency_Hz=self.frequency_Hz,
+            piston_radius_m=self.piston_radius_m,
+        )
 
     def points(self) -> Float32:
         """Points of the grid [m], shape (product of steps, 3), float32, x running fastest."""
