@@ -179,7 +179,6 @@ sys.exit(os.waitpid(child, 0)[1])
 """
 
 
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
 def test_a_forked_child_computes_too() -> None:
     assert subprocess.run([sys.executable, "-c", FORKED], timeout=120).returncode == 0
 
