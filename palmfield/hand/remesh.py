@@ -1,0 +1,55 @@
+"""A patch with other triangles: coarser where a solver needs no finer ones."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from palmfield.hand.grading import graded_size, triangulate
+from palmfield.hand.meshquery import barycentric, build_mesh, closest_faces
+from palmfield.hand.region import FACING_COSINE, facing_region, trace_shape
+from palmfield.hand.triangles import face_normals, unique_edges
+from palmfield.types import Float, Patch, Surface
+
+
+def is_height_field(patch: Patch) -> bool:
+    """Whether every vertex is seen from outside along the mean outward direction, no steeper than 75 degrees."""
+    return bool((-patch.inward @ outward(patch)).min() > FACING_COSINE)
+
+
+def outward(patch: Patch) -> Float:
+    """Mean outward direction, a unit vector, shape (3,)."""
+    mean = -patch.inward.mean(axis=0)
+    return mean / np.linalg.norm(mean)
+
+
+def remeshed(patch: Patch, centre: Float, fine_m: float, coarse_m: float, fine_radius_m: float) -> Patch:
+    """The patch with edges of fine_m within fine_radius_m of a place, growing to coarse_m at its far end [m].
+
+    centre: x and y of that place in the patch's frame [m], shape (2,)
+    Vertices lie on the patch's triangles, with depth and inward direction interpolated; its outline stays but for
+    spikes narrower than coarse_m.
+    Raises SceneError where the patch is narrower than about 1.5 coarse_m at that place, or steep there.
+    """
+    facing = outward(patch)
+    middles = patch.vertices[patch.faces].mean(axis=1)
+    seed = int(np.argmin(np.hypot(*(middles[:, :2] - centre).T)))
+    origin = middles[seed]
+    radius = 1.01 * float(np.linalg.norm(patch.vertices - origin, axis=1).max())
+    region = facing_region(Surface(patch.vertices, patch.faces, -patch.inward), origin, seed, facing, radius)
+    shape = trace_shape(region, step_m=max(0.5 * fine_m, radius / 80.0), spike_m=0.5 * coarse_m)
+    plane, faces = triangulate(shape, graded_size(fine_m, coarse_m, fine_radius_m, radius), radius)
+
+    flat = np.concatenate([region.shadow, np.zeros((len(region.shadow), 1))], axis=1)
+    points = np.concatenate([plane, np.zeros((len(plane), 1))], axis=1)
+    corners = region.faces[closest_faces(build_mesh(flat, region.faces), points, 4.0 * radius)]
+    weights = barycentric(region.shadow[corners], plane)
+    old = region.index[corners]
+    vertices, inward = (np.einsum("ij,ijk->ik", weights, values[old]) for values in (patch.vertices, patch.inward))
+    inward /= np.linalg.norm(inward, axis=1, keepdims=True)
+    depth = np.einsum("ij,ij->i", weights, patch.depth[old])
+    edges, count = unique_edges(faces)
+    rim = np.zeros(len(vertices), dtype=np.bool_)
+    rim[edges[count == 1]] = True
+    area = float(face_normals(vertices, faces)[1].sum())
+    report = patch.report | {"vertices": float(len(vertices)), "triangles": float(len(faces)), "area_m2": area}
+    return replace(patch, vertices=vertices, faces=faces, inward=inward, depth=depth, rim=rim, report=report)

@@ -1,0 +1,89 @@
+"""A smaller bulk modulus where it changes little: explicit steps follow the pressure wave, which shear hardly needs."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from palmfield.errors import SceneError
+from palmfield.skin.bands import bands, resonance
+from palmfield.skin.estimate import load_width
+from palmfield.skin.layer_oracle import centre_response
+from palmfield.skin.material import Material, bulk_from_poisson
+from palmfield.skin.problem import BASES, Body, Foundation, Layer, Load, Spot, Springs
+from palmfield.types import Float
+
+RATIOS = (0.49, 0.495, 0.497, 0.499)
+"""Poisson's ratios at once that are tried, the one with the largest step first."""
+
+SHARE = 0.5
+"""Part of the wanted accuracy that a bulk modulus chosen by itself may take."""
+
+FAINT = 1e-5
+"""Share of the energy of the load's course below which a band counts for nothing here."""
+
+
+def soften(
+    body: Body, load: Load, end_s: float, at: Float, accuracy: float, nu_at_most: float | None
+) -> tuple[Body, float]:
+    """The body with Poisson's ratio at once of at most nu_at_most, and the relative change of its motion.
+
+    end_s: last asked time [s]; at: asked points [m], shape (n, 2) or (n, 3)
+    nu_at_most: None takes the smallest of RATIOS that changes at most SHARE of the accuracy, on layers and endless
+    slabs of one sheet, whose volume nothing else confines; others stay as they are, as all do at 0.5
+    The change is that of the flat endless layer (palmfield.skin.layer_oracle), with the load's own frequencies.
+    Raises SceneError, where nu_at_most is given, for more than one sheet, springs or a foundation, which that layer
+    does not know, and for a change above the accuracy.
+    """
+    plain = len(body.sheets) == 1 and body.base in BASES
+    if nu_at_most == 0.5:
+        return body, 0.0
+    if nu_at_most is not None:
+        if not plain:
+            raise SceneError("explicit skin: nu_at_most needs one sheet on a plain base; leave it out")
+        found, change = tried(body, load, end_s, at, nu_at_most)
+        if change > accuracy:
+            raise SceneError(
+                f"explicit skin: nu_at_most {nu_at_most} would change this layer's motion by {change:.2g}, above the "
+                f"accuracy of {accuracy:g}: leave it out, or use the implicit or spectral solver"
+            )
+        return found, change
+    if plain and (isinstance(body, Layer) or body.shape == "infinite"):
+        for nu in RATIOS:
+            try:
+                found, change = tried(body, load, end_s, at, nu)
+            except SceneError:
+                # Waves that nothing damps: that layer cannot say
+                break
+            if change <= SHARE * accuracy:
+                return found, change
+    return body, 0.0
+
+
+def tried(body: Body, load: Load, end_s: float, at: Float, nu: float) -> tuple[Body, float]:
+    """The body with at most that Poisson's ratio, and what it changes."""
+    sheet = body.sheets[0]
+    most = bulk_from_poisson(nu, sheet.material.shear_instant_Pa)
+    if sheet.material.bulk_Pa <= most:
+        return body, 0.0
+    soft = replace(sheet.material, bulk_Pa=most)
+    return replace(body, sheets=(replace(sheet, material=soft),)), change_of(body, soft, load, end_s, at)
+
+
+def change_of(body: Body, soft: Material, load: Load, end_s: float, at: Float) -> float:
+    """Relative change (L2 over the times, the largest of the spot's middle and the points' places about it)."""
+    material, width = body.sheets[0].material, load_width(load)
+    depth = float(np.mean(body.patch.depth)) if isinstance(body, Layer) else body.thickness_m
+    away = np.array([0.0, width])
+    if isinstance(load, Spot) and len(np.unique(load.centres(), axis=0)) == 1:
+        away = np.append(0.0, np.hypot(*(np.asarray(at, dtype=float)[:, :2] - load.centres()[0]).T))
+    frequencies, energies = bands(load, end_s, resonance(material, depth))
+    assert not isinstance(body.base, Springs | Foundation)
+    apart, size = np.zeros(len(away)), np.zeros(len(away))
+    for frequency, energy in zip(frequencies, energies, strict=True):
+        if energy > FAINT * energies.sum() and (frequency > 0.0 or body.base != "free"):
+            exact, near = (
+                centre_response(frequency, m, depth, width, None, away, body.base, 1e-5) for m in (material, soft)
+            )
+            apart += energy * np.abs(near - exact) ** 2
+            size += energy * np.abs(exact) ** 2
+    return float(np.sqrt(apart / size).max())
