@@ -228,6 +228,44 @@ GPU_BODY = Template("""
 
 
 @functools.cache
+def point_reading(real: Any) -> Any:
+    """Function that keeps displacement and velocity at points p = first, first + stride ... after the last step done.
+
+    done: steps done; slots: by step, the row of the readings, or -1
+    nodes, shares: surface nodes of a point and their shares, (p, n^2); displacement, velocity: by row and point
+    """
+    vec3 = wp.types.vector(length=3, dtype=real)
+
+    @wp.func
+    def read(
+        first: wp.int32,
+        stride: wp.int32,
+        done: wp.int32,
+        slots: wp.array(dtype=wp.int32),
+        nodes: wp.array2d(dtype=wp.int32),
+        shares: wp.array2d(dtype=real),
+        u: wp.array(dtype=vec3),
+        v: wp.array(dtype=vec3),
+        displacement: wp.array2d(dtype=vec3),
+        velocity: wp.array2d(dtype=vec3),
+    ):
+        row = wp.int32(-1)
+        if done > 0:
+            row = slots[done - 1]
+        if row >= 0:
+            for p in range(first, nodes.shape[0], stride):
+                place = vec3()
+                speed = vec3()
+                for a in range(nodes.shape[1]):
+                    place += shares[p, a] * u[nodes[p, a]]
+                    speed += shares[p, a] * v[nodes[p, a]]
+                displacement[row, p] = place
+                velocity[row, p] = speed
+
+    return read
+
+
+@functools.cache
 def element_forces(order: int, real: Any, single: bool, gpu: bool) -> Any:
     """Kernel of the elements' internal forces; LANES elements a CPU thread, a node a GPU thread (blocks of BLOCK).
 
@@ -235,12 +273,15 @@ def element_forces(order: int, real: Any, single: bool, gpu: bool) -> Any:
     Of the kernel, for E elements (padded) of Q = places(order, gpu) positions:
     u: displacement [m], shape (nodes,); w: displacement that shears, shape (copies of nodes,)
     conn, w_conn: by position, index into u and w; clock: one number, raised by one at each call
+    threads: of the launch; done, slots, nodes, shares, v [m/s], displacement, velocity: see point_reading, for u is
+    still what the last step left
     metric: shape (11, E Q): A [m^2] (9 rows), 1 / (w J) [1/m^3] and 1 / F[J] [1/m^3]
     moduli: shape (3, E): G [Pa], K [Pa], and 1 where the pressure follows w, 0 where u
     derivative: D of the rule, (n, n); filter: top, top_weights and weights of the rule, (3 n,)
     force: internal force by component and position [N], shape (3, E Q)
     """
     vec3 = wp.types.vector(length=3, dtype=real)
+    read = point_reading(real)
     names = {
         "n": order + 1,
         "real": "double" if real is wp.float64 else "float",
@@ -276,10 +317,20 @@ def element_forces(order: int, real: Any, single: bool, gpu: bool) -> Any:
         filter: wp.array(dtype=real),
         force: wp.array2d(dtype=real),
         clock: wp.array(dtype=wp.int32),
+        threads: wp.int32,
+        done: wp.array(dtype=wp.int32),
+        slots: wp.array(dtype=wp.int32),
+        nodes: wp.array2d(dtype=wp.int32),
+        shares: wp.array2d(dtype=real),
+        v: wp.array(dtype=vec3),
+        displacement: wp.array2d(dtype=vec3),
+        velocity: wp.array2d(dtype=vec3),
     ):
         block = wp.tid()
         if block == 0:
             clock[0] = clock[0] + 1
         forces(block, u, w, conn, w_conn, metric, moduli, derivative, filter, force)
+        if block < nodes.shape[0]:
+            read(block, threads, done[0], slots, nodes, shares, u, v, displacement, velocity)
 
     return kernel

@@ -10,7 +10,7 @@ from typing import Any
 
 import warp as wp
 
-from warp_kernels.hexa import CPU_OPTIONS, LANES
+from warp_kernels.hexa import CPU_OPTIONS, LANES, point_reading
 
 
 @functools.cache
@@ -82,7 +82,9 @@ NODE_BODY = Template("""
     const int first = block * L, step = clock.data[0] - 1;
     const long count = force.shape[1];
     Real f[3][L] = {};
-    for (int s = starts.data[block]; s < starts.data[block + 1]; ++s)
+    const int end = starts.data[block + 1];
+    $unroll
+    for (int s = starts.data[block]; s < end; ++s)
         for (int l = 0; l < L; ++l) {
             const int source = sources.data[s * L + l];
             for (int c = 0; c < 3; ++c) f[c][l] -= force.data[c * count + source];
@@ -176,7 +178,7 @@ def node_step(real: Any, moving: bool, one_law: bool, gpu: bool) -> Any:
     copy_starts, copy_laws: copies of a node, one for each law of relaxation that meets there, csr
     laws: by law, first and last branch; branches: by branch, e, c h [s], g; viscous: by law, eta / G [s]
     strain: y by branch of the law and copy [m]; w: displacement that shears, by copy [m]
-    clock: steps begun, counted from 1
+    clock: steps begun, counted from 1; done: steps done, of which this is one
     """
     vec3 = wp.types.vector(length=3, dtype=real)
     vec2 = wp.types.vector(length=2, dtype=real)
@@ -186,6 +188,8 @@ def node_step(real: Any, moving: bool, one_law: bool, gpu: bool) -> Any:
         "real": "double" if real is wp.float64 else "float",
         "moving": "true" if moving else "false",
         "one_law": "true" if one_law else "false",
+        # A GPU thread waits for memory alone: it should wait for many numbers at once
+        "unroll": "#pragma unroll 8" if gpu else "",
     }
 
     @wp.func_native(snippet=NODE_BODY.substitute(names))
@@ -247,9 +251,13 @@ def node_step(real: Any, moving: bool, one_law: bool, gpu: bool) -> Any:
         w: wp.array(dtype=vec3),
         strain: wp.array2d(dtype=vec3),
         clock: wp.array(dtype=wp.int32),
+        done: wp.array(dtype=wp.int32),
     ):
+        block = wp.tid()
+        if block == 0:
+            done[0] = clock[0]
         advance(
-            wp.tid(),
+            block,
             starts,
             sources,
             force,
@@ -283,16 +291,13 @@ def node_step(real: Any, moving: bool, one_law: bool, gpu: bool) -> Any:
 
 @functools.cache
 def reading(real: Any) -> Any:
-    """Kernel that keeps displacement and velocity at points, where the step just done is asked for; one thread a point.
-
-    slots: by step, the row of the readings, or -1; nodes, shares: surface nodes of a point and their shares, (p, n^2)
-    displacement, velocity: by row and point [m], [m/s]
-    """
+    """Kernel of hexa.point_reading alone, for the last step of all; one thread a point."""
     vec3 = wp.types.vector(length=3, dtype=real)
+    read = point_reading(real)
 
     @wp.kernel(module="unique", enable_backward=False)
     def kernel(
-        clock: wp.array(dtype=wp.int32),
+        done: wp.array(dtype=wp.int32),
         slots: wp.array(dtype=wp.int32),
         nodes: wp.array2d(dtype=wp.int32),
         shares: wp.array2d(dtype=real),
@@ -301,17 +306,7 @@ def reading(real: Any) -> Any:
         displacement: wp.array2d(dtype=vec3),
         velocity: wp.array2d(dtype=vec3),
     ):
-        p = wp.tid()
-        row = slots[clock[0] - 1]
-        if row < 0:
-            return
-        place = vec3()
-        speed = vec3()
-        for a in range(nodes.shape[1]):
-            place += shares[p, a] * u[nodes[p, a]]
-            speed += shares[p, a] * v[nodes[p, a]]
-        displacement[row, p] = place
-        velocity[row, p] = speed
+        read(wp.tid(), nodes.shape[0], done[0], slots, nodes, shares, u, v, displacement, velocity)
 
     return kernel
 

@@ -115,7 +115,11 @@ class Model:
         self.single = bool((self.mixes == 1.0).all())
         self.kernel = hexa.element_forces(solid.order, self.real, self.single, layout.gpu)
         self.force = wp.zeros((3, layout.count), dtype=self.real, device=device)
-        self.clock = wp.zeros(1, dtype=wp.int32, device=device)
+        none = wp.zeros((0, 0), dtype=self.vec3, device=device)
+        nowhere = wp.zeros((0, 0), dtype=self.real, device=device)
+        indices = wp.zeros((0, 0), dtype=wp.int32, device=device)
+        spare = wp.zeros(1, dtype=wp.int32, device=device)
+        self.no_reading = (spare, spare, indices, nowhere, wp.zeros(0, dtype=self.vec3, device=device), none, none)
         self.moduli = self.moduli_of([m.shear_relaxed_Pa for m in self.materials])
 
     def put(self, values: Float) -> Any:
@@ -135,14 +139,28 @@ class Model:
             rows[row, : len(self.solid.sheet)] = np.asarray(values)[self.solid.sheet]
         return self.put(rows)
 
-    def launch(self, u: Any, w: Any, conn: Any, w_conn: Any, moduli: Any, clock: Any, record_cmd: bool = False) -> Any:
-        """Internal forces by position into `force`, now or as a recorded launch."""
+    def launch(
+        self,
+        u: Any,
+        w: Any,
+        conn: Any,
+        w_conn: Any,
+        moduli: Any,
+        clock: Any,
+        reading: tuple[Any, ...] | None = None,
+        record_cmd: bool = False,
+    ) -> Any:
+        """Internal forces by position into `force`, now or as a recorded launch; `reading` as hexa.element_forces."""
         layout, order = self.layout, self.solid.order
         block = max(hexa.BLOCK, hexa.places(order, True))
+        threads = layout.count if layout.gpu else layout.padded // hexa.LANES
         return wp.launch(
             self.kernel,
-            dim=layout.count if layout.gpu else layout.padded // hexa.LANES,
-            inputs=[u, w, conn, w_conn, self.metric, moduli, self.derivative, self.filter, self.force, clock],
+            dim=threads,
+            inputs=[
+                *(u, w, conn, w_conn, self.metric, moduli, self.derivative, self.filter, self.force, clock, threads),
+                *(reading or self.no_reading),
+            ],
             device=self.device,
             block_dim=block,
             record_cmd=record_cmd,

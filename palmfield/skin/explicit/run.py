@@ -126,11 +126,11 @@ class Stepper:
         self.u, self.v = (wp.zeros(threads * lanes, dtype=model.vec3, device=device) for _ in range(2))
         self.w = wp.zeros(copies, dtype=model.vec3, device=device)
         self.strain = wp.zeros((max(1, self.most), copies), dtype=model.vec3, device=device)
-        self.clock = wp.zeros(1, dtype=wp.int32, device=device)
+        self.clock, self.finished = (wp.zeros(1, dtype=wp.int32, device=device) for _ in range(2))
         self.done = 0
         slots = np.full(table.steps + GRAPH_STEPS, -1)
         slots[wanted] = np.arange(len(wanted))
-        self.slots_host, self.slots = slots, model.ints(slots)
+        self.slots = model.ints(slots)
         self.read_nodes, self.read_shares = model.ints(points.nodes), put(points.shares)
         shape = (max(1, len(wanted)), len(points.nodes))
         self.read_u, self.read_v = (wp.zeros(shape, dtype=model.vec3, device=device) for _ in range(2))
@@ -165,10 +165,15 @@ class Stepper:
         self.viscous = model.put(np.array([time_s for _, time_s in laws]))
 
     def _commands(self) -> list[Any]:
-        """Launches of a step: forces of the elements, step of the nodes, reading."""
+        """Launches of a step: forces of the elements (they read what the last step left), and step of the nodes."""
         model = self.model
+        reading = (self.finished, self.slots, self.read_nodes, self.read_shares, self.v, self.read_u, self.read_v)
         return [
-            model.launch(self.u, self.w, model.conn, self.w_conn, model.moduli, self.clock, record_cmd=True),
+            model.launch(
+                *(self.u, self.w, model.conn, self.w_conn, model.moduli, self.clock),
+                reading=reading,
+                record_cmd=True,
+            ),
             wp.launch(
                 hexa_steps.node_step(model.real, self.table.moving, len(self.law_ends) == 1, model.layout.gpu),
                 dim=self.threads,
@@ -177,25 +182,15 @@ class Stepper:
                     *(self.areas, self.places, self.spot, self.table.spread, self.frames, self.frame, self.share),
                     *(self.pace, self.held, *self.matrices),
                     *(self.copy_starts, self.copy_laws, self.laws, self.branches, self.viscous, self.step_s),
-                    *(self.u, self.v, self.w, self.strain, self.clock),
-                ],
-                device=model.device,
-                record_cmd=True,
-            ),
-            wp.launch(
-                hexa_steps.reading(model.real),
-                dim=len(self.read_nodes),
-                inputs=[
-                    *(self.clock, self.slots, self.read_nodes, self.read_shares),
-                    *(self.u, self.v, self.read_u, self.read_v),
+                    *(self.u, self.v, self.w, self.strain, self.clock, self.finished),
                 ],
                 device=model.device,
                 record_cmd=True,
             ),
         ]
 
-    def _step(self, read: bool) -> None:
-        for command in self.commands if read else self.commands[:2]:
+    def _step(self) -> None:
+        for command in self.commands:
             command.launch()
 
     def advance(self, steps: int) -> None:
@@ -209,14 +204,23 @@ class Stepper:
             if self.graph is None:
                 with wp.ScopedCapture(device=self.model.device) as capture:
                     for _ in range(GRAPH_STEPS):
-                        self._step(read=True)
+                        self._step()
                 self.graph = capture.graph
             while left >= GRAPH_STEPS:
                 wp.capture_launch(self.graph)
                 left -= GRAPH_STEPS
-        for index in range(self.done + steps - left, self.done + steps):
-            self._step(read=bool(self.slots_host[index] >= 0))
+        for _ in range(left):
+            self._step()
         self.done += steps
+        wp.launch(
+            hexa_steps.reading(self.model.real),
+            dim=len(self.read_nodes),
+            inputs=[
+                *(self.finished, self.slots, self.read_nodes, self.read_shares),
+                *(self.u, self.v, self.read_u, self.read_v),
+            ],
+            device=self.model.device,
+        )
 
     def readings(self) -> tuple[Any, Any]:
         """Displacement [m] and velocity [m/s] after the wanted steps, at the points, both (wanted, p) of vectors."""

@@ -15,13 +15,25 @@ from palmfield.skin.explicit.mesh import Plan, build, fast_speed, load_frequency
 from palmfield.skin.explicit.model import SAFETY, Model, hold
 from palmfield.skin.explicit.places import find
 from palmfield.skin.explicit.run import Points, Stepper
-from palmfield.skin.layer_oracle import centre_response
-from palmfield.skin.material import bulk_from_poisson
-from palmfield.skin.problem import Body, Layer, Load, Motion, Springs, rising
+from palmfield.skin.explicit.solid import Solid
+from palmfield.skin.problem import ONLY_IMPLICIT, Body, Foundation, Layer, Load, Motion, rising
+from palmfield.skin.soften import soften
 from palmfield.types import Float
 
 COARSER = 1.4
 """Element size of the run by which the error is estimated, over that of the run that is returned."""
+
+LEAST_WIDER = 1.2
+"""Ratio of the widths under the load from which two meshes tell each other's error."""
+
+LOWER = 0.5
+"""Error of an order over the difference to the next lower, at most: 0.15 to 0.25 were seen on discs and boxes."""
+
+LONGEST_S = 3600.0
+"""Predicted seconds above which a run is refused."""
+
+WINDOW = 0.05
+"""Share of the time that the second run takes where it has the higher order."""
 
 STIFFEST = 1e5
 """Bulk over shear modulus at once, above which the step is so small that the solver refuses (nu 0.499995)."""
@@ -32,12 +44,14 @@ COURANT = {1: 0.587, 2: 0.477, 3: 0.406, 4: 0.345, 5: 0.295}
 CPU_COST = (8.5e-9, 22e-9, 15e-6)
 """Seconds by element node, by node and by step on one CPU core (AMD EPYC), measured by scripts/bench_explicit.py."""
 
-GPU_COST = (0.05e-9, 0.05e-9, 8e-6)
-"""The same on a GPU: an assumption from its bandwidth, until scripts/bench_explicit.py has run on one."""
+GPU_COST = (0.05e-9, 0.1e-9, 9e-6)
+"""The same on a GPU: layers of 13 k to 40 k elements of order 1 and 2 on an H200."""
 
 
 def refusal_explicit(body: Body, load: Load) -> str | None:
     """Why the explicit solver cannot take this problem, in a sentence, or None."""
+    if isinstance(body.base, Foundation):
+        return ONLY_IMPLICIT
     for sheet in body.sheets:
         material = sheet.material
         if material.bulk_Pa > STIFFEST * material.shear_instant_Pa:
@@ -51,12 +65,16 @@ def refusal_explicit(body: Body, load: Load) -> str | None:
 
 def cost_explicit(body: Body, load: Load, times: Float, at: Float, accuracy: float, device: str = "cpu") -> float:
     """Predicted seconds of `solve_explicit`, from the size of its mesh and its step."""
-    chosen = plan(body, load, np.atleast_2d(np.asarray(at, dtype=float)), accuracy)
+    points = np.atleast_2d(np.asarray(at, dtype=float))
+    body, _ = soften(body, load, float(np.max(times)), points, accuracy, None)
+    chosen = plan(body, load, points, accuracy)
     total = 0.0
-    for each in (chosen, coarser(body, chosen)):
+    asked, start = np.asarray(times, dtype=float), float(load.times_s[0])
+    ends = float(np.max(asked)), window(body, chosen, load, asked)
+    for each, end in zip((chosen, beside(body, chosen)), ends, strict=True):
         nodes, step = size_of(body, each)
         rates = CPU_COST if device == "cpu" else GPU_COST
-        steps = max(0.0, float(np.max(times)) - float(load.times_s[0])) / step
+        steps = max(0.0, end - start) / step
         repeated = nodes * ((each.order + 1) / each.order) ** 3
         total += steps * (repeated * rates[0] + nodes * rates[1] + rates[2])
     return total
@@ -90,13 +108,48 @@ def size_of(body: Body, chosen: Plan) -> tuple[float, float]:
     return nodes, step
 
 
-def coarser(body: Body, chosen: Plan) -> Plan:
-    """The mesh by which the error is estimated: wider elements, or a lower order on a patch's own."""
-    if isinstance(body, Layer):
-        return replace(chosen, order=max(1, chosen.order - 1))
-    deep = tuple(max(1, math.floor(count / COARSER + 0.5)) for count in chosen.deep)
+def beside(body: Body, chosen: Plan) -> Plan:
+    """The mesh by which the error is estimated: wider elements, or another order where those would be the same ones.
+
+    That is so on a patch's own triangles and where few elements lie under the load. Order 1 has no lower one: the next
+    higher tells its error, in a shorter time (`window`). A sponge is smaller too.
+    """
     margin, sponge = 0.6 * chosen.margin_m, 0.8 * chosen.sponge_m
-    return replace(chosen, size_m=COARSER * chosen.size_m, deep=deep, margin_m=margin, sponge_m=sponge)
+    if not isinstance(body, Layer):
+        deep = tuple(max(1, math.floor(count / COARSER + 0.5)) for count in chosen.deep)
+        wider = replace(chosen, size_m=COARSER * chosen.size_m, deep=deep, margin_m=margin, sponge_m=sponge)
+        if width_under(build(body, wider)[0], wider) > LEAST_WIDER * width_under(build(body, chosen)[0], chosen):
+            return wider
+    order = chosen.order - 1 if chosen.order > 1 else 2
+    return replace(chosen, order=order, margin_m=margin, sponge_m=sponge)
+
+
+def width_under(solid: Solid, chosen: Plan) -> float:
+    """Mean width [m] of the cells whose middle is watched, or of the nearest one."""
+    corners = solid.quads.nodes[solid.quads.cells[:, [0, 0, -1, -1], [0, -1, -1, 0]]]
+    middles = corners.mean(axis=1)[:, :2]
+    low, high = chosen.watched_m.T
+    outside = np.linalg.norm(np.maximum(np.maximum(low - middles, middles - high), 0.0), axis=1)
+    here = corners[outside <= outside.min()]
+    across = np.cross(here[:, 2] - here[:, 0], here[:, 3] - here[:, 1])
+    return float(np.sqrt(0.5 * np.linalg.norm(across, axis=1).mean()))
+
+
+def apart(found: Float, other: Float) -> float:
+    """Relative difference of two displacements (t, n, 3), L2 over the times, the largest of the points that move."""
+    size, gap = (np.linalg.norm(values, axis=(0, 2)) for values in (found, found - other))
+    moving = size > 1e-9 * size.max(initial=0.0)
+    return float((gap[moving] / size[moving]).max(initial=0.0))
+
+
+def window(body: Body, chosen: Plan, load: Load, times: Float) -> float:
+    """Time [s] up to which the second run goes: the last asked, or a twentieth of the way where it is the dearer."""
+    if chosen.order == 1 and beside(body, chosen).order == 2:
+        start = float(load.times_s[0])
+        begun = times[times > start]
+        if len(begun):
+            return max(start + WINDOW * (float(times[-1]) - start), float(begun[0]))
+    return float(times[-1])
 
 
 def solve_explicit(
@@ -120,9 +173,10 @@ def solve_explicit(
     times: [s], rising, shape (t,); at: points of the face [m], shape (n, 3) or (n, 2); device: "cpu" or "cuda:0"
     order: N of the elements, 1 to 7 (1 integrates too coarsely unless they are prisms); size_m: their width [m] (slabs)
     deep: elements through each sheet; step_s: [s], at most the stable one; precision: "float32" or "float64"
-    nu_at_most: takes a smaller bulk modulus where Poisson's ratio at once is above this, which makes larger steps; only
-    where the spectral layer says that it changes less than the wanted accuracy, and the change goes into the error
-    estimate: False leaves the second, coarser run out; the error is then NaN
+    nu_at_most: takes a smaller bulk modulus where Poisson's ratio at once is above this, which makes larger steps; by
+    default one that the accuracy allows, see palmfield.skin.soften; 0.5 leaves the material as it is. What it changes
+    is in the error
+    estimate: False leaves the second run out; the error is then NaN
     Raises SceneError for a problem that `refusal_explicit` names, an element inside out, a step above the stable one,
     times that do not rise, and points off the face.
     """
@@ -133,23 +187,26 @@ def solve_explicit(
         raise SceneError(f"explicit skin: precision is '{precision}'; use float32 or float64")
     if order is not None and not 1 <= order <= 7:
         raise SceneError(f"explicit skin: order is {order}; give 1 to 7")
-    softened = 0.0
-    if nu_at_most is not None:
-        body, softened = soften(body, load, nu_at_most, accuracy)
+    points = np.atleast_2d(np.asarray(at, dtype=float))
+    body, softened = soften(body, load, float(asked[-1]), points, accuracy, nu_at_most)
     reason = refusal_explicit(body, load)
     if reason is not None:
         raise SceneError(reason)
-    points = np.atleast_2d(np.asarray(at, dtype=float))
     chosen = plan(body, load, points, accuracy, order, size_m, deep)
     fine = march(body, chosen, load, asked, points, device, precision, step_s)
     error, source = math.nan, "not estimated"
     if estimate:
-        less = coarser(body, chosen)
-        rough = march(body, less, load, asked, points, device, precision, None)
-        size = float(np.linalg.norm(fine[0]))
-        gap = float(np.linalg.norm(fine[0] - rough[0])) / size if size > 0.0 else 0.0
-        if isinstance(body, Layer):
-            error, source = gap, f"difference to order {less.order} on the same elements"
+        other = beside(body, chosen)
+        early = asked[asked <= window(body, chosen, load, asked)]
+        rough = march(body, other, load, early, points, device, precision, None)
+        gap = apart(fine[0][: len(early)], rough[0])
+        if other.order != chosen.order:
+            share = LOWER if other.order < chosen.order else 1.0
+            error, source = share * gap, f"{share:.2g} of the difference to order {other.order} on the same elements"
+            if chosen.sponge_m > 0.0:
+                source += " in a smaller sponge"
+            if len(early) < len(asked):
+                source += f" up to {early[-1]:.3g} s"
         else:
             # What a sponge does falls with no known power of its size
             share = 0.8 if chosen.sponge_m > 0.0 else 1.0 / (COARSER**chosen.order - 1.0)
@@ -159,7 +216,7 @@ def solve_explicit(
                 source += " in a smaller sponge"
         error += lag(body, load, fine[3]) + softened
     if softened > 0.0:
-        source += f"; {softened:.2g} for nu at most {nu_at_most}"
+        source += f"; {softened:.2g} for a bulk modulus of {body.sheets[0].material.bulk_Pa:.3g} Pa"
     where = f"explicit, order {chosen.order}, {fine[2]} elements of {1e3 * chosen.size_m:.3g} mm, step {fine[3]:.3g} s"
     if points.shape[1] == 2:
         points = np.column_stack([points, np.zeros(len(points))])
@@ -182,6 +239,7 @@ def march(
     side = "absorbing" if isinstance(body, Layer) and body.side == "absorbing" else body.side
     if not isinstance(body, Layer) and chosen.sponge_m > 0.0:
         side = "absorbing"
+    assert not isinstance(body.base, Foundation)
     holds = hold(model, body.base, side, damping)
     rows = model.mass[holds.rows, None, None]
     spring_rate = float((np.abs(holds.spring) / rows).sum(axis=2).max(initial=0.0))
@@ -193,6 +251,7 @@ def march(
     wanted = np.unique(first[:, None] + np.array([-1, 0, 1]))
     wanted = wanted[wanted >= 0]
     steps = int(wanted[-1]) + 1
+    check_time(model, steps, step)
     table = table_of(load, solid, step, steps)
     stepper = Stepper(model, holds, step, table, Points(*find(solid, points)), wanted, stable)
     stepper.advance(steps)
@@ -212,6 +271,18 @@ def march(
     return place, speed, len(solid.elements), step
 
 
+def check_time(model: Model, steps: int, step_s: float) -> None:
+    """Raise SceneError, naming the element that makes the step small, where a run would take longer than LONGEST_S."""
+    solid, rates = model.solid, GPU_COST if model.layout.gpu else CPU_COST
+    seconds = steps * (solid.elements.size * rates[0] + len(solid.nodes) * rates[1] + rates[2])
+    if seconds > LONGEST_S:
+        worst = int(np.argmin(model.volume.sum(axis=1)))
+        raise SceneError(
+            f"explicit skin: {steps} steps of {step_s:.3g} s would take about {seconds:.2g} s, above {LONGEST_S:g}: "
+            f"the smallest element is near ({solid.place(worst)}) m; make the mesh even there, or use implicit"
+        )
+
+
 def lag(body: Body, load: Load, step_s: float) -> float:
     """What the dashpots' velocity of half a step before does: as if h t K_d / 2 less mass, h w / 2 times the loss.
 
@@ -225,30 +296,3 @@ def lag(body: Body, load: Load, step_s: float) -> float:
             omega = 2.0 * math.pi * max(load_frequency(load), 0.5 * speed / load_width(load))
             worst = max(worst, 0.5 * step_s * omega * min(1.0, omega * material.viscous_time_s))
     return worst
-
-
-def soften(body: Body, load: Load, nu: float, accuracy: float) -> tuple[Body, float]:
-    """The body with Poisson's ratio at once of at most nu, and what that changes, from the spectral layer.
-
-    Raises SceneError for more than one sheet or springs, which that layer does not know, and where it changes more than
-    the wanted accuracy.
-    """
-    if len(body.sheets) != 1 or isinstance(body.base, Springs):
-        raise SceneError("explicit skin: nu_at_most needs one sheet on a plain base; leave it out")
-    sheet = body.sheets[0]
-    most = bulk_from_poisson(nu, sheet.material.shear_instant_Pa)
-    if sheet.material.bulk_Pa <= most:
-        return body, 0.0
-    soft = replace(sheet.material, bulk_Pa=most)
-    thickness = float(np.mean(body.patch.depth)) if isinstance(body, Layer) else body.thickness_m
-    width, change = load_width(load), 0.0
-    frequencies = {load_frequency(load)} | ({0.0} if body.base != "free" else set())
-    for f in frequencies:
-        exact, near = (centre_response(f, m, thickness, width, base=body.base) for m in (sheet.material, soft))
-        change = max(change, float(abs(near / exact - 1.0)))
-    if change > accuracy:
-        raise SceneError(
-            f"explicit skin: nu_at_most {nu} would change this layer's motion by {change:.2g}, above the accuracy of "
-            f"{accuracy:g}: leave it out, or use the implicit or spectral solver"
-        )
-    return replace(body, sheets=(replace(sheet, material=soft),)), change

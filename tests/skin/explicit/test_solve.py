@@ -10,7 +10,7 @@ from palmfield.skin.explicit.solve import cost_explicit, refusal_explicit, solve
 from palmfield.skin.layer_oracle import centre_response
 from palmfield.skin.material import Branch, Material, bulk_from_poisson
 from palmfield.skin.presets import preset
-from palmfield.skin.problem import Layer, Sheet, Slab, Spot
+from palmfield.skin.problem import ONLY_IMPLICIT, Foundation, Layer, Sheet, Slab, Spot
 from palmfield.types import Patch
 
 SPOT, DEPTH, RADIUS = 0.0103, 0.02, 0.06
@@ -179,7 +179,7 @@ def test_a_softer_bulk_is_used_only_where_it_changes_little():
         solve_explicit(Slab((Sheet(tissue, 0.002),)), pressed(), times, PLACES, nu_at_most=0.495)
     disc = Slab((Sheet(tissue, DEPTH),), "disc", "bonded", "fixed", radius_m=0.03)
     motion = solve_explicit(disc, pressed(0.005), times, PLACES, nu_at_most=0.495)
-    assert "for nu at most 0.495" in motion.error_source
+    assert "for a bulk modulus of 2.99e+06 Pa" in motion.error_source
 
 
 def test_cost_grows_with_what_is_asked():
@@ -188,3 +188,11 @@ def test_cost_grows_with_what_is_asked():
     costs = [cost_explicit(body, pressed(), np.array([t]), PLACES, a) for t, a in asked]
     assert costs[1] == pytest.approx(2.0 * costs[0], rel=0.1)
     assert costs[2] > 3.0 * costs[0]
+
+
+def test_a_run_of_hours_is_refused_with_the_element_to_blame():
+    body = Slab((Sheet(ECOFLEX, 2e-5),), "disc", "bonded", "fixed", radius_m=RADIUS)
+    with pytest.raises(SceneError, match=r"would take about .* s, above 3600: the smallest element is near \("):
+        solve_explicit(body, pressed(), np.array([100.0]), PLACES, size_m=0.01, estimate=False)
+    mixed = Layer(disc_of_triangles(), (Sheet(ECOFLEX, DEPTH),), Foundation((Sheet(ECOFLEX, DEPTH),)), "fixed")
+    assert refusal_explicit(mixed, pressed()) == ONLY_IMPLICIT
