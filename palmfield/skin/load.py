@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 from scipy import sparse
+from scipy.spatial import Delaunay
 
 from palmfield.errors import SceneError
 from palmfield.skin.assembly import SkinSystem
@@ -14,17 +15,21 @@ from palmfield.skin.surface import SurfaceProbe
 from palmfield.skin.wedges import WedgeMesh
 from palmfield.types import Float
 
+MOST_HALVINGS = 4
+"""Quarterings of a triangle under a traction's points, at most."""
+
 
 class SurfaceQuadrature:
     """Points at which the pressure on the skin is wanted, and the operator that makes nodal forces of it.
 
-    points: positions [m], shape (q, 3); six a triangle (Dunavant, degree 4), triangle by triangle
+    halvings: how often each triangle is quartered for it
+    points: positions [m], shape (q, 3); six in each of these (Dunavant, degree 4), triangle by triangle
     normals: unit outward normals, shape (q, 3); weights: areas [m^2], shape (q,), which sum to the surface's area
     operator: csr, shape (n free degrees of freedom, q) [m^2]: force = operator @ inward normal pressure
     """
 
-    def __init__(self, mesh: WedgeMesh, system: SkinSystem) -> None:
-        rule, rule_weights = triangle_rule()
+    def __init__(self, mesh: WedgeMesh, system: SkinSystem, halvings: int = 0) -> None:
+        rule, rule_weights = quartered_rule(halvings)
         a, b, c = (mesh.nodes[mesh.surface_triangles6[:, i]] for i in range(3))
         area = np.cross(b - a, c - a)
         twice = np.linalg.norm(area, axis=1)
@@ -56,6 +61,46 @@ class SurfaceQuadrature:
         return self.operator @ pressure
 
 
+def quartered_rule(halvings: int) -> tuple[Float, Float]:
+    """Points (q, 2) and weights (q,) of the triangle's rule in each of the 4^halvings parts of the unit triangle."""
+    points, weights = triangle_rule()
+    for _ in range(halvings):
+        parts = [0.5 * points + corner for corner in np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]])]
+        points, weights = np.concatenate([*parts, 0.5 - 0.5 * points]), np.tile(0.25 * weights, 4)
+    return points, weights
+
+
+def sampled(mesh: WedgeMesh, system: SkinSystem, load: Traction) -> sparse.csr_matrix:
+    """Nodal forces [N] of pressures [Pa] at a traction's points, csr, shape (n, p).
+
+    The pressure is linear between the points (Delaunay triangles in x and y), and integrated on a rule about as close
+    as they lie. Forces at the points themselves, of the areas that they stand for, would be a rough load on elements
+    not much larger than those, to which a thin layer answers more than to a smooth one. They are left for points on a
+    line, and for one that no point of the rule is near.
+    """
+    probe = SurfaceProbe(mesh, load.points, system)
+    forces = sparse.csr_matrix(-(probe.operator.T @ sparse.diags(load.weights_m2)))
+    flat = load.points[:, :2]
+    if len(flat) < 3 or np.linalg.matrix_rank(flat - flat.mean(axis=0), tol=1e-9) < 2:
+        return forces
+    corners = mesh.nodes[mesh.surface_triangles6[:, :3]]
+    under = np.unique(probe.triangles)
+    edge = float(np.linalg.norm(corners[under] - np.roll(corners[under], 1, axis=1), axis=2).mean())
+    apart = math.sqrt(float(np.median(load.weights_m2)))
+    halvings = int(np.clip(math.ceil(math.log2(max(0.5 * edge / apart, 1.0))), 0, MOST_HALVINGS))
+    quadrature = SurfaceQuadrature(mesh, system, halvings)
+    net = Delaunay(flat)
+    place = net.find_simplex(quadrature.points[:, :2])
+    seen = np.flatnonzero(place >= 0)
+    turn = net.transform[place[seen]]
+    two = np.einsum("qij,qj->qi", turn[:, :2], quadrature.points[seen, :2] - turn[:, 2])
+    shares = np.column_stack([two, 1.0 - two.sum(axis=1)])
+    rows, columns = np.repeat(seen, 3), net.simplices[place[seen]].ravel()
+    between = sparse.coo_matrix((shares.ravel(), (rows, columns)), shape=(len(quadrature.points), len(flat))).tocsr()
+    alone = sparse.diags((between.T @ quadrature.weights <= 0.0).astype(float))
+    return sparse.csr_matrix(quadrature.operator @ between + forces @ alone)
+
+
 class PressureHistory:
     """The force of a load on a layer as time goes on.
 
@@ -71,8 +116,7 @@ class PressureHistory:
             self.points, self.operator = quadrature.points, quadrature.operator
             self.centres = on_surface(mesh, system, load.centres())
         else:
-            probe = SurfaceProbe(mesh, load.points, system)
-            self.operator = sparse.csr_matrix(-(probe.operator.T @ sparse.diags(load.weights_m2)))
+            self.operator = sampled(mesh, system, load)
         self._still: Float | None = None
 
     def force(self, start_s: float, end_s: float) -> tuple[Float, Float]:

@@ -16,7 +16,8 @@ class SurfaceProbe:
     """Normal displacement at points of the skin.
 
     points: positions [m], shape (n, 3); each is moved to the closest point of the surface
-    closest: those points [m], (n, 3); distance: how far each moved [m], (n,); normals: outward normals there, (n, 3)
+    closest: those points [m], (n, 3); triangles: what they lie in, (n,); distance: how far each moved [m], (n,)
+    normals: outward normals there, (n, 3)
     operator: csr, shape (n, free degrees of freedom): displacement along the outward normal = operator @ u
     vectors: csr, shape (3 n, free degrees of freedom): displacement, three components a point = vectors @ u
     Raises SceneError unless points is (n, 3) and finite.
@@ -28,6 +29,7 @@ class SurfaceProbe:
             raise SceneError(f"skin points have shape {points.shape}; give finite positions of shape (n, 3)")
         corners = mesh.nodes[mesh.surface_triangles6[:, :3]]
         triangle, self.closest = _closest(corners, points)
+        self.triangles = triangle
         self.distance = np.linalg.norm(points - self.closest, axis=1)
         barycentric = points_to_barycentric(corners[triangle], self.closest)
         nodes = mesh.surface_triangles6[triangle]
