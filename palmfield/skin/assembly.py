@@ -1,7 +1,7 @@
 """Matrices of a skin layer: mass, damping, elastic and relaxing stiffness over its free degrees of freedom."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -12,7 +12,7 @@ from palmfield.device import resolve
 from palmfield.errors import SceneError
 from palmfield.skin.absorbing import side_dashpots
 from palmfield.skin.element import corner_slopes, displacement_shape, prism_rule, volume_basis
-from palmfield.skin.foundation import Form, Foundation, base_matrix, of_springs
+from palmfield.skin.foundation import BaseFace, Foundation, placed, rim_dashpots, sheet_mass, sheet_stiffness
 from palmfield.skin.material import Material
 from palmfield.skin.problem import Springs
 from palmfield.skin.wedges import WedgeMesh
@@ -38,9 +38,12 @@ class SkinSystem:
     """M u'' + C u' + E u + sum over parts K_p (u + sum_i g_i (u - q_i) + t u') = F, q_i' = (u - q_i) / tau_i.
 
     mass M [kg], damping C [N s/m], elastic E [N/m]: symmetric csr matrices over n free degrees of freedom, (n, n)
+    directions: displacements of the mesh's nodes, then of the foundation's = directions @ u, csr, shape
+        (3 * (nodes + foundation's nodes), n), orthonormal columns
     parts: what relaxes, a part for each relaxation law, with its g_i, tau_i and t = eta / G_r
     material: of the surface
-    dof_map: nodal displacements (3 * nodes, by node) = dof_map @ u, csr, shape (3 * nodes, n), orthonormal columns
+    dof_map: nodal displacements (3 * nodes, by node) = dof_map @ u, csr, shape (3 * nodes, n), the upper rows of
+        `directions`
     surface_node: surface node under which each free degree of freedom lies, shape (n,)
     supported: whether base or sides hold the body against a push, so that a static answer exists
     """
@@ -51,6 +54,7 @@ class SkinSystem:
     damping: sparse.csr_matrix
     elastic: sparse.csr_matrix
     parts: tuple[Part, ...]
+    directions: sparse.csr_matrix
     dof_map: sparse.csr_matrix
     surface_node: Int
     supported: bool
@@ -74,7 +78,7 @@ def assemble(
 
     material: of the whole layer, or of each of its rows of elements, the one at the surface first
     base: "bonded" (no motion), "free_slip" (no motion along the base's normal), "free" (no traction), Springs, or a
-        Foundation (springs, membranes, dashpots and masses by area)
+        Foundation (sheets below the mesh; the sides go on beside them)
     side: "fixed" (no motion), "free" (no traction), "roller" (no motion along the side's normal, square to the axis)
         or "absorbing" (dashpots)
         A free-slip base under roller sides leaves the disc free to spin about its axis: its static sideways motion is
@@ -89,67 +93,114 @@ def assemble(
     if (isinstance(base, str) and base not in BASES) or side not in SIDES:
         raise SceneError(f"base '{base}', side '{side}': base is one of {', '.join(BASES)}, side of {', '.join(SIDES)}")
     rows = materials_of_rows(mesh, material)
-    below: Foundation | None = None
+    springs, shear_spring = Springs(0.0, 0.0), 0.0
+    below = base if isinstance(base, Foundation) else Foundation((), base)
     if foundation_Pa_m is not None:
         normal, tangential = foundation_Pa_m
         if not (normal >= 0.0 and tangential >= 0.0):
             raise SceneError(f"foundation stiffness is ({normal}, {tangential}) Pa/m; give two numbers, 0 or above")
-        below = Foundation(elastic=Form(volume=normal), relaxing=Form(shear=tangential), law=rows[-1])
-    elif not isinstance(base, str):
-        below = base if isinstance(base, Foundation) else of_springs(base)
+        below, springs, shear_spring = Foundation((), "free"), Springs(normal, 0.0), tangential
+    elif isinstance(below.base, Springs):
+        springs = below.base
+    if side == "absorbing" and absorbing_Hz is None:
+        raise SceneError("absorbing sides need absorbing_Hz, the frequency at which their dashpots match")
 
     deviatoric, volumetric, unit_mass = element_matrices(mesh)
     pattern = _Pattern(mesh)
+    sums = _Sums(3 * (len(mesh.nodes) + below.levels * mesh.surface_nodes))
     mass = _by_row(mesh, [row.density_kg_m3 for row in rows]) * unit_mass
-    inertia = pattern.scalars(mass)
-    damping = sparse.csr_matrix(inertia.shape)
+    sums.add("mass", pattern.scalars(mass))
     if sponge_1_s is not None:
-        damping = damping + pattern.scalars(np.tile(sponge_1_s, len(rows))[:, None, None] * mass)
-    if side == "absorbing":
-        if absorbing_Hz is None:
-            raise SceneError("absorbing sides need absorbing_Hz, the frequency at which their dashpots match")
-        damping = damping + side_dashpots(mesh, rows, absorbing_Hz)
-
+        sums.add("damping", pattern.scalars(np.tile(sponge_1_s, len(rows))[:, None, None] * mass))
+    if absorbing_Hz is not None and side == "absorbing":
+        sums.add("damping", side_dashpots(mesh, rows, absorbing_Hz))
     held_bulk = [0.0 if row.bulk_relaxes else row.bulk_Pa for row in rows]
-    elastic = pattern.blocks(_by_row(mesh, held_bulk)[..., None, None] * volumetric)
-    relaxing = {}
+    sums.add("elastic", pattern.blocks(_by_row(mesh, held_bulk)[..., None, None] * volumetric))
     for law in dict.fromkeys(map(relaxation_law, rows)):
         own = [row if relaxation_law(row) == law else None for row in rows]
         blocks = _by_row(mesh, [row.shear_relaxed_Pa if row else 0.0 for row in own])[..., None, None] * deviatoric
         bulk = [row.bulk_Pa if row and row.bulk_relaxes else 0.0 for row in own]
         if any(bulk):
             blocks += _by_row(mesh, bulk)[..., None, None] * volumetric
-        relaxing[law] = (pattern.blocks(blocks), next(row for row in own if row))
-    if below is not None:
-        elastic = elastic + base_matrix(mesh, below.elastic)
-        damping = damping + base_matrix(mesh, below.damping)
-        inertia = inertia + base_matrix(mesh, below.mass)
-        if below.law is not None:
-            spring, law = base_matrix(mesh, below.relaxing), relaxation_law(below.law)
-            before, owner = relaxing.get(law, (0.0 * spring, below.law))
-            relaxing[law] = (before + spring, owner)
-    held_base: Base = "free" if not isinstance(base, str) or below is not None else base
-    dof_map = _free_directions(mesh, held_base, side)
-    reduce = dof_map.T.tocsr()
-    columns = dof_map.tocsc()
+        sums.relax(next(row for row in own if row), pattern.blocks(blocks))
+    if below.sheets or springs != Springs(0.0, 0.0) or shear_spring > 0.0:
+        face = BaseFace(mesh)
+        dashpots_Hz = absorbing_Hz if side == "absorbing" else None
+        last = _add_sheets(sums, mesh, face, below, sponge_1_s, dashpots_Hz)
+        along, out = face.product("along", "along"), face.product("out", "out")
+        sums.add("elastic", springs.normal_Pa_m * out + springs.tangential_Pa_m * along, last)
+        sums.add("damping", springs.normal_Pa_s_m * out + springs.tangential_Pa_s_m * along, last)
+        if shear_spring > 0.0:
+            sums.relax(rows[-1], shear_spring * along, last)
+
+    held_base: Base = "free" if isinstance(below.base, Springs) else below.base
+    directions = _free_directions(mesh, held_base, side, below.levels)
+    reduce = directions.T.tocsr()
+    columns = directions.tocsc()
 
     def free(matrix: sparse.csr_matrix) -> sparse.csr_matrix:
-        result = sparse.csr_matrix(reduce @ matrix @ dof_map)
+        result = sparse.csr_matrix(reduce @ matrix @ directions)
         result.sort_indices()
         result.eliminate_zeros()
         return result
 
+    springs = replace(springs, tangential_Pa_m=springs.tangential_Pa_m + shear_spring)
     return SkinSystem(
         mesh=mesh,
         material=rows[0],
-        mass=free(inertia),
-        damping=free(damping),
-        elastic=free(elastic),
-        parts=tuple(Part(free(matrix), owner) for matrix, owner in relaxing.values()),
-        dof_map=dof_map,
+        mass=free(sums.total["mass"]),
+        damping=free(sums.total["damping"]),
+        elastic=free(sums.total["elastic"]),
+        parts=tuple(Part(free(matrix), owner) for matrix, owner in sums.relaxing.values()),
+        directions=directions,
+        dof_map=directions[: 3 * len(mesh.nodes)],
         surface_node=((columns.indices[columns.indptr[:-1]] // 3) % mesh.surface_nodes).astype(np.int32),
-        supported=_supported(mesh, held_base, side, below),
+        supported=_supported(mesh, held_base, side, springs),
     )
+
+
+class _Sums:
+    """Sums over the components of all nodes, shape (size, size), and what relaxes by its law."""
+
+    def __init__(self, size: int) -> None:
+        self.size = size
+        self.total = {name: sparse.csr_matrix((size, size)) for name in ("mass", "damping", "elastic")}
+        self.relaxing: dict[tuple, tuple[sparse.csr_matrix, Material]] = {}
+
+    def add(self, name: str, matrix: sparse.csr_matrix, first: int = 0) -> None:
+        """Add a block that begins in row `first`."""
+        self.total[name] = self.total[name] + placed(matrix, first, self.size)
+
+    def relax(self, law: Material, stiffness: sparse.csr_matrix, first: int = 0) -> None:
+        before, owner = self.relaxing.get(relaxation_law(law), (sparse.csr_matrix((self.size, self.size)), law))
+        self.relaxing[relaxation_law(law)] = (before + placed(stiffness, first, self.size), owner)
+
+
+def _add_sheets(
+    sums: _Sums,
+    mesh: WedgeMesh,
+    face: BaseFace,
+    below: Foundation,
+    sponge_1_s: Float | None,
+    dashpots_Hz: float | None,
+) -> int:
+    """Add the sheets below a mesh; the first row of the level below the last of them."""
+    first, degree = 3 * int(mesh.base[0]), below.degree
+    for sheet in below.sheets:
+        material, height = sheet.material, sheet.thickness_m
+        shear, volume = sheet_stiffness(face, height, degree)
+        sums.relax(material, material.shear_relaxed_Pa * shear, first)
+        if material.bulk_relaxes:
+            sums.relax(material, material.bulk_Pa * volume, first)
+        else:
+            sums.add("elastic", material.bulk_Pa * volume, first)
+        sums.add("mass", material.density_kg_m3 * sheet_mass(face, height, degree), first)
+        if sponge_1_s is not None:
+            sums.add("damping", material.density_kg_m3 * sheet_mass(face, height, degree, sponge_1_s), first)
+        if dashpots_Hz is not None:
+            sums.add("damping", rim_dashpots(mesh, material, height, degree, dashpots_Hz), first)
+        first += 3 * degree * mesh.surface_nodes
+    return first
 
 
 def materials_of_rows(mesh: WedgeMesh, material: Material | Sequence[Material]) -> list[Material]:
@@ -171,11 +222,11 @@ def _by_row(mesh: WedgeMesh, values: list[float]) -> Float:
     return np.repeat(values, len(mesh.surface_triangles6))[:, None, None]
 
 
-def _supported(mesh: WedgeMesh, base: str, side: str, below: Foundation | None) -> bool:
+def _supported(mesh: WedgeMesh, base: str, side: str, springs: Springs) -> bool:
     if base == "bonded" or (side == "fixed" and len(mesh.side)):
         return True
-    if below is not None:
-        return below.holds or (side == "roller" and below.elastic.volume > 0.0)
+    if springs.normal_Pa_m > 0.0 and (springs.tangential_Pa_m > 0.0 or side == "roller"):
+        return True
     # A slippery base round a closed body, or with rollers beside a flat one, leaves only spins that no push drives.
     return base == "free_slip" and (side == "roller" or not len(mesh.side))
 
@@ -258,18 +309,25 @@ class _Pattern:
         return sparse.bsr_matrix((data, self.indices, self.starts), shape=(3 * self.nodes, 3 * self.nodes)).tocsr()
 
 
-def _free_directions(mesh: WedgeMesh, base: Base, side: Side) -> sparse.csr_matrix:
-    """Orthonormal directions in which each node may move, as columns over the nodal components."""
-    count = len(mesh.nodes)
+def _free_directions(mesh: WedgeMesh, base: Base, side: Side, deeper: int) -> sparse.csr_matrix:
+    """Orthonormal directions in which each node may move, as columns over the components of all nodes.
+
+    deeper: levels of nodes below the mesh, the last of which lies on the base; the sides go on beside them
+    """
+    levels = mesh.levels + deeper
+    count = levels * mesh.surface_nodes
+    on_base = np.arange(count - mesh.surface_nodes, count)
+    rim = mesh.side[: len(mesh.side) // mesh.levels]
+    on_side = (rim + mesh.surface_nodes * np.arange(levels)[:, None]).ravel()
     frames = np.tile(np.eye(3), (count, 1, 1))
     free = np.full(count, 3)
     held: dict[int, list[Float]] = {}
     if base == "free_slip":
-        held = {int(n): [d] for n, d in zip(mesh.base, mesh.surface_normals(mesh.levels - 1), strict=True)}
+        held = {int(n): [d] for n, d in zip(on_base, mesh.surface_normals(mesh.levels - 1), strict=True)}
     if side == "roller":
         if mesh.axis is None:
             raise SceneError("roller sides need a patch with an axis; this one has none: use side 'fixed' or 'free'")
-        for n, d in zip(mesh.side, mesh.side_normals, strict=True):
+        for n, d in zip(on_side, np.tile(mesh.side_normals[: len(rim)], (levels, 1)), strict=True):
             held.setdefault(int(n), []).append(d)
     for node, directions in held.items():
         _, singular, basis = np.linalg.svd(np.array(directions))
@@ -277,11 +335,11 @@ def _free_directions(mesh: WedgeMesh, base: Base, side: Side) -> sparse.csr_matr
         frames[node] = np.roll(basis, -rank, axis=0).T
         free[node] = 3 - rank
     if base == "bonded":
-        free[mesh.base] = 0
+        free[on_base] = 0
     if side == "fixed":
-        free[mesh.side] = 0
+        free[on_side] = 0
     blocks = sparse.bsr_matrix((frames, np.arange(count), np.arange(count + 1)), shape=(3 * count, 3 * count))
     kept = np.flatnonzero((np.arange(3) < free[:, None]).ravel())
-    directions = sparse.csr_matrix(blocks.tocsr()[:, kept])
-    directions.eliminate_zeros()
-    return directions
+    result = sparse.csr_matrix(blocks.tocsr()[:, kept])
+    result.eliminate_zeros()
+    return result

@@ -36,8 +36,8 @@ class NodalForm:
     """
 
     def __init__(self, system: SkinSystem) -> None:
-        moving = np.flatnonzero(np.diff(system.dof_map.indptr).reshape(-1, 3).any(axis=1))
-        self.spread = system.dof_map[(3 * moving[:, None] + np.arange(3)).ravel()]
+        moving = np.flatnonzero(np.diff(system.directions.indptr).reshape(-1, 3).any(axis=1))
+        self.spread = system.directions[(3 * moving[:, None] + np.arange(3)).ravel()]
         self.surface_node = (moving % system.mesh.surface_nodes).astype(np.int32)
         self.held = sparse.identity(self.spread.shape[0]) - self.spread @ self.spread.T
 

@@ -11,10 +11,11 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
 
 from palmfield.errors import SceneError
 from palmfield.skin.material import Material
-from palmfield.types import Float, Patch
+from palmfield.types import Complex, Float, Patch
 
 Law = Literal["linear", "held"]
 Shape = Literal["infinite", "disc", "box"]
@@ -23,6 +24,10 @@ SideKind = Literal["fixed", "free", "roller", "absorbing"]
 BASES = ("bonded", "free_slip", "free")
 SIDES = ("fixed", "free", "roller", "absorbing")
 SHAPES = ("infinite", "disc", "box")
+THICKEST_M, WIDEST_M = 1.0, 10.0
+"""A slab beyond these [m] is one whose lengths were given in millimetres."""
+ONLY_IMPLICIT = "only the implicit solver takes a Foundation below: name it, or use another base"
+"""Why the others refuse one."""
 GAUSSIAN = 4.0 * math.log(2.0)
 """exp(-GAUSSIAN (r / fwhm)^2) is half at r = fwhm / 2."""
 
@@ -58,19 +63,55 @@ class Springs:
 
 
 @dataclass(frozen=True)
+class Foundation:
+    """Sheets below a meshed layer, the first right below it, without a mesh of their own (palmfield.skin.foundation).
+
+    base: below the lowest sheet; degree: of the polynomial in depth of each sheet, 1 or more
+    frequencies_Hz, misfit: where it was fitted [Hz], and the relative error there, see fit_foundation; both (f,)
+    Raises SceneError for another base or degree.
+    """
+
+    sheets: tuple[Sheet, ...]
+    base: BaseKind | Springs = "bonded"
+    degree: int = 4
+    frequencies_Hz: tuple[float, ...] = ()
+    misfit: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_base_and_side(self.base, None, none=True)
+        if self.degree < 1:
+            raise SceneError(f"foundation: degree is {self.degree}; give 1 or more")
+
+    @property
+    def levels(self) -> int:
+        """Levels of nodes below the mesh."""
+        return self.degree * len(self.sheets)
+
+    def impedance(self, k: Float, f_Hz: float) -> Complex:
+        """Traction by displacement at wavenumbers k [rad/m] [Pa/m], shape (n, 2, 2); see palmfield.skin.depth."""
+        from palmfield.skin.depth import impedance
+
+        return impedance(k, f_Hz, self.sheets, self.base, self.degree)
+
+
+Base = BaseKind | Springs | Foundation
+
+
+@dataclass(frozen=True)
 class Slab:
     """Flat sheets on a base, the first at the surface.
 
     shape: "infinite", "disc" (radius_m) or "box" (size_m along x and y)
-    base: "bonded" (no motion), "free_slip" (no normal motion, no shear traction), "free" (no traction) or Springs
+    base: "bonded" (no motion), "free_slip" (no normal motion, no shear traction), "free" (no traction), Springs
+        or a Foundation
     side: "fixed" (no motion), "free" (no traction), "roller" (no normal motion, no shear traction) or "absorbing";
         none where the shape is infinite
-    Raises SceneError for other values and missing sizes.
+    Raises SceneError for other values, missing sizes, and ones beyond THICKEST_M and WIDEST_M.
     """
 
     sheets: tuple[Sheet, ...]
     shape: Shape = "infinite"
-    base: BaseKind | Springs = "bonded"
+    base: Base = "bonded"
     side: SideKind | None = None
     radius_m: float | None = None
     size_m: tuple[float, float] | None = None
@@ -86,6 +127,14 @@ class Slab:
             if size is None or not (math.isfinite(size) and size > 0.0):
                 name = "radius_m" if self.shape == "disc" else "size_m"
                 raise SceneError(f"slab: {name} is {getattr(self, name)}; a {self.shape} needs lengths above 0")
+        for name, length, most in (
+            ("thickness", self.thickness_m, THICKEST_M),
+            *(("width", x, WIDEST_M) for x in sizes),
+        ):
+            if length is not None and length > most:
+                raise SceneError(
+                    f"slab: a {name} of {length:g} m is no skin's; give metres (20 mm are 0.02), at most {most:g}"
+                )
 
     @property
     def thickness_m(self) -> float:
@@ -96,18 +145,26 @@ class Slab:
 class Layer:
     """Sheets below a patch of surface: their thicknesses are shares of the patch's own depth, the first at the skin.
 
-    Raises SceneError for an unknown base or side.
+    Raises SceneError for an unknown base or side, and a depth that is not above 0, with its place.
     """
 
     patch: Patch
     sheets: tuple[Sheet, ...]
-    base: BaseKind | Springs = "bonded"
+    base: Base = "bonded"
     side: SideKind = "fixed"
 
     def __post_init__(self) -> None:
         check_base_and_side(self.base, self.side, none=False)
         if not self.sheets:
             raise SceneError("layer: sheets is empty; give at least one")
+        depth = np.asarray(self.patch.depth, dtype=float)
+        thin = int(np.argmin(np.where(np.isfinite(depth), depth, -np.inf)))
+        if not depth[thin] > 0.0:
+            place = ", ".join(f"{x:.4g}" for x in self.patch.vertices[thin])
+            raise SceneError(
+                f"layer: its depth near ({place}) m is {depth[thin]:g} m, so elements there are flat or inside out; "
+                "give depths above 0"
+            )
 
 
 Body = Slab | Layer
@@ -138,8 +195,8 @@ class Spot:
         check_times("spot", self.times_s, self.law)
         count = len(self.times_s)
         check_finite("spot: peak_Pa", self.peak_Pa, (count,))
-        if np.shape(self.centre_m) != (2,):
-            check_finite("spot: centre_m", self.centre_m, (count, 2))
+        still = np.shape(self.centre_m) == (2,)
+        check_finite("spot: centre_m", self.centre_m, (2,) if still else (count, 2))
 
     def centres(self) -> Float:
         """Centre at each time, shape (f, 2)."""
@@ -152,7 +209,7 @@ class Traction:
 
     points: [m], shape (n, 3); weights_m2: area that each point stands for [m^2], shape (n,)
     times_s: [s], rising, shape (f,); pressure_Pa: shape (f, n); law: as for Spot
-    Raises SceneError as Spot.
+    Raises SceneError as Spot, and for a weight below 0.
     """
 
     points: Float
@@ -167,6 +224,8 @@ class Traction:
         count = len(self.points)
         check_finite("traction: points", self.points, (count, 3))
         check_finite("traction: weights_m2", self.weights_m2, (count,))
+        if self.weights_m2.min(initial=0.0) < 0.0:
+            raise SceneError(f"traction: weights_m2 has {self.weights_m2.min()}; areas must be 0 or above")
         check_finite("traction: pressure_Pa", self.pressure_Pa, (len(self.times_s), count))
 
 
@@ -193,9 +252,9 @@ class Motion:
     seconds: float
 
 
-def check_base_and_side(base: BaseKind | Springs, side: SideKind | None, none: bool) -> None:
-    if not isinstance(base, Springs) and base not in BASES:
-        raise SceneError(f"base is '{base}'; use one of {', '.join(BASES)} or Springs")
+def check_base_and_side(base: Base, side: SideKind | None, none: bool) -> None:
+    if not isinstance(base, Springs | Foundation) and base not in BASES:
+        raise SceneError(f"base is '{base}'; use one of {', '.join(BASES)}, Springs or a Foundation")
     if none:
         if side is not None:
             raise SceneError(f"side is '{side}', but an infinite slab has none: leave it out")
@@ -229,10 +288,23 @@ def asked_points(at: ArrayLike) -> Float:
 
 
 def points_on_face(body: Body, at: ArrayLike) -> Float:
-    """Asked points [m], (n, 3), with z = 0 on a slab. Raises SceneError as `asked_points`, and for one off a slab."""
+    """Asked points [m], (n, 3), with z = 0 on a slab. Raises SceneError as `asked_points`, and for one off the body.
+
+    A layer's are off it where no vertex of its patch is nearer than its longest edge.
+    """
     points = asked_points(at)
     if isinstance(body, Layer):
-        return points if points.shape[1] == 3 else np.column_stack([points, np.zeros(len(points))])
+        vertices, across = np.asarray(body.patch.vertices), points.shape[1]
+        corners = vertices[body.patch.faces]
+        longest = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max())
+        distance = cKDTree(vertices[:, :across]).query(points)[0]
+        if distance.max() > longest:
+            worst = int(np.argmax(distance))
+            raise SceneError(
+                f"point {worst} at {points[worst].tolist()} m lies {distance[worst]:.3g} m off the layer; give points "
+                "on its face"
+            )
+        return points if across == 3 else np.column_stack([points, np.zeros(len(points))])
     flat = np.column_stack([points[:, :2], np.zeros(len(points))])
     outside = np.zeros(len(flat), dtype=bool)
     if body.shape == "disc":

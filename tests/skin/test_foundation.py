@@ -14,15 +14,17 @@ from hypothesis import strategies as st
 from palmfield.errors import SceneError
 from palmfield.skin.assembly import assemble
 from palmfield.skin.body_mesh import Sizes, box_patch
-from palmfield.skin.depth import condensed, surface_compliance
+from palmfield.skin.depth import surface_compliance
 from palmfield.skin.disc import disc_patch
-from palmfield.skin.foundation import Form, Foundation, fit_foundation
+from palmfield.skin.foundation import Foundation, fit_foundation
 from palmfield.skin.layer_oracle import layer_compliance
 from palmfield.skin.load import SurfaceQuadrature
 from palmfield.skin.material import Branch, Material, bulk_from_poisson
+from palmfield.skin.pcg import Pcg
 from palmfield.skin.presets import preset
-from palmfield.skin.problem import Sheet, Springs
-from palmfield.skin.solver import harmonic, static
+from palmfield.skin.problem import GAUSSIAN, Sheet, Springs, spread
+from palmfield.skin.solver import Scheme, SkinSolver, branch_weights, harmonic, static
+from palmfield.skin.surface import SurfaceProbe
 from palmfield.skin.wedges import extrude
 
 ECOFLEX, PALM = preset("ecoflex_00-10"), preset("palm")
@@ -41,6 +43,13 @@ def test_depth_polynomials_are_the_plane_waves(name, base):
     for f in (0.0, 100.0, 400.0)[base == "free" :]:
         exact = layer_compliance(k, f, preset(name), 0.02, base)
         np.testing.assert_allclose(surface_compliance(k, f, halves, base), exact, rtol=1e-7)
+        # One polynomial a sheet: spectral convergence with its degree.
+        errors = [
+            np.abs(1.0 / np.linalg.inv(Foundation(tuple(halves), base, degree).impedance(k, f))[:, 1, 1] * exact - 1.0)
+            for degree in (4, 8, 12)
+        ]
+        assert errors[2][:3].max() < 1e-6
+        assert (errors[1] < 0.2 * errors[0] + 1e-9).all()
 
 
 def strip(fractions, materials, base, edge_m=0.003):
@@ -100,50 +109,163 @@ def test_parts_by_law():
         assemble(mesh, [ECOFLEX, PALM])
 
 
-FITS: dict = {}
+@pytest.mark.parametrize("side", ["fixed", "roller", "free", "absorbing"])
+@pytest.mark.parametrize("base", ["bonded", "free_slip", "free", Springs(1e6, 2e5, 10.0, 20.0)])
+def test_at_degree_two_a_foundation_is_a_row_of_wedges(base, side):
+    """Two sheets of unlike laws meshed, or below the mesh: the same matrices to round-off, sponge and dashpots too."""
+    whole = extrude(disc_patch(0.02, 0.012, 0.006, 0.008, 0.01), np.array([0.0, 0.25, 0.5, 1.0]))
+    upper = extrude(disc_patch(0.02, 0.003, 0.006, 0.008, 0.01), np.array([0.0, 1.0]))
+    conditions = {
+        "side": side,
+        "absorbing_Hz": 100.0 if side == "absorbing" else None,
+        "sponge_1_s": np.linspace(0.0, 5.0, len(upper.surface_triangles6)),
+    }
+    meshed = assemble(whole, [PALM, PALM, VISCOUS], base=base, **conditions)
+    below = Foundation((Sheet(PALM, 0.003), Sheet(VISCOUS, 0.006)), base, 2)
+    found = assemble(upper, PALM, base=below, **conditions)
+    pairs = [(meshed.mass, found.mass), (meshed.damping, found.damping), (meshed.elastic, found.elastic)]
+    pairs += [(a.stiffness, b.stiffness) for a, b in zip(meshed.parts, found.parts, strict=True)]
+    assert len(pairs) == 5
+    for a, b in pairs:
+        assert abs(a - b).max() <= 1e-14 * abs(a).max()
+    assert abs(meshed.directions - found.directions).max() == 0.0
+    np.testing.assert_array_equal(meshed.surface_node, found.surface_node)
+    assert meshed.supported == found.supported
 
 
-def fitted(material, total, kept):
-    key = (material.name, total, kept)
-    if key not in FITS:
-        FITS[key] = fit_foundation([Sheet(material, kept)], [Sheet(material, total - kept)], 0.0103)
-    return FITS[key]
+def spot_on_quarter_box(material, depth_m, share, fwhm_m, half_m=0.03):
+    """A spot at the corner of a box with roller sides, all but its upper part on a foundation: complex misfits.
+
+    Exact: the cosine series over the box, each mode by layer_oracle's plane waves. Shape (frequencies, places).
+    """
+    upper, below = Sheet(material, share * depth_m), Sheet(material, (1.0 - share) * depth_m)
+    found = fit_foundation([upper], [below], fwhm_m)
+    corner = np.array([-0.5 * half_m, -0.5 * half_m, 0.0])
+    fine, coarse = min(0.45 * fwhm_m, 0.004), 0.004
+    sizes = Sizes((corner[0], corner[1]), 1.2 * fwhm_m, fine, coarse, 1.0, 1.0, 0, 0.0, 0.0, 100.0)
+    mesh = extrude(box_patch(-corner[:2], upper.thickness_m, sizes), np.array([0.0, 0.4, 1.0]))
+    system = assemble(mesh, material, base=found, side="roller")
+    quadrature = SurfaceQuadrature(mesh, system)
+    force = quadrature.assemble(np.exp(-GAUSSIAN * ((quadrature.points - corner) ** 2).sum(axis=1) / fwhm_m**2))
+    x = fwhm_m * np.array([0.0, 0.5, 1.0])
+    read = SurfaceProbe(mesh, corner + np.column_stack([x, 0.0 * x, 0.0 * x]), system).operator
+
+    order = np.arange(math.ceil(5.0 / spread(fwhm_m) * half_m / math.pi) + 2)
+    points, rule = np.polynomial.legendre.leggauss(200)
+    points, rule = 0.5 * half_m * (1.0 + points), 0.5 * half_m * rule
+    waves = np.cos(np.outer(order, points) * math.pi / half_m)
+    shares = waves @ (rule * np.exp(-GAUSSIAN * (points / fwhm_m) ** 2)) * np.where(order, 2.0, 1.0) / half_m
+    k = math.pi / half_m * np.hypot(order[:, None], order)
+    misfits = []
+    for f in (50.0, 100.0, 200.0, 400.0):
+        modes = layer_compliance(k, f, material, depth_m) * np.outer(shares, shares)
+        exact = np.cos(np.outer(x, order) * math.pi / half_m) @ modes.sum(axis=1)
+        misfits.append(np.abs(-(read @ harmonic(system, force, f)) / exact - 1.0))
+    return found, np.array(misfits)
 
 
-@pytest.mark.parametrize(("name", "total", "kept"), [("ecoflex_00-10", 0.012, 0.006)])
-def test_foundation_meets_ten_percent_on_half_the_depth(name, total, kept):
-    found = fitted(preset(name), total, kept)
-    print(name, np.round(found.misfit, 3))
-    assert max(found.misfit) <= 0.105
-    assert found.holds
-
-
-def test_meshed_on_a_foundation_moves_as_the_foundation_says():
-    """The base's matrices are the forms that were fitted: wedges on them against the impedance below half the depth."""
-    found = fitted(ECOFLEX, 0.024, 0.012)
-    body = strip(np.linspace(0.0, 1.0, 5), ECOFLEX, found)
-    for f in (100.0, 200.0, 400.0):
-        stiffness = condensed(np.array([K]), f, [Sheet(ECOFLEX, 0.012)])
-        stiffness[:, 2:, 2:] += found.impedance(np.array([K]), f)
-        exact = body[2] * np.linalg.inv(stiffness[0])[1, 1]
-        moved, _ = works(f, *body, [Sheet(ECOFLEX, 0.024)], "bonded")
-        print(f, abs(moved / exact - 1))
-        assert abs(moved / exact - 1) < 3e-3
-
-
-@settings(max_examples=50, deadline=None)
-@given(
-    sizes=st.tuples(*[st.floats(0.0, 1e3)] * 4), reaches=st.tuples(*[st.floats(-3.0, 3.0)] * 2), k=st.floats(0.0, 1e3)
+@pytest.mark.parametrize(
+    ("name", "depth_m", "share", "fwhm_m"),
+    [
+        ("palm", 0.02, 0.25, 0.005),
+        ("palm", 0.02, 0.25, 0.02),
+        ("ecoflex_00-10", 0.012, 0.25, 0.005),
+        ("ecoflex_00-10", 0.012, 0.25, 0.02),
+        ("forearm", 0.012, 1 / 3, 0.02),
+    ],
 )
-def test_forms_are_passive(sizes, reaches, k):
-    matrix = Form(*sizes, *reaches).at(np.array([k]))[0]
-    assert np.linalg.eigvalsh(matrix)[0] >= -1e-9 * np.abs(matrix).max()
+def test_surface_on_a_foundation_moves_as_the_whole_depth(name, depth_m, share, fwhm_m):
+    """Within 10 % at 50 to 400 Hz at the centre, half a width and a width away, meshed to a quarter or a third."""
+    found, misfits = spot_on_quarter_box(preset(name), depth_m, share, fwhm_m)
+    print(name, depth_m, share, fwhm_m, found.degree, np.round(100.0 * misfits, 1).tolist())
+    assert misfits.max() <= 0.10
+    assert max(found.misfit) <= 0.05
+
+
+def test_degree_is_the_lowest_that_holds():
+    sheets = [Sheet(PALM, 0.005)], [Sheet(PALM, 0.015)]
+    found = fit_foundation(*sheets)
+    assert found.frequencies_Hz[0] == 50.0 and found.frequencies_Hz[-1] == 400.0
+    assert max(found.misfit) <= 0.05
+    coarser = fit_foundation(*sheets, wanted=0.5)
+    assert coarser.degree < found.degree and max(coarser.misfit) > 0.05
+
+
+def test_static_limit():
+    """Three sheets of unlike laws, of which the upper one is meshed."""
+    sheets = [Sheet(m, h) for m, h in zip((STIFF, VISCOUS, ECOFLEX), THICKNESS, strict=True)]
+    below = fit_foundation(sheets[:1], sheets[1:])
+    sizes = Sizes((0.0, 0.0), 1.0, 0.003, 0.003, 1.0, 1.0, 0, 0.0, 0.0, 100.0)
+    mesh = extrude(box_patch(np.array([0.5 * LENGTH, 0.0015]), THICKNESS[0], sizes), np.array([0.0, 0.5, 1.0]))
+    system = assemble(mesh, STIFF, base=below, side="roller")
+    quadrature = SurfaceQuadrature(mesh, system)
+    pressure = np.sin(K * quadrature.points[:, 0])
+    body = system, quadrature.assemble(pressure), quadrature.weights @ pressure**2
+    for f in (0.0, 200.0):
+        found, exact = works(f, *body, sheets, "bonded")
+        print(below.degree, f, abs(found / exact - 1))
+        assert abs(found / exact - 1) < 0.01
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    degree=st.integers(1, 8),
+    heights=st.lists(st.floats(1e-3, 0.03), min_size=1, max_size=3),
+    base=st.sampled_from(["bonded", "free_slip", "free", Springs(1e5, 1e4, 30.0, 0.0)]),
+    k=st.floats(1.0, 2e3),
+    f_Hz=st.floats(1.0, 1e3),
+)
+def test_foundations_are_passive(degree, heights, base, k, f_Hz):
+    """Under e^{-i w t} what moves a foundation works on it: -Im Z has no negative eigenvalue."""
+    sheets = tuple(Sheet(m, h) for m, h in zip((PALM, VISCOUS, ECOFLEX), heights, strict=False))
+    z = Foundation(sheets, base, degree).impedance(np.array([k]), f_Hz)[0]
+    assert np.linalg.eigvalsh(-0.5 * (z.imag + z.imag.T))[0] >= -1e-9 * np.abs(z).max()
+
+
+def shaken():
+    """A small disc on a foundation, every unknown of it kicked."""
+    mesh = extrude(disc_patch(0.02, 0.004, 0.008, 0.008, 0.01), np.array([0.0, 1.0]))
+    system = assemble(mesh, PALM, base=Foundation((Sheet(PALM, 0.012),), "bonded", 4), side="free")
+    return system, np.random.default_rng(2).normal(size=system.ndof)
+
+
+@pytest.mark.parametrize("step_s", [2e-5, 2e-4, 1e-2])
+def test_unloaded_energy_never_grows_on_a_foundation(step_s):
+    """rho_inf = 1: a theorem at any step, what is lost in a step being a square.
+
+    With w = u - q, w1 = (1 - b)(u1 - u0) + e w0: a branch works (w0 + w1)/2 (u1 - u0) = ((1 + e)/2 (w1^2 - w0^2) +
+    (1 - e)/2 (w0 + w1)^2) / (2 (1 - b)), so its stored energy is weighted by (1 + e) / (2 (1 - b)).
+    """
+    system, kick = shaken()
+    solver = SkinSolver(system, step_s, rho_inf=1.0)
+    state = solver.new_state()
+    state[1] = kick
+    stiffness, rest = system.parts[0].stiffness, np.zeros(system.ndof)
+    e, _, b = branch_weights(step_s, PALM.times_s[0])
+    weight = PALM.ratios[0] * (1.0 + e) / (2.0 * (1.0 - b))
+    levels = []
+    for _ in range(200):
+        u, v, _, q = state
+        stored = u @ (system.elastic @ u) + u @ (stiffness @ u) + weight * ((u - q) @ (stiffness @ (u - q)))
+        levels.append(0.5 * (v @ (system.mass @ v) + stored))
+        solver.step(state, rest, rest)
+    assert np.all(np.diff(levels) <= 1e-12 * levels[0])
+    assert levels[-1] < levels[0]
+
+
+def test_conjugate_gradients_know_a_foundations_unknowns():
+    system, kick = shaken()
+    scheme = Scheme(system, 2e-4, 0.8)
+    right = scheme.effective @ kick
+    np.testing.assert_allclose(Pcg(scheme.effective, system).solve(right), kick, atol=1e-5)
 
 
 def test_bad_input():
-    with pytest.raises(SceneError, match="shear is -1"):
-        Form(shear=-1.0)
-    with pytest.raises(SceneError, match="need a law"):
-        Foundation(relaxing=Form(1.0))
+    with pytest.raises(SceneError, match="degree is 0"):
+        Foundation((Sheet(ECOFLEX, 0.01),), degree=0)
+    with pytest.raises(SceneError, match="base is 'glued'"):
+        Foundation((Sheet(ECOFLEX, 0.01),), "glued")
     with pytest.raises(SceneError, match="1 sheets above, 0 below"):
         fit_foundation([Sheet(ECOFLEX, 0.01)], [], 0.01)
+    with pytest.raises(SceneError, match=r"still misses by \d+\.?\d* % at 400 Hz, 5 % are wanted: mesh more"):
+        fit_foundation([Sheet(PALM, 0.005)], [Sheet(PALM, 0.1)])
