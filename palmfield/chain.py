@@ -1,7 +1,7 @@
 """From a moment of the stimulus to forces on the body and motion of the skin. Holds caches only; state is passed in."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,7 +15,8 @@ from palmfield.acoustics.arp import arp
 from palmfield.acoustics.shadow import lit
 from palmfield.drive.response import pole_step
 from palmfield.emission import asked, delays_to
-from palmfield.emitter import Placement
+from palmfield.engine.pose import Pose
+from palmfield.engine.skin import SceneSkin
 from palmfield.errors import SceneError
 from palmfield.foresight import STEPS, Foresight
 from palmfield.obstacle import WallSound, energy_flux
@@ -31,55 +32,7 @@ SILENT = 1e-9  # of full drive
 FACE_M = 4.3e-3
 
 
-@dataclass(frozen=True)
-class Pose:
-    """Frame of the skin's body, seen from the first array: x_array = turn @ x_body + shift [m].
-
-    arrays: placement of every array, seen from the first
-    """
-
-    shift: Float
-    turn: Float
-    arrays: tuple[Placement, ...]
-
-    @staticmethod
-    def between(
-        arrays: Sequence[tuple[Float, Float]], body: tuple[Float, Float], sites: Sequence[tuple[Float, Float]]
-    ) -> "Pose":
-        """From the world poses (position, rotation) of arrays and body; sites: see `placements`."""
-        return Pose(*relative(arrays[0], body), placements(arrays, sites))
-
-    def points(self, x: Float) -> Float:
-        """Body positions in the array frame, shape (n, 3)."""
-        return x @ self.turn.T + self.shift
-
-    def same(self, other: "Pose") -> bool:
-        """Exactly equal: only then may a field be used again."""
-        equal = np.array_equal(self.shift, other.shift) and np.array_equal(self.turn, other.turn)
-        return equal and self.arrays == other.arrays
-
-
 Wall = tuple[Pose, Complex, WallSound]
-
-
-def relative(seen_from: tuple[Float, Float], pose: tuple[Float, Float]) -> tuple[Float, Float]:
-    """Position [m] and rotation of a pose in the frame of another, both given in world axes."""
-    return seen_from[1].T @ (pose[0] - seen_from[0]), seen_from[1].T @ pose[1]
-
-
-def placements(arrays: Sequence[tuple[Float, Float]], sites: Sequence[tuple[Float, Float]]) -> tuple[Placement, ...]:
-    """Placement of every array in the frame of the first, from world poses.
-
-    sites: for every array the world positions [m] and emitting directions of its transducers, shapes (n, 3), where
-        they are sites; else n is 0
-    """
-    found = []
-    for pose, (where, facing) in zip(arrays, sites, strict=True):
-        shift, turn = relative(arrays[0], pose)
-        own = zip(((where - pose[0]) @ pose[1]).tolist(), (facing @ pose[1]).tolist(), strict=True)
-        transducers = tuple((tuple(position), tuple(direction)) for position, direction in own)
-        found.append(Placement(tuple(shift.tolist()), tuple(turn.ravel().tolist()), transducers))
-    return tuple(found)
 
 
 @dataclass(frozen=True)
@@ -113,6 +66,7 @@ def clearance(array: Array, points: Float) -> float:
 
 
 Observer = Callable[[float, Float, "Sound | None", float, Complex], None]
+"""Told of the time [s], the surface's normal displacement and velocity (2, S), sound, ARP factor, drive."""
 
 
 class Chain:
@@ -129,6 +83,7 @@ class Chain:
         self.wall = wall
         self._resultant: tuple[Sound | None, Float, Float] = (None, np.zeros(3), np.zeros(3))
         self.observer: Observer | None = None
+        self.skin = SceneSkin(self)
         surface = rig.surface
         if surface is None:
             points, normals, areas = rig.quadrature.points, rig.quadrature.normals, rig.quadrature.weights
@@ -221,9 +176,9 @@ class Chain:
         state: plugin state, shape (rig.state_size,)
         to_array: stimulus frame -> frame of the first array, positions of shape (3,)
         """
-        rig = self.rig
-        step = rig.solver.step_s
-        motion = self.motion(state)
+        rig, step = self.rig, self.rig.sizes[4]
+        skin = self.skin.stepper(state, start, to_array, pose)
+        motion = state[: skin.state_size]
         still = self._before is not None and self._before.same(pose)
         self._before = pose
         for i in range(round(rig.timestep_s / step)):
@@ -231,9 +186,10 @@ class Chain:
             if still and self._can_foresee and not self._foresight.knows(pose, t0):
                 self._foresee(state, t0, to_array, pose)
             first, last = self._loads(state, t0, t1, to_array, pose)
-            rig.solver.step(motion, first, last)
+            skin.step(motion, first, last)
             if self.observer is not None:
-                self.observer(t1, motion, *self.now(state, t1, to_array, pose), self.drive(t1, to_array, pose))
+                seen = self.skin.read(state, self.surface_operator)
+                self.observer(t1, seen, *self.now(state, t1, to_array, pose), self.drive(t1, to_array, pose))
 
     def drive(self, t: float, to_array: Callable[[Float], Float], pose: Pose) -> Complex:
         """What the device gives the transducers at time t [s], shape (n,); what they make of it comes later."""
@@ -259,7 +215,7 @@ class Chain:
         Steps the transducers, in place.
         """
         moments = self._moments(state, t0, t1, to_array, pose)
-        forces = [(share, self._force(state, time, to_array, pose)) for time, share in moments]
+        forces = [(share, self.force(state, time, to_array, pose)) for time, share in moments]
         if not held_frames(self.rig.stimulus, t0, t1):
             return forces[0][1], forces[1][1]
         total = np.sum([share * force for share, force in forces], axis=0)
@@ -287,7 +243,8 @@ class Chain:
             yield time, share
             self._ring(emitted, time, time, to_array, pose, half)
 
-    def _force(self, state: Float, t: float, to_array: Callable[[Float], Float], pose: Pose) -> Float:
+    def force(self, state: Float, t: float, to_array: Callable[[Float], Float], pose: Pose) -> Float:
+        """Consistent nodal forces on the skin [N] at time t [s], which the state must be at, shape (ndof,)."""
         sound, factor = self.now(state, t, to_array, pose)
         return np.zeros(self.rig.system.ndof) if sound is None else factor * sound.skin_force
 
@@ -300,12 +257,17 @@ class Chain:
         """Whether the coming drives differ, and a transfer matrix gives their load."""
         rig = self.rig
         changing = rig.stimulus.path != "point" or rig.response.delays_s.any()
-        kernels = rig.reference_emitter.evaluator.evaluators
-        return bool(changing and rig.skin.body_sound == "none" and len(kernels) == 1 and kernels[0].mode == "fast")
+        return bool(changing and rig.skin.body_sound == "none" and self.one_fast_kernel)
+
+    @property
+    def one_fast_kernel(self) -> bool:
+        """Whether a transfer matrix can give the field."""
+        kernels = self.rig.reference_emitter.evaluator.evaluators
+        return len(kernels) == 1 and kernels[0].mode == "fast"
 
     def _foresee(self, state: Float, t0: float, to_array: Callable[[Float], Float], pose: Pose) -> None:
         """Compute the load of the coming steps together, from a rehearsal with a copy of the state."""
-        rig, step = self.rig, self.rig.solver.step_s
+        rig, step = self.rig, self.rig.sizes[4]
         emitter, rehearsed = rig.emitter(pose.arrays), state.copy()
         drives = []
         for i in range(STEPS):
@@ -378,11 +340,6 @@ class Chain:
         unit, _ = rig.emitter(pose.arrays).unit_drive(to_array(frame_at(rig.stimulus, start).focus))
         full = float(np.vdot(unit, unit).real)
         return total / count / full if full > 0.0 else 0.0
-
-    def motion(self, state: Float) -> Float:
-        """The part of the plugin state that the solver uses, as a view, shape (4, ndof)."""
-        ndof = self.rig.system.ndof
-        return state[: 4 * ndof].reshape(4, ndof)
 
     def surface_nodes(self) -> tuple[Float, Float]:
         """Rest positions [m] and outward normals of the skin's surface nodes, shapes (S, 3)."""

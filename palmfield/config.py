@@ -17,6 +17,8 @@ Layout = Literal[
     "two_bow_corrected", "sites",
 ]  # fmt: skip
 Numbers = Annotated[tuple[Annotated[int, Field(ge=0)], ...], BeforeValidator(_split)]
+Names = Annotated[tuple[str, ...], BeforeValidator(_split)]
+Shares = Annotated[tuple[Annotated[float, Field(gt=0)], ...], BeforeValidator(_split)]
 
 
 Vector = Annotated[tuple[float, float, float], BeforeValidator(_split)]
@@ -25,8 +27,10 @@ Length = Annotated[float, Field(ge=5e-4, le=1.0)]
 NonNegative = Annotated[float, Field(ge=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 ArpLaw = Literal["default", "alpha"]
-Base = Literal["bonded", "free_slip"]
-Side = Literal["fixed", "free", "roller"]
+Base = Literal["bonded", "free_slip", "free", "springs"]
+Side = Literal["fixed", "free", "roller", "absorbing"]
+SPRINGS = ("base_normal_Pa_m", "base_tangential_Pa_m", "base_normal_Pa_s_m", "base_tangential_Pa_s_m")
+OVERRIDES = ("density_kg_m3", "shear_relaxed_Pa", "shear_branch_Pa", "relaxation_time_s", "bulk_Pa")
 
 
 def _air(name: str) -> Any:
@@ -155,17 +159,29 @@ class SkinConfig(Config):
         0.02, description="greatest depth of the layer; a hand's own depth to bone applies where it is less"
     )
     material: str = Field("palm", description="a preset of palmfield.skin.material")
+    materials: Names = Field(
+        (), description="presets of several sheets from the surface down, in place of `material`; needs `shares`"
+    )
+    shares: Shares = Field((), description="thickness of each sheet as a share of the layer; they add up to 1")
     density_kg_m3: Positive | None = Field(None, description="overrides the preset")
     shear_relaxed_Pa: Positive | None = Field(None, description="overrides the preset: long-time shear modulus")
     shear_branch_Pa: NonNegative | None = Field(None, description="overrides the preset: modulus of the Maxwell branch")
     relaxation_time_s: Positive | None = Field(None, description="overrides the preset: time of the Maxwell branch")
     bulk_Pa: Positive | None = Field(None, description="overrides the preset: bulk modulus")
-    base: Base = Field("bonded", description="inner face of the layer")
+    base: Base = Field("bonded", description="inner face of the layer; springs needs base_normal and base_tangential")
+    base_normal_Pa_m: Positive | None = Field(None, description="base springs: stiffness per area along the normal")
+    base_tangential_Pa_m: Positive | None = Field(None, description="base springs: stiffness per area along the base")
+    base_normal_Pa_s_m: NonNegative | None = Field(None, description="base springs: damping per area along the normal")
+    base_tangential_Pa_s_m: NonNegative | None = Field(
+        None, description="base springs: damping per area along the base"
+    )
     foundation_normal_Pa_m: Positive | None = Field(
         None, description="stiffness per area of what lies below the layer, in place of a bonded base"
     )
-    foundation_tangential_Pa_m: Positive | None = Field(None, description="the same along the base")
-    side: Side = Field("fixed", description="cut faces of the layer; a disc takes roller too")
+    foundation_tangential_Pa_m: Positive | None = Field(
+        None, description="the same along the base, relaxing as the deepest material"
+    )
+    side: Side = Field("fixed", description="cut faces of the layer; absorbing lets waves out; a disc takes roller too")
     arp_law: ArpLaw = Field("default", description="radiation-pressure law (see `palmfield info`)")
     body_sound: Literal["none", "shadows", "scattering"] = Field(
         "none", description="what other parts of the body do to the sound: nothing, shadows by rays, boundary elements"
@@ -175,6 +191,10 @@ class SkinConfig(Config):
     )
     max_frequency_Hz: Annotated[float, Field(gt=0, le=2000)] | None = Field(
         None, description="highest frequency to resolve (default: from the stimulus)"
+    )
+    solver: Literal["auto", "full", "reduced"] = Field(
+        "auto",
+        description="steps the whole layer, or a small model made for the stimulus; auto takes the cheaper that can",
     )
     element_m: Positive | None = Field(None, description="pins the element edge at the focus")
     step_s: Positive | None = Field(None, description="pins the skin's time step; must divide the scene's timestep")
@@ -189,9 +209,36 @@ class SkinConfig(Config):
             raise ValueError(f"shape '{self.shape}' needs patch_site")
         if (self.foundation_normal_Pa_m is None) != (self.foundation_tangential_Pa_m is None):
             raise ValueError("foundation_normal_Pa_m and foundation_tangential_Pa_m belong together; give both")
+        if self.foundation is not None and self.base != "bonded":
+            raise ValueError(f"foundation_normal_Pa_m stands in for a bonded base, base is '{self.base}': drop one")
+        if self.base == "free" and self.side != "fixed":
+            raise ValueError(f"base 'free' with side '{self.side}' lets the layer fly away: fix one of them")
+        given = [key for key in SPRINGS if getattr(self, key) is not None]
+        if self.base == "springs" and not set(SPRINGS[:2]) <= set(given):
+            raise ValueError("base 'springs' needs base_normal_Pa_m and base_tangential_Pa_m")
+        if self.base != "springs" and given:
+            raise ValueError(f"{given[0]} belongs to base 'springs', base is '{self.base}': drop it or set base")
+        self._check_sheets()
         if self.side == "roller" and self.shape != "disc":
             raise ValueError("side 'roller' needs the symmetry of shape 'disc'; use fixed or free")
         return self
+
+    def _check_sheets(self) -> None:
+        if len(self.materials) != len(self.shares):
+            raise ValueError(f"materials has {len(self.materials)} names, shares {len(self.shares)}: give one for each")
+        if self.shares and abs(sum(self.shares) - 1.0) > 1e-6:
+            raise ValueError(f"shares add up to {sum(self.shares):g}; they must to 1")
+        own = [key for key in ("material", *OVERRIDES) if key in self.model_fields_set]
+        if self.materials and own:
+            raise ValueError(f"materials names every sheet's preset and {own[0]} that of one: drop one of the two")
+
+    @property
+    def springs(self) -> tuple[float, float, float, float] | None:
+        """Stiffness [Pa/m] and damping [Pa s/m] per area, normal and tangential of each, of a base of springs."""
+        if self.base != "springs":
+            return None
+        normal, tangential, normal_loss, tangential_loss = (getattr(self, key) or 0.0 for key in SPRINGS)
+        return normal, tangential, normal_loss, tangential_loss
 
     @property
     def foundation(self) -> tuple[float, float] | None:
@@ -243,7 +290,8 @@ def allowed(model: type[Config], key: str) -> str:
     if "enum" in option:
         return " | ".join(option["enum"])
     if option.get("type") == "array":
-        return "three finite numbers" if option.get("maxItems") == 3 else "whole numbers >= 0"
+        kinds = {"integer": "whole numbers >= 0", "number": "decimals > 0", "string": "names"}
+        return "three finite numbers" if option.get("maxItems") == 3 else kinds[option["items"]["type"]]
     if option.get("type") == "string":
         return f"text like {option['pattern']}" if "pattern" in option else "text"
     words = "whole number" if option.get("type") == "integer" else "finite number"
@@ -255,7 +303,8 @@ def allowed(model: type[Config], key: str) -> str:
 def unit(key: str) -> str:
     """Unit that a key's name carries, e.g. `Pa/m` for `foundation_normal_Pa_m`; empty for a pure number or text."""
     units = {
-        "_kg_m3": "kg/m^3", "normal_Pa_m": "Pa/m", "tangential_Pa_m": "Pa/m", "_Pa_m": "Pa m", "_Pa": "Pa", "_m": "m",
+        "_kg_m3": "kg/m^3", "normal_Pa_m": "Pa/m", "tangential_Pa_m": "Pa/m", "_Pa_s_m": "Pa s/m", "_Pa_m": "Pa m",
+        "_Pa": "Pa", "_m": "m",
         "_s": "s", "_Hz": "Hz", "_C": "C", "_percent": "%",
     }  # fmt: skip
     return next((text for ending, text in units.items() if key.endswith(ending)), "")

@@ -10,16 +10,17 @@ from rich.table import Table
 from palmfield.acoustics import validity
 from palmfield.acoustics.air import absorption_Np_m, density, sound_speed
 from palmfield.acoustics.arp import LAWS
+from palmfield.foresight import SHARE, STILL, factor_s
 from palmfield.obstacle import BODY_SOUNDS
 from palmfield.report import RATIO, PUBLISHED_P0_Pa_m, compares_with_finer, p0_band, p0_given
 from palmfield.rig import Rig
 from palmfield.scene import Scene
+from palmfield.skin.from_keys import cutoff_Hz, sheets_in_words
 from palmfield.skin.material import complex_shear, shear_wave
 from palmfield.stimulus import frame_at, frame_rates, main_frequencies
 
-# Measured on two cores of a server CPU (docs/bench/): pairs a second with gradient, seconds a step and unknown.
+# Measured on two cores of a server CPU (docs/bench/): pairs a second with gradient.
 PAIRS_PER_S = 5e8
-SOLVE_S = 1.7e-6
 START_AND_PICTURES_S = 12.0
 # One solution of the boundary elements, docs/bench/scattering.md: 20 iterations of all pairs of elements, and set-up
 SCATTER_PAIR_S = 2e-8
@@ -72,10 +73,9 @@ def plan(scene: Scene) -> Plan:
     """
     rig = scene.skin.rig
     substeps = round(scene.duration_s / rig.sizes[4])
-    bonded = rig.skin.base == "bonded" and rig.skin.foundation is None
-    dofs = 3 * (len(rig.mesh.nodes) - (rig.mesh.surface_nodes if bonded else 0))
+    dofs = rig.dofs
     pairs = _points_a_step(rig) * len(rig.array) * scene.duration_s / rig.timestep_s
-    seconds = START_AND_PICTURES_S + _estimate_s(rig, dofs) + SOLVE_S * dofs * substeps + pairs / PAIRS_PER_S
+    seconds = START_AND_PICTURES_S + _estimate_s(rig, dofs) + rig.choice.seconds + pairs / PAIRS_PER_S
     seconds += _solutions(scene) * _scatter_s(rig)
     return Plan(
         str(scene.path), _modelled(rig, dofs, substeps), _left_out(rig), _errors(rig), seconds, tuple(warnings(scene))
@@ -99,6 +99,13 @@ def warnings(scene: Scene) -> list[str]:
         found.append(
             f"body_sound scattering on body '{rig.skin.body}', which can move: each pose takes about "
             f"{_scatter_s(rig):.2g} s, {_solutions(scene)} poses {_solutions(scene) * _scatter_s(rig):.0f} s"
+        )
+    cutoff = cutoff_Hz(rig.skin, rig.sheets, float(np.median(rig.patch.depth)))
+    low = [f for f in main_frequencies(rig.stimulus) if cutoff is not None and f < cutoff]
+    if low:
+        found.append(
+            f"no waves are promised at {', '.join(f'{f:g}' for f in low)} Hz: the skin layer carries none below its "
+            f"cut-off c_s/4h = {cutoff:.0f} Hz, so that the motion stays near the focus"
         )
     return found + validity.warnings(rig.array, rig.reference_focus, pressure, rig.air)
 
@@ -134,17 +141,14 @@ def _scatter_s(rig: Rig) -> float:
     return SCATTER_PAIR_S * elements**2 + SCATTER_ELEMENT_S * elements
 
 
-def _factor_s(dofs: float) -> float:
-    """Seconds of one real factorisation, fitted to docs/bench/skin_c0.md; a complex one takes twice as long."""
-    return 1.3e-7 * dofs**1.7
-
-
 def _estimate_s(rig: Rig, dofs: int) -> float:
-    """Seconds for the run's factorisation and those of its error estimate (palmfield/report.py)."""
+    """Seconds of the run's error estimate (palmfield/report.py)."""
     more = RATIO**3
     low, high = (dofs, more * dofs) if compares_with_finer(rig, dofs) else (dofs / more, dofs)
-    edge = 0 if rig.skin.shape == "disc" else 3
-    return _factor_s(dofs) + (5 + edge) * _factor_s(low) + 3 * _factor_s(high)
+    # A complex factorisation counts twice; the time step's own is left out where a small model steps.
+    edge = 0 if rig.skin.shape == "disc" else 2
+    step = 2 if rig.choice.name == "full" else 0
+    return (3 + step + edge) * factor_s(low) + 3 * factor_s(high)
 
 
 def _points_a_step(rig: Rig) -> float:
@@ -177,7 +181,8 @@ def _modelled(rig: Rig, dofs: int, substeps: int) -> tuple[Row, ...]:
             "skin layer",
             f"radius {1e3 * radius:.0f} mm, {1e3 * depth.min():.1f}-{1e3 * depth.max():.1f} mm deep",
             f"the part of the surface where waves matter at this accuracy{_thinned(rig)}; sides "
-            f"{rig.skin.side}, base {'on a foundation' if rig.skin.foundation else rig.skin.base}",
+            f"{rig.skin.side}, base {'on a foundation' if rig.skin.foundation else rig.skin.base}; of "
+            + sheets_in_words(rig.sheets),
         ),
         Row(
             "elements",
@@ -194,8 +199,23 @@ def _modelled(rig: Rig, dofs: int, substeps: int) -> tuple[Row, ...]:
         Row(
             "time",
             f"{substeps} steps of {1e3 * step:.3g} ms in MuJoCo steps of {1e3 * rig.timestep_s:.3g} ms",
-            "implicit, one factorisation for the scene: the sound or the pose changes, so a static answer will not do",
+            "the sound or the pose changes, so a static answer will not do",
         ),
+        _solver(rig),
+    )
+
+
+def _solver(rig: Rig) -> Row:
+    chosen = rig.choice
+    if chosen.name == "full":
+        return Row("skin solver full", f"about {chosen.seconds:.0f} s", f"implicit, factorised once; {chosen.why}")
+    limit = STILL * rig.skin.accuracy * rig.spot_fwhm_m
+    return Row(
+        "skin solver reduced",
+        f"about {chosen.seconds:.0f} s, full about {chosen.full_s:.0f} s",
+        f"{chosen.why}; made for this stimulus, to {100 * SHARE * rig.skin.accuracy:.2g} %, while body, arrays and "
+        f"focus move by less than {1e6 * limit:.0f} um; beyond, "
+        + ("the run ends" if rig.skin.solver == "reduced" else "the whole layer goes on"),
     )
 
 
@@ -237,9 +257,7 @@ def _thinned(rig: Rig) -> str:
 
 
 def _left_out(rig: Rig) -> tuple[Row, ...]:
-    frequency = max(main_frequencies(rig.stimulus), default=0.0)
     far = np.linalg.norm(rig.array.positions - rig.reference_focus, axis=1)
-    cutoff = shear_wave(rig.material, max(frequency, 50.0))[0] / (4 * float(rig.patch.depth.mean()))
     drive, _ = rig.unit_drive(rig.reference_focus)
     pressure = abs(rig.reference_emitter.pressure64(rig.reference_focus[None], drive)[0])
     shock = validity.shock_distance_m(pressure, rig.air, rig.array.frequency_Hz)
@@ -251,15 +269,27 @@ def _left_out(rig: Rig) -> tuple[Row, ...]:
             f"a plane wave of the focus's {pressure:.0f} Pa; beyond 0.3 expect less than this linear field gives",
         ),
         Row("large strain", "not estimated", "linear elasticity; micrometres on a layer of millimetres"),
-        Row(
-            "waves below the cut-off",
-            f"c_s/4h = {cutoff:.0f} Hz",
-            "a layer bonded to rigid bone guides no shear wave below this; motion there stays local",
-        ),
+        *_cutoff_row(rig),
     ]
     if rig.surface is not None:
         rows.append(Row("skin elsewhere", "not modelled", "only the resultant force acts on the rest of the body"))
     return tuple(rows)
+
+
+def _cutoff_row(rig: Rig) -> list[Row]:
+    depth = float(np.median(rig.patch.depth))
+    cutoff = cutoff_Hz(rig.skin, rig.sheets, depth)
+    if cutoff is None:
+        return []
+    rigid = rig.skin.base == "bonded" and rig.skin.foundation is None
+    return [
+        Row(
+            "waves below the cut-off",
+            f"c_s/4h = {cutoff:.0f} Hz" + ("" if rigid else " at most"),
+            f"h {1e3 * depth:.1f} mm, the median; a layer bonded to rigid bone guides no wave below this, motion there "
+            "stays local" + ("" if rigid else "; the springs below it lower it"),
+        )
+    ]
 
 
 def _sound_left_out(rig: Rig) -> list[Row]:
@@ -309,7 +339,10 @@ def _errors(rig: Rig) -> tuple[Row, ...]:
             f"{100 * rig.skin.accuracy:g} % wanted",
             "sizes follow a convergence study on a disc (docs/bench/skin_c0.md); the run estimates what was reached",
         ),
-        Row("material", "of the order of 50 %", f"{rig.material.name}: {rig.material.source}"),
+        *(
+            Row("material", "of the order of 50 %", f"{sheet.material.name}: {sheet.material.source}")
+            for sheet in rig.sheets
+        ),
     ]
     band = p0_band(rig)
     if rig.stimulus.arp_peak_Pa is not None:

@@ -33,13 +33,12 @@ class Recorder:
     def start(self) -> None:
         """Note the state before the first step."""
         sound, factor = self.skin.now()
-        motion = self.chain.motion(self.skin.world.state(self.skin.instance))
+        motion = self.chain.skin.read(self.skin.world.state(self.skin.instance), self.chain.surface_operator)
         t = self.skin.world.time
         self.observe(t, motion, sound, factor, self.chain.drive(t, self.skin.to_array, self.skin.pose()))
 
     def observe(self, t: float, motion: Float, sound: Sound | None, factor: float, drive: Complex) -> None:
         """One skin step has ended at time t [s] (called by the chain)."""
-        operator = self.chain.surface_operator
         arp = np.zeros(len(self.nodes), dtype=np.float32)
         focus = np.full(3, np.nan)
         if sound is not None:
@@ -52,8 +51,8 @@ class Recorder:
                 self._loudest_Pa, self._loudest = float(arp.max()), (factor, sound)
         self._add(
             time=t,
-            normal_displacement=(operator @ motion[0]).astype(np.float32),
-            normal_velocity=(operator @ motion[1]).astype(np.float32),
+            normal_displacement=motion[0].astype(np.float32),
+            normal_velocity=motion[1].astype(np.float32),
             arp=arp,
             focus=focus,
         )

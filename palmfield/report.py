@@ -16,6 +16,7 @@ from palmfield.rig import Rig
 from palmfield.scene import Scene
 from palmfield.skin.estimate import ORDER, mesh_error
 from palmfield.skin.solver import harmonic, harmonic_discrete, static
+from palmfield.skin.stepping import ReducedSkin
 from palmfield.stimulus import main_frequencies
 from palmfield.types import Float
 
@@ -34,6 +35,7 @@ def numbers(scene: Scene, ds: xr.Dataset, loudest: Sound | None, factor: float) 
     """
     rig = scene.skin.rig
     out: dict[str, Any] = {"drive_level": 0.0 if loudest is None else loudest.level, "dofs": rig.system.ndof}
+    out["skin_solver"] = solver_in_words(rig)
     out["accuracy_wanted_relative"] = rig.skin.accuracy
     motion = ds["normal_displacement"].values
     vertex = int(np.abs(motion).max(axis=0).argmax())
@@ -46,7 +48,8 @@ def numbers(scene: Scene, ds: xr.Dataset, loudest: Sound | None, factor: float) 
             out |= {"peak_displacement_low_m": peak * band[0], "peak_displacement_high_m": peak * band[1]}
     if loudest is not None and peak > 0:
         try:
-            errors = error_estimate(rig, loudest, scene.skin.chain.wall)
+            lifted = bool(scene.skin.world.state(scene.skin.instance)[rig.skin_room])
+            errors = error_estimate(rig, loudest, scene.skin.chain.wall, lifted)
             out |= errors | {"displacement_error_m": errors["displacement_error_relative"] * peak}
         except (PalmfieldError, MemoryError) as error:
             out["displacement_error_missing"] = f"{error}"
@@ -56,20 +59,31 @@ def numbers(scene: Scene, ds: xr.Dataset, loudest: Sound | None, factor: float) 
     return out
 
 
+def solver_in_words(rig: Rig) -> str:
+    """What stepped the skin."""
+    if isinstance(rig.stepper, ReducedSkin):
+        return f"reduced, {rig.stepper.model.order} vectors"
+    return "full"
+
+
 def compares_with_finer(rig: Rig, dofs: int) -> bool:
     """Whether the error estimate of a scene with `dofs` unknowns takes a finer mesh, rather than a coarser one."""
     return dofs < FINER_BELOW or len(rig.sizes[3]) - 1 < LAYERS
 
 
-def error_estimate(rig: Rig, sound: Sound, wall: Wall | None = None) -> dict[str, float]:
+def error_estimate(rig: Rig, sound: Sound, wall: Wall | None = None, lifted: bool = False) -> dict[str, float]:
     """Relative error of the displacement at the skin point nearest to the focus, by source.
 
     wall: see Chain; it saves solving for the same sound again
+    lifted: whether the run has gone on from a small model to the whole layer (palmfield/engine/skin.py)
     mesh: static and harmonic response on the scene's mesh and on one RATIO finer (or coarser, for more than
         FINER_BELOW unknowns and at least LAYERS layers), by Richardson's rule; the larger of the two. Frequency: the
         stimulus's main one; half of the highest that mesh and step are made for where there is none, as the spectrum
         of a load that only starts and stops falls with frequency
-    step: the discrete scheme's exact steady state against the continuous one, on the coarser mesh, where it costs less
+    step: the discrete scheme's exact steady state against the continuous one, on the coarser mesh, where it costs less.
+        A small model is exact in time; what it is given is the load's chords, of which a sine has sinc^2 of itself
+    reduction: of a small model: its own estimate, or, where it is made for any course of the load, the difference to
+        the whole layer's static and harmonic response on the scene's mesh, if that is larger; 0 without one
     edge: half the difference that fixed or free cut faces make to the harmonic response, also there: a layer on a hand
         ends where the body goes on; 0 for a disc, whose side is its own
     The model's other errors (law, material, linearity) are not in these; the plan names them.
@@ -78,43 +92,65 @@ def error_estimate(rig: Rig, sound: Sound, wall: Wall | None = None) -> dict[str
     point = (sound.focus - sound.pose.shift) @ sound.pose.turn
     finer = compares_with_finer(rig, rig.system.ndof)
     try:
-        return _error_estimate(rig, sound, point, finer, wall)
+        return _error_estimate(rig, sound, point, finer, wall, lifted)
     except SceneError:
-        return _error_estimate(rig, sound, point, not finer, wall)
+        return _error_estimate(rig, sound, point, not finer, wall, lifted)
 
 
-def _error_estimate(rig: Rig, sound: Sound, point: Float, finer: bool, wall: Wall | None) -> dict[str, float]:
-    frequencies = main_frequencies(rig.stimulus)
-    frequency = frequencies[0] if frequencies else 0.5 * rig.max_frequency_Hz
+def _error_estimate(
+    rig: Rig, sound: Sound, point: Float, finer: bool, wall: Wall | None, lifted: bool
+) -> dict[str, float]:
+    frequency = rig.main_frequency_Hz
     low, high = (rig, rig.resized(1 / RATIO)) if finer else (rig.resized(RATIO), rig)
-    coarse_static, coarse_wave, coarse_step = _answers(low, sound, point, frequency, wall, rig.sizes[4])
-    fine_static, fine_wave, _ = _answers(high, sound, point, frequency, wall)
+    coarse, fine = (_Response(which, sound, point, wall) for which in (low, high))
+    coarse_static, coarse_wave = coarse.static(), coarse.harmonic(frequency)
+    fine_static, fine_wave = fine.static(), fine.harmonic(frequency)
     mesh = mesh_error(np.array([coarse_static, coarse_wave]), np.array([fine_static, fine_wave]), RATIO)
     if finer:
         mesh *= RATIO**ORDER
-    step = abs(coarse_step - coarse_wave) / abs(coarse_wave)
+    small = rig.stepper if isinstance(rig.stepper, ReducedSkin) else None
+    step = 1.0 - float(np.sinc(frequency * rig.sizes[4])) ** 2
+    if small is None or lifted:
+        step = abs(coarse.harmonic_discrete(frequency, rig.sizes[4]) - coarse_wave) / abs(coarse_wave)
+    reduction = 0.0
+    if small is not None:
+        own = coarse if low is rig else fine
+        answers = (coarse_static, coarse_wave) if low is rig else (fine_static, fine_wave)
+        reduction = small.error
+        if small.any_course:
+            found = [small.harmonic(own.force, f, own.read)[0] for f in (0.0, frequency)]
+            reduction = max(reduction, *(abs(a - b) / abs(b) for a, b in zip(found, answers, strict=True)))
     edge = 0.0
     if rig.skin.shape != "disc":
         other = low.resized(low.resizing, side="free" if rig.skin.side == "fixed" else "fixed")
-        edge = 0.5 * abs(_answers(other, sound, point, frequency, wall)[1] - coarse_wave) / abs(coarse_wave)
+        edge = 0.5 * abs(_Response(other, sound, point, wall).harmonic(frequency) - coarse_wave) / abs(coarse_wave)
     return {
         "mesh_error_relative": mesh,
         "step_error_relative": float(step),
+        "reduction_error_relative": float(reduction),
         "edge_error_relative": float(edge),
-        "displacement_error_relative": float(math.hypot(mesh, step, edge)),
+        "displacement_error_relative": float(math.hypot(mesh, step, reduction, edge)),
     }
 
 
-def _answers(
-    rig: Rig, sound: Sound, point: Float, frequency: float, wall: Wall | None, step_s: float | None = None
-) -> tuple[float, complex, complex]:
-    """Displacement at a point: static, harmonic, and (where a step is given) of the discrete scheme."""
-    # The boundary of a disc is that of its skin's mesh, any other body's is its own
-    chain = Chain(rig, wall if rig.skin.shape != "disc" or rig.resizing == 1.0 else None)
-    force = chain.sound(sound.focus, sound.pose).skin_force
-    read = chain.probe(point).operator
-    stepped = 0j if step_s is None else (read @ harmonic_discrete(rig.system, force, frequency, step_s))[0]
-    return (read @ static(rig.system, force))[0], (read @ harmonic(rig.system, force, frequency))[0], stepped
+class _Response:
+    """Displacement at a point of one mesh under one sound."""
+
+    def __init__(self, rig: Rig, sound: Sound, point: Float, wall: Wall | None) -> None:
+        # The boundary of a disc is that of its skin's mesh, any other body's is its own
+        chain = Chain(rig, wall if rig.skin.shape != "disc" or rig.resizing == 1.0 else None)
+        self.system = rig.system
+        self.force = chain.sound(sound.focus, sound.pose).skin_force
+        self.read = chain.probe(point).operator
+
+    def static(self) -> float:
+        return float((self.read @ static(self.system, self.force))[0])
+
+    def harmonic(self, f_Hz: float) -> complex:
+        return complex((self.read @ harmonic(self.system, self.force, f_Hz))[0])
+
+    def harmonic_discrete(self, f_Hz: float, step_s: float) -> complex:
+        return complex((self.read @ harmonic_discrete(self.system, self.force, f_Hz, step_s))[0])
 
 
 def p0_band(rig: Rig) -> tuple[float, float] | None:
@@ -170,6 +206,7 @@ def mend(summary: dict[str, Any]) -> str:
     parts = {
         "a smaller --accuracy makes the mesh finer": summary["mesh_error_relative"],
         "a smaller --accuracy or step_s shortens the step": summary["step_error_relative"],
+        "solver full leaves out the reduction": summary["reduction_error_relative"],
         "the layer's cut sides matter here: compare side fixed and free, or patch_radius_m": summary[
             "edge_error_relative"
         ],
@@ -188,6 +225,7 @@ def format_report(summary: dict[str, Any]) -> str:
         ("peak ARP", f"{summary['peak_arp_Pa']:.3g} Pa"),
         ("total force", f"{1e3 * summary['total_force_peak_N']:.3g} mN"),
         ("drive", f"{summary['drive_level']:.3f} of full"),
+        ("skin", f"{summary['dofs']} unknowns, solver {summary['skin_solver']}"),
         ("peak skin displacement", f"{1e6 * summary['peak_displacement_m']:.3g} um{band}"),
         (
             "rms skin displacement",
@@ -201,6 +239,7 @@ def format_report(summary: dict[str, Any]) -> str:
                 "error estimate",
                 f"mesh {100 * summary['mesh_error_relative']:.2f} %, "
                 f"time step {100 * summary['step_error_relative']:.2f} %, "
+                f"reduction {100 * summary['reduction_error_relative']:.2f} %, "
                 f"cut edge {100 * summary['edge_error_relative']:.2f} %; material and p0 not included (see plan)",
             )
         )

@@ -2,7 +2,6 @@
 
 import math
 import threading
-from dataclasses import astuple, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
@@ -17,6 +16,7 @@ from palmfield.drive.device import DEVICES, check
 from palmfield.emission import response
 from palmfield.emitter import Board, Emitter, Placement
 from palmfield.errors import DeviceError, SceneError
+from palmfield.foresight import Choice, choice
 from palmfield.hand.meshfile import load_mesh
 from palmfield.hand.patch import surface_patch
 from palmfield.hand.preset import load_preset
@@ -25,10 +25,10 @@ from palmfield.obstacle import boundary_mesh
 from palmfield.skin.assembly import SkinSystem, assemble
 from palmfield.skin.disc import disc_patch
 from palmfield.skin.estimate import choose_sizes
+from palmfield.skin.from_keys import base_of, rows_of, sheets_of, slowest
 from palmfield.skin.load import SurfaceQuadrature
-from palmfield.skin.material import Branch, Material
-from palmfield.skin.presets import preset
 from palmfield.skin.solver import SkinSolver
+from palmfield.skin.stepping import FullSkin, ReducedSkin
 from palmfield.skin.surface import closed_boundary
 from palmfield.skin.wedges import WedgeMesh, extrude
 from palmfield.stimulus import frame_at, frame_rates, main_frequencies
@@ -65,9 +65,13 @@ class Rig:
         timestep_s: float,
         stimulus_frame: Placement,
         patch_centre: Triple,
+        body: Placement,
+        duration_s: float,
         resizing: float = 1.0,
     ):
         self.resizing = resizing
+        self.body, self.duration_s = body, duration_s
+        self.stepper: FullSkin | ReducedSkin | None = None
         self.boards, self.stimulus, self.skin, self.driver = boards, stimulus, skin, driver
         self.timestep_s = timestep_s
         self.stimulus_frame, self.patch_centre = stimulus_frame, np.array(patch_centre)
@@ -76,7 +80,8 @@ class Rig:
         self.lock = threading.RLock()
         resolve(boards[0].config.compute)
         self.device = DEVICES[driver.device]
-        self.material = material_of(skin)
+        self.sheets = sheets_of(skin)
+        self.material = self.sheets[0].material
         self._placements = tuple(board.placement for board in boards)
         self.reference_emitter = Emitter(boards, self._placements, stimulus, self.device)
         self.air, self.array = self.reference_emitter.air, self.reference_emitter.array
@@ -126,6 +131,8 @@ class Rig:
             self.timestep_s,
             self.stimulus_frame,
             tuple(self.patch_centre),
+            self.body,
+            self.duration_s,
             resizing=factor,
         )
 
@@ -168,11 +175,16 @@ class Rig:
             return self.skin.max_frequency_Hz
         return max([200.0, *main_frequencies(self.stimulus)])
 
+    @property
+    def main_frequency_Hz(self) -> float:
+        """Frequency of most of the skin's response: the lowest of the stimulus, or half of the highest resolved."""
+        return next(iter(main_frequencies(self.stimulus)), 0.5 * self.max_frequency_Hz)
+
     @once
     def sizes(self) -> tuple[float, float, float, Float, float, float]:
         """Edge at the focus, edge at the rim, radius of the fine part [m], depth fractions, step [s], radius [m]."""
         s = self.skin
-        wanted = (self.material, self.spot_fwhm_m, self.max_frequency_Hz)
+        wanted = (slowest(self.sheets, self.max_frequency_Hz), self.spot_fwhm_m, self.max_frequency_Hz)
         *_, step, radius = choose_sizes(*wanted, s.accuracy)
         uneven = 1.0 if s.shape == "disc" else UNEVEN
         fine, coarse, fine_radius, fractions, _, _ = choose_sizes(*wanted, max(s.accuracy / uneven, 1e-3))
@@ -184,6 +196,7 @@ class Rig:
             layers = (len(shares) - 1) / self.resizing
             layers = math.ceil(layers) if self.resizing < 1 else max(1, math.floor(layers))
             shares = np.interp(np.linspace(0, 1, layers + 1), np.linspace(0, 1, len(shares)), shares)
+        shares, _ = rows_of(self.sheets, shares)
         if self.stimulus.path_diameter_m:
             fine_radius += 0.5 * self.stimulus.path_diameter_m
             radius += 0.5 * self.stimulus.path_diameter_m
@@ -235,9 +248,10 @@ class Rig:
     @once
     def system(self) -> SkinSystem:
         """Mass and stiffness."""
+        rows = rows_of(self.sheets, self.sizes[3])[1]
         return assemble(
-            self.mesh, self.material, base=self.skin.base, side=self.skin.side,
-            foundation_Pa_m=self.skin.foundation,
+            self.mesh, rows, base=base_of(self.skin), side=self.skin.side, foundation_Pa_m=self.skin.foundation,
+            absorbing_Hz=self.main_frequency_Hz,
         )  # fmt: skip
 
     @once
@@ -251,37 +265,31 @@ class Rig:
         return SkinSolver(self.system, self.sizes[4])
 
     @property
-    def state_size(self) -> int:
-        """Numbers of state: an upper bound that does not need the matrices, and what the transducers emit."""
-        skin = (3 + len(self.material.branches)) * 3 * len(self.mesh.nodes)
-        return skin + (2 * len(self.array) if self.response.on else 0)
+    def dofs(self) -> int:
+        """Unknowns of the skin layer; roller and fixed sides take a few of them away."""
+        held = self.skin.base == "bonded" and self.skin.foundation is None
+        return 3 * (len(self.mesh.nodes) - (self.mesh.surface_nodes if held else 0))
 
-
-def material_of(skin: SkinConfig) -> Material:
-    """The preset with the scene's overrides."""
-    keys = ("density_kg_m3", "shear_relaxed_Pa", "bulk_Pa", "shear_branch_Pa", "relaxation_time_s")
-    changed = {key: getattr(skin, key) for key in keys if getattr(skin, key) is not None}
-    base = preset(skin.material)
-    if not changed:
-        return base
-    values = {key: value for key, value in changed.items() if key in keys[:3]}
-    branch = [changed.get(key) for key in keys[3:]]
-    if branch != [None, None]:
-        if None in branch and len(base.branches) != 1:
+    @once
+    def choice(self) -> Choice:
+        """Which solver steps the skin, and why. Raises SceneError where one is asked for that can't."""
+        found = choice(self)
+        if self.skin.solver == "reduced" and found.name != "reduced":
             raise SceneError(
-                f"plugin 'palmfield.skin': material '{base.name}' has {len(base.branches)} branches; "
-                "give both shear_branch_Pa and relaxation_time_s, which then stand for all of them"
+                f"plugin 'palmfield.skin': key 'solver' has value 'reduced', but {found.why}: set it to auto"
             )
-        own = base.branches[0] if base.branches else Branch(0.0, 0.0)
-        values["branches"] = (
-            Branch(*(new if new is not None else old for new, old in zip(branch, astuple(own), strict=True))),
-        )
-    return replace(
-        base,
-        name=f"{base.name}, changed",
-        source=f"{base.source}; set by the scene: {', '.join(changed)}",
-        **values,
-    )
+        return found
+
+    @property
+    def skin_room(self) -> int:
+        """Numbers of state that the skin can need, for the whole layer: an upper bound without the matrices."""
+        branches = sum(len(material.branches) for material in {sheet.material for sheet in self.sheets})
+        return (3 + branches) * 3 * len(self.mesh.nodes)
+
+    @property
+    def state_size(self) -> int:
+        """Numbers of state: skin, whether it is the whole layer's though a small model began, what is emitted."""
+        return self.skin_room + 1 + (2 * len(self.array) if self.response.on else 0)
 
 
 def check_body_sound(rig: Rig) -> None:
@@ -349,11 +357,15 @@ def rig(
     timestep_s: float,
     stimulus_frame: Placement,
     patch_centre: Triple,
+    body: Placement,
+    duration_s: float,
 ) -> Rig:
     """The rig for these configurations; equal ones share it, so that two models of one scene factorise once.
 
     boards: the scene's arrays; timestep_s: MuJoCo's step [s]
     stimulus_frame: frame of focus and path, in the frame of the first array, in the reference pose
     patch_centre: middle of the skin layer in the body frame [m]
+    body: the skin's body in the frame of the first array, in the reference pose
+    duration_s: how long the scene runs by default [s]
     """
-    return Rig(boards, stimulus, skin, driver, timestep_s, stimulus_frame, patch_centre)
+    return Rig(boards, stimulus, skin, driver, timestep_s, stimulus_frame, patch_centre, body, duration_s)

@@ -137,7 +137,7 @@ def _prepare(scene: Scene, out: Path, bar: Progress) -> tuple[Store, Recorder]:
     skin = scene.skin
     mujoco.mj_forward(scene.model, scene.data)
     raise_errors(scene.data)
-    _ = skin.rig.solver
+    _ = skin.chain.skin.begin
     bar.remove_task(task)
     store = Store(out, static_data(skin).assign_attrs(_parameters(scene)))
     return store, Recorder(skin, store)

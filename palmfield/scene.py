@@ -7,10 +7,8 @@ from pathlib import Path
 import mujoco
 
 from palmfield.engine.host import compiling, take_compile_error, world_of
-from palmfield.engine.modules import MODULES, SkinModule
+from palmfield.engine.modules import DURATION, MODULES, SkinModule
 from palmfield.errors import PalmfieldError, SceneError
-
-DURATION = "palmfield_duration_s"
 
 
 @dataclass(frozen=True)

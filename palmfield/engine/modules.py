@@ -10,6 +10,8 @@ from palmfield.engine.world import ModelView, World
 from palmfield.errors import SceneError
 from palmfield.types import Float, Int
 
+DURATION = "palmfield_duration_s"
+"""Custom numeric of a scene: how long `palmfield run` runs it [s]."""
 SENSOR_CHANNELS = (
     "arp_force_x_N", "arp_force_y_N", "arp_force_z_N", "normal_displacement_m", "normal_velocity_m_s", "arp_Pa",
 )  # fmt: skip
@@ -51,7 +53,8 @@ class SkinModule(Module):
 
     def __init__(self, settings: Any, world: World, instance: int):
         # Imported here: MuJoCo registers the plugins in every process, and Warp takes half a second to load.
-        from palmfield.chain import Chain, Pose
+        from palmfield.chain import Chain
+        from palmfield.engine.pose import Pose
 
         super().__init__(settings, world, instance)
         model = world.model
@@ -62,6 +65,7 @@ class SkinModule(Module):
         self.transducers = [_transducer_sites(board.config, model) for board in self.rig.boards]
         self.frame = _frame_site(self.rig.stimulus, model)
         self.chain = Chain(self.rig)
+        _ = self.rig.choice
         self.chain.check_clear(
             Pose.between(
                 [model.reference_pose("site", site) for site in self.sites],
@@ -74,7 +78,7 @@ class SkinModule(Module):
 
     @classmethod
     def state_size(cls, settings: Any, model: ModelView) -> int:
-        """Displacement, velocity, acceleration and branch variable of the skin layer."""
+        """Room for the whole layer's motion, of which a small model of it takes a part, and what is emitted."""
         return rig_of(settings, model).state_size
 
     @classmethod
@@ -83,12 +87,13 @@ class SkinModule(Module):
         return len(SENSOR_CHANNELS)
 
     def pose(self) -> Any:
-        """Body and arrays in the frame of the first array, as MuJoCo has them now."""
-        return self._between(
+        """Body and arrays in the frame of the first array, as MuJoCo has them now, see `SceneSkin.settled`."""
+        found = self._between(
             [self.world.pose("site", site) for site in self.sites],
             self.world.pose("body", self.body),
             [self.world.sites(numbers) for numbers in self.transducers],
         )
+        return self.chain.skin.settled(found)
 
     def to_array(self, point: Float) -> Float:
         """A position in the stimulus's frame [m], shape (3,), in the frame of the first array."""
@@ -127,13 +132,13 @@ class SkinModule(Module):
     def sense(self) -> None:
         """Fill the sensors from the state at the present time."""
         sound, factor = self.now()
-        motion = self.chain.motion(self.world.state(self.instance))
+        state = self.world.state(self.instance)
         for number, kind, target, data in self.world.sensors(self.instance):
             if number not in self._probes:
                 self._probes[number] = self._probe(kind, target)
             probe = self._probes[number]
             data[:3] = self.body_force()[0]
-            data[3], data[4] = (probe.operator @ motion[0])[0], (probe.operator @ motion[1])[0]
+            data[3:5] = self.chain.skin.read(state, probe.operator)[:, 0]
             data[5] = 0.0
             if sound is not None:
                 data[5] = factor * self.chain.arp_at(probe.closest, probe.normals, sound.pose, sound.drive)[0][0]
@@ -183,8 +188,8 @@ def _array_site(config: ArrayConfig, model: ModelView) -> int:
 
 def _boards(model: ModelView) -> tuple[Any, ...]:
     """The scene's arrays, in the reference pose; each has a site of its own, the first one's is the array frame."""
-    from palmfield.chain import placements
     from palmfield.emitter import Board
+    from palmfield.engine.pose import placements
 
     found = [i for i, plugin, _ in model.instances() if plugin == ArrayModule.name]
     if not found:
@@ -232,8 +237,8 @@ def _reference_sites(numbers: Int, model: ModelView) -> tuple[Float, Float]:
 
 def rig_of(skin: SkinConfig, model: ModelView) -> Any:
     """The rig of the scene that this skin instance stands in."""
-    from palmfield.chain import relative
     from palmfield.emitter import Placement
+    from palmfield.engine.pose import relative
     from palmfield.rig import rig
 
     boards = _boards(model)
@@ -248,4 +253,12 @@ def rig_of(skin: SkinConfig, model: ModelView) -> Any:
     if skin.patch_site is not None:
         number = model.find("site", skin.patch_site, "plugin 'palmfield.skin': key 'patch_site'")
         centre = model.site_position(number)
-    return rig(boards, stimulus, skin, driver, model.timestep, stimulus_frame, tuple(centre.tolist()))
+    body = relative(
+        model.reference_pose("site", _array_site(boards[0].config, model)),
+        model.reference_pose("body", model.find("body", skin.body, "plugin 'palmfield.skin': key 'body'")),
+    )
+    place = Placement(tuple(body[0].tolist()), tuple(body[1].ravel().tolist()))
+    duration = model.numeric(DURATION, 0.1)
+    return rig(
+        boards, stimulus, skin, driver, model.timestep, stimulus_frame, tuple(centre.tolist()), place, duration
+    )  # fmt: skip

@@ -46,6 +46,11 @@ class ModelView:
         found = (library().mj_id2name(self.address, int(_OBJECT[kind]), i) for i in range(count))
         return [name.decode() for name in found if name]
 
+    def numeric(self, name: str, default: float) -> float:
+        """First number of a custom numeric, or the default where the scene has none of that name."""
+        number = library().mj_name2id(self.address, int(mujoco.mjtObj.mjOBJ_NUMERIC), name.encode())
+        return default if number < 0 else float(self.raw.numeric_data[self.raw.numeric_adr[number]])
+
     def site_body(self, site: int) -> int:
         """Body that carries a site."""
         return int(self.raw.site_bodyid[site])

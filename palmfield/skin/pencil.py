@@ -9,6 +9,7 @@ from scipy import sparse
 from scipy.sparse.linalg import SuperLU, splu
 
 from palmfield.skin.material import Material, stiffening
+from palmfield.skin.solver import BLAS
 from palmfield.types import Complex, Float, Int
 
 
@@ -83,12 +84,13 @@ class Pencil:
         """Factors of Z(s). With Re s > 0 conj(s) Z(s) has a positive definite real part: no pivoting is needed."""
         weights = self.weights(np.array([s if s.imag else s.real]))[0]
         matrix = sparse.csc_matrix((weights @ self.data, self.indices, self.starts), shape=(self.size, self.size))
-        lu = splu(
-            matrix,
-            permc_spec="MMD_AT_PLUS_A" if self.order is None else "NATURAL",
-            diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
-        )
+        with BLAS.limit(limits=1, user_api="blas"):
+            lu = splu(
+                matrix,
+                permc_spec="MMD_AT_PLUS_A" if self.order is None else "NATURAL",
+                diag_pivot_thresh=0.0,
+                options={"SymmetricMode": True},
+            )
         return Factored(lu, matrix.diagonal(), self.order)
 
 
@@ -106,10 +108,11 @@ class Factored:
         return not bool(np.all(pivots > 1e-11 * np.abs(self.diagonal)))
 
     def solve(self, right: Any) -> Any:
-        if self.order is None:
-            return self.lu.solve(np.ascontiguousarray(right))
-        result = np.empty(right.shape, dtype=np.result_type(right, self.diagonal))
-        result[self.order] = self.lu.solve(np.ascontiguousarray(right[self.order], dtype=result.dtype))
+        with BLAS.limit(limits=1, user_api="blas"):
+            if self.order is None:
+                return self.lu.solve(np.ascontiguousarray(right))
+            result = np.empty(right.shape, dtype=np.result_type(right, self.diagonal))
+            result[self.order] = self.lu.solve(np.ascontiguousarray(right[self.order], dtype=result.dtype))
         return result
 
 

@@ -16,6 +16,7 @@ make |x|^2 / 2 the energy, so exp(A h) never lengthens x. Steps use that matrix 
 linear in between.
 """
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from scipy import sparse
 from scipy.linalg import expm
 
 from palmfield.errors import SceneError
+from palmfield.skin.material import Material
 from palmfield.skin.pencil import Factored, LinearBody, Pencil
 from palmfield.skin.problem import Law
 from palmfield.types import Complex, Float, Int
@@ -171,7 +173,8 @@ def reduce(
         if grown == 0:
             error = max(effectivity) * float((residual / scale).max())
             break
-    return Reduced(basis, read, error, len(tried))
+    small = Projection(basis.project(), pencil.materials, basis.vectors.T @ forces, read @ basis.vectors)
+    return Reduced(small, error, len(tried))
 
 
 def _peaks(values: Float, count: int) -> list[int]:
@@ -186,7 +189,7 @@ def _peaks(values: Float, count: int) -> list[int]:
 
 
 class Reduced:
-    """Small model: y and y' of forces f. Made by `reduce`.
+    """Small model: y and y' of forces f. Made by `reduce`, or from a Projection.
 
     order: number r of basis vectors; shifts: at how many complex rates the full body was solved
     error: estimated relative error of y over the band: the residual's norm (inverse static stiffness) on the line,
@@ -194,10 +197,10 @@ class Reduced:
     A state is one flat array of `state_size` floats; all zeros is rest.
     """
 
-    def __init__(self, basis: _Basis, read: sparse.csr_matrix, error: float, shifts: int) -> None:
+    def __init__(self, small: "Projection", error: float, shifts: int = 0) -> None:
         self.error, self.shifts = error, shifts
-        self.rates, self.inputs, self.displaces, self.moves = _energy_form(basis, read)
-        self.order = basis.vectors.shape[1]
+        self.rates, self.inputs, self.displaces, self.moves, self.internals = _energy_form(small)
+        self.order = len(small.force)
         self._steps: dict[float, tuple[Float, Float, Float]] = {}
         self._modes: tuple[Complex, Complex] | None = None
 
@@ -281,27 +284,47 @@ class Reduced:
         return self._steps[step_s]
 
 
-def _energy_form(basis: _Basis, read: sparse.csr_matrix) -> tuple[Float, Float, Float, Float]:
-    """A, B of x' = A x + B f and the rows that read y and y' off x, in coordinates of energy."""
-    _, damping, elastic, *stiffness = basis.project()
-    materials = basis.pencil.materials
+@dataclass(frozen=True)
+class Projection:
+    """A body in a basis V of r vectors.
+
+    matrices: V^T M V, V^T C V, V^T E V and V^T K_p V, symmetric, (r, r); materials: of the parts
+    force: V^T B, shape (r, j); read: Y V, shape (k, r)
+    """
+
+    matrices: list[Float]
+    materials: list[Material]
+    force: Float
+    read: Any
+
+
+def _energy_form(small: Projection) -> tuple[Float, Float, Float, Float, list[Float]]:
+    """A, B of x' = A x + B f, the rows that read y and y' off x, in coordinates of energy, and rows for each q.
+
+    The last: for each branch of each part, the coordinates in V of its internal displacement.
+    """
+    _, damping, elastic, *stiffness = small.matrices
     squares, turn = np.linalg.eigh(elastic + sum(stiffness))
     # A free body's rigid motions have no stiffness: they keep their displacement itself as coordinate.
     held = squares > 1e-12 * squares[-1]
     scale = np.where(held, np.sqrt(np.maximum(squares, 0.0)), 1.0)
-    force = turn.T @ (basis.vectors.T @ basis.inputs)
+    force = turn.T @ small.force
     loss = turn.T @ damping @ turn
-    rows, fading = [], []
-    for matrix, material in zip(stiffness, materials, strict=True):
+    rows, fading, behind = [], [], []
+    for matrix, material in zip(stiffness, small.materials, strict=True):
         turned = turn.T @ matrix @ turn
         loss = loss + material.viscous_time_s * turned
         values, vectors = np.linalg.eigh(turned)
         kept = values > 1e-14 * values[-1]
         root = np.sqrt(values[kept])[:, None] * vectors[:, kept].T
+        inverse = vectors[:, kept] / np.sqrt(values[kept])
         for ratio, tau in zip(material.ratios, material.times_s, strict=True):
             if ratio > 0.0 and tau > 0.0:
                 rows.append(np.sqrt(ratio) * root)
                 fading.append(np.full(len(root), 1.0 / tau))
+                behind.append(inverse / np.sqrt(ratio))
+            else:
+                behind.append(np.zeros((len(squares), 0)))
     count = len(squares)
     inner = np.concatenate(rows) if rows else np.zeros((0, count))
     size = 2 * count + len(inner)
@@ -314,11 +337,18 @@ def _energy_form(basis: _Basis, read: sparse.csr_matrix) -> tuple[Float, Float, 
     rates[2 * count :, 2 * count :] = -np.diag(np.concatenate(fading)) if fading else 0.0
     driven = np.zeros((size, force.shape[1]))
     driven[count : 2 * count] = force
-    shapes = (read @ basis.vectors) @ turn
-    displaces, moves = np.zeros((read.shape[0], size)), np.zeros((read.shape[0], size))
+    shapes = small.read @ turn
+    displaces, moves = np.zeros((len(shapes), size)), np.zeros((len(shapes), size))
     displaces[:, :count] = shapes / scale
     moves[:, count : 2 * count] = shapes
-    return rates, driven, displaces, moves
+    internals, place = [], 2 * count
+    for inverse in behind:
+        internal = np.zeros((count, size))
+        internal[:, :count] = turn / scale
+        internal[:, place : place + inverse.shape[1]] = -turn @ inverse
+        place += inverse.shape[1]
+        internals.append(internal)
+    return rates, driven, displaces, moves, internals
 
 
 def _modal_run(roots: Complex, forces: Complex, lengths: Float, which: Any, law: Law) -> Complex:

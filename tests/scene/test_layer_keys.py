@@ -1,0 +1,130 @@
+"""Sheets, base and sides of a scene's skin layer, and its cut-off in the plan."""
+
+import numpy as np
+import pytest
+
+import palmfield
+from palmfield.config import SkinConfig, parse
+from palmfield.skin.from_keys import layer_cutoff, rows_of
+from palmfield.skin.material import elastic
+from palmfield.skin.presets import preset
+from palmfield.skin.problem import Sheet
+from palmfield.skin.solver import static
+from palmfield.skin.waves import cutoff
+
+
+def push(path):
+    """Largest static push of the surface under the scene's sound [m]."""
+    skin = palmfield.load(path).skin
+    sound = skin.chain.sound(skin.rig.reference_focus, skin.pose())
+    return np.abs(skin.chain.surface_operator @ static(skin.rig.system, sound.skin_force)).max()
+
+
+def test_sheets_of_one_material_are_the_layer_of_it(small_scene):
+    both = {"material": None, "materials": "ecoflex_00-10 ecoflex_00-10", "shares": "0.4 0.6", "element_m": 0.003}
+    one = push(small_scene(skin={"element_m": 0.003}))
+    assert push(small_scene(skin=both)) == pytest.approx(one, rel=0.01)
+
+
+def test_a_stiff_sheet_on_a_soft_one_moves_less(small_scene):
+    soft, stiff = "ecoflex_00-10", "gelatin_2"
+    pushes = {}
+    for order in ((soft, soft), (stiff, soft), (soft, stiff), (stiff, stiff)):
+        keys = {"material": None, "materials": " ".join(order), "shares": "0.3 0.7"}
+        pushes[order] = push(small_scene(skin=keys))
+    least, most = sorted((pushes[soft, soft], pushes[stiff, stiff]))
+    assert least < pushes[stiff, soft] < most and least < pushes[soft, stiff] < most
+
+
+@pytest.mark.parametrize("shares", [(0.5, 0.5), (0.1, 0.9), (0.34, 0.33, 0.33), (1.0,)])
+def test_no_row_crosses_two_sheets(shares):
+    materials = [elastic(f"m{k}", 1e3, 1e4) for k in range(len(shares))]
+    sheets = tuple(Sheet(m, s) for m, s in zip(materials, shares, strict=True))
+    edges, rows = rows_of(sheets, np.array([0.0, 0.11, 0.28, 0.56, 1.0]))
+    assert len(rows) == len(edges) - 1 >= len(shares) and np.all(np.diff(edges) > 0) and edges[-1] == 1.0
+    for sheet, end in zip(sheets, np.cumsum(shares), strict=True):
+        inside = [k for k, row in enumerate(rows) if row is sheet.material]
+        assert edges[inside[-1] + 1] == pytest.approx(end) and edges[inside[0]] == pytest.approx(
+            end - sheet.thickness_m
+        )
+
+
+def test_springs_go_from_free_to_bonded(small_scene):
+    def on(stiffness, **more):
+        keys = {"base": "springs", "base_normal_Pa_m": stiffness, "base_tangential_Pa_m": stiffness, "side": "fixed"}
+        return push(small_scene(skin=keys | more))
+
+    bonded, free = push(small_scene(skin={"side": "fixed"})), push(small_scene(skin={"base": "free", "side": "fixed"}))
+    assert on(1e12) == pytest.approx(bonded, rel=1e-4)
+    assert on(1e-3) == pytest.approx(free, rel=1e-4)
+    assert bonded < on(3e6) < free
+
+
+def test_dashpots_below_and_at_the_sides_take_energy(small_scene):
+    springs = {"base": "springs", "base_normal_Pa_m": 1e6, "base_tangential_Pa_m": 1e6}
+    quiet = palmfield.load(small_scene(skin=springs)).skin.rig.system.damping
+    loss = palmfield.load(small_scene(skin=springs | {"base_normal_Pa_s_m": 500})).skin.rig.system.damping
+    sides = palmfield.load(small_scene(skin={"side": "absorbing"})).skin.rig.system.damping
+    assert quiet.nnz == 0 or abs(quiet).max() == 0.0
+    for damping in (loss, sides):
+        assert np.linalg.eigvalsh(damping.toarray())[-1] > 0.0
+
+
+@pytest.mark.parametrize("solver", ["full", "reduced"])
+def test_a_layered_scene_runs(small_scene, tmp_path, solver):
+    keys = {
+        "material": None, "materials": "finger_pad ecoflex_00-10", "shares": "0.3 0.7", "side": "absorbing",
+        "base": "springs", "base_normal_Pa_m": 1e7, "base_tangential_Pa_m": 1e6, "solver": solver,
+    }  # fmt: skip
+    result = palmfield.run(palmfield.load(small_scene(skin=keys)), tmp_path / "out", progress=False)
+    assert result.summary["peak_displacement_m"] > 0 and result.summary["skin_solver"].startswith(solver)
+
+
+@pytest.mark.parametrize(
+    ("keys", "reason"),
+    [
+        ({"materials": "palm finger_pad", "shares": "1"}, "give one for each"),
+        ({"materials": "palm finger_pad", "shares": "0.5 0.6"}, "add up to 1.1"),
+        ({"materials": "palm", "shares": "1", "material": "palm"}, "drop one"),
+        ({"materials": "palm", "shares": "1", "bulk_Pa": "1e6"}, "drop one"),
+        ({"shares": "-1"}, "decimals > 0"),
+        ({"base": "springs", "base_normal_Pa_m": "1"}, "base_tangential_Pa_m"),
+        ({"base_normal_Pa_m": "1"}, "belongs to base 'springs'"),
+        ({"base": "free", "side": "free"}, "fly away"),
+        ({"base": "free_slip", "foundation_normal_Pa_m": "1", "foundation_tangential_Pa_m": "1"}, "drop one"),
+        ({"solver": "quick"}, "auto | full | reduced"),
+        ({"materials": "palm nose", "shares": "0.5 0.5"}, "nose"),
+    ],
+)
+def test_what_does_not_fit_is_refused_in_one_line(small_scene, keys, reason):
+    with pytest.raises(palmfield.SceneError) as caught:
+        if "nose" in keys.get("materials", ""):
+            palmfield.load(small_scene(skin=keys | {"material": None}))
+        parse(SkinConfig, keys | {"patch_site": "x"}, "plugin 'palmfield.skin'")
+    assert reason in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_cut_off_of_one_sheet_and_of_matched_ones():
+    palm = preset("palm")
+    assert layer_cutoff((Sheet(palm, 1.0),), 0.01) == pytest.approx(cutoff(palm, 0.01), rel=1e-6)
+    assert layer_cutoff((Sheet(palm, 0.3), Sheet(palm, 0.7)), 0.01) == pytest.approx(cutoff(palm, 0.01), rel=1e-6)
+    # Equal impedance rho c: nothing is reflected in between, and the quarter wave counts the way in time.
+    slow, fast = elastic("slow", 1000.0, 4e3), elastic("fast", 500.0, 8e3)
+    assert layer_cutoff((Sheet(slow, 0.5), Sheet(fast, 0.5)), 0.02) == pytest.approx(0.25 / (0.01 / 2 + 0.01 / 4))
+
+
+@pytest.mark.parametrize(
+    ("skin", "promised"),
+    [({}, False), ({"base": "free_slip"}, True), ({"thickness_m": 0.02}, True), ({"thickness_m": 0.004}, False)],
+)
+def test_plan_promises_no_waves_below_the_cut_off(small_scene, skin, promised):
+    stimulus = {"am_frequency_Hz": 100}
+    scene = palmfield.load(small_scene(skin=skin, stimulus=stimulus))
+    plan = palmfield.plan(scene)
+    said = [text for text in plan.warnings if "no waves are promised at" in text]
+    assert bool(said) == (not promised)
+    rows = [row for row in plan.left_out if row.what == "waves below the cut-off"]
+    assert bool(rows) == ("base" not in skin)
+    if rows:
+        depth = skin.get("thickness_m", 0.008)
+        assert f"c_s/4h = {cutoff(preset('ecoflex_00-10'), depth):.0f} Hz" in rows[0].size
