@@ -32,6 +32,7 @@ from palmfield.skin.problem import Motion, Sheet, Slab, Spot
 ACCURACIES = {
     "spectral": (0.1, 0.01, 0.001),
     "disc": (0.1, 0.02, 0.005),
+    "reduced": (0.1, 0.05, 0.02),
     "implicit": (0.1, 0.05, 0.02),
     "explicit": (0.1, 0.05, 0.02),
     "particles": (0.2, 0.1, 0.05),

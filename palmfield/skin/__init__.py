@@ -11,19 +11,20 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from palmfield.skin.choose import choices, solve
+    from palmfield.skin.choose import choices, solve, static
     from palmfield.skin.material import Branch, Material
     from palmfield.skin.presets import preset
-    from palmfield.skin.problem import Layer, Motion, Sheet, Slab, Spot, Springs, Traction
+    from palmfield.skin.problem import Foundation, Layer, Motion, Sheet, Slab, Spot, Springs, Traction
 
 _WHERE = {
     **dict.fromkeys(("Branch", "Material"), "material"),
-    **dict.fromkeys(("Layer", "Motion", "Sheet", "Slab", "Spot", "Springs", "Traction"), "problem"),
-    **dict.fromkeys(("choices", "solve"), "choose"),
+    **dict.fromkeys(("Foundation", "Layer", "Motion", "Sheet", "Slab", "Spot", "Springs", "Traction"), "problem"),
+    **dict.fromkeys(("choices", "solve", "static"), "choose"),
     "preset": "presets",
 }
 __all__ = [
     "Branch",
+    "Foundation",
     "Layer",
     "Material",
     "Motion",
@@ -35,6 +36,7 @@ __all__ = [
     "choices",
     "preset",
     "solve",
+    "static",
 ]
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from palmfield.hand.remesh import remeshed
 from palmfield.skin.absorbing import match_speed, sponge
 from palmfield.skin.assembly import SkinSystem, assemble
 from palmfield.skin.disc import disc_patch
@@ -27,6 +28,7 @@ class Sizes:
     the first row and largest height of a row [m]; refinements: how often a layer's triangles are quartered
     reach_m: distance from the centre to the end of an infinite slab's undamped part [m]
     ring_m: width of the damped ring round it, or round an absorbing slab [m]; match_Hz: frequency of its damping
+    remesh: whether a layer gets triangles of these sizes in place of its own
     """
 
     centre_m: tuple[float, float]
@@ -39,6 +41,7 @@ class Sizes:
     reach_m: float
     ring_m: float
     match_Hz: float
+    remesh: bool = False
 
     def scaled(self, factor: float) -> "Sizes":
         """The same with all elements `factor` times as large; triangles of a layer by whole quarterings."""
@@ -53,6 +56,9 @@ def build(body: Body, sizes: Sizes) -> SkinSystem:
     side = body.side or "absorbing"
     if isinstance(body, Layer):
         patch = body.patch
+        if sizes.remesh:
+            centre = np.asarray(sizes.centre_m, dtype=np.float64)
+            patch = remeshed(patch, centre, sizes.fine_m, sizes.coarse_m, sizes.fine_radius_m)
         for _ in range(sizes.refinements):
             patch = quartered(patch)
         depth = float(np.median(patch.depth))

@@ -1,6 +1,7 @@
 """One call for every skin solver: the cheapest that reaches the wanted accuracy, and solved finer where it did not."""
 
 import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from importlib import import_module
@@ -10,16 +11,23 @@ from numpy.typing import ArrayLike
 
 from palmfield.device import resolve
 from palmfield.errors import SceneError
+from palmfield.skin.crop import crop
 from palmfield.skin.problem import Body, Load, Motion, asked_points, rising
 from palmfield.types import Float
 
-Name = Literal["auto", "spectral", "disc", "implicit", "explicit", "particles"]
+Name = Literal["auto", "spectral", "disc", "reduced", "implicit", "explicit", "particles"]
 
 ASKED = ("solve", "refusal", "cost")
 WHERE = {
-    "spectral": {"solve": "spectral.solve", "refusal": "spectral.build", "cost": "spectral.cost"},
+    "spectral": {
+        "solve": "spectral.solve",
+        "static": "spectral.solve",
+        "refusal": "spectral.build",
+        "cost": "spectral.cost",
+    },
     "disc": dict.fromkeys(ASKED, "disc_fem"),
-    "implicit": dict.fromkeys(ASKED, "implicit"),
+    "reduced": dict.fromkeys(ASKED, "reduced_solve"),
+    "implicit": dict.fromkeys((*ASKED, "static"), "implicit"),
     "explicit": dict.fromkeys(ASKED, "explicit.solve"),
     "particles": {"solve": "particles.solve", "refusal": "particles.resolution", "cost": "particles.resolution"},
 }
@@ -46,13 +54,18 @@ def choices(
 ) -> list[Choice]:
     """Every solver's prediction for a problem, the cheapest first; arguments as for `solve`."""
     moments, points = checked(times, at, accuracy)
-    where = resolve(device)
+    body, load, _ = crop(body, load, float(moments[-1]), points, accuracy)
+    return ranking(body, load, moments, points, accuracy, resolve(device))
+
+
+def ranking(body: Body, load: Load, times: Float, at: Float, accuracy: float, device: str) -> list[Choice]:
+    """Choices for arguments that are checked."""
     found = []
     for name in WHERE:
         refusal = function(name, "refusal")(body, load)
         seconds = math.inf
         if refusal is None:
-            seconds = cost(name, body, load, moments, points, accuracy, where)
+            seconds = cost(name, body, load, times, at, accuracy, device)
         found.append(Choice(name, seconds, refusal))
     return sorted(found, key=lambda choice: choice.seconds)
 
@@ -66,6 +79,7 @@ def solve(
     solver: Name = "auto",
     accuracy: float = 0.05,
     device: str = "auto",
+    whole: bool = False,
     **resolution: Any,
 ) -> Motion:
     """Motion of skin under a load, with an estimate of its error.
@@ -75,19 +89,24 @@ def solve(
     solver: "auto", the cheapest by prediction that doesn't refuse, or one by name
     accuracy: wanted relative error of the displacement, L2 over the times at a point, the largest of the points
     device: "auto", "cpu" or "cuda:N"
+    whole: keep all of a layer, also what lies beyond the reach of load and points (palmfield.skin.crop)
     resolution: passed on to a solver asked for by name
     Where the estimate misses the accuracy the problem is solved again, finer, up to FINER times; a Motion whose `error`
     is above `accuracy` says so in its `solver`.
     Raises SceneError for bad arguments and where no solver, or not the one asked for, can do it.
     """
+    begin = time.perf_counter()
     moments, points = checked(times, at, accuracy)
     where = resolve(device)
     if solver != "auto" and solver not in WHERE:
         raise SceneError(f"solver is '{solver}'; use auto or one of {', '.join(WHERE)}")
+    cut = 0.0
+    if not whole:
+        body, load, cut = crop(body, load, float(moments[-1]), points, accuracy)
     if solver == "auto":
         if resolution:
             raise SceneError(f"{', '.join(resolution)}: resolutions are a solver's own; name one with solver=")
-        ranked = choices(body, load, moments, points, accuracy=accuracy, device=where)
+        ranked = ranking(body, load, moments, points, accuracy, where)
         able = [choice for choice in ranked if choice.refusal is None and choice.name not in PREVIEW]
         if not able:
             raise SceneError("no solver can do this: " + "; ".join(f"{c.name}: {c.refusal}" for c in ranked))
@@ -100,16 +119,37 @@ def solve(
         if refusal is not None:
             raise SceneError(f"solver '{name}': {refusal}")
     run = function(name, "solve")
-    wanted, spent = accuracy, 0.0
-    for _ in range(1 + FINER):
-        motion: Motion = run(body, load, moments, points, accuracy=wanted, device=where, **resolution)
-        spent += motion.seconds
-        if motion.error <= accuracy or resolution:
+    motion: Motion = run(body, load, moments, points, accuracy=accuracy, device=where, **resolution)
+    wanted = accuracy
+    for _ in range(FINER):
+        if motion.error + cut <= accuracy or resolution:
             break
-        wanted *= 0.7 * accuracy / motion.error
-    if motion.error > accuracy:
-        why += f"; error {100 * motion.error:.2g} % NOT within the wanted {100 * accuracy:.2g} %"
-    return replace(motion, solver=f"{motion.solver} ({why})", seconds=spent)
+        wanted *= 0.7 * accuracy / (motion.error + cut)
+        try:
+            motion = run(body, load, moments, points, accuracy=wanted, device=where)
+        except SceneError as reason:
+            why += f"; not solved finer: {reason}"
+            break
+    error = motion.error + cut
+    source = motion.error_source
+    if cut > 0.0:
+        source += f"; {cut:.2g} for leaving out the layer beyond the reach of load and points"
+    if error > accuracy:
+        why += f"; error {100 * error:.2g} % NOT within the wanted {100 * accuracy:.2g} %"
+    spent = time.perf_counter() - begin
+    return replace(motion, error=error, error_source=source, solver=f"{motion.solver} ({why})", seconds=spent)
+
+
+def static(body: Body, load: Load, at: ArrayLike, *, accuracy: float = 0.05) -> Motion:
+    """Displacement under the load's last pressure, held for ever, by lateral waves or else implicit elements.
+
+    Arguments as for `solve`; times_s is the load's last time, the velocity 0.
+    Raises SceneError for bad arguments and a body that nothing holds.
+    """
+    _, points = checked(load.times_s[-1:], at, accuracy)
+    name = "implicit" if function("spectral", "refusal")(body, load) else "spectral"
+    solver: Callable[..., Motion] = function(name, "static")
+    return solver(body, load, points, accuracy=accuracy)
 
 
 def checked(times: ArrayLike, at: ArrayLike, accuracy: float) -> tuple[Float, Float]:

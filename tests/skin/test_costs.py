@@ -1,0 +1,67 @@
+"""Predicted costs: how they grow with the size of a problem, measured in seconds of the process on this machine."""
+
+import time
+
+import numpy as np
+import pytest
+
+from palmfield.skin.assembly import assemble
+from palmfield.skin.disc import disc_patch
+from palmfield.skin.implicit import cost_implicit, run_cost
+from palmfield.skin.presets import preset
+from palmfield.skin.problem import Sheet, Slab, Spot
+from palmfield.skin.solver import SkinSolver
+from palmfield.skin.spectral import cost_spectral, solve_spectral
+from palmfield.skin.wedges import extrude
+
+ECOFLEX = preset("ecoflex_00-10")
+TIMES = np.linspace(0.0, 0.1, 401)
+SPOT = Spot(0.0103, TIMES, np.sin(2.0 * np.pi * 100.0 * TIMES) ** 2)
+AT = np.array([[0.0, 0.0], [0.01, 0.0]])
+
+
+def busy(call) -> float:
+    """Seconds of the process, the smaller of two."""
+    seconds = []
+    for _ in range(2):
+        begin = time.process_time()
+        call()
+        seconds.append(time.process_time() - begin)
+    return min(seconds)
+
+
+def stepped(edge_m, steps):
+    """Build, factorise and step a disc; its unknowns."""
+    mesh = extrude(disc_patch(0.03, 0.012, edge_m, edge_m, 0.03), np.array([0.0, 0.4, 1.0]))
+    system = assemble(mesh, ECOFLEX)
+    solver = SkinSolver(system, 2e-4)
+    state, force = solver.new_state(), np.ones(system.ndof)
+    for _ in range(steps):
+        solver.step(state, force, force)
+    return system.ndof
+
+
+@pytest.mark.parametrize("steps", [5, 60])
+def test_implicit_law_has_the_ratio_of_two_sizes(steps):
+    """Four to five times the unknowns, with few and with many steps."""
+    dofs = [stepped(edge, 1) for edge in (0.006, 0.003)]
+    measured = busy(lambda: stepped(0.003, steps)) / busy(lambda: stepped(0.006, steps))
+    predicted = run_cost(dofs[1], steps) / run_cost(dofs[0], steps)
+    print(dofs, steps, measured, predicted)
+    assert 0.5 < measured / predicted < 2.0
+
+
+def test_spectral_law_has_the_ratio_of_two_accuracies():
+    body = Slab((Sheet(ECOFLEX, 0.02),))
+    solve_spectral(body, SPOT, TIMES[:20], AT, tolerance=0.1, threads=1)
+    measured = [busy(lambda a=a: solve_spectral(body, SPOT, TIMES, AT, accuracy=a, threads=1)) for a in (0.05, 0.005)]
+    predicted = [cost_spectral(body, SPOT, TIMES, AT, a) for a in (0.05, 0.005)]
+    print(measured, predicted)
+    assert 0.5 < measured[1] / measured[0] / (predicted[1] / predicted[0]) < 2.0
+
+
+def test_implicit_cost_rises_with_what_is_asked():
+    body = Slab((Sheet(ECOFLEX, 0.02),), shape="disc", side="roller", radius_m=0.06)
+    rough = cost_implicit(body, SPOT, TIMES, AT, 0.05)
+    assert cost_implicit(body, SPOT, TIMES, AT, 0.02) > 2.0 * rough
+    assert cost_implicit(body, SPOT, TIMES[:201], AT, 0.05) < 0.7 * rough
