@@ -26,7 +26,7 @@ SIDES = ("fixed", "free", "roller", "absorbing")
 SHAPES = ("infinite", "disc", "box")
 THICKEST_M, WIDEST_M = 1.0, 10.0
 """A slab beyond these [m] is one whose lengths were given in millimetres."""
-ONLY_IMPLICIT = "only the implicit solver takes a Foundation below: name it, or use another base"
+ONLY_IMPLICIT = "only the implicit and reduced solvers take a Foundation below: name one, or use another base"
 """Why the others refuse one."""
 GAUSSIAN = 4.0 * math.log(2.0)
 """exp(-GAUSSIAN (r / fwhm)^2) is half at r = fwhm / 2."""

@@ -1,5 +1,6 @@
 """Spacing of particles for a wanted error, what it costs, and what particles can't do."""
 
+import itertools
 import math
 
 import numpy as np
@@ -8,11 +9,18 @@ from scipy.optimize import brentq
 from palmfield.errors import SceneError
 from palmfield.skin.material import shear_wave
 from palmfield.skin.particles.columns import FEWEST_CELLS
-from palmfield.skin.problem import Body, Layer, Load, Slab, Spot, Springs, Traction
+from palmfield.skin.problem import ONLY_IMPLICIT, Body, Foundation, Layer, Load, Slab, Spot, Springs, Traction
 from palmfield.types import Float
 
 SECONDS_A_STEP = {"cpu": 0.9e-6, "cuda": 2.0e-9}
 """Seconds that a particle's step takes: on one core measured, on a GPU the time its 1.5 kB take at 0.75 TB/s."""
+STIFFEST = 1e5
+"""Bulk over shear modulus at once, above which the step is so small that the solver refuses (nu 0.499995)."""
+FINEST = 2e-3
+"""Least error for which particles are laid out."""
+STIFFER = 100.0
+"""Stiffness of a sheet over that of one below it, above which the solver refuses: on a bed a hundredth as stiff a sheet
+one cell thick bends a third too little, on one of a thousandth two fifths, and the stated error is short of that."""
 COARSER = 1.5
 """Spacing of the run that shows the error, over the spacing asked for."""
 COARSE_CELLS = 2
@@ -23,12 +31,28 @@ def refusal_particles(body: Body, load: Load) -> str | None:
     """Why particles can't solve this, or None."""
     if isinstance(body, Slab) and body.shape == "infinite":
         return "particles need a body with an end: give the slab a shape 'box' or 'disc'"
+    if isinstance(body.base, Foundation):
+        return ONLY_IMPLICIT
     if isinstance(body.base, Springs):
         return "particles have no spring base: use base 'bonded', 'free_slip' or 'free'"
     if body.side == "absorbing":
         return "particles have no absorbing side: use side 'fixed', 'free' or 'roller'"
     if isinstance(body, Layer) and body.side == "roller" and body.patch.axis is None:
         return "roller sides need a patch with an axis; this one has none: use side 'fixed' or 'free'"
+    for material in (sheet.material for sheet in body.sheets):
+        if material.bulk_Pa > STIFFEST * material.shear_instant_Pa:
+            return (
+                f"particles step with the pressure wave, and '{material.name}' has a bulk modulus of "
+                f"{material.bulk_Pa / material.shear_instant_Pa:.3g} times its shear modulus (at most {STIFFEST:g}): "
+                "use the implicit or spectral solver"
+            )
+    for upper, lower in itertools.combinations([sheet.material for sheet in body.sheets], 2):
+        ratio = upper.shear_instant_Pa / lower.shear_instant_Pa
+        if ratio > STIFFER:
+            return (
+                f"'{upper.name}' is {ratio:.3g} times as stiff as '{lower.name}' below it (at most {STIFFER:g}): "
+                "particles bend such a sheet too little; use the implicit or spectral solver"
+            )
     return None
 
 
@@ -54,10 +78,11 @@ def law_error(body: Body, load: Load, spacing_m: float) -> float:
 def choose_spacing(body: Body, load: Load, accuracy: float) -> float:
     """Spacing [m] at which law_error is `accuracy`; in depth alone it may have to be finer than along the face.
 
-    Raises SceneError for an accuracy outside 0.002 to 1.
+    Below FINEST it is that of FINEST. Raises SceneError for an accuracy that is not above 0 and at most 1.
     """
-    if not 2e-3 <= accuracy <= 1.0:
+    if not 0.0 < accuracy <= 1.0:
         raise SceneError(f"particles: accuracy is {accuracy}; give 0.002 to 1 (5 % is what they are good for)")
+    accuracy = max(accuracy, FINEST)
     # Below two particles a width in the run that shows the error, it shows nothing.
     high = min(length_of(body) / 4.0, _width(load) / 3.0)
     low = 1e-3 * high
@@ -75,15 +100,19 @@ def cost_particles(body: Body, load: Load, times: Float, at: Float, accuracy: fl
 def _run_seconds(body: Body, load: Load, times: Float, spacing: float, device: str) -> float:
     depth = depth_of(body)
     below = min(spacing, depth / FEWEST_CELLS)
+    total = sum(sheet.thickness_m for sheet in body.sheets)
+    thicknesses = [depth * sheet.thickness_m / total for sheet in body.sheets]
+    cells = [math.ceil(thickness / below - 1e-6) for thickness in thicknesses]
+    lowest = min(thickness / count for thickness, count in zip(thicknesses, cells, strict=True))
     area = _area(body)
     along = spacing if isinstance(body, Slab) else math.sqrt(area / len(body.patch.vertices))
-    count = area / along**2 * (depth / below + 1.0)
+    count = area / along**2 * (sum(cells) + 1.0)
     fastest = max(
         math.sqrt((s.material.bulk_Pa + 4.0 / 3.0 * s.material.shear_instant_Pa) / s.material.density_kg_m3)
         for s in body.sheets
     )
     # 1.24 spacings at the speed of sound were measured on cubes.
-    step = 1.24 * math.sqrt(3.0 / (2.0 / along**2 + 1.0 / below**2)) / fastest
+    step = 1.24 * math.sqrt(3.0 / (2.0 / along**2 + 1.0 / lowest**2)) / fastest
     steps = max(0.0, float(np.max(times)) - float(load.times_s[0])) / step
     return 0.1 + count * steps * SECONDS_A_STEP["cuda" if device.startswith("cuda") else "cpu"]
 

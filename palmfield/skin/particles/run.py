@@ -24,6 +24,10 @@ BLOCK = 256
 """Steps between looks at the state."""
 
 
+class CrushedError(SceneError):
+    """The body has come apart, by its load or by a step that strain has made too long."""
+
+
 class StepTooLongError(Exception):
     """Strain has stiffened the body beyond its step; `step_s` is one that would do."""
 
@@ -141,7 +145,7 @@ class Particles:
     def check(self, longest_s: float) -> None:
         """Look whether the body is whole and the step still stable; longest_s: longest stable step at rest [s].
 
-        Raises SceneError where the body has come apart, with the place, and StepTooLongError where it has stiffened.
+        Raises CrushedError where the body has come apart, with the place, and StepTooLongError where it has stiffened.
         """
         gradient = self.gradient.numpy().astype(np.float64)
         broken = ~np.isfinite(gradient).all(axis=(1, 2))
@@ -150,9 +154,9 @@ class Particles:
             broken = np.linalg.det(deformation) <= 0.0
         if broken.any():
             place = self.cloud.points[self.cloud.owner[np.argmax(broken)]]
-            raise SceneError(
+            raise CrushedError(
                 f"the body is crushed or turned inside out near ({', '.join(f'{x:.4g}' for x in place)}) m: "
-                "lower the pressure, or take a thicker or stiffer body"
+                "lower the pressure, take a thicker or stiffer body, or a shorter step_s where it is pinned"
             )
         stretch = np.linalg.svd(deformation, compute_uv=False)
         # Bulk stiffness follows the square of the cofactor of F, shear stiffness at most that of F^-1; frequencies go

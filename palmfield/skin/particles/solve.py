@@ -12,19 +12,33 @@ from palmfield.skin.particles.probe import point_weights
 from palmfield.skin.particles.resolution import (
     COARSE_CELLS,
     COARSER,
+    SECONDS_A_STEP,
     choose_spacing,
     law_error,
     length_of,
     refusal_particles,
 )
-from palmfield.skin.particles.run import BLOCK, SAFETY, Particles, Reader, StepTooLongError, stable_step
+from palmfield.skin.particles.run import (
+    BLOCK,
+    SAFETY,
+    CrushedError,
+    Particles,
+    Reader,
+    StepTooLongError,
+    stable_step,
+)
 from palmfield.skin.problem import Body, Load, Motion, Slab, rising
 from palmfield.types import Float, Int
 
-ORDER = 1.5
-"""Least order seen between spacings (nu 0.495, static); it rises to the scheme's 2 as they shrink."""
+ORDER = 1.0
+"""Least order seen between spacings, of motion along the face near nu 0.5; into it 1.5, and 2 as they shrink."""
 RESTARTS = 12
 """Runs begun anew with a shorter step before giving up."""
+LONGEST_S = 3600.0
+"""Predicted time above which a run is refused before it begins."""
+SHORTEST = 1.0 / 8.0
+"""Part of the first step down to which a body that comes apart is tried again: strain may stiffen it, and the step
+blow up, within one block of steps. What still comes apart then is crushed."""
 
 
 def solve_particles(
@@ -47,7 +61,8 @@ def solve_particles(
     step_s, follower: as run_particles
     A layer's spot is measured in the x and y of the patch's frame.
     The error: of a slab from a second run with particles COARSER times as far apart, at ORDER, but at least half of
-    law_error (the difference may pass through 0); of a layer law_error at its own edges. L2 over times and points.
+    law_error (the difference may pass through 0); of a layer law_error at its own edges. L2 over the times at a
+    point, the largest of the points.
     Raises SceneError for what refusal_particles names, a wrong spacing, accuracy or step, and a body that is crushed.
     """
     begun = time.perf_counter()
@@ -84,9 +99,9 @@ def solve_particles(
 
 
 def _difference(coarse: Float, fine: Float) -> float:
-    """Relative L2 difference over times and points."""
-    size = np.linalg.norm(fine)
-    return float(np.linalg.norm(coarse - fine) / size) if size > 0.0 else 0.0
+    """L2 difference over the times at a point, of the finer one's there, the largest of the points."""
+    apart, size = (np.sqrt((u**2).sum(axis=(0, 2))) for u in (coarse - fine, fine))
+    return float(np.max(np.divide(apart, size, out=np.zeros_like(size), where=size > 0.0)))
 
 
 def run_particles(
@@ -111,12 +126,17 @@ def run_particles(
     longest = stable_step(cloud)
     if step_s is not None and not 0.0 < step_s <= longest:
         raise SceneError(f"particles: step_s is {step_s} s; give one above 0 and at most the stable {longest:.4g} s")
+    _refuse_hours(cloud, float(asked[-1] - load.times_s[0]) / longest, longest, device)
     points, near, weights = point_weights(cloud.columns, cloud.face_area, at)
     step = SAFETY * longest if step_s is None else step_s
     for _ in range(RESTARTS):
         body = Particles(cloud, device, step)
         try:
             history = _history(body, load, asked, (near, weights), longest, follower)
+        except CrushedError:
+            if step_s is not None or step < 2.0 * SHORTEST * SAFETY * longest:
+                raise
+            step *= 0.5
         except StepTooLongError as stiffened:
             step = stiffened.step_s
             if step_s is not None:
@@ -127,6 +147,21 @@ def run_particles(
             return points, *history, step
     raise SceneError(
         f"particles: the body stiffens without end; its step has come down to {step:.3g} s: lower the pressure"
+    )
+
+
+def _refuse_hours(cloud: Cloud, steps: float, step_s: float, device: str) -> None:
+    """Raises SceneError where these steps would take more than LONGEST_S, with the place that makes them short."""
+    kind = "cuda" if device.startswith("cuda") else "cpu"
+    seconds = len(cloud.points) * steps * SECONDS_A_STEP[kind]
+    if seconds <= LONGEST_S:
+        return
+    apart = np.linalg.norm(cloud.offset, axis=2)
+    closest = np.where(apart > 0.0, apart, np.inf).min(axis=1)
+    place = ", ".join(f"{x:.4g}" for x in cloud.points[cloud.owner[np.argmin(closest)]])
+    raise SceneError(
+        f"particles: {steps:.2g} steps of {step_s:.3g} s would take about {seconds:.2g} s, above {LONGEST_S:g} s: near "
+        f"({place}) m particles lie {closest.min():.2g} m apart; make the body even there, or use the implicit solver"
     )
 
 

@@ -7,7 +7,7 @@ from numpy.polynomial.legendre import leggauss
 from scipy.special import j0
 
 from palmfield.errors import SceneError
-from palmfield.skin.problem import GAUSSIAN, Body, Load, Slab, Spot
+from palmfield.skin.problem import GAUSSIAN, ONLY_IMPLICIT, Body, Foundation, Load, Slab, Spot
 from palmfield.skin.spectral.depth import depth_problem
 from palmfield.skin.spectral.drive import spot_transform
 from palmfield.skin.spectral.modes import FaceModes, face_modes, still_modes
@@ -29,6 +29,8 @@ def refusal_spectral(body: Body, load: Load) -> str | None:
     """Why the spectral solver can't solve this, in one sentence, or None."""
     if not isinstance(body, Slab):
         return "it solves flat slabs, and this is a layer on a surface"
+    if isinstance(body.base, Foundation):
+        return ONLY_IMPLICIT
     if body.shape != "infinite" and body.side != "roller":
         return f"a {body.shape} with {body.side} sides has no simple lateral waves; it needs side='roller'"
     if body.shape == "disc" and not (isinstance(load, Spot) and is_still(load) and not load.centres().any()):

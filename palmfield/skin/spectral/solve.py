@@ -18,7 +18,8 @@ from palmfield.types import Complex, Float
 
 FINER = 0.2
 """Tolerance of the run that the answer is compared with, relative to its own."""
-SAFETY = 1.25
+SAFETY = 2.0
+"""Of 23 random slabs the error was 0.7 to 1.7 times the difference from the finer run, of two weak ones more."""
 FINEST = 1e-9
 RETRIES = 3
 PART = 0.5

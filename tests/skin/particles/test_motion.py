@@ -1,7 +1,6 @@
 """Motion of bodies of particles against exact layers, columns in closed form, and conservation laws."""
 
 import dataclasses
-import itertools
 import math
 
 import numpy as np
@@ -81,9 +80,12 @@ def test_static_push_against_the_exact_layer(nu):
     assert errors[1] < 0.75 * errors[0]
 
 
-@pytest.mark.parametrize("pressure", [10.0, 4e3, 10e3])
+@pytest.mark.parametrize("pressure", [10.0, 10e3, 20e3, 40e3])
 def test_column_in_closed_form(pressure):
-    """Uniform dead pressure on a box with roller sides: one stretch, P_zz(l) = -p of the neo-Hookean law."""
+    """Uniform dead pressure on a box with roller sides: one stretch, P_zz(l) = -p of the neo-Hookean law.
+
+    At 20 and 40 kPa, stretches of 0.58 and 0.39, strain makes the first step too long within one block of steps.
+    """
     material = damped(10e3, 0.3, 5e-4)
     depth, side = 4e-3, 3e-3
     body = Slab((Sheet(material, depth),), "box", "bonded", "roller", size_m=(side, side))
@@ -202,32 +204,6 @@ def test_free_body_with_branches_keeps_its_momentum():
     before, after, sizes = run_free(Material("branched", 1000.0, 1e4, (Branch(1e4, 1e-3),), 5e4, ""))
     assert np.linalg.norm(after[0] - before[0]) <= 20 * sizes[0]
     assert np.linalg.norm(after[1] - before[1]) <= 1e-3 * np.linalg.norm(before[1])
-
-
-def test_unloaded_energy_does_not_grow():
-    """Kinetic energy of a ringing body with branches: its greatest value in each later stretch is below the first."""
-    material = Material("branched", 1000.0, 1e4, (Branch(1e4, 1e-3),), 1e5, "")
-    body = Slab((Sheet(material, 4e-3),), "box", "bonded", "free", size_m=(6e-3, 6e-3))
-    cloud = build_cloud(body, 1e-3)
-    particles = Particles(cloud, "cpu", SAFETY * stable_step(cloud))
-    rng = np.random.default_rng(4)
-    kick = np.einsum("nij,nj->ni", cloud.free, 1e-3 * rng.standard_normal(cloud.points.shape))
-    particles.velocity.assign(kick.astype(np.float32))
-    table = wp.zeros((BLOCK, len(cloud.face_area)), dtype=wp.float32, device="cpu")
-    reader = Reader(np.zeros((1, 1), dtype=np.int32), np.ones((1, 1)), "cpu")
-
-    def kinetic():
-        return 0.5 * (cloud.mass[:, None] * particles.velocity.numpy().astype(float) ** 2).sum()
-
-    peaks = [kinetic()]
-    for _ in range(6):
-        stretch = []
-        for _ in range(40):
-            particles.steps(16, table, False, reader)
-            stretch.append(kinetic())
-        peaks.append(max(stretch))
-    assert all(later <= earlier for earlier, later in itertools.pairwise(peaks))
-    assert peaks[-1] < 0.1 * peaks[0]
 
 
 def test_load_times_a_thousand_and_same_bits():

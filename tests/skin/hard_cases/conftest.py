@@ -1,0 +1,114 @@
+"""One small body and one short load for every solver, so that a case is one test with six parameters."""
+
+import dataclasses
+import importlib
+
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_limits
+
+from palmfield.skin.body_mesh import Sizes, build
+from palmfield.skin.load import PressureHistory
+from palmfield.skin.ordering import dissection_order
+from palmfield.skin.problem import Motion, Spot, points_on_face
+from palmfield.skin.reduced import pod, reduce
+from palmfield.skin.surface import SurfaceProbe
+
+FWHM = 0.0103
+SIZES = Sizes((0.0, 0.0), 0.012, 0.0055, 0.0055, 0.004, 0.004, 1, 0.03, 0.02, 150.0)
+"""Edges of 5.5 mm, rows of 4 mm: 1.5 k unknowns on a disc of 40 x 8 mm."""
+
+HOW = {
+    "spectral": {"accuracy": 2e-3},
+    "disc": {"degree": 5},
+    "implicit": {"sizes": SIZES, "step_s": 2.5e-4},
+    "explicit": {"size_m": 0.0055, "estimate": False},
+    "particles": {"spacing_m": 2e-3},
+    "reduced": {"sizes": SIZES},
+}
+WHERE = {
+    "spectral": "palmfield.skin.spectral",
+    "disc": "palmfield.skin.disc_fem",
+    "implicit": "palmfield.skin.implicit",
+    "explicit": "palmfield.skin.explicit.solve",
+    "particles": "palmfield.skin.particles",
+}
+
+
+def reduced(body, load, times, at, *, sizes=SIZES, band_Hz=(0.0, 900.0), tolerance=3e-3):
+    """Motion by a reduced model of the implicit solver's matrices: shapes of the load in, asked points out."""
+    points = points_on_face(body, at)
+    system = build(body, sizes)
+    history = PressureHistory(load, system.mesh, system)
+    start, end = float(load.times_s[0]), float(times[-1])
+    knots = load.times_s[load.times_s <= end]
+    moves = isinstance(load, Spot) and np.ptp(load.centres(), axis=0).any()
+    fine = np.linspace(start, end, 160) if moves else np.zeros(0)
+    grid = np.unique(np.concatenate([[start], knots, times[times > start], fine]))
+    forces = np.column_stack([history.operator @ history.pressure(t) for t in grid])
+    shapes, course = pod(forces, 1e-3)
+    read = SurfaceProbe(system.mesh, points, system).vectors
+    model = reduce(system, shapes, read, band_Hz, tolerance, order=dissection_order(system))
+    moved = [part.reshape(len(grid), len(points), 3) for part in model.run(course.T, grid, load.law)]
+    rows = np.searchsorted(grid, times)
+    late = (times > start)[:, None, None]
+    u, v = (np.where(late, part[np.minimum(rows, len(grid) - 1)], 0.0) for part in moved)
+    return Motion(times, points, u, v, model.error, "", f"reduced, {model.order} vectors", 0.0)
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    """Factors of such small matrices take a hundred times as long where threads of BLAS wait for each other."""
+    with threadpool_limits(1, user_api="blas"):
+        yield
+
+
+@pytest.fixture(scope="session")
+def solve_by():
+    """(name, body, load, times, at, **resolution) -> Motion, at a cheap resolution unless one is given."""
+
+    def run(name, body, load, times, at, **resolution):
+        how = {**HOW[name], **resolution}
+        at = np.asarray(at, dtype=float)
+        if name == "reduced":
+            return reduced(body, load, np.asarray(times, dtype=float), at, **how)
+        return getattr(importlib.import_module(WHERE[name]), f"solve_{name}")(body, load, times, at, **how)
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def refusal_by():
+    """(name, body, load) -> str | None. A reduced model is of the implicit solver's matrices."""
+
+    def why(name, body, load):
+        name = "implicit" if name == "reduced" else name
+        return getattr(importlib.import_module(WHERE[name]), f"refusal_{name}")(body, load)
+
+    return why
+
+
+@pytest.fixture(scope="session")
+def sizes_like():
+    def make(**changes):
+        return dataclasses.replace(SIZES, **changes)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def miss():
+    """(found, exact) displacements (t, n, 3) -> L2 over times at a point, the largest of the points, relative."""
+
+    def relative(found, exact):
+        size = np.linalg.norm(exact, axis=(0, 2))
+        return float((np.linalg.norm(found - exact, axis=(0, 2)) / size).max())
+
+    return relative
+
+
+@pytest.fixture(scope="session")
+def burst():
+    """A smooth push of 1 Pa and 8 ms under a spot of 10.3 mm."""
+    times = np.linspace(0.0, 8e-3, 65)
+    return Spot(FWHM, times, 0.5 * (1.0 - np.cos(2.0 * np.pi * times / 8e-3)))
