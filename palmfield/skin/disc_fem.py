@@ -15,7 +15,7 @@ import math
 import os
 import time
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -46,8 +46,8 @@ BAND_STEP = 1.25
 """Ratio of the bands of two runs that are compared: what a jump excites above them shows in the difference."""
 SAFETY = 1.25
 """On the difference from the finer run, which errs itself: its error was 1 to 15 % of that of the odd degree before."""
-TIGHTER = 0.2
-"""Tolerance of the reduced models of the finer run, in that of the other; their own bounds are up to 100 times wide."""
+TIGHTER, TIGHTEST = 0.25, 2e-5
+"""Accuracy for which that run's harmonics, path and reduced models are chosen, in the wanted one, and the least."""
 CORNER = 0.15
 """Width of the elements at a singular corner, in those of their neighbours (Szabo & Babuska 1991, ch. 10)."""
 REACH = 3.0
@@ -113,11 +113,12 @@ def solve_disc(
     problem = _problem(body, load, times, points, accuracy, harmonics)
     first = degree or first_degree(accuracy)
     band = problem.band_Hz
-    tighter = replace(problem, tolerance=TIGHTER * problem.tolerance)
+    tighter = _problem(body, load, times, points, max(TIGHTER * accuracy, TIGHTEST), harmonics)
     while True:
-        found, finer = _motion(problem, first, fine, band), _motion(tighter, first + 1, fine, BAND_STEP * band)
+        wider = BAND_STEP * max(band, tighter.band_Hz)
+        found, finer = _motion(problem, first, fine, band), _motion(tighter, first + 1, fine, wider)
         apart = SAFETY * _difference(found.moved[0], finer.moved[0])
-        error = apart + found.dropped + problem.path
+        error = apart + finer.dropped + tighter.path
         if degree is not None or error <= accuracy or first >= MOST_DEGREE:
             break
         first, band = first + 2, BAND_STEP**2 * band
@@ -127,8 +128,8 @@ def solve_disc(
         displacement_m=found.moved[0],
         velocity_m_s=found.moved[1],
         error=error,
-        error_source=f"{SAFETY} times the difference from degree {first + 1} and wider, tighter reduced models: "
-        f"{apart:.2g}; harmonics left out: {found.dropped:.2g}; path: {problem.path:.2g}",
+        error_source=f"{SAFETY} times the difference from a run finer in everything, of degree {first + 1}: "
+        f"{apart:.2g}; harmonics that it leaves out: {finer.dropped:.2g}; its path: {tighter.path:.2g}",
         solver=f"disc, {found.elements} elements of degree {first} (r x z), {len(problem.numbers)} harmonics, "
         f"{len(problem.samples.times_s)} times",
         seconds=time.perf_counter() - begin,

@@ -35,6 +35,9 @@ LOWER_SPONGE = 0.7
 LONGEST_S = 3600.0
 """Predicted seconds above which a run is refused."""
 
+SURE = 1.25
+"""On the error that the second run tells, which errs itself."""
+
 WINDOW = 0.05
 """Share of the time that the second run takes where it has the higher order."""
 
