@@ -72,6 +72,9 @@ def run_cost(dofs: float, steps: float) -> float:
 FINER_THAN_ASKED = 0.6
 """Share of the asked edges below which a layer's own triangles are left for coarser ones."""
 
+NARROWEST = 3.0
+"""Edges that must fit across a patch for that."""
+
 GROWTH, ENDLESS_GROWTH = 2.5, 10.0
 """Unknowns of the last mesh over those first expected, at 5 %; 1 to 13 on six discs and boxes, 7 to 20 on three endless
 slabs, which are widened as well. A layer's triangles are quartered from the beginning."""
@@ -192,7 +195,9 @@ def first_sizes(body: Body, load: Load, points: Float, accuracy: float) -> Sizes
         near = np.hypot(*(corners.mean(axis=1)[:, :2] - centre).T) < path + 1.2 * width
         edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean(axis=1)
         mean = float(edges[near].mean()) if near.any() else float(edges.mean())
-        remesh = mean < FINER_THAN_ASKED * fine and is_height_field(body.patch)
+        across = float(np.ptp(body.patch.vertices[:, :2], axis=0).min())
+        remesh = mean < FINER_THAN_ASKED * fine and across > NARROWEST * fine and is_height_field(body.patch)
+        coarse = max(fine, min(coarse, across / NARROWEST)) if remesh else coarse
         refinements = 0 if remesh else max(1, math.ceil(math.log2(mean / fine) - 0.2))
     return Sizes(
         centre_m=(float(centre[0]), float(centre[1])),
