@@ -52,6 +52,12 @@ def bands(load: Load, end_s: float, resonance_Hz: float) -> tuple[Float, Float]:
     return np.where(frequencies < low, 0.0, frequencies), energies
 
 
+def course_moves(load: Load, end_s: float) -> bool:
+    """Whether the load presses at all up to end_s where `bands` looks."""
+    times = np.linspace(float(load.times_s[0]), max(end_s, float(load.times_s[0]) + 1e-6), 257)
+    return bool(np.any(course_at(load, np.asarray(times, dtype=np.float64)) != 0.0))
+
+
 def resonance(material: Material, depth_m: float) -> float:
     """Lowest frequency at which a bonded layer guides waves, c_s / 4h [Hz], c_s taken there."""
     frequency = 200.0

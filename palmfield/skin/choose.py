@@ -1,5 +1,6 @@
 """One call for every skin solver: the cheapest that reaches the wanted accuracy, and solved finer where it did not."""
 
+import inspect
 import math
 import time
 from collections.abc import Callable
@@ -65,7 +66,10 @@ def ranking(body: Body, load: Load, times: Float, at: Float, accuracy: float, de
         refusal = function(name, "refusal")(body, load)
         seconds = math.inf
         if refusal is None:
-            seconds = cost(name, body, load, times, at, accuracy, device)
+            try:
+                seconds = cost(name, body, load, times, at, accuracy, device)
+            except SceneError as reason:
+                refusal = str(reason)
         found.append(Choice(name, seconds, refusal))
     return sorted(found, key=lambda choice: choice.seconds)
 
@@ -90,7 +94,7 @@ def solve(
     accuracy: wanted relative error of the displacement, L2 over the times at a point, the largest of the points
     device: "auto", "cpu" or "cuda:N"
     whole: keep all of a layer, also what lies beyond the reach of load and points (palmfield.skin.crop)
-    resolution: passed on to a solver asked for by name
+    resolution: passed on to a solver asked for by name, which is then not made finer
     Where the estimate misses the accuracy the problem is solved again, finer, up to FINER times; a Motion whose `error`
     is above `accuracy` says so in its `solver`.
     Raises SceneError for bad arguments and where no solver, or not the one asked for, can do it.
@@ -115,10 +119,14 @@ def solve(
         why = f"auto: predicted {able[0].seconds:.2g} s" + (f"; {others}" if others else "")
     else:
         name, why = solver, "asked for"
-        refusal = function(name, "refusal")(body, load)
+        refusal = None if resolution else function(name, "refusal")(body, load)
         if refusal is not None:
             raise SceneError(f"solver '{name}': {refusal}")
     run = function(name, "solve")
+    known = inspect.signature(run).parameters
+    for key in resolution:
+        if key not in known:
+            raise SceneError(f"solver '{name}' has no '{key}'; it takes {', '.join(list(known)[4:])}")
     motion: Motion = run(body, load, moments, points, accuracy=accuracy, device=where, **resolution)
     wanted = accuracy
     for _ in range(FINER):

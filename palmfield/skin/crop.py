@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from palmfield.errors import SceneError
-from palmfield.skin.bands import bands, resonance
+from palmfield.hand.triangles import face_components
+from palmfield.skin.bands import bands, course_moves, resonance
 from palmfield.skin.estimate import load_width
 from palmfield.skin.layer_oracle import centre_response
 from palmfield.skin.material import shear_wave
@@ -41,15 +42,7 @@ def crop(body: Body, load: Load, end_s: float, at: Float, accuracy: float) -> tu
         return body, load, 0.0
     distance, change = found
     patch = body.patch
-    if not isinstance(load, Spot):
-        acting = np.any(load.pressure_Pa != 0.0, axis=0)
-        load = replace(
-            load,
-            points=load.points[acting],
-            weights_m2=load.weights_m2[acting],
-            pressure_Pa=load.pressure_Pa[:, acting],
-        )
-    path = load.centres() if isinstance(load, Spot) else load.points[:, :2]
+    path = load.centres() if isinstance(load, Spot) else load.points[np.any(load.pressure_Pa != 0.0, axis=0), :2]
     asked = np.asarray(at, dtype=float)[:, :2]
     here = patch.vertices[:, :2]
     away = cKDTree(np.concatenate([path, asked])).query(here)[0]
@@ -59,8 +52,14 @@ def crop(body: Body, load: Load, end_s: float, at: Float, accuracy: float) -> tu
         marks = np.concatenate([path, asked])
         inside = np.all((here >= marks.min(axis=0) - distance) & (here <= marks.max(axis=0) + distance), axis=1)
     kept = inside[patch.faces].any(axis=1)
-    if kept.all() or not kept.any():
+    if kept.all() or not kept.any() or face_components(patch.faces[kept]).max() > 0:
         return body, load, 0.0
+    if not isinstance(load, Spot):
+        # Points without pressure stay where they bound it
+        near = cKDTree(path).query(load.points[:, :2])[0] <= distance
+        load = replace(
+            load, points=load.points[near], weights_m2=load.weights_m2[near], pressure_Pa=load.pressure_Pa[:, near]
+        )
     return replace(body, patch=part_of(patch, kept)), load, change
 
 
@@ -76,6 +75,8 @@ def reach(body: Layer, load: Load, end_s: float, accuracy: float) -> tuple[float
     depth = float(body.patch.depth.max())
     distances = width * np.linspace(0.0, FURTHEST, 1 + round(4.0 * FURTHEST))
     guided = resonance(material, depth)
+    if not course_moves(load, end_s):
+        return None
     total = np.zeros(len(distances))
     for frequency, energy in zip(*bands(load, end_s, guided), strict=True):
         seen = energy * np.abs(centre_response(frequency, material, depth, width, None, distances, settled=1e-4)) ** 2

@@ -76,7 +76,8 @@ def sampled(mesh: WedgeMesh, system: SkinSystem, load: Traction) -> sparse.csr_m
     The pressure is linear between the points (Delaunay triangles in x and y), and integrated on a rule about as close
     as they lie. Forces at the points themselves, of the areas that they stand for, would be a rough load on elements
     not much larger than those, to which a thin layer answers more than to a smooth one. They are left for points on a
-    line, and for one that no point of the rule is near.
+    line, and for one that no point of the rule is near. Beyond the outermost points there is no pressure: give some
+    where it is 0.
     """
     probe = SurfaceProbe(mesh, load.points, system)
     forces = sparse.csr_matrix(-(probe.operator.T @ sparse.diags(load.weights_m2)))

@@ -118,9 +118,14 @@ def deepen(
     for _ in range(ROUNDS):
         if rows_below(body, now.sizes) > coarse.rows:
             break
-        row = 0.5 * min(now.sizes.row_m, 0.5 * depth_of(body) / ratio_of(body, now.sizes))
-        thin = replace(now, sizes=replace(now.sizes, row_m=row, deepest_row_m=0.7 * now.sizes.deepest_row_m))
-        deeper = run(thin, ratio_of(body, now.sizes))
+        ratio = ratio_of(body, now.sizes)
+        row, deepest = 0.5 * min(now.sizes.row_m, 0.5 * depth_of(body) / ratio), 0.7 * now.sizes.deepest_row_m
+        thin = replace(now, sizes=replace(now.sizes, row_m=row, deepest_row_m=deepest))
+        # A body of many sheets has a row for each as it is
+        while rows_below(body, thin.sizes.scaled(ratio)) <= coarse.rows:
+            row, deepest = 0.5 * row, 0.5 * deepest
+            thin = replace(now, sizes=replace(now.sizes, row_m=row, deepest_row_m=deepest))
+        deeper = run(thin, ratio)
         more = max(deeper.rows / coarse.rows, LEAST_MORE)
         gap = difference(deeper, coarse)
         error = gap / (1.0 - more**-MESH_ORDER)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from palmfield.errors import SceneError
-from palmfield.skin.bands import bands, resonance
+from palmfield.skin.bands import bands, course_moves, resonance
 from palmfield.skin.estimate import load_width
 from palmfield.skin.layer_oracle import centre_response
 from palmfield.skin.material import Material, bulk_from_poisson
@@ -17,6 +17,9 @@ RATIOS = (0.49, 0.495, 0.497, 0.499)
 
 SHARE = 0.5
 """Part of the wanted accuracy that a bulk modulus chosen by itself may take."""
+
+FAR = 1e-3
+"""Share of the motion in the middle below which motion is judged by that."""
 
 FAINT = 1e-5
 """Share of the energy of the load's course below which a band counts for nothing here."""
@@ -76,6 +79,8 @@ def change_of(body: Body, soft: Material, load: Load, end_s: float, at: Float) -
     away = np.array([0.0, width])
     if isinstance(load, Spot) and len(np.unique(load.centres(), axis=0)) == 1:
         away = np.append(0.0, np.hypot(*(np.asarray(at, dtype=float)[:, :2] - load.centres()[0]).T))
+    if not course_moves(load, end_s):
+        return 0.0
     frequencies, energies = bands(load, end_s, resonance(material, depth))
     assert not isinstance(body.base, Springs | Foundation)
     apart, size = np.zeros(len(away)), np.zeros(len(away))
@@ -86,4 +91,5 @@ def change_of(body: Body, soft: Material, load: Load, end_s: float, at: Float) -
             )
             apart += energy * np.abs(near - exact) ** 2
             size += energy * np.abs(exact) ** 2
-    return float(np.sqrt(apart / size).max())
+    # Far off there is nothing but the integral's own error
+    return float(np.sqrt(apart / np.maximum(size, FAR**2 * size[0])).max())

@@ -52,7 +52,7 @@ def test_a_missed_accuracy_is_solved_finer_and_a_lasting_miss_is_said(monkeypatc
         return Motion(np.zeros(1), np.zeros((1, 3)), still, still, error, "made up for the test", "fake", 1.0)
 
     def fake(name: str, what: str):
-        def run(*_: object, accuracy: float, **__: object) -> Motion:
+        def run(*_: object, accuracy: float, step_s: float = 0.0, **__: object) -> Motion:
             asked.append(accuracy)
             return found(errors[len(asked) - 1])
 
@@ -125,3 +125,11 @@ def test_static_answers_come_from_lateral_waves_or_elements() -> None:
     assert -held.displacement_m[0, 0, 2] == pytest.approx(exact, rel=0.05)
     with pytest.raises(SceneError, match="needs a support"):
         static(Slab(box.sheets, shape="box", base="free", side="free", size_m=(0.12, 0.12)), HELD, CENTRE)
+
+
+def test_a_solver_that_cannot_price_a_problem_leaves_it_to_others() -> None:
+    ranked = choices(ENDLESS, HELD, [0.01], CENTRE, accuracy=2e-5, device="cpu")
+    assert ranked[0].name == "spectral" and ranked[0].refusal is None
+    assert any(choice.refusal and "accuracy" in choice.refusal for choice in ranked)
+    with pytest.raises(SceneError, match="solver 'spectral' has no 'order'; it takes accuracy, device"):
+        solve(ENDLESS, HELD, [0.01], CENTRE, solver="spectral", device="cpu", order=3)

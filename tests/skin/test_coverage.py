@@ -11,13 +11,13 @@ from palmfield.skin import coverage as module
 from palmfield.skin.coverage import Row, TooLongError, at_most, equivalent, judge, relative_error, summary
 from palmfield.skin.random_cases import COURSES, KINDS, curved_patch, random_case
 
-CHEAP = ((5, 1), (5, 2), (5, 4), (5, 5), (5, 6), (5, 10), (5, 12), (5, 17))
-"""Seed and number of cases that take a second or two: endless slabs, discs and boxes, by four solvers."""
+CHEAP = (5, 16, 21, 25, 26, 29, 30, 36)
+"""Of the first 40 cases of seed 6 at 20 ms, those known and solved within 6 s: picked by their time alone."""
 
 
 def test_estimates_of_random_cases_are_true() -> None:
     """Issue: true <= estimate in 90 % of the cases, median of estimate / true at most 4."""
-    rows = [row for seed, number in CHEAP for row in judge(random_case(seed, number, 0.025), longest_s=1.0)]
+    rows = [row for number in CHEAP for row in judge(random_case(6, number, 0.02), longest_s=0.5)]
     for row in rows:
         print(row.number, row.asked, row.solver, row.wanted, row.estimate, row.true, row.processor_s, row.missing)
     found = summary(rows)

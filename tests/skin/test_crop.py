@@ -77,7 +77,23 @@ def test_points_without_pressure_go_with_what_they_lie_on() -> None:
     load = Traction(points, np.full(len(points), 1e-5), GRID, np.outer(np.sin(400.0 * np.pi * GRID), pressure))
     part, cut, change = crop(body, load, GRID[-1], np.zeros((1, 2)), 0.1)
     assert change > 0.0 and len(part.patch.faces) < len(body.patch.faces)
-    assert len(cut.points) == np.count_nonzero(pressure)
+    # Those that bound the pressure stay, or it would be linear over the gap
+    assert np.count_nonzero(pressure) < len(cut.points) < len(points)
+    assert cut.pressure_Pa.any(axis=0).sum() == np.count_nonzero(pressure)
+    assert crop(flat("palm", 0.003), load, GRID[-1], np.zeros((1, 2)), 0.001)[1] is load
+
+
+def test_parts_that_hang_together_by_nothing_stay_whole() -> None:
+    body = flat("finger_pad", 0.002)
+    points = np.array([[-0.03, 0.0, 0.0], [0.03, 0.0, 0.0]])
+    load = Traction(points, np.full(2, 1e-5), GRID, np.outer(np.sin(400.0 * np.pi * GRID), np.ones(2)))
+    same, _, change = crop(body, load, GRID[-1], points, 0.1)
+    assert same is body and change == 0.0
+
+
+def test_a_load_that_never_presses_leaves_all_as_it_is() -> None:
+    body, none = flat("finger_pad", 0.002), Spot(0.0103, GRID, np.zeros_like(GRID))
+    assert crop(body, none, GRID[-1], np.zeros((1, 2)), 0.1) == (body, none, 0.0)
 
 
 def test_the_rim_of_a_part_is_its_outline() -> None:

@@ -16,7 +16,7 @@ from palmfield.skin.explicit.model import SAFETY, Model, hold
 from palmfield.skin.explicit.places import find
 from palmfield.skin.explicit.run import Points, Stepper
 from palmfield.skin.explicit.solid import Solid
-from palmfield.skin.problem import ONLY_IMPLICIT, Body, Foundation, Layer, Load, Motion, rising
+from palmfield.skin.problem import ONLY_IMPLICIT, Body, Foundation, Layer, Load, Motion, Spot, rising
 from palmfield.skin.soften import soften
 from palmfield.types import Float
 
@@ -34,9 +34,6 @@ LOWER_SPONGE = 0.7
 
 LONGEST_S = 3600.0
 """Predicted seconds above which a run is refused."""
-
-SURE = 1.25
-"""On the error that the second run tells, which errs itself."""
 
 WINDOW = 0.05
 """Share of the time that the second run takes where it has the higher order."""
@@ -87,7 +84,7 @@ def cost_explicit(body: Body, load: Load, times: Float, at: Float, accuracy: flo
 
 
 def size_of(body: Body, chosen: Plan) -> tuple[float, float]:
-    """Nodes and step [s], roughly, without building the mesh."""
+    """Nodes and step [s], roughly, of a mesh that is not built."""
     n = chosen.order
     if isinstance(body, Layer):
         area = 3.0 * len(body.patch.faces) * chosen.size_m**2
@@ -151,7 +148,8 @@ def apart(found: Float, other: Float) -> float:
 def window(body: Body, chosen: Plan, load: Load, times: Float) -> float:
     """Time [s] up to which the second run goes: the last asked, or a twentieth of the way where it is the dearer."""
     if chosen.order == 1 and beside(body, chosen).order == 2:
-        start = float(load.times_s[0])
+        pressing = load.peak_Pa if isinstance(load, Spot) else np.abs(load.pressure_Pa).max(axis=1)
+        start = float(load.times_s[max(0, int(np.argmax(pressing != 0.0)) - 1)])
         begun = times[times > start]
         if len(begun):
             return max(start + WINDOW * (float(times[-1]) - start), float(begun[0]))
@@ -191,6 +189,8 @@ def solve_explicit(
     asked = rising("times", times)
     if precision not in ("float32", "float64"):
         raise SceneError(f"explicit skin: precision is '{precision}'; use float32 or float64")
+    if size_m is not None and not size_m > 0.0:
+        raise SceneError(f"explicit skin: size_m is {size_m}; give a width above 0")
     if order is not None and not 1 <= order <= 7:
         raise SceneError(f"explicit skin: order is {order}; give 1 to 7")
     points = np.atleast_2d(np.asarray(at, dtype=float))
