@@ -26,6 +26,9 @@ LANES = 16
 BLOCK = 128
 """Threads of a GPU block."""
 
+READERS = wp.constant(128)
+"""Threads that keep the readings, after those of the elements."""
+
 CPU_OPTIONS = {"cpu_compiler_flags": "-march=native -ffp-contract=fast"}
 
 
@@ -151,15 +154,19 @@ GPU_BODY = Template("""
     const int i = q / (n * n), j = (q / n) % n, k = q % n;
     const bool live = q < P;
     const long count = conn.shape[0], at = block;
-    for (int m = t; m < n * n; m += B) D[m] = derivative.data[m];
-    for (int m = t; m < 3 * n; m += B) top[m] = filter.data[m];
     const int element = block / $places;
+    // Within a warp the threads of an element keep step by themselves
+    auto sync = [&]() {
+        if ($places <= 32) __syncwarp(); else __syncthreads();
+    };
     const $real G = moduli.data[element], K = moduli.data[moduli.shape[1] + element];
     const $real mix = moduli.data[2 * moduli.shape[1] + element];
     const $real* wv = reinterpret_cast<const $real*>(w.data + w_conn.data[at]);
     const $real* uv = ($single || mix != 0) ? wv : reinterpret_cast<const $real*>(u.data + conn.data[at]);
-    $real A[9], g[3][3], H[3][3];
-    for (int r = 0; r < 9; ++r) A[r] = metric.data[r * count + at];
+    $real A[11], g[3][3], H[3][3];
+    for (int r = 0; r < 11; ++r) A[r] = metric.data[r * count + at];
+    for (int m = t; m < n * n; m += B) D[m] = derivative.data[m];
+    for (int m = t; m < 3 * n; m += B) top[m] = filter.data[m];
     for (int c = 0; c < 3; ++c) s[c][t] = uv[c];
     __syncthreads();
     auto gradient = [&]() {
@@ -177,10 +184,10 @@ GPU_BODY = Template("""
         for (int r = 0, stride = 1; r < 3; ++r, stride *= n) {
             const int m0 = (q / stride) % n;
             $real share = 0;
-            __syncthreads();
+            sync();
             if (live)
                 for (int m = 0; m < n; ++m) share += top[n + m] * d[t + (m - m0) * stride];
-            __syncthreads();
+            sync();
             if (live) d[t] -= top[m0] * share;
         }
     };
@@ -191,18 +198,18 @@ GPU_BODY = Template("""
         d[t] = sum / (top[2 * n + i] * top[2 * n + j] * top[2 * n + k]);
     }
     reduce();
-    if (live) d[t] *= K * metric.data[10 * count + at];
+    if (live) d[t] *= K * A[10];
     reduce();
     if (!$single) {
         for (int c = 0; c < 3; ++c) s[c][t] = wv[c];
-        __syncthreads();
+        sync();
         if (live) gradient();
     }
-    __syncthreads();
+    sync();
     if (live) {
         for (int c = 0; c < 3; ++c)
             for (int e = 0; e < 3; ++e) H[c][e] = g[c][0] * A[e] + g[c][1] * A[3 + e] + g[c][2] * A[6 + e];
-        const $real shear = G * metric.data[9 * count + at];
+        const $real shear = G * A[9];
         const $real third = (H[0][0] + H[1][1] + H[2][2]) * ($real)(2.0 / 3.0);
         for (int c = 0; c < 3; ++c) {
             $real stress[3];
@@ -212,7 +219,7 @@ GPU_BODY = Template("""
                 s[3 * c + r][t] = A[3 * r] * stress[0] + A[3 * r + 1] * stress[1] + A[3 * r + 2] * stress[2];
         }
     }
-    __syncthreads();
+    sync();
     if (live)
         for (int c = 0; c < 3; ++c) {
             $real f = 0;
@@ -273,8 +280,9 @@ def element_forces(order: int, real: Any, single: bool, gpu: bool) -> Any:
     Of the kernel, for E elements (padded) of Q = places(order, gpu) positions:
     u: displacement [m], shape (nodes,); w: displacement that shears, shape (copies of nodes,)
     conn, w_conn: by position, index into u and w; clock: one number, raised by one at each call
-    threads: of the launch; done, slots, nodes, shares, v [m/s], displacement, velocity: see point_reading, for u is
-    still what the last step left
+    threads: of the elements; READERS more follow
+    done, slots, nodes, shares, v [m/s], displacement, velocity: see point_reading, for u is still what the last step
+    left
     metric: shape (11, E Q): A [m^2] (9 rows), 1 / (w J) [1/m^3] and 1 / F[J] [1/m^3]
     moduli: shape (3, E): G [Pa], K [Pa], and 1 where the pressure follows w, 0 where u
     derivative: D of the rule, (n, n); filter: top, top_weights and weights of the rule, (3 n,)
@@ -327,10 +335,11 @@ def element_forces(order: int, real: Any, single: bool, gpu: bool) -> Any:
         velocity: wp.array2d(dtype=vec3),
     ):
         block = wp.tid()
-        if block == 0:
+        if block < threads:
+            forces(block, u, w, conn, w_conn, metric, moduli, derivative, filter, force)
+            return
+        if block == threads:
             clock[0] = clock[0] + 1
-        forces(block, u, w, conn, w_conn, metric, moduli, derivative, filter, force)
-        if block < nodes.shape[0]:
-            read(block, threads, done[0], slots, nodes, shares, u, v, displacement, velocity)
+        read(block - threads, READERS, done[0], slots, nodes, shares, u, v, displacement, velocity)
 
     return kernel

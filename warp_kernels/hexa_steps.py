@@ -12,6 +12,9 @@ import warp as wp
 
 from warp_kernels.hexa import CPU_OPTIONS, LANES, point_reading
 
+NODE_BLOCK = 64
+"""Threads of a GPU block of nodes: a layer has few, which should lie on as many processors as there are."""
+
 
 @functools.cache
 def geometry(real: Any) -> Any:
@@ -77,18 +80,20 @@ def geometry(real: Any) -> Any:
 
 
 NODE_BODY = Template("""
-    constexpr int L = $lanes;
+    constexpr int L = $lanes, T = $together;
     typedef $real Real;
-    const int first = block * L, step = clock.data[0] - 1;
-    const long count = force.shape[1];
-    Real f[3][L] = {};
-    const int end = starts.data[block + 1];
-    $unroll
-    for (int s = starts.data[block]; s < end; ++s)
-        for (int l = 0; l < L; ++l) {
-            const int source = sources.data[s * L + l];
-            for (int c = 0; c < 3; ++c) f[c][l] -= force.data[c * count + source];
-        }
+    const int first = block * L, step = clock.data[0] - 1, begin = starts.data[block], end = starts.data[block + 1];
+    const long count = force.shape[1], copies = strain.shape[1];
+    Real* U = reinterpret_cast<Real*>(u.data) + 3 * first;
+    Real* V = reinterpret_cast<Real*>(v.data) + 3 * first;
+    Real* W = reinterpret_cast<Real*>(w.data);
+    // A GPU thread waits for memory alone: what does not hang on the forces is asked for before them
+    Real moved[3 * L], speed[3 * L], keep[L], push[L], y[3 * L], f[3][L] = {};
+    int row[L];
+    for (int m = 0; m < 3 * L; ++m) moved[m] = U[m], speed[m] = V[m];
+    for (int m = 0; m < 3 * L; ++m) y[m] = reinterpret_cast<Real*>(strain.data + first)[m];
+    for (int l = 0; l < L; ++l) keep[l] = pace.data[first + l][0], push[l] = pace.data[first + l][1];
+    for (int l = 0; l < L; ++l) row[l] = held.data[first + l];
     for (int l = 0; l < L && first + l < areas.shape[0]; ++l) {
         const int i = first + l;
         Real pressure;
@@ -96,51 +101,57 @@ NODE_BODY = Template("""
             const Real x = places.data[i][0] - spot.data[step][1], y = places.data[i][1] - spot.data[step][2];
             pressure = spot.data[step][0] * Real(exp(-spread * (x * x + y * y)));
         } else {
-            const Real* row = frames.data + long(frame.data[step]) * frames.shape[1];
-            pressure = row[i] + share.data[step] * (row[frames.shape[1] + i] - row[i]);
+            const Real* pressures = frames.data + long(frame.data[step]) * frames.shape[1];
+            pressure = pressures[i] + share.data[step] * (pressures[frames.shape[1] + i] - pressures[i]);
         }
-        for (int c = 0; c < 3; ++c) f[c][l] -= pressure * areas.data[i][c];
+        for (int c = 0; c < 3; ++c) f[c][l] = -pressure * areas.data[i][c];
     }
-    Real* U = reinterpret_cast<Real*>(u.data) + 3 * first;
-    Real* V = reinterpret_cast<Real*>(v.data) + 3 * first;
-    Real* W = reinterpret_cast<Real*>(w.data);
-    Real moved[3 * L], speed[3 * L];
-    for (int l = 0; l < L; ++l)
-        for (int c = 0; c < 3; ++c)
-            speed[3 * l + c] = pace.data[first + l][0] * V[3 * l + c] + pace.data[first + l][1] * f[c][l];
+    for (int s = begin; s < end; s += T) {
+        int source[T * L];
+        for (int k = 0; k < T; ++k)
+            for (int l = 0; l < L; ++l) source[k * L + l] = T == 1 || s + k < end ? sources.data[(s + k) * L + l] : -1;
+        for (int k = 0; k < T; ++k)
+            for (int l = 0; l < L; ++l)
+                for (int c = 0; c < 3; ++c)
+                    f[c][l] -= T == 1 || s + k < end ? force.data[c * count + source[k * L + l]] : Real(0);
+    }
     for (int l = 0; l < L; ++l) {
-        const int row = held.data[first + l];
-        if (row < 0) continue;
-        Real total[3];
-        for (int c = 0; c < 3; ++c) {
-            total[c] = f[c][l];
-            for (int d = 0; d < 3; ++d) total[c] -= spring33.data[row].data[c][d] * U[3 * l + d];
-        }
-        for (int c = 0; c < 3; ++c) {
-            Real sum = 0;
-            for (int d = 0; d < 3; ++d)
-                sum += keep33.data[row].data[c][d] * V[3 * l + d] + push33.data[row].data[c][d] * total[d];
-            speed[3 * l + c] = sum;
-        }
-    }
-    for (int m = 0; m < 3 * L; ++m) {
-        V[m] = speed[m];
-        moved[m] = U[m] + step_s * speed[m];
-        U[m] = moved[m];
-    }
-    const long copies = strain.shape[1];
-    if ($one_law) {
-        Real* own = W + 3 * first;
-        for (int m = 0; m < 3 * L; ++m) moved[m] += viscous.data[0] * speed[m];
-        for (int b = 0; b < branches.shape[0]; ++b) {
-            Real* y = reinterpret_cast<Real*>(strain.data + b * copies + first);
-            const Real e = branches.data[b][0], ch = branches.data[b][1], g = branches.data[b][2];
-            for (int m = 0; m < 3 * L; ++m) {
-                y[m] = e * y[m] + ch * speed[m];
-                moved[m] += g * y[m];
+        Real mine[3];
+        if (row[l] < 0) {
+            for (int c = 0; c < 3; ++c) mine[c] = keep[l] * speed[3 * l + c] + push[l] * f[c][l];
+        } else {
+            Real total[3];
+            for (int c = 0; c < 3; ++c) {
+                total[c] = f[c][l];
+                for (int d = 0; d < 3; ++d) total[c] -= spring33.data[row[l]].data[c][d] * moved[3 * l + d];
+            }
+            for (int c = 0; c < 3; ++c) {
+                mine[c] = 0;
+                for (int d = 0; d < 3; ++d)
+                    mine[c] += keep33.data[row[l]].data[c][d] * speed[3 * l + d]
+                             + push33.data[row[l]].data[c][d] * total[d];
             }
         }
-        for (int m = 0; m < 3 * L; ++m) own[m] = moved[m];
+        for (int c = 0; c < 3; ++c) speed[3 * l + c] = mine[c];
+    }
+    for (int m = 0; m < 3 * L; ++m) {
+        moved[m] += step_s * speed[m];
+        V[m] = speed[m];
+        U[m] = moved[m];
+    }
+    if ($one_law) {
+        for (int m = 0; m < 3 * L; ++m) moved[m] += viscous.data[0] * speed[m];
+        for (int b = 0; b < branches.shape[0]; ++b) {
+            Real* own = reinterpret_cast<Real*>(strain.data + b * copies + first);
+            const Real e = branches.data[b][0], ch = branches.data[b][1], g = branches.data[b][2];
+            for (int m = 0; m < 3 * L; ++m) {
+                own[m] = e * y[m] + ch * speed[m];
+                moved[m] += g * own[m];
+            }
+            if (b + 1 == branches.shape[0]) break;
+            for (int m = 0; m < 3 * L; ++m) y[m] = reinterpret_cast<Real*>(strain.data + (b + 1) * copies + first)[m];
+        }
+        for (int m = 0; m < 3 * L; ++m) W[3 * first + m] = moved[m];
     } else {
         for (int l = 0; l < L; ++l)
             for (int copy = copy_starts.data[first + l]; copy < copy_starts.data[first + l + 1]; ++copy) {
@@ -148,10 +159,10 @@ NODE_BODY = Template("""
                 Real total[3];
                 for (int c = 0; c < 3; ++c) total[c] = moved[3 * l + c] + viscous.data[law] * speed[3 * l + c];
                 for (int b = laws.data[law][0], k = 0; b < laws.data[law][1]; ++b, ++k) {
-                    Real* y = reinterpret_cast<Real*>(strain.data + k * copies + copy);
+                    Real* own = reinterpret_cast<Real*>(strain.data + k * copies + copy);
                     for (int c = 0; c < 3; ++c) {
-                        y[c] = branches.data[b][0] * y[c] + branches.data[b][1] * speed[3 * l + c];
-                        total[c] += branches.data[b][2] * y[c];
+                        own[c] = branches.data[b][0] * own[c] + branches.data[b][1] * speed[3 * l + c];
+                        total[c] += branches.data[b][2] * own[c];
                     }
                 }
                 for (int c = 0; c < 3; ++c) W[3 * copy + c] = total[c];
@@ -188,8 +199,8 @@ def node_step(real: Any, moving: bool, one_law: bool, gpu: bool) -> Any:
         "real": "double" if real is wp.float64 else "float",
         "moving": "true" if moving else "false",
         "one_law": "true" if one_law else "false",
-        # A GPU thread waits for memory alone: it should wait for many numbers at once
-        "unroll": "#pragma unroll 8" if gpu else "",
+        # Forces that a GPU thread waits for at once; a node of a layer has 6 to 12
+        "together": 8 if gpu else 1,
     }
 
     @wp.func_native(snippet=NODE_BODY.substitute(names))
@@ -254,8 +265,6 @@ def node_step(real: Any, moving: bool, one_law: bool, gpu: bool) -> Any:
         done: wp.array(dtype=wp.int32),
     ):
         block = wp.tid()
-        if block == 0:
-            done[0] = clock[0]
         advance(
             block,
             starts,
@@ -285,6 +294,8 @@ def node_step(real: Any, moving: bool, one_law: bool, gpu: bool) -> Any:
             strain,
             clock,
         )
+        if block == 0:
+            done[0] = clock[0]
 
     return kernel
 

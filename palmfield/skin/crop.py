@@ -11,7 +11,7 @@ from palmfield.errors import SceneError
 from palmfield.hand.triangles import face_components
 from palmfield.skin.bands import bands, course_moves, resonance
 from palmfield.skin.estimate import load_width
-from palmfield.skin.layer_oracle import centre_response
+from palmfield.skin.layer_oracle import centre_responses
 from palmfield.skin.material import shear_wave
 from palmfield.skin.problem import Body, Layer, Load, Spot
 from palmfield.types import Float, Int, Patch
@@ -78,8 +78,10 @@ def reach(body: Layer, load: Load, end_s: float, accuracy: float) -> tuple[float
     if not course_moves(load, end_s):
         return None
     total = np.zeros(len(distances))
-    for frequency, energy in zip(*bands(load, end_s, guided), strict=True):
-        seen = energy * np.abs(centre_response(frequency, material, depth, width, None, distances, settled=1e-4)) ** 2
+    frequencies, energies = bands(load, end_s, guided)
+    responses = centre_responses(frequencies, material, depth, width, distances, "bonded", 1e-4)
+    for frequency, energy, response in zip(frequencies, energies, responses, strict=True):
+        seen = energy * np.abs(response) ** 2
         if frequency > guided:
             wavenumber = 2.0 * math.pi * frequency / shear_wave(material, frequency)[0]
             seen *= np.maximum(1.0, 2.0 * math.pi * wavenumber * distances)

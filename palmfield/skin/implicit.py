@@ -46,7 +46,7 @@ def refusal_implicit(body: Body, load: Load) -> str | None:
 
 
 def cost_implicit(body: Body, load: Load, times: Float, at: Float, accuracy: float) -> float:
-    """Predicted time [s] on one core; within a factor of 4 on discs and boxes where points see much of the motion.
+    """Predicted time [s] on one core; mostly too low, by 2 to 5 times where the mesh is refined more often.
 
     The time of a run is known to a factor of 1.5; what isn't is how fine the mesh will have to be.
     """

@@ -45,7 +45,8 @@ def layer_compliance(
     if zero.any():
         result[zero] = _uniform_compliance(f_Hz, material, thickness_m, base)
     if not zero.all():
-        result[~zero] = _wave_compliance(k_flat[~zero], f_Hz, material, thickness_m, base)
+        frequencies = np.full(int((~zero).sum()), float(f_Hz))
+        result[~zero] = _wave_compliance(k_flat[~zero], frequencies, material, thickness_m, base)
     return result.reshape(shape)
 
 
@@ -62,10 +63,12 @@ def _uniform_compliance(f_Hz: float, material: Material, h: float, base: Base) -
     return complex(tangent / (modulus * kappa) if base != "free" else -1.0 / (modulus * kappa * tangent))
 
 
-def _wave_compliance(k: Float, f_Hz: float, material: Material, h: float, base: Base) -> Complex:
+def _wave_compliance(k: Float, f_Hz: Float, material: Material, h: float, base: Base) -> Complex:
+    """Of a wavenumber and frequency each, both (n,)."""
+    unique, back = np.unique(f_Hz, return_inverse=True)
     omega = 2.0 * math.pi * f_Hz
-    shear = complex_shear(material, f_Hz)
-    bulk = complex_bulk(material, f_Hz)
+    shear = np.array([complex_shear(material, float(f)) for f in unique])[back]
+    bulk = np.array([complex_bulk(material, float(f)) for f in unique])[back]
     pressure_modulus = bulk + 4.0 / 3.0 * shear
     lame = bulk - 2.0 / 3.0 * shear
     ks2 = material.density_kg_m3 * omega**2 / shear
@@ -141,27 +144,42 @@ def centre_response(
     distance = np.asarray(at, dtype=float)
     spread = fwhm_m / math.sqrt(8.0 * math.log(2.0))
     if radius_m is None:
-        flat = _hankel(f_Hz, material, thickness, spread, distance.ravel(), base, settled)
+        flat = _hankel(np.array([f_Hz]), material, thickness, spread, distance.ravel(), base, settled)[0]
     else:
         flat = _fourier_bessel(f_Hz, material, thickness, spread, radius_m, distance.ravel(), base)
     return flat.reshape(distance.shape)
 
 
-def _hankel(f_Hz: float, material: Material, h: float, spread: float, r: Float, base: Base, settled: float) -> Complex:
+def centre_responses(
+    f_Hz: Float, material: Material, thickness: float, fwhm_m: float, at: Float, base: Base, settled: float
+) -> Complex:
+    """As centre_response without sides, of frequencies (f,) and distances (r,), together: shape (f, r)."""
+    spread = fwhm_m / math.sqrt(8.0 * math.log(2.0))
+    return _hankel(np.asarray(f_Hz, dtype=float), material, thickness, spread, np.asarray(at), base, settled)
+
+
+def _hankel(f_Hz: Float, material: Material, h: float, spread: float, r: Float, base: Base, settled: float) -> Complex:
     """u(r) = integral of C(k) s^2 exp(-k^2 s^2 / 2) J0(k r) k dk, by Gauss panels, doubled until they agree."""
     nodes, weights = np.polynomial.legendre.leggauss(8)
     end = 9.0 / spread
-    previous = None
+    found = np.zeros((len(f_Hz), len(r)), dtype=complex)
+    left, previous = np.arange(len(f_Hz)), None
     for panels in (10, 20, 50, 100, 200, 400, 800, 1600, 3200, 6400):
         edges = np.linspace(0.0, end, panels + 1)
         half = 0.5 * (edges[1] - edges[0])
         k = (edges[:-1, None] + half * (1.0 + nodes)).ravel()
         load = spread**2 * np.exp(-0.5 * (k * spread) ** 2) * k * np.tile(weights * half, panels)
-        value = j0(np.outer(r, k)) @ (layer_compliance(k, f_Hz, material, h, base) * load)
-        if previous is not None and np.abs(value - previous).max() <= settled * np.abs(value).max():
-            return value
+        rates = np.repeat(f_Hz[left], len(k))
+        compliance = _wave_compliance(np.tile(k, len(left)), rates, material, h, base).reshape(len(left), len(k))
+        value = (compliance * load) @ j0(np.outer(k, r))
+        if previous is not None:
+            moving = np.abs(value - previous).max(axis=1) > settled * np.abs(value).max(axis=1)
+            found[left[~moving]] = value[~moving]
+            left, value = left[moving], value[moving]
+            if len(left) == 0:
+                return found
         previous = value
-    raise SceneError(f"the layer's wave integral at {f_Hz} Hz does not settle; give the material a damping branch")
+    raise SceneError(f"the layer's wave integral at {f_Hz[left[0]]} Hz does not settle; give it a damping branch")
 
 
 def _fourier_bessel(

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 from scipy import sparse
-from scipy.spatial import Delaunay
+from scipy.spatial import Delaunay, cKDTree
 
 from palmfield.errors import SceneError
 from palmfield.skin.assembly import SkinSystem
@@ -13,24 +13,31 @@ from palmfield.skin.element import triangle_rule, triangle_shape
 from palmfield.skin.problem import GAUSSIAN, Load, Spot, Traction
 from palmfield.skin.surface import SurfaceProbe
 from palmfield.skin.wedges import WedgeMesh
-from palmfield.types import Float
+from palmfield.types import Float, Int
 
 MOST_HALVINGS = 4
 """Quarterings of a triangle under a traction's points, at most."""
+
+STEEPEST = 3.0
+"""Longest edge of a triangle of a traction's points over the longest seen from above, from which it is left out."""
+
+WRAPPED = 0.1
+"""Share of such triangles above which the points lie about a body."""
 
 
 class SurfaceQuadrature:
     """Points at which the pressure on the skin is wanted, and the operator that makes nodal forces of it.
 
-    halvings: how often each triangle is quartered for it
+    halvings: how often each triangle is quartered for it; only: numbers of the triangles it covers, by default all
     points: positions [m], shape (q, 3); six in each of these (Dunavant, degree 4), triangle by triangle
     normals: unit outward normals, shape (q, 3); weights: areas [m^2], shape (q,), which sum to the surface's area
     operator: csr, shape (n free degrees of freedom, q) [m^2]: force = operator @ inward normal pressure
     """
 
-    def __init__(self, mesh: WedgeMesh, system: SkinSystem, halvings: int = 0) -> None:
+    def __init__(self, mesh: WedgeMesh, system: SkinSystem, halvings: int = 0, only: Int | None = None) -> None:
         rule, rule_weights = quartered_rule(halvings)
-        a, b, c = (mesh.nodes[mesh.surface_triangles6[:, i]] for i in range(3))
+        faces = mesh.surface_triangles6 if only is None else mesh.surface_triangles6[only]
+        a, b, c = (mesh.nodes[faces[:, i]] for i in range(3))
         area = np.cross(b - a, c - a)
         twice = np.linalg.norm(area, axis=1)
         x, y = rule[:, :1], rule[:, 1:]
@@ -39,7 +46,7 @@ class SurfaceQuadrature:
         self.normals = np.repeat(area / twice[:, None], len(rule), axis=0)
         self.weights = np.outer(twice, rule_weights).ravel()
         shape = np.tile(triangle_shape(rule), (triangles, 1))
-        nodes = np.repeat(mesh.surface_triangles6, len(rule), axis=0)
+        nodes = np.repeat(faces, len(rule), axis=0)
         forces = -(shape * self.weights[:, None])[..., None] * self.normals[:, None, :]
         rows = 3 * nodes[..., None] + np.arange(3)
         columns = np.broadcast_to(np.arange(len(nodes))[:, None, None], rows.shape)
@@ -73,33 +80,63 @@ def quartered_rule(halvings: int) -> tuple[Float, Float]:
 def sampled(mesh: WedgeMesh, system: SkinSystem, load: Traction) -> sparse.csr_matrix:
     """Nodal forces [N] of pressures [Pa] at a traction's points, csr, shape (n, p).
 
-    The pressure is linear between the points (Delaunay triangles in x and y), and integrated on a rule about as close
-    as they lie. Forces at the points themselves, of the areas that they stand for, would be a rough load on elements
-    not much larger than those, to which a thin layer answers more than to a smooth one. They are left for points on a
-    line, and for one that no point of the rule is near. Beyond the outermost points there is no pressure: give some
-    where it is 0.
+    The pressure is linear between the points (Delaunay triangles in x and y), reaches half a spacing beyond the
+    outermost as it is there, and is integrated on a rule about as close as they lie. Forces at the points themselves,
+    of the areas that they stand for, would be a rough load on elements not much larger than those, to which a thin
+    layer answers more than to a smooth one. They are left for points on a line or about a body, for those whose areas
+    are half or twice what lies between them, and for one that no point of the rule is near. Skin above or below a triangle, farther from it than its longest edge, has no pressure.
     """
     probe = SurfaceProbe(mesh, load.points, system)
     forces = sparse.csr_matrix(-(probe.operator.T @ sparse.diags(load.weights_m2)))
     flat = load.points[:, :2]
     if len(flat) < 3 or np.linalg.matrix_rank(flat - flat.mean(axis=0), tol=1e-9) < 2:
         return forces
+    outer, beyond = beyond_rim(Delaunay(flat), np.sqrt(load.weights_m2))
+    owner = np.concatenate([np.arange(len(flat)), outer])
+    points = np.concatenate([load.points, np.column_stack([beyond, load.points[outer, 2]])])
+    net = Delaunay(points[:, :2])
+    sides = points[net.simplices] - points[np.roll(net.simplices, 1, axis=1)]
+    longest = np.linalg.norm(sides, axis=2).max(axis=1)
+    steep = longest > STEEPEST * np.linalg.norm(sides[..., :2], axis=2).max(axis=1)
+    covered = 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)[~steep].sum()
+    if steep.mean() > WRAPPED or not 0.5 < covered / load.weights_m2.sum() < 2.0:
+        return forces
     corners = mesh.nodes[mesh.surface_triangles6[:, :3]]
     under = np.unique(probe.triangles)
     edge = float(np.linalg.norm(corners[under] - np.roll(corners[under], 1, axis=1), axis=2).mean())
     apart = math.sqrt(float(np.median(load.weights_m2)))
     halvings = int(np.clip(math.ceil(math.log2(max(0.5 * edge / apart, 1.0))), 0, MOST_HALVINGS))
-    quadrature = SurfaceQuadrature(mesh, system, halvings)
-    net = Delaunay(flat)
+    middles = corners.mean(axis=1)
+    size = np.linalg.norm(corners - middles[:, None], axis=2).max(axis=1)
+    near = cKDTree(points).query(middles)[0] <= size + longest.max()
+    quadrature = SurfaceQuadrature(mesh, system, halvings, np.flatnonzero(near).astype(np.int32))
     place = net.find_simplex(quadrature.points[:, :2])
     seen = np.flatnonzero(place >= 0)
     turn = net.transform[place[seen]]
     two = np.einsum("qij,qj->qi", turn[:, :2], quadrature.points[seen, :2] - turn[:, 2])
     shares = np.column_stack([two, 1.0 - two.sum(axis=1)])
-    rows, columns = np.repeat(seen, 3), net.simplices[place[seen]].ravel()
+    corner = net.simplices[place[seen]]
+    away = np.linalg.norm(quadrature.points[seen] - np.einsum("qi,qic->qc", shares, points[corner]), axis=1)
+    shares[steep[place[seen]] | (away > longest[place[seen]])] = 0.0
+    rows, columns = np.repeat(seen, 3), owner[corner.ravel()]
     between = sparse.coo_matrix((shares.ravel(), (rows, columns)), shape=(len(quadrature.points), len(flat))).tocsr()
     alone = sparse.diags((between.T @ quadrature.weights <= 0.0).astype(float))
     return sparse.csr_matrix(quadrature.operator @ between + forces @ alone)
+
+
+def beyond_rim(net: Delaunay, spacing: Float) -> tuple[Int, Float]:
+    """The outermost points' numbers (m,), and places (m, 2) half their spacing outside."""
+    edges = net.convex_hull
+    along = net.points[edges[:, 1]] - net.points[edges[:, 0]]
+    out = np.column_stack([along[:, 1], -along[:, 0]]) / np.linalg.norm(along, axis=1, keepdims=True)
+    inwards = np.einsum("ec,ec->e", out, net.points[edges[:, 0]] - net.points.mean(axis=0)) < 0.0
+    out[inwards] *= -1.0
+    outer, place = np.unique(edges, return_inverse=True)
+    normal = np.zeros((len(outer), 2))
+    np.add.at(normal, place.ravel(), 0.5 * np.repeat(out, 2, axis=0))
+    # A corner is as far from both of its edges
+    size2 = np.maximum((normal**2).sum(axis=1, keepdims=True), 0.25)
+    return outer.astype(np.int32), net.points[outer] + 0.5 * spacing[outer, None] * normal / size2
 
 
 class PressureHistory:

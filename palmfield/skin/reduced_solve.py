@@ -43,11 +43,18 @@ def refusal_reduced(body: Body, load: Load) -> str | None:
     """Why this solver can't, in a sentence, or None."""
     if isinstance(load, Spot) and len(np.unique(load.centres(), axis=0)) > 1:
         return "a reduced model is made for loads that keep their shape, and this spot moves"
-    if isinstance(load, Traction) and len(patterns(load)[0]) > MOST_SHAPES:
+    if isinstance(load, Traction) and at_least(load) > MOST_SHAPES:
         return f"a reduced model takes pressures that are sums of at most {MOST_SHAPES} patterns"
     if isinstance(body, Slab) and body.shape == "infinite":
         return "a reduced model needs a body with an end: give the slab a shape 'box' or 'disc'"
     return refusal_implicit(body, load)
+
+
+def at_least(load: Traction) -> int:
+    """How many patterns the pressure has, counted up to MOST_SHAPES + 1 in a random mixture of the points."""
+    mixture = np.random.default_rng(0).standard_normal((load.pressure_Pa.shape[1], MOST_SHAPES + 1))
+    sizes = np.linalg.svd(load.pressure_Pa @ mixture, compute_uv=False)
+    return int((sizes > 1e-6 * sizes.max(initial=0.0)).sum())
 
 
 def patterns(load: Traction) -> tuple[Float, Float]:

@@ -7,7 +7,7 @@ import numpy as np
 from palmfield.errors import SceneError
 from palmfield.skin.bands import bands, course_moves, resonance
 from palmfield.skin.estimate import load_width
-from palmfield.skin.layer_oracle import centre_response
+from palmfield.skin.layer_oracle import centre_responses
 from palmfield.skin.material import Material, bulk_from_poisson
 from palmfield.skin.problem import BASES, Body, Foundation, Layer, Load, Spot, Springs
 from palmfield.types import Float
@@ -83,13 +83,10 @@ def change_of(body: Body, soft: Material, load: Load, end_s: float, at: Float) -
         return 0.0
     frequencies, energies = bands(load, end_s, resonance(material, depth))
     assert not isinstance(body.base, Springs | Foundation)
-    apart, size = np.zeros(len(away)), np.zeros(len(away))
-    for frequency, energy in zip(frequencies, energies, strict=True):
-        if energy > FAINT * energies.sum() and (frequency > 0.0 or body.base != "free"):
-            exact, near = (
-                centre_response(frequency, m, depth, width, None, away, body.base, 1e-5) for m in (material, soft)
-            )
-            apart += energy * np.abs(near - exact) ** 2
-            size += energy * np.abs(exact) ** 2
+    counted = (energies > FAINT * energies.sum()) & ((frequencies > 0.0) | (body.base != "free"))
+    exact, near = (
+        centre_responses(frequencies[counted], m, depth, width, away, body.base, 1e-5) for m in (material, soft)
+    )
+    apart, size = (energies[counted] @ np.abs(values) ** 2 for values in (near - exact, exact))
     # Far off there is nothing but the integral's own error
     return float(np.sqrt(apart / np.maximum(size, FAR**2 * size[0])).max())

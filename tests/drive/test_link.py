@@ -200,7 +200,12 @@ frame = encode(np.ones(256))
 with open_link({board.port!r}) as link:
     play_frames(link, ((n * 0.02, frame) for n in range(10_000)))
 """
-    process = subprocess.Popen([sys.executable, "-c", program], stderr=subprocess.DEVNULL)
+    # Under nohup, or in a shell's background, the signal would be ignored
+    process = subprocess.Popen(
+        [sys.executable, "-c", program],
+        stderr=subprocess.DEVNULL,
+        preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),
+    )
     while len(board.emitted) < 5:
         assert process.poll() is None
         time.sleep(0.01)

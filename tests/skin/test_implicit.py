@@ -1,9 +1,11 @@
 """Whole problems by implicit elements: against exact layers, with errors that tell the truth."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 
 from palmfield.errors import SceneError
 from palmfield.skin.absorbing import match_speed, sponge
@@ -19,6 +21,7 @@ from palmfield.skin.problem import Layer, Sheet, Slab, Spot, Springs, Traction
 from palmfield.skin.solver import harmonic, static
 from palmfield.skin.surface import SurfaceProbe
 from palmfield.skin.wedges import extrude
+from palmfield.types import Patch
 
 ECOFLEX, PALM = preset("ecoflex_00-10"), preset("palm")
 FWHM = 0.0103
@@ -191,6 +194,36 @@ def test_traction_at_points_is_the_spot_they_sample(spacing):
     assert np.linalg.norm(found - wanted) < 0.02 * np.linalg.norm(wanted)
     assert load_width(given) == pytest.approx(FWHM, rel=0.05)
     assert load_centre(given)[1] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_pressure_cut_off_at_its_outermost_points_pushes_with_all_its_area():
+    """A piston of 10 mm: its rim's points stand for as much skin as those inside, and none lies beyond them."""
+    system = build(slab(0.01, shape="disc", side="fixed", radius_m=0.02), replace(SMALL, fine_m=0.003, coarse_m=0.004))
+    line = 1e-3 * np.arange(-5, 6)
+    x, y = (a.ravel() for a in np.meshgrid(line, line))
+    given = Traction(np.column_stack([x, y, 0.0 * x]), np.full(len(x), 1e-6), [0.0], np.ones((1, len(x))), law="held")
+    force = system.dof_map @ PressureHistory(given, system.mesh, system).final_force()
+    assert force[2::3].sum() == pytest.approx(-121e-6, rel=0.01)
+
+
+def test_a_closed_body_is_not_pressed_through_from_its_other_side():
+    """Points all over a ball, pressure on its upper half: the lower half, below the same x and y, has none."""
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.03)
+    count = len(ball.vertices)
+    patch = Patch(
+        vertices=np.array(ball.vertices),
+        faces=np.array(ball.faces, dtype=np.int32),
+        inward=-ball.vertices / 0.03,
+        depth=np.full(count, 0.006),
+        rim=np.zeros(count, dtype=bool),
+    )
+    system = build(Layer(patch, (Sheet(ECOFLEX, 0.006),)), SMALL)
+    below = system.mesh.nodes[:, 2] < -0.006
+    pressure = (ball.vertices[:, 2] > 0.0).astype(float)
+    given = Traction(ball.vertices, np.full(len(ball.vertices), ball.area / len(ball.vertices)), [0.0], pressure[None])
+    force = (system.dof_map @ PressureHistory(given, system.mesh, system).final_force()).reshape(-1, 3)
+    assert np.linalg.norm(force[below], axis=1).max() < 1e-9 * np.linalg.norm(force, axis=1).max()
+    assert force[:, 2].sum() == pytest.approx(-math.pi * 0.03**2, rel=0.05)
 
 
 def test_pressures_on_a_line_or_alone_push_with_the_areas_they_stand_for():

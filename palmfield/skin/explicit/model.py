@@ -15,6 +15,7 @@ from palmfield.skin.material import Material
 from palmfield.skin.problem import BaseKind, Sheet, SideKind, Springs
 from palmfield.types import Float, Int
 from warp_kernels import hexa, hexa_steps
+from warp_kernels.hexa import READERS
 
 SAFETY = 0.95
 """Share of the stable step that is taken: power iteration comes at the largest rate from below, within 2 %."""
@@ -156,7 +157,7 @@ class Model:
         threads = layout.count if layout.gpu else layout.padded // hexa.LANES
         return wp.launch(
             self.kernel,
-            dim=threads,
+            dim=threads + READERS,
             inputs=[
                 *(u, w, conn, w_conn, self.metric, moduli, self.derivative, self.filter, self.force, clock, threads),
                 *(reading or self.no_reading),

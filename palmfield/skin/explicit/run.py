@@ -108,10 +108,13 @@ class Stepper:
         half = 0.5 * step_s * holds.damping
         pace = np.zeros((threads * lanes, 2))
         pace[:count] = np.stack([(1.0 - half) / (1.0 + half), step_s / model.mass / (1.0 + half)], axis=1)
-        self.pace: Any = wp.array(pace.astype(model.dtype), dtype=wp.types.vector(2, real), device=device)
         row_of = np.full(threads * lanes, -1)
         row_of[holds.rows] = np.arange(len(holds.rows))
+        # Nodes held in every direction need no matrices
+        still = holds.rows[~holds.projector.any(axis=(1, 2))]
+        pace[still], row_of[still] = 0.0, -1
         self.held = model.ints(row_of)
+        self.pace: Any = wp.array(pace.astype(model.dtype), dtype=wp.types.vector(2, real), device=device)
         mass = model.mass[holds.rows, None, None]
         drag = 0.5 * step_s * (holds.dashpot + (mass * holds.damping[holds.rows, None, None]) * np.eye(3))
         inverse = np.linalg.inv(mass * np.eye(3) + drag)
@@ -185,6 +188,7 @@ class Stepper:
                     *(self.u, self.v, self.w, self.strain, self.clock, self.finished),
                 ],
                 device=model.device,
+                block_dim=hexa_steps.NODE_BLOCK,
                 record_cmd=True,
             ),
         ]
