@@ -84,7 +84,8 @@ def sampled(mesh: WedgeMesh, system: SkinSystem, load: Traction) -> sparse.csr_m
     outermost as it is there, and is integrated on a rule about as close as they lie. Forces at the points themselves,
     of the areas that they stand for, would be a rough load on elements not much larger than those, to which a thin
     layer answers more than to a smooth one. They are left for points on a line or about a body, for those whose areas
-    are half or twice what lies between them, and for one that no point of the rule is near. Skin above or below a triangle, farther from it than its longest edge, has no pressure.
+    are half or twice what lies between them, and for one that no point of the rule is near. Skin above or below a
+    triangle, farther from it than its longest edge, has no pressure.
     """
     probe = SurfaceProbe(mesh, load.points, system)
     forces = sparse.csr_matrix(-(probe.operator.T @ sparse.diags(load.weights_m2)))
@@ -99,7 +100,8 @@ def sampled(mesh: WedgeMesh, system: SkinSystem, load: Traction) -> sparse.csr_m
     longest = np.linalg.norm(sides, axis=2).max(axis=1)
     steep = longest > STEEPEST * np.linalg.norm(sides[..., :2], axis=2).max(axis=1)
     covered = 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)[~steep].sum()
-    if steep.mean() > WRAPPED or not 0.5 < covered / load.weights_m2.sum() < 2.0:
+    given = float(load.weights_m2.sum())
+    if steep.mean() > WRAPPED or not 0.5 * given < covered < 2.0 * given:
         return forces
     corners = mesh.nodes[mesh.surface_triangles6[:, :3]]
     under = np.unique(probe.triangles)
