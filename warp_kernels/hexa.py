@@ -234,6 +234,57 @@ GPU_BODY = Template("""
 """)
 
 
+GPU_BODY_1 = Template("""
+    // Order 1: the eight nodes of an element are neighbours in a warp and hand each other what they know
+    const int q = block % 8, element = block / 8;
+    const long count = conn.shape[0], at = block;
+    const $real* wv = reinterpret_cast<const $real*>(w.data + w_conn.data[at]);
+    const $real* uv = reinterpret_cast<const $real*>(u.data + conn.data[at]);
+    const $real G = moduli.data[element], K = moduli.data[moduli.shape[1] + element];
+    const $real mix = moduli.data[2 * moduli.shape[1] + element];
+    $real A[11], own[3], g[3][3], H[3][3], flux[3][3];
+    for (int r = 0; r < 11; ++r) A[r] = metric.data[r * count + at];
+    // Along direction r the other node is the one whose number differs in this bit, and lies ahead where it is not set
+    const int bit[3] = {4, 2, 1};
+    $real half[3];
+    for (int r = 0; r < 3; ++r) half[r] = q & bit[r] ? -($real)0.5 : ($real)0.5;
+    auto gradient = [&]() {
+        for (int c = 0; c < 3; ++c)
+            for (int r = 0; r < 3; ++r)
+                g[c][r] = half[r] * (__shfl_xor_sync(0xffffffff, own[c], bit[r]) - own[c]);
+    };
+    auto mean = [&]($real d) {
+        for (int r = 0; r < 3; ++r) d = ($real)0.5 * (d + __shfl_xor_sync(0xffffffff, d, bit[r]));
+        return d;
+    };
+    for (int c = 0; c < 3; ++c) own[c] = $single || mix != 0 ? wv[c] : uv[c];
+    gradient();
+    $real d = 0;
+    for (int c = 0; c < 3; ++c) for (int r = 0; r < 3; ++r) d += A[3 * r + c] * g[c][r];
+    d = mean(mean(d) * K * A[10]);
+    if (!$single) {
+        for (int c = 0; c < 3; ++c) own[c] = wv[c];
+        gradient();
+    }
+    for (int c = 0; c < 3; ++c)
+        for (int e = 0; e < 3; ++e) H[c][e] = g[c][0] * A[e] + g[c][1] * A[3 + e] + g[c][2] * A[6 + e];
+    const $real shear = G * A[9], third = (H[0][0] + H[1][1] + H[2][2]) * ($real)(2.0 / 3.0);
+    for (int c = 0; c < 3; ++c) {
+        $real stress[3];
+        for (int e = 0; e < 3; ++e) stress[e] = shear * (H[c][e] + H[e][c]);
+        stress[c] += d - shear * third;
+        for (int r = 0; r < 3; ++r)
+            flux[c][r] = A[3 * r] * stress[0] + A[3 * r + 1] * stress[1] + A[3 * r + 2] * stress[2];
+    }
+    for (int c = 0; c < 3; ++c) {
+        $real f = 0;
+        for (int r = 0; r < 3; ++r)
+            f -= half[r] * (flux[c][r] + __shfl_xor_sync(0xffffffff, flux[c][r], bit[r]));
+        force.data[c * count + at] = f;
+    }
+""")
+
+
 @functools.cache
 def point_reading(real: Any) -> Any:
     """Function that keeps displacement and velocity at points p = first, first + stride ... after the last step done.
@@ -299,7 +350,9 @@ def element_forces(order: int, real: Any, single: bool, gpu: bool) -> Any:
         "single": "true" if single else "false",
     }
 
-    @wp.func_native(snippet=(GPU_BODY if gpu else CPU_BODY).substitute(names))
+    body = (GPU_BODY_1 if order == 1 else GPU_BODY) if gpu else CPU_BODY
+
+    @wp.func_native(snippet=body.substitute(names))
     def forces(
         block: wp.int32,
         u: wp.array(dtype=vec3),

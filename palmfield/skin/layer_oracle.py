@@ -164,7 +164,7 @@ def _hankel(f_Hz: Float, material: Material, h: float, spread: float, r: Float, 
     end = 9.0 / spread
     found = np.zeros((len(f_Hz), len(r)), dtype=complex)
     left, previous = np.arange(len(f_Hz)), None
-    for panels in (10, 20, 50, 100, 200, 400, 800, 1600, 3200, 6400):
+    for panels in (5, 10, 20, 50, 100, 200, 400, 800, 1600, 3200, 6400):
         edges = np.linspace(0.0, end, panels + 1)
         half = 0.5 * (edges[1] - edges[0])
         k = (edges[:-1, None] + half * (1.0 + nodes)).ravel()

@@ -15,7 +15,7 @@ from palmfield.skin.material import Material
 from palmfield.types import Float, Int
 from warp_kernels import hexa, hexa_steps
 
-GRAPH_STEPS = 50
+GRAPH_STEPS = 200
 """Steps that one CUDA graph holds."""
 
 
