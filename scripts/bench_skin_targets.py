@@ -1,0 +1,180 @@
+"""Seconds and errors of the reference disc and of fast foci by their best solvers, medians on a quiet machine.
+
+    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python scripts/bench_skin_targets.py [--runs 5] [--out FILE]
+
+Run it with nothing else on the machine: it says how busy that was, and what a fixed product of matrices took meanwhile.
+"""
+
+import argparse
+import os
+import statistics
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from bench_disc import SIDES, disc, loads
+from bench_explicit import gap
+from bench_spectral import SURFACE, passage, plate
+
+from palmfield.bench.table import git_commit, processor
+from palmfield.skin.disc_fem import solve_disc
+from palmfield.skin.explicit.solve import solve_explicit
+from palmfield.skin.presets import preset
+from palmfield.skin.problem import Motion, Sheet, Slab
+from palmfield.skin.spectral import solve_spectral
+
+ROOT = Path(__file__).resolve().parents[1]
+TIMES = 1e-4 * np.arange(1, 2001)
+AT = np.array([[0.0, 0.0], [0.01, 0.0]])
+MATRIX = np.random.default_rng(0).standard_normal((1000, 1000))
+
+
+def yardstick() -> float:
+    """Milliseconds of a product of two float64 matrices of 1000 x 1000 on one thread."""
+    begin = time.perf_counter()
+    MATRIX @ MATRIX
+    return 1e3 * (time.perf_counter() - begin)
+
+
+def row(name: str, runs: int, call: Callable[[], Motion], finer: Callable[[], Motion], velocity: bool = False) -> str:
+    """Median seconds by the clock and of all threads, the yardstick beside, error against the finer run, estimate."""
+    wall, busy, yards = [], [], []
+    for _ in range(runs):
+        yards.append(yardstick())
+        clock, process = time.perf_counter(), time.process_time()
+        motion = call()
+        wall.append(time.perf_counter() - clock)
+        busy.append(time.process_time() - process)
+    wanted = finer()
+    if velocity:
+        found, exact = motion.velocity_m_s[0, ::37, 2], wanted.velocity_m_s[0, :, 2]
+        error = float(np.linalg.norm(found - exact) / np.linalg.norm(exact))
+    else:
+        error = gap(motion.displacement_m[:, :, 2], wanted.displacement_m[:, :, 2])
+    seconds, threads, yard = (statistics.median(values) for values in (wall, busy, yards))
+    line = (
+        f"| {name} | {seconds:.2f} | {threads:.2f} | {max(wall):.2f} | {yard:.1f} | {100 * error:.2f} % "
+        f"| {100 * motion.error:.2f} % | {motion.solver} |"
+    )
+    print(line, flush=True)
+    return line
+
+
+def disc_rows(runs: int) -> list[str]:
+    lines = []
+    for side in SIDES:
+        for name, load in loads().items():
+            body = disc(side)
+
+            def call(body=body, load=load) -> Motion:
+                return solve_disc(body, load, TIMES, AT, accuracy=0.01)
+
+            def finer(body=body, load=load) -> Motion:
+                return solve_disc(body, load, TIMES, AT, accuracy=0.002, degree=7)
+
+            lines.append(row(f"{side}, {name}", runs, call, finer))
+    return lines
+
+
+def endless_rows(runs: int) -> list[str]:
+    lines = []
+    body = Slab((Sheet(preset("ecoflex_00-10"), 0.02),))
+    for name, load in loads().items():
+
+        def call(load=load) -> Motion:
+            return solve_spectral(body, load, TIMES, AT, accuracy=0.01, threads=2)
+
+        def finer(load=load) -> Motion:
+            return solve_spectral(body, load, TIMES, AT, tolerance=3e-4, threads=2)
+
+        lines.append(row(f"endless, {name}", runs, call, finer))
+    return lines
+
+
+def general_rows(runs: int) -> list[str]:
+    lines = []
+    for side in SIDES:
+        for name, load in loads().items():
+            body = disc(side)
+
+            def call(body=body, load=load) -> Motion:
+                return solve_explicit(body, load, TIMES, AT, accuracy=0.02)
+
+            def finer(body=body, load=load) -> Motion:
+                return solve_disc(body, load, TIMES, AT, accuracy=0.002, degree=7)
+
+            lines.append(row(f"{side}, {name}", runs, call, finer))
+    return lines
+
+
+def plate_rows(runs: int) -> list[str]:
+    lines = []
+    for nu in (0.5, 0.495):
+        for base in ("bonded", "free"):
+            for speed in (3.0, 5.0, 7.0):
+                body, load = Slab((Sheet(plate(nu), 0.01),), base=base), passage(speed)
+
+                def call(body=body, load=load) -> Motion:
+                    return solve_spectral(body, load, load.times_s[-1:], SURFACE, accuracy=0.03, threads=2)
+
+                def finer(body=body, load=load) -> Motion:
+                    return solve_spectral(body, load, load.times_s[-1:], SURFACE[::37], tolerance=1e-3, threads=2)
+
+                lines.append(row(f"nu {nu}, {base}, {speed:g} m/s", runs, call, finer, velocity=True))
+    return lines
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--runs", type=int, default=5)
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "bench" / "skin_targets.md")
+    arguments = parser.parse_args()
+    busy = os.getloadavg()[0]
+    # Kernels are compiled before anything is timed
+    first = loads()["1 ms ramp"]
+    solve_spectral(Slab((Sheet(preset("ecoflex_00-10"), 0.02),)), first, TIMES[:10], AT, tolerance=0.1)
+    solve_explicit(disc("fixed"), first, TIMES[:5], AT, accuracy=0.02)
+    head = "| case | s | s of threads | slowest | yardstick [ms] | error | estimate | how |"
+    rule = "|---|---|---|---|---|---|---|---|"
+    lines = [
+        "# The reference disc and fast foci: seconds and errors",
+        "",
+        "    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python scripts/bench_skin_targets.py",
+        "",
+        f"{processor()}, {os.cpu_count()} cores, load average {busy:.1f} at the start; commit {git_commit()}. Medians of "
+        f"{arguments.runs} runs, the slowest beside; yardstick: a float64 product of 1000 x 1000 matrices on one "
+        "thread, between the runs. Kernels compiled before, all else included.",
+        "",
+        "Ecoflex 00-10, 120 x 20 mm, bonded, spot of 10.3 mm, 0.2 s at 2000 times, centre and 10 mm off, asked for 1 %; "
+        "error: L2 of the normal displacement, the worse point, against degree 7 at 0.2 %.",
+        "",
+        head,
+        rule,
+        *disc_rows(arguments.runs),
+        "",
+        "The same on an endless slab; error against a run at tolerance 3e-4.",
+        "",
+        head,
+        rule,
+        *endless_rows(arguments.runs),
+        "",
+        "Endless plate of 10 mm, rho 923.5, mu 23087.5 Pa, Kelvin-Voigt 0.0202 Pa s, spot of 6 mm over 160 mm, normal "
+        "velocity at the end on 241 x 121 points; error: L2 of the velocity at a 37th of them, against tolerance 1e-3.",
+        "",
+        head,
+        rule,
+        *plate_rows(arguments.runs),
+        "",
+        f"The disc by general 3-D elements at 2 %, medians of {min(3, arguments.runs)}; error against the disc's own.",
+        "",
+        head,
+        rule,
+        *general_rows(min(3, arguments.runs)),
+        "",
+    ]
+    arguments.out.write_text("\n".join(lines))
+
+
+if __name__ == "__main__":
+    main()
