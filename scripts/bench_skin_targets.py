@@ -17,7 +17,8 @@ from bench_disc import SIDES, disc, loads
 from bench_explicit import gap
 from bench_spectral import SURFACE, passage, plate
 
-from palmfield.bench.table import git_commit, processor
+from palmfield.bench.field import git_commit
+from palmfield.bench.table import processor
 from palmfield.skin.disc_fem import solve_disc
 from palmfield.skin.explicit.solve import solve_explicit
 from palmfield.skin.presets import preset
@@ -142,12 +143,12 @@ def main() -> None:
         "",
         "    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python scripts/bench_skin_targets.py",
         "",
-        f"{processor()}, {os.cpu_count()} cores, load average {busy:.1f} at the start; commit {git_commit()}. Medians of "
-        f"{arguments.runs} runs, the slowest beside; yardstick: a float64 product of 1000 x 1000 matrices on one "
+        f"{processor()}, {os.cpu_count()} cores, load average {busy:.1f} at the start; commit {git_commit()}. Medians "
+        f"of {arguments.runs} runs, the slowest beside; yardstick: a float64 product of 1000 x 1000 matrices on one "
         "thread, between the runs. Kernels compiled before, all else included.",
         "",
-        "Ecoflex 00-10, 120 x 20 mm, bonded, spot of 10.3 mm, 0.2 s at 2000 times, centre and 10 mm off, asked for 1 %; "
-        "error: L2 of the normal displacement, the worse point, against degree 7 at 0.2 %.",
+        "Ecoflex 00-10, 120 x 20 mm, bonded, spot of 10.3 mm, 0.2 s at 2000 times, centre and 10 mm off, asked for 1 "
+        "%; error: L2 of the normal displacement, the worse point, against degree 7 at 0.2 %.",
         "",
         head,
         rule,
