@@ -117,7 +117,7 @@ def plate_rows(runs: int) -> list[str]:
                 body, load = Slab((Sheet(plate(nu), 0.01),), base=base), passage(speed)
 
                 def call(body=body, load=load) -> Motion:
-                    return solve_spectral(body, load, load.times_s[-1:], SURFACE, accuracy=0.03, threads=2)
+                    return solve_spectral(body, load, load.times_s[-1:], SURFACE, accuracy=0.05, threads=2)
 
                 def finer(body=body, load=load) -> Motion:
                     return solve_spectral(body, load, load.times_s[-1:], SURFACE[::37], tolerance=1e-3, threads=2)
@@ -129,6 +129,7 @@ def plate_rows(runs: int) -> list[str]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=5)
+    parser.add_argument("--general-runs", type=int, default=1, help="of the general elements, which take longer")
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "bench" / "skin_targets.md")
     arguments = parser.parse_args()
     busy = os.getloadavg()[0]
@@ -161,17 +162,17 @@ def main() -> None:
         *endless_rows(arguments.runs),
         "",
         "Endless plate of 10 mm, rho 923.5, mu 23087.5 Pa, Kelvin-Voigt 0.0202 Pa s, spot of 6 mm over 160 mm, normal "
-        "velocity at the end on 241 x 121 points; error: L2 of the velocity at a 37th of them, against tolerance 1e-3.",
+        "velocity at the end on 241 x 121 points, asked for 5 % of the displacement; error: L2 of the velocity at a 37th of them, against tolerance 1e-3.",
         "",
         head,
         rule,
         *plate_rows(arguments.runs),
         "",
-        f"The disc by general 3-D elements at 2 %, medians of {min(3, arguments.runs)}; error against the disc's own.",
+        f"The disc by general 3-D elements at 2 %, medians of {arguments.general_runs}; error against the disc's own.",
         "",
         head,
         rule,
-        *general_rows(min(3, arguments.runs)),
+        *general_rows(arguments.general_runs),
         "",
     ]
     arguments.out.write_text("\n".join(lines))

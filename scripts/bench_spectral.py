@@ -96,7 +96,7 @@ def plate_rows(threads: int) -> list[str]:
         for base in ("bonded", "free"):
             for speed in (3.0, 5.0, 7.0):
                 body = Slab((Sheet(plate(nu), 0.01),), base=base)
-                motion, wall, busy = wake(body, speed, SURFACE, threads, accuracy=0.03)
+                motion, wall, busy = wake(body, speed, SURFACE, threads, accuracy=0.05)
                 finer = wake(body, speed, some, threads, tolerance=1e-3)[0]
                 found, exact = motion.velocity_m_s[0, ::37, 2], finer.velocity_m_s[0, :, 2]
                 error = np.linalg.norm(found - exact) / np.linalg.norm(exact)
@@ -149,7 +149,7 @@ def main() -> None:
         *reference_rows(choice.threads),
         "",
         "Endless plate, 10 mm, rho 923.5, mu 23087.5 Pa, Kelvin-Voigt 0.0202 Pa s; spot of 6 mm over 160 mm; normal",
-        "velocity at the end on 241 x 121 points; asked for 3 % of the displacement. Error: of the velocity, L2 over a",
+        "velocity at the end on 241 x 121 points; asked for 5 % of the displacement. Error: of the velocity, L2 over a",
         "37th of the points, against a run at tolerance 1e-3. Sizes in um/s per Pa. Half-angle by `mach_half_angle`.",
         "",
         "| nu | base | m/s | s | s of threads | estimate (displacement) | error (velocity) | rms | largest | angle |",

@@ -103,6 +103,8 @@ def solve_implicit(
     begin = time.perf_counter()
     asked, points = _check(body, load, times, at, accuracy)
     _check_pinned(body, load, sizes)
+    if step_s is not None and not 0.0 < step_s < math.inf:
+        raise SceneError(f"implicit skin: step_s is {step_s}; give a time above 0 s, or leave it out")
     now = Numerics(
         sizes or first_sizes(body, load, points, accuracy),
         step_s or first_step(body, load, accuracy),

@@ -193,6 +193,8 @@ def solve_explicit(
         raise SceneError(f"explicit skin: size_m is {size_m}; give a width above 0")
     if order is not None and not 1 <= order <= 7:
         raise SceneError(f"explicit skin: order is {order}; give 1 to 7")
+    if deep is not None and (len(deep) != len(body.sheets) or min(deep) < 1):
+        raise SceneError(f"explicit skin: deep is {deep}; give 1 or more for each of {len(body.sheets)} sheets")
     points = np.atleast_2d(np.asarray(at, dtype=float))
     body, softened = soften(body, load, float(asked[-1]), points, accuracy, nu_at_most)
     reason = refusal_explicit(body, load)

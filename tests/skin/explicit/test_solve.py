@@ -162,6 +162,8 @@ def test_what_it_cannot_take():
     for arguments, message in (
         ({"times": np.array([0.002, 0.001])}, "must be finite, rising"),
         ({"order": 0}, "order is 0"),
+        ({"deep": (0,)}, "deep is"),
+        ({"deep": (2, 2)}, "deep is"),
         ({"precision": "half"}, "precision is 'half'"),
         ({"step_s": 1e-3}, "step 0.001 s is above the stable one"),
         ({"at": np.array([[0.5, 0.0]])}, "off the face"),
