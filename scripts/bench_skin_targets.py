@@ -162,7 +162,8 @@ def main() -> None:
         *endless_rows(arguments.runs),
         "",
         "Endless plate of 10 mm, rho 923.5, mu 23087.5 Pa, Kelvin-Voigt 0.0202 Pa s, spot of 6 mm over 160 mm, normal "
-        "velocity at the end on 241 x 121 points, asked for 5 % of the displacement; error: L2 of the velocity at a 37th of them, against tolerance 1e-3.",
+        "velocity at the end on 241 x 121 points, asked for 5 % of the displacement; error: L2 of the "
+        "velocity at a 37th of them, against tolerance 1e-3.",
         "",
         head,
         rule,

@@ -19,8 +19,8 @@ from palmfield.types import Complex, Float
 FINER = 0.35
 """Tolerance of the run that the answer is compared with, relative to its own."""
 SAFETY = 2.5
-"""Of 23 random slabs the error was 0.7 to 1.7 times the difference from a run with a fifth of the tolerance, of two weak
-ones more; that from a third is smaller by as much as 1.25."""
+"""Of 23 random slabs the error was 0.7 to 1.7 times the difference from a run with a fifth of the tolerance, of two
+weak ones more; that from a third is smaller by as much as 1.25."""
 FINEST = 1e-9
 RETRIES = 3
 PART = 0.5
@@ -68,7 +68,7 @@ def solve_spectral(
     accuracy: wanted relative error of the displacement, 1e-7 to 0.5; device: "auto", "cpu" or "cuda:0"
     tolerance: pins that of the wavenumbers, angles, depth modes and cut, each; then nothing is refined
     threads: on the CPU; None takes all cores
-    The error is the difference from a run with a fifth of the tolerance, at up to four of the points (200 where
+    The error is the difference from a run with a third of the tolerance, at up to four of the points (200 where
     there are fewer than eight times).
     Raises SceneError where `refusal_spectral` has a reason, and for times, points or an accuracy out of range.
     """
