@@ -47,7 +47,7 @@ COURANT = {1: 0.587, 2: 0.477, 3: 0.406, 4: 0.345, 5: 0.295}
 CPU_COST = (8.5e-9, 22e-9, 15e-6)
 """Seconds by element node, by node and by step on one CPU core (AMD EPYC), measured by scripts/bench_explicit.py."""
 
-GPU_COST = (0.05e-9, 0.1e-9, 9e-6)
+GPU_COST = (0.035e-9, 0.1e-9, 5e-6)
 """The same on a GPU: layers of 13 k to 40 k elements of order 1 and 2 on an H200."""
 
 

@@ -1,0 +1,41 @@
+"""Where a mesh crosses itself."""
+
+import numpy as np
+import warp as wp
+
+import warp_kernels.selfcross as kernels
+from palmfield.device import resolve
+from palmfield.types import Float, Int
+
+
+def crossings(vertices: Float, faces: Int) -> Int:
+    """Pairs of faces that cross each other, shape (k, 2), sorted; none where the mesh is free of that.
+
+    vertices: [m], shape (n, 3); faces: shape (m, 3)
+    Faces with an edge in common are neighbours and never count, so a strip folded flat onto itself along one edge is
+    not seen; faces in one plane that overlap are seen where an edge of one leaves the other's plane.
+    """
+    if len(faces) == 0:
+        return np.zeros((0, 2), dtype=np.int32)
+    middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+    moved = vertices - middle
+    device = resolve("cpu")
+    mesh = wp.Mesh(
+        wp.array(moved.astype(np.float32), dtype=wp.vec3, device=device),
+        wp.array(faces.astype(np.int32).ravel(), dtype=wp.int32, device=device),
+    )
+    at: wp.array = wp.array(moved, dtype=wp.vec3d, device=device)
+    corners: wp.array = wp.array(faces.astype(np.int32), dtype=wp.int32, device=device)
+    margin = 1e-6 * float(np.abs(moved).max())
+    room = max(1024, len(faces))
+    while True:
+        count = wp.zeros(1, dtype=wp.int32, device=device)
+        pairs = wp.zeros((room, 2), dtype=wp.int32, device=device)
+        wp.launch(
+            kernels.crossing_faces, dim=len(faces), inputs=[mesh.id, at, corners, margin, count, pairs], device=device
+        )
+        found = int(count.numpy()[0])
+        if found <= room:
+            kept = pairs.numpy()[:found]
+            return kept[np.lexsort((kept[:, 1], kept[:, 0]))].astype(np.int32)
+        room = found
