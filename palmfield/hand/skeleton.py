@@ -1,7 +1,7 @@
 """Bones and skin capsules of a hand preset, posed, in the hand frame."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -105,7 +105,18 @@ def build_skeleton(preset: HandPreset) -> Skeleton:
     _web_of_thumb(skin, palm, bases, knuckles, mm)
     _carpal_bones(from_wrist, wide, bones)
     skin.sort(key=lambda s: s.group)
-    return Skeleton(skin, bones, landmarks)
+    found = Skeleton(skin, bones, landmarks)
+    return found if preset.side == "right" else _reflected(found)
+
+
+def _reflected(skeleton: Skeleton) -> Skeleton:
+    """The other hand: x turned round."""
+    mirror = np.array([-1.0, 1.0, 1.0])
+    return Skeleton(
+        [replace(s, start=mirror * s.start, end=mirror * s.end, dorsal=mirror * s.dorsal) for s in skeleton.skin],
+        [replace(b, start=mirror * b.start, end=mirror * b.end) for b in skeleton.bones],
+        {name: mirror * position for name, position in skeleton.landmarks.items()},
+    )
 
 
 def _knuckles(preset: HandPreset, wrist_y: float) -> tuple[dict[str, Float], dict[str, Float]]:

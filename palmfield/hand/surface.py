@@ -70,14 +70,18 @@ def hand_surface(preset: HandPreset, edge_m: float = 0.003) -> HandSurface:
         raise SceneError(f"hand surface edge length {edge_m:g} m is out of range; use 0.001 to 0.004 m")
     skeleton = centred_skeleton(preset)
     _check_apart(skeleton)
-    path = _cache_path(preset, edge_m)
+    # A left hand's mesh is the right one's mirror image, vertex by vertex
+    right = preset.model_copy(update={"side": "right"})
+    path = _cache_path(right, edge_m)
     mesh = _read_cache(path)
     if mesh is None:
-        data = _generate(skeleton, edge_m)
+        data = _generate(centred_skeleton(right), edge_m)
         _write_cache(path, data)
         mesh = trimesh.load_mesh(io.BytesIO(data), file_type="ply", process=False)
     vertices = np.asarray(mesh.vertices, dtype=np.float64)
     faces = np.asarray(mesh.faces, dtype=np.int32)
+    if preset.side == "left":
+        vertices, faces = vertices * [-1.0, 1.0, 1.0], np.ascontiguousarray(faces[:, ::-1])
     surface = Surface(vertices, faces, vertex_normals(vertices, faces))
     return HandSurface(surface, bone_distance(vertices, skeleton.bones), skeleton.landmarks)
 
