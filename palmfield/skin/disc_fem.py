@@ -46,7 +46,7 @@ BAND_STEP = 1.25
 """Ratio of the bands of two runs that are compared: what a jump excites above them shows in the difference."""
 SAFETY = 2.0
 """Of 14 random discs the error was 0.2 to 1.6 times the difference from the finer run, which errs itself."""
-TIGHTER, TIGHTEST = 0.25, 2e-5
+TIGHTER, TIGHTEST = 0.35, 2e-5
 """Accuracy for which that run's harmonics, path and reduced models are chosen, in the wanted one, and the least."""
 CORNER = 0.15
 """Width of the elements at a singular corner, in those of their neighbours (Szabo & Babuska 1991, ch. 10)."""
@@ -116,7 +116,7 @@ def solve_disc(
     tighter = _problem(body, load, times, points, max(TIGHTER * accuracy, TIGHTEST), harmonics)
     while True:
         wider = BAND_STEP * max(band, tighter.band_Hz)
-        found, finer = _motion(problem, first, fine, band), _motion(tighter, first + 1, fine, wider)
+        finer, found = _motions([(tighter, first + 1, wider), (problem, first, band)], fine)
         apart = SAFETY * _difference(found.moved[0], finer.moved[0])
         error = apart + finer.dropped + tighter.path
         if degree is not None or error <= accuracy or first >= MOST_DEGREE:
@@ -216,12 +216,22 @@ def _shares(ratio: float, least: float) -> Float:
     return np.array(share)
 
 
-def _motion(problem: _Problem, degree: int, fine: float | None, band_Hz: float) -> _Found:
-    """The whole motion with elements of one degree and reduced models of one band."""
-    load, samples, points = problem.load, problem.samples, problem.points
-    grid = DiscGrid(problem.body, *_grid(problem.body, load, samples, degree, fine or FINE))
+def _motions(runs: list[tuple[_Problem, int, float]], fine: float | None) -> list[_Found]:
+    """Whole motions side by side, each of a problem, elements of one degree and reduced models of one band [Hz]."""
+    tasks, grids = [], []
+    for problem, degree, band_Hz in runs:
+        grid = DiscGrid(problem.body, *_grid(problem.body, problem.load, problem.samples, degree, fine or FINE))
+        grids.append(grid)
+        tasks += [(grid, problem, m, band_Hz) for m in problem.numbers]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        found = list(pool.map(lambda m: _harmonic(grid, problem, m, band_Hz), problem.numbers))
+        parts = pool.map(lambda task: _harmonic(*task), tasks)
+        found = [[next(parts) for _ in problem.numbers] for problem, _, _ in runs]
+    return [_summed(run[0], grid, each) for run, grid, each in zip(runs, grids, found, strict=True)]
+
+
+def _summed(problem: _Problem, grid: DiscGrid, found: list[tuple[Complex, Complex]]) -> _Found:
+    """The motion that the harmonics make together."""
+    load, samples, points = problem.load, problem.samples, problem.points
     wanted = np.searchsorted(samples.times_s, problem.times - 1e-12 * samples.times_s[-1])
     after = problem.times >= load.times_s[0]
     moved = np.zeros((2, len(problem.times), len(points), 3))

@@ -91,7 +91,18 @@ class Pencil:
                 diag_pivot_thresh=0.0,
                 options={"SymmetricMode": True},
             )
-        return Factored(lu, matrix.diagonal(), self.order)
+        found = Factored(lu, matrix.diagonal(), self.order)
+        if self.order is None:
+            self._place(np.argsort(lu.perm_c).astype(np.int32))
+        return found
+
+    def _place(self, order: Int) -> None:
+        """Take the elimination order that SuperLU found: looking for it costs a third of a factorisation."""
+        numbers = sparse.csc_matrix((np.arange(self.data.shape[1]), self.indices, self.starts), (self.size, self.size))
+        placed = numbers[order][:, order].tocsc()
+        placed.sort_indices()
+        self.data, self.indices, self.starts = self.data[:, placed.data], placed.indices, placed.indptr
+        self.order = order
 
 
 @dataclass(frozen=True)
