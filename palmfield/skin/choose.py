@@ -8,12 +8,13 @@ from dataclasses import dataclass, replace
 from importlib import import_module
 from typing import Any, Literal
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from palmfield.device import resolve
 from palmfield.errors import SceneError
 from palmfield.skin.crop import crop
-from palmfield.skin.problem import Body, Load, Motion, asked_points, rising
+from palmfield.skin.problem import Body, Load, Motion, Spot, asked_points, points_on_face, rising
 from palmfield.types import Float
 
 Name = Literal["auto", "spectral", "disc", "reduced", "implicit", "explicit", "particles"]
@@ -104,6 +105,10 @@ def solve(
     where = resolve(device)
     if solver != "auto" and solver not in WHERE:
         raise SceneError(f"solver is '{solver}'; use auto or one of {', '.join(WHERE)}")
+    if not np.any(load.peak_Pa if isinstance(load, Spot) else load.pressure_Pa):
+        still = np.zeros((len(moments), len(points), 3))
+        where_to = points_on_face(body, points)
+        return Motion(moments, where_to, still, still.copy(), 0.0, "no load: all is at rest", "none needed", 0.0)
     cut = 0.0
     if not whole:
         body, load, cut = crop(body, load, float(moments[-1]), points, accuracy)
@@ -163,7 +168,7 @@ def static(body: Body, load: Load, at: ArrayLike, *, accuracy: float = 0.05) -> 
 def checked(times: ArrayLike, at: ArrayLike, accuracy: float) -> tuple[Float, Float]:
     """Times, shape (t,), and points, shape (n, 2 or 3). Raises SceneError."""
     moments, points = rising("times", times), asked_points(at)
-    if not 1e-5 <= accuracy <= 0.5:
+    if not isinstance(accuracy, (int, float)) or not 1e-5 <= accuracy <= 0.5:
         raise SceneError(f"accuracy is {accuracy}; give a relative error of 1e-5 to 0.5")
     return moments, points
 

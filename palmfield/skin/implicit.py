@@ -16,6 +16,7 @@ from palmfield.hand.remesh import is_height_field
 from palmfield.skin.assembly import SkinSystem
 from palmfield.skin.body_mesh import Sizes, build
 from palmfield.skin.estimate import load_centre, load_frequency, load_width
+from palmfield.skin.extent import extent, refusal_of_spot
 from palmfield.skin.load import PressureHistory
 from palmfield.skin.material import shear_wave
 from palmfield.skin.pcg import DeviceStepper
@@ -39,6 +40,9 @@ def refusal_implicit(body: Body, load: Load) -> str | None:
     """Why this solver can't, in a sentence, or None."""
     if isinstance(body, Layer) and body.side == "roller" and body.patch.axis is None:
         return "roller sides need a patch with an axis; this layer's has none"
+    turned = refusal_of_spot(body, load)
+    if turned is not None:
+        return turned
     dofs = expected_dofs(body, first_sizes(body, load, np.zeros((0, 3)), 0.05))
     if dofs > MOST_DOFS:
         return f"the mesh would have about {dofs:.0f} unknowns, above {MOST_DOFS}: its matrix can't be factorised here"
@@ -113,7 +117,8 @@ def solve_implicit(
     )
 
     def run(numerics: Numerics, factor: float = 1.0, reach: float = 1.0) -> Answer:
-        return _run(body, load, asked, points, replace(numerics, sizes=resized(numerics.sizes, factor, reach)))
+        part = extent(body, load, points, reach)
+        return _run(part, load, asked, points, replace(numerics, sizes=resized(numerics.sizes, factor, reach)))
 
     coarse = run(now, ratio_of(body, now.sizes))
     step_error = difference(coarse, run(replace(now, step_s=2.0 * now.step_s), ratio_of(body, now.sizes))) / 3.0
@@ -147,7 +152,7 @@ def static_implicit(body: Body, load: Load, at: Float, *, accuracy: float = 0.05
     now = Numerics(sizes or first_sizes(body, load, points, accuracy), math.inf, 1.0, "cpu")
 
     def run(numerics: Numerics, factor: float = 1.0, reach: float = 1.0) -> Answer:
-        system = build(body, resized(numerics.sizes, factor, reach))
+        system = build(extent(body, load, points, reach), resized(numerics.sizes, factor, reach))
         moved = static(system, PressureHistory(load, system.mesh, system).final_force())
         found = (_probe(system, points).vectors @ moved).reshape(1, -1, 3)
         return Answer(found, np.zeros_like(found), system.ndof, *_size(system))

@@ -144,7 +144,7 @@ def beyond_rim(net: Delaunay, spacing: Float) -> tuple[Int, Float]:
 class PressureHistory:
     """The force of a load on a layer as time goes on.
 
-    focus_m: points about which the pressure lies, shape (p, 3); knots_s: the load's own times [s]
+    knots_s: the load's own times [s]
     Raises SceneError for a load whose points lie off the surface.
     """
 
@@ -154,7 +154,7 @@ class PressureHistory:
         if isinstance(load, Spot):
             quadrature = SurfaceQuadrature(mesh, system)
             self.points, self.operator = quadrature.points, quadrature.operator
-            self.centres = on_surface(mesh, system, load.centres())
+            self.centres = load.centres()
         else:
             self.operator = sampled(mesh, system, load)
         self._still: Float | None = None
@@ -199,7 +199,7 @@ class PressureHistory:
 
     def _bell(self, centre: Float) -> Float:
         assert isinstance(self.load, Spot)
-        return np.exp(-GAUSSIAN * ((self.points - centre) ** 2).sum(axis=1) / self.load.fwhm_m**2)
+        return bell(self.points, centre, self.load.fwhm_m)
 
     def _between(self, t: float) -> tuple[int, float]:
         """Index of the last knot not after t (-1: before all) and the share of the way to the next."""
@@ -209,10 +209,6 @@ class PressureHistory:
         return place, (t - self.knots_s[place]) / (self.knots_s[place + 1] - self.knots_s[place])
 
 
-def on_surface(mesh: WedgeMesh, system: SkinSystem, places: Float) -> Float:
-    """The points of the skin closest to places (n, 2) of the plane z = 0, or (n, 3); shape (n, 3) [m]."""
-    flat = np.asarray(places, dtype=float)
-    if flat.shape[1] == 2:
-        flat = np.column_stack([flat, np.zeros(len(flat))])
-    unique, back = np.unique(flat, axis=0, return_inverse=True)
-    return SurfaceProbe(mesh, unique, system).closest[back.ravel()]
+def bell(points: Float, centre: Float, fwhm_m: float) -> Float:
+    """A spot's share of its peak at points (n, 3), by their distance from its centre (2,) in x and y."""
+    return np.exp(-GAUSSIAN * ((points[:, :2] - centre) ** 2).sum(axis=1) / fwhm_m**2)

@@ -145,7 +145,8 @@ class Slab:
 class Layer:
     """Sheets below a patch of surface: their thicknesses are shares of the patch's own depth, the first at the skin.
 
-    Raises SceneError for an unknown base or side, and a depth that is not above 0, with its place.
+    Raises SceneError for an unknown base or side, a depth that is not above 0, with its place, and a patch whose
+    positions are not finite, whose inward directions are not of length 1, or whose faces name vertices it has not.
     """
 
     patch: Patch
@@ -157,6 +158,7 @@ class Layer:
         check_base_and_side(self.base, self.side, none=False)
         if not self.sheets:
             raise SceneError("layer: sheets is empty; give at least one")
+        check_patch(self.patch)
         depth = np.asarray(self.patch.depth, dtype=float)
         thin = int(np.argmin(np.where(np.isfinite(depth), depth, -np.inf)))
         if not depth[thin] > 0.0:
@@ -167,12 +169,30 @@ class Layer:
             )
 
 
+def check_patch(patch: Patch) -> None:
+    """Raise SceneError for numbers not finite, directions not of length 1, and faces without vertices."""
+    for name in ("vertices", "inward", "depth"):
+        values = np.asarray(getattr(patch, name), dtype=float)
+        if not np.isfinite(values).all():
+            worst = int(np.flatnonzero(~np.isfinite(values.reshape(len(values), -1)).all(axis=1))[0])
+            raise SceneError(f"layer: its patch's {name} has {values[worst].tolist()} at vertex {worst}; give numbers")
+    length = np.linalg.norm(patch.inward, axis=1)
+    worst = int(np.argmax(np.abs(length - 1.0)))
+    if abs(length[worst] - 1.0) > 1e-3:
+        raise SceneError(f"layer: inward direction of vertex {worst} has length {length[worst]:.3g}; give unit vectors")
+    low, high = int(patch.faces.min(initial=0)), int(patch.faces.max(initial=-1))
+    if low < 0 or high >= len(patch.vertices) or high < 0:
+        raise SceneError(f"layer: faces name vertices {low} to {high}; there are {len(patch.vertices)}")
+
+
 Body = Slab | Layer
 
 
 @dataclass(frozen=True)
 class Spot:
-    """A round Gaussian spot of pressure a(t) exp(-4 ln 2 |x - c(t)|^2 / fwhm^2), measured along the face.
+    """A round Gaussian spot of pressure a(t) exp(-4 ln 2 |x - c(t)|^2 / fwhm^2), x and c in the plane z = 0.
+
+    On a layer the distance is that of the places below in x and y, so its face should look along z, up or down.
 
     fwhm_m: full width at half maximum [m]
     times_s: [s], rising, shape (f,); before the first the load is 0, after the last it stays
@@ -271,9 +291,17 @@ def as_floats(load: object, *names: str) -> None:
             raise SceneError(f"load: {name} is no array of numbers ({error})") from error
 
 
+def numbers(what: str, values: ArrayLike) -> Float:
+    """Values as an array. Raises SceneError for what are no numbers."""
+    try:
+        return np.asarray(values, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise SceneError(f"{what} is {str(values)[:60]!r}; give numbers") from error
+
+
 def rising(what: str, times_s: ArrayLike) -> Float:
     """Times [s] as an array, shape (t,). Raises SceneError for others than at least one, finite and rising."""
-    times = np.asarray(times_s, dtype=float)
+    times = numbers(what, times_s)
     if times.ndim != 1 or len(times) == 0 or not np.isfinite(times).all() or not np.all(np.diff(times) > 0.0):
         raise SceneError(f"{what} of shape {times.shape} must be finite, rising and at least one")
     return times
@@ -281,10 +309,22 @@ def rising(what: str, times_s: ArrayLike) -> Float:
 
 def asked_points(at: ArrayLike) -> Float:
     """Points as an array, (n, 2) or (n, 3). Raises SceneError for other shapes, for none, and for NaN or infinity."""
-    points = np.asarray(at, dtype=float)
+    points = numbers("at", at)
     if points.ndim != 2 or points.shape[1] not in (2, 3) or len(points) == 0 or not np.isfinite(points).all():
         raise SceneError(f"at of shape {points.shape}: give finite positions on the face, shape (n, 2) or (n, 3)")
     return points
+
+
+def lifted(patch: Patch, places: Float) -> Float:
+    """The face's points over or under places of the plane [m], (n, 2): shape (n, 3)."""
+    from palmfield.hand.meshquery import barycentric, build_mesh, closest_faces
+
+    flat = np.column_stack([patch.vertices[:, :2], np.zeros(len(patch.vertices))])
+    asked = np.column_stack([places, np.zeros(len(places))])
+    reach = 2.0 * float(np.abs(flat).max() + np.abs(asked).max()) + 1e-6
+    corners = patch.faces[closest_faces(build_mesh(flat, patch.faces), asked, reach)]
+    weights = barycentric(patch.vertices[corners][:, :, :2], places)
+    return np.column_stack([places, np.einsum("nk,nk->n", weights, patch.vertices[corners][:, :, 2])])
 
 
 def points_on_face(body: Body, at: ArrayLike) -> Float:
@@ -304,7 +344,7 @@ def points_on_face(body: Body, at: ArrayLike) -> Float:
                 f"point {worst} at {points[worst].tolist()} m lies {distance[worst]:.3g} m off the layer; give points "
                 "on its face"
             )
-        return points if across == 3 else np.column_stack([points, np.zeros(len(points))])
+        return points if across == 3 else lifted(body.patch, points)
     flat = np.column_stack([points[:, :2], np.zeros(len(points))])
     outside = np.zeros(len(flat), dtype=bool)
     if body.shape == "disc":

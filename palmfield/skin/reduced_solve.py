@@ -14,13 +14,14 @@ import numpy as np
 from palmfield.errors import SceneError
 from palmfield.skin.body_mesh import build
 from palmfield.skin.estimate import load_frequency, load_width
+from palmfield.skin.extent import extent
 from palmfield.skin.implicit import GROWTH, expected_dofs, first_sizes, refusal_implicit, run_cost
 from palmfield.skin.krylov import Krylov
-from palmfield.skin.load import SurfaceQuadrature, on_surface, sampled
+from palmfield.skin.load import SurfaceQuadrature, bell, sampled
 from palmfield.skin.material import shear_wave
 from palmfield.skin.ordering import dissection_order
 from palmfield.skin.pencil import Pencil
-from palmfield.skin.problem import GAUSSIAN, Body, Load, Motion, Slab, Spot, Traction, points_on_face, rising
+from palmfield.skin.problem import Body, Load, Motion, Slab, Spot, Traction, points_on_face, rising
 from palmfield.skin.reduced import Projection, Reduced
 from palmfield.skin.settle import Answer, Numerics, ratio_of, resized, settle
 from palmfield.skin.solver import BLAS
@@ -90,8 +91,9 @@ def solve_reduced(
 
     def run(numerics: Numerics, factor: float = 1.0, reach: float = 1.0) -> Answer:
         sizes = resized(numerics.sizes, factor, reach)
+        part = extent(body, load, points, reach)
         with BLAS.limit(limits=1, user_api="blas"):
-            answer, order, error = _run(body, load, asked, points, replace(numerics, sizes=sizes), SHARE * accuracy)
+            answer, order, error = _run(part, load, asked, points, replace(numerics, sizes=sizes), SHARE * accuracy)
         models.append((order, error))
         return answer
 
@@ -118,9 +120,8 @@ def _run(
     mesh = system.mesh
     if isinstance(load, Spot):
         quadrature = SurfaceQuadrature(mesh, system)
-        centre = on_surface(mesh, system, load.centres()[:1])[0]
-        bell = np.exp(-GAUSSIAN * ((quadrature.points - centre) ** 2).sum(axis=1) / load.fwhm_m**2)
-        shapes, shares = quadrature.assemble(bell)[:, None], load.peak_Pa[:, None]
+        shape_at = bell(quadrature.points, load.centres()[0], load.fwhm_m)
+        shapes, shares = quadrature.assemble(shape_at)[:, None], load.peak_Pa[:, None]
     else:
         pressures, shares = patterns(load)
         shapes = sampled(mesh, system, load) @ pressures.T

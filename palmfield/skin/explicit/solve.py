@@ -16,6 +16,7 @@ from palmfield.skin.explicit.model import SAFETY, Model, hold
 from palmfield.skin.explicit.places import find
 from palmfield.skin.explicit.run import Points, Stepper
 from palmfield.skin.explicit.solid import Solid
+from palmfield.skin.extent import refusal_of_spot
 from palmfield.skin.problem import ONLY_IMPLICIT, Body, Foundation, Layer, Load, Motion, Spot, rising
 from palmfield.skin.soften import soften
 from palmfield.types import Float
@@ -55,6 +56,14 @@ def refusal_explicit(body: Body, load: Load) -> str | None:
     """Why the explicit solver cannot take this problem, in a sentence, or None."""
     if isinstance(body.base, Foundation):
         return ONLY_IMPLICIT
+    if isinstance(body, Layer) and body.side == "absorbing":
+        return (
+            "explicit elements have dashpots only at a layer's sides, which send slow waves back, and nothing to tell "
+            "how much: use the implicit solver"
+        )
+    turned = refusal_of_spot(body, load)
+    if turned is not None:
+        return turned
     for sheet in body.sheets:
         material = sheet.material
         if material.bulk_Pa > STIFFEST * material.shear_instant_Pa:
@@ -193,6 +202,8 @@ def solve_explicit(
         raise SceneError(f"explicit skin: size_m is {size_m}; give a width above 0")
     if order is not None and not 1 <= order <= 7:
         raise SceneError(f"explicit skin: order is {order}; give 1 to 7")
+    if step_s is not None and not 0.0 < step_s < math.inf:
+        raise SceneError(f"explicit skin: step_s is {step_s}; give a time above 0 s, or leave it out")
     if deep is not None and (len(deep) != len(body.sheets) or min(deep) < 1):
         raise SceneError(f"explicit skin: deep is {deep}; give 1 or more for each of {len(body.sheets)} sheets")
     points = np.atleast_2d(np.asarray(at, dtype=float))

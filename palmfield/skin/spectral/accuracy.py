@@ -8,17 +8,24 @@ from palmfield.skin.problem import Slab, points_on_face, rising
 from palmfield.types import Float, Int
 
 SERIES_FROM = 8
-"""Asked times from which points are judged one by one, over time; fewer are judged over times and points."""
+"""Asked times from which points are judged one by one, over time."""
+FEW_POINTS = 32
+"""Points up to which they are judged one by one at fewer times as well; a picture's are judged together."""
 FAINT = 1e-3
 """Share of the largest motion below which a point is judged by that."""
 
 
+def is_picture(times: int, points: int) -> bool:
+    """Whether the points are judged together."""
+    return times < SERIES_FROM and points > FEW_POINTS
+
+
 def relative_error(found: Float, finer: Float) -> float:
     """L2 difference of motions (t, n, 3), relative to the finer one: over the times at each point, the largest of the
-    points; over times and points together where there are few times."""
+    points; over times and points together where there are few times and many points."""
     if finer.size == 0:
         return 0.0
-    over = (0, 2) if len(finer) >= SERIES_FROM else (0, 1, 2)
+    over = (0, 1, 2) if is_picture(*finer.shape[:2]) else (0, 2)
     size = np.sqrt((finer**2).sum(axis=over))
     floor = max(FAINT * float(size.max()), 1e-300)
     return float(np.max(np.sqrt(((found - finer) ** 2).sum(axis=over)) / np.maximum(size, floor)))
