@@ -151,6 +151,22 @@ def new(
 
 
 @app.command()
+def hand(
+    mesh: Annotated[Path, typer.Argument(help="GLB, glTF, OBJ, PLY, STL or MANO .pkl file", metavar="MESH")],
+    units: Annotated[str, typer.Option(help="what one unit in the file is: auto, m, dm, cm, mm or in")] = "auto",
+    json: Annotated[Path | None, typer.Option(help="write the card to this file", metavar="FILE")] = None,
+    png: Annotated[Path | None, typer.Option(help="draw the mesh with its faults in colour", metavar="FILE")] = None,
+) -> None:
+    """Report card of a hand's mesh: unit, size, side, faults mended or refused, and the skin layers that it bears.
+
+    Example: palmfield hand my_hand.glb --json card.json --png card.png
+    """
+    from palmfield.handcli import show_hand
+
+    show_hand(mesh, units, json, png)
+
+
+@app.command()
 def recover(out: Annotated[Path, typer.Argument(help="folder of a run that was cut off", metavar="DIR")]) -> None:
     """Assemble the results of a run that was cut off into DIR/result.nc, marked incomplete, and draw its pictures.
 

@@ -1,12 +1,21 @@
-"""Write mjcf/hands/<preset>.xml for the presets named on the command line (default: open_men_p50)."""
+"""Write mjcf/hands/<preset>.xml and its articulated twin articulated_<preset without open_>.xml.
+
+python scripts/make_hand_mjcf.py [PRESET ...]    default: open_men_p50
+"""
 
 import sys
 
 from palmfield.data import folder
+from palmfield.hand.articulated import articulated_mjcf
 from palmfield.hand.mjcf import hand_mjcf
 from palmfield.hand.preset import load_preset
 
 for name in sys.argv[1:] or ["open_men_p50"]:
-    target = folder("mjcf") / "hands" / f"{name}.xml"
-    target.write_text(hand_mjcf(load_preset(name)), encoding="utf-8")
-    print(target)
+    preset = load_preset(name)
+    for target, text in (
+        (name, hand_mjcf(preset)),
+        (f"articulated_{name.removeprefix('open_')}", articulated_mjcf(preset)),
+    ):
+        path = folder("mjcf") / "hands" / f"{target}.xml"
+        path.write_text(text, encoding="utf-8")
+        print(path)

@@ -18,7 +18,7 @@ from palmfield.types import Air
 
 SCENES = Path(__file__).parent.parent / "mjcf" / "scenes"
 
-COMMANDS = ("run", "plan", "info", "drive", "keys", "new", "recover")
+COMMANDS = ("run", "plan", "info", "drive", "keys", "new", "recover", "hand")
 
 
 def call(monkeypatch, capsys, *arguments):

@@ -1,63 +1,146 @@
-"""A user's own mesh of a hand, read through trimesh and checked before anything is computed on it."""
+"""A user's own mesh of a hand, read from its file, mended or refused before anything is computed on it."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import trimesh
-from scipy import sparse
 
 from palmfield.errors import SceneError
-from palmfield.hand.triangles import consistent_winding, directed_edges, face_normals, vertex_normals
+from palmfield.hand.gltf import read_gltf
+from palmfield.hand.holes import plane_axes
+from palmfield.hand.mano import read_mano
+from palmfield.hand.repair import Finding, repair
+from palmfield.hand.rigged import Rig, RiggedMesh, scaled, strongest
+from palmfield.hand.subdivide import split_long_edges
+from palmfield.hand.triangles import unique_edges, vertex_normals
+from palmfield.hand.units import Unit, choose_unit
 from palmfield.types import Float, Int, Surface
 
-METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254}
-SUFFIXES = (".obj", ".ply", ".stl")
-LEAST_EXTENT_m, GREATEST_EXTENT_m = 0.02, 0.6
-# Vertices closer than this share of the extent are one: UV seams and STL repeat positions, bit for bit or rounded.
-MERGE_SHARE = 1e-6
+PLAIN, GLTF, MANO = (".obj", ".ply", ".stl"), (".glb", ".gltf"), (".pkl",)
+SUFFIXES = PLAIN + GLTF + MANO
+
+
+@dataclass(frozen=True)
+class Examined:
+    """A mesh after repair, in metres; it may be used where no finding is refused.
+
+    vertices: shape (n, 3); faces: shape (m, 3); unit: what the file's numbers meant; findings: places in metres;
+    rig: with weights at these vertices and joints in metres, or None; file_vertices, file_faces: how many were in the
+    file
+    """
+
+    vertices: Float
+    faces: Int
+    unit: Unit
+    findings: list[Finding]
+    rig: Rig | None
+    file_vertices: int
+    file_faces: int
 
 
 def load_mesh(path: str | Path, unit: str) -> Surface:
-    """Closed surface from an OBJ, PLY or STL file, in metres, with outward normals.
+    """Closed surface from an OBJ, PLY, STL, glTF, GLB or MANO .pkl file, in metres, with outward normals.
 
-    unit: what one unit in the file means: "m", "cm", "mm" or "in"; these formats do not carry it: no guess
-    Vertices at the same position are merged and the winding is turned outward.
+    unit: what one unit in the file means: "m", "dm", "cm", "mm" or "in"; "auto" takes metres for glTF and MANO, and
+    elsewhere the only unit that makes it a hand or forearm
+    Faults are mended as `palmfield.hand.repair.repair` says.
 
-    Raises SceneError for an unknown unit or format; a file that is missing, unreadable or empty; a mesh of no size,
-    with coordinates that are not finite, with holes, of several bodies, or not 20 to 600 mm long.
+    Raises SceneError for an unknown unit or format; a file that is missing, unreadable or empty; and what cannot be
+    mended: no size, coordinates that are not finite, holes, several bodies, or not 20 to 600 mm long.
+    """
+    return _surface(_accepted(path, unit))
+
+
+def load_rigged(path: str | Path, unit: str = "auto") -> RiggedMesh:
+    """Closed surface with joints and weights from a glTF, GLB or MANO .pkl file; as `load_mesh` otherwise.
+
+    Raises SceneError as well for a file without joints.
+    """
+    found = _accepted(path, unit)
+    if found.rig is None:
+        raise SceneError(f"mesh {path} has no joints and weights; give a glTF, GLB or MANO file with a skin")
+    weights, indices = strongest(found.rig.weights)
+    return RiggedMesh(_surface(found), found.rig.joints, weights, indices)
+
+
+def examine(path: str | Path, unit: str = "auto", longest_edge_m: float | None = None) -> Examined:
+    """Read and mend a mesh, and say what was found; edges longer than longest_edge_m [m] are halved.
+
+    Raises SceneError where there is no mesh to speak of: unknown unit or format, a missing, unreadable or empty file,
+    a size that no hand has.
     """
     file = Path(path)
-    if unit not in METRES:
-        raise SceneError(f"mesh {file}: unit {unit!r} is unknown; use one of {', '.join(METRES)}")
-    vertices, faces = _read(file)
-    if not np.isfinite(vertices).all():
-        bad = int((~np.isfinite(vertices)).any(axis=1).sum())
-        raise SceneError(f"mesh {file}: {bad} of {len(vertices)} vertices are not finite numbers; export it again")
-    extent = float(np.ptp(vertices, axis=0).max())
+    vertices, faces, by_format, rig = _read(file)
+    finite = vertices[np.isfinite(vertices).all(axis=1)]
+    extent = float(np.ptp(finite, axis=0).max()) if len(finite) else 0.0
     if extent == 0.0:
         raise SceneError(f"mesh {file}: all {len(vertices)} vertices lie in one point; export it again")
-    _check_size(file, extent, unit)
-    vertices, faces = _merge(vertices * METRES[unit], faces, MERGE_SHARE * extent * METRES[unit])
-    if len(faces) == 0 or face_normals(vertices, faces)[1].sum() == 0.0:
-        raise SceneError(f"mesh {file}: its faces have no area; export it again")
-    _check_closed(file, vertices, faces)
-    faces = consistent_winding(faces)
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    volume = float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum()) / 6.0
-    if volume < 0.0:
-        faces = np.ascontiguousarray(faces[:, ::-1])
-    if abs(volume) < 1e-9 * (extent * METRES[unit]) ** 3:
-        raise SceneError(f"mesh {file}: it encloses no volume; give a closed hand, not a flat sheet")
-    return Surface(vertices, faces, vertex_normals(vertices, faces))
+    used = vertices[np.unique(faces)]
+    used = used[np.isfinite(used).all(axis=1)]
+    length, breadth, _ = np.ptp(used @ plane_axes(used).T, axis=0)
+    scale = choose_unit(unit, by_format, float(length), float(breadth), f"mesh {file}")
+    mended = repair(vertices, faces)
+    points, corners, carry = mended.vertices * scale.metres, mended.faces, mended.carry
+    findings = [Finding(f.name, f.count, f.outcome, f.places * scale.metres, f.text) for f in mended.findings]
+    if longest_edge_m is not None and not mended.refused:
+        edges, _ = unique_edges(corners)
+        long = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1) > longest_edge_m
+        if long.any():
+            finer, corners = split_long_edges(points, corners, longest_edge_m)
+            text = f"edges longer than {longest_edge_m * 1e3:.2g} mm were halved until none was"
+            findings.append(Finding("long edges", int(long.sum()), "repaired", np.zeros((0, 3)), text))
+            points, carry = finer @ points, finer @ carry
+    if rig is not None:
+        rig = Rig(scaled(rig.joints, scale.metres), carry @ rig.weights)
+    return Examined(points, corners, scale, findings, rig, len(vertices), len(faces))
 
 
-def _read(file: Path) -> tuple[Float, Int]:
-    if not file.is_file():
-        raise SceneError(f"mesh {file} does not exist; give the path of an OBJ, PLY or STL file")
-    if file.suffix.lower() not in SUFFIXES:
+def refusal(path: str | Path, findings: list[Finding]) -> str:
+    """One line on the first finding that was refused, with up to three places."""
+    worst = next(finding for finding in findings if finding.outcome == "refused")
+    where = ", ".join(f"({p[0]:.1f}, {p[1]:.1f}, {p[2]:.1f})" for p in 1e3 * worst.places[:3])
+    at = f", at {where}{' and elsewhere' if len(worst.places) > 3 else ''} mm" if where else ""
+    return f"mesh {path}: {worst.count} x {worst.name}{at}: {worst.text}"
+
+
+def _accepted(path: str | Path, unit: str) -> Examined:
+    found = examine(path, unit)
+    if any(finding.outcome == "refused" for finding in found.findings):
+        raise SceneError(refusal(path, found.findings))
+    return found
+
+
+def _surface(found: Examined) -> Surface:
+    return Surface(found.vertices, found.faces, vertex_normals(found.vertices, found.faces))
+
+
+def _read(file: Path) -> tuple[Float, Int, str | None, Rig | None]:
+    """Vertices, faces, the unit that the format prescribes, and the rig."""
+    suffix = file.suffix.lower()
+    if suffix not in SUFFIXES:
         raise SceneError(
             f"mesh {file}: format {file.suffix or '(none)'!r} is not read; export it as {', '.join(SUFFIXES)}"
         )
+    if not file.is_file():
+        raise SceneError(f"mesh {file} does not exist; give the path of a {', '.join(SUFFIXES)} file")
+    rig: Rig | None = None
+    if suffix in GLTF:
+        vertices, faces, rig = read_gltf(file)
+    elif suffix in MANO:
+        vertices, faces, rig = read_mano(file)
+    else:
+        vertices, faces = _read_plain(file)
+    if len(vertices) == 0 or len(faces) == 0:
+        raise SceneError(
+            f"mesh {file} is empty ({len(vertices)} vertices, {len(faces)} faces); export it with its faces"
+        )
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise SceneError(f"mesh {file}: a face names vertex {faces.max()} of {len(vertices)}; export it again")
+    return vertices, faces, None if suffix in PLAIN else "m", rig
+
+
+def _read_plain(file: Path) -> tuple[Float, Int]:
     try:
         mesh = trimesh.load_mesh(file, process=False)
     # trimesh lets every kind of exception of its parsers through (ValueError, IndexError, struct.error, ...).
@@ -65,61 +148,4 @@ def _read(file: Path) -> tuple[Float, Int]:
         reason = " ".join(str(error).split())[:120] or type(error).__name__
         raise SceneError(f"mesh {file} cannot be read ({reason}); export it again") from error
     vertices = np.asarray(getattr(mesh, "vertices", np.zeros((0, 3))), dtype=np.float64)
-    faces = np.asarray(getattr(mesh, "faces", np.zeros((0, 3))), dtype=np.int32)
-    if len(vertices) == 0 or len(faces) == 0:
-        raise SceneError(
-            f"mesh {file} is empty ({len(vertices)} vertices, {len(faces)} faces); export it with its faces"
-        )
-    if faces.min() < 0 or faces.max() >= len(vertices):
-        raise SceneError(f"mesh {file}: a face names vertex {faces.max()} of {len(vertices)}; export it again")
-    return vertices, faces
-
-
-def _check_size(file: Path, extent: float, unit: str) -> None:
-    size = extent * METRES[unit]
-    if LEAST_EXTENT_m <= size <= GREATEST_EXTENT_m:
-        return
-    others = [
-        f"{extent * metres * 1e3:.4g} mm with unit {name}"
-        for name, metres in METRES.items()
-        if LEAST_EXTENT_m <= extent * metres <= GREATEST_EXTENT_m
-    ]
-    mend = f"it would be {' or '.join(others)}" if others else "no unit makes it a hand; scale it"
-    raise SceneError(f"mesh {file} is {size * 1e3:.4g} mm long with unit {unit}; 20 to 600 mm are allowed; {mend}")
-
-
-def _merge(vertices: Float, faces: Int, tolerance_m: float) -> tuple[Float, Int]:
-    """One vertex for each position; faces that lose a side by that are dropped, and so are unused vertices."""
-    _, first, inverse = np.unique(np.round(vertices / tolerance_m), axis=0, return_index=True, return_inverse=True)
-    faces = inverse.reshape(-1)[faces].astype(np.int32)
-    sides = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
-    used, local = np.unique(faces[sides], return_inverse=True)
-    return vertices[first[used]], local.reshape(-1, 3).astype(np.int32)
-
-
-def _check_closed(file: Path, vertices: Float, faces: Int) -> None:
-    edges, count = np.unique(np.sort(directed_edges(faces), axis=1), axis=0, return_counts=True)
-    number = len(vertices)
-    open_edges = edges[count == 1]
-    if len(open_edges):
-        graph = sparse.coo_array((np.ones(len(open_edges)), open_edges.T), shape=(number, number))
-        label = sparse.csgraph.connected_components(graph, directed=False)[1]
-        holes = np.unique(label[open_edges[:, 0]])
-        places = [1e3 * vertices[np.unique(open_edges[label[open_edges[:, 0]] == h])].mean(axis=0) for h in holes[:3]]
-        where = ", ".join(f"({p[0]:.1f}, {p[1]:.1f}, {p[2]:.1f})" for p in places)
-        more = " and elsewhere" if len(holes) > 3 else ""
-        plural = "s" if len(holes) > 1 else ""
-        raise SceneError(
-            f"mesh {file} is not watertight: {len(holes)} hole{plural} at {where}{more} mm; "
-            "fill them in the program that it is from"
-        )
-    if (count > 2).any():
-        place = 1e3 * vertices[edges[count > 2][0]].mean(axis=0)
-        raise SceneError(
-            f"mesh {file}: {int((count > 2).sum())} edges are shared by more than two faces, one at "
-            f"({place[0]:.1f}, {place[1]:.1f}, {place[2]:.1f}) mm; remove the doubled faces"
-        )
-    graph = sparse.coo_array((np.ones(len(edges)), edges.T), shape=(number, number))
-    bodies = sparse.csgraph.connected_components(graph, directed=False)[0]
-    if bodies > 1:
-        raise SceneError(f"mesh {file} has {bodies} separate bodies; keep the hand only")
+    return vertices, np.asarray(getattr(mesh, "faces", np.zeros((0, 3))), dtype=np.int32)

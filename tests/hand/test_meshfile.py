@@ -1,9 +1,12 @@
 import numpy as np
 import pytest
 import trimesh
+from hypothesis import given
+from hypothesis import strategies as st
 
 from palmfield.errors import SceneError
-from palmfield.hand.meshfile import load_mesh
+from palmfield.hand.meshfile import examine, load_mesh
+from palmfield.hand.units import METRES, Unit, choose_unit
 
 
 def ball(size=180.0):
@@ -54,7 +57,7 @@ def test_winding_is_turned_outward(tmp_path, flip):
 def test_unit_is_never_guessed(tmp_path):
     path = tmp_path / "hand.ply"
     ball().export(path)
-    fails(path, "furlong", "unit 'furlong' is unknown; use one of m, cm, mm, in")
+    fails(path, "furlong", "unit 'furlong' is unknown; use one of m, dm, cm, mm, in or auto")
     fails(path, "m", "1.8e[+]05 mm long with unit m; .* 180 mm with unit mm")
     fails(path, "cm", "180 mm with unit mm")
 
@@ -92,12 +95,13 @@ def test_no_size_and_not_finite(tmp_path):
 
 
 def test_holes_are_counted_and_placed(tmp_path):
+    """The end across the length passes for a wrist and is closed; what is open beside it is not."""
     mesh = ball()
     centre = mesh.triangles_center
     keep = (centre[:, 1] > -80) & (centre[:, 2] < 33)
     path = tmp_path / "open.ply"
     trimesh.Trimesh(mesh.vertices, mesh.faces[keep], process=False).export(path)
-    fails(path, "mm", r"not watertight: 2 holes at \(.*-8\d\.\d, .*\)")
+    fails(path, "mm", r"1 x holes, at \(-?0\.0, -?0\.0, 3\d\.\d\) mm: it is not watertight")
 
 
 def test_flat_doubled_and_several(tmp_path):
@@ -112,4 +116,46 @@ def test_flat_doubled_and_several(tmp_path):
     mesh = ball()
     doubled = tmp_path / "doubled.ply"
     trimesh.Trimesh(mesh.vertices, np.concatenate([mesh.faces, mesh.faces[:1]]), process=False).export(doubled)
-    fails(doubled, "mm", "more than two faces")
+    assert len(load_mesh(doubled, "mm").faces) == len(mesh.faces)
+
+
+# A hand's and a forearm's length and breadth [m].
+HAND, FOREARM = (0.19, 0.10), (0.47, 0.13)
+
+
+@pytest.mark.parametrize("part", [HAND, FOREARM])
+@pytest.mark.parametrize("name", METRES)
+def test_the_only_unit_that_fits_is_inferred(part, name):
+    length, breadth = (size / METRES[name] for size in part)
+    unit = choose_unit("auto", None, length, breadth, "mesh")
+    assert unit.name == name and unit.source.startswith("inferred: a ")
+
+
+@given(st.floats(0.01, 1000.0), st.floats(0.05, 1.0))
+def test_what_is_inferred_is_the_one_choice(length, slender):
+    def fits(metres):
+        size = length * metres
+        return (0.13 <= size <= 0.26 and slender >= 0.3) or (0.36 <= size <= 0.56 and slender <= 0.4)
+
+    choices = [name for name, metres in METRES.items() if fits(metres)]
+    if len(choices) == 1:
+        assert choose_unit("auto", None, length, slender * length, "mesh").name == choices[0]
+        return
+    with pytest.raises(SceneError, match="carries no unit") as caught:
+        choose_unit("auto", None, length, slender * length, "mesh")
+    assert all(f"mm with {name}" in str(caught.value) for name in METRES)
+
+
+def test_hand_in_cm_or_slender_forearm_in_inches_is_asked_for():
+    with pytest.raises(
+        SceneError, match=r"cm and in both make it a hand or forearm: 1.9e[+]04 mm with m, .* give the unit"
+    ):
+        choose_unit("auto", None, 19.0, 0.35 * 19.0, "mesh")
+
+
+def test_a_format_with_units_and_the_user_go_before(tmp_path):
+    assert choose_unit("auto", "m", 0.05, 0.05, "mesh").source == "set by the file's format"
+    assert choose_unit("cm", "m", 19.0, 9.0, "mesh") == Unit("cm", 0.01, "given by the user")
+    path = tmp_path / "hand.obj"
+    ball(18.0).export(path)
+    assert examine(path).unit == Unit("cm", 0.01, "inferred: a hand of 180 mm")

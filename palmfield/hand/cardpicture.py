@@ -1,0 +1,94 @@
+"""The picture of a report card: the mesh from the palm and the back, faults in colour."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch as Swatch
+from scipy.spatial import cKDTree
+
+from palmfield.hand.chirality import chirality, fingers_direction
+from palmfield.hand.holes import plane_axes
+from palmfield.hand.reportcard import ReportCard, fault_faces
+from palmfield.hand.triangles import face_normals, unique_edges
+from palmfield.outputs.style import save, style
+from palmfield.types import Float
+
+COLOURS = {"refused": "#dc2626", "noted": "#d97706", "repaired": "#2563eb"}
+SKIN = np.array([0.87, 0.80, 0.74])
+MARK_REACH_m = 0.002
+# So few places get a ring each, in the view from which their skin is seen, or nearly.
+FEW, GRAZING = 5, 0.2
+
+
+def draw_card(card: ReportCard, path: Path) -> Path:
+    """PNG with two views; returns its path. Raises OutputError where it cannot be written."""
+    up, palm = _directions(card)
+    with style():
+        figure = Figure(figsize=(9.0, 6.2), dpi=120, layout="constrained")
+        left, right = figure.subplots(1, 2)
+        _draw(left, card, up, palm, "palm" if _known(card) else "one side")
+        _draw(right, card, up, -palm, "back" if _known(card) else "other side")
+        names = {f"{f['count']} x {f['name']}, {f['outcome']}": COLOURS[f["outcome"]] for f in card.facts["findings"]}
+        if names:
+            swatches = [Swatch(color=colour, label=text) for text, colour in names.items()]
+            figure.legend(handles=swatches, loc="outside lower center", ncols=2)
+        verdict = "accepted" if card.facts["accepted"] else "refused"
+        size = " x ".join(f"{v:.0f}" for v in card.facts["size_mm"])
+        unit = f"unit {card.facts['unit']}, {card.facts['unit_source']}"
+        figure.suptitle(f"{Path(card.facts['file']).name}: {verdict}; {size} mm; {unit}")
+        save(figure, path)
+    return path
+
+
+def _known(card: ReportCard) -> bool:
+    return card.facts.get("side", "unknown") != "unknown"
+
+
+def _directions(card: ReportCard) -> tuple[Float, Float]:
+    """Unit vectors to the fingers and out of the palm; the mesh's own axes where it was refused."""
+    vertices = card.mesh.vertices
+    along = fingers_direction(vertices, card.mesh.faces)
+    if not card.facts["accepted"]:
+        return along, plane_axes(vertices)[2]
+    palm = chirality(vertices, card.mesh.faces).palm
+    along -= (along @ palm) * palm
+    return along / np.linalg.norm(along), palm
+
+
+def _draw(axes: Axes, card: ReportCard, up: Float, to_eye: Float, title: str) -> None:
+    vertices, faces = card.mesh.vertices, card.mesh.faces
+    right = np.cross(up, to_eye)
+    unit, _ = face_normals(vertices, faces)
+    # Light from the eye, a little from above and the left; both sides of a face are lit, as some look inwards.
+    light = to_eye + 0.4 * up - 0.4 * right
+    shade = 0.35 + 0.65 * np.abs(unit @ light) / np.linalg.norm(light)
+    colour = shade[:, None] * SKIN
+    for found in card.facts["findings"]:
+        if found["places_mm"]:
+            places = 1e-3 * np.array(found["places_mm"])
+            marked = fault_faces(vertices, faces, places, MARK_REACH_m)
+            tint = np.array([int(COLOURS[found["outcome"]][i : i + 2], 16) / 255 for i in (1, 3, 5)])
+            colour[marked] = (0.5 + 0.5 * shade[marked, None]) * tint
+    flat = 1e3 * vertices @ np.stack([right, up], axis=1)
+    back_to_front = np.argsort(vertices[faces].mean(axis=1) @ to_eye)
+    shown: Any = np.clip(colour[back_to_front], 0.0, 1.0)
+    axes.add_collection(
+        PolyCollection(list(flat[faces[back_to_front]]), facecolors=shown, edgecolors=shown, linewidths=0.3)
+    )
+    edges, count = unique_edges(faces)
+    axes.add_collection(LineCollection(flat[edges[count == 1]], colors=COLOURS["refused"], linewidths=1.5))
+    for found in card.facts["findings"]:
+        places = 1e-3 * np.array(found["places_mm"]).reshape(-1, 3)
+        if 0 < len(places) <= FEW:
+            near = cKDTree(vertices[faces].mean(axis=1)).query(places)[1]
+            seen = places[unit[near] @ to_eye > -GRAZING]
+            at = 1e3 * seen @ np.stack([right, up], axis=1)
+            axes.plot(*at.T, "o", ms=16, mfc="none", mec=COLOURS[found["outcome"]], mew=1.5)
+    axes.set_aspect("equal")
+    axes.autoscale_view()
+    axes.set_title(title)
+    axes.set_xlabel("mm")

@@ -1,0 +1,197 @@
+"""glTF and GLB with joints and weights, which trimesh drops (Khronos glTF 2.0 specification, sections 3.6 and 3.7)."""
+
+from pathlib import Path
+
+import numpy as np
+from pygltflib import GLTF2, Primitive
+from scipy import sparse
+from scipy.spatial.transform import Rotation
+
+from palmfield.errors import SceneError
+from palmfield.hand.rigged import Joints, Rig
+from palmfield.types import Float, Int
+
+TYPES = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
+COLUMNS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+TRIANGLES = 4
+
+
+def read_gltf(file: Path) -> tuple[Float, Int, Rig | None]:
+    """Vertices in the scene's frame [m], shape (n, 3), faces, and the rig where the file has a skin.
+
+    All meshes of the scene are joined. Skinned vertices are placed by their joints, as section 3.7.3.3 asks: where the
+    file's pose is not its bind pose, they are in the former.
+    Raises SceneError for a file that is damaged, empty, compressed (Draco, meshopt), of lines or strips, or that has
+    several skins.
+    """
+    try:
+        scene = GLTF2.load_binary(file) if file.suffix.lower() == ".glb" else GLTF2.load_json(file)
+        return _Reader(scene, file).read()
+    except SceneError:
+        raise
+    # pygltflib and NumPy let every kind of exception through on damaged files.
+    except Exception as error:
+        reason = " ".join(str(error).split())[:120] or type(error).__name__
+        raise SceneError(f"mesh {file} cannot be read as glTF ({reason}); export it again") from error
+
+
+class _Reader:
+    def __init__(self, scene: GLTF2, file: Path) -> None:
+        self.scene, self.file = scene, file
+        packed = [name for name in scene.extensionsRequired or [] if "compression" in name or "quantization" in name]
+        if packed:
+            raise SceneError(f"mesh {file} needs the extension {packed[0]}, which is not read; export it uncompressed")
+        self.buffers = [scene.get_data_from_buffer_uri(buffer.uri) for buffer in scene.buffers]
+        self.parent: dict[int, int] = {
+            child: index for index, node in enumerate(scene.nodes) for child in node.children or []
+        }
+        self.world: dict[int, Float] = {}
+
+    def read(self) -> tuple[Float, Int, Rig | None]:
+        nodes = [i for i in self._in_scene() if self.scene.nodes[i].mesh is not None]
+        skins = sorted({skin for i in nodes if (skin := self.scene.nodes[i].skin) is not None})
+        if len(skins) > 1:
+            raise SceneError(f"mesh {self.file} has {len(skins)} skins; export one hand with one armature")
+        inverse = None
+        if skins:
+            skin = self.scene.skins[skins[0]]
+            number = len(skin.joints)
+            inverse = np.tile(np.eye(4), (number, 1, 1))
+            if skin.inverseBindMatrices is not None:
+                # Column-major in the file.
+                inverse = self._accessor(skin.inverseBindMatrices).reshape(number, 4, 4).transpose(0, 2, 1)
+        parts, faces, weights, start = [], [], [], 0
+        for i in nodes:
+            for primitive in self.scene.meshes[self.scene.nodes[i].mesh].primitives:
+                points, corners, weight = self._primitive(primitive, i, inverse, skins)
+                parts.append(points)
+                faces.append(corners + start)
+                weights.append(weight)
+                start += len(points)
+        if not parts:
+            raise SceneError(f"mesh {self.file} is empty (no mesh in its scene); export it with its faces")
+        rig = None
+        if skins:
+            rig = Rig(self._joints(self.scene.skins[skins[0]].joints), sparse.csr_array(np.concatenate(weights)))
+        return np.concatenate(parts), np.concatenate(faces).astype(np.int32), rig
+
+    def _primitive(
+        self, primitive: Primitive, node: int, inverse: Float | None, skins: list[int]
+    ) -> tuple[Float, Int, Float]:
+        if primitive.mode not in (None, TRIANGLES):
+            raise SceneError(
+                f"mesh {self.file}: primitive mode {primitive.mode} is not read; export triangles (mode 4)"
+            )
+        position = getattr(primitive.attributes, "POSITION", None)
+        if position is None:
+            raise SceneError(f"mesh {self.file}: a primitive has no POSITION; export it with its vertices")
+        points = self._accessor(position).astype(np.float64)
+        if primitive.indices is None:
+            corners = np.arange(len(points))
+        else:
+            corners = self._accessor(primitive.indices)[:, 0].astype(np.int64)
+        if self.scene.nodes[node].skin is None or inverse is None:
+            matrix = self._world(node)
+            if np.linalg.det(matrix[:3, :3]) < 0.0:
+                corners = corners.reshape(-1, 3)[:, ::-1]
+            width = 0 if inverse is None else len(inverse)
+            weight = np.zeros((len(points), width))
+            # A part without a skin hangs on the first joint.
+            weight[:, :1] = 1.0
+            return points @ matrix[:3, :3].T + matrix[:3, 3], corners.reshape(-1, 3).astype(np.int32), weight
+        weight = self._weights(primitive, len(points), len(inverse))
+        joints = self.scene.skins[skins[0]].joints
+        matrices = np.stack([self._world(joint) for joint in joints]) @ inverse
+        placed = np.einsum("nj,jab,nb->na", weight, matrices[:, :3], np.column_stack([points, np.ones(len(points))]))
+        return placed, corners.reshape(-1, 3).astype(np.int32), weight
+
+    def _weights(self, primitive: Primitive, number: int, joints: int) -> Float:
+        """Weight of each joint at each vertex, shape (number, joints); rows add up to 1."""
+        out = np.zeros((number, joints))
+        names = vars(primitive.attributes)
+        for i in range(8):
+            index, weight = names.get(f"JOINTS_{i}"), names.get(f"WEIGHTS_{i}")
+            if index is None or weight is None:
+                break
+            at = self._accessor(index).astype(np.int64)
+            if at.max() >= joints:
+                raise SceneError(f"mesh {self.file}: a vertex names joint {at.max()} of {joints}; export it again")
+            np.add.at(out, (np.arange(number)[:, None], at), self._accessor(weight).astype(np.float64))
+        total = out.sum(axis=1)
+        if (total <= 0.0).any():
+            raise SceneError(
+                f"mesh {self.file}: {int((total <= 0.0).sum())} of {number} vertices have no weights; bind them"
+            )
+        return out / total[:, None]
+
+    def _joints(self, nodes: list[int]) -> Joints:
+        number = {node: i for i, node in enumerate(nodes)}
+        parents = []
+        for node in nodes:
+            above = self.parent.get(node)
+            while above is not None and above not in number:
+                above = self.parent.get(above)
+            parents.append(-1 if above is None else number[above])
+        names = tuple(self.scene.nodes[node].name or f"joint_{i}" for i, node in enumerate(nodes))
+        return Joints(names, np.array(parents, dtype=np.int32), np.stack([self._world(node) for node in nodes]))
+
+    def _in_scene(self) -> list[int]:
+        """Nodes of the default scene, parents first."""
+        if not self.scene.scenes:
+            return list(range(len(self.scene.nodes)))
+        todo = list(self.scene.scenes[self.scene.scene or 0].nodes or [])
+        out: list[int] = []
+        while todo:
+            node = todo.pop(0)
+            out.append(node)
+            todo += self.scene.nodes[node].children or []
+            if len(out) > len(self.scene.nodes):
+                raise SceneError(f"mesh {self.file}: its nodes form a ring; export it again")
+        return out
+
+    def _world(self, index: int) -> Float:
+        if index not in self.world:
+            # A root for the time being, so that a ring of nodes ends here.
+            self.world[index] = np.eye(4)
+            node = self.scene.nodes[index]
+            if node.matrix:
+                local = np.array(node.matrix, dtype=np.float64).reshape(4, 4).T
+            else:
+                local = np.eye(4)
+                turn = Rotation.from_quat(node.rotation or [0.0, 0.0, 0.0, 1.0]).as_matrix()
+                local[:3, :3] = turn * np.array(node.scale or [1.0, 1.0, 1.0])
+                local[:3, 3] = node.translation or [0.0, 0.0, 0.0]
+            above = self.parent.get(index)
+            self.world[index] = local if above is None else self._world(above) @ local
+        return self.world[index]
+
+    def _accessor(self, index: int) -> np.ndarray:
+        """Values of an accessor, shape (count, columns); normalised integers become floats."""
+        accessor = self.scene.accessors[index]
+        kind, columns = np.dtype(TYPES[accessor.componentType]).newbyteorder("<"), COLUMNS[accessor.type]
+        out = np.zeros((accessor.count, columns), dtype=kind)
+        if accessor.bufferView is not None:
+            out = self._view(accessor.bufferView, accessor.byteOffset or 0, accessor.count, columns, kind)
+        # An accessor without sparse values has none, or an empty record of them.
+        if accessor.sparse is not None and accessor.sparse.count:
+            few = accessor.sparse
+            at_kind = np.dtype(TYPES[few.indices.componentType]).newbyteorder("<")
+            at = self._view(few.indices.bufferView, few.indices.byteOffset or 0, few.count, 1, at_kind)[:, 0]
+            out = out.copy()
+            out[at] = self._view(few.values.bufferView, few.values.byteOffset or 0, few.count, columns, kind)
+        if accessor.normalized and kind.kind in "iu":
+            return np.maximum(out.astype(np.float64) / float(2 ** (8 * kind.itemsize - (kind.kind == "i")) - 1), -1.0)
+        return out
+
+    def _view(self, index: int, offset: int, count: int, columns: int, kind: np.dtype) -> np.ndarray:
+        view = self.scene.bufferViews[index]
+        width = columns * kind.itemsize
+        stride = view.byteStride or width
+        first = (view.byteOffset or 0) + offset
+        last = first + stride * (count - 1) + width
+        data = self.buffers[view.buffer]
+        if last > len(data):
+            raise SceneError(f"mesh {self.file} ends early: byte {last} of {len(data)} is needed; copy it again")
+        raw = np.frombuffer(data, dtype=np.uint8)
+        rows = np.lib.stride_tricks.as_strided(raw[first:], shape=(count, width), strides=(stride, 1))
+        return np.ascontiguousarray(rows).view(kind).reshape(count, columns)

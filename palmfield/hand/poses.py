@@ -1,0 +1,229 @@
+"""Poses of an articulated hand: by name, by joint angles, by keyframes; and their skin, checked."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+from scipy.optimize import least_squares
+
+from palmfield.errors import SceneError
+from palmfield.hand.articulated import ArticulatedHand, bone_poses, checked_angles, posed_landmark, poses_at
+from palmfield.hand.preset import DIGITS
+from palmfield.hand.selfcross import crossings
+from palmfield.hand.skeleton import SkinSegment
+from palmfield.hand.skinning import SkinnedHand
+from palmfield.hand.triangles import adjacency, neighbour_mean, vertex_normals
+from palmfield.types import Float, Int, Surface
+
+POSE_NAMES = ("flat", "relaxed", "splay", "point", "pinch")
+SPLAY_deg = {"index_mcp_abduction": 10.0, "ring_mcp_abduction": 7.0, "little_mcp_abduction": 12.0}
+CURL_deg = {"mcp_flexion": 48.0, "pip_flexion": 75.0, "dip_flexion": 25.0}
+"""Fingers that do not point: as far in as keeps the palm's skin out of itself at the knuckles."""
+PINCH_GAP_m = 0.002
+"""Between the pulps of thumb and index finger: skin that touches would be one surface through the other."""
+REPAIR_ROUNDS = 40
+
+
+def named_pose(hand: ArticulatedHand, name: str) -> dict[str, float]:
+    """Angles of every joint [deg] for one of POSE_NAMES.
+
+    flat: straight fingers; relaxed: the preset's own pose; splay: flat with fingers spread; point: the index finger
+    straight, the others curled; pinch: pulps of thumb and index finger towards each other, about PINCH_GAP_m apart.
+    The median and large presets' skins do not cross themselves in any of them; the small ones' webs do in `point`.
+    Raises SceneError for an unknown name.
+    """
+    rest = {joint.name: joint.rest_deg for joint in hand.joints}
+    flat = dict.fromkeys(rest, 0.0)
+    if name == "flat":
+        return flat
+    if name == "relaxed":
+        return rest
+    if name == "splay":
+        return flat | SPLAY_deg
+    if name == "point":
+        curled = {f"{digit}_{joint}": a for digit in DIGITS[2:] for joint, a in CURL_deg.items()}
+        straight = {f"index_{joint}": 0.0 for joint in CURL_deg}
+        return rest | curled | straight
+    if name == "pinch":
+        return _pinch(hand, rest)
+    raise SceneError(f"hand pose '{name}' is unknown; use one of: {', '.join(POSE_NAMES)}")
+
+
+def _pinch(hand: ArticulatedHand, rest: dict[str, float]) -> dict[str, float]:
+    """Angles that bring the pulps together, with as little bending as that takes."""
+    moving = [
+        n
+        for n, joint in enumerate(hand.joints)
+        if joint.name.startswith("thumb_") or (joint.name.startswith("index_") and joint.name.endswith("flexion"))
+    ]
+    low = np.array([hand.joints[n].low_deg for n in moving])
+    high = np.array([hand.joints[n].high_deg for n in moving])
+    start = np.array([rest[hand.joints[n].name] for n in moving])
+    parts = {segment.name: segment for segment in hand.skeleton.skin}
+    joints = {joint.name: joint for joint in hand.joints}
+    tips = {}
+    for digit, last in (("thumb", "ip"), ("index", "dip")):
+        part, flexion = parts[f"{digit}_distal"], joints[f"{digit}_{last}_flexion"]
+        palmar = np.cross(flexion.axis, part.end - part.start)
+        tips[digit] = flexion.bone, palmar / np.linalg.norm(palmar)
+    angles = np.array([joint.rest_deg for joint in hand.joints])
+    capsules = {
+        digit: [(hand.bone(f"{digit}_{name}"), parts[f"{digit}_{name}"]) for name in names]
+        for digit, names in (("thumb", ("proximal", "distal")), ("index", ("proximal", "middle", "distal")))
+    }
+
+    def misses(x: Float) -> Float:
+        angles[moving] = x
+        positions, rotations = poses_at(hand, angles)
+        thumb, index = (posed_landmark(hand, f"{digit}_pad", positions, rotations) for digit in tips)
+        out_thumb, out_index = (rotations[bone] @ palmar for bone, palmar in tips.values())
+        to_index = np.linalg.norm(index - thumb) - PINCH_GAP_m
+        lines = {
+            digit: [(_line(hand, bone, part, positions, rotations), part) for bone, part in chain]
+            for digit, chain in capsules.items()
+        }
+        overlaps = [
+            max(0.0, a.semi_end[0] + b.semi_end[0] + PINCH_GAP_m - _nearest(line_a, line_b))
+            for line_a, a in lines["thumb"]
+            for line_b, b in lines["index"]
+        ]
+        # 1 mm off counts as a third of a radian between the pulps and as 50 degrees of bending.
+        return np.concatenate(
+            [[1e3 * to_index], 1e3 * np.array(overlaps), 3.0 * (out_thumb + out_index), 0.02 * (x - start)]
+        )
+
+    # Half-way in is off the bounds, as the method needs.
+    found = least_squares(misses, 0.7 * start + 0.15 * (low + high), bounds=(low, high)).x
+    return rest | {hand.joints[n].name: float(a) for n, a in zip(moving, found, strict=True)}
+
+
+def _line(hand: ArticulatedHand, bone: int, part: SkinSegment, positions: Float, rotations: Float) -> Float:
+    """Points along the posed axis of a part [m], shape (n, 3)."""
+    share = np.linspace(0.0, 1.0, 9)[:, None]
+    rest = part.start + share * (part.end - part.start) - hand.bones[bone].origin
+    return rest @ rotations[bone].T + positions[bone]
+
+
+def _nearest(a: Float, b: Float) -> float:
+    return float(np.linalg.norm(a[:, None] - b[None], axis=2).min())
+
+
+class Keyframes:
+    """Joint angles over time: through all keys, continuously differentiable, and never beyond two neighbouring keys.
+
+    Monotone cubic interpolation (Fritsch & Carlson 1980); before the first key and after the last it stands still.
+    """
+
+    def __init__(self, hand: ArticulatedHand, times_s: Sequence[float], poses: Sequence[Mapping[str, float]]) -> None:
+        """times_s: rising [s], at least two; poses: angles [deg] by joint, of which the others are at rest.
+
+        Raises SceneError for times that do not rise, other numbers of poses, and angles as `checked_angles`.
+        """
+        times = np.asarray(times_s, dtype=np.float64)
+        if times.ndim != 1 or len(times) < 2 or not np.isfinite(times).all() or np.any(np.diff(times) <= 0.0):
+            raise SceneError(f"hand keyframes: times are {list(times_s)}; give two or more that rise [s]")
+        if len(poses) != len(times):
+            raise SceneError(f"hand keyframes: {len(poses)} poses for {len(times)} times; give one pose for each time")
+        self._names = [joint.name for joint in hand.joints]
+        self._span = float(times[0]), float(times[-1])
+        self._curve = PchipInterpolator(times, [checked_angles(hand, pose) for pose in poses])
+        self._slope = self._curve.derivative()
+
+    def __call__(self, time_s: float) -> dict[str, float]:
+        """Angles [deg] by joint."""
+        return dict(zip(self._names, self._curve(np.clip(time_s, *self._span)).tolist(), strict=True))
+
+    def speed(self, time_s: float) -> dict[str, float]:
+        """Angular speeds [deg/s] by joint; zero outside the keys."""
+        inside = self._span[0] <= time_s <= self._span[1]
+        values = self._slope(time_s) if inside else np.zeros(len(self._names))
+        return dict(zip(self._names, values.tolist(), strict=True))
+
+
+@dataclass(frozen=True)
+class Repair:
+    """What was done to a posed skin that crossed itself.
+
+    crossings: pairs of faces that crossed; places: the pairs of parts, with how many; moved: vertices that were moved;
+    largest_m: by how much at most [m]
+    """
+
+    crossings: int
+    places: dict[str, int]
+    moved: int
+    largest_m: float
+
+
+def posed_surface(hand: SkinnedHand, angles_deg: Mapping[str, float], repair_m: float = 0.0) -> Surface:
+    """Skin in a pose, in the frame of the hand at rest; the forearm stays.
+
+    Raises SceneError as `checked_angles`, and where the skin crosses itself, naming parts and places, unless moving
+    vertices by no more than `repair_m` [m] there mends it; `posed_and_repaired` tells what was moved.
+    """
+    return posed_and_repaired(hand, angles_deg, repair_m)[0]
+
+
+def posed_and_repaired(
+    hand: SkinnedHand, angles_deg: Mapping[str, float], repair_m: float
+) -> tuple[Surface, Repair | None]:
+    """As `posed_surface`, with a report of the repair, None where none was needed."""
+    surface = hand.posed_surface(*bone_poses(hand.hand, angles_deg))
+    pairs = crossings(surface.vertices, surface.faces)
+    if len(pairs) == 0:
+        return surface, None
+    vertices = _pushed_apart(surface, pairs, repair_m) if repair_m > 0.0 else surface.vertices
+    left = crossings(vertices, surface.faces)
+    if len(left):
+        tried = f" even with repairs of up to {1e3 * repair_m:g} mm" if repair_m > 0.0 else ""
+        raise SceneError(
+            f"hand pose: the skin crosses itself{tried}: {_described(hand, surface, left)}; bend those joints less"
+            + ("" if repair_m > 0.0 else ", or allow a repair (repair_m)")
+        )
+    moves = np.linalg.norm(vertices - surface.vertices, axis=1)
+    report = Repair(len(pairs), dict(_places(hand, pairs)), int(np.count_nonzero(moves)), float(moves.max()))
+    return Surface(vertices, surface.faces, vertex_normals(vertices, surface.faces)), report
+
+
+def _pushed_apart(surface: Surface, pairs: Int, repair_m: float) -> Float:
+    """Vertices about crossing faces, drawn inwards and smoothed, nobody further than `repair_m`, until none crosses."""
+    start = surface.vertices
+    links = adjacency(surface.faces, len(start))
+    vertices = start.copy()
+    chosen = np.zeros(len(start))
+    step = 0.15 * repair_m
+    for _ in range(REPAIR_ROUNDS):
+        chosen[surface.faces[pairs].ravel()] = 1.0
+        near = (chosen + links @ chosen) > 0.0
+        inwards = -vertex_normals(vertices, surface.faces)
+        smoother = neighbour_mean(vertices, links) - vertices
+        vertices[near] += 0.5 * smoother[near] + step * chosen[near, None] * inwards[near]
+        move = vertices - start
+        length = np.linalg.norm(move, axis=1, keepdims=True)
+        vertices = start + move * np.minimum(1.0, repair_m / np.maximum(length, 1e-12))
+        pairs = crossings(vertices, surface.faces)
+        if len(pairs) == 0:
+            break
+    return vertices
+
+
+def _places(hand: SkinnedHand, pairs: Int) -> Counter[str]:
+    """Crossing pairs by the parts of the hand that they belong to."""
+    owner = hand.dominant_bone()[hand.surface.faces[:, 0]]
+    names = [bone.name for bone in hand.hand.bones]
+    return Counter(" and ".join(sorted({names[owner[a]], names[owner[b]]})) for a, b in pairs)
+
+
+def _described(hand: SkinnedHand, surface: Surface, pairs: Int) -> str:
+    owner = hand.dominant_bone()[surface.faces[:, 0]]
+    names = [bone.name for bone in hand.hand.bones]
+    told = []
+    places = _places(hand, pairs)
+    for parts, count in places.most_common(3):
+        wanted = set(parts.split(" and "))
+        here = np.array([{names[owner[a]], names[owner[b]]} == wanted for a, b in pairs])
+        x, y, z = 1e3 * surface.vertices[surface.faces[pairs[here]]].mean(axis=(0, 1, 2))
+        told.append(f"{parts} in {count} places about ({x:.0f}, {y:.0f}, {z:.0f}) mm")
+    more = f" and {len(places) - 3} more pairs of parts" if len(places) > 3 else ""
+    return "; ".join(told) + more

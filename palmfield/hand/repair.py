@@ -1,0 +1,355 @@
+"""Faults of a mesh: mended where that is safe, otherwise named with their places."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.spatial import cKDTree
+
+from palmfield.hand.holes import boundary_loops, cap, least_area_faces, plane_axes
+from palmfield.hand.triangles import consistent_winding, directed_edges, face_components, face_normals, unique_edges
+from palmfield.types import Float, Int
+
+# Vertices closer than this share of the extent are one: UV seams and STL repeat positions, bit for bit or rounded.
+MERGE_SHARE = 1e-6
+# A face is degenerate where its height is below this share of its longest side.
+FLAT_SHARE = 1e-6
+SMALL_HOLE_EDGES = 6
+CRUMB_SHARE = FIN_SHARE = 0.01
+# A wrist lies in the last sixth of the length, is cut across it and is long around (ANSUR II: 0.85 of the length of
+# the hand; an elbow about half of that of the forearm with its hand).
+WRIST_END_SHARE, WRIST_COSINE, WRIST_AROUND_SHARE = 1.0 / 6.0, 0.6, 0.4
+MOST_PLACES = 50
+NO_VOLUME = "it encloses no volume; give a closed hand, not a flat sheet"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One kind of fault: its name, how many, what became of it, where (in the mesh's unit, shape (k, 3)), and how."""
+
+    name: str
+    count: int
+    outcome: Literal["repaired", "refused", "noted"]
+    places: Float
+    text: str
+
+
+class Repair:
+    """A mesh being mended, step by step; what could not be mended is refused and kept as it is.
+
+    vertices: shape (n, 3); faces: shape (m, 3); carry: makes values at `vertices` from values at the file's vertices,
+    shape (n, n_file); findings: in the order of the steps
+    """
+
+    def __init__(self, vertices: Float, faces: Int) -> None:
+        self.vertices, self.faces = vertices, faces
+        self.carry = sparse.csr_array(sparse.eye_array(len(vertices)))
+        self.findings: list[Finding] = []
+
+    @property
+    def refused(self) -> list[Finding]:
+        return [finding for finding in self.findings if finding.outcome == "refused"]
+
+    def note(
+        self, name: str, count: int, outcome: Literal["repaired", "refused", "noted"], places: Float, text: str
+    ) -> None:
+        if count:
+            self.findings.append(Finding(name, count, outcome, np.reshape(places, (-1, 3))[:MOST_PLACES], text))
+
+    def keep(self, vertices: Int) -> None:
+        """Keep these vertices, which must be all that faces use, in this order."""
+        new = np.full(len(self.vertices), -1, dtype=np.int32)
+        new[vertices] = np.arange(len(vertices))
+        self.vertices, self.carry, self.faces = self.vertices[vertices], self.carry[vertices], new[self.faces]
+
+    def add(self, rows: sparse.csr_array, points: Float, faces: Int) -> None:
+        """Add vertices, whose values come from those present by `rows`, and faces."""
+        self.carry = sparse.csr_array(sparse.vstack([self.carry, rows @ self.carry]))
+        self.vertices = np.concatenate([self.vertices, points])
+        self.faces = np.concatenate([self.faces, faces]).astype(np.int32)
+
+
+def repair(vertices: Float, faces: Int) -> Repair:
+    """Mend a hand's mesh, as from a file; see `Repair`. It is sound where nothing was refused.
+
+    vertices: any unit, shape (n, 3); faces: shape (m, 3), int32, of existing vertices, m > 0
+    """
+    mesh = Repair(np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int32))
+    finite: NDArray[np.bool_] = np.asarray(np.isfinite(mesh.vertices).all(axis=1))
+    if not finite.all():
+        _drop_not_finite(mesh, finite)
+        return mesh
+    _merge(mesh)
+    _drop_degenerate(mesh)
+    _drop_duplicates(mesh)
+    _drop_fins(mesh)
+    if len(mesh.faces) == 0:
+        mesh.note("no faces", 1, "refused", np.zeros((0, 3)), "its faces have no area; export it again")
+        return mesh
+    if float(np.ptp((mesh.vertices @ plane_axes(mesh.vertices).T)[:, 2])) < MERGE_SHARE * float(np.ptp(mesh.vertices)):
+        mesh.note("no volume", 1, "refused", np.zeros((0, 3)), NO_VOLUME)
+    if mesh.refused:
+        return mesh
+    _split_pinched(mesh)
+    _drop_crumbs(mesh)
+    _drop_unused(mesh)
+    _close(mesh)
+    _check_closed(mesh)
+    _split_pinched(mesh)
+    if not mesh.refused:
+        _turn_outward(mesh)
+    return mesh
+
+
+def _drop_not_finite(mesh: Repair, finite: NDArray[np.bool_]) -> None:
+    whole = finite[mesh.faces].all(axis=1)
+    near = np.unique(mesh.faces[~whole])
+    places = mesh.vertices[near[finite[near]]]
+    bad = int((~finite).sum())
+    text = f"{bad} of {len(finite)} vertices are not finite numbers; export it again"
+    mesh.note("not finite vertices", bad, "refused", places, text)
+    mesh.faces = mesh.faces[whole]
+    mesh.keep(np.unique(mesh.faces))
+
+
+def _merge(mesh: Repair) -> None:
+    """One vertex for each position."""
+    _, first, inverse = np.unique(mesh.vertices, axis=0, return_index=True, return_inverse=True)
+    extent = float(np.ptp(mesh.vertices, axis=0).max())
+    pairs = cKDTree(mesh.vertices[first]).query_pairs(MERGE_SHARE * extent, output_type="ndarray")
+    links = sparse.coo_array((np.ones(len(pairs)), pairs.T), shape=(len(first), len(first)))
+    number, label = sparse.csgraph.connected_components(links, directed=False)
+    of_vertex = label[inverse.reshape(-1)]
+    representative = np.full(number, len(mesh.vertices))
+    np.minimum.at(representative, of_vertex, np.arange(len(mesh.vertices)))
+    target = representative[of_vertex]
+    used = np.zeros(len(target), dtype=np.bool_)
+    used[mesh.faces] = True
+    merged = used & (target != np.arange(len(target)))
+    mesh.faces = target[mesh.faces].astype(np.int32)
+    text = "vertices at the place of another (UV seams, STL corners) were merged"
+    mesh.note("split vertices", int(merged.sum()), "repaired", mesh.vertices[merged], text)
+    mesh.note("unused vertices", int((~used).sum()), "repaired", np.zeros((0, 3)), "vertices of no face were dropped")
+    mesh.keep(np.unique(mesh.faces))
+
+
+def _drop_degenerate(mesh: Repair) -> None:
+    """Faces without area: dropped where two corners are one, else turned over their long side's neighbour."""
+    faces = mesh.faces
+    alike = (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2]) | (faces[:, 2] == faces[:, 0])
+    places = [mesh.vertices[faces[alike]].mean(axis=1)]
+    faces = faces[~alike]
+    sides = np.stack(
+        [np.linalg.norm(mesh.vertices[faces[:, (i + 1) % 3]] - mesh.vertices[faces[:, i]], axis=1) for i in range(3)]
+    )
+    flat = 2.0 * face_normals(mesh.vertices, faces)[1] <= FLAT_SHARE * sides.max(axis=0) ** 2
+    places.append(mesh.vertices[faces[flat]].mean(axis=1))
+    dropped = np.zeros(len(faces), dtype=np.bool_)
+    for needle in np.flatnonzero(flat):
+        i = int(np.argmax(sides[:, needle]))
+        a, b, tip = (int(faces[needle, (i + k) % 3]) for k in range(3))
+        beside = np.flatnonzero(((faces == a).any(axis=1) & (faces == b).any(axis=1)) & ~dropped)
+        beside = beside[beside != needle]
+        if len(beside) != 1 or tip in faces[beside[0]]:
+            dropped[needle] = True
+            continue
+        other = faces[beside[0]].copy()
+        faces[needle], faces[beside[0]] = np.where(other == a, tip, other), np.where(other == b, tip, other)
+    mesh.faces = faces[~dropped]
+    where = np.concatenate(places)
+    mesh.note("degenerate faces", len(where), "repaired", where, "faces without area were taken out")
+
+
+def _drop_duplicates(mesh: Repair) -> None:
+    first = np.unique(np.sort(mesh.faces, axis=1), axis=0, return_index=True)[1]
+    extra = np.ones(len(mesh.faces), dtype=np.bool_)
+    extra[first] = False
+    places = mesh.vertices[mesh.faces[extra]].mean(axis=1)
+    mesh.note("duplicate faces", int(extra.sum()), "repaired", places, "faces that repeat another were dropped")
+    mesh.faces = mesh.faces[~extra]
+
+
+def _drop_fins(mesh: Repair) -> None:
+    """Small sheets that hang on edges of more than two faces are removed; other such edges are refused."""
+    edges, count = unique_edges(mesh.faces)
+    bad = edges[count > 2]
+    places = mesh.vertices[bad].mean(axis=1)
+    whole = float(face_normals(mesh.vertices, mesh.faces)[1].sum())
+    removed = 0
+    while len(bad):
+        sheet = _sheets(mesh.faces, bad)
+        area = np.bincount(sheet, weights=face_normals(mesh.vertices, mesh.faces)[1])
+        open_edges = {tuple(edge) for edge in edges[count == 1].tolist()}
+        directed = np.sort(directed_edges(mesh.faces), axis=1)
+        owner = np.tile(sheet, 3)
+        keys = {tuple(edge) for edge in bad.tolist()}
+        hanging = {int(s) for edge, s in zip(map(tuple, directed.tolist()), owner, strict=True) if edge in keys}
+        loose = {int(s) for edge, s in zip(map(tuple, directed.tolist()), owner, strict=True) if edge in open_edges}
+        fins = [s for s in hanging & loose if area[s] < FIN_SHARE * whole]
+        if not fins:
+            break
+        gone = np.isin(sheet, fins)
+        removed += int(gone.sum())
+        mesh.faces = mesh.faces[~gone]
+        edges, count = unique_edges(mesh.faces)
+        bad = edges[count > 2]
+    if removed:
+        text = f"{removed} faces of sheets hanging on edges of three faces were removed"
+        mesh.note("non-manifold edges", len(places), "repaired", places, text)
+    where = mesh.vertices[bad].mean(axis=1)
+    text = "edges are shared by more than two faces; remove what hangs there"
+    mesh.note("non-manifold edges", len(bad), "refused", where, text)
+
+
+def _sheets(faces: Int, bad: Int) -> Int:
+    """Label of each face, with faces connected across edges other than `bad`, shape (m,)."""
+    directed = np.sort(directed_edges(faces), axis=1).astype(np.int64)
+    key = directed[:, 0] * (faces.max() + 1) + directed[:, 1]
+    bad_key = bad[:, 0].astype(np.int64) * (faces.max() + 1) + bad[:, 1]
+    owner = np.tile(np.arange(len(faces)), 3)
+    good = ~np.isin(key, bad_key)
+    order = np.argsort(key[good], kind="stable")
+    sorted_key, sorted_owner = key[good][order], owner[good][order]
+    same = sorted_key[1:] == sorted_key[:-1]
+    links = sparse.coo_array(
+        (np.ones(int(same.sum())), (sorted_owner[:-1][same], sorted_owner[1:][same])), shape=(len(faces), len(faces))
+    )
+    return sparse.csgraph.connected_components(links, directed=False)[1]
+
+
+def _split_pinched(mesh: Repair) -> None:
+    """A vertex without open edges at which fans of faces meet that share no edge becomes one for each fan."""
+    faces = mesh.faces
+    corner = np.arange(3 * len(faces)).reshape(-1, 3)
+    start = np.concatenate([corner[:, 0], corner[:, 1], corner[:, 2]])
+    end = np.concatenate([corner[:, 1], corner[:, 2], corner[:, 0]])
+    flat = faces.ravel()
+    swap = flat[start] > flat[end]
+    low, high = np.where(swap, end, start), np.where(swap, start, end)
+    order = np.lexsort((flat[high], flat[low]))
+    low, high = low[order], high[order]
+    same = (flat[low][1:] == flat[low][:-1]) & (flat[high][1:] == flat[high][:-1])
+    a = np.concatenate([low[:-1][same], high[:-1][same]])
+    b = np.concatenate([low[1:][same], high[1:][same]])
+    links = sparse.coo_array((np.ones(len(a)), (a, b)), shape=(len(flat), len(flat)))
+    number, fan = sparse.csgraph.connected_components(links, directed=False)
+    edges, count = unique_edges(faces)
+    opened = np.isin(flat, edges[count == 1])
+    # At an open vertex all fans stay one: the faces that close its holes may join them.
+    joined = flat + number
+    label = np.where(opened, joined, fan)
+    _, first, part = np.unique(label, return_index=True, return_inverse=True)
+    origin = flat[first]
+    repeated = np.bincount(origin, minlength=len(mesh.vertices)) > 1
+    if not repeated.any():
+        return
+    text = "vertices at which the surface only touches itself were split"
+    mesh.note("pinched vertices", int(repeated.sum()), "repaired", mesh.vertices[repeated], text)
+    mesh.vertices, mesh.carry = mesh.vertices[origin], mesh.carry[origin]
+    mesh.faces = part.reshape(-1, 3).astype(np.int32)
+
+
+def _drop_crumbs(mesh: Repair) -> None:
+    label = face_components(mesh.faces)
+    area = np.bincount(label, weights=face_normals(mesh.vertices, mesh.faces)[1])
+    crumbs = np.flatnonzero(area < CRUMB_SHARE * area.sum())
+    middle = [mesh.vertices[np.unique(mesh.faces[label == body])].mean(axis=0) for body in range(len(area))]
+    text = f"bodies of less than {100 * CRUMB_SHARE:g} % of the area were dropped"
+    mesh.note("crumbs", len(crumbs), "repaired", np.array([middle[c] for c in crumbs]), text)
+    mesh.faces = mesh.faces[~np.isin(label, crumbs)]
+    bodies = np.setdiff1d(np.arange(len(area)), crumbs)
+    if len(bodies) > 1:
+        text = f"it has {len(bodies)} separate bodies; keep the hand only"
+        mesh.note("several bodies", len(bodies), "refused", np.array([middle[b] for b in bodies]), text)
+
+
+def _drop_unused(mesh: Repair) -> None:
+    mesh.keep(np.unique(mesh.faces))
+
+
+def _close(mesh: Repair) -> None:
+    """Close small holes and the wrist; refuse the others."""
+    loops = boundary_loops(mesh.faces)
+    small = [loop for loop in loops if len(loop) <= SMALL_HOLE_EDGES]
+    large = [loop for loop in loops if len(loop) > SMALL_HOLE_EDGES]
+    middle = {id(loop): mesh.vertices[loop].mean(axis=0) for loop in loops}
+    wrist = [loop for loop in large if _is_wrist(mesh.vertices, loop)]
+    for loop in small:
+        mesh.add(
+            sparse.csr_array((0, len(mesh.vertices))), np.zeros((0, 3)), loop[least_area_faces(mesh.vertices[loop])]
+        )
+    text = f"holes of at most {SMALL_HOLE_EDGES} edges were filled"
+    mesh.note("small holes", len(small), "repaired", np.array([middle[id(loop)] for loop in small]), text)
+    holes = [loop for loop in large if len(wrist) != 1 or loop is not wrist[0]]
+    text = "it is not watertight: holes are left; fill them in the program that it is from"
+    mesh.note("holes", len(holes), "refused", np.array([middle[id(loop)] for loop in holes]), text)
+    if len(wrist) != 1:
+        return
+    loop = wrist[0]
+    closed = cap(mesh.vertices[loop])
+    where = middle[id(loop)]
+    if closed is None:
+        mesh.note("open wrist", 1, "refused", where, "its edge is too jagged to be closed; cut it straight")
+        return
+    inner, faces = closed
+    number = np.concatenate([loop, len(mesh.vertices) + np.arange(len(inner))])
+    rows = np.repeat(np.arange(len(inner)), len(loop))
+    share = np.full(len(rows), 1.0 / len(loop))
+    spread = sparse.csr_array((share, (rows, np.tile(loop, len(inner)))), shape=(len(inner), len(mesh.vertices)))
+    mesh.add(spread, inner, number[faces])
+    text = f"a loop of {len(loop)} edges was closed by {len(faces)} triangles"
+    mesh.note("open wrist", 1, "repaired", where, text)
+
+
+def _check_closed(mesh: Repair) -> None:
+    """Faces that close a hole may run along an edge that has its two faces already."""
+    edges, count = unique_edges(mesh.faces)
+    places = mesh.vertices[edges[count > 2]].mean(axis=1)
+    text = "holes cannot be filled without an edge of more than two faces; fill them in the program that it is from"
+    mesh.note("holes", len(places), "refused", places, text)
+
+
+def _is_wrist(vertices: Float, loop: Int) -> bool:
+    """Whether a loop goes around one end of the mesh, across its length."""
+    along = plane_axes(vertices)[0]
+    height = (vertices - vertices.mean(axis=0)) @ along
+    place = (vertices[loop].mean(axis=0) - vertices.mean(axis=0)) @ along
+    length = float(np.ptp(height))
+    around = float(np.linalg.norm(vertices[loop] - np.roll(vertices[loop], -1, axis=0), axis=1).sum())
+    at_end = min(place - height.min(), height.max() - place) < WRIST_END_SHARE * length
+    across = abs(plane_axes(vertices[loop])[2] @ along) > WRIST_COSINE
+    return bool(at_end and across and around > WRIST_AROUND_SHARE * length)
+
+
+def _turn_outward(mesh: Repair) -> None:
+    """Winding made alike and outward; what was added counts as right before."""
+    before = mesh.faces
+    faces = consistent_winding(before)
+    if len(np.unique(directed_edges(faces), axis=0)) < 3 * len(faces):
+        mesh.note("one-sided surface", 1, "refused", np.zeros((0, 3)), "it has no inside; export it as a closed body")
+        return
+    a, b, c = (mesh.vertices[faces[:, i]] for i in range(3))
+    volume = float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum()) / 6.0
+    if abs(volume) < 1e-9 * float(np.ptp(mesh.vertices, axis=0).max()) ** 3:
+        mesh.note("no volume", 1, "refused", np.zeros((0, 3)), NO_VOLUME)
+        return
+    if volume < 0.0:
+        faces = np.ascontiguousarray(faces[:, ::-1])
+    # Turning changes the order of the corners but not the set of three directed edges.
+    turned = _orientation(before) != _orientation(faces)
+    places = mesh.vertices[faces[turned]].mean(axis=1)
+    if turned.mean() > 0.5:
+        text = f"{int(turned.sum())} faces looked inwards; all were turned"
+        mesh.note("inside out", 1, "repaired", mesh.vertices.mean(axis=0), text)
+    else:
+        mesh.note("flipped faces", int(turned.sum()), "repaired", places, "faces that looked inwards were turned")
+    mesh.faces = faces
+
+
+def _orientation(faces: Int) -> np.ndarray:
+    """True where the corners, from the lowest number on, go upwards."""
+    first = np.argmin(faces, axis=1)
+    row = np.arange(len(faces))
+    return faces[row, (first + 1) % 3] < faces[row, (first + 2) % 3]

@@ -1,0 +1,190 @@
+"""What a user's mesh is like: one card with its unit, size, side, faults and the skin layers that it bears."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from palmfield.errors import OutputError, SceneError
+from palmfield.hand.chirality import Chirality, chirality
+from palmfield.hand.layer import fit_thickness, inward_directions
+from palmfield.hand.meshfile import Examined, examine, refusal
+from palmfield.hand.meshquery import exit_distances
+from palmfield.hand.repair import Finding
+from palmfield.hand.selfcross import crossings
+from palmfield.hand.triangles import corner_angles, face_components, face_normals, unique_edges
+from palmfield.types import Float, Int
+
+# Half of the wavelength of 40 kHz in air at 20 C: with longer edges the sound's phase turns by more than pi on one.
+LONGEST_EDGE_m = 0.0043
+LAYERS_m = (0.001, 0.002, 0.003, 0.005)
+PALMAR_COSINE = 0.3
+MOST_PLACES = 50
+
+
+@dataclass(frozen=True)
+class ReportCard:
+    """facts: as in the JSON file; mesh: what was read and mended; refusal: why it cannot be used, or None"""
+
+    facts: dict[str, Any]
+    mesh: Examined
+    refusal: str | None
+
+
+def report_card(path: str | Path, unit: str = "auto") -> ReportCard:
+    """Examine a mesh as `palmfield hand` does; see `palmfield.hand.meshfile.examine` for what is mended and raised.
+
+    facts: file, accepted, refusal, unit, unit_source, size_mm, vertices, faces, joints, edges_mm (least, mean, most),
+    least_angle_deg, side, side_sureness, side_reason, volume_cm3, area_cm2, findings (name, count, outcome, places_mm,
+    text), layers (asked_mm, p10_share, thinned_share, least_quality, volume_share, or error)
+    """
+    mesh = examine(path, unit, LONGEST_EDGE_m)
+    findings = list(mesh.findings)
+    no = refusal(path, findings) if any(f.outcome == "refused" for f in findings) else None
+    edges, _ = unique_edges(mesh.faces)
+    length = 1e3 * np.linalg.norm(mesh.vertices[edges[:, 0]] - mesh.vertices[edges[:, 1]], axis=1)
+    facts: dict[str, Any] = {
+        "file": str(path),
+        "accepted": no is None,
+        "refusal": no,
+        "unit": mesh.unit.name,
+        "unit_source": mesh.unit.source,
+        "size_mm": [round(1e3 * float(v), 2) for v in np.ptp(mesh.vertices, axis=0)],
+        "file_vertices": mesh.file_vertices,
+        "file_faces": mesh.file_faces,
+        "vertices": len(mesh.vertices),
+        "faces": len(mesh.faces),
+        "joints": 0 if mesh.rig is None else len(mesh.rig.joints.names),
+        "edges_mm": [round(float(v), 3) for v in (length.min(), length.mean(), length.max())],
+        "least_angle_deg": round(float(np.rad2deg(corner_angles(mesh.vertices, mesh.faces).min())), 2),
+        "area_cm2": round(1e4 * float(face_normals(mesh.vertices, mesh.faces)[1].sum()), 2),
+    }
+    pairs = crossings(mesh.vertices, mesh.faces)
+    if len(pairs):
+        places = mesh.vertices[mesh.faces[pairs[:, 0]]].mean(axis=1)
+        text = "pairs of faces cross each other; sound and skin there are wrong"
+        findings.append(Finding("self-intersections", len(pairs), "noted", places[:MOST_PLACES], text))
+    facts["self_intersections"] = len(pairs)
+    if no is None:
+        a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
+        facts["volume_cm3"] = round(1e6 * float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum()) / 6.0, 2)
+        hand = chirality(mesh.vertices, mesh.faces)
+        facts |= {"side": hand.side, "side_sureness": round(hand.sureness, 2), "side_reason": hand.reason}
+        facts["layers"] = palmar_layers(mesh.vertices, mesh.faces, hand)
+    facts["findings"] = [
+        {
+            "name": f.name,
+            "count": f.count,
+            "outcome": f.outcome,
+            "places_mm": (1e3 * f.places).round(2).tolist(),
+            "text": f.text,
+        }
+        for f in findings
+    ]
+    return ReportCard(facts, mesh, no)
+
+
+def palmar_faces(vertices: Float, faces: Int, palm: Float) -> Int:
+    """The largest connected part of the faces that look to the palm's side, shape (k, 3)."""
+    unit, area = face_normals(vertices, faces)
+    chosen = faces[unit @ palm > PALMAR_COSINE]
+    label = face_components(chosen)
+    largest = np.argmax(np.bincount(label, weights=area[unit @ palm > PALMAR_COSINE]))
+    return chosen[label == largest]
+
+
+def palmar_layers(vertices: Float, faces: Int, hand: Chirality) -> list[dict[str, Any]]:
+    """Skin layers of 1, 2, 3 and 5 mm under the palmar side: how thick and how sound they get.
+
+    Each with asked_mm, p10_share (10th percentile of thickness over asked), thinned_share (of vertices, by more than
+    0.1 %), least_quality (scaled Jacobian of the wedges) and volume_share (of the wedges over the thickness integral);
+    or asked_mm and error, where the layer folds.
+    """
+    chosen = palmar_faces(vertices, faces, hand.palm)
+    used, local = np.unique(chosen, return_inverse=True)
+    points, corners = vertices[used], local.reshape(-1, 3).astype(np.int32)
+    inward = inward_directions(points, corners)
+    way = exit_distances(vertices, faces, points, inward, float(np.ptp(vertices, axis=0).sum()))
+    area = face_normals(points, corners)[1]
+    out: list[dict[str, Any]] = []
+    for asked in LAYERS_m:
+        try:
+            got, quality = fit_thickness(points, corners, inward, np.full(len(points), asked), 0.45 * way)
+        except SceneError as error:
+            out.append({"asked_mm": 1e3 * asked, "error": str(error)})
+            continue
+        wanted = float((area * got[corners].mean(axis=1)).sum())
+        out.append(
+            {
+                "asked_mm": 1e3 * asked,
+                "p10_share": round(float(np.percentile(got / asked, 10.0)), 4),
+                "thinned_share": round(float(np.mean(got < 0.999 * asked)), 4),
+                "least_quality": round(float(quality.min()), 4),
+                "volume_share": round(_volume(points, corners, inward, got) / wanted, 4),
+            }
+        )
+    return out
+
+
+def as_text(facts: dict[str, Any]) -> str:
+    """The card as lines of plain text."""
+    low, mean, high = facts["edges_mm"]
+    rows = [
+        ("file", f"{facts['file']}: {facts['file_vertices']} vertices, {facts['file_faces']} faces"),
+        ("unit", f"{facts['unit']} ({facts['unit_source']})"),
+        ("size", " x ".join(f"{v:.1f}" for v in facts["size_mm"]) + " mm"),
+        ("mesh", f"{facts['vertices']} vertices, {facts['faces']} faces, {facts['joints']} joints"),
+        ("edges", f"{low:.2f} to {high:.2f} mm, mean {mean:.2f}; least angle {facts['least_angle_deg']:.1f} deg"),
+        ("crossings", f"{facts['self_intersections']} pairs of faces"),
+    ]
+    if facts["accepted"]:
+        side = f"{facts['side']} (sureness {facts['side_sureness']:.2f}: {facts['side_reason']})"
+        rows += [("hand", side), ("volume", f"{facts['volume_cm3']:.1f} cm3, area {facts['area_cm2']:.1f} cm2")]
+        rows += [(f"layer {layer['asked_mm']:g} mm", _layer_line(layer)) for layer in facts["layers"]]
+    for found in facts["findings"]:
+        at = "".join(f" ({x:.1f}, {y:.1f}, {z:.1f})" for x, y, z in found["places_mm"][:3])
+        where = f"; at{at}{' ...' if len(found['places_mm']) > 3 else ''} mm" if at else ""
+        rows.append((found["outcome"], f"{found['count']} x {found['name']}: {found['text']}{where}"))
+    rows.append(("verdict", "accepted" if facts["accepted"] else "refused"))
+    return "".join(f"{name:<12}{text}\n" for name, text in rows)
+
+
+def write_card(path: Path, facts: dict[str, Any]) -> None:
+    """The card as a JSON file. Raises OutputError where it cannot be written."""
+    try:
+        path.write_text(json.dumps(facts, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise OutputError(f"{path} cannot be written: {error}; give another file") from error
+
+
+def fault_faces(vertices: Float, faces: Int, places: Float, reach_m: float) -> np.ndarray:
+    """True on faces whose middle lies within reach_m of a place, or is the nearest to one, shape (m,)."""
+    middle = vertices[faces].mean(axis=1)
+    marked = cKDTree(places).query(middle)[0] < reach_m
+    marked[cKDTree(middle).query(places)[1]] = True
+    return marked
+
+
+def _layer_line(layer: dict[str, Any]) -> str:
+    if "error" in layer:
+        return str(layer["error"])
+    return (
+        f"p10 of thickness {100 * layer['p10_share']:.0f} %, thinned {100 * layer['thinned_share']:.1f} % of vertices, "
+        f"least quality {layer['least_quality']:.2f}, volume {100 * layer['volume_share']:.1f} %"
+    )
+
+
+def _volume(points: Float, corners: Int, inward: Float, depth: Float) -> float:
+    """Volume of all wedges [m3], each cut into three tetrahedra by the order of its vertices' numbers."""
+    ordered = np.sort(corners, axis=1)
+    bottom = points + depth[:, None] * inward
+    a, b, c = (points[ordered[:, i]] for i in range(3))
+    d, e, f = (bottom[ordered[:, i]] for i in range(3))
+    return float(sum(_tetrahedra(*part).sum() for part in ((a, b, c, f), (a, b, e, f), (a, d, e, f))))
+
+
+def _tetrahedra(a: Float, b: Float, c: Float, d: Float) -> Float:
+    return np.abs(np.einsum("ij,ij->i", b - a, np.cross(c - a, d - a))) / 6.0

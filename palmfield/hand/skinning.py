@@ -1,0 +1,171 @@
+"""The skin of an articulated hand, moved with its bones."""
+
+import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+import warp_kernels.skinning as kernels
+from palmfield.device import resolve
+from palmfield.errors import SceneError
+from palmfield.hand.articulated import ArticulatedHand, articulate
+from palmfield.hand.preset import DIGITS, HandPreset
+from palmfield.hand.surface import hand_surface
+from palmfield.hand.triangles import adjacency, unique_edges
+from palmfield.types import Float, Int, Surface
+
+KNUCKLE_BLEND, JOINT_BLEND = 1.5, 0.8
+"""Length over which one bone's motion passes into the next one's, in breadths of the digit at the joint. At the
+knuckles the palm is thick: its skin would fold into itself over less."""
+WRIST_BLEND_m, THUMB_ROOT_BLEND_m, THENAR_BLEND_m = 0.050, 0.030, 0.040
+SMOOTHING_m = 0.004
+"""Weights are smoothed along the skin, not through the air, over this length; it rounds the webs between fingers."""
+BONES_PER_VERTEX = 4
+
+
+def skin_weights(hand: ArticulatedHand, surface: Surface) -> Float:
+    """Share of each bone in each vertex, shape (n, bones), at most four a vertex, rows of sum 1.
+
+    A vertex belongs to the digit whose skin it is nearest to; along a digit the share passes from bone to bone by a
+    straight ramp (KNUCKLE_BLEND, JOINT_BLEND), at the wrist and the thumb's root over their own lengths; then all is
+    diffused along the mesh. Every other vertex goes with the root or the hand, so none is without a bone.
+    """
+    points = surface.vertices
+    names = [bone.name for bone in hand.bones]
+    weights = np.zeros((len(points), len(names)))
+    gaps = np.array([_gap(hand, digit, points) for digit in DIGITS])
+    fingers = DIGITS[1:]
+    nearest = np.argmin(gaps[1:], axis=0)
+    thumb_share = np.clip(0.5 + (gaps[1:].min(axis=0) - gaps[0]) / THENAR_BLEND_m, 0.0, 1.0)
+    for number, digit in enumerate(fingers):
+        share = np.where(nearest == number, 1.0 - thumb_share, 0.0)
+        _along_digit(hand, digit, points, share, weights, names)
+    _along_digit(hand, "thumb", points, thumb_share, weights, names)
+    beyond = np.clip(0.5 - (points[:, 1] - hand.skeleton.landmarks["wrist"][1]) / WRIST_BLEND_m, 0.0, 1.0)
+    weights *= 1.0 - beyond[:, None]
+    weights[:, names.index("forearm")] += beyond
+    weights = _diffused(weights, surface)
+    smallest_kept = np.partition(weights, -BONES_PER_VERTEX, axis=1)[:, -BONES_PER_VERTEX]
+    weights[weights < np.maximum(smallest_kept, 1e-3)[:, None]] = 0.0
+    return weights / weights.sum(axis=1, keepdims=True)
+
+
+def _gap(hand: ArticulatedHand, digit: str, points: Float) -> Float:
+    """Distance from points to the capsules of a digit and its metacarpal [m], shape (n,)."""
+    best = np.full(len(points), np.inf)
+    for part in hand.skeleton.skin:
+        if not part.name.startswith(f"{digit}_") or part.name.endswith(("_pad", "_web")):
+            continue
+        axis = part.end - part.start
+        t = np.clip((points - part.start) @ axis / (axis @ axis), 0.0, 1.0)
+        radius = part.semi_start[0] + t * (part.semi_end[0] - part.semi_start[0])
+        best = np.minimum(best, np.linalg.norm(points - part.start - t[:, None] * axis, axis=1) - radius)
+    return best
+
+
+def _along_digit(
+    hand: ArticulatedHand, digit: str, points: Float, share: Float, weights: Float, names: list[str]
+) -> None:
+    """Split `share` among the hand and the three bones of a digit, by the length along its bones."""
+    chain = [names.index("hand")] + [i for i, name in enumerate(names) if name.startswith(f"{digit}_")]
+    breadths = hand.preset.digits[digit].breadth_m
+    if digit == "thumb":
+        lengths = [THUMB_ROOT_BLEND_m] + [JOINT_BLEND * breadth for breadth in breadths[:2]]
+    else:
+        lengths = [KNUCKLE_BLEND * breadths[0]] + [JOINT_BLEND * breadth for breadth in breadths[1:3]]
+    rest = share
+    for level, length in enumerate(lengths):
+        bone = hand.bones[chain[level + 1]]
+        flexion = next(j for j in hand.joints if j.bone == chain[level + 1] and j.name.endswith("_flexion"))
+        part = next(s for s in hand.skeleton.skin if s.name == bone.name)
+        along = (part.end - part.start) / np.linalg.norm(part.end - part.start)
+        # Across the joint: half-way between the directions of the two bones.
+        if level > 0 or digit != "thumb":
+            half = -0.5 * np.deg2rad(flexion.rest_deg) * flexion.axis
+            along = along + np.cross(half, along)
+        passed = np.clip(0.5 + (points - bone.origin) @ along / length, 0.0, 1.0)
+        weights[:, chain[level]] += rest * (1.0 - passed)
+        rest = rest * passed
+    weights[:, chain[-1]] += rest
+
+
+def _diffused(weights: Float, surface: Surface) -> Float:
+    """One implicit step of diffusion over SMOOTHING_m along the mesh; keeps sums of rows and signs."""
+    links = adjacency(surface.faces, len(surface.vertices))
+    edges, _ = unique_edges(surface.faces)
+    squared = float(np.mean(np.sum((surface.vertices[edges[:, 0]] - surface.vertices[edges[:, 1]]) ** 2, axis=1)))
+    degree = sparse.diags_array(np.asarray(links.sum(axis=1)).ravel())
+    # The mean over neighbours less the value is a quarter of the squared edge times the Laplacian.
+    matrix = degree + 4.0 * SMOOTHING_m**2 / squared * (degree - links)
+    return splu(sparse.csc_array(matrix)).solve(degree @ weights)
+
+
+class SkinnedHand:
+    """Skin of an articulated hand that follows its bones.
+
+    hand: bones and joints; surface: the skin in the rest pose; weights: as `skin_weights`
+    After `posed` the arrays `vertices` and `normals` hold the posed skin on the device (Warp, vec3).
+    """
+
+    def __init__(self, preset: HandPreset, edge_m: float = 0.003, device: str = "cpu") -> None:
+        """Raises SceneError as `hand_surface`, and PalmfieldError for an unknown device."""
+        self.hand = articulate(preset)
+        self.surface = hand_surface(preset, edge_m).surface
+        self.weights = skin_weights(self.hand, self.surface)
+        self._device = resolve(device)
+        self._origins = np.array([bone.origin for bone in self.hand.bones])
+        order = np.argsort(-self.weights, axis=1)[:, :BONES_PER_VERTEX]
+        faces = self.surface.faces
+        count = np.bincount(faces.ravel(), minlength=len(self.surface.vertices))
+        self._rest: wp.array = self._put(self.surface.vertices, wp.vec3)
+        self._bones: wp.array = self._put(order, wp.vec4i)
+        self._shares: wp.array = self._put(np.take_along_axis(self.weights, order, axis=1), wp.vec4)
+        self._faces: wp.array = wp.array(faces, dtype=wp.int32, device=self._device)
+        self._first: wp.array = self._put(np.concatenate([[0], np.cumsum(count)]), wp.int32)
+        self._corners: wp.array = self._put(np.argsort(faces.ravel(), kind="stable"), wp.int32)
+        self.vertices: wp.array = wp.empty(len(order), dtype=wp.vec3, device=self._device)
+        self.normals: wp.array = wp.empty(len(order), dtype=wp.vec3, device=self._device)
+
+    def posed(self, bone_positions: Float, bone_rotations: Float) -> Float:
+        """Vertices [m], shape (n, 3), where the bones' frames are at `bone_positions` [m], shape (bones, 3), and
+        `bone_rotations`, shape (bones, 3, 3), in the order of `hand.bones` and in any common frame.
+
+        Linear blend skinning in float32. Raises SceneError for other shapes.
+        """
+        self.pose(bone_positions, bone_rotations)
+        return self.vertices.numpy().astype(np.float64)
+
+    def posed_surface(self, bone_positions: Float, bone_rotations: Float) -> Surface:
+        """As `posed`, with faces and angle-weighted normals."""
+        vertices = self.posed(bone_positions, bone_rotations)
+        return Surface(vertices, self.surface.faces, self.normals.numpy().astype(np.float64))
+
+    def pose(self, bone_positions: Float, bone_rotations: Float) -> None:
+        """Fill `vertices` and `normals` on the device, without waiting for it. Raises SceneError as `posed`."""
+        number = len(self._origins)
+        if np.shape(bone_positions) != (number, 3) or np.shape(bone_rotations) != (number, 3, 3):
+            raise SceneError(
+                f"skinned hand: positions {np.shape(bone_positions)} and rotations {np.shape(bone_rotations)} given; "
+                f"give ({number}, 3) and ({number}, 3, 3), one for each bone"
+            )
+        shifts = np.asarray(bone_positions) - np.einsum("bij,bj->bi", bone_rotations, self._origins)
+        turned = self._put(bone_rotations, wp.mat33)
+        inputs = [self._rest, self._bones, self._shares, turned, self._put(shifts, wp.vec3)]
+        dim = len(self.vertices)
+        wp.launch(kernels.blend_bones, dim=dim, inputs=inputs, outputs=[self.vertices], device=self._device)
+        wp.launch(
+            kernels.normals_by_angle,
+            dim=dim,
+            inputs=[self.vertices, self._faces, self._first, self._corners],
+            outputs=[self.normals],
+            device=self._device,
+        )
+
+    def dominant_bone(self) -> Int:
+        """Index of the bone with the largest share in each vertex, shape (n,)."""
+        return np.argmax(self.weights, axis=1).astype(np.int32)
+
+    def _put(self, values: ArrayLike, dtype: type) -> wp.array:
+        whole = dtype in (wp.int32, wp.vec4i)
+        return wp.array(np.asarray(values, dtype=np.int32 if whole else np.float32), dtype=dtype, device=self._device)

@@ -1,0 +1,67 @@
+"""What one unit in a mesh file means: said by the user, by the format, or inferred from the size of a hand."""
+
+from dataclasses import dataclass
+
+from palmfield.errors import SceneError
+
+METRES = {"m": 1.0, "dm": 0.1, "cm": 1e-2, "mm": 1e-3, "in": 0.0254}
+LEAST_EXTENT_m, GREATEST_EXTENT_m = 0.02, 0.6
+# From a child's hand to a big one with its wrist; forearm with hand: elbow to fingertip.
+HAND_m, FOREARM_m = (0.13, 0.26), (0.36, 0.56)
+# Breadth over length: a hand is at least 0.3 broad, a forearm with its hand at most 0.4.
+LEAST_HAND_BREADTH, GREATEST_FOREARM_BREADTH = 0.3, 0.4
+
+
+@dataclass(frozen=True)
+class Unit:
+    """name: key of METRES; metres: its length [m]; source: where it was taken from, for the report."""
+
+    name: str
+    metres: float
+    source: str
+
+
+def choose_unit(asked: str, by_format: str | None, length: float, breadth: float, what: str) -> Unit:
+    """Unit of a file.
+
+    asked: a key of METRES, or "auto"; by_format: what the file's format prescribes, or None
+    length, breadth: longest and middle extent, in the file's unit; what: the file, for messages
+    With "auto" the format's unit is taken, and otherwise the only one with which these are a hand (0.13 to 0.26 m long,
+    broader than 0.3 of that) or a forearm with its hand (0.36 to 0.56 m, narrower than 0.4).
+    Raises SceneError for an unknown unit, where none or several fit, and for a size outside 20 to 600 mm.
+    """
+    if asked != "auto" and asked not in METRES:
+        raise SceneError(f"{what}: unit {asked!r} is unknown; use one of {', '.join(METRES)} or auto")
+    if asked != "auto":
+        unit = Unit(asked, METRES[asked], "given by the user")
+    elif by_format is not None:
+        unit = Unit(by_format, METRES[by_format], "set by the file's format")
+    else:
+        unit = _inferred(length, breadth, what)
+    size = length * unit.metres
+    if not LEAST_EXTENT_m <= size <= GREATEST_EXTENT_m:
+        others = [
+            f"{length * metres * 1e3:.4g} mm with unit {name}"
+            for name, metres in METRES.items()
+            if LEAST_EXTENT_m <= length * metres <= GREATEST_EXTENT_m
+        ]
+        mend = f"it would be {' or '.join(others)}" if others else "no unit makes it a hand; scale it"
+        raise SceneError(f"{what} is {size * 1e3:.4g} mm long with unit {unit.name}; 20 to 600 mm are allowed; {mend}")
+    return unit
+
+
+def _inferred(length: float, breadth: float, what: str) -> Unit:
+    slender = breadth / length
+    found = []
+    for name, metres in METRES.items():
+        size = length * metres
+        if HAND_m[0] <= size <= HAND_m[1] and slender >= LEAST_HAND_BREADTH:
+            found.append((name, metres, "hand"))
+        elif FOREARM_m[0] <= size <= FOREARM_m[1] and slender <= GREATEST_FOREARM_BREADTH:
+            found.append((name, metres, "forearm with hand"))
+    if len(found) == 1:
+        name, metres, part = found[0]
+        return Unit(name, metres, f"inferred: a {part} of {length * metres * 1e3:.4g} mm")
+    choices = ", ".join(f"{length * metres * 1e3:.4g} mm with {name}" for name, metres in METRES.items())
+    number = "no unit makes it" if not found else f"{' and '.join(f[0] for f in found)} both make it"
+    raise SceneError(f"{what} carries no unit and {number} a hand or forearm: {choices}; give the unit")

@@ -1,0 +1,225 @@
+import json
+import re
+from functools import cache
+
+import numpy as np
+import pytest
+import trimesh
+from matplotlib.image import imread
+from scipy.spatial.transform import Rotation
+from typer.testing import CliRunner
+
+from palmfield.cli import app
+from palmfield.errors import OutputError, SceneError
+from palmfield.hand.chirality import chirality
+from palmfield.hand.preset import load_preset, mirrored
+from palmfield.hand.reportcard import as_text, fault_faces, palmar_layers, report_card, write_card
+from palmfield.hand.surface import hand_surface
+
+
+@cache
+def hand():
+    surface = hand_surface(load_preset("open_men_p50"), 0.004).surface
+    return surface.vertices, surface.faces
+
+
+def near(place, radius):
+    vertices, faces = hand()
+    return np.linalg.norm(vertices[faces].mean(axis=1) - place, axis=1) < radius
+
+
+def index_tip():
+    vertices, _ = hand()
+    return vertices[np.argmax(vertices[:, 1])]
+
+
+def hole():
+    vertices, faces = hand()
+    return vertices, faces[~near([0.0, 0.0, 0.0], 0.012)], [0.0, 0.0, 0.0]
+
+
+def open_wrist():
+    vertices, faces = hand()
+    low = vertices[:, 1].min() + 0.02
+    return vertices, faces[vertices[faces].mean(axis=1)[:, 1] > low], [0.0, low, 0.015]
+
+
+def flipped():
+    vertices, faces = hand()
+    faces = faces.copy()
+    chosen = near(index_tip(), 0.01)
+    faces[chosen] = faces[chosen][:, ::-1]
+    return vertices, faces, index_tip()
+
+
+def inside_out():
+    vertices, faces = hand()
+    return vertices, faces[:, ::-1], None
+
+
+def duplicate():
+    vertices, faces = hand()
+    return vertices, np.concatenate([faces, faces[near(index_tip(), 0.008)]]), index_tip()
+
+
+def degenerate():
+    vertices, faces = hand()
+    a, b, _ = faces[near(index_tip(), 0.008)][0]
+    return vertices, np.concatenate([faces, [[a, b, b]]]), index_tip()
+
+
+def fin():
+    vertices, faces = hand()
+    a, b, _ = faces[near(index_tip(), 0.008)][0]
+    added = np.concatenate([vertices, [vertices[a] + [0.0, 0.0, -0.01]]])
+    return added, np.concatenate([faces, [[a, b, len(vertices)]]]), index_tip()
+
+
+def not_finite():
+    vertices, faces = hand()
+    vertices = vertices.copy()
+    place = index_tip()
+    vertices[np.argmax(vertices[:, 1])] = np.nan
+    return vertices, faces, place
+
+
+def self_intersection():
+    """A dent in the palm that goes out through the back of the hand."""
+    vertices, faces = hand()
+    vertices = vertices.copy()
+    distance = np.linalg.norm(vertices, axis=1)
+    vertices[:, 2] += np.where(distance < 0.015, 0.05 * (1.0 - distance / 0.015), 0.0)
+    return vertices, faces, [0.0, 0.0, 0.032]
+
+
+def two_bodies():
+    vertices, faces = hand()
+    shifted = 0.4 * vertices + [0.2, 0.0, 0.0]
+    return np.concatenate([vertices, shifted]), np.concatenate([faces, faces + len(vertices)]), [0.2, 0.0, 0.0]
+
+
+def seams():
+    vertices, faces = hand()
+    return vertices[faces].reshape(-1, 3), np.arange(3 * len(faces)).reshape(-1, 3), None
+
+
+def small_hole():
+    vertices, faces = hand()
+    return vertices, faces[(faces != np.argmax(vertices[:, 1])).all(axis=1)], index_tip()
+
+
+FAULTS = {
+    "holes": (hole, "refused"),
+    "open wrist": (open_wrist, "repaired"),
+    "flipped faces": (flipped, "repaired"),
+    "inside out": (inside_out, "repaired"),
+    "duplicate faces": (duplicate, "repaired"),
+    "degenerate faces": (degenerate, "repaired"),
+    "non-manifold edges": (fin, "repaired"),
+    "not finite vertices": (not_finite, "refused"),
+    "self-intersections": (self_intersection, "noted"),
+    "several bodies": (two_bodies, "refused"),
+    "split vertices": (seams, "repaired"),
+    "small holes": (small_hole, "repaired"),
+}
+
+
+def written(path, vertices, faces, scale=1e3):
+    trimesh.Trimesh(scale * vertices, faces, process=False).export(path)
+    return path
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_each_injected_fault_is_named_and_placed(tmp_path, name):
+    build, outcome = FAULTS[name]
+    vertices, faces, place = build()
+    card = report_card(written(tmp_path / "hand.ply", vertices, faces), "mm")
+    named = {finding["name"]: finding for finding in card.facts["findings"]}
+    assert named[name]["outcome"] == outcome
+    assert set(named) <= {name, "long edges", "unused vertices"}, "no other fault is claimed"
+    assert card.facts["accepted"] == (outcome != "refused")
+    if place is not None:
+        away = np.linalg.norm(np.array(named[name]["places_mm"]) - 1e3 * np.array(place), axis=1)
+        assert away.min() < 15.0
+    assert f"{named[name]['count']} x {name}" in as_text(card.facts)
+    json.dumps(card.facts, allow_nan=False)
+
+
+def test_a_sound_hand(tmp_path):
+    vertices, faces = hand()
+    card = report_card(written(tmp_path / "hand.ply", vertices, faces))
+    facts = card.facts
+    assert facts["unit"] == "mm" and facts["unit_source"].startswith("inferred: a hand of 22")
+    np.testing.assert_allclose(facts["size_mm"], 1e3 * np.ptp(vertices, axis=0), atol=0.01)
+    sound = trimesh.Trimesh(vertices, faces, process=False)
+    assert facts["volume_cm3"] == pytest.approx(1e6 * sound.volume, rel=1e-4)
+    assert facts["edges_mm"][2] <= 4.3 and facts["self_intersections"] == 0
+    assert facts["side"] == "right" and facts["side_sureness"] > 0.05
+    assert [layer["asked_mm"] for layer in facts["layers"]] == [1.0, 2.0, 3.0, 5.0]
+    for layer in facts["layers"]:
+        assert layer["p10_share"] >= 0.6 and layer["thinned_share"] <= 0.15 and layer["least_quality"] > 0.0
+
+
+@pytest.mark.parametrize("name", ["open_women_p05", "open_men_p50", "open_men_p95"])
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_the_side_is_seen_in_any_position(name, side):
+    preset = load_preset(name)
+    surface = hand_surface(preset if side == "right" else mirrored(preset), 0.004).surface
+    turn = Rotation.random(random_state=5).as_matrix()
+    found = chirality(surface.vertices @ turn.T + [1.0, 2.0, 3.0], surface.faces)
+    assert found.side == side
+    assert found.palm @ turn @ [0.0, 0.0, -1.0] > 0.9
+    assert len(found.tips) == 5
+
+
+def test_a_flat_or_fingerless_shape_has_no_side():
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.08)
+    assert chirality(np.array(ball.vertices), np.array(ball.faces)).side == "unknown"
+
+
+def test_layer_of_a_ball_is_as_thick_and_large_as_geometry_has_it():
+    ball = trimesh.creation.icosphere(subdivisions=5, radius=0.05)
+    vertices, faces = np.array(ball.vertices), np.array(ball.faces, dtype=np.int32)
+    for layer in palmar_layers(vertices, faces, chirality(vertices, faces)):
+        depth = 1e-3 * layer["asked_mm"]
+        shell = (0.05**3 - (0.05 - depth) ** 3) / (3.0 * 0.05**2 * depth)
+        assert layer["volume_share"] == pytest.approx(shell, rel=2e-3)
+        assert layer["p10_share"] == 1.0 and layer["thinned_share"] == 0.0
+
+
+def test_marked_faces_are_those_at_the_places():
+    vertices, faces = hand()
+    marked = fault_faces(vertices, faces, index_tip()[None], 0.005)
+    assert 0 < marked.sum() < 100
+    assert np.linalg.norm(vertices[faces[marked]].mean(axis=1) - index_tip(), axis=1).max() < 0.005
+
+
+def test_command_writes_card_and_picture(tmp_path):
+    mesh = written(tmp_path / "hole.ply", *hole()[:2])
+    out, png = tmp_path / "card.json", tmp_path / "card.png"
+    result = CliRunner().invoke(app, ["hand", str(mesh), "--units", "mm", "--json", str(out), "--png", str(png)])
+    assert isinstance(result.exception, SceneError) and "1 x holes, at (" in str(result.exception)
+    assert re.search(r"unit +mm \(given by the user\)", result.stdout) and "verdict     refused" in result.stdout
+    facts = json.loads(out.read_text())
+    assert facts["findings"][-1]["name"] == "holes" and facts["refusal"] == str(result.exception)
+    picture = (255 * imread(png)[..., :3]).astype(int)
+    # The red of what is refused: the rim of the hole in the view of the palm, and its ring and key.
+    red = np.abs(picture - [0xDC, 0x26, 0x26]).max(axis=2) < 8
+    assert red[100:600].sum() > 100
+
+
+def test_wrong_unit_is_named_and_nothing_is_guessed(tmp_path):
+    vertices, faces = hand()
+    mesh = written(tmp_path / "hand.stl", vertices, faces, scale=1e3)
+    with pytest.raises(SceneError, match=r"2.2e\+04 mm long with unit dm|long with unit m; .*2\d\d.* mm with unit mm"):
+        report_card(mesh, "m")
+    odd = written(tmp_path / "odd.stl", vertices, faces, scale=1.7)
+    with pytest.raises(
+        SceneError, match=r"carries no unit and no unit makes it .* mm with m, .* mm with in; give the unit"
+    ):
+        report_card(odd)
+
+
+def test_a_card_that_cannot_be_written_is_said(tmp_path):
+    with pytest.raises(OutputError, match="cannot be written"):
+        write_card(tmp_path / "no" / "card.json", {})

@@ -1,0 +1,52 @@
+"""Linear blend skinning of a triangle mesh, and its normals."""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def blend_bones(
+    rest: wp.array[wp.vec3],
+    bones: wp.array[wp.vec4i],
+    weights: wp.array[wp.vec4],
+    rotations: wp.array[wp.mat33],
+    shifts: wp.array[wp.vec3],
+    out: wp.array[wp.vec3],
+):
+    """Each vertex goes with the weighted mean of up to four bones' motions; a bone takes x to rotation x + shift."""
+    i = wp.tid()
+    rotation = wp.mat33()
+    shift = wp.vec3()
+    for k in range(4):
+        bone = bones[i][k]
+        rotation += weights[i][k] * rotations[bone]
+        shift += weights[i][k] * shifts[bone]
+    out[i] = rotation * rest[i] + shift
+
+
+@wp.kernel
+def normals_by_angle(
+    vertices: wp.array[wp.vec3],
+    faces: wp.array2d[wp.int32],
+    first: wp.array[wp.int32],
+    corners: wp.array[wp.int32],
+    out: wp.array[wp.vec3],
+):
+    """Mean of the faces about a vertex, each weighted by its angle there.
+
+    The corners of vertex i are corners[first[i]:first[i + 1]], each three times the face plus its place in the face.
+    """
+    i = wp.tid()
+    total = wp.vec3()
+    here = vertices[i]
+    for n in range(first[i], first[i + 1]):
+        face = corners[n] / 3
+        place = corners[n] % 3
+        u = vertices[faces[face, (place + 1) % 3]] - here
+        v = vertices[faces[face, (place + 2) % 3]] - here
+        across = wp.cross(u, v)
+        twice_area = wp.length(across)
+        if twice_area > 0.0:
+            total += wp.atan2(twice_area, wp.dot(u, v)) / twice_area * across
+    out[i] = wp.normalize(total)
