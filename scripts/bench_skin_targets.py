@@ -62,14 +62,15 @@ def row(name: str, runs: int, call: Callable[[], Motion], finer: Callable[[], Mo
     return line
 
 
-def disc_rows(runs: int) -> list[str]:
+def disc_rows(runs: int, solve: Callable[..., Motion], accuracy: float) -> list[str]:
+    """Every side and load of the disc by one solver, against the disc solver's own finer run."""
     lines = []
     for side in SIDES:
         for name, load in loads().items():
             body = disc(side)
 
             def call(body=body, load=load) -> Motion:
-                return solve_disc(body, load, TIMES, AT, accuracy=0.01)
+                return solve(body, load, TIMES, AT, accuracy=accuracy)
 
             def finer(body=body, load=load) -> Motion:
                 return solve_disc(body, load, TIMES, AT, accuracy=0.002, degree=7)
@@ -90,22 +91,6 @@ def endless_rows(runs: int) -> list[str]:
             return solve_spectral(body, load, TIMES, AT, tolerance=3e-4, threads=2)
 
         lines.append(row(f"endless, {name}", runs, call, finer))
-    return lines
-
-
-def general_rows(runs: int) -> list[str]:
-    lines = []
-    for side in SIDES:
-        for name, load in loads().items():
-            body = disc(side)
-
-            def call(body=body, load=load) -> Motion:
-                return solve_explicit(body, load, TIMES, AT, accuracy=0.02)
-
-            def finer(body=body, load=load) -> Motion:
-                return solve_disc(body, load, TIMES, AT, accuracy=0.002, degree=7)
-
-            lines.append(row(f"{side}, {name}", runs, call, finer))
     return lines
 
 
@@ -153,7 +138,7 @@ def main() -> None:
         "",
         head,
         rule,
-        *disc_rows(arguments.runs),
+        *disc_rows(arguments.runs, solve_disc, 0.01),
         "",
         "The same on an endless slab; error against a run at tolerance 3e-4.",
         "",
@@ -173,7 +158,7 @@ def main() -> None:
         "",
         head,
         rule,
-        *general_rows(arguments.general_runs),
+        *disc_rows(arguments.general_runs, solve_explicit, 0.02),
         "",
     ]
     arguments.out.write_text("\n".join(lines))

@@ -38,6 +38,18 @@ def barycentric(corners: Float, points: Float) -> Float:
     return weights / weights.sum(axis=1, keepdims=True)
 
 
+def over_plane(plane: Float, faces: Int, places: Float) -> tuple[Int, Float]:
+    """Corners of the triangle over each place of a plane, shape (n, 3), and their weights there, shape (n, 3).
+
+    plane: positions of the vertices in that plane [m], shape (v, 2); places: shape (n, 2)
+    A place outside all triangles gets the nearest one.
+    """
+    flat, asked = (np.column_stack([xy, np.zeros(len(xy))]) for xy in (plane, places))
+    reach = 4.0 * float(np.abs(flat).max() + np.abs(asked).max()) + 1e-6
+    corners = faces[closest_faces(build_mesh(flat, faces), asked, reach)]
+    return corners, barycentric(plane[corners], places)
+
+
 def exit_distances(vertices: Float, faces: Int, origins: Float, directions: Float, reach_m: float) -> Float:
     """Distance along unit `directions` to where each ray leaves the closed mesh [m], shape (n,); inf if it does not."""
     mesh = build_mesh(vertices, faces)

@@ -6,7 +6,7 @@ from numpy.typing import ArrayLike
 from palmfield.errors import SceneError
 from palmfield.hand.grading import graded_size, triangulate
 from palmfield.hand.layer import fit_thickness, inward_directions
-from palmfield.hand.meshquery import barycentric, build_mesh, closest_faces, exit_distances
+from palmfield.hand.meshquery import barycentric, build_mesh, closest_faces, exit_distances, over_plane
 from palmfield.hand.region import Region, facing_region, trace_shape
 from palmfield.hand.triangles import corner_angles, face_normals, unique_edges
 from palmfield.types import Float, Int, Patch, Surface
@@ -151,11 +151,7 @@ def _unit_vector(vector: ArrayLike, name: str) -> Float:
 
 def _lift(region: Region, plane: Float, thickness: Float) -> tuple[Float, Float]:
     """Positions on the surface under points of the plane, and the depth there."""
-    flat = np.concatenate([region.shadow, np.zeros((len(region.shadow), 1))], axis=1)
-    points = np.concatenate([plane, np.zeros((len(plane), 1))], axis=1)
-    face = closest_faces(build_mesh(flat, region.faces), points, 4.0 * region.radius_m)
-    corners = region.faces[face]
-    weights = barycentric(region.shadow[corners], plane)
+    corners, weights = over_plane(region.shadow, region.faces, plane)
     lifted = np.einsum("ij,ijk->ik", weights, region.vertices[corners])
     return lifted, np.einsum("ij,ij->i", weights, thickness[region.index][corners])
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from palmfield.hand.grading import graded_size, triangulate
-from palmfield.hand.meshquery import barycentric, build_mesh, closest_faces
+from palmfield.hand.meshquery import over_plane
 from palmfield.hand.region import FACING_COSINE, facing_region, trace_shape
 from palmfield.hand.triangles import face_normals, unique_edges
 from palmfield.types import Float, Patch, Surface
@@ -39,10 +39,7 @@ def remeshed(patch: Patch, centre: Float, fine_m: float, coarse_m: float, fine_r
     shape = trace_shape(region, step_m=max(0.5 * fine_m, radius / 80.0), spike_m=0.5 * coarse_m)
     plane, faces = triangulate(shape, graded_size(fine_m, coarse_m, fine_radius_m, radius), radius)
 
-    flat = np.concatenate([region.shadow, np.zeros((len(region.shadow), 1))], axis=1)
-    points = np.concatenate([plane, np.zeros((len(plane), 1))], axis=1)
-    corners = region.faces[closest_faces(build_mesh(flat, region.faces), points, 4.0 * radius)]
-    weights = barycentric(region.shadow[corners], plane)
+    corners, weights = over_plane(region.shadow, region.faces, plane)
     old = region.index[corners]
     vertices, inward = (np.einsum("ij,ijk->ik", weights, values[old]) for values in (patch.vertices, patch.inward))
     inward /= np.linalg.norm(inward, axis=1, keepdims=True)

@@ -317,13 +317,9 @@ def asked_points(at: ArrayLike) -> Float:
 
 def lifted(patch: Patch, places: Float) -> Float:
     """The face's points over or under places of the plane [m], (n, 2): shape (n, 3)."""
-    from palmfield.hand.meshquery import barycentric, build_mesh, closest_faces
+    from palmfield.hand.meshquery import over_plane
 
-    flat = np.column_stack([patch.vertices[:, :2], np.zeros(len(patch.vertices))])
-    asked = np.column_stack([places, np.zeros(len(places))])
-    reach = 2.0 * float(np.abs(flat).max() + np.abs(asked).max()) + 1e-6
-    corners = patch.faces[closest_faces(build_mesh(flat, patch.faces), asked, reach)]
-    weights = barycentric(patch.vertices[corners][:, :, :2], places)
+    corners, weights = over_plane(patch.vertices[:, :2], patch.faces, places)
     return np.column_stack([places, np.einsum("nk,nk->n", weights, patch.vertices[corners][:, :, 2])])
 
 

@@ -1,5 +1,6 @@
 """A smaller bulk modulus where it changes little: explicit steps follow the pressure wave, which shear hardly needs."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -43,7 +44,7 @@ def soften(
     if nu_at_most is not None:
         if not plain:
             raise SceneError("explicit skin: nu_at_most needs one sheet on a plain base; leave it out")
-        found, change = tried(body, load, end_s, at, nu_at_most)
+        found, change = _tried(body, judge(body, load, end_s, at), nu_at_most)
         if change > accuracy:
             raise SceneError(
                 f"explicit skin: nu_at_most {nu_at_most} would change this layer's motion by {change:.2g}, above the "
@@ -51,42 +52,50 @@ def soften(
             )
         return found, change
     if plain and (isinstance(body, Layer) or body.shape == "infinite"):
-        for nu in RATIOS:
-            try:
-                found, change = tried(body, load, end_s, at, nu)
-            except SceneError:
-                # Waves that nothing damps: that layer cannot say
-                break
-            if change <= SHARE * accuracy:
-                return found, change
+        try:
+            change_of = judge(body, load, end_s, at)
+            for nu in RATIOS:
+                found, change = _tried(body, change_of, nu)
+                if change <= SHARE * accuracy:
+                    return found, change
+        except SceneError:
+            # Waves that nothing damps: that layer cannot say
+            return body, 0.0
     return body, 0.0
 
 
-def tried(body: Body, load: Load, end_s: float, at: Float, nu: float) -> tuple[Body, float]:
+def _tried(body: Body, change_of: Callable[[Material], float], nu: float) -> tuple[Body, float]:
     """The body with at most that Poisson's ratio, and what it changes."""
     sheet = body.sheets[0]
     most = bulk_from_poisson(nu, sheet.material.shear_instant_Pa)
     if sheet.material.bulk_Pa <= most:
         return body, 0.0
     soft = replace(sheet.material, bulk_Pa=most)
-    return replace(body, sheets=(replace(sheet, material=soft),)), change_of(body, soft, load, end_s, at)
+    return replace(body, sheets=(replace(sheet, material=soft),)), change_of(soft)
 
 
-def change_of(body: Body, soft: Material, load: Load, end_s: float, at: Float) -> float:
-    """Relative change (L2 over the times, the largest of the spot's middle and the points' places about it)."""
+def judge(body: Body, load: Load, end_s: float, at: Float) -> Callable[[Material], float]:
+    """Tells the relative change of the motion with another material.
+
+    L2 over the times, the largest of the spot's middle and the points' places about it.
+    """
     material, width = body.sheets[0].material, load_width(load)
     depth = float(np.mean(body.patch.depth)) if isinstance(body, Layer) else body.thickness_m
     away = np.array([0.0, width])
     if isinstance(load, Spot) and len(np.unique(load.centres(), axis=0)) == 1:
         away = np.append(0.0, np.hypot(*(np.asarray(at, dtype=float)[:, :2] - load.centres()[0]).T))
     if not course_moves(load, end_s):
-        return 0.0
+        return lambda soft: 0.0
     frequencies, energies = bands(load, end_s, resonance(material, depth))
-    assert not isinstance(body.base, Springs | Foundation)
-    counted = (energies > FAINT * energies.sum()) & ((frequencies > 0.0) | (body.base != "free"))
-    exact, near = (
-        centre_responses(frequencies[counted], m, depth, width, away, body.base, 1e-5) for m in (material, soft)
-    )
-    apart, size = (energies[counted] @ np.abs(values) ** 2 for values in (near - exact, exact))
-    # Far off there is nothing but the integral's own error
-    return float(np.sqrt(apart / np.maximum(size, FAR**2 * size[0])).max())
+    base = body.base
+    assert not isinstance(base, Springs | Foundation)
+    counted = (energies > FAINT * energies.sum()) & ((frequencies > 0.0) | (base != "free"))
+    exact = centre_responses(frequencies[counted], material, depth, width, away, base, 1e-5)
+
+    def change(soft: Material) -> float:
+        near = centre_responses(frequencies[counted], soft, depth, width, away, base, 1e-5)
+        apart, size = (energies[counted] @ np.abs(values) ** 2 for values in (near - exact, exact))
+        # Far off there is nothing but the integral's own error
+        return float(np.sqrt(apart / np.maximum(size, FAR**2 * size[0])).max())
+
+    return change

@@ -126,6 +126,8 @@ class ReducedSkin:
         return np.concatenate([self.vectors @ x for x in (*small, *(rows @ state for rows in model.internals))])
 
 
+# Small products only, which several threads of BLAS slow down where other programs run.
+@BLAS.wrap(limits=1, user_api="blas")
 def reduced_skin(
     system: SkinSystem,
     load: KnownLoad,
@@ -147,21 +149,6 @@ def reduced_skin(
     are of a smaller or a stiffer body than the true one, so they are estimates, no bounds.
     Raises SceneError where MOST_VECTORS don't reach the tolerance.
     """
-    # Small products only, which several threads of BLAS slow down where other programs run.
-    with BLAS.limit(limits=1, user_api="blas"):
-        return _reduced_skin(system, load, surface, point, loaded, step_s, highest_Hz, tolerance)
-
-
-def _reduced_skin(
-    system: SkinSystem,
-    load: KnownLoad,
-    surface: Any,
-    point: Any,
-    loaded: Int,
-    step_s: float,
-    highest_Hz: float,
-    tolerance: float,
-) -> ReducedSkin:
     pencil = Pencil(system, dissection_order(system))
     krylov = Krylov(pencil, SHIFT * 2.0 * np.pi * highest_Hz, load.basis)
     before, error = _Trial(krylov, load, step_s), np.inf

@@ -8,7 +8,8 @@ import pytest
 
 from palmfield.errors import SceneError
 from palmfield.skin.disc_element import DiscGrid, Line, graded
-from palmfield.skin.disc_fem import cost_disc, refusal_disc, sample, solve_disc
+from palmfield.skin.disc_fem import cost_disc, refusal_disc, solve_disc
+from palmfield.skin.disc_samples import sample
 from palmfield.skin.layer_oracle import centre_response
 from palmfield.skin.material import bulk_from_poisson
 from palmfield.skin.pencil import Pencil
