@@ -2,16 +2,16 @@
 
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from palmfield.errors import SceneError
-from palmfield.hand.mjcf import PARTS_OF_ONE_MASS, SKIN_RGBA, DENSITY_kg_m3, HEIGHT_m, PALM_SWELL_m
+from palmfield.hand.mjcf import HEIGHT_m, numbers_text, skin_geom
 from palmfield.hand.preset import DIGITS, HandPreset
-from palmfield.hand.skeleton import Skeleton, SkinSegment
+from palmfield.hand.skeleton import Skeleton, SkinSegment, unit
 from palmfield.hand.surface import centred_skeleton
 from palmfield.types import Float
 
@@ -37,6 +37,8 @@ bends a finger by less than 0.3 mm, and no joint alone swings faster than 30 Hz.
 ARMATURE_kg_m2 = 1e-5
 """Added to each joint's inertia, about that of a whole finger: end joints of 5 g would swing within a step."""
 WELD_TIME_s = 0.01
+DIGITS_IN_FILE = 9
+"""Rounding adds up along a chain of bodies: to the nanometre, no fingertip is off by more than a few."""
 CONTACT_PARTS = ("forearm", "thenar", "hypothenar")
 
 
@@ -102,7 +104,6 @@ def articulate(preset: HandPreset) -> ArticulatedHand:
         HandJoint("wrist_deviation", 1, wrist, np.cross(along, ulnar), 0.0, *RANGES_deg["wrist_deviation"]),
     ]
     skin = {segment.name: segment for segment in skeleton.skin}
-    skeleton = replace(skeleton, landmarks=skeleton.landmarks | {"thumb_pad": _thumb_pad(preset, skin)})
     for digit in DIGITS:
         thumb = digit == "thumb"
         names = ("metacarpal", "proximal", "distal") if thumb else ("proximal", "middle", "distal")
@@ -110,11 +111,11 @@ def articulate(preset: HandPreset) -> ArticulatedHand:
         bends = (0.0, *preset.digits[digit].flexion_deg) if thumb else preset.digits[digit].flexion_deg
         for level, (name, place, bend) in enumerate(zip(names, places, bends, strict=True)):
             part = skin[f"{digit}_{name}"]
-            axis = _unit(part.end - part.start)
+            axis = unit(part.end - part.start)
             parent = 1 if level == 0 else len(bones) - 1
             bones.append(HandBone(part.name, parent, part.start))
             bone = len(bones) - 1
-            turn = _unit(np.cross(_nail(preset, part) if thumb else part.dorsal, axis))
+            turn = unit(np.cross(part.dorsal, axis))
             if level == 0:
                 # The outer joint belongs to the straight digit: undo the rest pose's flexion.
                 straight = Rotation.from_rotvec(-np.deg2rad(bend) * turn).apply(axis)
@@ -123,23 +124,6 @@ def articulate(preset: HandPreset) -> ArticulatedHand:
             low, high = RANGES_deg[f"thumb_{kind}" if thumb else kind]
             joints.append(HandJoint(f"{digit}_{kind}", bone, part.start, turn, bend, low, high))
     return ArticulatedHand(preset, skeleton, bones, joints)
-
-
-def _nail(preset: HandPreset, part: SkinSegment) -> Float:
-    """Direction that the thumb's nail faces: the preset's twist, from the back of the hand to the radial side."""
-    axis = _unit(part.end - part.start)
-    back = np.array([0.0, 0.0, 1.0])
-    dorsal = _unit(back - (back @ axis) * axis)
-    radial = np.cross(dorsal, axis) * (1.0 if preset.side == "right" else -1.0)
-    twist = np.deg2rad(preset.digits["thumb"].twist_deg)
-    return np.cos(twist) * dorsal + np.sin(twist) * radial
-
-
-def _thumb_pad(preset: HandPreset, skin: dict[str, SkinSegment]) -> Float:
-    """The pulp opposite the thumb's nail."""
-    part = skin["thumb_distal"]
-    length = preset.digits["thumb"].bones_m[-1]
-    return part.end - 0.25 * length * _unit(part.end - part.start) - part.semi_end[2] * _nail(preset, part)
 
 
 def _abduction(
@@ -155,7 +139,7 @@ def _abduction(
         aside, place = (-ulnar if digit == "index" else ulnar), "mcp"
         low, high = RANGES_deg["mcp_abduction"]
     sideways = flexion_axis * np.sign(flexion_axis @ aside)
-    return HandJoint(f"{digit}_{place}_abduction", bone, pivot, _unit(np.cross(along, sideways)), 0.0, low, high)
+    return HandJoint(f"{digit}_{place}_abduction", bone, pivot, unit(np.cross(along, sideways)), 0.0, low, high)
 
 
 def checked_angles(hand: ArticulatedHand, angles_deg: Mapping[str, float]) -> Float:
@@ -277,26 +261,9 @@ def articulated_mjcf(preset: HandPreset) -> str:
 def _geom(hand: ArticulatedHand, segment: SkinSegment, elements: list[ET.Element]) -> None:
     names = [bone.name for bone in hand.bones]
     bone = names.index(segment.name) if segment.name in names else hand.bone("hand")
-    in_digit = segment.group > 0
-    semi = 0.5 * (segment.semi_start + segment.semi_end) + (0.0 if in_digit else PALM_SWELL_m)
-    # The axis of the skin lies nearer to the back; the capsule is centred between back and palmar side.
-    height = 0.5 * (semi[1] + semi[2])
-    shift = 0.5 * (semi[1] - semi[2]) * segment.dorsal - hand.bones[bone].origin
-    geom = {"name": f"{segment.name}_skin", "rgba": SKIN_RGBA}
-    touches = in_digit or segment.name in CONTACT_PARTS or segment.name.endswith("metacarpal")
-    if not touches:
-        geom |= {"contype": "0", "conaffinity": "0"}
-    # Parts that lie inside others weigh nothing.
-    geom["density"] = f"{DENSITY_kg_m3:g}" if in_digit or segment.name in PARTS_OF_ONE_MASS else "0"
-    if segment.name in PARTS_OF_ONE_MASS:
-        middle = 0.5 * (segment.start + segment.end) + shift
-        half = 0.5 * np.linalg.norm(segment.end - segment.start)
-        geom |= {"type": "ellipsoid", "pos": _text(middle), "size": _text([semi[0], half + 0.75 * semi[0], height])}
-    else:
-        radius = 0.5 * (semi[0] + height) if in_digit else height
-        ends = np.concatenate([segment.start + shift, segment.end + shift])
-        geom |= {"type": "capsule", "fromto": _text(ends), "size": _text([radius])}
-    ET.SubElement(elements[bone], "geom", geom)
+    touches = segment.group > 0 or segment.name in CONTACT_PARTS or segment.name.endswith("metacarpal")
+    geom = skin_geom(segment, hand.bones[bone].origin, DIGITS_IN_FILE, touches)
+    ET.SubElement(elements[bone], "geom", geom | {"name": f"{segment.name}_skin"})
 
 
 def _excluded(hand: ArticulatedHand) -> list[tuple[str, str]]:
@@ -308,9 +275,5 @@ def _excluded(hand: ArticulatedHand) -> list[tuple[str, str]]:
     return pairs
 
 
-def _unit(vector: Float) -> Float:
-    return vector / np.linalg.norm(vector)
-
-
 def _text(numbers: Float | Sequence[float]) -> str:
-    return " ".join(f"{number + 0.0:.9g}" for number in np.round(numbers, 9))
+    return numbers_text(numbers, DIGITS_IN_FILE)

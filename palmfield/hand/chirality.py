@@ -6,21 +6,25 @@ import numpy as np
 from scipy import sparse
 
 from palmfield.hand.holes import plane_axes
-from palmfield.hand.triangles import unique_edges
+from palmfield.hand.triangles import face_normals, unique_edges
 from palmfield.types import Float, Int
 
 # A tip is farther from the wrist than all skin within this share of the longest way; two tips are as far apart.
 TIP_REACH_SHARE = 0.15
-# Tips this share of the length out of the plane of the palm leave no doubt.
-CLEAR_LIFT_SHARE = 0.06
-LEAST_SURENESS = 0.03
+# Shares of the fingers' length beyond their webs. A thumb this far out of the palm's middle plane leaves no doubt;
+# straight fingers lie up to STRAIGHT out of it on either side, bent ones CLEAR_LIFT more; a thumb leaves this much
+# nearer to the wrist than the next digit, and ends this much nearer.
+CLEAR_LIFT, STRAIGHT, CLEAR_WEB, CLEAR_TIP = 0.09, 0.08, 0.2, 0.1
+LEAST_SURENESS = 0.5
+# Fingers are apart within this of the end of the length: of a forearm with its hand, of a hand.
+PIECE_SHARES = (0.1, 0.25)
 
 
 @dataclass(frozen=True)
 class Chirality:
-    """side: "right", "left" or "unknown"; sureness: 0 to 1, how far the tips lie to the palm's side against
-    CLEAR_LIFT_SHARE; palm: unit outward direction of the palm, shape (3,); tips: digit tips, thumb first, then from its
-    neighbour on, shape (k, 3); reason: in words
+    """side: "right", "left" or "unknown"; sureness: 0 to 1; palm: unit outward direction of the palm, a guess where the
+    side is unknown, shape (3,); tips: of the digits, thumb first, then from its neighbour on, shape (k, 3); reason: in
+    words
     """
 
     side: str
@@ -31,43 +35,58 @@ class Chirality:
 
 
 def chirality(vertices: Float, faces: Int) -> Chirality:
-    """Side of a closed hand's mesh [m]; a right one has its thumb to the right, fingers up, seen on the palm.
+    """Side of a closed hand's mesh, in any unit and position; unknown where the sureness is below 0.5.
 
-    Tips are the farthest skin from the wrist along the surface; the thumb's is the one nearest to the wrist; digits
-    bend to the palm's side. A flat, thin or closed hand leaves the side unknown.
+    vertices: shape (n, 3); faces: shape (m, 3)
+    The way from the wrist along the skin hardly changes with the pose. Its five peaks are the tips, its passes between
+    them the webs; the thumb is the digit whose web and whose tip are nearest to the wrist. The palm is where the thumb
+    lies, and the tips of bent fingers, seen from the middle plane of the skin between wrist and webs. Sureness is how
+    clear thumb and palm are; thumb and fingers on different sides of that plane speak against each other. A right hand
+    has its thumb to the right, fingers up, seen on the palm.
     """
-    middle = vertices.mean(axis=0)
-    axes = plane_axes(vertices)
     links = _links(vertices, faces)
-    wrist = _wrist(vertices, links, axes[0])
+    wrist = _wrist(vertices, links, plane_axes(vertices)[0])
     way = _distance(links, wrist)
     tips = _tips(links, way)
-    fingers = vertices[tips].mean(axis=0) - vertices[wrist].mean(axis=0)
-    fingers /= np.linalg.norm(fingers)
-    # The palm is what lies nearer to the wrist than all webs do.
-    low = vertices[way < 0.5 * way.max()]
-    flat = plane_axes(low - np.outer((low - middle) @ fingers, fingers))
-    normal = np.cross(fingers, flat[0])
-    normal /= np.linalg.norm(normal)
     if len(tips) != 5:
-        reason = f"{len(tips)} digit tips were found, not 5"
-        return Chirality("unknown", 0.0, normal, vertices[tips], reason)
-    thumb = tips[int(np.argmin(way[tips]))]
-    others = np.array([tip for tip in tips if tip != thumb])
-    others = others[np.argsort(np.linalg.norm(vertices[others] - vertices[thumb], axis=1))]
-    ordered = np.concatenate([[thumb], others])
-    base = vertices[way < 0.35 * way.max()].mean(axis=0)
-    lift = float(((vertices[ordered] - base) @ normal).mean())
-    palm = normal if lift > 0.0 else -normal
-    length = float(np.ptp((vertices - middle) @ fingers))
-    sureness = min(1.0, abs(lift) / (CLEAR_LIFT_SHARE * length))
+        up = vertices[way > np.median(way)].mean(axis=0) - vertices[wrist].mean(axis=0)
+        normal = _frame(vertices, way < 0.5 * way.max(), np.ones(len(vertices)), up)[1]
+        return Chirality("unknown", 0.0, normal, vertices[tips], f"{len(tips)} digit tips were found, not 5")
+    level, passes = _webs(links, way, tips)
+    web = level.max(axis=1)
+    thumb, fingers = int(np.argmin(web)), np.argsort(web)[1:]
+    between = level[np.ix_(fingers, fingers)]
+    low = float(between[between >= 0.0].min())
+    length = float(way[tips[fingers]].mean()) - low
+    digits = [_beyond(links, way, tip, reach) for tip, reach in zip(tips, web, strict=True)]
+    on_palm = (way > low - length) & (way < low)
+    on_palm[digits[thumb]] = False
+    weight = _vertex_areas(vertices, faces)
+    middle = np.average(vertices[on_palm], axis=0, weights=weight[on_palm])
+    across, normal = _frame(
+        vertices, on_palm, weight, vertices[passes[np.ix_(fingers, fingers)]].mean(axis=(0, 1)) - middle
+    )
+    if (vertices[passes[thumb, fingers]].mean(axis=0) - middle) @ across < 0.0:
+        across, normal = -across, -normal
+    # `normal` looks out of the palm of a right hand and out of the back of a left one.
+    of_thumb = float((vertices[digits[thumb]].mean(axis=0) - middle) @ normal) / length
+    of_tips = float(((vertices[tips[fingers]] - middle) @ normal).mean()) / length
+    bent = np.sign(of_tips) * max(0.0, abs(of_tips) - STRAIGHT)
+    evidence = float(np.clip(of_thumb / CLEAR_LIFT, -1.0, 1.0) + np.clip(bent / CLEAR_LIFT, -1.0, 1.0))
+    apart = float(web[fingers].min() - web[thumb]) / length
+    nearer = float(way[tips[fingers]].min() - way[tips[thumb]]) / length
+    sureness = min(1.0, abs(evidence)) * float(np.clip(min(apart / CLEAR_WEB, nearer / CLEAR_TIP), 0.0, 1.0))
+    palm = normal if evidence > 0.0 else -normal
+    from_thumb = fingers[np.argsort([-(vertices[digits[i]].mean(axis=0) @ across) for i in fingers])]
+    ordered = vertices[tips[[thumb, *from_thumb]]]
+    reason = (
+        f"in shares of the fingers' length, one digit leaves {apart:.2f} nearer to the wrist than the others and ends "
+        f"{nearer:.2f} nearer; to the palm's side it lies {np.sign(evidence) * of_thumb:+.2f} and the fingers' tips "
+        f"{np.sign(evidence) * of_tips:+.2f}"
+    )
     if sureness < LEAST_SURENESS:
-        reason = f"the digit tips lie in the plane of the palm, by {1e3 * abs(lift):.1f} mm"
-        return Chirality("unknown", sureness, palm, vertices[ordered], reason)
-    to_thumb = vertices[thumb] - vertices[others].mean(axis=0)
-    side = "right" if to_thumb @ np.cross(fingers, palm) > 0.0 else "left"
-    reason = f"thumb tip seen, digit tips {1e3 * abs(lift):.1f} mm to the palm's side"
-    return Chirality(side, sureness, palm, vertices[ordered], reason)
+        return Chirality("unknown", sureness, palm, ordered, f"not sure: {reason}")
+    return Chirality("right" if evidence > 0.0 else "left", sureness, palm, ordered, reason)
 
 
 def fingers_direction(vertices: Float, faces: Int) -> Float:
@@ -75,6 +94,51 @@ def fingers_direction(vertices: Float, faces: Int) -> Float:
     along = plane_axes(vertices)[0]
     wrist = _wrist(vertices, _links(vertices, faces), along)
     return along if (vertices.mean(axis=0) - vertices[wrist].mean(axis=0)) @ along > 0.0 else -along
+
+
+def _frame(vertices: Float, chosen: np.ndarray, weight: Float, up: Float) -> tuple[Float, Float]:
+    """Unit vectors across the chosen skin, either way, and out of it: across x up."""
+    up = up / np.linalg.norm(up)
+    points = vertices[chosen] - np.average(vertices[chosen], axis=0, weights=weight[chosen])
+    points = points - np.outer(points @ up, up)
+    across = np.linalg.svd(points * np.sqrt(weight[chosen])[:, None], full_matrices=False)[2][0]
+    return across, np.cross(across, up)
+
+
+def _vertex_areas(vertices: Float, faces: Int) -> Float:
+    """A third of the area of the faces at each vertex, shape (n,): with it, finer meshed sides count no more."""
+    area = face_normals(vertices, faces)[1] / 3.0
+    shares: Float = np.bincount(faces.ravel(), weights=np.repeat(area, 3), minlength=len(vertices)).astype(np.float64)
+    return shares
+
+
+def _webs(links: sparse.csr_array, way: Float, tips: Int) -> tuple[Float, Int]:
+    """Highest pass between each two tips: its way, shape (k, k), -1 on the diagonal, and its vertex."""
+    pairs = links.tocoo()
+    depth = way.max() - np.minimum(way[pairs.row], way[pairs.col])
+    # On a minimum spanning tree by depth the only path between two tips is the one that stays highest.
+    tiny = 1e-9 * float(way.max())
+    tree = sparse.csgraph.minimum_spanning_tree(
+        sparse.csr_array((depth + tiny, (pairs.row, pairs.col)), shape=links.shape)
+    )
+    passes = np.tile(tips, (len(tips), 1))
+    for i, start in enumerate(tips):
+        before = sparse.csgraph.breadth_first_order(tree, start, directed=False)[1]
+        for j, here in enumerate(tips):
+            while here != start:
+                if way[here] < way[passes[i, j]]:
+                    passes[i, j] = here
+                here = before[here]
+    level: Float = np.asarray(way[passes], dtype=np.float64)
+    np.fill_diagonal(level, -1.0)
+    return level, passes
+
+
+def _beyond(links: sparse.csr_array, way: Float, tip: int, level: float) -> Int:
+    """Vertices farther from the wrist than `level` that are connected to a tip."""
+    far = np.flatnonzero(way > level)
+    label = sparse.csgraph.connected_components(links[far][:, far], directed=False)[1]
+    return far[label == label[np.searchsorted(far, tip)]]
 
 
 def _links(vertices: Float, faces: Int) -> sparse.csr_array:
@@ -96,10 +160,12 @@ def _wrist(vertices: Float, links: sparse.csr_array, along: Float) -> Int:
     depth = 0.04 * (high - low)
     ends = [np.flatnonzero(height < low + depth), np.flatnonzero(height > high - depth)]
     girth = [np.ptp(vertices[end] - np.outer(vertices[end] @ along, along), axis=0).max() for end in ends]
-    pieces = []
-    for sign, limit in ((1.0, low + 0.25 * (high - low)), (-1.0, -high + 0.25 * (high - low))):
-        chosen = np.flatnonzero(sign * height < limit)
-        pieces.append(sparse.csgraph.connected_components(links[chosen][:, chosen], directed=False)[0])
+    pieces = [1, 1]
+    for share in PIECE_SHARES:
+        reach = share * (high - low)
+        for i, chosen in enumerate((np.flatnonzero(height < low + reach), np.flatnonzero(height > high - reach))):
+            number = sparse.csgraph.connected_components(links[chosen][:, chosen], directed=False)[0]
+            pieces[i] = max(pieces[i], number)
     if pieces[0] != pieces[1]:
         return ends[int(np.argmin(pieces))].astype(np.int32)
     return ends[int(np.argmax(girth))].astype(np.int32)

@@ -1,50 +1,97 @@
 """Inward directions and thickness of a skin layer, so that its wedges are not inverted."""
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy import sparse
 
 from palmfield.errors import SceneError
-from palmfield.hand.triangles import adjacency, face_normals, neighbour_mean, vertex_normals
+from palmfield.hand.triangles import (
+    adjacency,
+    corner_angles,
+    directed_edges,
+    face_normals,
+    neighbour_mean,
+    unique_edges,
+    vertex_normals,
+)
 from palmfield.types import Float, Int
 
 LEAST_QUALITY = 0.05
 LEAST_RATIO = 0.05
+# Scaled Jacobian of a triangle whose least angle is 12.5 degrees.
+SOUND_TRIANGLE = 0.25
+# A thickness that rises by this along the surface lets the base rise at 35 degrees.
+STEEPEST_RISE = 0.7
+KEPT_COSINE = 0.9
+# A direction that sees a face at 84 degrees to its normal still makes a sound, if slanted, wedge there.
+LEAST_VISIBLE = 0.1
+MOST_MOVES = 20
+# Share of the median edge below which all distances count the same when directions are smoothed.
+LEAST_DISTANCE = 1e-3
 # Full height of an equilateral corner gives 1.
 CORNER_SCALE = 2.0 / np.sqrt(3.0)
 
 
-def inward_directions(vertices: Float, faces: Int, smoothing_rounds: int = 3) -> Float:
-    """Unit directions into the body, shape (n, 3): minus the most visible normals, smoothed where that stays visible.
+def most_visible_normals(vertices: Float, faces: Int) -> tuple[Float, Float]:
+    """Unit normals, shape (n, 3), that maximise their smallest cosine to the faces around, and that cosine, shape (n,).
 
-    The most visible normal of a vertex maximises its smallest cosine to the faces there (Aubry & Lohner 2008,
-    "On the most normal normal"); smoothing may cost at most half of that cosine.
+    Aubry & Lohner 2008, "On the most normal normal", doi 10.1002/cnm.1056; by steps towards the worst face from the
+    mean by angle. Where the cosine is not above 0, no direction sees all faces from outside.
     """
     unit, _ = face_normals(vertices, faces)
-
-    def least_cosine(direction: Float) -> Float:
-        worst = np.full(len(vertices), np.inf)
-        np.minimum.at(worst, faces.ravel(), np.einsum("ijk,ik->ij", direction[faces], unit).ravel())
-        return worst
-
     normal = vertex_normals(vertices, faces)
-    best = least_cosine(normal)
+    best = _least_cosine(normal, faces, unit)
     for step in (0.3, 0.2, 0.15, 0.1, 0.07, 0.05, 0.03, 0.02):
-        cosine = np.einsum("ijk,ik->ij", normal[faces], unit)
+        at_worst = np.einsum("ijk,ik->ij", normal[faces], unit) <= best[faces] + 1e-9
         push = np.zeros_like(normal)
-        at_worst = cosine <= best[faces] + 1e-9
         for i in range(3):
             np.add.at(push, faces[at_worst[:, i], i], unit[at_worst[:, i]])
         trial = _unit(normal + step * push)
-        cost = least_cosine(trial)
-        better = cost > best
-        normal[better], best[better] = trial[better], cost[better]
-    links = adjacency(faces, len(vertices))
-    floor = 0.5 * best
-    for _ in range(smoothing_rounds):
-        trial = _unit(normal + neighbour_mean(normal, links))
-        keep = least_cosine(trial) >= floor
-        normal[keep] = trial[keep]
+        cosine = _least_cosine(trial, faces, unit)
+        better = cosine > best
+        normal[better], best[better] = trial[better], cosine[better]
+    return normal, best
+
+
+def inward_directions(vertices: Float, faces: Int, smoothing_rounds: int = 5) -> Float:
+    """Unit directions into the body, shape (n, 3): minus the most visible normals, smoothed where that stays visible.
+
+    Smoothing leaves at least KEPT_COSINE of the smallest cosine to the faces. It is done `smoothing_rounds` times with
+    the plain mean of the neighbours, which turns directions on creases and facets radial, and twice as often with
+    weights by the inverse squares of their distances: vertices that nearly coincide, as on raw marching cubes, then
+    get nearly the same direction and their wedges no twist.
+    """
+    unit, _ = face_normals(vertices, faces)
+    normal, best = most_visible_normals(vertices, faces)
+    floor = KEPT_COSINE * best
+    edges, _ = unique_edges(faces)
+    length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
+    typical = float(np.median(length))
+    for power, rounds in ((0.0, smoothing_rounds), (-2.0, 2 * smoothing_rounds)):
+        weights = np.maximum(length / typical, LEAST_DISTANCE) ** power
+        half = sparse.coo_array((weights, (edges[:, 0], edges[:, 1])), shape=(len(vertices), len(vertices)))
+        links = sparse.csr_array(half + half.T)
+        for _ in range(rounds):
+            trial = _unit(normal + _unit(links @ normal))
+            keep = _least_cosine(trial, faces, unit) >= floor
+            normal[keep] = trial[keep]
     return -normal
+
+
+def unfolded(vertices: Float, faces: Int) -> Float:
+    """Positions [m], shape (n, 3), with which every vertex has a direction that sees all its faces from outside.
+
+    Where the best cosine is below LEAST_VISIBLE, as where a coarse mesh folds over at a finger web, it and its
+    neighbours go half way to the mean of their own neighbours, at most MOST_MOVES times; the other vertices stay.
+    """
+    links = adjacency(faces, len(vertices))
+    points = vertices.copy()
+    for _ in range(MOST_MOVES):
+        folded = most_visible_normals(points, faces)[1] < LEAST_VISIBLE
+        if not folded.any():
+            break
+        around = np.unique(faces[folded[faces].any(axis=1)])
+        points[around] = 0.5 * (points + neighbour_mean(points, links))[around]
+    return points
 
 
 def wedge_quality(vertices: Float, faces: Int, inward: Float, depth: Float) -> Float:
@@ -77,28 +124,105 @@ def wedge_quality(vertices: Float, faces: Int, inward: Float, depth: Float) -> F
 def fit_thickness(vertices: Float, faces: Int, inward: Float, asked: Float, limit: Float) -> tuple[Float, Float]:
     """Thickness [m], shape (n,), no more than `asked` and `limit`, and the wedges' quality, shape (m,).
 
-    The share of the asked thickness is min-filtered over neighbours and smoothed downwards; where a wedge is inverted
-    or poor it is cut by 0.85 again and again.
+    The share that the limit leaves is min-filtered over neighbours. Where a wedge is inverted or poor it is cut by 0.9
+    again and again, and around it the thickness rises by at most STEEPEST_RISE of the way along the surface. A wedge is
+    poor below LEAST_QUALITY; under a triangle whose own quality is below SOUND_TRIANGLE, below the same share of that.
 
     Raises SceneError with the place where no thickness above 5 % of the asked one gives sound wedges.
     """
-    links = adjacency(faces, len(vertices))
-    ratio = _lower_smooth(_neighbour_min(np.minimum(1.0, limit / asked), faces), links, rounds=3)
+    edges, _ = unique_edges(faces)
+    length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
+    flat = wedge_quality(vertices, faces, inward, np.zeros(len(vertices)))
+    floor = LEAST_QUALITY * np.minimum(1.0, flat / SOUND_TRIANGLE)
+    got = asked * _neighbour_min(np.minimum(1.0, limit / asked), faces)
     while True:
-        quality = wedge_quality(vertices, faces, inward, ratio * asked)
-        poor = quality < LEAST_QUALITY
+        got = _rising_gently(got, edges, STEEPEST_RISE * length)
+        quality = wedge_quality(vertices, faces, inward, got)
+        poor = (quality < floor) | (quality <= 0.0)
         if not poor.any():
-            return ratio * asked, quality
+            return got, quality
         touched = np.unique(faces[poor])
-        ratio[touched] *= 0.85
-        ratio = _lower_smooth(ratio, links, rounds=1)
-        if ratio[touched].min() < LEAST_RATIO:
-            place = vertices[faces[np.argmin(quality)]].mean(axis=0) * 1e3
+        got[touched] *= 0.9
+        if (got[touched] / asked[touched]).min() < LEAST_RATIO:
+            worst = int(np.argmin(np.where(poor, quality - floor, np.inf)))
+            place = vertices[faces[worst]].mean(axis=0) * 1e3
             raise SceneError(
                 f"skin layer folds at ({place[0]:.1f}, {place[1]:.1f}, {place[2]:.1f}) mm (quality "
-                f"{quality.min():.2g}, least {LEAST_QUALITY}); use a smaller radius or max_depth, or "
-                "smooth the mesh there"
+                f"{quality[worst]:.2g}, least {floor[worst]:.2g}); ask for a thinner layer, in a patch "
+                "for a smaller radius, or smooth the mesh there"
             )
+
+
+def layer_volume(vertices: Float, faces: Int, inward: Float, depth: Float) -> float:
+    """Volume of the wedges [m3]; each is cut into three tetrahedra by the order of its vertices' numbers, and a folded
+    part counts as negative."""
+    order = np.argsort(faces, axis=1)
+    odd = (order[:, [0, 1]] > order[:, [1, 2]]).sum(axis=1) + (order[:, 0] > order[:, 2])
+    ordered = np.take_along_axis(faces, order, axis=1)
+    bottom = vertices + depth[:, None] * inward
+    a, b, c = (vertices[ordered[:, i]] for i in range(3))
+    d, e, f = (bottom[ordered[:, i]] for i in range(3))
+    six = sum(
+        np.einsum("ij,ij->i", q - p, np.cross(r - p, p - s))
+        for p, q, r, s in ((a, b, c, f), (a, b, f, e), (a, e, f, d))
+    )
+    return float((np.where(odd % 2 == 0, 1.0, -1.0) * six).sum()) / 6.0
+
+
+def curvature_integrals(vertices: Float, faces: Int) -> tuple[Float, Float]:
+    """Integrals of mean curvature H [m] and of Gaussian curvature K [1] over each face, shape (m,) each.
+
+    H, half the sum of the principal curvatures, is above 0 on a ball. An edge of length l whose faces turn by an angle
+    a carries H of l a / 2, half for each face; a vertex carries the missing part of 2 pi as K, shared by its corners'
+    angles (Steiner's formula for polyhedra; Cohen-Steiner & Morvan 2003, doi 10.1145/777792.777839). Edges and
+    vertices of a rim carry none.
+    """
+    unit, _ = face_normals(vertices, faces)
+    directed = directed_edges(faces)
+    edges, inverse, count = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True)
+    owner = np.tile(np.arange(len(faces)), 3)
+    order = np.argsort(inverse.ravel(), kind="stable")
+    inner = (count == 2)[inverse.ravel()[order]]
+    first, second = order[inner].reshape(-1, 2).T
+    start, end = vertices[directed[first, 0]], vertices[directed[first, 1]]
+    n, m = unit[owner[first]], unit[owner[second]]
+    length = np.linalg.norm(end - start, axis=1)
+    along = (end - start) / np.where(length > 0.0, length, 1.0)[:, None]
+    turn = np.arctan2(np.einsum("ij,ij->i", np.cross(n, m), along), np.einsum("ij,ij->i", n, m))
+    mean = np.zeros(len(faces))
+    for face in (owner[first], owner[second]):
+        mean += np.bincount(face, 0.25 * length * turn, len(faces))
+    angles = corner_angles(vertices, faces)
+    total = np.bincount(faces.ravel(), angles.ravel(), len(vertices))
+    missing = 2.0 * np.pi - total
+    missing[edges[count != 2]] = 0.0
+    share = angles / np.where(total > 0.0, total, 1.0)[faces]
+    return mean, np.asarray((missing[faces] * share).sum(axis=1))
+
+
+def thickness_integral(vertices: Float, faces: Int, depth: Float, chosen: Int | None = None) -> float:
+    """Volume that a layer `depth` thick along the inward normals should have [m3].
+
+    Normals carry an area dA at depth s over into (1 - 2 s H + s^2 K) dA, so a layer t thick has
+    dV = (t - t^2 H + t^3 K / 3) dA, with the curvatures of `curvature_integrals`.
+
+    chosen: numbers of the faces that carry the layer, default all
+    """
+    mean, gauss = curvature_integrals(vertices, faces)
+    area = face_normals(vertices, faces)[1]
+    use = slice(None) if chosen is None else chosen
+    t = depth[faces[use]]
+    # Means of t, t^2 and t^3 over a triangle on which t is linear.
+    s1, s2, s3 = t.sum(axis=1), (t**2).sum(axis=1), (t**3).sum(axis=1)
+    one, two, three = s1 / 3.0, (s1**2 + s2) / 12.0, (s1**3 + 3.0 * s1 * s2 + 2.0 * s3) / 60.0
+    return float((area[use] * one - mean[use] * two + gauss[use] * three / 3.0).sum())
+
+
+def _least_cosine(direction: Float, faces: Int, unit: Float) -> Float:
+    """Smallest cosine of each vertex's direction to the normals of the faces around it, shape (n,)."""
+    worst = np.full(len(direction), np.inf)
+    np.minimum.at(worst, faces.ravel(), np.einsum("ijk,ik->ij", direction[faces], unit).ravel())
+    return worst
 
 
 def _neighbour_min(values: Float, faces: Int) -> Float:
@@ -107,10 +231,15 @@ def _neighbour_min(values: Float, faces: Int) -> Float:
     return out
 
 
-def _lower_smooth(values: Float, links: NDArray, rounds: int) -> Float:
-    for _ in range(rounds):
-        values = np.minimum(values, neighbour_mean(values, links))
-    return values
+def _rising_gently(values: Float, edges: Int, rise: Float) -> Float:
+    """The largest values not above the given ones that differ by at most `rise` along each edge."""
+    while True:
+        out = values.copy()
+        np.minimum.at(out, edges[:, 0], values[edges[:, 1]] + rise)
+        np.minimum.at(out, edges[:, 1], values[edges[:, 0]] + rise)
+        if (out >= values - 1e-12).all():
+            return out
+        values = out
 
 
 def _unit(vectors: Float) -> Float:

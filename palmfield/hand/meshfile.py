@@ -52,12 +52,13 @@ def load_mesh(path: str | Path, unit: str) -> Surface:
     return _surface(_accepted(path, unit))
 
 
-def load_rigged(path: str | Path, unit: str = "auto") -> RiggedMesh:
+def load_rigged(path: str | Path, unit: str = "auto", longest_edge_m: float | None = None) -> RiggedMesh:
     """Closed surface with joints and weights from a glTF, GLB or MANO .pkl file; as `load_mesh` otherwise.
 
+    Edges longer than longest_edge_m [m] are halved, weights with them.
     Raises SceneError as well for a file without joints.
     """
-    found = _accepted(path, unit)
+    found = _accepted(path, unit, longest_edge_m)
     if found.rig is None:
         raise SceneError(f"mesh {path} has no joints and weights; give a glTF, GLB or MANO file with a skin")
     weights, indices = strongest(found.rig.weights)
@@ -104,8 +105,8 @@ def refusal(path: str | Path, findings: list[Finding]) -> str:
     return f"mesh {path}: {worst.count} x {worst.name}{at}: {worst.text}"
 
 
-def _accepted(path: str | Path, unit: str) -> Examined:
-    found = examine(path, unit)
+def _accepted(path: str | Path, unit: str, longest_edge_m: float | None = None) -> Examined:
+    found = examine(path, unit, longest_edge_m)
     if any(finding.outcome == "refused" for finding in found.findings):
         raise SceneError(refusal(path, found.findings))
     return found

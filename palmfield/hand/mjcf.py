@@ -1,6 +1,7 @@
 """A hand preset as an MJCF body of plain geoms, which opens in any MuJoCo."""
 
 import xml.etree.ElementTree as ET
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -16,6 +17,7 @@ HEIGHT_m = 0.2
 # Smooth unions swell the palm by up to a quarter of their radius of 11 mm; plain geoms have no unions.
 PALM_SWELL_m = 0.002
 PARTS_OF_ONE_MASS = ("forearm", "carpus", "palm_body")
+DIGITS_IN_FILE = 6
 SKIN_RGBA = "0.87 0.68 0.58 1"
 
 
@@ -33,8 +35,13 @@ def hand_mjcf(preset: HandPreset) -> str:
     for axis, direction in zip("xyz", np.eye(3), strict=True):
         ET.SubElement(body, "joint", name=f"hand_{axis}", type="slide", axis=_text(direction))
     for segment in skeleton.skin:
-        _geom(body, segment)
-    for name in ("palm_centre", *(f"{digit}_tip" for digit in DIGITS)):
+        ET.SubElement(body, "geom", skin_geom(segment, np.zeros(3), DIGITS_IN_FILE, touches=False))
+    for name in (
+        "palm_centre",
+        "thenar",
+        "hypothenar",
+        *(f"{digit}_{at}" for digit in DIGITS for at in ("tip", "pad")),
+    ):
         ET.SubElement(body, "site", name=name, pos=_text(skeleton.landmarks[name]), size="0.002")
     actuators = ET.SubElement(root, "actuator")
     for axis in "xyz":
@@ -48,27 +55,35 @@ def hand_mjcf(preset: HandPreset) -> str:
     )
 
 
-def _geom(body: ET.Element, segment: SkinSegment) -> None:
+def skin_geom(segment: SkinSegment, origin: Float, digits: int, touches: bool) -> dict[str, str]:
+    """Attributes of the geom that stands for a part of the skin, in a frame at `origin` [m], shape (3,).
+
+    A capsule, or an ellipsoid for the palm's body. `digits`: as `numbers_text`; touches: whether it takes contacts
+    """
     semi = 0.5 * (segment.semi_start + segment.semi_end) + (0.0 if segment.group else PALM_SWELL_m)
     # The axis of the skin lies nearer to the back; the capsule is centred between back and palmar side.
-    shift = 0.5 * (semi[1] - semi[2]) * segment.dorsal
+    shift = 0.5 * (semi[1] - semi[2]) * segment.dorsal - origin
     height = 0.5 * (semi[1] + semi[2])
-    geom = {"name": segment.name, "contype": "0", "conaffinity": "0", "rgba": SKIN_RGBA}
-    geom["density"] = f"{DENSITY_kg_m3:g}" if _counts(segment) else "0"
+    # Parts that lie inside others weigh nothing.
+    weighs = segment.group > 0 or segment.name in PARTS_OF_ONE_MASS
+    geom = {"name": segment.name}
+    if not touches:
+        geom |= {"contype": "0", "conaffinity": "0"}
+    geom |= {"rgba": SKIN_RGBA, "density": f"{DENSITY_kg_m3 if weighs else 0:g}"}
     if segment.name in PARTS_OF_ONE_MASS:
         middle = 0.5 * (segment.start + segment.end) + shift
-        half = 0.5 * np.linalg.norm(segment.end - segment.start)
-        geom |= {"type": "ellipsoid", "pos": _text(middle), "size": _text([semi[0], half + 0.75 * semi[0], height])}
-    else:
-        ends = np.concatenate([segment.start + shift, segment.end + shift])
-        radius = 0.5 * (semi[0] + height) if segment.group else height
-        geom |= {"type": "capsule", "fromto": _text(ends), "size": _text([radius])}
-    ET.SubElement(body, "geom", geom)
+        half = float(0.5 * np.linalg.norm(segment.end - segment.start) + 0.75 * semi[0])
+        size = numbers_text([semi[0], half, height], digits)
+        return geom | {"type": "ellipsoid", "pos": numbers_text(middle, digits), "size": size}
+    ends = np.concatenate([segment.start + shift, segment.end + shift])
+    radius = 0.5 * (semi[0] + height) if segment.group else height
+    return geom | {"type": "capsule", "fromto": numbers_text(ends, digits), "size": numbers_text([radius], digits)}
 
 
-def _counts(segment: SkinSegment) -> bool:
-    return segment.group > 0 or segment.name in PARTS_OF_ONE_MASS
+def numbers_text(numbers: Float | Sequence[float], digits: int) -> str:
+    """Numbers as MJCF has them, rounded to so many digits after the point."""
+    return " ".join(f"{number + 0.0:.{digits}g}" for number in np.round(numbers, digits))
 
 
-def _text(numbers: Float | list[float]) -> str:
-    return " ".join(f"{number + 0.0:.6g}" for number in np.round(numbers, 6))
+def _text(numbers: Float | Sequence[float]) -> str:
+    return numbers_text(numbers, DIGITS_IN_FILE)

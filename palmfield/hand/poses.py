@@ -1,15 +1,14 @@
-"""Poses of an articulated hand: by name, by joint angles, by keyframes; and their skin, checked."""
+"""Poses of an articulated hand, by name and by joint angles, and their skin, checked."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 from scipy.optimize import least_squares
 
 from palmfield.errors import SceneError
-from palmfield.hand.articulated import ArticulatedHand, bone_poses, checked_angles, posed_landmark, poses_at
+from palmfield.hand.articulated import ArticulatedHand, bone_poses, posed_landmark, poses_at
 from palmfield.hand.preset import DIGITS
 from palmfield.hand.selfcross import crossings
 from palmfield.hand.skeleton import SkinSegment
@@ -31,7 +30,7 @@ def named_pose(hand: ArticulatedHand, name: str) -> dict[str, float]:
 
     flat: straight fingers; relaxed: the preset's own pose; splay: flat with fingers spread; point: the index finger
     straight, the others curled; pinch: pulps of thumb and index finger towards each other, about PINCH_GAP_m apart.
-    The median and large presets' skins do not cross themselves in any of them; the small ones' webs do in `point`.
+    No preset's skin crosses itself in any of them, but for the large ones' webs in `point`, which can be repaired.
     Raises SceneError for an unknown name.
     """
     rest = {joint.name: joint.rest_deg for joint in hand.joints}
@@ -89,9 +88,9 @@ def _pinch(hand: ArticulatedHand, rest: dict[str, float]) -> dict[str, float]:
             for line_a, a in lines["thumb"]
             for line_b, b in lines["index"]
         ]
-        # 1 mm off counts as a third of a radian between the pulps and as 50 degrees of bending.
+        # 1 mm off counts as half a millimetre of overlap, a third of a radian between the pulps, 50 degrees of bending.
         return np.concatenate(
-            [[1e3 * to_index], 1e3 * np.array(overlaps), 3.0 * (out_thumb + out_index), 0.02 * (x - start)]
+            [[1e3 * to_index], 2e3 * np.array(overlaps), 3.0 * (out_thumb + out_index), 0.02 * (x - start)]
         )
 
     # Half-way in is off the bounds, as the method needs.
@@ -108,38 +107,6 @@ def _line(hand: ArticulatedHand, bone: int, part: SkinSegment, positions: Float,
 
 def _nearest(a: Float, b: Float) -> float:
     return float(np.linalg.norm(a[:, None] - b[None], axis=2).min())
-
-
-class Keyframes:
-    """Joint angles over time: through all keys, continuously differentiable, and never beyond two neighbouring keys.
-
-    Monotone cubic interpolation (Fritsch & Carlson 1980); before the first key and after the last it stands still.
-    """
-
-    def __init__(self, hand: ArticulatedHand, times_s: Sequence[float], poses: Sequence[Mapping[str, float]]) -> None:
-        """times_s: rising [s], at least two; poses: angles [deg] by joint, of which the others are at rest.
-
-        Raises SceneError for times that do not rise, other numbers of poses, and angles as `checked_angles`.
-        """
-        times = np.asarray(times_s, dtype=np.float64)
-        if times.ndim != 1 or len(times) < 2 or not np.isfinite(times).all() or np.any(np.diff(times) <= 0.0):
-            raise SceneError(f"hand keyframes: times are {list(times_s)}; give two or more that rise [s]")
-        if len(poses) != len(times):
-            raise SceneError(f"hand keyframes: {len(poses)} poses for {len(times)} times; give one pose for each time")
-        self._names = [joint.name for joint in hand.joints]
-        self._span = float(times[0]), float(times[-1])
-        self._curve = PchipInterpolator(times, [checked_angles(hand, pose) for pose in poses])
-        self._slope = self._curve.derivative()
-
-    def __call__(self, time_s: float) -> dict[str, float]:
-        """Angles [deg] by joint."""
-        return dict(zip(self._names, self._curve(np.clip(time_s, *self._span)).tolist(), strict=True))
-
-    def speed(self, time_s: float) -> dict[str, float]:
-        """Angular speeds [deg/s] by joint; zero outside the keys."""
-        inside = self._span[0] <= time_s <= self._span[1]
-        values = self._slope(time_s) if inside else np.zeros(len(self._names))
-        return dict(zip(self._names, values.tolist(), strict=True))
 
 
 @dataclass(frozen=True)

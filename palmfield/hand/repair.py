@@ -95,11 +95,12 @@ def repair(vertices: Float, faces: Int) -> Repair:
     _split_pinched(mesh)
     _drop_crumbs(mesh)
     _drop_unused(mesh)
+    own = len(mesh.faces)
     _close(mesh)
     _check_closed(mesh)
     _split_pinched(mesh)
     if not mesh.refused:
-        _turn_outward(mesh)
+        _turn_outward(mesh, own)
     return mesh
 
 
@@ -323,8 +324,8 @@ def _is_wrist(vertices: Float, loop: Int) -> bool:
     return bool(at_end and across and around > WRIST_AROUND_SHARE * length)
 
 
-def _turn_outward(mesh: Repair) -> None:
-    """Winding made alike and outward; what was added counts as right before."""
+def _turn_outward(mesh: Repair, own: int) -> None:
+    """Winding made alike and outward; of faces that were turned only the first `own`, its own, are told of."""
     before = mesh.faces
     faces = consistent_winding(before)
     if len(np.unique(directed_edges(faces), axis=0)) < 3 * len(faces):
@@ -338,8 +339,8 @@ def _turn_outward(mesh: Repair) -> None:
     if volume < 0.0:
         faces = np.ascontiguousarray(faces[:, ::-1])
     # Turning changes the order of the corners but not the set of three directed edges.
-    turned = _orientation(before) != _orientation(faces)
-    places = mesh.vertices[faces[turned]].mean(axis=1)
+    turned = (_orientation(before) != _orientation(faces))[:own]
+    places = mesh.vertices[faces[:own][turned]].mean(axis=1)
     if turned.mean() > 0.5:
         text = f"{int(turned.sum())} faces looked inwards; all were turned"
         mesh.note("inside out", 1, "repaired", mesh.vertices.mean(axis=0), text)

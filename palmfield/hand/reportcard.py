@@ -10,19 +10,18 @@ from scipy.spatial import cKDTree
 
 from palmfield.errors import OutputError, SceneError
 from palmfield.hand.chirality import Chirality, chirality
-from palmfield.hand.layer import fit_thickness, inward_directions
+from palmfield.hand.layer import inward_directions, unfolded
 from palmfield.hand.meshfile import Examined, examine, refusal
-from palmfield.hand.meshquery import exit_distances
-from palmfield.hand.repair import Finding
+from palmfield.hand.repair import MOST_PLACES, Finding
 from palmfield.hand.selfcross import crossings
-from palmfield.hand.triangles import corner_angles, face_components, face_normals, unique_edges
-from palmfield.types import Float, Int
+from palmfield.hand.triangles import corner_angles, face_components, face_normals, unique_edges, vertex_normals
+from palmfield.hand.wholelayer import hand_layer
+from palmfield.types import Float, Int, Surface
 
 # Half of the wavelength of 40 kHz in air at 20 C: with longer edges the sound's phase turns by more than pi on one.
 LONGEST_EDGE_m = 0.0043
 LAYERS_m = (0.001, 0.002, 0.003, 0.005)
 PALMAR_COSINE = 0.3
-MOST_PLACES = 50
 
 
 @dataclass(frozen=True)
@@ -74,63 +73,75 @@ def report_card(path: str | Path, unit: str = "auto") -> ReportCard:
         hand = chirality(mesh.vertices, mesh.faces)
         facts |= {"side": hand.side, "side_sureness": round(hand.sureness, 2), "side_reason": hand.reason}
         facts["layers"] = palmar_layers(mesh.vertices, mesh.faces, hand)
-    facts["findings"] = [
-        {
-            "name": f.name,
-            "count": f.count,
-            "outcome": f.outcome,
-            "places_mm": (1e3 * f.places).round(2).tolist(),
-            "text": f.text,
-        }
-        for f in findings
-    ]
+    facts["findings"] = [_told(finding) for finding in findings]
     return ReportCard(facts, mesh, no)
 
 
+def refused_facts(path: str | Path, unit: str, error: SceneError) -> dict[str, Any]:
+    """Facts of a mesh that `report_card` could not examine, for `as_text` and `write_card`; error: what it raised.
+
+    file, accepted (False), refusal, unit_asked, findings (one, "not examined": wrong unit, or no mesh in the file)
+    """
+    finding = Finding("not examined", 1, "refused", np.zeros((0, 3)), str(error))
+    return {
+        "file": str(path),
+        "accepted": False,
+        "refusal": str(error),
+        "unit_asked": unit,
+        "findings": [_told(finding)],
+    }
+
+
 def palmar_faces(vertices: Float, faces: Int, palm: Float) -> Int:
-    """The largest connected part of the faces that look to the palm's side, shape (k, 3)."""
+    """Numbers of the largest connected part of the faces that look to the palm's side, shape (k,)."""
     unit, area = face_normals(vertices, faces)
-    chosen = faces[unit @ palm > PALMAR_COSINE]
-    label = face_components(chosen)
-    largest = np.argmax(np.bincount(label, weights=area[unit @ palm > PALMAR_COSINE]))
-    return chosen[label == largest]
+    chosen = np.flatnonzero(unit @ palm > PALMAR_COSINE)
+    label = face_components(faces[chosen])
+    largest = np.argmax(np.bincount(label, weights=area[chosen]))
+    return chosen[label == largest].astype(np.int32)
 
 
 def palmar_layers(vertices: Float, faces: Int, hand: Chirality) -> list[dict[str, Any]]:
     """Skin layers of 1, 2, 3 and 5 mm under the palmar side: how thick and how sound they get.
 
-    Each with asked_mm, p10_share (10th percentile of thickness over asked), thinned_share (of vertices, by more than
-    0.1 %), least_quality (scaled Jacobian of the wedges) and volume_share (of the wedges over the thickness integral);
-    or asked_mm and error, where the layer folds.
+    Each with asked_mm, p10_share (10th percentile of thickness over asked), thinned_share (of the area, by more than
+    0.1 %), least_quality (scaled Jacobian of the wedges) and volume_share (of the wedges over the thickness integral
+    with the surface's curvature), see `palmfield.hand.wholelayer.hand_layer`; or asked_mm and error, where it folds.
     """
+    vertices = unfolded(vertices, faces)
+    surface, inward = Surface(vertices, faces, vertex_normals(vertices, faces)), inward_directions(vertices, faces)
     chosen = palmar_faces(vertices, faces, hand.palm)
-    used, local = np.unique(chosen, return_inverse=True)
-    points, corners = vertices[used], local.reshape(-1, 3).astype(np.int32)
-    inward = inward_directions(points, corners)
-    way = exit_distances(vertices, faces, points, inward, float(np.ptp(vertices, axis=0).sum()))
-    area = face_normals(points, corners)[1]
     out: list[dict[str, Any]] = []
     for asked in LAYERS_m:
         try:
-            got, quality = fit_thickness(points, corners, inward, np.full(len(points), asked), 0.45 * way)
+            report = hand_layer(surface, asked, chosen, inward=inward).report
         except SceneError as error:
             out.append({"asked_mm": 1e3 * asked, "error": str(error)})
             continue
-        wanted = float((area * got[corners].mean(axis=1)).sum())
         out.append(
             {
                 "asked_mm": 1e3 * asked,
-                "p10_share": round(float(np.percentile(got / asked, 10.0)), 4),
-                "thinned_share": round(float(np.mean(got < 0.999 * asked)), 4),
-                "least_quality": round(float(quality.min()), 4),
-                "volume_share": round(_volume(points, corners, inward, got) / wanted, 4),
+                "p10_share": round(report["p10_share"], 4),
+                "thinned_share": round(report["area_thinned"], 4),
+                "least_quality": round(report["quality_min"], 4),
+                "volume_share": round(report["volume_share"], 4),
             }
         )
     return out
 
 
 def as_text(facts: dict[str, Any]) -> str:
-    """The card as lines of plain text."""
+    """The card as lines of plain text; facts: of `report_card` or `refused_facts`."""
+    rows = _shape_rows(facts) if "size_mm" in facts else [("file", facts["file"]), ("unit", facts["unit_asked"])]
+    for found in facts["findings"]:
+        at = "".join(f" ({x:.1f}, {y:.1f}, {z:.1f})" for x, y, z in found["places_mm"][:3])
+        where = f"; at{at}{' ...' if len(found['places_mm']) > 3 else ''} mm" if at else ""
+        rows.append((found["outcome"], f"{found['count']} x {found['name']}: {found['text']}{where}"))
+    rows.append(("verdict", "accepted" if facts["accepted"] else "refused"))
+    return "".join(f"{name:<12}{text}\n" for name, text in rows)
+
+
+def _shape_rows(facts: dict[str, Any]) -> list[tuple[str, str]]:
     low, mean, high = facts["edges_mm"]
     rows = [
         ("file", f"{facts['file']}: {facts['file_vertices']} vertices, {facts['file_faces']} faces"),
@@ -144,12 +155,7 @@ def as_text(facts: dict[str, Any]) -> str:
         side = f"{facts['side']} (sureness {facts['side_sureness']:.2f}: {facts['side_reason']})"
         rows += [("hand", side), ("volume", f"{facts['volume_cm3']:.1f} cm3, area {facts['area_cm2']:.1f} cm2")]
         rows += [(f"layer {layer['asked_mm']:g} mm", _layer_line(layer)) for layer in facts["layers"]]
-    for found in facts["findings"]:
-        at = "".join(f" ({x:.1f}, {y:.1f}, {z:.1f})" for x, y, z in found["places_mm"][:3])
-        where = f"; at{at}{' ...' if len(found['places_mm']) > 3 else ''} mm" if at else ""
-        rows.append((found["outcome"], f"{found['count']} x {found['name']}: {found['text']}{where}"))
-    rows.append(("verdict", "accepted" if facts["accepted"] else "refused"))
-    return "".join(f"{name:<12}{text}\n" for name, text in rows)
+    return rows
 
 
 def write_card(path: Path, facts: dict[str, Any]) -> None:
@@ -168,23 +174,20 @@ def fault_faces(vertices: Float, faces: Int, places: Float, reach_m: float) -> n
     return marked
 
 
+def _told(finding: Finding) -> dict[str, Any]:
+    return {
+        "name": finding.name,
+        "count": finding.count,
+        "outcome": finding.outcome,
+        "places_mm": (1e3 * finding.places).round(2).tolist(),
+        "text": finding.text,
+    }
+
+
 def _layer_line(layer: dict[str, Any]) -> str:
     if "error" in layer:
         return str(layer["error"])
     return (
-        f"p10 of thickness {100 * layer['p10_share']:.0f} %, thinned {100 * layer['thinned_share']:.1f} % of vertices, "
+        f"p10 of thickness {100 * layer['p10_share']:.0f} %, thinned {100 * layer['thinned_share']:.1f} % of the area, "
         f"least quality {layer['least_quality']:.2f}, volume {100 * layer['volume_share']:.1f} %"
     )
-
-
-def _volume(points: Float, corners: Int, inward: Float, depth: Float) -> float:
-    """Volume of all wedges [m3], each cut into three tetrahedra by the order of its vertices' numbers."""
-    ordered = np.sort(corners, axis=1)
-    bottom = points + depth[:, None] * inward
-    a, b, c = (points[ordered[:, i]] for i in range(3))
-    d, e, f = (bottom[ordered[:, i]] for i in range(3))
-    return float(sum(_tetrahedra(*part).sum() for part in ((a, b, c, f), (a, b, e, f), (a, d, e, f))))
-
-
-def _tetrahedra(a: Float, b: Float, c: Float, d: Float) -> Float:
-    return np.abs(np.einsum("ij,ij->i", b - a, np.cross(c - a, d - a))) / 6.0

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
+from palmfield.errors import SceneError
 from palmfield.types import Float, Int, Surface
 
 INFLUENCES = 4
@@ -59,3 +60,18 @@ def scaled(joints: Joints, metres: float) -> Joints:
     rest[:, :3, 3] *= metres
     rest[:, :3, :3] /= np.linalg.norm(rest[:, :3, :3], axis=1, keepdims=True)
     return Joints(joints.names, joints.parents, rest)
+
+
+def joint_of_body(body: str, joints: Joints) -> tuple[int, str]:
+    """Number of the joint that a scene's body of the name `[prefix]joint` stands for, and the prefix.
+
+    Raises SceneError where the name ends with no joint's.
+    """
+    found = [name for name in joints.names if body.endswith(name)]
+    if not found:
+        raise SceneError(
+            f"plugin 'palmfield.skin': key 'body' has value '{body}'; allowed with shape 'rigged': [prefix] and a "
+            f"joint of the mesh: {', '.join(joints.names)}"
+        )
+    name = max(found, key=len)
+    return joints.names.index(name), body.removesuffix(name)

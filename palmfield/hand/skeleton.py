@@ -74,12 +74,9 @@ def build_skeleton(preset: HandPreset) -> Skeleton:
 
     def palm(name: str, start: ArrayLike, end: ArrayLike, semi_start: ArrayLike, semi_end: ArrayLike) -> None:
         a, b = np.asarray(start, float), np.asarray(end, float)
+        semi = np.asarray(semi_start, float), np.asarray(semi_end, float)
         dorsal = _across(np.array([0.0, 0.0, 1.0]), b - a)
-        skin.append(
-            SkinSegment(
-                name, a, b, np.asarray(semi_start, float), np.asarray(semi_end, float), dorsal, PALM, PALM_BLEND_m
-            )
-        )
+        skin.append(SkinSegment(name, a, b, *semi, dorsal, PALM, PALM_BLEND_m * wide))
 
     def from_wrist(x_mm: float, y_mm: float, z_mm: float) -> Float:
         return np.array([0.0, wrist_y, 0.0]) + 1e-3 * scale * np.array([x_mm, y_mm, z_mm])
@@ -96,9 +93,13 @@ def build_skeleton(preset: HandPreset) -> Skeleton:
     palm("palm_body", from_wrist(0, 42, -2), from_wrist(2, 84, -1), mm(30, 9, 16.5), mm(31, 8, 16))
     for name in DIGITS[1:]:
         head = 0.5 * preset.digits[name].breadth_m[0]
-        semi_head = np.array([0.97 * head, 10.2e-3 * thick, 15.5e-3 * thick])
+        semi_head = np.array([0.95 * head, 8.0e-3 * thick, 11.5e-3 * thick])
         palm(f"{name}_metacarpal", bases[name], knuckles[name], mm(9.5, 11.0, 14.0), semi_head)
     _pads(preset, knuckles, palm, from_wrist, mm, long)
+    for part in skin:
+        if part.name in ("thenar", "hypothenar"):
+            palmar = 0.5 * (part.semi_start[2] + part.semi_end[2])
+            landmarks[part.name] = 0.5 * (part.start + part.end) - palmar * part.dorsal
 
     for number, name in enumerate(DIGITS):
         _digit(preset, name, number + THUMB, bases[name], knuckles.get(name), skin, bones, landmarks)
@@ -123,8 +124,8 @@ def _knuckles(preset: HandPreset, wrist_y: float) -> tuple[dict[str, Float], dic
     """Metacarpal heads and bases. Breadth fixes the heads across the hand, length fixes the middle one along it."""
     digits = preset.digits
     index, little = digits["index"], digits["little"]
-    # Where two equal parts meet, a smooth union of radius k adds k / 4 to either side of the hand.
-    bulge = 0.25 * FINGER_BLEND_m
+    # Where two equal parts meet, a smooth union of radius k adds k / 4 to either side; the palm adds a little.
+    bulge = 0.30 * FINGER_BLEND_m
     first = bulge - 0.5 * (preset.breadth_m - index.breadth_m[0])
     last = 0.5 * (preset.breadth_m - little.breadth_m[0]) - bulge
     across = dict(zip(DIGITS[1:], first + (last - first) * np.array([0.0, 0.335, 0.66, 1.0]), strict=True))
@@ -158,9 +159,9 @@ def _pads(
     palm("thenar", from_wrist(-17, 17, -10), from_wrist(-31, 45, -11), mm(13, 10, 15.5), mm(13.5, 10, 15))
     palm("hypothenar", from_wrist(24, 15, -9), from_wrist(29, 62, -8), mm(13, 10, 13.5), mm(12.5, 10, 13.5))
     for a, b in pairwise(DIGITS[1:]):
-        ends = [knuckles[d] + np.array([0.0, -0.001, -0.0095 * preset.thickness_m / 0.033]) for d in (a, b)]
+        ends = [knuckles[d] + np.array([0.0, -0.001, -0.0088 * preset.thickness_m / 0.033]) for d in (a, b)]
         inset = 0.15 * (ends[1] - ends[0])
-        palm(f"{a}_{b}_pad", ends[0] + inset, ends[1] - inset, mm(12, 8, 9.5, long), mm(12, 8, 9.5, long))
+        palm(f"{a}_{b}_pad", ends[0] + inset, ends[1] - inset, mm(11.5, 8, 7.2, long), mm(11.5, 8, 7.2, long))
     # Webs: their free edge lies where the palm ends.
     web_y = 0.5 * preset.palm_length_m - 0.006 * long
     for a, b in pairwise(DIGITS[1:]):
@@ -206,7 +207,7 @@ def _digit(
     along = np.array([np.cos(palmar) * np.sin(spread), np.cos(palmar) * np.cos(spread), -np.sin(palmar)])
     dorsal = _across(np.array([0.0, 0.0, 1.0]), along)
     # Positive twist turns the nail to the radial side, -x on a right hand.
-    dorsal = np.cos(twist) * dorsal + np.sin(twist) * np.cross(dorsal, along) * -1.0
+    dorsal = np.cos(twist) * dorsal + np.sin(twist) * np.cross(dorsal, along)
     size = digit.breadth_m[0] / 0.0215
     if knuckle is None:
         knuckle = base + digit.bones_m[0] * along
@@ -229,7 +230,9 @@ def _digit(
             landmarks[f"{name}_tip"] = end + digit.tip_m * along
             landmarks[f"{name}_pad"] = skin_end - 0.25 * length * along - semi_end[2] * dorsal
         skin.append(SkinSegment(label, start, skin_end, semi_start, semi_end, dorsal, group, JOINT_BLEND_m))
-        bones.append(Bone(label, start, end, radii[i] * size, radii[i + 1] * size))
+        # The last bone's round end, and not the axis of its capsule, ends where the soft tip begins.
+        bone_end = end - radii[-1] * size * along if i == len(phalanges) - 1 else end
+        bones.append(Bone(label, start, bone_end, radii[i] * size, radii[i + 1] * size))
         start = end
 
 
@@ -248,6 +251,10 @@ def _carpal_bones(from_wrist: Callable[[float, float, float], Float], wide: floa
 
 def _across(vector: Float, axis: Float) -> Float:
     """`vector` without its part along `axis`, at unit length."""
-    unit = axis / np.linalg.norm(axis)
-    rest = vector - (vector @ unit) * unit
-    return rest / np.linalg.norm(rest)
+    along = unit(axis)
+    return unit(vector - (vector @ along) * along)
+
+
+def unit(vector: Float) -> Float:
+    """The vector at length 1, shape (3,)."""
+    return vector / np.linalg.norm(vector)

@@ -1,4 +1,7 @@
-"""The skin of an articulated hand, moved with its bones."""
+"""A skin that follows its bones: that of the articulated hand, and that of a user's rigged mesh."""
+
+from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 import warp as wp
@@ -9,8 +12,10 @@ from scipy.sparse.linalg import splu
 import warp_kernels.skinning as kernels
 from palmfield.device import resolve
 from palmfield.errors import SceneError
-from palmfield.hand.articulated import ArticulatedHand, articulate
+from palmfield.hand.articulated import ArticulatedHand, HandBone, articulate
+from palmfield.hand.meshfile import load_rigged
 from palmfield.hand.preset import DIGITS, HandPreset
+from palmfield.hand.rigged import RiggedMesh, strongest
 from palmfield.hand.surface import hand_surface
 from palmfield.hand.triangles import adjacency, unique_edges
 from palmfield.types import Float, Int, Surface
@@ -22,6 +27,9 @@ WRIST_BLEND_m, THUMB_ROOT_BLEND_m, THENAR_BLEND_m = 0.050, 0.030, 0.040
 SMOOTHING_m = 0.004
 """Weights are smoothed along the skin, not through the air, over this length; it rounds the webs between fingers."""
 BONES_PER_VERTEX = 4
+EDGE_m = 4.3e-3
+"""Longest edge of a surface on which the sound's force is summed, one sample a face: half of the wavelength at 40 kHz,
+so that ARP, which goes with p squared, is seen."""
 
 
 def skin_weights(hand: ArticulatedHand, surface: Surface) -> Float:
@@ -101,26 +109,25 @@ def _diffused(weights: Float, surface: Surface) -> Float:
     return splu(sparse.csc_array(matrix)).solve(degree @ weights)
 
 
-class SkinnedHand:
-    """Skin of an articulated hand that follows its bones.
+class SkinnedSurface:
+    """A skin that follows its bones, whose frames are parallel to the surface's in the rest pose.
 
-    hand: bones and joints; surface: the skin in the rest pose; weights: as `skin_weights`
-    After `posed` the arrays `vertices` and `normals` hold the posed skin on the device (Warp, vec3).
+    bones: names and rest origins; surface: the skin in the rest pose; weights: share of each bone in each vertex,
+    shape (n, bones), at most four a vertex, rows of sum 1
+    After `pose` the arrays `vertices` and `normals` hold the posed skin on the device (Warp, vec3).
     """
 
-    def __init__(self, preset: HandPreset, edge_m: float = 0.003, device: str = "cpu") -> None:
-        """Raises SceneError as `hand_surface`, and PalmfieldError for an unknown device."""
-        self.hand = articulate(preset)
-        self.surface = hand_surface(preset, edge_m).surface
-        self.weights = skin_weights(self.hand, self.surface)
+    def __init__(self, bones: Sequence[HandBone], surface: Surface, weights: Float, device: str = "cpu") -> None:
+        """Raises PalmfieldError for an unknown device."""
+        self.bones, self.surface, self.weights = list(bones), surface, weights
         self._device = resolve(device)
-        self._origins = np.array([bone.origin for bone in self.hand.bones])
-        order = np.argsort(-self.weights, axis=1)[:, :BONES_PER_VERTEX]
-        faces = self.surface.faces
-        count = np.bincount(faces.ravel(), minlength=len(self.surface.vertices))
-        self._rest: wp.array = self._put(self.surface.vertices, wp.vec3)
+        self._origins = np.array([bone.origin for bone in self.bones])
+        shares, order = strongest(sparse.csr_array(weights))
+        faces = surface.faces
+        count = np.bincount(faces.ravel(), minlength=len(surface.vertices))
+        self._rest: wp.array = self._put(surface.vertices, wp.vec3)
         self._bones: wp.array = self._put(order, wp.vec4i)
-        self._shares: wp.array = self._put(np.take_along_axis(self.weights, order, axis=1), wp.vec4)
+        self._shares: wp.array = self._put(shares, wp.vec4)
         self._faces: wp.array = wp.array(faces, dtype=wp.int32, device=self._device)
         self._first: wp.array = self._put(np.concatenate([[0], np.cumsum(count)]), wp.int32)
         self._corners: wp.array = self._put(np.argsort(faces.ravel(), kind="stable"), wp.int32)
@@ -129,7 +136,7 @@ class SkinnedHand:
 
     def posed(self, bone_positions: Float, bone_rotations: Float) -> Float:
         """Vertices [m], shape (n, 3), where the bones' frames are at `bone_positions` [m], shape (bones, 3), and
-        `bone_rotations`, shape (bones, 3, 3), in the order of `hand.bones` and in any common frame.
+        `bone_rotations`, shape (bones, 3, 3), in the order of `bones` and in any common frame.
 
         Linear blend skinning in float32. Raises SceneError for other shapes.
         """
@@ -146,7 +153,7 @@ class SkinnedHand:
         number = len(self._origins)
         if np.shape(bone_positions) != (number, 3) or np.shape(bone_rotations) != (number, 3, 3):
             raise SceneError(
-                f"skinned hand: positions {np.shape(bone_positions)} and rotations {np.shape(bone_rotations)} given; "
+                f"skin on bones: positions {np.shape(bone_positions)} and rotations {np.shape(bone_rotations)} given; "
                 f"give ({number}, 3) and ({number}, 3, 3), one for each bone"
             )
         shifts = np.asarray(bone_positions) - np.einsum("bij,bj->bi", bone_rotations, self._origins)
@@ -169,3 +176,37 @@ class SkinnedHand:
     def _put(self, values: ArrayLike, dtype: type) -> wp.array:
         whole = dtype in (wp.int32, wp.vec4i)
         return wp.array(np.asarray(values, dtype=np.int32 if whole else np.float32), dtype=dtype, device=self._device)
+
+
+class SkinnedHand(SkinnedSurface):
+    """Skin of an articulated hand that follows its bones.
+
+    hand: bones and joints; weights: as `skin_weights`
+    """
+
+    def __init__(self, preset: HandPreset, edge_m: float = 0.003, device: str = "cpu") -> None:
+        """Raises SceneError as `hand_surface`, and PalmfieldError for an unknown device."""
+        self.hand = articulate(preset)
+        surface = hand_surface(preset, edge_m).surface
+        super().__init__(self.hand.bones, surface, skin_weights(self.hand, surface), device)
+
+
+@lru_cache(maxsize=2)
+def rigged_file(path: str, unit: str) -> RiggedMesh:
+    """A user's rigged mesh with edges up to EDGE_m, kept for the next call; raises SceneError as `load_rigged`."""
+    return load_rigged(path, unit, EDGE_m)
+
+
+def skinned_mesh(mesh: RiggedMesh, origin: Float, device: str = "cpu") -> SkinnedSurface:
+    """A user's skin and bones in a frame parallel to the file's, at `origin` of it [m], shape (3,)."""
+    weights = np.zeros((len(mesh.weights), len(mesh.joints.names)))
+    np.add.at(weights, (np.arange(len(weights))[:, None], mesh.indices), mesh.weights)
+    surface = Surface(mesh.surface.vertices - origin, mesh.surface.faces, mesh.surface.normals)
+    return SkinnedSurface(bones_of_mesh(mesh, origin), surface, weights, device)
+
+
+def bones_of_mesh(mesh: RiggedMesh, origin: Float) -> list[HandBone]:
+    """Joints of a user's mesh as bones in a frame parallel to the file's, at `origin` of it [m], shape (3,)."""
+    joints = mesh.joints
+    places = joints.rest[:, :3, 3] - origin
+    return [HandBone(*bone) for bone in zip(joints.names, joints.parents.tolist(), places, strict=True)]

@@ -83,7 +83,7 @@ def test_rest_pose_is_that_of_the_preset(hand):
 
 def test_index_finger_by_hand(hand):
     # Written out: Rz turns to the thumb's side (-x) and R about -x flexes, in the finger's own frame.
-    spread = Rotation.from_euler("z", 8.0, degrees=True)
+    spread = Rotation.from_euler("z", -MEN.digits["index"].spread_deg, degrees=True)
     knuckle, lengths = hand.skeleton.landmarks["index_knuckle"], np.array(MEN.digits["index"].bones_m[1:])
     angles = dict(index_mcp_abduction=12.0, index_mcp_flexion=40.0, index_pip_flexion=70.0, index_dip_flexion=30.0)
     bends = np.deg2rad(np.cumsum([40.0, 70.0, 30.0]))

@@ -69,7 +69,7 @@ def test_geoms_follow_the_skin(hand):
 def test_sites_are_at_the_landmarks(hand):
     _, data = hand
     marks = hand_surface(load_preset(NAME)).landmarks
-    for name in ("palm_centre", *(f"{digit}_tip" for digit in DIGITS)):
+    for name in ("palm_centre", "thenar", *(f"{digit}_pad" for digit in DIGITS), *(f"{digit}_tip" for digit in DIGITS)):
         assert data.site(name).xpos == pytest.approx(marks[name] + [0, 0, 0.2], abs=2e-6)
 
 

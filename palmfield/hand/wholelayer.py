@@ -1,0 +1,220 @@
+"""A skin layer under a whole closed surface, or under some of its faces, on the surface's own triangles."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from palmfield.errors import SceneError
+from palmfield.hand.layer import (
+    fit_thickness,
+    inward_directions,
+    layer_volume,
+    thickness_integral,
+    unfolded,
+    wedge_quality,
+)
+from palmfield.hand.meshquery import exit_distances
+from palmfield.hand.triangles import corner_angles, face_components, face_normals, unique_edges
+from palmfield.types import Float, Int, Patch, Surface
+
+THINNED = 0.999
+"""A vertex with less than this share of the thickness that was asked counts as thinned."""
+LEAST_UPRIGHT = 0.5
+"""A column that leans more than 60 degrees is made no longer for it."""
+PALMAR = (0.0, 0.0, -1.0)
+"""Where the palmar skin of a hand looks, in the hand frame."""
+
+
+def hand_layer(
+    surface: Surface,
+    depth: ArrayLike | float,
+    faces: ArrayLike | None = None,
+    *,
+    sheets: ArrayLike | None = None,
+    max_fraction: float = 0.45,
+    inward: Float | None = None,
+) -> Patch:
+    """Layer of wedges under a closed surface, or under some of its faces, one wedge column a triangle.
+
+    surface: closed mesh [m]; depth: skin thickness across the skin at its vertices [m], shape (n,), or one number; a
+        column that leans, as at creases, is longer by the mean cosine to the faces around
+    faces: numbers of the faces that get a layer, shape (k,), as of `facing_faces`; None is all: the patch has no rim
+    sheets: thicknesses of sub-layers as shares of the depth, in any unit, the first at the skin; for the report. The
+        solvers take the same numbers as sheets of a `palmfield.skin.problem.Layer`
+    max_fraction: largest thickness as a share of the way through the body along the inward direction. Half of that way
+        is where layers from both sides meet; 0.45 leaves a tenth of it between them
+
+    inward: unit directions into the body, shape (n, 3). None takes `layer.inward_directions` of the whole surface, so
+        that the layer at a rim is as inside it; where a coarse mesh folds over, as at some finger webs, a few vertices
+        are moved first (`layer.unfolded`)
+
+    Patch.report:
+    vertices, triangles, area_m2, angle_min_deg, edge_mean_m; quality_min (scaled Jacobian of the wedges, a bound)
+    depth_asked_{min,p10,mean}_m, depth_got_{min,p10,mean}_m, p10_share (10th percentile of got over asked)
+    area_thinned (share that got less than 0.999 of what was asked), area_limited (share where max_fraction alone
+    allows less than that)
+    volume_m3, thickness_integral_m3 (see `layer.thickness_integral`), volume_share (the first over the second)
+    vertices_moved, moved_most_m
+    sheet_1_p10_m, sheet_1_volume_m3, sheet_1_quality_min, and so on for each of `sheets`
+    Percentiles, means and shares are by area.
+
+    Raises SceneError for numbers out of range, a surface that is not closed, and a layer that folds, with its place.
+    """
+    vertices = np.asarray(surface.vertices, dtype=np.float64)
+    everything = np.asarray(surface.faces, dtype=np.int32)
+    asked = depth_by_vertex(depth, len(vertices))
+    chosen = _face_numbers(faces, len(everything))
+    shares = _shares(sheets)
+    if inward is not None and np.shape(inward) != vertices.shape:
+        raise SceneError(f"skin layer: inward has shape {np.shape(inward)}; give one direction for each vertex")
+    if not 0.0 < max_fraction <= 1.0:
+        raise SceneError(f"skin layer: max_fraction is {max_fraction:g}; give more than 0 and at most 1")
+    edges, uses = unique_edges(everything)
+    if (uses != 2).any():
+        raise SceneError(
+            f"skin layer: {int((uses != 2).sum())} edges of the surface do not have two faces; close it, as "
+            "palmfield.hand.meshfile.load_mesh does"
+        )
+    moved = np.zeros(len(vertices))
+    if inward is None:
+        given, vertices = vertices, unfolded(vertices, everything)
+        moved = np.linalg.norm(vertices - given, axis=1)
+        inward = inward_directions(vertices, everything)
+    used, local = np.unique(everything[chosen], return_inverse=True)
+    points, corners, down = vertices[used], local.reshape(-1, 3).astype(np.int32), inward[used]
+    way = exit_distances(vertices, everything, points, down, float(np.ptp(vertices, axis=0).sum()))
+    upright = upright_cosine(points, corners, down)
+    along = asked[used] / upright
+    got, quality = fit_thickness(points, corners, down, along, max_fraction * way)
+
+    edges, uses = unique_edges(corners)
+    rim = np.zeros(len(used), dtype=np.bool_)
+    rim[edges[uses == 1]] = True
+    full = np.zeros(len(vertices))
+    full[used] = got * upright
+    wanted = thickness_integral(vertices, everything, full, chosen)
+    patch = Patch(points, corners, down, got, rim)
+    report = _report(patch, edges, asked[used], max_fraction * way, quality, wanted)
+    report |= _sheet_report(patch, shares)
+    report |= {"vertices_moved": float((moved > 0.0).sum()), "moved_most_m": float(moved.max())}
+    return replace(patch, report=report)
+
+
+def facing_faces(surface: Surface, direction: ArrayLike = PALMAR, least_cosine: float = 0.3) -> Int:
+    """Numbers of the faces that look along a unit direction, shape (k,): their largest connected part, holes filled.
+
+    direction: by default that of the palmar side in the hand frame; least_cosine: of the vertices' normals to it.
+    Vertices' normals leave a smoother rim than those of faces do.
+    Raises SceneError where no face does.
+    """
+    cosine = surface.normals @ np.asarray(direction, dtype=np.float64)
+    seen = cosine[surface.faces].mean(axis=1) > least_cosine
+    if not seen.any():
+        raise SceneError(
+            f"no face looks along {np.asarray(direction).tolist()} by {least_cosine:g}; lower least_cosine"
+        )
+    area = face_normals(surface.vertices, surface.faces)[1]
+    for wanted in (True, False):
+        numbers = np.flatnonzero(seen == wanted)
+        if len(numbers):
+            label = face_components(surface.faces[numbers])
+            largest = np.argmax(np.bincount(label, weights=area[numbers]))
+            seen[numbers[label != largest]] = not wanted
+    return np.flatnonzero(seen).astype(np.int32)
+
+
+def depth_by_vertex(depth: ArrayLike | float, count: int) -> Float:
+    """Thickness [m], shape (count,). Raises SceneError for another shape, and for values not finite and above 0."""
+    value = np.asarray(depth, dtype=np.float64)
+    if value.ndim == 0:
+        value = np.full(count, float(value))
+    if value.shape != (count,):
+        raise SceneError(f"skin depth has shape {value.shape}; give one number, or one for each of {count} vertices")
+    wrong = ~(np.isfinite(value) & (value > 0.0))
+    if wrong.any():
+        raise SceneError(f"skin depth is {value[wrong][0]:g} m at vertex {np.argmax(wrong)}; give finite ones above 0")
+    return value
+
+
+def _face_numbers(faces: ArrayLike | None, count: int) -> Int:
+    if faces is None:
+        return np.arange(count, dtype=np.int32)
+    numbers = np.asarray(faces)
+    if numbers.ndim != 1 or len(numbers) == 0 or numbers.dtype.kind not in "iu":
+        raise SceneError(
+            f"skin layer: faces of shape {numbers.shape} and type {numbers.dtype}; give numbers of faces, shape (k,)"
+        )
+    if numbers.min() < 0 or numbers.max() >= count:
+        raise SceneError(f"skin layer: faces name {numbers.min()} to {numbers.max()}; the surface has {count}")
+    return np.unique(numbers).astype(np.int32)
+
+
+def _shares(sheets: ArrayLike | None) -> Float:
+    """Depths of the sheets' boundaries as shares, 0 first, 1 last; empty without sheets."""
+    if sheets is None:
+        return np.zeros(0)
+    parts = np.asarray(sheets, dtype=np.float64)
+    if parts.ndim != 1 or len(parts) == 0 or not (np.isfinite(parts) & (parts > 0.0)).all():
+        raise SceneError(f"skin layer: sheets are {parts.tolist()}; give shares of the depth above 0, the skin's first")
+    return np.concatenate([[0.0], np.cumsum(parts) / parts.sum()])
+
+
+def vertex_areas(vertices: Float, faces: Int) -> Float:
+    """A third of the faces around each vertex [m2], shape (n,)."""
+    area = face_normals(vertices, faces)[1]
+    return np.asarray(np.bincount(faces.ravel(), np.repeat(area / 3.0, 3), len(vertices)), dtype=np.float64)
+
+
+def upright_cosine(vertices: Float, faces: Int, inward: Float) -> Float:
+    """Mean cosine by area of each vertex's direction to its faces, shape (n,), at least LEAST_UPRIGHT."""
+    unit, area = face_normals(vertices, faces)
+    cosine = -np.einsum("ijk,ik->ij", inward[faces], unit) * area[:, None]
+    total = np.bincount(faces.ravel(), cosine.ravel(), len(vertices))
+    return np.maximum(total / (3.0 * vertex_areas(vertices, faces)), LEAST_UPRIGHT)
+
+
+def _percentile(values: Float, weights: Float, percent: float) -> float:
+    """Least value that at least `percent` of the weight does not exceed."""
+    order = np.argsort(values)
+    heaped = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(heaped, 0.01 * percent * heaped[-1])])
+
+
+def _report(patch: Patch, edges: Int, asked: Float, limit: Float, quality: Float, wanted: float) -> dict[str, float]:
+    points, upright = patch.vertices, upright_cosine(patch.vertices, patch.faces, patch.inward)
+    got, limit = patch.depth * upright, limit * upright
+    area = vertex_areas(points, patch.faces)
+    share = area / area.sum()
+    volume = layer_volume(points, patch.faces, patch.inward, patch.depth)
+    report = {
+        "vertices": float(len(points)),
+        "triangles": float(len(patch.faces)),
+        "area_m2": float(area.sum()),
+        "angle_min_deg": float(np.rad2deg(corner_angles(points, patch.faces).min())),
+        "edge_mean_m": float(np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1).mean()),
+        "quality_min": float(quality.min()),
+        "p10_share": _percentile(got / asked, area, 10.0),
+        "area_thinned": float(share[got < THINNED * asked].sum()),
+        "area_limited": float(share[limit < THINNED * asked].sum()),
+        "volume_m3": volume,
+        "thickness_integral_m3": wanted,
+        "volume_share": volume / wanted,
+    }
+    for name, value in (("asked", asked), ("got", got)):
+        report[f"depth_{name}_min_m"] = float(value.min())
+        report[f"depth_{name}_p10_m"] = _percentile(value, area, 10.0)
+        report[f"depth_{name}_mean_m"] = float(share @ value)
+    return report
+
+
+def _sheet_report(patch: Patch, shares: Float) -> dict[str, float]:
+    report = {}
+    area, upright = vertex_areas(patch.vertices, patch.faces), upright_cosine(patch.vertices, patch.faces, patch.inward)
+    for number, (above, below) in enumerate(pairwise(shares), start=1):
+        top, thick = patch.vertices + (above * patch.depth)[:, None] * patch.inward, (below - above) * patch.depth
+        report[f"sheet_{number}_p10_m"] = _percentile(thick * upright, area, 10.0)
+        report[f"sheet_{number}_volume_m3"] = layer_volume(top, patch.faces, patch.inward, thick)
+        report[f"sheet_{number}_quality_min"] = float(wedge_quality(top, patch.faces, patch.inward, thick).min())
+    return report
