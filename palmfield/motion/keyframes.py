@@ -1,0 +1,113 @@
+"""A hand's motion through given poses at given times."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
+from scipy.spatial.transform import Rotation
+
+from palmfield.errors import SceneError
+from palmfield.hand.articulated import ArticulatedHand, checked_angles
+from palmfield.hand.poses import named_pose
+from palmfield.motion.pose import HandPose, numbers, unit_quaternions
+from palmfield.types import Float
+
+
+class Curve:
+    """A motion through poses: continuously differentiable, and standing still before the first and after the last.
+
+    Positions and angles are monotone cubics (Fritsch & Carlson 1980), so they stay between two neighbouring keys.
+    Orientation is the cubic of Kim, Kim & Shin (1995, A general construction scheme for unit quaternion curves),
+    with the angular velocity at a key limited in the same way: keys that are equal are a rest.
+    span_s: first and last time [s]
+    """
+
+    def __init__(
+        self, joints: Sequence[str], times_s: Float, positions: Float, quaternions: Float, angles_deg: Float, rest: bool
+    ) -> None:
+        """Checked values: times_s [s], shape (n,), rising, n >= 2; positions [m], shape (n, 3); quaternions, unit, w
+        first, shape (n, 4); angles_deg [deg], shape (n, joints).
+
+        rest: begin and end at rest, for a speed without jumps; else as fast as the first and last two poses tell
+        """
+        self.span_s = float(times_s[0]), float(times_s[-1])
+        self._joints = list(joints)
+        self._times = times_s
+        values = np.concatenate([positions, angles_deg], axis=1)
+        slopes = PchipInterpolator(times_s, values).derivative()(times_s)
+        if rest:
+            slopes[[0, -1]] = 0.0
+        self._values = CubicHermiteSpline(times_s, values, slopes)
+        self._from = Rotation.from_quat(quaternions, scalar_first=True)
+        self._turns = _turns(times_s, self._from, rest)
+
+    def __call__(self, time_s: float) -> HandPose:
+        """The pose at a time [s]."""
+        time = min(max(float(time_s), self.span_s[0]), self.span_s[1])
+        values = self._values(time)
+        n = int(np.clip(np.searchsorted(self._times, time, side="right") - 1, 0, len(self._times) - 2))
+        s = (time - self._times[n]) / (self._times[n + 1] - self._times[n])
+        # Bernstein polynomials of the third order, summed from the end.
+        shares = np.array([1.0 - (1.0 - s) ** 3, s * s * (3.0 - 2.0 * s), s**3])
+        first, second, third = Rotation.from_rotvec(shares[:, None] * self._turns[n])
+        turned = self._from[n] * first * second * third
+        angles = dict(zip(self._joints, values[3:].tolist(), strict=True))
+        return HandPose(values[:3], turned.as_quat(scalar_first=True), angles)
+
+
+def _turns(times: Float, keys: Rotation, rest: bool) -> Float:
+    """Three rotation vectors for each interval whose shares make the curve, shape (n - 1, 3, 3) [rad]."""
+    steps = np.diff(times)[:, None]
+    speeds = (keys[:-1].inv() * keys[1:]).as_rotvec() / steps
+    at_keys = np.zeros((len(times), 3))
+    before, after = speeds[:-1], speeds[1:]
+    # Weighted harmonic mean of the speeds on either side, by length and direction, 0 where the turn goes back.
+    weight_before, weight_after = 2.0 * steps[1:] + steps[:-1], steps[1:] + 2.0 * steps[:-1]
+    slow, fast = np.linalg.norm(before, axis=1, keepdims=True), np.linalg.norm(after, axis=1, keepdims=True)
+    onward = (np.sum(before * after, axis=1, keepdims=True) > 0.0) & (np.minimum(slow, fast) > 1e-12)
+    divisor = np.where(onward, weight_before * fast + weight_after * slow, 1.0)
+    at_keys[1:-1] = np.where(onward, (weight_before * fast * before + weight_after * slow * after) / divisor, 0.0)
+    if not rest:
+        at_keys[[0, -1]] = speeds[[0, -1]]
+    leaving, arriving = steps * at_keys[:-1] / 3.0, steps * at_keys[1:] / 3.0
+    middle = Rotation.from_rotvec(-leaving) * keys[:-1].inv() * keys[1:] * Rotation.from_rotvec(-arriving)
+    return np.stack([leaving, middle.as_rotvec(), arriving], axis=1)
+
+
+def keyframes(
+    hand: ArticulatedHand,
+    times_s: ArrayLike,
+    positions: ArrayLike,
+    quaternions: ArrayLike,
+    poses: Sequence[Mapping[str, float] | str],
+) -> Curve:
+    """A motion through keys, starting and ending at rest.
+
+    times_s: rising [s], two or more, shape (n,)
+    positions: of the hand frame [m], shape (n, 3); quaternions: its orientations, w first, any length, shape (n, 4)
+    poses: n; names as in `named_pose`, or angles [deg] by joint, of which the others are at rest
+    Raises SceneError for times that do not rise, other numbers of keys, numbers that are not finite, a quaternion of
+    length 0, an unknown pose or joint, and an angle out of its range.
+    """
+    times = rising(times_s, "hand keyframes")
+    n = len(times)
+    if len(poses) != n:
+        raise SceneError(f"hand keyframes: {len(poses)} poses for {n} times; give one pose for each time")
+    angles = []
+    for k, pose in enumerate(poses):
+        try:
+            angles.append(checked_angles(hand, named_pose(hand, pose) if isinstance(pose, str) else pose))
+        except SceneError as error:
+            raise SceneError(f"hand keyframes: at {times[k]:g} s: {error}") from None
+    places = numbers(positions, (n, 3), "hand keyframes: positions")
+    turns = unit_quaternions(quaternions, (n, 4), "hand keyframes: quaternions")
+    return Curve([joint.name for joint in hand.joints], times, places, turns, np.array(angles), rest=True)
+
+
+def rising(times_s: ArrayLike, what: str) -> Float:
+    """The times [s] as float64, shape (n,). Raises SceneError unless they are finite, two or more, and rise."""
+    times = np.asarray(times_s, dtype=np.float64)
+    if times.ndim != 1 or len(times) < 2 or not np.isfinite(times).all() or np.any(np.diff(times) <= 0.0):
+        raise SceneError(f"{what}: times are {times.tolist()}; give two or more that rise [s]")
+    return times

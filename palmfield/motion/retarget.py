@@ -1,0 +1,278 @@
+"""A tracked hand's motion carried over to an articulated hand of other size."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from palmfield.errors import SceneError
+from palmfield.hand.articulated import ArticulatedHand, poses_at
+from palmfield.hand.preset import DIGITS
+from palmfield.motion.joints import JOINTS, KNUCKLES, PALM_JOINTS, POSITION_VALID, HandJoints, hand_joints, joints_at
+from palmfield.motion.keyframes import Curve
+from palmfield.motion.pose import HandPose
+from palmfield.motion.tracking import Stream, checked_stream, ordered
+from palmfield.types import Float
+
+Bool = NDArray[np.bool_]
+
+RIGID = PALM_JOINTS + KNUCKLES
+"""Joints that do not move against each other."""
+CHAINS = tuple(
+    tuple(JOINTS.index(f"{digit}_{place}") for place in places)
+    for digit in DIGITS
+    for places in [
+        ("metacarpal", "proximal", "distal", "tip")
+        if digit == "thumb"
+        else ("proximal", "intermediate", "distal", "tip")
+    ]
+)
+"""Joints of each digit from its root, which is fixed in the palm, to its tip."""
+PALM_ROUNDS = 20
+TO_BEFORE_m_deg = 2e-5
+"""A degree from the frame before weighs as much as 0.02 mm: decides only what the joints' places leave open."""
+FEWEST_PALM_JOINTS, LEAST_SPREAD_m = 4, 0.01
+
+
+@dataclass(frozen=True)
+class RetargetReport:
+    """How well the hand follows.
+
+    frames: that were fitted; skipped: those whose valid joints do not tell how the palm is turned
+    scale_across, scale_along: size of our palm to the tracked one, across and along
+    tip_rms_m, tip_max_m: from our fingertips to where the tracked bones' directions with our bones' lengths put them,
+        both in the palm's frame, over valid tips [m]
+    palm_rms_m: from the tracked palm's joints to a palm that is rigid [m]
+    at_limit: share of joint and frame at the end of the joint's range
+    """
+
+    frames: int
+    skipped: int
+    scale_across: float
+    scale_along: float
+    tip_rms_m: float
+    tip_max_m: float
+    palm_rms_m: float
+    at_limit: float
+
+
+class Retargeted:
+    """A motion made of a tracking stream. report: how well it follows; span_s: first and last time [s]."""
+
+    def __init__(self, curve: Curve, report: RetargetReport) -> None:
+        self._curve = curve
+        self.report = report
+        self.span_s = curve.span_s
+
+    def __call__(self, time_s: float) -> HandPose:
+        """The pose at a time [s]."""
+        return self._curve(time_s)
+
+
+def retarget(hand: ArticulatedHand, stream: Stream) -> Retargeted:
+    """The motion of `hand` that follows a tracked hand of the same side.
+
+    Bones' lengths differ, so no hand can have all joints where the tracked ones are. Our wrist is where the tracked one
+    is; our palm is turned as the tracked palm, compared after scaling that one across and along to ours; and each
+    digit's joints and tip are fitted, within the joints' ranges, to where the tracked bones' directions with our bones'
+    lengths put them. The forearm continues the hand, as OpenXR's joints do not tell how the wrist is bent.
+    Orientations and radii are not used. Packets are put in order; between them, as `Curve`.
+    Raises SceneError for a wrong stream, one of the other side's hand, and one with fewer than two frames to fit.
+    """
+    found = ordered(checked_stream(stream, "tracking stream"))
+    valid = (found.flags & POSITION_VALID) != 0
+    rigid, chains = np.array(RIGID), np.array(CHAINS)
+    usable = [n for n in range(len(found)) if _fixes_palm(found.positions[n, rigid][valid[n, rigid]])]
+    if len(usable) < 2:
+        raise SceneError(
+            f"hand retargeting: {len(usable)} of {len(found)} packets have {FEWEST_PALM_JOINTS} valid joints in the "
+            "palm that are not in a line; give two or more"
+        )
+    ours = hand_joints(hand)
+    theirs = _palm_of(found.positions[usable][:, rigid], valid[usable][:, rigid])
+    palm, scales = _palm_in_our_frame(ours.positions[rigid], theirs)
+    fit = _Fit(hand, ours)
+    wrist = JOINTS.index("wrist")
+    times, places, turns, angles = found.times_s[usable], [], [], []
+    misses, palm_misses = [], []
+    before = fit.rest
+    for n in usable:
+        seen = valid[n, rigid]
+        turn, shift = _rigid(palm[seen], found.positions[n, rigid][seen])
+        palm_misses.append(palm[seen] @ turn.T + shift - found.positions[n, rigid][seen])
+        # Digits begin at the fitted palm: less noise than at knuckles by themselves, and there where one is lost.
+        joints, known = found.positions[n].copy(), valid[n].copy()
+        joints[rigid], known[rigid] = palm @ turn.T + shift, True
+        steps = np.diff(joints[chains], axis=1) @ turn
+        both = known[chains[:, 1:]] & known[chains[:, :-1]]
+        before, miss = fit.angles(steps, both, before)
+        misses.append(miss)
+        places.append(joints[wrist] - turn @ ours.positions[wrist])
+        turns.append(turn)
+        angles.append(before)
+    tips = np.concatenate(misses)
+    table = np.array(angles)
+    report = RetargetReport(
+        frames=len(usable),
+        skipped=len(found) - len(usable),
+        scale_across=float(scales[0]),
+        scale_along=float(scales[1]),
+        tip_rms_m=float(np.sqrt(np.mean(tips**2))) if len(tips) else 0.0,
+        tip_max_m=float(tips.max()) if len(tips) else 0.0,
+        palm_rms_m=float(np.sqrt(np.mean(np.sum(np.concatenate(palm_misses) ** 2, axis=1)))),
+        at_limit=fit.at_limit(table),
+    )
+    quaternions = Rotation.from_matrix(np.array(turns)).as_quat(scalar_first=True)
+    names = [joint.name for joint in hand.joints]
+    return Retargeted(Curve(names, times, np.array(places), quaternions, table, rest=False), report)
+
+
+def _fixes_palm(points: Float) -> bool:
+    """Whether joints of the palm, shape (n, 3) [m], are enough to tell how it is turned."""
+    if len(points) < FEWEST_PALM_JOINTS:
+        return False
+    return bool(np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[1] > LEAST_SPREAD_m)
+
+
+def _rigid(start: Float, end: Float) -> tuple[Float, Float]:
+    """Rotation and shift that bring points to others, nearest in the mean square (Kabsch 1976)."""
+    middle_start, middle_end = start.mean(axis=0), end.mean(axis=0)
+    turn = Rotation.align_vectors(end - middle_end, start - middle_start)[0].as_matrix()
+    return turn, middle_end - turn @ middle_start
+
+
+def _palm_of(positions: Float, valid: Bool) -> Float:
+    """The mean shape of the tracked palm's joints [m], shape (joints, 3), in the frame of one of the packets."""
+    fullest = int(np.argmax(np.count_nonzero(valid, axis=1)))
+    shape, known = positions[fullest].copy(), valid[fullest]
+    if not known.all():
+        absent = JOINTS[RIGID[int(np.argmin(known))]]
+        raise SceneError(
+            f"hand retargeting: no packet has all joints of the palm, {absent} is absent; give one that has"
+        )
+    for _ in range(2):
+        total, count = np.zeros_like(shape), np.zeros((len(shape), 1))
+        for frame, seen in zip(positions, valid, strict=True):
+            turn, shift = _rigid(frame[seen], shape[seen])
+            total[seen] += frame[seen] @ turn.T + shift
+            count[seen] += 1.0
+        shape = total / count
+    return shape
+
+
+def _palm_in_our_frame(ours: Float, theirs: Float) -> tuple[Float, Float]:
+    """The tracked palm turned as ours, shape (joints, 3), and what it is scaled by to be like ours across and along.
+
+    Scaling across holds for the height over the palm as well. Raises SceneError for a hand of the other side.
+    """
+    target, centred = ours - ours.mean(axis=0), theirs - theirs.mean(axis=0)
+    turned, scales, miss = _turned_and_scaled(target, centred)
+    mirrored = _turned_and_scaled(target * np.array([-1.0, 1.0, 1.0]), centred)[2]
+    # A palm that is nearly flat is about as like its mirror image, and must not be refused for its noise.
+    if mirrored < 0.5 * miss:
+        raise SceneError(
+            f"hand retargeting: the tracked palm is {1e3 * miss:.2g} mm from ours and {1e3 * mirrored:.2g} mm from its "
+            "mirror image; use a hand of the other side"
+        )
+    return turned, scales
+
+
+def _turned_and_scaled(target: Float, centred: Float) -> tuple[Float, Float, float]:
+    """`centred` turned to `target`, the scales across and along, and how far it is from it then in the rms [m]."""
+    scales = np.ones(2)
+    for _ in range(PALM_ROUNDS):
+        # Turn theirs to ours made as small or large as theirs, then see which scales are left.
+        turned = Rotation.align_vectors(target / scales[[0, 1, 0]], centred)[0].apply(centred)
+        across, along = turned[:, [0, 2]], turned[:, 1]
+        found = np.array(
+            [np.sum(across * target[:, [0, 2]]) / np.sum(across**2), along @ target[:, 1] / (along @ along)]
+        )
+        scales = np.clip(found, 0.2, 5.0)
+    miss = turned * scales[[0, 1, 0]] - target
+    return turned, scales, float(np.sqrt(np.mean(np.sum(miss**2, axis=1))))
+
+
+class _Fit:
+    """Joint angles of the digits of our hand, frame by frame."""
+
+    def __init__(self, hand: ArticulatedHand, joints: HandJoints) -> None:
+        self._hand = hand
+        self._joints = joints
+        self._chains = np.array(CHAINS)
+        self.rest = np.array([joint.rest_deg for joint in hand.joints])
+        root = hand.bone("hand")
+        self._moving = np.array([n for n, joint in enumerate(hand.joints) if joint.bone != root])
+        self._low = np.array([hand.joints[n].low_deg for n in self._moving])
+        self._high = np.array([hand.joints[n].high_deg for n in self._moving])
+        hinges = [hand.joints[n] for n in self._moving]
+        self._axes = np.deg2rad(1.0) * np.array([joint.axis for joint in hinges])
+        self._bones = np.array([joint.bone for joint in hinges])
+        # Of two joints of a bone the outer one, abduction, turns with the bone before it.
+        outer = [joint.name.endswith("_abduction") for joint in hinges]
+        self._turned_with = np.where(outer, [hand.bones[bone].parent for bone in self._bones], self._bones)
+        self._digits = np.array([DIGITS.index(joint.name.split("_")[0]) for joint in hinges])
+        first = np.array(
+            [hand.bone(f"{name}_metacarpal" if name == "thumb" else f"{name}_proximal") for name in DIGITS]
+        )
+        self._beyond = np.arange(3) >= (self._bones - first[self._digits])[:, None]
+        self._lengths = np.linalg.norm(np.diff(joints.positions[self._chains], axis=1), axis=2)
+
+    def angles(self, steps: Float, valid: Bool, before: Float) -> tuple[Float, Float]:
+        """Angles of all joints [deg], shape (joints,), and the misses of the valid tips [m].
+
+        steps: the tracked digits' bones in the palm's frame, from joint to joint, shape (5, 3, 3) [m]
+        valid: of which both ends are known, shape (5, 3); before: angles of the frame before [deg]
+        """
+        long = np.linalg.norm(steps, axis=2, keepdims=True)
+        usable = valid & (long[:, :, 0] > 1e-4)
+        onward = steps / np.where(usable[:, :, None], long, 1.0)
+        # A joint counts where all bones from the palm to it are known.
+        known = np.logical_and.accumulate(usable, axis=1)
+        roots = self._joints.positions[self._chains[:, 0]]
+        targets = roots[:, None] + np.cumsum(self._lengths[:, :, None] * onward, axis=1)
+        start = np.clip(before[self._moving], self._low, self._high)
+
+        def misses(x: Float) -> Float:
+            parts = self._places(x) - targets
+            return np.concatenate([(parts * known[:, :, None]).ravel(), TO_BEFORE_m_deg * (x - start)])
+
+        def slopes(x: Float) -> Float:
+            return np.concatenate(
+                [self._slopes(x) * np.repeat(known.ravel(), 3)[:, None], TO_BEFORE_m_deg * np.eye(len(x))]
+            )
+
+        scale = np.full(len(start), 10.0)
+        found = least_squares(
+            misses, start, slopes, bounds=(self._low, self._high), x_scale=scale, xtol=1e-6, ftol=1e-6
+        )
+        x = np.clip(found.x, self._low, self._high)
+        tips = np.linalg.norm(self._places(x)[:, -1] - targets[:, -1], axis=1)[known[:, -1]]
+        return self._all(x), tips
+
+    def at_limit(self, angles: Float) -> float:
+        """Share of angles, shape (frames, joints), within 0.01 degrees of an end of their range."""
+        x = angles[:, self._moving]
+        return float(np.mean((x < self._low + 0.01) | (x > self._high - 0.01)))
+
+    def _all(self, x: Float) -> Float:
+        angles = self.rest.copy()
+        angles[self._moving] = x
+        return angles
+
+    def _places(self, x: Float) -> Float:
+        """Joints and tip beyond the root of each digit [m], shape (5, 3, 3)."""
+        origins, rotations = poses_at(self._hand, self._all(x))
+        return joints_at(self._hand, self._joints, origins, rotations)[self._chains[:, 1:]]
+
+    def _slopes(self, x: Float) -> Float:
+        """Of `_places` by the angles [m/deg], shape (45, moving)."""
+        origins, rotations = poses_at(self._hand, self._all(x))
+        places = joints_at(self._hand, self._joints, origins, rotations)[self._chains[:, 1:]]
+        axes = np.einsum("nab,nb->na", rotations[self._turned_with], self._axes)
+        arms = places[self._digits] - origins[self._bones][:, None]
+        slopes = np.zeros((*places.shape, len(x)))
+        # Each hinge moves what lies beyond it on its own digit.
+        slopes[self._digits, :, :, np.arange(len(x))] = self._beyond[:, :, None] * np.cross(axes[:, None], arms)
+        return slopes.reshape(-1, len(x))

@@ -1,0 +1,116 @@
+"""The motion that a scene asks for, from whichever file or function."""
+
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from palmfield.config import MotionConfig
+from palmfield.errors import SceneError
+from palmfield.hand.articulated import ArticulatedHand, articulate, checked_angles
+from palmfield.hand.poses import named_pose, posed_surface
+from palmfield.hand.preset import load_preset
+from palmfield.hand.skinning import SkinnedHand
+from palmfield.motion.keyframes import keyframes
+from palmfield.motion.pose import HandPose
+from palmfield.motion.retarget import retarget
+from palmfield.motion.tracking import read_stream
+from palmfield.motion.trajectory import from_callable, read_trajectory
+
+KEY_FIELDS = ("time_s", "position_m", "quaternion", "turn_deg", "pose", "joints_deg")
+DEFAULT_HAND = "open_men_p50"
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Where a hand is asked to be. hand: its joints, None for a hand in one piece; at: pose at a time of the scene [s]
+
+    last_s: time [s] after which it stands still
+    """
+
+    hand: ArticulatedHand | None
+    at: Callable[[float], HandPose]
+    last_s: float
+
+
+def motion_of(config: MotionConfig) -> Motion:
+    """The motion of a scene's keys. Raises SceneError for files and functions that can't be read or found."""
+    hand = None if config.hand is None else articulate(load_preset(config.hand))
+    joints = hand or articulate(load_preset(DEFAULT_HAND))
+    if config.keyframes is not None:
+        source: Any = read_keyframes(Path(config.keyframes), joints, config.hand)
+    elif config.trajectory is not None:
+        source = read_trajectory(config.trajectory, joints)
+    elif config.tracking is not None:
+        source = retarget(joints, read_stream(config.tracking))
+    else:
+        assert config.function is not None
+        source = from_callable(config.function, joints)
+    start = config.start_s
+    return Motion(hand, lambda t: source(t - start), start + source.span_s[1])
+
+
+def read_keyframes(path: Path, hand: ArticulatedHand, preset: str | None) -> Callable[[float], HandPose]:
+    """A TOML file of [[key]] tables: time_s, position_m, and what is not the default of quaternion (w, x, y, z) or
+    turn_deg (rotation vector), pose (by name) and joints_deg (angles that differ from it).
+
+    preset: an articulated hand's, whose skin must not cross itself at any key; None for a hand in one piece
+    Raises SceneError with the number of the key and the field.
+    """
+    try:
+        keys = tomllib.loads(path.read_text(encoding="utf-8")).get("key", [])
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise SceneError(f"keyframes {path} cannot be read: {error}") from None
+    if not isinstance(keys, list) or len(keys) < 2:
+        raise SceneError(f"keyframes {path}: give two tables [[key]] or more, each with time_s and position_m")
+    turns, poses = [], []
+    for number, key in enumerate(keys, start=1):
+        where = f"keyframes {path}: key {number}"
+        unknown = [name for name in key if name not in KEY_FIELDS]
+        if unknown:
+            raise SceneError(f"{where}: field '{unknown[0]}' is unknown; allowed: {', '.join(KEY_FIELDS)}")
+        if "time_s" not in key or "position_m" not in key:
+            raise SceneError(f"{where}: time_s and position_m are needed")
+        turns.append(_turn(key, where))
+        poses.append(_angles(key, hand, where))
+    if preset is not None:
+        _check_skin(path, preset, poses)
+    return keyframes(hand, [key["time_s"] for key in keys], [key["position_m"] for key in keys], np.array(turns), poses)
+
+
+def _turn(key: Mapping[str, Any], where: str) -> list[float]:
+    if "quaternion" in key and "turn_deg" in key:
+        raise SceneError(f"{where}: quaternion and turn_deg both turn the hand; give one")
+    if "turn_deg" not in key:
+        return list(key.get("quaternion", [1.0, 0.0, 0.0, 0.0]))
+    turn = np.asarray(key["turn_deg"], dtype=np.float64)
+    if turn.shape != (3,):
+        raise SceneError(f"{where}: turn_deg is {key['turn_deg']}; give a rotation vector, three angles [deg]")
+    quaternion: list[float] = Rotation.from_rotvec(turn, degrees=True).as_quat(scalar_first=True).tolist()
+    return quaternion
+
+
+def _angles(key: Mapping[str, Any], hand: ArticulatedHand, where: str) -> dict[str, float]:
+    try:
+        angles = named_pose(hand, key.get("pose", "relaxed")) | key.get("joints_deg", {})
+        checked_angles(hand, angles)
+    except SceneError as error:
+        raise SceneError(f"{where}: {error}") from None
+    return angles
+
+
+def _check_skin(path: Path, preset: str, poses: list[dict[str, float]]) -> None:
+    skin = SkinnedHand(load_preset(preset))
+    known: list[dict[str, float]] = []
+    for number, pose in enumerate(poses, start=1):
+        if pose in known:
+            continue
+        known.append(pose)
+        try:
+            posed_surface(skin, pose)
+        except SceneError as error:
+            raise SceneError(f"keyframes {path}: key {number}: {error}") from None

@@ -1,0 +1,212 @@
+"""A recorded stream of OpenXR's 26 hand joints: read, written, and judged."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from palmfield.errors import SceneError
+from palmfield.hand.articulated import ArticulatedHand, bone_poses
+from palmfield.motion.joints import (
+    JOINTS,
+    ORIENTATION_TRACKED,
+    ORIENTATION_VALID,
+    POSITION_TRACKED,
+    POSITION_VALID,
+    hand_joints,
+    joints_at,
+)
+from palmfield.motion.pose import Motion
+from palmfield.motion.trajectory import read_table, write_table
+from palmfield.types import Float, Int
+
+PARTS = ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz", "radius_m", "flags")
+ALL_FLAGS = ORIENTATION_VALID | POSITION_VALID | ORIENTATION_TRACKED | POSITION_TRACKED
+GAP = 1.5
+"""A time between packets of more than this many usual ones is a dropout."""
+
+
+@dataclass(frozen=True)
+class Stream:
+    """Packets of tracked joints in the order in which they came.
+
+    times_s: when each was taken [s], shape (n,), not always rising
+    positions: of JOINTS in the world [m], shape (n, 26, 3)
+    quaternions: their orientations, w first (OpenXR itself puts it last), shape (n, 26, 4)
+    radii: [m], shape (n, 26)
+    flags: XrSpaceLocationFlags, shape (n, 26); what is not flagged as valid counts as absent, whatever its numbers
+    """
+
+    times_s: Float
+    positions: Float
+    quaternions: Float
+    radii: Float
+    flags: Int
+
+    def __len__(self) -> int:
+        return len(self.times_s)
+
+
+@dataclass(frozen=True)
+class StreamReport:
+    """How good a stream is.
+
+    packets: how many; period_s: the usual time between two, the median [s]; jitter_s: standard deviation about it of
+        those that are no dropouts [s]
+    dropouts: how often packets or a hand in them are missing; longest_s: the longest time without [s]; lost: share of
+        the stream's time
+    reordered: packets that came after a later one; repeated: packets of a time that was there
+    invalid: share of joints without a valid position in the packets
+    """
+
+    packets: int
+    period_s: float
+    jitter_s: float
+    dropouts: int
+    longest_s: float
+    lost: float
+    reordered: int
+    repeated: int
+    invalid: float
+
+
+def judge(stream: Stream) -> StreamReport:
+    """Dropouts, jitter and order of a stream."""
+    late = stream.times_s[1:] < np.maximum.accumulate(stream.times_s)[:-1]
+    in_order = ordered(stream)
+    times = in_order.times_s
+    valid = (in_order.flags & POSITION_VALID) != 0
+    period = float(np.median(np.diff(times)))
+    seen = times[valid.any(axis=1)]
+    between = np.diff(np.concatenate([times[:1], seen, times[-1:]]))
+    gaps = between[between > GAP * period]
+    usual = between[(between > 0.0) & (between <= GAP * period)]
+    return StreamReport(
+        packets=len(stream),
+        period_s=period,
+        jitter_s=float(np.sqrt(np.mean((usual - period) ** 2))) if len(usual) else 0.0,
+        dropouts=len(gaps),
+        longest_s=float(gaps.max()) if len(gaps) else 0.0,
+        lost=float(np.sum(gaps - period) / (times[-1] - times[0])),
+        reordered=int(np.count_nonzero(late)),
+        repeated=len(stream) - len(times),
+        invalid=float(1.0 - valid.mean()),
+    )
+
+
+def ordered(stream: Stream) -> Stream:
+    """The packets in the order of their times; of those of one time, the first that came."""
+    _, order = np.unique(stream.times_s, return_index=True)
+    return Stream(
+        stream.times_s[order],
+        stream.positions[order],
+        stream.quaternions[order],
+        stream.radii[order],
+        stream.flags[order],
+    )
+
+
+def checked_stream(stream: Stream, what: str, places: Sequence[str] | None = None) -> Stream:
+    """The stream with unit quaternions; joints that are not valid get a quaternion of 1, 0, 0, 0 and position 0.
+
+    what: begins the message of errors; places: what to call each packet in them. Raises SceneError for other shapes,
+    fewer than two packets of different times, times that are not finite, and joints flagged as valid whose numbers
+    are not finite, whose quaternion has length 0, or whose radius is not positive.
+    """
+    n, j = len(stream.times_s), len(JOINTS)
+    names = places or [f"packet {k + 1}" for k in range(n)]
+    shapes = {"positions": (n, j, 3), "quaternions": (n, j, 4), "radii": (n, j), "flags": (n, j)}
+    for name, shape in shapes.items():
+        if np.shape(getattr(stream, name)) != shape:
+            raise SceneError(f"{what}: {name} have shape {np.shape(getattr(stream, name))}; give {shape}")
+    times = np.asarray(stream.times_s, dtype=np.float64)
+    lost = np.flatnonzero(~np.isfinite(times))
+    if len(lost):
+        raise SceneError(f"{what}: {names[int(lost[0])]}, time_s is {times[lost[0]]:g}; give a finite number")
+    if len(np.unique(times)) < 2:
+        raise SceneError(f"{what}: {len(np.unique(times))} packets of different times; give two or more")
+    placed, turned = (stream.flags & POSITION_VALID) != 0, (stream.flags & ORIENTATION_VALID) != 0
+    lengths = np.linalg.norm(stream.quaternions, axis=2)
+    faults = {
+        "position is not finite": placed & ~np.isfinite(stream.positions).all(axis=2),
+        "radius is not positive": placed & ~(stream.radii > 0.0),
+        "quaternion has no length": turned & ~((lengths > 1e-6) & np.isfinite(lengths)),
+    }
+    for told, bad in faults.items():
+        if bad.any():
+            k, joint = (int(i) for i in np.argwhere(bad)[0])
+            raise SceneError(f"{what}: {names[k]}, {JOINTS[joint]}: {told}, yet flagged as valid; mend it or its flags")
+    unit = np.where(
+        turned[:, :, None], stream.quaternions / np.where(turned, lengths, 1.0)[:, :, None], [1.0, 0.0, 0.0, 0.0]
+    )
+    positions = np.where(placed[:, :, None], stream.positions, 0.0)
+    radii = np.where(placed, stream.radii, 0.0)
+    return Stream(times, positions, unit, radii, np.asarray(stream.flags, dtype=np.int32))
+
+
+def read_stream(path: str | Path) -> Stream:
+    """A stream from a CSV or NPZ table, a row for each packet in the order in which they came.
+
+    Columns (arrays of one length in an NPZ): time_s and, for each of JOINTS, JOINT_x_m, JOINT_y_m, JOINT_z_m,
+    JOINT_qw, JOINT_qx, JOINT_qy, JOINT_qz, JOINT_radius_m and JOINT_flags (XrSpaceLocationFlags as a whole number).
+    Every cell is a number; where a joint is not valid it may be nan. Other columns are refused.
+    Raises SceneError as `read_trajectory` for the table and as `checked_stream` for its numbers.
+    """
+    file = Path(path)
+    names = column_names()
+    columns, places = read_table(file, gaps=[name for name in names[1:] if not name.endswith("_flags")])
+    missing = [name for name in names if name not in columns]
+    unknown = [name for name in columns if name not in names]
+    if missing or unknown:
+        told = f"column '{missing[0]}' is missing" if missing else f"column '{unknown[0]}' is unknown"
+        raise SceneError(f"{file}: {told}; use time_s and JOINT_PART with JOINT palm, wrist, ... and PART {PARTS}")
+    table = np.stack([columns[name] for name in names[1:]], axis=1).reshape(len(places), len(JOINTS), len(PARTS))
+    flags = table[:, :, 8]
+    bad = np.argwhere((flags != np.round(flags)) | (flags < 0.0) | (flags > ALL_FLAGS))
+    if len(bad):
+        k, joint = bad[0]
+        raise SceneError(
+            f"{file}: {places[k]}, column {JOINTS[joint]}_flags: {flags[k, joint]:g}; "
+            f"use a whole number from 0 to {ALL_FLAGS}, the sum of XrSpaceLocationFlags"
+        )
+    stream = Stream(columns["time_s"], table[:, :, :3], table[:, :, 3:7], table[:, :, 7], flags.astype(np.int32))
+    return checked_stream(stream, str(file), places)
+
+
+def write_stream(path: str | Path, stream: Stream) -> None:
+    """Write a stream to a CSV or NPZ file that `read_stream` reads.
+
+    Raises SceneError as `checked_stream`, OutputError for a file that cannot be written.
+    """
+    found = checked_stream(stream, "tracking stream")
+    table = np.concatenate(
+        [found.positions, found.quaternions, found.radii[:, :, None], found.flags[:, :, None]], axis=2
+    )
+    rows = np.column_stack([found.times_s, table.reshape(len(found), -1)])
+    write_table(Path(path), column_names(), rows)
+
+
+def column_names() -> list[str]:
+    """Columns of a stream's table, time first, then joint by joint."""
+    return ["time_s", *(f"{joint}_{part}" for joint in JOINTS for part in PARTS)]
+
+
+def stream_of(hand: ArticulatedHand, motion: Motion, times_s: ArrayLike) -> Stream:
+    """What a tracker without any error would see of a hand in motion, at times [s], shape (n,)."""
+    times = np.asarray(times_s, dtype=np.float64)
+    joints = hand_joints(hand)
+    positions, quaternions = [], []
+    for time in times:
+        pose = motion(float(time))
+        turn = Rotation.from_quat(pose.quaternion, scalar_first=True)
+        origins, rotations = bone_poses(hand, pose.angles_deg)
+        positions.append(turn.apply(joints_at(hand, joints, origins, rotations)) + pose.position)
+        turned = turn.as_matrix() @ rotations[joints.bones] @ joints.frames
+        quaternions.append(Rotation.from_matrix(turned).as_quat(scalar_first=True))
+    n = len(positions)
+    flags = np.full((n, len(JOINTS)), ALL_FLAGS, dtype=np.int32)
+    radii = np.tile(joints.radii, (n, 1))
+    return Stream(times, np.array(positions), np.array(quaternions), radii, flags)
