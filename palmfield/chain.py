@@ -8,7 +8,6 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
-from trimesh.remesh import subdivide_to_size
 
 from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.arp import arp
@@ -28,8 +27,6 @@ from palmfield.types import Array, Complex, Float, Float32
 CLEARANCE_M = 2e-3
 HOUSING_M = 5e-3
 SILENT = 1e-9  # of full drive
-# The resultant takes one sample a face: half of the 8.6 mm wavelength, so that ARP, which goes with p squared, is seen.
-FACE_M = 4.3e-3
 
 
 Wall = tuple[Pose, Complex, WallSound]
@@ -39,7 +36,8 @@ Wall = tuple[Pose, Complex, WallSound]
 class Sound:
     """ARP for one focus and pose at the loudest moment; it scales with the frame's arp_factor.
 
-    focus: array frame [m], shape (3,); drive: complex amplitude per transducer, shape (n,); level: amplitude asked for
+    focus: array frame [m], shape (3,), or (m, 3) for several at once
+    drive: complex amplitude per transducer, shape (n,); level: amplitude asked for
     skin_force: consistent nodal forces on the skin [N], shape (ndof,)
     """
 
@@ -48,6 +46,11 @@ class Sound:
     drive: Complex
     level: float
     skin_force: Float
+
+    @property
+    def first(self) -> Float:
+        """The focus, or the first of several, in the array frame [m], shape (3,)."""
+        return np.atleast_2d(self.focus)[0]
 
 
 def clearance(array: Array, points: Float) -> float:
@@ -81,19 +84,9 @@ class Chain:
         self._ringing: Sound | None = None
         self._before: Pose | None = None
         self.wall = wall
-        self._resultant: tuple[Sound | None, Float, Float] = (None, np.zeros(3), np.zeros(3))
+        self._resultant: tuple[Sound | None, Float, Float] = (None, np.zeros((1, 3)), np.zeros((1, 3)))
         self.observer: Observer | None = None
         self.skin = SceneSkin(self)
-        surface = rig.surface
-        if surface is None:
-            points, normals, areas = rig.quadrature.points, rig.quadrature.normals, rig.quadrature.weights
-        else:
-            vertices, faces = subdivide_to_size(surface.vertices, surface.faces, FACE_M, max_iter=20)
-            a, b, c = (vertices[faces[:, i]] for i in range(3))
-            cross = np.cross(b - a, c - a)
-            areas = 0.5 * np.linalg.norm(cross, axis=1)
-            points, normals = (a + b + c) / 3, cross / (2 * areas[:, None])
-        self._body_points, self._body_normals, self._body_areas = points, normals, areas
 
     # -- sound ---------------------------------------------------------------------------------------------------
 
@@ -109,7 +102,7 @@ class Chain:
             law=rig.skin.arp_law, device=evaluator.device,
         )  # fmt: skip
         if rig.skin.body_sound == "shadows":
-            load = np.where(lit(points, energy_flux(field) @ pose.turn, rig.shadow_mesh), load, np.float32(0.0))
+            load = np.where(lit(points, energy_flux(field) @ pose.turn, rig.posed(pose).shadows), load, np.float32(0.0))
         return load, np.abs(field.pressure)
 
     def _wall_sound(self, pose: Pose, drive: Complex) -> WallSound:
@@ -123,7 +116,7 @@ class Chain:
             return evaluator.pressure(pose.points(points), drive).pressure.astype(np.complex128)
 
         wavenumber = 2.0 * np.pi * rig.array.frequency_Hz / sound_speed(rig.air)
-        wall = WallSound.of(rig.boundary_mesh, incident, wavenumber, rig.air, evaluator.device)
+        wall = WallSound.of(rig.posed(pose).boundary_mesh, incident, wavenumber, rig.air, evaluator.device)
         self.wall = (pose, drive, wall)
         return wall
 
@@ -140,24 +133,35 @@ class Chain:
 
     def _skin_force(self, pose: Pose, drive: Complex) -> Float:
         """Consistent nodal forces on the skin [N], shape (ndof,)."""
-        quadrature = self.rig.quadrature
         load = self._foresight.take(pose, drive)
         if load is None:
-            load, _ = self.arp_at(quadrature.points, quadrature.normals, pose, drive)
-        return quadrature.assemble(load.astype(np.float64))
+            load, _ = self.arp_at(*self.rig.posed(pose).quadrature, pose, drive)
+        # Normal to the skin here as there: in the moving frame it pushes along the resting skin's normals.
+        return self.rig.quadrature.assemble(load.astype(np.float64))
 
     def resultant(self, sound: Sound) -> tuple[Float, Float]:
-        """Force [N] and torque about the body's origin [N m] on the whole body, in body axes, shapes (3,)."""
+        """Force [N] on the whole body and torque about its origin [N m], in body axes, shapes (3,)."""
+        forces, torques = self.resultants(sound)
+        origins = self.rig.posed(sound.pose).origins
+        return forces.sum(axis=0), (torques + np.cross(origins, forces)).sum(axis=0)
+
+    def resultants(self, sound: Sound) -> tuple[Float, Float]:
+        """Force [N] on the body or each of its bones and torque about that one's origin [N m], body axes, (b, 3)."""
         if self._resultant[0] is not sound:
-            load, _ = self.arp_at(self._body_points, self._body_normals, sound.pose, sound.drive)
-            push = -(load * self._body_areas)[:, None] * self._body_normals
-            self._resultant = (sound, push.sum(axis=0), np.cross(self._body_points, push).sum(axis=0))
+            posed = self.rig.posed(sound.pose)
+            points, normals, areas = posed.samples
+            load, _ = self.arp_at(points, normals, sound.pose, sound.drive)
+            push = -(load * areas)[:, None] * normals
+            force, torque = np.zeros_like(posed.origins), np.zeros_like(posed.origins)
+            np.add.at(force, posed.owners, push)
+            np.add.at(torque, posed.owners, np.cross(points - posed.origins[posed.owners], push))
+            self._resultant = (sound, force, torque)
         return self._resultant[1:]
 
     def check_clear(self, pose: Pose) -> None:
         """SceneError where the surface reaches into the array's board."""
-        surface = self.rig.surface
-        body = self.rig.mesh.nodes[: self.rig.mesh.surface_nodes] if surface is None else surface.vertices
+        posed = self.rig.posed(pose)
+        body = posed.nodes[0] if self.rig.surface is None else posed.vertices
         emitter = self.rig.emitter(pose.arrays)
         for part, place in zip(emitter.parts, emitter.placements, strict=True):
             points = (pose.points(body) - np.array(place.position)) @ np.array(place.rotation).reshape(3, 3)
@@ -200,6 +204,8 @@ class Chain:
 
     def now(self, state: Float, t: float, to_array: Callable[[Float], Float], pose: Pose) -> tuple[Sound | None, float]:
         """The sound at time t [s], which the state must be at, and its ARP factor; (None, 0) while silent."""
+        if self.rig.silent:
+            return None, 0.0
         frame = frame_at(self.rig.stimulus, t)
         if self.rig.response.on:
             return self._emitted(self.emitted(state), to_array(frame.focus), pose)
@@ -250,7 +256,7 @@ class Chain:
 
     @cached_property
     def _foresight(self) -> Foresight:
-        return Foresight(self.rig.quadrature.points, self.rig.quadrature.normals, self.rig.skin.arp_law)
+        return Foresight(self.rig)
 
     @cached_property
     def _can_foresee(self) -> bool:
@@ -321,6 +327,8 @@ class Chain:
     def mean_factor(self, state: Float, start: float, to_array: Callable[[Float], Float], pose: Pose) -> float:
         """Mean ARP factor, relative to the sound of `now`, over the MuJoCo step that begins at `start` [s]."""
         rig = self.rig
+        if rig.silent:
+            return 0.0
         end = start + rig.timestep_s
         count = max(4, round(rig.timestep_s / rig.sizes[4]))
         asked_for = mean_arp_factor(rig.stimulus, start, end, count)

@@ -77,7 +77,7 @@ def info(scene: SceneFile) -> None:
     Example: palmfield info mjcf/scenes/phantom_step.xml
     """
     import palmfield
-    from palmfield.planning import describe
+    from palmfield.describe import describe
 
     print(describe(palmfield.load(scene)), end="")
 
@@ -156,14 +156,16 @@ def hand(
     units: Annotated[str, typer.Option(help="what one unit in the file is: auto, m, dm, cm, mm or in")] = "auto",
     json: Annotated[Path | None, typer.Option(help="write the card to this file", metavar="FILE")] = None,
     png: Annotated[Path | None, typer.Option(help="draw the mesh with its faults in colour", metavar="FILE")] = None,
+    mjcf: Annotated[Path | None, typer.Option(help="write bodies for the mesh's joints", metavar="FILE")] = None,
 ) -> None:
     """Report card of a hand's mesh: unit, size, side, faults mended or refused, and the skin layers that it bears.
 
-    Example: palmfield hand my_hand.glb --json card.json --png card.png
+    Examples: palmfield hand my_hand.glb --json card.json --png card.png
+    palmfield hand my_hand.glb --mjcf my_hand.xml
     """
     from palmfield.handcli import show_hand
 
-    show_hand(mesh, units, json, png)
+    show_hand(mesh, units, json, png, mjcf)
 
 
 @app.command()

@@ -12,7 +12,7 @@ import numpy as np
 
 from palmfield.config import StimulusConfig
 from palmfield.drive.response import Pole, flight_times
-from palmfield.emitter import Board, Emitter, Placement
+from palmfield.emitter import Board, Emitter
 from palmfield.envelope import Cost, cost
 from palmfield.stimulus import frame_at
 from palmfield.types import Complex, Float
@@ -42,7 +42,7 @@ def response(
     boards: tuple[Board, ...],
     emitter: Emitter,
     stimulus: StimulusConfig,
-    frame: Placement,
+    course: Callable[[Float], Float],
     focus: Float,
     accuracy: float,
     *,
@@ -50,8 +50,9 @@ def response(
 ) -> Response:
     """Decide what to model. ARP goes with the square of the pressure, so `auto` allows a quarter of the accuracy.
 
-    frame: of the stimulus in the reference pose, focus: where the sound goes first, both in the frame of the first
-    array [m]; accuracy: wanted of the skin's displacement, relative; spread: whether flight times may differ
+    course: from what the stimulus asks for, shape (n, 3), to the frame of the first array, in the reference pose
+    focus: where the sound goes first, in the frame of the first array [m]
+    accuracy: wanted of the skin's displacement, relative; spread: whether flight times may differ
     """
     counts = [len(part) for part in emitter.parts]
     configs = [board.config for board in boards]
@@ -59,7 +60,7 @@ def response(
     quality = np.concatenate([np.full(n, config.quality) for n, config in zip(counts, configs, strict=True)])
     pole = Pole(f0, quality, emitter.array.frequency_Hz)
     times = flight_times(emitter.array, focus, emitter.air)
-    ring, late = cost(stimulus, frame, emitter, focus, pole, times)
+    ring, late = cost(stimulus, course, emitter, focus, pole, times)
     wanted = {config.response for config in configs}
     on = "on" in wanted or ("auto" in wanted and ring.rms + late.rms > 0.25 * accuracy)
     matters = on and spread and late.rms > 0.25 * accuracy
@@ -68,8 +69,11 @@ def response(
 
 
 def delays_to(emitter: Emitter, focus: Float) -> Float:
-    """Flight time of each transducer's sound to a focus against the middle, in whole DELAY_STEP_S [s], shape (n,)."""
-    times = flight_times(emitter.array, focus, emitter.air)
+    """Flight time of each transducer's sound to a focus against the middle, in whole DELAY_STEP_S [s], shape (n,).
+
+    Of several foci, shape (m, 3), the first one counts.
+    """
+    times = flight_times(emitter.array, np.atleast_2d(focus)[0], emitter.air)
     return np.asarray(np.round((times - 0.5 * (times.max() + times.min())) / DELAY_STEP_S) * DELAY_STEP_S)
 
 
@@ -78,7 +82,7 @@ def asked(
 ) -> Complex:
     """Drive of each transducer whose sound arrives at time t [s] (less the common delay), shape (n,).
 
-    to_array: stimulus frame -> frame of the first array, positions of shape (3,)
+    to_array: stimulus frame -> foci in the frame of the first array
     """
     drive = np.zeros(len(delays_s), complex)
     for delay in np.unique(delays_s):

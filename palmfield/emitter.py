@@ -18,6 +18,7 @@ from palmfield.acoustics.transducer import T4010A1_DIRECTIVITY
 from palmfield.config import ArrayConfig, StimulusConfig
 from palmfield.device import resolve
 from palmfield.drive.device import Device, play
+from palmfield.drive.foci import solve_foci
 from palmfield.errors import SceneError
 from palmfield.types import Air, Array, Complex, Field, Float, Int
 
@@ -179,25 +180,30 @@ class Emitter:
     def unit_drive(self, point: Float) -> tuple[Complex, float]:
         """What the arrays emit for a focus at `point` (frame of the first array [m], shape (3,)) at the loudest moment.
 
+        Several points, shape (m, 3), become foci at once, equally loud (`palmfield.drive.foci`).
         Returns the complex amplitude of each transducer relative to full drive, shape (n,), and the amplitude asked
-        for, 0..1. A transducer that the point is behind stays silent.
+        for, 0..1. A transducer that a point is behind stays silent.
         Raises SceneError for a focus that no transducer can make or a level that they cannot reach.
         """
         asked, known = self._unit
-        if asked == tuple(point):
+        if asked == tuple(point.ravel()):
             return known
-        facing = np.einsum("ij,ij->i", point - self.array.positions, self.array.normals) > 0.0
+        rays = np.atleast_2d(point)[:, None] - self.array.positions
+        facing = (np.einsum("mij,ij->mi", rays, self.array.normals) > 0.0).all(axis=0)
         # Where none faces the point, `focus` says so
         some = facing if facing.any() else np.ones(len(self.array), dtype=bool)
         phases = np.zeros(len(self.array), complex)
         try:
-            phases[some] = focus(only(self.array, some), self.air, point)
+            if point.ndim == 1:
+                phases[some] = focus(only(self.array, some), self.air, point)
+            else:
+                phases[some] = solve_foci(point, only(self.array, some), self.air).drive
         except SceneError as error:
             raise SceneError(f"plugin 'palmfield.stimulus': key 'focus_m': {error}") from None
         level = 1.0 if self.stimulus.drive_amplitude is None else self.stimulus.drive_amplitude
         wanted = self.stimulus.arp_peak_Pa
         if wanted is not None:
-            full = abs(self.pressure64(point[None], phases)[0]) ** 2 / self.impedance
+            full = float((np.abs(self.pressure64(np.atleast_2d(point), phases)) ** 2).max()) / self.impedance
             if full == 0.0:
                 raise SceneError(
                     f"plugin 'palmfield.stimulus': arp_peak_Pa {wanted:g} is wanted at {in_mm(point)}, but all "
@@ -210,7 +216,7 @@ class Emitter:
                     f"{in_mm(point)}: {full:.3g} Pa at full drive with p0_Pa_m {self.array.p0_Pa_m:g}"
                 )
         known = (play(self.device, level * phases), level)
-        self._unit = (tuple(point), known)
+        self._unit = (tuple(point.ravel()), known)
         return known
 
 
@@ -232,5 +238,7 @@ def only(array: Array, chosen: Float) -> Array:
 
 
 def in_mm(point: Sequence[float] | Float) -> str:
-    """A position as text, e.g. (0.0, 12.5, 200.0) mm."""
+    """A position, or several, as text, e.g. (0.0, 12.5, 200.0) mm."""
+    if np.ndim(point) == 2:
+        return " and ".join(in_mm(one) for one in np.asarray(point))
     return "(" + ", ".join(f"{1e3 * float(x):.1f}" for x in point) + ") mm"

@@ -4,7 +4,7 @@ Every jump of the drive counts: start, stop, path points, control ticks, and the
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,8 +13,8 @@ from scipy.signal import lfilter
 from palmfield.acoustics.air import sound_speed
 from palmfield.config import StimulusConfig
 from palmfield.drive.response import Pole
-from palmfield.emitter import Emitter, Placement
-from palmfield.stimulus import frames_at
+from palmfield.emitter import Emitter
+from palmfield.stimulus import frames_at, silent_after_s, turn_rate_Hz
 from palmfield.types import Complex, Float, Int
 
 SAMPLES_A_DELAY = 16
@@ -48,7 +48,8 @@ def windows(stimulus: StimulusConfig, delay_s: float) -> list[tuple[float, float
     least = max(LEAST_WINDOW_S, SETTLED * delay_s)
     start, steady = stimulus.start_s, stimulus.start_s + stimulus.ramp_s
     found = [(start, start + max(least, min(stimulus.ramp_s, MOST_WINDOW_S)))]
-    rates = [rate for rate in (stimulus.am_frequency_Hz, stimulus.path_rate_Hz) if rate]
+    burst = 1.0 / stimulus.burst_period_s if stimulus.burst_period_s else None
+    rates = [rate for rate in (stimulus.am_frequency_Hz, turn_rate_Hz(stimulus), burst) if rate]
     if rates:
         period = 1.0 / min(rates)
         half = 0.5 * min(max(period, least), MOST_WINDOW_S)
@@ -58,8 +59,9 @@ def windows(stimulus: StimulusConfig, delay_s: float) -> list[tuple[float, float
             turns = math.ceil((middle - start) * stimulus.am_frequency_Hz - 0.75)
             middle = start + (turns + 0.75) / stimulus.am_frequency_Hz
         found.append((middle - half, middle + half))
-    if stimulus.stop_s is not None:
-        found.append((stimulus.stop_s - 0.5 * least, stimulus.stop_s + 0.5 * least))
+    end = silent_after_s(stimulus)
+    if end is not None:
+        found.append((end - 0.5 * least, end + 0.5 * least))
     return found
 
 
@@ -74,14 +76,20 @@ def shares(emitter: Emitter, focus: Float) -> Float:
 
 
 def cost(
-    stimulus: StimulusConfig, frame: Placement, emitter: Emitter, focus: Float, pole: Pole, times_s: Float
+    stimulus: StimulusConfig,
+    course: Callable[[Float], Float],
+    emitter: Emitter,
+    focus: Float,
+    pole: Pole,
+    times_s: Float,
 ) -> tuple[Cost, Cost]:
     """Cost of leaving out the transducers' ring-up, and of letting the sound of all arrive at once.
 
     The first: what a pole emits against the drive itself, later by the mean delay of all. The second: what the poles
     emit, each later by its flight time against the mean, or all by the same.
 
-    frame: of the stimulus, in the frame of the first array; focus: its focus at the start, in the latter [m]
+    course: from what the stimulus asks for, shape (n, 3), to the frame of the first array
+    focus: where the sound goes first, in that frame [m]; several foci count as one in their middle
     times_s: flight time of each transducer [s], shape (n,)
     """
     weights = shares(emitter, focus)
@@ -102,8 +110,7 @@ def cost(
             errors = _still(levels, weights, rates * step, late, lag)
         else:
             chosen = _some(late, max(FEWEST, VALUES // len(cells)))
-            foci = foci @ np.array(frame.rotation).reshape(3, 3).T + np.array(frame.position)
-            drives = levels[:, None] * _focusing(emitter, foci, chosen)
+            drives = levels[:, None] * _focusing(emitter, course(foci), chosen)
             part = weights[chosen] / max(weights[chosen].sum(), 1e-300)
             errors = _moving(drives, part, (rates * step)[chosen], late[chosen], lag)
         sound = levels[inside]

@@ -19,7 +19,7 @@ from palmfield.drive.response import pole_step
 from palmfield.emission import asked
 from palmfield.skin.krylov import Fade, harmonics, level, periodic
 from palmfield.skin.stepping import MOST_VECTORS, KnownLoad
-from palmfield.stimulus import frames_at, main_frequencies
+from palmfield.stimulus import frame_at, frames_at, is_closed, main_frequencies, repeats, turn_rate_Hz
 from palmfield.types import Complex, Float, Float32
 
 if TYPE_CHECKING:
@@ -58,18 +58,17 @@ SAME_DRIVE = 1e-9
 
 
 class Foresight:
-    """ARP for coming drives at points of a body.
+    """ARP for coming drives at the points of a skin at which it is integrated.
 
-    points: body frame [m], shape (n, 3); normals: unit outward, shape (n, 3); law: see `palmfield.acoustics.arp`
     until: simulated time up to which drives were foreseen [s]
     """
 
-    def __init__(self, points: Float, normals: Float, law: str):
-        self.points, self.normals, self.law = points, normals, law
+    def __init__(self, rig: "Rig"):
+        self.rig = rig
         self.until = -math.inf
         self._pose: Pose | None = None
         self._drives: Complex = np.zeros((0, 0), complex)
-        self._loads: Float32 = np.zeros((0, len(points)), np.float32)
+        self._loads: Float32 = np.zeros((0, len(rig.quadrature.weights)), np.float32)
 
     def knows(self, pose: "Pose", t: float) -> bool:
         """Whether drives at time t [s] were foreseen for this pose."""
@@ -81,8 +80,9 @@ class Foresight:
         unlike = list({drive.tobytes(): drive for drive in drives}.values())
         self._drives = np.array(unlike if len(unlike) >= MATRIX_FROM else [])
         if len(self._drives):
-            normals = self.normals @ pose.turn.T
-            self._loads = arp_frames(evaluator, pose.points(self.points), normals, self._drives, law=self.law)
+            points, normals = self.rig.posed(pose).quadrature
+            law = self.rig.skin.arp_law
+            self._loads = arp_frames(evaluator, pose.points(points), normals @ pose.turn.T, self._drives, law=law)
 
     def take(self, pose: "Pose", drive: Complex) -> Float32 | None:
         """ARP [Pa] for this drive, shape (n,), or None where it was not foreseen."""
@@ -135,10 +135,16 @@ def refusal(rig: "Rig") -> str | None:
     """Why the skin can't be reduced for this stimulus, in words, or None."""
     if rig.skin.solver == "full":
         return "solver 'full' is asked for"
-    if not np.any(rig.unit_drive(rig.reference_focus)[0]):
+    if rig.setting.moves:
+        return "a hand is moved by script"
+    if rig.silent:
         return "the stimulus is silent"
     if one_shape(rig):
         return None
+    if not repeats(rig.stimulus):
+        return "bursts, or a path that runs once, don't come round"
+    if rig.stimulus.path == "letters" or (rig.stimulus.path_end == "jump" and not is_closed(rig.stimulus)):
+        return "the focus jumps from one end of its path to the other"
     if rig.stimulus.path != "point" and rig.stimulus.control_rate_Hz > 0.0:
         return "control_rate_Hz holds the focus at moments that don't come round with the path"
     expected = expected_vectors(rig)
@@ -157,7 +163,8 @@ def expected_vectors(rig: "Rig") -> int:
     if one_shape(rig):
         return 60
     stimulus = rig.stimulus
-    if stimulus.path_points and stimulus.path_rate_Hz and REST_S * stimulus.path_rate_Hz * stimulus.path_points < 1.0:
+    rate = turn_rate_Hz(stimulus)
+    if stimulus.path_points and rate and REST_S * rate * stimulus.path_points < 1.0:
         return 60 * stimulus.path_points
     return 100 if stimulus.stop_s is None else 200
 
@@ -171,7 +178,7 @@ def one_shape(rig: "Rig") -> bool:
 
 def period_s(stimulus: StimulusConfig) -> float | None:
     """Time after which focus and level are the same again [s]; None where that takes more than MOST_TURNS turns."""
-    path = stimulus.path_rate_Hz if stimulus.path == "circle" else None
+    path = turn_rate_Hz(stimulus)
     wave = stimulus.am_frequency_Hz if stimulus.modulation == "am" else None
     if path is None or wave is None:
         return 1.0 / (path or wave or 200.0)
@@ -193,7 +200,8 @@ def known_load(chain: "Chain", pose: "Pose") -> KnownLoad:
     turn = period_s(rig.stimulus) or 0.0
     trial: Float = step * np.arange(round(min(max(TRIAL_S, turn), LONGEST_TRIAL_S) / step) + 1)
     if one_shape(rig):
-        shape = chain.sound(rig.reference_focus, pose).skin_force[:, None]
+        first = frame_at(rig.stimulus, rig.stimulus.start_s).focus
+        shape = chain.sound(rig.reference_foci(first), pose).skin_force[:, None]
         lines = [0.0, rig.main_frequency_Hz, *main_frequencies(rig.stimulus)]
         found: list[tuple[float, Complex]] = [(f, np.ones(1, complex)) for f in dict.fromkeys(lines)]
         return KnownLoad(shape, shape, [frames_at(rig.stimulus, start + trial)[1][:, None]], found)
@@ -244,15 +252,11 @@ def rehearse(rig: "Rig", pose: "Pose", step_s: float, skip: int, count: int) -> 
 
     The stimulus is that without ramp and end: what comes round.
     """
-    turn, shift = np.array(rig.stimulus_frame.rotation).reshape(3, 3), np.array(rig.stimulus_frame.position)
-
-    def to_array(point: Float) -> Float:
-        return shift + turn @ point
-
     steady = rig.stimulus.model_copy(update={"ramp_s": 0.0, "stop_s": None})
     emitter, response = rig.emitter(pose.arrays), rig.response
     drives = (
-        asked(steady, emitter, response.delays_s, steady.start_s + k * step_s, to_array) for k in range(skip + count)
+        asked(steady, emitter, response.delays_s, steady.start_s + k * step_s, rig.reference_foci)
+        for k in range(skip + count)
     )
     if not response.on:
         return np.array(list(drives)[skip:])
@@ -267,7 +271,7 @@ def rehearse(rig: "Rig", pose: "Pose", step_s: float, skip: int, count: int) -> 
 def _loads(chain: "Chain", pose: "Pose", drives: Complex) -> Float:
     """Consistent nodal forces on the skin [N] of drives (f, n), shape (f, ndof)."""
     rig = chain.rig
-    points, normals = rig.quadrature.points, rig.quadrature.normals
+    points, normals = rig.posed(pose).quadrature
     if rig.skin.body_sound == "none" and chain.one_fast_kernel:
         evaluator = rig.emitter(pose.arrays).evaluator.evaluators[0]
         pressures = arp_frames(evaluator, pose.points(points), normals @ pose.turn.T, drives, law=rig.skin.arp_law)

@@ -1,15 +1,16 @@
-"""The command `palmfield hand`: a mesh's report card, printed and written."""
+"""The command `palmfield hand`: a mesh's report card, printed and written, and its MJCF."""
 
 from pathlib import Path
 
-from palmfield.errors import SceneError
+from palmfield.errors import OutputError, SceneError
 from palmfield.hand.reportcard import as_text, report_card, write_card
 
 
-def show_hand(mesh: Path, unit: str, json_file: Path | None, png: Path | None) -> None:
-    """Print the report card of a mesh and write it as JSON and PNG.
+def show_hand(mesh: Path, unit: str, json_file: Path | None, png: Path | None, mjcf: Path | None = None) -> None:
+    """Print the report card of a mesh and write it as JSON and PNG; write the bodies of a rigged mesh as MJCF.
 
-    Raises SceneError, after all is written, where the mesh is refused.
+    Raises SceneError, after the card is written, where the mesh is refused, and for MJCF of a mesh without joints;
+    OutputError where a file cannot be written.
     """
     card = report_card(mesh, unit)
     print(as_text(card.facts), end="")
@@ -22,3 +23,13 @@ def show_hand(mesh: Path, unit: str, json_file: Path | None, png: Path | None) -
         print(f"wrote {draw_card(card, png)}")
     if card.refusal is not None:
         raise SceneError(card.refusal)
+    if mjcf is not None:
+        from palmfield.hand.rigged_mjcf import rigged_mjcf
+        from palmfield.hand.skinning import rigged_file
+
+        text = rigged_mjcf(rigged_file(str(mesh), unit), mesh.stem)
+        try:
+            mjcf.write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise OutputError(f"{mjcf} cannot be written: {error}; give another file") from error
+        print(f"wrote {mjcf}")

@@ -14,6 +14,7 @@ from palmfield.types import Air, Complex, Field, Float, Float32, Int
 EDGES_PER_WAVELENGTH = 6.0
 """Longest edge of the boundary elements; they come out with about 8 edges a wavelength in the mean."""
 
+
 BODY_SOUNDS = {
     "none": "faces turned away from the sound are unlit; one part does not shade another, nothing echoes",
     "shadows": "dark where the way back along the sound's energy flux is blocked, by another part or the body itself",

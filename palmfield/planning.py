@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from palmfield.acoustics import validity
-from palmfield.acoustics.air import absorption_Np_m, density, sound_speed
+from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.arp import LAWS
 from palmfield.foresight import SHARE, STILL, factor_s
 from palmfield.obstacle import BODY_SOUNDS
@@ -16,7 +16,7 @@ from palmfield.report import RATIO, PUBLISHED_P0_Pa_m, compares_with_finer, p0_b
 from palmfield.rig import Rig
 from palmfield.scene import Scene
 from palmfield.skin.from_keys import cutoff_Hz, sheets_in_words
-from palmfield.skin.material import complex_shear, shear_wave
+from palmfield.skin.material import shear_wave
 from palmfield.stimulus import frame_at, frame_rates, main_frequencies
 
 # Measured on two cores of a server CPU (docs/bench/): pairs a second with gradient.
@@ -87,8 +87,8 @@ def warnings(scene: Scene) -> list[str]:
     skin = scene.skin
     rig = skin.rig
     pose = skin.pose()
-    focus = skin.to_array(frame_at(rig.stimulus, rig.stimulus.start_s).focus)
-    nodes = pose.points(rig.mesh.nodes[: rig.mesh.surface_nodes])
+    focus = np.atleast_2d(skin.to_array(frame_at(rig.stimulus, rig.stimulus.start_s).focus))[0]
+    nodes = pose.points(rig.posed(pose).nodes[0])
     distance = float(np.linalg.norm(nodes - focus, axis=1).min())
     found = []
     if distance > max(rig.spot_fwhm_m, 2 * rig.sizes[1]):
@@ -137,7 +137,7 @@ def _scatter_s(rig: Rig) -> float:
     """Seconds of one solution by boundary elements on two CPU cores."""
     if rig.skin.body_sound != "scattering":
         return 0.0
-    elements = len(rig.boundary_mesh[1])
+    elements = len(rig.posed(rig.reference_pose).boundary_mesh[1])
     return SCATTER_PAIR_S * elements**2 + SCATTER_ELEMENT_S * elements
 
 
@@ -154,7 +154,7 @@ def _estimate_s(rig: Rig, dofs: int) -> float:
 def _points_a_step(rig: Rig) -> float:
     skin = 6 * len(rig.mesh.surface_triangles6)
     body = 0 if rig.surface is None else len(rig.surface.faces)
-    moving = rig.stimulus.path == "circle" and not frame_rates(rig.stimulus)
+    moving = rig.stimulus.path != "point" and not frame_rates(rig.stimulus)
     changes = round(rig.timestep_s / rig.sizes[4]) if moving else 1
     return changes * (skin + rig.mesh.surface_nodes) + body
 
@@ -359,44 +359,3 @@ def _errors(rig: Rig) -> tuple[Row, ...]:
             )
         )
     return tuple(rows)
-
-
-def describe(scene: Scene) -> str:
-    """What `palmfield info` prints."""
-    rig = scene.skin.rig
-    c = sound_speed(rig.air)
-    modulus = complex_shear(rig.material, 200.0)
-    drive = rig.unit_drive(rig.reference_focus)[1]
-    array, material = rig.array, rig.material
-    rows = [
-        ("scene", f"{scene.path}, {scene.duration_s:g} s in steps of {1e3 * rig.timestep_s:g} ms"),
-        (
-            "array",
-            f"{array.name}: {len(array)} transducers, {array.frequency_Hz / 1e3:g} kHz, p0 {array.p0_Pa_m:g} Pa m",
-        ),
-        (
-            "air",
-            f"{rig.air.temperature_C:g} C, {rig.air.humidity_percent:g} %, {rig.air.pressure_Pa:g} Pa: c {c:.1f} m/s, "
-            f"rho {density(rig.air):.3f} kg/m3, absorption {absorption_Np_m(rig.air, rig.array.frequency_Hz):.3f} Np/m",
-        ),
-        ("stimulus", ", ".join(f"{k} {v}" for k, v in rig.stimulus.model_dump(exclude_none=True).items())),
-        ("drive", f"{rig.device.name}; amplitude {drive:.4f} of full at the first focus"),
-        ("surface", f"{rig.skin.shape} on body '{rig.skin.body}'"),
-        (
-            "material",
-            f"{material.name}: rho {material.density_kg_m3:g} kg/m3, "
-            f"G*(200 Hz) {modulus.real:.0f}{modulus.imag:+.0f}i Pa",
-        ),
-        ("material source", material.source),
-        ("ARP law", LAWS[rig.skin.arp_law]),
-        (
-            "conventions",
-            "e^{-i w t}, pressure as complex peak; ARP positive into the surface; displacement positive outward",
-        ),
-    ]  # fmt: skip
-    stream = io.StringIO()
-    grid = Table(show_header=False)
-    for name, text in rows:
-        grid.add_row(name, text)
-    Console(file=stream, width=130).print(grid)
-    return stream.getvalue()

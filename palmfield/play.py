@@ -10,14 +10,15 @@ from rich.console import Console
 from rich.progress import Progress
 
 from palmfield.acoustics.arrays import layout
-from palmfield.acoustics.focus import focus as focus_phases
+from palmfield.acoustics.focus import focus
 from palmfield.drive.device import DEVICES
+from palmfield.drive.foci import solve_foci
 from palmfield.drive.link import Played, RecordLink, open_link, play_frames
 from palmfield.drive.sonicsurface import OFF_FRAME, encode
 from palmfield.errors import DeviceError
 from palmfield.scene import Scene, load
-from palmfield.stimulus import frame_at, frame_rates
-from palmfield.types import Air
+from palmfield.stimulus import frame_at, frame_rates, jumps
+from palmfield.types import Air, Array, Complex, Float
 
 BOARDS = ("sonicsurface",)
 REFRESH_S = 0.1
@@ -31,7 +32,7 @@ def play_focus(
     Raises SceneError for a focus behind the array, DeviceError for an unknown or lost board.
     """
     _check_board(board)
-    frame = encode(focus_phases(layout(board), Air(), np.array(point)))
+    frame = encode(focus(layout(board), Air(), np.array(point)))
     return _play(_refreshed(frame, time_s), time_s, port, record)
 
 
@@ -51,15 +52,20 @@ def scene_frames(scene: Scene, duration_s: float) -> Iterator[tuple[float, bytes
     stimulus, rig = scene.skin.rig.stimulus, scene.skin.rig
     rates = frame_rates(stimulus)
     step = 1.0 / max(rates) if rates else REFRESH_S
-    edges = {t for t in (stimulus.start_s, stimulus.stop_s) if t is not None and 0 < t < duration_s}
+    edges = {t for t in jumps(stimulus, 0.0, duration_s) if 0 < t < duration_s}
     times = sorted({k * step for k in range(math.ceil(duration_s / step - 1e-9))} | edges)
     for t in times:
         frame = frame_at(stimulus, t)
         if frame.arp_factor == 0.0:
             yield t, OFF_FRAME
         else:
-            yield t, encode(focus_phases(rig.array, rig.air, scene.skin.to_array(frame.focus)))
+            yield t, encode(drive_for(rig.array, rig.air, scene.skin.to_array(frame.focus)))
     yield duration_s, OFF_FRAME
+
+
+def drive_for(array: Array, air: Air, foci: Float) -> Complex:
+    """Complex amplitude of each transducer for one focus [m], shape (3,), or several at once, shape (m, 3)."""
+    return focus(array, air, foci) if foci.ndim == 1 else solve_foci(foci, array, air).drive
 
 
 def _refreshed(frame: bytes, time_s: float) -> Iterator[tuple[float, bytes]]:

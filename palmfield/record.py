@@ -1,6 +1,5 @@
 """What a running simulation writes: blocks of labelled arrays for the store."""
 
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -8,10 +7,12 @@ import xarray as xr
 
 from palmfield.chain import Sound
 from palmfield.engine.modules import SkinModule
+from palmfield.hand.triangles import vertex_normals
 from palmfield.outputs.schema import dataset
 from palmfield.outputs.store import Store
+from palmfield.posed import Bound
 from palmfield.skin.surface import output_triangles
-from palmfield.types import Complex, Float, Float32, Int
+from palmfield.types import Complex, Float, Float32
 
 
 class Recorder:
@@ -43,10 +44,11 @@ class Recorder:
         focus = np.full(3, np.nan)
         if sound is not None:
             if self._last[0] is not sound:
-                self._last = (sound, self.chain.arp_at(self.nodes, self.normals, sound.pose, sound.drive)[0])
+                place = self.chain.rig.posed(sound.pose).nodes
+                self._last = (sound, self.chain.arp_at(*place, sound.pose, sound.drive)[0])
             arp = np.float32(factor) * self._last[1]
             position, turn = self.skin.world.pose("site", self.skin.sites[0])
-            focus = position + turn @ sound.focus
+            focus = position + turn @ sound.first
             if arp.max() > self._loudest_Pa:
                 self._loudest_Pa, self._loudest = float(arp.max()), (factor, sound)
         self._add(
@@ -72,6 +74,8 @@ class Recorder:
         """One MuJoCo step has ended: note body and force at its beginning, and hand the block over."""
         world = self.skin.world
         position, turn = world.pose("body", self.skin.body)
+        if self.chain.rig.hand is not None:
+            self._add(bone_pose=self._bone_poses())
         self._add(
             step_time=world.time - world.model.timestep,
             body_pose=np.concatenate([position, quaternion(turn)]),
@@ -81,6 +85,13 @@ class Recorder:
         self._blocks = {}
         self.store.append(dataset(**block))
 
+    def _bone_poses(self) -> Float:
+        pose = self.skin.pose()
+        count = len(self.skin.bones)
+        return np.array(
+            [np.concatenate([at, quaternion(turn)]) for at, turn in zip(*(x[:count] for x in pose.bones), strict=True)]
+        )
+
     @property
     def loudest(self) -> tuple[Sound | None, float]:
         """The sound with the highest ARP on the skin so far, and its ARP factor."""
@@ -89,32 +100,22 @@ class Recorder:
     def surfaces(self) -> xr.Dataset:
         """ARP and pressure on the whole surface and on the skin at the loudest moment."""
         factor, sound = self._loudest
-        vertices, _ = self._surface
-        rows: dict[str, Float32] = {}
+        rig = self.chain.rig
+        posed = rig.posed(rig.reference_pose if sound is None else sound.pose)
+        rows: dict[str, Any] = {}
         for prefix, points, normals in (
-            ("surface", vertices, self._surface_normals),
-            ("skin", self.nodes, self.normals),
+            ("surface", posed.vertices, vertex_normals(posed.vertices, rig.closed_surface[1])),
+            ("skin", *posed.nodes),
         ):
             arp, pressure = np.zeros(len(points), np.float32), np.zeros(len(points), np.float32)
             if sound is not None:
                 arp, pressure = self.chain.arp_at(points, normals, sound.pose, sound.drive)
             rows[f"{prefix}_pressure"] = (np.sqrt(factor) * pressure).astype(np.float32)
             rows[f"{prefix}_arp"] = (factor * arp).astype(np.float32)
+        beside = posed.beside
+        if beside is not None:
+            rows["obstacle_vertices"], rows["obstacle_faces"] = beside
         return dataset(**{k: v for k, v in rows.items() if k != "skin_arp"})
-
-    @cached_property
-    def _surface(self) -> tuple[Float, Int]:
-        return self.chain.rig.closed_surface
-
-    @cached_property
-    def _surface_normals(self) -> Float:
-        vertices, faces = self._surface
-        a, b, c = (vertices[faces[:, i]] for i in range(3))
-        cross = np.cross(b - a, c - a)
-        total = np.zeros_like(vertices)
-        for i in range(3):
-            np.add.at(total, faces[:, i], cross)
-        return total / np.linalg.norm(total, axis=1, keepdims=True)
 
 
 def static_data(skin: SkinModule) -> xr.Dataset:
@@ -124,7 +125,13 @@ def static_data(skin: SkinModule) -> xr.Dataset:
     nodes, _ = chain.surface_nodes()
     base = rig.mesh.nodes[-len(nodes) :]
     position, turn = skin.world.pose("site", skin.sites[0])
+    bones: dict[str, Any] = {}
+    if rig.hand is not None and rig.nodes_bound is not None:
+        for mesh, bound in (("skin", rig.nodes_bound), ("surface", Bound.to(rig.hand, vertices))):
+            bones |= {f"{mesh}_bone": bound.bones, f"{mesh}_share": bound.shares.astype(np.float32)}
+        bones["bone_rest"] = np.array([bone.origin for bone in rig.hand.bones])
     return dataset(
+        **bones,
         skin_position=nodes,
         skin_faces=output_triangles(rig.mesh).astype(np.int32),
         skin_depth=np.linalg.norm(nodes - base, axis=1),

@@ -89,7 +89,7 @@ def error_estimate(rig: Rig, sound: Sound, wall: Wall | None = None, lifted: boo
     The model's other errors (law, material, linearity) are not in these; the plan names them.
     Raises SceneError where neither a finer nor a coarser mesh of the layer can be made.
     """
-    point = (sound.focus - sound.pose.shift) @ sound.pose.turn
+    point = (sound.first - sound.pose.shift) @ sound.pose.turn
     finer = compares_with_finer(rig, rig.system.ndof)
     try:
         return _error_estimate(rig, sound, point, finer, wall, lifted)

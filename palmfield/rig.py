@@ -8,20 +8,23 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from palmfield.acoustics.air import sound_speed
-from palmfield.acoustics.shadow import shadow_mesh
-from palmfield.config import DriverConfig, Side, SkinConfig, StimulusConfig
+from palmfield.config import Side
 from palmfield.device import resolve
-from palmfield.drive.device import DEVICES, check
+from palmfield.drive.device import DEVICES
 from palmfield.emission import response
-from palmfield.emitter import Board, Emitter, Placement
-from palmfield.errors import DeviceError, SceneError
+from palmfield.emitter import Emitter, Placement
+from palmfield.engine.pose import Pose, seen_from
+from palmfield.errors import SceneError
 from palmfield.foresight import Choice, choice
 from palmfield.hand.meshfile import load_mesh
 from palmfield.hand.patch import surface_patch
 from palmfield.hand.preset import load_preset
+from palmfield.hand.rigged import joint_of_body
+from palmfield.hand.skinning import SkinnedHand, SkinnedSurface, rigged_file, skinned_mesh
 from palmfield.hand.surface import hand_surface
-from palmfield.obstacle import boundary_mesh
+from palmfield.limits import check_body_sound, check_device
+from palmfield.posed import Bound, PosedBody
+from palmfield.setting import Setting
 from palmfield.skin.assembly import SkinSystem, assemble
 from palmfield.skin.disc import disc_patch
 from palmfield.skin.estimate import choose_sizes
@@ -31,13 +34,13 @@ from palmfield.skin.solver import SkinSolver
 from palmfield.skin.stepping import FullSkin, ReducedSkin
 from palmfield.skin.surface import closed_boundary
 from palmfield.skin.wedges import WedgeMesh, extrude
-from palmfield.stimulus import frame_at, frame_rates, main_frequencies
+from palmfield.stimuli.onskin import SkinPath, drawn, through
+from palmfield.stimulus import SitesStimulus, frame_at, main_frequencies, plane_path
 from palmfield.types import Complex, Float, Int, Patch, Surface
 
 # The rules are calibrated on a disc of even depth. A hand's layer thins at rims and webs, differently on each mesh: its
 # 200 Hz response still moves by 2.5 % where the disc's is within 0.5 %.
 UNEVEN = 6.0
-Triple = tuple[float, float, float]
 
 
 T = TypeVar("T")
@@ -56,43 +59,126 @@ class once(cached_property[T]):
 class Rig:
     """The static part of a scene. Costly parts are made when first asked for, once, also from several threads."""
 
-    def __init__(
-        self,
-        boards: tuple[Board, ...],
-        stimulus: StimulusConfig,
-        skin: SkinConfig,
-        driver: DriverConfig,
-        timestep_s: float,
-        stimulus_frame: Placement,
-        patch_centre: Triple,
-        body: Placement,
-        duration_s: float,
-        resizing: float = 1.0,
-    ):
-        self.resizing = resizing
-        self.body, self.duration_s = body, duration_s
+    def __init__(self, setting: Setting, resizing: float = 1.0):
+        self.setting, self.resizing = setting, resizing
+        self.body, self.duration_s = setting.body, setting.duration_s
         self.stepper: FullSkin | ReducedSkin | None = None
-        self.boards, self.stimulus, self.skin, self.driver = boards, stimulus, skin, driver
-        self.timestep_s = timestep_s
-        self.stimulus_frame, self.patch_centre = stimulus_frame, np.array(patch_centre)
-        turn = np.array(stimulus_frame.rotation).reshape(3, 3)
-        self.reference_focus = np.array(stimulus_frame.position) + turn @ frame_at(stimulus, stimulus.start_s).focus
+        self.boards, self.skin, self.driver = setting.boards, setting.skin, setting.driver
+        self.timestep_s = setting.timestep_s
+        self.stimulus_frame, self.patch_centre = setting.stimulus_frame, np.array(setting.patch_centre)
         self.lock = threading.RLock()
-        resolve(boards[0].config.compute)
-        self.device = DEVICES[driver.device]
-        self.sheets = sheets_of(skin)
+        self._posed: PosedBody | None = None
+        self._posed_for: Pose | None = None
+        resolve(setting.boards[0].config.compute)
+        self.device = DEVICES[setting.driver.device]
+        self.sheets = sheets_of(setting.skin)
         self.material = self.sheets[0].material
-        self._placements = tuple(board.placement for board in boards)
-        self.reference_emitter = Emitter(boards, self._placements, stimulus, self.device)
+        self.stimulus = setting.stimulus
+        if self.stimulus.path == "sites":
+            assert self.skin_path is not None
+            known = self.stimulus.model_dump(exclude_unset=True)
+            self.stimulus = SitesStimulus(**known, sites_length_m=float(self.skin_path.arc_m[-1]))
+        placements = tuple(board.placement for board in self.boards)
+        self.reference_emitter = Emitter(self.boards, placements, self.stimulus, self.device)
         self.air, self.array = self.reference_emitter.air, self.reference_emitter.array
         self._emitters = [self.reference_emitter]
         check_device(self)
-        self.unit_drive(self.reference_focus)
+        focus = self.reference_foci(frame_at(self.stimulus, self.stimulus.start_s).focus)
+        self.reference_focus: Float = np.atleast_2d(focus)[0]
+        self.silent = not np.any(self.unit_drive(focus)[0])
         self.response = response(
-            boards, self.reference_emitter, stimulus, stimulus_frame, self.reference_focus, skin.accuracy,
-            spread=skin.body_sound != "scattering",
+            self.boards, self.reference_emitter, self.stimulus, self.reference_course, self.reference_focus,
+            self.skin.accuracy, spread=self.skin.body_sound != "scattering",
         )  # fmt: skip
         check_body_sound(self)
+
+    # -- poses and places ------------------------------------------------------------------------------------------
+
+    @once
+    def reference_pose(self) -> Pose:
+        """The pose that MuJoCo's reference configuration gives."""
+        turn = np.array(self.body.rotation).reshape(3, 3)
+        others = [(np.array(place.position), np.reshape(place.rotation, (3, 3))) for _, place in self.setting.obstacles]
+        if self.hand is not None:
+            others = [(bone.origin, np.eye(3)) for bone in self.hand.bones] + others
+        still = np.zeros(3), np.eye(3)
+        placements = tuple(board.placement for board in self.boards)
+        return Pose(np.array(self.body.position), turn, placements, seen_from(still, others))
+
+    def posed(self, pose: Pose) -> PosedBody:
+        """The body in a pose; the last one is kept."""
+        with self.lock:
+            if self._posed is None or self._posed_for is None or not self._posed_for.same_bones(pose):
+                self._posed, self._posed_for = PosedBody(self, pose.bones), pose
+            return self._posed
+
+    def reference_foci(self, point: Float) -> Float:
+        """As `foci`, in the reference pose."""
+        frame = self.stimulus_frame
+        return self.foci(point, (np.array(frame.position), np.reshape(frame.rotation, (3, 3))), self.reference_pose)
+
+    def foci(self, point: Float, frame: tuple[Float, Float], pose: Pose) -> Float:
+        """Foci in the frame of the first array [m], shape (3,), or (m, 3) for several at once.
+
+        point: what the stimulus asks for (`palmfield.stimulus.Frame`), shape (3,)
+        frame: position and rotation of the stimulus's frame in that of the first array
+        """
+        if self.skin_path is not None:
+            at, _ = self.skin_path.at(point[:1], self.posed(pose).vertices, self.closed_surface[1])
+            return pose.points(at)[0]
+        shift, turn = frame
+        if self.stimulus.foci_m:
+            return shift + (point + np.reshape(self.stimulus.foci_m, (-1, 3))) @ turn.T
+        return shift + turn @ point
+
+    def reference_course(self, points: Float) -> Float:
+        """Places of the focus, or of the middle of several, in the reference pose, frame of the first array, (n, 3).
+
+        points: what the stimulus asks for, shape (n, 3)
+        """
+        if self.skin_path is not None:
+            assert self.surface is not None
+            at, _ = self.skin_path.at(points[:, 0], self.surface.vertices, self.surface.faces)
+            return self.reference_pose.points(at)
+        turn = np.reshape(self.stimulus_frame.rotation, (3, 3))
+        return points @ turn.T + np.array(self.stimulus_frame.position)
+
+    @once
+    def skin_path(self) -> SkinPath | None:
+        """The path that the focus takes on the resting surface, None for a path elsewhere."""
+        stimulus = self.setting.stimulus
+        if stimulus.path_on != "skin":
+            return None
+        element = "plugin 'palmfield.stimulus': key 'path_on' has value 'skin'"
+        if self.surface is None:
+            raise SceneError(f"{element}, but the skin's shape is a flat disc: set path_on to plane")
+        try:
+            if stimulus.path == "sites":
+                return through(self.surface, np.array(self.setting.path_sites))
+            path = plane_path(stimulus)
+            assert path is not None
+            turn, frame = np.reshape(self.body.rotation, (3, 3)), self.stimulus_frame
+            axes = np.reshape(frame.rotation, (3, 3))
+            start = np.array(frame.position) + axes @ np.array(stimulus.focus_m) - np.array(self.body.position)
+            return drawn(self.surface, start @ turn, axes[:, 0] @ turn, path)
+        except SceneError as error:
+            raise SceneError(f"{element}: {error}") from None
+
+    @once
+    def path_reach_m(self) -> tuple[float, float]:
+        """How far the path goes from the focus's middle, and from the middle of the skin layer [m]."""
+        if self.skin_path is not None:
+            assert self.surface is not None
+            at, _ = self.skin_path.at(self.skin_path.arc_m, self.surface.vertices, self.surface.faces)
+            reach = float(np.linalg.norm(at - self.patch_centre, axis=1).max())
+            return reach, reach
+        foci = np.reshape(self.stimulus.foci_m, (-1, 3))[:, :2]
+        beside = float(np.hypot(*foci.T).max(initial=0.0))
+        if self.stimulus.path_diameter_m:
+            return (0.5 * self.stimulus.path_diameter_m + beside,) * 2
+        path = plane_path(self.stimulus)
+        reach = beside + (0.0 if path is None else float(np.hypot(*path.points.T).max()))
+        return reach, reach
 
     # -- sound ---------------------------------------------------------------------------------------------------
 
@@ -123,30 +209,7 @@ class Rig:
     def resized(self, factor: float, *, side: Side | None = None) -> "Rig":
         """The same scene with elements of `factor` times the plan's size, and perhaps other cut faces."""
         skin = self.skin if side is None else self.skin.model_copy(update={"side": side})
-        return Rig(
-            self.boards,
-            self.stimulus,
-            skin,
-            self.driver,
-            self.timestep_s,
-            self.stimulus_frame,
-            tuple(self.patch_centre),
-            self.body,
-            self.duration_s,
-            resizing=factor,
-        )
-
-    @once
-    def shadow_mesh(self) -> Any:
-        """What casts shadows, in the body frame."""
-        vertices, faces = self.closed_surface
-        return shadow_mesh(Surface(vertices, faces, np.zeros_like(vertices)), self.reference_emitter.evaluator.device)
-
-    @once
-    def boundary_mesh(self) -> tuple[Float, Int]:
-        """Boundary elements of the body, in its frame."""
-        wavelength = sound_speed(self.air) / self.array.frequency_Hz
-        return boundary_mesh(*self.closed_surface, wavelength)
+        return Rig(self.setting._replace(skin=skin), factor)
 
     # -- surface and skin ----------------------------------------------------------------------------------------
 
@@ -155,8 +218,42 @@ class Rig:
         if self.skin.shape == "mesh":
             assert self.skin.mesh and self.skin.mesh_unit
             return load_mesh(Path(self.skin.mesh), self.skin.mesh_unit), self.skin.depth_m
+        if self.skin.shape == "rigged":
+            assert self.hand is not None
+            return self.hand.surface, self.skin.depth_m
         hand = hand_surface(load_preset(self.skin.hand))
         return hand.surface, hand.depth_to_bone
+
+    @once
+    def hand(self) -> SkinnedSurface | None:
+        """The skin with its bones of an articulated hand or a rigged mesh, None for a body in one piece."""
+        if self.skin.shape == "rigged":
+            assert self.skin.mesh and self.skin.mesh_unit
+            mesh = rigged_file(self.skin.mesh, self.skin.mesh_unit)
+            joint, _ = joint_of_body(self.skin.body, mesh.joints)
+            return skinned_mesh(mesh, mesh.joints.rest[joint, :3, 3])
+        return SkinnedHand(load_preset(self.skin.hand)) if self.skin.shape == "articulated" else None
+
+    @once
+    def owners(self) -> Int:
+        """The bone that each face of a surface with bones pushes, shape (m,)."""
+        assert self.hand is not None
+        return self.hand.dominant_bone()[self.hand.surface.faces[:, 0]]
+
+    @once
+    def nodes_bound(self) -> Bound | None:
+        """Bones of the skin layer's surface nodes."""
+        return None if self.hand is None else Bound.to(self.hand, self.mesh.nodes[: self.mesh.surface_nodes])
+
+    @once
+    def points_bound(self) -> Bound | None:
+        """Bones of the points at which ARP on the skin is integrated."""
+        return None if self.hand is None else Bound.to(self.hand, self.quadrature.points)
+
+    @once
+    def obstacles(self) -> list[tuple[Float, Int]]:
+        """Meshes [m] of what casts shadows besides the body, each in its own body's frame."""
+        return [obstacle.mesh() for obstacle, _ in self.setting.obstacles]
 
     @property
     def surface(self) -> Surface | None:
@@ -197,9 +294,8 @@ class Rig:
             layers = math.ceil(layers) if self.resizing < 1 else max(1, math.floor(layers))
             shares = np.interp(np.linspace(0, 1, layers + 1), np.linspace(0, 1, len(shares)), shares)
         shares, _ = rows_of(self.sheets, shares)
-        if self.stimulus.path_diameter_m:
-            fine_radius += 0.5 * self.stimulus.path_diameter_m
-            radius += 0.5 * self.stimulus.path_diameter_m
+        near, far = self.path_reach_m
+        fine_radius, radius = fine_radius + near, radius + far
         radius = s.radius_m or s.patch_radius_m or radius
         coarse = min(coarse, 0.5 * radius)
         fine = min(fine, coarse)
@@ -220,7 +316,7 @@ class Rig:
             return disc_patch(self.skin.radius_m, self.skin.thickness_m, fine, coarse, fine_radius)
         surface, depth = self._hand
         # A hand knows where its bones are, so the layer may reach past the middle; any other body is all there is.
-        fraction = 0.6 if self.skin.shape == "hand" else 0.45
+        fraction = 0.45 if self.skin.shape in ("mesh", "rigged") else 0.6
         try:
             return surface_patch(
                 surface,
@@ -292,56 +388,6 @@ class Rig:
         return self.skin_room + 1 + (2 * len(self.array) if self.response.on else 0)
 
 
-def check_body_sound(rig: Rig) -> None:
-    """Refuse what boundary elements can't follow in sensible time: they solve once for a focus and a pose."""
-    if rig.skin.body_sound != "scattering":
-        return
-    name = "plugin 'palmfield.skin': key 'body_sound' has value 'scattering'; allowed:"
-    if rig.stimulus.path != "point":
-        raise SceneError(f"{name} with path 'point' only, as each focus takes a solution of its own; use shadows")
-    if rig.skin.arp_law != "default":
-        raise SceneError(f"{name} with arp_law 'default' only; it has the total field")
-    if rig.response.on and np.ptp(np.abs(rig.response.pole.rate)) > 0.0:
-        raise SceneError(f"{name} with transducers that change together; set key 'response' of the array to off")
-
-
-def check_device(rig: Rig) -> None:
-    """Refuse a stimulus that the device cannot play (DeviceError) and a device on another array (SceneError)."""
-    stimulus, device = rig.stimulus, rig.device
-    if device.name == "ideal":
-        return
-    rates = frame_rates(stimulus)
-    moving = stimulus.path != "point"
-    if moving and not rates:
-        raise DeviceError(
-            f"plugin 'palmfield.stimulus': a path without steps needs any number of frames/s; {device.name} gives "
-            f"{device.max_frame_rate_Hz:.1f}: set path_points and a path_rate_Hz that fit, or use device ideal"
-        )
-    turn = rates[0] / stimulus.path_rate_Hz if moving and stimulus.path_rate_Hz else None
-    wants_level = stimulus.arp_peak_Pa is not None or stimulus.drive_amplitude not in (None, 0.0, 1.0)
-    modulated = stimulus.modulation == "am"
-    rate = max(rates) if rates else 0.0
-    if modulated and not rates:
-        rate = 10 * (stimulus.am_frequency_Hz or 0.0)
-    check(device, frame_rate_Hz=rate, points_per_turn=turn, modulated=modulated, element="palmfield.stimulus")
-    if stimulus.ramp_s > 0 or wants_level:
-        raise DeviceError(
-            f"plugin 'palmfield.stimulus': a ramp or a level between off and full needs continuous amplitude; "
-            f"{device.name} gives on or off: drop ramp_s, arp_peak_Pa and drive_amplitude, or use device ideal"
-        )
-    if len(rig.boards) > 1:
-        raise SceneError(
-            f"plugin 'palmfield.driver': device '{device.name}' drives one array; the scene has "
-            f"{len(rig.boards)} of 'palmfield.array': use device ideal"
-        )
-    layout = rig.boards[0].config.layout
-    if layout != device.name:
-        raise SceneError(
-            f"plugin 'palmfield.driver': device '{device.name}' drives the layout '{device.name}' only; "
-            f"plugin 'palmfield.array' has layout '{layout}': set it to '{device.name}'"
-        )
-
-
 def _with_keys(error: SceneError) -> SceneError:
     return SceneError(
         f"plugin 'palmfield.skin': {error} (the scene's keys for these: patch_site, patch_radius_m, depth_m, element_m)"
@@ -349,23 +395,6 @@ def _with_keys(error: SceneError) -> SceneError:
 
 
 @lru_cache(maxsize=8)
-def rig(
-    boards: tuple[Board, ...],
-    stimulus: StimulusConfig,
-    skin: SkinConfig,
-    driver: DriverConfig,
-    timestep_s: float,
-    stimulus_frame: Placement,
-    patch_centre: Triple,
-    body: Placement,
-    duration_s: float,
-) -> Rig:
-    """The rig for these configurations; equal ones share it, so that two models of one scene factorise once.
-
-    boards: the scene's arrays; timestep_s: MuJoCo's step [s]
-    stimulus_frame: frame of focus and path, in the frame of the first array, in the reference pose
-    patch_centre: middle of the skin layer in the body frame [m]
-    body: the skin's body in the frame of the first array, in the reference pose
-    duration_s: how long the scene runs by default [s]
-    """
-    return Rig(boards, stimulus, skin, driver, timestep_s, stimulus_frame, patch_centre, body, duration_s)
+def rig(setting: Setting) -> Rig:
+    """The rig for a setting; equal ones share it, so that two models of one scene factorise once."""
+    return Rig(setting)

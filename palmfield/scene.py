@@ -1,14 +1,20 @@
 """A scene file, loaded: MuJoCo's model with the modules' settings."""
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
 
 from palmfield.engine.host import compiling, take_compile_error, world_of
-from palmfield.engine.modules import DURATION, MODULES, SkinModule
+from palmfield.engine.modules import MODULES, SkinModule
+from palmfield.engine.motion import MotionModule
+from palmfield.engine.reading import DURATION
 from palmfield.errors import PalmfieldError, SceneError
+
+FILES = {"palmfield.skin": ("mesh",), "palmfield.motion": ("keyframes", "trajectory", "tracking")}
+"""Keys that name files, relative to the scene."""
 
 
 @dataclass(frozen=True)
@@ -28,12 +34,18 @@ class Scene:
 
 
 def load(
-    path: str | Path, *, device: str | None = None, accuracy: float | None = None, board: str | None = None
+    path: str | Path,
+    *,
+    device: str | None = None,
+    accuracy: float | None = None,
+    board: str | None = None,
+    keys: Mapping[str, object] | None = None,
 ) -> Scene:
     """Read and check a scene.
 
     path: MJCF file; device: overrides where field kernels run (auto, cpu, cuda:N)
     accuracy: overrides the wanted relative error of the skin displacement; board: overrides the device of the drive
+    keys: overrides any other key, such as {"stimulus.path_speed_m_s": 4}; None takes a key out
     Raises SceneError (or DeviceError) with a one-line message that names element, key, value and what is allowed.
     """
     path = Path(path)
@@ -54,11 +66,16 @@ def load(
         "palmfield.skin": {"accuracy": accuracy},
         "palmfield.driver": {"device": board},
     }
+    asked = _by_plugin(keys or {}, names)
     for plugin in spec.plugins:
         changes = {k: str(v) for k, v in overrides.get(plugin.plugin_name, {}).items() if v is not None}
-        mesh = plugin.config.get("mesh")
-        if mesh and not Path(mesh).is_absolute():
-            changes["mesh"] = str(path.resolve().parent / mesh)
+        wanted = asked.get(plugin.plugin_name, {})
+        plugin.config = {k: v for k, v in plugin.config.items() if wanted.get(k, v) is not None}
+        changes |= {k: str(v) for k, v in wanted.items() if v is not None}
+        for key in FILES.get(plugin.plugin_name, ()):
+            name = changes.get(key, plugin.config.get(key))
+            if name and not Path(name).is_absolute():
+                changes[key] = str(path.resolve().parent / name)
         plugin.config = {**plugin.config, **changes}
     if board is not None and "palmfield.driver" not in names:
         raise SceneError(f"{path} has no plugin 'palmfield.driver', so there is no device to replace by '{board}'")
@@ -73,13 +90,33 @@ def load(
         if cause is not None:
             raise cause from None
         raise SceneError(f"{path}: {_with_choices(_one_line(error))}") from None
-    mujoco.mj_kinematics(model, data)
     world = world_of(data)
     assert world is not None
+    for module in world.modules.values():
+        if isinstance(module, MotionModule):
+            module.place()
+    mujoco.mj_kinematics(model, data)
     skins = [module for module in world.modules.values() if isinstance(module, SkinModule)]
     if len(skins) != 1:
         raise SceneError(f"{path} has {len(skins)} instances of '{SkinModule.name}'; exactly one is needed")
     return Scene(path, model, data, skins[0], _duration(path, model))
+
+
+def _by_plugin(keys: Mapping[str, object], names: list[str]) -> dict[str, dict[str, object]]:
+    """Overrides by plugin. Raises SceneError for a plugin that the scene has not and a key that the plugin has not."""
+    found: dict[str, dict[str, object]] = {}
+    configs = {module.name: module.config for module in MODULES}
+    for given, value in keys.items():
+        short, _, key = given.rpartition(".")
+        plugin = f"palmfield.{short.removeprefix('palmfield.')}"
+        if plugin not in names or plugin not in configs:
+            raise SceneError(f"key '{given}' is not of a plugin of this scene; it has: {', '.join(sorted(set(names)))}")
+        if key not in configs[plugin].model_fields:
+            raise SceneError(
+                f"plugin '{plugin}': unknown key '{key}'; allowed: {', '.join(configs[plugin].model_fields)}"
+            )
+        found.setdefault(plugin, {})[key] = value
+    return found
 
 
 def _duration(path: Path, model: mujoco.MjModel) -> float:

@@ -265,7 +265,7 @@ def test_the_scenes_scattering_is_the_solution_for_its_body(small_scene):
     path = small_scene(stimulus=STEADY, array={"response": "off"}, skin={"body_sound": "scattering", "radius_m": 0.008})
     found, scene = arp_over_time(path, 2)
     rig = scene.skin.rig
-    vertices, faces = rig.boundary_mesh
+    vertices, faces = rig.posed(rig.reference_pose).boundary_mesh
     # The pad hangs upside down at 0.12 m: half a turn about y
     vertices = vertices * [-1, 1, -1] + [0, 0, 0.12]
     drive, _ = rig.unit_drive(rig.reference_focus)

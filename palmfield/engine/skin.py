@@ -29,11 +29,10 @@ class SceneSkin:
         self.chain, self.rig = chain, chain.rig
         self._readers: dict[tuple[int, bool], tuple[Any, Any]] = {}
 
-    @cached_property
+    @property
     def reference(self) -> Pose:
         """The pose that MuJoCo's reference configuration gives."""
-        body, turn = self.rig.body, np.array(self.rig.body.rotation).reshape(3, 3)
-        return Pose(np.array(body.position), turn, tuple(board.placement for board in self.rig.boards))
+        return self.rig.reference_pose
 
     @property
     def begin(self) -> FullSkin | ReducedSkin:
@@ -88,7 +87,7 @@ class SceneSkin:
         rig, reference = self.rig, self.reference
         if rig.choice.name != "reduced" or not rig.reference_emitter.same(pose.arrays):
             return pose
-        away = pose.points(self._corners) - reference.points(self._corners)
+        away = pose.points(self._extent(pose)) - reference.points(self._extent(reference))
         return reference if np.abs(away).max() < self.limit_m else pose
 
     @cached_property
@@ -96,9 +95,12 @@ class SceneSkin:
         """What moves by less than this counts as still [m]."""
         return STILL * self.rig.skin.accuracy * self.rig.spot_fwhm_m
 
+    def _extent(self, pose: Pose) -> Float:
+        """Points of the body that tell how far any of the skin moves: a box round it, or with bones all of it."""
+        return self._corners if self.rig.hand is None else self.rig.posed(pose).nodes[0]
+
     @cached_property
     def _corners(self) -> Float:
-        """Corners of a box round the skin: they bound how far any of its points moves."""
         nodes = self.rig.mesh.nodes[: self.rig.mesh.surface_nodes]
         ends = np.array([nodes.min(axis=0), nodes.max(axis=0)])
         return np.stack(np.meshgrid(*ends.T, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -115,7 +117,7 @@ class SceneSkin:
             return skin
         rig = self.rig
         focus = to_array(frame_at(rig.stimulus, rig.stimulus.start_s).focus)
-        far = float(np.abs(focus - rig.reference_focus).max())
+        far = float(np.abs(np.atleast_2d(focus)[0] - rig.reference_focus).max())
         moved = pose is not self.reference or far > self.limit_m
         late = rig.stimulus.start_s < start - 1e-9 and not state[: skin.state_size].any() and not skin.any_course
         if not moved and not late:

@@ -10,8 +10,18 @@ from palmfield.engine.structs import Plugin, library, mirror
 from palmfield.errors import SceneError
 from palmfield.types import Float, Int
 
-Kind = Literal["body", "site", "geom"]
-_OBJECT = {"body": mujoco.mjtObj.mjOBJ_BODY, "site": mujoco.mjtObj.mjOBJ_SITE, "geom": mujoco.mjtObj.mjOBJ_GEOM}
+SOLIDS = ("box", "capsule", "cylinder", "ellipsoid", "sphere")
+Geom = tuple[str, tuple[Any, ...], tuple[float, ...], tuple[float, ...]]
+"""Kind, size [m] as in MJCF (of a mesh its vertices and faces), position [m] and quaternion (w, x, y, z)."""
+Kind = Literal["body", "site", "geom", "joint", "actuator"]
+_OBJECT = {
+    "body": mujoco.mjtObj.mjOBJ_BODY,
+    "site": mujoco.mjtObj.mjOBJ_SITE,
+    "geom": mujoco.mjtObj.mjOBJ_GEOM,
+    "joint": mujoco.mjtObj.mjOBJ_JOINT,
+    "actuator": mujoco.mjtObj.mjOBJ_ACTUATOR,
+}
+_COUNT = {"joint": "njnt", "actuator": "nu"}
 
 
 def rotation(quaternion: Float) -> Float:
@@ -42,7 +52,7 @@ class ModelView:
 
     def names(self, kind: Kind) -> list[str]:
         """Names of all objects of a kind."""
-        count = getattr(self.raw, f"n{kind}")
+        count = getattr(self.raw, _COUNT.get(kind, f"n{kind}"))
         found = (library().mj_id2name(self.address, int(_OBJECT[kind]), i) for i in range(count))
         return [name.decode() for name in found if name]
 
@@ -50,6 +60,37 @@ class ModelView:
         """First number of a custom numeric, or the default where the scene has none of that name."""
         number = library().mj_name2id(self.address, int(mujoco.mjtObj.mjOBJ_NUMERIC), name.encode())
         return default if number < 0 else float(self.raw.numeric_data[self.raw.numeric_adr[number]])
+
+    def ancestors(self, body: int) -> set[int]:
+        """A body and all those that carry it, the world left out."""
+        found = set()
+        while body > 0:
+            found.add(body)
+            body = int(self.raw.body_parentid[body])
+        return found
+
+    def geoms(self, body: int, element: str) -> tuple[Geom, ...]:
+        """Solid shapes of a body as `palmfield.obstacle.Obstacle` takes them.
+
+        Raises SceneError, naming the asking `element`, for kinds of geom that are no solids.
+        """
+        raw, found = self.raw, []
+        for geom in range(raw.body_geomadr[body], raw.body_geomadr[body] + raw.body_geomnum[body]):
+            kind = mujoco.mjtGeom(raw.geom_type[geom]).name.removeprefix("mjGEOM_").lower()
+            size: tuple[Any, ...] = tuple(raw.geom_size[3 * geom : 3 * geom + 3])
+            if kind == "mesh":
+                mesh = int(raw.geom_dataid[geom])
+                first, count = raw.mesh_vertadr[mesh], raw.mesh_vertnum[mesh]
+                corner, faces = raw.mesh_faceadr[mesh], raw.mesh_facenum[mesh]
+                size = (
+                    tuple(raw.mesh_vert[3 * first : 3 * (first + count)]),
+                    tuple(raw.mesh_face[3 * corner : 3 * (corner + faces)]),
+                )
+            elif kind not in SOLIDS:
+                raise SceneError(f"{element}: a geom of kind '{kind}' is no solid; allowed: mesh, {', '.join(SOLIDS)}")
+            position = tuple(raw.geom_pos[3 * geom : 3 * geom + 3])
+            found.append((kind, size, position, tuple(raw.geom_quat[4 * geom : 4 * geom + 4])))
+        return tuple(found)
 
     def site_body(self, site: int) -> int:
         """Body that carries a site."""
@@ -128,6 +169,29 @@ class World:
         """World positions [m] and z axes of some sites, shapes (n, 3), copied."""
         position, matrix = self._views["site"]
         return position[numbers], matrix[numbers, 2::3]
+
+    def put_mocap(self, mocap: int, position: Float, quaternion: Float) -> None:
+        """Pose a mocap body in the world: position [m], quaternion (w, x, y, z)."""
+        count = self.model.raw.nmocap
+        self._view("mocap_pos", count, 3)[mocap] = position
+        self._view("mocap_quat", count, 4)[mocap] = quaternion
+
+    def controls(self) -> Float:
+        """Controls of all actuators, shape (nu,), a view."""
+        return self._view("ctrl", self.model.raw.nu, 1)[:, 0]
+
+    def put_free(self, joint: int, position: Float, quaternion: Float, velocity: Float, spin: Float) -> None:
+        """Put a free joint's body: world position [m] and velocity [m/s], quaternion, spin in its own axes [rad/s]."""
+        first, speed = int(self.model.raw.jnt_qposadr[joint]), int(self.model.raw.jnt_dofadr[joint])
+        self._view("qpos", self.model.raw.nq, 1)[first : first + 7, 0] = np.concatenate([position, quaternion])
+        self._view("qvel", self.model.raw.nv, 1)[speed : speed + 6, 0] = np.concatenate([velocity, spin])
+
+    def put_hinges(self, joints: list[int], angles: Float, speeds: Float) -> None:
+        """Put hinges at angles [rad] with speeds [rad/s], shapes (n,)."""
+        places = [int(self.model.raw.jnt_qposadr[joint]) for joint in joints]
+        self._view("qpos", self.model.raw.nq, 1)[places, 0] = angles
+        places = [int(self.model.raw.jnt_dofadr[joint]) for joint in joints]
+        self._view("qvel", self.model.raw.nv, 1)[places, 0] = speeds
 
     def apply(self, body: int, force: Float, torque: Float, point: Float) -> None:
         """Add a force [N] and torque [N m], both shape (3,) in world axes, at a world point to the passive forces."""

@@ -1,11 +1,15 @@
 """Poses in results: seven numbers, position [m] and unit quaternion (w, x, y, z)."""
 
+from typing import Literal
+
 import numpy as np
 import xarray as xr
 from scipy.spatial.transform import Rotation
 
 from palmfield.types import Float
 
+Mesh = Literal["surface", "skin"]
+VERTICES = {"surface": "surface_vertices", "skin": "skin_position"}
 IDENTITY = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 
 
@@ -29,6 +33,22 @@ def body_pose_at(ds: xr.Dataset, time_s: float) -> Float:
     if ds.sizes.get("step_time", 0) == 0 or "body_pose" not in ds:
         return IDENTITY
     return ds["body_pose"].values[int(np.abs(ds["step_time"].values - time_s).argmin())]
+
+
+def posed(ds: xr.Dataset, mesh: Mesh, time_s: float) -> Float:
+    """Vertices of the surface or the skin [m], shape (n, 3), in the body frame at the step nearest to a time [s].
+
+    An articulated hand's are blended linearly from its bones; any other body's are as at rest.
+    """
+    rest: Float = ds[VERTICES[mesh]].values
+    if not has_records(ds, "bone_pose") or f"{mesh}_bone" not in ds:
+        return rest
+    poses = ds["bone_pose"].values[int(np.abs(ds["step_time"].values - time_s).argmin())]
+    turns = Rotation.from_quat(poses[:, 3:], scalar_first=True).as_matrix()
+    shifts = poses[:, :3] - np.einsum("bij,bj->bi", turns, ds["bone_rest"].values)
+    bones, shares = ds[f"{mesh}_bone"].values, ds[f"{mesh}_share"].values.astype(np.float64)
+    blended = np.einsum("nk,nkij->nij", shares, turns[bones])
+    return np.einsum("nij,nj->ni", blended, rest) + np.einsum("nk,nki->ni", shares, shifts[bones])
 
 
 def has_records(ds: xr.Dataset, name: str) -> bool:

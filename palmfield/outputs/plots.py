@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
 
 from palmfield.errors import OutputError
-from palmfield.outputs.frames import body_pose_at, has_records, loudest, to_local, to_world
+from palmfield.outputs.frames import body_pose_at, has_records, loudest, posed, to_local, to_world
 from palmfield.outputs.spectrum import amplitude_spectrum, spectral_peaks
 from palmfield.outputs.style import COLOURS, save, style
 from palmfield.types import Float
@@ -33,7 +33,7 @@ def plot_pressure(ds: xr.Dataset, path: Path) -> None:
     if not panels:
         raise OutputError("the result holds neither skin_pressure nor arp; run at least one step before plotting")
     pose = ds["array_pose"].values
-    seen = to_local(to_world(ds["skin_position"].values, body_pose_at(ds, time_s)), pose)
+    seen = to_local(to_world(posed(ds, "skin", time_s), body_pose_at(ds, time_s)), pose)
     foci = to_local(ds["focus"].values, pose) if has_records(ds, "focus") else np.empty((0, 3))
     with style():
         figure = Figure(figsize=(0.6 + 4.4 * len(panels), 4.4), dpi=DPI, layout="constrained")

@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from palmfield.device import resolve
 from palmfield.errors import OutputError
 from palmfield.outputs.camera import Camera, look_along_emission
-from palmfield.outputs.frames import body_pose_at, has_records, loudest, to_world
+from palmfield.outputs.frames import body_pose_at, has_records, loudest, posed, to_world
 from palmfield.outputs.style import save, style
 from palmfield.types import Float
 from warp_kernels import raycast
@@ -55,9 +55,14 @@ def render_scene(ds: xr.Dataset, path: Path, size: tuple[int, int] = (960, 720))
     index, time_s = loudest(ds)
     pressure = np.nan_to_num(ds["surface_pressure"].values.astype(float))
     peak = float(pressure.max())
-    vertices = to_world(ds["surface_vertices"].values, body_pose_at(ds, time_s))
+    vertices = to_world(posed(ds, "surface", time_s), body_pose_at(ds, time_s))
     hand = trimesh.Trimesh(vertices, ds["surface_faces"].values, process=False)
     parts = _array_parts(ds["transducer_position"].values, ds["array_pose"].values)
+    if "obstacle_vertices" in ds:
+        beside = to_world(ds["obstacle_vertices"].values, body_pose_at(ds, time_s))
+        mesh = trimesh.Trimesh(beside, ds["obstacle_faces"].values, process=False)
+        mesh.unmerge_vertices()
+        parts.append(Part(mesh, (0.55, 0.60, 0.68), 0.2, 1.0))
     width, height = size
     solids = np.concatenate([hand.vertices, *(part.mesh.vertices for part in parts)])
     camera = look_along_emission(solids, ds["array_pose"].values, (0.0, 0.09 * height, 0.9 * width, 0.91 * height))

@@ -50,8 +50,22 @@ SCHEMA: dict[str, Variable] = {
     "body_pose": Variable(
         ("step_time", "pose7"), "float64", "m, 1", "body frame in the world: position, then quaternion wxyz"
     ),
+    "skin_bone": Variable(("vertex", "influence"), "int32", "1", "bones that carry each skin vertex"),
+    "skin_share": Variable(("vertex", "influence"), "float32", "1", "share of each of those bones"),
+    "surface_bone": Variable(("surface_vertex", "influence"), "int32", "1", "bones that carry each surface vertex"),
+    "surface_share": Variable(("surface_vertex", "influence"), "float32", "1", "share of each of those bones"),
+    "bone_rest": Variable(("bone", "xyz"), "float64", "m", "origins of the bones at rest in the body frame"),
+    "bone_pose": Variable(
+        ("step_time", "bone", "pose7"), "float64", "m, 1", "bones in the body frame: position, then quaternion wxyz"
+    ),
+    "obstacle_vertices": Variable(
+        ("obstacle_vertex", "xyz"), "float64", "m", "what else casts shadows, in the body frame when loudest"
+    ),
+    "obstacle_faces": Variable(("obstacle_face", "corner"), "int32", "1", "triangles of what else casts shadows"),
     "arp_force": Variable(("step_time", "xyz"), "float64", "N", "total acoustic radiation force in the world frame"),
 }
+OPTIONAL = frozenset(name for name in SCHEMA if "bone" in name or "share" in name or "obstacle" in name)
+"""Only where the scene has them: an articulated hand's bones, and what stands in the sound's way."""
 LABELS: dict[str, tuple[list[str], str]] = {
     "xyz": (["x", "y", "z"], "Cartesian component"),
     "corner": (["0", "1", "2"], "corner of a triangle"),

@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 import trimesh
 import xarray as xr
-from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdValidation, Vt
+from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdSkel, UsdValidation, Vt
 from scipy.spatial import cKDTree
 
 from palmfield.errors import OutputError
 from palmfield.outputs.frames import body_pose_at, has_records
-from palmfield.types import Float
+from palmfield.outputs.usdskel import add_skeleton, bind
+from palmfield.types import Float, Int
 
 MOST_FRAMES = 600
 SAVE_EVERY = 50
@@ -28,7 +29,8 @@ def write_usd(ds: xr.Dataset, path: Path, fps: float = 30.0) -> None:
     """USD crate of a result: a slow-motion film, one stored frame a time code, at most 600 frames.
 
     ds: a result (outputs/schema.py); path: name of the .usdc file; fps: time codes per second [1/s]
-    /Scene/Array is a point instancer, /Scene/Body moves as the body did; under it, Surface has the primvars surface_arp
+    /Scene/Array is a point instancer, /Scene/Body moves as the body did, with the bones of an articulated hand as a
+    UsdSkel skeleton; under it, Surface has the primvars surface_arp
     and surface_pressure [Pa], and Skin has arp [Pa] and normal_displacement [m] by vertex over time, each rounded to
     1/1000 of its largest magnitude: the primvar's customData holds that step and the error bound. The vertices stay at
     rest. The root layer's customLayerData says how time codes map to seconds (start_s + code * seconds_per_time_code).
@@ -104,7 +106,8 @@ def _write(ds: xr.Dataset, path: Path, fps: float) -> None:
     stage.SetDefaultPrim(root.GetPrim())
     if "transducer_position" in ds:
         _add_array(stage, ds["transducer_position"].values, ds["array_pose"].values)
-    body = UsdGeom.Xform.Define(stage, "/Scene/Body")
+    boned = has_records(ds, "bone_pose")
+    body = (UsdSkel.Root if boned else UsdGeom.Xform).Define(stage, "/Scene/Body")
     if "surface_vertices" in ds:
         surface = _add_mesh(
             stage, "/Scene/Body/Surface", ds["surface_vertices"].values, ds["surface_faces"].values, SKIN_COLOUR
@@ -114,13 +117,24 @@ def _write(ds: xr.Dataset, path: Path, fps: float) -> None:
                 _primvar(surface, name, "Pa").Set(Vt.FloatArray.FromNumpy(ds[name].values))
     skin = _add_mesh(stage, "/Scene/Body/Skin", ds["skin_position"].values, ds["skin_faces"].values, PATCH_COLOUR)
     _add_frames(stage, ds, body, skin, fps)
+    if boned:
+        skeleton = add_skeleton(stage, "/Scene/Body", ds, kept_frames(ds))
+        bind(skin, skeleton, ds["skin_bone"].values, ds["skin_share"].values)
+        if "surface_bone" in ds:
+            bind(surface, skeleton, ds["surface_bone"].values, ds["surface_share"].values)
     stage.Save()
+
+
+def kept_frames(ds: xr.Dataset) -> Int:
+    """Which of the stored times become time codes, shape (n,)."""
+    count = ds.sizes["time"] if has_records(ds, "time") else 0
+    return np.arange(0, count, max(1, -(-count // MOST_FRAMES)), dtype=np.int32)
 
 
 def _add_frames(stage: Usd.Stage, ds: xr.Dataset, body: UsdGeom.Xform, skin: UsdGeom.Mesh, fps: float) -> None:
     time_s = ds["time"].values if has_records(ds, "time") else np.zeros(0)
-    stride = max(1, -(-len(time_s) // MOST_FRAMES))
-    kept = np.arange(0, len(time_s), stride)
+    kept = kept_frames(ds)
+    stride = int(kept[1] - kept[0]) if len(kept) > 1 else 1
     move, turn = body.AddTranslateOp(UsdGeom.XformOp.PrecisionDouble), body.AddOrientOp(UsdGeom.XformOp.PrecisionDouble)
     if len(kept) == 0:
         _place(move, turn, body_pose_at(ds, 0.0))
@@ -204,9 +218,10 @@ def _mesh_errors(mesh: UsdGeom.Mesh) -> list[str]:
         found.append(f"{where}: face index {numbers.min()}..{numbers.max()} outside 0..{points - 1}")
     wanted = {"constant": 1, "uniform": len(counts), "varying": points, "vertex": points, "faceVarying": len(indices)}
     for primvar in UsdGeom.PrimvarsAPI(mesh).GetPrimvarsWithValues():
-        length = wanted[primvar.GetInterpolation()]
+        length = wanted[primvar.GetInterpolation()] * primvar.GetElementSize()
         for code in primvar.GetTimeSamples() or [Usd.TimeCode.Default()]:
-            has = len(primvar.ComputeFlattened(code))
+            value = primvar.ComputeFlattened(code)
+            has = 1 if isinstance(value, Gf.Matrix4d) else len(value)
             if has != length:
                 found.append(f"{where}: primvar {primvar.GetPrimvarName()} has {has} values at {code}, not {length}")
                 break

@@ -5,7 +5,7 @@ from dataclasses import astuple, replace
 import numpy as np
 from scipy.optimize import brentq
 
-from palmfield.config import OVERRIDES, SkinConfig
+from palmfield.config.skin import OVERRIDES, SkinConfig
 from palmfield.errors import SceneError
 from palmfield.skin.material import Branch, Material, shear_wave
 from palmfield.skin.presets import preset

@@ -52,7 +52,7 @@ def test_plan_counts_the_solutions_that_a_run_makes(small_scene, tmp_path, monke
     scene.data.qvel[:] = 0.01
     steps = 4
     short = palmfield.scene.Scene(scene.path, scene.model, scene.data, scene.skin, steps * rig.timestep_s)
-    elements = len(rig.boundary_mesh[1])
+    elements = len(rig.posed(rig.reference_pose).boundary_mesh[1])
     one = SCATTER_PAIR_S * elements**2 + SCATTER_ELEMENT_S * elements
     none = palmfield.load(
         with_joint(small_scene(**SCATTERED | {"skin": SCATTERED["skin"] | {"body_sound": "none"}}), joint)

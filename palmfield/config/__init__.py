@@ -1,0 +1,15 @@
+"""Typed configuration of the modules. These models are the one source of the scene's keys, units and defaults."""
+
+from palmfield.config.array import ArrayConfig
+from palmfield.config.base import Config, allowed, parse, table, unit
+from palmfield.config.driver import DriverConfig
+from palmfield.config.motion import MotionConfig
+from palmfield.config.skin import ArpLaw, Base, Side, SkinConfig
+from palmfield.config.stimulus import StimulusConfig
+
+CONFIGS: tuple[type[Config], ...] = (ArrayConfig, StimulusConfig, SkinConfig, DriverConfig, MotionConfig)
+
+__all__ = [
+    "CONFIGS", "ArpLaw", "ArrayConfig", "Base", "Config", "DriverConfig", "MotionConfig", "Side", "SkinConfig",
+    "StimulusConfig", "allowed", "parse", "table", "unit",
+]  # fmt: skip

@@ -1,0 +1,66 @@
+"""Keys of palmfield.array."""
+
+from typing import Annotated, Any, ClassVar, Literal, Self
+
+from pydantic import Field, model_validator
+
+from palmfield.acoustics.air import LIMITS
+from palmfield.config.base import Config, Numbers, Positive
+
+Layout = Literal[
+    "uhev1", "sonicsurface", "autd2018", "autd2018_2x2", "autd3", "autd3_2x2", "two_bow_as_printed",
+    "two_bow_corrected", "sites",
+]  # fmt: skip
+
+
+def _air(name: str) -> Any:
+    low, high = LIMITS[name]
+    return Field(ge=low, le=high)
+
+
+class ArrayConfig(Config):
+    plugin: ClassVar[str] = "palmfield.array"
+    about: ClassVar[str] = "A transducer array and the air around it. Its frame is that of a site."
+
+    layout: Layout = Field("uhev1", description="arrangement of the transducers (docs/arrays.md), or `sites`")
+    sites: str | None = Field(
+        None, description="layout sites: each site whose name begins with this is a transducer, emitting along its z"
+    )
+    site: str = Field("array", description="site whose frame is the array frame: z points out of the emitting face")
+    p0_Pa_m: Positive = Field(
+        2.53, description="peak pressure of one transducer at 1 m at full drive; a calibration (published: 1.27-8.02)"
+    )
+    p0_low_Pa_m: Positive | None = Field(None, description="lower end of p0, for an uncertainty band")
+    p0_high_Pa_m: Positive | None = Field(None, description="upper end of p0, for an uncertainty band")
+    directivity: Literal["layout", "point", "piston", "t4010a1"] = Field(
+        "layout", description="sound off a transducer's axis: the layout's own, none, a baffled piston, or as measured"
+    )
+    piston_radius_m: Annotated[float, Field(gt=0, le=0.0061)] | None = Field(
+        None, description="radius of the baffled piston (default: the layout's)"
+    )
+    dead: Numbers = Field((), description="transducers that emit nothing, counted from 0 in the layout's order")
+    inverted: Numbers = Field((), description="transducers wired the other way round")
+    resonance_Hz: Annotated[float, Field(ge=20e3, le=80e3)] = Field(40e3, description="resonance of the transducers")
+    quality: Annotated[float, Field(ge=1, le=1000)] = Field(25.0, description="quality of that resonance")
+    response: Literal["auto", "on", "off"] = Field(
+        "auto", description="ring-up and flight time of the sound; auto drops them where their bound allows"
+    )
+    precision: Literal["fast", "accurate"] = Field(
+        "fast", description="field: float32 throughout, or distances and phases in float64 at half the speed"
+    )
+    temperature_C: Annotated[float, _air("temperature_C")] = Field(20.0, description="air temperature")
+    humidity_percent: Annotated[float, _air("humidity_percent")] = Field(50.0, description="relative humidity")
+    pressure_Pa: Annotated[float, _air("pressure_Pa")] = Field(101325.0, description="static air pressure")
+    compute: Annotated[str, Field(pattern=r"^(auto|cpu|cuda:\d+)$")] = Field(
+        "auto", description="where the field kernels run: auto, cpu or cuda:N"
+    )
+
+    @model_validator(mode="after")
+    def _range(self) -> Self:
+        if (self.p0_low_Pa_m is None) != (self.p0_high_Pa_m is None):
+            raise ValueError("p0_low_Pa_m and p0_high_Pa_m belong together; give both or neither")
+        if self.p0_low_Pa_m is not None and not self.p0_low_Pa_m <= self.p0_Pa_m <= (self.p0_high_Pa_m or 0):
+            raise ValueError("p0_low_Pa_m <= p0_Pa_m <= p0_high_Pa_m is needed")
+        if (self.layout == "sites") != (self.sites is not None):
+            raise ValueError("layout 'sites' needs sites, and sites needs layout 'sites'")
+        return self

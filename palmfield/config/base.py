@@ -1,0 +1,94 @@
+"""What the keys of all modules share: their model, their types, and how a bad value is told."""
+
+from typing import Annotated, Any, ClassVar
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+
+from palmfield.errors import SceneError
+
+
+def split(value: Any) -> Any:
+    """A text's words; any other value as it is."""
+    return value.split() if isinstance(value, str) else value
+
+
+Numbers = Annotated[tuple[Annotated[int, Field(ge=0)], ...], BeforeValidator(split)]
+Names = Annotated[tuple[str, ...], BeforeValidator(split)]
+Shares = Annotated[tuple[Annotated[float, Field(gt=0)], ...], BeforeValidator(split)]
+Decimals = Annotated[tuple[float, ...], BeforeValidator(split)]
+Vector = Annotated[tuple[float, float, float], BeforeValidator(split)]
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
+
+
+class Config(BaseModel):
+    """Keys of one plugin instance. Values arrive as MJCF text; a value that does not fit is a SceneError."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    plugin: ClassVar[str]
+    about: ClassVar[str]
+
+
+def parse(model: type[Config], values: dict[str, str], element: str) -> Config:
+    """Typed configuration from a plugin instance's texts.
+
+    values: key -> text, only the keys that the scene sets
+    element: how the message names the instance, e.g. `plugin 'palmfield.skin' instance 'skin'`
+    Raises SceneError with element, key, value and what is allowed.
+    """
+    try:
+        return model.model_validate(values)
+    except ValidationError as error:
+        raise SceneError(f"{element}: " + "; ".join(_explain(model, values, e) for e in error.errors())) from None
+
+
+def _explain(model: type[Config], values: dict[str, str], error: Any) -> str:
+    if not error["loc"]:
+        return error["msg"].removeprefix("Value error, ")
+    key = str(error["loc"][0])
+    if key not in model.model_fields:
+        return f"unknown key '{key}'; allowed: {', '.join(model.model_fields)}"
+    return f"key '{key}' has value '{values[key]}'; allowed: {allowed(model, key)}"
+
+
+def allowed(model: type[Config], key: str) -> str:
+    """What a key takes, in words, e.g. `number > 0` or `bonded | free_slip`."""
+    schema = model.model_json_schema()["properties"][key]
+    options = [o for o in schema.get("anyOf", [schema]) if o.get("type") != "null"]
+    option = options[0]
+    if "enum" in option:
+        return " | ".join(option["enum"])
+    if option.get("type") == "array":
+        item = option.get("items", {})
+        positive = "decimals > 0" if "exclusiveMinimum" in item else "finite numbers"
+        kinds = {"integer": "whole numbers >= 0", "number": positive, "string": "names"}
+        return "three finite numbers" if option.get("maxItems") == 3 else kinds[item["type"]]
+    if option.get("type") == "string":
+        return f"text like {option['pattern']}" if "pattern" in option else "text"
+    words = "whole number" if option.get("type") == "integer" else "finite number"
+    signs = {"exclusiveMinimum": ">", "minimum": ">=", "exclusiveMaximum": "<", "maximum": "<="}
+    bounds = [f"{sign} {option[name]:g}" for name, sign in signs.items() if name in option]
+    return " ".join([words, " and ".join(bounds)]).strip()
+
+
+def unit(key: str) -> str:
+    """Unit that a key's name carries, e.g. `Pa/m` for `foundation_normal_Pa_m`; empty for a pure number or text."""
+    units = {
+        "_kg_m3": "kg/m^3", "normal_Pa_m": "Pa/m", "tangential_Pa_m": "Pa/m", "_Pa_s_m": "Pa s/m", "_Pa_m": "Pa m",
+        "_Pa": "Pa", "_m_s": "m/s", "_m": "m",
+        "_s": "s", "_Hz": "Hz", "_C": "C", "_percent": "%", "_deg": "deg",
+    }  # fmt: skip
+    return next((text for ending, text in units.items() if key.endswith(ending)), "")
+
+
+def table(model: type[Config]) -> list[tuple[str, str, str, str, str]]:
+    """Rows (key, unit, allowed, default, meaning) of a module's keys."""
+    rows = []
+    for key, info in model.model_fields.items():
+        default = info.default
+        if isinstance(default, tuple):
+            default = " ".join(f"{x:g}" for x in default)
+        text = "" if default is None else str(default)
+        rows.append((key, unit(key), allowed(model, key), text, info.description or ""))
+    return rows

@@ -1,0 +1,135 @@
+"""Keys of palmfield.skin."""
+
+from typing import Annotated, ClassVar, Literal, Self
+
+from pydantic import Field, model_validator
+
+from palmfield.config.base import Config, Names, NonNegative, Positive, Shares
+
+Length = Annotated[float, Field(ge=5e-4, le=1.0)]
+ArpLaw = Literal["default", "alpha"]
+Base = Literal["bonded", "free_slip", "free", "springs"]
+Side = Literal["fixed", "free", "roller", "absorbing"]
+SPRINGS = ("base_normal_Pa_m", "base_tangential_Pa_m", "base_normal_Pa_s_m", "base_tangential_Pa_s_m")
+OVERRIDES = ("density_kg_m3", "shear_relaxed_Pa", "shear_branch_Pa", "relaxation_time_s", "bulk_Pa")
+
+
+class SkinConfig(Config):
+    plugin: ClassVar[str] = "palmfield.skin"
+    about: ClassVar[str] = "The surface that the sound meets and the viscoelastic skin layer on part of it."
+
+    body: str = Field("hand", description="body that carries the surface; its frame is the surface's frame")
+    shape: Literal["hand", "articulated", "disc", "mesh", "rigged"] = Field(
+        "hand",
+        description="parametric hand in one piece or on its bones, flat disc, a mesh file in one piece or on its joints",
+    )
+    hand: str = Field(
+        "open_men_p50", description="shapes hand and articulated: a preset in hand_models/ or the path of a .toml file"
+    )
+    mesh: str | None = Field(None, description="shape mesh: an OBJ, PLY, STL, glTF, GLB or MANO .pkl file; shape rigged: the last three")
+    mesh_unit: Literal["m", "dm", "cm", "mm", "in", "auto"] | None = Field(
+        None,
+        description="shapes mesh and rigged: unit of the file; auto: metres for glTF and MANO, else what makes it a hand",
+    )
+    radius_m: Length | None = Field(None, description="shape disc: radius; the loaded face is z = 0, looking along +z")
+    thickness_m: Length | None = Field(None, description="shape disc: thickness")
+    patch_site: str | None = Field(
+        None, description="site on the body, in the reference pose, at the middle of the skin layer (all shapes but disc)"
+    )
+    patch_radius_m: Positive | None = Field(None, description="radius of the skin layer (default: the plan's)")
+    depth_m: Positive = Field(
+        0.02, description="greatest depth of the layer; a hand's own depth to bone applies where it is less"
+    )
+    material: str = Field("palm", description="a preset of palmfield.skin.material")
+    materials: Names = Field(
+        (), description="presets of several sheets from the surface down, in place of `material`; needs `shares`"
+    )
+    shares: Shares = Field((), description="thickness of each sheet as a share of the layer; they add up to 1")
+    density_kg_m3: Positive | None = Field(None, description="overrides the preset")
+    shear_relaxed_Pa: Positive | None = Field(None, description="overrides the preset: long-time shear modulus")
+    shear_branch_Pa: NonNegative | None = Field(None, description="overrides the preset: modulus of the Maxwell branch")
+    relaxation_time_s: Positive | None = Field(None, description="overrides the preset: time of the Maxwell branch")
+    bulk_Pa: Positive | None = Field(None, description="overrides the preset: bulk modulus")
+    base: Base = Field("bonded", description="inner face of the layer; springs needs base_normal and base_tangential")
+    base_normal_Pa_m: Positive | None = Field(None, description="base springs: stiffness per area along the normal")
+    base_tangential_Pa_m: Positive | None = Field(None, description="base springs: stiffness per area along the base")
+    base_normal_Pa_s_m: NonNegative | None = Field(None, description="base springs: damping per area along the normal")
+    base_tangential_Pa_s_m: NonNegative | None = Field(
+        None, description="base springs: damping per area along the base"
+    )
+    foundation_normal_Pa_m: Positive | None = Field(
+        None, description="stiffness per area of what lies below the layer, in place of a bonded base"
+    )
+    foundation_tangential_Pa_m: Positive | None = Field(
+        None, description="the same along the base, relaxing as the deepest material"
+    )
+    side: Side = Field("fixed", description="cut faces of the layer; absorbing lets waves out; a disc takes roller too")
+    arp_law: ArpLaw = Field("default", description="radiation-pressure law (see `palmfield info`)")
+    body_sound: Literal["none", "shadows", "scattering"] = Field(
+        "none", description="what other parts of the body do to the sound: nothing, shadows by rays, boundary elements"
+    )
+    accuracy: Annotated[float, Field(ge=0.002, le=0.5)] = Field(
+        0.05, description="wanted relative error of the skin displacement"
+    )
+    max_frequency_Hz: Annotated[float, Field(gt=0, le=2000)] | None = Field(
+        None, description="highest frequency to resolve (default: from the stimulus)"
+    )
+    solver: Literal["auto", "full", "reduced"] = Field(
+        "auto",
+        description="steps the whole layer, or a small model made for the stimulus; auto takes the cheaper that can",
+    )
+    obstacles: Names = Field(
+        (), description="bodies whose geoms, and those of what hangs on them, cast shadows too: body_sound shadows"
+    )
+    element_m: Positive | None = Field(None, description="pins the element edge at the focus")
+    step_s: Positive | None = Field(None, description="pins the skin's time step; must divide the scene's timestep")
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        if self.shape == "disc" and (self.radius_m is None or self.thickness_m is None):
+            raise ValueError("shape 'disc' needs radius_m and thickness_m")
+        if self.shape in ("mesh", "rigged") and (self.mesh is None or self.mesh_unit is None):
+            raise ValueError(f"shape '{self.shape}' needs mesh and mesh_unit")
+        if self.shape != "disc" and self.patch_site is None:
+            raise ValueError(f"shape '{self.shape}' needs patch_site")
+        if (self.foundation_normal_Pa_m is None) != (self.foundation_tangential_Pa_m is None):
+            raise ValueError("foundation_normal_Pa_m and foundation_tangential_Pa_m belong together; give both")
+        if self.foundation is not None and self.base != "bonded":
+            raise ValueError(f"foundation_normal_Pa_m stands in for a bonded base, base is '{self.base}': drop one")
+        if self.base == "free" and self.side != "fixed":
+            raise ValueError(f"base 'free' with side '{self.side}' lets the layer fly away: fix one of them")
+        given = [key for key in SPRINGS if getattr(self, key) is not None]
+        if self.base == "springs" and not set(SPRINGS[:2]) <= set(given):
+            raise ValueError("base 'springs' needs base_normal_Pa_m and base_tangential_Pa_m")
+        if self.base != "springs" and given:
+            raise ValueError(f"{given[0]} belongs to base 'springs', base is '{self.base}': drop it or set base")
+        self._check_sheets()
+        if self.obstacles and self.body_sound != "shadows":
+            raise ValueError(f"obstacles cast shadows, body_sound is '{self.body_sound}': set it to shadows")
+        if self.side == "roller" and self.shape != "disc":
+            raise ValueError("side 'roller' needs the symmetry of shape 'disc'; use fixed or free")
+        return self
+
+    def _check_sheets(self) -> None:
+        if len(self.materials) != len(self.shares):
+            raise ValueError(f"materials has {len(self.materials)} names, shares {len(self.shares)}: give one for each")
+        if self.shares and abs(sum(self.shares) - 1.0) > 1e-6:
+            raise ValueError(f"shares add up to {sum(self.shares):g}; they must to 1")
+        own = [key for key in ("material", *OVERRIDES) if key in self.model_fields_set]
+        if self.materials and own:
+            raise ValueError(f"materials names every sheet's preset and {own[0]} that of one: drop one of the two")
+
+    @property
+    def springs(self) -> tuple[float, float, float, float] | None:
+        """Stiffness [Pa/m] and damping [Pa s/m] per area, normal and tangential of each, of a base of springs."""
+        if self.base != "springs":
+            return None
+        normal, tangential, normal_loss, tangential_loss = (getattr(self, key) or 0.0 for key in SPRINGS)
+        return normal, tangential, normal_loss, tangential_loss
+
+    @property
+    def foundation(self) -> tuple[float, float] | None:
+        """Normal and tangential stiffness per area of what lies below the layer [Pa/m], or None."""
+        if self.foundation_normal_Pa_m is None or self.foundation_tangential_Pa_m is None:
+            return None
+        return self.foundation_normal_Pa_m, self.foundation_tangential_Pa_m

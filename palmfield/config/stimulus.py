@@ -1,0 +1,145 @@
+"""Keys of palmfield.stimulus."""
+
+from typing import Annotated, ClassVar, Literal, Self
+
+from pydantic import Field, model_validator
+
+from palmfield.config.base import Config, Decimals, Fraction, Names, NonNegative, Numbers, Positive, Vector
+
+NEEDED: dict[str, tuple[str, ...]] = {
+    "circle": ("path_diameter_m",),
+    "line": ("path_width_m",),
+    "zigzag": ("path_width_m", "path_height_m"),
+    "square": ("path_width_m",),
+    "z": ("path_width_m", "path_height_m"),
+    "lissajous": ("path_width_m", "path_height_m"),
+    "letters": ("path_text", "path_height_m"),
+    "polyline": ("path_through_m",),
+    "sites": ("path_sites",),
+}
+"""Keys without which a path has no shape."""
+OPTIONAL: dict[str, tuple[str, ...]] = {"zigzag": ("path_corners",), "lissajous": ("path_ratio", "path_phase_deg")}
+MOVING = ("path_rate_Hz", "path_speed_m_s", "path_end", "path_points")
+PATH_KEYS = (*MOVING, *{key for keys in (*NEEDED.values(), *OPTIONAL.values()) for key in keys})
+
+
+class StimulusConfig(Config):
+    plugin: ClassVar[str] = "palmfield.stimulus"
+    about: ClassVar[str] = "Where the focus is and how strong, over time."
+
+    focus_m: Vector = Field((0.0, 0.0, 0.2), description="focus, or centre of its path, in `frame`")
+    frame: str = Field("array", description="`array`, or the name of a site in whose frame focus and path are given")
+    path: Literal["point", "circle", "line", "zigzag", "square", "z", "lissajous", "letters", "polyline", "sites"] = (
+        Field(
+            "point",
+            description="path of the focus about focus_m, in the frame's x-y plane; sites: through sites on the skin",
+        )
+    )
+    path_on: Literal["plane", "skin"] = Field(
+        "plane",
+        description="skin: the path is drawn on the surface from the skin nearest to focus_m, its x along the frame's",
+    )
+    path_diameter_m: Positive | None = Field(None, description="diameter of the circle")
+    path_width_m: Positive | None = Field(
+        None, description="extent along x: length of a line, side of a square, width of zigzag, z and lissajous"
+    )
+    path_height_m: Positive | None = Field(None, description="extent along y of zigzag, z and lissajous; of a letter")
+    path_corners: Annotated[int, Field(ge=1, le=1000)] = Field(3, description="corners of the zigzag between its ends")
+    path_ratio: Numbers = Field((1, 2), description="oscillations of the lissajous along x and along y in one turn")
+    path_phase_deg: float = Field(0.0, description="by which the lissajous leads along x")
+    path_text: str | None = Field(None, description="letters A-Z and 0-9 to be written; silent between strokes")
+    path_through_m: Decimals = Field((), description="polyline: x and y of each corner")
+    path_sites: Names = Field(
+        (), description="path sites: two or more sites of the skin's body, on or near the surface"
+    )
+    path_rate_Hz: Positive | None = Field(
+        None, description="turns a second; an open path's turn is there and back, unless path_end says otherwise"
+    )
+    path_speed_m_s: Positive | None = Field(None, description="speed along the path, in place of path_rate_Hz")
+    path_end: Literal["back", "jump", "stop"] = Field(
+        "back",
+        description="at the end of an open path: go back, jump to the start, or be silent; stop: also after one round",
+    )
+    path_points: Annotated[int, Field(ge=0, le=100000)] = Field(
+        0, description="points a turn, each held until the next; 0 moves without steps"
+    )
+    foci_m: Decimals = Field(
+        (), description="several foci at once, equally loud: x, y, z of each relative to focus_m and its path"
+    )
+    modulation: Literal["none", "am"] = Field("none", description="none, or sinusoidal amplitude modulation")
+    am_of: Literal["pressure", "arp"] | None = Field(
+        None, description="what the sine modulates: the sound pressure, or the radiation pressure (ARP)"
+    )
+    am_frequency_Hz: Annotated[float, Field(gt=0, le=2000)] | None = Field(None, description="modulation frequency")
+    am_depth: Fraction | None = Field(None, description="modulation depth m: (1 + m sin wt)/(1 + m)")
+    arp_peak_Pa: Positive | None = Field(
+        None, description="sets the level: |p|^2/(rho c^2) at the focus at the loudest moment; excludes drive_amplitude"
+    )
+    drive_amplitude: Fraction | None = Field(
+        None, description="sets the level: pressure amplitude of each transducer relative to full drive (default 1)"
+    )
+    burst_window: Literal["none", "rectangular", "hann"] = Field(
+        "none", description="shape of the ARP in bursts, from start_s"
+    )
+    burst_length_s: Positive | None = Field(None, description="length of a burst")
+    burst_period_s: Positive | None = Field(None, description="from one burst's beginning to the next one's")
+    burst_count: Annotated[int, Field(ge=1)] | None = Field(None, description="number of bursts (default: no end)")
+    start_s: NonNegative = Field(0.0, description="the sound starts at this time")
+    stop_s: Positive | None = Field(None, description="the sound stops at this time (default: never)")
+    ramp_s: NonNegative = Field(0.0, description="raised-cosine ramp of the ARP after start_s")
+    control_rate_Hz: Annotated[float, Field(ge=0, le=40e3)] = Field(
+        0.0, description="rate at which the device gets new frames, held in between; 0 follows the skin's steps"
+    )
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        if self.modulation == "am":
+            missing = [k for k in ("am_of", "am_frequency_Hz", "am_depth") if getattr(self, k) is None]
+            if missing:
+                raise ValueError(f"modulation 'am' needs {', '.join(missing)}")
+        self._check_path()
+        self._check_foci_and_bursts()
+        if self.arp_peak_Pa is not None and self.drive_amplitude is not None:
+            raise ValueError("arp_peak_Pa and drive_amplitude both set the level; give one")
+        if self.stop_s is not None and self.stop_s <= self.start_s:
+            raise ValueError(f"stop_s {self.stop_s} must be later than start_s {self.start_s}")
+        return self
+
+    def _check_path(self) -> None:
+        given = {key for key in PATH_KEYS if key in self.model_fields_set}
+        if self.path == "point":
+            if given or self.path_on == "skin":
+                key = min(given) if given else "path_on"
+                raise ValueError(f"{key} belongs to a path, path is 'point': drop it or set path")
+            return
+        needed = NEEDED[self.path]
+        missing = [key for key in needed if not getattr(self, key)]
+        if (self.path_rate_Hz is None) == (self.path_speed_m_s is None):
+            missing.append("path_rate_Hz (or path_speed_m_s, not both)")
+        if missing:
+            raise ValueError(f"path '{self.path}' needs {' and '.join(missing)}")
+        stray = sorted(given - set(needed) - set(MOVING) - set(OPTIONAL.get(self.path, ())))
+        if stray:
+            raise ValueError(f"{stray[0]} does not belong to path '{self.path}', which takes {', '.join(needed)}")
+        if self.path == "sites" and (self.path_on != "skin" or len(self.path_sites) < 2):
+            raise ValueError("path 'sites' runs on the skin through two or more path_sites: set path_on to skin")
+        if len(self.path_ratio) != 2 or min(self.path_ratio) < 1:
+            raise ValueError(f"path_ratio is {self.path_ratio}; give two whole numbers of 1 or more")
+        if len(self.path_through_m) % 2:
+            raise ValueError(f"path_through_m has {len(self.path_through_m)} numbers; give x and y of each corner")
+
+    def _check_foci_and_bursts(self) -> None:
+        if len(self.foci_m) % 3 or len(self.foci_m) == 3:
+            raise ValueError(f"foci_m has {len(self.foci_m)} numbers; give x, y and z of two foci or more")
+        if self.foci_m and self.path_on == "skin":
+            raise ValueError("foci_m are offsets in the frame's axes and cannot follow the skin: set path_on to plane")
+        burst = [key for key in ("burst_length_s", "burst_period_s", "burst_count") if getattr(self, key) is not None]
+        if self.burst_window == "none" and burst:
+            raise ValueError(f"{burst[0]} belongs to bursts, burst_window is 'none': drop it or set burst_window")
+        if self.burst_window != "none":
+            if self.burst_length_s is None or self.burst_period_s is None:
+                raise ValueError(f"burst_window '{self.burst_window}' needs burst_length_s and burst_period_s")
+            if self.burst_length_s > self.burst_period_s:
+                raise ValueError(
+                    f"burst_length_s {self.burst_length_s:g} is longer than burst_period_s {self.burst_period_s:g}"
+                )

@@ -1,0 +1,50 @@
+"""Geoms of MuJoCo as triangle meshes."""
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from palmfield.types import Float, Int
+
+if TYPE_CHECKING:
+    import trimesh
+
+
+class Obstacle(NamedTuple):
+    """Geoms of a body that cast shadows, in that body's frame.
+
+    geoms: kind, size [m] as in MJCF, position [m] and quaternion (w, x, y, z) of each; of a mesh, kind "mesh", its
+        vertices [m] and faces in place of the size
+    """
+
+    geoms: tuple[tuple[str, tuple[Any, ...], tuple[float, ...], tuple[float, ...]], ...]
+
+    def mesh(self) -> tuple[Float, Int]:
+        """Vertices [m], shape (n, 3), and faces, shape (m, 3), of all its geoms together."""
+        # Imported here: MuJoCo registers the plugins in every process, and few of them need it.
+        from trimesh.transformations import quaternion_matrix
+
+        parts = []
+        for kind, size, position, quaternion in self.geoms:
+            part = _geom_mesh(kind, size)
+            part.apply_transform(quaternion_matrix(quaternion))
+            part.apply_translation(position)
+            parts.append(part)
+        starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
+        faces = [part.faces + start for part, start in zip(parts, starts[:-1], strict=True)]
+        return np.concatenate([part.vertices for part in parts]), np.concatenate(faces).astype(np.int32)
+
+
+def _geom_mesh(kind: str, size: tuple[Any, ...]) -> "trimesh.Trimesh":
+    import trimesh
+
+    if kind == "mesh":
+        return trimesh.Trimesh(np.reshape(size[0], (-1, 3)), np.reshape(size[1], (-1, 3)), process=False)
+    if kind == "box":
+        return trimesh.creation.box(2.0 * np.array(size))
+    if kind == "capsule":
+        return trimesh.creation.capsule(height=2.0 * size[1], radius=size[0], count=(16, 16))
+    if kind == "cylinder":
+        return trimesh.creation.cylinder(radius=size[0], height=2.0 * size[1], sections=32)
+    ball = trimesh.creation.icosphere(subdivisions=3)
+    return ball.apply_scale(np.array(size) if kind == "ellipsoid" else size[0])
