@@ -7,8 +7,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from palmfield.config import StimulusConfig
-from palmfield.stimulus import frame_at, frame_rates, held_frames, main_frequencies, mean_arp_factor
+from palmfield.config import StimulusConfig, parse
+from palmfield.errors import SceneError
+from palmfield.stimulus import (
+    frame_at,
+    frame_rates,
+    frames_at,
+    held_frames,
+    main_frequencies,
+    mean_arp_factor,
+    plane_path,
+    silent_after_s,
+    turn_rate_Hz,
+)
 
 
 def am(of, depth=1.0, **more):
@@ -99,3 +110,95 @@ def test_main_frequencies():
     assert main_frequencies(am("arp")) == [200]
     assert main_frequencies(StimulusConfig()) == []
     assert math.isclose(main_frequencies(StimulusConfig(path="circle", path_diameter_m=0.02, path_rate_Hz=70))[0], 70)
+
+
+def of(**keys):
+    return parse(StimulusConfig, {key: str(value) for key, value in keys.items()}, "the stimulus")
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [
+        {"path": "line", "path_width_m": 0.03},
+        {"path": "zigzag", "path_width_m": 0.03, "path_height_m": 0.02},
+        {"path": "square", "path_width_m": 0.02},
+        {"path": "z", "path_width_m": 0.03, "path_height_m": 0.02},
+        {"path": "lissajous", "path_width_m": 0.03, "path_height_m": 0.02, "path_ratio": "3 2", "path_phase_deg": 90},
+        {"path": "letters", "path_text": "PALM", "path_height_m": 0.02},
+        {"path": "polyline", "path_through_m": "0 0 0.01 0 0.01 0.03"},
+    ],
+)
+def test_every_path_goes_at_its_speed_and_comes_round(keys):
+    config = of(**keys, path_speed_m_s=2.0, focus_m="0.01 0.02 0.2")
+    turn = 1.0 / turn_rate_Hz(config)
+    times = np.linspace(0.0, turn, 4001)
+    foci, _ = frames_at(config, times)
+    speed = np.linalg.norm(np.diff(foci, axis=0), axis=1) / np.diff(times)
+    assert np.median(speed) == pytest.approx(2.0, rel=1e-3)
+    assert foci[-1] == pytest.approx(foci[0], abs=2e-5)
+    # The middle of the shape's extent is the asked one, and it stays in its plane.
+    assert 0.5 * (foci.min(axis=0) + foci.max(axis=0)) == pytest.approx([0.01, 0.02, 0.2], abs=1e-4)
+    by_rate = of(**keys, path_rate_Hz=1.0 / turn, focus_m="0.01 0.02 0.2")
+    assert frames_at(by_rate, times)[0] == pytest.approx(foci, abs=1e-9)
+
+
+def test_an_open_path_may_jump_or_stop_at_its_end():
+    line = {"path": "line", "path_width_m": 0.04, "path_speed_m_s": 4.0, "start_s": 0.005}
+    jump, stop = of(**line, path_end="jump"), of(**line, path_end="stop")
+    assert turn_rate_Hz(of(**line)) == pytest.approx(50.0) and turn_rate_Hz(jump) == pytest.approx(100.0)
+    assert frame_at(jump, 0.0149).focus[0] == pytest.approx(0.0196)
+    assert frame_at(jump, 0.015).focus[0] == pytest.approx(-0.02, abs=1e-9)
+    # A step over the jump is held in two parts; an impulse never counts the way back.
+    parts = held_frames(jump, 0.0148, 0.0152)
+    assert [share for _, share in parts] == pytest.approx([0.5, 0.5])
+    assert [frame_at(jump, t).focus[0] for t, _ in parts] == pytest.approx([0.0196, -0.0196], abs=1e-9)
+    assert frame_at(stop, 0.0149).arp_factor == 1.0
+    assert frame_at(stop, 0.0151).arp_factor == 0.0
+    assert frame_at(stop, 0.0151).focus[0] == pytest.approx(0.02)
+
+
+def test_letters_are_silent_between_strokes():
+    config = of(path="letters", path_text="II", path_height_m=0.02, path_speed_m_s=1.0)
+    _, factor = frames_at(config, np.linspace(0.0, 1.0 / turn_rate_Hz(config), 2001))
+    lifted = plane_path(config).lifted_share
+    assert 0.1 < lifted < 0.7
+    assert 1.0 - factor.mean() == pytest.approx(lifted, abs=0.01)
+
+
+@pytest.mark.parametrize("window", ["rectangular", "hann"])
+def test_bursts_of_a_modulated_path(window):
+    """Level of a product: AM within bursts, each from start_s on; the focus goes on meanwhile."""
+    keys = {"path": "circle", "path_diameter_m": 0.02, "path_rate_Hz": 30, "start_s": 0.01, "burst_window": window,
+            "burst_length_s": 0.02, "burst_period_s": 0.05, "burst_count": 3}  # fmt: skip
+    config = am("arp", **keys)
+    times = np.linspace(0.0, 0.25, 5001)
+    _, factor = frames_at(config, times)
+    assert not factor[times < 0.01].any() and not factor[times > 0.131].any()
+    on = np.array([((t - 0.01) % 0.05 < 0.02) and 0.01 <= t < 0.13 for t in times])
+    assert factor[~on].max() < 1e-9 and factor[on].mean() == pytest.approx(
+        {"rectangular": 0.5, "hann": 0.25}[window], rel=0.02
+    )
+    assert silent_after_s(config) == pytest.approx(0.13)
+    mean = mean_arp_factor(config, 0.0, 0.2, 4000)
+    assert mean == pytest.approx({"rectangular": 0.5, "hann": 0.25}[window] * 0.06 / 0.2, rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ({"path": "circle", "path_rate_Hz": 1}, "path 'circle' needs path_diameter_m"),
+        ({"path": "circle", "path_diameter_m": 0.01}, "path_rate_Hz"),
+        ({"path": "line", "path_width_m": 0.1, "path_rate_Hz": 1, "path_speed_m_s": 1}, "not both"),
+        ({"path": "line", "path_width_m": 0.1, "path_rate_Hz": 1, "path_text": "A"}, "path_text does not belong"),
+        ({"path_rate_Hz": 1}, "path_rate_Hz belongs to a path"),
+        ({"path_on": "skin"}, "path_on belongs to a path"),
+        ({"path": "sites", "path_sites": "a b", "path_speed_m_s": 1}, "set path_on to skin"),
+        ({"path": "polyline", "path_through_m": "0 0 1", "path_rate_Hz": 1}, "3 numbers"),
+        ({"foci_m": "0 0 0.1"}, "two foci or more"),
+        ({"burst_length_s": 0.1}, "burst_length_s belongs to bursts"),
+        ({"burst_window": "hann", "burst_length_s": 0.2, "burst_period_s": 0.1}, "longer than burst_period_s"),
+    ],
+)
+def test_keys_of_paths_that_do_not_fit_are_named(keys, words):
+    with pytest.raises(SceneError, match=words):
+        of(**keys)

@@ -4,8 +4,9 @@ from typing import ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from palmfield.config.base import Config, NonNegative
+from palmfield.config.base import Config, NonNegative, Vector
 
+TRACKER = ("tracking_up", "tracking_origin_m", "ahead_s")
 SOURCES = ("keyframes", "trajectory", "tracking", "function")
 
 
@@ -20,6 +21,8 @@ class MotionConfig(Config):
     keyframes: str | None = Field(None, description="TOML file of poses at times (docs/motion.md)")
     trajectory: str | None = Field(None, description="CSV or NPZ file of wrist poses and joint angles over time")
     tracking: str | None = Field(None, description="CSV or NPZ file of a recorded OpenXR hand, which the hand follows")
+    tracking_up: Literal["y", "z"] = Field("y", description="which axis of the tracker's space is up; OpenXR's is y")
+    tracking_origin_m: Vector = Field((0.0, 0.0, 0.0), description="where the tracker's origin is in the scene")
     ahead_s: NonNegative = Field(0.0, description="tracking: predicted by so much, as a live system must")
     function: str | None = Field(None, description="package.module:function of time [s] that gives a pose")
     start_s: float = Field(0.0, description="the motion's time 0 in the scene")
@@ -35,6 +38,7 @@ class MotionConfig(Config):
             raise ValueError(f"{' and '.join(given) or 'no motion'} given; give one of: {', '.join(SOURCES)}")
         if self.tracking is not None and self.hand is None:
             raise ValueError("tracking moves an articulated hand: name its preset by key hand")
-        if self.ahead_s > 0.0 and self.tracking is None:
-            raise ValueError("ahead_s belongs to tracking: drop it")
+        stray = [key for key in TRACKER if key in self.model_fields_set and self.tracking is None]
+        if stray:
+            raise ValueError(f"{stray[0]} belongs to tracking: drop it")
         return self

@@ -2,7 +2,7 @@
 
 import tomllib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +17,9 @@ from palmfield.hand.preset import load_preset
 from palmfield.hand.skinning import SkinnedHand
 from palmfield.motion.keyframes import keyframes
 from palmfield.motion.pose import HandPose
+from palmfield.motion.prediction import resample
 from palmfield.motion.retarget import retarget
-from palmfield.motion.tracking import read_stream
+from palmfield.motion.tracking import Stream, read_stream
 from palmfield.motion.trajectory import from_callable, read_trajectory
 
 KEY_FIELDS = ("time_s", "position_m", "quaternion", "turn_deg", "pose", "joints_deg")
@@ -46,12 +47,31 @@ def motion_of(config: MotionConfig) -> Motion:
     elif config.trajectory is not None:
         source = read_trajectory(config.trajectory, joints)
     elif config.tracking is not None:
-        source = retarget(joints, read_stream(config.tracking))
+        source = retarget(joints, _tracked(config))
     else:
         assert config.function is not None
         source = from_callable(config.function, joints)
     start = config.start_s
     return Motion(hand, lambda t: source(t - start), start + source.span_s[1])
+
+
+def _tracked(config: MotionConfig) -> Stream:
+    """The recorded stream in the scene's world; with ahead_s as a live system would have it that long before."""
+    assert config.tracking is not None
+    stream = read_stream(config.tracking)
+    if config.tracking_up == "y":
+        upright = Rotation.from_euler("x", 90.0, degrees=True)
+        turned = upright * Rotation.from_quat(stream.quaternions.reshape(-1, 4), scalar_first=True)
+        stream = replace(
+            stream,
+            positions=upright.apply(stream.positions.reshape(-1, 3)).reshape(stream.positions.shape),
+            quaternions=turned.as_quat(scalar_first=True).reshape(stream.quaternions.shape),
+        )
+    stream = replace(stream, positions=stream.positions + np.array(config.tracking_origin_m))
+    if config.ahead_s == 0.0:
+        return stream
+    clock = np.unique(stream.times_s)
+    return resample(stream, clock[:-1], ahead_s=config.ahead_s).stream
 
 
 def read_keyframes(path: Path, hand: ArticulatedHand, preset: str | None) -> Callable[[float], HandPose]:
