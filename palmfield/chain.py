@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.arp import arp
 from palmfield.acoustics.shadow import lit
+from palmfield.aim import Aim
 from palmfield.drive.response import pole_step
 from palmfield.emission import asked, delays_to
 from palmfield.engine.pose import Pose
@@ -174,62 +175,58 @@ class Chain:
 
     # -- motion --------------------------------------------------------------------------------------------------
 
-    def advance(self, state: Float, start: float, to_array: Callable[[Float], Float], pose: Pose) -> None:
+    def advance(self, state: Float, start: float, aim: Aim, pose: Pose) -> None:
         """Carry transducers and skin from `start` [s] over one MuJoCo step, in place.
 
         state: plugin state, shape (rig.state_size,)
-        to_array: stimulus frame -> frame of the first array, positions of shape (3,)
+        aim: where the stimulus's points are meanwhile
         """
         rig, step = self.rig, self.rig.sizes[4]
-        skin = self.skin.stepper(state, start, to_array, pose)
+        skin = self.skin.stepper(state, start, aim, pose)
         motion = state[: skin.state_size]
         still = self._before is not None and self._before.same(pose)
         self._before = pose
         for i in range(round(rig.timestep_s / step)):
             t0, t1 = start + i * step, start + (i + 1) * step
             if still and self._can_foresee and not self._foresight.knows(pose, t0):
-                self._foresee(state, t0, to_array, pose)
-            first, last = self._loads(state, t0, t1, to_array, pose)
+                self._foresee(state, t0, aim, pose)
+            first, last = self._loads(state, t0, t1, aim, pose)
             skin.step(motion, first, last)
             if self.observer is not None:
                 seen = self.skin.read(state, self.surface_operator)
-                self.observer(t1, seen, *self.now(state, t1, to_array, pose), self.drive(t1, to_array, pose))
+                self.observer(t1, seen, *self.now(state, t1, aim, pose), self.drive(t1, aim, pose))
 
-    def drive(self, t: float, to_array: Callable[[Float], Float], pose: Pose) -> Complex:
+    def drive(self, t: float, aim: Aim, pose: Pose) -> Complex:
         """What the device gives the transducers at time t [s], shape (n,); what they make of it comes later."""
         frame = frame_at(self.rig.stimulus, t)
         if frame.arp_factor == 0.0:
             return np.zeros(len(self.rig.array), complex)
-        return math.sqrt(frame.arp_factor) * self.rig.emitter(pose.arrays).unit_drive(to_array(frame.focus))[0]
+        return math.sqrt(frame.arp_factor) * self.rig.emitter(pose.arrays).unit_drive(aim(frame.focus))[0]
 
-    def now(self, state: Float, t: float, to_array: Callable[[Float], Float], pose: Pose) -> tuple[Sound | None, float]:
+    def now(self, state: Float, t: float, aim: Aim, pose: Pose) -> tuple[Sound | None, float]:
         """The sound at time t [s], which the state must be at, and its ARP factor; (None, 0) while silent."""
         if self.rig.silent:
             return None, 0.0
         frame = frame_at(self.rig.stimulus, t)
         if self.rig.response.on:
-            return self._emitted(self.emitted(state), to_array(frame.focus), pose)
+            return self._emitted(self.emitted(state), aim(frame.focus), pose)
         if frame.arp_factor == 0.0:
             return None, 0.0
-        return self.sound(to_array(frame.focus), pose), frame.arp_factor
+        return self.sound(aim(frame.focus), pose), frame.arp_factor
 
-    def _loads(
-        self, state: Float, t0: float, t1: float, to_array: Callable[[Float], Float], pose: Pose
-    ) -> tuple[Float, Float]:
+    def _loads(self, state: Float, t0: float, t1: float, aim: Aim, pose: Pose) -> tuple[Float, Float]:
         """Nodal forces [N] at the ends of a step, equal where something jumps or is held: then their mean.
 
         Steps the transducers, in place.
         """
-        moments = self._moments(state, t0, t1, to_array, pose)
-        forces = [(share, self.force(state, time, to_array, pose)) for time, share in moments]
+        moments = self._moments(state, t0, t1, aim, pose)
+        forces = [(share, self.force(state, time, aim, pose)) for time, share in moments]
         if not held_frames(self.rig.stimulus, t0, t1):
             return forces[0][1], forces[1][1]
         total = np.sum([share * force for share, force in forces], axis=0)
         return total, total
 
-    def _moments(
-        self, state: Float, t0: float, t1: float, to_array: Callable[[Float], Float], pose: Pose
-    ) -> Iterator[tuple[float, float]]:
+    def _moments(self, state: Float, t0: float, t1: float, aim: Aim, pose: Pose) -> Iterator[tuple[float, float]]:
         """The moments of a step at which the skin's load is taken, as (time, share); both ends where nothing is held.
 
         Transducers are stepped in place: at each moment the state holds what they emit then.
@@ -241,17 +238,17 @@ class Chain:
         emitted = self.emitted(state)
         if not held:
             yield t0, 0.5
-            self._ring(emitted, t0, t1, to_array, pose)
+            self._ring(emitted, t0, t1, aim, pose)
             yield t1, 0.5
         for time, share in held:
             half = 0.5 * share * (t1 - t0)
-            self._ring(emitted, time, time, to_array, pose, half)
+            self._ring(emitted, time, time, aim, pose, half)
             yield time, share
-            self._ring(emitted, time, time, to_array, pose, half)
+            self._ring(emitted, time, time, aim, pose, half)
 
-    def force(self, state: Float, t: float, to_array: Callable[[Float], Float], pose: Pose) -> Float:
+    def force(self, state: Float, t: float, aim: Aim, pose: Pose) -> Float:
         """Consistent nodal forces on the skin [N] at time t [s], which the state must be at, shape (ndof,)."""
-        sound, factor = self.now(state, t, to_array, pose)
+        sound, factor = self.now(state, t, aim, pose)
         return np.zeros(self.rig.system.ndof) if sound is None else factor * sound.skin_force
 
     @cached_property
@@ -271,17 +268,17 @@ class Chain:
         kernels = self.rig.reference_emitter.evaluator.evaluators
         return len(kernels) == 1 and kernels[0].mode == "fast"
 
-    def _foresee(self, state: Float, t0: float, to_array: Callable[[Float], Float], pose: Pose) -> None:
+    def _foresee(self, state: Float, t0: float, aim: Aim, pose: Pose) -> None:
         """Compute the load of the coming steps together, from a rehearsal with a copy of the state."""
         rig, step = self.rig, self.rig.sizes[4]
         emitter, rehearsed = rig.emitter(pose.arrays), state.copy()
         drives = []
         for i in range(STEPS):
-            for time, _ in self._moments(rehearsed, t0 + i * step, t0 + (i + 1) * step, to_array, pose):
+            for time, _ in self._moments(rehearsed, t0 + i * step, t0 + (i + 1) * step, aim, pose):
                 if rig.response.on:
                     drives.append(self.emitted(rehearsed).copy())
                 elif frame_at(rig.stimulus, time).arp_factor > 0.0:
-                    drives.append(emitter.unit_drive(to_array(frame_at(rig.stimulus, time).focus))[0])
+                    drives.append(emitter.unit_drive(aim(frame_at(rig.stimulus, time).focus))[0])
         self._foresight.fill(pose, t0 + (STEPS - 0.5) * step, emitter.evaluator.evaluators[0], drives)
 
     # -- transducers that ring -------------------------------------------------------------------------------------
@@ -295,7 +292,7 @@ class Chain:
         emitted: Complex,
         t0: float,
         t1: float,
-        to_array: Callable[[Float], Float],
+        aim: Aim,
         pose: Pose,
         time_s: float | None = None,
     ) -> None:
@@ -303,9 +300,9 @@ class Chain:
         response, emitter, stimulus = self.rig.response, self.rig.emitter(pose.arrays), self.rig.stimulus
         delays = response.delays_s
         if delays.any():
-            delays = delays_to(emitter, to_array(frame_at(stimulus, stimulus.start_s).focus))
-        first = asked(stimulus, emitter, delays, t0, to_array)
-        last = first if t1 == t0 else asked(stimulus, emitter, delays, t1, to_array)
+            delays = delays_to(emitter, aim(frame_at(stimulus, stimulus.start_s).focus))
+        first = asked(stimulus, emitter, delays, t0, aim)
+        last = first if t1 == t0 else asked(stimulus, emitter, delays, t1, aim)
         emitted[:] = pole_step(emitted, first, last, response.pole, t1 - t0 if time_s is None else time_s)
 
     def _emitted(self, emitted: Complex, focus: Float, pose: Pose) -> tuple[Sound | None, float]:
@@ -324,7 +321,7 @@ class Chain:
             self._ringing = last
         return last, 1.0
 
-    def mean_factor(self, state: Float, start: float, to_array: Callable[[Float], Float], pose: Pose) -> float:
+    def mean_factor(self, state: Float, start: float, aim: Aim, pose: Pose) -> float:
         """Mean ARP factor, relative to the sound of `now`, over the MuJoCo step that begins at `start` [s]."""
         rig = self.rig
         if rig.silent:
@@ -342,10 +339,10 @@ class Chain:
                 (start + (i + 0.5) * width, 1.0)
             ]:
                 half = 0.5 * share * width
-                self._ring(emitted, time, time, to_array, pose, half)
+                self._ring(emitted, time, time, aim, pose, half)
                 total += share * float(np.vdot(emitted, emitted).real)
-                self._ring(emitted, time, time, to_array, pose, half)
-        unit, _ = rig.emitter(pose.arrays).unit_drive(to_array(frame_at(rig.stimulus, start).focus))
+                self._ring(emitted, time, time, aim, pose, half)
+        unit, _ = rig.emitter(pose.arrays).unit_drive(aim(frame_at(rig.stimulus, start).focus))
         full = float(np.vdot(unit, unit).real)
         return total / count / full if full > 0.0 else 0.0
 

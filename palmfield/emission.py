@@ -4,17 +4,16 @@ The carrier is never stepped. Each transducer is one complex pole, stepped exact
 that is longer under way starts from an earlier drive. A delay common to all is left out: it shifts results in time.
 """
 
-import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
+from palmfield.aim import Aim
 from palmfield.config import StimulusConfig
 from palmfield.drive.response import Pole, flight_times
 from palmfield.emitter import Board, Emitter
 from palmfield.envelope import Cost, cost
-from palmfield.stimulus import frame_at
+from palmfield.stimulus import frames_at
 from palmfield.types import Complex, Float
 
 DELAY_STEP_S = 20e-6
@@ -42,7 +41,7 @@ def response(
     boards: tuple[Board, ...],
     emitter: Emitter,
     stimulus: StimulusConfig,
-    course: Callable[[Float], Float],
+    aim: Aim,
     focus: Float,
     accuracy: float,
     *,
@@ -50,7 +49,7 @@ def response(
 ) -> Response:
     """Decide what to model. ARP goes with the square of the pressure, so `auto` allows a quarter of the accuracy.
 
-    course: from what the stimulus asks for, shape (n, 3), to the frame of the first array, in the reference pose
+    aim: where the stimulus's points are in the reference pose
     focus: where the sound goes first, in the frame of the first array [m]
     accuracy: wanted of the skin's displacement, relative; spread: whether flight times may differ
     """
@@ -60,7 +59,7 @@ def response(
     quality = np.concatenate([np.full(n, config.quality) for n, config in zip(counts, configs, strict=True)])
     pole = Pole(f0, quality, emitter.array.frequency_Hz)
     times = flight_times(emitter.array, focus, emitter.air)
-    ring, late = cost(stimulus, course, emitter, focus, pole, times)
+    ring, late = cost(stimulus, aim.course, emitter, focus, pole, times)
     wanted = {config.response for config in configs}
     on = "on" in wanted or ("auto" in wanted and ring.rms + late.rms > 0.25 * accuracy)
     matters = on and spread and late.rms > 0.25 * accuracy
@@ -77,18 +76,15 @@ def delays_to(emitter: Emitter, focus: Float) -> Float:
     return np.asarray(np.round((times - 0.5 * (times.max() + times.min())) / DELAY_STEP_S) * DELAY_STEP_S)
 
 
-def asked(
-    stimulus: StimulusConfig, emitter: Emitter, delays_s: Float, t: float, to_array: Callable[[Float], Float]
-) -> Complex:
+def asked(stimulus: StimulusConfig, emitter: Emitter, delays_s: Float, t: float, aim: Aim) -> Complex:
     """Drive of each transducer whose sound arrives at time t [s] (less the common delay), shape (n,).
 
-    to_array: stimulus frame -> foci in the frame of the first array
+    aim: where the stimulus's points are
     """
-    drive = np.zeros(len(delays_s), complex)
-    for delay in np.unique(delays_s):
-        frame = frame_at(stimulus, t - delay)
-        if frame.arp_factor > 0.0:
-            chosen = delays_s == delay
-            unit, _ = emitter.unit_drive(to_array(frame.focus))
-            drive[chosen] = math.sqrt(frame.arp_factor) * unit[chosen]
-    return drive
+    delays, group = np.unique(delays_s, return_inverse=True)
+    points, factors = frames_at(stimulus, t - delays)
+    drives = np.zeros((len(delays), len(delays_s)), complex)
+    heard = factors > 0.0
+    if heard.any():
+        drives[heard] = emitter.unit_drives(points[heard], aim)
+    return np.asarray(np.sqrt(factors)[group] * drives[group, np.arange(len(delays_s))])

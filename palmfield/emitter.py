@@ -5,7 +5,7 @@ import math
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
@@ -21,6 +21,9 @@ from palmfield.drive.device import Device, play
 from palmfield.drive.foci import solve_foci
 from palmfield.errors import SceneError
 from palmfield.types import Air, Array, Complex, Field, Float, Int
+
+if TYPE_CHECKING:
+    from palmfield.aim import Aim
 
 SAME_PLACE = 1e-9
 
@@ -218,6 +221,21 @@ class Emitter:
         known = (play(self.device, level * phases), level)
         self._unit = (tuple(point.ravel()), known)
         return known
+
+    def unit_drives(self, points: Float, aim: "Aim") -> Complex:
+        """`unit_drive` for what a stimulus asks for at several moments, shape (m, 3), as amplitudes, shape (m, n).
+
+        aim: where the points are
+        """
+        one_by_one = len(aim.offsets) > 0 or self.device.name != "ideal" or self.stimulus.arp_peak_Pa is not None
+        if not one_by_one and len(points) > 1:
+            rays = aim.course(points)[:, None] - self.array.positions
+            facing = np.einsum("mij,ij->mi", rays, self.array.normals) > 0.0
+            if facing.any(axis=1).all():
+                wavenumber = 2.0 * math.pi * self.array.frequency_Hz / sound_speed(self.air)
+                level = 1.0 if self.stimulus.drive_amplitude is None else self.stimulus.drive_amplitude
+                return level * facing * np.exp(-1j * wavenumber * np.linalg.norm(rays, axis=2))
+        return np.array([self.unit_drive(aim(point))[0] for point in points])
 
 
 def same_place(one: Placement, other: Placement) -> bool:

@@ -201,7 +201,7 @@ def known_load(chain: "Chain", pose: "Pose") -> KnownLoad:
     trial: Float = step * np.arange(round(min(max(TRIAL_S, turn), LONGEST_TRIAL_S) / step) + 1)
     if one_shape(rig):
         first = frame_at(rig.stimulus, rig.stimulus.start_s).focus
-        shape = chain.sound(rig.reference_foci(first), pose).skin_force[:, None]
+        shape = chain.sound(rig.reference_aim(first), pose).skin_force[:, None]
         lines = [0.0, rig.main_frequency_Hz, *main_frequencies(rig.stimulus)]
         found: list[tuple[float, Complex]] = [(f, np.ones(1, complex)) for f in dict.fromkeys(lines)]
         return KnownLoad(shape, shape, [frames_at(rig.stimulus, start + trial)[1][:, None]], found)
@@ -255,7 +255,7 @@ def rehearse(rig: "Rig", pose: "Pose", step_s: float, skip: int, count: int) -> 
     steady = rig.stimulus.model_copy(update={"ramp_s": 0.0, "stop_s": None})
     emitter, response = rig.emitter(pose.arrays), rig.response
     drives = (
-        asked(steady, emitter, response.delays_s, steady.start_s + k * step_s, rig.reference_foci)
+        asked(steady, emitter, response.delays_s, steady.start_s + k * step_s, rig.reference_aim)
         for k in range(skip + count)
     )
     if not response.on:

@@ -36,7 +36,7 @@ class Recorder:
         sound, factor = self.skin.now()
         motion = self.chain.skin.read(self.skin.world.state(self.skin.instance), self.chain.surface_operator)
         t = self.skin.world.time
-        self.observe(t, motion, sound, factor, self.chain.drive(t, self.skin.to_array, self.skin.pose()))
+        self.observe(t, motion, sound, factor, self.chain.drive(t, self.skin.aim(), self.skin.pose()))
 
     def observe(self, t: float, motion: Float, sound: Sound | None, factor: float, drive: Complex) -> None:
         """One skin step has ended at time t [s] (called by the chain)."""

@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from palmfield.aim import Aim
 from palmfield.config import Side
 from palmfield.device import resolve
 from palmfield.drive.device import DEVICES
@@ -83,11 +84,11 @@ class Rig:
         self.air, self.array = self.reference_emitter.air, self.reference_emitter.array
         self._emitters = [self.reference_emitter]
         check_device(self)
-        focus = self.reference_foci(frame_at(self.stimulus, self.stimulus.start_s).focus)
+        focus = self.reference_aim(frame_at(self.stimulus, self.stimulus.start_s).focus)
         self.reference_focus: Float = np.atleast_2d(focus)[0]
         self.silent = not np.any(self.unit_drive(focus)[0])
         self.response = response(
-            self.boards, self.reference_emitter, self.stimulus, self.reference_course, self.reference_focus,
+            self.boards, self.reference_emitter, self.stimulus, self.reference_aim, self.reference_focus,
             self.skin.accuracy, spread=self.skin.body_sound != "scattering",
         )  # fmt: skip
         check_body_sound(self)
@@ -112,36 +113,11 @@ class Rig:
                 self._posed, self._posed_for = PosedBody(self, pose.bones), pose
             return self._posed
 
-    def reference_foci(self, point: Float) -> Float:
-        """As `foci`, in the reference pose."""
+    @once
+    def reference_aim(self) -> Aim:
+        """Where the stimulus's points are in the reference pose."""
         frame = self.stimulus_frame
-        return self.foci(point, (np.array(frame.position), np.reshape(frame.rotation, (3, 3))), self.reference_pose)
-
-    def foci(self, point: Float, frame: tuple[Float, Float], pose: Pose) -> Float:
-        """Foci in the frame of the first array [m], shape (3,), or (m, 3) for several at once.
-
-        point: what the stimulus asks for (`palmfield.stimulus.Frame`), shape (3,)
-        frame: position and rotation of the stimulus's frame in that of the first array
-        """
-        if self.skin_path is not None:
-            at, _ = self.skin_path.at(point[:1], self.posed(pose).vertices, self.closed_surface[1])
-            return pose.points(at)[0]
-        shift, turn = frame
-        if self.stimulus.foci_m:
-            return shift + (point + np.reshape(self.stimulus.foci_m, (-1, 3))) @ turn.T
-        return shift + turn @ point
-
-    def reference_course(self, points: Float) -> Float:
-        """Places of the focus, or of the middle of several, in the reference pose, frame of the first array, (n, 3).
-
-        points: what the stimulus asks for, shape (n, 3)
-        """
-        if self.skin_path is not None:
-            assert self.surface is not None
-            at, _ = self.skin_path.at(points[:, 0], self.surface.vertices, self.surface.faces)
-            return self.reference_pose.points(at)
-        turn = np.reshape(self.stimulus_frame.rotation, (3, 3))
-        return points @ turn.T + np.array(self.stimulus_frame.position)
+        return Aim(self, (np.array(frame.position), np.reshape(frame.rotation, (3, 3))), self.reference_pose)
 
     @once
     def skin_path(self) -> SkinPath | None:
@@ -297,7 +273,8 @@ class Rig:
         near, far = self.path_reach_m
         fine_radius, radius = fine_radius + near, radius + far
         radius = s.radius_m or s.patch_radius_m or radius
-        coarse = min(coarse, 0.5 * radius)
+        # A small patch of a curved body needs some triangles for its shape, whatever the accuracy.
+        coarse = min(coarse, (0.5 if s.shape == "disc" else 0.25) * radius)
         fine = min(fine, coarse)
         step = s.step_s or step
         count = math.ceil(self.timestep_s / step - 1e-9)

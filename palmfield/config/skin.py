@@ -21,20 +21,23 @@ class SkinConfig(Config):
     body: str = Field("hand", description="body that carries the surface; its frame is the surface's frame")
     shape: Literal["hand", "articulated", "disc", "mesh", "rigged"] = Field(
         "hand",
-        description="parametric hand in one piece or on its bones, flat disc, a mesh file in one piece or on its joints",
+        description="parametric hand in one piece or on its bones, flat disc, mesh file in one piece or on its joints",
     )
     hand: str = Field(
         "open_men_p50", description="shapes hand and articulated: a preset in hand_models/ or the path of a .toml file"
     )
-    mesh: str | None = Field(None, description="shape mesh: an OBJ, PLY, STL, glTF, GLB or MANO .pkl file; shape rigged: the last three")
+    mesh: str | None = Field(
+        None, description="shape mesh: an OBJ, PLY, STL, glTF, GLB or MANO .pkl file; shape rigged: the last three"
+    )
     mesh_unit: Literal["m", "dm", "cm", "mm", "in", "auto"] | None = Field(
         None,
-        description="shapes mesh and rigged: unit of the file; auto: metres for glTF and MANO, else what makes it a hand",
+        description="shapes mesh, rigged: the unit; auto: metres for glTF and MANO, else what makes it a hand",
     )
     radius_m: Length | None = Field(None, description="shape disc: radius; the loaded face is z = 0, looking along +z")
     thickness_m: Length | None = Field(None, description="shape disc: thickness")
     patch_site: str | None = Field(
-        None, description="site on the body, in the reference pose, at the middle of the skin layer (all shapes but disc)"
+        None,
+        description="site on the body, in the reference pose, at the middle of the skin layer (all shapes but disc)",
     )
     patch_radius_m: Positive | None = Field(None, description="radius of the skin layer (default: the plan's)")
     depth_m: Positive = Field(

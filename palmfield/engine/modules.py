@@ -61,12 +61,13 @@ class SkinModule(Module):
 
     def __init__(self, settings: Any, world: World, instance: int):
         # Imported here: MuJoCo registers the plugins in every process, and Warp takes half a second to load.
+        from palmfield.aim import Aim
         from palmfield.chain import Chain
         from palmfield.engine.pose import Pose, relative
 
         super().__init__(settings, world, instance)
         model = world.model
-        self._between, self._relative = Pose.between, relative
+        self._between, self._relative, self._aim = Pose.between, relative, Aim
         self.rig = rig_of(settings, model)
         self.body = model.find("body", settings.body, _element(self))
         self.sites = [array_site(board.config, model) for board in self.rig.boards]
@@ -107,15 +108,20 @@ class SkinModule(Module):
         )
         return self.chain.skin.settled(found)
 
-    def to_array(self, point: Float) -> Float:
-        """Where the stimulus's point is, `Frame.focus`, in the frame of the first array [m]; see `Rig.foci`."""
+    def aim(self) -> Any:
+        """Where the stimulus's points are now, a `palmfield.aim.Aim`."""
         array = self.world.pose("site", self.sites[0])
         frame = array if self.frame is None else self.world.pose("site", self.frame)
-        return self.rig.foci(point, self._relative(array, frame), self.pose())
+        return self._aim(self.rig, self._relative(array, frame), self.pose())
+
+    def to_array(self, point: Float) -> Float:
+        """Where one of the stimulus's points, `Frame.focus`, is now in the frame of the first array [m]."""
+        foci: Float = self.aim()(point)
+        return foci
 
     def now(self) -> tuple[Any, float]:
         """The sound at MuJoCo's present time and its factor; (None, 0) while silent."""
-        return self.chain.now(self.world.state(self.instance), self.world.time, self.to_array, self.pose())
+        return self.chain.now(self.world.state(self.instance), self.world.time, self.aim(), self.pose())
 
     def body_force(self) -> tuple[Float, Float]:
         """Force [N] of the ARP on the whole body and torque about its origin [N m], world axes; see `body_forces`."""
@@ -132,12 +138,12 @@ class SkinModule(Module):
         """
         from palmfield.stimulus import frame_at
 
-        start, pose = self.world.time, self.pose()
-        factor = self.chain.mean_factor(self.world.state(self.instance), start, self.to_array, pose)
+        start, pose, aim = self.world.time, self.pose(), self.aim()
+        factor = self.chain.mean_factor(self.world.state(self.instance), start, aim, pose)
         if factor == 0.0:
             none = np.zeros((max(1, len(self.bones)), 3))
             return none, none
-        sound = self.chain.sound(self.to_array(frame_at(self.rig.stimulus, start).focus), pose)
+        sound = self.chain.sound(aim(frame_at(self.rig.stimulus, start).focus), pose)
         turn = factor * self.world.pose("body", self.body)[1]
         forces, torques = self.chain.resultants(sound)
         return forces @ turn.T, torques @ turn.T
@@ -180,7 +186,7 @@ class SkinModule(Module):
     def advance(self) -> None:
         """Carry the skin over MuJoCo's last step, with the pose at its beginning."""
         start = self.world.time - self.world.model.timestep
-        self.chain.advance(self.world.state(self.instance), start, self.to_array, self.pose())
+        self.chain.advance(self.world.state(self.instance), start, self.aim(), self.pose())
 
 
 MODULES: tuple[type[Module], ...] = (ArrayModule, StimulusModule, DriverModule, SkinModule, MotionModule)

@@ -5,12 +5,12 @@ it. Where something moves that was to stay, its motion is turned into one of the
 behind the room tells the two apart, so that copies and saved states stay complete. All zeros is rest in both.
 """
 
-from collections.abc import Callable
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from palmfield.aim import Aim
 from palmfield.engine.pose import Pose
 from palmfield.errors import SceneError
 from palmfield.foresight import SHARE, STILL, known_load
@@ -105,9 +105,7 @@ class SceneSkin:
         ends = np.array([nodes.min(axis=0), nodes.max(axis=0)])
         return np.stack(np.meshgrid(*ends.T, indexing="ij"), axis=-1).reshape(-1, 3)
 
-    def stepper(
-        self, state: Float, start: float, to_array: Callable[[Float], Float], pose: Pose
-    ) -> FullSkin | ReducedSkin:
+    def stepper(self, state: Float, start: float, aim: Aim, pose: Pose) -> FullSkin | ReducedSkin:
         """What steps the skin from `start` [s] on; it changes to the whole layer, with its state, where it must.
 
         Raises SceneError instead where key `solver` asks for the small model.
@@ -116,7 +114,7 @@ class SceneSkin:
         if isinstance(skin, FullSkin):
             return skin
         rig = self.rig
-        focus = to_array(frame_at(rig.stimulus, rig.stimulus.start_s).focus)
+        focus = aim(frame_at(rig.stimulus, rig.stimulus.start_s).focus)
         far = float(np.abs(np.atleast_2d(focus)[0] - rig.reference_focus).max())
         moved = pose is not self.reference or far > self.limit_m
         late = rig.stimulus.start_s < start - 1e-9 and not state[: skin.state_size].any() and not skin.any_course
@@ -129,6 +127,6 @@ class SceneSkin:
                 "small model was not made for; set solver to auto or full"
             )
         full = self.full
-        state[: full.state_size] = skin.lifted(state[: skin.state_size], self.chain.force(state, start, to_array, pose))
+        state[: full.state_size] = skin.lifted(state[: skin.state_size], self.chain.force(state, start, aim, pose))
         state[rig.skin_room] = 1.0
         return full

@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from palmfield.hand.chirality import chirality, fingers_direction
 from palmfield.hand.holes import plane_axes
+from palmfield.hand.repair import MOST_PLACES
 from palmfield.hand.reportcard import ReportCard, fault_faces
 from palmfield.hand.triangles import face_normals, unique_edges
 from palmfield.outputs.style import save, style
@@ -26,15 +27,14 @@ FEW, GRAZING = 5, 0.2
 
 def draw_card(card: ReportCard, path: Path) -> Path:
     """PNG with two views; returns its path. Raises OutputError where it cannot be written."""
-    up, palm = _directions(card)
+    up, palm = directions(card)
     with style():
         figure = Figure(figsize=(9.0, 6.2), dpi=120, layout="constrained")
         left, right = figure.subplots(1, 2)
-        _draw(left, card, up, palm, "palm" if _known(card) else "one side")
-        _draw(right, card, up, -palm, "back" if _known(card) else "other side")
-        names = {f"{f['count']} x {f['name']}, {f['outcome']}": COLOURS[f["outcome"]] for f in card.facts["findings"]}
-        if names:
-            swatches = [Swatch(color=colour, label=text) for text, colour in names.items()]
+        draw_view(left, card, up, palm, "palm" if _known(card) else "one side")
+        draw_view(right, card, up, -palm, "back" if _known(card) else "other side")
+        swatches = [_swatch(found) for found in card.facts["findings"]]
+        if swatches:
             figure.legend(handles=swatches, loc="outside lower center", ncols=2)
         verdict = "accepted" if card.facts["accepted"] else "refused"
         size = " x ".join(f"{v:.0f}" for v in card.facts["size_mm"])
@@ -44,11 +44,21 @@ def draw_card(card: ReportCard, path: Path) -> Path:
     return path
 
 
+def _swatch(found: dict[str, Any]) -> Swatch:
+    """Key of a finding: filled where it is marked in the picture, with how many are where not all have a place."""
+    marked = len(found["places_mm"])
+    text = f"{found['count']} x {found['name']}, {found['outcome']}"
+    if marked == MOST_PLACES < found["count"]:
+        text += f" (first {marked} marked)"
+    colour = COLOURS[found["outcome"]]
+    return Swatch(facecolor=colour if marked else "none", edgecolor=colour, label=text)
+
+
 def _known(card: ReportCard) -> bool:
     return card.facts.get("side", "unknown") != "unknown"
 
 
-def _directions(card: ReportCard) -> tuple[Float, Float]:
+def directions(card: ReportCard) -> tuple[Float, Float]:
     """Unit vectors to the fingers and out of the palm; the mesh's own axes where it was refused."""
     vertices = card.mesh.vertices
     along = fingers_direction(vertices, card.mesh.faces)
@@ -59,7 +69,8 @@ def _directions(card: ReportCard) -> tuple[Float, Float]:
     return along / np.linalg.norm(along), palm
 
 
-def _draw(axes: Axes, card: ReportCard, up: Float, to_eye: Float, title: str) -> None:
+def draw_view(axes: Axes, card: ReportCard, up: Float, to_eye: Float, title: str) -> None:
+    """Draw a card's mesh [mm] as seen by an eye in direction to_eye, with `up` upwards, faults in colour."""
     vertices, faces = card.mesh.vertices, card.mesh.faces
     right = np.cross(up, to_eye)
     unit, _ = face_normals(vertices, faces)
@@ -80,7 +91,9 @@ def _draw(axes: Axes, card: ReportCard, up: Float, to_eye: Float, title: str) ->
         PolyCollection(list(flat[faces[back_to_front]]), facecolors=shown, edgecolors=shown, linewidths=0.3)
     )
     edges, count = unique_edges(faces)
-    axes.add_collection(LineCollection(flat[edges[count == 1]], colors=COLOURS["refused"], linewidths=1.5))
+    # The rim of a hole shows where its own faces do, not through the body.
+    rim = edges[(count == 1) & np.isin(edges, faces[unit @ to_eye > -GRAZING]).all(axis=1)]
+    axes.add_collection(LineCollection(flat[rim], colors=COLOURS["refused"], linewidths=1.5))
     for found in card.facts["findings"]:
         places = 1e-3 * np.array(found["places_mm"]).reshape(-1, 3)
         if 0 < len(places) <= FEW:

@@ -14,7 +14,7 @@ TIP_REACH_SHARE = 0.15
 # Shares of the fingers' length beyond their webs. A thumb this far out of the palm's middle plane leaves no doubt;
 # straight fingers lie up to STRAIGHT out of it on either side, bent ones CLEAR_LIFT more; a thumb leaves this much
 # nearer to the wrist than the next digit, and ends this much nearer.
-CLEAR_LIFT, STRAIGHT, CLEAR_WEB, CLEAR_TIP = 0.09, 0.08, 0.2, 0.1
+CLEAR_LIFT, STRAIGHT, CLEAR_WEB, CLEAR_TIP = 0.15, 0.08, 0.3, 0.15
 LEAST_SURENESS = 0.5
 # Fingers are apart within this of the end of the length: of a forearm with its hand, of a hand.
 PIECE_SHARES = (0.1, 0.25)

@@ -61,13 +61,26 @@ class SkinPath:
         normals[near] = vertex_normals(vertices[near], local.reshape(-1, 3).astype(np.int32))
         points = np.einsum("ni,nij->nj", self.barycentric, vertices[corners])
         outward = np.einsum("ni,nij->nj", self.barycentric, normals[corners])
-        arc = folded(arc_m, self.length_m, self.closed)
-        segment = np.clip(np.searchsorted(self.arc_m, arc, side="right") - 1, 0, len(self.arc_m) - 2)
-        step = self.arc_m[segment + 1] - self.arc_m[segment]
-        share = ((arc - self.arc_m[segment]) / np.where(step > 0.0, step, 1.0))[:, None]
+        segment, share = self._between(arc_m)
         here = (1.0 - share) * outward[segment] + share * outward[segment + 1]
         position = (1.0 - share) * points[segment] + share * points[segment + 1]
         return position, here / np.linalg.norm(here, axis=1, keepdims=True)
+
+    def positions(self, arc_m: ArrayLike, vertices: Float, mesh_faces: Int) -> Float:
+        """The positions of `at` alone, shape (k, 3), at a small part of its cost for few arc lengths."""
+        segment, share = self._between(arc_m)
+        first, last = (
+            np.einsum("ni,nij->nj", self.barycentric[n], vertices[mesh_faces[self.faces[n]]])
+            for n in (segment, segment + 1)
+        )
+        return (1.0 - share) * first + share * last
+
+    def _between(self, arc_m: ArrayLike) -> tuple[Int, Float]:
+        """The segment in which each arc length lies, shape (k,), and its share of the segment, shape (k, 1)."""
+        arc = folded(arc_m, self.length_m, self.closed)
+        segment = np.clip(np.searchsorted(self.arc_m, arc, side="right") - 1, 0, len(self.arc_m) - 2)
+        step = self.arc_m[segment + 1] - self.arc_m[segment]
+        return segment.astype(np.int32), ((arc - self.arc_m[segment]) / np.where(step > 0.0, step, 1.0))[:, None]
 
 
 @dataclass(frozen=True)

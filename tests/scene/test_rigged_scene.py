@@ -1,5 +1,7 @@
 """A user's rigged glTF in a scene: its skin follows the bodies, the sound follows the skin and pushes the bones."""
 
+import re
+import sys
 from pathlib import Path
 
 import mujoco
@@ -10,10 +12,10 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 import palmfield
+from palmfield.cli import main
 from palmfield.engine.host import raise_errors
 from palmfield.errors import SceneError
 from palmfield.hand.preset import load_preset
-from palmfield.hand.rigged import strongest
 from palmfield.hand.rigged_mjcf import rigged_mjcf
 from palmfield.hand.skinning import SkinnedHand, rigged_file
 
@@ -22,14 +24,16 @@ HANDS = ARRAYS.parent / "hands"
 # glTF has y up: our palm looks down along -y there, and stands aside.
 FILE_TURN = Rotation.from_euler("x", -90.0, degrees=True)
 FILE_SHIFT = np.array([0.3, 1.2, -0.1])
-BENDS_deg = {"index_mcp_flexion": 40.0, "index_pip_flexion": 50.0, "index_dip_flexion": 30.0}
+BENDS_deg = {"index_mcp_flexion": 30.0, "index_pip_flexion": 40.0, "index_dip_flexion": 20.0}
 SCENE = """
 <mujoco>
   <include file="{arrays}/uhev1.xml"/>
   <include file="{hand}"/>
   <option timestep="0.001"/>
   <extension>
-    <plugin plugin="palmfield.array"><instance name="array"><config key="compute" value="cpu"/></instance></plugin>
+    <plugin plugin="palmfield.array"><instance name="array">
+      <config key="compute" value="cpu"/><config key="response" value="off"/>
+    </instance></plugin>
     <plugin plugin="palmfield.stimulus"><instance name="stimulus">
       <config key="focus_m" value="{focus}"/><config key="modulation" value="none"/>
     </instance></plugin>
@@ -45,7 +49,8 @@ SCENE = """
 
 def write_glb(path, hand):
     """The hand's skin on its bones as a GLB with one skin, under an armature that is turned and shifted."""
-    weights, joints = strongest(hand.weights)
+    joints = np.argsort(-hand.weights, axis=1)[:, :4]
+    weights = np.take_along_axis(hand.weights, joints, axis=1)
     origins = np.array([bone.origin for bone in hand.bones])
     inverse = np.tile(np.eye(4), (len(origins), 1, 1))
     inverse[:, :3, 3] = -origins
@@ -84,7 +89,7 @@ def config(**keys):
     return "".join(f'<config key="{key}" value="{value}"/>' for key, value in keys.items())
 
 
-def bend_hinges(data, hand):
+def bend_hinges(data):
     for name, angle in BENDS_deg.items():
         data.joint(name).qpos[0] = np.deg2rad(angle)
     mujoco.mj_forward(data.model, data)
@@ -128,11 +133,11 @@ def pair(rest, hand):
     """Scenes of the articulated hand and of the rigged one, in the same bent pose, focus on the bent fingertip."""
     plain = mujoco.MjModel.from_xml_path(str(HANDS / "articulated_men_p50.xml"))
     bent = mujoco.MjData(plain)
-    bend_hinges(bent, hand)
+    bend_hinges(bent)
     focus = " ".join(f"{x:.6f}" for x in bent.site("index_pad").xpos)
     keys = dict(shape="articulated", patch_site="index_pad")
     articulated = loaded(rest, "articulated", focus, HANDS / "articulated_men_p50.xml", **keys)
-    bend_hinges(articulated.data, hand)
+    bend_hinges(articulated.data)
     rigged = loaded(rest, "rigged", focus, **RIGGED)
     rigged.data.qpos[:3] = articulated.data.body("forearm").xpos
     rigged.data.qpos[3:7] = FILE_TURN.inv().as_quat(scalar_first=True)
@@ -174,13 +179,15 @@ def test_posed_skin_is_the_linear_blend_of_the_bodies(pair, hand):
     for bone in range(len(hand.bones)):
         moved = (rest - origins[bone]) @ turns[bone].T + places[bone]
         expected += hand.weights[:, bone, None] * moved
-    # The mesh's repair may have put the vertices in another order. Key `body` names a joint at the file's origin.
-    gap, same = cKDTree(rest).query(rigged.skin.rig.surface.vertices)
+    # Reading merges and mends, which may change the order, and halves long edges, which adds vertices.
+    surface = rigged.skin.rig.surface.vertices
+    gap, same = cKDTree(surface).query(rest)
     assert gap.max() < 2e-7 and len(np.unique(same)) == len(rest)
     found = world_skin(rigged)
-    unbent = found - (rigged.skin.rig.surface.vertices @ turns[1].T + places[1])
-    assert np.linalg.norm(unbent, axis=1).max() > 0.04
-    assert np.abs(found - expected[same]).max() < 1e-6
+    hand_body = data.body("hand")
+    stiff = surface @ hand_body.xmat.reshape(3, 3).T + hand_body.xpos
+    assert np.linalg.norm(found - stiff, axis=1).max() > 0.04
+    assert np.abs(found[same] - expected).max() < 1e-6
 
 
 def test_sound_on_a_bent_fingertip_is_that_of_the_articulated_hand(pair):
@@ -190,7 +197,7 @@ def test_sound_on_a_bent_fingertip_is_that_of_the_articulated_hand(pair):
     assert gap.max() < 2e-6
     down = np.tile([0.0, 0.0, -1.0], (len(a), 1))
     expected, found = sound_on(articulated, a, down), sound_on(rigged, b[same], down)
-    assert expected.max() > 100.0
+    assert expected.max() > 10.0
     assert np.abs(found - expected).max() < 0.01 * expected.max()
     # The loudest place is the fingertip where it is now.
     tip = rigged.data.body("index_distal").xpos
@@ -216,18 +223,20 @@ def test_sound_pushes_the_bones(pair, hand):
     np.testing.assert_allclose(applied, torque, atol=1e-3 * np.linalg.norm(torque))
 
 
-def test_fingertip_is_pushed_away_and_stays_on_its_bones(rest):
-    scene = loaded(rest, "steps", "-0.0399 0.0977 0.2", **RIGGED)
-    before = scene.data.body("index_distal").xpos.copy()
-    focus = scene.data.site("index_distal_pad").xpos
-    scene = loaded(rest, "steps", " ".join(f"{x:.6f}" for x in focus), **RIGGED)
-    for _ in range(30):
-        mujoco.mj_step(scene.model, scene.data)
-        raise_errors(scene.data)
-    up = {name: scene.data.body(f"{name}_distal").xpos[2] for name in ("index", "little")}
-    assert up["index"] - before[2] > 2e-6
-    assert np.isfinite(scene.skin.world.state(scene.skin.instance)).all()
-    del up["little"]
+def test_sound_bends_the_finger_that_it_is_on(rest):
+    plain = mujoco.MjModel.from_xml_path(str(rest / "hand.xml"))
+    before = mujoco.MjData(plain)
+    mujoco.mj_forward(plain, before)
+    for digit in ("index", "little"):
+        pad, tip = f"{digit}_distal_pad", f"{digit}_distal_tip"
+        focus = " ".join(f"{x:.6f}" for x in before.site(pad).xpos)
+        scene = loaded(rest, digit, focus, **(RIGGED | {"patch_site": pad}))
+        for _ in range(20):
+            mujoco.mj_step(scene.model, scene.data)
+            raise_errors(scene.data)
+        turned = {d: np.linalg.norm(scene.data.joint(f"{d}_distal").qpos[1:]) for d in ("index", "middle", "little")}
+        assert max(turned, key=lambda d: turned[d]) == digit
+        assert scene.data.site(tip).xpos[2] > before.site(tip).xpos[2] + 1e-6
 
 
 def refused(rest, match, **keys):
@@ -240,13 +249,32 @@ def test_bodies_that_are_missing_or_misplaced_are_named(rest):
     text = (rest / "hand.xml").read_text()
     (rest / "lost.xml").write_text(text.replace('"ring_middle"', '"ring_center"'))
     refused(rest, "shape' has value 'rigged': the scene has no body 'ring_middle'; it has: ", hand="lost.xml")
-    refused(rest, r"'body' has value 'paw'; allowed .*\[prefix\] and a joint of the mesh: forearm, hand, ", body="paw")
-    refused(rest, "no body 'left_forearm'", body="left_hand")
+    allowed = r"allowed with shape 'rigged': \[prefix\] and a joint of the mesh: forearm, hand, "
+    refused(rest, f"key 'body' has value 'hand_target'; {allowed}", body="hand_target")
+    prefixed = re.sub('(name|body1|body2)="', r'\1="left_', text)
+    (rest / "left_hand.xml").write_text(prefixed)
+    left = dict(hand="left_hand.xml", body="left_hand", patch_site="left_index_distal_pad")
+    assert len(loaded(rest, "left", **(RIGGED | left)).skin.bones) == 17
+    (rest / "left_hand.xml").write_text(prefixed.replace('"left_forearm"', '"forearm"'))
+    refused(rest, "the scene has no body 'left_forearm'", **left)
     refused(rest, "shape 'rigged' needs mesh and mesh_unit", mesh_unit="")
     place = text.split('<body name="ring_middle" pos="')[1].split('"')[0]
     moved = " ".join(f"{float(x) + 0.001:.9g}" for x in place.split())
-    (rest / "moved.xml").write_text(text.replace(f'name="ring_middle" pos="{place}"', f'name="ring_middle" pos="{moved}"'))
-    refused(rest, "body 'ring_middle' stands 1.73 mm and 0 degrees off the mesh's joint; write its MJCF", hand="moved.xml")
+    (rest / "moved.xml").write_text(
+        text.replace(f'name="ring_middle" pos="{place}"', f'name="ring_middle" pos="{moved}"')
+    )
+    refused(
+        rest, "body 'ring_middle' stands 1.73 mm and 0 degrees off the mesh's joint; write its MJCF", hand="moved.xml"
+    )
     turned = text.replace('<body name="thumb_distal"', '<body name="thumb_distal" euler="0 0 2"')
     (rest / "turned.xml").write_text(turned)
     refused(rest, "body 'thumb_distal' stands .* mm and 2 degrees off", hand="turned.xml")
+
+
+def test_command_writes_the_bodies(rest, hand, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["palmfield", "hand", str(rest / "hand.glb"), "--mjcf", str(rest / "again.xml")])
+    with pytest.raises(SystemExit) as stop:
+        main()
+    assert stop.value.code in (None, 0)
+    assert (rest / "again.xml").read_text() == (rest / "hand.xml").read_text()
+    assert f"wrote {rest / 'again.xml'}" in capsys.readouterr().out

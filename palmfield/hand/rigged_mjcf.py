@@ -1,0 +1,249 @@
+"""A user's rigged mesh as an MJCF tree of bodies on ball joints, whose skin a scene of shape `rigged` moves."""
+
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from palmfield.errors import SceneError
+from palmfield.hand.articulated import DIGITS_IN_FILE, ARMATURE_kg_m2
+from palmfield.hand.chirality import Chirality, chirality, fingers_direction
+from palmfield.hand.mjcf import SKIN_RGBA, DENSITY_kg_m3, HEIGHT_m, numbers_text
+from palmfield.hand.rigged import RiggedMesh
+from palmfield.types import Float, Int
+
+SWING_Hz = 25.0
+"""Each joint alone, with all that hangs on it, swings so fast; it is damped critically. 10 mN on a fingertip, which is
+what an array can push with, then move it by less than 0.5 mm, the yielding of the weld included."""
+WELD_TIME_s = 0.02
+"""At half of it, a wrist bone that is lighter than the hand rings in steps of 2 ms."""
+AXIS_SAMPLES, LEAST_RADIUS_m = 9, 1e-3
+TAKEN = ("world", "hand_target")
+
+
+@dataclass(frozen=True)
+class _Capsule:
+    """start, end: of its axis [m], shape (3,)"""
+
+    start: Float
+    end: Float
+    radius: float
+
+    @property
+    def volume(self) -> float:
+        length = float(np.linalg.norm(self.end - self.start))
+        return np.pi * self.radius**2 * (length + 4.0 / 3.0 * self.radius)
+
+
+def rigged_mjcf(mesh: RiggedMesh, name: str) -> str:
+    """MJCF text of a rigged mesh, to be named by `<include file=.../>` or opened as it is in any MuJoCo.
+
+    A body for every joint, of its name, at its place and parallel to the file's axes; further joints without a parent
+    hang on the first one. That one is free, and a soft weld holds it to the mocap body `hand_target`, as in
+    `palmfield.hand.articulated.articulated_mjcf`. A joint turns (a ball joint of its name, with a spring to the file's
+    pose that swings at SWING_Hz and critical damping) where it carries skin and so does one above it; all others are
+    rigid, having no mass to move. Capsules along the bones, to the next joints that carry skin, have the skin's
+    distance from the bone as radius, the median along it; all together have the mesh's volume times 1100 kg/m3 as mass.
+    They touch other things and each other, but for pairs that do in the file's pose. Gravity is compensated.
+
+    Sites: JOINT_tip, the farthest skin of each last joint; and, where `palmfield.hand.chirality` is sure which side the
+    palm is, JOINT_pad, the skin of each joint on that side. There, the first joint and hand_target are turned so that
+    palm and fingers look along -z and y, else they keep the file's axes. The lowest skin is 0.2 m up, the mesh's middle
+    over the origin.
+
+    Raises SceneError for two joints of one name, and for the names that MuJoCo and this file take for themselves.
+    """
+    names = mesh.joints.names
+    for joint in names:
+        if names.count(joint) > 1 or joint in TAKEN:
+            why = "is a name of this file's own" if joint in TAKEN else f"names {names.count(joint)} joints"
+            raise SceneError(f"rigged mesh: '{joint}' {why}; rename the joint and export the mesh again")
+    places = mesh.joints.rest[:, :3, 3]
+    parents = _one_root(mesh.joints.parents)
+    owner = mesh.indices[np.arange(len(mesh.indices)), np.argmax(mesh.weights, axis=1)]
+    carries = np.bincount(owner, minlength=len(names)) > 0
+    vertices = mesh.surface.vertices
+    whole = cKDTree(vertices)
+    side = chirality(vertices, mesh.surface.faces)
+    turn = _turn(mesh, side)
+    capsules = {
+        j: _capsules(vertices[owner == j], whole, places[j], places[_next_carrying(j, parents, carries)])
+        for j in np.flatnonzero(carries).tolist()
+    }
+    factor = _volume(mesh) / sum(capsule.volume for parts in capsules.values() for capsule in parts)
+    density = f"{DENSITY_kg_m3 * factor:.9g}"
+
+    spin = {"quat": _text(Rotation.from_matrix(turn).as_quat(scalar_first=True))}
+    root_joint = int(np.flatnonzero(parents < 0)[0])
+    placed = vertices @ turn.T
+    middle = 0.5 * (placed.min(axis=0) + placed.max(axis=0))
+    start = turn @ places[root_joint] - [middle[0], middle[1], placed[:, 2].min() - HEIGHT_m]
+
+    root = ET.Element("mujoco", model=name)
+    world = ET.SubElement(root, "worldbody")
+    ET.SubElement(world, "body", {"name": "hand_target", "mocap": "true", "pos": _text(start)} | spin)
+    bodies: dict[int, ET.Element] = {}
+    for j in _parents_first(parents):
+        above = world if j == root_joint else bodies[parents[j]]
+        at = start if j == root_joint else places[j] - places[parents[j]]
+        bodies[j] = ET.SubElement(above, "body", name=names[j], pos=_text(at), gravcomp="1")
+        if j == root_joint:
+            bodies[j].attrib |= spin
+            ET.SubElement(bodies[j], "freejoint", name=names[j])
+        if j in capsules:
+            if capsules.keys() & _above(j, parents):
+                ET.SubElement(bodies[j], "joint", name=names[j], type="ball", armature=f"{ARMATURE_kg_m2:g}")
+            own = vertices[owner == j]
+            last = not _next_carrying(j, parents, carries)
+            _add_geoms(bodies[j], places[j], capsules[j], density)
+            for site, point in _sites(own, places[j], capsules[j], side, last).items():
+                ET.SubElement(bodies[j], "site", name=f"{names[j]}_{site}", pos=_text(point - places[j]), size="0.002")
+    equality = ET.SubElement(root, "equality")
+    first, solref = names[root_joint], f"{WELD_TIME_s:g} 1"
+    ET.SubElement(equality, "weld", name=first, body1="hand_target", body2=first, solref=solref)
+    _add_springs_and_excludes(root)
+    ET.indent(root)
+    axes = "the file's own" if side.side == "unknown" else "fingers to y, palm to -z"
+    note = f"<!-- Written by `palmfield hand` of a rigged mesh. Side: {side.side}; axes in the world: {axes}. -->\n"
+    return note + ET.tostring(root, encoding="unicode") + "\n"
+
+
+def _one_root(parents: Int) -> Int:
+    """Parents where every root but the first hangs on the first."""
+    roots = np.flatnonzero(parents < 0)
+    joined = parents.copy()
+    joined[roots[1:]] = roots[0]
+    return joined
+
+
+def _above(joint: int, parents: Int) -> list[int]:
+    found: list[int] = []
+    while parents[joint] >= 0:
+        joint = int(parents[joint])
+        found.append(joint)
+    return found
+
+
+def _parents_first(parents: Int) -> list[int]:
+    return sorted(range(len(parents)), key=lambda joint: len(_above(joint, parents)))
+
+
+def _next_carrying(joint: int, parents: Int, carries: np.ndarray) -> list[int]:
+    """The nearest joints beyond one that carry skin."""
+    found: list[int] = []
+    for child in np.flatnonzero(parents == joint):
+        found += [int(child)] if carries[child] else _next_carrying(int(child), parents, carries)
+    return found
+
+
+def _turn(mesh: RiggedMesh, side: Chirality) -> Float:
+    """Rotation from the file's axes to those of the hand frame, the identity where the palm's side is unknown."""
+    if side.side == "unknown":
+        return np.eye(3)
+    z = -side.palm
+    fingers = fingers_direction(mesh.surface.vertices, mesh.surface.faces)
+    y = fingers - (fingers @ z) * z
+    y /= np.linalg.norm(y)
+    return np.array([np.cross(y, z), y, z])
+
+
+def _volume(mesh: RiggedMesh) -> float:
+    a, b, c = (mesh.surface.vertices[mesh.surface.faces[:, i]] for i in range(3))
+    return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0)
+
+
+def _capsules(skin: Float, whole: cKDTree, origin: Float, beyond: Float) -> list[_Capsule]:
+    """One capsule from a joint to each of the next ones, within the skin [m], shape (n, 3), that the joint carries.
+
+    whole: vertices of all skin; beyond: the next joints, shape (k, 3); where there is none farther than a millimetre,
+    the axis goes to the farthest skin
+    """
+    ends = beyond[np.linalg.norm(beyond - origin, axis=1) > 1e-3]
+    last = not len(ends)
+    if last:
+        ends = skin[[np.argmax(np.linalg.norm(skin - origin, axis=1))]]
+    lengths = np.linalg.norm(ends - origin, axis=1)
+    axes = (ends - origin) / lengths[:, None]
+    along = (skin - origin) @ axes.T
+    off = (skin - origin)[:, None] - np.clip(along, 0.0, lengths)[..., None] * axes
+    nearest = np.argmin(np.linalg.norm(off, axis=2), axis=1)
+    found = []
+    for k in np.unique(nearest):
+        held = along[nearest == k, k]
+        # Between the joints, as far as the skin reaches; then on, where it reaches farther by more than the radius.
+        low, high = np.clip([held.min(), held.max()], 0.0, lengths[k])
+        steps = np.linspace(low, high, AXIS_SAMPLES)[:, None] * axes[k]
+        radius = max(float(np.median(whole.query(origin + steps)[0])), LEAST_RADIUS_m)
+        low = min(low, held.min() + radius)
+        high = held.max() - radius if last else max(high, held.max() - radius)
+        if high - low < 1e-3:
+            low, high = 0.5 * (low + high) - 5e-4, 0.5 * (low + high) + 5e-4
+        found.append(_Capsule(origin + low * axes[k], origin + high * axes[k], radius))
+    return found
+
+
+def _add_geoms(body: ET.Element, origin: Float, capsules: list[_Capsule], density: str) -> None:
+    for capsule in capsules:
+        ends = _text(np.concatenate([capsule.start - origin, capsule.end - origin]))
+        size = _text(np.array([capsule.radius]))
+        geom = {"type": "capsule", "fromto": ends, "size": size, "density": density, "rgba": SKIN_RGBA}
+        ET.SubElement(body, "geom", geom)
+
+
+def _sites(skin: Float, origin: Float, capsules: list[_Capsule], side: Chirality, last: bool) -> dict[str, Float]:
+    """Points of the skin [m], shape (n, 3), that a joint carries."""
+    found = {}
+    middle = np.mean([0.5 * (capsule.start + capsule.end) for capsule in capsules], axis=0)
+    if last:
+        found["tip"] = skin[np.argmax(np.linalg.norm(skin - origin, axis=1))]
+        middle = 0.5 * (origin + found["tip"])
+    if side.side != "unknown":
+        away = skin - middle
+        out = away @ side.palm
+        beside = np.linalg.norm(away - out[:, None] * side.palm, axis=1)
+        found["pad"] = skin[np.argmin(np.where(out > 0.0, beside, np.inf))]
+    return found
+
+
+def _add_springs_and_excludes(root: ET.Element) -> None:
+    """Stiffness and damping of all ball joints by the inertia that hangs on each; pairs that touch at rest let go."""
+    model = mujoco.MjModel.from_xml_string(ET.tostring(root, encoding="unicode"))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    below = _subtrees(model.body_parentid)
+    rate = 2.0 * np.pi * SWING_Hz
+    for joint in root.iterfind(".//joint"):
+        body = model.body(joint.get("name", "")).id
+        inertia = _largest_inertia(model, data, np.flatnonzero(below[body]).tolist(), data.xpos[body]) + ARMATURE_kg_m2
+        joint.set("stiffness", f"{inertia * rate**2:.9g}")
+        joint.set("damping", f"{2.0 * inertia * rate:.9g}")
+    pairs = {tuple(sorted(int(model.geom_bodyid[geom]) for geom in contact.geom)) for contact in data.contact}
+    contact = ET.SubElement(root, "contact")
+    for a, b in sorted(pairs):
+        ET.SubElement(contact, "exclude", body1=model.body(a).name, body2=model.body(b).name)
+
+
+def _subtrees(parents: Int) -> np.ndarray:
+    """Whether body j is body i or hangs on it, shape (bodies, bodies)."""
+    below = np.eye(len(parents), dtype=bool)
+    for body in range(len(parents) - 1, 0, -1):
+        below[parents[body]] |= below[body]
+    return below
+
+
+def _largest_inertia(model: mujoco.MjModel, data: mujoco.MjData, bodies: list[int], about: Float) -> float:
+    """Largest moment of inertia of some bodies together about axes through a point [kg m^2]."""
+    total = np.zeros((3, 3))
+    for body in bodies:
+        turn = data.ximat[body].reshape(3, 3)
+        arm = data.xipos[body] - about
+        total += turn @ np.diag(model.body_inertia[body]) @ turn.T
+        total += model.body_mass[body] * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    return float(np.linalg.eigvalsh(total)[-1])
+
+
+def _text(numbers: Float) -> str:
+    return numbers_text(numbers, DIGITS_IN_FILE)

@@ -1,0 +1,398 @@
+"""What each scripted scenario shows: its panels over time, and one physical check with its figure."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+import trimesh
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.tri import Triangulation
+from scipy.ndimage import uniform_filter1d
+
+import palmfield
+from palmfield.acoustics.reference import pressure64
+from palmfield.engine.host import raise_errors
+from palmfield.outputs.frames import body_pose_at, posed, to_local, to_world
+from palmfield.outputs.style import COLOURS
+from palmfield.skin.waves import describe
+from palmfield.types import Float
+
+SCENES = Path(__file__).resolve().parents[1] / "mjcf" / "scenes"
+PATH_NEIGHBOURHOOD_M = 0.005
+WAKE_SHARE = 0.1
+WAKE_KEYS = {"skin.element_m": 0.0045, "skin.max_frequency_Hz": 500}
+SPEEDS_M_S = (1.0, 4.0, 11.0)
+# Held by friction, the ball has come to rest between the fingers by then.
+GRIP_FROM_S = 0.12
+EQUAL = (1.0, 1.0, 1.0)
+MAP_FIRST = (1.8, 1.0, 1.0)
+
+
+class Run(NamedTuple):
+    """A finished run. ds: its result; scene: as loaded; wakes: `stroke_velocities` by speed [m/s], for the stroke"""
+
+    ds: xr.Dataset
+    scene: palmfield.Scene
+    wakes: dict[float, dict[str, Float]]
+
+
+class Story(NamedTuple):
+    """text: what happens, a paragraph; panels: their heights; tell: draws them and returns the check in words"""
+
+    text: str
+    panels: tuple[float, ...]
+    tell: Callable[[Run, list[Axes]], str]
+
+
+def approach(run: Run, axes: list[Axes]) -> str:
+    """ARP at the palm against |p|^2 of the free field where the palm is, each a mean over an AM period."""
+    times, places = _middle_of_skin(run.ds)
+    felt = _at_middle(run.ds, times, 200.0)
+    rig = run.scene.skin.rig
+    drive, _ = rig.unit_drive(rig.reference_focus)
+    at = to_local(places, run.ds["array_pose"].values)
+    free = np.abs(pressure64(at, rig.array, drive, rig.air)[0]) ** 2
+    inner = _whole_periods(times, 200.0)
+    expected = free * felt[inner].max() / free[inner].max()
+    off = float(np.abs(felt - expected)[inner].max() / felt[inner].max())
+    axes[0].plot(1e3 * times, 1e3 * places[:, 2], color=COLOURS[2])
+    axes[0].axhline(200.0, color="#888888", lw=0.8, ls="--", label="height of the focus")
+    axes[0].set(ylabel="palm height [mm]", title="Height of the palm's middle")
+    axes[0].legend(loc="upper center")
+    axes[1].plot(1e3 * times[inner], felt[inner], color=COLOURS[0], label="run")
+    axes[1].plot(1e3 * times[inner], expected[inner], "--", color=COLOURS[1], label="|p|² of the free field, scaled")
+    axes[1].set(ylabel="ARP [Pa]", title="ARP there, mean over a period of 5 ms")
+    axes[1].legend(loc="lower center")
+    _displacement(axes[2], run.ds)
+    return (
+        f"ARP at the palm's middle follows |p|² of the free field at its place (float64 sum over the transducers, "
+        f"scaled to the same maximum) within {100 * off:.1f} % of the maximum, over heights of "
+        f"{1e3 * places[inner, 2].min():.0f} to {1e3 * places[inner, 2].max():.0f} mm."
+    )
+
+
+def hover(run: Run, axes: list[Axes]) -> str:
+    """Where the palm is when it feels most, against the circle's middle."""
+    times, places = _middle_of_skin(run.ds)
+    felt = _at_middle(run.ds, times, 100.0)
+    inner = _whole_periods(times, 100.0)
+    over = inner & (times < 0.3)
+    x, weight = places[over, 0], felt[over] * np.gradient(places[over, 0])
+    middle = float((weight * x).sum() / weight.sum())
+    axes[0].plot(1e3 * times, 1e3 * places[:, 0], color=COLOURS[2])
+    axes[0].axhspan(20.0, 40.0, color="#dddddd", label="circle of the focus")
+    axes[0].set(ylabel="palm x [mm]", title="Sideways position of the palm's middle")
+    axes[0].legend(loc="lower right")
+    axes[1].plot(1e3 * times[inner], felt[inner], color=COLOURS[0])
+    axes[1].set(ylabel="ARP [Pa]", title="ARP there, mean over a turn of 10 ms")
+    _displacement(axes[2], run.ds)
+    return (
+        f"On the first way over, the mean ARP at the palm's middle, as a function of its x, has its centroid at "
+        f"{1e3 * middle:.1f} mm; the circle's middle is at 30 mm. It is largest where the palm's middle is near the "
+        "rim of the circle (radius 10 mm), on which the focus is all the time."
+    )
+
+
+def tap(run: Run, axes: list[Axes]) -> str:
+    """Height of the pulp, which carries the focus, at the first burst."""
+    ds = run.ds
+    times, places = _middle_of_skin(ds)
+    focus = ds["focus"].values
+    sounds = np.flatnonzero(ds["arp"].values.max(axis=1) > 0.0)
+    at = sounds[0] if len(sounds) else 0
+    loud = ds["arp"].values.max(axis=1)
+    axes[0].plot(1e3 * times, 1e3 * places[:, 2], color=COLOURS[2])
+    axes[0].axhline(200.0, color="#888888", lw=0.8, ls="--", label="height of the button")
+    axes[0].set(ylabel="pulp height [mm]", title="Height of the index finger's pulp")
+    axes[0].legend(loc="lower left")
+    axes[1].plot(1e3 * ds["time"].values, loud, color=COLOURS[0])
+    axes[1].set(ylabel="ARP [Pa]", title="Largest ARP on the pulp")
+    _displacement(axes[2], ds)
+    return (
+        f"At the first burst, {1e3 * ds['time'].values[at]:.2f} ms, the pulp is at {1e3 * focus[at, 2]:.2f} mm "
+        "(button: 200 mm)."
+    )
+
+
+def follow(run: Run, axes: list[Axes]) -> str:
+    """Distance of the focus from the skin that the bones carry."""
+    ds = run.ds
+    times, places = _middle_of_skin(ds)
+    focus = _focus_at(ds, times)
+    gap = _gap(ds, times, focus)
+    axes[0].plot(*(1e3 * places[:, :2].T), color=COLOURS[1], lw=4, alpha=0.5, label="middle of the pulp's skin")
+    axes[0].plot(*(1e3 * focus[:, :2].T), color=COLOURS[0], label="focus")
+    axes[0].set(xlabel="x [mm]", ylabel="y [mm]", title="Paths seen from above", aspect="equal", anchor="W")
+    axes[0].legend(loc="lower center")
+    axes[1].plot(1e3 * times, 1e3 * gap, color=COLOURS[2])
+    axes[1].set(ylabel="distance [mm]", title="Focus to the nearest skin", ylim=(0.0, 1.0))
+    inner = _whole_periods(times, 200.0)
+    axes[2].plot(1e3 * times[inner], _at_middle(ds, times, 200.0)[inner], color=COLOURS[0])
+    axes[2].set(
+        xlabel="time [ms]", ylabel="ARP [Pa]", title="ARP at the pulp, mean over a period of 5 ms", ylim=(0.0, None)
+    )
+    way = float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
+    return (
+        f"The focus is at most {1e3 * np.nanmax(gap):.2f} mm from the skin (as linear triangles on the bones) "
+        f"while the pulp goes {1e3 * way:.0f} mm."
+    )
+
+
+def trace(run: Run, axes: list[Axes]) -> str:
+    """The path on the turned palm: its speed along the skin, and how far the focus is from it."""
+    ds = run.ds
+    times = ds["time"].values[1:]
+    focus = np.array([to_local(f[None], _pose(ds, t))[0] for t, f in zip(times, ds["focus"].values[1:], strict=True)])
+    speed = np.linalg.norm(np.diff(focus, axis=0), axis=1) / np.diff(times)
+    gap = _gap(ds, times[::5], ds["focus"].values[1::5])
+    rest, faces = ds["skin_position"].values, ds["skin_faces"].values
+    most = 1e6 * np.abs(ds["normal_displacement"].values).max(axis=0)
+    drawn = axes[0].tripcolor(
+        Triangulation(1e3 * rest[:, 0], 1e3 * rest[:, 1], faces), most, shading="gouraud", cmap="magma_r"
+    )
+    beside = axes[0].inset_axes((1.06, 0.0, 0.05, 1.0))
+    axes[0].figure.colorbar(drawn, cax=beside, label="largest |u| [µm]")
+    axes[0].plot(*(1e3 * focus[:, :2].T), color="#0ea5e9", lw=1.0)
+    axes[0].set(xlabel="hand x [mm]", ylabel="hand y [mm]", aspect="equal", title="Path on the palm", anchor="W")
+    axes[0].grid(visible=False)
+    steps = ds["step_time"].values
+    roll = np.degrees([2.0 * np.arctan2(p[5], p[3]) for p in ds["body_pose"].values])
+    axes[1].plot(1e3 * steps, roll, color=COLOURS[2])
+    axes[1].set(ylabel="roll [°]", title="Turn of the hand about its fingers' direction", xlabel="time [ms]")
+    _displacement(axes[2], ds)
+    return (
+        f"In the hand's frame the focus runs at {np.median(speed):.2f} m/s (median; asked: 4 m/s) and stays within "
+        f"{1e3 * np.nanmax(gap):.2f} mm of the skin (linear triangles) while the hand rolls by {np.ptp(roll):.1f}°."
+    )
+
+
+def two_hands(run: Run, axes: list[Axes]) -> str:
+    """ARP in the shadow against ARP before and after it."""
+    ds = run.ds
+    times, _ = _middle_of_skin(ds)
+    felt = _at_middle(ds, times, 200.0)
+    inner = _whole_periods(times, 200.0)
+    free, least = felt[inner][0], felt[inner].min()
+    axes[0].plot(1e3 * times[inner], felt[inner], color=COLOURS[0])
+    axes[0].set(ylabel="ARP [Pa]", title="ARP at the right palm, mean over a period of 5 ms")
+    _displacement(axes[1], ds)
+    return (
+        f"ARP at the palm's middle: {free:.2f} Pa free, {least:.2g} Pa at the least in the shadow (rays: nothing bends "
+        f"round the hand), ratio {least / free:.1e}; {felt[inner][-1]:.2f} Pa when the hand has passed "
+        f"({felt[inner][-1] / free:.3f} of the free)."
+    )
+
+
+def grasp(run: Run, axes: list[Axes]) -> str:
+    """Vertical contact force on the ball against its weight, in the same motion stepped once more without sound."""
+    times, ball, hand, force = _carried(run.scene, len(run.ds["step_time"]))
+    model = run.scene.model
+    weight = float(model.body_mass[model.body("ball").id] * -model.opt.gravity[2])
+    axes[0].plot(1e3 * times, 1e3 * ball, color=COLOURS[1], label="ball")
+    axes[0].plot(1e3 * times, 1e3 * hand, color=COLOURS[2], label="hand")
+    axes[0].set(ylabel="height [mm]", title="Heights of ball and hand")
+    axes[0].legend(loc="upper left")
+    axes[1].plot(1e3 * times, 1e3 * force, color=COLOURS[0])
+    axes[1].axhline(1e3 * weight, color="#888888", lw=0.8, ls="--", label="weight of the ball")
+    axes[1].set(ylabel="force [mN]", title="Vertical contact force on the ball")
+    axes[1].legend(loc="upper right")
+    of_run, _ = _middle_of_skin(run.ds)
+    inner = _whole_periods(of_run, 200.0)
+    axes[2].plot(1e3 * of_run[inner], _at_middle(run.ds, of_run, 200.0)[inner], color=COLOURS[0])
+    axes[2].set(xlabel="time [ms]", ylabel="ARP [Pa]", title="ARP at the palm, mean over a period of 5 ms")
+    held = times > GRIP_FROM_S
+    if not held.any():
+        return "The run is too short for the check."
+    # Over a stretch, contact and weight together change the ball's momentum.
+    rise = float(model.body_mass[model.body("ball").id] * np.gradient(np.gradient(ball, times), times)[held].mean())
+    return (
+        f"Mean vertical contact force on the ball after {1e3 * GRIP_FROM_S:.0f} ms: {force[held].mean() / weight:.3f} "
+        f"of its weight ({rise / weight:+.3f} of it lifts the ball as the hand goes up); the ball moves by "
+        f"{1e3 * np.ptp((ball - hand)[held]):.2f} mm against the hand."
+    )
+
+
+def stroke(run: Run, axes: list[Axes]) -> str:
+    """Wake lengths at each speed."""
+    found = []
+    for (speed, seen), colour in zip(run.wakes.items(), COLOURS, strict=True):
+        lengths, behind, envelope = wake_lengths(seen)
+        found.append((speed, np.median(lengths), lengths.min(), lengths.max()))
+        axes[0].plot(1e3 * behind, envelope, color=colour, label=f"{speed:g} m/s")
+        spread = np.abs(np.array([[lengths.min()], [lengths.max()]]) - np.median(lengths))
+        axes[1].errorbar(speed, 1e3 * np.median(lengths), 1e3 * spread, color=colour, fmt="o", capsize=4)
+    axes[0].axhline(WAKE_SHARE, color="#888888", lw=0.8, ls="--")
+    axes[0].set(
+        xlabel="distance behind the focus [mm]",
+        ylabel="|v| / largest",
+        title="Envelope of the velocity at 75 % of the way",
+    )
+    axes[0].legend(loc="upper right")
+    axes[1].set(
+        xlabel="speed of the focus [m/s]", ylabel="wake [mm]", title="Wake length: median and range", ylim=(0.0, None)
+    )
+    _displacement(axes[2], run.ds)
+    material = run.scene.skin.rig.material
+    slow, fast = (describe(material, f).shear_speed_m_s for f in (50.0, 500.0))
+    figures = "; ".join(f"{1e3 * m:.0f} mm ({1e3 * a:.0f} to {1e3 * b:.0f}) at {v:g} m/s" for v, m, a, b in found)
+    return (
+        f"Wake length, median (least to largest): {figures}. Shear waves in this material run at {slow:.1f} m/s at "
+        f"50 Hz and {fast:.1f} m/s at 500 Hz. The wake is the length of path behind the focus on which the envelope of "
+        "the skin's normal velocity (its largest magnitude within 5 mm of each place on it) stays above 10 % of "
+        "its largest value behind the focus, at all skin steps while the focus has gone 60 to 90 % of the first way. "
+        f"The three runs have one mesh, {run.wakes[4.0]['unknowns']} unknowns (element_m 0.0045, max_frequency_Hz 500)."
+        " The scene's own mesh is too coarse to follow the finger: its layer ends at the root of the index finger, "
+        "so there the focus has skin under it on three quarters of the way only."
+    )
+
+
+def stroke_velocities(speed_m_s: float) -> dict[str, Float]:
+    """Step the stroke at a speed to 90 % of its first way, on the mesh of WAKE_KEYS.
+
+    Returns arc: how far the focus has gone at each moment from 60 % of the way on [m], shape (n,); velocity: of the
+    skin's nodes along their normals [m/s], shape (n, s); places: arc lengths of points on the path [m], shape (k,);
+    near: which nodes lie within PATH_NEIGHBOURHOOD_M of each, shape (k, s); unknowns: of the skin, shape ()
+    """
+    scene = palmfield.load(SCENES / "stroke_palm.xml", keys={"stimulus.path_speed_m_s": speed_m_s, **WAKE_KEYS})
+    rig, chain = scene.skin.rig, scene.skin.chain
+    way = rig.skin_path.length_m
+    places = np.arange(0.0, way, 0.001)
+    path, _ = rig.skin_path.at(places, rig.surface.vertices, rig.surface.faces)
+    nodes, _ = chain.surface_nodes()
+    rows: list[tuple[float, Float]] = []
+    chain.observer = lambda t, motion, *_: rows.append((t * speed_m_s, motion[1].copy()))
+    while scene.data.time * speed_m_s < 0.9 * way:
+        mujoco.mj_step(scene.model, scene.data)
+        raise_errors(scene.data)
+    rows = [row for row in rows if 0.6 * way <= row[0] <= 0.9 * way]
+    return {
+        "arc": np.array([row[0] for row in rows]),
+        "velocity": np.array([row[1] for row in rows]),
+        "places": places,
+        "near": np.linalg.norm(path[:, None] - nodes[None], axis=2) < PATH_NEIGHBOURHOOD_M,
+        "unknowns": np.array(rig.system.ndof),
+    }
+
+
+def wake_lengths(seen: dict[str, Float]) -> tuple[Float, Float, Float]:
+    """Wake lengths [m] at each moment of `stroke_velocities`, and the envelope at the moment nearest to 75 % of way.
+
+    The envelope at a place of the path is the largest |normal velocity| of the skin within PATH_NEIGHBOURHOOD_M of it.
+    The wake reaches back from the focus as far as the envelope stays above WAKE_SHARE of its largest value behind the
+    focus. Returns lengths (n,), distances behind the focus [m] and the envelope there over its largest.
+    """
+    lengths, curves = [], []
+    for arc, velocity in zip(seen["arc"], np.abs(seen["velocity"]), strict=True):
+        gone = seen["places"] <= arc
+        envelope = np.where(seen["near"][gone], velocity, 0.0).max(axis=1)
+        envelope = envelope / envelope.max()
+        still = np.flatnonzero(envelope < WAKE_SHARE)
+        lengths.append(arc - (seen["places"][still[-1]] if len(still) else 0.0))
+        curves.append((arc - seen["places"][gone], envelope))
+    middle = int(np.abs(seen["arc"] - 0.5 * (seen["arc"][0] + seen["arc"][-1])).argmin())
+    return np.array(lengths), *curves[middle]
+
+
+def _middle_of_skin(ds: xr.Dataset) -> tuple[Float, Float]:
+    """Times of the MuJoCo steps [s], and the skin's middle vertex in the world then [m], shape (n, 3)."""
+    times = ds["step_time"].values
+    vertex = _middle(ds)
+    return times, np.array([to_world(posed(ds, "skin", t)[vertex : vertex + 1], _pose(ds, t))[0] for t in times])
+
+
+def _middle(ds: xr.Dataset) -> int:
+    """The surface vertex nearest to the middle of the skin layer."""
+    rest = ds["skin_position"].values
+    return int(np.linalg.norm(rest - 0.5 * (rest.min(axis=0) + rest.max(axis=0)), axis=1).argmin())
+
+
+def _at_middle(ds: xr.Dataset, times: Float, rate_Hz: float) -> Float:
+    """ARP at the skin's middle [Pa] at times [s], mean over a period about each."""
+    own = ds["time"].values
+    count = round(1.0 / (rate_Hz * (own[1] - own[0])))
+    return np.interp(times, own, uniform_filter1d(ds["arp"].values[:, _middle(ds)].astype(np.float64), count))
+
+
+def _whole_periods(times: Float, rate_Hz: float) -> Any:
+    """Times about which a whole period lies within the run."""
+    return (times - times[0] >= 0.5 / rate_Hz) & (times[-1] - times >= 0.5 / rate_Hz)
+
+
+def _focus_at(ds: xr.Dataset, times: Float) -> Float:
+    indices = [int(np.abs(ds["time"].values - t).argmin()) for t in times]
+    return ds["focus"].values[indices]
+
+
+def _gap(ds: xr.Dataset, times: Float, focus: Float) -> Float:
+    """Distance [m] of foci in the world, shape (n, 3), from the skin at those times; nan where there is none."""
+    gaps = np.full(len(times), np.nan)
+    for i in np.flatnonzero(np.isfinite(focus[:, 0])):
+        skin = to_world(posed(ds, "skin", times[i]), _pose(ds, times[i]))
+        mesh = trimesh.Trimesh(skin, ds["skin_faces"].values, process=False)
+        gaps[i] = trimesh.proximity.closest_point_naive(mesh, focus[i : i + 1])[1][0]
+    return gaps
+
+
+def _pose(ds: xr.Dataset, time_s: float) -> Float:
+    return body_pose_at(ds, time_s)
+
+
+def _displacement(axes: Axes, ds: xr.Dataset) -> None:
+    """Displacement of the vertex that moves most."""
+    motion = ds["normal_displacement"].values
+    vertex = int(np.abs(motion).max(axis=0).argmax())
+    axes.plot(1e3 * ds["time"].values, 1e6 * motion[:, vertex], color=COLOURS[1], lw=0.9)
+    axes.set(xlabel="time [ms]", ylabel="u [µm]", title="Normal displacement where the skin moves most (-: in)")
+
+
+def _carried(scene: palmfield.Scene, count: int) -> tuple[Float, Float, Float, Float]:
+    """Times [s], heights of ball and hand [m], and vertical contact force on the ball [N], of a silent run."""
+    silent = palmfield.load(scene.path, keys={"stimulus.drive_amplitude": 0})
+    model, data = silent.model, silent.data
+    ball = model.body("ball").id
+    rows = []
+    wrench = np.zeros(6)
+    for _ in range(count):
+        mujoco.mj_step(model, data)
+        raise_errors(data)
+        force = 0.0
+        for number, contact in enumerate(data.contact):
+            bodies = model.geom_bodyid[[contact.geom1, contact.geom2]]
+            if ball in bodies:
+                mujoco.mj_contactForce(model, data, number, wrench)
+                force += (1.0 if bodies[1] == ball else -1.0) * float(contact.frame.reshape(3, 3)[:, 2] @ wrench[:3])
+        rows.append((data.time, data.body("ball").xpos[2], data.body("hand").xpos[2], force))
+    times, at, hand, force = np.array(rows).T
+    return times, at, hand, force
+
+
+STORIES = {
+    "approach_withdraw": Story(
+        "A flat hand comes down through a fixed focus at 200 mm, modulated at 200 Hz, and withdraws. It feels the "
+        "focus while its palm is there.", EQUAL, approach),
+    "hover_explore": Story(
+        "A hand hovers at 200 mm and looks for a focus that runs on a circle 30 mm to one side; its fingers spread on "
+        "the way. The sound does not know of the hand.", EQUAL, hover),
+    "tap_button": Story(
+        "A pointing finger goes down; as its pulp goes through 200 mm, five bursts of 4 ms knock on it: a button that "
+        "is not there.", EQUAL, tap),
+    "follow_fingertip": Story(
+        "A pointing finger draws half a circle in the air and bends; the focus, in the pulp's frame, goes with it.",
+        MAP_FIRST, follow),
+    "stroke_palm": Story(
+        "On a hand that keeps still, a focus strokes the skin from the thenar to the pulp of the index finger, there "
+        "and back, as in Reardon's study of waves in the hand. 0.5 s of it are to take no more than 180 s on two "
+        "cores; what they took, on one core of the shared machine, is below.", EQUAL, stroke),
+    "trace_shape": Story(
+        "A focus writes a Z on the palm of a hand that rolls: the path is drawn on the skin and turns with it.",
+        MAP_FIRST, trace),
+    "two_hands": Story(
+        "A left hand passes between the array and a right hand, which loses the focus while it is in the shadow.",
+        (1.0, 1.0), two_hands),
+    "grasp_object": Story(
+        "Thumb, index and middle finger hold a ball of 32 mm and 20 g by friction and lift it, over a focus on the "
+        "palm; the ball casts a shadow.", EQUAL, grasp),
+}  # fmt: skip

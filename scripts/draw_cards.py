@@ -1,0 +1,175 @@
+"""Write docs/report_cards.md: report cards of the presets, of each fault of tests/hand/test_reportcard.py and of a
+glTF with joints, and their pictures docs/images/card_*.png and report_card_*.png.
+
+python scripts/draw_cards.py [--commit NAME]
+"""
+
+import argparse
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from palmfield.bench.field import git_commit
+from palmfield.errors import SceneError
+from palmfield.hand.cardpicture import directions, draw_card, draw_view
+from palmfield.hand.preset import load_preset, mirrored, preset_names
+from palmfield.hand.reportcard import ReportCard, as_text, refused_facts, report_card
+from palmfield.hand.surface import hand_surface
+from palmfield.outputs.style import save, style
+
+ROOT = Path(__file__).resolve().parents[1]
+IMAGES = ROOT / "docs" / "images"
+# Faults that a picture shows, and the name of its file; the others leave nothing to see.
+SEEN = {
+    "holes": "report_card_hole",
+    "open wrist": "report_card_open_wrist",
+    "flipped faces": "report_card_flipped",
+    "non-manifold edges": "report_card_fin",
+    "self-intersections": "report_card_self_intersection",
+    "several bodies": "report_card_two_bodies",
+    "not finite vertices": "card_not_finite",
+    "small holes": "card_small_hole",
+}
+
+
+def main() -> None:
+    options = argparse.ArgumentParser(description=__doc__)
+    options.add_argument("--commit", help="what to write as the commit where no git is")
+    commit = options.parse_args().commit or git_commit()
+    # The faults and the glTF are those that the tests judge; nothing of them is built twice.
+    sys.path.insert(0, str(ROOT / "tests" / "hand"))
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        presets = preset_cards(folder)
+        draw_presets(presets, IMAGES / "card_presets.png")
+        lines = [
+            "# Report cards",
+            "",
+            f"Written by `python scripts/draw_cards.py`, commit {commit}. What the names mean is in "
+            "[user_meshes.md](user_meshes.md).",
+            "",
+            "## The presets",
+            "",
+            "Meshes of 3 mm edges, each written as a PLY in millimetres and read back with the unit inferred. Layer",
+            "columns: 10th percentile of the thickness over that asked / share of the area thinned / volume over the",
+            "thickness integral / least scaled Jacobian.",
+            "",
+            *preset_table(presets),
+            "",
+            "![The six presets from the palm and from the back](images/card_presets.png)",
+            "",
+            "## Faults",
+            "",
+            "One fault each, put into `open_men_p50` at 4 mm edges; the card's line that names it, places in mm.",
+            "",
+            *fault_table(folder),
+            "",
+            *(f"![{fault}](images/{file}.png)" for fault, file in SEEN.items()),
+            "",
+            "## A glTF with joints and weights",
+            "",
+            "A hand of three joints under a turned and scaled armature, split along every face.",
+            "",
+            "```",
+            gltf_text(folder).rstrip(),
+            "```",
+            "",
+            "![a glTF hand](images/card_gltf.png)",
+        ]
+    (ROOT / "docs" / "report_cards.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def preset_cards(folder: Path) -> dict[str, ReportCard]:
+    """Cards of the six presets' right hands, and of their mirror images under `<name>, left`."""
+    from test_reportcard import written
+
+    cards = {}
+    for preset in map(load_preset, preset_names()):
+        if preset.side == "left":
+            continue
+        for name, hand in ((preset.name, preset), (f"{preset.name}, left", mirrored(preset))):
+            surface = hand_surface(hand).surface
+            cards[name] = report_card(written(folder / f"{name}.ply", surface.vertices, surface.faces))
+    return cards
+
+
+def preset_table(cards: dict[str, ReportCard]) -> list[str]:
+    first = next(iter(cards.values())).facts["layers"]
+    heads = ["preset", "size, mm", "side (sureness)", *(f"{layer['asked_mm']:g} mm" for layer in first)]
+    lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
+    for name, card in cards.items():
+        facts = card.facts
+        size = " x ".join(f"{v:.1f}" for v in facts["size_mm"])
+        cells = [
+            f"`{name}`",
+            size,
+            f"{facts['side']} ({facts['side_sureness']:.2f})",
+            *map(layer_cell, facts["layers"]),
+        ]
+        lines.append(f"| {' | '.join(cells)} |")
+    return lines
+
+
+def layer_cell(layer: dict[str, Any]) -> str:
+    if "error" in layer:
+        return str(layer["error"])
+    shares = (layer["p10_share"], layer["thinned_share"], layer["volume_share"])
+    return " / ".join(f"{100 * share:.1f} %" for share in shares) + f" / {layer['least_quality']:.2f}"
+
+
+def fault_table(folder: Path) -> list[str]:
+    """A line for each fault, with its picture where one shows it; and two that leave no mesh to examine."""
+    from test_reportcard import FAULTS, hand, written
+
+    lines = ["| fault | the card says |", "|---|---|"]
+    for name, (build, _) in FAULTS.items():
+        vertices, faces, _ = build()
+        card = report_card(written(folder / f"{name.replace(' ', '_')}.ply", vertices, faces), "mm")
+        lines.append(f"| {name} | {line_naming(as_text(card.facts), f' x {name}:')} |")
+        if name in SEEN:
+            draw_card(card, IMAGES / f"{SEEN[name]}.png")
+    for name, unit, content in (("wrong unit", "m", None), ("unreadable", "mm", b"ply\nnothing else")):
+        mesh = written(folder / f"{name.replace(' ', '_')}.ply", *hand())
+        if content is not None:
+            mesh.write_bytes(content)
+        try:
+            report_card(mesh, unit)
+        except SceneError as error:
+            text = as_text(refused_facts(mesh, unit, error)).replace(f"{folder}/", "")
+            lines.append(f"| {name} | {line_naming(text, ' x not examined:')} |")
+    return lines
+
+
+def line_naming(text: str, name: str) -> str:
+    return " ".join(next(line for line in text.splitlines() if name in line).split())
+
+
+def gltf_text(folder: Path) -> str:
+    from test_gltf import rigged
+
+    path = folder / "hand.glb"
+    rigged(path)
+    card = report_card(path)
+    draw_card(card, IMAGES / "card_gltf.png")
+    return as_text(card.facts).replace(f"{folder}/", "")
+
+
+def draw_presets(cards: dict[str, ReportCard], path: Path) -> None:
+    """Each right hand from the palm and from the back, at one scale."""
+    shown = {name: card for name, card in cards.items() if card.facts["side"] == "right"}
+    with style():
+        figure = Figure(figsize=(15.0, 7.0), dpi=90, layout="constrained")
+        panels = figure.subplots(2, len(shown), sharex=True, sharey=True)
+        for column, (name, card) in enumerate(shown.items()):
+            up, palm = directions(card)
+            draw_view(panels[0, column], card, up, palm, f"{name}, palm")
+            draw_view(panels[1, column], card, up, -palm, "back")
+            panels[0, column].set_xlabel("")
+        save(figure, path)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,189 @@
+"""Run the scripted scenarios, draw one picture of each, and write docs/scenarios.md.
+
+python scripts/scenarios.py [NAME ...] [--out DIR] [--duration S] [--draw]
+"""
+
+import argparse
+import json
+import subprocess
+import time
+from pathlib import Path
+from typing import Any
+
+import matplotlib.image
+import numpy as np
+from _scenario_stories import SCENES, SPEEDS_M_S, STORIES, Run, stroke_velocities
+from matplotlib.figure import Figure
+
+import palmfield
+from palmfield.outputs.store import load
+from palmfield.outputs.style import save, style
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGE = ROOT / "docs" / "scenarios.md"
+IMAGES = ROOT / "docs" / "images"
+# The stroke lasts as long as its target is stated for.
+DURATIONS_S = {"stroke_palm": 0.5}
+
+HEAD = """\
+# Scripted scenarios
+
+Eight scenes in `mjcf/scenes/` in which hands move, or the sound moves over a hand. Made by `python
+scripts/scenarios.py`; do not edit. `[NAME ...]` runs some of them, `--duration S` for so long, `--draw` draws again
+what was run.
+
+Figures are of single runs, and each has its own mesh of the skin layer, as its `accuracy` asks (0.2; the stroke 0.1).
+Checks concern motion, sound and, in the stroke, the course of the skin's motion, not the size of its displacement,
+whose estimated error stands with each run: small patches (6 to 32 mm) with fixed cut edges are for speed, and the
+edge is most of it. The machine was shared with other work, so times by the clock are upper bounds. A plus behind a
+commit's hash means that files differed from it.
+
+## Writing one
+
+`palmfield.motion` moves a hand; [keys.md](keys.md) has all its keys:
+
+```xml
+<include file="plain_articulated.xml"/>
+<plugin plugin="palmfield.motion">
+  <instance name="motion">
+    <config key="hand" value="open_men_p50"/>
+    <config key="keyframes" value="../motions/tap_button.toml"/>
+  </instance>
+</plugin>
+```
+
+`hand` names the preset whose joints move; without it the hand is in one piece and only its pose moves. One of
+`keyframes`, `trajectory` (CSV or NPZ), `tracking` (a recorded OpenXR hand) and `function` (`package.module:function`
+of time) says where to ([motion.md](motion.md)); files are relative to the scene. `start_s` shifts it. `follow` is
+`servo` (the hand is led by springs, lags a little, and yields to contacts) or `exact`. A second hand has an instance
+of its own with `body` set to `PREFIXhand_target` (`two_hands.xml`). Bodies in `obstacles` of `palmfield.skin` cast
+shadows with `body_sound` `shadows`.
+
+A keyframe file is TOML, two or more tables `[[key]]` with rising times:
+
+```toml
+[[key]]
+time_s = 0.0
+position_m = [0.0, 0.0, 0.26]    # of the hand frame: palmar skin at the middle of the palm
+pose = "flat"                    # flat, relaxed, splay, point or pinch; default relaxed
+
+[[key]]
+time_s = 0.2
+position_m = [0.0, 0.0, 0.19]
+turn_deg = [0.0, 20.0, 0.0]      # rotation vector; or quaternion = [w, x, y, z]
+joints_deg = { index_mcp_flexion = 30 }    # angles that differ from the pose
+```
+
+Between keys, positions and angles are monotone cubics, at rest at the first and last key. A pose in which the hand's
+skin crosses itself is refused with the key's number.
+
+The stimulus goes with the hand where `frame` names one of its sites (`index_pad`, `palm_centre`): `focus_m` and path
+are then given there. `path_on` `skin` draws the path along the surface from the skin nearest to `focus_m`; `path`
+`sites` with `path_sites` takes the shortest way on the skin through the sites named. The path moves with the skin.
+
+Any key can be changed without a new file: `palmfield.load(path, keys={"stimulus.path_speed_m_s": 11})`.
+"""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"scenarios: {', '.join(STORIES)} (default: all)")
+    parser.add_argument("--out", type=Path, default=ROOT / "out" / "scenarios", help="folder of the results")
+    parser.add_argument("--duration", type=float, help="simulated time [s] in place of each scene's own")
+    parser.add_argument("--draw", action="store_true", help="only draw and write the page from results that are there")
+    options = parser.parse_args()
+    for name in options.names:
+        if name not in STORIES:
+            parser.error(f"scenario '{name}' is not known; allowed: {', '.join(STORIES)}")
+    for name in options.names or STORIES:
+        out = options.out / name
+        if not options.draw:
+            simulate(name, out, options.duration)
+        print(f"{name}: {draw(name, out)}", flush=True)
+    write_page(options.out)
+
+
+def simulate(name: str, out: Path, duration_s: float | None) -> None:
+    """Run a scenario; beside its results, facts.json says what it took."""
+    processor, wall = time.process_time(), time.perf_counter()
+    scene = palmfield.load(SCENES / f"{name}.xml")
+    result = palmfield.run(scene, out, duration_s=duration_s or DURATIONS_S.get(name))
+    facts = {
+        "commit": commit(),
+        "processor_s": time.process_time() - processor,
+        "wall_s": time.perf_counter() - wall,
+        "unknowns": result.summary["dofs"],
+        "skin_steps": result.summary["skin_steps"],
+        "steps": round(result.summary["simulated_time_s"] / scene.model.opt.timestep),
+        "simulated_s": result.summary["simulated_time_s"],
+        "solver": result.summary["skin_solver"],
+    }
+    if name == "stroke_palm":
+        for speed in SPEEDS_M_S:
+            np.savez_compressed(out / f"wake_{speed:g}.npz", allow_pickle=False, **stroke_velocities(speed))
+    (out / "facts.json").write_text(json.dumps(facts, indent=1) + "\n")
+
+
+def draw(name: str, out: Path) -> str:
+    """Picture of a finished run: the scene when loudest, and beside it the story over time. Returns the check."""
+    story = STORIES[name]
+    wakes = {}
+    if name == "stroke_palm":
+        wakes = {speed: dict(np.load(out / f"wake_{speed:g}.npz")) for speed in SPEEDS_M_S}
+    run = Run(load(out / "result.nc"), palmfield.load(SCENES / f"{name}.xml"), wakes)
+    with style():
+        figure = Figure(figsize=(14.0, 6.0), dpi=100, layout="constrained")
+        left, right = figure.subfigures(1, 2, width_ratios=(8.0, 6.0), squeeze=False)[0]
+        scene = left.add_axes((0.0, 0.0, 1.0, 1.0))
+        scene.imshow(matplotlib.image.imread(out / "scene.png"))
+        scene.set_axis_off()
+        check = story.tell(run, list(right.subplots(len(story.panels), 1, height_ratios=story.panels)))
+        save(figure, IMAGES / f"scenario_{name}.png", 100)
+    facts = json.loads((out / "facts.json").read_text())
+    (out / "facts.json").write_text(json.dumps(facts | {"check": check}, indent=1) + "\n")
+    return check
+
+
+def commit() -> str:
+    """Short hash of the checkout, with a plus where files differ from it."""
+    hash_ = subprocess.run(
+        ["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    changed = subprocess.run(["git", "status", "--short"], cwd=ROOT, capture_output=True, text=True, check=True)
+    return hash_.stdout.strip() + ("+" if changed.stdout.strip() else "")
+
+
+def write_page(results: Path) -> None:
+    """docs/scenarios.md from the facts of all scenarios that have been run."""
+    parts = [HEAD]
+    for name, story in STORIES.items():
+        path = results / name / "facts.json"
+        if not path.exists():
+            continue
+        facts = json.loads(path.read_text())
+        summary = json.loads((results / name / "summary.json").read_text())
+        length = f" --duration {DURATIONS_S[name]:g}" if name in DURATIONS_S else ""
+        parts.append(
+            f"## {name}\n\n{story.text}\n\n```\npalmfield run mjcf/scenes/{name}.xml --out out/{name}{length}\n```\n\n"
+            f"![{name}](images/scenario_{name}.png)\n\n**Check.** {facts['check']}\n\n"
+            f"{1e3 * facts['simulated_s']:.0f} ms in {facts['steps']} MuJoCo steps and {facts['skin_steps'] - 1} "
+            f"of the skin; {facts['unknowns']} unknowns, solver {facts['solver']}; {facts['processor_s']:.0f} s of "
+            f"processor, {facts['wall_s']:.0f} s by the clock, loading, error estimate and drawing included; "
+            f"commit {facts['commit']}. {error_in_words(summary)}\n"
+        )
+    PAGE.write_text("\n".join(parts), encoding="utf-8")
+
+
+def error_in_words(summary: dict[str, Any]) -> str:
+    """What a run's estimate says of its largest displacement."""
+    if "displacement_error_relative" not in summary:
+        return f"No error estimate: {summary.get('displacement_error_missing', 'the skin did not move')}."
+    error, wanted = summary["displacement_error_relative"], summary["accuracy_wanted_relative"]
+    return (
+        f"Estimated error of the displacement {100 * error:.0f} % ({100 * wanted:.0f} % wanted): mesh "
+        f"{100 * summary['mesh_error_relative']:.0f} %, cut edge {100 * summary['edge_error_relative']:.0f} %."
+    )
+
+
+if __name__ == "__main__":
+    main()
