@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from rich.console import Console
 from rich.table import Table
+from scipy.spatial import cKDTree
 
 from palmfield.acoustics import validity
 from palmfield.acoustics.air import sound_speed
@@ -93,6 +94,17 @@ def warnings(scene: Scene) -> list[str]:
     found = []
     if distance > max(rig.spot_fwhm_m, 2 * rig.sizes[1]):
         found.append(f"the focus is {1e3 * distance:.0f} mm away from the skin layer, which then hardly moves")
+    if rig.skin_path is not None:
+        assert rig.surface is not None
+        path = rig.skin_path.positions(rig.skin_path.arc_m, rig.surface.vertices, rig.surface.faces)
+        apart = cKDTree(rig.mesh.nodes[: rig.mesh.surface_nodes]).query(path)[0]
+        beyond = apart > 2.0 * rig.sizes[1]
+        if beyond.any():
+            first = 1e3 * rig.skin_path.arc_m[beyond.argmax()]
+            found.append(
+                f"{100 * beyond.mean():.0f} % of the path's points, from {first:.0f} mm on, have no skin layer under "
+                "them: necks narrower than its coarse edges are left out; set element_m smaller, or another patch_site"
+            )
     drive, _ = rig.unit_drive(rig.reference_focus)
     pressure = rig.reference_emitter.pressure64(rig.reference_focus[None], drive)
     if rig.skin.body_sound == "scattering" and _can_move(scene):
@@ -163,7 +175,7 @@ def _modelled(rig: Rig, dofs: int, substeps: int) -> tuple[Row, ...]:
     fine, coarse, _, fractions, step, radius = rig.sizes
     surface = f"{6 * len(rig.mesh.surface_triangles6)} skin points"
     if rig.surface is not None:
-        surface += f", {len(rig.surface.faces)} faces of the {rig.skin.shape} for the force"
+        surface += f", {len(rig.surface.faces)} faces of the surface for the force"
     depth = rig.patch.depth
     speed, _ = shear_wave(rig.material, rig.max_frequency_Hz)
     drive = rig.unit_drive(rig.reference_focus)[1]
@@ -328,6 +340,22 @@ def _sound_left_out(rig: Rig) -> list[Row]:
         )
     middle = 0.5 * np.ptp(np.linalg.norm(rig.array.positions - rig.reference_focus, axis=1))
     late = (np.linalg.norm(rig.array.positions - rig.reference_focus, axis=1).min() + middle) / sound_speed(rig.air)
+    if rig.setting.moves or rig.hand is not None:
+        rows.append(
+            Row(
+                "the hand's own acceleration",
+                "rho a h of shear on the base: 11 Pa for 1 m/s^2 on 10 mm",
+                "not modelled: displacements are in the moving frame, and its load is as slow as the motion",
+            )
+        )
+    if rig.hand is not None:
+        rows.append(
+            Row(
+                "skin bent by joints",
+                "not estimated",
+                "the layer keeps its resting shape, the sound meets the bent one",
+            )
+        )
     rows.append(Row("common flight time", f"{1e3 * late:.2f} ms", "shifts results in time"))
     return rows
 

@@ -89,12 +89,21 @@ def error_estimate(rig: Rig, sound: Sound, wall: Wall | None = None, lifted: boo
     The model's other errors (law, material, linearity) are not in these; the plan names them.
     Raises SceneError where neither a finer nor a coarser mesh of the layer can be made.
     """
-    point = (sound.first - sound.pose.shift) @ sound.pose.turn
+    point = _under_focus(rig, sound)
     finer = compares_with_finer(rig, rig.system.ndof)
     try:
         return _error_estimate(rig, sound, point, finer, wall, lifted)
     except SceneError:
         return _error_estimate(rig, sound, point, not finer, wall, lifted)
+
+
+def _under_focus(rig: Rig, sound: Sound) -> Float:
+    """The place of the resting skin that is nearest to the focus in the sound's pose, body frame [m], shape (3,)."""
+    focus: Float = (sound.first - sound.pose.shift) @ sound.pose.turn
+    if rig.hand is None:
+        return focus
+    nearest = np.linalg.norm(rig.posed(sound.pose).nodes[0] - focus, axis=1).argmin()
+    return rig.mesh.nodes[nearest]
 
 
 def _error_estimate(

@@ -13,7 +13,7 @@ from palmfield.hand.meshquery import barycentric, build_mesh, closest_faces
 from palmfield.skin.surface import SurfaceProbe
 from palmfield.stimulus import frame_at
 
-COARSE = {"skin.accuracy": 0.5, "skin.max_frequency_Hz": 250.0}
+COARSE = {"skin.accuracy": 0.5, "skin.max_frequency_Hz": 250.0, "skin.element_m": None}
 PERIOD_STEPS = 5
 """MuJoCo steps of 1 ms in a period of the scenes' modulation of 200 Hz."""
 
