@@ -23,6 +23,13 @@ Accuracy = Annotated[
     float | None, typer.Option(help="wanted relative error of the skin displacement, e.g. 0.05", metavar="REL")
 ]
 
+Keys = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set", help="another value for one key, e.g. stimulus.path_speed_m_s=11", metavar="PLUGIN.KEY=VALUE"
+    ),
+]
+
 
 @app.command()
 def run(
@@ -31,13 +38,14 @@ def run(
     device: Device = None,
     duration: Annotated[float | None, typer.Option(help="simulated time [s] [default: the scene's]")] = None,
     accuracy: Accuracy = None,
+    keys: Keys = None,
 ) -> None:
     """Simulate a scene and write result.nc, summary.json, pictures and scene.usdc.
 
     Interrupting with Ctrl-C keeps what was computed (marked incomplete). After a crash of the machine,
     `palmfield recover DIR` assembles what had reached the disk.
 
-    Example: palmfield run mjcf/scenes/palm_am200.xml --out out/palm
+    Example: palmfield run mjcf/scenes/palm_am200.xml --out out/palm --set stimulus.am_frequency_Hz=100
     """
     import palmfield
     from palmfield.planning import warnings
@@ -45,7 +53,7 @@ def run(
 
     if duration is not None and not 0 < duration < 3600:
         raise SceneError(f"--duration has value {duration:g}; allowed: seconds > 0 and < 3600")
-    loaded = palmfield.load(scene, device=device, accuracy=accuracy)
+    loaded = palmfield.load(scene, device=device, accuracy=accuracy, keys=_given(keys))
     target = out or Path("out") / scene.stem
     for warning in warnings(loaded):
         complain(f"warning: {warning}")
@@ -59,15 +67,23 @@ def run(
         print(f"wrote {path}")
 
 
+def _given(keys: list[str] | None) -> dict[str, str]:
+    """Overrides as `palmfield.load` takes them. Raises SceneError for one without a value."""
+    for text in keys or ():
+        if "=" not in text:
+            raise SceneError(f"--set {text} has no value; write PLUGIN.KEY=VALUE, e.g. stimulus.path_speed_m_s=11")
+    return dict(text.split("=", 1) for text in keys or ())
+
+
 @app.command()
-def plan(scene: SceneFile, device: Device = None, accuracy: Accuracy = None) -> None:
+def plan(scene: SceneFile, device: Device = None, accuracy: Accuracy = None, keys: Keys = None) -> None:
     """Say what would be modelled and what left out, why, and at what cost and error. Simulates nothing.
 
     Example: palmfield plan mjcf/scenes/palm_am200.xml --accuracy 0.02
     """
     import palmfield
 
-    print(palmfield.plan(palmfield.load(scene, device=device, accuracy=accuracy)), end="")
+    print(palmfield.plan(palmfield.load(scene, device=device, accuracy=accuracy, keys=_given(keys))), end="")
 
 
 @app.command()

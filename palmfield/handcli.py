@@ -3,16 +3,24 @@
 from pathlib import Path
 
 from palmfield.errors import OutputError, SceneError
-from palmfield.hand.reportcard import as_text, report_card, write_card
+from palmfield.hand.reportcard import as_text, refused_facts, report_card, write_card
 
 
 def show_hand(mesh: Path, unit: str, json_file: Path | None, png: Path | None, mjcf: Path | None = None) -> None:
     """Print the report card of a mesh and write it as JSON and PNG; write the bodies of a rigged mesh as MJCF.
 
-    Raises SceneError, after the card is written, where the mesh is refused, and for MJCF of a mesh without joints;
+    Raises SceneError, after the card is written, where the mesh is refused or unreadable, and for MJCF without joints;
     OutputError where a file cannot be written.
     """
-    card = report_card(mesh, unit)
+    try:
+        card = report_card(mesh, unit)
+    except SceneError as error:
+        facts = refused_facts(mesh, unit, error)
+        print(as_text(facts), end="")
+        if json_file is not None:
+            write_card(json_file, facts)
+            print(f"wrote {json_file}")
+        raise
     print(as_text(card.facts), end="")
     if json_file is not None:
         write_card(json_file, card.facts)

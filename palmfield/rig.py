@@ -68,8 +68,7 @@ class Rig:
         self.timestep_s = setting.timestep_s
         self.stimulus_frame, self.patch_centre = setting.stimulus_frame, np.array(setting.patch_centre)
         self.lock = threading.RLock()
-        self._posed: PosedBody | None = None
-        self._posed_for: Pose | None = None
+        self._posed: list[tuple[Pose, PosedBody]] = []
         resolve(setting.boards[0].config.compute)
         self.device = DEVICES[setting.driver.device]
         self.sheets = sheets_of(setting.skin)
@@ -107,11 +106,15 @@ class Rig:
         return Pose(np.array(self.body.position), turn, placements, seen_from(still, others))
 
     def posed(self, pose: Pose) -> PosedBody:
-        """The body in a pose; the last one is kept."""
+        """The body in a pose; two are kept."""
         with self.lock:
-            if self._posed is None or self._posed_for is None or not self._posed_for.same_bones(pose):
-                self._posed, self._posed_for = PosedBody(self, pose.bones), pose
-            return self._posed
+            for known, body in self._posed:
+                if known.same_bones(pose):
+                    return body
+            made = PosedBody(self, pose.bones)
+            # The reference pose, or the first that was asked for, and the last.
+            self._posed = [*self._posed[:1], (pose, made)]
+            return made
 
     @once
     def reference_aim(self) -> Aim:

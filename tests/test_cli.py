@@ -1,5 +1,6 @@
 """The command line as a user types it."""
 
+import json
 import subprocess
 import sys
 from itertools import pairwise
@@ -104,3 +105,24 @@ def test_bad_arguments_end_in_one_line_and_exit_code_2(arguments, tmp_path, monk
 def test_info_names_array_material_and_law(small_scene, monkeypatch, capsys):
     code, out = call(monkeypatch, capsys, "info", small_scene())
     assert code == 0 and "uhev1" in out.out and "ecoflex" in out.out and "ARP law" in out.out
+
+
+def test_keys_are_set_for_one_plan_and_checked(monkeypatch, capsys):
+    scene = SCENES / "phantom_step.xml"
+    code, out = call(monkeypatch, capsys, "plan", scene, "--set", "skin.accuracy=0.3", "--set", "stimulus.stop_s=0.01")
+    assert code == 0 and "30 % wanted" in out.out
+    for text, words in (
+        ("skin.accuracy", "has no value"),
+        ("skin.nose=1", "unknown key 'nose'"),
+        ("motion.body=x", "it has"),
+    ):
+        code, out = call(monkeypatch, capsys, "plan", scene, "--set", text)
+        assert code == 1 and words in out.err
+
+
+def test_a_mesh_that_cannot_be_read_still_gets_its_card(tmp_path, monkeypatch, capsys):
+    (tmp_path / "hand.obj").write_text("nothing of a mesh")
+    code, out = call(monkeypatch, capsys, "hand", tmp_path / "hand.obj", "--json", tmp_path / "card.json")
+    assert code == 1 and "hand.obj" in out.err
+    card = json.loads((tmp_path / "card.json").read_text())
+    assert card["accepted"] is False and card["findings"][0]["name"] == "not examined"
