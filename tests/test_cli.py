@@ -117,12 +117,12 @@ def test_keys_are_set_for_one_plan_and_checked(monkeypatch, capsys):
         ("motion.body=x", "it has"),
     ):
         code, out = call(monkeypatch, capsys, "plan", scene, "--set", text)
-        assert code == 1 and words in out.err
+        assert code == 2 and words in out.err
 
 
 def test_a_mesh_that_cannot_be_read_still_gets_its_card(tmp_path, monkeypatch, capsys):
     (tmp_path / "hand.obj").write_text("nothing of a mesh")
     code, out = call(monkeypatch, capsys, "hand", tmp_path / "hand.obj", "--json", tmp_path / "card.json")
-    assert code == 1 and "hand.obj" in out.err
+    assert code == 2 and "hand.obj" in out.err
     card = json.loads((tmp_path / "card.json").read_text())
     assert card["accepted"] is False and card["findings"][0]["name"] == "not examined"
