@@ -60,7 +60,8 @@ def _closest(corners: Float, points: Float) -> tuple[Int, Float]:
     counts = np.array([len(found) for found in lists])
     candidates = np.concatenate([np.asarray(found, dtype=np.int64) for found in lists])
     owner = np.repeat(np.arange(len(points)), counts)
-    spots = closest_point(corners[candidates], points[owner])
+    # trimesh takes edges for reached within an absolute tolerance that is meant for millimetres.
+    spots = 1e-3 * closest_point(1e3 * corners[candidates], 1e3 * points[owner])
     order = np.lexsort((np.linalg.norm(spots - points[owner], axis=1), owner))
     first = order[np.concatenate(([0], np.cumsum(counts)[:-1]))]
     return candidates[first].astype(np.int32), spots[first]
