@@ -70,19 +70,18 @@ class PosedBody:
     def nodes(self) -> tuple[Float, Float]:
         """Surface nodes of the skin layer [m] and their outward normals, shapes (S, 3)."""
         mesh = self.rig.mesh
-        return self._moved(mesh.nodes[: mesh.surface_nodes], mesh.surface_normals(), self.rig.nodes_bound)
+        return self.moved(mesh.nodes[: mesh.surface_nodes], mesh.surface_normals(), self.rig.nodes_bound)
 
     @cached_property
     def quadrature(self) -> tuple[Float, Float]:
         """Points at which the ARP on the skin is integrated [m] and their outward normals, shapes (q, 3)."""
-        return self._moved(self.rig.quadrature.points, self.rig.quadrature.normals, self.rig.points_bound)
+        return self.moved(self.rig.quadrature.points, self.rig.quadrature.normals, self.rig.points_bound)
 
-    def near(self, points: Float, normals: Float) -> tuple[Float, Float]:
-        """Any points on the resting surface [m] and their unit normals, shapes (n, 3), where they are now."""
-        hand = self.rig.hand
-        return self._moved(points, normals, None if hand is None else Bound.to(hand, points))
+    def moved(self, points: Float, normals: Float, bound: Bound | None) -> tuple[Float, Float]:
+        """Points of the resting surface [m] and their unit normals, shapes (n, 3), where they are now.
 
-    def _moved(self, points: Float, normals: Float, bound: Bound | None) -> tuple[Float, Float]:
+        bound: to the bones (`Rig.bound`), None for a body in one piece
+        """
         if bound is None:
             return points, normals
         assert self.rig.hand is not None

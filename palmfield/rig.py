@@ -219,15 +219,19 @@ class Rig:
         assert self.hand is not None
         return self.hand.dominant_bone()[self.hand.surface.faces[:, 0]]
 
+    def bound(self, points: Float) -> Bound | None:
+        """The bones that carry points of the resting skin [m], shape (n, 3); None for a body in one piece."""
+        return None if self.hand is None else Bound.to(self.hand, points)
+
     @once
     def nodes_bound(self) -> Bound | None:
         """Bones of the skin layer's surface nodes."""
-        return None if self.hand is None else Bound.to(self.hand, self.mesh.nodes[: self.mesh.surface_nodes])
+        return self.bound(self.mesh.nodes[: self.mesh.surface_nodes])
 
     @once
     def points_bound(self) -> Bound | None:
         """Bones of the points at which ARP on the skin is integrated."""
-        return None if self.hand is None else Bound.to(self.hand, self.quadrature.points)
+        return self.bound(self.quadrature.points)
 
     @once
     def obstacles(self) -> list[tuple[Float, Int]]:

@@ -162,12 +162,12 @@ class SkinModule(Module):
         for number, kind, target, data in self.world.sensors(self.instance):
             if number not in self._probes:
                 self._probes[number] = self._probe(kind, target)
-            probe = self._probes[number]
+            probe, bound = self._probes[number]
             data[:3] = self.body_force()[0]
             data[3:5] = self.chain.skin.read(state, probe.operator)[:, 0]
             data[5] = 0.0
             if sound is not None:
-                points, normals = self.rig.posed(sound.pose).near(probe.closest, probe.normals)
+                points, normals = self.rig.posed(sound.pose).moved(probe.closest, probe.normals, bound)
                 data[5] = factor * self.chain.arp_at(points, normals, sound.pose, sound.drive)[0][0]
 
     def _probe(self, kind: str, target: int) -> Any:
@@ -181,7 +181,8 @@ class SkinModule(Module):
         if self.bones:
             assert self.rig.hand is not None
             place = place + self.rig.hand.bones[self.bones.index(model.site_body(target))].origin
-        return self.chain.probe(place)
+        probe = self.chain.probe(place)
+        return probe, self.rig.bound(probe.closest)
 
     def advance(self) -> None:
         """Carry the skin over MuJoCo's last step, with the pose at its beginning."""

@@ -23,6 +23,7 @@ CURL_deg = {"mcp_flexion": 48.0, "pip_flexion": 75.0, "dip_flexion": 25.0}
 PINCH_GAP_m = 0.002
 """Between the pulps of thumb and index finger: skin that touches would be one surface through the other."""
 REPAIR_ROUNDS = 40
+MOST_REPAIR_m = 0.005
 
 
 def named_pose(hand: ArticulatedHand, name: str) -> dict[str, float]:
@@ -136,6 +137,10 @@ def posed_and_repaired(
     hand: SkinnedHand, angles_deg: Mapping[str, float], repair_m: float
 ) -> tuple[Surface, Repair | None]:
     """As `posed_surface`, with a report of the repair, None where none was needed."""
+    if not 0.0 <= repair_m <= MOST_REPAIR_m:
+        raise SceneError(
+            f"hand pose: repair_m is {repair_m:g}; give 0 to {MOST_REPAIR_m:g} m: more would be another hand"
+        )
     surface = hand.posed_surface(*bone_poses(hand.hand, angles_deg))
     pairs = crossings(surface.vertices, surface.faces)
     if len(pairs) == 0:

@@ -82,3 +82,9 @@ def test_wrist_bends_through_its_range(hand, angle):
 def test_unknown_pose_is_refused():
     with pytest.raises(SceneError, match="'fist' is unknown; use one of: flat, relaxed, splay, point, pinch"):
         named_pose(HAND, "fist")
+
+
+@pytest.mark.parametrize("repair_m", [-1e-3, 0.02, float("nan")])
+def test_a_repair_has_bounds(repair_m):
+    with pytest.raises(SceneError, match="repair_m is"):
+        posed_and_repaired(SkinnedHand(load_preset("open_men_p50")), {}, repair_m)
