@@ -244,8 +244,6 @@ def stroke(run: Run, axes: list[Axes]) -> str:
         "the skin's normal velocity (its largest magnitude within 5 mm of each place on it) stays above 10 % of "
         "its largest value behind the focus, at all skin steps while the focus has gone 60 to 90 % of the first way. "
         f"The three runs have one mesh, {run.wakes[4.0]['unknowns']} unknowns (element_m 0.0045, max_frequency_Hz 500)."
-        " The scene's own mesh is too coarse to follow the finger: its layer ends at the root of the index finger, "
-        "so there the focus has skin under it on three quarters of the way only."
     )
 
 

@@ -34,7 +34,7 @@ what was run.
 
 Figures are of single runs, and each has its own mesh of the skin layer, as its `accuracy` asks (0.2; the stroke 0.1).
 Checks concern motion, sound and, in the stroke, the course of the skin's motion, not the size of its displacement,
-whose estimated error stands with each run: small patches (6 to 32 mm) with fixed cut edges are for speed, and the
+whose estimated error stands with each run: small patches (15 to 32 mm) with fixed cut edges are for speed, and the
 edge is most of it. The machine was shared with other work, so times by the clock are upper bounds. A plus behind a
 commit's hash means that files differed from it.
 
