@@ -11,10 +11,11 @@ from scipy.spatial import cKDTree
 
 from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.arp import arp
-from palmfield.acoustics.shadow import lit
+from palmfield.acoustics.shadow import REACH_m, lit
 from palmfield.aim import Aim
 from palmfield.drive.response import pole_step
 from palmfield.emission import asked, delays_to
+from palmfield.emitter import Emitter
 from palmfield.engine.pose import Pose
 from palmfield.engine.skin import SceneSkin
 from palmfield.errors import SceneError
@@ -69,6 +70,25 @@ def clearance(array: Array, points: Float) -> float:
     return float(points[over, 2].min() - positions[:, 2].mean()) if over.any() else np.inf
 
 
+def to_boards(points: Float, flux: Float, emitter: Emitter) -> Float:
+    """How far back along the sound each point's ray can meet something before an array's board [m], shape (n,).
+
+    points: frame of the first array [m], shape (n, 3); flux: where the sound goes there, shape (n, 3)
+    A board is the plane through an array's middle across its mean direction; of several the farthest counts.
+    """
+    back = -flux / np.maximum(np.linalg.norm(flux, axis=1, keepdims=True), 1e-30)
+    farthest = np.zeros(len(points))
+    for place, part in zip(emitter.placements, emitter.parts, strict=True):
+        turn = np.reshape(place.rotation, (3, 3))
+        normal = turn @ part.normals.mean(axis=0)
+        middle = turn @ part.positions.mean(axis=0) + np.array(place.position)
+        towards = back @ normal
+        meets = towards < -1e-6
+        way = np.where(meets, ((middle - points) @ normal) / np.where(meets, towards, -1.0), REACH_m)
+        farthest = np.maximum(farthest, way)
+    return np.clip(farthest, 0.0, REACH_m)
+
+
 Observer = Callable[[float, Float, "Sound | None", float, Complex], None]
 """Told of the time [s], the surface's normal displacement and velocity (2, S), sound, ARP factor, drive."""
 
@@ -103,7 +123,10 @@ class Chain:
             law=rig.skin.arp_law, device=evaluator.device,
         )  # fmt: skip
         if rig.skin.body_sound == "shadows":
-            load = np.where(lit(points, energy_flux(field) @ pose.turn, rig.posed(pose).shadows), load, np.float32(0.0))
+            flux = energy_flux(field)
+            reach = to_boards(pose.points(points), flux, rig.emitter(pose.arrays))
+            seen = lit(points, flux @ pose.turn, rig.posed(pose).shadows, reach_m=reach)
+            load = np.where(seen, load, np.float32(0.0))
         return load, np.abs(field.pressure)
 
     def _wall_sound(self, pose: Pose, drive: Complex) -> WallSound:
@@ -163,14 +186,21 @@ class Chain:
         """SceneError where the surface reaches into the array's board."""
         posed = self.rig.posed(pose)
         body = posed.nodes[0] if self.rig.surface is None else posed.vertices
+        self._check_clear(f"body '{self.rig.skin.body}'", body, pose)
+        if posed.beside is not None:
+            self._check_clear("one of the obstacles", posed.beside[0], pose, behind=True)
+
+    def _check_clear(self, what: str, body: Float, pose: Pose, behind: bool = False) -> None:
+        """behind: whether it may lie wholly behind the board."""
         emitter = self.rig.emitter(pose.arrays)
         for part, place in zip(emitter.parts, emitter.placements, strict=True):
             points = (pose.points(body) - np.array(place.position)) @ np.array(place.rotation).reshape(3, 3)
             above = clearance(part, points)
-            if above < CLEARANCE_M:
+            mirrored = points * [1.0, 1.0, -1.0] + [0.0, 0.0, 2.0 * part.positions[:, 2].mean()]
+            if above < CLEARANCE_M and not (behind and clearance(part, mirrored) > HOUSING_M):
                 raise SceneError(
-                    f"plugin 'palmfield.skin': body '{self.rig.skin.body}' reaches into the array (lowest point "
-                    f"{1e3 * above:.1f} mm above the board, at least {1e3 * CLEARANCE_M:g} mm needed); move the body up"
+                    f"plugin 'palmfield.skin': {what} reaches into the array (lowest point "
+                    f"{1e3 * above:.1f} mm above the board, at least {1e3 * CLEARANCE_M:g} mm needed); move it up"
                 )
 
     # -- motion --------------------------------------------------------------------------------------------------

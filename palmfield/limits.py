@@ -31,11 +31,12 @@ def check_device(rig: "Rig") -> None:
     if device.name == "ideal":
         return
     rates = frame_rates(stimulus)
-    moving = stimulus.path != "point"
+    moving = stimulus.path != "point" or rig.setting.aim_moves
     if moving and not rates:
         raise DeviceError(
-            f"plugin 'palmfield.stimulus': a path without steps needs any number of frames/s; {device.name} gives "
-            f"{device.max_frame_rate_Hz:.1f}: set path_points and a path_rate_Hz that fit, or use device ideal"
+            f"plugin 'palmfield.stimulus': a path without steps, or a frame that moves, needs any number of frames/s; "
+            f"{device.name} gives {device.max_frame_rate_Hz:.1f}: set control_rate_Hz, or path_points and a rate, "
+            "so that they fit, or use device ideal"
         )
     turns = turn_rate_Hz(stimulus)
     turn = rates[0] / turns if turns else None

@@ -83,7 +83,7 @@ class Rig:
         self.air, self.array = self.reference_emitter.air, self.reference_emitter.array
         self._emitters = [self.reference_emitter]
         check_device(self)
-        focus = self.reference_aim(frame_at(self.stimulus, self.stimulus.start_s).focus)
+        self.reference_foci = focus = self.reference_aim(frame_at(self.stimulus, self.stimulus.start_s).focus)
         self.reference_focus: Float = np.atleast_2d(focus)[0]
         self.silent = not np.any(self.unit_drive(focus)[0])
         self.response = response(

@@ -9,7 +9,7 @@ import mujoco
 
 from palmfield.engine.host import compiling, take_compile_error, world_of
 from palmfield.engine.modules import MODULES, SkinModule
-from palmfield.engine.motion import MotionModule
+from palmfield.engine.motion import place
 from palmfield.engine.reading import DURATION
 from palmfield.errors import PalmfieldError, SceneError
 
@@ -92,10 +92,7 @@ def load(
         raise SceneError(f"{path}: {_with_choices(_one_line(error))}") from None
     world = world_of(data)
     assert world is not None
-    for module in world.modules.values():
-        if isinstance(module, MotionModule):
-            module.place()
-    mujoco.mj_kinematics(model, data)
+    place(data)
     skins = [module for module in world.modules.values() if isinstance(module, SkinModule)]
     if len(skins) != 1:
         raise SceneError(f"{path} has {len(skins)} instances of '{SkinModule.name}'; exactly one is needed")

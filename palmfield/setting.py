@@ -19,7 +19,7 @@ class Setting(NamedTuple):
     duration_s: how long the scene runs by default [s]
     path_sites: sites that a path runs through, in the body frame in the reference pose [m]
     obstacles: what casts shadows on the body besides itself, and placements of those bodies in the body frame
-    moves: whether a script moves a hand
+    moves: whether a script moves a hand; aim_moves: whether what the focus is given in moves against the array
     """
 
     boards: tuple[Board, ...]
@@ -34,3 +34,4 @@ class Setting(NamedTuple):
     path_sites: tuple[Triple, ...] = ()
     obstacles: tuple[tuple[Obstacle, Placement], ...] = ()
     moves: bool = False
+    aim_moves: bool = False

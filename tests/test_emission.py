@@ -57,7 +57,8 @@ def test_am_is_filtered_as_the_pole_says(small_scene):
     level = []
     for k in range(2000):
         first, last = (
-            asked(rig.stimulus, emitter, np.zeros(len(rig.array)), t, np.asarray) for t in (k * step, (k + 1) * step)
+            asked(rig.stimulus, emitter, np.zeros(len(rig.array)), t, rig.reference_aim)
+            for t in (k * step, (k + 1) * step)
         )
         emitted = pole_step(emitted, first, last, pole, step)
         level.append(abs(emitted[0]))
@@ -207,9 +208,9 @@ def test_far_transducers_play_what_was_asked_earlier(small_scene):
     far = np.linalg.norm(rig.array.positions - rig.reference_focus, axis=1)
     assert delays[far.argmax()] > 0 > delays[far.argmin()]
     assert np.abs(delays - (far - 0.5 * (far.max() + far.min())) / 343.2).max() < 1.1e-5
-    now = asked(rig.stimulus, rig.reference_emitter, delays, 0.005, np.asarray)
+    now = asked(rig.stimulus, rig.reference_emitter, delays, 0.005, rig.reference_aim)
     e = int(far.argmax())
-    earlier = asked(rig.stimulus, rig.reference_emitter, np.zeros(256), 0.005 - delays[e], np.asarray)
+    earlier = asked(rig.stimulus, rig.reference_emitter, np.zeros(256), 0.005 - delays[e], rig.reference_aim)
     assert now[e] == pytest.approx(earlier[e], abs=1e-12)
 
 

@@ -45,12 +45,12 @@ def lit(
     points: wp.array(dtype=wp.vec3),
     towards: wp.array(dtype=wp.vec3),
     clearance: float,
-    reach: float,
+    reach: wp.array(dtype=float),
     result: wp.array(dtype=wp.uint8),
 ):
-    """1 where the ray towards the sound's source meets nothing."""
+    """1 where the ray towards the sound's source meets nothing within its reach."""
     i = wp.tid()
-    blocked = wp.mesh_query_ray_anyhit(mesh, points[i] + clearance * towards[i], towards[i], reach)
+    blocked = wp.mesh_query_ray_anyhit(mesh, points[i] + clearance * towards[i], towards[i], reach[i])
     result[i] = wp.where(blocked, wp.uint8(0), wp.uint8(1))
 
 

@@ -67,7 +67,12 @@ def visibility(
 
 
 def lit(
-    points: ArrayLike, flux_direction: ArrayLike, mesh: wp.Mesh, *, clearance_m: float = CLEARANCE_m
+    points: ArrayLike,
+    flux_direction: ArrayLike,
+    mesh: wp.Mesh,
+    *,
+    clearance_m: float = CLEARANCE_m,
+    reach_m: ArrayLike = REACH_m,
 ) -> NDArray[np.bool_]:
     """Whether the way back along the sound is free, shape (n,): one ray a point, the cheapest shadow.
 
@@ -75,6 +80,7 @@ def lit(
 
     points: [m], shape (n, 3); flux_direction: where the sound goes, any length, shape (3,) or (n, 3), for example
     the energy flux Re(p u*); a point without direction is dark
+    reach_m: how far the ray goes, to where the sound comes from [m], a number or shape (n,)
     Raises PalmfieldError for other shapes and numbers that are not finite.
     """
     where = check.points(points, np.float32)
@@ -83,8 +89,10 @@ def lit(
         raise PalmfieldError(f"flux_direction[{check.first_bad(direction)}] is not finite: mend the field")
     length = np.linalg.norm(direction, axis=1)
     back = -direction / np.where(length > 0.0, length, 1.0)[:, None]
+    far = np.ascontiguousarray(np.broadcast_to(np.asarray(reach_m, dtype=np.float32), length.shape))
+    reach: wp.array = wp.array(far, dtype=float, device=mesh.device)
     result = wp.empty(len(where), dtype=wp.uint8, device=mesh.device)
-    inputs = [mesh.id, _vectors(where, mesh.device), _vectors(back, mesh.device), clearance_m, REACH_m, result]
+    inputs = [mesh.id, _vectors(where, mesh.device), _vectors(back, mesh.device), clearance_m, reach, result]
     wp.launch(kernels.lit, dim=len(where), inputs=inputs, device=mesh.device)
     return (result.numpy() > 0) & (length > 0.0)
 

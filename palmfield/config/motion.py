@@ -38,6 +38,8 @@ class MotionConfig(Config):
             raise ValueError(f"{' and '.join(given) or 'no motion'} given; give one of: {', '.join(SOURCES)}")
         if self.tracking is not None and self.hand is None:
             raise ValueError("tracking moves an articulated hand: name its preset by key hand")
+        if self.follow == "exact" and self.hand is None:
+            raise ValueError("follow 'exact' puts an articulated hand: name its preset by key hand, or drop it")
         stray = [key for key in TRACKER if key in self.model_fields_set and self.tracking is None]
         if stray:
             raise ValueError(f"{stray[0]} belongs to tracking: drop it")

@@ -37,7 +37,7 @@ class StimulusConfig(Config):
     )
     path_on: Literal["plane", "skin"] = Field(
         "plane",
-        description="skin: the path is drawn on the surface from the skin nearest to focus_m, its x along the frame's",
+        description="skin: drawn on the surface about the skin nearest to focus_m in the reference pose, x as in frame",
     )
     path_diameter_m: Positive | None = Field(None, description="diameter of the circle")
     path_width_m: Positive | None = Field(

@@ -20,6 +20,8 @@ from palmfield.engine.world import ModelView, World
 from palmfield.errors import SceneError
 from palmfield.types import Float
 
+SENSOR_REACH_M = 0.01
+"""A sensor's site may lie so far from the skin layer."""
 SENSOR_CHANNELS = (
     "arp_force_x_N", "arp_force_y_N", "arp_force_z_N", "normal_displacement_m", "normal_velocity_m_s", "arp_Pa",
 )  # fmt: skip
@@ -86,6 +88,7 @@ class SkinModule(Module):
             )
         )
         self._probes: dict[int, Any] = {}
+        self._held: tuple[float, Any] | None = None
         self.applied = np.zeros(3)
 
     @classmethod
@@ -108,8 +111,21 @@ class SkinModule(Module):
         )
         return self.chain.skin.settled(found)
 
-    def aim(self) -> Any:
-        """Where the stimulus's points are now, a `palmfield.aim.Aim`."""
+    def aim(self, time_s: float | None = None) -> Any:
+        """Where the stimulus's points are, a `palmfield.aim.Aim`; between control ticks, where they were at the last.
+
+        time_s: within the present step [s], now by default
+        """
+        now = self.world.time if time_s is None else time_s
+        rate = self.rig.stimulus.control_rate_Hz
+        if rate > 0.0 and self._held is not None:
+            before, held = self._held
+            # A nanosecond, as for ticks in `palmfield.stimulus`.
+            if now >= before and int((now + 1e-9) * rate) == int((before + 1e-9) * rate):
+                return held
+        return self._aim_now()
+
+    def _aim_now(self) -> Any:
         array = self.world.pose("site", self.sites[0])
         frame = array if self.frame is None else self.world.pose("site", self.frame)
         return self._aim(self.rig, self._relative(array, frame), self.pose())
@@ -138,7 +154,12 @@ class SkinModule(Module):
         """
         from palmfield.stimulus import frame_at
 
-        start, pose, aim = self.world.time, self.pose(), self.aim()
+        start, pose = self.world.time, self.pose()
+        if self._held is not None and start <= self._held[0]:
+            # The same moment again, or an earlier one after a reset: what was held then may lie elsewhere now.
+            self._held = None
+        aim = self.aim()
+        self._held = self._held if self._held is not None and self._held[1] is aim else (start, aim)
         factor = self.chain.mean_factor(self.world.state(self.instance), start, aim, pose)
         if factor == 0.0:
             none = np.zeros((max(1, len(self.bones)), 3))
@@ -182,12 +203,17 @@ class SkinModule(Module):
             assert self.rig.hand is not None
             place = place + self.rig.hand.bones[self.bones.index(model.site_body(target))].origin
         probe = self.chain.probe(place)
+        if probe.distance[0] > max(SENSOR_REACH_M, 2.0 * self.rig.sizes[1]):
+            raise SceneError(
+                f"{_element(self)}: its site is {1e3 * probe.distance[0]:.0f} mm from the skin layer, whose rim "
+                "it would read; put it on the layer, or patch_site nearer to it"
+            )
         return probe, self.rig.bound(probe.closest)
 
     def advance(self) -> None:
         """Carry the skin over MuJoCo's last step, with the pose at its beginning."""
         start = self.world.time - self.world.model.timestep
-        self.chain.advance(self.world.state(self.instance), start, self.aim(), self.pose())
+        self.chain.advance(self.world.state(self.instance), start, self.aim(start), self.pose())
 
 
 MODULES: tuple[type[Module], ...] = (ArrayModule, StimulusModule, DriverModule, SkinModule, MotionModule)

@@ -2,10 +2,12 @@
 
 from typing import Any, ClassVar
 
+import mujoco
 import numpy as np
 
 from palmfield.config import Config, MotionConfig
-from palmfield.engine.host import Module
+from palmfield.engine.host import Module, world_of
+from palmfield.engine.reading import check_rest
 from palmfield.engine.world import World, rotation
 from palmfield.errors import SceneError
 from palmfield.types import Float
@@ -46,6 +48,13 @@ class MotionModule(Module):
             self.servos = [model.find("actuator", name, why) for name in names]
             self.joints = [model.find("joint", name, why) for name in names]
             self.root = model.find("joint", prefix + "hand_root", why)
+            frame = model.reference_pose("body", model.find("body", prefix + "hand", why))
+            for bone in self.motion.hand.bones:
+                pose = model.reference_pose("body", model.find("body", prefix + bone.name, why))
+                check_rest(bone, frame, pose, f"{why}: body '{prefix}{bone.name}'", "name the preset of that hand")
+        rivals = [m for m in world.modules.values() if isinstance(m, MotionModule) and m.mocap == self.mocap]
+        if rivals:
+            raise SceneError(f"{element}: two instances move body '{settings.body}'; give each hand one")
 
     def place(self) -> None:
         """Put mocap body, servos and the hand itself where the motion has them now."""
@@ -81,3 +90,18 @@ class MotionModule(Module):
         """Of all joints [rad]; those that are not named are at rest."""
         assert self.motion.hand is not None
         return np.deg2rad([angles_deg.get(joint.name, joint.rest_deg) for joint in self.motion.hand.joints])
+
+
+def place(data: mujoco.MjData) -> None:
+    """Put every scripted hand of some data where its motion has it at the data's time, and update all positions.
+
+    `palmfield.load` does so; call it after `mujoco.mj_resetData` or after setting the time. Otherwise the first step
+    is computed where MuJoCo's reference configuration has the hands. Raises SceneError from what a motion answers.
+    """
+    world = world_of(data)
+    if world is None:
+        return
+    for module in world.modules.values():
+        if isinstance(module, MotionModule):
+            module.place()
+    mujoco.mj_kinematics(data.model, data)

@@ -97,10 +97,13 @@ def bones_of(skin: SkinConfig, model: ModelView) -> list[int]:
     element = f"plugin 'palmfield.skin': key 'shape' has value '{skin.shape}'"
     prefix, bones = _bones(skin, element)
     numbers = [model.find("body", prefix + bone.name, element) for bone in bones]
-    if skin.shape == "rigged":
-        frame = model.reference_pose("body", model.find("body", skin.body, element))
-        for bone, number in zip(bones, numbers, strict=True):
-            _check_rest(bone, frame, model.reference_pose("body", number), f"{element}: body '{prefix}{bone.name}'")
+    mend = "write its MJCF by `palmfield hand MESH --mjcf FILE.xml`"
+    if skin.shape == "articulated":
+        mend = f"name the preset of that hand by key 'hand' ('{skin.hand}' now)"
+    frame = model.reference_pose("body", model.find("body", skin.body, element))
+    for bone, number in zip(bones, numbers, strict=True):
+        pose = model.reference_pose("body", number)
+        check_rest(bone, frame, pose, f"{element}: body '{prefix}{bone.name}'", mend)
     return numbers
 
 
@@ -121,8 +124,8 @@ def _bones(skin: SkinConfig, element: str) -> tuple[str, list[Any]]:
     return skin.body.removesuffix("hand"), articulate(load_preset(skin.hand)).bones
 
 
-def _check_rest(bone: Any, frame: tuple[Float, Float], pose: tuple[Float, Float], element: str) -> None:
-    """Raises SceneError where a body isn't at its joint's place, parallel to the file's axes."""
+def check_rest(bone: Any, frame: tuple[Float, Float], pose: tuple[Float, Float], element: str, mend: str) -> None:
+    """Raises SceneError, with what mends it, where a body isn't at its joint's place, parallel to the hand's axes."""
     from palmfield.engine.pose import relative
 
     at, turn = relative(frame, pose)
@@ -130,8 +133,7 @@ def _check_rest(bone: Any, frame: tuple[Float, Float], pose: tuple[Float, Float]
     off = float(np.arccos(np.clip(0.5 * (np.trace(turn) - 1.0), -1.0, 1.0)))
     if away > REST_M or off > REST_RAD:
         raise SceneError(
-            f"{element} stands {1e3 * away:.3g} mm and {np.rad2deg(off):.3g} degrees off the mesh's joint; write its "
-            "MJCF by `palmfield hand MESH --mjcf FILE.xml`"
+            f"{element} stands {1e3 * away:.3g} mm and {np.rad2deg(off):.3g} degrees off the mesh's joint; {mend}"
         )
 
 
@@ -200,8 +202,23 @@ def rig_of(skin: SkinConfig, model: ModelView) -> Any:
             for obstacle, number in obstacles_of(skin, model)
         ),
         any(plugin == MotionConfig.plugin for _, plugin, _ in model.instances()),
+        _aim_moves(stimulus, skin, boards[0].config, model),
     )
     return rig(setting)
+
+
+def _aim_moves(stimulus: StimulusConfig, skin: SkinConfig, array: ArrayConfig, model: ModelView) -> bool:
+    """Whether the stimulus's frame, or the skin that its path runs on, can move against the first array."""
+    if stimulus.path_on == "skin":
+        aimed = model.find("body", skin.body, "plugin 'palmfield.skin': key 'body'")
+    else:
+        frame = frame_site(stimulus, model)
+        if frame is None:
+            return False
+        aimed = model.site_body(frame)
+    board = model.site_body(array_site(array, model))
+    # What carries both moves neither against the other.
+    return any(model.can_move(body) for body in model.ancestors(aimed) ^ model.ancestors(board))
 
 
 def _keys(config: type[Config], model: ModelView, instance: int) -> Any:

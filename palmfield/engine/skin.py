@@ -96,8 +96,10 @@ class SceneSkin:
         return STILL * self.rig.skin.accuracy * self.rig.spot_fwhm_m
 
     def _extent(self, pose: Pose) -> Float:
-        """Points of the body that tell how far any of the skin moves: a box round it, or with bones all of it."""
-        return self._corners if self.rig.hand is None else self.rig.posed(pose).nodes[0]
+        """Points that tell how far anything moves: a box round the skin, with bones all of the hand; and obstacles."""
+        posed = self.rig.posed(pose)
+        points = self._corners if self.rig.hand is None else posed.vertices
+        return points if posed.beside is None else np.concatenate([points, posed.beside[0]])
 
     @cached_property
     def _corners(self) -> Float:
@@ -115,7 +117,7 @@ class SceneSkin:
             return skin
         rig = self.rig
         focus = aim(frame_at(rig.stimulus, rig.stimulus.start_s).focus)
-        far = float(np.abs(np.atleast_2d(focus)[0] - rig.reference_focus).max())
+        far = float(np.abs(focus - rig.reference_foci).max())
         moved = pose is not self.reference or far > self.limit_m
         late = rig.stimulus.start_s < start - 1e-9 and not state[: skin.state_size].any() and not skin.any_course
         if not moved and not late:

@@ -69,6 +69,10 @@ class ModelView:
             body = int(self.raw.body_parentid[body])
         return found
 
+    def can_move(self, body: int) -> bool:
+        """Whether a body has joints of its own or is a mocap body."""
+        return bool(self.raw.body_dofnum[body] > 0 or self.raw.body_mocapid[body] >= 0)
+
     def geoms(self, body: int, element: str) -> tuple[Geom, ...]:
         """Solid shapes of a body as `palmfield.obstacle.Obstacle` takes them.
 

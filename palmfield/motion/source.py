@@ -16,11 +16,12 @@ from palmfield.hand.poses import named_pose, posed_surface
 from palmfield.hand.preset import load_preset
 from palmfield.hand.skinning import SkinnedHand
 from palmfield.motion.keyframes import keyframes
-from palmfield.motion.pose import HandPose
+from palmfield.motion.pose import HandPose, numbers
 from palmfield.motion.prediction import resample
 from palmfield.motion.retarget import retarget
 from palmfield.motion.tracking import Stream, read_stream
 from palmfield.motion.trajectory import from_callable, read_trajectory
+from palmfield.types import Float
 
 KEY_FIELDS = ("time_s", "position_m", "quaternion", "turn_deg", "pose", "joints_deg")
 DEFAULT_HAND = "open_men_p50"
@@ -87,14 +88,22 @@ def read_keyframes(path: Path, hand: ArticulatedHand, preset: str | None) -> Cal
         raise SceneError(f"keyframes {path} cannot be read: {error}") from None
     if not isinstance(keys, list) or len(keys) < 2:
         raise SceneError(f"keyframes {path}: give two tables [[key]] or more, each with time_s and position_m")
+    times: list[float] = []
+    places: list[Float] = []
     turns, poses = [], []
     for number, key in enumerate(keys, start=1):
         where = f"keyframes {path}: key {number}"
+        if not isinstance(key, dict):
+            raise SceneError(f"{where} is {key!r}; give tables [[key]], each with time_s and position_m")
         unknown = [name for name in key if name not in KEY_FIELDS]
         if unknown:
             raise SceneError(f"{where}: field '{unknown[0]}' is unknown; allowed: {', '.join(KEY_FIELDS)}")
         if "time_s" not in key or "position_m" not in key:
             raise SceneError(f"{where}: time_s and position_m are needed")
+        if preset is None and ("pose" in key or "joints_deg" in key):
+            raise SceneError(f"{where}: pose and joints_deg are an articulated hand's: name its preset by key 'hand'")
+        times.append(float(numbers(key["time_s"], (), f"{where}: time_s")))
+        places.append(numbers(key["position_m"], (3,), f"{where}: position_m"))
         turns.append(_turn(key, where))
         poses.append(_angles(key, hand, where))
     if preset is not None:
@@ -106,17 +115,20 @@ def _turn(key: Mapping[str, Any], where: str) -> list[float]:
     if "quaternion" in key and "turn_deg" in key:
         raise SceneError(f"{where}: quaternion and turn_deg both turn the hand; give one")
     if "turn_deg" not in key:
-        return list(key.get("quaternion", [1.0, 0.0, 0.0, 0.0]))
-    turn = np.asarray(key["turn_deg"], dtype=np.float64)
-    if turn.shape != (3,):
-        raise SceneError(f"{where}: turn_deg is {key['turn_deg']}; give a rotation vector, three angles [deg]")
+        given: list[float] = numbers(key.get("quaternion", [1.0, 0.0, 0.0, 0.0]), (4,), f"{where}: quaternion").tolist()
+        return given
+    turn = numbers(key["turn_deg"], (3,), f"{where}: turn_deg")
     quaternion: list[float] = Rotation.from_rotvec(turn, degrees=True).as_quat(scalar_first=True).tolist()
     return quaternion
 
 
 def _angles(key: Mapping[str, Any], hand: ArticulatedHand, where: str) -> dict[str, float]:
+    bent = key.get("joints_deg", {})
+    if not isinstance(bent, dict):
+        raise SceneError(f"{where}: joints_deg is {bent!r}; give angles [deg] by joint")
+    own = {name: float(numbers(angle, (), f"{where}: joints_deg: {name}")) for name, angle in bent.items()}
     try:
-        angles = named_pose(hand, key.get("pose", "relaxed")) | key.get("joints_deg", {})
+        angles = named_pose(hand, key.get("pose", "relaxed")) | own
         checked_angles(hand, angles)
     except SceneError as error:
         raise SceneError(f"{where}: {error}") from None

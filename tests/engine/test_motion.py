@@ -159,3 +159,23 @@ def test_bad_keyframes_are_named_with_their_number(tmp_path):
         (tmp_path / "keys.toml").write_text(good + bad)
         with pytest.raises(SceneError, match=words):
             opened(**{"motion.keyframes": tmp_path / "keys.toml"})
+
+
+@pytest.mark.parametrize(
+    ("key", "words"),
+    [
+        ('time_s = "a"', "key 2: time_s"),
+        ("quaternion = [1, 0, 0]", "key 2: quaternion"),
+        ('turn_deg = ["a", 0, 0]', "key 2: turn_deg"),
+        ("joints_deg = 5", "key 2: joints_deg is 5"),
+        ('joints_deg = { index_pip_flexion = "x" }', "key 2: joints_deg: index_pip_flexion"),
+    ],
+)
+def test_keyframes_of_other_kinds_are_named(tmp_path, key, words):
+    rest = "position_m = [0, 0, 0.2]\n" + ("" if key.startswith("time_s") else "time_s = 1\n")
+    (tmp_path / "keys.toml").write_text(f"[[key]]\ntime_s = 0\nposition_m = [0, 0, 0.2]\n[[key]]\n{rest}{key}\n")
+    with pytest.raises(SceneError, match=words):
+        opened(**{"motion.keyframes": tmp_path / "keys.toml"})
+    (tmp_path / "keys.toml").write_text("key = [1, 2]\n")
+    with pytest.raises(SceneError, match="key 1 is 1"):
+        opened(**{"motion.keyframes": tmp_path / "keys.toml"})

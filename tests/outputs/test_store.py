@@ -27,6 +27,8 @@ from palmfield.errors import OutputError
 from palmfield.outputs import store
 from palmfield.outputs.schema import dataset
 store.FLUSH_SECONDS = 0.0
+# A shell that runs tests in the background has its children ignore Ctrl-C.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 random = np.random.default_rng(0)
 target = store.Store(Path(sys.argv[1]), dataset(skin_position=np.zeros((1000, 3))))
 def block(k):
