@@ -382,8 +382,8 @@ STORIES = {
         MAP_FIRST, follow),
     "stroke_palm": Story(
         "On a hand that keeps still, a focus strokes the skin from the thenar to the pulp of the index finger, there "
-        "and back, as in Reardon's study of waves in the hand. 0.5 s of it are to take no more than 180 s on two "
-        "cores; what they took, on one core of the shared machine, is below.", EQUAL, stroke),
+        "and back, as in Reardon's study of waves in the hand. What 0.5 s of it took, on one core of the "
+        "shared machine, is below; on a thin reference layer it takes 43 s (bench/stroke.md).", EQUAL, stroke),
     "trace_shape": Story(
         "A focus writes a Z on the palm of a hand that rolls: the path is drawn on the skin and turns with it.",
         MAP_FIRST, trace),
