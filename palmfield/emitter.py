@@ -222,6 +222,12 @@ class Emitter:
         self._unit = (tuple(point.ravel()), known)
         return known
 
+    def focusing(self, foci: Float, chosen: Int) -> Complex:
+        """Drives exp(-i k d) of some transducers for foci [m], shape (k, 3), each by itself, shape (k, n)."""
+        wavenumber = 2.0 * math.pi * self.array.frequency_Hz / sound_speed(self.air)
+        away = foci[:, None, :] - self.array.positions[chosen]
+        return np.asarray(np.exp(-1j * wavenumber * np.sqrt(np.einsum("ijk,ijk->ij", away, away))))
+
     def unit_drives(self, points: Float, aim: "Aim") -> Complex:
         """`unit_drive` for what a stimulus asks for at several moments, shape (m, 3), as amplitudes, shape (m, n).
 
@@ -229,12 +235,11 @@ class Emitter:
         """
         one_by_one = len(aim.offsets) > 0 or self.device.name != "ideal" or self.stimulus.arp_peak_Pa is not None
         if not one_by_one and len(points) > 1:
-            rays = aim.course(points)[:, None] - self.array.positions
-            facing = np.einsum("mij,ij->mi", rays, self.array.normals) > 0.0
+            foci = aim.course(points)
+            facing = np.einsum("mij,ij->mi", foci[:, None] - self.array.positions, self.array.normals) > 0.0
             if facing.any(axis=1).all():
-                wavenumber = 2.0 * math.pi * self.array.frequency_Hz / sound_speed(self.air)
                 level = 1.0 if self.stimulus.drive_amplitude is None else self.stimulus.drive_amplitude
-                return level * facing * np.exp(-1j * wavenumber * np.linalg.norm(rays, axis=2))
+                return level * facing * self.focusing(foci, np.arange(len(self.array), dtype=np.int32))
         return np.array([self.unit_drive(aim(point))[0] for point in points])
 
 

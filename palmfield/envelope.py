@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
-from palmfield.acoustics.air import sound_speed
 from palmfield.config import StimulusConfig
 from palmfield.drive.response import Pole
 from palmfield.emitter import Emitter
@@ -110,7 +109,7 @@ def cost(
             errors = _still(levels, weights, rates * step, late, lag)
         else:
             chosen = _some(late, max(FEWEST, VALUES // len(cells)))
-            drives = levels[:, None] * _focusing(emitter, course(foci), chosen)
+            drives = levels[:, None] * emitter.focusing(course(foci), chosen)
             part = weights[chosen] / max(weights[chosen].sum(), 1e-300)
             errors = _moving(drives, part, (rates * step)[chosen], late[chosen], lag)
         sound = levels[inside]
@@ -168,13 +167,6 @@ def _rung(drive: Complex, z: complex) -> Complex:
 
 def _later(drive: Complex | Float, lag: int) -> Complex | Float:
     return np.concatenate([np.repeat(drive[:1], lag), drive[:-lag]])
-
-
-def _focusing(emitter: Emitter, foci: Float, chosen: Int) -> Complex:
-    """Drives exp(-i k d) of some transducers for foci in the frame of the first array, shape (k, n)."""
-    wavenumber = 2.0 * math.pi * emitter.array.frequency_Hz / sound_speed(emitter.air)
-    away = foci[:, None, :] - emitter.array.positions[chosen]
-    return np.exp(-1j * wavenumber * np.sqrt(np.einsum("ijk,ijk->ij", away, away)))
 
 
 def _some(late: Float, most: int) -> Int:

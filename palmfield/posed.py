@@ -6,12 +6,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import warp as wp
+from scipy import sparse
 from trimesh.remesh import subdivide_to_size
 
 from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.shadow import shadow_mesh
+from palmfield.hand.blend import blended, bone_shifts
 from palmfield.hand.meshquery import barycentric, build_mesh, closest_faces
-from palmfield.hand.skinning import BONES_PER_VERTEX, EDGE_m, SkinnedSurface
+from palmfield.hand.rigged import strongest
+from palmfield.hand.skinning import SkinnedSurface
+from palmfield.hand.subdivide import EDGE_m
 from palmfield.obstacle import boundary_mesh
 from palmfield.types import Float, Int, Surface
 
@@ -35,17 +39,9 @@ class Bound:
         surface = hand.surface
         face = closest_faces(build_mesh(surface.vertices, surface.faces), points, REACH_M)
         corners = surface.faces[face]
-        shares = np.einsum("nk,nkb->nb", barycentric(surface.vertices[corners], points), hand.weights[corners])
-        order = np.argsort(-shares, axis=1)[:, :BONES_PER_VERTEX].astype(np.int32)
-        kept = np.take_along_axis(shares, order, axis=1)
-        return Bound(order, kept / kept.sum(axis=1, keepdims=True))
-
-    def blended(self, shifts: Float, turns: Float) -> tuple[Float, Float]:
-        """Shift [m], shape (n, 3), and matrix, shape (n, 3, 3), of each point, from those of the bones."""
-        return (
-            np.einsum("nk,nki->ni", self.shares, shifts[self.bones]),
-            np.einsum("nk,nkij->nij", self.shares, turns[self.bones]),
-        )
+        weights = np.einsum("nk,nkb->nb", barycentric(surface.vertices[corners], points), hand.weights[corners])
+        shares, bones = strongest(sparse.csr_array(weights))
+        return Bound(bones, shares)
 
 
 class PosedBody:
@@ -86,8 +82,8 @@ class PosedBody:
             return points, normals
         assert self.rig.hand is not None
         origins = np.array([bone.origin for bone in self.rig.hand.bones])
-        shifts = self._positions - np.einsum("bij,bj->bi", self._turns, origins)
-        shift, turn = bound.blended(shifts, self._turns)
+        shifts = bone_shifts(origins, self._positions, self._turns)
+        shift, turn = blended(bound.bones, bound.shares, shifts, self._turns)
         normal = np.einsum("nij,nj->ni", turn, normals)
         return np.einsum("nij,nj->ni", turn, points) + shift, normal / np.linalg.norm(normal, axis=1, keepdims=True)
 

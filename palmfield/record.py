@@ -36,7 +36,8 @@ class Recorder:
         sound, factor = self.skin.now()
         motion = self.chain.skin.read(self.skin.world.state(self.skin.instance), self.chain.surface_operator)
         t = self.skin.world.time
-        self.observe(t, motion, sound, factor, self.chain.drive(t, self.skin.aim(), self.skin.pose()))
+        pose = self.skin.pose()
+        self.observe(t, motion, sound, factor, self.chain.drive(t, self.skin.aim(pose), pose))
 
     def observe(self, t: float, motion: Float, sound: Sound | None, factor: float, drive: Complex) -> None:
         """One skin step has ended at time t [s] (called by the chain)."""
@@ -126,8 +127,9 @@ def static_data(skin: SkinModule) -> xr.Dataset:
     base = rig.mesh.nodes[-len(nodes) :]
     position, turn = skin.world.pose("site", skin.sites[0])
     bones: dict[str, Any] = {}
-    if rig.hand is not None and rig.nodes_bound is not None:
-        for mesh, bound in (("skin", rig.nodes_bound), ("surface", Bound.to(rig.hand, vertices))):
+    if rig.hand is not None:
+        for mesh, points in (("skin", nodes), ("surface", vertices)):
+            bound = Bound.to(rig.hand, points)
             bones |= {f"{mesh}_bone": bound.bones, f"{mesh}_share": bound.shares.astype(np.float32)}
         bones["bone_rest"] = np.array([bone.origin for bone in rig.hand.bones])
     return dataset(

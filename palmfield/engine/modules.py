@@ -76,7 +76,7 @@ class SkinModule(Module):
         self.transducers = [transducer_sites(board.config, model) for board in self.rig.boards]
         self.frame = frame_site(self.rig.stimulus, model)
         self.bones = bones_of(settings, model)
-        self.others = self.bones + [number for _, number in obstacles_of(settings, model)]
+        self.others = self.bones + [number for _, number in obstacles_of(settings, model, self.bones)]
         self.chain = Chain(self.rig)
         _ = self.rig.choice
         self.chain.check_clear(
@@ -111,10 +111,10 @@ class SkinModule(Module):
         )
         return self.chain.skin.settled(found)
 
-    def aim(self, time_s: float | None = None) -> Any:
+    def aim(self, pose: Any, time_s: float | None = None) -> Any:
         """Where the stimulus's points are, a `palmfield.aim.Aim`; between control ticks, where they were at the last.
 
-        time_s: within the present step [s], now by default
+        pose: of now; time_s: within the present step [s], now by default
         """
         now = self.world.time if time_s is None else time_s
         rate = self.rig.stimulus.control_rate_Hz
@@ -123,21 +123,19 @@ class SkinModule(Module):
             # A nanosecond, as for ticks in `palmfield.stimulus`.
             if now >= before and int((now + 1e-9) * rate) == int((before + 1e-9) * rate):
                 return held
-        return self._aim_now()
-
-    def _aim_now(self) -> Any:
         array = self.world.pose("site", self.sites[0])
         frame = array if self.frame is None else self.world.pose("site", self.frame)
-        return self._aim(self.rig, self._relative(array, frame), self.pose())
+        return self._aim(self.rig, self._relative(array, frame), pose)
 
     def to_array(self, point: Float) -> Float:
         """Where one of the stimulus's points, `Frame.focus`, is now in the frame of the first array [m]."""
-        foci: Float = self.aim()(point)
+        foci: Float = self.aim(self.pose())(point)
         return foci
 
     def now(self) -> tuple[Any, float]:
         """The sound at MuJoCo's present time and its factor; (None, 0) while silent."""
-        return self.chain.now(self.world.state(self.instance), self.world.time, self.aim(), self.pose())
+        pose = self.pose()
+        return self.chain.now(self.world.state(self.instance), self.world.time, self.aim(pose), pose)
 
     def body_force(self) -> tuple[Float, Float]:
         """Force [N] of the ARP on the whole body and torque about its origin [N m], world axes; see `body_forces`."""
@@ -158,8 +156,9 @@ class SkinModule(Module):
         if self._held is not None and start <= self._held[0]:
             # The same moment again, or an earlier one after a reset: what was held then may lie elsewhere now.
             self._held = None
-        aim = self.aim()
-        self._held = self._held if self._held is not None and self._held[1] is aim else (start, aim)
+        aim = self.aim(pose)
+        if self._held is None or self._held[1] is not aim:
+            self._held = start, aim
         factor = self.chain.mean_factor(self.world.state(self.instance), start, aim, pose)
         if factor == 0.0:
             none = np.zeros((max(1, len(self.bones)), 3))
@@ -213,7 +212,8 @@ class SkinModule(Module):
     def advance(self) -> None:
         """Carry the skin over MuJoCo's last step, with the pose at its beginning."""
         start = self.world.time - self.world.model.timestep
-        self.chain.advance(self.world.state(self.instance), start, self.aim(start), self.pose())
+        pose = self.pose()
+        self.chain.advance(self.world.state(self.instance), start, self.aim(pose, start), pose)
 
 
 MODULES: tuple[type[Module], ...] = (ArrayModule, StimulusModule, DriverModule, SkinModule, MotionModule)

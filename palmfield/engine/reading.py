@@ -137,14 +137,15 @@ def check_rest(bone: Any, frame: tuple[Float, Float], pose: tuple[Float, Float],
         )
 
 
-def obstacles_of(skin: SkinConfig, model: ModelView) -> list[tuple[Obstacle, int]]:
+def obstacles_of(skin: SkinConfig, model: ModelView, bones: list[int]) -> list[tuple[Obstacle, int]]:
     """Bodies named by key `obstacles` and those that hang on them, with their geoms, and their numbers.
 
+    bones: as `bones_of` gives them
     Raises SceneError for unknown bodies, for the skin's own, and where none of them has a geom.
     """
     element = "plugin 'palmfield.skin': key 'obstacles'"
     named = {model.find("body", name, element) for name in skin.obstacles}
-    own = {model.find("body", skin.body, element), *bones_of(skin, model)}
+    own = {model.find("body", skin.body, element), *bones}
     found = []
     for number in range(model.raw.nbody):
         if not named & model.ancestors(number):
@@ -172,7 +173,7 @@ def rig_of(skin: SkinConfig, model: ModelView) -> Any:
     stimulus, driver = (_single(c, model) for c in (StimulusConfig, DriverConfig))
     array = model.reference_pose("site", array_site(boards[0].config, model))
     body = model.reference_pose("body", model.find("body", skin.body, "plugin 'palmfield.skin': key 'body'"))
-    bones_of(skin, model)
+    bones = bones_of(skin, model)
 
     def placed(seen_from: tuple[Float, Float], pose: tuple[Float, Float]) -> Placement:
         shift, turn = relative(seen_from, pose)
@@ -199,7 +200,7 @@ def rig_of(skin: SkinConfig, model: ModelView) -> Any:
         tuple(on_body(site, path) for site in stimulus.path_sites),
         tuple(
             (obstacle, placed(body, model.reference_pose("body", number)))
-            for obstacle, number in obstacles_of(skin, model)
+            for obstacle, number in obstacles_of(skin, model, bones)
         ),
         any(plugin == MotionConfig.plugin for _, plugin, _ in model.instances()),
         _aim_moves(stimulus, skin, boards[0].config, model),

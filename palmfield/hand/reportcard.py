@@ -14,12 +14,11 @@ from palmfield.hand.layer import inward_directions, unfolded
 from palmfield.hand.meshfile import Examined, examine, refusal
 from palmfield.hand.repair import MOST_PLACES, Finding
 from palmfield.hand.selfcross import crossings
+from palmfield.hand.subdivide import EDGE_m
 from palmfield.hand.triangles import corner_angles, face_components, face_normals, unique_edges, vertex_normals
 from palmfield.hand.wholelayer import hand_layer
 from palmfield.types import Float, Int, Surface
 
-# Half of the wavelength of 40 kHz in air at 20 C: with longer edges the sound's phase turns by more than pi on one.
-LONGEST_EDGE_m = 0.0043
 LAYERS_m = (0.001, 0.002, 0.003, 0.005)
 PALMAR_COSINE = 0.3
 
@@ -40,7 +39,7 @@ def report_card(path: str | Path, unit: str = "auto") -> ReportCard:
     least_angle_deg, side, side_sureness, side_reason, volume_cm3, area_cm2, findings (name, count, outcome, places_mm,
     text), layers (asked_mm, p10_share, thinned_share, least_quality, volume_share, or error)
     """
-    mesh = examine(path, unit, LONGEST_EDGE_m)
+    mesh = examine(path, unit, EDGE_m)
     findings = list(mesh.findings)
     no = refusal(path, findings) if any(f.outcome == "refused" for f in findings) else None
     edges, _ = unique_edges(mesh.faces)

@@ -13,9 +13,11 @@ import warp_kernels.skinning as kernels
 from palmfield.device import resolve
 from palmfield.errors import SceneError
 from palmfield.hand.articulated import ArticulatedHand, HandBone, articulate
+from palmfield.hand.blend import bone_shifts
 from palmfield.hand.meshfile import load_rigged
 from palmfield.hand.preset import DIGITS, HandPreset
 from palmfield.hand.rigged import RiggedMesh, strongest
+from palmfield.hand.subdivide import EDGE_m
 from palmfield.hand.surface import hand_surface
 from palmfield.hand.triangles import adjacency, unique_edges
 from palmfield.types import Float, Int, Surface
@@ -27,9 +29,6 @@ WRIST_BLEND_m, THUMB_ROOT_BLEND_m, THENAR_BLEND_m = 0.050, 0.030, 0.040
 SMOOTHING_m = 0.004
 """Weights are smoothed along the skin, not through the air, over this length; it rounds the webs between fingers."""
 BONES_PER_VERTEX = 4
-EDGE_m = 4.3e-3
-"""Longest edge of a surface on which the sound's force is summed, one sample a face: half of the wavelength at 40 kHz,
-so that ARP, which goes with p squared, is seen."""
 
 
 def skin_weights(hand: ArticulatedHand, surface: Surface) -> Float:
@@ -156,7 +155,7 @@ class SkinnedSurface:
                 f"skin on bones: positions {np.shape(bone_positions)} and rotations {np.shape(bone_rotations)} given; "
                 f"give ({number}, 3) and ({number}, 3, 3), one for each bone"
             )
-        shifts = np.asarray(bone_positions) - np.einsum("bij,bj->bi", bone_rotations, self._origins)
+        shifts = bone_shifts(self._origins, bone_positions, bone_rotations)
         turned = self._put(bone_rotations, wp.mat33)
         inputs = [self._rest, self._bones, self._shares, turned, self._put(shifts, wp.vec3)]
         dim = len(self.vertices)

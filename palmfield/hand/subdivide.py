@@ -7,6 +7,9 @@ from palmfield.hand.triangles import directed_edges
 from palmfield.types import Float, Int
 
 MOST_ROUNDS = 6
+EDGE_m = 4.3e-3
+"""Longest edge on which sound is looked at once a face: half of the wavelength of 40 kHz in air at 20 C, so that ARP,
+which goes with the pressure squared, is seen; on longer ones its phase turns by more than pi."""
 
 
 def split_long_edges(vertices: Float, faces: Int, longest_m: float) -> tuple[sparse.csr_array, Int]:

@@ -6,6 +6,7 @@ import numpy as np
 import xarray as xr
 from scipy.spatial.transform import Rotation
 
+from palmfield.hand.blend import blended, bone_shifts
 from palmfield.types import Float
 
 Mesh = Literal["surface", "skin"]
@@ -45,10 +46,10 @@ def posed(ds: xr.Dataset, mesh: Mesh, time_s: float) -> Float:
         return rest
     poses = ds["bone_pose"].values[int(np.abs(ds["step_time"].values - time_s).argmin())]
     turns = Rotation.from_quat(poses[:, 3:], scalar_first=True).as_matrix()
-    shifts = poses[:, :3] - np.einsum("bij,bj->bi", turns, ds["bone_rest"].values)
-    bones, shares = ds[f"{mesh}_bone"].values, ds[f"{mesh}_share"].values.astype(np.float64)
-    blended = np.einsum("nk,nkij->nij", shares, turns[bones])
-    return np.einsum("nij,nj->ni", blended, rest) + np.einsum("nk,nki->ni", shares, shifts[bones])
+    shifts = bone_shifts(ds["bone_rest"].values, poses[:, :3], turns)
+    shares = ds[f"{mesh}_share"].values.astype(np.float64)
+    shift, turn = blended(ds[f"{mesh}_bone"].values, shares, shifts, turns)
+    return np.einsum("nij,nj->ni", turn, rest) + shift
 
 
 def has_records(ds: xr.Dataset, name: str) -> bool:

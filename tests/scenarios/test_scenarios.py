@@ -8,7 +8,7 @@ import palmfield
 from palmfield.acoustics.reference import pressure64
 from palmfield.data import folder
 from palmfield.engine.host import raise_errors
-from palmfield.engine.motion import MotionModule
+from palmfield.engine.motion import place
 from palmfield.hand.meshquery import barycentric, build_mesh, closest_faces
 from palmfield.skin.surface import SurfaceProbe
 from palmfield.stimulus import frame_at
@@ -27,9 +27,7 @@ def begin(scene, time_s):
     """Start at a later time, with the hands where their motions have them then."""
     mujoco.mj_resetData(scene.model, scene.data)
     scene.data.time = time_s
-    for module in scene.skin.world.modules.values():
-        if isinstance(module, MotionModule):
-            module.place()
+    place(scene.data)
     mujoco.mj_forward(scene.model, scene.data)
     raise_errors(scene.data)
 
