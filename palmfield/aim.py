@@ -23,7 +23,8 @@ class Aim:
         self.offsets = np.reshape(rig.setting.stimulus.foci_m, (-1, 3))
 
     def __call__(self, point: Float) -> Float:
-        """Foci [m], shape (3,), or (m, 3) for several at once; point: `palmfield.stimulus.Frame.focus`, shape (3,)."""
+        """Foci [m], shape (3,), or (m, 3) for several at once; point: `palmfield.stimulus.schedule.Frame.focus`, shape
+        (3,)."""
         if len(self.offsets):
             return self.shift + (point + self.offsets) @ self.turn.T
         return self.course(point[None])[0]

@@ -13,7 +13,7 @@ from palmfield.config import StimulusConfig
 from palmfield.drive.response import Pole, flight_times
 from palmfield.emitter import Board, Emitter
 from palmfield.envelope import Cost, cost
-from palmfield.stimulus import frames_at
+from palmfield.stimulus.schedule import frames_at
 from palmfield.types import Complex, Float
 
 DELAY_STEP_S = 20e-6

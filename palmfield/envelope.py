@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 from palmfield.config import StimulusConfig
 from palmfield.drive.response import Pole
 from palmfield.emitter import Emitter
-from palmfield.stimulus import frames_at, silent_after_s, turn_rate_Hz
+from palmfield.stimulus.schedule import frames_at, silent_after_s, turn_rate_Hz
 from palmfield.types import Complex, Float, Int
 
 SAMPLES_A_DELAY = 16

@@ -17,9 +17,9 @@ from palmfield.acoustics.transfer import MATRIX_FROM, arp_frames
 from palmfield.config import StimulusConfig
 from palmfield.drive.response import pole_step
 from palmfield.emission import asked
-from palmfield.skin.krylov import Fade, harmonics, level, periodic
-from palmfield.skin.stepping import MOST_VECTORS, KnownLoad
-from palmfield.stimulus import frame_at, frames_at, is_closed, main_frequencies, repeats, turn_rate_Hz
+from palmfield.skin.reduction.krylov import Fade, harmonics, level, periodic
+from palmfield.skin.reduction.stepping import MOST_VECTORS, KnownLoad
+from palmfield.stimulus.schedule import frame_at, frames_at, is_closed, main_frequencies, repeats, turn_rate_Hz
 from palmfield.types import Complex, Float, Float32
 
 if TYPE_CHECKING:

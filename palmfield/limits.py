@@ -6,7 +6,7 @@ import numpy as np
 
 from palmfield.drive.device import check
 from palmfield.errors import DeviceError, SceneError
-from palmfield.stimulus import frame_rates, turn_rate_Hz
+from palmfield.stimulus.schedule import frame_rates, turn_rate_Hz
 
 if TYPE_CHECKING:
     from palmfield.rig import Rig

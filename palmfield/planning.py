@@ -16,9 +16,9 @@ from palmfield.obstacle import BODY_SOUNDS
 from palmfield.report import RATIO, PUBLISHED_P0_Pa_m, compares_with_finer, p0_band, p0_given
 from palmfield.rig import Rig
 from palmfield.scene import Scene
-from palmfield.skin.from_keys import cutoff_Hz, sheets_in_words
-from palmfield.skin.material import shear_wave
-from palmfield.stimulus import frame_at, frame_rates, main_frequencies
+from palmfield.skin.from_config import cutoff_Hz, sheets_in_words
+from palmfield.skin.materials.material import shear_wave
+from palmfield.stimulus.schedule import frame_at, frame_rates, main_frequencies
 
 # Measured on two cores of a server CPU (docs/bench/): pairs a second with gradient.
 PAIRS_PER_S = 5e8

@@ -17,7 +17,7 @@ from palmfield.drive.link import Played, RecordLink, open_link, play_frames
 from palmfield.drive.sonicsurface import OFF_FRAME, encode
 from palmfield.errors import DeviceError
 from palmfield.scene import Scene, load
-from palmfield.stimulus import frame_at, frame_rates, jumps
+from palmfield.stimulus.schedule import frame_at, frame_rates, jumps
 from palmfield.types import Air, Array, Complex, Float
 
 BOARDS = ("sonicsurface",)

@@ -11,7 +11,7 @@ from palmfield.hand.triangles import vertex_normals
 from palmfield.outputs.schema import dataset
 from palmfield.outputs.store import Store
 from palmfield.posed import Bound
-from palmfield.skin.surface import output_triangles
+from palmfield.skin.mesh.surface import output_triangles
 from palmfield.types import Complex, Float, Float32
 
 

@@ -11,13 +11,13 @@ from rich.table import Table
 
 from palmfield.chain import Chain, Sound, Wall
 from palmfield.errors import PalmfieldError, SceneError
-from palmfield.percept import OBSERVERS, level_dB_SL, line_amplitude
+from palmfield.perception.observers import OBSERVERS, level_dB_SL, line_amplitude
 from palmfield.rig import Rig
 from palmfield.scene import Scene
-from palmfield.skin.estimate import ORDER, mesh_error
-from palmfield.skin.solver import harmonic, harmonic_discrete, static
-from palmfield.skin.stepping import ReducedSkin
-from palmfield.stimulus import main_frequencies
+from palmfield.skin.approximation.estimate import ORDER, mesh_error
+from palmfield.skin.fem.solver import harmonic, harmonic_discrete, static
+from palmfield.skin.reduction.stepping import ReducedSkin
+from palmfield.stimulus.schedule import main_frequencies
 from palmfield.types import Float
 
 RATIO = 1.25

@@ -26,17 +26,17 @@ from palmfield.hand.surface import hand_surface
 from palmfield.limits import check_body_sound, check_device
 from palmfield.posed import Bound, PosedBody
 from palmfield.setting import Setting
-from palmfield.skin.assembly import SkinSystem, assemble
-from palmfield.skin.disc import disc_patch
-from palmfield.skin.estimate import choose_sizes
-from palmfield.skin.from_keys import base_of, rows_of, sheets_of, slowest
-from palmfield.skin.load import SurfaceQuadrature
-from palmfield.skin.solver import SkinSolver
-from palmfield.skin.stepping import FullSkin, ReducedSkin
-from palmfield.skin.surface import closed_boundary
-from palmfield.skin.wedges import WedgeMesh, extrude
-from palmfield.stimuli.onskin import SkinPath, drawn, through
-from palmfield.stimulus import SitesStimulus, frame_at, main_frequencies, plane_path
+from palmfield.skin.approximation.estimate import choose_sizes
+from palmfield.skin.fem.assembly import SkinSystem, assemble
+from palmfield.skin.fem.load import SurfaceQuadrature
+from palmfield.skin.fem.solver import SkinSolver
+from palmfield.skin.from_config import base_of, rows_of, sheets_of, slowest
+from palmfield.skin.mesh.disc import disc_patch
+from palmfield.skin.mesh.surface import closed_boundary
+from palmfield.skin.mesh.wedges import WedgeMesh, extrude
+from palmfield.skin.reduction.stepping import FullSkin, ReducedSkin
+from palmfield.stimulus.schedule import SitesStimulus, frame_at, main_frequencies, plane_path
+from palmfield.stimulus.surface_path import SkinPath, drawn, through
 from palmfield.types import Complex, Float, Int, Patch, Surface
 
 # The rules are calibrated on a disc of even depth. A hand's layer thins at rims and webs, differently on each mesh: its

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 from palmfield.config import DriverConfig, SkinConfig, StimulusConfig
 from palmfield.emitter import Board, Placement
-from palmfield.solids import Obstacle
+from palmfield.hand.collision_shapes import Obstacle
 
 Triple = tuple[float, float, float]
 

@@ -17,7 +17,7 @@ from palmfield.acoustics.reference import pressure64
 from palmfield.engine.host import raise_errors
 from palmfield.outputs.frames import body_pose_at, posed, to_local, to_world
 from palmfield.outputs.style import COLOURS
-from palmfield.skin.waves import describe
+from palmfield.skin.materials.dispersion import describe
 from palmfield.types import Float
 
 SCENES = Path(__file__).resolve().parents[1] / "mjcf" / "scenes"

@@ -15,20 +15,20 @@ from pathlib import Path
 
 import numpy as np
 
-from palmfield.bench.field import git_commit
-from palmfield.bench.table import processor
-from palmfield.skin.assembly import assemble
-from palmfield.skin.disc import disc_patch
-from palmfield.skin.disc_fem import cost_disc, solve_disc
-from palmfield.skin.layer_oracle import centre_response
-from palmfield.skin.load import SurfaceQuadrature
-from palmfield.skin.ordering import dissection_order
-from palmfield.skin.presets import preset
+from palmfield.skin.analytic.layer_oracle import centre_response
+from palmfield.skin.fem.assembly import assemble
+from palmfield.skin.fem.load import SurfaceQuadrature
+from palmfield.skin.fem.solver import SkinSolver, harmonic, static
+from palmfield.skin.materials.catalogue import preset
+from palmfield.skin.mesh.disc import disc_patch
+from palmfield.skin.mesh.ordering import dissection_order
+from palmfield.skin.mesh.surface import SurfaceProbe
+from palmfield.skin.mesh.wedges import extrude
 from palmfield.skin.problem import Motion, Sheet, Slab, Spot
-from palmfield.skin.reduced import Reduced, reduce
-from palmfield.skin.solver import SkinSolver, harmonic, static
-from palmfield.skin.surface import SurfaceProbe
-from palmfield.skin.wedges import extrude
+from palmfield.skin.reduction.reduced import Reduced, reduce
+from palmfield.skin.solvers.axisymmetric.solve import cost_disc, solve_disc
+from palmfield.studies.bench.field import git_commit
+from palmfield.studies.bench.table import processor
 
 ROOT = Path(__file__).resolve().parent.parent
 ECOFLEX = preset("ecoflex_00-10")

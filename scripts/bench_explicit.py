@@ -2,7 +2,8 @@
 
     OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python scripts/bench_explicit.py [--device cuda:0] [--out FILE]
 
-Errors of the roller disc and the endless slab are against the exact layer (palmfield/skin/layer_oracle.py) through its
+Errors of the roller disc and the endless slab are against the exact layer (palmfield/skin/analytic/layer_oracle.py)
+through its
 frequency response; those of fixed and free sides against a finer run of the same solver, and so are those of the fast
 focus; those of the hand's layer against a reduced model at 2 %. Times are with meshing and, on the disc, the coarser
 run that estimates the error; kernels are compiled before.
@@ -15,17 +16,17 @@ from pathlib import Path
 import numpy as np
 import warp as wp
 
-from palmfield.bench.table import processor
 from palmfield.device import resolve
 from palmfield.hand.patch import surface_patch
 from palmfield.hand.preset import load_preset
 from palmfield.hand.surface import hand_surface
-from palmfield.skin.choose import solve
-from palmfield.skin.explicit.solve import solve_explicit
-from palmfield.skin.layer_oracle import centre_response
-from palmfield.skin.material import Material, bulk_from_poisson
-from palmfield.skin.presets import preset
+from palmfield.skin.analytic.layer_oracle import centre_response
+from palmfield.skin.materials.catalogue import preset
+from palmfield.skin.materials.material import Material, bulk_from_poisson
 from palmfield.skin.problem import Layer, Sheet, Slab, Spot
+from palmfield.skin.solver_choice import solve
+from palmfield.skin.solvers.spectral_elements.solve import solve_explicit
+from palmfield.studies.bench.table import processor
 
 ROOT = Path(__file__).resolve().parents[1]
 SPOT, DEPTH, RADIUS, END = 0.0103, 0.02, 0.06, 0.2

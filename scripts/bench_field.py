@@ -8,7 +8,7 @@ scripts/peers/setup.py makes PEERS; without it the peers that are not installed 
 import argparse
 from pathlib import Path
 
-from palmfield.bench.field import main
+from palmfield.studies.bench.field import main
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -14,10 +14,10 @@ from threadpoolctl import threadpool_limits
 
 from palmfield.acoustics.arrays import layout
 from palmfield.acoustics.field import FieldEvaluator
-from palmfield.bench.field import git_commit
-from palmfield.bench.table import processor
 from palmfield.drive.foci import ITERATIONS, Foci, Method, gsw, solve_transfer, transfer64
 from palmfield.outputs.style import COLOURS, save, style
+from palmfield.studies.bench.field import git_commit
+from palmfield.studies.bench.table import processor
 from palmfield.types import Air, Array, Complex, Float
 
 ROOT = Path(__file__).resolve().parents[1]

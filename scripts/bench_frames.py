@@ -25,11 +25,11 @@ from palmfield.acoustics.field import FieldEvaluator
 from palmfield.acoustics.focus import focus
 from palmfield.acoustics.reference import pressure64
 from palmfield.acoustics.transfer import Transfer
-from palmfield.bench.field import device_name, git_commit
-from palmfield.bench.processes import cores, yardstick
-from palmfield.bench.table import processor
 from palmfield.device import resolve
 from palmfield.drive.quantise import quantise
+from palmfield.studies.bench.field import device_name, git_commit
+from palmfield.studies.bench.processes import cores, yardstick
+from palmfield.studies.bench.table import processor
 from palmfield.types import Air, Array, Complex, Float, Float32
 
 ROOT = Path(__file__).resolve().parents[1]

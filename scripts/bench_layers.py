@@ -21,14 +21,14 @@ from matplotlib.colors import LightSource, Normalize
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from warp.geometry import IsoSurfaceMarchingCubes
 
-from palmfield.bench.field import git_commit
-from palmfield.bench.table import processor
 from palmfield.device import resolve
 from palmfield.hand.meshfile import load_mesh
 from palmfield.hand.preset import load_preset
 from palmfield.hand.surface import hand_surface
 from palmfield.hand.triangles import vertex_normals
 from palmfield.hand.wholelayer import facing_faces, hand_layer, upright_cosine
+from palmfield.studies.bench.field import git_commit
+from palmfield.studies.bench.table import processor
 from palmfield.types import Float, Surface
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -15,14 +15,14 @@ from pathlib import Path
 import numpy as np
 from scipy.sparse.linalg import LinearOperator, cg
 
-from palmfield.skin.layer_oracle import centre_response
-from palmfield.skin.material import Material, bulk_from_poisson
-from palmfield.skin.particles.cloud import Cloud, build_cloud
-from palmfield.skin.particles.resolution import law_error
-from palmfield.skin.particles.run import Particles
-from palmfield.skin.particles.solve import run_particles
-from palmfield.skin.presets import PRESETS
+from palmfield.skin.analytic.layer_oracle import centre_response
+from palmfield.skin.materials.catalogue import PRESETS
+from palmfield.skin.materials.material import Material, bulk_from_poisson
 from palmfield.skin.problem import GAUSSIAN, Sheet, Slab, Spot
+from palmfield.skin.solvers.particles.cloud import Cloud, build_cloud
+from palmfield.skin.solvers.particles.resolution import law_error
+from palmfield.skin.solvers.particles.run import Particles
+from palmfield.skin.solvers.particles.solve import run_particles
 from palmfield.types import Float
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -27,10 +27,10 @@ from palmfield.acoustics.langevin import radiation_force
 from palmfield.acoustics.scattering import Scattering, array_sound, scatter, scattered_field, wall_arp, wall_force
 from palmfield.acoustics.shadow import lit, shadow_mesh, shadowed_pressure
 from palmfield.acoustics.sphere import force_over_energy, geodesic, surface_pressure
-from palmfield.bench.field import device_name, git_commit
-from palmfield.bench.table import processor
 from palmfield.device import resolve
 from palmfield.hand.triangles import face_normals, vertex_normals
+from palmfield.studies.bench.field import device_name, git_commit
+from palmfield.studies.bench.table import processor
 from palmfield.types import Air, Field, Float, Surface
 
 ROOT = Path(__file__).resolve().parents[1]

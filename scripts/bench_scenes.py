@@ -18,10 +18,10 @@ import mujoco
 import numpy as np
 
 import palmfield
-from palmfield.bench.field import git_commit
-from palmfield.bench.table import processor
 from palmfield.engine.host import raise_errors
-from palmfield.skin.stepping import ReducedSkin
+from palmfield.skin.reduction.stepping import ReducedSkin
+from palmfield.studies.bench.field import git_commit
+from palmfield.studies.bench.table import processor
 
 ROOT = Path(__file__).resolve().parents[1]
 SCENES = ROOT / "mjcf" / "scenes"

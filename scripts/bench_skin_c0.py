@@ -14,17 +14,17 @@ from pathlib import Path
 import numpy as np
 from scipy.sparse.linalg import splu
 
-from palmfield.bench.field import git_commit
-from palmfield.bench.table import processor
-from palmfield.skin.assembly import SkinSystem, assemble, element_matrices
-from palmfield.skin.disc import disc_patch
-from palmfield.skin.layer_oracle import centre_response
-from palmfield.skin.load import SurfaceQuadrature
-from palmfield.skin.ordering import dissection_order
-from palmfield.skin.presets import PRESETS
-from palmfield.skin.solver import Factor, SkinSolver, harmonic, harmonic_discrete, static
-from palmfield.skin.surface import SurfaceProbe
-from palmfield.skin.wedges import extrude
+from palmfield.skin.analytic.layer_oracle import centre_response
+from palmfield.skin.fem.assembly import SkinSystem, assemble, element_matrices
+from palmfield.skin.fem.load import SurfaceQuadrature
+from palmfield.skin.fem.solver import Factor, SkinSolver, harmonic, harmonic_discrete, static
+from palmfield.skin.materials.catalogue import PRESETS
+from palmfield.skin.mesh.disc import disc_patch
+from palmfield.skin.mesh.ordering import dissection_order
+from palmfield.skin.mesh.surface import SurfaceProbe
+from palmfield.skin.mesh.wedges import extrude
+from palmfield.studies.bench.field import git_commit
+from palmfield.studies.bench.table import processor
 
 ROOT = Path(__file__).resolve().parent.parent
 SPOT, DEPTH, RADIUS, STEP = 0.0103, 0.02, 0.06, 2e-4

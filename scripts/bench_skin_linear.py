@@ -12,13 +12,13 @@ from pathlib import Path
 import numpy as np
 import warp as wp
 
-from palmfield.skin.assembly import assemble
-from palmfield.skin.disc import disc_patch
-from palmfield.skin.material import bulk_from_poisson
+from palmfield.skin.fem.assembly import assemble
+from palmfield.skin.fem.solver import SkinSolver
+from palmfield.skin.materials.catalogue import preset
+from palmfield.skin.materials.material import bulk_from_poisson
+from palmfield.skin.mesh.disc import disc_patch
+from palmfield.skin.mesh.wedges import extrude
 from palmfield.skin.pcg import Pcg
-from palmfield.skin.presets import preset
-from palmfield.skin.solver import SkinSolver
-from palmfield.skin.wedges import extrude
 
 STEP = 2.5e-4
 HEAD = """# One step of the implicit solver: factorisation or conjugate gradients

@@ -17,13 +17,13 @@ from bench_disc import SIDES, disc, loads
 from bench_explicit import gap
 from bench_spectral import SURFACE, passage, plate
 
-from palmfield.bench.field import git_commit
-from palmfield.bench.table import processor
-from palmfield.skin.disc_fem import solve_disc
-from palmfield.skin.explicit.solve import solve_explicit
-from palmfield.skin.presets import preset
+from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.problem import Motion, Sheet, Slab
-from palmfield.skin.spectral import solve_spectral
+from palmfield.skin.solvers.axisymmetric.solve import solve_disc
+from palmfield.skin.solvers.lateral_waves import solve_spectral
+from palmfield.skin.solvers.spectral_elements.solve import solve_explicit
+from palmfield.studies.bench.field import git_commit
+from palmfield.studies.bench.table import processor
 
 ROOT = Path(__file__).resolve().parents[1]
 TIMES = 1e-4 * np.arange(1, 2001)

@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 import warp as wp
 
-from palmfield.bench.field import git_commit
-from palmfield.bench.table import processor
 from palmfield.device import resolve
 from palmfield.hand.articulated import bone_poses
 from palmfield.hand.poses import named_pose, posed_surface
 from palmfield.hand.preset import load_preset
 from palmfield.hand.skinning import SkinnedHand
+from palmfield.studies.bench.field import git_commit
+from palmfield.studies.bench.table import processor
 
 ROOT = Path(__file__).resolve().parents[1]
 EDGE_m = 0.00173

@@ -12,12 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
-from palmfield.skin.mach import mach_half_angle
-from palmfield.skin.material import Material, bulk_from_poisson
-from palmfield.skin.presets import PRESETS
+from palmfield.skin.analytic.mach import mach_half_angle
+from palmfield.skin.materials.catalogue import PRESETS
+from palmfield.skin.materials.material import Material, bulk_from_poisson
 from palmfield.skin.problem import Load, Motion, Sheet, Slab, Spot
-from palmfield.skin.spectral import cost_spectral, solve_spectral, static_spectral
-from palmfield.skin.spectral.accuracy import relative_error
+from palmfield.skin.solvers.lateral_waves import cost_spectral, solve_spectral, static_spectral
+from palmfield.skin.solvers.lateral_waves.accuracy import relative_error
 
 ROOT = Path(__file__).parents[1]
 TIMES = np.arange(2001) * 1e-4

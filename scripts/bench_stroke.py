@@ -14,15 +14,15 @@ import mujoco
 import numpy as np
 
 import palmfield
-from palmfield.bench.table import processor
 from palmfield.data import folder
 from palmfield.engine.host import raise_errors
 from palmfield.hand.patch import surface_patch
 from palmfield.hand.preset import load_preset
 from palmfield.hand.surface import hand_surface
-from palmfield.skin.choose import solve
-from palmfield.skin.presets import preset
+from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.problem import Layer, Sheet, Spot
+from palmfield.skin.solver_choice import solve
+from palmfield.studies.bench.table import processor
 
 ROOT = Path(__file__).resolve().parents[1]
 SPEED_m_s, LENGTH_m, DEPTH_m, SPOT_m, PEAK_Pa = 4.0, 0.07, 0.002, 0.0103, 46.0

@@ -18,9 +18,9 @@ import numpy as np
 from palmfield.acoustics.arrays import layout
 from palmfield.acoustics.field import FieldEvaluator
 from palmfield.acoustics.focus import focus
-from palmfield.bench.field import git_commit
-from palmfield.bench.processes import cores
-from palmfield.bench.table import processor
+from palmfield.studies.bench.field import git_commit
+from palmfield.studies.bench.processes import cores
+from palmfield.studies.bench.table import processor
 from palmfield.types import Air
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -12,13 +12,13 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from palmfield.bench.field import git_commit
 from palmfield.errors import SceneError
-from palmfield.hand.cardpicture import directions, draw_card, draw_view
 from palmfield.hand.preset import load_preset, mirrored, preset_names
 from palmfield.hand.reportcard import ReportCard, as_text, refused_facts, report_card
 from palmfield.hand.surface import hand_surface
+from palmfield.outputs.report_card_picture import directions, draw_card, draw_view
 from palmfield.outputs.style import save, style
+from palmfield.studies.bench.field import git_commit
 
 ROOT = Path(__file__).resolve().parents[1]
 IMAGES = ROOT / "docs" / "images"

@@ -14,13 +14,13 @@ from PIL import Image
 from scipy.optimize import least_squares
 
 from palmfield.outputs.style import COLOURS, save, style
-from palmfield.skin import as_printed
-from palmfield.skin.fit import fractional, fractional_kelvin_voigt
-from palmfield.skin.hyperelastic import advance, at_rest, piola
-from palmfield.skin.layer_oracle import centre_response
-from palmfield.skin.material import Material, complex_shear, elastic, prony, standard_linear
-from palmfield.skin.presets import CATALOGUE, DEPTH_M, PRESETS, TISSUES, UNITS, hand_skin, model, varied
-from palmfield.skin.waves import Waves, describe
+from palmfield.skin.analytic import as_printed
+from palmfield.skin.analytic.hyperelastic import advance, at_rest, piola
+from palmfield.skin.analytic.layer_oracle import centre_response
+from palmfield.skin.materials.catalogue import CATALOGUE, DEPTH_M, PRESETS, TISSUES, UNITS, hand_skin, model, varied
+from palmfield.skin.materials.dispersion import Waves, describe
+from palmfield.skin.materials.material import Material, complex_shear, elastic, prony, standard_linear
+from palmfield.skin.materials.prony_fit import fractional, fractional_kelvin_voigt
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "docs" / "images" / "materials"
@@ -29,10 +29,10 @@ BAND_HZ = np.geomspace(10.0, 1000.0, 61)
 GEL_SOLID = (4e4, 6e4, 30.0)
 """E1, E2 [Pa], eta3 [Pa s] of a gel like those of Mizushima & Sato 2024, who do not print theirs."""
 EXAMPLE = """```python
-from palmfield.skin.fit import fit_prony, fractional, fractional_kelvin_voigt
-from palmfield.skin.material import elastic, kelvin_voigt, prony, standard_linear
-from palmfield.skin.presets import CATALOGUE, hand_skin, preset
-from palmfield.skin.waves import describe
+from palmfield.skin.materials.prony_fit import fit_prony, fractional, fractional_kelvin_voigt
+from palmfield.skin.materials.material import elastic, kelvin_voigt, prony, standard_linear
+from palmfield.skin.materials.catalogue import CATALOGUE, hand_skin, preset
+from palmfield.skin.materials.dispersion import describe
 
 gel = standard_linear("gel", 1030.0, 12.5e3, 20e3, 171e-6, nu=0.4999)  # rho, G_r, G_1, tau
 describe(gel, 200.0, thickness_m=0.010)  # moduli, speeds, 1/e lengths, cut-off of a bonded layer
@@ -349,11 +349,13 @@ def page(traded: dict[int, tuple[list[float], list[float]]], fits: list[tuple[in
         f"{EXPONENT} over three decades: {misfits} (rms).",
         "![fractional](images/materials/fractional.png)",
         "## Finite strain",
-        "`palmfield.skin.hyperelastic`: compressible neo-Hookean with the material's branches. At small strain it is "
+        "`palmfield.skin.analytic.hyperelastic`: compressible neo-Hookean with the material's branches. At small "
+        "strain it is "
         "the linear law; in simple shear it is so at any.",
         "![finite strain](images/materials/finite_strain.png)",
         "## As printed",
-        "`palmfield.skin.as_printed` has formulas that papers print wrongly, beside the right ones. The gel's numbers "
+        "`palmfield.skin.analytic.as_printed` has formulas that papers print wrongly, beside the right ones. The "
+        "gel's numbers "
         f"are not printed; here E1 {GEL_SOLID[0]:g}, E2 {GEL_SOLID[1]:g} Pa, eta3 {GEL_SOLID[2]:g} Pa s.",
         "![as printed](images/materials/as_printed.png)",
     ]

@@ -16,8 +16,8 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
 from palmfield.hand.preset import load_preset
 from palmfield.hand.surface import hand_surface
-from palmfield.stimuli.onskin import drawn, through
-from palmfield.stimuli.shapes import circle, letters
+from palmfield.stimulus.curves import circle, letters
+from palmfield.stimulus.surface_path import drawn, through
 
 TARGET = Path(__file__).resolve().parents[1] / "docs" / "images" / "paths_on_skin.png"
 THENAR_m = (-0.027, -0.022, 0.0)

@@ -1,4 +1,5 @@
-"""Fit the presets "palm", "finger_pad" and "hitohada_*" of palmfield.skin.presets, and print them beside the presets.
+"""Fit the presets "palm", "finger_pad" and "hitohada_*" of palmfield.skin.materials.catalogue, and print them beside
+the presets.
 
     python scripts/fit_palm_material.py
 
@@ -22,10 +23,10 @@ import math
 import numpy as np
 from scipy.optimize import least_squares
 
-from palmfield.skin.fit import PronyFit, fractional, fractional_kelvin_voigt
-from palmfield.skin.layer_oracle import centre_response
-from palmfield.skin.material import Material, shear_wave, standard_linear
-from palmfield.skin.presets import GEL_BAND_HZ, GEL_STORAGE_PA, PRESETS
+from palmfield.skin.analytic.layer_oracle import centre_response
+from palmfield.skin.materials.catalogue import GEL_BAND_HZ, GEL_STORAGE_PA, PRESETS
+from palmfield.skin.materials.material import Material, shear_wave, standard_linear
+from palmfield.skin.materials.prony_fit import PronyFit, fractional, fractional_kelvin_voigt
 
 FREQUENCIES = (50.0, 100.0, 200.0, 400.0)
 SPEEDS = np.array([3.6, 4.6, 6.0, 7.1])

@@ -13,7 +13,7 @@ import xarray as xr
 
 from palmfield.acoustics.arrays import layout
 from palmfield.acoustics.focus import focus
-from palmfield.cli import main
+from palmfield.cli.app import main
 from palmfield.drive.sonicsurface import FRAME_BYTES, OFF_FRAME, decode
 from palmfield.types import Air
 

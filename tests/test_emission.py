@@ -15,7 +15,7 @@ from palmfield.drive.response import Pole, envelope_response, flight_times, pole
 from palmfield.emission import asked
 from palmfield.envelope import shares, windows
 from palmfield.errors import SceneError
-from palmfield.stimulus import frame_at
+from palmfield.stimulus.schedule import frame_at
 
 STEADY = {"modulation": "none", "am_of": None, "am_frequency_Hz": None, "am_depth": None}
 

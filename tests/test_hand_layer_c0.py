@@ -7,13 +7,13 @@ import numpy as np
 import trimesh
 
 from palmfield.hand.patch import surface_patch
-from palmfield.skin.assembly import assemble
-from palmfield.skin.layer_oracle import centre_response
-from palmfield.skin.load import SurfaceQuadrature
-from palmfield.skin.presets import preset
-from palmfield.skin.solver import harmonic, static
-from palmfield.skin.surface import SurfaceProbe
-from palmfield.skin.wedges import extrude
+from palmfield.skin.analytic.layer_oracle import centre_response
+from palmfield.skin.fem.assembly import assemble
+from palmfield.skin.fem.load import SurfaceQuadrature
+from palmfield.skin.fem.solver import harmonic, static
+from palmfield.skin.materials.catalogue import preset
+from palmfield.skin.mesh.surface import SurfaceProbe
+from palmfield.skin.mesh.wedges import extrude
 from palmfield.types import Surface
 
 RADIUS, DEPTH, SPOT = 0.06, 0.02, 0.0103

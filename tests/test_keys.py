@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from palmfield.cli.keys import as_markdown, as_text
 from palmfield.config import CONFIGS, SkinConfig, StimulusConfig, parse, table, unit
 from palmfield.errors import SceneError
-from palmfield.keys import as_markdown, as_text
 
 PAGE = Path(__file__).parent.parent / "docs" / "keys.md"
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from palmfield.errors import OutputError
-from palmfield.percept import (
+from palmfield.perception.observers import (
     OBSERVERS,
     level_dB_SL,
     line_amplitude,

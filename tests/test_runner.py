@@ -17,7 +17,7 @@ import palmfield
 from palmfield.outputs.usd import validate_usd
 from palmfield.report import format_report
 from palmfield.runner import recover
-from palmfield.skin.solver import static
+from palmfield.skin.fem.solver import static
 
 FILES = ("result.nc", "summary.json", "pressure.png", "displacement.png", "scene.png", "scene.usdc")
 

@@ -8,7 +8,7 @@ import mujoco
 import pytest
 
 import palmfield
-from palmfield.cli import main
+from palmfield.cli.app import main
 from palmfield.errors import PalmfieldError
 
 SCENES = Path(__file__).parent.parent / "mjcf" / "scenes"

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from palmfield.config import StimulusConfig, parse
 from palmfield.errors import SceneError
-from palmfield.stimulus import (
+from palmfield.stimulus.schedule import (
     frame_at,
     frame_rates,
     frames_at,

@@ -12,7 +12,8 @@ from palmfield.types import Air, Array
 
 AMPLITUDE_ERROR = 0.45
 """Largest error of a piston's far field times (d/b)^2, over angles to 85 degrees and for k b up to 3.3, the usual
-transducer (`palmfield.bench.rayleigh`, docs/bench/peers.md). Larger pistons have a null, where the sound is weak."""
+transducer (`palmfield.studies.bench.rayleigh`, docs/bench/peers.md). Larger pistons have a null, where the sound is
+weak."""
 
 FAR_FIELD_ERROR = 0.01
 """Error of one transducer's amplitude from which `warnings` speaks."""

@@ -43,7 +43,7 @@ class SkinConfig(Config):
     depth_m: Positive = Field(
         0.02, description="greatest depth of the layer; a hand's own depth to bone applies where it is less"
     )
-    material: str = Field("palm", description="a preset of palmfield.skin.material")
+    material: str = Field("palm", description="a preset of palmfield.skin.materials.material")
     materials: Names = Field(
         (), description="presets of several sheets from the surface down, in place of `material`; needs `shares`"
     )

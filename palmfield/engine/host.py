@@ -15,9 +15,9 @@ from typing import Any, ClassVar
 import mujoco
 
 from palmfield.config import Config, parse
-from palmfield.engine.structs import Plugin, library
-from palmfield.engine.world import ModelView, World
 from palmfield.errors import PalmfieldError
+from palmfield.mujoco_host.mujoco_view import ModelView, World
+from palmfield.mujoco_host.structs import Plugin, library
 
 
 class Module:

@@ -16,8 +16,8 @@ from palmfield.engine.reading import (
     rig_of,
     transducer_sites,
 )
-from palmfield.engine.world import ModelView, World
 from palmfield.errors import SceneError
+from palmfield.mujoco_host.mujoco_view import ModelView, World
 from palmfield.types import Float
 
 SENSOR_REACH_M = 0.01
@@ -150,7 +150,7 @@ class SkinModule(Module):
         The mean over the MuJoCo step that begins now, with the focus at its beginning: a modulation faster than the
         step gives the right impulse.
         """
-        from palmfield.stimulus import frame_at
+        from palmfield.stimulus.schedule import frame_at
 
         start, pose = self.world.time, self.pose()
         if self._held is not None and start <= self._held[0]:

@@ -8,8 +8,8 @@ import numpy as np
 from palmfield.config import Config, MotionConfig
 from palmfield.engine.host import Module, world_of
 from palmfield.engine.reading import check_rest
-from palmfield.engine.world import World, rotation
 from palmfield.errors import SceneError
+from palmfield.mujoco_host.mujoco_view import World, rotation
 from palmfield.types import Float
 
 

@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 
 from palmfield.config import ArrayConfig, Config, DriverConfig, MotionConfig, SkinConfig, StimulusConfig, parse
-from palmfield.engine.world import ModelView
 from palmfield.errors import SceneError
-from palmfield.solids import Obstacle
+from palmfield.hand.collision_shapes import Obstacle
+from palmfield.mujoco_host.mujoco_view import ModelView
 from palmfield.types import Float, Int
 
 DURATION = "palmfield_duration_s"

@@ -14,8 +14,8 @@ from palmfield.aim import Aim
 from palmfield.engine.pose import Pose
 from palmfield.errors import SceneError
 from palmfield.foresight import SHARE, STILL, known_load
-from palmfield.skin.stepping import FullSkin, ReducedSkin, reduced_skin
-from palmfield.stimulus import frame_at
+from palmfield.skin.reduction.stepping import FullSkin, ReducedSkin, reduced_skin
+from palmfield.stimulus.schedule import frame_at
 from palmfield.types import Float
 
 if TYPE_CHECKING:

@@ -84,7 +84,7 @@ def wanted_edges(
     Within near_m the shorter of acoustic_wavelength_m / per_acoustic and shear_wavelength_m / per_shear, so that spot
     and waves are resolved; from there on growing by `growth` of the distance, until the waves alone set the edge. On
     quadratic elements there are twice as many nodes as edges a wavelength.
-    shear_wavelength_m: wave speed over frequency, as of `palmfield.skin.material.shear_wave`
+    shear_wavelength_m: wave speed over frequency, as of `palmfield.skin.materials.material.shear_wave`
     Raises SceneError for lengths and numbers that are not finite and above 0, a growth below 0, and distances below 0.
     """
     for name, value in (

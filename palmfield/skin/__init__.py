@@ -11,16 +11,16 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from palmfield.skin.choose import choices, solve, static
-    from palmfield.skin.material import Branch, Material
-    from palmfield.skin.presets import preset
+    from palmfield.skin.materials.catalogue import preset
+    from palmfield.skin.materials.material import Branch, Material
     from palmfield.skin.problem import Foundation, Layer, Motion, Sheet, Slab, Spot, Springs, Traction
+    from palmfield.skin.solver_choice import choices, solve, static
 
 _WHERE = {
-    **dict.fromkeys(("Branch", "Material"), "material"),
+    **dict.fromkeys(("Branch", "Material"), "materials.material"),
     **dict.fromkeys(("Foundation", "Layer", "Motion", "Sheet", "Slab", "Spot", "Springs", "Traction"), "problem"),
-    **dict.fromkeys(("choices", "solve", "static"), "choose"),
-    "preset": "presets",
+    **dict.fromkeys(("choices", "solve", "static"), "solver_choice"),
+    "preset": "materials.catalogue",
 }
 __all__ = [
     "Branch",

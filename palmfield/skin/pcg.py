@@ -15,9 +15,9 @@ from scipy import sparse
 
 from palmfield.device import resolve
 from palmfield.errors import SceneError
-from palmfield.skin.assembly import SkinSystem
-from palmfield.skin.ordering import surface_cells
-from palmfield.skin.solver import Scheme
+from palmfield.skin.fem.assembly import SkinSystem
+from palmfield.skin.fem.solver import Scheme
+from palmfield.skin.mesh.ordering import surface_cells
 from palmfield.types import Float, Int
 from warp_kernels import sparse_blocks as kernels
 

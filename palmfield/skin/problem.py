@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from palmfield.errors import SceneError
-from palmfield.skin.material import Material
+from palmfield.skin.materials.material import Material
 from palmfield.types import Complex, Float, Patch
 
 Law = Literal["linear", "held"]
@@ -64,7 +64,8 @@ class Springs:
 
 @dataclass(frozen=True)
 class Foundation:
-    """Sheets below a meshed layer, the first right below it, without a mesh of their own (palmfield.skin.foundation).
+    """Sheets below a meshed layer, the first right below it, without a mesh of their own
+    (palmfield.skin.fem.foundation).
 
     base: below the lowest sheet; degree: of the polynomial in depth of each sheet, 1 or more
     frequencies_Hz, misfit: where it was fitted [Hz], and the relative error there, see fit_foundation; both (f,)
@@ -88,8 +89,8 @@ class Foundation:
         return self.degree * len(self.sheets)
 
     def impedance(self, k: Float, f_Hz: float) -> Complex:
-        """Traction by displacement at wavenumbers k [rad/m] [Pa/m], shape (n, 2, 2); see palmfield.skin.depth."""
-        from palmfield.skin.depth import impedance
+        """Traction by displacement at wavenumbers k [rad/m] [Pa/m], shape (n, 2, 2); see palmfield.skin.fem.depth."""
+        from palmfield.skin.fem.depth import impedance
 
         return impedance(k, f_Hz, self.sheets, self.base, self.degree)
 

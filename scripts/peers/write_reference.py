@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from palmfield.acoustics.arrays import layout
-from palmfield.bench import peers
+from palmfield.studies.bench import peers
 
 TARGET = Path(__file__).resolve().parents[2] / "tests" / "data" / "peers"
 SPEED_M_S = 340.0

@@ -8,7 +8,7 @@ from palmfield.acoustics.arrays import layout
 from palmfield.acoustics.field import FieldEvaluator
 from palmfield.acoustics.focus import focus
 from palmfield.acoustics.reference import pressure64
-from palmfield.bench.rayleigh import array_of_pistons, hemisphere, one_piston, piston
+from palmfield.studies.bench.rayleigh import array_of_pistons, hemisphere, one_piston, piston
 from palmfield.types import Air
 
 AIR = Air()

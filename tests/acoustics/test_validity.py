@@ -10,8 +10,8 @@ from palmfield.acoustics.arrays import layout, with_faults
 from palmfield.acoustics.focus import focus
 from palmfield.acoustics.reference import pressure64
 from palmfield.acoustics.validity import far_field_m, near_field_m, shock_distance_m, warnings
-from palmfield.bench.rayleigh import hemisphere, one_piston, piston
 from palmfield.errors import PalmfieldError
+from palmfield.studies.bench.rayleigh import hemisphere, one_piston, piston
 from palmfield.types import Air
 
 AIR = Air()

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from palmfield import cli
-from palmfield.bench import field
+from palmfield.cli import app as cli
+from palmfield.studies.bench import field
 
 
 def call(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple:

@@ -6,7 +6,7 @@ from types import ModuleType
 
 import pytest
 
-from palmfield.bench.processes import ROOT
+from palmfield.studies.bench.processes import ROOT
 
 
 @pytest.fixture

@@ -11,17 +11,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from palmfield.bench import field, own
-from palmfield.bench.problem import Method, Problem, load
-from palmfield.bench.processes import ROOT, Measured, measure
 from palmfield.errors import OutputError, PalmfieldError
+from palmfield.studies.bench import field, own
+from palmfield.studies.bench.problem import Method, Problem, load
+from palmfield.studies.bench.processes import ROOT, Measured, measure
 
 PROGRAM = """
 import time
 
 import numpy as np
 
-from palmfield.bench.problem import Method
+from palmfield.studies.bench.problem import Method
 
 
 def slow(points):

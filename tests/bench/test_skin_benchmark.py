@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from palmfield.bench import skin
-from palmfield.bench.skin_case import CASE
 from palmfield.errors import OutputError, PalmfieldError
+from palmfield.studies.bench import skin
+from palmfield.studies.bench.skin_case import CASE
 
 
 def test_our_row_holds_the_true_error_and_the_stated_one() -> None:

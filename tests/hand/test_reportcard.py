@@ -8,7 +8,7 @@ import trimesh
 from matplotlib.image import imread
 from typer.testing import CliRunner
 
-from palmfield.cli import app
+from palmfield.cli.app import app
 from palmfield.errors import OutputError, SceneError
 from palmfield.hand.chirality import chirality
 from palmfield.hand.preset import load_preset

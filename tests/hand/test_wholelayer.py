@@ -24,14 +24,14 @@ from palmfield.hand.refine import refine
 from palmfield.hand.surface import hand_surface
 from palmfield.hand.triangles import unique_edges, vertex_normals
 from palmfield.hand.wholelayer import facing_faces, hand_layer
-from palmfield.skin.assembly import assemble
-from palmfield.skin.body_mesh import Sizes, build
-from palmfield.skin.load import SurfaceQuadrature
-from palmfield.skin.presets import preset
+from palmfield.skin.fem.assembly import assemble
+from palmfield.skin.fem.load import SurfaceQuadrature
+from palmfield.skin.fem.solver import static
+from palmfield.skin.materials.catalogue import preset
+from palmfield.skin.mesh.body_mesh import Sizes, build
+from palmfield.skin.mesh.surface import SurfaceProbe
+from palmfield.skin.mesh.wedges import extrude
 from palmfield.skin.problem import Layer, Sheet
-from palmfield.skin.solver import static
-from palmfield.skin.surface import SurfaceProbe
-from palmfield.skin.wedges import extrude
 from palmfield.types import Surface
 
 ROOT = Path(__file__).resolve().parents[2]

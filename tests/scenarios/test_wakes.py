@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from palmfield.bench.processes import ROOT
 from palmfield.hand.triangles import vertex_normals
-from palmfield.stimuli.onskin import through
+from palmfield.stimulus.surface_path import through
+from palmfield.studies.bench.processes import ROOT
 from palmfield.types import Surface
 
 

@@ -5,12 +5,12 @@ import pytest
 
 import palmfield
 from palmfield.config import SkinConfig, parse
-from palmfield.skin.from_keys import layer_cutoff, rows_of
-from palmfield.skin.material import elastic
-from palmfield.skin.presets import preset
+from palmfield.skin.fem.solver import static
+from palmfield.skin.from_config import layer_cutoff, rows_of
+from palmfield.skin.materials.catalogue import preset
+from palmfield.skin.materials.dispersion import cutoff
+from palmfield.skin.materials.material import elastic
 from palmfield.skin.problem import Sheet
-from palmfield.skin.solver import static
-from palmfield.skin.waves import cutoff
 
 
 def push(path):

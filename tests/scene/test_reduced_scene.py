@@ -9,8 +9,8 @@ import pytest
 import palmfield
 from palmfield.engine.host import raise_errors
 from palmfield.foresight import MOST_TURNS, refusal
-from palmfield.skin import stepping
-from palmfield.skin.stepping import FullSkin, ReducedSkin
+from palmfield.skin.reduction import stepping
+from palmfield.skin.reduction.stepping import FullSkin, ReducedSkin
 
 JOINT = '<joint name="slide" type="slide" axis="1 0 0" stiffness="400" damping="10"/>'
 STEADY = {"modulation": "none", "am_of": None, "am_frequency_Hz": None, "am_depth": None}

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 import palmfield
-from palmfield.cli import main
+from palmfield.cli.app import main
 from palmfield.engine.host import raise_errors
 from palmfield.errors import SceneError
 from palmfield.hand.preset import load_preset

@@ -8,7 +8,7 @@ import trimesh
 import palmfield
 from palmfield.engine.host import raise_errors
 from palmfield.errors import SceneError
-from palmfield.stimulus import frame_at, frames_at
+from palmfield.stimulus.schedule import frame_at, frames_at
 
 STEADY = {"modulation": "none", "am_of": None, "am_frequency_Hz": None, "am_depth": None}
 

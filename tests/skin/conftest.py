@@ -5,13 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from palmfield.skin.assembly import SkinSystem, assemble
-from palmfield.skin.disc import disc_patch
-from palmfield.skin.load import SurfaceQuadrature
-from palmfield.skin.material import Material
-from palmfield.skin.presets import PRESETS
-from palmfield.skin.surface import SurfaceProbe
-from palmfield.skin.wedges import WedgeMesh, extrude
+from palmfield.skin.fem.assembly import SkinSystem, assemble
+from palmfield.skin.fem.load import SurfaceQuadrature
+from palmfield.skin.materials.catalogue import PRESETS
+from palmfield.skin.materials.material import Material
+from palmfield.skin.mesh.disc import disc_patch
+from palmfield.skin.mesh.surface import SurfaceProbe
+from palmfield.skin.mesh.wedges import WedgeMesh, extrude
 from palmfield.types import Float
 
 SPOT_M, DEPTH_M, RADIUS_M = 0.0103, 0.02, 0.06

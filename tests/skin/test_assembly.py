@@ -8,15 +8,15 @@ from scipy.sparse.linalg import splu
 from trimesh.creation import icosphere
 
 from palmfield.errors import SceneError
-from palmfield.skin.assembly import assemble
-from palmfield.skin.disc import disc_patch
-from palmfield.skin.layer_oracle import centre_response
-from palmfield.skin.load import SurfaceQuadrature
-from palmfield.skin.material import Branch, Material, bulk_from_poisson
-from palmfield.skin.ordering import dissection_order
-from palmfield.skin.solver import static
-from palmfield.skin.surface import surface_motion
-from palmfield.skin.wedges import extrude
+from palmfield.skin.analytic.layer_oracle import centre_response
+from palmfield.skin.fem.assembly import assemble
+from palmfield.skin.fem.load import SurfaceQuadrature
+from palmfield.skin.fem.solver import static
+from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
+from palmfield.skin.mesh.disc import disc_patch
+from palmfield.skin.mesh.ordering import dissection_order
+from palmfield.skin.mesh.surface import surface_motion
+from palmfield.skin.mesh.wedges import extrude
 from palmfield.types import Patch
 
 THIRDS = np.array([0.0, 0.35, 1.0])

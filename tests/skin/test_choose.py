@@ -5,8 +5,8 @@ import pytest
 
 from palmfield.errors import SceneError
 from palmfield.skin import Motion, Sheet, Slab, Spot, choices, preset, solve, static
-from palmfield.skin import choose as module
-from palmfield.skin.layer_oracle import centre_response
+from palmfield.skin import solver_choice as module
+from palmfield.skin.analytic.layer_oracle import centre_response
 
 ECOFLEX = preset("ecoflex_00-10")
 ENDLESS = Slab((Sheet(ECOFLEX, 0.02),))

@@ -5,14 +5,14 @@ import time
 import numpy as np
 import pytest
 
-from palmfield.skin.assembly import assemble
-from palmfield.skin.disc import disc_patch
-from palmfield.skin.implicit import cost_implicit, run_cost
-from palmfield.skin.presets import preset
+from palmfield.skin.fem.assembly import assemble
+from palmfield.skin.fem.solver import SkinSolver
+from palmfield.skin.materials.catalogue import preset
+from palmfield.skin.mesh.disc import disc_patch
+from palmfield.skin.mesh.wedges import extrude
 from palmfield.skin.problem import Sheet, Slab, Spot
-from palmfield.skin.solver import SkinSolver
-from palmfield.skin.spectral import cost_spectral, solve_spectral
-from palmfield.skin.wedges import extrude
+from palmfield.skin.solvers.lateral_waves import cost_spectral, solve_spectral
+from palmfield.skin.solvers.wedges import cost_implicit, run_cost
 
 ECOFLEX = preset("ecoflex_00-10")
 TIMES = np.linspace(0.0, 0.1, 401)

@@ -3,13 +3,13 @@
 import math
 import time
 
+import coverage_cases as module
 import numpy as np
 import pytest
+from coverage_cases import Row, TooLongError, at_most, equivalent, judge, relative_error, summary
+from random_cases import COURSES, KINDS, curved_patch, random_case
 
 from palmfield.skin import Layer, Slab, Spot
-from palmfield.skin import coverage as module
-from palmfield.skin.coverage import Row, TooLongError, at_most, equivalent, judge, relative_error, summary
-from palmfield.skin.random_cases import COURSES, KINDS, curved_patch, random_case
 
 CHEAP = (5, 16, 21, 25, 26, 29, 30, 36)
 """Of the first 40 cases of seed 6 at 20 ms, those known and solved within 6 s: picked by their time alone."""

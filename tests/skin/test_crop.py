@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from palmfield.skin.bands import bands, resonance
-from palmfield.skin.crop import SHARE, crop, part_of, reach
-from palmfield.skin.disc import disc_patch
-from palmfield.skin.disc_fem import solve_disc
-from palmfield.skin.material import elastic
-from palmfield.skin.presets import preset
+from palmfield.skin.approximation.bands import bands, resonance
+from palmfield.skin.approximation.truncate_domain import SHARE, crop, part_of, reach
+from palmfield.skin.materials.catalogue import preset
+from palmfield.skin.materials.material import elastic
+from palmfield.skin.mesh.disc import disc_patch
 from palmfield.skin.problem import Layer, Sheet, Slab, Spot, Springs, Traction, spread
+from palmfield.skin.solvers.axisymmetric.solve import solve_disc
 
 GRID = np.arange(0.0, 0.03, 5e-5)
 

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from palmfield.errors import SceneError
-from palmfield.skin.disc_element import DiscGrid, Line, graded
-from palmfield.skin.disc_fem import cost_disc, refusal_disc, solve_disc
-from palmfield.skin.disc_samples import sample
-from palmfield.skin.layer_oracle import centre_response
-from palmfield.skin.material import bulk_from_poisson
-from palmfield.skin.pencil import Pencil
-from palmfield.skin.presets import preset
+from palmfield.skin.analytic.layer_oracle import centre_response
+from palmfield.skin.materials.catalogue import preset
+from palmfield.skin.materials.material import bulk_from_poisson
 from palmfield.skin.problem import Sheet, Slab, Spot, Springs, Traction, spread
+from palmfield.skin.reduction.dynamic_stiffness import Pencil
+from palmfield.skin.solvers.axisymmetric.element import DiscGrid, Line, graded
+from palmfield.skin.solvers.axisymmetric.samples import sample
+from palmfield.skin.solvers.axisymmetric.solve import cost_disc, refusal_disc, solve_disc
 
 ECOFLEX = preset("ecoflex_00-10")
 FWHM = 0.0103

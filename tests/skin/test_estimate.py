@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from palmfield.errors import SceneError
-from palmfield.skin.assembly import assemble
-from palmfield.skin.disc import disc_patch
-from palmfield.skin.estimate import choose_sizes, mesh_error
-from palmfield.skin.layer_oracle import centre_response
-from palmfield.skin.load import SurfaceQuadrature
-from palmfield.skin.material import shear_wave
-from palmfield.skin.presets import PRESETS
-from palmfield.skin.solver import harmonic, harmonic_discrete, static
-from palmfield.skin.surface import SurfaceProbe
-from palmfield.skin.wedges import extrude
+from palmfield.skin.analytic.layer_oracle import centre_response
+from palmfield.skin.approximation.estimate import choose_sizes, mesh_error
+from palmfield.skin.fem.assembly import assemble
+from palmfield.skin.fem.load import SurfaceQuadrature
+from palmfield.skin.fem.solver import harmonic, harmonic_discrete, static
+from palmfield.skin.materials.catalogue import PRESETS
+from palmfield.skin.materials.material import shear_wave
+from palmfield.skin.mesh.disc import disc_patch
+from palmfield.skin.mesh.surface import SurfaceProbe
+from palmfield.skin.mesh.wedges import extrude
 
 
 def centre(material, fwhm, depth, fine, coarse, fine_radius, fractions, step, radius, f):

@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from random_cases import curved_patch
 
 from palmfield.errors import SceneError
 from palmfield.skin import solve, static
-from palmfield.skin.choose import choices
-from palmfield.skin.extent import extent, refusal_of_spot
-from palmfield.skin.implicit import static_implicit
-from palmfield.skin.layer_oracle import centre_response
-from palmfield.skin.presets import preset
+from palmfield.skin.analytic.layer_oracle import centre_response
+from palmfield.skin.approximation.trim_absorbing_rim import extent, refusal_of_spot
+from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.problem import Layer, Sheet, Slab, Spot, points_on_face
-from palmfield.skin.random_cases import curved_patch
-from palmfield.skin.spectral import solve_spectral
+from palmfield.skin.solver_choice import choices
+from palmfield.skin.solvers.lateral_waves import solve_spectral
+from palmfield.skin.solvers.wedges import static_implicit
 from palmfield.types import Patch
 
 ECOFLEX, PALM = preset("ecoflex_00-10"), preset("palm")

@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from palmfield.errors import SceneError
-from palmfield.skin.fit import fit_prony, fractional, fractional_kelvin_voigt, fractional_zener
-from palmfield.skin.material import complex_shear, prony
+from palmfield.skin.materials.material import complex_shear, prony
+from palmfield.skin.materials.prony_fit import fit_prony, fractional, fractional_kelvin_voigt, fractional_zener
 
 F = np.geomspace(1.0, 1000.0, 40)
 

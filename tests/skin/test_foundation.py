@@ -12,20 +12,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from palmfield.errors import SceneError
-from palmfield.skin.assembly import assemble
-from palmfield.skin.body_mesh import Sizes, box_patch
-from palmfield.skin.depth import surface_compliance
-from palmfield.skin.disc import disc_patch
-from palmfield.skin.foundation import Foundation, fit_foundation
-from palmfield.skin.layer_oracle import layer_compliance
-from palmfield.skin.load import SurfaceQuadrature
-from palmfield.skin.material import Branch, Material, bulk_from_poisson
+from palmfield.skin.analytic.layer_oracle import layer_compliance
+from palmfield.skin.fem.assembly import assemble
+from palmfield.skin.fem.depth import surface_compliance
+from palmfield.skin.fem.foundation import Foundation, fit_foundation
+from palmfield.skin.fem.load import SurfaceQuadrature
+from palmfield.skin.fem.solver import Scheme, SkinSolver, branch_weights, harmonic, static
+from palmfield.skin.materials.catalogue import preset
+from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
+from palmfield.skin.mesh.body_mesh import Sizes, box_patch
+from palmfield.skin.mesh.disc import disc_patch
+from palmfield.skin.mesh.surface import SurfaceProbe
+from palmfield.skin.mesh.wedges import extrude
 from palmfield.skin.pcg import Pcg
-from palmfield.skin.presets import preset
 from palmfield.skin.problem import GAUSSIAN, Sheet, Springs, spread
-from palmfield.skin.solver import Scheme, SkinSolver, branch_weights, harmonic, static
-from palmfield.skin.surface import SurfaceProbe
-from palmfield.skin.wedges import extrude
 
 ECOFLEX, PALM = preset("ecoflex_00-10"), preset("palm")
 LENGTH = 0.015

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from palmfield.errors import SceneError
-from palmfield.skin.hyperelastic import advance, at_rest, energy, piola, viscous_piola
-from palmfield.skin.material import Branch, Material, complex_bulk, complex_shear
+from palmfield.skin.analytic.hyperelastic import advance, at_rest, energy, piola, viscous_piola
+from palmfield.skin.materials.material import Branch, Material, complex_bulk, complex_shear
 
 G, K = 1.2e4, 3.0e5
 EYE = np.eye(3)

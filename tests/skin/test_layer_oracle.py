@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_bvp
 
 from palmfield.errors import SceneError
-from palmfield.skin.layer_oracle import BASES, centre_response, layer_compliance
-from palmfield.skin.material import Material, bulk_from_poisson, complex_shear
-from palmfield.skin.presets import PRESETS
+from palmfield.skin.analytic.layer_oracle import BASES, centre_response, layer_compliance
+from palmfield.skin.materials.catalogue import PRESETS
+from palmfield.skin.materials.material import Material, bulk_from_poisson, complex_shear
 
 ECOFLEX = PRESETS["ecoflex_00-10"]
 SPOT, DEPTH = 0.0103, 0.02

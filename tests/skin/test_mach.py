@@ -5,10 +5,10 @@ import pytest
 from scipy.optimize import brentq
 
 from palmfield.errors import SceneError
-from palmfield.skin.mach import mach_half_angle
-from palmfield.skin.material import Material, bulk_from_poisson
+from palmfield.skin.analytic.mach import mach_half_angle
+from palmfield.skin.materials.material import Material, bulk_from_poisson
 from palmfield.skin.problem import Sheet, Slab, Spot
-from palmfield.skin.spectral import solve_spectral
+from palmfield.skin.solvers.lateral_waves import solve_spectral
 
 X, Y = np.arange(-0.1, 0.1001, 1e-3), np.arange(-0.06, 0.0601, 1e-3)
 SHEAR, DENSITY, NU = 23087.5, 923.5, 0.495

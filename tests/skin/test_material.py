@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from palmfield.errors import SceneError
-from palmfield.skin.layer_oracle import centre_response
-from palmfield.skin.material import (
+from palmfield.skin.analytic.layer_oracle import centre_response
+from palmfield.skin.materials.material import (
     INCOMPRESSIBLE,
     Branch,
     Material,

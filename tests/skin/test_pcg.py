@@ -7,13 +7,13 @@ import pytest
 import warp as wp
 
 from palmfield.errors import SceneError
-from palmfield.skin.assembly import assemble
-from palmfield.skin.disc import disc_patch
-from palmfield.skin.material import bulk_from_poisson
+from palmfield.skin.fem.assembly import assemble
+from palmfield.skin.fem.solver import Scheme, SkinSolver
+from palmfield.skin.materials.catalogue import preset
+from palmfield.skin.materials.material import bulk_from_poisson
+from palmfield.skin.mesh.disc import disc_patch
+from palmfield.skin.mesh.wedges import extrude
 from palmfield.skin.pcg import BlockMatrix, DeviceStepper, NodalForm, Pcg
-from palmfield.skin.presets import preset
-from palmfield.skin.solver import Scheme, SkinSolver
-from palmfield.skin.wedges import extrude
 
 ECOFLEX = preset("ecoflex_00-10")
 THIRDS = np.array([0.0, 0.35, 1.0])

@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 
 from palmfield.errors import SceneError
-from palmfield.skin.fit import fractional_kelvin_voigt
-from palmfield.skin.layer_oracle import centre_response
-from palmfield.skin.material import bulk_from_poisson, complex_shear, shear_wave
-from palmfield.skin.presets import (
+from palmfield.skin.analytic.layer_oracle import centre_response
+from palmfield.skin.materials.catalogue import (
     CATALOGUE,
     DEPTH_M,
     GEL_STORAGE_PA,
@@ -19,7 +17,9 @@ from palmfield.skin.presets import (
     scaled,
     varied,
 )
-from palmfield.skin.waves import describe
+from palmfield.skin.materials.dispersion import describe
+from palmfield.skin.materials.material import bulk_from_poisson, complex_shear, shear_wave
+from palmfield.skin.materials.prony_fit import fractional_kelvin_voigt
 
 NAMES = ["ecoflex_00-10", "finger_pad", "forearm", "gelatin_2", *sorted(GEL_STORAGE_PA), "palm"]
 

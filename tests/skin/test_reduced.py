@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from scipy import sparse
 
 from palmfield.errors import SceneError
-from palmfield.skin.material import Branch, Material
-from palmfield.skin.ordering import dissection_order
-from palmfield.skin.presets import preset
-from palmfield.skin.reduced import pod, reduce
-from palmfield.skin.solver import SkinSolver, harmonic, static
+from palmfield.skin.fem.solver import SkinSolver, harmonic, static
+from palmfield.skin.materials.catalogue import preset
+from palmfield.skin.materials.material import Branch, Material
+from palmfield.skin.mesh.ordering import dissection_order
+from palmfield.skin.reduction.reduced import pod, reduce
 
 ECOFLEX = preset("ecoflex_00-10")
 BAND = (0.0, 600.0)

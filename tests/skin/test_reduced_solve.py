@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from palmfield.errors import SceneError
-from palmfield.skin.disc import disc_patch
-from palmfield.skin.disc_fem import solve_disc
-from palmfield.skin.presets import preset
+from palmfield.skin.materials.catalogue import preset
+from palmfield.skin.mesh.disc import disc_patch
 from palmfield.skin.problem import Layer, Sheet, Slab, Spot, Traction
-from palmfield.skin.reduced_solve import course, patterns, refusal_reduced, solve_reduced
+from palmfield.skin.solvers.axisymmetric.solve import solve_disc
+from palmfield.skin.solvers.reduced import course, patterns, refusal_reduced, solve_reduced
 
 PAD = preset("finger_pad")
 THICK, RADIUS, WIDTH = 0.003, 0.015, 0.008

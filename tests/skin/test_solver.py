@@ -10,14 +10,14 @@ from hypothesis import strategies as st
 from scipy.sparse.linalg import spsolve
 
 from palmfield.errors import SceneError
-from palmfield.skin.assembly import assemble
-from palmfield.skin.disc import disc_patch
-from palmfield.skin.layer_oracle import centre_response
-from palmfield.skin.load import SurfaceQuadrature
-from palmfield.skin.material import Branch, Material, bulk_from_poisson
-from palmfield.skin.presets import PRESETS
-from palmfield.skin.solver import SkinSolver, alpha_weights, branch_weights, harmonic, harmonic_discrete, static
-from palmfield.skin.wedges import extrude
+from palmfield.skin.analytic.layer_oracle import centre_response
+from palmfield.skin.fem.assembly import assemble
+from palmfield.skin.fem.load import SurfaceQuadrature
+from palmfield.skin.fem.solver import SkinSolver, alpha_weights, branch_weights, harmonic, harmonic_discrete, static
+from palmfield.skin.materials.catalogue import PRESETS
+from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
+from palmfield.skin.mesh.disc import disc_patch
+from palmfield.skin.mesh.wedges import extrude
 
 ECOFLEX = PRESETS["ecoflex_00-10"]
 SPOT = 0.0103

@@ -10,12 +10,12 @@ import pytest
 from scipy.special import eval_legendre
 from trimesh.creation import icosphere
 
-from palmfield.skin.assembly import assemble
-from palmfield.skin.load import SurfaceQuadrature
-from palmfield.skin.material import Material, bulk_from_poisson
-from palmfield.skin.solver import static
-from palmfield.skin.surface import surface_motion
-from palmfield.skin.wedges import extrude
+from palmfield.skin.fem.assembly import assemble
+from palmfield.skin.fem.load import SurfaceQuadrature
+from palmfield.skin.fem.solver import static
+from palmfield.skin.materials.material import Material, bulk_from_poisson
+from palmfield.skin.mesh.surface import surface_motion
+from palmfield.skin.mesh.wedges import extrude
 from palmfield.types import Patch
 
 SHEAR = 1.0e4

@@ -8,14 +8,14 @@ import pytest
 from scipy.linalg import expm
 
 from palmfield.errors import SceneError
-from palmfield.skin import stepping
-from palmfield.skin.krylov import Krylov, harmonics, level, periodic
-from palmfield.skin.load import SurfaceQuadrature
-from palmfield.skin.material import Branch, Material, stiffening
-from palmfield.skin.pencil import Pencil
-from palmfield.skin.solver import SkinSolver, harmonic, static
-from palmfield.skin.stepping import FullSkin, KnownLoad, reduced_skin
-from palmfield.skin.surface import SurfaceProbe, surface_motion
+from palmfield.skin.fem.load import SurfaceQuadrature
+from palmfield.skin.fem.solver import SkinSolver, harmonic, static
+from palmfield.skin.materials.material import Branch, Material, stiffening
+from palmfield.skin.mesh.surface import SurfaceProbe, surface_motion
+from palmfield.skin.reduction import stepping
+from palmfield.skin.reduction.dynamic_stiffness import Pencil
+from palmfield.skin.reduction.krylov import Krylov, harmonics, level, periodic
+from palmfield.skin.reduction.stepping import FullSkin, KnownLoad, reduced_skin
 
 STEP = 1e-4
 TIMES = STEP * np.arange(251)

@@ -7,12 +7,12 @@ from hypothesis import strategies as st
 from trimesh import Trimesh
 
 from palmfield.errors import SceneError
-from palmfield.skin.assembly import assemble
-from palmfield.skin.disc import disc_patch
-from palmfield.skin.load import SurfaceQuadrature
-from palmfield.skin.presets import PRESETS
-from palmfield.skin.surface import SurfaceProbe, output_triangles, surface_motion
-from palmfield.skin.wedges import extrude
+from palmfield.skin.fem.assembly import assemble
+from palmfield.skin.fem.load import SurfaceQuadrature
+from palmfield.skin.materials.catalogue import PRESETS
+from palmfield.skin.mesh.disc import disc_patch
+from palmfield.skin.mesh.surface import SurfaceProbe, output_triangles, surface_motion
+from palmfield.skin.mesh.wedges import extrude
 
 FRACTIONS = np.array([0.0, 0.4, 1.0])
 

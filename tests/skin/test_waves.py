@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from palmfield.errors import SceneError
-from palmfield.skin.layer_oracle import layer_compliance
-from palmfield.skin.material import complex_bulk, complex_shear, elastic, kelvin_voigt, prony, shear_wave
-from palmfield.skin.waves import cutoff, describe, rayleigh_wavenumber
+from palmfield.skin.analytic.layer_oracle import layer_compliance
+from palmfield.skin.materials.dispersion import cutoff, describe, rayleigh_wavenumber
+from palmfield.skin.materials.material import complex_bulk, complex_shear, elastic, kelvin_voigt, prony, shear_wave
 
 
 @pytest.mark.parametrize(("nu", "ratio"), [(0.0, 0.8740), (0.25, 0.9194), (0.5, 0.9553)])

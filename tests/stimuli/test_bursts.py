@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from palmfield.errors import SceneError
-from palmfield.stimuli.bursts import burst, onsets
+from palmfield.stimulus.bursts import burst, onsets
 
 TRAIN = {"length_s": 0.02, "period_s": 0.05, "count": 4}
 

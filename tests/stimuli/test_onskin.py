@@ -14,8 +14,8 @@ from palmfield.errors import SceneError
 from palmfield.hand.preset import load_preset
 from palmfield.hand.surface import hand_surface
 from palmfield.hand.triangles import unique_edges, vertex_normals
-from palmfield.stimuli.onskin import drawn, through
-from palmfield.stimuli.shapes import circle, letters, line, polyline, square, z_shape
+from palmfield.stimulus.curves import circle, letters, line, polyline, square, z_shape
+from palmfield.stimulus.surface_path import drawn, through
 from palmfield.types import Surface
 
 RADIUS_m = 0.05

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from palmfield.errors import SceneError
-from palmfield.stimuli.letters import GLYPHS
-from palmfield.stimuli.shapes import PlanePath, circle, letters, line, lissajous, polyline, square, z_shape, zigzag
+from palmfield.stimulus.curves import PlanePath, circle, letters, line, lissajous, polyline, square, z_shape, zigzag
+from palmfield.stimulus.letters import GLYPHS
 
 SHAPES = [
     line(0.03),

@@ -8,14 +8,14 @@ from scipy.linalg import eigh
 from scipy.sparse.linalg import LinearOperator, cg
 
 from palmfield.errors import SceneError
-from palmfield.skin.explicit.gll import lagrange, rule
-from palmfield.skin.explicit.model import Model, hold
-from palmfield.skin.explicit.places import find
-from palmfield.skin.explicit.quads import box_quads, disc_quads, patch_quads
-from palmfield.skin.explicit.solid import extrude, face_areas
-from palmfield.skin.layer_oracle import centre_response
-from palmfield.skin.material import Branch, Material, bulk_from_poisson
+from palmfield.skin.analytic.layer_oracle import centre_response
+from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
 from palmfield.skin.problem import GAUSSIAN, Sheet
+from palmfield.skin.solvers.spectral_elements.gll import lagrange, rule
+from palmfield.skin.solvers.spectral_elements.model import Model, hold
+from palmfield.skin.solvers.spectral_elements.places import find
+from palmfield.skin.solvers.spectral_elements.quads import box_quads, disc_quads, patch_quads
+from palmfield.skin.solvers.spectral_elements.solid import extrude, face_areas
 from palmfield.types import Patch
 
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from palmfield.errors import SceneError
-from palmfield.skin.explicit.solve import cost_explicit, refusal_explicit, solve_explicit
-from palmfield.skin.layer_oracle import centre_response
-from palmfield.skin.material import Branch, Material, bulk_from_poisson
-from palmfield.skin.presets import preset
+from palmfield.skin.analytic.layer_oracle import centre_response
+from palmfield.skin.materials.catalogue import preset
+from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
 from palmfield.skin.problem import ONLY_IMPLICIT, Foundation, Layer, Sheet, Slab, Spot
+from palmfield.skin.solvers.spectral_elements.solve import cost_explicit, refusal_explicit, solve_explicit
 from palmfield.types import Patch
 
 SPOT, DEPTH, RADIUS = 0.0103, 0.02, 0.06

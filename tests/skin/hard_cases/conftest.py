@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from palmfield.skin.body_mesh import Sizes, build
-from palmfield.skin.load import PressureHistory
-from palmfield.skin.ordering import dissection_order
+from palmfield.skin.fem.load import PressureHistory
+from palmfield.skin.mesh.body_mesh import Sizes, build
+from palmfield.skin.mesh.ordering import dissection_order
+from palmfield.skin.mesh.surface import SurfaceProbe
 from palmfield.skin.problem import Motion, Spot, points_on_face
-from palmfield.skin.reduced import pod, reduce
-from palmfield.skin.surface import SurfaceProbe
+from palmfield.skin.reduction.reduced import pod, reduce
 
 FWHM = 0.0103
 SIZES = Sizes((0.0, 0.0), 0.012, 0.0055, 0.0055, 0.004, 0.004, 1, 0.03, 0.02, 150.0)
@@ -27,11 +27,11 @@ HOW = {
     "reduced": {"sizes": SIZES},
 }
 WHERE = {
-    "spectral": "palmfield.skin.spectral",
-    "disc": "palmfield.skin.disc_fem",
-    "implicit": "palmfield.skin.implicit",
-    "explicit": "palmfield.skin.explicit.solve",
-    "particles": "palmfield.skin.particles",
+    "spectral": "palmfield.skin.solvers.lateral_waves",
+    "disc": "palmfield.skin.solvers.axisymmetric.solve",
+    "implicit": "palmfield.skin.solvers.wedges",
+    "explicit": "palmfield.skin.solvers.spectral_elements.solve",
+    "particles": "palmfield.skin.solvers.particles",
 }
 
 

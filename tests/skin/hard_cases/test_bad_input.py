@@ -7,8 +7,8 @@ import pytest
 
 from palmfield.errors import SceneError
 from palmfield.skin import solve
-from palmfield.skin.disc import disc_patch
-from palmfield.skin.material import Branch, Material, bulk_from_poisson, elastic, kelvin_voigt
+from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson, elastic, kelvin_voigt
+from palmfield.skin.mesh.disc import disc_patch
 from palmfield.skin.problem import Layer, Sheet, Slab, Spot, Springs, Traction
 
 GEL = Material("gel", 1030.0, 12.5e3, (Branch(25e3, 1e-3),), bulk_from_poisson(0.45, 12.5e3), "")

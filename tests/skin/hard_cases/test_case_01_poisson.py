@@ -5,10 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from palmfield.skin.layer_oracle import centre_response
-from palmfield.skin.material import standard_linear
+from palmfield.skin.analytic.layer_oracle import centre_response
+from palmfield.skin.materials.material import standard_linear
 from palmfield.skin.problem import Sheet, Slab
-from palmfield.skin.spectral import static_spectral
+from palmfield.skin.solvers.lateral_waves import static_spectral
 
 AT = np.array([[0.0, 0.0], [0.005, 0.0]])
 TIMES = np.linspace(5e-4, 6e-3, 12)

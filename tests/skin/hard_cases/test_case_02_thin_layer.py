@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from palmfield.skin.layer_oracle import centre_response
-from palmfield.skin.material import Branch, Material, bulk_from_poisson
-from palmfield.skin.particles.cloud import build_cloud
-from palmfield.skin.particles.solve import run_particles
+from palmfield.skin.analytic.layer_oracle import centre_response
+from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
 from palmfield.skin.problem import Sheet, Slab, Spot, Traction
+from palmfield.skin.solvers.particles.cloud import build_cloud
+from palmfield.skin.solvers.particles.solve import run_particles
 
 YOUNG, PRESSURE, DEPTH, WIDTH, RADIUS = 23.5e3, 4000.0, 1e-3, 6e-3, 0.012
 

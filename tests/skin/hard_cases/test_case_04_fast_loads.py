@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from palmfield.skin.layer_oracle import layer_compliance
-from palmfield.skin.material import Material, bulk_from_poisson
+from palmfield.skin.analytic.layer_oracle import layer_compliance
+from palmfield.skin.materials.material import Material, bulk_from_poisson
 from palmfield.skin.problem import Sheet, Slab, Spot, spread
 
 WIDTH, DEPTH, NU = 0.0103, 0.008, 0.45

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from palmfield.errors import SceneError
-from palmfield.skin.disc import disc_patch
-from palmfield.skin.explicit.model import Model
-from palmfield.skin.explicit.quads import patch_quads
-from palmfield.skin.explicit.solid import extrude
-from palmfield.skin.implicit import static_implicit
-from palmfield.skin.material import Branch, Material, bulk_from_poisson
-from palmfield.skin.particles.cloud import build_cloud
-from palmfield.skin.particles.run import Particles
+from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
+from palmfield.skin.mesh.disc import disc_patch
 from palmfield.skin.problem import Layer, Sheet, Slab, Spot
+from palmfield.skin.solvers.particles.cloud import build_cloud
+from palmfield.skin.solvers.particles.run import Particles
+from palmfield.skin.solvers.spectral_elements.model import Model
+from palmfield.skin.solvers.spectral_elements.quads import patch_quads
+from palmfield.skin.solvers.spectral_elements.solid import extrude
+from palmfield.skin.solvers.wedges import static_implicit
 
 GEL = Material("gel", 1030.0, 12.5e3, (Branch(25e3, 2e-4),), bulk_from_poisson(0.45, 12.5e3), "", bulk_relaxes=True)
 EVEN = Spot(1e3, np.array([0.0, 5e-4]), np.array([0.0, 5.0]))

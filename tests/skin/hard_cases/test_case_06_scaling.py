@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from palmfield.skin.disc import disc_patch
-from palmfield.skin.material import Branch, Material, bulk_from_poisson
+from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
+from palmfield.skin.mesh.disc import disc_patch
 from palmfield.skin.problem import Layer, Sheet, Slab, Spot
 
 GEL = Material("gel", 1030.0, 12.5e3, (Branch(25e3, 1e-3),), bulk_from_poisson(0.45, 12.5e3), "")

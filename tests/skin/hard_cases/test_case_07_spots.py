@@ -7,8 +7,8 @@ import pytest
 from scipy.integrate import dblquad
 
 from palmfield.errors import SceneError
-from palmfield.skin.layer_oracle import centre_response
-from palmfield.skin.material import Branch, Material, bulk_from_poisson
+from palmfield.skin.analytic.layer_oracle import centre_response
+from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
 from palmfield.skin.problem import GAUSSIAN, Sheet, Slab, Spot
 
 ALL = ["spectral", "disc", "implicit", "reduced", "explicit", "particles"]

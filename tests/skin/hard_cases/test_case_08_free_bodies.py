@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from palmfield.errors import SceneError
-from palmfield.skin.implicit import static_implicit
-from palmfield.skin.material import Branch, Material, bulk_from_poisson
+from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
 from palmfield.skin.problem import Sheet, Slab, Spot, spread
-from palmfield.skin.spectral import static_spectral
+from palmfield.skin.solvers.lateral_waves import static_spectral
+from palmfield.skin.solvers.wedges import static_implicit
 
 GEL = Material("gel", 1030.0, 12.5e3, (Branch(25e3, 1e-3),), bulk_from_poisson(0.45, 12.5e3), "", bulk_relaxes=True)
 RADIUS, DEPTH, WIDTH = 0.02, 0.008, 0.0103

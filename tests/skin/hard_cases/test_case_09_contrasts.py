@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from palmfield.skin.material import Branch, Material, bulk_from_poisson
+from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
 from palmfield.skin.problem import Sheet, Slab, Spot
 
 ALL = ["spectral", "disc", "implicit", "reduced", "explicit", "particles"]

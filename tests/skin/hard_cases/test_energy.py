@@ -10,12 +10,12 @@ import dataclasses
 import numpy as np
 import warp as wp
 
-from palmfield.skin.disc_element import DiscGrid, Line, graded
-from palmfield.skin.material import Branch, Material
-from palmfield.skin.particles.cloud import build_cloud
-from palmfield.skin.particles.run import BLOCK, SAFETY, Particles, Reader, branch_table, stable_step
+from palmfield.skin.materials.material import Branch, Material
 from palmfield.skin.problem import Sheet, Slab, spread
-from palmfield.skin.reduced import reduce
+from palmfield.skin.reduction.reduced import reduce
+from palmfield.skin.solvers.axisymmetric.element import DiscGrid, Line, graded
+from palmfield.skin.solvers.particles.cloud import build_cloud
+from palmfield.skin.solvers.particles.run import BLOCK, SAFETY, Particles, Reader, branch_table, stable_step
 
 SOLID = Material("branched", 1000.0, 1e4, (Branch(1e4, 1e-3), Branch(5e3, 2e-5)), 1e5, "")
 

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from palmfield.skin.material import Branch, Material, bulk_from_poisson
-from palmfield.skin.particles import solve_particles
+from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
 from palmfield.skin.problem import Sheet, Slab, Spot
-from palmfield.skin.spectral import solve_spectral
+from palmfield.skin.solvers.lateral_waves import solve_spectral
+from palmfield.skin.solvers.particles import solve_particles
 
 
 def case(rng):

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from palmfield.skin import hyperelastic
-from palmfield.skin.material import Branch, Material
-from palmfield.skin.particles.cloud import build_cloud
-from palmfield.skin.particles.run import HOURGLASS, Particles, stable_step
+from palmfield.skin.analytic import hyperelastic
+from palmfield.skin.materials.material import Branch, Material
 from palmfield.skin.problem import Sheet, Slab
+from palmfield.skin.solvers.particles.cloud import build_cloud
+from palmfield.skin.solvers.particles.run import HOURGLASS, Particles, stable_step
 
 ELASTIC = Material("elastic", 1000.0, 1e4, (), 1e5, "")
 BRANCHED = Material("branched", 1000.0, 1e4, (Branch(2e4, 2e-4), Branch(5e3, 1e-2), Branch(1e3, 0.0)), 1e5, "")

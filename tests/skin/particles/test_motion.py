@@ -9,16 +9,16 @@ import warp as wp
 from scipy.optimize import brentq
 
 from palmfield.errors import SceneError
-from palmfield.skin.disc import disc_patch
-from palmfield.skin.layer_oracle import centre_response
-from palmfield.skin.material import Branch, Material, bulk_from_poisson
-from palmfield.skin.particles import cost_particles, refusal_particles, solve_particles
-from palmfield.skin.particles.cloud import build_cloud
-from palmfield.skin.particles.resolution import choose_spacing, law_error
-from palmfield.skin.particles.run import BLOCK, HOURGLASS, SAFETY, Particles, Reader, stable_step
-from palmfield.skin.particles.solve import run_particles
-from palmfield.skin.presets import PRESETS
+from palmfield.skin.analytic.layer_oracle import centre_response
+from palmfield.skin.materials.catalogue import PRESETS
+from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
+from palmfield.skin.mesh.disc import disc_patch
 from palmfield.skin.problem import Layer, Sheet, Slab, Spot, Springs, Traction
+from palmfield.skin.solvers.particles import cost_particles, refusal_particles, solve_particles
+from palmfield.skin.solvers.particles.cloud import build_cloud
+from palmfield.skin.solvers.particles.resolution import choose_spacing, law_error
+from palmfield.skin.solvers.particles.run import BLOCK, HOURGLASS, SAFETY, Particles, Reader, stable_step
+from palmfield.skin.solvers.particles.solve import run_particles
 
 ECOFLEX = PRESETS["ecoflex_00-10"]
 WIDTH = 0.0103

@@ -6,12 +6,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from palmfield.skin.layer_oracle import layer_compliance
-from palmfield.skin.material import Branch, Material, bulk_from_poisson
-from palmfield.skin.presets import PRESETS
+from palmfield.skin.analytic.layer_oracle import layer_compliance
+from palmfield.skin.materials.catalogue import PRESETS
+from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
 from palmfield.skin.problem import Sheet, Slab, Springs
-from palmfield.skin.spectral.depth import depth_problem
-from palmfield.skin.spectral.modes import face_modes, still_modes
+from palmfield.skin.solvers.lateral_waves.depth import depth_problem
+from palmfield.skin.solvers.lateral_waves.modes import face_modes, still_modes
 
 ECOFLEX = PRESETS["ecoflex_00-10"]
 SHEAR = 23087.5

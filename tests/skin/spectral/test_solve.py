@@ -7,12 +7,12 @@ import pytest
 from scipy.special import jv
 
 from palmfield.errors import SceneError
-from palmfield.skin.layer_oracle import centre_response, layer_compliance
-from palmfield.skin.material import Material, bulk_from_poisson
-from palmfield.skin.presets import PRESETS
+from palmfield.skin.analytic.layer_oracle import centre_response, layer_compliance
+from palmfield.skin.materials.catalogue import PRESETS
+from palmfield.skin.materials.material import Material, bulk_from_poisson
 from palmfield.skin.problem import Sheet, Slab, Spot, Springs, Traction
-from palmfield.skin.spectral import cost_spectral, refusal_spectral, solve_spectral, static_spectral
-from palmfield.skin.spectral.accuracy import relative_error
+from palmfield.skin.solvers.lateral_waves import cost_spectral, refusal_spectral, solve_spectral, static_spectral
+from palmfield.skin.solvers.lateral_waves.accuracy import relative_error
 
 ECOFLEX = PRESETS["ecoflex_00-10"]
 WIDTH, DEPTH = 0.0103, 0.02

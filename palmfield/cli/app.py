@@ -1,0 +1,276 @@
+"""The command line. Each command loads what it needs only, so that --help is quick."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from palmfield.errors import PalmfieldError, SceneError
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    help="Ultrasonic mid-air haptics: from an array's drive to radiation pressure on a hand, skin waves and what is "
+    "felt.\n\n"
+    "Start with `palmfield new first` and `palmfield run first.xml`.",
+)
+SceneFile = Annotated[Path, typer.Argument(help="MJCF scene with palmfield plugins", metavar="SCENE.xml")]
+Device = Annotated[str | None, typer.Option(help="where the field kernels run: auto, cpu or cuda:0", metavar="DEVICE")]
+Accuracy = Annotated[
+    float | None, typer.Option(help="wanted relative error of the skin displacement, e.g. 0.05", metavar="REL")
+]
+
+Keys = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set", help="another value for one key, e.g. stimulus.path_speed_m_s=11", metavar="PLUGIN.KEY=VALUE"
+    ),
+]
+
+
+@app.command()
+def run(
+    scene: SceneFile,
+    out: Annotated[Path | None, typer.Option(help="folder for the results [default: out/SCENE]")] = None,
+    device: Device = None,
+    duration: Annotated[float | None, typer.Option(help="simulated time [s] [default: the scene's]")] = None,
+    accuracy: Accuracy = None,
+    keys: Keys = None,
+) -> None:
+    """Simulate a scene and write result.nc, summary.json, pictures and scene.usdc.
+
+    Interrupting with Ctrl-C keeps what was computed (marked incomplete). After a crash of the machine,
+    `palmfield recover DIR` assembles what had reached the disk.
+
+    Example: palmfield run mjcf/scenes/palm_am200.xml --out out/palm --set stimulus.am_frequency_Hz=100
+    """
+    import palmfield
+    from palmfield.planning import warnings
+    from palmfield.report import format_report
+
+    if duration is not None and not 0 < duration < 3600:
+        raise SceneError(f"--duration has value {duration:g}; allowed: seconds > 0 and < 3600")
+    loaded = palmfield.load(scene, device=device, accuracy=accuracy, keys=_given(keys))
+    target = out or Path("out") / scene.stem
+    for warning in warnings(loaded):
+        complain(f"warning: {warning}")
+    try:
+        result = palmfield.run(loaded, target, duration_s=duration)
+    except KeyboardInterrupt:
+        complain(f"interrupted; what was computed is in {target}; `palmfield recover {target}` draws its pictures")
+        raise typer.Exit(130) from None
+    print(format_report(result.summary), end="")
+    for path in result.files.values():
+        print(f"wrote {path}")
+
+
+def _given(keys: list[str] | None) -> dict[str, str]:
+    """Overrides as `palmfield.load` takes them. Raises SceneError for one without a value."""
+    for text in keys or ():
+        if "=" not in text:
+            raise SceneError(f"--set {text} has no value; write PLUGIN.KEY=VALUE, e.g. stimulus.path_speed_m_s=11")
+    return dict(text.split("=", 1) for text in keys or ())
+
+
+@app.command()
+def plan(scene: SceneFile, device: Device = None, accuracy: Accuracy = None, keys: Keys = None) -> None:
+    """Say what would be modelled and what left out, why, and at what cost and error. Simulates nothing.
+
+    Example: palmfield plan mjcf/scenes/palm_am200.xml --accuracy 0.02
+    """
+    import palmfield
+
+    print(palmfield.plan(palmfield.load(scene, device=device, accuracy=accuracy, keys=_given(keys))), end="")
+
+
+@app.command()
+def info(scene: SceneFile) -> None:
+    """Show what a scene contains: array, air, stimulus, surface, skin layer, material, laws and conventions.
+
+    Example: palmfield info mjcf/scenes/phantom_step.xml
+    """
+    import palmfield
+    from palmfield.cli.describe import describe
+
+    print(describe(palmfield.load(scene)), end="")
+
+
+@app.command()
+def drive(
+    scene: Annotated[Path | None, typer.Argument(help="scene to play", metavar="[SCENE.xml]")] = None,
+    focus: Annotated[
+        tuple[float, float, float] | None, typer.Option(help="a still focus in the array frame [m]", metavar="X Y Z")
+    ] = None,
+    board: Annotated[str, typer.Option(help="which board: sonicsurface")] = "sonicsurface",
+    port: Annotated[
+        str | None, typer.Option(help="serial port or URL: /dev/ttyUSB0, COM3, socket://host:port, loop://")
+    ] = None,
+    record: Annotated[Path | None, typer.Option(help="write the bytes to this file instead")] = None,
+    duration: Annotated[float | None, typer.Option(help="how long to play [s] [default: the scene's, or 10]")] = None,
+) -> None:
+    """Play a scene, or one focus, on a real board; or record the bytes that it would get.
+
+    What is sent is what `palmfield run` simulates. A board that can't play the scene is refused with exit code 2. The
+    board is switched off at the end, on Ctrl-C and on errors. An uncalibrated board does not focus: about half of its
+    transducers are wired with inverted polarity.
+
+    Examples: palmfield drive --focus 0 0 0.15 --port /dev/ttyUSB0 --duration 5
+    palmfield drive mjcf/scenes/palm_circle_sonicsurface.xml --record circle.bin
+    """
+    from palmfield.play import play_focus, play_scene
+
+    if (scene is None) == (focus is None):
+        raise SceneError("`palmfield drive` plays either a SCENE.xml or --focus X Y Z; give one of them")
+    if (port is None) == (record is None):
+        raise SceneError("`palmfield drive` needs either --port (a board) or --record (a file); give one of them")
+    if duration is not None and not 0 < duration < 3600:
+        raise SceneError(f"--duration has value {duration:g}; allowed: seconds > 0 and < 3600")
+    if focus is not None:
+        print(play_focus(focus, board, port, record, 10.0 if duration is None else duration))
+    elif scene is not None:
+        print(play_scene(scene, board, port, record, duration))
+
+
+@app.command()
+def keys(
+    plugin: Annotated[str | None, typer.Argument(help="one module, e.g. palmfield.skin", metavar="[PLUGIN]")] = None,
+    markdown: Annotated[bool, typer.Option(help="as the page docs/keys.md")] = False,
+) -> None:
+    """List every key that a scene can set, with unit, allowed values, default and meaning.
+
+    Example: palmfield keys palmfield.stimulus
+    """
+    from palmfield.cli.keys import as_markdown, as_text
+
+    print(as_markdown() if markdown else as_text(plugin), end="")
+
+
+@app.command()
+def new(
+    name: Annotated[str, typer.Argument(help="name of the scene; writes NAME.xml and NAME_plain.xml here")],
+) -> None:
+    """Write a commented scene that runs: a hand over an array and a 200 Hz focus on the palm.
+
+    NAME_plain.xml opens in any MuJoCo; NAME.xml adds the haptics and opens where palmfield is installed.
+
+    Example: palmfield new first && palmfield run first.xml
+    """
+    from palmfield.cli.template import write_scene
+    from palmfield.data import folder
+
+    for path in write_scene(name):
+        print(f"wrote {path}")
+    print(f"next: palmfield run {name}.xml (it refers to the arrays and hands in {folder('mjcf')})")
+
+
+@app.command()
+def hand(
+    mesh: Annotated[Path, typer.Argument(help="GLB, glTF, OBJ, PLY, STL or MANO .pkl file", metavar="MESH")],
+    units: Annotated[str, typer.Option(help="what one unit in the file is: auto, m, dm, cm, mm or in")] = "auto",
+    json: Annotated[Path | None, typer.Option(help="write the card to this file", metavar="FILE")] = None,
+    png: Annotated[Path | None, typer.Option(help="draw the mesh with its faults in colour", metavar="FILE")] = None,
+    mjcf: Annotated[Path | None, typer.Option(help="write bodies for the mesh's joints", metavar="FILE")] = None,
+) -> None:
+    """Report card of a hand's mesh: unit, size, side, faults mended or refused, and the skin layers that it bears.
+
+    Examples: palmfield hand my_hand.glb --json card.json --png card.png
+    palmfield hand my_hand.glb --mjcf my_hand.xml
+    """
+    from palmfield.cli.hand import show_hand
+
+    show_hand(mesh, units, json, png, mjcf)
+
+
+@app.command()
+def recover(out: Annotated[Path, typer.Argument(help="folder of a run that was cut off", metavar="DIR")]) -> None:
+    """Assemble the results of a run that was cut off into DIR/result.nc, marked incomplete, and draw its pictures.
+
+    Example: palmfield recover out/palm
+    """
+    from palmfield.runner import recover as finish
+
+    for path in finish(out).values():
+        print(f"wrote {path}")
+
+
+bench = typer.Typer(
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    help="Measure how fast palmfield is on this machine, how exact, and how other programs do beside it.\n\n"
+    "Example: palmfield bench field",
+)
+app.add_typer(bench, name="bench")
+
+
+@bench.command("field")
+def bench_field(
+    out: Annotated[Path | None, typer.Option(help="markdown file to write the table to")] = None,
+    picture: Annotated[Path | None, typer.Option(help="PNG to draw speed against error in")] = None,
+    peers_python: Annotated[
+        Path | None,
+        typer.Option(help="interpreter that has other programs, made by scripts/peers/setup.py [default: this one]"),
+    ] = None,
+    device: Annotated[str, typer.Option(help="where palmfield's own methods run: cpu or cuda:0")] = "cpu",
+    points: Annotated[int, typer.Option(help="roughly how many points a range of distances has")] = 20_000,
+    runs: Annotated[int, typer.Option(help="how often each method runs; medians are printed")] = 5,
+    only: Annotated[str, typer.Option(help="leave out methods whose names lack this text")] = "",
+    commit: Annotated[str, typer.Option(help="for the head, where no git is [default: git's]")] = "",
+) -> None:
+    """Speed and error of the pressure field, as a markdown table.
+
+    996 transducers, two ranges of distances. Every method computes the same problem in a process of its own, in turns
+    with the others, so that what else the machine does meets all alike. Errors are against float64. A program that is
+    not installed is named as such. A yardstick in the head says how fast the machine was: compare speeds within one
+    table, not between tables.
+
+    Examples: palmfield bench field --only palmfield
+
+    palmfield bench field --peers-python ~/.cache/palmfield-peers/bin/python --out field.md --picture field.png
+    """
+    from palmfield.studies.bench.field import main as measure
+
+    print(measure(out, picture, peers_python, device, points, runs, only, commit), end="")
+
+
+@bench.command("skin")
+def bench_skin(
+    out: Annotated[Path | None, typer.Option(help="markdown file to write the table to")] = None,
+    picture: Annotated[Path | None, typer.Option(help="PNG to draw time against error in")] = None,
+    peers_python: Annotated[
+        Path | None,
+        typer.Option(help="interpreter that has other programs, made by scripts/peers/setup.py [default: this one]"),
+    ] = None,
+    device: Annotated[str, typer.Option(help="where palmfield's own methods run: cpu or cuda:0")] = "cpu",
+    runs: Annotated[int, typer.Option(help="how often each method runs; medians are printed")] = 3,
+    only: Annotated[str, typer.Option(help="leave out methods whose names lack this text")] = "",
+    commit: Annotated[str, typer.Option(help="for the head, where no git is [default: git's]")] = "",
+) -> None:
+    """Time and error of the skin solvers on one slab, as a markdown table.
+
+    Ours at several wanted accuracies; scikit-fem, warp.fem and MuJoCo's flexes on several meshes. Errors are against
+    plane waves in depth, which are exact. It takes some minutes.
+
+    Examples: palmfield bench skin --only spectral
+
+    palmfield bench skin --peers-python ~/.cache/palmfield-peers/bin/python --out skin.md --picture skin.png
+    """
+    from palmfield.studies.bench.skin import main as measure
+
+    print(measure(out, picture, peers_python, device, runs, only, commit), end="")
+
+
+def main() -> None:
+    """Entry point: users' errors become one line on standard error and exit code 2."""
+    try:
+        app(standalone_mode=True)
+    except PalmfieldError as error:
+        complain(str(error))
+        sys.exit(2)
+
+
+def complain(text: str) -> None:
+    """One line on standard error."""
+    Console(stderr=True, soft_wrap=True, markup=False, highlight=False).print(f"palmfield: {text}")

@@ -1,0 +1,82 @@
+"""Which frequencies a load moves the skin with: shares of energy by band, for what changes an answer by frequency."""
+
+import itertools
+import math
+
+import numpy as np
+
+from palmfield.skin.materials.material import Material, shear_wave
+from palmfield.skin.problem import Load, Spot, spread
+from palmfield.types import Float
+
+COUNT = 14
+"""Bands above the lowest, evenly spaced in the logarithm."""
+
+NEAR = np.linspace(0.85, 1.3, 10)
+"""Edges of bands about a resonance, over its frequency: damping moves it up."""
+
+HIGHEST_Hz = 4000.0
+"""Above it skin hardly moves."""
+
+SAMPLES = 1 << 15
+"""Samples of the course between its beginning and its end, at most."""
+
+
+def bands(load: Load, end_s: float, resonance_Hz: float) -> tuple[Float, Float]:
+    """Frequency [Hz] and energy of the load's course from rest to end_s by band, both (b,), bands without any left out.
+
+    The course of a spot is its pressure at the middle of its path, that of a traction its largest point's. It begins
+    at rest and is let go at the end, so that jumps count. About resonance_Hz the bands are finer.
+    """
+    start = float(load.times_s[0])
+    length = max(end_s - start, 1e-6)
+    step = max(length / SAMPLES, min(length / 256.0, 0.125 / HIGHEST_Hz))
+    count = max(2, math.ceil(length / step))
+    times: Float = start + step * np.arange(count, dtype=np.float64)
+    course = course_at(load, times)
+    energy = np.abs(np.fft.rfft(np.concatenate([np.zeros(count), course]))) ** 2
+    # Every other rate stands for its negative as well
+    energy[1:] *= 2.0
+    rates = np.fft.rfftfreq(2 * count, step)
+    low = 1.0 / length
+    wide = np.geomspace(low, max(HIGHEST_Hz, 2.0 * low), COUNT + 1)
+    edges = np.unique(np.concatenate([[0.0], wide, resonance_Hz * NEAR]))
+    found = []
+    for first, last in itertools.pairwise(edges):
+        inside = (rates >= first) & (rates < last)
+        total = float(energy[inside].sum())
+        if total > 0.0:
+            found.append((float(rates[inside] @ energy[inside]) / total, total))
+    frequencies, energies = np.array(found).reshape(-1, 2).T
+    # The lowest band is what a push that lasts does, whose end is only the window's
+    return np.where(frequencies < low, 0.0, frequencies), energies
+
+
+def course_moves(load: Load, end_s: float) -> bool:
+    """Whether the load presses at all up to end_s where `bands` looks."""
+    times = np.linspace(float(load.times_s[0]), max(end_s, float(load.times_s[0]) + 1e-6), 257)
+    return bool(np.any(course_at(load, np.asarray(times, dtype=np.float64)) != 0.0))
+
+
+def resonance(material: Material, depth_m: float) -> float:
+    """Lowest frequency at which a bonded layer guides waves, c_s / 4h [Hz], c_s taken there."""
+    frequency = 200.0
+    for _ in range(20):
+        frequency = shear_wave(material, frequency)[0] / (4.0 * depth_m)
+    return frequency
+
+
+def course_at(load: Load, times: Float) -> Float:
+    """Pressure [Pa] over times at the middle of a spot's path, or at a traction's strongest point, shape (t,)."""
+    held = load.law == "held"
+    place = np.clip(np.searchsorted(load.times_s, times, side="right") - 1, 0, len(load.times_s) - 1)
+
+    def at(values: Float) -> Float:
+        return values[place] if held else np.interp(times, load.times_s, values)
+
+    if not isinstance(load, Spot):
+        return at(load.pressure_Pa[:, int(np.argmax(np.abs(load.pressure_Pa).max(axis=0)))])
+    centres = load.centres()
+    halfway = 0.5 * (load.times_s[0] + load.times_s[-1])
+    away = np.stack([at(row) - np.interp(halfway, load.times_s, row) for row in centres.T], axis=1)
+    return at(load.peak_Pa) * np.exp(-0.5 * (away**2).sum(axis=1) / spread(load.fwhm_m) ** 2)

@@ -1,0 +1,47 @@
+"""A smaller part of a layer, to tell what absorbing sides send back, and which way its face looks."""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from palmfield.hand.remesh import outward
+from palmfield.hand.triangles import face_components
+from palmfield.skin.approximation.estimate import load_centre
+from palmfield.skin.approximation.truncate_domain import part_of
+from palmfield.skin.problem import Body, Layer, Load, Spot
+from palmfield.types import Float
+
+FLATTEST = 0.5
+"""Least share of a patch's mean outward direction along z for a spot, which presses by distance in x and y."""
+
+
+def refusal_of_spot(body: Body, load: Load) -> str | None:
+    """Why a spot cannot press this layer, in a sentence, or None."""
+    if not isinstance(body, Layer) or not isinstance(load, Spot):
+        return None
+    if not body.patch.rim.any() or abs(outward(body.patch)[2]) < FLATTEST:
+        return (
+            "a spot presses by its distance in x and y, and this layer's face is not seen along z: turn the patch, or "
+            "give pressures at points (Traction)"
+        )
+    return None
+
+
+def extent(body: Body, load: Load, points: Float, reach: float) -> Body:
+    """A layer without a belt along its rim, (1 - reach) of the way from the load's middle to there wide; others whole.
+
+    The belt ends half way to the load's path and the asked points (n, 3) where these are nearer. A layer from which
+    nothing can be taken so comes back whole.
+    """
+    if reach == 1.0 or not isinstance(body, Layer):
+        return body
+    patch = body.patch
+    rim = cKDTree(patch.vertices[patch.rim, :2])
+    pressed = load.centres() if isinstance(load, Spot) else load.points[np.any(load.pressure_Pa != 0.0, axis=0), :2]
+    room = float(rim.query(np.concatenate([pressed, points[:, :2]]))[0].min())
+    width = min((1.0 - reach) * float(rim.query(load_centre(load)[0])[0]), 0.5 * room)
+    kept = rim.query(patch.vertices[patch.faces].mean(axis=1)[:, :2])[0] > width
+    if kept.all() or not kept.any() or face_components(patch.faces[kept]).max() > 0:
+        return body
+    return replace(body, patch=part_of(patch, kept))

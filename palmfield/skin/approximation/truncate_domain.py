@@ -1,0 +1,112 @@
+"""The part of a layer that a load and the asked points notice: a thin layer on bone hardly moves beside the spot."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from palmfield.errors import SceneError
+from palmfield.hand.triangles import face_components
+from palmfield.skin.analytic.layer_oracle import centre_responses
+from palmfield.skin.approximation.bands import bands, course_moves, resonance
+from palmfield.skin.approximation.estimate import load_width
+from palmfield.skin.materials.material import shear_wave
+from palmfield.skin.problem import Body, Layer, Load, Spot
+from palmfield.types import Float, Int, Patch
+
+SHARE = 0.1
+"""Part of the wanted accuracy that the cut edge may take."""
+
+FURTHEST = 20.0
+"""Distance in widths of the load up to which the decay is looked for."""
+
+
+def crop(body: Body, load: Load, end_s: float, at: Float, accuracy: float) -> tuple[Body, Load, float]:
+    """A body's part around the load's path and the asked points, the load on it, and what leaving out the rest changes.
+
+    end_s: last asked time [s]; at: asked points [m], shape (n, 2) or (n, 3); accuracy: wanted relative error
+    A layer of one sheet bonded to bone is cut where the flat endless layer of its greatest depth
+    (palmfield.skin.analytic.layer_oracle) says that the edge changes the motion by SHARE of the accuracy; see `reach`.
+    Other bodies, layers almost without loss, and those that need their whole patch come back as they are, with 0.
+    """
+    if not isinstance(body, Layer) or len(body.sheets) != 1 or body.base != "bonded":
+        return body, load, 0.0
+    try:
+        found = reach(body, load, end_s, accuracy)
+    except SceneError:
+        # Waves that nothing damps: they reach everything
+        found = None
+    if found is None:
+        return body, load, 0.0
+    distance, change = found
+    patch = body.patch
+    path = load.centres() if isinstance(load, Spot) else load.points[np.any(load.pressure_Pa != 0.0, axis=0), :2]
+    asked = np.asarray(at, dtype=float)[:, :2]
+    here = patch.vertices[:, :2]
+    away = cKDTree(np.concatenate([path, asked])).query(here)[0]
+    inside = away <= distance
+    if len(path) == 0 or cKDTree(path).query(asked)[0].max() > distance:
+        # Points farther off move by what gets there on a straight way
+        marks = np.concatenate([path, asked])
+        inside = np.all((here >= marks.min(axis=0) - distance) & (here <= marks.max(axis=0) + distance), axis=1)
+    kept = inside[patch.faces].any(axis=1)
+    if kept.all() or not kept.any() or face_components(patch.faces[kept]).max() > 0:
+        return body, load, 0.0
+    if not isinstance(load, Spot):
+        # Points without pressure stay where they bound it
+        near = cKDTree(path).query(load.points[:, :2])[0] <= distance
+        load = replace(
+            load, points=load.points[near], weights_m2=load.weights_m2[near], pressure_Pa=load.pressure_Pa[:, near]
+        )
+    return replace(body, patch=part_of(patch, kept)), load, change
+
+
+def reach(body: Layer, load: Load, end_s: float, accuracy: float) -> tuple[float, float] | None:
+    """Distance from a spot [m] at which an edge changes its motion by at most SHARE of the accuracy, and that change.
+
+    The motion at a distance over that at the centre, both as energies summed over the load's bands: an edge there sends
+    back a wave of at most that, which dies out on its way as the first one did; a wave that the layer guides, above
+    c_s / 4h, meets again in the middle of a round edge with sqrt(2 pi k R) of its amplitude there. What comes farther
+    off counts as well, as motion may pass through nothing. None where no distance up to FURTHEST widths will do.
+    """
+    material, width = body.sheets[0].material, load_width(load)
+    depth = float(body.patch.depth.max())
+    distances = width * np.linspace(0.0, FURTHEST, 1 + round(4.0 * FURTHEST))
+    guided = resonance(material, depth)
+    if not course_moves(load, end_s):
+        return None
+    total = np.zeros(len(distances))
+    frequencies, energies = bands(load, end_s, guided)
+    responses = centre_responses(frequencies, material, depth, width, distances, "bonded", 1e-4)
+    for frequency, energy, response in zip(frequencies, energies, responses, strict=True):
+        seen = energy * np.abs(response) ** 2
+        if frequency > guided:
+            wavenumber = 2.0 * math.pi * frequency / shear_wave(material, frequency)[0]
+            seen *= np.maximum(1.0, 2.0 * math.pi * wavenumber * distances)
+        total += seen
+    beyond = np.sqrt(np.maximum.accumulate(total[::-1])[::-1] / total[0])
+    low = np.flatnonzero(beyond <= SHARE * accuracy)
+    if len(low) == 0:
+        return None
+    return float(distances[low[0]]), float(beyond[low[0]])
+
+
+def part_of(patch: Patch, kept: NDArray[np.bool_]) -> Patch:
+    """The patch of some faces, (m,) bool; its rim is where no other of them follows."""
+    numbers, faces = np.unique(patch.faces[kept], return_inverse=True)
+    corners: Int = faces.reshape(-1, 3).astype(np.int32)
+    edges = np.sort(np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]]), axis=1)
+    once, count = np.unique(edges, axis=0, return_counts=True)
+    rim = np.zeros(len(numbers), dtype=bool)
+    rim[once[count == 1]] = True
+    return replace(
+        patch,
+        vertices=patch.vertices[numbers],
+        faces=corners,
+        inward=patch.inward[numbers],
+        depth=patch.depth[numbers],
+        rim=rim,
+        report={**patch.report, "faces_kept": float(kept.mean())},
+    )

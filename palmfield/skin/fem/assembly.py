@@ -1,0 +1,345 @@
+"""Matrices of a skin layer: mass, damping, elastic and relaxing stiffness over its free degrees of freedom."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+import warp as wp
+from scipy import sparse
+
+from palmfield.device import resolve
+from palmfield.errors import SceneError
+from palmfield.skin.fem.absorbing import side_dashpots
+from palmfield.skin.fem.element import corner_slopes, displacement_shape, prism_rule, volume_basis
+from palmfield.skin.fem.foundation import BaseFace, Foundation, placed, rim_dashpots, sheet_mass, sheet_stiffness
+from palmfield.skin.materials.material import Material
+from palmfield.skin.mesh.wedges import WedgeMesh
+from palmfield.skin.problem import Springs
+from palmfield.types import Float, Int
+from warp_kernels import wedge
+
+Base = Literal["bonded", "free_slip", "free"]
+Side = Literal["fixed", "free", "roller", "absorbing"]
+BASES = ("bonded", "free_slip", "free")
+SIDES = ("fixed", "free", "roller", "absorbing")
+
+
+@dataclass(frozen=True)
+class Part:
+    """Stiffness [N/m], symmetric csr of shape (n, n), that relaxes as a material's shear modulus; of G_r."""
+
+    stiffness: sparse.csr_matrix
+    material: Material
+
+
+@dataclass(frozen=True)
+class SkinSystem:
+    """M u'' + C u' + E u + sum over parts K_p (u + sum_i g_i (u - q_i) + t u') = F, q_i' = (u - q_i) / tau_i.
+
+    mass M [kg], damping C [N s/m], elastic E [N/m]: symmetric csr matrices over n free degrees of freedom, (n, n)
+    directions: displacements of the mesh's nodes, then of the foundation's = directions @ u, csr, shape
+        (3 * (nodes + foundation's nodes), n), orthonormal columns
+    parts: what relaxes, a part for each relaxation law, with its g_i, tau_i and t = eta / G_r
+    material: of the surface
+    dof_map: nodal displacements (3 * nodes, by node) = dof_map @ u, csr, shape (3 * nodes, n), the upper rows of
+        `directions`
+    surface_node: surface node under which each free degree of freedom lies, shape (n,)
+    supported: whether base or sides hold the body against a push, so that a static answer exists
+    """
+
+    mesh: WedgeMesh
+    material: Material
+    mass: sparse.csr_matrix
+    damping: sparse.csr_matrix
+    elastic: sparse.csr_matrix
+    parts: tuple[Part, ...]
+    directions: sparse.csr_matrix
+    dof_map: sparse.csr_matrix
+    surface_node: Int
+    supported: bool
+
+    @property
+    def ndof(self) -> int:
+        return self.mass.shape[0]
+
+
+def assemble(
+    mesh: WedgeMesh,
+    material: Material | Sequence[Material],
+    *,
+    base: Base | Springs | Foundation = "bonded",
+    side: Side = "fixed",
+    foundation_Pa_m: tuple[float, float] | None = None,
+    absorbing_Hz: float | None = None,
+    sponge_1_s: Float | None = None,
+) -> SkinSystem:
+    """Assemble a layer.
+
+    material: of the whole layer, or of each of its rows of elements, the one at the surface first
+    base: "bonded" (no motion), "free_slip" (no motion along the base's normal), "free" (no traction), Springs, or a
+        Foundation (sheets below the mesh; the sides go on beside them)
+    side: "fixed" (no motion), "free" (no traction), "roller" (no motion along the side's normal, square to the axis)
+        or "absorbing" (dashpots)
+        A free-slip base under roller sides leaves the disc free to spin about its axis: its static sideways motion is
+        then any rotation that round-off leaves, its normal motion is right.
+    foundation_Pa_m: (normal, tangential) stiffness by area [Pa/m] of what lies below, in place of `base`. The
+        tangential part is a shear spring and relaxes with the deepest material; the normal part is elastic.
+    absorbing_Hz: frequency at which the dashpots of absorbing sides match the material [Hz], > 0
+    sponge_1_s: damping by mass of each column of elements [1/s], shape (triangles,); none by default
+    Raises SceneError for other conditions, a roller side without an axis, a number of materials that is not the
+    mesh's, absorbing sides without a frequency, or foundation stiffnesses not >= 0.
+    """
+    if (isinstance(base, str) and base not in BASES) or side not in SIDES:
+        raise SceneError(f"base '{base}', side '{side}': base is one of {', '.join(BASES)}, side of {', '.join(SIDES)}")
+    rows = materials_of_rows(mesh, material)
+    springs, shear_spring = Springs(0.0, 0.0), 0.0
+    below = base if isinstance(base, Foundation) else Foundation((), base)
+    if foundation_Pa_m is not None:
+        normal, tangential = foundation_Pa_m
+        if not (normal >= 0.0 and tangential >= 0.0):
+            raise SceneError(f"foundation stiffness is ({normal}, {tangential}) Pa/m; give two numbers, 0 or above")
+        below, springs, shear_spring = Foundation((), "free"), Springs(normal, 0.0), tangential
+    elif isinstance(below.base, Springs):
+        springs = below.base
+    if side == "absorbing" and absorbing_Hz is None:
+        raise SceneError("absorbing sides need absorbing_Hz, the frequency at which their dashpots match")
+
+    deviatoric, volumetric, unit_mass = element_matrices(mesh)
+    pattern = _Pattern(mesh)
+    sums = _Sums(3 * (len(mesh.nodes) + below.levels * mesh.surface_nodes))
+    mass = _by_row(mesh, [row.density_kg_m3 for row in rows]) * unit_mass
+    sums.add("mass", pattern.scalars(mass))
+    if sponge_1_s is not None:
+        sums.add("damping", pattern.scalars(np.tile(sponge_1_s, len(rows))[:, None, None] * mass))
+    if absorbing_Hz is not None and side == "absorbing":
+        sums.add("damping", side_dashpots(mesh, rows, absorbing_Hz))
+    held_bulk = [0.0 if row.bulk_relaxes else row.bulk_Pa for row in rows]
+    sums.add("elastic", pattern.blocks(_by_row(mesh, held_bulk)[..., None, None] * volumetric))
+    for law in dict.fromkeys(map(relaxation_law, rows)):
+        own = [row if relaxation_law(row) == law else None for row in rows]
+        blocks = _by_row(mesh, [row.shear_relaxed_Pa if row else 0.0 for row in own])[..., None, None] * deviatoric
+        bulk = [row.bulk_Pa if row and row.bulk_relaxes else 0.0 for row in own]
+        if any(bulk):
+            blocks += _by_row(mesh, bulk)[..., None, None] * volumetric
+        sums.relax(next(row for row in own if row), pattern.blocks(blocks))
+    if below.sheets or springs != Springs(0.0, 0.0) or shear_spring > 0.0:
+        face = BaseFace(mesh)
+        dashpots_Hz = absorbing_Hz if side == "absorbing" else None
+        last = _add_sheets(sums, mesh, face, below, sponge_1_s, dashpots_Hz)
+        along, out = face.product("along", "along"), face.product("out", "out")
+        sums.add("elastic", springs.normal_Pa_m * out + springs.tangential_Pa_m * along, last)
+        sums.add("damping", springs.normal_Pa_s_m * out + springs.tangential_Pa_s_m * along, last)
+        if shear_spring > 0.0:
+            sums.relax(rows[-1], shear_spring * along, last)
+
+    held_base: Base = "free" if isinstance(below.base, Springs) else below.base
+    directions = _free_directions(mesh, held_base, side, below.levels)
+    reduce = directions.T.tocsr()
+    columns = directions.tocsc()
+
+    def free(matrix: sparse.csr_matrix) -> sparse.csr_matrix:
+        result = sparse.csr_matrix(reduce @ matrix @ directions)
+        result.sort_indices()
+        result.eliminate_zeros()
+        return result
+
+    springs = replace(springs, tangential_Pa_m=springs.tangential_Pa_m + shear_spring)
+    return SkinSystem(
+        mesh=mesh,
+        material=rows[0],
+        mass=free(sums.total["mass"]),
+        damping=free(sums.total["damping"]),
+        elastic=free(sums.total["elastic"]),
+        parts=tuple(Part(free(matrix), owner) for matrix, owner in sums.relaxing.values()),
+        directions=directions,
+        dof_map=directions[: 3 * len(mesh.nodes)],
+        surface_node=((columns.indices[columns.indptr[:-1]] // 3) % mesh.surface_nodes).astype(np.int32),
+        supported=_supported(mesh, held_base, side, springs),
+    )
+
+
+class _Sums:
+    """Sums over the components of all nodes, shape (size, size), and what relaxes by its law."""
+
+    def __init__(self, size: int) -> None:
+        self.size = size
+        self.total = {name: sparse.csr_matrix((size, size)) for name in ("mass", "damping", "elastic")}
+        self.relaxing: dict[tuple, tuple[sparse.csr_matrix, Material]] = {}
+
+    def add(self, name: str, matrix: sparse.csr_matrix, first: int = 0) -> None:
+        """Add a block that begins in row `first`."""
+        self.total[name] = self.total[name] + placed(matrix, first, self.size)
+
+    def relax(self, law: Material, stiffness: sparse.csr_matrix, first: int = 0) -> None:
+        before, owner = self.relaxing.get(relaxation_law(law), (sparse.csr_matrix((self.size, self.size)), law))
+        self.relaxing[relaxation_law(law)] = (before + placed(stiffness, first, self.size), owner)
+
+
+def _add_sheets(
+    sums: _Sums,
+    mesh: WedgeMesh,
+    face: BaseFace,
+    below: Foundation,
+    sponge_1_s: Float | None,
+    dashpots_Hz: float | None,
+) -> int:
+    """Add the sheets below a mesh; the first row of the level below the last of them."""
+    first, degree = 3 * int(mesh.base[0]), below.degree
+    for sheet in below.sheets:
+        material, height = sheet.material, sheet.thickness_m
+        shear, volume = sheet_stiffness(face, height, degree)
+        sums.relax(material, material.shear_relaxed_Pa * shear, first)
+        if material.bulk_relaxes:
+            sums.relax(material, material.bulk_Pa * volume, first)
+        else:
+            sums.add("elastic", material.bulk_Pa * volume, first)
+        sums.add("mass", material.density_kg_m3 * sheet_mass(face, height, degree), first)
+        if sponge_1_s is not None:
+            sums.add("damping", material.density_kg_m3 * sheet_mass(face, height, degree, sponge_1_s), first)
+        if dashpots_Hz is not None:
+            sums.add("damping", rim_dashpots(mesh, material, height, degree, dashpots_Hz), first)
+        first += 3 * degree * mesh.surface_nodes
+    return first
+
+
+def materials_of_rows(mesh: WedgeMesh, material: Material | Sequence[Material]) -> list[Material]:
+    """One material for each row of elements. Raises SceneError for another number than the mesh has rows."""
+    count = (mesh.levels - 1) // 2
+    rows = [material] * count if isinstance(material, Material) else list(material)
+    if len(rows) != count:
+        raise SceneError(f"{len(rows)} materials for {count} rows of elements: give one, or one for each row")
+    return rows
+
+
+def relaxation_law(material: Material) -> tuple:
+    """What tells one relaxation law from another: g_i, tau_i, eta / G_r."""
+    return material.ratios, material.times_s, material.viscous_time_s
+
+
+def _by_row(mesh: WedgeMesh, values: list[float]) -> Float:
+    """A value for each element from those of the rows, shape (m, 1, 1)."""
+    return np.repeat(values, len(mesh.surface_triangles6))[:, None, None]
+
+
+def _supported(mesh: WedgeMesh, base: str, side: str, springs: Springs) -> bool:
+    if base == "bonded" or (side == "fixed" and len(mesh.side)):
+        return True
+    if springs.normal_Pa_m > 0.0 and (springs.tangential_Pa_m > 0.0 or side == "roller"):
+        return True
+    # A slippery base round a closed body, or with rollers beside a flat one, leaves only spins that no push drives.
+    return base == "free_slip" and (side == "roller" or not len(mesh.side))
+
+
+def element_matrices(mesh: WedgeMesh) -> tuple[Float, Float, Float]:
+    """Deviatoric and volumetric stiffness (m, 18, 18, 3, 3) [m] and mass (m, 18, 18) [m^3] for unit moduli, density."""
+    points, rule = prism_rule()
+    values, slopes = displacement_shape(points)
+    basis = volume_basis(points)
+    count, quad, funcs, nodes = len(mesh.elements), len(points), basis.shape[1], mesh.elements.shape[1]
+    device = resolve("cpu")
+
+    def upload(values: Float, dtype: Any) -> Any:
+        return wp.array(np.ascontiguousarray(values, dtype=np.float64), dtype=dtype, device=device)
+
+    def room(shape: tuple[int, ...], dtype: Any) -> Any:
+        return wp.zeros(shape, dtype=dtype, device=device)
+
+    gradients = room((count, quad, nodes), wp.vec3d)
+    weights = room((count, quad), wp.float64)
+    corners = upload(mesh.nodes[mesh.elements[:, [0, 1, 2, 12, 13, 14]]], wp.vec3d)
+    wp.launch(
+        wedge.wedge_gradients,
+        dim=(count, quad),
+        inputs=[corners, upload(corner_slopes(points), wp.vec3d), upload(slopes, wp.vec3d), upload(rule, wp.float64)],
+        outputs=[gradients, weights],
+        device=device,
+    )
+    constraint = room((count, funcs, nodes), wp.vec3d)
+    gram = room((count, funcs, funcs), wp.float64)
+    wp.launch(
+        wedge.wedge_constraint,
+        dim=(count, funcs),
+        inputs=[gradients, weights, upload(basis, wp.float64)],
+        outputs=[constraint, gram],
+        device=device,
+    )
+    deviatoric = room((count, nodes, nodes), wp.mat33d)
+    volumetric = room((count, nodes, nodes), wp.mat33d)
+    mass = room((count, nodes, nodes), wp.float64)
+    inverse = upload(np.linalg.inv(gram.numpy()), wp.float64)
+    wp.launch(
+        wedge.wedge_matrices,
+        dim=(count, nodes, nodes),
+        inputs=[gradients, weights, upload(values, wp.float64), constraint, inverse],
+        outputs=[deviatoric, volumetric, mass],
+        device=device,
+    )
+    return deviatoric.numpy(), volumetric.numpy(), mass.numpy()
+
+
+class _Pattern:
+    """Where each element's node pair lands in the global matrix."""
+
+    def __init__(self, mesh: WedgeMesh) -> None:
+        self.nodes = len(mesh.nodes)
+        width = mesh.elements.shape[1]
+        rows = np.repeat(mesh.elements, width, axis=1).ravel().astype(np.int64)
+        keys, self.slot = np.unique(rows * self.nodes + np.tile(mesh.elements, (1, width)).ravel(), return_inverse=True)
+        self.indices = keys % self.nodes
+        self.starts = np.searchsorted(keys // self.nodes, np.arange(self.nodes + 1))
+
+    def _sum(self, values: Float) -> Float:
+        return np.bincount(self.slot, weights=values.ravel(), minlength=len(self.indices)).astype(np.float64)
+
+    def blocks(self, values: Float) -> sparse.csr_matrix:
+        """Sum of element blocks (m, 18, 18, 3, 3) as a csr matrix over 3 components a node."""
+        data = np.empty((len(self.indices), 3, 3))
+        for i in range(3):
+            for j in range(3):
+                data[:, i, j] = self._sum(values[..., i, j])
+        return self._matrix(data)
+
+    def scalars(self, values: Float) -> sparse.csr_matrix:
+        """Sum of element scalars (m, 18, 18), the same for each component."""
+        one = sparse.csr_matrix((self._sum(values), self.indices, self.starts), shape=(self.nodes, self.nodes))
+        return sparse.kron(one, sparse.identity(3), format="csr")
+
+    def _matrix(self, data: Float) -> sparse.csr_matrix:
+        return sparse.bsr_matrix((data, self.indices, self.starts), shape=(3 * self.nodes, 3 * self.nodes)).tocsr()
+
+
+def _free_directions(mesh: WedgeMesh, base: Base, side: Side, deeper: int) -> sparse.csr_matrix:
+    """Orthonormal directions in which each node may move, as columns over the components of all nodes.
+
+    deeper: levels of nodes below the mesh, the last of which lies on the base; the sides go on beside them
+    """
+    levels = mesh.levels + deeper
+    count = levels * mesh.surface_nodes
+    on_base = np.arange(count - mesh.surface_nodes, count)
+    rim = mesh.side[: len(mesh.side) // mesh.levels]
+    on_side = (rim + mesh.surface_nodes * np.arange(levels)[:, None]).ravel()
+    frames = np.tile(np.eye(3), (count, 1, 1))
+    free = np.full(count, 3)
+    held: dict[int, list[Float]] = {}
+    if base == "free_slip":
+        held = {int(n): [d] for n, d in zip(on_base, mesh.surface_normals(mesh.levels - 1), strict=True)}
+    if side == "roller":
+        if mesh.axis is None:
+            raise SceneError("roller sides need a patch with an axis; this one has none: use side 'fixed' or 'free'")
+        for n, d in zip(on_side, np.tile(mesh.side_normals[: len(rim)], (levels, 1)), strict=True):
+            held.setdefault(int(n), []).append(d)
+    for node, directions in held.items():
+        _, singular, basis = np.linalg.svd(np.array(directions))
+        rank = int(np.sum(singular > 1e-6))
+        frames[node] = np.roll(basis, -rank, axis=0).T
+        free[node] = 3 - rank
+    if base == "bonded":
+        free[on_base] = 0
+    if side == "fixed":
+        free[on_side] = 0
+    blocks = sparse.bsr_matrix((frames, np.arange(count), np.arange(count + 1)), shape=(3 * count, 3 * count))
+    kept = np.flatnonzero((np.arange(3) < free[:, None]).ravel())
+    result = sparse.csr_matrix(blocks.tocsr()[:, kept])
+    result.eliminate_zeros()
+    return result

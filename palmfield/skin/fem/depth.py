@@ -1,0 +1,125 @@
+"""Flat sheets at one lateral wavenumber and frequency: polynomials in depth, plane strain.
+
+u_x = i a(z) e^{ikx}, u_z = b(z) e^{ikx} make all matrices real and symmetric in (a, b):
+int (K - 2/3 mu) (b' - k a)^2 + 2 mu (k^2 a^2 + b'^2) + mu (a' + k b)^2 - rho w^2 (a^2 + b^2) dz. In the K term a is
+projected on polynomials of one degree less, those of b': the volume then doesn't lock at any degree.
+"""
+
+import functools
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from palmfield.skin.materials.material import Material, complex_bulk, complex_shear
+from palmfield.skin.problem import BaseKind, Sheet, Springs
+from palmfield.types import Complex, Float
+
+DEGREE = 12
+REACH = 5.0
+"""Largest k x thickness of one polynomial piece: e^{-5 z} by degree 12 errs by 1e-8."""
+
+
+def condensed(k: Float, f_Hz: float, sheets: Sequence[Sheet], degree: int | None = None) -> Complex:
+    """Dynamic stiffness of sheets by (a, b) on their top, then (a, b) on their bottom [Pa/m], shape (n, 4, 4).
+
+    k: wavenumbers [rad/m], > 0, shape (n,); f_Hz: >= 0, under e^{-i w t}; sheets: the first on top
+    degree: of one polynomial for each sheet; None for as many pieces of DEGREE as make it exact
+    """
+    k = np.asarray(k, dtype=float)
+    total = None
+    for sheet in sheets:
+        count = 1 if degree else max(1, math.ceil(k.max() * sheet.thickness_m / REACH))
+        piece = _piece(k, f_Hz, sheet.material, sheet.thickness_m / count, degree or DEGREE)
+        for _ in range(count):
+            total = piece if total is None else _joined(total, piece)
+    assert total is not None
+    return total
+
+
+def impedance(
+    k: Float, f_Hz: float, sheets: Sequence[Sheet], base: BaseKind | Springs = "bonded", degree: int | None = None
+) -> Complex:
+    """Traction by displacement (a, b) on the top of sheets on a base [Pa/m], shape (n, 2, 2); see condensed."""
+    matrix = condensed(k, f_Hz, sheets, degree)
+    held = {"bonded": [], "free_slip": [2], "free": [2, 3]}
+    moving = [2, 3] if isinstance(base, Springs) else held[base]
+    if isinstance(base, Springs):
+        s = -2j * math.pi * f_Hz
+        matrix[:, 2, 2] += base.tangential_Pa_m + base.tangential_Pa_s_m * s
+        matrix[:, 3, 3] += base.normal_Pa_m + base.normal_Pa_s_m * s
+    return _without(matrix, moving)[:, :2, :2]
+
+
+def surface_compliance(k: Float, f_Hz: float, sheets: Sequence[Sheet], base: BaseKind | Springs = "bonded") -> Complex:
+    """Normal compliance of the top of sheets on a base [m/Pa], shape (n,): positive when pushed in; see condensed."""
+    return np.linalg.inv(impedance(k, f_Hz, sheets, base))[:, 1, 1].astype(complex)
+
+
+def on_impedance(upper: Complex, below: Complex) -> Complex:
+    """Normal compliance of the top of sheets of condensed stiffness (n, 4, 4) on an impedance (n, 2, 2), shape (n,)."""
+    total = upper.copy()
+    total[:, 2:, 2:] += below
+    return np.linalg.inv(total)[:, 1, 1].astype(complex)
+
+
+def _joined(upper: Complex, lower: Complex) -> Complex:
+    total = np.zeros((len(upper), 6, 6), dtype=complex)
+    total[:, :4, :4] += upper
+    total[:, 2:, 2:] += lower
+    return _without(total, [2, 3])
+
+
+def _without(matrix: Complex, inner: Sequence[int]) -> Complex:
+    """Stiffness of the other unknowns where `inner` carry no load; their rows and columns are left out."""
+    outer = np.setdiff1d(np.arange(matrix.shape[1]), inner)
+    across = matrix[:, inner][:, :, outer]
+    inside = np.linalg.solve(matrix[:, inner][:, :, inner], across) if len(inner) else across
+    return matrix[:, outer][:, :, outer] - np.swapaxes(across, 1, 2) @ inside
+
+
+def _piece(k: Float, f_Hz: float, material: Material, h: float, degree: int) -> Complex:
+    """Condensed stiffness of one polynomial piece of height h [m], shape (n, 4, 4)."""
+    shear, bulk = complex_shear(material, f_Hz), complex_bulk(material, f_Hz)
+    mass, slope, mixed, projected = line_matrices(degree, h)
+    # z points up while nodes run down: a derivative by z is minus one by depth.
+    wave = k[:, None, None]
+    lame = bulk - 2.0 / 3.0 * shear
+    inertia = material.density_kg_m3 * (2.0 * math.pi * f_Hz) ** 2 * mass
+    aa = wave**2 * (4.0 / 3.0 * shear * mass + bulk * projected) - inertia + shear * slope
+    bb = wave**2 * shear * mass - inertia + (lame + 2.0 * shear) * slope
+    ab = wave * (lame * mixed - shear * mixed.T)
+    total = np.concatenate([np.concatenate([aa, ab], 2), np.concatenate([np.swapaxes(ab, 1, 2), bb], 2)], 1)
+    ends = [0, degree + 1, degree, 2 * degree + 1]
+    inner = np.setdiff1d(np.arange(2 * degree + 2), ends)
+    order = np.concatenate([ends, inner])
+    return _without(total[:, order][:, :, order], np.arange(4, 2 * degree + 2).tolist())
+
+
+@functools.lru_cache(maxsize=64)
+def _unit_line(degree: int) -> tuple[Float, Float, Float, Float]:
+    inside = legendre.Legendre.basis(degree).deriv().roots()
+    nodes = np.concatenate([[-1.0], np.sort(inside.real), [1.0]])
+    points, weights = legendre.leggauss(degree + 1)
+    to_nodal = np.linalg.inv(legendre.legvander(nodes, degree))
+    values = legendre.legvander(points, degree) @ to_nodal
+    derivative = np.column_stack([legendre.legval(points, legendre.legder(row)) for row in np.eye(degree + 1)])
+    slopes = derivative @ to_nodal
+    lower = legendre.legvander(points, degree - 1) * np.sqrt(np.arange(degree) + 0.5)
+    on_lower = lower.T @ (weights[:, None] * values)
+    return (
+        values.T @ (weights[:, None] * values),
+        slopes.T @ (weights[:, None] * slopes),
+        values.T @ (weights[:, None] * slopes),
+        on_lower.T @ on_lower,
+    )
+
+
+def line_matrices(degree: int, h: float) -> tuple[Float, Float, Float, Float]:
+    """int N_i N_j, N_i' N_j', N_i N_j' and Pi N_i Pi N_j over a height h [m], by depth, each (degree + 1, degree + 1).
+
+    N: Lagrange functions of Lobatto's points, from the top down; Pi: projection on one degree less
+    """
+    mass, slope, mixed, projected = _unit_line(degree)
+    return 0.5 * h * mass, 2.0 / h * slope, mixed, 0.5 * h * projected

@@ -1,0 +1,214 @@
+"""Normal pressure on the skin, as consistent nodal forces, at a time and over time."""
+
+import itertools
+import math
+
+import numpy as np
+from scipy import sparse
+from scipy.spatial import Delaunay, cKDTree
+
+from palmfield.errors import SceneError
+from palmfield.skin.fem.assembly import SkinSystem
+from palmfield.skin.fem.element import triangle_rule, triangle_shape
+from palmfield.skin.mesh.surface import SurfaceProbe
+from palmfield.skin.mesh.wedges import WedgeMesh
+from palmfield.skin.problem import GAUSSIAN, Load, Spot, Traction
+from palmfield.types import Float, Int
+
+MOST_HALVINGS = 4
+"""Quarterings of a triangle under a traction's points, at most."""
+
+STEEPEST = 3.0
+"""Longest edge of a triangle of a traction's points over the longest seen from above, from which it is left out."""
+
+WRAPPED = 0.1
+"""Share of such triangles above which the points lie about a body."""
+
+
+class SurfaceQuadrature:
+    """Points at which the pressure on the skin is wanted, and the operator that makes nodal forces of it.
+
+    halvings: how often each triangle is quartered for it; only: numbers of the triangles it covers, by default all
+    points: positions [m], shape (q, 3); six in each of these (Dunavant, degree 4), triangle by triangle
+    normals: unit outward normals, shape (q, 3); weights: areas [m^2], shape (q,), which sum to the surface's area
+    operator: csr, shape (n free degrees of freedom, q) [m^2]: force = operator @ inward normal pressure
+    """
+
+    def __init__(self, mesh: WedgeMesh, system: SkinSystem, halvings: int = 0, only: Int | None = None) -> None:
+        rule, rule_weights = quartered_rule(halvings)
+        faces = mesh.surface_triangles6 if only is None else mesh.surface_triangles6[only]
+        a, b, c = (mesh.nodes[faces[:, i]] for i in range(3))
+        area = np.cross(b - a, c - a)
+        twice = np.linalg.norm(area, axis=1)
+        x, y = rule[:, :1], rule[:, 1:]
+        triangles = len(twice)
+        self.points = (a[:, None] * (1 - x - y) + b[:, None] * x + c[:, None] * y).reshape(-1, 3)
+        self.normals = np.repeat(area / twice[:, None], len(rule), axis=0)
+        self.weights = np.outer(twice, rule_weights).ravel()
+        shape = np.tile(triangle_shape(rule), (triangles, 1))
+        nodes = np.repeat(faces, len(rule), axis=0)
+        forces = -(shape * self.weights[:, None])[..., None] * self.normals[:, None, :]
+        rows = 3 * nodes[..., None] + np.arange(3)
+        columns = np.broadcast_to(np.arange(len(nodes))[:, None, None], rows.shape)
+        nodal = sparse.coo_matrix(
+            (forces.ravel(), (rows.ravel(), columns.ravel())), shape=(3 * len(mesh.nodes), len(nodes))
+        )
+        self.operator = sparse.csr_matrix(system.dof_map.T @ nodal.tocsr())
+
+    def assemble(self, traction_normal: Float) -> Float:
+        """Consistent nodal forces [N] over the free degrees of freedom, shape (n,), of an inward pressure [Pa], (q,).
+
+        Raises SceneError unless there is one pressure a point.
+        """
+        pressure = np.asarray(traction_normal, dtype=float)
+        if pressure.shape != self.weights.shape:
+            raise SceneError(
+                f"pressure has shape {pressure.shape}; give one value at each of {len(self.weights)} points"
+            )
+        return self.operator @ pressure
+
+
+def quartered_rule(halvings: int) -> tuple[Float, Float]:
+    """Points (q, 2) and weights (q,) of the triangle's rule in each of the 4^halvings parts of the unit triangle."""
+    points, weights = triangle_rule()
+    for _ in range(halvings):
+        parts = [0.5 * points + corner for corner in np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]])]
+        points, weights = np.concatenate([*parts, 0.5 - 0.5 * points]), np.tile(0.25 * weights, 4)
+    return points, weights
+
+
+def sampled(mesh: WedgeMesh, system: SkinSystem, load: Traction) -> sparse.csr_matrix:
+    """Nodal forces [N] of pressures [Pa] at a traction's points, csr, shape (n, p).
+
+    The pressure is linear between the points (Delaunay triangles in x and y), reaches half a spacing beyond the
+    outermost as it is there, and is integrated on a rule about as close as they lie. Forces at the points themselves,
+    of the areas that they stand for, would be a rough load on elements not much larger than those, to which a thin
+    layer answers more than to a smooth one. They are left for points on a line or about a body, for those whose areas
+    are half or twice what lies between them, and for one that no point of the rule is near. Skin above or below a
+    triangle, farther from it than its longest edge, has no pressure.
+    """
+    probe = SurfaceProbe(mesh, load.points, system)
+    forces = sparse.csr_matrix(-(probe.operator.T @ sparse.diags(load.weights_m2)))
+    flat = load.points[:, :2]
+    if len(flat) < 3 or np.linalg.matrix_rank(flat - flat.mean(axis=0), tol=1e-9) < 2:
+        return forces
+    outer, beyond = beyond_rim(Delaunay(flat), np.sqrt(load.weights_m2))
+    owner = np.concatenate([np.arange(len(flat)), outer])
+    points = np.concatenate([load.points, np.column_stack([beyond, load.points[outer, 2]])])
+    net = Delaunay(points[:, :2])
+    sides = points[net.simplices] - points[np.roll(net.simplices, 1, axis=1)]
+    longest = np.linalg.norm(sides, axis=2).max(axis=1)
+    steep = longest > STEEPEST * np.linalg.norm(sides[..., :2], axis=2).max(axis=1)
+    covered = 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)[~steep].sum()
+    given = float(load.weights_m2.sum())
+    if steep.mean() > WRAPPED or not 0.5 * given < covered < 2.0 * given:
+        return forces
+    corners = mesh.nodes[mesh.surface_triangles6[:, :3]]
+    under = np.unique(probe.triangles)
+    edge = float(np.linalg.norm(corners[under] - np.roll(corners[under], 1, axis=1), axis=2).mean())
+    apart = math.sqrt(float(np.median(load.weights_m2)))
+    halvings = int(np.clip(math.ceil(math.log2(max(0.5 * edge / apart, 1.0))), 0, MOST_HALVINGS))
+    middles = corners.mean(axis=1)
+    size = np.linalg.norm(corners - middles[:, None], axis=2).max(axis=1)
+    near = cKDTree(points).query(middles)[0] <= size + longest.max()
+    quadrature = SurfaceQuadrature(mesh, system, halvings, np.flatnonzero(near).astype(np.int32))
+    place = net.find_simplex(quadrature.points[:, :2])
+    seen = np.flatnonzero(place >= 0)
+    turn = net.transform[place[seen]]
+    two = np.einsum("qij,qj->qi", turn[:, :2], quadrature.points[seen, :2] - turn[:, 2])
+    shares = np.column_stack([two, 1.0 - two.sum(axis=1)])
+    corner = net.simplices[place[seen]]
+    away = np.linalg.norm(quadrature.points[seen] - np.einsum("qi,qic->qc", shares, points[corner]), axis=1)
+    shares[steep[place[seen]] | (away > longest[place[seen]])] = 0.0
+    rows, columns = np.repeat(seen, 3), owner[corner.ravel()]
+    between = sparse.coo_matrix((shares.ravel(), (rows, columns)), shape=(len(quadrature.points), len(flat))).tocsr()
+    alone = sparse.diags((between.T @ quadrature.weights <= 0.0).astype(float))
+    return sparse.csr_matrix(quadrature.operator @ between + forces @ alone)
+
+
+def beyond_rim(net: Delaunay, spacing: Float) -> tuple[Int, Float]:
+    """The outermost points' numbers (m,), and places (m, 2) half their spacing outside."""
+    edges = net.convex_hull
+    along = net.points[edges[:, 1]] - net.points[edges[:, 0]]
+    out = np.column_stack([along[:, 1], -along[:, 0]]) / np.linalg.norm(along, axis=1, keepdims=True)
+    inwards = np.einsum("ec,ec->e", out, net.points[edges[:, 0]] - net.points.mean(axis=0)) < 0.0
+    out[inwards] *= -1.0
+    outer, place = np.unique(edges, return_inverse=True)
+    normal = np.zeros((len(outer), 2))
+    np.add.at(normal, place.ravel(), 0.5 * np.repeat(out, 2, axis=0))
+    # A corner is as far from both of its edges
+    size2 = np.maximum((normal**2).sum(axis=1, keepdims=True), 0.25)
+    return outer.astype(np.int32), net.points[outer] + 0.5 * spacing[outer, None] * normal / size2
+
+
+class PressureHistory:
+    """The force of a load on a layer as time goes on.
+
+    knots_s: the load's own times [s]
+    Raises SceneError for a load whose points lie off the surface.
+    """
+
+    def __init__(self, load: Load, mesh: WedgeMesh, system: SkinSystem) -> None:
+        self.load = load
+        self.knots_s = np.asarray(load.times_s, dtype=float)
+        if isinstance(load, Spot):
+            quadrature = SurfaceQuadrature(mesh, system)
+            self.points, self.operator = quadrature.points, quadrature.operator
+            self.centres = load.centres()
+        else:
+            self.operator = sampled(mesh, system, load)
+        self._still: Float | None = None
+
+    def force(self, start_s: float, end_s: float) -> tuple[Float, Float]:
+        """Forces [N], (n,), at the ends of a step whose straight line has the load's own impulse and first moment.
+
+        Where the load itself is a straight line over the step, that is the load; a jump or a bend inside the step keeps
+        its effect to second order. Two Gauss points between knots: exact for linear pressure.
+        """
+        inside = self.knots_s[(self.knots_s > start_s) & (self.knots_s < end_s)]
+        edges = np.concatenate([[start_s], inside, [end_s]])
+        first = last = 0.0
+        for a, b in itertools.pairwise(edges):
+            for node in (-1.0, 1.0):
+                t = 0.5 * (a + b) + 0.5 * (b - a) * node / math.sqrt(3.0)
+                share, x = 0.5 * (b - a) / (end_s - start_s), (t - start_s) / (end_s - start_s)
+                pressure = self.pressure(t)
+                first = first + share * (4.0 - 6.0 * x) * pressure
+                last = last + share * (6.0 * x - 2.0) * pressure
+        return self.operator @ first, self.operator @ last
+
+    def final_force(self) -> Float:
+        """Force [N], (n,), of the load after its last time."""
+        return self.operator @ self.pressure(float(self.knots_s[-1]))
+
+    def pressure(self, t: float) -> Float:
+        """Pressure [Pa] at the load's points at time t [s]; 0 before the first time, at rest after the last."""
+        place, share = self._between(t)
+        weights = np.zeros(len(self.knots_s))
+        if place >= 0:
+            weights[place] += 1.0 - share
+            weights[min(place + 1, len(weights) - 1)] += share
+        if isinstance(self.load, Traction):
+            return weights @ np.asarray(self.load.pressure_Pa)
+        peak = float(weights @ np.asarray(self.load.peak_Pa))
+        if len(self.centres) == 1 or not np.ptp(self.centres, axis=0).any():
+            if self._still is None:
+                self._still = self._bell(self.centres[0])
+            return peak * self._still
+        return peak * self._bell(weights @ self.centres)
+
+    def _bell(self, centre: Float) -> Float:
+        assert isinstance(self.load, Spot)
+        return bell(self.points, centre, self.load.fwhm_m)
+
+    def _between(self, t: float) -> tuple[int, float]:
+        """Index of the last knot not after t (-1: before all) and the share of the way to the next."""
+        place = int(np.searchsorted(self.knots_s, t, side="right")) - 1
+        if place < 0 or place == len(self.knots_s) - 1 or self.load.law == "held":
+            return place, 0.0
+        return place, (t - self.knots_s[place]) / (self.knots_s[place + 1] - self.knots_s[place])
+
+
+def bell(points: Float, centre: Float, fwhm_m: float) -> Float:
+    """A spot's share of its peak at points (n, 3), by their distance from its centre (2,) in x and y."""
+    return np.exp(-GAUSSIAN * ((points[:, :2] - centre) ** 2).sum(axis=1) / fwhm_m**2)

@@ -1,0 +1,108 @@
+"""Materials, rows of elements and base of a scene's skin layer, from its keys."""
+
+from dataclasses import astuple, replace
+
+import numpy as np
+from scipy.optimize import brentq
+
+from palmfield.config.skin import OVERRIDES, SkinConfig
+from palmfield.errors import SceneError
+from palmfield.skin.materials.catalogue import preset
+from palmfield.skin.materials.dispersion import cutoff
+from palmfield.skin.materials.material import Branch, Material, shear_wave
+from palmfield.skin.problem import BaseKind, Sheet, Springs
+from palmfield.types import Float
+
+
+def sheets_of(skin: SkinConfig) -> tuple[Sheet, ...]:
+    """Sheets from the surface down; thicknesses are shares of the layer's depth."""
+    if not skin.materials:
+        return (Sheet(material_of(skin), 1.0),)
+    return tuple(Sheet(preset(name), share) for name, share in zip(skin.materials, skin.shares, strict=True))
+
+
+def slowest(sheets: tuple[Sheet, ...], f_Hz: float) -> Material:
+    """The material with the slowest shear wave at a frequency [Hz]: it needs the smallest elements."""
+    return min((sheet.material for sheet in sheets), key=lambda material: shear_wave(material, f_Hz)[0])
+
+
+def rows_of(sheets: tuple[Sheet, ...], fractions: Float) -> tuple[Float, list[Material]]:
+    """Depth fractions of rows of elements such that none crosses two sheets, and the material of each row.
+
+    fractions: of a layer of one sheet, 0 first, 1 last, (L+1,). A sheet gets as many rows as they have in it, at least
+    one.
+    """
+    index = np.arange(len(fractions), dtype=float)
+    found, materials = [0.0], []
+    for sheet in sheets:
+        top = found[-1]
+        first, last = np.interp([top, top + sheet.thickness_m], fractions, index)
+        count = max(1, round(last - first))
+        inner = np.interp(np.linspace(first, last, count + 1)[1:-1], index, fractions)
+        found += [*inner.tolist(), top + sheet.thickness_m]
+        materials += [sheet.material] * count
+    found[-1] = 1.0
+    return np.array(found), materials
+
+
+def layer_cutoff(sheets: tuple[Sheet, ...], depth_m: float) -> float:
+    """Frequency at which a shear wave takes a quarter of a period through a layer of this depth [m] [Hz].
+
+    Below it a layer bonded to a rigid base guides no wave; c_s / 4h of one material
+    (`palmfield.skin.materials.dispersion.cutoff`).
+    """
+    slow = min(cutoff(sheet.material, sheet.thickness_m * depth_m) for sheet in sheets)
+
+    def excess(f_Hz: float) -> float:
+        times = [sheet.thickness_m * depth_m / shear_wave(sheet.material, f_Hz)[0] for sheet in sheets]
+        return 4.0 * f_Hz * sum(times) - 1.0
+
+    return float(brentq(excess, 1e-3 * slow, 1.000001 * slow))
+
+
+def cutoff_Hz(skin: SkinConfig, sheets: tuple[Sheet, ...], depth_m: float) -> float | None:
+    """Frequency below which a layer of this depth [m] guides no wave [Hz]; None on a base that slides or is free.
+
+    Springs below, in place of a rigid base, lower it: it is then the most that it can be.
+    """
+    return None if skin.base in ("free_slip", "free") else layer_cutoff(sheets, depth_m)
+
+
+def sheets_in_words(sheets: tuple[Sheet, ...]) -> str:
+    """Names of the materials from the surface down, with their shares where there are several."""
+    if len(sheets) == 1:
+        return sheets[0].material.name
+    return ", ".join(f"{100 * sheet.thickness_m:.3g} % {sheet.material.name}" for sheet in sheets)
+
+
+def base_of(skin: SkinConfig) -> BaseKind | Springs:
+    """The layer's base as `palmfield.skin.fem.assembly.assemble` takes it."""
+    base = skin.base
+    return Springs(*(skin.springs or ())) if base == "springs" else base
+
+
+def material_of(skin: SkinConfig) -> Material:
+    """The preset with the scene's overrides."""
+    changed = {key: getattr(skin, key) for key in OVERRIDES if getattr(skin, key) is not None}
+    base = preset(skin.material)
+    if not changed:
+        return base
+    of_branch = ("shear_branch_Pa", "relaxation_time_s")
+    values = {key: value for key, value in changed.items() if key not in of_branch}
+    branch = [changed.get(key) for key in of_branch]
+    if branch != [None, None]:
+        if None in branch and len(base.branches) != 1:
+            raise SceneError(
+                f"plugin 'palmfield.skin': material '{base.name}' has {len(base.branches)} branches; "
+                "give both shear_branch_Pa and relaxation_time_s, which then stand for all of them"
+            )
+        own = base.branches[0] if base.branches else Branch(0.0, 0.0)
+        values["branches"] = (
+            Branch(*(new if new is not None else old for new, old in zip(branch, astuple(own), strict=True))),
+        )
+    return replace(
+        base,
+        name=f"{base.name}, changed",
+        source=f"{base.source}; set by the scene: {', '.join(changed)}",
+        **values,
+    )

@@ -1,0 +1,316 @@
+"""Named skin materials, how sure their numbers are, and the layered skin of the hand.
+
+`preset(name)` gives a Material; `CATALOGUE` has, beside it, the range of its numbers and the measurements with which
+`misfits` compares it. docs/materials.md is made from these.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from palmfield.errors import SceneError
+from palmfield.skin.analytic.layer_oracle import centre_response
+from palmfield.skin.materials.dispersion import describe
+from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson, complex_shear, kelvin_voigt, prony
+from palmfield.skin.problem import Sheet
+
+Quantity = Literal["surface speed", "shear speed", "decay", "storage in compression"]
+UNITS: dict[str, str] = {"surface speed": "m/s", "shear speed": "m/s", "decay": "1", "storage in compression": "Pa"}
+
+
+@dataclass(frozen=True)
+class Range:
+    """A parameter of a Material (a field's name) or of its whole shear modulus ("shear"), and what is known of it.
+
+    low, high: in the field's unit, or as factors on the preset's shear modulus where the parameter is "shear"
+    source: what the range is (one standard deviation, extremes, ...) and where it comes from
+    """
+
+    parameter: str
+    low: float
+    high: float
+    source: str
+
+
+@dataclass(frozen=True)
+class Observation:
+    """Something measured that a material can be held against.
+
+    quantity: "surface speed" [m/s]: phase speed of the Rayleigh wave; "shear speed" [m/s]; "decay": |u(40 mm)| over
+        |u(5 mm)| beside a Gaussian spot of 10 mm full width on a layer depth_m deep, bonded to bone; "storage in
+        compression" [Pa]: 3 G' of a bar that may widen freely
+    f_Hz: frequency [Hz]; value: in UNITS[quantity]; spread: its standard deviation or half its range, None if unknown
+    """
+
+    quantity: Quantity
+    f_Hz: float
+    value: float
+    spread: float | None
+    source: str
+    depth_m: float = 0.0
+
+
+@dataclass(frozen=True)
+class Preset:
+    """A material, the ranges of its numbers, and the measurements that it stands beside."""
+
+    material: Material
+    ranges: tuple[Range, ...] = ()
+    observations: tuple[Observation, ...] = ()
+
+
+def model(material: Material, observation: Observation) -> float:
+    """What the material gives where the observation was made, in the observation's unit."""
+    f = observation.f_Hz
+    if observation.quantity == "surface speed":
+        return describe(material, f).rayleigh_speed_m_s
+    if observation.quantity == "shear speed":
+        return describe(material, f).shear_speed_m_s
+    if observation.quantity == "storage in compression":
+        return 3.0 * complex_shear(material, f).real
+    near, far = np.abs(centre_response(f, material, observation.depth_m, 0.010, at=np.array([0.005, 0.040])))
+    return float(far / near)
+
+
+def misfits(entry: Preset) -> list[float]:
+    """model / value - 1 of each observation of a preset."""
+    return [model(entry.material, seen) / seen.value - 1.0 for seen in entry.observations]
+
+
+MANFREDI = "Manfredi et al. 2012, PLoS ONE 7:e31203"
+ZHANG = "Zhang et al. 2011, Med. Eng. Phys. 33:31 (doi 10.1016/j.medengphy.2010.08.016)"
+MIZUSHIMA = "Mizushima & Sato 2024 (doi 10.18494/SAM5054)"
+READING = f"this project's reading of a curve that rises to a plateau near 7 m/s ({MANFREDI}), not a table of theirs"
+POWER_LAW = f"finger, amplitude falls as distance to the power -1.1 to -1.3 ({MANFREDI}, exponents of fig. 3)"
+SITE_SPEEDS = tuple(
+    Observation("surface speed", f, speed, None, READING)
+    for f, speed in ((50.0, 3.6), (100.0, 4.6), (200.0, 6.0), (400.0, 7.1))
+)
+SITE_DECAY = Observation("decay", 200.0, 0.085, 0.017, POWER_LAW, depth_m=0.012)
+
+GEL_STORAGE_PA = {"hitohada_c0": 1.07e4, "hitohada_c7": 5.08e4, "hitohada_c15": 8.35e4}
+"""Storage modulus in compression at 10 Hz [Pa], Mizushima & Sato 2024."""
+GEL_BAND_HZ = (1.0, 1000.0)
+GEL_TIMES_S = (163e-6, 1.538e-3, 12.03e-3, 104.4e-3)
+
+
+def gel(name: str, relaxed_Pa: float, branches_Pa: tuple[float, ...], times_s: tuple[float, ...]) -> Preset:
+    hardness = name.removeprefix("hitohada_c")
+    material = prony(
+        name,
+        1000.0,
+        relaxed_Pa,
+        branches_Pa,
+        times_s,
+        source=f"HITOHADA gel of Asker C {hardness}, {MIZUSHIMA}: E' at 10 Hz as printed. Its change with frequency is "
+        "assumed, since only a figure has it: fractional Kelvin-Voigt of exponent 0.2 by 4 branches over 1 to 1000 Hz "
+        "(scripts/fit_palm_material.py), loss tangent rising to 100 Hz and flat above as they say. They also say that "
+        "the three gels' loss moduli are similar; here they go with the storage. Density assumed. nu 0.4999 beside the "
+        "instantaneous modulus",
+    )
+    factors = Range(
+        "shear",
+        0.67,
+        1.0,
+        "discs of 2 mm, 1 mm thick, were clamped: were they bonded, E' would be 1 + 2 S^2 = 1.5 of the material's own "
+        "(Gent & Lindley's law, S = 0.5)",
+    )
+    seen = Observation("storage in compression", 10.0, GEL_STORAGE_PA[name], None, f"{MIZUSHIMA}, as if free to widen")
+    return Preset(material, (factors,), (seen,))
+
+
+CATALOGUE: dict[str, Preset] = {
+    "ecoflex_00-10": Preset(
+        Material(
+            name="ecoflex_00-10",
+            density_kg_m3=1030.0,
+            shear_relaxed_Pa=12.5e3,
+            branches=(Branch(20e3, 3.42 / 20e3),),
+            bulk_Pa=bulk_from_poisson(0.495, 12.5e3),
+            source="Chilles et al., Ecoflex 00-10 phantom: G_r 12.5 kPa, G_m 20 kPa, eta 3.42 Pa s (tau = eta/G_m = "
+            "171 us), nu 0.495 read as printed, that is on the relaxed modulus",
+        ),
+        (
+            Range(
+                "shear",
+                0.5,
+                1.5,
+                "one standard deviation of the moduli, 50 % (Chilles et al. 2019, whose model of it moved 1.8 to 3.8 "
+                "times as far as the gel that they measured)",
+            ),
+        ),
+    ),
+    "gelatin_2": Preset(
+        kelvin_voigt(
+            "gelatin_2",
+            923.5,
+            23087.5,
+            0.0202,
+            source="Humimic gelatin #2, Reardon et al. 2023 (doi 10.1126/sciadv.adf2037), as they simulated it: "
+            "density 923.5 kg/m^3, shear speed 5 m/s, absorption 3e5 dB/(MHz^2 cm), which is eta = 2 rho c^3 alpha = "
+            "0.0202 Pa s. nu is not printed: 0.4999",
+        ),
+        (
+            Range(
+                "viscosity_Pa_s",
+                0.0202,
+                1.0,
+                "as printed it is almost lossless; at 1 Pa s a shear wave of 400 Hz falls to a tenth in 8 cm, below "
+                "the 10 cm of their shortest wakes on the gel",
+            ),
+        ),
+        (Observation("shear speed", 200.0, 5.0, None, "Reardon et al. 2023, of their simulated tissue"),),
+    ),
+    "hitohada_c0": gel("hitohada_c0", 2041.0, (4404.0, 1991.0, 1317.0, 1039.0), GEL_TIMES_S),
+    "hitohada_c7": gel("hitohada_c7", 9689.0, (20.91e3, 9453.0, 6254.0, 4933.0), GEL_TIMES_S),
+    "hitohada_c15": gel("hitohada_c15", 15.93e3, (34.37e3, 15.54e3, 10.28e3, 8108.0), GEL_TIMES_S),
+    "finger_pad": Preset(
+        prony(
+            "finger_pad",
+            1100.0,
+            10.3e3,
+            (65.4e3,),
+            (0.412e-3,),
+            source="fitted by scripts/fit_palm_material.py to speed alone, a surface wave rising to 7 m/s as on the "
+            f"finger pad ({MANFREDI}); it decays much faster with distance than theirs. nu 0.4999 on the instantaneous "
+            "modulus",
+        ),
+        observations=(*SITE_SPEEDS, SITE_DECAY),
+    ),
+    "palm": Preset(
+        Material(
+            name="palm",
+            density_kg_m3=1100.0,
+            shear_relaxed_Pa=19.9e3,
+            branches=(Branch(17.3e3, 1.56e-3),),
+            bulk_Pa=bulk_from_poisson(0.4999, 37.2e3),
+            source="fitted by scripts/fit_palm_material.py to speed and decay at once: surface wave 4.5/5.0/5.4/5.5 "
+            "m/s at 50/100/200/400 Hz against an aim of 3.6/4.6/6.0/7.1 m/s, rising to 7 m/s as on the finger pad "
+            "(Manfredi et al. 2012): misfit +26/+9/-11/-23 %; |u(40 mm)/u(5 mm)| at 200 Hz 0.085 on 12 mm bonded to "
+            "bone (0.081 at 16 mm, 0.086 at 20 mm) against 0.085; one branch cannot meet both. nu 0.4999 on the "
+            "instantaneous modulus",
+        ),
+        observations=(*SITE_SPEEDS, SITE_DECAY),
+    ),
+    "forearm": Preset(
+        kelvin_voigt(
+            "forearm",
+            1100.0,
+            7.86e3,
+            5.03,
+            source=f"forearm in vivo, {ZHANG}: Voigt solid of 7.86 kPa and 5.03 Pa s, fitted by them to surface "
+            "waves of 100 to 400 Hz; above, its speed goes on rising, which tissue's does not. nu 0.4999",
+        ),
+        (
+            Range("shear_relaxed_Pa", 6.00e3, 9.72e3, f"one standard deviation, {ZHANG}"),
+            Range("viscosity_Pa_s", 4.43, 5.63, f"one standard deviation, {ZHANG}"),
+        ),
+        (Observation("surface speed", 200.0, 3.25, 0.19, f"forearm of a volunteer, {ZHANG}"),),
+    ),
+}
+
+PRESETS: dict[str, Material] = {name: entry.material for name, entry in CATALOGUE.items()}
+
+
+def preset(name: str) -> Material:
+    """The material of that name in PRESETS. Raises SceneError with the known names otherwise."""
+    if name not in PRESETS:
+        raise SceneError(f"skin material '{name}' is not known; use one of {', '.join(sorted(PRESETS))}")
+    return PRESETS[name]
+
+
+@dataclass(frozen=True)
+class Tissue:
+    """A layer of skin: Young's modulus of the relaxed tissue [Pa], density [kg/m^3], thickness by site [m].
+
+    thickness_m: None where the layer fills what the others leave above the bone
+    """
+
+    name: str
+    young_Pa: float
+    density_kg_m3: float
+    thickness_m: dict[str, float | None]
+    source: str
+
+
+DEPTH_M = {"palm": 0.012, "finger_pad": 0.005}
+"""Skin to bone: palm 8 to 20 mm, pulp of the finger 4 to 6 mm."""
+MAENO = "attributed to Maeno et al. 1998, not checked against the paper"
+TISSUES = (
+    Tissue(
+        "stratum corneum",
+        1.5e6,
+        1100.0,
+        {"palm": 0.17e-3, "finger_pad": 0.30e-3},
+        "1 to 2 MPa under an indenter (Geerligs et al. 2011, J. Biomech. 44:1176); 0.3 mm on a finger by optical "
+        "coherence tomography (Adams et al. 2013, doi 10.1098/rsif.2012.0467); on the palm 0.17 mm, source not found",
+    ),
+    Tissue(
+        "epidermis",
+        136e3,
+        1100.0,
+        {"palm": 0.38e-3, "finger_pad": 0.40e-3},
+        f"{MAENO}; with the stratum corneum 0.4 to 0.7 mm thick",
+    ),
+    Tissue("dermis", 80e3, 1100.0, {"palm": 1.15e-3, "finger_pad": 1.15e-3}, f"{MAENO}; 0.8 to 1.5 mm thick"),
+    Tissue("subcutis", 34e3, 911.0, {"palm": None, "finger_pad": None}, f"{MAENO}; density of fat; down to the bone"),
+)
+
+
+def hand_skin(site: str, depth_m: float | None = None) -> tuple[Sheet, ...]:
+    """Stratum corneum, epidermis, dermis and subcutis of the "palm" or "finger_pad", outermost first.
+
+    depth_m: skin to bone [m]; None is DEPTH_M[site]. The subcutis takes what the others leave.
+    Moduli and thicknesses of TISSUES are those of models, known to a factor of 2 and to about a third. How each layer
+    relaxes is not known: all do as the site's preset, by the same share of their own modulus. nu 0.4999 beside the
+    instantaneous modulus.
+    Raises SceneError for another site and a depth that leaves no subcutis.
+    """
+    if site not in DEPTH_M:
+        raise SceneError(f"hand skin: site '{site}' is not known; use one of {', '.join(DEPTH_M)}")
+    depth = DEPTH_M[site] if depth_m is None else depth_m
+    whole = preset(site)
+    given = [tissue.thickness_m[site] for tissue in TISSUES]
+    rest = depth - sum(thickness for thickness in given if thickness is not None)
+    if not rest > 0.0:
+        raise SceneError(f"hand skin: depth is {depth} m; the layers above the subcutis need {depth - rest:.4f} m")
+    sheets = []
+    for tissue, thickness in zip(TISSUES, given, strict=True):
+        shear = tissue.young_Pa / 3.0
+        material = prony(
+            f"{site}, {tissue.name}",
+            tissue.density_kg_m3,
+            shear,
+            [ratio * shear for ratio in whole.ratios],
+            whole.times_s,
+            source=f"{tissue.source}; relaxes as '{site}'",
+        )
+        sheets.append(Sheet(material, rest if thickness is None else thickness))
+    return tuple(sheets)
+
+
+def varied(entry: Preset) -> list[Material]:
+    """The preset's material at the low and the high end of each of its ranges, one range at a time."""
+    materials = []
+    for known in entry.ranges:
+        for value in (known.low, known.high):
+            name = f"{entry.material.name}, {known.parameter} {value:g}"
+            if known.parameter == "shear":
+                materials.append(scaled(entry.material, value, name))
+            else:
+                changed: dict[str, Any] = {known.parameter: value}
+                materials.append(replace(entry.material, name=name, **changed))
+    return materials
+
+
+def scaled(material: Material, factor: float, name: str) -> Material:
+    """The material with all shear moduli times a factor; K stays, since it says how little volume changes."""
+    branches = tuple(Branch(factor * branch.shear_Pa, branch.time_s) for branch in material.branches)
+    return replace(
+        material,
+        name=name,
+        shear_relaxed_Pa=factor * material.shear_relaxed_Pa,
+        branches=branches,
+        viscosity_Pa_s=factor * material.viscosity_Pa_s,
+    )

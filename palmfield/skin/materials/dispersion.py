@@ -1,0 +1,122 @@
+"""Waves of a skin material: what one frequency does in it, from its complex moduli.
+
+Phasors go with e^{-i w t}: G* = G' - iG'', wavenumbers k = w/c + i/L with phase speed c and 1/e length L.
+"""
+
+import cmath
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import brentq
+
+from palmfield.errors import SceneError
+from palmfield.skin.materials.material import Material, complex_bulk, complex_shear, shear_wave
+
+
+@dataclass(frozen=True)
+class Waves:
+    """A material at one frequency. Speeds are phase speeds [m/s]; lengths are 1/e lengths of the amplitude [m].
+
+    f_Hz: frequency [Hz]; shear_Pa, bulk_Pa: complex moduli G' - iG'', K' - iK'' [Pa]
+    shear, pressure: plane waves in the solid; rayleigh: the surface wave of a deep, bare half-space
+    cutoff_Hz: below it a bonded layer of the given thickness guides no wave, c_s / 4h [Hz]; None without a thickness
+    """
+
+    f_Hz: float
+    shear_Pa: complex
+    bulk_Pa: complex
+    shear_speed_m_s: float
+    shear_length_m: float
+    pressure_speed_m_s: float
+    pressure_length_m: float
+    rayleigh_speed_m_s: float
+    rayleigh_length_m: float
+    cutoff_Hz: float | None = None
+
+    @property
+    def loss_tangent(self) -> float:
+        """G'' / G'."""
+        return -self.shear_Pa.imag / self.shear_Pa.real
+
+
+def describe(material: Material, f_Hz: float, thickness_m: float | None = None) -> Waves:
+    """Complex moduli, speeds and 1/e lengths at f > 0 [Hz], and the cut-off of a bonded layer [m] where one is given.
+
+    Raises SceneError for a frequency or thickness that is not above 0 and finite.
+    """
+    check_positive("frequency", f_Hz, "Hz")
+    shear, bulk = complex_shear(material, f_Hz), complex_bulk(material, f_Hz)
+    omega = 2.0 * math.pi * f_Hz
+    pressure = omega * cmath.sqrt(material.density_kg_m3 / (bulk + 4.0 / 3.0 * shear))
+    rayleigh = rayleigh_wavenumber(material, f_Hz)
+    return Waves(
+        f_Hz,
+        shear,
+        bulk,
+        *shear_wave(material, f_Hz),
+        *speed_and_length(pressure, omega),
+        *speed_and_length(rayleigh, omega),
+        None if thickness_m is None else cutoff(material, thickness_m),
+    )
+
+
+def rayleigh_wavenumber(material: Material, f_Hz: float) -> complex:
+    """Wavenumber of the Rayleigh wave of a viscoelastic half-space at f > 0 [rad/m].
+
+    (2 - x)^2 = 4 sqrt(1 - x) sqrt(1 - m x), x = (c/c_s)^2, m = G/(K + 4G/3), squared to the cubic
+    x^3 - 8 x^2 + (24 - 16 m) x - 16 (1 - m) = 0 (Achenbach 1973, ch. 5). Of its roots those count whose two parts
+    decay with depth and solve the equation before squaring. Beyond a loss tangent of about 0.16 a second, faster one
+    does too (Currie, Hayes & O'Leary 1977); taken is the one that becomes the elastic solid's as the loss vanishes.
+    Raises SceneError for a frequency that is not above 0 and finite.
+    """
+    check_positive("frequency", f_Hz, "Hz")
+    shear, bulk = complex_shear(material, f_Hz), complex_bulk(material, f_Hz)
+    ratio = shear / (bulk + 4.0 / 3.0 * shear)
+    roots = np.roots([1.0, -8.0, 24.0 - 16.0 * ratio, -16.0 * (1.0 - ratio)])
+    slow = elastic_root(ratio.real)
+    root = complex(roots[np.argmin(np.abs(roots - slow))])
+    wavenumber = 2.0 * math.pi * f_Hz * cmath.sqrt(material.density_kg_m3 / shear) / cmath.sqrt(root)
+    decays = [decaying(wavenumber * cmath.sqrt(1.0 - part * root)) for part in (1.0, ratio)]
+    left = (2.0 - root) ** 2 * wavenumber**2
+    if abs(left - 4.0 * decays[0] * decays[1]) > 1e-8 * abs(left):
+        raise SceneError(f"material '{material.name}' at {f_Hz} Hz carries no Rayleigh wave: its loss is too high")
+    return wavenumber
+
+
+def elastic_root(ratio: float) -> float:
+    """(c_R / c_s)^2 of an elastic solid of (c_s / c_p)^2 = ratio, 0 to 3/4: the one root of the cubic in 0..1."""
+    return float(brentq(lambda x: ((x - 8.0) * x + 24.0 - 16.0 * ratio) * x - 16.0 * (1.0 - ratio), 0.0, 1.0))
+
+
+def cutoff(material: Material, thickness_m: float) -> float:
+    """Frequency f = c_s(f) / 4h below which a bonded layer of thickness h [m] guides no wave [Hz].
+
+    The first thickness resonance in shear, with the shear wave's phase speed at that frequency itself; c_s(f) / f
+    falls with f, so there is one. Raises SceneError for a thickness that is not above 0 and finite.
+    """
+    check_positive("thickness", thickness_m, "m")
+    low = math.sqrt(material.shear_relaxed_Pa / material.density_kg_m3) / (4.0 * thickness_m)
+
+    def excess(f_Hz: float) -> float:
+        return f_Hz - shear_wave(material, f_Hz)[0] / (4.0 * thickness_m)
+
+    high = 2.0 * low
+    while excess(high) < 0.0:
+        high *= 2.0
+    return float(brentq(excess, 0.5 * low, high, xtol=1e-9 * low))
+
+
+def speed_and_length(wavenumber: complex, omega: float) -> tuple[float, float]:
+    """Phase speed [m/s] and 1/e length [m] of k = w/c + i/L; the length of an undamped wave is infinite."""
+    return omega / wavenumber.real, 1.0 / wavenumber.imag if wavenumber.imag > 0.0 else math.inf
+
+
+def decaying(rate: complex) -> complex:
+    """That of +rate and -rate whose real part is not negative."""
+    return -rate if rate.real < 0.0 else rate
+
+
+def check_positive(what: str, value: float, unit: str) -> None:
+    if not (math.isfinite(value) and value > 0.0):
+        raise SceneError(f"{what} is {value} {unit}; give a finite number above 0")

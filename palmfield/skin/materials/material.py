@@ -1,0 +1,216 @@
+"""Skin materials: linear viscoelastic solids, isotropic. Named ones are in palmfield.skin.materials.catalogue."""
+
+import cmath
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from palmfield.errors import SceneError
+from palmfield.types import Complex
+
+INCOMPRESSIBLE = 1e6
+"""K over the shear modulus that stands for nu = 0.5 in `elastic`, `kelvin_voigt` and their like.
+
+Under spots of 6 to 20 mm on bonded layers 1 to 20 mm deep, at 0 to 400 Hz, the motion is then within 6e-5 of the
+incompressible one (docs/materials.md; tests/skin/test_material.py). Thinner layers and wider spots: more.
+"""
+
+NuOf = Literal["instant", "relaxed"]
+
+
+@dataclass(frozen=True)
+class Branch:
+    """Maxwell branch: spring G_m [Pa], >= 0, in series with a dashpot; time_s: tau = eta / G_m [s], >= 0.
+
+    At tau = 0 the branch carries nothing.
+    """
+
+    shear_Pa: float
+    time_s: float
+
+
+@dataclass(frozen=True)
+class Material:
+    """Spring G_r beside Maxwell branches and a dashpot, in shear: G(s) = G_r + sum G_i s tau_i / (1 + s tau_i) + eta s.
+
+    No branch and no dashpot: elastic. A dashpot alone: Kelvin-Voigt. One branch: standard linear solid. More: Prony
+    series.
+
+    density_kg_m3: rho [kg/m^3], > 0
+    shear_relaxed_Pa: G_r [Pa], > 0
+    branches: Maxwell branches, any number
+    bulk_Pa: K [Pa], > 0, of the relaxed solid
+    viscosity_Pa_s: eta [Pa s], >= 0
+    bulk_relaxes: whether K follows G, K(s) = K G(s) / G_r (Poisson's ratio is constant), or is elastic
+    source: where the numbers come from
+
+    Raises SceneError for a value outside these ranges.
+    """
+
+    name: str
+    density_kg_m3: float
+    shear_relaxed_Pa: float
+    branches: tuple[Branch, ...]
+    bulk_Pa: float
+    source: str
+    viscosity_Pa_s: float = 0.0
+    bulk_relaxes: bool = False
+
+    def __post_init__(self) -> None:
+        values = {name: getattr(self, name) for name in ("density_kg_m3", "shear_relaxed_Pa", "bulk_Pa")}
+        for name, value in values.items():
+            if not (math.isfinite(value) and value > 0.0):
+                raise SceneError(f"material '{self.name}': {name} is {value}; give a finite number above 0")
+        values = {"viscosity_Pa_s": self.viscosity_Pa_s}
+        for number, branch in enumerate(self.branches):
+            values |= {f"branches[{number}].shear_Pa": branch.shear_Pa, f"branches[{number}].time_s": branch.time_s}
+        for name, value in values.items():
+            if not (math.isfinite(value) and value >= 0.0):
+                raise SceneError(f"material '{self.name}': {name} is {value}; give a finite number, 0 or above")
+
+    @property
+    def ratios(self) -> tuple[float, ...]:
+        """g_i = G_i / G_r of each branch."""
+        return tuple(branch.shear_Pa / self.shear_relaxed_Pa for branch in self.branches)
+
+    @property
+    def times_s(self) -> tuple[float, ...]:
+        """tau_i of each branch [s]."""
+        return tuple(branch.time_s for branch in self.branches)
+
+    @property
+    def viscous_time_s(self) -> float:
+        """eta / G_r [s]."""
+        return self.viscosity_Pa_s / self.shear_relaxed_Pa
+
+    @property
+    def shear_instant_Pa(self) -> float:
+        """G_r + sum G_i [Pa], the shear modulus at once; with a dashpot it is infinite, which this leaves out."""
+        return self.shear_relaxed_Pa + sum(b.shear_Pa for b in self.branches if b.time_s > 0.0)
+
+
+def bulk_from_poisson(nu: float, shear: float) -> float:
+    """Bulk modulus K = 2 G (1 + nu) / (3 (1 - 2 nu)) [Pa] of Poisson's ratio nu and shear modulus [Pa].
+
+    Raises SceneError unless -1 < nu < 0.5 and shear > 0.
+    """
+    if not -1.0 < nu < 0.5:
+        raise SceneError(f"Poisson's ratio is {nu}; give a number above -1 and below 0.5 (0.4999 for soft tissue)")
+    if not (math.isfinite(shear) and shear > 0.0):
+        raise SceneError(f"shear modulus is {shear} Pa; give a finite number above 0")
+    return 2.0 * shear * (1.0 + nu) / (3.0 * (1.0 - 2.0 * nu))
+
+
+def elastic(
+    name: str,
+    density_kg_m3: float,
+    shear_Pa: float,
+    nu: float = 0.4999,
+    *,
+    source: str = "",
+    bulk_relaxes: bool = False,
+) -> Material:
+    """Spring G alone: density rho [kg/m^3], shear modulus G [Pa], Poisson's ratio nu; errors as `prony`."""
+    return prony(name, density_kg_m3, shear_Pa, (), (), nu, source=source, bulk_relaxes=bulk_relaxes)
+
+
+def kelvin_voigt(
+    name: str,
+    density_kg_m3: float,
+    shear_Pa: float,
+    viscosity_Pa_s: float,
+    nu: float = 0.4999,
+    *,
+    source: str = "",
+    bulk_relaxes: bool = False,
+) -> Material:
+    """Spring G [Pa] beside a dashpot eta [Pa s]: G(s) = G + eta s. nu is of the spring; errors as `prony`."""
+    return prony(
+        name, density_kg_m3, shear_Pa, (), (), nu,
+        viscosity_Pa_s=viscosity_Pa_s, source=source, bulk_relaxes=bulk_relaxes,
+    )  # fmt: skip
+
+
+def standard_linear(
+    name: str,
+    density_kg_m3: float,
+    relaxed_Pa: float,
+    branch_Pa: float,
+    time_s: float,
+    nu: float = 0.4999,
+    *,
+    nu_of: NuOf = "instant",
+    source: str = "",
+    bulk_relaxes: bool = False,
+) -> Material:
+    """Spring G_r [Pa] beside one Maxwell branch G_m [Pa], tau [s] (standard linear solid); errors as `prony`."""
+    return prony(
+        name, density_kg_m3, relaxed_Pa, (branch_Pa,), (time_s,), nu,
+        nu_of=nu_of, source=source, bulk_relaxes=bulk_relaxes,
+    )  # fmt: skip
+
+
+def prony(
+    name: str,
+    density_kg_m3: float,
+    relaxed_Pa: float,
+    branches_Pa: Sequence[float],
+    times_s: Sequence[float],
+    nu: float = 0.4999,
+    *,
+    nu_of: NuOf = "instant",
+    viscosity_Pa_s: float = 0.0,
+    source: str = "",
+    bulk_relaxes: bool = False,
+) -> Material:
+    """Spring G_r [Pa] beside Maxwell branches of moduli G_i [Pa] and times tau_i [s], and a dashpot eta [Pa s].
+
+    nu: Poisson's ratio, above -1; 0.5 gives K = INCOMPRESSIBLE times the modulus it is of
+    nu_of: the shear modulus beside which nu is meant: "instant", G_r + sum G_i (the dashpot left out), or "relaxed",
+        G_r. Soft tissue is nearly incompressible however fast it moves: hence "instant". Where the bulk relaxes too,
+        nu is the same at all rates and K, of the relaxed solid, follows from G_r.
+    Raises SceneError as Material and bulk_from_poisson, for unequal numbers of moduli and times, and an unknown nu_of.
+    """
+    if len(branches_Pa) != len(times_s):
+        raise SceneError(
+            f"material '{name}': {len(branches_Pa)} branch moduli, {len(times_s)} times; give one for each"
+        )
+    if nu_of not in ("instant", "relaxed"):
+        raise SceneError(f"material '{name}': nu_of is '{nu_of}'; use 'instant' or 'relaxed'")
+    branches = tuple(Branch(float(shear), float(time)) for shear, time in zip(branches_Pa, times_s, strict=True))
+    springs = Material(
+        name, density_kg_m3, relaxed_Pa, branches, 1.0, source, viscosity_Pa_s=viscosity_Pa_s, bulk_relaxes=bulk_relaxes
+    )
+    shear = springs.shear_relaxed_Pa if bulk_relaxes or nu_of == "relaxed" else springs.shear_instant_Pa
+    return replace(springs, bulk_Pa=INCOMPRESSIBLE * shear if nu == 0.5 else bulk_from_poisson(nu, shear))
+
+
+def stiffening(material: Material, s: complex | Complex) -> complex | Complex:
+    """G(s) / G_r at complex rates s [1/s] of e^{st}, any shape."""
+    total = 1.0 + material.viscous_time_s * s
+    for ratio, time_s in zip(material.ratios, material.times_s, strict=True):
+        total = total + ratio * (s * time_s) / (1.0 + s * time_s)
+    return total
+
+
+def complex_shear(material: Material, f_Hz: float) -> complex:
+    """Complex shear modulus G' - iG'' [Pa] at f [Hz] under e^{-i w t}."""
+    return complex(material.shear_relaxed_Pa * stiffening(material, -2j * math.pi * f_Hz))
+
+
+def complex_bulk(material: Material, f_Hz: float) -> complex:
+    """Complex bulk modulus [Pa] at f [Hz] under e^{-i w t}; real unless it follows the shear modulus."""
+    return complex(material.bulk_Pa * (stiffening(material, -2j * math.pi * f_Hz) if material.bulk_relaxes else 1.0))
+
+
+def shear_wave(material: Material, f_Hz: float) -> tuple[float, float]:
+    """Phase speed [m/s] and 1/e length of the amplitude [m] of a plane shear wave at f > 0 [Hz].
+
+    Raises SceneError for f <= 0. The length is infinite where the material is elastic.
+    """
+    if not f_Hz > 0.0:
+        raise SceneError(f"frequency is {f_Hz} Hz; a wave needs one above 0")
+    omega = 2.0 * math.pi * f_Hz
+    wavenumber = omega * cmath.sqrt(material.density_kg_m3 / complex_shear(material, f_Hz))
+    return omega / wavenumber.real, 1.0 / wavenumber.imag if wavenumber.imag > 0.0 else math.inf

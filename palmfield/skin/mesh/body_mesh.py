@@ -1,0 +1,175 @@
+"""The mesh and the matrices of a slab or layer, for a wanted element size."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from palmfield.hand.remesh import remeshed
+from palmfield.skin.fem.absorbing import match_speed, sponge
+from palmfield.skin.fem.assembly import SkinSystem, assemble
+from palmfield.skin.materials.material import Material
+from palmfield.skin.mesh.disc import disc_patch
+from palmfield.skin.mesh.wedges import extrude
+from palmfield.skin.problem import Body, Layer, Sheet, Slab
+from palmfield.types import Float, Patch
+
+GROWTH = 1.6
+"""Of the rows of elements with depth."""
+STEEPEST = 0.4
+"""Growth of a box's edges with distance from its fine part."""
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """What the elements of a mesh measure.
+
+    fine_m, coarse_m: edges within fine_radius_m of `centre_m` and farthest from it [m]; row_m, deepest_row_m: height of
+    the first row and largest height of a row [m]; refinements: how often a layer's triangles are quartered
+    reach_m: distance from the centre to the end of an infinite slab's undamped part [m]
+    ring_m: width of the damped ring round it, or round an absorbing slab [m]; match_Hz: frequency of its damping
+    remesh: whether a layer gets triangles of these sizes in place of its own
+    """
+
+    centre_m: tuple[float, float]
+    fine_radius_m: float
+    fine_m: float
+    coarse_m: float
+    row_m: float
+    deepest_row_m: float
+    refinements: int
+    reach_m: float
+    ring_m: float
+    match_Hz: float
+    remesh: bool = False
+
+    def scaled(self, factor: float) -> "Sizes":
+        """The same with all elements `factor` times as large; triangles of a layer by whole quarterings."""
+        return replace(
+            self, fine_m=factor * self.fine_m, coarse_m=factor * self.coarse_m, row_m=factor * self.row_m,
+            deepest_row_m=factor * self.deepest_row_m, refinements=max(0, self.refinements - round(math.log2(factor))),
+        )  # fmt: skip
+
+
+def build(body: Body, sizes: Sizes) -> SkinSystem:
+    """Mesh and matrices. Raises SceneError for what they can't be made of, an inverted element among it."""
+    side = body.side or "absorbing"
+    if isinstance(body, Layer):
+        patch = body.patch
+        if sizes.remesh:
+            centre = np.asarray(sizes.centre_m, dtype=np.float64)
+            patch = remeshed(patch, centre, sizes.fine_m, sizes.coarse_m, sizes.fine_radius_m)
+        for _ in range(sizes.refinements):
+            patch = quartered(patch)
+        depth = float(np.median(patch.depth))
+        in_ring = None
+    else:
+        patch, in_ring = _slab_patch(body, sizes)
+        depth = body.thickness_m
+    fractions, materials = rows_of(body.sheets, depth, sizes.row_m, sizes.deepest_row_m)
+    mesh = extrude(patch, fractions)
+    damping = None
+    if side == "absorbing" and in_ring is not None:
+        damping = sponge(mesh, in_ring, sizes.ring_m, match_speed(materials[0], sizes.match_Hz))
+    return assemble(
+        mesh, materials, base=body.base, side=side, absorbing_Hz=sizes.match_Hz, sponge_1_s=damping
+    )  # fmt: skip
+
+
+def rows_of(
+    sheets: tuple[Sheet, ...], depth_m: float, row_m: float, deepest_row_m: float
+) -> tuple[Float, list[Material]]:
+    """Depth fractions of the rows of elements (L+1,), at least two, and the material of each; none crosses two sheets.
+
+    Rows grow by GROWTH from row_m at the surface to deepest_row_m; a sheet has at least one.
+    """
+    heights = [min(row_m, 0.5 * depth_m)]
+    while sum(heights) < depth_m * (1.0 - 1e-9):
+        heights.append(min(GROWTH * heights[-1], max(deepest_row_m, row_m)))
+    if sum(heights) - depth_m > 0.5 * heights[-1] and len(heights) > 2:
+        heights.pop()
+    edges = np.concatenate([[0.0], np.cumsum(heights)]) / sum(heights)
+    index = np.arange(len(edges), dtype=float)
+    total = sum(sheet.thickness_m for sheet in sheets)
+    fractions, materials = [0.0], []
+    for sheet in sheets:
+        first, last = np.interp([fractions[-1], fractions[-1] + sheet.thickness_m / total], edges, index)
+        count = max(1, round(last - first))
+        inner = np.interp(np.linspace(first, last, count + 1)[1:-1], index, edges)
+        fractions += [*inner.tolist(), fractions[-1] + sheet.thickness_m / total]
+        materials += [sheet.material] * count
+    fractions[-1] = 1.0
+    return np.array(fractions), materials
+
+
+def _slab_patch(slab: Slab, sizes: Sizes) -> tuple[Patch, Float]:
+    """The slab's face, a ring round it where its sides absorb, and each vertex's distance into that ring [m]."""
+    ring = sizes.ring_m if slab.shape == "infinite" or slab.side == "absorbing" else 0.0
+    if slab.shape == "box":
+        assert slab.size_m is not None
+        half = 0.5 * np.array(slab.size_m)
+        patch = box_patch(half + ring, slab.thickness_m, sizes)
+        return patch, (np.abs(patch.vertices[:, :2]) - half).max(axis=1)
+    radius = sizes.reach_m if slab.shape == "infinite" else slab.radius_m
+    centre = np.array(sizes.centre_m) if slab.shape == "infinite" else np.zeros(2)
+    assert radius is not None
+    outer = radius + ring
+    fine_radius = min(sizes.fine_radius_m + float(np.hypot(*(np.array(sizes.centre_m) - centre))), outer)
+    coarse = min(sizes.coarse_m, 0.5 * outer)
+    fine = min(sizes.fine_m, coarse)
+    patch = disc_patch(outer, slab.thickness_m, fine, coarse, fine_radius)
+    in_ring = np.linalg.norm(patch.vertices[:, :2], axis=1) - radius
+    return replace(patch, vertices=patch.vertices + np.append(centre, 0.0)), in_ring
+
+
+def box_patch(half_m: Float, thickness_m: float, sizes: Sizes) -> Patch:
+    """A rectangle of half widths half_m (2,), its lines as dense as `sizes` asks, its squares cut crosswise in turn."""
+    x, y = (
+        _lines(float(half), centre, sizes) for half, centre in zip(half_m, sizes.centre_m, strict=True)
+    )  # fmt: skip
+    grid = np.stack(np.meshgrid(x, y, indexing="ij"), axis=2).reshape(-1, 2)
+    i, j = (a.ravel() for a in np.meshgrid(np.arange(len(x) - 1), np.arange(len(y) - 1), indexing="ij"))
+    a = i * len(y) + j
+    b, c, d = a + len(y), a + len(y) + 1, a + 1
+    turned = ((i + j) % 2 == 1)[:, None]
+    first = np.where(turned, np.column_stack([a, b, d]), np.column_stack([a, b, c]))
+    second = np.where(turned, np.column_stack([b, c, d]), np.column_stack([a, c, d]))
+    count = len(grid)
+    return Patch(
+        vertices=np.column_stack([grid, np.zeros(count)]),
+        faces=np.concatenate([first, second]).astype(np.int32),
+        inward=np.tile([0.0, 0.0, -1.0], (count, 1)),
+        depth=np.full(count, thickness_m),
+        rim=np.asarray((np.abs(grid) > half_m * (1.0 - 1e-9)).any(axis=1)),
+        axis=np.array([0.0, 0.0, 1.0]),
+    )
+
+
+def _lines(half: float, centre: float, sizes: Sizes) -> Float:
+    """Grid lines from -half to half, their distance growing from the fine part outwards."""
+    x = np.linspace(-half, half, 2001)
+    outside = np.maximum(np.abs(x - centre) - sizes.fine_radius_m, 0.0)
+    density = 1.0 / np.minimum(sizes.fine_m + STEEPEST * outside, max(sizes.coarse_m, sizes.fine_m))
+    count = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]) * np.diff(x))])
+    return np.interp(np.linspace(0.0, count[-1], max(2, math.ceil(count[-1])) + 1), count, x)
+
+
+def quartered(patch: Patch) -> Patch:
+    """Every triangle cut into four at its edges' middles; depths and inward directions are the means of their ends."""
+    faces = np.asarray(patch.faces)
+    pairs = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    edges, of, uses = np.unique(pairs, axis=0, return_inverse=True, return_counts=True)
+    middle = len(patch.vertices) + of.reshape(-1, 3)
+    a, b, c = faces.T
+    d, e, f = middle.T
+    inward = np.concatenate([patch.inward, patch.inward[edges].mean(axis=1)])
+    return replace(
+        patch,
+        vertices=np.concatenate([patch.vertices, patch.vertices[edges].mean(axis=1)]),
+        faces=np.concatenate([np.column_stack(t) for t in ((a, d, f), (d, b, e), (f, e, c), (d, e, f))]).astype(
+            np.int32
+        ),
+        inward=inward / np.linalg.norm(inward, axis=1, keepdims=True),
+        depth=np.concatenate([patch.depth, patch.depth[edges].mean(axis=1)]),
+        rim=np.concatenate([patch.rim, (uses == 1) & patch.rim[edges].all(axis=1)]),
+    )

@@ -1,0 +1,217 @@
+"""Basis for a reduced viscoelastic body from one real factorisation: block Arnoldi of the first-order form.
+
+With v = u' and q_i' = (u - q_i) / tau_i a body is T x' = A x + b f, x = (u, v, q_1, ..). The Krylov space of
+(sigma T - A)^-1 T from (sigma T - A)^-1 b holds the derivatives in s, at s = sigma, of the answers Z(s)^-1 B. One
+application solves with Z(sigma) once: with the new x marked by a stroke,
+
+    Z(sigma) u' = M (v + sigma u) + C u + sum_p K_p (t u + sum_i g_i tau_i / (1 + sigma tau_i) q_i) + F w'
+    v' = sigma u' - u,    q_i' = (u' + tau_i q_i) / (1 + sigma tau_i)
+
+So u, v and q lie in the space of the u alone, and x is kept as coordinates in a basis of that (two-level orthogonal
+Arnoldi: Lu, Su & Bai, SIAM J. Matrix Anal. Appl. 37, 2016). For sigma > 0 of the size of the highest frequency w the
+answers on the whole line up to i w converge together, in real arithmetic.
+
+A load whose course is known needs no basis for every course. Where it is F w with w' = S w from w(0) = w_0, skin and
+load together move on one line: the space begins with w_0 alone, and w' = (sigma - S)^-1 w goes with the rest. A
+focus on a circle takes some tens of vectors in this way, and hundreds otherwise.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from palmfield.skin.reduction.dynamic_stiffness import Pencil
+from palmfield.types import Complex, Float
+
+Fade = tuple[tuple[float, float], ...]
+"""A load comes or goes as the sum of share e^{-rate t} over (rate [1/s], share); ((0, 1),) is at once."""
+ROOM = 64
+"""Vectors for which memory is taken at a time."""
+PARALLEL = 1e-13
+SMALLEST = 1e-10
+"""Part of a found vector below which what is new in it is round-off."""
+
+
+@dataclass(frozen=True)
+class Course:
+    """Loads F mix w with w' = S w, for each of some beginnings w_0.
+
+    shapes F [N], shape (n, m); mix: shape (m, k); rates S [1/s], shape (k, k); starts w_0, shape (k, e)
+    """
+
+    shapes: Float
+    mix: Float
+    rates: Float
+    starts: Float
+
+
+def periodic(shapes: Complex, frequencies_Hz: Float, events: list[tuple[float, Fade]]) -> Course:
+    """Sum over k of Re(F_k e^{-i w_k t}) that fades in or out.
+
+    shapes: F_k [N], shape (n, k); frequencies_Hz: >= 0, shape (k,)
+    events: for each, the time t [s] at which it comes, and how
+    """
+    omega = 2.0 * np.pi * np.asarray(frequencies_Hz)
+    turns = block_diag(*(np.array([[0.0, w], [-w, 0.0]]) for w in omega))
+    both = np.stack([shapes.real, -shapes.imag], axis=2).reshape(len(shapes), -1)
+    unit = np.eye(len(turns))
+    rates = sorted({rate for _, fade in events for rate, _ in fade})
+    starts = [
+        np.concatenate([dict(fade).get(rate, 0.0) * harmonics(frequencies_Hz, np.array([time]))[0] for rate in rates])
+        for time, fade in events
+    ]
+    return Course(
+        both, np.hstack([unit] * len(rates)), block_diag(*(turns - rate * unit for rate in rates)), np.array(starts).T
+    )
+
+
+def harmonics(frequencies_Hz: Float, times: Float) -> Float:
+    """(cos w_k t, -sin w_k t) for each k in turn, shape (t, 2 k): what `periodic` multiplies its shapes by."""
+    angle = 2.0 * np.pi * np.outer(times, frequencies_Hz)
+    return np.stack([np.cos(angle), -np.sin(angle)], axis=2).reshape(len(angle), -1)
+
+
+def level(fade: Fade, times: Float) -> Float:
+    """Factor of the load at times [s] after the event, shape (t,)."""
+    return np.sum([share * np.exp(-rate * times) for rate, share in fade], axis=0)
+
+
+class Krylov:
+    """Vectors V, (n, r), orthonormal in the mass; `grow` adds a block.
+
+    pencil: the body; shift: sigma [1/s], > 0, where Z is factorised, once
+    load: force for one unit of each of j inputs, shape (n, j), for any course of each; or the one Course
+    products: each matrix of the pencil times V
+    """
+
+    def __init__(self, pencil: Pencil, shift: float, load: Float | Course) -> None:
+        self.pencil, self.shift = pencil, shift
+        self.factored = pencil.factor(shift)
+        self._vectors = np.empty((pencil.size, ROOM), order="F")
+        self._products = [np.zeros((pencil.size, ROOM), order="F") for _ in pencil.matrices]
+        self._small = np.zeros((len(pencil.matrices), 0, 0))
+        self.laws = [
+            (part, ratio, time_s)
+            for part, material in enumerate(pencil.materials)
+            for ratio, time_s in zip(material.ratios, material.times_s, strict=True)
+        ]
+        count = 2 + len(self.laws)
+        self._scales = np.array([shift, 1.0, *(shift for _ in self.laws)])
+        self.course = load if isinstance(load, Course) else None
+        self._known = np.zeros((count, 0, 0))
+        self._known_load = np.zeros((0 if self.course is None else len(self.course.rates), 0))
+        if isinstance(load, Course):
+            drive = self._driven(load.starts)
+            force = load.shapes @ (load.mix @ drive)
+        else:
+            drive, force = np.zeros((0, load.shape[1])), load
+        first = self._take(self.factored.solve(force))
+        self._block = np.stack([first, shift * first, *(first / (1.0 + shift * tau) for _, _, tau in self.laws)])
+        self._load = drive
+        self._trim()
+
+    @property
+    def order(self) -> int:
+        return self._small.shape[1]
+
+    @property
+    def vectors(self) -> Float:
+        return self._vectors[:, : self.order]
+
+    @property
+    def products(self) -> list[Float]:
+        return [product[:, : self.order] for product in self._products]
+
+    @property
+    def projected(self) -> list[Float]:
+        """The pencil's matrices in these vectors, symmetric."""
+        return list(self._small)
+
+    def _driven(self, load: Float) -> Float:
+        assert self.course is not None
+        rates = self.course.rates
+        return np.asarray(np.linalg.solve(self.shift * np.eye(len(rates)) - rates, load), dtype=float)
+
+    def grow(self) -> int:
+        """Apply the operator to the last block. Returns by how many vectors the basis grew; 0 at the space's end."""
+        before, shift = self.order, self.shift
+        u, v, *internal = self._block
+        mass, damping, _, *stiffness = self.products
+        right = mass @ (v + shift * u) + damping @ u
+        for part, (product, material) in enumerate(zip(stiffness, self.pencil.materials, strict=True)):
+            share = material.viscous_time_s * u
+            for (owner, ratio, tau), q in zip(self.laws, internal, strict=True):
+                if owner == part:
+                    share = share + ratio * tau / (1.0 + shift * tau) * q
+            right += product @ share
+        if self.course is not None:
+            self._load = self._driven(self._load)
+            right += self.course.shapes @ (self.course.mix @ self._load)
+        new = self._take(self.factored.solve(right))
+        old = _padded(self._block, self.order)
+        moved = [(new + tau * q) / (1.0 + shift * tau) for (_, _, tau), q in zip(self.laws, old[2:], strict=True)]
+        self._block = np.stack([new, shift * new - old[0], *moved])
+        self._trim()
+        return self.order - before
+
+    def _take(self, found: Float) -> Float:
+        """Coordinates (r, k) of columns (n, k), for which the basis grows by what is new in them."""
+        mass = self.pencil.matrices[0]
+        size = np.sqrt(np.einsum("nk,nk->k", found, mass @ found)).max(initial=0.0)
+        coordinates = np.zeros((self.order, found.shape[1]))
+        rest = found
+        for _ in range(2):
+            share = self.vectors.T @ (mass @ rest)
+            coordinates += share
+            rest = rest - self.vectors @ share
+        squares, turn = np.linalg.eigh(rest.T @ (mass @ rest))
+        # Of columns that are all but parallel the difference is round-off of their squares.
+        kept = squares > max((SMALLEST * size) ** 2, PARALLEL * squares.max(initial=0.0))
+        new = rest @ (turn[:, kept] / np.sqrt(squares[kept]))
+        self._append(new)
+        return np.concatenate([coordinates, new.T @ (mass @ rest)])
+
+    def _append(self, new: Float) -> None:
+        before, after = self.order, self.order + new.shape[1]
+        if after > self._vectors.shape[1]:
+            more = np.zeros((self.pencil.size, max(ROOM, new.shape[1])), order="F")
+            self._vectors = np.asfortranarray(np.hstack([self._vectors, more]))
+            self._products = [np.asfortranarray(np.hstack([product, more])) for product in self._products]
+        self._vectors[:, before:after] = new
+        grown = np.zeros((len(self._products), after, after))
+        grown[:, :before, :before] = self._small
+        for number, matrix in enumerate(self.pencil.matrices):
+            if matrix.nnz:
+                product = matrix @ new
+                self._products[number][:, before:after] = product
+                share = self._vectors[:, :after].T @ product
+                grown[number, :, before:] = share
+                grown[number, before:, :before] = share[:before].T
+        inner = grown[:, before:, before:]
+        grown[:, before:, before:] = 0.5 * (inner + inner.transpose(0, 2, 1))
+        self._small = grown
+
+    def _trim(self) -> None:
+        """Make the block orthonormal, and square to all before it."""
+        count, order = len(self._scales), self.order
+        block = (self._scales[:, None, None] * self._block).reshape(count * order, -1)
+        block = np.concatenate([block, self._load])
+        self._known = _padded(self._known, order)
+        known = np.concatenate([self._known.reshape(count * order, -1), self._known_load])
+        for _ in range(2):
+            block = block - known @ (known.T @ block)
+        left, singular, _ = np.linalg.svd(block, full_matrices=False)
+        left = left[:, singular > SMALLEST * singular.max(initial=0.0)]
+        found = left[: count * order].reshape(count, order, -1)
+        self._load = left[count * order :]
+        self._known = np.concatenate([self._known, found], axis=2)
+        self._known_load = np.concatenate([self._known_load, self._load], axis=1)
+        self._block = found / self._scales[:, None, None]
+
+
+def _padded(rows: Any, count: int) -> Any:
+    """Coordinates (c, r, k) in a basis that has grown to `count` vectors."""
+    missing = count - rows.shape[1]
+    return np.concatenate([rows, np.zeros((rows.shape[0], missing, rows.shape[2]))], axis=1)

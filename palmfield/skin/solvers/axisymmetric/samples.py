@@ -1,0 +1,105 @@
+"""A moving spot on a disc as samples in time, and the band of frequencies that its motion has."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from palmfield.skin.materials.material import stiffening
+from palmfield.skin.problem import Law, Slab, Spot, spread
+from palmfield.types import Float
+
+REACH = 3.0
+"""Standard deviations to which a spot is resolved."""
+BAND, MOST_BAND = 8.0, 24.0
+"""Least and most that the reduced models hold, in c / (2 pi s): a load of size s answers as 1 / f^2 above that."""
+MOST_BINS = 1 << 16
+
+
+@dataclass(frozen=True)
+class Samples:
+    """A spot at rising times (t,), the last asked one at the end: amplitude [Pa] (t,), distance [m], angle [rad]."""
+
+    times_s: Float
+    peak_Pa: Float
+    distance_m: Float
+    angle_rad: Float
+    law: Law
+
+
+def sample(load: Spot, times: Float, error: float) -> Samples:
+    """The spot at its own and the asked times, and while it moves so often that the load is linear to `error`.
+
+    A Gaussian moved by x in a step is off its chord by up to (x / s)^2 / 8 of its peak.
+    """
+    start, end = load.times_s[0], max(times[-1], load.times_s[0])
+    own = load.times_s[load.times_s <= end]
+    knots = [own, times[times >= start]]
+    if load.law == "linear":
+        far = np.linalg.norm(np.diff(load.centres(), axis=0), axis=1)
+        pieces = np.ceil(far / (spread(load.fwhm_m) * math.sqrt(8.0 * error))).astype(int)
+        for n in np.flatnonzero(pieces > 1):
+            inner = np.linspace(load.times_s[n], load.times_s[n + 1], pieces[n] + 1)
+            knots.append(inner[inner <= end])
+    grid = np.unique(np.concatenate(knots))
+    # Times that differ by round-off only are one.
+    grid = grid[np.concatenate([np.diff(grid) > 1e-12 * abs(end), [True]])]
+    if load.law == "held":
+        place = np.searchsorted(load.times_s, grid + 1e-12 * abs(end), side="right") - 1
+        peak, centre = np.asarray(load.peak_Pa)[place], load.centres()[place]
+    else:
+        peak = np.interp(grid, load.times_s, load.peak_Pa)
+        centre = np.stack([np.interp(grid, load.times_s, c) for c in load.centres().T], axis=1)
+    return Samples(grid, peak, np.hypot(*centre.T), np.arctan2(centre[:, 1], centre[:, 0]), load.law)
+
+
+def _speed(body: Slab, s: float) -> float:
+    """Shear speed [m/s] at the frequency c / (2 pi s), of the sheets' mean modulus and density by thickness."""
+    shares = [sheet.thickness_m / body.thickness_m for sheet in body.sheets]
+    density = sum(share * sheet.material.density_kg_m3 for share, sheet in zip(shares, body.sheets, strict=True))
+    rate = 0.0
+    for _ in range(4):
+        modulus = sum(
+            share * sheet.material.shear_relaxed_Pa * abs(complex(stiffening(sheet.material, 1j * rate)))
+            for share, sheet in zip(shares, body.sheets, strict=True)
+        )
+        rate = math.sqrt(modulus / density) / s
+    return rate * s
+
+
+def _own_frequency(body: Slab, s: float) -> float:
+    """Frequency [Hz] at which a spot of this width that is let go rings: its own, c_s / (2 pi s), or the layer's.
+
+    A layer thinner than the spot answers at the quarter wave of shear, and where the spot is so wide that a column's
+    compression h / M outweighs the squeeze to the sides, about (h / s)^2 h / 3 G, at that of compression as well.
+    """
+    h = body.thickness_m
+    own = _speed(body, min(s, 2.0 * h / math.pi)) / (2.0 * math.pi * min(s, 2.0 * h / math.pi))
+    for material in (sheet.material for sheet in body.sheets):
+        stiff = material.shear_instant_Pa / material.shear_relaxed_Pa if material.bulk_relaxes else 1.0
+        modulus = stiff * material.bulk_Pa + 4.0 / 3.0 * material.shear_instant_Pa
+        if (s / h) ** 2 > 0.1 * modulus / (3.0 * material.shear_instant_Pa):
+            own = max(own, math.sqrt(modulus / material.density_kg_m3) / (4.0 * h))
+    return own
+
+
+def band_of(body: Slab, load: Spot, samples: Samples, error: float) -> float:
+    """Highest frequency that the reduced models must hold [Hz]: the spot's own, that of its path, that of its law."""
+    s = spread(load.fwhm_m)
+    own = _own_frequency(body, s)
+    steps = np.diff(samples.times_s)
+    if len(steps) == 0:
+        return BAND * own
+    place = samples.distance_m * np.exp(1j * samples.angle_rad)
+    path = (
+        REACH * float(np.max(np.abs(np.diff(place)) / steps)) / (2.0 * math.pi * s) if samples.law == "linear" else 0.0
+    )
+    # Spectrum of the amplitude from its increments, the first jump included, as seen through an answer of 1 / f^2.
+    count = min(MOST_BINS, 2 + math.ceil(np.ptp(samples.times_s) / steps.min()))
+    even = np.linspace(samples.times_s[0], samples.times_s[-1], count)
+    rise = np.diff(np.interp(even, samples.times_s, samples.peak_Pa), prepend=0.0)
+    frequency = np.fft.rfftfreq(count, even[1] - even[0])[1:]
+    power = (np.abs(np.fft.rfft(rise))[1:] / frequency) ** 2 * np.minimum(1.0, own / frequency) ** 4
+    left = np.cumsum(power[::-1])[::-1]
+    law = float(frequency[left >= error**2 * left[0]][-1]) if left[0] > 0.0 else 0.0
+    return max(BAND * own, min(1.5 * law, MOST_BAND * own), path)

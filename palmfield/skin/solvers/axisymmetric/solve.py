@@ -1,0 +1,319 @@
+"""Layered disc under a Gaussian spot, fixed or moving: elements in r and z, harmonics in the angle, modes in time.
+
+A spot of width s at distance d from the axis, at angle phi, is the sum over m of
+
+    e_m exp(-(r^2 + d^2) / 2 s^2) I_m(r d / s^2) cos m(theta - phi),    e_0 = 1, e_m = 2
+
+(Jacobi-Anger; Abramowitz & Stegun 9.6.34), and as the disc is round each harmonic moves by itself (`disc_element`). A
+harmonic's load is a few shapes in r (POD over the distances that the spot takes) times complex numbers e^{-i m phi(t)}
+in time: on a circle about the axis it is a single shape. Each harmonic is reduced to some tens of vectors between these
+shapes and the asked points (`reduced`), which are then integrated exactly between the load's times; a moving spot is
+sampled often enough for the load to be linear in between.
+"""
+
+import math
+import os
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.special import ive
+
+from palmfield.errors import SceneError
+from palmfield.skin.problem import (
+    ONLY_IMPLICIT,
+    Body,
+    Foundation,
+    Load,
+    Motion,
+    Slab,
+    Spot,
+    points_on_face,
+    rising,
+    spread,
+)
+from palmfield.skin.reduction.reduced import pod, reduce
+from palmfield.skin.solvers.axisymmetric.element import DiscGrid, Line, graded
+from palmfield.skin.solvers.axisymmetric.samples import REACH, Samples, band_of, sample
+from palmfield.types import Complex, Float
+
+FINE = 1.8
+"""Edge of the elements under the spot, in standard deviations; they grow away from it."""
+BAND_STEP = 1.25
+"""Ratio of the bands of two runs that are compared: what a jump excites above them shows in the difference."""
+SAFETY = 2.0
+"""Of 14 random discs the error was 0.2 to 1.6 times the difference from the finer run, which errs itself."""
+TIGHTER, TIGHTEST = 0.35, 2e-5
+"""Accuracy for which that run's harmonics, path and reduced models are chosen, in the wanted one, and the least."""
+CORNER = 0.15
+"""Width of the elements at a singular corner, in those of their neighbours (Szabo & Babuska 1991, ch. 10)."""
+MOST_DEGREE = 9
+
+
+def refusal_disc(body: Body, load: Load) -> str | None:
+    """Why this solver cannot, in a sentence, or None."""
+    if not isinstance(body, Slab) or body.shape != "disc":
+        return "the disc solver takes slabs of shape 'disc' only"
+    if isinstance(body.base, Foundation):
+        return ONLY_IMPLICIT
+    if body.side == "absorbing":
+        return "the disc solver's sides are fixed, free or roller, not absorbing"
+    if not isinstance(load, Spot):
+        return "the disc solver takes Spot loads only"
+    return None
+
+
+def solve_disc(
+    body: Body,
+    load: Load,
+    times: Float,
+    at: Float,
+    *,
+    accuracy: float = 0.05,
+    device: str = "cpu",
+    degree: int | None = None,
+    fine: float | None = None,
+    harmonics: int | None = None,
+) -> Motion:
+    """Motion of a disc's face under a spot.
+
+    body: Slab of shape "disc"; load: Spot; times: [s], rising, shape (t,); at: on the face [m], shape (n, 2) or (n, 3)
+    accuracy: wanted relative error, 1e-4 to 0.5; device: taken and not used, all work is the host's
+    degree: polynomial degree p of the elements; fine: their edge under the spot in its standard deviations; harmonics:
+        highest harmonic. None chooses.
+    Raises SceneError for what `refusal_disc` names, points off the face, and values outside these ranges.
+    """
+    begin = time.perf_counter()
+    reason = refusal_disc(body, load)
+    if reason is not None or not isinstance(body, Slab) or not isinstance(load, Spot):
+        raise SceneError(f"{reason}: use another solver")
+    times, points = _checked(body, times, at, accuracy)
+    if degree is not None and degree < 4:
+        raise SceneError(f"degree is {degree}; give 4 or more: lower ones lock")
+    problem = _problem(body, load, times, points, accuracy, harmonics)
+    first = degree or first_degree(accuracy)
+    band = problem.band_Hz
+    tighter = _problem(body, load, times, points, max(TIGHTER * accuracy, TIGHTEST), harmonics)
+    while True:
+        wider = BAND_STEP * max(band, tighter.band_Hz)
+        finer, found = _motions([(tighter, first + 1, wider), (problem, first, band)], fine)
+        apart = SAFETY * _difference(found.moved[0], finer.moved[0])
+        error = apart + finer.dropped + tighter.path
+        if degree is not None or error <= accuracy or first >= MOST_DEGREE:
+            break
+        first, band = first + 2, BAND_STEP**2 * band
+    return Motion(
+        times_s=times,
+        points=points,
+        displacement_m=found.moved[0],
+        velocity_m_s=found.moved[1],
+        error=error,
+        error_source=f"{SAFETY} times the difference from a run finer in everything, of degree {first + 1}: "
+        f"{apart:.2g}; harmonics that it leaves out: {finer.dropped:.2g}; its path: {tighter.path:.2g}",
+        solver=f"disc, {found.elements} elements of degree {first} (r x z), {len(problem.numbers)} harmonics, "
+        f"{len(problem.samples.times_s)} times",
+        seconds=time.perf_counter() - begin,
+    )
+
+
+def first_degree(accuracy: float) -> int:
+    """Odd: the next higher degree is 2 to 50 times as good then, and tells the error; from an even one it is not."""
+    return 5 if accuracy >= 0.005 else 7
+
+
+def cost_disc(body: Body, load: Load, times: Float, at: Float, accuracy: float) -> float:
+    """Predicted seconds of `solve_disc` on one core of a 2 GHz server; raises SceneError as it does."""
+    reason = refusal_disc(body, load)
+    if reason is not None or not isinstance(body, Slab) or not isinstance(load, Spot):
+        raise SceneError(f"{reason}: use another solver")
+    times, points = _checked(body, times, at, accuracy)
+    problem = _problem(body, load, times, points, accuracy, None)
+    total = 0.0
+    for degree in (first_degree(accuracy), first_degree(accuracy) + 1):
+        radial, depth, _ = _grid(body, load, problem.samples, degree, FINE)
+        unknowns = 3.0 * radial.count * depth.count
+        shifts = 4.0 + 2.0 * math.log10(1.0 / accuracy)
+        each = shifts * 0.03 * (unknowns / 1500.0) ** 1.6 + 0.05 + 1e-5 * len(problem.samples.times_s)
+        total += each * len(problem.numbers)
+    return total
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """What all resolutions share.
+
+    share: pressure of each harmonic per peak; dropped: of those left out; path: mean error of its samples
+    """
+
+    body: Slab
+    load: Spot
+    times: Float
+    points: Float
+    samples: Samples
+    numbers: tuple[int, ...]
+    share: Float
+    dropped: float
+    path: float
+    tolerance: float
+    band_Hz: float
+
+
+@dataclass(frozen=True)
+class _Found:
+    """Displacement and velocity (2, t, n, 3), the error by left-out harmonics, the grid in words."""
+
+    moved: Float
+    dropped: float
+    elements: str
+
+
+def _problem(body: Slab, load: Spot, times: Float, points: Float, accuracy: float, harmonics: int | None) -> _Problem:
+    samples = sample(load, times, 0.1 * accuracy)
+    s = spread(load.fwhm_m)
+    share = _shares(float(samples.distance_m.max()) / s, 1e-3 * accuracy)
+    left = np.append(np.cumsum(share[::-1])[::-1][1:], 0.0)
+    highest = int(np.argmax(left <= 0.05 * accuracy)) if harmonics is None else min(harmonics, len(share) - 1)
+    # On the axis itself only the harmonics 0 and 1 move.
+    central = not points[:, :2].any()
+    numbers = tuple(range(min(highest, 1) + 1 if central else highest + 1))
+    dropped = 0.0 if central and highest > 0 else float(left[highest])
+    band = band_of(body, load, samples, 0.3 * accuracy)
+    # Between two samples a parabola is off its chord by two thirds of its height on average.
+    path = 0.1 * accuracy * 2.0 / 3.0 if load.law == "linear" and np.ptp(load.centres(), axis=0).any() else 0.0
+    return _Problem(body, load, times, points, samples, numbers, share, dropped, path, 0.1 * accuracy, band)
+
+
+def _shares(ratio: float, least: float) -> Float:
+    """Largest pressure of each harmonic, of a spot of peak 1 at `ratio` standard deviations off the axis, to `least`.
+
+    Taken over all distances from the axis: close to it a spot's high harmonics are strongest outside its middle.
+    """
+    r = np.linspace(0.0, ratio + 8.0, 400)
+    spot = np.exp(-0.5 * (r - ratio) ** 2)
+    share = [float((spot * ive(0, r * ratio)).max())]
+    while len(share) == 1 or share[-1] > least:
+        share.append(2.0 * float((spot * ive(len(share), r * ratio)).max()))
+    return np.array(share)
+
+
+def _motions(runs: list[tuple[_Problem, int, float]], fine: float | None) -> list[_Found]:
+    """Whole motions side by side, each of a problem, elements of one degree and reduced models of one band [Hz]."""
+    tasks, grids = [], []
+    for problem, degree, band_Hz in runs:
+        grid = DiscGrid(problem.body, *_grid(problem.body, problem.load, problem.samples, degree, fine or FINE))
+        grids.append(grid)
+        tasks += [(grid, problem, m, band_Hz) for m in problem.numbers]
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        parts = pool.map(lambda task: _harmonic(*task), tasks)
+        found = [[next(parts) for _ in problem.numbers] for problem, _, _ in runs]
+    return [_summed(run[0], grid, each) for run, grid, each in zip(runs, grids, found, strict=True)]
+
+
+def _summed(problem: _Problem, grid: DiscGrid, found: list[tuple[Complex, Complex]]) -> _Found:
+    """The motion that the harmonics make together."""
+    load, samples, points = problem.load, problem.samples, problem.points
+    wanted = np.searchsorted(samples.times_s, problem.times - 1e-12 * samples.times_s[-1])
+    after = problem.times >= load.times_s[0]
+    moved = np.zeros((2, len(problem.times), len(points), 3))
+    for m, parts in zip(problem.numbers, found, strict=True):
+        mine = np.zeros_like(moved)
+        for kind, part in enumerate(parts):
+            mine[kind, after] = _turned(part[wanted[after]], m, points)
+        moved += mine
+    size = np.sqrt((moved[0] ** 2).sum(axis=(0, 2)))
+    # Those left out move as the last one does, by their share of the load.
+    last = _worst(np.sqrt((mine[0] ** 2).sum(axis=(0, 2))), size)
+    dropped = last * problem.dropped / float(problem.share[problem.numbers[-1]])
+    return _Found(moved, dropped, f"{grid.radial.elements} x {grid.depth.elements}")
+
+
+def _difference(coarse: Float, fine: Float) -> float:
+    """L2 over the times of the difference of displacements (t, n, 3), of the finer ones', the worst point's."""
+    return _worst(np.sqrt(((fine - coarse) ** 2).sum(axis=(0, 2))), np.sqrt((fine**2).sum(axis=(0, 2))))
+
+
+def _worst(part: Float, whole: Float) -> float:
+    return float(np.max(np.divide(part, whole, out=np.zeros_like(whole), where=whole > 0.0)))
+
+
+def _checked(body: Slab, times: Float, at: Float, accuracy: float) -> tuple[Float, Float]:
+    times, points = rising("times", times), points_on_face(body, at)
+    if not 1e-4 <= accuracy <= 0.5:
+        raise SceneError(f"accuracy is {accuracy}; give 1e-4 to 0.5")
+    return times, points
+
+
+def _grid(body: Slab, load: Spot, samples: Samples, degree: int, fine: float) -> tuple[Line, Line, np.ndarray]:
+    """Elements in r and in z, and the sheet of each of the latter."""
+    s = spread(load.fwhm_m)
+    radius = float(body.radius_m or 0.0)
+    near, far = float(samples.distance_m.min()) - REACH * s, float(samples.distance_m.max()) + REACH * s
+    # Waves leave the spot at c / (2 pi s) and below, at which a wave is 2 pi s long.
+    longest = fine * s * 1.3
+
+    def across(r: Float) -> Float:
+        away = np.maximum(0.0, np.maximum(near - r, r - far))
+        return np.minimum(fine * s + 0.3 * away, longest)
+
+    ends_r = graded(radius, across)
+    # Where a held and a free boundary meet stresses are singular: a thin row of elements keeps that to itself.
+    corner_side = body.side == "fixed" or (body.side == "free" and body.base not in ("free", "free_slip"))
+    if corner_side:
+        ends_r = np.insert(ends_r, -1, ends_r[-1] - CORNER * (ends_r[-1] - ends_r[-2]))
+    radial = Line(ends_r, degree)
+    tops, sheets, ends = 0.0, [], [0.0]
+    for number, sheet in enumerate(body.sheets):
+        above = tops
+        cuts = graded(sheet.thickness_m, lambda z, above=above: fine * s + 0.4 * (z + above))
+        ends.extend(tops + cuts[1:])
+        sheets.extend([number] * (len(cuts) - 1))
+        tops += sheet.thickness_m
+    if corner_side and body.side == "free":
+        ends.insert(-1, ends[-1] - CORNER * (ends[-1] - ends[-2]))
+        sheets.append(sheets[-1])
+    elif corner_side:
+        ends.insert(1, CORNER * ends[1])
+        sheets.insert(0, 0)
+    return radial, Line(-np.array(ends[::-1]), degree), np.array(sheets[::-1])
+
+
+def _harmonic(grid: DiscGrid, problem: _Problem, m: int, band_Hz: float) -> tuple[Complex, Complex]:
+    """U, V, W of one harmonic at all samples and asked points: displacement and velocity, (t, n, 3)."""
+    samples, system = problem.samples, grid.system(m)
+    s = spread(problem.load.fwhm_m)
+    near, far = float(samples.distance_m.min()), float(samples.distance_m.max())
+    table = np.linspace(near, far, 2 + math.ceil(10.0 * (far - near) / s))
+
+    def pressure(r: Float) -> Float:
+        x = r[:, None] * table / s**2
+        return (1.0 if m == 0 else 2.0) * np.exp(-0.5 * ((r[:, None] - table) / s) ** 2) * ive(m, x)
+
+    forces = system.spread.T @ grid.pressure_force(pressure)
+    radii, which = np.unique(np.hypot(*problem.points[:, :2].T), return_inverse=True)
+    reader = grid.face_reader(radii) @ system.spread
+    if far - near < 1e-9 * s:
+        inputs, coordinates = forces[:, :1], np.ones((len(samples.times_s), 1))
+    else:
+        inputs, shares = pod(forces, problem.tolerance)
+        coordinates = CubicSpline(table, shares, axis=1)(samples.distance_m).T
+    turning = samples.peak_Pa * np.exp(-1j * m * samples.angle_rad)
+    # A weak harmonic may err by more of itself.
+    tolerance = (
+        problem.tolerance if m < 2 else min(0.1, problem.tolerance * float(problem.share.max() / problem.share[m]))
+    )
+    small = reduce(system, inputs, reader, (0.0, band_Hz), tolerance)
+    moved = small.run(coordinates * turning[:, None], samples.times_s, samples.law)
+    shape = (len(samples.times_s), len(radii), 3)
+    displacement, velocity = (part.reshape(shape)[:, which] for part in moved)
+    return displacement, velocity
+
+
+def _turned(harmonic: Complex, m: int, points: Float) -> Float:
+    """Vectors (t, n, 3) along x, y, z of a harmonic's U, V, W (t, n, 3) at points (n, 3)."""
+    angle = np.arctan2(points[:, 1], points[:, 0])
+    turned = harmonic * np.exp(1j * m * angle)[:, None]
+    out, around, up = turned[..., 0].real, turned[..., 1].imag, turned[..., 2].real
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return np.stack([cosine * out - sine * around, sine * out + cosine * around, up], axis=-1)

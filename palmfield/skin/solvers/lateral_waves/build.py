@@ -1,0 +1,167 @@
+"""Which waves a slab and a load call for."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.polynomial.legendre import leggauss
+from scipy.special import j0
+
+from palmfield.errors import SceneError
+from palmfield.skin.problem import GAUSSIAN, ONLY_IMPLICIT, Body, Foundation, Load, Slab, Spot
+from palmfield.skin.solvers.lateral_waves.depth import depth_problem
+from palmfield.skin.solvers.lateral_waves.drive import spot_transform
+from palmfield.skin.solvers.lateral_waves.modes import FaceModes, face_modes, still_modes
+from palmfield.skin.solvers.lateral_waves.radial import compute_modes, radial_rule
+from palmfield.skin.solvers.lateral_waves.resolution import Resolution
+from palmfield.skin.solvers.lateral_waves.waves import (
+    WaveSet,
+    fourier_bessel,
+    hankel,
+    lattice,
+    mirrored,
+    polar,
+    transform,
+)
+from palmfield.types import Float
+
+RIM_WIDTHS = 1.6
+"""Widths of the spot that its centre keeps from a box's sides: there the pressure is below 1e-3 of its peak."""
+MODES = 0.1
+"""Tolerance of the modes in depth relative to that of the wavenumbers, whose panels see a change of modes as a kink."""
+LOOSEST = 0.03
+"""Loosest tolerance of the modes in depth, at wavenumbers that the load hardly has."""
+RINGS = 60
+
+
+def refusal_spectral(body: Body, load: Load) -> str | None:
+    """Why the spectral solver can't solve this, in one sentence, or None."""
+    if not isinstance(body, Slab):
+        return "it solves flat slabs, and this is a layer on a surface"
+    if isinstance(body.base, Foundation):
+        return ONLY_IMPLICIT
+    if body.shape != "infinite" and body.side != "roller":
+        return f"a {body.shape} with {body.side} sides has no simple lateral waves; it needs side='roller'"
+    if body.shape == "disc" and not (isinstance(load, Spot) and is_still(load) and not load.centres().any()):
+        return "on a disc it takes a spot at rest in the middle"
+    if body.shape == "box" and isinstance(load, Spot):
+        assert body.size_m is not None
+        room = 0.5 * np.asarray(body.size_m) - np.abs(load.centres()).max(axis=0)
+        if room.min() < RIM_WIDTHS * load.fwhm_m:
+            return (
+                f"the spot comes within {room.min():.3g} m of a side; in a box it must keep "
+                f"{RIM_WIDTHS * load.fwhm_m:.3g} m, {RIM_WIDTHS} widths, away"
+            )
+    return None
+
+
+def is_still(spot: Spot) -> bool:
+    centres = spot.centres()
+    return bool(np.all(centres == centres[0]))
+
+
+def box_images(body: Slab, points: Float) -> list[tuple[Float, Float]]:
+    """Points at which the periodic answer is summed, with signs of the vector components, shape (n, 2) and (3,)."""
+    if body.shape != "box" or body.size_m is None:
+        return [(points, np.ones(3))]
+    return mirrored(points, body.size_m)
+
+
+def build_waves(
+    body: Slab,
+    load: Load,
+    points: Float,
+    horizon_s: float,
+    resolution: Resolution,
+    *,
+    still: bool = False,
+    panels: Float | None = None,
+    threads: int | None = None,
+) -> tuple[WaveSet, Float | None]:
+    """Waves for a load on a slab, for points (n, 2) and times up to horizon_s [s] after its begin; and the panels of
+    wavenumbers of an endless slab, which a finer set may begin with. still: modes that come to rest at once, at the
+    static answer."""
+    if isinstance(load, Spot):
+        k_end = resolution.cut(load.fwhm_m)
+        sources = load.centres()
+
+        def profile(k: Float) -> Float:
+            return spot_transform(load.fwhm_m, k)
+    else:
+        sources = load.points[:, :2]
+        rings, sizes = ring_sizes(load.pressure_Pa * load.weights_m2, sources, nyquist(load.weights_m2))
+        k_end = cut(rings, sizes, resolution.tolerance)
+
+        def profile(k: Float) -> Float:
+            return np.interp(k, rings, sizes)
+
+    def modes_at(k: float) -> FaceModes:
+        heard = float(profile(np.array([k]))[0] / profile(np.zeros(1))[0])
+        tolerance = MODES * min(resolution.tolerance / max(heard, 1e-12), LOOSEST)
+        problem = depth_problem(body, k, resolution.degrees(body, k))
+        return still_modes(problem) if still else face_modes(problem, horizon_s, tolerance)
+
+    if body.shape == "disc":
+        assert isinstance(load, Spot) and body.radius_m is not None
+        k, weights = fourier_bessel(body.radius_m, k_end)
+        weights = weights * disc_transform(load.fwhm_m, body.radius_m, k)
+        group = np.arange(len(k), dtype=np.int32)
+        vectors = np.stack([k, np.zeros(len(k))], axis=1)
+        return WaveSet(compute_modes(modes_at, k, threads), group, weights, vectors, np.zeros(2)), None
+    if body.shape == "box":
+        assert body.size_m is not None
+        vectors, weights, k, group = lattice(body.size_m, k_end)
+        waves = WaveSet(compute_modes(modes_at, k, threads), group, weights, vectors)
+    else:
+        farthest = reach(points, sources)
+        rule = radial_rule(
+            modes_at, profile, k_end, farthest, horizon_s, resolution.tolerance, resolution.pace, panels, threads
+        )
+        panels = rule.panels
+        if isinstance(load, Spot) and is_still(load):
+            waves = hankel(rule, sources[0])
+        else:
+            waves = polar(rule, resolution.angles(rule.wavenumbers, farthest))
+    if isinstance(load, Spot):
+        waves = replace(waves, weights=waves.weights * profile(np.linalg.norm(waves.vectors, axis=1)))
+    return waves, panels
+
+
+def reach(points: Float, sources: Float) -> float:
+    """Bound of the distances from points to sources [m]; by the sources' box, so that it takes no product of both."""
+    low, high = sources.min(axis=0), sources.max(axis=0)
+    offsets = np.maximum(np.abs(points - low), np.abs(points - high))
+    return float(np.linalg.norm(offsets, axis=1).max())
+
+
+def disc_transform(fwhm_m: float, radius_m: float, k: Float) -> Float:
+    """Integral of a centred spot times J0(k r) over the disc [m^2]; the spot ends at the rim."""
+    nodes, weights = leggauss(max(200, 2 * len(k)))
+    r = 0.5 * radius_m * (1.0 + nodes)
+    ring = np.exp(-GAUSSIAN * (r / fwhm_m) ** 2) * 2.0 * np.pi * r * weights * 0.5 * radius_m
+    return j0(np.outer(k, r)) @ ring
+
+
+def nyquist(weights_m2: Float) -> float:
+    """Wavenumber [rad/m] beyond which points that stand for such areas say nothing of the pressure between them."""
+    return np.pi / float(np.sqrt(np.median(weights_m2)))
+
+
+def ring_sizes(force: Float, points: Float, k_end: float) -> tuple[Float, Float]:
+    """Wavenumbers from 0 to k_end and the root mean square there of the transform of forces (f, p) over directions and
+    times."""
+    rings = np.linspace(0.0, k_end, RINGS)
+    angle = np.pi * np.arange(16) / 16
+    vectors = rings[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    some = force[:: max(1, len(force) // 16)]
+    size = np.abs(transform(vectors.reshape(-1, 2), some, points)).reshape(RINGS, -1)
+    result = np.sqrt((size**2).mean(axis=1))
+    if not result.any():
+        raise SceneError("traction: pressure_Pa is 0 everywhere; give a load")
+    return rings, np.maximum(result, 1e-12 * result.max())
+
+
+def cut(rings: Float, sizes: Float, tolerance: float) -> float:
+    """Wavenumber beyond which less than `tolerance` of the load's content lies; the last one where it does not fall."""
+    content = np.cumsum((rings * sizes**2)[::-1])[::-1]
+    beyond = np.sqrt(content / content[0]) < tolerance
+    return float(rings[np.argmax(beyond)] if beyond.any() else rings[-1])

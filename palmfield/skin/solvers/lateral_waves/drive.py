@@ -1,0 +1,100 @@
+"""The load on each wave, cut into segments that end where the load bends or an answer is asked for."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from palmfield.skin.problem import Load, Spot, spread
+from palmfield.skin.solvers.lateral_waves.waves import WaveSet, transform
+from palmfield.types import Complex, Float, Int
+
+SAME = 1e-9
+"""Part of the whole time by which two instants may differ and be one."""
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """edges: ends of the segments [s], shape (s + 1,); kind: which of the durations [s] each segment has, shape (s,)
+    rows: place of the asked time at each segment's end among those asked, or -1, shape (s,)
+    """
+
+    edges: Float
+    kind: Int
+    durations: Float
+    rows: Int
+
+
+def timeline(load: Load, asked: Float) -> Timeline | None:
+    """Segments from the load's begin to the last asked time; None where all asked times are before or at it."""
+    start = float(load.times_s[0])
+    span = float(asked[-1]) - start
+    if span <= 0.0:
+        return None
+    bends = load.times_s[load.times_s < asked[-1]]
+    ticks = np.round((np.concatenate([bends, asked[asked > start]]) - start) / (SAME * span)).astype(np.int64)
+    different, place = np.unique(ticks, return_inverse=True)
+    edges = np.empty(len(different))
+    # Bends last, so that an edge of both is the load's own instant
+    edges[place[::-1]] = np.concatenate([bends, asked[asked > start]])[::-1]
+    rows = np.full(len(edges), -1, dtype=np.int32)
+    rows[place[len(bends) :]] = np.flatnonzero(asked > start)
+    lengths = np.round(np.diff(edges) / (SAME * span)).astype(np.int64)
+    _, first, kind = np.unique(lengths, return_index=True, return_inverse=True)
+    return Timeline(edges, kind.astype(np.int32), np.diff(edges)[first], rows[1:])
+
+
+def spot_transform(fwhm_m: float, k: Float) -> Float:
+    """Integral of exp(-4 ln 2 r^2 / fwhm^2) e^{-ik.x} over the plane [m^2]."""
+    s = spread(fwhm_m)
+    return 2.0 * np.pi * s**2 * np.exp(-0.5 * (k * s) ** 2)
+
+
+def drive(load: Load, line: Timeline, waves: WaveSet, part: slice) -> Float:
+    """Force on each wave, as `warp_kernels.oscillators.march` wants it: shape (n, s, 7).
+
+    The transform of a spot's shape is part of the wave's weight; here are its amplitude and the phase of its centre.
+    """
+    if not isinstance(load, Spot):
+        return _given(load.law, load.times_s, transform(waves.vectors[part], _weighted(load), load.points[:, :2]), line)
+    if waves.centre is not None:
+        still = np.ones((len(waves.group[part]), 1)) * load.peak_Pa
+        return _given(load.law, load.times_s, still.astype(complex), line)
+    centres = load.centres()
+    if load.law == "held":
+        return _given("held", load.times_s, np.exp(-1j * (waves.vectors[part] @ centres.T)) * load.peak_Pa, line)
+    path = np.stack([np.interp(line.edges, load.times_s, centres[:, axis]) for axis in range(2)])
+    size = np.interp(line.edges, load.times_s, load.peak_Pa)
+    turned = waves.vectors[part] @ path
+    phase = np.exp(-1j * turned)
+    before = phase[:, :-1]
+    result = np.empty((*before.shape, 7))
+    _split(result, before * size[:-1], before * np.diff(size), phase[:, 1:] * before.conj())
+    result[:, :, 6] = np.diff(turned, axis=1) / line.durations[line.kind]
+    return result
+
+
+def _weighted(load: Load) -> Float:
+    assert not isinstance(load, Spot)
+    return load.pressure_Pa * load.weights_m2
+
+
+def _given(law: str, times: Float, values: Complex, line: Timeline) -> Float:
+    """Forces known at times, shape (n, f), that hold or run straight between them."""
+    last = len(times) - 1
+    result = np.empty((len(values), len(line.kind), 7))
+    place = np.clip(np.searchsorted(times, 0.5 * (line.edges[:-1] + line.edges[1:]), side="right") - 1, 0, last)
+    if law == "held" or last == 0:
+        _split(result, values[:, place], np.zeros(1), np.ones(1))
+    else:
+        following = np.minimum(place + 1, last)
+        gap = np.where(following > place, times[following] - times[place], 1.0)
+        slope = (values[:, following] - values[:, place]) / gap
+        before = values[:, place] + slope * (line.edges[:-1] - times[place])
+        _split(result, before, slope * np.diff(line.edges), np.ones(1))
+    result[:, :, 6] = 0.0
+    return result
+
+
+def _split(result: Float, first: Complex, change: Complex | Float, turn: Complex | Float) -> None:
+    for place, values in ((0, first), (2, change), (4, turn)):
+        result[:, :, place], result[:, :, place + 1] = np.real(values), np.imag(values)

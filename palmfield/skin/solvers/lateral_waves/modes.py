@@ -1,0 +1,141 @@
+"""From the matrices of a slab in depth to what its face does: u(s) = sum r_j / (s - s_j) under a normal pressure."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import eigh, solve
+
+from palmfield.skin.solvers.lateral_waves.depth import DepthProblem
+from palmfield.types import Complex, Float
+
+SLOWEST = 1e-3
+"""Radians within the time asked for below which a mode counts as unheld; moving it there changes t^2/2 by 1e-7."""
+RUSH_1_S = 1e4
+LONGEST_S = 5e-3
+"""Time up to which a slow mode's part in the step response counts when the others are weighed against it."""
+
+
+@dataclass(frozen=True)
+class FaceModes:
+    """Motion of the face under a unit normal pressure e^{ikx}, as u_z = sum normal / (s - poles), u_x = i sum lateral /
+    (s - poles); poles come with their conjugates.
+
+    poles: [1/s], shape (j,); normal, lateral: residues [m/(Pa s)], shape (j,)
+    """
+
+    poles: Complex
+    normal: Complex
+    lateral: Complex
+
+    def compliance(self, s: complex) -> complex:
+        """u_z per unit of pressure [m/Pa] at rate s [1/s]; negative where a static pressure pushes in."""
+        return complex(np.sum(self.normal / (s - self.poles)))
+
+    def static(self) -> tuple[float, float]:
+        """u_z and u_x / i per unit of pressure at rest [m/Pa]."""
+        return float(-np.sum(self.normal / self.poles).real), float(-np.sum(self.lateral / self.poles).real)
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """A depth problem in coordinates with unit mass. branches: (L, g, tau) with Q = L L^T."""
+
+    stiffness: Float
+    damping: Float
+    branches: tuple[tuple[Float, float, float], ...]
+    normal: Float
+    lateral: Float
+
+
+def reduce(problem: DepthProblem, horizon_s: float, tolerance: float) -> Reduced:
+    """The undamped modes that matter for the face, and the static shapes of all the others.
+
+    A mode adds b^2/w^2 (1 - cos wt) to the step response, b its part in the face. The smallest are left out while the
+    root of their summed squares stays below `tolerance` of all; their sum remains, as one shape, so that the static
+    answer is that of the whole problem. A second shape does the same for the stiffness at once, branches included.
+    """
+    squares, shapes = eigh(problem.stiffness, problem.mass)
+    squares = np.maximum(squares, (SLOWEST / horizon_s) ** 2)
+    normal = shapes[problem.normal]
+    lateral = shapes[problem.lateral] if problem.lateral is not None else np.zeros_like(normal)
+    share = np.abs(normal) * np.hypot(normal, lateral) / np.maximum(squares, 2.0 / min(horizon_s, LONGEST_S) ** 2)
+    order = np.argsort(share)
+    left_out = np.sqrt(np.cumsum(share[order] ** 2)) < tolerance * share.sum()
+    kept = np.sort(order[~left_out])
+    terms = [(shapes.T @ r.matrix @ shapes, r.ratio, r.time_s) for r in problem.relaxing]
+    static = [normal / squares]
+    if terms:
+        at_once = np.diag(squares) + sum(ratio * matrix for matrix, ratio, _ in terms)
+        static.append(np.linalg.solve(at_once, normal))
+    basis = np.zeros((len(squares), len(kept) + len(static)))
+    basis[kept, np.arange(len(kept))] = 1.0
+    used = len(kept)
+    for shape in static:
+        shape = shape / np.linalg.norm(shape)
+        rest = shape - basis[:, :used] @ (basis[:, :used].T @ shape)
+        rest -= basis[:, :used] @ (basis[:, :used].T @ rest)
+        size = np.linalg.norm(rest)
+        if size > 1e-10:
+            basis[:, used] = rest / size
+            used += 1
+    basis = basis[:, :used]
+    damping = basis.T @ (shapes.T @ problem.damping @ shapes) @ basis
+    branches = tuple((_factor(basis.T @ matrix @ basis), ratio, time) for matrix, ratio, time in terms)
+    return Reduced((basis.T * squares) @ basis, damping, branches, normal @ basis, lateral @ basis)
+
+
+def _factor(matrix: Float) -> Float:
+    """L with L L^T = matrix, semidefinite, as many columns as it has rank."""
+    values, vectors = np.linalg.eigh(matrix)
+    kept = values > 1e-14 * values[-1]
+    return vectors[:, kept] * np.sqrt(values[kept])
+
+
+def face_modes(problem: DepthProblem, horizon_s: float, tolerance: float) -> FaceModes:
+    """Poles and residues for times up to horizon_s [s], to a relative `tolerance` of the step response.
+
+    The state (u, u', L^T q) obeys A x' = B x + force with A and B symmetric, so x^T A x gives the residues.
+    """
+    model = reduce(problem, horizon_s, tolerance)
+    n = len(model.normal)
+    inner = [factor.shape[1] for factor, _, _ in model.branches]
+    state = np.zeros((2 * n + sum(inner),) * 2)
+    weights = np.zeros(len(state))
+    state[:n, n : 2 * n] = np.eye(n)
+    state[n : 2 * n, :n] = -model.stiffness
+    state[n : 2 * n, n : 2 * n] = -model.damping
+    start = 2 * n
+    for (factor, ratio, time), size in zip(model.branches, inner, strict=True):
+        part = slice(start, start + size)
+        state[n : 2 * n, :n] -= ratio * factor @ factor.T
+        state[n : 2 * n, part] = ratio * factor
+        state[part, :n] = factor.T / time
+        state[part, part] = -np.eye(size) / time
+        weights[part] = ratio * time
+        start += size
+    poles, vectors = np.linalg.eig(state)
+    poles, vectors = poles.astype(complex), vectors.astype(complex)
+    u = vectors[:n]
+    norm = 2.0 * poles * (u * u).sum(axis=0) + (u * (model.damping @ u)).sum(axis=0) + weights @ vectors**2
+    push = -(model.normal @ u) / norm
+    normal, lateral = push * (model.normal @ u), push * (model.lateral @ u)
+    share = np.hypot(np.abs(normal), np.abs(lateral)) / np.maximum(np.abs(poles), 1.0 / min(horizon_s, LONGEST_S))
+    ordered = np.sort(share)
+    dropped = np.cumsum(ordered) < 0.1 * tolerance * share.sum()
+    # Just below the first that stays, so that conjugates stay or go together
+    kept = share >= (1.0 - 1e-6) * ordered[~dropped][0]
+    return FaceModes(poles[kept], normal[kept], lateral[kept])
+
+
+def still_modes(problem: DepthProblem) -> FaceModes:
+    """One pole that takes the face to its static answer in a time that is nothing beside a second."""
+    force = np.zeros(len(problem.mass))
+    force[problem.normal] = -1.0
+    shape = solve(problem.stiffness, force, assume_a="pos")
+    lateral = 0.0 if problem.lateral is None else shape[problem.lateral]
+    return FaceModes(
+        *(
+            np.array([value], dtype=complex)
+            for value in (-RUSH_1_S, RUSH_1_S * shape[problem.normal], RUSH_1_S * lateral)
+        )
+    )

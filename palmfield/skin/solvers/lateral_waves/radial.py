@@ -1,0 +1,129 @@
+"""Where to put the radial wavenumbers: Gauss panels, halved until the step response of the slab is integrated well.
+
+Any load is a sum of steps, so nodes that integrate the step response at all times and distances in question serve any
+load. A mode w(k) turns the integrand by dw/dk t, the way that its waves go in the time t; adding the distance, that is
+what the panels have to follow, and the damping of the modes is what ends it.
+"""
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.polynomial.legendre import leggauss, legvander
+from scipy.special import j0
+from threadpoolctl import threadpool_limits
+
+from palmfield.errors import SceneError
+from palmfield.skin.solvers.lateral_waves.modes import FaceModes
+from palmfield.types import Float
+
+NODES = 10
+MOST_PANELS = 4000
+MOST_LEVELS = 24
+
+
+@dataclass(frozen=True)
+class RadialRule:
+    """Integral over k of f(k) as sum weights f(wavenumbers).
+
+    wavenumbers, weights: [rad/m], shape (m,); modes: of the face at each; error: estimate, relative to the integral
+    panels: ends of the panels [rad/m]
+    """
+
+    wavenumbers: Float
+    weights: Float
+    modes: tuple[FaceModes, ...]
+    error: float
+    panels: Float
+
+
+def compute_modes(
+    modes_at: Callable[[float], FaceModes], wavenumbers: Float, threads: int | None
+) -> tuple[FaceModes, ...]:
+    """Modes at each wavenumber, side by side: LAPACK lets go of Python's lock, and its matrices are too small for more
+    than one of its own threads."""
+    with threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(threads or os.cpu_count()) as pool:
+        return tuple(pool.map(modes_at, wavenumbers))
+
+
+def step_response(modes: FaceModes, times: Float, pace_1_s: float) -> Float:
+    """Normal displacement and velocity after a unit step of pressure, shape (2, t); the velocity without what is faster
+    than the load's pace, as that of a pressure wave's echoes, which a slower load does not raise."""
+    turned = np.outer(times, modes.poles)
+    moved = np.expm1(turned) / modes.poles
+    slow = modes.normal / (1.0 + np.abs(modes.poles / pace_1_s) ** 2)
+    return np.stack([(moved @ modes.normal).real, (np.exp(turned) @ slow).real])
+
+
+def radial_rule(
+    modes_at: Callable[[float], FaceModes],
+    profile: Callable[[Float], Float],
+    k_end: float,
+    farthest_m: float,
+    horizon_s: float,
+    tolerance: float,
+    pace: Callable[[float], float],
+    panels: Float | None = None,
+    threads: int | None = None,
+) -> RadialRule:
+    """Nodes from 0 to k_end [rad/m] for loads whose transform has the size profile(k), for points up to farthest_m from
+    the load and times up to horizon_s after it; pace: how fast such a load changes
+    at k [1/s]; panels: ends of those to begin with, from a coarser rule.
+
+    Each panel's Legendre coefficients tell how the integrand is resolved: n Gauss nodes integrate degree 2n - 1, so
+    where coefficients fall geometrically the error is about the square of the last over the first.
+    Raises SceneError where MOST_PANELS do not do.
+    """
+    points, weights = leggauss(NODES)
+    degrees = 2.0 * np.arange(NODES) + 1.0
+    to_coefficients = 0.5 * degrees[:, None] * legvander(points, NODES - 1).T * weights
+    times = horizon_s * np.concatenate([2.0 ** -np.arange(9.0), [0.75, 0.875]])
+    distances = farthest_m * np.array([0.0, 0.1, 0.3, 0.6, 1.0])
+
+    def measured(low: float, high: float, k: Float, modes: tuple[FaceModes, ...]) -> tuple:
+        """Nodes, their modes, integral and its error for each quantity, time and distance."""
+        half = 0.5 * (high - low)
+        moved = np.stack([step_response(m, times, pace(value)) for value, m in zip(k, modes, strict=True)])
+        values = (k * profile(k))[:, None, None, None] * moved[..., None] * j0(np.outer(k, distances))[:, None, None, :]
+        coefficients = np.abs(np.tensordot(to_coefficients, values, axes=1))
+        last = coefficients[-2:].max(axis=0)
+        error = 2.0 * half * last**2 / np.maximum(coefficients.max(axis=0), 1e-300)
+        return k, modes, half * np.tensordot(weights, values, axes=1), error
+
+    if panels is None:
+        edges = np.linspace(0.0, k_end, max(4, int(np.ceil(k_end * farthest_m / 10.0))) + 1)
+    else:
+        edges = np.append(panels[panels < 0.99 * k_end], k_end)
+    waiting = list(pairwise(edges))
+    done: dict[tuple[float, float], tuple] = {}
+    for _ in range(MOST_LEVELS):
+        k = np.array([low + 0.5 * (high - low) * (1.0 + points) for low, high in waiting])
+        modes = compute_modes(modes_at, k.ravel(), threads)
+        for number, ends in enumerate(waiting):
+            done[ends] = measured(*ends, k[number], modes[number * NODES : (number + 1) * NODES])
+        total = np.abs(sum(part[2] for part in done.values()))
+        # Of displacement and velocity each, the largest over the times, at each distance
+        scale = total.max(axis=1, keepdims=True)
+        size = {ends: float((part[3] / scale).max()) for ends, part in done.items()}
+        if sum(size.values()) < tolerance:
+            break
+        bad = [ends for ends, value in size.items() if value > 0.5 * tolerance / len(done)]
+        if len(done) + len(bad) > MOST_PANELS:
+            raise SceneError(
+                f"spectral: {MOST_PANELS} wavenumber panels do not resolve waves over {horizon_s:.3g} s; "
+                "ask for a shorter time, or give the material some damping"
+            )
+        for ends in bad:
+            del done[ends]
+        waiting = [part for low, high in bad for part in ((low, (low + high) / 2), ((low + high) / 2, high))]
+    ordered = sorted(done)
+    return RadialRule(
+        np.concatenate([done[ends][0] for ends in ordered]),
+        np.concatenate([0.5 * (ends[1] - ends[0]) * weights for ends in ordered]),
+        tuple(mode for ends in ordered for mode in done[ends][1]),
+        sum(size.values()),
+        np.array([0.0, *(ends[1] for ends in ordered)]),
+    )

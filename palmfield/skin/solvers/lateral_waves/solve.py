@@ -1,0 +1,193 @@
+"""The spectral solver: every slab whose lateral waves are known, exact in time."""
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from palmfield.device import resolve
+from palmfield.errors import SceneError
+from palmfield.skin.problem import Body, Load, Motion, Slab, Spot, Springs, Traction
+from palmfield.skin.solvers.lateral_waves.accuracy import SERIES_FROM, check_points, is_picture, pick, relative_error
+from palmfield.skin.solvers.lateral_waves.build import box_images, build_waves, refusal_spectral
+from palmfield.skin.solvers.lateral_waves.drive import timeline
+from palmfield.skin.solvers.lateral_waves.march import march
+from palmfield.skin.solvers.lateral_waves.resolution import choose
+from palmfield.skin.solvers.lateral_waves.waves import at_points
+from palmfield.types import Complex, Float
+
+FINER, SAFETY = 0.2, 2.0
+"""Tolerance of the run that the answer is compared with, relative to its own, and what their difference is taken times:
+of 23 random slabs the error was 0.7 to 1.7 times the difference, of two weak ones more."""
+MOMENT_SAFETY = 4.0
+"""The same at fewer than eight times, over which errors at a point do not average: up to 2.4 at a faint one."""
+PICTURE_FINER, PICTURE_SAFETY = 0.35, 2.5
+"""The same for a picture of many points, whose faint places weigh little: 3 of them said the same as with 0.2."""
+FINEST = 1e-9
+RETRIES = 3
+PART = 0.5
+"""Tolerance of each part of the solution relative to the wanted accuracy."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """How to solve: as the arguments of solve_spectral; still: at rest."""
+
+    accuracy: float
+    tolerance: float | None
+    device: str
+    threads: int | None
+    still: bool = False
+
+
+@dataclass(frozen=True)
+class Run:
+    """One solution: displacement and velocity, shape (t, n, 3), and its size in numbers."""
+
+    displacement: Float
+    velocity: Float
+    waves: int
+    wavenumbers: int
+    poles: float
+    panels: Float | None
+
+
+def solve_spectral(
+    body: Body,
+    load: Load,
+    times: Float,
+    at: Float,
+    *,
+    accuracy: float = 0.05,
+    device: str = "cpu",
+    tolerance: float | None = None,
+    threads: int | None = None,
+) -> Motion:
+    """Displacement and velocity of the face of a slab at points and times.
+
+    body: a Slab, see `refusal_spectral`; times: asked times [s], rising, shape (t,)
+    at: points on the face [m], shape (n, 3) or (n, 2)
+    accuracy: wanted relative error of the displacement, 1e-7 to 0.5; device: "auto", "cpu" or "cuda:0"
+    tolerance: pins that of the wavenumbers, angles, depth modes and cut, each; then nothing is refined
+    threads: on the CPU; None takes all cores
+    The error is told by a run with a fifth of the tolerance at up to four of the points; for a picture (fewer than
+    eight times, more than 32 points) by one with a third, over 200 of them together.
+    Raises SceneError where `refusal_spectral` has a reason, and for times, points or an accuracy out of range.
+    """
+    slab = accepted(body, load)
+    asked, points = check_points(slab, times, at, accuracy)
+    return _solve(slab, load, asked, points, chosen_by(accuracy, tolerance, device, threads))
+
+
+def static_spectral(
+    body: Body,
+    load: Load,
+    at: Float,
+    *,
+    accuracy: float = 0.05,
+    device: str = "cpu",
+    tolerance: float | None = None,
+    threads: int | None = None,
+) -> Motion:
+    """Displacement at rest under the load as it is at its last time, shape (1, n, 3); arguments as for solve_spectral.
+
+    Raises SceneError as solve_spectral, and for a base that holds nothing.
+    """
+    slab = accepted(body, load)
+    if is_unheld(slab.base):
+        raise SceneError("spectral solver: a slab on nothing has no state of rest under a load; give a base that holds")
+    asked, points = check_points(slab, load.times_s[-1:], at, accuracy)
+    choice = chosen_by(accuracy, tolerance, device, threads, still=True)
+    motion = _solve(slab, last_of(load), np.ones(1), points, choice)
+    return replace(motion, times_s=asked)
+
+
+def is_unheld(base: object) -> bool:
+    return base == "free" or (isinstance(base, Springs) and base.normal_Pa_m == 0.0)
+
+
+def last_of(load: Load) -> Load:
+    """The load held at its last value, from time 0 on."""
+    begin = np.zeros(1)
+    if isinstance(load, Spot):
+        return Spot(load.fwhm_m, begin, load.peak_Pa[-1:], load.centres()[-1:], "held")
+    return Traction(load.points, load.weights_m2, begin, load.pressure_Pa[-1:], "held")
+
+
+def accepted(body: Body, load: Load) -> Slab:
+    """The body, which is a slab. Raises SceneError with the reason where the solver refuses it."""
+    reason = refusal_spectral(body, load)
+    if reason is not None or not isinstance(body, Slab):
+        raise SceneError(f"spectral solver: {reason}")
+    return body
+
+
+def chosen_by(
+    accuracy: float, tolerance: float | None, device: str, threads: int | None, still: bool = False
+) -> Choice:
+    """Raises SceneError for a tolerance out of range."""
+    if tolerance is not None and not FINEST <= tolerance <= 0.25:
+        raise SceneError(f"tolerance is {tolerance}; give {FINEST} to 0.25, or leave it out")
+    return Choice(accuracy, tolerance, resolve(device), threads, still)
+
+
+def _solve(body: Slab, load: Load, asked: Float, points: Float, choice: Choice) -> Motion:
+    begun = time.perf_counter()
+    if timeline(load, asked) is None or not np.any(load.peak_Pa if isinstance(load, Spot) else load.pressure_Pa):
+        still = np.zeros((len(asked), len(points), 3))
+        return Motion(asked, points, still, still.copy(), 0.0, "no load yet: all is at rest", "spectral", 0.0)
+    part = PART * choice.accuracy if choice.tolerance is None else choice.tolerance
+    result = run(body, load, asked, points, part, choice)
+    picture = is_picture(len(asked), len(points))
+    share, safety = (PICTURE_FINER, PICTURE_SAFETY) if picture else (FINER, SAFETY)
+    if not picture and len(asked) < SERIES_FROM:
+        safety = MOMENT_SAFETY
+    for left in reversed(range(RETRIES)):
+        chosen = pick(result.displacement)
+        finer = max(share * part, FINEST)
+        check = run(body, load, asked, points[chosen], finer, choice, result.panels)
+        error = safety * relative_error(result.displacement[:, chosen], check.displacement)
+        speed_error = safety * relative_error(result.velocity[:, chosen], check.velocity)
+        if error <= choice.accuracy or choice.tolerance is not None or part <= FINEST or left == 0:
+            break
+        part = finer
+        result = run(body, load, asked, points, part, choice, check.panels)
+    return Motion(
+        asked,
+        points,
+        result.displacement,
+        result.velocity,
+        error,
+        f"{safety} times the difference from a run with {share} of the tolerance, at {len(chosen)} points; of the "
+        f"velocity it is {speed_error:.2g}",
+        f"spectral: {result.wavenumbers} wavenumbers, {result.waves} waves, {result.poles:.0f} poles each, tolerance "
+        f"{part:.2g}",
+        time.perf_counter() - begun,
+    )
+
+
+def run(
+    body: Slab,
+    load: Load,
+    asked: Float,
+    points: Float,
+    tolerance: float,
+    choice: Choice,
+    panels: Float | None = None,
+) -> Run:
+    """One solution at one tolerance; panels: of a coarser run, to begin with."""
+    line = timeline(load, asked)
+    assert line is not None
+    horizon = float(asked[-1] - load.times_s[0])
+    resolution = choose(load, tolerance)
+    waves, panels = build_waves(
+        body, load, points[:, :2], horizon, resolution, still=choice.still, panels=panels, threads=choice.threads
+    )
+    images = box_images(body, points[:, :2])
+
+    def to_points(part: slice, amplitude: Complex) -> Float:
+        return np.sum([sign * at_points(waves, part, amplitude, image) for image, sign in images], axis=0)
+
+    moved = march(load, line, waves, len(asked), to_points, choice.device, choice.threads)
+    poles = float(np.mean([len(m.poles) for m in waves.modes]))
+    return Run(moved[:, 0], moved[:, 1], len(waves), len(waves.modes), poles, panels)

@@ -1,0 +1,164 @@
+"""Sets of lateral waves that a load is made of, and their sum at points.
+
+A wave set holds, by wave, which modes in depth it has and its weight; its amplitude is the transform of the load at
+its wavenumber. Axial sets are J0(k r) about a centre; plane ones e^{ik.x}, one of each pair k, -k.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import j0, j1, jn_zeros
+
+from palmfield.skin.solvers.lateral_waves.modes import FaceModes
+from palmfield.skin.solvers.lateral_waves.radial import RadialRule
+from palmfield.types import Complex, Float, Int
+
+BLOCK = 4_000_000
+"""Complex phases held at once."""
+GRID_FROM = 64
+"""Points from which a product grid of them is looked for."""
+
+
+@dataclass(frozen=True)
+class WaveSet:
+    """modes: in depth, of each group of waves; group: of each wave, shape (n,); weights: shape (n,)
+    vectors: k [rad/m], shape (n, 2), of plane waves; axial waves have (k, 0)
+    centre: of axial waves [m], shape (2,); None for plane ones
+    """
+
+    modes: tuple[FaceModes, ...]
+    group: Int
+    weights: Float
+    vectors: Float
+    centre: Float | None = None
+
+    def __len__(self) -> int:
+        return len(self.group)
+
+
+def hankel(rule: RadialRule, centre: Float) -> WaveSet:
+    """Axial waves of the endless slab: integral of k dk / 2 pi."""
+    count = len(rule.wavenumbers)
+    vectors = np.stack([rule.wavenumbers, np.zeros(count)], axis=1)
+    weights = rule.weights * rule.wavenumbers / (2.0 * np.pi)
+    return WaveSet(rule.modes, np.arange(count, dtype=np.int32), weights, vectors, centre)
+
+
+def fourier_bessel(radius_m: float, k_end: float) -> tuple[Float, Float]:
+    """Wavenumbers [rad/m] with J1(k R) = 0 up to k_end, and the weight of J0(k r) for a load's transform."""
+    count = int(k_end * radius_m / np.pi) + 2
+    zeros = np.concatenate([[0.0], jn_zeros(1, count)])
+    zeros = zeros[zeros <= max(k_end * radius_m, zeros[1])]
+    return zeros / radius_m, 1.0 / (np.pi * (radius_m * j0(zeros)) ** 2)
+
+
+def polar(rule: RadialRule, angles: Int) -> WaveSet:
+    """Plane waves of the endless slab: integral of k dk d(angle) / 4 pi^2 by the trapezoid rule in angle."""
+    group, vectors, weights = [], [], []
+    for number, (k, weight, count) in enumerate(zip(rule.wavenumbers, rule.weights, angles, strict=True)):
+        direction = 2.0 * np.pi * np.arange(count // 2) / count
+        group.append(np.full(count // 2, number, dtype=np.int32))
+        vectors.append(k * np.stack([np.cos(direction), np.sin(direction)], axis=1))
+        weights.append(np.full(count // 2, weight * k / (2.0 * np.pi * count)))
+    return WaveSet(rule.modes, np.concatenate(group), np.concatenate(weights), np.concatenate(vectors))
+
+
+def lattice(size_m: tuple[float, float], k_end: float) -> tuple[Float, Float, Float, Int]:
+    """Plane waves with the periods 2 size_m, up to k_end: vectors, weights, wavenumbers and which each has."""
+    steps = np.pi / np.asarray(size_m)
+    reach = np.ceil(k_end / steps).astype(int)
+    m, n = np.meshgrid(np.arange(reach[0] + 1), np.arange(-reach[1], reach[1] + 1), indexing="ij")
+    half = (m > 0) | (n >= 0)
+    vectors = np.stack([m[half], n[half]], axis=1) * steps
+    vectors = vectors[np.linalg.norm(vectors, axis=1) <= k_end]
+    weights = np.full(len(vectors), 1.0 / (4.0 * size_m[0] * size_m[1]))
+    weights[np.all(vectors == 0.0, axis=1)] *= 0.5
+    lengths = np.linalg.norm(vectors, axis=1)
+    different, group = np.unique(np.round(lengths / k_end, 12), return_inverse=True)
+    return vectors, weights, different * k_end, group.astype(np.int32)
+
+
+def mirrored(points: Float, size_m: tuple[float, float]) -> list[tuple[Float, Float]]:
+    """The points and their images in two walls of a box, each with the signs of its vector components."""
+    result = []
+    for across in (False, True):
+        for along in (False, True):
+            image, sign = points.copy(), np.ones(3)
+            for axis, turned in enumerate((across, along)):
+                if turned:
+                    image[:, axis] = size_m[axis] - image[:, axis]
+                    sign[axis] = -1.0
+            result.append((image, sign))
+    return result
+
+
+def at_points(waves: WaveSet, part: slice, amplitude: Complex, points: Float) -> Float:
+    """Sum of the waves of a part of the set at points (p, 2): vectors, shape (rows, 2, p, 3).
+
+    amplitude: by row and wave the normal and lateral displacement and velocity, shape (rows, n, 4)
+    """
+    rows = len(amplitude)
+    weighted = amplitude * waves.weights[part, None]
+    result = np.empty((rows, 2, len(points), 3))
+    if waves.centre is not None:
+        offset = points - waves.centre
+        distance = np.linalg.norm(offset, axis=1)
+        outward = offset / np.maximum(distance, 1e-300)[:, None]
+        turned = np.outer(waves.vectors[part, 0], distance)
+        for number in range(2):
+            result[:, number, :, 2] = weighted[:, :, 2 * number].real @ j0(turned)
+            radial = -weighted[:, :, 2 * number + 1].real @ j1(turned)
+            result[:, number, :, :2] = radial[:, :, None] * outward
+        return result
+    vectors = waves.vectors[part]
+    lengths = np.linalg.norm(vectors, axis=1)
+    cosine = 1j * vectors / np.maximum(lengths, 1e-300)[:, None]
+    columns = [
+        weighted[:, :, 2 * number + (0 if axis == 2 else 1)] * (1.0 if axis == 2 else cosine[:, axis])
+        for number in range(2)
+        for axis in range(3)
+    ]
+    summed = plane_sum(vectors, np.concatenate(columns), points)
+    result[...] = 2.0 * np.moveaxis(summed.reshape(2, 3, rows, len(points)), (2, 0, 3, 1), (0, 1, 2, 3))
+    return result
+
+
+def plane_sum(vectors: Float, values: Complex, points: Float) -> Float:
+    """Real part of sum over n of values[:, n] e^{i k_n . x}, shape (rows, p)."""
+    grid = _grid(points)
+    if grid is not None:
+        x, y, place_x, place_y = grid
+        along, turned = np.exp(1j * np.outer(x, vectors[:, 0])), np.outer(vectors[:, 1], y)
+        across = np.concatenate([np.cos(turned), np.sin(turned)])
+        found = np.empty((len(values), len(points)))
+        for number, row in enumerate(values):
+            left = along * row
+            # A real product of twice the length: half the work of a complex one whose imaginary part nobody wants
+            found[number] = (np.concatenate([left.real, -left.imag], axis=1) @ across)[place_x, place_y]
+        return found
+    result = np.empty((len(values), len(points)))
+    step = max(1, BLOCK // len(vectors))
+    for start in range(0, len(points), step):
+        block = slice(start, start + step)
+        result[:, block] = (values @ np.exp(1j * (vectors @ points[block].T))).real
+    return result
+
+
+def transform(vectors: Float, values: Float, points: Float) -> Complex:
+    """Sum over p of values[:, p] e^{-i k_n . x_p}, shape (n, rows)."""
+    result = np.empty((len(vectors), len(values)), dtype=complex)
+    step = max(1, BLOCK // len(points))
+    for start in range(0, len(vectors), step):
+        block = slice(start, start + step)
+        result[block] = np.exp(-1j * (vectors[block] @ points.T)) @ values.T
+    return result
+
+
+def _grid(points: Float) -> tuple[np.ndarray, ...] | None:
+    """Coordinates of the rows and columns that the points lie on, and which each has, where they fill a grid."""
+    if len(points) < GRID_FROM:
+        return None
+    scale = np.abs(points).max() or 1.0
+    x, place_x = np.unique(np.round(points[:, 0] / scale, 12), return_inverse=True)
+    y, place_y = np.unique(np.round(points[:, 1] / scale, 12), return_inverse=True)
+    return (x * scale, y * scale, place_x, place_y) if len(x) * len(y) <= 2 * len(points) else None

@@ -1,0 +1,103 @@
+"""Pressure on the face's particles, step by step, as means over each step."""
+
+import numpy as np
+import warp as wp
+from scipy import sparse
+
+from palmfield.errors import SceneError
+from palmfield.hand.meshquery import barycentric, build_mesh, closest_faces
+from palmfield.skin.problem import GAUSSIAN, Law, Load, Spot, Traction
+from palmfield.skin.solvers.particles.cloud import Cloud
+from palmfield.types import Float
+from warp_kernels import particles as kernels
+
+
+def integral(times_s: Float, values: Float, law: Law, to_s: Float) -> Float:
+    """Integral of a held or piecewise-linear history from its beginning, shape (n, ...).
+
+    times_s: shape (f,); values: shape (f, ...), 0 before the first time and kept after the last; to_s: shape (n,)
+    """
+    times, values = np.asarray(times_s, dtype=float), np.asarray(values, dtype=float)
+    gaps = np.diff(times).reshape(-1, *[1] * (values.ndim - 1))
+    slopes = np.zeros_like(values)
+    if law == "linear":
+        slopes[:-1] = np.diff(values, axis=0) / gaps
+    pieces = gaps * (values[:-1] + 0.5 * gaps * slopes[:-1])
+    before = np.concatenate([np.zeros_like(values[:1]), np.cumsum(pieces, axis=0)])
+    piece = np.clip(np.searchsorted(times, to_s, side="right") - 1, 0, len(times) - 1)
+    since = np.maximum(to_s - times[piece], 0.0).reshape(-1, *[1] * (values.ndim - 1))
+    return before[piece] + since * (values[piece] + 0.5 * since * slopes[piece])
+
+
+def means(times_s: Float, values: Float, law: Law, at_s: Float, step_s: float) -> Float:
+    """Means over the step round each time, shape (n, ...): what a step of leapfrog takes up of the load."""
+    ends = [integral(times_s, values, law, at_s + half) for half in (-0.5 * step_s, 0.5 * step_s)]
+    return (ends[1] - ends[0]) / step_s
+
+
+class Pressure:
+    """Fills a table (steps, particles of the face) of pressures [Pa] on the device, a block of steps at a time."""
+
+    def __init__(self, cloud: Cloud, load: Load, device: str) -> None:
+        self.load = load
+        self.device = device
+        if isinstance(load, Spot):
+            self.places: wp.array = wp.array(cloud.columns.face[:, :2].astype(np.float32), dtype=wp.vec2, device=device)
+        else:
+            self.spread = _spread(cloud, load)
+
+    def fill(self, table: wp.array, times_s: Float, step_s: float) -> None:
+        """Pressure at the steps' times [s] into the first rows of a table; each is the mean over its step."""
+        load = self.load
+        if isinstance(load, Traction):
+            frames = means(load.times_s, load.pressure_Pa, load.law, times_s, step_s)
+            rows = np.zeros(table.shape, dtype=np.float32)
+            rows[: len(times_s)] = (self.spread @ frames.T).T
+            table.assign(rows)
+            return
+        peak = means(load.times_s, load.peak_Pa, load.law, times_s, step_s)
+        centre = _path(load, times_s)
+        wp.launch(
+            kernels.spot_pressure,
+            dim=(len(times_s), table.shape[1]),
+            inputs=[
+                self.places,
+                wp.array(peak.astype(np.float32), dtype=wp.float32, device=self.device),
+                wp.array(centre.astype(np.float32), dtype=wp.vec2, device=self.device),
+                GAUSSIAN / load.fwhm_m**2,
+            ],
+            outputs=[table],
+            device=self.device,
+        )
+
+
+def _path(load: Spot, times_s: Float) -> Float:
+    """Centre at each time, shape (n, 2)."""
+    times, centres = np.asarray(load.times_s, dtype=float), load.centres()
+    if load.law == "held":
+        return centres[np.clip(np.searchsorted(times, times_s, side="right") - 1, 0, len(times) - 1)]
+    return np.column_stack([np.interp(times_s, times, centres[:, c]) for c in range(2)])
+
+
+def _spread(cloud: Cloud, load: Traction) -> sparse.csr_matrix:
+    """Pressure at the face's particles [Pa] by the pressure at the load's points, shape (f, n).
+
+    The force of a point goes to the corners of the nearest triangle by its barycentric coordinates, so that force and
+    moment stay what they are.
+    """
+    columns = cloud.columns
+    squares = columns.squares
+    triangles = np.concatenate([columns.triangles, squares[:, [0, 1, 2]], squares[:, [0, 2, 3]]])
+    corners = columns.face[triangles]
+    points = np.asarray(load.points, dtype=float)
+    reach = float(np.linalg.norm(columns.face.max(axis=0) - columns.face.min(axis=0)))
+    nearest = closest_faces(build_mesh(columns.face, triangles), points, reach)
+    if nearest.min(initial=0) < 0:
+        place = np.round(points[np.argmin(nearest)], 6).tolist()
+        raise SceneError(f"traction: point {place} m lies farther from the face than the face is long; move it there")
+    shares = barycentric(corners[nearest], points)
+    forces = shares * np.asarray(load.weights_m2, dtype=float)[:, None]
+    rows = triangles[nearest].ravel()
+    areas = np.linalg.norm(cloud.face_area, axis=1)
+    column = np.repeat(np.arange(len(points)), 3)
+    return sparse.coo_matrix((forces.ravel() / areas[rows], (rows, column)), shape=(len(areas), len(points))).tocsr()

@@ -1,0 +1,168 @@
+"""Spacing of particles for a wanted error, what it costs, and what particles can't do."""
+
+import itertools
+import math
+
+import numpy as np
+from scipy.optimize import brentq
+
+from palmfield.errors import SceneError
+from palmfield.skin.materials.material import shear_wave
+from palmfield.skin.problem import ONLY_IMPLICIT, Body, Foundation, Layer, Load, Slab, Spot, Springs, Traction
+from palmfield.skin.solvers.particles.columns import FEWEST_CELLS
+from palmfield.types import Float
+
+SECONDS_A_STEP = {"cpu": 0.9e-6, "cuda": 2.0e-9}
+"""Seconds that a particle's step takes: on one core measured, on a GPU the time its 1.5 kB take at 0.75 TB/s."""
+STIFFEST = 1e5
+"""Bulk over shear modulus at once, above which the step is so small that the solver refuses (nu 0.499995)."""
+FINEST = 2e-3
+"""Least error for which particles are laid out."""
+STIFFER = 100.0
+"""Stiffness of a sheet over that of one below it, above which the solver refuses: on a bed a hundredth as stiff a sheet
+one cell thick bends a third too little, on one of a thousandth two fifths, and the stated error is short of that."""
+COARSER = 1.5
+"""Spacing of the run that shows the error, over the spacing asked for."""
+COARSE_CELLS = 2
+"""Its fewest cells through the depth: COARSER times as high as FEWEST_CELLS make them."""
+
+
+def refusal_particles(body: Body, load: Load) -> str | None:
+    """Why particles can't solve this, or None."""
+    if isinstance(body, Slab) and body.shape == "infinite":
+        return "particles need a body with an end: give the slab a shape 'box' or 'disc'"
+    if isinstance(body.base, Foundation):
+        return ONLY_IMPLICIT
+    if isinstance(body.base, Springs):
+        return "particles have no spring base: use base 'bonded', 'free_slip' or 'free'"
+    if body.side == "absorbing":
+        return "particles have no absorbing side: use side 'fixed', 'free' or 'roller'"
+    if isinstance(body, Layer) and body.side == "roller" and body.patch.axis is None:
+        return "roller sides need a patch with an axis; this one has none: use side 'fixed' or 'free'"
+    for material in (sheet.material for sheet in body.sheets):
+        if material.bulk_Pa > STIFFEST * material.shear_instant_Pa:
+            return (
+                f"particles step with the pressure wave, and '{material.name}' has a bulk modulus of "
+                f"{material.bulk_Pa / material.shear_instant_Pa:.3g} times its shear modulus (at most {STIFFEST:g}): "
+                "use the implicit or spectral solver"
+            )
+    for upper, lower in itertools.combinations([sheet.material for sheet in body.sheets], 2):
+        ratio = upper.shear_instant_Pa / lower.shear_instant_Pa
+        if ratio > STIFFER:
+            return (
+                f"'{upper.name}' is {ratio:.3g} times as stiff as '{lower.name}' below it (at most {STIFFER:g}): "
+                "particles bend such a sheet too little; use the implicit or spectral solver"
+            )
+    return None
+
+
+def law_error(body: Body, load: Load, spacing_m: float) -> float:
+    """Relative error that particles at this spacing [m] had on discs against the exact layer
+    (docs/bench/skin_particles.md).
+
+    0.65 (h / L)^2 + 0.6 (h_z / H)^2 + 4.6 (h / wavelength)^2: L = min(w, sqrt(w H)) of the spot's width w and the depth
+    H, h_z the spacing in depth, the shear wavelength at the load's mean frequency in its slowest sheet.
+    """
+    depth = depth_of(body)
+    width = _width(load)
+    length = min(width, math.sqrt(width * depth))
+    below = min(spacing_m, depth / FEWEST_CELLS)
+    frequency = _frequency(load, width)
+    waves = 0.0
+    if frequency > 0.0:
+        wavelength = min(shear_wave(sheet.material, frequency)[0] for sheet in body.sheets) / frequency
+        waves = 4.6 * (spacing_m / wavelength) ** 2
+    return 0.65 * (spacing_m / length) ** 2 + 0.6 * (below / depth) ** 2 + waves
+
+
+def choose_spacing(body: Body, load: Load, accuracy: float) -> float:
+    """Spacing [m] at which law_error is `accuracy`; in depth alone it may have to be finer than along the face.
+
+    Below FINEST it is that of FINEST. Raises SceneError for an accuracy that is not above 0 and at most 1.
+    """
+    if not 0.0 < accuracy <= 1.0:
+        raise SceneError(f"particles: accuracy is {accuracy}; give 0.002 to 1 (5 % is what they are good for)")
+    accuracy = max(accuracy, FINEST)
+    # Below two particles a width in the run that shows the error, it shows nothing.
+    high = min(length_of(body) / 4.0, _width(load) / 3.0)
+    low = 1e-3 * high
+    if law_error(body, load, high) <= accuracy:
+        return high
+    return float(brentq(lambda h: law_error(body, load, h) - accuracy, low, high, rtol=1e-3))
+
+
+def cost_particles(body: Body, load: Load, times: Float, at: Float, accuracy: float, device: str = "cpu") -> float:
+    """Predicted seconds: particles x steps x what one takes."""
+    spacing = choose_spacing(body, load, accuracy)
+    return sum(_run_seconds(body, load, times, h, device) for h in (spacing, COARSER * spacing))
+
+
+def _run_seconds(body: Body, load: Load, times: Float, spacing: float, device: str) -> float:
+    depth = depth_of(body)
+    below = min(spacing, depth / FEWEST_CELLS)
+    total = sum(sheet.thickness_m for sheet in body.sheets)
+    thicknesses = [depth * sheet.thickness_m / total for sheet in body.sheets]
+    cells = [math.ceil(thickness / below - 1e-6) for thickness in thicknesses]
+    lowest = min(thickness / count for thickness, count in zip(thicknesses, cells, strict=True))
+    area = _area(body)
+    along = spacing if isinstance(body, Slab) else math.sqrt(area / len(body.patch.vertices))
+    count = area / along**2 * (sum(cells) + 1.0)
+    fastest = max(
+        math.sqrt((s.material.bulk_Pa + 4.0 / 3.0 * s.material.shear_instant_Pa) / s.material.density_kg_m3)
+        for s in body.sheets
+    )
+    # 1.24 spacings at the speed of sound were measured on cubes.
+    step = 1.24 * math.sqrt(3.0 / (2.0 / along**2 + 1.0 / lowest**2)) / fastest
+    steps = max(0.0, float(np.max(times)) - float(load.times_s[0])) / step
+    return 0.1 + count * steps * SECONDS_A_STEP["cuda" if device.startswith("cuda") else "cpu"]
+
+
+def depth_of(body: Body) -> float:
+    return body.thickness_m if isinstance(body, Slab) else float(np.median(body.patch.depth))
+
+
+def length_of(body: Body) -> float:
+    """Least length along the face [m]."""
+    if isinstance(body, Layer):
+        return float(np.ptp(body.patch.vertices, axis=0).max())
+    return min(body.size_m) if body.size_m is not None else 2.0 * (body.radius_m or 0.0)
+
+
+def _area(body: Body) -> float:
+    if isinstance(body, Layer):
+        a, b, c = (body.patch.vertices[body.patch.faces[:, i]] for i in range(3))
+        return float(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
+    return math.prod(body.size_m) if body.size_m is not None else math.pi * (body.radius_m or 0.0) ** 2
+
+
+def _width(load: Load) -> float:
+    return load.fwhm_m if isinstance(load, Spot) else _traction_width(load)
+
+
+def _traction_width(load: Traction) -> float:
+    """Full width at half maximum of the Gaussian with the spread of the greatest frame's pressure [m]."""
+    frame = np.abs(load.pressure_Pa[np.argmax(np.abs(load.pressure_Pa).sum(axis=1))]) * load.weights_m2
+    if not frame.sum() > 0.0:
+        return math.inf
+    middle = frame @ load.points / frame.sum()
+    square = frame @ ((load.points - middle) ** 2).sum(axis=1) / frame.sum()
+    # A Gaussian's mean square distance is 2 s^2 and its width s sqrt(8 ln 2).
+    return math.sqrt(0.5 * square * 8.0 * math.log(2.0)) or math.inf
+
+
+def _frequency(load: Load, width: float) -> float:
+    """Mean frequency of the load [Hz], its constant part included: rms rate over 2 pi rms; of a moving spot at least
+    half its speed over its width."""
+    times = np.asarray(load.times_s, dtype=float)
+    if len(times) < 3:
+        return 0.0
+    values = np.asarray(load.peak_Pa if isinstance(load, Spot) else load.pressure_Pa, dtype=float)
+    values = values.reshape(len(times), -1)
+    gaps = np.diff(times)[:, None]
+    size = (0.5 * (values[1:] ** 2 + values[:-1] ** 2) * gaps).sum()
+    rate = (np.diff(values, axis=0) ** 2 / gaps).sum()
+    changing = math.sqrt(rate / size) / (2.0 * math.pi) if size > 0.0 else 0.0
+    if not isinstance(load, Spot):
+        return changing
+    speed = np.linalg.norm(np.diff(load.centres(), axis=0), axis=1) / gaps[:, 0]
+    return max(changing, 0.5 * float(speed.max()) / width)

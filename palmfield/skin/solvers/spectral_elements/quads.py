@@ -1,0 +1,185 @@
+"""Surfaces of curved quadrilaterals that carry GLL nodes: a box's face, a disc's, and triangles cut in three."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from palmfield.skin.solvers.spectral_elements.gll import rule
+from palmfield.types import Float, Int, Patch
+
+
+@dataclass(frozen=True)
+class Quads:
+    """A surface of quadrilaterals of order N, counter-clockwise seen from outside, neighbours sharing nodes.
+
+    nodes: positions [m], shape (s, 3); drop: vector from the surface to the base below a node [m], shape (s, 3)
+    cells: nodes of each quadrilateral, first index along its edge 0-1, second along 0-3, shape (m, n, n), int32
+    rim: True at nodes of the surface's boundary, shape (s,); rim_normals: unit vectors out of the side there, square
+        to the drop, two a node for corners of a box, shape (s, 2, 3), 0 where there is none
+    """
+
+    nodes: Float
+    drop: Float
+    cells: Int
+    rim: np.ndarray
+    rim_normals: Float
+
+
+def number(corners: Int, order: int) -> Int:
+    """Node numbers of quadrilaterals of vertices (m, 4) so that neighbours share nodes, shape (m, n, n).
+
+    Vertices keep their numbers, then come edges from their lower vertex to their higher, then interiors.
+    """
+    n, inner = order + 1, order - 1
+    count = int(corners.max()) + 1
+    quads = len(corners)
+    cells = np.empty((quads, n, n), dtype=np.int64)
+    for vertex, (i, j) in enumerate(((0, 0), (order, 0), (order, order), (0, order))):
+        cells[:, i, j] = corners[:, vertex]
+    if inner:
+        middle = slice(1, order)
+        sides: dict[tuple[int, int], tuple[Any, Any]] = {
+            (0, 1): (middle, 0),
+            (1, 2): (order, middle),
+            (3, 2): (middle, order),
+            (0, 3): (0, middle),
+        }
+        pairs = np.concatenate([corners[:, list(ends)] for ends in sides])
+        edges, edge_of = np.unique(np.sort(pairs, axis=1), axis=0, return_inverse=True)
+        forward = np.arange(inner)
+        along = np.where((pairs[:, 0] < pairs[:, 1])[:, None], forward, forward[::-1])
+        names = (count + edge_of.reshape(-1)[:, None] * inner + along).reshape(4, quads, inner)
+        for name, place in zip(names, sides.values(), strict=True):
+            cells[:, place[0], place[1]] = name
+        count += len(edges) * inner
+        interior = count + np.arange(quads * inner * inner)
+        cells[:, middle, middle] = interior.reshape(quads, inner, inner)
+    return cells.astype(np.int32)
+
+
+def rim_edges(cells: Int) -> tuple[Int, Int]:
+    """Nodes of the boundary's edges in the direction that keeps the surface on the left, (b, n), and their cells."""
+    sides = np.concatenate([cells[:, :, 0], cells[:, -1, :], cells[:, ::-1, -1], cells[:, 0, ::-1]])
+    ends = np.sort(sides[:, [0, -1]], axis=1)
+    _, index, uses = np.unique(ends, axis=0, return_index=True, return_counts=True)
+    lone = np.sort(index[uses == 1])
+    return sides[lone], (lone % len(cells)).astype(np.int32)
+
+
+def finish(positions: Float, drops: Float, cells: Int, order: int) -> Quads:
+    """Quads of positions and drops given by cell, (m, n, n, 3): shared nodes agree, and the rim gets its normals."""
+    count = int(cells.max()) + 1
+    nodes, drop = np.empty((count, 3)), np.empty((count, 3))
+    nodes[cells] = positions
+    drop[cells] = drops
+    edges, _ = rim_edges(cells)
+    tangents = np.einsum("im,bmc->bic", rule(order).derivative, nodes[edges])
+    outward = np.cross(drop[edges], tangents)
+    outward /= np.linalg.norm(outward, axis=2, keepdims=True)
+    normals = np.zeros((count, 2, 3))
+    rim = np.zeros(count, dtype=bool)
+    # An edge of the rim is the first of one node and the second of the other
+    for slot, part in ((0, slice(0, order)), (1, slice(order, order + 1))):
+        normals[edges[:, part], slot] = outward[:, part]
+    # Only corners keep two: elsewhere the two are one normal, or nearly, and their mean is better than either
+    rim[edges] = True
+    first, second = normals[:, 0].copy(), normals[:, 1].copy()
+    smooth = np.einsum("sc,sc->s", first, second) > math.cos(math.radians(30.0))
+    mean = first[smooth] + second[smooth]
+    normals[smooth, 0] = mean / np.linalg.norm(mean, axis=1, keepdims=True)
+    normals[smooth, 1] = 0.0
+    return Quads(nodes, drop, cells, rim, normals)
+
+
+def box_quads(x: Float, y: Float, thickness_m: float, order: int) -> Quads:
+    """Rectangles between grid lines x and y [m] in the plane z = 0, the body below."""
+    cols, rows = len(x) - 1, len(y) - 1
+    i, j = np.meshgrid(np.arange(cols), np.arange(rows), indexing="ij")
+    low = (i * (rows + 1) + j).ravel()
+    corners = np.stack([low, low + rows + 1, low + rows + 2, low + 1], axis=1)
+    share = 0.5 * (1.0 + rule(order).nodes)
+    px = x[:-1, None] + np.diff(x)[:, None] * share
+    py = y[:-1, None] + np.diff(y)[:, None] * share
+    n = order + 1
+    positions = np.zeros((cols, rows, n, n, 3))
+    positions[..., 0] = px[:, None, :, None]
+    positions[..., 1] = py[None, :, None, :]
+    flat = positions.reshape(-1, n, n, 3)
+    drops = np.broadcast_to(np.array([0.0, 0.0, -thickness_m]), flat.shape)
+    return finish(flat, drops, number(corners, order), order)
+
+
+BULGE = 0.15
+"""How far the middle of the inner square's sides stands out, as a share of the half width: it takes half the kink out
+of the rim's arcs."""
+
+
+def disc_quads(thickness_m: float, half_m: float, core: int, radii_m: Float, order: int) -> Quads:
+    """A disc: `core` x `core` cells in a bulged square of half width half_m [m], then rings of 4 `core` cells.
+
+    radii_m: mean outer radius of each ring [m], rising, the last the disc's; the first begins at the square
+    """
+    radius_m = float(radii_m[-1])
+    middle = half_m * (1.0 + BULGE)
+    edges = (np.concatenate([[middle], radii_m]) - middle) / (radius_m - middle)
+    rings = len(radii_m)
+    n = order + 1
+    share = 0.5 * (1.0 + rule(order).nodes)
+    s = -1.0 + 2.0 * (np.arange(core)[:, None] + share) / core
+    r = edges[:-1, None] + np.diff(edges)[:, None] * share
+
+    def square(a: Float, b: Float) -> Float:
+        return half_m * np.stack([a * (1.0 + BULGE * (1.0 - b**2)), b * (1.0 + BULGE * (1.0 - a**2))], axis=-1)
+
+    a = np.broadcast_to(s[:, None, :, None], (core, core, n, n))
+    b = np.broadcast_to(s[None, :, None, :], (core, core, n, n))
+    blocks = [square(a, b).reshape(-1, n, n, 2)]
+    grid = np.arange((core + 1) ** 2).reshape(core + 1, core + 1)
+    corners = [np.stack([grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]], axis=-1).reshape(-1, 4)]
+    # Round the square's boundary counter-clockwise, quarter by quarter
+    around = np.concatenate([grid[-1, :-1], grid[:0:-1, -1], grid[0, :0:-1], grid[:-1, 0]])
+    loops = np.concatenate([around[None], grid.size + np.arange(4 * core * rings).reshape(rings, 4 * core)])
+    angle = 0.25 * math.pi * s
+    for quarter in range(4):
+        turn = 0.5 * math.pi * quarter
+        inner = square(np.ones_like(s), s) @ np.array(
+            [[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]]
+        )
+        outer = radius_m * np.stack([np.cos(angle + turn), np.sin(angle + turn)], axis=-1)
+        inner, outer = inner[None, :, None, :, :], outer[None, :, None, :, :]
+        part = r[:, None, :, None, None]
+        blocks.append(((1.0 - part) * inner + part * outer).reshape(-1, n, n, 2))
+        here = np.arange(quarter * core, (quarter + 1) * core)
+        after = (here + 1) % (4 * core)
+        corners.append(
+            np.stack([loops[:-1, here], loops[1:, here], loops[1:, after], loops[:-1, after]], axis=-1).reshape(-1, 4)
+        )
+    flat = np.concatenate(blocks)
+    positions = np.concatenate([flat, np.zeros((*flat.shape[:-1], 1))], axis=-1)
+    drops = np.broadcast_to(np.array([0.0, 0.0, -thickness_m]), positions.shape)
+    return finish(positions, drops, number(np.concatenate(corners), order), order)
+
+
+def patch_quads(patch: Patch, order: int) -> Quads:
+    """Every triangle of a patch cut into three: vertex, middle of an edge, centroid, middle of an edge."""
+    faces = np.asarray(patch.faces, dtype=np.int64)
+    vertices = len(patch.vertices)
+    edges, edge_of = np.unique(
+        np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0, return_inverse=True
+    )
+    middle = vertices + edge_of.reshape(-1, 3)
+    centre = vertices + len(edges) + np.arange(len(faces))
+    corners = np.concatenate(
+        [np.stack([faces[:, i], middle[:, i], centre, middle[:, i - 1]], axis=1) for i in range(3)]
+    )
+    points = np.concatenate([patch.vertices, patch.vertices[edges].mean(axis=1), patch.vertices[faces].mean(axis=1)])
+    down = np.asarray(patch.inward) * np.asarray(patch.depth)[:, None]
+    downs = np.concatenate([down, down[edges].mean(axis=1), down[faces].mean(axis=1)])
+    share = 0.5 * (1.0 + rule(order).nodes)
+    a, b = np.meshgrid(share, share, indexing="ij")
+    weights = np.stack([(1 - a) * (1 - b), a * (1 - b), a * b, (1 - a) * b], axis=-1)
+    positions = np.einsum("ijv,mvc->mijc", weights, points[corners])
+    drops = np.einsum("ijv,mvc->mijc", weights, downs[corners])
+    return finish(positions, drops, number(corners, order), order)

@@ -1,0 +1,288 @@
+"""Steps of the explicit scheme, and the energy that it never lets grow."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from palmfield.errors import SceneError
+from palmfield.skin.materials.material import Material
+from palmfield.skin.solvers.spectral_elements.loads import Table
+from palmfield.skin.solvers.spectral_elements.model import Holds, Layout, Model
+from palmfield.skin.solvers.spectral_elements.solid import face_areas
+from palmfield.types import Float, Int
+from warp_kernels import hexa, hexa_steps
+
+GRAPH_STEPS = 200
+"""Steps that one CUDA graph holds."""
+
+
+@dataclass(frozen=True)
+class Points:
+    """Points of the face: nodes of the cell each lies in and their shares, shapes (p, n^2)."""
+
+    nodes: Int
+    shares: Float
+
+
+@dataclass(frozen=True)
+class State:
+    """Displacement u [m] at a step, velocity v [m/s] half a step before it, y = u - q [m] by branch and copy."""
+
+    u: Float
+    v: Float
+    strain: Float
+
+
+def branch_step(step_s: float, time_s: float) -> tuple[float, float]:
+    """(e, c h) of y <- e y + c h v, exact for v constant over the step: c = (1 - e) tau / h."""
+    if time_s == 0.0:
+        return 0.0, 0.0
+    return math.exp(-step_s / time_s), -math.expm1(-step_s / time_s) * time_s
+
+
+def lane_rows(elements: Int, layout: Layout, lanes: int) -> tuple[Int, Int]:
+    """First row of each thread's nodes, (threads + 1,), and rows of one position a lane, flat.
+
+    Lanes with fewer elements than their fellows point at a position of an element of padding, where no force is.
+    """
+    flat = elements.ravel()
+    order = np.argsort(flat, kind="stable")
+    nodes = flat[order]
+    count = int(nodes[-1]) + 1
+    threads = -(-count // lanes)
+    uses = np.bincount(nodes, minlength=threads * lanes)
+    rank = np.arange(len(nodes)) - (np.cumsum(uses) - uses)[nodes]
+    starts = np.concatenate([[0], np.cumsum(uses.reshape(threads, lanes).max(axis=1))])
+    sources = np.full(starts[-1] * lanes, layout.spare, dtype=np.int64)
+    sources[(starts[nodes // lanes] + rank) * lanes + nodes % lanes] = layout.at.ravel()[order]
+    return starts, sources
+
+
+def law_of(material: Material) -> tuple[tuple[tuple[float, float], ...], float]:
+    return tuple(zip(material.ratios, material.times_s, strict=True)), material.viscous_time_s
+
+
+class Stepper:
+    """Central differences with exact branches; the dashpot takes the velocity of half a step before.
+
+    With K the elastic and K_d the relaxed deviatoric stiffness, M v' + K u + K_d (sum g y + t v(-1/2)) = f and
+    y <- e y + c h v, the energy
+
+        E = v (M - h t K_d / 2) v / 2 + u0 K u1 / 2 + sum g / (2 c) [y0 K_d y1 + (1 - e) / 2 y0 K_d y0]
+
+    of a step from 0 to 1 changes without a load by -h t s K_d s / 4 - sum g (1 - e) / (4 c) z K_d z, where s and z are
+    sums of two neighbouring v and y: it never grows. It is positive where
+    M - h^2 / 4 [K + sum g tanh(x / 2) / (x / 2) K_d] - h t K_d / 2 is, x = h / tau; that gives the stable step.
+
+    step_s: [s]; table: the load at each step; points: where to read; wanted: steps after which to, rising
+    Raises SceneError for a step above the stable one.
+    """
+
+    def __init__(
+        self, model: Model, holds: Holds, step_s: float, table: Table, points: Points, wanted: Int, stable_s: float
+    ) -> None:
+        if not 0.0 < step_s <= stable_s:
+            raise SceneError(
+                f"explicit skin: step {step_s:.4g} s is above the stable one, {stable_s:.4g} s, or not above 0; leave "
+                "step_s out, or give one between them"
+            )
+        self.model, self.holds, self.step_s, self.table = model, holds, step_s, table
+        device, real, put = model.device, model.real, model.put
+        solid, layout = model.solid, model.layout
+        count = len(solid.nodes)
+
+        lanes = 1 if layout.gpu else hexa.LANES
+        threads = -(-count // lanes)
+        starts, sources = lane_rows(solid.elements, layout, lanes)
+        self.threads, self.starts, self.sources = threads, model.ints(starts), model.ints(sources)
+        self._copies()
+        self.areas = model.vectors(face_areas(solid))
+        flat = solid.nodes[: solid.surface_nodes, :2].astype(model.dtype)
+        self.places: Any = wp.array(flat, dtype=wp.types.vector(2, real), device=device)
+        self.spot = model.vectors(table.spot)
+        self.frames = put(table.frames)
+        self.frame, self.share = model.ints(table.frame), put(table.share)
+        half = 0.5 * step_s * holds.damping
+        pace = np.zeros((threads * lanes, 2))
+        pace[:count] = np.stack([(1.0 - half) / (1.0 + half), step_s / model.mass / (1.0 + half)], axis=1)
+        row_of = np.full(threads * lanes, -1)
+        row_of[holds.rows] = np.arange(len(holds.rows))
+        # Nodes held in every direction need no matrices
+        still = holds.rows[~holds.projector.any(axis=(1, 2))]
+        pace[still], row_of[still] = 0.0, -1
+        self.held = model.ints(row_of)
+        self.pace: Any = wp.array(pace.astype(model.dtype), dtype=wp.types.vector(2, real), device=device)
+        mass = model.mass[holds.rows, None, None]
+        drag = 0.5 * step_s * (holds.dashpot + (mass * holds.damping[holds.rows, None, None]) * np.eye(3))
+        inverse = np.linalg.inv(mass * np.eye(3) + drag)
+        project = holds.projector
+        mat33 = wp.types.matrix((3, 3), real)
+        keep = project @ inverse @ (mass * np.eye(3) - drag) @ project
+        push = step_s * project @ inverse @ project
+        self.matrices: list[Any] = [
+            wp.array(a.astype(model.dtype), dtype=mat33, device=device) for a in (keep, push, holds.spring)
+        ]
+        copies = self.copy_count + threads * lanes - count
+        self.u, self.v = (wp.zeros(threads * lanes, dtype=model.vec3, device=device) for _ in range(2))
+        self.w = wp.zeros(copies, dtype=model.vec3, device=device)
+        self.strain = wp.zeros((max(1, self.most), copies), dtype=model.vec3, device=device)
+        self.clock, self.finished = (wp.zeros(1, dtype=wp.int32, device=device) for _ in range(2))
+        self.done = 0
+        slots = np.full(table.steps + GRAPH_STEPS, -1)
+        slots[wanted] = np.arange(len(wanted))
+        self.slots = model.ints(slots)
+        self.read_nodes, self.read_shares = model.ints(points.nodes), put(points.shares)
+        shape = (max(1, len(wanted)), len(points.nodes))
+        self.read_u, self.read_v = (wp.zeros(shape, dtype=model.vec3, device=device) for _ in range(2))
+        self.commands = self._commands()
+        self.graph: Any = None
+
+    def _copies(self) -> None:
+        """A node has a copy of what relaxes for every law that meets there; those of one node lie together."""
+        model, solid, layout = self.model, self.model.solid, self.model.layout
+        laws = sorted({law_of(m) for m in model.materials})
+        self.law_of_sheet = np.array([laws.index(law_of(m)) for m in model.materials])
+        pairs = solid.elements.astype(np.int64) * len(laws) + self.law_of_sheet[solid.sheet][:, None]
+        if len(laws) == 1:
+            keys, inverse = np.arange(len(solid.nodes)), solid.elements
+        else:
+            keys, found = np.unique(pairs, return_inverse=True)
+            inverse = found.reshape(pairs.shape)
+        self.copy_node, self.copy_law = keys // len(laws), keys % len(laws)
+        self.copy_count = len(keys)
+        self.copy_starts = model.ints(np.searchsorted(self.copy_node, np.arange(len(solid.nodes) + hexa.LANES + 1)))
+        self.copy_laws = model.ints(self.copy_law)
+        w_conn = np.zeros(layout.count, dtype=np.int32)
+        w_conn[layout.at] = inverse
+        self.w_conn = model.ints(w_conn)
+        ends = np.concatenate([[0], np.cumsum([len(branches) for branches, _ in laws])])
+        rows = [(*branch_step(self.step_s, tau), g) for branches, _ in laws for g, tau in branches]
+        self.branch_rows = np.array(rows).reshape(-1, 3)
+        self.law_ends = np.stack([ends[:-1], ends[1:]], axis=1)
+        self.most = int(np.diff(ends).max())
+        self.laws: Any = wp.array(self.law_ends.astype(np.int32), dtype=wp.vec2i, device=model.device)
+        self.branches = model.vectors(self.branch_rows)
+        self.viscous = model.put(np.array([time_s for _, time_s in laws]))
+
+    def _commands(self) -> list[Any]:
+        """Launches of a step: forces of the elements (they read what the last step left), and step of the nodes."""
+        model = self.model
+        reading = (self.finished, self.slots, self.read_nodes, self.read_shares, self.v, self.read_u, self.read_v)
+        return [
+            model.launch(
+                *(self.u, self.w, model.conn, self.w_conn, model.moduli, self.clock),
+                reading=reading,
+                record_cmd=True,
+            ),
+            wp.launch(
+                hexa_steps.node_step(model.real, self.table.moving, len(self.law_ends) == 1, model.layout.gpu),
+                dim=self.threads,
+                inputs=[
+                    *(self.starts, self.sources, model.force),
+                    *(self.areas, self.places, self.spot, self.table.spread, self.frames, self.frame, self.share),
+                    *(self.pace, self.held, *self.matrices),
+                    *(self.copy_starts, self.copy_laws, self.laws, self.branches, self.viscous, self.step_s),
+                    *(self.u, self.v, self.w, self.strain, self.clock, self.finished),
+                ],
+                device=model.device,
+                block_dim=hexa_steps.NODE_BLOCK,
+                record_cmd=True,
+            ),
+        ]
+
+    def _step(self) -> None:
+        for command in self.commands:
+            command.launch()
+
+    def advance(self, steps: int) -> None:
+        """Take that many steps. Raises SceneError where the load's table ends before."""
+        if self.done + steps > self.table.steps:
+            raise SceneError(
+                f"explicit skin: {self.done + steps} steps asked, the load is tabled for {self.table.steps}; table more"
+            )
+        left = steps
+        if self.model.layout.gpu and left >= GRAPH_STEPS:
+            if self.graph is None:
+                with wp.ScopedCapture(device=self.model.device) as capture:
+                    for _ in range(GRAPH_STEPS):
+                        self._step()
+                self.graph = capture.graph
+            while left >= GRAPH_STEPS:
+                wp.capture_launch(self.graph)
+                left -= GRAPH_STEPS
+        for _ in range(left):
+            self._step()
+        self.done += steps
+        wp.launch(
+            hexa_steps.reading(self.model.real),
+            dim=len(self.read_nodes),
+            inputs=[
+                *(self.finished, self.slots, self.read_nodes, self.read_shares),
+                *(self.u, self.v, self.read_u, self.read_v),
+            ],
+            device=self.model.device,
+        )
+
+    def readings(self) -> tuple[Any, Any]:
+        """Displacement [m] and velocity [m/s] after the wanted steps, at the points, both (wanted, p) of vectors."""
+        return self.read_u, self.read_v
+
+    def state(self) -> State:
+        nodes, copies = len(self.model.solid.nodes), self.copy_count
+        u, v, strain = (a.numpy().astype(np.float64) for a in (self.u, self.v, self.strain))
+        return State(u[:nodes], v[:nodes], strain[:, :copies])
+
+    def place(self, u: Float, v: Float) -> None:
+        """Put the body into another state at rest branches: displacement and velocity, both (nodes, 3)."""
+        for array, values in ((self.u, u), (self.v, v), (self.w, u[self.copy_node])):
+            array[: len(values)].assign(self.model.vectors(values))
+        self.strain.zero_()
+
+    def momentum(self) -> Float:
+        """Sum of mass times velocity [kg m/s], shape (3,)."""
+        return self.model.mass @ self.state().v
+
+    def energy(self, before: State, after: State) -> float:
+        """E of the step between two states [J]; see the class."""
+        model, h, holds = self.model, self.step_s, self.holds
+        shear = [m.shear_relaxed_Pa for m in model.materials]
+        v = after.v
+        total = 0.5 * model.mass @ (v * v).sum(axis=1)
+        rows = holds.rows
+        total += 0.5 * np.einsum("rc,rcd,rd->", before.u[rows], holds.spring, after.u[rows])
+        # Pressure that follows w takes the dashpot's and branches' shares as well
+        total += 0.5 * float((before.u * model.forces(after.u, after.u, shear)).sum())
+        for law, (first, last) in enumerate(self.law_ends):
+            sheets = self.law_of_sheet == law
+            own = [g if mine else 0.0 for g, mine in zip(shear, sheets, strict=True)]
+            copies = np.flatnonzero(self.copy_law == law)
+
+            def spread(values: Float, copies: Any = copies) -> Float:
+                nodes = np.zeros_like(before.u)
+                nodes[self.copy_node[copies]] = values[copies]
+                return nodes
+
+            def product(a: Float, b: Float, own: list[float] = own, sheets: Any = sheets) -> float:
+                return float((a * self.relaxing_forces(b, own, sheets)).sum())
+
+            viscous = float(self.viscous.numpy()[law])
+            if viscous > 0.0:
+                total -= 0.25 * h * viscous * product(v, v)
+            for b in range(first, last):
+                e, ch, g = self.branch_rows[b]
+                if ch == 0.0:
+                    continue
+                y0, y1 = (spread(state.strain[b - first]) for state in (before, after))
+                total += 0.5 * g * h / ch * (product(y0, y1) + 0.5 * (1.0 - e) * product(y0, y0))
+        return float(total)
+
+    def relaxing_forces(self, y: Float, shear: list[float], sheets: Any) -> Float:
+        """Forces of what relaxes: the deviatoric part, and the pressure where the bulk follows."""
+        model = self.model
+        bulk = np.array([m.bulk_Pa if m.bulk_relaxes else 0.0 for m in model.materials]) * sheets
+        moduli = model.moduli_of(shear).numpy()
+        moduli[1, : len(model.solid.sheet)] = bulk[model.solid.sheet]
+        return model.forces_of(y, y, model.put(moduli))

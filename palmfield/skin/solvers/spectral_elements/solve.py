@@ -1,0 +1,317 @@
+"""Explicit spectral elements behind the skin solvers' common call."""
+
+import math
+import time
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from palmfield.device import resolve
+from palmfield.errors import SceneError
+from palmfield.skin.approximation.reduce_bulk_modulus import soften
+from palmfield.skin.approximation.trim_absorbing_rim import refusal_of_spot
+from palmfield.skin.problem import ONLY_IMPLICIT, Body, Foundation, Layer, Load, Motion, Spot, rising
+from palmfield.skin.solvers.spectral_elements.loads import table_of
+from palmfield.skin.solvers.spectral_elements.mesh import Plan, build, fast_speed, load_frequency, load_width, plan
+from palmfield.skin.solvers.spectral_elements.model import SAFETY, Model, hold
+from palmfield.skin.solvers.spectral_elements.places import find
+from palmfield.skin.solvers.spectral_elements.run import Points, Stepper
+from palmfield.skin.solvers.spectral_elements.solid import Solid
+from palmfield.types import Float
+
+COARSER = 1.4
+"""Element size of the run by which the error is estimated, over that of the run that is returned."""
+
+LEAST_WIDER = 1.2
+"""Ratio of the widths under the load from which two meshes tell each other's error."""
+
+LOWER = 0.6
+"""Error of an order over the difference to the next lower, at most: 0.05 to 0.5 on 20 random discs and boxes."""
+
+LOWER_SPONGE = 0.7
+"""The same in a sponge, which is smaller in the second run as well: 0.03 to 0.53 on 10 random endless slabs."""
+
+LONGEST_S = 3600.0
+"""Predicted seconds above which a run is refused."""
+
+WINDOW = 0.05
+"""Share of the time that the second run takes where it has the higher order."""
+
+STIFFEST = 1e5
+"""Bulk over shear modulus at once, above which the step is so small that the solver refuses (nu 0.499995)."""
+
+COURANT = {1: 0.587, 2: 0.477, 3: 0.406, 4: 0.345, 5: 0.295}
+"""Stable step of a cube times wave speed over node spacing (size / N), nu 0.495; higher orders like 1.5 / (N + 0.1)."""
+
+CPU_COST = (8.5e-9, 22e-9, 15e-6)
+"""Seconds by element node, by node and by step on one CPU core (AMD EPYC), measured by scripts/bench_explicit.py."""
+
+GPU_COST = (0.035e-9, 0.1e-9, 5e-6)
+"""The same on a GPU: layers of 13 k to 40 k elements of order 1 and 2 on an H200."""
+
+
+def refusal_explicit(body: Body, load: Load) -> str | None:
+    """Why the explicit solver cannot take this problem, in a sentence, or None."""
+    if isinstance(body.base, Foundation):
+        return ONLY_IMPLICIT
+    if isinstance(body, Layer) and body.side == "absorbing":
+        return (
+            "explicit elements have dashpots only at a layer's sides, which send slow waves back, and nothing to tell "
+            "how much: use the implicit solver"
+        )
+    turned = refusal_of_spot(body, load)
+    if turned is not None:
+        return turned
+    for sheet in body.sheets:
+        material = sheet.material
+        if material.bulk_Pa > STIFFEST * material.shear_instant_Pa:
+            return (
+                f"explicit elements step with the pressure wave, and '{material.name}' has a bulk modulus of "
+                f"{material.bulk_Pa / material.shear_instant_Pa:.3g} times its shear modulus (at most {STIFFEST:g}): "
+                "use the implicit or spectral solver, or nu_at_most"
+            )
+    return None
+
+
+def cost_explicit(body: Body, load: Load, times: Float, at: Float, accuracy: float, device: str = "cpu") -> float:
+    """Predicted seconds of `solve_explicit`, from the size of its mesh and its step."""
+    points = np.atleast_2d(np.asarray(at, dtype=float))
+    body, _ = soften(body, load, float(np.max(times)), points, accuracy, None)
+    chosen = plan(body, load, points, accuracy)
+    total = 0.0
+    asked, start = np.asarray(times, dtype=float), float(load.times_s[0])
+    ends = float(np.max(asked)), window(body, chosen, load, asked)
+    for each, end in zip((chosen, beside(body, chosen)), ends, strict=True):
+        nodes, step = size_of(body, each)
+        rates = CPU_COST if device == "cpu" else GPU_COST
+        steps = max(0.0, end - start) / step
+        repeated = nodes * ((each.order + 1) / each.order) ** 3
+        total += steps * (repeated * rates[0] + nodes * rates[1] + rates[2])
+    return total
+
+
+def size_of(body: Body, chosen: Plan) -> tuple[float, float]:
+    """Nodes and step [s], roughly, of a mesh that is not built."""
+    n = chosen.order
+    if isinstance(body, Layer):
+        area = 3.0 * len(body.patch.faces) * chosen.size_m**2
+        thickness = float(np.mean(body.patch.depth))
+    else:
+        thickness = body.thickness_m
+        reach = chosen.watched_m[:, 1] - chosen.watched_m[:, 0] + 2.0 * (chosen.sponge_m + chosen.margin_m)
+        area = {
+            "infinite": 0.6 * float(np.prod(reach)),
+            "box": float(np.prod(np.asarray(body.size_m or (0.0, 0.0)) + 2.0 * chosen.sponge_m)),
+            "disc": math.pi * ((body.radius_m or 0.0) + chosen.sponge_m) ** 2,
+        }[body.shape]
+        # Cells outside what is watched are wider
+        area *= 0.6
+    nodes = area / chosen.size_m**2 * n**2 * (sum(chosen.deep) * n + 1)
+    total = sum(sheet.thickness_m for sheet in body.sheets)
+    step = math.inf
+    for sheet, count in zip(body.sheets, chosen.deep, strict=True):
+        deep = thickness * sheet.thickness_m / total / count
+        across = 0.6 * chosen.size_m if isinstance(body, Layer) else 0.85 * chosen.size_m
+        spacing = math.sqrt(3.0 / (2.0 / across**2 + 1.0 / deep**2)) / n
+        courant = COURANT.get(n, 1.5 / (n + 0.1))
+        step = min(step, SAFETY * courant * spacing / fast_speed(sheet.material))
+    return nodes, step
+
+
+def beside(body: Body, chosen: Plan) -> Plan:
+    """The mesh by which the error is estimated: wider elements, or another order where those would be the same ones.
+
+    That is so on a patch's own triangles and where few elements lie under the load. Order 1 has no lower one: the next
+    higher tells its error, in a shorter time (`window`). A sponge is smaller too.
+    """
+    margin, sponge = 0.6 * chosen.margin_m, 0.8 * chosen.sponge_m
+    if not isinstance(body, Layer):
+        deep = tuple(max(1, math.floor(count / COARSER + 0.5)) for count in chosen.deep)
+        wider = replace(chosen, size_m=COARSER * chosen.size_m, deep=deep, margin_m=margin, sponge_m=sponge)
+        if width_under(build(body, wider)[0], wider) > LEAST_WIDER * width_under(build(body, chosen)[0], chosen):
+            return wider
+    order = chosen.order - 1 if chosen.order > 1 else 2
+    return replace(chosen, order=order, margin_m=margin, sponge_m=sponge)
+
+
+def width_under(solid: Solid, chosen: Plan) -> float:
+    """Mean width [m] of the cells whose middle is watched, or of the nearest one."""
+    corners = solid.quads.nodes[solid.quads.cells[:, [0, 0, -1, -1], [0, -1, -1, 0]]]
+    middles = corners.mean(axis=1)[:, :2]
+    low, high = chosen.watched_m.T
+    outside = np.linalg.norm(np.maximum(np.maximum(low - middles, middles - high), 0.0), axis=1)
+    here = corners[outside <= outside.min()]
+    across = np.cross(here[:, 2] - here[:, 0], here[:, 3] - here[:, 1])
+    return float(np.sqrt(0.5 * np.linalg.norm(across, axis=1).mean()))
+
+
+def apart(found: Float, other: Float) -> float:
+    """Relative difference of two displacements (t, n, 3), L2 over the times, the largest of the points that move."""
+    size, gap = (np.linalg.norm(values, axis=(0, 2)) for values in (found, found - other))
+    moving = size > 1e-9 * size.max(initial=0.0)
+    return float((gap[moving] / size[moving]).max(initial=0.0))
+
+
+def window(body: Body, chosen: Plan, load: Load, times: Float) -> float:
+    """Time [s] up to which the second run goes: the last asked, or a twentieth of the way where it is the dearer."""
+    if chosen.order == 1 and beside(body, chosen).order == 2:
+        pressing = load.peak_Pa if isinstance(load, Spot) else np.abs(load.pressure_Pa).max(axis=1)
+        start = float(load.times_s[max(0, int(np.argmax(pressing != 0.0)) - 1)])
+        begun = times[times > start]
+        if len(begun):
+            return max(start + WINDOW * (float(times[-1]) - start), float(begun[0]))
+    return float(times[-1])
+
+
+def solve_explicit(
+    body: Body,
+    load: Load,
+    times: Float,
+    at: Float,
+    *,
+    accuracy: float = 0.05,
+    device: str = "cpu",
+    order: int | None = None,
+    size_m: float | None = None,
+    deep: tuple[int, ...] | None = None,
+    step_s: float | None = None,
+    precision: str = "float32",
+    nu_at_most: float | None = None,
+    estimate: bool = True,
+) -> Motion:
+    """Motion of the face by explicit spectral elements, matrix-free (Patera 1984; Komatitsch & Vilotte 1998).
+
+    times: [s], rising, shape (t,); at: points of the face [m], shape (n, 3) or (n, 2); device: "cpu" or "cuda:0"
+    order: N of the elements, 1 to 7 (1 integrates too coarsely unless they are prisms); size_m: their width [m] (slabs)
+    deep: elements through each sheet; step_s: [s], at most the stable one; precision: "float32" or "float64"
+    nu_at_most: takes a smaller bulk modulus where Poisson's ratio at once is above this, which makes larger steps; by
+    default one that the accuracy allows, see palmfield.skin.approximation.reduce_bulk_modulus; 0.5 leaves the material
+    as it is. What it changes is in the error
+    estimate: False leaves the second run out; the error is then NaN
+    Raises SceneError for a problem that `refusal_explicit` names, an element inside out, a step above the stable one,
+    times that do not rise, and points off the face.
+    """
+    began = time.perf_counter()
+    device = resolve(device)
+    asked = rising("times", times)
+    if precision not in ("float32", "float64"):
+        raise SceneError(f"explicit skin: precision is '{precision}'; use float32 or float64")
+    if size_m is not None and not size_m > 0.0:
+        raise SceneError(f"explicit skin: size_m is {size_m}; give a width above 0")
+    if order is not None and not 1 <= order <= 7:
+        raise SceneError(f"explicit skin: order is {order}; give 1 to 7")
+    if step_s is not None and not 0.0 < step_s < math.inf:
+        raise SceneError(f"explicit skin: step_s is {step_s}; give a time above 0 s, or leave it out")
+    if deep is not None and (len(deep) != len(body.sheets) or min(deep) < 1):
+        raise SceneError(f"explicit skin: deep is {deep}; give 1 or more for each of {len(body.sheets)} sheets")
+    points = np.atleast_2d(np.asarray(at, dtype=float))
+    body, softened = soften(body, load, float(asked[-1]), points, accuracy, nu_at_most)
+    reason = refusal_explicit(body, load)
+    if reason is not None:
+        raise SceneError(reason)
+    chosen = plan(body, load, points, accuracy, order, size_m, deep)
+    fine = march(body, chosen, load, asked, points, device, precision, step_s)
+    error, source = math.nan, "not estimated"
+    if estimate:
+        other = beside(body, chosen)
+        early = asked[asked <= window(body, chosen, load, asked)]
+        rough = march(body, other, load, early, points, device, precision, None)
+        gap = apart(fine[0][: len(early)], rough[0])
+        if other.order != chosen.order:
+            lower = LOWER_SPONGE if chosen.sponge_m > 0.0 else LOWER
+            share = lower if other.order < chosen.order else 1.0
+            error, source = share * gap, f"{share:.2g} of the difference to order {other.order} on the same elements"
+            if chosen.sponge_m > 0.0:
+                source += " in a smaller sponge"
+            if len(early) < len(asked):
+                source += f" up to {early[-1]:.3g} s"
+        else:
+            # Elements this large have not come to their order: the difference was 0.7 to 59 times the error, and
+            # 1.2 times it with a sponge, which falls with no known power of its size
+            error, source = gap, f"the difference to elements {COARSER} times as wide"
+            if chosen.sponge_m > 0.0:
+                source += " in a smaller sponge"
+        error += lag(body, load, fine[3]) + softened
+    if softened > 0.0:
+        source += f"; {softened:.2g} for a bulk modulus of {body.sheets[0].material.bulk_Pa:.3g} Pa"
+    where = f"explicit, order {chosen.order}, {fine[2]} elements of {1e3 * chosen.size_m:.3g} mm, step {fine[3]:.3g} s"
+    if points.shape[1] == 2:
+        points = np.column_stack([points, np.zeros(len(points))])
+    return Motion(asked, points, fine[0], fine[1], error, source, where, time.perf_counter() - began)
+
+
+def march(
+    body: Body,
+    chosen: Plan,
+    load: Load,
+    times: Float,
+    points: Float,
+    device: str,
+    precision: str,
+    step_s: float | None,
+) -> tuple[Float, Float, int, float]:
+    """Displacement and velocity, (t, n, 3), elements and step of one run."""
+    solid, damping = build(body, chosen)
+    model = Model(solid, body.sheets, device, precision)
+    side = "absorbing" if isinstance(body, Layer) and body.side == "absorbing" else body.side
+    if not isinstance(body, Layer) and chosen.sponge_m > 0.0:
+        side = "absorbing"
+    assert not isinstance(body.base, Foundation)
+    holds = hold(model, body.base, side, damping)
+    rows = model.mass[holds.rows, None, None]
+    spring_rate = float((np.abs(holds.spring) / rows).sum(axis=2).max(initial=0.0))
+    stable = model.stable_step(spring_rate)
+    step = SAFETY * stable if step_s is None else step_s
+    start = float(load.times_s[0])
+    late = np.maximum(times - start, 0.0) / step
+    first = np.floor(late).astype(np.int64)
+    wanted = np.unique(first[:, None] + np.array([-1, 0, 1]))
+    wanted = wanted[wanted >= 0]
+    steps = int(wanted[-1]) + 1
+    check_time(model, steps, step)
+    table = table_of(load, solid, step, steps)
+    stepper = Stepper(model, holds, step, table, Points(*find(solid, points)), wanted, stable)
+    stepper.advance(steps)
+    u, v = (np.concatenate([np.zeros((1, len(points), 3)), a.numpy()[: len(wanted)]]) for a in stepper.readings())
+
+    def row(step_number: Any) -> Any:
+        """Reading after a step; before the first the body rests."""
+        return np.where(step_number < 0, 0, 1 + np.searchsorted(wanted, np.maximum(step_number, 0)))
+
+    before, here, after = (v[row(first + k)] for k in (-1, 0, 1))
+    part = (late - first)[:, None, None]
+    place = u[row(first - 1)] + part * step * here + 0.5 * part * (part - 1.0) * step * (here - before)
+    speed = np.where(part < 0.5, here + (part - 0.5) * (here - before), here + (part - 0.5) * (after - here))
+    resting = (times < start)[:, None, None]
+    place, speed = np.where(resting, 0.0, place), np.where(resting, 0.0, speed)
+    wp.synchronize_device(device)
+    return place, speed, len(solid.elements), step
+
+
+def check_time(model: Model, steps: int, step_s: float) -> None:
+    """Raise SceneError, naming the element that makes the step small, where a run would take longer than LONGEST_S."""
+    solid, rates = model.solid, GPU_COST if model.layout.gpu else CPU_COST
+    seconds = steps * (solid.elements.size * rates[0] + len(solid.nodes) * rates[1] + rates[2])
+    if seconds > LONGEST_S:
+        worst = int(np.argmin(model.volume.sum(axis=1)))
+        raise SceneError(
+            f"explicit skin: {steps} steps of {step_s:.3g} s would take about {seconds:.2g} s, above {LONGEST_S:g}: "
+            f"the smallest element is near ({solid.place(worst)}) m; make the mesh even there, or use implicit"
+        )
+
+
+def lag(body: Body, load: Load, step_s: float) -> float:
+    """What the dashpots' velocity of half a step before does: as if h t K_d / 2 less mass, h w / 2 times the loss.
+
+    w: angular frequency of the load's course or of a shear wave as long as the load is wide, whichever is higher
+    """
+    worst = 0.0
+    for sheet in body.sheets:
+        material = sheet.material
+        if material.viscosity_Pa_s > 0.0:
+            speed = math.sqrt(material.shear_relaxed_Pa / material.density_kg_m3)
+            omega = 2.0 * math.pi * max(load_frequency(load), 0.5 * speed / load_width(load))
+            worst = max(worst, 0.5 * step_s * omega * min(1.0, omega * material.viscous_time_s))
+    return worst

@@ -1,0 +1,310 @@
+"""Skin problems by implicit finite elements: quadratic wedges, generalised-alpha, for any slab or layer.
+
+Sizes come from the wanted accuracy, then from what coarser runs show (`settle`): two steps, where sides absorb two
+extents, more rows in depth, and two meshes. The error is the sum of what their differences tell.
+"""
+
+import math
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from palmfield.device import resolve
+from palmfield.errors import SceneError
+from palmfield.hand.remesh import is_height_field
+from palmfield.skin.approximation.estimate import load_centre, load_frequency, load_width
+from palmfield.skin.approximation.refine import (
+    MOST_DOFS,
+    Answer,
+    Numerics,
+    depth_of,
+    difference,
+    ratio_of,
+    resized,
+    settle,
+)
+from palmfield.skin.approximation.trim_absorbing_rim import extent, refusal_of_spot
+from palmfield.skin.fem.assembly import SkinSystem
+from palmfield.skin.fem.load import PressureHistory
+from palmfield.skin.fem.solver import Scheme, SkinSolver, static
+from palmfield.skin.materials.material import shear_wave
+from palmfield.skin.mesh.body_mesh import Sizes, build
+from palmfield.skin.mesh.surface import SurfaceProbe
+from palmfield.skin.pcg import DeviceStepper
+from palmfield.skin.problem import Body, Layer, Load, Motion, Slab, points_on_face, rising
+from palmfield.types import Float
+
+
+def refusal_implicit(body: Body, load: Load) -> str | None:
+    """Why this solver can't, in a sentence, or None."""
+    if isinstance(body, Layer) and body.side == "roller" and body.patch.axis is None:
+        return "roller sides need a patch with an axis; this layer's has none"
+    turned = refusal_of_spot(body, load)
+    if turned is not None:
+        return turned
+    dofs = expected_dofs(body, first_sizes(body, load, np.zeros((0, 3)), 0.05))
+    if dofs > MOST_DOFS:
+        return f"the mesh would have about {dofs:.0f} unknowns, above {MOST_DOFS}: its matrix can't be factorised here"
+    return None
+
+
+def cost_implicit(body: Body, load: Load, times: Float, at: Float, accuracy: float) -> float:
+    """Predicted time [s] on one core; mostly too low, by 2 to 5 times where the mesh is refined more often.
+
+    The time of a run is known to a factor of 1.5; what isn't is how fine the mesh will have to be.
+    """
+    first = expected_dofs(body, first_sizes(body, load, np.asarray(at, dtype=float), accuracy))
+    span = max(float(np.max(times)) - float(load.times_s[0]), 0.0)
+    growth = 1.0
+    if isinstance(body, Slab):
+        growth = max(1.0, (ENDLESS_GROWTH if body.shape == "infinite" else GROWTH) * 0.05 / accuracy)
+    # The first step is mostly halved once; the runs before the last together cost 0.8 of it.
+    steps = 2.0 * span / first_step(body, load, accuracy)
+    return 1.8 * run_cost(growth * first, steps)
+
+
+def run_cost(dofs: float, steps: float) -> float:
+    """Time [s] to build, factorise and step a mesh on one core: 10^4 unknowns take 0.3 s, 0.45 s and 12 ms a step.
+
+    Fitted to 3 k to 126 k unknowns, in seconds of the process.
+    """
+    size = dofs / 1e4
+    return 0.3 * size + 0.45 * size**1.5 + 0.012 * steps * size**1.15
+
+
+FINER_THAN_ASKED = 0.6
+"""Share of the asked edges below which a layer's own triangles are left for coarser ones."""
+
+NARROWEST = 3.0
+"""Edges that must fit across a patch for that."""
+
+GROWTH, ENDLESS_GROWTH = 2.5, 10.0
+"""Unknowns of the last mesh over those first expected, at 5 %; 1 to 13 on six discs and boxes, 7 to 20 on three endless
+slabs, which are widened as well. A layer's triangles are quartered from the beginning."""
+
+
+def solve_implicit(
+    body: Body,
+    load: Load,
+    times: Float,
+    at: Float,
+    *,
+    accuracy: float = 0.05,
+    device: str = "cpu",
+    sizes: Sizes | None = None,
+    step_s: float | None = None,
+    rho_inf: float = 0.8,
+) -> Motion:
+    """Displacement and velocity of the skin under a load, from rest.
+
+    times: [s], rising, shape (t,); at: points of the face [m], shape (n, 3) or (n, 2)
+    accuracy: wanted relative error, L2 over the times, largest over the points
+    device: "cpu" factorises; "cuda:N" takes conjugate gradients there
+    sizes, step_s: to pin mesh and step [s] instead of choosing them; rho_inf: see SkinSolver
+    Raises SceneError for what refusal_implicit names, an inverted element, points off the face, and bad numbers.
+    """
+    begin = time.perf_counter()
+    asked, points = _check(body, load, times, at, accuracy)
+    _check_pinned(body, load, sizes)
+    if step_s is not None and not 0.0 < step_s < math.inf:
+        raise SceneError(f"implicit skin: step_s is {step_s}; give a time above 0 s, or leave it out")
+    now = Numerics(
+        sizes or first_sizes(body, load, points, accuracy),
+        step_s or first_step(body, load, accuracy),
+        rho_inf,
+        resolve(device),
+    )
+
+    def run(numerics: Numerics, factor: float = 1.0, reach: float = 1.0) -> Answer:
+        part = extent(body, load, points, reach)
+        return _run(part, load, asked, points, replace(numerics, sizes=resized(numerics.sizes, factor, reach)))
+
+    coarse = run(now, ratio_of(body, now.sizes))
+    step_error = difference(coarse, run(replace(now, step_s=2.0 * now.step_s), ratio_of(body, now.sizes))) / 3.0
+    while step_s is None and step_error > 0.4 * accuracy and now.step_s > first_step(body, load, accuracy) / 32.0:
+        now = replace(now, step_s=now.step_s / 2.0)
+        finer = run(now, ratio_of(body, now.sizes))
+        step_error, coarse = difference(finer, coarse) / 3.0, finer
+    found = settle(body, now, run, coarse, accuracy, pinned=sizes is not None)
+    return Motion(
+        times_s=asked,
+        points=points,
+        displacement_m=found.fine.displacement,
+        velocity_m_s=found.fine.velocity,
+        error=found.error + step_error,
+        error_source=f"two steps {step_error:.2g}, {found.source}",
+        solver=f"implicit: quadratic wedges, {found.fine.dofs} unknowns, edges {1e3 * found.sizes.fine_m:.2f} mm, "
+        f"steps of {1e3 * now.step_s:.3f} ms",
+        seconds=time.perf_counter() - begin,
+    )
+
+
+def static_implicit(body: Body, load: Load, at: Float, *, accuracy: float = 0.05, sizes: Sizes | None = None) -> Motion:
+    """Displacement under the load's last pressure, held for ever; times_s is its last time, the velocity 0.
+
+    Arguments as for solve_implicit. Raises SceneError also for a body without a support.
+    """
+    begin = time.perf_counter()
+    end = np.array([float(load.times_s[-1])])
+    _, points = _check(body, load, end, at, accuracy)
+    _check_pinned(body, load, sizes)
+    now = Numerics(sizes or first_sizes(body, load, points, accuracy), math.inf, 1.0, "cpu")
+
+    def run(numerics: Numerics, factor: float = 1.0, reach: float = 1.0) -> Answer:
+        system = build(extent(body, load, points, reach), resized(numerics.sizes, factor, reach))
+        moved = static(system, PressureHistory(load, system.mesh, system).final_force())
+        found = (_probe(system, points).vectors @ moved).reshape(1, -1, 3)
+        return Answer(found, np.zeros_like(found), system.ndof, *_size(system))
+
+    found = settle(body, now, run, run(now, ratio_of(body, now.sizes)), accuracy, pinned=sizes is not None)
+    return Motion(
+        times_s=end,
+        points=points,
+        displacement_m=found.fine.displacement,
+        velocity_m_s=found.fine.velocity,
+        error=found.error,
+        error_source=found.source,
+        solver=f"implicit, static: quadratic wedges, {found.fine.dofs} unknowns",
+        seconds=time.perf_counter() - begin,
+    )
+
+
+def first_step(body: Body, load: Load, accuracy: float) -> float:
+    """Step [s] whose error is a third of the wanted one at the load's frequency: 0.1 (w h)^2, see estimate."""
+    frequency = load_frequency(load, _slowest(body, 200.0), load_width(load))
+    return math.sqrt(10.0 * min(accuracy, 0.2) / 3.0) / (2.0 * math.pi * frequency)
+
+
+def first_sizes(body: Body, load: Load, points: Float, accuracy: float) -> Sizes:
+    """Sizes of a mesh for an accuracy, from the load's width, the shear wavelength and where load and points lie.
+
+    A disc's errors by these sizes are in estimate.py. A layer's triangles are quartered at least once, as the coarser
+    mesh that tells the error is the patch itself or lies between; those much finer than asked for give way to others.
+    """
+    if not 1e-4 <= accuracy <= 0.5:
+        raise SceneError(f"accuracy is {accuracy}; give one in 0.0001 to 0.5")
+    width = load_width(load)
+    frequency = load_frequency(load, _slowest(body, 200.0), width)
+    speed = _slowest(body, frequency)
+    wavelength = speed / frequency
+    share = 0.75 * min(1.0, (accuracy / 0.02) ** (1.0 / 3.0))
+    depth = depth_of(body)
+    fine = share * min(0.78 * width, 0.43 * wavelength)
+    centre, path = load_centre(load)
+    seen = np.hypot(*(points[:, :2] - centre).T).max(initial=0.0) if len(points) else 0.0
+    coarse = share * max(min(1.95 * width, wavelength), 0.78 * width)
+    if seen > path + 1.2 * width:
+        coarse = min(coarse, share * 0.6 * wavelength)
+    refinements, remesh = 0, False
+    if isinstance(body, Layer):
+        corners = body.patch.vertices[body.patch.faces]
+        near = np.hypot(*(corners.mean(axis=1)[:, :2] - centre).T) < path + 1.2 * width
+        edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean(axis=1)
+        mean = float(edges[near].mean()) if near.any() else float(edges.mean())
+        across = float(np.ptp(body.patch.vertices[:, :2], axis=0).min())
+        remesh = mean < FINER_THAN_ASKED * fine and across > NARROWEST * fine and is_height_field(body.patch)
+        coarse = max(fine, min(coarse, across / NARROWEST)) if remesh else coarse
+        refinements = 0 if remesh else max(1, math.ceil(math.log2(mean / fine) - 0.2))
+    return Sizes(
+        centre_m=(float(centre[0]), float(centre[1])),
+        fine_radius_m=path + 1.2 * width,
+        fine_m=fine,
+        coarse_m=coarse,
+        row_m=share * min(0.75 * width, 0.5 * wavelength),
+        deepest_row_m=share * max(0.66 * wavelength, 0.75 * width),
+        refinements=refinements,
+        reach_m=max(path, seen) + max(1.5 * width, depth),
+        ring_m=max(wavelength, 2.0 * depth),
+        match_Hz=frequency,
+        remesh=remesh,
+    )
+
+
+def expected_dofs(body: Body, sizes: Sizes) -> float:
+    """About how many unknowns a body's mesh will have."""
+    depth = depth_of(body)
+    if isinstance(body, Layer) and not sizes.remesh:
+        triangles = len(body.patch.faces) * 4.0**sizes.refinements
+    else:
+        ring = 0.0
+        if isinstance(body, Layer):
+            corners = body.patch.vertices[body.patch.faces]
+            across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+            radius = math.sqrt(0.5 * float(np.linalg.norm(across, axis=1).sum()) / math.pi)
+        elif body.shape == "box":
+            assert body.size_m is not None
+            radius = math.sqrt(body.size_m[0] * body.size_m[1] / math.pi)
+        else:
+            radius = body.radius_m or sizes.reach_m
+        if not isinstance(body, Layer) and (body.shape == "infinite" or body.side == "absorbing"):
+            ring = sizes.ring_m
+        r = np.linspace(0.0, radius + ring, 400)
+        edge = sizes.fine_m + np.clip(0.4 * (r - sizes.fine_radius_m), 0.0, max(sizes.coarse_m - sizes.fine_m, 0.0))
+        triangles = float(np.trapezoid(2.0 * math.pi * r / (0.433 * edge**2), r))
+    rows = max(2.0, depth / sizes.deepest_row_m + 1.0, len(body.sheets))
+    return 3.0 * 2.0 * triangles * 2.0 * rows
+
+
+def _slowest(body: Body, f_Hz: float) -> float:
+    return min(shear_wave(sheet.material, f_Hz)[0] for sheet in body.sheets)
+
+
+def _check(body: Body, load: Load, times: Float, at: Float, accuracy: float) -> tuple[Float, Float]:
+    reason = refusal_implicit(body, load)
+    if reason is not None:
+        raise SceneError(f"solver 'implicit': {reason}")
+    return rising("times", times), points_on_face(body, at)
+
+
+def _check_pinned(body: Body, load: Load, sizes: Sizes | None) -> None:
+    """Between the load's quadrature points, some 0.4 of an edge apart, a smaller spot falls through."""
+    if isinstance(body, Slab) and sizes is not None and sizes.fine_m > 2.0 * load_width(load):
+        raise SceneError(
+            f"sizes: edges of {sizes.fine_m:.3g} m don't see a spot {load_width(load):.3g} m wide; give fine_m of at "
+            "most twice that, or leave sizes out"
+        )
+
+
+def _size(system: SkinSystem) -> tuple[int, int]:
+    """Triangles of the face and rows of elements below it."""
+    triangles = len(system.mesh.surface_triangles6)
+    return triangles, (system.mesh.levels - 1) // 2
+
+
+def _probe(system: SkinSystem, points: Float) -> SurfaceProbe:
+    return SurfaceProbe(system.mesh, points, system)
+
+
+def _run(body: Body, load: Load, asked: Float, points: Float, numerics: Numerics) -> Answer:
+    """March from the load's first time to the last asked one; the motion between steps by cubic Hermite pieces."""
+    system = build(body, numerics.sizes)
+    history = PressureHistory(load, system.mesh, system)
+    read = SurfaceProbe(system.mesh, points, system).vectors
+    start = float(history.knots_s[0])
+    steps = max(1, math.ceil((float(asked[-1]) - start) / numerics.step_s - 1e-9))
+    seen = np.zeros((steps + 1, 3, read.shape[0]))
+    clock: Float = start + numerics.step_s * np.arange(steps + 1, dtype=np.float64)
+    if numerics.device == "cpu":
+        solver = SkinSolver(system, numerics.step_s, numerics.rho_inf)
+        state = solver.new_state()
+        for n in range(steps):
+            solver.step(state, *history.force(clock[n], clock[n + 1]))
+            seen[n + 1] = (read @ state[:3].T).T
+    else:
+        stepper = DeviceStepper(Scheme(system, numerics.step_s, numerics.rho_inf), read, numerics.device)
+        for n in range(steps):
+            seen[n + 1] = stepper.step(*history.force(clock[n], clock[n + 1])).T
+    moved, velocity = (_between(clock, seen[:, i], seen[:, i + 1], asked) for i in (0, 1))
+    shape = (len(asked), len(points), 3)
+    return Answer(moved.reshape(shape), velocity.reshape(shape), system.ndof, *_size(system))
+
+
+def _between(clock: Float, values: Float, slopes: Float, asked: Float) -> Float:
+    """Cubic Hermite interpolation at the asked times, 0 before the first of the clock; shape (t, m)."""
+    step = clock[1] - clock[0]
+    place = np.clip(np.floor((asked - clock[0]) / step).astype(int), 0, len(clock) - 2)
+    x = np.clip((asked - clock[place]) / step, 0.0, 1.0)[:, None]
+    start = (1 + 2 * x) * (1 - x) ** 2 * values[place] + step * x * (1 - x) ** 2 * slopes[place]
+    end = x**2 * (3 - 2 * x) * values[place + 1] - step * x**2 * (1 - x) * slopes[place + 1]
+    return np.where(asked[:, None] >= clock[0], start + end, 0.0)

@@ -1,0 +1,202 @@
+"""Paths in a plane, by arc length: line, circle, zigzag, square, Z, Lissajous, letters, polyline. Lengths in metres."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from palmfield.errors import SceneError
+from palmfield.stimulus.letters import strokes
+from palmfield.types import Float
+
+CIRCLE_POINTS = 256
+"""An inscribed polygon of n sides is shorter than its circle by pi^2 / (6 n^2): 2.5e-5 here."""
+
+
+@dataclass(frozen=True)
+class PlanePath:
+    """A polyline in a plane.
+
+    points: corners [m], shape (n, 2), float64; a closed path goes on from the last to the first, which isn't repeated
+    closed: whether it goes round; an open path goes there and back
+    lifted: which of the segments are pen lifts, moves that draw nothing, shape (n - 1,); None where there are none
+    """
+
+    points: Float
+    closed: bool
+    lifted: NDArray[np.bool_] | None = None
+
+    @cached_property
+    def corners(self) -> Float:
+        """All corners in turn, a closed path's first one again at the end [m], shape (n,) or (n + 1, 2)."""
+        return np.vstack([self.points, self.points[:1]]) if self.closed else self.points
+
+    @cached_property
+    def corner_arcs(self) -> Float:
+        """Arc length from the start to each of `corners` [m]."""
+        steps = np.linalg.norm(np.diff(self.corners, axis=0), axis=1)
+        return np.concatenate([[0.0], np.cumsum(steps)])
+
+    @property
+    def length_m(self) -> float:
+        """Length of one turn, or of one way of an open path, pen lifts included."""
+        return float(self.corner_arcs[-1])
+
+    @property
+    def lifted_share(self) -> float:
+        """Share of the length on which the pen is lifted, 0..1."""
+        if self.lifted is None:
+            return 0.0
+        return float(np.diff(self.corner_arcs)[self.lifted].sum() / self.length_m)
+
+    def at(self, arc_m: ArrayLike) -> Float:
+        """Points [m], shape (k, 2), at arc lengths from the start [m], shape (k,), of any size and sign.
+
+        A closed path goes round again; an open one goes there and back, at(2 L - s) = at(s).
+        """
+        arc = folded(arc_m, self.length_m, self.closed)
+        return np.stack([np.interp(arc, self.corner_arcs, self.corners[:, i]) for i in range(2)], axis=1)
+
+    def pen_down(self, arc_m: ArrayLike) -> NDArray[np.bool_]:
+        """Whether the path draws at arc lengths [m], shape (k,); False on the straight moves between strokes.
+
+        Lifts have an arc length like all else: make them fast by going over them faster, with the sound off.
+        """
+        arc = folded(arc_m, self.length_m, self.closed)
+        if self.lifted is None:
+            return np.ones(len(arc), dtype=np.bool_)
+        segment = np.searchsorted(self.corner_arcs, arc, side="right") - 1
+        return ~self.lifted[np.clip(segment, 0, len(self.lifted) - 1)]
+
+
+def folded(arc_m: ArrayLike, length_m: float, closed: bool) -> Float:
+    """Arc lengths brought into 0..length_m: round again if closed, else there and back. Shape (k,)."""
+    arc = np.atleast_1d(np.asarray(arc_m, dtype=np.float64))
+    if closed:
+        return np.mod(arc, length_m)
+    there_and_back = np.mod(arc, 2.0 * length_m)
+    return np.minimum(there_and_back, 2.0 * length_m - there_and_back)
+
+
+def line(length_m: float) -> PlanePath:
+    """A straight line along x; starts at its -x end. Raises SceneError for a bad length."""
+    half = 0.5 * _size("line", length_m=length_m)[0]
+    return PlanePath(np.array([[-half, 0.0], [half, 0.0]]), closed=False)
+
+
+def circle(diameter_m: float) -> PlanePath:
+    """A circle, from its +x point counter-clockwise; its length is within 1e-4 of pi d.
+
+    Raises SceneError for a bad diameter.
+    """
+    (diameter,) = _size("circle", diameter_m=diameter_m)
+    angle = 2.0 * math.pi * np.arange(CIRCLE_POINTS) / CIRCLE_POINTS
+    return PlanePath(0.5 * diameter * np.stack([np.cos(angle), np.sin(angle)], axis=1), closed=True)
+
+
+def zigzag(width_m: float, height_m: float, turns: int) -> PlanePath:
+    """Straight strokes up and down with `turns` corners between start and end, evenly spread in x.
+
+    Starts at the lower left (-x, -y). Raises SceneError for bad sizes, and for turns below 1 or not whole.
+    """
+    width, height = _size("zigzag", width_m=width_m, height_m=height_m)
+    count = _whole("zigzag", turns=turns)[0] + 2
+    y = np.where(np.arange(count) % 2 == 0, -0.5, 0.5) * height
+    return PlanePath(np.stack([np.linspace(-0.5 * width, 0.5 * width, count), y], axis=1), closed=False)
+
+
+def square(side_m: float) -> PlanePath:
+    """A square with sides along x and y, from its lower left corner (-x, -y) counter-clockwise.
+
+    Raises SceneError for a bad side.
+    """
+    (side,) = _size("square", side_m=side_m)
+    return PlanePath(0.5 * side * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]), closed=True)
+
+
+def z_shape(width_m: float, height_m: float) -> PlanePath:
+    """The letter Z: from the upper left (-x, +y) along the top, down the diagonal, along the foot.
+
+    Raises SceneError for bad sizes.
+    """
+    width, height = _size("z_shape", width_m=width_m, height_m=height_m)
+    unit = np.array([[-1.0, 1.0], [1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
+    return PlanePath(0.5 * unit * [width, height], closed=False)
+
+
+def lissajous(width_m: float, height_m: float, a: int, b: int, phase_deg: float) -> PlanePath:
+    """x = width/2 sin(a u + phase), y = height/2 sin(b u), u = 0..2 pi; starts at u = 0, on the x axis.
+
+    a, b: whole numbers of 1 or more without a common divisor (with one, the curve would go over itself)
+    Raises SceneError for bad sizes, counts and phase.
+    """
+    width, height = _size("lissajous", width_m=width_m, height_m=height_m)
+    a, b = _whole("lissajous", a=a, b=b)
+    if math.gcd(a, b) != 1:
+        raise SceneError(f"lissajous: a = {a} and b = {b} have a common divisor; divide both by {math.gcd(a, b)}")
+    if not math.isfinite(phase_deg):
+        raise SceneError(f"lissajous: phase_deg = {phase_deg} is not finite; give an angle in degrees")
+    # Points every quarter of an oscillation's 256th, so that crests lie within 2e-5 of the asked width and height
+    u = 2.0 * math.pi * np.arange(256 * max(a, b)) / (256 * max(a, b))
+    points = np.stack([width * np.sin(a * u + math.radians(phase_deg)), height * np.sin(b * u)], axis=1)
+    return PlanePath(0.5 * points, closed=True)
+
+
+def letters(text: str, height_m: float) -> PlanePath:
+    """Capitals and digits in single strokes; starts where the first letter's first stroke does.
+
+    Between strokes the pen is lifted and goes straight: `pen_down` and `lifted_share` tell where and how much.
+    Raises SceneError for a bad height and for characters other than A-Z (small ones too), 0-9 and the blank.
+    """
+    (height,) = _size("letters", height_m=height_m)
+    points: list[Float] = []
+    lifted: list[bool] = []
+    for stroke in strokes(text):
+        for i, point in enumerate(stroke):
+            if points and i == 0:
+                if np.array_equal(points[-1], point):
+                    continue
+                lifted.append(True)
+            elif points:
+                lifted.append(False)
+            points.append(point)
+    return PlanePath(_centred(height * np.array(points)), False, np.array(lifted))
+
+
+def polyline(points: ArrayLike) -> PlanePath:
+    """Straight lines through points [m], shape (n, 2), moved so that the middle of their extent is the origin.
+
+    Starts at the first point; closed where the last repeats the first.
+    Raises SceneError for another shape, values that are not finite, and fewer than two distinct points in turn.
+    """
+    corners = np.asarray(points, dtype=np.float64)
+    if corners.ndim != 2 or corners.shape[1] != 2:
+        raise SceneError(f"polyline: points have shape {corners.shape}; give (n, 2), x and y in metres")
+    if not np.all(np.isfinite(corners)):
+        raise SceneError("polyline: points hold values that are not finite; give x and y in metres")
+    moved = np.any(np.diff(corners, axis=0) != 0.0, axis=1)
+    corners = corners[np.concatenate([[True], moved])] if len(corners) else corners
+    if len(corners) < 2:
+        raise SceneError(f"polyline: {len(corners)} distinct points; give at least two")
+    closed = bool(np.array_equal(corners[0], corners[-1]))
+    return PlanePath(_centred(corners[:-1] if closed else corners), closed)
+
+
+def _centred(points: Float) -> Float:
+    return points - 0.5 * (points.min(axis=0) + points.max(axis=0))
+
+
+def _size(shape: str, **sizes: float) -> list[float]:
+    for name, size in sizes.items():
+        if not (math.isfinite(size) and size > 0.0):
+            raise SceneError(f"{shape}: {name} = {size} is no size; give metres, more than 0")
+    return [float(size) for size in sizes.values()]
+
+
+def _whole(shape: str, **counts: float) -> list[int]:
+    for name, count in counts.items():
+        if not (math.isfinite(count) and count >= 1 and int(count) == count):
+            raise SceneError(f"{shape}: {name} = {count} is no count; give a whole number of 1 or more")
+    return [int(count) for count in counts.values()]

@@ -1,0 +1,314 @@
+"""Paths on a triangle mesh: a plane path drawn along the surface, and the shortest way through points on it.
+
+Straight lines on the mesh cross an edge as they would with both triangles laid flat (K. Polthier, M. Schmies,
+Straightest geodesics on polyhedral surfaces, 1998).
+"""
+
+import math
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike
+from trimesh.triangles import closest_point, points_to_barycentric
+
+from palmfield.errors import SceneError
+from palmfield.hand.geodesic import Piece, shortest_way
+from palmfield.hand.triangles import directed_edges, face_normals, vertex_normals
+from palmfield.stimulus.curves import PlanePath, folded
+from palmfield.types import Float, Int, Surface
+
+REACH_m = 0.02
+"""A start or waypoint further than this from the surface is taken for a mistake."""
+
+CLOSING_ROUNDS = 12
+CLOSING_SHARE = 0.02
+"""Largest gap of a closed path, as a share of its length, that is bridged by a straight line."""
+
+
+@dataclass(frozen=True)
+class SkinPath:
+    """A path on a triangle mesh that follows the mesh when its vertices move.
+
+    Between two points in turn the path is straight and within one triangle, the first point's.
+    faces: triangle of each point, shape (n,); barycentric: its place there, weights of the corners, shape (n, 3)
+    arc_m: arc length from the start on the mesh on which the path was made [m], shape (n,)
+    closed: whether it goes round (the last point then lies on the first); an open path goes there and back
+    """
+
+    faces: Int
+    barycentric: Float
+    arc_m: Float
+    closed: bool
+
+    @property
+    def length_m(self) -> float:
+        """Length of one turn, or of one way of an open path."""
+        return float(self.arc_m[-1])
+
+    def at(self, arc_m: ArrayLike, vertices: Float, mesh_faces: Int) -> tuple[Float, Float]:
+        """Positions [m] and unit outward normals, shape (k, 3) each, at arc lengths [m], shape (k,), of any size.
+
+        vertices: where the mesh's vertices are now [m], shape (v, 3); mesh_faces: its triangles, shape (m, 3)
+        Normals are those of the vertices (weighted by angle), interpolated.
+        """
+        corners = mesh_faces[self.faces]
+        used = np.zeros(len(vertices), dtype=np.bool_)
+        used[corners] = True
+        around = mesh_faces[used[mesh_faces].any(axis=1)]
+        near, local = np.unique(around, return_inverse=True)
+        normals = np.zeros((len(vertices), 3))
+        normals[near] = vertex_normals(vertices[near], local.reshape(-1, 3).astype(np.int32))
+        points = np.einsum("ni,nij->nj", self.barycentric, vertices[corners])
+        outward = np.einsum("ni,nij->nj", self.barycentric, normals[corners])
+        segment, share = self._between(arc_m)
+        here = (1.0 - share) * outward[segment] + share * outward[segment + 1]
+        position = (1.0 - share) * points[segment] + share * points[segment + 1]
+        return position, here / np.linalg.norm(here, axis=1, keepdims=True)
+
+    def positions(self, arc_m: ArrayLike, vertices: Float, mesh_faces: Int) -> Float:
+        """The positions of `at` alone, shape (k, 3), at a small part of its cost for few arc lengths."""
+        segment, share = self._between(arc_m)
+        first, last = (
+            np.einsum("ni,nij->nj", self.barycentric[n], vertices[mesh_faces[self.faces[n]]])
+            for n in (segment, segment + 1)
+        )
+        return (1.0 - share) * first + share * last
+
+    def _between(self, arc_m: ArrayLike) -> tuple[Int, Float]:
+        """The segment in which each arc length lies, shape (k,), and its share of the segment, shape (k, 1)."""
+        arc = folded(arc_m, self.length_m, self.closed)
+        segment = np.clip(np.searchsorted(self.arc_m, arc, side="right") - 1, 0, len(self.arc_m) - 2)
+        step = self.arc_m[segment + 1] - self.arc_m[segment]
+        return segment.astype(np.int32), ((arc - self.arc_m[segment]) / np.where(step > 0.0, step, 1.0))[:, None]
+
+
+@dataclass(frozen=True)
+class _Mesh:
+    """corners: shape (m, 3, 3); normals: unit, shape (m, 3); across[f, i]: face beyond the edge opposite corner i, or
+    -1 where there is none or more than one."""
+
+    corners: Float
+    normals: Float
+    across: Int
+
+
+@dataclass(frozen=True)
+class _Place:
+    """A point of the mesh: face, position [m], and a unit tangent that stands for the plane path's x."""
+
+    face: int
+    position: Float
+    x: Float
+
+
+def drawn(surface: Surface, start_point: ArrayLike, direction: ArrayLike, path: PlanePath) -> SkinPath:
+    """A plane path drawn on a surface, segment by segment along straight lines of the mesh.
+
+    start_point: where the origin of the path's plane comes to lie [m], shape (3,), moved to the nearest point of the
+        surface. From there the walk goes straight to the path's first point, and only then draws.
+    direction: the path's +x, shape (3,), of any length; projected to the tangent plane. +y is 90 degrees
+        counter-clockwise from it, seen from outside.
+    An open path keeps its arc lengths. A closed one would not meet its start on curved skin: it turns less, evenly, by
+    what the skin's curvature turns it (Gauss-Bonnet), and what gap is left is drawn shut. Its `arc_m` is stretched
+    evenly to the plane path's length, from which the real one differs a little (see `_closed_walk`).
+    Raises SceneError for a start more than 20 mm off the surface, a direction along the normal, triangles without area,
+    a path that runs off an open mesh (it names the arc length), and a closed one that misses its start by more than 2 %
+    of its length, as on skin that is too curved for its size.
+    """
+    start = _vector("start_point", start_point)
+    along = _vector("direction", direction)
+    _check(surface)
+    mesh = _mesh(surface)
+    face, position = _nearest(surface, start, "start of the path")
+    normal = mesh.normals[face]
+    tangent = along - (along @ normal) * normal
+    if np.linalg.norm(tangent) < 1e-6 * max(float(np.linalg.norm(along)), 1e-300):
+        raise SceneError(
+            f"direction {along.tolist()} has no part along the skin; give one that is not along its normal"
+        )
+    place = _Place(face, position, tangent / np.linalg.norm(tangent))
+    _, place = _walk(mesh, place, path.points[:1])
+    legs = np.diff(path.corners, axis=0)
+    if not path.closed:
+        piece, _ = _walk(mesh, place, legs)
+        return _skin_path(surface, piece, False)
+    piece, end = _closed_walk(mesh, place, legs)
+    gap = float(np.linalg.norm(end.position - place.position))
+    if gap > CLOSING_SHARE * path.length_m:
+        raise SceneError(
+            f"closed path of {1e3 * path.length_m:.1f} mm misses its start by {1e3 * gap:.1f} mm on skin as curved as "
+            "here; make it smaller or draw it elsewhere"
+        )
+    shut = shortest_way(surface, (end.face, end.position), (place.face, place.position), 0)
+    found = _skin_path(surface, _joined([piece, shut]), True)
+    return replace(found, arc_m=found.arc_m * (path.length_m / found.length_m))
+
+
+def through(surface: Surface, waypoints: ArrayLike) -> SkinPath:
+    """The shortest way along a surface through points in turn, an open path.
+
+    waypoints: [m], shape (k, 3), at least two; each is moved to the nearest point of the surface
+    Raises SceneError for another shape, a waypoint more than 20 mm off the surface, the same point twice in turn, and
+    points on parts of the mesh that don't hang together.
+    """
+    points = np.asarray(waypoints, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2:
+        raise SceneError(f"waypoints have shape {points.shape}; give (k, 3) in metres, at least two points")
+    _check(surface)
+    places = [_nearest(surface, _vector(f"waypoint {i}", p), f"waypoint {i}") for i, p in enumerate(points)]
+    for i, (one, other) in enumerate(pairwise(places)):
+        if np.linalg.norm(other[1] - one[1]) < 1e-9:
+            raise SceneError(f"waypoints {i} and {i + 1} are the same point of the surface; leave one out")
+    pieces = [shortest_way(surface, one, other, i) for i, (one, other) in enumerate(pairwise(places))]
+    return _skin_path(surface, _joined(pieces), False)
+
+
+def _vector(name: str, value: ArrayLike) -> Float:
+    vector = np.asarray(value, dtype=np.float64)
+    if vector.shape != (3,) or not np.all(np.isfinite(vector)):
+        raise SceneError(f"{name} = {vector.tolist()} is no point or direction; give three finite numbers")
+    return vector
+
+
+def _check(surface: Surface) -> None:
+    flat = np.flatnonzero(face_normals(surface.vertices, surface.faces)[1] == 0.0)
+    if len(flat):
+        raise SceneError(f"the mesh has {len(flat)} triangles without area, the first is {flat[0]}; repair it first")
+
+
+def _nearest(surface: Surface, point: Float, name: str) -> tuple[int, Float]:
+    """Face and foot of a point on the surface."""
+    # In millimetres: trimesh's tolerance is absolute, and in metres takes points inside small triangles for edge points
+    corners, points = 1e3 * surface.vertices[surface.faces], np.tile(1e3 * point, (len(surface.faces), 1))
+    feet = 1e-3 * closest_point(corners, points)
+    distance = np.linalg.norm(feet - point, axis=1)
+    face = int(np.argmin(distance))
+    if distance[face] > REACH_m:
+        raise SceneError(
+            f"{name} {point.tolist()} is {1e3 * distance[face]:.1f} mm from the surface; at most "
+            f"{1e3 * REACH_m:g} mm are allowed, move it onto the skin"
+        )
+    return face, feet[face]
+
+
+def _mesh(surface: Surface) -> _Mesh:
+    faces = surface.faces
+    edges = np.sort(directed_edges(faces), axis=1)
+    owner = np.tile(np.arange(len(faces)), 3)
+    # The edge from corner i to i + 1 lies opposite corner i + 2
+    opposite = np.repeat([2, 0, 1], len(faces))
+    _, which, count = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
+    which = which.reshape(-1)
+    order = np.argsort(which, kind="stable")
+    order = order[count[which[order]] == 2].reshape(-1, 2)
+    across = np.full((len(faces), 3), -1, dtype=np.int32)
+    for one, other in (order.T, order.T[::-1]):
+        across[owner[one], opposite[one]] = owner[other]
+    return _Mesh(surface.vertices[faces], face_normals(surface.vertices, faces)[0], across)
+
+
+def _cross(a: Float, b: Float) -> Float:
+    # numpy's own takes ten times as long for one pair
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+def _walk(mesh: _Mesh, start: _Place, legs: Float) -> tuple[Piece, _Place]:
+    """Walk straight along each leg [m], shape (n, 2), of a plane that is carried along in parallel."""
+    face, position, x = start.face, start.position, start.x
+    faces: list[int] = []
+    points = [position]
+    done = 0.0
+    for leg in legs:
+        left = math.hypot(leg[0], leg[1])
+        entered = -1
+        while left > 0.0:
+            normal = mesh.normals[face]
+            ahead = leg[0] * x + leg[1] * _cross(normal, x)
+            ahead /= math.sqrt(ahead @ ahead)
+            corner, way = _exit(mesh.corners[face], normal, position, ahead, entered)
+            if way >= left:
+                way, corner = left, -1
+            position = position + way * ahead
+            left -= way
+            done += way
+            if way > 0.0:
+                faces.append(face)
+                points.append(position)
+            if corner < 0:
+                break
+            beyond = int(mesh.across[face, corner])
+            if beyond < 0:
+                raise SceneError(
+                    f"the path runs off the edge of the mesh after {1e3 * done:.1f} mm; make it shorter, "
+                    "turn it, or start elsewhere"
+                )
+            edge = mesh.corners[face][corner - 1] - mesh.corners[face][corner - 2]
+            edge = edge / math.sqrt(edge @ edge)
+            # Laid flat over the edge, a tangent keeps its parts along the edge and across it
+            across, other = _cross(normal, edge), _cross(mesh.normals[beyond], edge)
+            x = (x @ edge) * edge + (x @ across) * other
+            x /= math.sqrt(x @ x)
+            entered = int(np.flatnonzero(mesh.across[beyond] == face)[0])
+            face = beyond
+    return (faces, points), _Place(face, position, x)
+
+
+def _exit(corners: Float, normal: Float, position: Float, ahead: Float, entered: int) -> tuple[int, float]:
+    """The corner opposite the edge through which a ray in a triangle leaves it, and how far off that is [m].
+
+    A ray along an edge could go to and fro over it for ever: it does not leave where it entered, opposite `entered`.
+    """
+    best, way = -1, math.inf
+    for i in range(3):
+        inward = _cross(normal, corners[i - 1] - corners[i - 2])
+        # Height above the edge opposite corner i, and how fast the ray comes nearer to it
+        rate = -(ahead @ inward)
+        if rate > 0.0 and i != entered:
+            reach = max(((position - corners[i - 2]) @ inward) / rate, 0.0)
+            if reach < way:
+                best, way = i, reach
+    return best, way
+
+
+def _closed_walk(mesh: _Mesh, start: _Place, legs: Float) -> tuple[Piece, _Place]:
+    """The walk along a closed path's legs that comes nearest to its start.
+
+    Each round turns the path evenly by the angle by which the last round's frame came back turned, and shifts it evenly
+    by the gap. Vertices turn a frame in jumps, so the gap needn't vanish.
+    """
+    lengths = np.linalg.norm(legs, axis=1)
+    share = (np.cumsum(lengths) - 0.5 * lengths) / lengths.sum()
+    normal = mesh.normals[start.face]
+    shift = np.zeros(2)
+    angle = 0.0
+    best: tuple[float, Piece, _Place] | None = None
+    for _ in range(CLOSING_ROUNDS):
+        cosine, sine = np.cos(angle * share), np.sin(angle * share)
+        turned = np.stack([cosine * legs[:, 0] - sine * legs[:, 1], sine * legs[:, 0] + cosine * legs[:, 1]], axis=1)
+        piece, end = _walk(mesh, start, turned + shift * (lengths / lengths.sum())[:, None])
+        gap = start.position - end.position
+        missing = float(np.linalg.norm(gap))
+        if best is None or missing < best[0]:
+            best = missing, piece, end
+        x = end.x - (end.x @ normal) * normal
+        x /= max(float(np.linalg.norm(x)), 1e-12)
+        angle = -math.atan2(float(_cross(start.x, x) @ normal), float(start.x @ x))
+        shift = shift + np.array([gap @ x, gap @ _cross(normal, x)])
+    assert best is not None
+    return best[1], best[2]
+
+
+def _joined(pieces: list[Piece]) -> Piece:
+    faces = [face for piece in pieces for face in piece[0]]
+    points = [*pieces[0][1], *(point for piece in pieces[1:] for point in piece[1][1:])]
+    return faces, points
+
+
+def _skin_path(surface: Surface, piece: Piece, closed: bool) -> SkinPath:
+    segments, places = piece
+    points = np.array(places)
+    faces = np.array([*segments, segments[-1]], dtype=np.int32)
+    weights = points_to_barycentric(surface.vertices[surface.faces[faces]], points)
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    return SkinPath(faces, weights, np.concatenate([[0.0], np.cumsum(steps)]), closed)

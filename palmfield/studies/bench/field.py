@@ -1,0 +1,313 @@
+"""`palmfield bench field`: speed and error of palmfield's field and of other programs, side by side."""
+
+import functools
+import os
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from threadpoolctl import threadpool_limits
+
+from palmfield.acoustics import polynomials
+from palmfield.acoustics.air import absorption_Np_m, sound_speed
+from palmfield.acoustics.arrays import layout
+from palmfield.acoustics.focus import focus
+from palmfield.acoustics.reference import pressure64
+from palmfield.device import resolve
+from palmfield.errors import OutputError, PalmfieldError
+from palmfield.studies.bench import own, peers
+from palmfield.studies.bench.chart import draw
+from palmfield.studies.bench.problem import Problem
+from palmfield.studies.bench.processes import ROOT, Measured, measure
+from palmfield.studies.bench.table import Head, Row, as_markdown, processor
+from palmfield.types import Air, Complex
+
+AIR = Air(temperature_C=273.15 * ((340.0 / 331.3) ** 2 - 1.0))
+"""Air whose sound speed is 340 m/s, which every program can represent."""
+
+MODELS = {
+    "piston": "piston, with absorption",
+    "piston, lossless": "piston, without absorption",
+    "sphere": "point source, without absorption",
+}
+"""What one transducer radiates, by the name that methods give it. Errors are against float64 of the same model."""
+
+LAYOUT = "autd3_2x2"
+RANGES_M = ((0.05, 0.4), (0.4, 1.2))
+"""Distances from the array's plane."""
+
+WIDTH_M = 0.2
+"""Width of the points' box along x and y, over the middle of the array."""
+
+FOCUS_M = (0.02, 0.01, 0.2)
+POINTS, RUNS = 20_000, 5
+CHECKED = 20_000
+"""Most points compared with float64, evenly taken from all."""
+
+OWN, PEERS = "palmfield.studies.bench.own", "palmfield.studies.bench.peers"
+METHODS = [(OWN, method) for method in own.METHODS] + [(PEERS, method) for method in peers.METHODS]
+
+
+def main(
+    out: Path | None = None,
+    picture: Path | None = None,
+    peers_python: Path | None = None,
+    device: str = "cpu",
+    points: int = POINTS,
+    runs: int = RUNS,
+    only: str = "",
+    commit: str = "",
+) -> str:
+    """Measure, draw and return the report; options of `palmfield bench field`.
+
+    out: markdown file to write [default: none]; picture: PNG [default: none]
+    peers_python: interpreter with the peers, made by scripts/peers/setup.py [default: this one]
+    device: where palmfield's own methods run: cpu or cuda:N
+    points: roughly how many points a range has
+    runs: how often each method runs, in turns with the others; medians are reported
+    only: leave out methods whose names do not contain this text
+    commit: for the report's head, where no git is [default: git's]
+    Raises PalmfieldError for options that can't be, and where a method fails; OutputError where a file can't be
+    written: before anything is measured, or, if it comes to that afterwards only, once the report is printed.
+    """
+    if not 1 <= runs < peers.PERIODS:
+        raise PalmfieldError(f"--runs has value {runs}; allowed: 1 to {peers.PERIODS - 1}")
+    if not 64 <= points <= 10_000_000:
+        raise PalmfieldError(f"--points has value {points}; allowed: 64 to 10000000")
+    if peers_python is not None:
+        peers_python = interpreter(peers_python)
+    chosen = [(module, method) for module, method in METHODS if only in method.name]
+    if not chosen:
+        names = ", ".join(method.name for _, method in METHODS)
+        raise PalmfieldError(f"--only '{only}' is in no method's name: use part of {names}")
+    device = resolve(device)
+    for option, path in (("--out", out), ("--picture", picture)):
+        if path is not None:
+            check_writable(option, path)
+    if device != "cpu":
+        chosen = [(module, method) for module, method in chosen if method.name != own.ALL_CORES]
+    rows: list[Row] = []
+    yard: list[tuple[float, float]] = []
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress, threadpool_limits(1):
+        task = progress.add_task("field", total=len(RANGES_M) * len(chosen) * (runs + 1))
+        for low, high in RANGES_M:
+            text = f"{low:g} to {high:g} m"
+
+            def tick(name: str, text: str = text) -> None:
+                progress.update(task, advance=1, description=f"{text}: {name}")
+
+            measured = [Measured(method, module) for module, method in chosen]
+            with tempfile.TemporaryDirectory() as folder:
+                yard += run_range(measured, low, high, points, device, peers_python, runs, Path(folder), tick)
+            rows += [row(one, text, problem_of(one.method.model, low, high, points, device)) for one in measured]
+    options = {
+        "--device": "" if device == "cpu" else device,
+        "--points": "" if points == POINTS else str(points),
+        "--runs": "" if runs == RUNS else str(runs),
+        "--only": only and f"'{only}'",
+        "--peers-python": "PATH" if peers_python else "",
+        "--out": "FILE" if out else "",
+        "--picture": "FILE" if picture else "",
+    }
+    head = Head(
+        command=" ".join(["palmfield bench field", *(f"{key} {value}" for key, value in options.items() if value)]),
+        commit=commit or git_commit(),
+        processor=processor(),
+        device=device_name(device),
+        yardstick_s=statistics.median(seconds for seconds, _ in yard),
+        cores=statistics.median(ratio for _, ratio in yard),
+        runs=runs,
+        transducers=len(layout(LAYOUT)),
+        points=tuple(int(np.prod(grid(low, high, points)[1])) for low, high in RANGES_M),
+        picture=os.path.relpath(picture, out.parent) if picture is not None and out is not None else "",
+    )
+    report = as_markdown(rows, head, MODELS)
+    try:
+        if out is not None:
+            out.write_text(report)
+        if picture is not None and not all(row.missing for row in rows):
+            draw(rows, MODELS, picture)
+    except (OSError, OutputError) as error:
+        print(report, end="")  # minutes of measuring must not be lost
+        raise OutputError(f"the report above is not in its files: {error}") from error
+    return report
+
+
+def interpreter(python: Path) -> Path:
+    """The program that `python` names, in a folder of PATH if it is a bare name.
+
+    Raises PalmfieldError where it doesn't run or has no NumPy, which every method needs.
+    """
+    program = shutil.which(python)
+    if program is None:
+        raise PalmfieldError(f"--peers-python {python} is no program: make one with scripts/peers/setup.py")
+    try:
+        alone = {**os.environ, "PYTHONPATH": ""}
+        found = subprocess.run([program, "-c", "import numpy"], capture_output=True, text=True, env=alone)
+    except OSError as error:
+        raise PalmfieldError(f"--peers-python {python} does not run: {error.strerror}; give an interpreter") from error
+    if found.returncode != 0:
+        words = (found.stderr.strip().splitlines() or ["no message"])[-1]
+        raise PalmfieldError(
+            f"--peers-python {python} can't import NumPy ({words}): make one with scripts/peers/setup.py"
+        )
+    return Path(program)
+
+
+def check_writable(option: str, path: Path) -> None:
+    """Make the file's folder. Raises OutputError where the file can't be written."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.is_dir():
+            raise IsADirectoryError(None, "it is a folder")
+        with tempfile.TemporaryFile(dir=path.parent):
+            pass
+        if path.exists():
+            path.open("a").close()
+    except OSError as error:
+        raise OutputError(f"cannot write {path}: {error.strerror}; choose another {option}") from error
+
+
+def run_range(
+    measured: list[Measured],
+    low_m: float,
+    high_m: float,
+    points: int,
+    device: str,
+    peers_python: Path | None,
+    runs: int,
+    folder: Path,
+    tick: Callable[[str], None],
+) -> list[tuple[float, float]]:
+    """Fill `measured` at points between two distances; returns what `measure` does."""
+    files = {model: folder / f"{i}.npz" for i, model in enumerate(MODELS)}
+    for model, path in files.items():
+        problem_of(model, low_m, high_m, points, device).save(path)
+
+    here = (Path(sys.executable), ROOT)
+    # The peers' environment sees palmfield alone, not the libraries that may be installed beside it
+    alone = folder / "alone"
+    alone.mkdir()
+    (alone / "palmfield").symlink_to(ROOT / "palmfield")
+    places = {OWN: here, PEERS: here if peers_python is None else (peers_python, alone)}
+    return measure(measured, files, places, runs, folder, tick)
+
+
+@functools.cache
+def problem_of(model: str, low_m: float, high_m: float, points: int, device: str) -> Problem:
+    """The benchmark's problem for one of MODELS, at points in a box between two distances."""
+    array = replace(layout(LAYOUT), directivity_table=None)
+    if model == "sphere":
+        array = replace(array, piston_radius_m=0.0)
+    lossy = model == "piston"
+    absorption = absorption_Np_m(AIR, array.frequency_Hz) if lossy else 0.0
+    # A phase of 8 bits is what an AUTD3 can play: every program gets the same drive
+    phase = np.round(256.0 * np.angle(focus(array, AIR, FOCUS_M)) / (2.0 * np.pi)) / 256.0
+    low, steps, resolution = grid(low_m, high_m, points)
+    k = 2.0 * np.pi * array.frequency_Hz / sound_speed(AIR)
+    return Problem(
+        low_m=low,
+        steps=steps,
+        resolution_m=resolution,
+        positions=array.positions,
+        normals=array.normals,
+        drive=np.exp(2j * np.pi * phase),
+        p0_Pa_m=array.p0_Pa_m,
+        frequency_Hz=array.frequency_Hz,
+        sound_speed_m_s=sound_speed(AIR),
+        piston_radius_m=array.piston_radius_m,
+        absorption_Np_m=absorption,
+        directivity=polynomials.directivity(k * array.piston_radius_m)[0],
+        sine=polynomials.sine_cosine()[0],
+        cosine=polynomials.sine_cosine()[1],
+        attenuation=polynomials.attenuation(absorption),
+        temperature_C=AIR.temperature_C,
+        device=device,
+    )
+
+
+def grid(low_m: float, high_m: float, points: int) -> tuple[Any, Any, float]:
+    """First point, numbers of points and their distance [m], a multiple of 1/64 mm, for about so many points."""
+    wanted_mm = 1e3 * (WIDTH_M**2 * (high_m - low_m) / points) ** (1.0 / 3.0)
+    resolution_m = max(round(64.0 * wanted_mm), 1) / 64e3
+    steps = np.floor(np.array([WIDTH_M, WIDTH_M, high_m - low_m]) / resolution_m).astype(int) + 1
+    half = resolution_m * (steps[:2] - 1) / 2.0
+    return np.array([-half[0], -half[1], low_m]), steps, resolution_m
+
+
+def row(one: Measured, text: str, problem: Problem) -> Row:
+    """Speed and error of a method that has run, or that it is missing."""
+    result = Row(one.method.name, one.method.model, text, missing=one.missing)
+    if one.missing:
+        return result
+    every = stride(problem)
+    found, slope_error = one.result[::every], None
+    pressure, gradient = reference(problem)
+    if found.ndim == 2:
+        slope_error = relative(found[:, 1:], gradient)
+        found = found[:, 0]
+    magnitude = not np.iscomplexobj(found)
+    pairs = float(np.prod(problem.steps)) * len(problem.positions)
+    on_cores = one.module != OWN or problem.device == "cpu"
+    return replace(
+        result,
+        version=one.version,
+        setup_s=one.setup_s,
+        clock_s=one.median_clock_s,
+        pairs_per_s=pairs / one.median_clock_s,
+        pairs_per_core_s=pairs / one.median_core_s if on_cores else None,
+        error=relative(found, np.abs(pressure) if magnitude else pressure),
+        gradient_error=slope_error,
+        magnitude=magnitude,
+        memory_MiB=one.memory_MiB,
+    )
+
+
+def stride(problem: Problem) -> int:
+    return max(1, int(np.prod(problem.steps)) // CHECKED)
+
+
+@functools.cache
+def reference(problem: Problem) -> tuple[Complex, Complex]:
+    """Pressure and gradient in float64 at every stride-th point of the problem."""
+    points = problem.points()[:: stride(problem)]
+    lost = problem.absorption_Np_m
+    pressure, gradient = pressure64(points, problem.array(), problem.drive, AIR, gradient=True, absorption_Np_m=lost)
+    assert gradient is not None
+    return pressure, gradient
+
+
+def relative(found: Any, expected: Any) -> float:
+    """Relative difference in the L2 norm."""
+    return float(np.linalg.norm(found - expected) / np.linalg.norm(expected))
+
+
+def device_name(device: str) -> str:
+    import warp as wp
+
+    return "CPU" if device == "cpu" else wp.get_device(device).name
+
+
+def git_commit() -> str:
+    """Short name of the commit that runs, and whether files are changed; "unknown" where no git is."""
+    try:
+        name, changed = (
+            subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
+            for words in (
+                ["rev-parse", "--short", "HEAD"],
+                ["status", "--porcelain", "--", "palmfield", "warp_kernels"],
+            )
+        )
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown (give --commit)"
+    return name + (" with uncommitted changes" if changed else "")

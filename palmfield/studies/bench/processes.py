@@ -1,0 +1,166 @@
+"""Methods in processes of their own, run in turns, so that what else the machine does meets all of them alike."""
+
+import hashlib
+import json
+import os
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palmfield.errors import PalmfieldError
+from palmfield.studies.bench.problem import Method
+
+ROOT = Path(__file__).resolve().parents[3]
+SIZE = 1000
+"""Rows of the yardstick's matrices."""
+
+ONE_THREAD = dict.fromkeys(
+    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "RAYON_NUM_THREADS", "POLARS_MAX_THREADS"), "1"
+)
+
+
+@dataclass
+class Measured:
+    """A method and what came of it; `missing` names what is not installed, and then nothing else is set."""
+
+    method: Method
+    module: str
+    missing: str = ""
+    version: str = ""
+    setup_s: float = 0.0
+    clock_s: list[float] = field(default_factory=list)
+    core_s: list[float] = field(default_factory=list)
+    memory_MiB: float = 0.0
+    result: NDArray[Any] = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def median_clock_s(self) -> float:
+        return statistics.median(self.clock_s)
+
+    @property
+    def median_core_s(self) -> float:
+        return statistics.median(self.core_s)
+
+
+class Process:
+    """A worker, asked by lines and answering by lines of JSON. A context, at whose end it is stopped.
+
+    python, path: interpreter, and the folder on its path that holds palmfield
+    words: file for what it writes to standard error
+    """
+
+    def __init__(self, python: Path, path: Path, one: Measured, problem: Path, words: Path) -> None:
+        self.name = one.method.name
+        self.words = words
+        paths = [str(path)]
+        if python == Path(sys.executable) and os.environ.get("PYTHONPATH"):
+            paths.append(os.environ["PYTHONPATH"])
+        with words.open("w") as stream:
+            self.child = subprocess.Popen(
+                [python, "-m", "palmfield.studies.bench.worker", one.module, self.name, problem],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=stream,
+                text=True,
+                env={**os.environ, **ONE_THREAD, "PYTHONPATH": os.pathsep.join(paths)},
+            )
+
+    def __enter__(self) -> "Process":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.child.kill()
+        self.child.communicate()
+
+    def ask(self, order: str) -> dict[str, Any]:
+        """The answer to one line. Raises PalmfieldError with the worker's last words where it has died."""
+        assert self.child.stdin is not None and self.child.stdout is not None
+        try:
+            self.child.stdin.write(order + "\n")
+            self.child.stdin.flush()
+            answer = self.child.stdout.readline()
+        except BrokenPipeError:
+            answer = ""
+        if not answer:
+            self.child.wait()
+            words = self.words.read_text().strip().splitlines()
+            raise PalmfieldError(
+                f"benchmark of '{self.name}' failed at '{order}': {words[-1] if words else 'no message'}; "
+                "mend that, or choose other methods with --only"
+            )
+        return json.loads(answer)
+
+
+def yardstick() -> float:
+    """Seconds of one float64 product of two 1000 x 1000 matrices on one thread: how fast this machine is just now."""
+    matrix = np.random.default_rng(0).normal(size=(SIZE, SIZE))
+    start = time.perf_counter()
+    matrix @ matrix
+    return time.perf_counter() - start
+
+
+def cores() -> float:
+    """How many times the work of one thread a thread for each core does just now, on hashing, which needs no lock."""
+    data = bytes(20_000_000)
+    count = os.cpu_count() or 1
+
+    def seconds(threads: int) -> float:
+        with ThreadPoolExecutor(threads) as pool:
+            start = time.perf_counter()
+            for job in [pool.submit(lambda: hashlib.sha256(data).digest()) for _ in range(threads)]:
+                job.result()
+            return time.perf_counter() - start
+
+    return count * seconds(1) / seconds(count)
+
+
+def measure(
+    methods: list[Measured],
+    problems: dict[str, Path],
+    places: dict[str, tuple[Path, Path]],
+    runs: int,
+    folder: Path,
+    tick: Callable[[str], None],
+) -> list[tuple[float, float]]:
+    """Prepare and run every method `runs` times in turns, and fill `methods`; returns `yardstick` and `cores` by turn.
+
+    problems: file of the Problem by model
+    places: interpreter and folder on its path by module of the method
+    folder: where the results pass through
+    tick: called after each step with the method's name; runs + 1 steps a method
+    """
+    processes: list[tuple[Measured, Process]] = []
+    yard = []
+    with ExitStack() as stack:
+        for i, one in enumerate(methods):
+            process = Process(*places[one.module], one, problems[one.method.model], folder / f"{i}.txt")
+            processes.append((one, stack.enter_context(process)))
+            answer = process.ask("prepare")
+            one.missing = answer.get("missing", "")
+            if not one.missing:
+                one.setup_s, one.version = answer["setup_s"], answer["version"]
+            tick(one.method.name)
+        for _ in range(runs):
+            yard.append((yardstick(), cores()))
+            for one, process in processes:
+                if not one.missing:
+                    answer = process.ask("run")
+                    one.clock_s.append(answer["clock_s"])
+                    one.core_s.append(answer["core_s"])
+                tick(one.method.name)
+        for i, (one, process) in enumerate(processes):
+            if not one.missing:
+                path = folder / f"{i}.npy"
+                one.memory_MiB = process.ask(f"save {path}")["memory_MiB"]
+                one.result = np.load(path)
+    return yard

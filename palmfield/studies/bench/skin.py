@@ -1,0 +1,229 @@
+"""Skin solvers side by side on one slab and load: ours at several accuracies, other programs on several meshes."""
+
+import importlib.util
+import json
+import os
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+from matplotlib.figure import Figure
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from threadpoolctl import threadpool_limits
+
+from palmfield.device import resolve
+from palmfield.errors import OutputError, PalmfieldError
+from palmfield.outputs.style import save, style
+from palmfield.skin.problem import Motion, Sheet, Slab, Spot
+from palmfield.skin.solver_choice import Name, solve
+from palmfield.studies.bench.field import check_writable, device_name, git_commit, interpreter
+from palmfield.studies.bench.processes import ONE_THREAD, ROOT, yardstick
+from palmfield.studies.bench.skin_case import CASE, Case, F_Hz
+from palmfield.studies.bench.table import processor
+
+ACCURACIES = {
+    "spectral": (0.1, 0.01, 0.001),
+    "disc": (0.1, 0.02, 0.005),
+    "reduced": (0.1, 0.05, 0.02),
+    "implicit": (0.1, 0.05, 0.02),
+    "explicit": (0.1, 0.05, 0.02),
+    "particles": (0.2, 0.1, 0.05),
+}
+"""What each of our solvers is asked for."""
+
+PEERS = {
+    "scikit_fem": ("scikit-fem, quadratic", "skfem", ((4, 2), (6, 3), (8, 4))),
+    "warp_fem": ("warp.fem, quadratic", "warp", ((4, 2), (6, 3), (8, 4))),
+    "mujoco_flex": ("MuJoCo flex, trilinear", "mujoco", ((4, 2), (8, 3), (12, 4))),
+}
+"""Of each other program: its name here, the module that it needs, cells along a side and layers."""
+
+MARKERS = "o^sDvP*X"
+END_s, LAST_s = 0.1, 0.02
+RADIUS_M = 0.06
+
+
+@dataclass(frozen=True)
+class Row:
+    """One solution. missing: why there is none
+
+    static, moving: relative errors of the centre's push, at rest and its complex amplitude at F_Hz
+    stated: the error that the solver itself states; size: its resolution in words
+    """
+
+    name: str
+    size: str
+    seconds: float = float("nan")
+    static: float | None = None
+    moving: float | None = None
+    stated: float | None = None
+    missing: str = ""
+
+    @property
+    def worst(self) -> float:
+        return max(error for error in (self.static, self.moving, 0.0) if error is not None)
+
+
+def own(case: Case, name: str, accuracy: float, device: str, runs: int) -> Row:
+    """A solver of ours on AM from rest: mean and amplitude over the last LAST_s are half of both answers."""
+    sheets = (Sheet(case.material, case.depth_m),)
+    endless = name in ("spectral", "implicit", "explicit")
+    body = Slab(sheets) if endless else Slab(sheets, "disc", side="free", radius_m=RADIUS_M)
+    grid = np.arange(0.0, END_s + 1e-9, 5e-5)
+    load = Spot(case.fwhm_m, grid, 0.5 * (1.0 + np.sin(2.0 * np.pi * F_Hz * grid)))
+    times = END_s - LAST_s + np.arange(1, 401) * LAST_s / 400
+    motions: list[Motion] = []
+    seconds = []
+    for _ in range(runs + 1):
+        begin = time.perf_counter()
+        motions.append(
+            solve(body, load, times, np.zeros((1, 2)), solver=cast(Name, name), accuracy=accuracy, device=device)
+        )
+        seconds.append(time.perf_counter() - begin)
+        if seconds[-1] > 20.0:
+            break
+    push = -motions[-1].displacement_m[:, 0, 2]
+    # sin is the real part of i e^{-i w t}
+    moving = 2.0 * 2.0 * np.mean(push * np.exp(2j * np.pi * F_Hz * times)) / 1j
+    still, exact = case.exact()
+    return Row(
+        f"palmfield {name}", f"asked for {accuracy:g}", statistics.median(seconds[1:] or seconds),
+        abs(2.0 * push.mean() / still - 1.0), abs(moving / exact - 1.0), motions[-1].error,
+    )  # fmt: skip
+
+
+def peer(case: Case, function: str, cells: int, layers: int, python: Path) -> Row:
+    """Another program, in a process of its own under `python`; its second run counts, with all compiled."""
+    name, module, _ = PEERS[function]
+    size = f"{cells} cells, {layers} layers"
+    command: list[str | Path] = [python, "-m", "palmfield.studies.bench.skin_peers", function, str(cells), str(layers)]
+    environment = {**os.environ, **ONE_THREAD, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False, cwd=ROOT)
+    if done.returncode != 0:
+        words = (done.stderr.strip().splitlines() or ["no message"])[-1]
+        return Row(name, size, missing=f"{words} (needs {module})")
+    answer = json.loads(done.stdout.strip().splitlines()[-1])
+    still, exact = case.exact()
+    moving = None if answer["moving"] is None else abs(complex(*answer["moving"]) / exact - 1.0)
+    static = None if answer["static"] is None else abs(answer["static"] / still - 1.0)
+    return Row(name, f"{size}, {answer['unknowns']} unknowns", answer["seconds"], static, moving)
+
+
+def main(
+    out: Path | None = None,
+    picture: Path | None = None,
+    peers_python: Path | None = None,
+    device: str = "cpu",
+    runs: int = 3,
+    only: str = "",
+    commit: str = "",
+) -> str:
+    """Measure, draw and return the report; options of `palmfield bench skin`, as for
+    `palmfield.studies.bench.field.main`.
+
+    Raises PalmfieldError for options that can't be; OutputError where a file can't be written.
+    """
+    if not 1 <= runs <= 99:
+        raise PalmfieldError(f"--runs has value {runs}; allowed: 1 to 99")
+    for option, path in (("--out", out), ("--picture", picture)):
+        if path is not None:
+            check_writable(option, path)
+    elsewhere = interpreter(peers_python) if peers_python is not None else None
+    device = resolve(device)
+    jobs: list[tuple[str, Callable[[], Row]]] = []
+    for name, accuracies in ACCURACIES.items():
+        jobs += [(f"palmfield {name}", partial(own, CASE, name, accuracy, device, runs)) for accuracy in accuracies]
+    for function, (name, module, meshes) in PEERS.items():
+        here = importlib.util.find_spec(module) is not None
+        python = Path(sys.executable) if here or elsewhere is None else elsewhere
+        jobs += [(name, partial(peer, CASE, function, *mesh, python)) for mesh in meshes]
+    jobs = [job for job in jobs if only in job[0]]
+    if not jobs:
+        names = ", ".join([*(f"palmfield {name}" for name in ACCURACIES), *(name for name, _, _ in PEERS.values())])
+        raise PalmfieldError(f"--only '{only}' is in no method's name: use part of {names}")
+    rows = []
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress, threadpool_limits(1):
+        task = progress.add_task("skin", total=len(jobs))
+        yard_s = statistics.median(yardstick() for _ in range(5))
+        for name, job in jobs:
+            progress.update(task, description=name)
+            rows.append(job())
+            progress.update(task, advance=1)
+    report = as_markdown(rows, device, yard_s, commit or git_commit(), picture, out)
+    try:
+        if out is not None:
+            out.write_text(report)
+        if picture is not None:
+            draw([row for row in rows if not row.missing], picture)
+    except (OSError, OutputError) as error:
+        print(report, end="")  # minutes of measuring must not be lost
+        raise OutputError(f"the report above is not in its files: {error}") from error
+    return report
+
+
+def as_markdown(
+    rows: list[Row], device: str, yard_s: float, commit: str, picture: Path | None, out: Path | None
+) -> str:
+    lines = [
+        "# Skin solvers side by side",
+        "",
+        "    palmfield bench skin --peers-python PATH --out FILE --picture FILE",
+        "",
+        f"{processor()}, one thread; palmfield on {device_name(device)}; commit {commit}. Yardstick: one float64 "
+        f"product of 1000 x 1000 matrices took {1e3 * yard_s:.1f} ms.",
+        "",
+        f"An endless slab of {CASE.material.name}, {1e3 * CASE.depth_m:g} mm, bonded, under a spot of "
+        f"{1e3 * CASE.fwhm_m:g} mm: the centre's push at rest, and its complex amplitude at {F_Hz:g} Hz, against plane "
+        f"waves in depth. Ours run {END_s:g} s of amplitude modulation from rest, with their own estimate (which takes "
+        "a second solution) and, where it misses, a finer one; answers come from the last "
+        f"{1e3 * LAST_s:g} ms. disc and particles take a disc of {1e3 * RADIUS_M:g} mm radius, the others a piece of "
+        f"their own choice. Other programs solve once at rest and once at {F_Hz:g} Hz on a quarter of "
+        f"{1e3 * RADIUS_M:g} mm; MuJoCo's flex settles on a whole one, with the moduli of the solid at rest, and has "
+        "no answer in time. Times without compiling.",
+        "",
+        "| method | size | seconds | error at rest | error at 200 Hz | stated |",
+        "|---|---|---|---|---|---|",
+    ]
+
+    def percent(value: float | None) -> str:
+        return "" if value is None else f"{100 * value:.2g} %"
+
+    for row in rows:
+        if row.missing:
+            lines.append(f"| {row.name} | {row.size} | not run: {row.missing} | | | |")
+        else:
+            errors = " | ".join(percent(error) for error in (row.static, row.moving, row.stated))
+            lines.append(f"| {row.name} | {row.size} | {row.seconds:.3g} | {errors} |")
+    if picture is not None and out is not None:
+        lines += ["", f"![Time against error]({os.path.relpath(picture, out.parent)})"]
+    return "\n".join([*lines, ""])
+
+
+def draw(rows: list[Row], path: Path) -> None:
+    """Seconds against the larger of both errors, a line for each method."""
+    with style():
+        figure = Figure(figsize=(7.5, 5.0), layout="constrained")
+        axis = figure.subplots()
+        names = list(dict.fromkeys(row.name for row in rows))
+        for number, name in enumerate(names):
+            some = [row for row in rows if row.name == name and row.worst > 0.0]
+            line = "-" if name.startswith("palmfield") else "--"
+            axis.plot(
+                [100 * row.worst for row in some], [row.seconds for row in some],
+                MARKERS[number % len(MARKERS)] + line, color=f"C{number % 10}", label=name,
+            )  # fmt: skip
+        axis.set_xscale("log")
+        axis.set_yscale("log")
+        axis.set_xlabel("error of the centre's push [%], the larger of rest and 200 Hz")
+        axis.set_ylabel("seconds")
+        axis.legend(fontsize="small")
+        save(figure, path)
