@@ -1,0 +1,67 @@
+"""What a sensor on the skin reads. A new channel is one entry of CHANNELS."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from palmfield.errors import SceneError
+from palmfield.hand.posed_surface import SkinBinding
+from palmfield.simulation.model import SkinModel
+from palmfield.skin.mesh.surface import SurfaceProbe
+from palmfield.types import Float
+
+REACH_M = 0.01
+"""A sensor's site may lie so far from the skin layer."""
+
+
+@dataclass(frozen=True)
+class SkinReading:
+    """What is known at a sensor's place at the beginning of a MuJoCo step.
+
+    force_N: of the sound on the whole body, mean over the step that begins, world axes, shape (3,)
+    displacement_m, velocity_m_s: of the skin along its outward normal; arp_Pa: positive inwards
+    """
+
+    force_N: Float
+    displacement_m: float
+    velocity_m_s: float
+    arp_Pa: float
+
+
+CHANNELS: dict[str, Callable[[SkinReading], float]] = {
+    "arp_force_x_N": lambda reading: reading.force_N[0],
+    "arp_force_y_N": lambda reading: reading.force_N[1],
+    "arp_force_z_N": lambda reading: reading.force_N[2],
+    "normal_displacement_m": lambda reading: reading.displacement_m,
+    "normal_velocity_m_s": lambda reading: reading.velocity_m_s,
+    "arp_Pa": lambda reading: reading.arp_Pa,
+}
+"""A sensor's numbers, in this order."""
+
+
+@dataclass(frozen=True)
+class SensorPlace:
+    """Where a sensor reads: the place of the layer that is nearest to its site, and the bones that carry it."""
+
+    probe: SurfaceProbe
+    binding: SkinBinding | None
+
+
+def sensor_place(skin: SkinModel, site: Float, element: str) -> SensorPlace:
+    """The place for a site of the resting body (body frame [m], shape (3,)).
+
+    Raises SceneError, naming the element, for a site that is far from the skin layer.
+    """
+    probe = skin.probe(site)
+    distance = float(probe.distance[0])
+    if distance > max(REACH_M, 2.0 * skin.layer.sizes.edge_coarse_m):
+        raise SceneError(
+            f"{element}: its site is {1e3 * distance:.0f} mm from the skin layer, whose rim it would read; put it on "
+            "the layer, or patch_site nearer to it"
+        )
+    return SensorPlace(probe, skin.carrier.bind(probe.closest))
+
+
+def fill(data: Float, reading: SkinReading) -> None:
+    """Write a reading's channels into a sensor's data, shape (channels,)."""
+    for number, channel in enumerate(CHANNELS.values()):
+        data[number] = channel(reading)
