@@ -186,7 +186,7 @@ def _modelled(rig: Rig, dofs: int, substeps: int) -> tuple[Row, ...]:
             f"pressure and gradient where the surface is, no volume; {_directivity(rig)}; air absorption",
         ),
         Row("drive", f"amplitude {drive:.3f} of full", f"device {rig.device.name}: {rig.device.description}"),
-        Row("ARP", f"law {rig.skin.arp_law}", LAWS[rig.skin.arp_law]),
+        Row("ARP", f"law {rig.skin.arp_law}", LAWS[rig.skin.arp_law].about),
         Row("sound at the body", f"body_sound {rig.skin.body_sound}", BODY_SOUNDS[rig.skin.body_sound]),
         *_rings(rig),
         Row(

@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from warp_kernels.arp import FORMULA, radiation_pressure
 from warp_kernels.pressure import NEAREST_M2, Sound, fall_cubic, inverse_root, polynomial_wave, quartic, quintic
 
 wp.set_module_options(
@@ -83,25 +84,23 @@ def matrix(
 
 
 @wp.func_native(
-    snippet="""
+    snippet=f"""
     const float* __restrict a = reinterpret_cast<const float*>(reinterpret_cast<const char*>(parts.data)
         + size_t(frame) * parts.strides[0]);
     float* __restrict to = reinterpret_cast<float*>(reinterpret_cast<char*>(result.data)
         + size_t(first_frame + frame) * result.strides[0]) + first;
-    for (int k = 0; k < count; ++k) {
+    for (int k = 0; k < count; ++k) {{
         const float p_re = a[k], s_re = a[count + k], t_re = a[2 * count + k], n_re = a[3 * count + k];
         const float p_im = a[4 * count + k], s_im = a[5 * count + k], t_im = a[6 * count + k], n_im = a[7 * count + k];
-        const float load = per_pressure * (p_re * p_re + p_im * p_im)
-            - per_slope * (s_re * s_re + s_im * s_im + t_re * t_re + t_im * t_im);
-        to[k] = p_re * n_im - p_im * n_re < 0.0f ? load : 0.0f;
-    }
+        const float along2 = s_re * s_re + s_im * s_im + t_re * t_re + t_im * t_im;
+        to[k] = {FORMULA};
+    }}
 """
 )
 def arp_row(
     parts: wp.array(dtype=wp.float32, ndim=2),
     count: wp.int32,
-    per_pressure: wp.float32,
-    per_slope: wp.float32,
+    weights: wp.vec3,
     frame: wp.int32,
     first_frame: wp.int32,
     first: wp.int32,
@@ -114,15 +113,14 @@ def arp_row(
 @wp.kernel
 def arp_rows(
     parts: wp.array(dtype=wp.float32, ndim=2),
-    per_pressure: wp.float32,
-    per_slope: wp.float32,
+    weights: wp.vec3,
     first_frame: wp.int32,
     first: wp.int32,
     result: wp.array(dtype=wp.float32, ndim=2),
 ):
     """ARP [Pa] from a row of eight blocks, see `matrix`, a frame a thread: the form for the CPU."""
     frame = wp.tid()
-    arp_row(parts, parts.shape[1] / 8, per_pressure, per_slope, frame, first_frame, first, result)
+    arp_row(parts, parts.shape[1] / 8, weights, frame, first_frame, first, result)
 
 
 @wp.kernel
@@ -144,22 +142,19 @@ def product(
 @wp.kernel
 def arp_columns(
     parts: wp.array(dtype=wp.float32, ndim=2),
-    per_pressure: wp.float32,
-    per_slope: wp.float32,
+    weights: wp.vec3,
     first: int,
     result: wp.array(dtype=wp.float32, ndim=2),
 ):
     """As `arp_rows`, one point and frame a thread: the form for GPUs."""
     frame, k = wp.tid()
     count = parts.shape[1] / 8
-    p_re = parts[frame, k]
     s_re = parts[frame, count + k]
     t_re = parts[frame, 2 * count + k]
-    n_re = parts[frame, 3 * count + k]
-    p_im = parts[frame, 4 * count + k]
     s_im = parts[frame, 5 * count + k]
     t_im = parts[frame, 6 * count + k]
-    n_im = parts[frame, 7 * count + k]
-    load = per_pressure * (p_re * p_re + p_im * p_im)
-    load -= per_slope * (s_re * s_re + s_im * s_im + t_re * t_re + t_im * t_im)
-    result[first + frame, k] = wp.where(p_re * n_im - p_im * n_re < 0.0, load, 0.0)
+    along2 = s_re * s_re + s_im * s_im + t_re * t_re + t_im * t_im
+    result[first + frame, k] = radiation_pressure(
+        parts[frame, k], parts[frame, 4 * count + k], parts[frame, 3 * count + k], parts[frame, 7 * count + k],
+        along2, weights,
+    )  # fmt: skip

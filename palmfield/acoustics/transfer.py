@@ -10,8 +10,7 @@ from scipy.linalg import qr
 from threadpoolctl import threadpool_limits
 
 from palmfield.acoustics import check
-from palmfield.acoustics.air import density, sound_speed
-from palmfield.acoustics.arp import arp, check_law, unit_normals
+from palmfield.acoustics.arp import arp, check_law, law_weights, unit_normals
 from palmfield.acoustics.field import CUBIC_REACH_Np, FieldEvaluator, distances, polynomial_fall, pool
 from palmfield.acoustics.groups import axes
 from palmfield.errors import PalmfieldError
@@ -113,7 +112,7 @@ class Transfer:
         Raises SceneError for an unknown law, PalmfieldError for drives that are not finite or of another shape, and for
         an `out` of another shape or type.
         """
-        weights = self._weights(law)
+        weights = wp.vec3(*law_weights(law, self.evaluator.air))
         # One BLAS thread in each of ours: its own would share out products that fit one core's cache, and where other
         # programs run its waiting threads took up to twenty times as long for the reduction
         with threadpool_limits(1, user_api="blas"):
@@ -125,7 +124,7 @@ class Transfer:
                     f"({len(left)}, {self.points})"
                 )
             if result.size > 0:
-                self._fill(result, left, basis, *weights)
+                self._fill(result, left, basis, weights)
         return result
 
     def _fill(
@@ -133,10 +132,12 @@ class Transfer:
         result: Float32,
         left: NDArray[np.complex64],
         basis: NDArray[np.complex64] | None,
-        per_pressure: float,
-        per_slope: float,
+        weights: Any,
     ) -> None:
-        """Write the ARP of frames with coordinates `left` in `basis`, blocks of points shared among the threads."""
+        """Write the ARP of frames with coordinates `left` in `basis`, blocks of points shared among the threads.
+
+        weights: of the law, see `palmfield.acoustics.arp.law_weights`
+        """
         stacked = np.concatenate([left.real, left.imag], axis=1)
         wp.load_module(kernels, device="cpu")
         target: Any = wp.array(result, dtype=wp.float32, device="cpu", copy=False)
@@ -152,7 +153,7 @@ class Transfer:
                     parts = np.matmul(rows, right, out=room[: len(rows), : right.shape[1]])
                     inputs = [
                         wp.array(parts, dtype=wp.float32, device="cpu", copy=False),
-                        per_pressure, per_slope, start, first, target,
+                        weights, start, first, target,
                     ]  # fmt: skip
                     wp.launch(kernels.arp_rows, dim=len(parts), inputs=inputs, device="cpu")
 
@@ -160,7 +161,7 @@ class Transfer:
 
     def arp_on_gpu(self, drives: ArrayLike, law: str = "default") -> Any:
         """As `arp`, but computed and left on the evaluator's GPU: a Warp array of shape (frames, points)."""
-        per_pressure, per_slope = self._weights(law)
+        weights = wp.vec3(*law_weights(law, self.evaluator.air))
         left, basis = self.reduced(drives)
         device = self.evaluator.device
         right = self._gpu_matrix(basis)
@@ -173,7 +174,7 @@ class Transfer:
         for first in range(0, len(left), step):
             rows = stacked[first : min(first + step, len(left))]
             self._product(rows, right, parts[: rows.shape[0]])
-            inputs = [parts, per_pressure, per_slope, first, result]
+            inputs = [parts, weights, first, result]
             wp.launch(kernels.arp_columns, dim=(rows.shape[0], self.points), inputs=inputs, device=device)
         return result
 
@@ -197,13 +198,6 @@ class Transfer:
             kernels.product, dim=tiles, inputs=[left, right, result], block_dim=kernels.TILE_THREADS,
             device=self.evaluator.device,
         )  # fmt: skip
-
-    def _weights(self, law: str) -> tuple[float, float]:
-        """Factors of |p|^2 and of |grad p/k|^2 along the surface; |u| = |grad p|/(w rho), so rho |u|^2 has the same."""
-        check_law(law)
-        air = self.evaluator.air
-        per_pressure = 1.0 / (density(air) * sound_speed(air) ** 2)
-        return per_pressure, per_pressure if law == "default" else 0.0
 
     def reduced(self, drives: ArrayLike) -> tuple[NDArray[np.complex64], NDArray[np.complex64] | None]:
         """The frames, or their coordinates in a smaller orthonormal basis, shape (transducers, r), if that saves work.

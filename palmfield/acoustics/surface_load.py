@@ -1,0 +1,72 @@
+"""What the sound does to a surface as a whole, and where the surface is to the arrays."""
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from palmfield.acoustics.phased_array import PhasedArray
+from palmfield.acoustics.shadow import REACH_m
+from palmfield.types import Array, Float, Float32, Int
+
+CLEARANCE_M = 2e-3
+"""Least distance of a body from an array's board [m]."""
+HOUSING_M = 5e-3
+"""How far the board reaches beyond its transducers [m]."""
+GRAZING = 1e-6
+"""A ray that goes along a board, to this cosine, does not meet it."""
+
+
+def clearance(array: Array, points: Float) -> float:
+    """Least distance of points from an array's board [m], negative behind it.
+
+    points: [m], in the array's own frame, shape (n, 3)
+    The board is the rectangle around transducers that lie in one plane of constant z and face along z. Any other array
+    has none: there it is the distance from the face of the nearest transducer.
+    """
+    positions = array.positions
+    if np.ptp(positions[:, 2]) > 1e-6 or array.normals[:, 2].min() < 0.5:
+        distance, _ = cKDTree(positions).query(points)
+        return float(distance.min()) - HOUSING_M
+    low, high = positions[:, :2].min(axis=0) - HOUSING_M, positions[:, :2].max(axis=0) + HOUSING_M
+    over = np.all((points[:, :2] >= low) & (points[:, :2] <= high), axis=1)
+    return float(points[over, 2].min() - positions[:, 2].mean()) if over.any() else np.inf
+
+
+def distance_to_arrays(points: Float, flux: Float | Float32, phased_array: PhasedArray) -> Float:
+    """How far back along the sound each point's ray can meet something before an array's board [m], shape (n,).
+
+    points: [m], array frame, shape (n, 3); flux: where the sound goes there, any length, shape (n, 3)
+    A board is the plane through an array's middle across its mean direction; of several arrays the farthest counts.
+    """
+    normals, middles = phased_array.board_normals, phased_array.board_middles
+    length = np.sqrt(np.einsum("ij,ij->i", flux, flux, dtype=np.float64))
+    towards = (flux @ normals.T) / np.maximum(length, 1e-30)[:, None]  # how fast the way back leaves each board
+    meets = towards > GRAZING
+    height = points @ normals.T - np.einsum("ij,ij->i", middles, normals)
+    way = np.where(meets, height / np.where(meets, towards, 1.0), REACH_m)
+    farthest: Float = np.maximum.reduce(way, axis=1, initial=0.0)
+    return np.minimum(farthest, REACH_m, out=farthest)
+
+
+def resultants(
+    arp: Float | Float32, areas: Float, normals: Float, points: Float, origins: Float, owners: Int
+) -> tuple[Float, Float]:
+    """Forces [N] on bodies and torques about their origins [N m], shapes (b, 3), from the pressure on their faces.
+
+    arp: [Pa], positive pushes in, shape (n,); areas: [m2], shape (n,)
+    normals: unit, outward, points: where the faces are [m], both of shape (n, 3), in one frame, that of the result
+    origins: of the bodies [m], in the same frame, shape (b, 3); owners: the body that each face belongs to, shape (n,)
+    Faces are added up in their order, so that equal input gives equal bits.
+    """
+    count = len(origins)
+    # Rows of one coordinate each, (3, n), as bincount takes contiguous ones
+    push = np.multiply(normals.T, arp * areas, order="C", dtype=np.float64)
+    np.negative(push, out=push)
+    x, y, z = np.array(points.T, order="C", dtype=np.float64)
+    moments = y * push[2] - z * push[1], z * push[0] - x * push[2], x * push[1] - y * push[0]
+    owner = owners.astype(np.intp, copy=False)
+    sums = np.array([np.bincount(owner, row, count) for row in (*push, *moments)]).T
+    forces, torques = np.ascontiguousarray(sums[:, :3]), sums[:, 3:]
+    fx, fy, fz = forces.T
+    ox, oy, oz = origins.T
+    turned = np.array([oy * fz - oz * fy, oz * fx - ox * fz, ox * fy - oy * fx]).T
+    return forces, np.subtract(torques, turned, order="C")
