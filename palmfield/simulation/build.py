@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from palmfield.acoustics.phased_array import ArrayInstance, PhasedArray
+from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.config import SkinConfig, StimulusConfig
 from palmfield.drive.array_drive import ArrayDrive
 from palmfield.drive.device import BOARDS, Board
@@ -20,13 +20,12 @@ from palmfield.hand.rigged import joint_of_body
 from palmfield.hand.skinning import SkinnedHand, rigged_file, skinned_mesh
 from palmfield.hand.surface import hand_surface
 from palmfield.simulation.known_load import choose_stepper, first_stepper
-from palmfield.simulation.model import BodyModel, HapticModel, Lazy, SkinModel, StimulusModel
+from palmfield.simulation.model import BodyModel, HapticModel, Lazy, SkinModel, StimulusModel, array_instances
 from palmfield.simulation.posed_scene import STILL
 from palmfield.simulation.spec import SceneSpec, SkinSpec, StimulusSpec
 from palmfield.simulation.validate import check_bodies, check_board, check_body_sound, check_cost, check_overlaps
-from palmfield.skin.from_config import sheets_of
-from palmfield.skin.scene_layer import LayerSizes, SceneLayer, layer_sizes
-from palmfield.skin.solvers.wedges import WedgeStepper
+from palmfield.skin.fem.wedge_stepper import WedgeStepper
+from palmfield.skin.scene_layer import LayerDemand, SceneLayer
 from palmfield.stimulus.focal_points import FocalPoints, SurfaceCourse
 from palmfield.stimulus.schedule import SitesStimulus, frame_at, main_frequencies, plane_path
 from palmfield.stimulus.surface_path import SurfacePath, drawn, through
@@ -56,9 +55,7 @@ def build(spec: SceneSpec) -> HapticModel:
     """
     check_bodies(spec)
     board = BOARDS[spec.driver.board]
-    arrays = PhasedArray(
-        tuple(ArrayInstance(array.config, array.placement) for array in spec.arrays), spec.device
-    )
+    arrays = PhasedArray(array_instances(spec), [array.placement for array in spec.arrays], spec.device)
     names = list(dict.fromkeys(skin.config.body for skin in spec.skins))
     bodies = tuple(_body(next(skin.config for skin in spec.skins if skin.config.body == name)) for name in names)
     carriers = [bodies[names.index(skin.config.body)] for skin in spec.skins]
@@ -191,36 +188,40 @@ def _skins(
     response_on: bool,
 ) -> tuple[SkinModel, ...]:
     """The skins with their layers; all have the time step of the one that needs the shortest."""
-    drafts = []
+    drafts: list[tuple[StimulusModel, LayerDemand]] = []
+    layers = []
     for skin in spec.skins:
-        number = names.index(skin.config.body)
-        stimulus = _nearest(skin, stimuli)
-        spot = spot_fwhm(arrays, board, stimulus)
+        body, stimulus = bodies[names.index(skin.config.body)], _nearest(skin, stimuli)
+        frequencies = main_frequencies(stimulus.config)
         highest = skin.config.max_frequency_Hz
         if highest is None:
-            highest = max([LEAST_FREQUENCY_Hz, *main_frequencies(stimulus.config)])
-        sheets = sheets_of(skin.config)
-        reach = path_reach(stimulus, bodies[number], np.array(skin.patch_centre))
-        sizes = layer_sizes(skin.config, sheets, spot, highest, reach, spec.timestep_s, 1.0)
-        drafts.append((number, stimulus, spot, highest, sheets, sizes))
-    step_s = _common_step([draft[-1] for draft in drafts], spec)
-    skins = []
-    for skin, (number, stimulus, spot, highest, sheets, sizes) in zip(spec.skins, drafts, strict=True):
-        body = bodies[number]
-        main = next(iter(main_frequencies(stimulus.config)), 0.5 * highest)
-        layer = SceneLayer(
-            skin.config, sheets, body.surface, body.depth_to_bone_m, np.array(skin.patch_centre),
-            replace(sizes, step_s=step_s), main,
-        )  # fmt: skip
-        choice = choose_stepper(spec, skin, layer, stimuli, pole, response_on, highest)
-        skins.append(
-            SkinModel(
-                skin, number, body, layer, sheets, choice,
-                spot_fwhm_m=spot, max_frequency_Hz=highest, main_frequency_Hz=main,
-                still_m=STILL * skin.config.accuracy * spot,
-            )  # fmt: skip
+            highest = max([LEAST_FREQUENCY_Hz, *frequencies])
+        demand = LayerDemand(
+            spot_fwhm_m=spot_fwhm(arrays, board, stimulus),
+            max_frequency_Hz=highest,
+            main_frequency_Hz=next(iter(frequencies), 0.5 * highest),
+            path_reach_m=path_reach(stimulus, body, np.array(skin.patch_centre)),
+            timestep_s=spec.timestep_s,
         )
+        drafts.append((stimulus, demand))
+        layers.append(_layer(skin, body, demand))
+    step_s = _common_step([layer.sizes.step_s for layer in layers], spec)
+    skins = []
+    for skin, (_, demand) in zip(spec.skins, drafts, strict=True):
+        number = names.index(skin.config.body)
+        body = bodies[number]
+        layer = _layer(skin, body, replace(demand, longest_step_s=step_s))
+        choice = choose_stepper(spec, skin, layer, stimuli, pole, response_on)
+        still_m = STILL * skin.config.accuracy * demand.spot_fwhm_m
+        skins.append(SkinModel(skin, number, body, layer, choice, still_m))
     return tuple(skins)
+
+
+def _layer(skin: SkinSpec, body: BodyModel, demand: LayerDemand) -> SceneLayer:
+    return SceneLayer(
+        skin.config, body.surface, body.depth_to_bone_m, np.array(skin.patch_centre), demand,
+        element=f"plugin 'palmfield.skin' instance '{skin.name}'",
+    )  # fmt: skip
 
 
 def _nearest(skin: SkinSpec, stimuli: tuple[StimulusModel, ...]) -> StimulusModel:
@@ -230,11 +231,11 @@ def _nearest(skin: SkinSpec, stimuli: tuple[StimulusModel, ...]) -> StimulusMode
     return min(sounding, key=lambda stimulus: float(np.linalg.norm(stimulus.first_focus - centre)))
 
 
-def _common_step(sizes: list[LayerSizes], spec: SceneSpec) -> float:
+def _common_step(steps_s: list[float], spec: SceneSpec) -> float:
     """The time step that all skins share [s], so that results have one time."""
-    step_s = min(size.step_s for size in sizes)
-    for skin, size in zip(spec.skins, sizes, strict=True):
-        if skin.config.step_s is not None and size.step_s > (1.0 + 1e-9) * step_s:
+    step_s = min(steps_s)
+    for skin, own in zip(spec.skins, steps_s, strict=True):
+        if skin.config.step_s is not None and own > (1.0 + 1e-9) * step_s:
             raise SceneError(
                 f"plugin 'palmfield.skin' instance '{skin.name}': key 'step_s' has value {skin.config.step_s:g}, but "
                 f"another skin needs {step_s:g}, and all skins share one step; allowed: {step_s:g}"

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
-from palmfield.acoustics.phased_array import PhasedArray
+from palmfield.acoustics.phased_array import ArrayInstance, PhasedArray
 from palmfield.drive.transducer_response import TransducerResponse
 from palmfield.hand.posed_surface import SkinBinding, blend, face_samples
 from palmfield.locked import locked_cached_property
@@ -24,9 +24,8 @@ from palmfield.drive.response import Pole
 from palmfield.hand.skinning import SkinnedSurface
 from palmfield.hand.subdivide import EDGE_m
 from palmfield.simulation.spec import SceneSpec, SkinSpec, StimulusSpec
-from palmfield.skin.mesh.surface import SurfaceProbe, closed_boundary
-from palmfield.skin.problem import Sheet
-from palmfield.skin.solvers.wedges import WedgeStepper
+from palmfield.skin.mesh.surface import closed_boundary
+from palmfield.skin.fem.wedge_stepper import WedgeStepper
 from palmfield.stimulus.surface_path import SurfacePath
 from palmfield.types import Float, Int, Surface
 
@@ -133,30 +132,15 @@ class StepperChoice(NamedTuple):
 class SkinModel:
     """One skin layer on its body.
 
-    body: number of the body that carries it; sheets: from the surface down; layer: mesh and matrices
-    choice: of what steps it; spot_fwhm_m: width of the focus that loads it, at half maximum of |p|^2 [m]
-    max_frequency_Hz: the highest that mesh and step resolve; main_frequency_Hz: of most of its response
-    still_m: what moves by less than this counts as still [m]
+    body: number of the body that carries it, carrier: that body; layer: mesh and matrices
+    choice: of what steps it; still_m: what moves by less than this counts as still [m]
     """
 
     def __init__(
-        self,
-        spec: SkinSpec,
-        body: int,
-        carrier: BodyModel,
-        layer: SceneLayer,
-        sheets: tuple[Sheet, ...],
-        choice: StepperChoice,
-        *,
-        spot_fwhm_m: float,
-        max_frequency_Hz: float,
-        main_frequency_Hz: float,
-        still_m: float,
+        self, spec: SkinSpec, body: int, carrier: BodyModel, layer: SceneLayer, choice: StepperChoice, still_m: float
     ):
         self.spec, self.body, self.carrier, self.layer = spec, body, carrier, layer
-        self.sheets, self.choice = sheets, choice
-        self.spot_fwhm_m, self.still_m = spot_fwhm_m, still_m
-        self.max_frequency_Hz, self.main_frequency_Hz = max_frequency_Hz, main_frequency_Hz
+        self.choice, self.still_m = choice, still_m
         self.lock = threading.RLock()
 
     @locked_cached_property
@@ -186,10 +170,6 @@ class SkinModel:
         nodes = self.nodes[0]
         ends = np.array([nodes.min(axis=0), nodes.max(axis=0)])
         return np.stack(np.meshgrid(*ends.T, indexing="ij"), axis=-1).reshape(-1, 3)
-
-    def probe(self, point: Float) -> SurfaceProbe:
-        """Reads the skin's motion at the place nearest to a point of the resting body (body frame [m], shape (3,))."""
-        return SurfaceProbe(self.layer.mesh, point[None], self.layer.system)
 
     @locked_cached_property
     def closed_surface(self) -> tuple[Float, Int]:
@@ -254,3 +234,8 @@ class HapticModel:
     def carried(self, body: int) -> list[int]:
         """Numbers of the skins on a body; the first one's keys count for the force on the body."""
         return [number for number, skin in enumerate(self.skins) if skin.body == body]
+
+
+def array_instances(spec: SceneSpec) -> tuple[ArrayInstance, ...]:
+    """A scene's arrays as `palmfield.acoustics.phased_array` takes them."""
+    return tuple(ArrayInstance(array.config, array.placement) for array in spec.arrays)

@@ -14,7 +14,7 @@ from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.hand.posed_surface import SkinBinding, face_samples
 from palmfield.stimulus.focal_points import FocalPoints, SurfaceCourse
 
-from palmfield.simulation.model import BodyModel, HapticModel, SkinModel, StimulusModel
+from palmfield.simulation.model import BodyModel, HapticModel, SkinModel, StimulusModel, array_instances
 from palmfield.transforms import IDENTITY, Placement, Transform
 from palmfield.types import Float, Int
 
@@ -292,4 +292,4 @@ def _arrays(
     for arrays in (model.arrays, previous.arrays):
         if arrays.same(placements):
             return arrays
-    return model.arrays.at(tuple(placements))
+    return PhasedArray(array_instances(model.spec), placements, model.spec.device)

@@ -7,6 +7,7 @@ from palmfield.errors import SceneError
 from palmfield.hand.posed_surface import SkinBinding
 from palmfield.simulation.model import SkinModel
 from palmfield.skin.mesh.surface import SurfaceProbe
+from palmfield.skin.stepper import Reader, SkinStepper
 from palmfield.types import Float
 
 REACH_M = 0.01
@@ -38,12 +39,19 @@ CHANNELS: dict[str, Callable[[SkinReading], float]] = {
 """A sensor's numbers, in this order."""
 
 
-@dataclass(frozen=True)
 class SensorPlace:
     """Where a sensor reads: the place of the layer that is nearest to its site, and the bones that carry it."""
 
-    probe: SurfaceProbe
-    binding: SkinBinding | None
+    def __init__(self, probe: SurfaceProbe, binding: SkinBinding | None):
+        self.probe, self.binding = probe, binding
+        self._readers: dict[str, Reader] = {}
+
+    def reader(self, stepper: SkinStepper) -> Reader:
+        """Reads displacement and velocity along the outward normal there, off one stepper's state."""
+        known = self._readers.get(stepper.name)
+        if known is None:
+            known = self._readers[stepper.name] = stepper.reader(self.probe.operator)
+        return known
 
 
 def sensor_place(skin: SkinModel, site: Float, element: str) -> SensorPlace:
@@ -51,7 +59,7 @@ def sensor_place(skin: SkinModel, site: Float, element: str) -> SensorPlace:
 
     Raises SceneError, naming the element, for a site that is far from the skin layer.
     """
-    probe = skin.probe(site)
+    probe = skin.layer.probe(site)
     distance = float(probe.distance[0])
     if distance > max(REACH_M, 2.0 * skin.layer.sizes.edge_coarse_m):
         raise SceneError(

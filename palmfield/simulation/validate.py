@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
-from palmfield.acoustics.surface_load import clearance
+from palmfield.acoustics.surface_load import CLEARANCE_M, HOUSING_M, clearance
 from palmfield.drive.device import Board, check
 from palmfield.drive.response import Pole
 from palmfield.errors import DeviceError, SceneError
@@ -15,9 +15,6 @@ from palmfield.simulation.spec import ArraySpec, SceneSpec, SkinSpec, StimulusSp
 from palmfield.stimulus.schedule import frame_rates, turn_rate_Hz
 from palmfield.types import Float
 
-CLEARANCE_M = 2e-3
-"""A body must stay so far above an array's board."""
-HOUSING_M = 5e-3
 MOST_UNKNOWNS = 2_000_000
 """Factors of the matrix of so large a layer take more than 100 GB."""
 MOST_SUBSTEPS = 10_000

@@ -6,10 +6,9 @@ import mujoco
 import numpy as np
 
 from palmfield.config import Config, MotionConfig
-from palmfield.engine.host import Module, world_of
-from palmfield.engine.reading import check_rest
+from palmfield.engine.host import Module, World, world_of
 from palmfield.errors import SceneError
-from palmfield.mujoco_host.mujoco_view import World, rotation
+from palmfield.transforms import rotation_matrix
 from palmfield.types import Float
 
 
@@ -26,10 +25,12 @@ class MotionModule(Module):
     def __init__(self, settings: Any, world: World, instance: int):
         # Imported here: MuJoCo registers the plugins in every process, and Warp takes half a second to load.
         from palmfield.motion.source import motion_of
+        from palmfield.simulation.scene_reader import check_rest, element_of
 
         super().__init__(settings, world, instance)
         model = world.model
-        element = f"plugin '{self.name}'"
+        names = {number: name for number, _, name in model.instances()}
+        element = element_of(self.config, names[instance])
         self.motion = motion_of(settings)
         body = model.find("body", settings.body, f"{element}: key 'body'")
         self.mocap = int(model.raw.body_mocapid[body])
@@ -44,9 +45,9 @@ class MotionModule(Module):
                     f"{element}: key 'body' has value '{settings.body}'; allowed with key 'hand': [prefix]hand_target"
                 )
             prefix, why = settings.body.removesuffix("hand_target"), f"{element}: key 'hand'"
-            names = [prefix + joint.name for joint in self.motion.hand.joints]
-            self.servos = [model.find("actuator", name, why) for name in names]
-            self.joints = [model.find("joint", name, why) for name in names]
+            joints = [prefix + joint.name for joint in self.motion.hand.joints]
+            self.servos = [model.find("actuator", name, why) for name in joints]
+            self.joints = [model.find("joint", name, why) for name in joints]
             self.root = model.find("joint", prefix + "hand_root", why)
             frame = model.reference_pose("body", model.find("body", prefix + "hand", why))
             for bone in self.motion.hand.bones:
@@ -72,7 +73,7 @@ class MotionModule(Module):
         pose = self.motion.at(self.world.time)
         self.world.put_mocap(self.mocap, pose.position, pose.quaternion)
         if self.servos:
-            self.world.controls()[self.servos] = self._angles(pose.angles_deg)
+            self.world.controls[self.servos] = self._angles(pose.angles_deg)
 
     def _put(self) -> None:
         if self.root is None:
@@ -80,7 +81,7 @@ class MotionModule(Module):
         step = self.world.model.timestep
         before, now = self.motion.at(self.world.time - step), self.motion.at(self.world.time)
         velocity = (now.position - before.position) / step
-        turned = rotation(before.quaternion).T @ rotation(now.quaternion)
+        turned = rotation_matrix(before.quaternion).T @ rotation_matrix(now.quaternion)
         spin = np.array([turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]])
         self.world.put_free(self.root, now.position, now.quaternion, velocity, 0.5 * spin / step)
         angles = self._angles(now.angles_deg)
