@@ -21,7 +21,6 @@ from palmfield.skin.fem.load import SurfaceQuadrature
 from palmfield.skin.fem.solver import SkinSolver, harmonic, static
 from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.mesh.disc import disc_patch
-from palmfield.skin.mesh.ordering import dissection_order
 from palmfield.skin.mesh.surface import SurfaceProbe
 from palmfield.skin.mesh.wedges import extrude
 from palmfield.skin.problem import Motion, Sheet, Slab, Spot
@@ -138,7 +137,7 @@ def reduced_rows() -> list[str]:
         full = seconds(partial(solver.step, state, force, force), 20)
         for tolerance in tolerances:
             begin = time.perf_counter()
-            model = reduce(system, force[:, None], read, (0.0, 600.0), tolerance, order=dissection_order(system))
+            model = reduce(system, force[:, None], read, (0.0, 600.0), tolerance, order=system.elimination_order())
             made = time.perf_counter() - begin
             rows.append(reduced_row(model, system, force, read, tolerance, full, made))
             print(rows[-1], flush=True)

@@ -14,7 +14,6 @@ from palmfield.skin.fem.load import SurfaceQuadrature
 from palmfield.skin.fem.solver import static
 from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
 from palmfield.skin.mesh.disc import disc_patch
-from palmfield.skin.mesh.ordering import dissection_order
 from palmfield.skin.mesh.surface import surface_motion
 from palmfield.skin.mesh.wedges import extrude
 from palmfield.types import Patch
@@ -201,7 +200,7 @@ def test_side_conditions_and_their_spread(make_spot):
 
 def test_dissection_is_a_permutation_with_columns_together(coarse_spot):
     system = coarse_spot.system
-    order = dissection_order(system)
+    order = system.elimination_order()
     np.testing.assert_array_equal(np.sort(order), np.arange(system.ndof))
     owner = system.surface_node[order]
     assert np.sum(np.diff(owner) != 0) + 1 == len(np.unique(owner))

@@ -16,15 +16,15 @@ from palmfield.skin.analytic.layer_oracle import layer_compliance
 from palmfield.skin.fem.assembly import assemble
 from palmfield.skin.fem.depth import surface_compliance
 from palmfield.skin.fem.foundation import Foundation, fit_foundation
+from palmfield.skin.fem.generalised_alpha import branch_weights
 from palmfield.skin.fem.load import SurfaceQuadrature
-from palmfield.skin.fem.solver import Scheme, SkinSolver, branch_weights, harmonic, static
+from palmfield.skin.fem.solver import SkinSolver, harmonic, static
 from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
 from palmfield.skin.mesh.body_mesh import Sizes, box_patch
 from palmfield.skin.mesh.disc import disc_patch
 from palmfield.skin.mesh.surface import SurfaceProbe
 from palmfield.skin.mesh.wedges import extrude
-from palmfield.skin.pcg import Pcg
 from palmfield.skin.problem import GAUSSIAN, Sheet, Springs, spread
 
 ECOFLEX, PALM = preset("ecoflex_00-10"), preset("palm")
@@ -251,13 +251,6 @@ def test_unloaded_energy_never_grows_on_a_foundation(step_s):
         solver.step(state, rest, rest)
     assert np.all(np.diff(levels) <= 1e-12 * levels[0])
     assert levels[-1] < levels[0]
-
-
-def test_conjugate_gradients_know_a_foundations_unknowns():
-    system, kick = shaken()
-    scheme = Scheme(system, 2e-4, 0.8)
-    right = scheme.effective @ kick
-    np.testing.assert_allclose(Pcg(scheme.effective, system).solve(right), kick, atol=1e-5)
 
 
 def test_bad_input():

@@ -57,7 +57,7 @@ def test_incompressible_neither_locks_nor_loses_digits(bulk_over_instant):
         assert abs(force @ u / exact - 1) < 3e-3
     solver = SkinSolver(system, 2.5e-4)
     x = solver.factor.solve(force)
-    matrix = solver.scheme.effective
+    matrix = solver.scheme.effective()
     assert np.abs(matrix @ x - force).max() < 1e-13 * norm(matrix, np.inf) * np.abs(x).max()
 
 

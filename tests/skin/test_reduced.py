@@ -13,7 +13,6 @@ from palmfield.errors import SceneError
 from palmfield.skin.fem.solver import SkinSolver, harmonic, static
 from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.materials.material import Branch, Material
-from palmfield.skin.mesh.ordering import dissection_order
 from palmfield.skin.reduction.reduced import pod, reduce
 
 ECOFLEX = preset("ecoflex_00-10")
@@ -66,7 +65,7 @@ def full_rates(body):
 def skin(coarse_spot):
     system = coarse_spot.system
     model = reduce(
-        system, coarse_spot.force[:, None], -coarse_spot.read, BAND, TOLERANCE, order=dissection_order(system)
+        system, coarse_spot.force[:, None], -coarse_spot.read, BAND, TOLERANCE, order=system.elimination_order()
     )
     print(f"{system.ndof} unknowns -> {model.order} vectors, {model.shifts} shifts, error {model.error:.2g}")
     return model

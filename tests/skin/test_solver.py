@@ -12,8 +12,9 @@ from scipy.sparse.linalg import spsolve
 from palmfield.errors import SceneError
 from palmfield.skin.analytic.layer_oracle import centre_response
 from palmfield.skin.fem.assembly import assemble
+from palmfield.skin.fem.generalised_alpha import alpha_weights, branch_weights
 from palmfield.skin.fem.load import SurfaceQuadrature
-from palmfield.skin.fem.solver import SkinSolver, alpha_weights, branch_weights, harmonic, harmonic_discrete, static
+from palmfield.skin.fem.solver import SkinSolver, harmonic, harmonic_discrete, static
 from palmfield.skin.materials.catalogue import PRESETS
 from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
 from palmfield.skin.mesh.disc import disc_patch

@@ -12,7 +12,7 @@ from palmfield.skin.fem.load import SurfaceQuadrature
 from palmfield.skin.fem.solver import SkinSolver, harmonic, static
 from palmfield.skin.materials.material import Branch, Material, stiffening
 from palmfield.skin.mesh.surface import SurfaceProbe, surface_motion
-from palmfield.skin.reduction import stepping
+from palmfield.skin.reduction import reduced_stepper
 from palmfield.skin.reduction.dynamic_stiffness import Pencil
 from palmfield.skin.reduction.krylov import Krylov, harmonics, level, periodic
 from palmfield.skin.reduction.stepping import FullSkin, KnownLoad, reduced_skin
@@ -165,10 +165,10 @@ def test_linear_in_the_load_and_repeatable(disc, at_one_place):
 
 
 def test_more_vectors_than_allowed_are_refused(disc, monkeypatch):
-    monkeypatch.setattr(stepping, "MOST_VECTORS", 10)
+    monkeypatch.setattr(reduced_stepper, "MOST_VECTORS", 10)
     force = disc[0].force[:, None]
     load = KnownLoad(force, force, [am(TIMES)[:, None]], [(200.0, np.ones(1, complex))])
-    with pytest.raises(SceneError, match=r"vectors.*solver 'full'"):
+    with pytest.raises(SceneError, match=r"vectors.*solver 'wedges'"):
         model_of(disc, load, 1e-6)
 
 

@@ -14,6 +14,7 @@ from palmfield.skin.fem.absorbing import side_dashpots
 from palmfield.skin.fem.element import corner_slopes, displacement_shape, prism_rule, volume_basis
 from palmfield.skin.fem.foundation import BaseFace, Foundation, placed, rim_dashpots, sheet_mass, sheet_stiffness
 from palmfield.skin.materials.material import Material
+from palmfield.skin.mesh.ordering import dissection_order
 from palmfield.skin.mesh.wedges import WedgeMesh
 from palmfield.skin.problem import Springs
 from palmfield.types import Float, Int
@@ -62,6 +63,10 @@ class SkinSystem:
     @property
     def ndof(self) -> int:
         return self.mass.shape[0]
+
+    def elimination_order(self) -> Int:
+        """Order in which the unknowns are eliminated from a matrix, shape (n,): old index by new place."""
+        return dissection_order(self.mesh, self.surface_node)
 
 
 def assemble(

@@ -1,14 +1,12 @@
 """Z(s) = s^2 M + s C + E + sum_p G_p(s)/G_r K_p of a viscoelastic body under e^{st}, its factors and its moments."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.linalg import SuperLU, splu
 
-from palmfield.skin.fem.solver import BLAS
+from palmfield.skin.fem.factor import Factor, factorise
 from palmfield.skin.materials.material import Material, stiffening
 from palmfield.types import Complex, Float, Int
 
@@ -60,7 +58,7 @@ class Pencil:
     def apply(self, weights: Complex, u: Any) -> Any:
         return sum(w * (matrix @ u) for w, matrix in zip(weights, self.matrices, strict=True) if w != 0.0)
 
-    def moments(self, factored: "Factored", forces: Float, s: complex, reach: float) -> Any:
+    def moments(self, factored: Factor, forces: Float, s: complex, reach: float) -> Any:
         """Terms u, u' d and u'' d^2 / 2 of the Taylor series of Z(s)^-1 B at a distance d [1/s], columns (n, 3 j).
 
         A factor costs much more than two further solves.
@@ -71,7 +69,7 @@ class Pencil:
         third = factored.solve(-2.0 * self.apply(slope, second) - self.apply(bend, first))
         return np.column_stack([first, reach * second, 0.5 * reach**2 * third])
 
-    def static(self) -> "Factored | None":
+    def static(self) -> Factor | None:
         """Factors of Z(0), or None where nothing holds the body."""
         try:
             factored = self.factor(0.0)
@@ -80,20 +78,13 @@ class Pencil:
             return None
         return None if factored.singular() else factored
 
-    def factor(self, s: complex) -> "Factored":
+    def factor(self, s: complex) -> Factor:
         """Factors of Z(s). With Re s > 0 conj(s) Z(s) has a positive definite real part: no pivoting is needed."""
         weights = self.weights(np.array([s if s.imag else s.real]))[0]
         matrix = sparse.csc_matrix((weights @ self.data, self.indices, self.starts), shape=(self.size, self.size))
-        with BLAS.limit(limits=1, user_api="blas"):
-            lu = splu(
-                matrix,
-                permc_spec="MMD_AT_PLUS_A" if self.order is None else "NATURAL",
-                diag_pivot_thresh=0.0,
-                options={"SymmetricMode": True},
-            )
-        found = Factored(lu, matrix.diagonal(), self.order)
+        found = factorise(matrix, self.order, placed=True)
         if self.order is None:
-            self._place(np.argsort(lu.perm_c).astype(np.int32))
+            self._place(found.order)
         return found
 
     def _place(self, order: Int) -> None:
@@ -103,28 +94,6 @@ class Pencil:
         placed.sort_indices()
         self.data, self.indices, self.starts = self.data[:, placed.data], placed.indices, placed.indptr
         self.order = order
-
-
-@dataclass(frozen=True)
-class Factored:
-    """Sparse LU of Z at one s."""
-
-    lu: SuperLU
-    diagonal: Any
-    order: Int | None
-
-    def singular(self) -> bool:
-        """Whether a pivot has lost all but round-off of its diagonal element."""
-        pivots = np.abs(self.lu.U.diagonal())[self.lu.perm_c]
-        return not bool(np.all(pivots > 1e-11 * np.abs(self.diagonal)))
-
-    def solve(self, right: Any) -> Any:
-        with BLAS.limit(limits=1, user_api="blas"):
-            if self.order is None:
-                return self.lu.solve(np.ascontiguousarray(right))
-            result = np.empty(right.shape, dtype=np.result_type(right, self.diagonal))
-            result[self.order] = self.lu.solve(np.ascontiguousarray(right[self.order], dtype=result.dtype))
-        return result
 
 
 def _places(matrix: Any) -> Int:

@@ -24,9 +24,10 @@ from scipy import sparse
 from scipy.linalg import expm
 
 from palmfield.errors import SceneError
+from palmfield.skin.fem.factor import Factor
 from palmfield.skin.materials.material import Material
 from palmfield.skin.problem import Law
-from palmfield.skin.reduction.dynamic_stiffness import Factored, LinearBody, Pencil
+from palmfield.skin.reduction.dynamic_stiffness import LinearBody, Pencil
 from palmfield.types import Complex, Float, Int
 
 MOST_CONDITION = 1e8
@@ -45,7 +46,7 @@ MOST_STEPS = 64
 class _Basis:
     """Mass-orthonormal vectors V, the body's matrices times V, and what residual norms need."""
 
-    def __init__(self, pencil: Pencil, inputs: Float, norm: Factored) -> None:
+    def __init__(self, pencil: Pencil, inputs: Float, norm: Factor) -> None:
         self.pencil, self.inputs, self.norm = pencil, inputs, norm
         self.vectors = np.zeros((pencil.size, 0))
         self.products = [np.zeros((pencil.size, 0)) for _ in pencil.matrices]
@@ -214,7 +215,7 @@ class Reduced:
 
     def step(self, state: Float, force_start: Float, force_end: Float, step_s: float) -> None:
         """Advance a state by step_s [s], in place, exactly, under forces (j,) linear between these two."""
-        advance, start, end = self._propagators(step_s)
+        advance, start, end = self.propagators(step_s)
         state[:] = advance @ state + start @ force_start + end @ force_end
 
     def displacement(self, state: Float) -> Float:
@@ -263,12 +264,12 @@ class Reduced:
     def _stepped_run(self, forces: Any, lengths: Float, which: Any, law: Law) -> Any:
         states = np.zeros((len(forces), self.state_size), dtype=forces.dtype)
         for n, length in enumerate(which):
-            advance, start, end = self._propagators(float(lengths[length]))
+            advance, start, end = self.propagators(float(lengths[length]))
             last = forces[n] if law == "held" else forces[n + 1]
             states[n + 1] = advance @ states[n] + start @ forces[n] + end @ last
         return states
 
-    def _propagators(self, step_s: float) -> tuple[Float, Float, Float]:
+    def propagators(self, step_s: float) -> tuple[Float, Float, Float]:
         """exp(A h) and the integrals that the force at the step's start and end get (Van Loan 1978)."""
         if step_s not in self._steps:
             if len(self._steps) == MOST_STEPS:

@@ -1,47 +1,18 @@
-"""What carries a skin layer through a simulation: the whole body, or a small model made for a load known ahead.
+"""The middle's older forms of the skin's steppers, which take nodal forces. To go with their last caller."""
 
-Both keep their state in a flat array that is given to them, and both take consistent nodal forces.
-"""
-
-import itertools
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from palmfield.errors import SceneError
+from palmfield.skin.blas import one_blas_thread
 from palmfield.skin.fem.assembly import SkinSystem
-from palmfield.skin.fem.solver import BLAS, SkinSolver
+from palmfield.skin.fem.solver import SkinSolver
 from palmfield.skin.materials.material import stiffening
-from palmfield.skin.mesh.ordering import dissection_order
-from palmfield.skin.reduction.dynamic_stiffness import Pencil
-from palmfield.skin.reduction.krylov import Course, Krylov
 from palmfield.skin.reduction.reduced import Projection, Reduced
+from palmfield.skin.reduction.reduced_stepper import MOST_VECTORS, ROUND, SAFETY, SHIFT, KnownLoad, known_model
 from palmfield.types import Complex, Float, Int
 
-SHIFT = 0.6
-"""Of the highest angular frequency that matters: there answers from 0 to it converge together."""
-ROUND = 8
-"""Vectors by which two models that are compared differ, at least."""
-SAFETY = 1.5
-"""Times the last change: with a circle on the palm, on large elements, the true error was up to 1.3 times that."""
-MOST_VECTORS = 400
-
-
-@dataclass(frozen=True)
-class KnownLoad:
-    """A load whose course is known ahead, F(t) = shapes @ shares(t).
-
-    basis: what the model is made for: the shapes themselves, for any course of each, or one Course
-    shapes: [N], shape (n, m); trials: shares at the steps' times, one array of shape (t, m) for each course from rest
-        under which models are compared
-    spectrum: some of its frequencies [Hz] and, for each, its complex shares there, (m,), under e^{-i w t}
-    """
-
-    basis: Float | Course
-    shapes: Float
-    trials: list[Float]
-    spectrum: list[tuple[float, Complex]]
+__all__ = ["MOST_VECTORS", "ROUND", "SAFETY", "SHIFT", "FullSkin", "KnownLoad", "ReducedSkin", "reduced_skin"]
 
 
 class FullSkin:
@@ -94,7 +65,7 @@ class ReducedSkin:
 
     def step(self, state: Float, first: Float, last: Float) -> None:
         """As FullSkin.step."""
-        with BLAS.limit(limits=1, user_api="blas"):
+        with one_blas_thread:
             self.model.step(state, self.project(first), self.project(last), self.step_s)
 
     def reader(self, operator: Any) -> Float:
@@ -126,8 +97,6 @@ class ReducedSkin:
         return np.concatenate([self.vectors @ x for x in (*small, *(rows @ state for rows in model.internals))])
 
 
-# Small products only, which several threads of BLAS slow down where other programs run.
-@BLAS.wrap(limits=1, user_api="blas")
 def reduced_skin(
     system: SkinSystem,
     load: KnownLoad,
@@ -138,85 +107,6 @@ def reduced_skin(
     highest_Hz: float,
     tolerance: float,
 ) -> ReducedSkin:
-    """Small model of a layer for a load known ahead, from one real factorisation.
-
-    surface: reads the displacement that must be right, csr, (S, n); point: at one place of it, (1, n)
-    loaded: unknowns on which a force can act, shape (k,); step_s: [s], also that of the known load's shares
-    highest_Hz: highest frequency that matters [Hz]; tolerance: wanted relative error
-    The error is the larger of two. First, SAFETY times what the last ROUND vectors or more change in the motion under
-    the load from rest: L2 over times, the larger of over the surface and at the point. Second, of the steady motion
-    at the load's frequencies, the residual's own displacement by the factors that are there, over the surface. Both
-    are of a smaller or a stiffer body than the true one, so they are estimates, no bounds.
-    Raises SceneError where MOST_VECTORS don't reach the tolerance.
-    """
-    pencil = Pencil(system, dissection_order(system))
-    krylov = Krylov(pencil, SHIFT * 2.0 * np.pi * highest_Hz, load.basis)
-    before, error = _Trial(krylov, load, step_s), np.inf
-    while True:
-        target = krylov.order + max(ROUND, krylov.order // 6)
-        growing = 1
-        while growing and krylov.order < target:
-            growing = krylov.grow()
-        now = _Trial(krylov, load, step_s)
-        error = SAFETY * now.change(before, krylov, surface, point)
-        if error <= tolerance:
-            error = max(error, _defect(krylov, load, surface))
-        if error <= tolerance or not growing:
-            break
-        if now.order > MOST_VECTORS:
-            raise SceneError(
-                f"reduced model of the skin: error {error:.2g} with {now.order} vectors, {tolerance:.2g} wanted; "
-                "use solver 'full'"
-            )
-        before = now
-    small = Projection(krylov.projected, pencil.materials, np.eye(now.order), np.eye(now.order))
-    return ReducedSkin(small, krylov.vectors, loaded, step_s, error, krylov.course is None)
-
-
-class _Trial:
-    """The motions of a model of `order` vectors under the known load: coordinates in V, each of shape (t, order)."""
-
-    def __init__(self, krylov: Krylov, load: KnownLoad, step_s: float) -> None:
-        self.order = krylov.order
-        small = Projection(
-            krylov.projected, krylov.pencil.materials, krylov.vectors.T @ load.shapes, np.eye(self.order)
-        )
-        model = Reduced(small, 0.0)
-        self.moved = []
-        for shares in load.trials:
-            state, moved = model.new_state(), [np.zeros(self.order)]
-            for first, last in itertools.pairwise(shares):
-                model.step(state, first, last, step_s)
-                moved.append(model.displacement(state))
-            self.moved.append(np.array(moved))
-
-    def change(self, other: "_Trial", krylov: Krylov, surface: Any, point: Any) -> float:
-        """Relative difference to a model of fewer vectors, L2 over times, over the surface and at the point."""
-        worst = 0.0
-        for operator in (surface, point):
-            small = operator @ krylov.vectors[:, : self.order]
-            for mine, theirs in zip(self.moved, other.moved, strict=True):
-                apart = mine.copy()
-                apart[:, : other.order] -= theirs
-                size = float(np.linalg.norm(mine @ small.T))
-                worst = max(worst, float(np.linalg.norm(apart @ small.T)) / size if size > 0.0 else 0.0)
-        return worst
-
-
-def _defect(krylov: Krylov, load: KnownLoad, surface: Any) -> float:
-    """Displacement of the residual over the displacement, of the steady motion, L2 over frequencies and surface."""
-    answers, residuals = [], []
-    for f_Hz, shares in load.spectrum:
-        force = load.shapes @ np.column_stack([shares.real, shares.imag])
-        weights = krylov.pencil.weights(np.array([-2j * np.pi * f_Hz]))[0]
-        small = sum(w * matrix for w, matrix in zip(weights, krylov.projected, strict=True))
-        pushed = krylov.vectors.T @ force
-        answer = np.linalg.solve(small, pushed[:, 0] + 1j * pushed[:, 1])
-        answers.append(answer)
-        for w, product in zip(weights, krylov.products, strict=True):
-            moved = w * answer
-            force = force - product @ np.column_stack([moved.real, moved.imag])
-        residuals.append(force)
-    missed = surface @ krylov.factored.solve(np.hstack(residuals))
-    seen = (surface @ krylov.vectors) @ np.array(answers).T
-    return float(np.linalg.norm(missed) / np.linalg.norm(seen))
+    """As reduced_stepper, for nodal forces on the `loaded` unknowns, shape (k,)."""
+    small, vectors, error, any_course = known_model(system, load, surface, point, step_s, highest_Hz, tolerance)
+    return ReducedSkin(small, vectors, loaded, step_s, error, any_course)

@@ -15,11 +15,10 @@ from palmfield.errors import SceneError
 from palmfield.skin.approximation.estimate import load_frequency, load_width
 from palmfield.skin.approximation.refine import Answer, Numerics, ratio_of, resized, settle
 from palmfield.skin.approximation.trim_absorbing_rim import extent
+from palmfield.skin.blas import one_blas_thread
 from palmfield.skin.fem.load import SurfaceQuadrature, bell, sampled
-from palmfield.skin.fem.solver import BLAS
 from palmfield.skin.materials.material import shear_wave
 from palmfield.skin.mesh.body_mesh import build
-from palmfield.skin.mesh.ordering import dissection_order
 from palmfield.skin.mesh.surface import SurfaceProbe
 from palmfield.skin.problem import Body, Load, Motion, Slab, Spot, Traction, points_on_face, rising
 from palmfield.skin.reduction.dynamic_stiffness import Pencil
@@ -92,7 +91,7 @@ def solve_reduced(
     def run(numerics: Numerics, factor: float = 1.0, reach: float = 1.0) -> Answer:
         sizes = resized(numerics.sizes, factor, reach)
         part = extent(body, load, points, reach)
-        with BLAS.limit(limits=1, user_api="blas"):
+        with one_blas_thread:
             answer, order, error = _run(part, load, asked, points, replace(numerics, sizes=sizes), SHARE * accuracy)
         models.append((order, error))
         return answer
@@ -130,7 +129,7 @@ def _run(
 
     speed = min(shear_wave(sheet.material, 200.0)[0] for sheet in body.sheets)
     shift = SHIFT * 2.0 * math.pi * load_frequency(load, speed, load_width(load))
-    krylov = Krylov(Pencil(system, dissection_order(system)), shift, np.asarray(shapes, dtype=float))
+    krylov = Krylov(Pencil(system, system.elimination_order()), shift, np.asarray(shapes, dtype=float))
 
     def motion() -> tuple[Float, Float]:
         small = Projection(krylov.projected, krylov.pencil.materials, krylov.vectors.T @ shapes, read @ krylov.vectors)

@@ -10,7 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from palmfield.device import resolve
 from palmfield.errors import SceneError
 from palmfield.hand.remesh import is_height_field
 from palmfield.skin.approximation.estimate import load_centre, load_frequency, load_width
@@ -27,11 +26,10 @@ from palmfield.skin.approximation.refine import (
 from palmfield.skin.approximation.trim_absorbing_rim import extent, refusal_of_spot
 from palmfield.skin.fem.assembly import SkinSystem
 from palmfield.skin.fem.load import PressureHistory
-from palmfield.skin.fem.solver import Scheme, SkinSolver, static
+from palmfield.skin.fem.solver import SkinSolver, static
 from palmfield.skin.materials.material import shear_wave
 from palmfield.skin.mesh.body_mesh import Sizes, build
 from palmfield.skin.mesh.surface import SurfaceProbe
-from palmfield.skin.pcg import DeviceStepper
 from palmfield.skin.problem import Body, Layer, Load, Motion, Slab, points_on_face, rising
 from palmfield.types import Float
 
@@ -100,7 +98,7 @@ def solve_implicit(
 
     times: [s], rising, shape (t,); at: points of the face [m], shape (n, 3) or (n, 2)
     accuracy: wanted relative error, L2 over the times, largest over the points
-    device: "cpu" factorises; "cuda:N" takes conjugate gradients there
+    device: it runs on the CPU
     sizes, step_s: to pin mesh and step [s] instead of choosing them; rho_inf: see SkinSolver
     Raises SceneError for what refusal_implicit names, an inverted element, points off the face, and bad numbers.
     """
@@ -113,7 +111,7 @@ def solve_implicit(
         sizes or first_sizes(body, load, points, accuracy),
         step_s or first_step(body, load, accuracy),
         rho_inf,
-        resolve(device),
+        "cpu",
     )
 
     def run(numerics: Numerics, factor: float = 1.0, reach: float = 1.0) -> Answer:
@@ -285,16 +283,11 @@ def _run(body: Body, load: Load, asked: Float, points: Float, numerics: Numerics
     steps = max(1, math.ceil((float(asked[-1]) - start) / numerics.step_s - 1e-9))
     seen = np.zeros((steps + 1, 3, read.shape[0]))
     clock: Float = start + numerics.step_s * np.arange(steps + 1, dtype=np.float64)
-    if numerics.device == "cpu":
-        solver = SkinSolver(system, numerics.step_s, numerics.rho_inf)
-        state = solver.new_state()
-        for n in range(steps):
-            solver.step(state, *history.force(clock[n], clock[n + 1]))
-            seen[n + 1] = (read @ state[:3].T).T
-    else:
-        stepper = DeviceStepper(Scheme(system, numerics.step_s, numerics.rho_inf), read, numerics.device)
-        for n in range(steps):
-            seen[n + 1] = stepper.step(*history.force(clock[n], clock[n + 1])).T
+    solver = SkinSolver(system, numerics.step_s, numerics.rho_inf)
+    state = solver.new_state()
+    for n in range(steps):
+        solver.step(state, *history.force(clock[n], clock[n + 1]))
+        seen[n + 1] = (read @ state[:3].T).T
     moved, velocity = (_between(clock, seen[:, i], seen[:, i + 1], asked) for i in (0, 1))
     shape = (len(asked), len(points), 3)
     return Answer(moved.reshape(shape), velocity.reshape(shape), system.ndof, *_size(system))

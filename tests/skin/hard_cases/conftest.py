@@ -9,7 +9,6 @@ from threadpoolctl import threadpool_limits
 
 from palmfield.skin.fem.load import PressureHistory
 from palmfield.skin.mesh.body_mesh import Sizes, build
-from palmfield.skin.mesh.ordering import dissection_order
 from palmfield.skin.mesh.surface import SurfaceProbe
 from palmfield.skin.problem import Motion, Spot, points_on_face
 from palmfield.skin.reduction.reduced import pod, reduce
@@ -48,7 +47,7 @@ def reduced(body, load, times, at, *, sizes=SIZES, band_Hz=(0.0, 900.0), toleran
     forces = np.column_stack([history.operator @ history.pressure(t) for t in grid])
     shapes, course = pod(forces, 1e-3)
     read = SurfaceProbe(system.mesh, points, system).vectors
-    model = reduce(system, shapes, read, band_Hz, tolerance, order=dissection_order(system))
+    model = reduce(system, shapes, read, band_Hz, tolerance, order=system.elimination_order())
     moved = [part.reshape(len(grid), len(points), 3) for part in model.run(course.T, grid, load.law)]
     rows = np.searchsorted(grid, times)
     late = (times > start)[:, None, None]

@@ -1,0 +1,73 @@
+"""factorise(matrix).solve(right): the one place that knows which library factorises the skin's matrices."""
+
+import threading
+from typing import Any
+
+import numpy as np
+from scipy.sparse.linalg import SuperLU, splu
+
+from palmfield.skin.blas import one_blas_thread
+from palmfield.types import Int
+
+
+class Factor:
+    """Sparse LU of one matrix; made by `factorise`.
+
+    order: the elimination order, old index by new place, shape (n,)
+    A factor serves one thread at a time: others wait.
+    """
+
+    def __init__(self, lu: SuperLU, diagonal: Any, order: Int | None) -> None:
+        self._lu, self._diagonal, self._order = lu, diagonal, order
+        self._lock = threading.Lock()
+
+    @property
+    def order(self) -> Int:
+        if self._order is None:
+            return np.argsort(self._lu.perm_c).astype(np.int32)
+        return self._order
+
+    @property
+    def fill(self) -> int:
+        """Numbers in both triangular factors."""
+        return int(self._lu.nnz)
+
+    def singular(self) -> bool:
+        """Whether a pivot has lost all but round-off of its diagonal element."""
+        pivots = np.abs(self._lu.U.diagonal())[self._lu.perm_c]
+        return not bool(np.all(pivots > 1e-11 * np.abs(self._diagonal)))
+
+    def solve(self, right: Any) -> Any:
+        """The solution, shape (n,) or (n, k), of matrix @ solution = right; complex where either is."""
+        order = self._order
+        with one_blas_thread, self._lock:
+            if order is None:
+                return self._lu.solve(np.ascontiguousarray(right, dtype=self._common(right)))
+            moved = self._lu.solve(right[order].astype(self._common(right), copy=False))
+        result = np.empty_like(moved)
+        result[order] = moved
+        return result
+
+    def _common(self, right: Any) -> Any:
+        return complex if right.dtype.kind == "c" or self._diagonal.dtype.kind == "c" else float
+
+
+def factorise(matrix: Any, order: Int | None = None, *, placed: bool = False) -> Factor:
+    """Factors of a symmetric matrix whose real part, perhaps after a turn of phase, is positive definite.
+
+    matrix: sparse, shape (n, n), real or complex
+    order: elimination order, old index by new place, shape (n,); None lets SuperLU find one (minimum degree)
+    placed: whether the matrix is already in that order
+    Raises RuntimeError where a pivot is exactly 0.
+    """
+    columns = matrix if order is None or placed else matrix[order][:, order]
+    columns = columns.tocsc()
+    with one_blas_thread:
+        lu = splu(
+            columns,
+            permc_spec="MMD_AT_PLUS_A" if order is None else "NATURAL",
+            # Such a matrix needs no pivoting, and pivoting would undo the order.
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        )
+    return Factor(lu, columns.diagonal(), order)

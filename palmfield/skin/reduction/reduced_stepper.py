@@ -1,0 +1,250 @@
+"""Steps a skin by a small model, made for a load whose course is known ahead.
+
+It is exact in time, and a substep is one dense product.
+"""
+
+import itertools
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+
+from palmfield.errors import SceneError
+from palmfield.skin.blas import one_blas_thread
+from palmfield.skin.fem.assembly import SkinSystem
+from palmfield.skin.materials.material import stiffening
+from palmfield.skin.reduction.dynamic_stiffness import Pencil
+from palmfield.skin.reduction.krylov import Course, Krylov
+from palmfield.skin.reduction.reduced import Projection, Reduced
+from palmfield.skin.stepper import Reader, SurfaceLoads, check_step, checked_operator
+from palmfield.types import Complex, Float
+
+SHIFT = 0.6
+"""Of the highest angular frequency that matters: there answers from 0 to it converge together."""
+ROUND = 8
+"""Vectors by which two models that are compared differ, at least."""
+SAFETY = 1.5
+"""Times the last change: with a circle on the palm, on large elements, the true error was up to 1.3 times that."""
+MOST_VECTORS = 400
+
+
+@dataclass(frozen=True)
+class KnownLoad:
+    """A load whose course is known ahead, F(t) = shapes @ shares(t).
+
+    basis: what the model is made for: the shapes themselves, for any course of each, or one Course
+    shapes: [N], shape (n, m); trials: shares at the steps' times, one array of shape (t, m) for each course from rest
+        under which models are compared
+    spectrum: some of its frequencies [Hz] and, for each, its complex shares there, (m,), under e^{-i w t}
+    """
+
+    basis: Float | Course
+    shapes: Float
+    trials: list[Float]
+    spectrum: list[tuple[float, Complex]]
+
+
+class ReducedStepper:
+    """Galerkin in the vectors V, exact in time for loads that change linearly within a substep; see SkinStepper.
+
+    Any load may be given, but only for that course of it for which the model was made is the error as estimated.
+
+    small: the body in the vectors, with V^T F as its force and the coordinates in V as what it reads
+    vectors: V, (n, r)
+    inputs: csr, shape (n, q): consistent nodal force [N] = inputs @ inward pressure [Pa]
+    step_s: length of a substep [s]
+    error: relative, of the surface's displacement under the known load, see `reduced_stepper`
+    any_course: whether the model is made for any course of its load in time, from any moment on
+    """
+
+    name = "reduced"
+
+    def __init__(
+        self,
+        small: Projection,
+        vectors: Float,
+        inputs: sparse.csr_matrix,
+        step_s: float,
+        error: float,
+        any_course: bool,
+    ) -> None:
+        self.small, self.vectors, self.model = small, vectors, Reduced(small, error)
+        self.step_s, self.error, self.any_course = step_s, error, any_course
+        self.state_size, self.order = self.model.state_size, vectors.shape[1]
+        # V^T F of a pressure of 1 Pa at each point, shape (q, r).
+        self._pushes = np.ascontiguousarray(inputs.T @ vectors)
+        advance, start, end = self.model.propagators(step_s)
+        self._advance = np.ascontiguousarray(advance)
+        self._start, self._end = np.ascontiguousarray(start.T), np.ascontiguousarray(end.T)
+        # Displacement and velocity in V are products of the first two blocks of a state: only these are not 0.
+        blocks = slice(0, self.order), slice(self.order, 2 * self.order)
+        self._moved, self._moves = self.model.displaces[:, blocks[0]], self.model.moves[:, blocks[1]]
+
+    def step(
+        self, state: Float, loads: SurfaceLoads, t0: float, t1: float, observe: Reader | None = None
+    ) -> Float | None:
+        """See SkinStepper."""
+        check_step(self, state, loads, t0, t1)
+        advance, one = self._advance, state[0]
+        with one_blas_thread:
+            pushes = loads.pressure_Pa[0] @ self._pushes
+            driven = (loads.first[0] @ pushes) @ self._start + (loads.last[0] @ pushes) @ self._end
+            # Each substep overwrites what drove it by the state after it.
+            before = one
+            for after in driven:
+                after += advance @ before
+                before = after
+            one[:] = before
+            return None if observe is None else self._read(driven, observe)[None]
+
+    def reader(self, operator: sparse.csr_matrix) -> Reader:
+        """See SkinStepper."""
+        matrix = checked_operator(operator, len(self.vectors))
+        return Reader(matrix.shape[0], np.ascontiguousarray((matrix @ self.vectors).T))
+
+    def read(self, state: Float, reader: Reader) -> Float:
+        """See SkinStepper."""
+        with one_blas_thread:
+            return self._read(state, reader)
+
+    def motion(self, states: Float) -> Float:
+        """Displacement and velocity as coordinates in V, shape (s, 2, r), of states (s, state_size)."""
+        result = np.empty((len(states), 2, self.order))
+        np.matmul(states[:, : self.order], self._moved.T, out=result[:, 0])
+        np.matmul(states[:, self.order : 2 * self.order], self._moves.T, out=result[:, 1])
+        return result
+
+    def _read(self, states: Float, reader: Reader) -> Float:
+        seen = self.motion(states).reshape(-1, self.order) @ reader.matrix
+        return seen.reshape(-1, 2, reader.count)
+
+    def harmonic(self, pressure_Pa: Float, f_Hz: float, operator: sparse.csr_matrix) -> Complex:
+        """operator @ displacement [m], shape (m,), under an inward pressure (q,) times e^{-i w t}."""
+        s = -2j * np.pi * f_Hz
+        mass, damping, elastic, *parts = self.small.matrices
+        matrix: Any = s**2 * mass + s * damping + elastic
+        for material, part in zip(self.small.materials, parts, strict=True):
+            matrix = matrix + stiffening(material, s) * part
+        return np.asarray(
+            (operator @ self.vectors) @ np.linalg.solve(matrix, pressure_Pa @ self._pushes), dtype=complex
+        )
+
+    def lifted(self, state: Float, pressure_Pa: Float) -> Float:
+        """The same motion as a state of WedgeStepper, (w, its state_size), under the present inward pressure (q,)."""
+        model = self.model
+        rates = state @ model.rates.T + (pressure_Pa @ self._pushes) @ model.inputs.T
+        rows = [state @ model.displaces.T, state @ model.moves.T, rates @ model.moves.T]
+        rows += [state @ internal.T for internal in model.internals]
+        return np.concatenate([row @ self.vectors.T for row in rows], axis=1)
+
+
+def reduced_stepper(
+    system: SkinSystem,
+    load: KnownLoad,
+    surface: sparse.csr_matrix,
+    point: sparse.csr_matrix,
+    inputs: sparse.csr_matrix,
+    step_s: float,
+    highest_Hz: float,
+    tolerance: float,
+) -> ReducedStepper:
+    """Small model of a layer for a load known ahead, from one real factorisation.
+
+    surface: reads the displacement that must be right, csr, (S, n); point: at one place of it, (1, n)
+    inputs: csr, shape (n, q): consistent nodal force [N] = inputs @ inward pressure [Pa]
+    step_s: length of a substep [s], also that of the known load's shares
+    highest_Hz: highest frequency that matters [Hz]; tolerance: wanted relative error
+    The error is the larger of two. First, SAFETY times what the last ROUND vectors or more change in the motion under
+    the load from rest: L2 over times, the larger of over the surface and at the point. Second, of the steady motion
+    at the load's frequencies, the residual's own displacement by the factors that are there, over the surface. Both
+    are of a smaller or a stiffer body than the true one, so they are estimates, no bounds.
+    Raises SceneError where MOST_VECTORS don't reach the tolerance.
+    """
+    small, vectors, error, any_course = known_model(system, load, surface, point, step_s, highest_Hz, tolerance)
+    return ReducedStepper(small, vectors, inputs, step_s, error, any_course)
+
+
+def known_model(
+    system: SkinSystem,
+    load: KnownLoad,
+    surface: Any,
+    point: Any,
+    step_s: float,
+    highest_Hz: float,
+    tolerance: float,
+) -> tuple[Projection, Float, float, bool]:
+    """The body in its vectors V, V (n, r), the error, and whether any course of the load will do."""
+    # Small products only, which several threads of BLAS slow down where other programs run.
+    with one_blas_thread:
+        pencil = Pencil(system, system.elimination_order())
+        krylov = Krylov(pencil, SHIFT * 2.0 * np.pi * highest_Hz, load.basis)
+        before, error = _Trial(krylov, load, step_s), np.inf
+        while True:
+            target = krylov.order + max(ROUND, krylov.order // 6)
+            growing = 1
+            while growing and krylov.order < target:
+                growing = krylov.grow()
+            now = _Trial(krylov, load, step_s)
+            error = SAFETY * now.change(before, krylov, surface, point)
+            if error <= tolerance:
+                error = max(error, _defect(krylov, load, surface))
+            if error <= tolerance or not growing:
+                break
+            if now.order > MOST_VECTORS:
+                raise SceneError(
+                    f"reduced model of the skin: error {error:.2g} with {now.order} vectors, {tolerance:.2g} wanted; "
+                    "use solver 'wedges'"
+                )
+            before = now
+        small = Projection(krylov.projected, pencil.materials, np.eye(now.order), np.eye(now.order))
+        return small, krylov.vectors, error, krylov.course is None
+
+
+class _Trial:
+    """The motions of a model of `order` vectors under the known load: coordinates in V, each of shape (t, order)."""
+
+    def __init__(self, krylov: Krylov, load: KnownLoad, step_s: float) -> None:
+        self.order = krylov.order
+        small = Projection(
+            krylov.projected, krylov.pencil.materials, krylov.vectors.T @ load.shapes, np.eye(self.order)
+        )
+        model = Reduced(small, 0.0)
+        self.moved = []
+        for shares in load.trials:
+            state, moved = model.new_state(), [np.zeros(self.order)]
+            for first, last in itertools.pairwise(shares):
+                model.step(state, first, last, step_s)
+                moved.append(model.displacement(state))
+            self.moved.append(np.array(moved))
+
+    def change(self, other: "_Trial", krylov: Krylov, surface: Any, point: Any) -> float:
+        """Relative difference to a model of fewer vectors, L2 over times, over the surface and at the point."""
+        worst = 0.0
+        for operator in (surface, point):
+            small = operator @ krylov.vectors[:, : self.order]
+            for mine, theirs in zip(self.moved, other.moved, strict=True):
+                apart = mine.copy()
+                apart[:, : other.order] -= theirs
+                size = float(np.linalg.norm(mine @ small.T))
+                worst = max(worst, float(np.linalg.norm(apart @ small.T)) / size if size > 0.0 else 0.0)
+        return worst
+
+
+def _defect(krylov: Krylov, load: KnownLoad, surface: Any) -> float:
+    """Displacement of the residual over the displacement, of the steady motion, L2 over frequencies and surface."""
+    answers, residuals = [], []
+    for f_Hz, shares in load.spectrum:
+        force = load.shapes @ np.column_stack([shares.real, shares.imag])
+        weights = krylov.pencil.weights(np.array([-2j * np.pi * f_Hz]))[0]
+        small = sum(w * matrix for w, matrix in zip(weights, krylov.projected, strict=True))
+        pushed = krylov.vectors.T @ force
+        answer = np.linalg.solve(small, pushed[:, 0] + 1j * pushed[:, 1])
+        answers.append(answer)
+        for w, product in zip(weights, krylov.products, strict=True):
+            moved = w * answer
+            force = force - product @ np.column_stack([moved.real, moved.imag])
+        residuals.append(force)
+    missed = surface @ krylov.factored.solve(np.hstack(residuals))
+    seen = (surface @ krylov.vectors) @ np.array(answers).T
+    return float(np.linalg.norm(missed) / np.linalg.norm(seen))

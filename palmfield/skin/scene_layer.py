@@ -1,0 +1,241 @@
+"""A scene's skin layer: sizes for the wanted accuracy, patch, elements, matrices and quadrature, each made once."""
+
+import math
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, TypeVar
+
+import numpy as np
+from scipy import sparse
+
+from palmfield.config.skin import Side, SkinConfig
+from palmfield.errors import SceneError
+from palmfield.hand.patch import surface_patch
+from palmfield.skin.approximation.estimate import choose_sizes
+from palmfield.skin.fem.assembly import SkinSystem, assemble
+from palmfield.skin.fem.load import SurfaceQuadrature
+from palmfield.skin.from_config import base_of, rows_of, sheets_of, slowest
+from palmfield.skin.mesh.disc import disc_patch
+from palmfield.skin.mesh.surface import SurfaceProbe, surface_motion
+from palmfield.skin.mesh.wedges import WedgeMesh, extrude
+from palmfield.skin.problem import Sheet
+from palmfield.types import Float, Patch, Surface
+
+UNEVEN = 6.0
+"""By which a layer on a body is meshed more accurately than asked. The rules are calibrated on a disc of even depth; a
+hand's layer thins at rims and webs, differently on each mesh: its 200 Hz response still moves by 2.5 % where the disc's
+is within 0.5 %."""
+
+T = TypeVar("T")
+
+
+class locked_cached_property(cached_property[T]):
+    """A cached property that several threads may ask for: the first one computes, the others wait."""
+
+    def __get__(self, instance: Any, owner: Any = None) -> Any:
+        if instance is None:
+            return self
+        # `cached_property` puts its value into the instance, where later reads find it before they come here.
+        with instance.lock:
+            return super().__get__(instance, owner)
+
+
+@dataclass(frozen=True)
+class LayerSizes:
+    """What a layer's elements and steps measure.
+
+    edge_fine_m, edge_coarse_m: element edges within fine_radius_m of the middle and at the rim [m]
+    depth_fractions: of the rows of elements, 0 at the surface, 1 at the base, shape (L+1,)
+    step_s: substep [s], an integer part of MuJoCo's step; radius_m: of the layer [m]
+    """
+
+    edge_fine_m: float
+    edge_coarse_m: float
+    fine_radius_m: float
+    depth_fractions: Float
+    step_s: float
+    radius_m: float
+
+
+@dataclass(frozen=True)
+class LayerDemand:
+    """What the sound and the scene ask of a layer.
+
+    spot_fwhm_m: full width at half maximum of the pressure spot [m]
+    max_frequency_Hz: highest frequency that mesh and step must resolve; main_frequency_Hz: of most of the response
+    path_reach_m: how far the focus goes from its own middle, and from the middle of the layer [m]
+    timestep_s: MuJoCo's step [s]
+    """
+
+    spot_fwhm_m: float
+    max_frequency_Hz: float
+    main_frequency_Hz: float
+    path_reach_m: tuple[float, float]
+    timestep_s: float
+
+
+def layer_sizes(
+    config: SkinConfig,
+    sheets: tuple[Sheet, ...],
+    spot_fwhm_m: float,
+    max_frequency_Hz: float,
+    path_reach_m: tuple[float, float],
+    timestep_s: float,
+    resizing: float = 1.0,
+    *,
+    element: str = "plugin 'palmfield.skin'",
+) -> LayerSizes:
+    """Sizes of a scene's layer for its wanted accuracy; see LayerDemand.
+
+    sheets: of the layer, thicknesses as shares; resizing: factor of all element sizes; element: how messages name it
+    Raises SceneError for a step_s that doesn't divide the timestep.
+    """
+    needs = slowest(sheets, max_frequency_Hz), spot_fwhm_m, max_frequency_Hz
+    *_, step, radius = choose_sizes(*needs, config.accuracy)
+    uneven = 1.0 if config.shape == "disc" else UNEVEN
+    fine, coarse, fine_radius, fractions, _, _ = choose_sizes(*needs, max(config.accuracy / uneven, 1e-3))
+    shares = np.asarray(fractions)
+    if config.element_m is not None:
+        coarse, fine = max(coarse * config.element_m / fine, config.element_m), config.element_m
+    if resizing != 1.0:
+        fine, coarse = fine * resizing, coarse * resizing
+        rows = (len(shares) - 1) / resizing
+        rows = math.ceil(rows) if resizing < 1 else max(1, math.floor(rows))
+        shares = np.interp(np.linspace(0, 1, rows + 1), np.linspace(0, 1, len(shares)), shares)
+    shares, _ = rows_of(sheets, shares)
+    near, far = path_reach_m
+    fine_radius, radius = fine_radius + near, radius + far
+    radius = config.radius_m or config.patch_radius_m or radius
+    # A small patch of a curved body needs some triangles for its shape, whatever the accuracy.
+    coarse = min(coarse, (0.5 if config.shape == "disc" else 0.25) * radius)
+    fine = min(fine, coarse)
+    step = config.step_s or step
+    count = math.ceil(timestep_s / step - 1e-9)
+    if config.step_s is not None and abs(count * config.step_s - timestep_s) > 1e-9:
+        raise SceneError(f"{element}: step_s {config.step_s:g} must divide the timestep {timestep_s:g}")
+    return LayerSizes(fine, coarse, min(fine_radius, radius), shares, timestep_s / count, radius)
+
+
+class SceneLayer:
+    """One skin layer of a scene; costly parts are made when first asked for, once, also from several threads.
+
+    config: the skin's keys
+    surface: the closed surface of the whole body in its frame, None for shape "disc"
+    depth_m: how deep the layer may reach below the surface's vertices [m], shape (n,), or one number
+    centre_m: middle of the layer, body frame [m], shape (3,); demand: see LayerDemand
+    resizing: factor of all element sizes; element: how messages name this skin
+    """
+
+    def __init__(
+        self,
+        config: SkinConfig,
+        surface: Surface | None,
+        depth_m: Float | float,
+        centre_m: Float,
+        demand: LayerDemand,
+        *,
+        resizing: float = 1.0,
+        element: str = "plugin 'palmfield.skin'",
+    ) -> None:
+        self.config, self.surface, self.depth_m, self.centre_m = config, surface, depth_m, centre_m
+        self.demand, self.resizing, self.element = demand, resizing, element
+        self.sheets = sheets_of(config)
+        self.lock = threading.RLock()
+
+    def resized(self, factor: float, *, side: Side | None = None) -> "SceneLayer":
+        """The same layer with elements of `factor` times the chosen size, and perhaps other cut faces."""
+        config = self.config if side is None else self.config.model_copy(update={"side": side})
+        return SceneLayer(
+            config, self.surface, self.depth_m, self.centre_m, self.demand, resizing=factor, element=self.element
+        )
+
+    @locked_cached_property
+    def sizes(self) -> LayerSizes:
+        """Sizes of elements, patch and step."""
+        demand = self.demand
+        return layer_sizes(
+            self.config, self.sheets, demand.spot_fwhm_m, demand.max_frequency_Hz, demand.path_reach_m,
+            demand.timestep_s, self.resizing, element=self.element,
+        )  # fmt: skip
+
+    @property
+    def step_s(self) -> float:
+        """Substep [s]."""
+        return self.sizes.step_s
+
+    @locked_cached_property
+    def patch(self) -> Patch:
+        """The part of the surface that gets a layer. Raises SceneError where there is none to be made."""
+        config, sizes = self.config, self.sizes
+        if config.shape == "disc":
+            assert config.radius_m and config.thickness_m
+            return disc_patch(
+                config.radius_m, config.thickness_m, sizes.edge_fine_m, sizes.edge_coarse_m, sizes.fine_radius_m
+            )
+        assert self.surface is not None
+        surface = self.surface
+        # A hand knows where its bones are, so the layer may reach past the middle; any other body is all there is.
+        fraction = 0.45 if config.shape in ("mesh", "rigged") else 0.6
+        return self._with_keys(
+            lambda: surface_patch(
+                surface,
+                self.depth_m,
+                self.centre_m,
+                sizes.radius_m,
+                sizes.edge_fine_m,
+                sizes.edge_coarse_m,
+                sizes.fine_radius_m,
+                max_depth_m=config.depth_m,
+                max_fraction=fraction,
+            )
+        )
+
+    @locked_cached_property
+    def mesh(self) -> WedgeMesh:
+        """The layer's elements."""
+        patch = self.patch
+        return self._with_keys(lambda: extrude(patch, self.sizes.depth_fractions))
+
+    def _with_keys(self, make: Callable[[], T]) -> T:
+        try:
+            return make()
+        except SceneError as error:
+            keys = "patch_site, patch_radius_m, depth_m, element_m"
+            raise SceneError(f"{self.element}: {error} (the scene's keys for these: {keys})") from None
+
+    @locked_cached_property
+    def system(self) -> SkinSystem:
+        """Mass, damping and stiffness."""
+        materials = rows_of(self.sheets, self.sizes.depth_fractions)[1]
+        return assemble(
+            self.mesh, materials, base=base_of(self.config), side=self.config.side,
+            foundation_Pa_m=self.config.foundation, absorbing_Hz=self.demand.main_frequency_Hz,
+        )  # fmt: skip
+
+    @locked_cached_property
+    def quadrature(self) -> SurfaceQuadrature:
+        """Points of the skin at which ARP is integrated; its `operator` is what the steppers take as inputs."""
+        return SurfaceQuadrature(self.mesh, self.system)
+
+    @locked_cached_property
+    def surface_operator(self) -> sparse.csr_matrix:
+        """Unknowns -> displacement along the outward normal at the surface nodes, shape (S, ndof)."""
+        return surface_motion(self.mesh, self.system)
+
+    def probe(self, point: Float) -> SurfaceProbe:
+        """Reads the displacement at the place of the skin nearest to `point`, body frame [m], shape (3,)."""
+        return SurfaceProbe(self.mesh, point[None], self.system)
+
+    @property
+    def dofs(self) -> int:
+        """Unknowns, without the matrices; roller and fixed sides take a few of them away."""
+        held = self.config.base == "bonded" and self.config.foundation is None
+        return 3 * (len(self.mesh.nodes) - (self.mesh.surface_nodes if held else 0))
+
+    @property
+    def state_room(self) -> int:
+        """Numbers of state that the layer can need, whatever steps it: an upper bound, without the matrices."""
+        branches = sum(len(material.branches) for material in {sheet.material for sheet in self.sheets})
+        return (3 + branches) * 3 * len(self.mesh.nodes)

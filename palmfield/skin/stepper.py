@@ -1,0 +1,102 @@
+"""What carries a skin through simulated time: one protocol for scenes and for `palmfield.skin.solve`.
+
+A stepper is made once for a layer and never changes, so that threads share it; the state is the caller's. All arrays
+have a leading axis for worlds, of length 1 today.
+"""
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from scipy import sparse
+
+from palmfield.errors import SceneError
+from palmfield.types import Float
+
+CLOCK = 1e-6
+"""Of a substep, by which t1 - t0 may differ from the substeps that the loads are for: MuJoCo adds up its time."""
+
+
+@dataclass(frozen=True)
+class SurfaceLoads:
+    """Inward pressure on a skin over s substeps, as sums of k patterns that change linearly within each substep.
+
+    pressure_Pa: the patterns at the layer's quadrature points [Pa], shape (w, k, q)
+    first, last: weight of each pattern at the start and at the end of each substep, shape (w, s, k)
+    """
+
+    pressure_Pa: Float
+    first: Float
+    last: Float
+
+
+@dataclass(frozen=True)
+class Reader:
+    """What reads displacement and velocity off the states of the one stepper that made it (SkinStepper.reader).
+
+    count: numbers read, m; matrix: the operator as that stepper uses it
+    """
+
+    count: int
+    matrix: Any
+
+
+class SkinStepper(Protocol):
+    """Steps one skin in time. Immutable, and safe to use from several threads.
+
+    name: the solver; step_s: length of a substep [s]; state_size: numbers of a state, all 0 at rest
+    error: what the stepper itself adds to the displacement's relative error by its own estimate; 0 where it adds none
+    """
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def step_s(self) -> float: ...
+    @property
+    def state_size(self) -> int: ...
+    @property
+    def error(self) -> float: ...
+
+    def step(
+        self, state: Float, loads: SurfaceLoads, t0: float, t1: float, observe: Reader | None = None
+    ) -> Float | None:
+        """Carry a state (w, state_size), in place, from t0 to t1 [s]: all substeps of `loads`.
+
+        Returns displacement [m] and velocity [m/s] after each substep as `observe` reads them, shape (w, s, 2, m), or
+        None without it. Raises SceneError for more than one world and where t1 - t0 is not s substeps.
+        """
+        ...
+
+    def reader(self, operator: sparse.csr_matrix) -> Reader:
+        """Prepare an operator (m, ndof) on the layer's unknowns. Raises SceneError for another number of columns."""
+        ...
+
+    def read(self, state: Float, reader: Reader) -> Float:
+        """Displacement [m] and velocity [m/s] through a reader, shape (w, 2, m)."""
+        ...
+
+
+def check_step(stepper: SkinStepper, state: Float, loads: SurfaceLoads, t0: float, t1: float) -> None:
+    """Raise SceneError for what no stepper takes: several worlds, other shapes, another time than the substeps'."""
+    worlds, substeps, patterns = loads.first.shape
+    if state.shape != (1, stepper.state_size) or worlds != 1 or not state.flags.c_contiguous:
+        raise SceneError(
+            f"skin state {state.shape} under loads of {worlds} worlds: solver '{stepper.name}' steps one world, state "
+            f"(1, {stepper.state_size}), in this version; make a simulation for each world"
+        )
+    if loads.last.shape != loads.first.shape or loads.pressure_Pa.shape[:2] != (1, patterns):
+        raise SceneError(
+            f"skin loads: pressure {loads.pressure_Pa.shape}, first {loads.first.shape}, last {loads.last.shape}; give "
+            "(1, k, q), (1, s, k) and (1, s, k)"
+        )
+    if abs(t1 - t0 - substeps * stepper.step_s) > CLOCK * stepper.step_s:
+        raise SceneError(
+            f"skin step from {t0:g} to {t1:g} s: loads for {substeps} substeps of {stepper.step_s:g} s are given"
+        )
+
+
+def checked_operator(operator: sparse.csr_matrix, unknowns: int) -> sparse.csr_matrix:
+    """The operator in float64. Raises SceneError unless it is (m, unknowns)."""
+    if operator.ndim != 2 or operator.shape[1] != unknowns:
+        raise SceneError(f"skin reader: the operator is {operator.shape}; the layer has {unknowns} unknowns")
+    return sparse.csr_matrix(operator, dtype=np.float64)

@@ -1,0 +1,268 @@
+"""The protocol of what steps a skin: the whole layer and the small model, in scenes and behind `solve` alike."""
+
+import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from scipy import sparse
+from threadpoolctl import threadpool_info
+
+from palmfield.errors import SceneError
+from palmfield.skin.blas import one_blas_thread
+from palmfield.skin.fem.factor import factorise
+from palmfield.skin.fem.generalised_alpha import Scheme, alpha_weights, branch_weights
+from palmfield.skin.fem.load import SurfaceQuadrature
+from palmfield.skin.fem.wedge_stepper import WedgeStepper
+from palmfield.skin.materials.material import Branch, Material
+from palmfield.skin.mesh.surface import surface_motion
+from palmfield.skin.reduction.reduced_stepper import KnownLoad, reduced_stepper
+from palmfield.skin.stepper import SurfaceLoads
+
+STEP = 1e-4
+SUBSTEPS = 6
+RUBBERY = Material("rubbery", 1000.0, 3e4, (Branch(2e4, 1e-3), Branch(1e4, 1e-2)), 1e7, "test", 0.5)
+
+
+@pytest.fixture(scope="module")
+def disc(make_spot):
+    """A disc of two branches and a viscosity under absorbing sides: every matrix of a system is there."""
+    spot = make_spot(0.0075, 1, radius_m=0.03, material=RUBBERY, side="absorbing", absorbing_Hz=200.0)
+    assert spot.system.damping.nnz
+    return spot.system, SurfaceQuadrature(spot.mesh, spot.system), surface_motion(spot.mesh, spot.system), spot
+
+
+@pytest.fixture(scope="module")
+def whole(disc):
+    return WedgeStepper(disc[0], disc[1].operator, STEP)
+
+
+@pytest.fixture(scope="module")
+def small(disc):
+    system, quadrature, surface, spot = disc
+    force = spot.force[:, None]
+    times = STEP * np.arange(200)
+    known = KnownLoad(force, force, [np.sin(2e3 * times)[:, None]], [(200.0, np.ones(1, complex))])
+    return reduced_stepper(system, known, surface, spot.read, quadrature.operator, STEP, 400.0, 0.01)
+
+
+@pytest.fixture(params=["whole", "small"])
+def stepper(request):
+    return request.getfixturevalue(request.param)
+
+
+def rest(stepper):
+    return np.zeros((1, stepper.state_size))
+
+
+def bells(disc, patterns=3, substeps=SUBSTEPS, seed=0):
+    """Gaussian spots about the middle with random weights."""
+    rng = np.random.default_rng(seed)
+    points = disc[1].points
+    centres = rng.uniform(-0.005, 0.005, (patterns, 1, 2))
+    pressure = np.exp(-(((points[:, :2] - centres) / 0.006) ** 2).sum(axis=2))[None]
+    return SurfaceLoads(pressure, *rng.uniform(0.0, 10.0, (2, 1, substeps, patterns)))
+
+
+def part_of(loads, which):
+    return SurfaceLoads(loads.pressure_Pa, loads.first[:, which], loads.last[:, which])
+
+
+def test_a_substep_of_wedges_balances_forces(disc, whole):
+    """Chung & Hulbert (1993), equations 12 to 15, by rows of the states before and after."""
+    system, quadrature, *_ = disc
+    loads = bells(disc)
+    state = rest(whole)
+    whole.step(state, loads, 0.0, SUBSTEPS * STEP)
+    old = state[0].reshape(whole.state_rows, -1).copy()
+    whole.step(state, part_of(loads, slice(0, 1)), 0.0, STEP)
+    new = state[0].reshape(whole.state_rows, -1)
+    alpha_m, alpha_f, beta, gamma = alpha_weights(0.8)
+    u0, v0, a0 = old[:3]
+    u1, v1, a1 = new[:3]
+    np.testing.assert_allclose(u1, u0 + STEP * v0 + STEP**2 * ((0.5 - beta) * a0 + beta * a1), rtol=1e-9)
+    np.testing.assert_allclose(v1, v0 + STEP * ((1 - gamma) * a0 + gamma * a1), rtol=1e-9, atol=1e-9 * abs(v1).max())
+    middle = alpha_f * old + (1.0 - alpha_f) * new
+    stresses, n = [], 3
+    (part,) = system.parts
+    stress = middle[0] + part.material.viscous_time_s * middle[1]
+    for ratio, tau in zip(part.material.ratios, part.material.times_s, strict=True):
+        e, start, end = branch_weights(STEP, tau)
+        np.testing.assert_allclose(new[n], e * old[n] + start * u0 + end * u1, rtol=1e-9, atol=1e-12 * abs(u1).max())
+        stress = stress + ratio * (middle[0] - middle[n])
+        n += 1
+    inertia = system.mass @ (alpha_m * a0 + (1.0 - alpha_m) * a1)
+    stresses = system.damping @ middle[1] + system.elastic @ middle[0] + part.stiffness @ stress
+    pressure = (alpha_f * loads.first[0, 0] + (1.0 - alpha_f) * loads.last[0, 0]) @ loads.pressure_Pa[0]
+    force = quadrature.assemble(pressure)
+    np.testing.assert_allclose(inertia + stresses, force, atol=1e-9 * abs(stresses).max())
+
+
+def test_leaving_one_matrix_out_of_a_substep_changes_nothing(disc, whole):
+    system, quadrature, *_ = disc
+    loads, state = bells(disc), rest(whole)
+    whole.step(state, loads, 0.0, SUBSTEPS * STEP)
+    scheme = Scheme(system, STEP, 0.8)
+    factor = factorise(scheme.effective())
+    plain = np.zeros((scheme.state_rows, system.ndof))
+    for first, last in zip(loads.first[0], loads.last[0], strict=True):
+        pressure = (scheme.alpha_f * first + (1.0 - scheme.alpha_f) * last) @ loads.pressure_Pa[0]
+        right = quadrature.assemble(pressure) + sum(term.matrix @ (term.row @ plain) for term in scheme.terms)
+        plain = scheme.advance @ plain + np.multiply.outer(scheme.follow, factor.solve(right))
+    for mine, theirs in zip(state[0].reshape(plain.shape), plain, strict=True):
+        # The matrices' condition makes 1e-11 of round-off: as much as another elimination order does.
+        np.testing.assert_allclose(mine, theirs, atol=1e-10 * abs(theirs).max())
+
+
+def test_the_small_model_is_exact_in_time(disc, small):
+    loads, state = bells(disc), rest(small)
+    small.step(state, loads, 0.0, SUBSTEPS * STEP)
+    one = np.zeros(small.state_size)
+    forces = loads.pressure_Pa[0] @ disc[1].operator.T @ small.vectors
+    for first, last in zip(loads.first[0], loads.last[0], strict=True):
+        small.model.step(one, first @ forces, last @ forces, STEP)
+    np.testing.assert_allclose(state[0], one, atol=1e-12 * abs(one).max())
+
+
+def test_small_model_and_whole_layer_agree(disc, small, whole):
+    _, quadrature, surface, _ = disc
+    distance2 = (quadrature.points[:, :2] ** 2).sum(axis=1)
+    pressure = np.exp(-4 * np.log(2) * distance2 / 0.0103**2)[None, None]
+    course = np.sin(2e3 * STEP * np.arange(201))[None, :, None]
+    loads = SurfaceLoads(pressure, course[:, :-1], course[:, 1:])
+    seen = [each.step(rest(each), loads, 0.0, 200 * STEP, each.reader(surface))[0, :, 0] for each in (small, whole)]
+    # Generalised-alpha's own error is 0.1 (w h)^2, 0.4 %.
+    assert np.linalg.norm(seen[0] - seen[1]) < 0.02 * np.linalg.norm(seen[1])
+
+
+def test_all_substeps_in_one_call_are_those_one_by_one(disc, stepper):
+    loads, together, alone = bells(disc), rest(stepper), rest(stepper)
+    stepper.step(together, loads, 1.0, 1.0 + SUBSTEPS * STEP)
+    for n in range(SUBSTEPS):
+        stepper.step(alone, part_of(loads, slice(n, n + 1)), 1.0 + n * STEP, 1.0 + (n + 1) * STEP)
+    np.testing.assert_allclose(together, alone, rtol=0.0, atol=1e-13 * abs(alone).max())
+
+
+def test_observing_reads_what_read_does_and_changes_nothing(disc, stepper):
+    loads, state, unseen = bells(disc), rest(stepper), rest(stepper)
+    reader = stepper.reader(disc[2])
+    seen = stepper.step(state, loads, 0.0, SUBSTEPS * STEP, reader)
+    assert seen.shape == (1, SUBSTEPS, 2, disc[2].shape[0])
+    np.testing.assert_allclose(seen[:, -1], stepper.read(state, reader), rtol=1e-12, atol=1e-13 * abs(seen).max())
+    assert stepper.step(unseen, loads, 0.0, SUBSTEPS * STEP) is None
+    np.testing.assert_array_equal(state, unseen)
+
+
+def test_readers_give_displacement_and_velocity_of_the_layer(disc, small, whole):
+    state = rest(small)
+    small.step(state, bells(disc), 0.0, SUBSTEPS * STEP)
+    pressure = np.zeros(disc[1].operator.shape[1])
+    lifted = small.lifted(state, pressure)
+    assert lifted.shape == (1, whole.state_size)
+    rows = lifted[0].reshape(whole.state_rows, -1)
+    seen = whole.read(lifted, whole.reader(disc[2]))
+    np.testing.assert_allclose(seen[0], rows[:2] @ disc[2].T.toarray(), atol=1e-12 * abs(seen).max())
+    np.testing.assert_allclose(small.read(state, small.reader(disc[2])), seen, atol=1e-12 * abs(seen).max())
+
+
+def test_a_lifted_state_balances_in_the_small_space(disc, small):
+    """M a + C v + E u + K (u + t v + sum g (u - q)) = F, tested with the vectors of the small model."""
+    system, quadrature, *_ = disc
+    loads, state = bells(disc), rest(small)
+    small.step(state, loads, 0.0, SUBSTEPS * STEP)
+    pressure = loads.last[0, -1] @ loads.pressure_Pa[0]
+    u, v, a, *branches = small.lifted(state, pressure)[0].reshape(-1, system.ndof)
+    (part,) = system.parts
+    stress = u + part.material.viscous_time_s * v
+    stress = stress + sum(g * (u - q) for g, q in zip(part.material.ratios, branches, strict=True))
+    inner = system.mass @ a + system.damping @ v + system.elastic @ u + part.stiffness @ stress
+    force = quadrature.assemble(pressure)
+    missed = small.vectors.T @ (inner - force)
+    assert abs(missed).max() < 1e-8 * abs(small.vectors.T @ force).max()
+
+
+def calls_in(action):
+    count = 0
+
+    def event(frame, kind, argument):
+        nonlocal count
+        count += kind == "call"
+
+    sys.setprofile(event)
+    try:
+        action()
+    finally:
+        sys.setprofile(None)
+    return count
+
+
+@pytest.mark.parametrize(("name", "most"), [("whole", 12), ("small", 6)])
+def test_a_substep_takes_few_python_calls(disc, request, name, most):
+    stepper = request.getfixturevalue(name)
+    state, reader = rest(stepper), stepper.reader(disc[2])
+    counts = []
+    for substeps in (2, 12):
+        loads = bells(disc, substeps=substeps)
+        stepper.step(state, loads, 0.0, substeps * STEP, reader)
+        counts.append(calls_in(lambda n=substeps, load=loads: stepper.step(state, load, 0.0, n * STEP, reader)))
+    assert counts[1] - counts[0] <= 10 * most
+    assert counts[0] - (counts[1] - counts[0]) / 5 <= 15
+
+
+def test_threads_share_a_stepper(disc, stepper):
+    loads = [bells(disc, seed=seed) for seed in range(4)]
+    begin = threading.Barrier(4)
+
+    def carried(load, wait=True):
+        state = rest(stepper)
+        if wait:
+            begin.wait()
+        for _ in range(5):
+            stepper.step(state, load, 0.0, SUBSTEPS * STEP)
+        return state
+
+    alone = [carried(load, wait=False) for load in loads]
+    with ThreadPoolExecutor(4) as pool:
+        together = list(pool.map(carried, loads))
+    np.testing.assert_array_equal(together, alone)
+
+
+def test_what_is_refused(disc, stepper):
+    loads = bells(disc)
+    two = SurfaceLoads(*(np.concatenate([x, x]) for x in (loads.pressure_Pa, loads.first, loads.last)))
+    with pytest.raises(SceneError, match="steps one world"):
+        stepper.step(np.zeros((2, stepper.state_size)), two, 0.0, SUBSTEPS * STEP)
+    with pytest.raises(SceneError, match="steps one world"):
+        stepper.step(np.zeros((1, stepper.state_size + 1)), loads, 0.0, SUBSTEPS * STEP)
+    with pytest.raises(SceneError, match="loads for 6 substeps"):
+        stepper.step(rest(stepper), loads, 0.0, 2 * SUBSTEPS * STEP)
+    with pytest.raises(SceneError, match="skin loads"):
+        stepper.step(rest(stepper), SurfaceLoads(loads.pressure_Pa[:, 1:], loads.first, loads.last), 0.0, 6 * STEP)
+    with pytest.raises(SceneError, match="unknowns"):
+        stepper.reader(sparse.csr_matrix((2, 5)))
+
+
+def blas_threads():
+    return [library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"]
+
+
+def test_one_blas_thread_inside_and_as_many_as_before_after():
+    before = blas_threads()
+    with one_blas_thread:
+        assert set(blas_threads()) == {1}
+        with one_blas_thread:
+            pass
+        assert set(blas_threads()) == {1}
+    assert blas_threads() == before
+
+
+@pytest.mark.parametrize(("fine_m", "radius_m"), [(0.0075, 0.03), (0.006, 0.04)])
+def test_dissection_fills_less_than_minimum_degree(make_spot, fine_m, radius_m):
+    system = make_spot(fine_m, 2, radius_m=radius_m).system
+    matrix = Scheme(system, STEP, 0.8).effective()
+    placed, own = factorise(matrix, system.elimination_order()), factorise(matrix)
+    assert placed.fill < own.fill
+    right = np.random.default_rng(0).standard_normal((system.ndof, 2))
+    np.testing.assert_allclose(placed.solve(right), own.solve(right), atol=1e-9 * abs(own.solve(right)).max())
+    np.testing.assert_array_equal(np.sort(own.order), np.arange(system.ndof))
