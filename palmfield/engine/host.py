@@ -125,7 +125,7 @@ def _fail(world: World | None, module: str, error: Exception) -> None:
 def settings_of(module: type[Module], model: ModelView, instance: int) -> Config:
     """Typed configuration of a plugin instance; SceneError as in `palmfield.config.parse`."""
     name = next(n for i, _, n in model.instances() if i == instance)
-    values = model.values(instance, module.config.keys())
+    values = model.values(instance, module.config.registered())
     return parse(module.config, values, f"plugin '{module.name}' instance '{name}'")
 
 
@@ -217,7 +217,7 @@ def register(module: type[Module]) -> None:
     flags = 0 if module.forces is Module.forces else int(mujoco.mjtPluginCapabilityBit.mjPLUGIN_PASSIVE)
     if module.sensor:
         flags |= int(mujoco.mjtPluginCapabilityBit.mjPLUGIN_SENSOR)
-    keys = [key.encode() for key in module.config.keys()]
+    keys = [key.encode() for key in module.config.registered()]
     attributes = (ctypes.c_char_p * max(len(keys), 1))(*keys)
     plugin = Plugin()
     lib.mjp_defaultPlugin(ctypes.byref(plugin))

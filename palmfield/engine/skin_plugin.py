@@ -96,5 +96,3 @@ class SkinModule(Module):
         """Take over where the stimuli's points were at the last control tick, which MuJoCo's state doesn't hold."""
         if self.leads:
             self.scene.work.emission.held = list(other.scene.work.emission.held)
-
-

@@ -6,27 +6,28 @@ from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
+from palmfield.drive.array_drive import ArrayDrive
+from palmfield.drive.transducer_response import pole_of, transducer_response
+from palmfield.stimulus.focal_points import FocalPoints, SurfaceCourse
 
 from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.config import SkinConfig, StimulusConfig
-from palmfield.drive.array_drive import ArrayDrive
 from palmfield.drive.device import BOARDS, Board
 from palmfield.drive.response import Pole
-from palmfield.drive.transducer_response import pole_of, transducer_response
 from palmfield.errors import SceneError
 from palmfield.hand.meshfile import load_mesh
 from palmfield.hand.preset import load_preset
 from palmfield.hand.rigged import joint_of_body
 from palmfield.hand.skinning import SkinnedHand, rigged_file, skinned_mesh
 from palmfield.hand.surface import hand_surface
+from palmfield.locked import Lazy
 from palmfield.simulation.known_load import choose_stepper, first_stepper
-from palmfield.simulation.model import BodyModel, HapticModel, Lazy, SkinModel, StimulusModel, array_instances
+from palmfield.simulation.model import BodyModel, HapticModel, SkinModel, StimulusModel, array_instances
 from palmfield.simulation.posed_scene import STILL
 from palmfield.simulation.spec import SceneSpec, SkinSpec, StimulusSpec
-from palmfield.simulation.validate import check_bodies, check_board, check_body_sound, check_cost, check_overlaps
+from palmfield.simulation.validate import check_board, check_bodies, check_body_sound, check_cost, check_overlaps
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
 from palmfield.skin.scene_layer import LayerDemand, SceneLayer
-from palmfield.stimulus.focal_points import FocalPoints, SurfaceCourse
 from palmfield.stimulus.schedule import SitesStimulus, frame_at, main_frequencies, plane_path
 from palmfield.stimulus.surface_path import SurfacePath, drawn, through
 from palmfield.transforms import Transform

@@ -8,10 +8,10 @@ import math
 from fractions import Fraction
 
 import numpy as np
+from palmfield.drive.transducer_response import commanded_drive
 
 from palmfield.config import StimulusConfig
 from palmfield.drive.response import Pole
-from palmfield.drive.transducer_response import commanded_drive
 from palmfield.errors import SceneError
 from palmfield.simulation.emission import array_drives
 from palmfield.simulation.model import HapticModel, StepperChoice, StimulusModel

@@ -5,31 +5,28 @@ when they are first needed, once.
 """
 
 import threading
-from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Generic, NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
-from palmfield.acoustics.phased_array import ArrayInstance, PhasedArray
 from palmfield.drive.transducer_response import TransducerResponse
 from palmfield.hand.posed_surface import SkinBinding, blend, face_samples
-from palmfield.locked import locked_cached_property
-from palmfield.skin.scene_layer import SceneLayer
-from palmfield.skin.stepper import SkinStepper
 from trimesh.remesh import subdivide_to_size
 
+from palmfield.acoustics.phased_array import ArrayInstance, PhasedArray
 from palmfield.config import StimulusConfig
 from palmfield.drive.device import Board
 from palmfield.drive.response import Pole
 from palmfield.hand.skinning import SkinnedSurface
 from palmfield.hand.subdivide import EDGE_m
+from palmfield.locked import Lazy, locked_cached_property
 from palmfield.simulation.spec import SceneSpec, SkinSpec, StimulusSpec
-from palmfield.skin.mesh.surface import closed_boundary
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
+from palmfield.skin.mesh.surface import closed_boundary
+from palmfield.skin.scene_layer import SceneLayer
+from palmfield.skin.stepper import SkinStepper
 from palmfield.stimulus.surface_path import SurfacePath
 from palmfield.types import Float, Int, Surface
-
-T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -176,27 +173,6 @@ class SkinModel:
         """Vertices [m] and faces of the body that the sound meets, closed, at rest."""
         surface = self.carrier.surface
         return closed_boundary(self.layer.mesh) if surface is None else (surface.vertices, surface.faces)
-
-
-class Lazy(Generic[T]):
-    """Something costly that is made when it is first asked for, once, also from several threads."""
-
-    def __init__(self, make: Callable[[], T]):
-        self._make, self._lock = make, threading.RLock()
-        self._made: tuple[T] | None = None
-
-    @property
-    def made(self) -> bool:
-        """Whether it has been asked for."""
-        return self._made is not None
-
-    def get(self) -> T:
-        """The thing. Raises what making it raises."""
-        if self._made is None:
-            with self._lock:
-                if self._made is None:
-                    self._made = (self._make(),)
-        return self._made[0]
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,10 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.hand.posed_surface import SkinBinding, face_samples
 from palmfield.stimulus.focal_points import FocalPoints, SurfaceCourse
 
+from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.simulation.model import BodyModel, HapticModel, SkinModel, StimulusModel, array_instances
 from palmfield.transforms import IDENTITY, Placement, Transform
 from palmfield.types import Float, Int

@@ -107,7 +107,7 @@ def read_scene(model: ModelView) -> tuple[SceneSpec, SceneBinding]:
 def keys_of(config: type[Config], model: ModelView, instance: int) -> Any:
     """Typed keys of a plugin instance. Raises SceneError as `palmfield.config.parse`."""
     name = next(n for i, _, n in model.instances() if i == instance)
-    values = model.values(instance, config.keys())
+    values = model.values(instance, config.registered())
     return parse(config, values, element_of(config, name))
 
 

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from palmfield.drive.transducer_response import EmittedCourse
 
 from palmfield.simulation.emission import Emission
 from palmfield.simulation.forces import BodyForces
@@ -19,7 +20,6 @@ from palmfield.simulation.radiation import Radiation
 from palmfield.simulation.state import HapticState, claim, emitted, stepper_of
 from palmfield.simulation.whole_layer import continue_on_whole_layer, leaves_small_model
 from palmfield.skin.stepper import Reader, SurfaceLoads
-from palmfield.drive.transducer_response import EmittedCourse
 from palmfield.stimulus.schedule import Moments
 from palmfield.types import Complex, Float
 

@@ -72,7 +72,7 @@ def check_cost(spec: SceneSpec, skins: Sequence[SkinModel]) -> None:
                 f"{element}: steps of {skin.layer.sizes.step_s:.2g} s are {substeps} in each of MuJoCo's, so that the "
                 f"run would not end; allowed: at most {MOST_SUBSTEPS}; set step_s larger, or timestep smaller"
             )
-        unknowns = skin.layer.expected_unknowns
+        unknowns = skin.layer.expected_dofs
         if unknowns > MOST_UNKNOWNS:
             raise SceneError(
                 f"{element}: elements of {1e3 * skin.layer.sizes.edge_fine_m:.3g} mm make about {unknowns:.2g} "
