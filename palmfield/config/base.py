@@ -29,6 +29,11 @@ class Config(BaseModel):
     plugin: ClassVar[str]
     about: ClassVar[str]
 
+    @classmethod
+    def registered(cls) -> list[str]:
+        """Keys that MuJoCo knows."""
+        return list(cls.model_fields)
+
 
 def parse(model: type[Config], values: dict[str, str], element: str) -> Config:
     """Typed configuration from a plugin instance's texts.

@@ -77,7 +77,7 @@ class SkinConfig(Config):
     max_frequency_Hz: Annotated[float, Field(gt=0, le=2000)] | None = Field(
         None, description="highest frequency to resolve (default: from the stimulus)"
     )
-    solver: Literal["auto", "full", "reduced"] = Field(
+    solver: Literal["auto", "wedges", "reduced"] = Field(
         "auto",
         description="steps the whole layer, or a small model made for the stimulus; auto takes the cheaper that can",
     )

@@ -28,6 +28,10 @@ class StimulusConfig(Config):
     about: ClassVar[str] = "Where the focus is and how strong, over time."
 
     focus_m: Vector = Field((0.0, 0.0, 0.2), description="focus, or centre of its path, in `frame`")
+    arrays: Names = Field(
+        (), description="array instances that this stimulus drives (default: all that no other names)"
+    )
+    on_skin: str | None = Field(None, description="skin instance that path_on skin and path_sites mean")
     frame: str = Field("array", description="`array`, or the name of a site in whose frame focus and path are given")
     path: Literal["point", "circle", "line", "zigzag", "square", "z", "lissajous", "letters", "polyline", "sites"] = (
         Field(

@@ -137,20 +137,25 @@ def register(module: type[Module]) -> None:
 
     def nstate(model: int, instance: int) -> int:
         try:
-            view = ModelView(model)
+            view = ModelView(model, complete=False)
             return module.state_size(settings_of(module, view, instance), view)
-        except Exception:
-            return 0  # init meets the same error and can report it
+        except Exception as error:
+            _compiling.sizing = getattr(_compiling, "sizing", None) or error
+            return 0  # init reports it
 
     def nsensordata(model: int, instance: int, sensor: int) -> int:
         try:
-            view = ModelView(model)
+            view = ModelView(model, complete=False)
             return module.sensor_size(settings_of(module, view, instance), view, sensor)
-        except Exception:
+        except Exception as error:
+            _compiling.sizing = getattr(_compiling, "sizing", None) or error
             return 1  # as above
 
     def init(model: int, data: int, instance: int) -> int:
         try:
+            sizing, _compiling.sizing = getattr(_compiling, "sizing", None), None
+            if sizing is not None:
+                raise sizing
             with _lock:
                 world = _worlds.get(data)
                 if world is None or instance in world.modules or world.model.address != model:

@@ -27,10 +27,13 @@ _COUNT = {"joint": "njnt", "actuator": "nu"}
 
 
 class ModelView:
-    """Read-only view of an mjModel by its address."""
+    """Read-only view of an mjModel by its address.
 
-    def __init__(self, address: int):
-        self.address = address
+    complete: False while MuJoCo compiles it and asks for the sizes of states: custom numbers and texts are missing then
+    """
+
+    def __init__(self, address: int, complete: bool = True):
+        self.address, self.complete = address, complete
         self.raw = mirror("mjModel").from_address(address)
 
     @property

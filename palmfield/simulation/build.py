@@ -2,18 +2,18 @@
 
 import threading
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 
 import numpy as np
-from palmfield.drive.array_drive import ArrayDrive
-from palmfield.drive.transducer_response import pole_of, transducer_response
-from palmfield.stimulus.focal_points import FocalPoints, SurfaceCourse
 
 from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.config import SkinConfig, StimulusConfig
-from palmfield.drive.device import BOARDS, Board
+from palmfield.drive.array_drive import ArrayDrive
+from palmfield.drive.device import DEVICES as BOARDS
+from palmfield.drive.device import Device as Board
 from palmfield.drive.response import Pole
+from palmfield.drive.transducer_response import transducer_response
 from palmfield.errors import SceneError
 from palmfield.hand.meshfile import load_mesh
 from palmfield.hand.preset import load_preset
@@ -28,6 +28,7 @@ from palmfield.simulation.spec import SceneSpec, SkinSpec, StimulusSpec
 from palmfield.simulation.validate import check_board, check_bodies, check_body_sound, check_cost, check_overlaps
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
 from palmfield.skin.scene_layer import LayerDemand, SceneLayer
+from palmfield.stimulus.focal_points import FocalPoints, SurfaceCourse
 from palmfield.stimulus.schedule import SitesStimulus, frame_at, main_frequencies, plane_path
 from palmfield.stimulus.surface_path import SurfacePath, drawn, through
 from palmfield.transforms import Transform
@@ -35,30 +36,42 @@ from palmfield.types import Float
 
 LEAST_FREQUENCY_Hz = 200.0
 """Mesh and step resolve at least this, unless key max_frequency_Hz says otherwise."""
+MOST_MODELS = 8
 _lock = threading.RLock()
+_models: list[HapticModel] = []
 
 
 def model_of(spec: SceneSpec) -> HapticModel:
     """The model of a spec; equal specs share one, so that two scenes alike factorise once. Errors as `build`."""
     with _lock:
-        return _kept(spec)
+        for known in _models:
+            if known.spec == spec:
+                return known
+        alike = next((m for m in _models if _but_for_texts(m.spec) == _but_for_texts(spec)), None)
+        model = build(spec, alike)
+        _models[:] = [*_models, model][-MOST_MODELS:]
+        return model
 
 
-@lru_cache(maxsize=8)
-def _kept(spec: SceneSpec) -> HapticModel:
-    return build(spec)
+def _but_for_texts(spec: SceneSpec) -> SceneSpec:
+    """The spec without what MuJoCo fills in last: it asks for the states' sizes before."""
+    return replace(spec, duration_s=1.0, device="cpu")
 
 
-def build(spec: SceneSpec) -> HapticModel:
+def build(spec: SceneSpec, alike: HapticModel | None = None) -> HapticModel:
     """Make a scene's model.
 
+    alike: a model of the same scene for another duration or device, whose bodies and layers serve here as well
     Raises SceneError or DeviceError, with element, key, value and what is allowed, for what doesn't fit together.
     """
     check_bodies(spec)
-    board = BOARDS[spec.driver.board]
+    board = BOARDS[spec.driver.device]
     arrays = PhasedArray(array_instances(spec), [array.placement for array in spec.arrays], spec.device)
     names = list(dict.fromkeys(skin.config.body for skin in spec.skins))
-    bodies = tuple(_body(next(skin.config for skin in spec.skins if skin.config.body == name)) for name in names)
+    if alike is not None:
+        bodies = alike.bodies
+    else:
+        bodies = tuple(_body(next(skin.config for skin in spec.skins if skin.config.body == name)) for name in names)
     carriers = [bodies[names.index(skin.config.body)] for skin in spec.skins]
     strictest = min(skin.config.accuracy for skin in spec.skins)
     scattering = any(skin.config.body_sound == "scattering" for skin in spec.skins)
@@ -67,11 +80,14 @@ def build(spec: SceneSpec) -> HapticModel:
         check_board(stimulus, board, spec.arrays)
         carrier = None if stimulus.on_skin is None else carriers[stimulus.on_skin]
         stimuli.append(_stimulus(stimulus, spec, arrays, board, carrier, strictest, spread=not scattering))
-    pole = pole_of([array.config for array in spec.arrays], [len(part) for part in arrays.parts])
+    pole = stimuli[0].response.pole
     response_on = any(stimulus.response.on for stimulus in stimuli)
+    # Transducers of one scene ring up, or none do: their sounds add up in one state.
+    stimuli = [replace(stimulus, response=replace(stimulus.response, on=response_on)) for stimulus in stimuli]
     for skin in spec.skins:
         check_body_sound(skin, spec.stimuli, pole, response_on)
-    skins = _skins(spec, tuple(stimuli), arrays, board, bodies, names, pole, response_on)
+    known = None if alike is None else [skin.layer for skin in alike.skins]
+    skins = _skins(spec, tuple(stimuli), arrays, board, bodies, names, pole, response_on, known)
     check_overlaps(skins)
     check_cost(spec, skins)
     whole = tuple(Lazy(partial(_whole, skin.layer)) for skin in skins)
@@ -140,9 +156,8 @@ def _stimulus(
     foci = focal_points.at(frame_at(config, config.start_s).focus)
     try:
         silent = not np.any(drive.unit_drive(foci).amplitudes)
-        response = transducer_response(
-            config, drive, [scene.arrays[i].config for i in spec.arrays], focal_points, foci, accuracy, spread=spread
-        )
+        configs = [array.config for array in scene.arrays]
+        response = transducer_response(config, drive, focal_points, configs, accuracy, spread=spread)
     except SceneError as error:
         raise _named(error, spec.name) from None
     return StimulusModel(spec, config, transducers.astype(np.int32), path, offsets, response, foci, silent)
@@ -187,9 +202,29 @@ def _skins(
     names: list[str],
     pole: Pole,
     response_on: bool,
+    layers: list[SceneLayer] | None,
 ) -> tuple[SkinModel, ...]:
-    """The skins with their layers; all have the time step of the one that needs the shortest."""
-    drafts: list[tuple[StimulusModel, LayerDemand]] = []
+    """The skins with their layers, which are made here if they are not known."""
+    layers = layers or _layers(spec, stimuli, arrays, board, bodies, names)
+    skins = []
+    for skin, layer in zip(spec.skins, layers, strict=True):
+        number = names.index(skin.config.body)
+        choice = choose_stepper(spec, skin, layer, stimuli, pole, response_on)
+        still_m = STILL * skin.config.accuracy * layer.demand.spot_fwhm_m
+        skins.append(SkinModel(skin, number, bodies[number], layer, choice, still_m))
+    return tuple(skins)
+
+
+def _layers(
+    spec: SceneSpec,
+    stimuli: tuple[StimulusModel, ...],
+    arrays: PhasedArray,
+    board: Board,
+    bodies: tuple[BodyModel, ...],
+    names: list[str],
+) -> list[SceneLayer]:
+    """The skins' layers; all have the time step of the one that needs the shortest."""
+    demands = []
     layers = []
     for skin in spec.skins:
         body, stimulus = bodies[names.index(skin.config.body)], _nearest(skin, stimuli)
@@ -204,18 +239,15 @@ def _skins(
             path_reach_m=path_reach(stimulus, body, np.array(skin.patch_centre)),
             timestep_s=spec.timestep_s,
         )
-        drafts.append((stimulus, demand))
+        demands.append(demand)
         layers.append(_layer(skin, body, demand))
+    if len(layers) == 1:
+        return layers
     step_s = _common_step([layer.sizes.step_s for layer in layers], spec)
-    skins = []
-    for skin, (_, demand) in zip(spec.skins, drafts, strict=True):
-        number = names.index(skin.config.body)
-        body = bodies[number]
-        layer = _layer(skin, body, replace(demand, longest_step_s=step_s))
-        choice = choose_stepper(spec, skin, layer, stimuli, pole, response_on)
-        still_m = STILL * skin.config.accuracy * demand.spot_fwhm_m
-        skins.append(SkinModel(skin, number, body, layer, choice, still_m))
-    return tuple(skins)
+    return [
+        _layer(skin, bodies[names.index(skin.config.body)], replace(demand, longest_step_s=step_s))
+        for skin, demand in zip(spec.skins, demands, strict=True)
+    ]
 
 
 def _layer(skin: SkinSpec, body: BodyModel, demand: LayerDemand) -> SceneLayer:

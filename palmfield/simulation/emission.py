@@ -7,6 +7,8 @@ now, and where each stimulus's points were at the last control tick.
 from typing import NamedTuple
 
 import numpy as np
+
+from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.drive.array_drive import ArrayDrive
 from palmfield.drive.transducer_response import (
     EmittedCourse,
@@ -17,11 +19,9 @@ from palmfield.drive.transducer_response import (
     mean_level,
     rows,
 )
-from palmfield.stimulus.focal_points import FocalPoints
-
-from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.simulation.model import HapticModel, StimulusModel
 from palmfield.simulation.posed_scene import PosedScene
+from palmfield.stimulus.focal_points import FocalPoints
 from palmfield.stimulus.schedule import Moments, first_point, frame_at, substep_moments
 from palmfield.types import Complex, Float
 

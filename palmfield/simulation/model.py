@@ -9,14 +9,14 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from palmfield.drive.transducer_response import TransducerResponse
-from palmfield.hand.posed_surface import SkinBinding, blend, face_samples
 from trimesh.remesh import subdivide_to_size
 
 from palmfield.acoustics.phased_array import ArrayInstance, PhasedArray
 from palmfield.config import StimulusConfig
-from palmfield.drive.device import Board
+from palmfield.drive.device import Device as Board
 from palmfield.drive.response import Pole
+from palmfield.drive.transducer_response import TransducerResponse
+from palmfield.hand.posed_surface import SkinBinding, blend, face_samples
 from palmfield.hand.skinning import SkinnedSurface
 from palmfield.hand.subdivide import EDGE_m
 from palmfield.locked import Lazy, locked_cached_property

@@ -10,11 +10,11 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from palmfield.hand.posed_surface import SkinBinding, face_samples
-from palmfield.stimulus.focal_points import FocalPoints, SurfaceCourse
 
 from palmfield.acoustics.phased_array import PhasedArray
+from palmfield.hand.posed_surface import SkinBinding, face_samples
 from palmfield.simulation.model import BodyModel, HapticModel, SkinModel, StimulusModel, array_instances
+from palmfield.stimulus.focal_points import FocalPoints, SurfaceCourse
 from palmfield.transforms import IDENTITY, Placement, Transform
 from palmfield.types import Float, Int
 
@@ -114,10 +114,12 @@ class PosedBody:
             points, normals, areas = face_samples(self.vertices, self.model.surface.faces)
         return self.frame.points(points), self.frame.vectors(normals), areas
 
-    @property
-    def sample_parts(self) -> Int | None:
-        """Which of the bodies at `origins` each sample pushes, shape (n,); None where there is one."""
-        return None if self.model.hand is None else self.model.face_bones
+    @cached_property
+    def sample_parts(self) -> Int:
+        """Which of the bodies at `origins` each sample pushes, shape (n,)."""
+        if self.model.hand is None:
+            return np.zeros(len(self.samples[2]), np.int32)
+        return self.model.face_bones
 
     @cached_property
     def origins(self) -> Float:

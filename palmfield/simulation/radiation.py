@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+
+from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.body_scattering import Occlusion, RigidScatteredField, boundary_mesh
 from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.acoustics.surface_arp import SurfaceArp
 from palmfield.acoustics.surface_load import distance_to_arrays
-
-from palmfield.acoustics.air import sound_speed
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.types import Complex, Float, Float32, Int
@@ -46,7 +46,7 @@ class Radiation:
         if known is not None and self._holds(known[0], posed, skin) and _equal(known[1], drive):
             return known[2]
         part = posed.skins[skin]
-        points, normals = part.samples[:2] if role == "samples" else getattr(part, role)
+        points, normals = part.body.samples[:2] if role == "samples" else getattr(part, role)
         sound = self.at(posed, skin, role, points, normals, drive)
         self._last[skin, role] = posed, drive, sound
         return sound
@@ -65,7 +65,7 @@ class Radiation:
         kind = self.model.skins[skin].spec.config.body_sound
         if kind == "scattering":
             return SurfaceSound(
-                *self._scattered_field(posed, skin, drive).at(posed.skins[skin].body.inverse_points(points))
+                *self._scattered_field(posed, skin, drive).at(posed.skins[skin].body.frame.inverse_points(points))
             )
         evaluator = self._evaluator(posed.arrays, skin, role, len(points))
         sound = evaluator.evaluate(points, normals, drive, flux=kind == "shadows")
@@ -125,9 +125,9 @@ class Radiation:
         wavenumber = 2.0 * np.pi * arrays.array.frequency_Hz / sound_speed(arrays.air)
 
         def incident(points: Float) -> Complex:
-            return arrays.field.pressure(part.body.points(points), drive).pressure.astype(np.complex128)
+            return arrays.field.pressure(part.body.frame.points(points), drive).pressure.astype(np.complex128)
 
-        mesh = boundary_mesh(part.vertices, part.skin.closed_faces, 2.0 * np.pi / wavenumber)
+        mesh = boundary_mesh(part.body.vertices, part.body.faces, 2.0 * np.pi / wavenumber)
         solved = RigidScatteredField.of(mesh, incident, wavenumber, arrays.air, self.model.device)
         self._scattered[skin] = posed, drive, solved
         return solved
@@ -135,8 +135,7 @@ class Radiation:
 
 def occluding_vertices(posed: PosedScene, skin: int) -> Float:
     """Vertices of all that casts shadows on a skin, array frame [m], shape (v, 3)."""
-    parts = [posed.skins[skin].vertices_in_array]
-    parts += [other.vertices_in_array for i, other in enumerate(posed.skins) if i != skin]
+    parts = [body.vertices_in_array for body in posed.bodies]
     obstacles = posed.skins[skin].obstacles
     if obstacles is not None:
         parts.append(obstacles[0])
@@ -145,8 +144,7 @@ def occluding_vertices(posed: PosedScene, skin: int) -> Float:
 
 def occluding_faces(posed: PosedScene, skin: int) -> Int:
     """Their faces, shape (f, 3)."""
-    meshes = [(len(posed.skins[skin].vertices), posed.skins[skin].skin.closed_faces)]
-    meshes += [(len(p.vertices), p.skin.closed_faces) for i, p in enumerate(posed.skins) if i != skin]
+    meshes = [(len(body.vertices), body.faces) for body in posed.bodies]
     obstacles = posed.skins[skin].obstacles
     if obstacles is not None:
         meshes.append((len(obstacles[0]), obstacles[1]))

@@ -23,6 +23,7 @@ from palmfield.transforms import Placement, Transform, relative
 
 DURATION = "palmfield_duration_s"
 """Custom numeric of a scene: how long `palmfield run` runs it [s]."""
+DEFAULT_DURATION_S = 0.1
 DEVICE = "palmfield_device"
 """Custom text of a scene: where fields are computed, auto, cpu or cuda:N."""
 REST_M, REST_RAD = 1e-4, 1e-3
@@ -277,7 +278,7 @@ def _on_body(model: ModelView, frame: Transform, site: str, element: str) -> Tri
 
 
 def _device(model: ModelView) -> str:
-    asked = model.text(DEVICE, "auto")
+    asked = model.text(DEVICE, "auto") if model.complete else "cpu"
     try:
         return resolve(asked)
     except PalmfieldError as error:
@@ -292,7 +293,9 @@ def _timestep(model: ModelView) -> float:
 
 
 def _duration(model: ModelView) -> float:
-    value = model.numeric(DURATION, 0.1)
+    value = model.numeric(DURATION, DEFAULT_DURATION_S)
+    if not model.complete:
+        return DEFAULT_DURATION_S
     if not value > 0.0:
         raise SceneError(f"numeric '{DURATION}' has value {value:g}; allowed: seconds > 0")
     return value

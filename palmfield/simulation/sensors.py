@@ -3,9 +3,8 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from palmfield.hand.posed_surface import SkinBinding
-
 from palmfield.errors import SceneError
+from palmfield.hand.posed_surface import SkinBinding
 from palmfield.simulation.model import SkinModel
 from palmfield.skin.mesh.surface import SurfaceProbe
 from palmfield.skin.stepper import Reader, SkinStepper

@@ -9,8 +9,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from palmfield.drive.transducer_response import EmittedCourse
 
+from palmfield.drive.transducer_response import EmittedCourse
 from palmfield.simulation.emission import Emission
 from palmfield.simulation.forces import BodyForces
 from palmfield.simulation.model import HapticModel
