@@ -56,31 +56,40 @@ def arp(
     result[i] = pressure_on_surface(pressure[i], g_re, g_im, normals[i], per_wavenumber, weights)
 
 
-@wp.kernel
-def surface_sound(
-    pressure: wp.array(dtype=wp.vec2),
-    gradient: wp.array2d(dtype=wp.vec2),
-    normals: wp.array(dtype=wp.vec3),
-    per_wavenumber: float,
-    weights: wp.vec3,
-    result: wp.array(dtype=float),
-    amplitude: wp.array(dtype=float),
-    flux: wp.array(dtype=wp.vec3),
-):
-    """As `arp`, with |p| [Pa] and Im(p* grad p) [Pa2/m], along which the sound's energy flows.
+@wp.struct
+class SurfaceSound:
+    """What `surface_sound` takes, in one piece: a recorded launch packs each of its arguments anew.
 
-    It leaves `pressure` and `gradient` at zero, to which the kernels of `gradient.py` add when they come round again.
+    pressure [Pa], gradient [Pa/m], shape (n, 3), unit outward normals; per_wavenumber, weights: as `arp`
+    arp, amplitude, flux: results
+    """
+
+    pressure: wp.array(dtype=wp.vec2)
+    gradient: wp.array2d(dtype=wp.vec2)
+    normals: wp.array(dtype=wp.vec3)
+    per_wavenumber: wp.float32
+    weights: wp.vec3
+    arp: wp.array(dtype=wp.float32)
+    amplitude: wp.array(dtype=wp.float32)
+    flux: wp.array(dtype=wp.vec3)
+
+
+@wp.kernel
+def surface_sound(at: SurfaceSound):
+    """ARP [Pa], |p| [Pa] and Im(p* grad p) [Pa2/m], along which the sound's energy flows, by point.
+
+    It leaves pressure and gradient at zero, as the kernels of `gradient.py` add to them when they come round again.
     """
     i = wp.tid()
-    p = pressure[i]
-    gx = gradient[i, 0]
-    gy = gradient[i, 1]
-    gz = gradient[i, 2]
+    p = at.pressure[i]
+    gx = at.gradient[i, 0]
+    gy = at.gradient[i, 1]
+    gz = at.gradient[i, 2]
     g_re = wp.vec3(gx[0], gy[0], gz[0])
     g_im = wp.vec3(gx[1], gy[1], gz[1])
-    result[i] = pressure_on_surface(p, g_re, g_im, normals[i], per_wavenumber, weights)
-    amplitude[i] = wp.length(p)
-    flux[i] = p[0] * g_im - p[1] * g_re
-    pressure[i] = wp.vec2()
+    at.arp[i] = pressure_on_surface(p, g_re, g_im, at.normals[i], at.per_wavenumber, at.weights)
+    at.amplitude[i] = wp.length(p)
+    at.flux[i] = p[0] * g_im - p[1] * g_re
+    at.pressure[i] = wp.vec2()
     for j in range(3):
-        gradient[i, j] = wp.vec2()
+        at.gradient[i, j] = wp.vec2()

@@ -11,8 +11,9 @@ from threadpoolctl import threadpool_limits
 
 from palmfield.acoustics import check
 from palmfield.acoustics.arp import arp, check_law, law_weights, unit_normals
-from palmfield.acoustics.field import CUBIC_REACH_Np, FieldEvaluator, distances, polynomial_fall, pool
+from palmfield.acoustics.field import CUBIC_REACH_Np, FieldEvaluator, distances, polynomial_fall
 from palmfield.acoustics.groups import axes
+from palmfield.acoustics.threads import pool
 from palmfield.errors import PalmfieldError
 from palmfield.types import Complex, Float, Float32
 from warp_kernels import transfer as kernels
@@ -53,6 +54,7 @@ class Transfer:
             )
         where = check.points(points, np.float32)
         outward = unit_normals(normals, len(where))
+        self.where, self.normals = where, outward
         self.points = len(where)
         elements = len(evaluator.array)
         self.nbytes = matrix_bytes(elements, self.points)
