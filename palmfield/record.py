@@ -8,8 +8,8 @@ import xarray as xr
 from palmfield.chain import Sound
 from palmfield.engine.modules import SkinModule
 from palmfield.hand.triangles import vertex_normals
-from palmfield.outputs.schema import dataset
-from palmfield.outputs.store import Store
+from palmfield.outputs.v1_schema import dataset
+from palmfield.outputs.v1_store import Store
 from palmfield.posed import Bound
 from palmfield.skin.mesh.surface import output_triangles
 from palmfield.types import Complex, Float, Float32

@@ -20,12 +20,12 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 
 from palmfield.engine.host import raise_errors
 from palmfield.errors import OutputError, PalmfieldError
-from palmfield.outputs.plots import plot_displacement, plot_pressure
-from palmfield.outputs.render import render_scene
-from palmfield.outputs.store import Store, load, write_json
-from palmfield.outputs.store import recover as assemble
-from palmfield.outputs.summary import summary
-from palmfield.outputs.usd import write_usd
+from palmfield.outputs.v1_plots import plot_displacement, plot_pressure
+from palmfield.outputs.v1_render import render_scene
+from palmfield.outputs.v1_store import Store, load, write_json
+from palmfield.outputs.v1_store import recover as assemble
+from palmfield.outputs.v1_summary import summary
+from palmfield.outputs.v1_usd import write_usd
 from palmfield.record import Recorder, static_data
 from palmfield.report import numbers
 from palmfield.scene import Scene

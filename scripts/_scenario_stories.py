@@ -15,8 +15,8 @@ from scipy.ndimage import uniform_filter1d
 import palmfield
 from palmfield.acoustics.reference import pressure64
 from palmfield.engine.host import raise_errors
-from palmfield.outputs.frames import body_pose_at, posed, to_local, to_world
 from palmfield.outputs.style import COLOURS
+from palmfield.outputs.v1_frames import body_pose_at, posed, to_local, to_world
 from palmfield.skin.materials.dispersion import describe
 from palmfield.types import Float
 

@@ -16,8 +16,8 @@ from _scenario_stories import SCENES, SPEEDS_M_S, STORIES, Run, stroke_velocitie
 from matplotlib.figure import Figure
 
 import palmfield
-from palmfield.outputs.store import load
 from palmfield.outputs.style import save, style
+from palmfield.outputs.v1_store import load
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "scenarios.md"

@@ -12,9 +12,9 @@ from palmfield.hand.articulated import bone_poses
 from palmfield.hand.poses import named_pose
 from palmfield.hand.preset import load_preset
 from palmfield.hand.skinning import SkinnedHand
-from palmfield.outputs.frames import posed
-from palmfield.outputs.store import load
-from palmfield.outputs.usd import validate_usd
+from palmfield.outputs.v1_frames import posed
+from palmfield.outputs.v1_store import load
+from palmfield.outputs.v1_usd import validate_usd
 
 SCENES = folder("mjcf") / "scenes"
 
