@@ -152,4 +152,4 @@ def present_drive(course: EmittedCourse) -> tuple[Complex | None, float]:
         return course.emitted[0], 1.0
     if course.unit is None or course.levels is None or course.levels[0] == 0.0:
         return None, 0.0
-    return course.unit, float(course.levels[0] ** 2)
+    return course.unit, float(abs(course.levels[0]) ** 2)

@@ -132,7 +132,7 @@ class Emission:
             if course.levels is not None:
                 if course.unit is None:
                     return []
-                return [(course.unit, float(weights @ course.levels**2))]
+                return [(course.unit, float(weights @ np.abs(course.levels) ** 2))]
             every = max(1, len(weights) // LEAST_MEANS)
             chosen = range(0, len(weights), every)
             share = sum(weights[i] for i in chosen)

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
+from scipy import sparse
 from trimesh.remesh import subdivide_to_size
 
 from palmfield.acoustics.phased_array import ArrayInstance, PhasedArray
@@ -22,7 +23,7 @@ from palmfield.hand.subdivide import EDGE_m
 from palmfield.locked import Lazy, locked_cached_property
 from palmfield.simulation.spec import SceneSpec, SkinSpec, StimulusSpec
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
-from palmfield.skin.mesh.surface import closed_boundary
+from palmfield.skin.mesh.surface import closed_boundary, output_triangles, surface_vectors
 from palmfield.skin.scene_layer import SceneLayer
 from palmfield.skin.stepper import SkinStepper
 from palmfield.stimulus.surface_path import SurfacePath
@@ -167,6 +168,22 @@ class SkinModel:
         nodes = self.nodes[0]
         ends = np.array([nodes.min(axis=0), nodes.max(axis=0)])
         return np.stack(np.meshgrid(*ends.T, indexing="ij"), axis=-1).reshape(-1, 3)
+
+    @locked_cached_property
+    def faces(self) -> Int:
+        """Triangles over the surface nodes, counter-clockwise from outside, shape (f, 3)."""
+        return output_triangles(self.layer.mesh).astype(np.int32)
+
+    @locked_cached_property
+    def depth(self) -> Float:
+        """Thickness of the layer under each surface node [m], shape (S,)."""
+        nodes = self.nodes[0]
+        return np.linalg.norm(nodes - self.layer.mesh.nodes[-len(nodes) :], axis=1)
+
+    @locked_cached_property
+    def surface_vectors(self) -> sparse.csr_matrix:
+        """Unknowns -> displacement of the surface nodes, three components a node, shape (3 S, ndof)."""
+        return surface_vectors(self.layer.mesh, self.layer.system)
 
     @locked_cached_property
     def closed_surface(self) -> tuple[Float, Int]:

@@ -92,7 +92,7 @@ def skin_loads(work: Workspace, posed: PosedScene, skin: int, moments: Moments, 
             count = len(posed.skins[skin].quadrature[0])
             return SurfaceLoads(np.zeros((1, 1, count)), *(np.zeros((1, len(moments.first), 1)) for _ in range(2)))
         pressure = work.radiation.on(posed, skin, "quadrature", course.unit).arp[None, None]
-        factors = (course.levels**2)[:, None]
+        factors = (np.abs(course.levels) ** 2)[:, None]
         return SurfaceLoads(pressure, (moments.first @ factors)[None], (moments.last @ factors)[None])
     assert course.emitted is not None
     pressures = work.prefetch.pressures(posed, skin, course.emitted)

@@ -78,7 +78,7 @@ def continue_on_whole_layer(
     course = emission.now(posed, amplitudes, t0)
     pressure = np.zeros(len(posed.skins[skin].quadrature[0]))
     if course.unit is not None and course.levels is not None:
-        pressure = course.levels[0] ** 2 * radiation.on(posed, skin, "quadrature", course.unit).arp
+        pressure = abs(course.levels[0]) ** 2 * radiation.on(posed, skin, "quadrature", course.unit).arp
     elif course.emitted is not None:
         pressure = radiation.on(posed, skin, "quadrature", course.emitted[0]).arp.astype(np.float64)
     numbers = state.skins[skin][:, HEADER:]

@@ -77,6 +77,13 @@ def surface_motion(mesh: WedgeMesh, system: SkinSystem) -> sparse.csr_matrix:
     return sparse.csr_matrix(nodal.tocsr() @ system.dof_map)
 
 
+def surface_vectors(mesh: WedgeMesh, system: SkinSystem) -> sparse.csr_matrix:
+    """Operator (3 S, free degrees of freedom) giving the displacement at all S surface nodes, x, y, z of each."""
+    count = 3 * mesh.surface_nodes
+    nodal = sparse.eye_array(count, 3 * len(mesh.nodes), format="csr")
+    return sparse.csr_matrix(nodal @ system.dof_map)
+
+
 def output_triangles(mesh: WedgeMesh) -> Int:
     """Four flat triangles for each quadratic one, over the S surface nodes, counter-clockwise, (4 t, 3), int32."""
     pieces = [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]]
