@@ -109,7 +109,7 @@ class Radiation:
             return known[1]
         vertices = occluding_vertices(posed, skin)
         if known is None:
-            occlusion = Occlusion(vertices, occluding_faces(posed, skin), self.model.device)
+            occlusion = Occlusion(vertices, occluding_faces(posed, skin), self.model.spec.device)
         else:
             occlusion = known[1]
             occlusion.move(vertices)
@@ -128,7 +128,7 @@ class Radiation:
             return arrays.field.pressure(part.body.frame.points(points), drive).pressure.astype(np.complex128)
 
         mesh = boundary_mesh(part.body.vertices, part.body.faces, 2.0 * np.pi / wavenumber)
-        solved = RigidScatteredField.of(mesh, incident, wavenumber, arrays.air, self.model.device)
+        solved = RigidScatteredField.of(mesh, incident, wavenumber, arrays.air, self.model.spec.device)
         self._scattered[skin] = posed, drive, solved
         return solved
 
