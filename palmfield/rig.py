@@ -36,7 +36,7 @@ from palmfield.skin.mesh.surface import closed_boundary
 from palmfield.skin.mesh.wedges import WedgeMesh, extrude
 from palmfield.skin.reduction.stepping import FullSkin, ReducedSkin
 from palmfield.stimulus.schedule import SitesStimulus, frame_at, main_frequencies, plane_path
-from palmfield.stimulus.surface_path import SkinPath, drawn, through
+from palmfield.stimulus.surface_path import SurfacePath, drawn, through
 from palmfield.types import Complex, Float, Int, Patch, Surface
 
 # The rules are calibrated on a disc of even depth. A hand's layer thins at rims and webs, differently on each mesh: its
@@ -123,7 +123,7 @@ class Rig:
         return Aim(self, (np.array(frame.position), np.reshape(frame.rotation, (3, 3))), self.reference_pose)
 
     @once
-    def skin_path(self) -> SkinPath | None:
+    def skin_path(self) -> SurfacePath | None:
         """The path that the focus takes on the resting surface, None for a path elsewhere."""
         stimulus = self.setting.stimulus
         if stimulus.path_on != "skin":

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from trimesh.triangles import closest_point, points_to_barycentric
 
 from palmfield.errors import SceneError
@@ -21,13 +21,15 @@ from palmfield.types import Float, Int, Surface
 REACH_m = 0.02
 """A start or waypoint further than this from the surface is taken for a mistake."""
 
+TINY_m = 1e-300
+
 CLOSING_ROUNDS = 12
 CLOSING_SHARE = 0.02
 """Largest gap of a closed path, as a share of its length, that is bridged by a straight line."""
 
 
 @dataclass(frozen=True)
-class SkinPath:
+class SurfacePath:
     """A path on a triangle mesh that follows the mesh when its vertices move.
 
     Between two points in turn the path is straight and within one triangle, the first point's.
@@ -69,18 +71,20 @@ class SkinPath:
     def positions(self, arc_m: ArrayLike, vertices: Float, mesh_faces: Int) -> Float:
         """The positions of `at` alone, shape (k, 3), at a small part of its cost for few arc lengths."""
         segment, share = self._between(arc_m)
-        first, last = (
-            np.einsum("ni,nij->nj", self.barycentric[n], vertices[mesh_faces[self.faces[n]]])
-            for n in (segment, segment + 1)
-        )
+        ends: list[Float] = []
+        for n in (segment, segment + 1):
+            corners = vertices[mesh_faces[self.faces[n]]]
+            ends.append((self.barycentric[n][:, None, :] @ corners)[:, 0])
+        first, last = ends
         return (1.0 - share) * first + share * last
 
-    def _between(self, arc_m: ArrayLike) -> tuple[Int, Float]:
+    def _between(self, arc_m: ArrayLike) -> tuple[NDArray[np.intp], Float]:
         """The segment in which each arc length lies, shape (k,), and its share of the segment, shape (k, 1)."""
         arc = folded(arc_m, self.length_m, self.closed)
-        segment = np.clip(np.searchsorted(self.arc_m, arc, side="right") - 1, 0, len(self.arc_m) - 2)
+        segment = np.minimum(np.maximum(self.arc_m.searchsorted(arc, "right") - 1, 0), len(self.arc_m) - 2)
         step = self.arc_m[segment + 1] - self.arc_m[segment]
-        return segment.astype(np.int32), ((arc - self.arc_m[segment]) / np.where(step > 0.0, step, 1.0))[:, None]
+        # Between points that coincide the share is 0, whatever the rounding
+        return segment, ((arc - self.arc_m[segment]) / np.maximum(step, TINY_m))[:, None]
 
 
 @dataclass(frozen=True)
@@ -102,7 +106,7 @@ class _Place:
     x: Float
 
 
-def drawn(surface: Surface, start_point: ArrayLike, direction: ArrayLike, path: PlanePath) -> SkinPath:
+def drawn(surface: Surface, start_point: ArrayLike, direction: ArrayLike, path: PlanePath) -> SurfacePath:
     """A plane path drawn on a surface, segment by segment along straight lines of the mesh.
 
     start_point: where the origin of the path's plane comes to lie [m], shape (3,), moved to the nearest point of the
@@ -145,7 +149,7 @@ def drawn(surface: Surface, start_point: ArrayLike, direction: ArrayLike, path: 
     return replace(found, arc_m=found.arc_m * (path.length_m / found.length_m))
 
 
-def through(surface: Surface, waypoints: ArrayLike) -> SkinPath:
+def through(surface: Surface, waypoints: ArrayLike) -> SurfacePath:
     """The shortest way along a surface through points in turn, an open path.
 
     waypoints: [m], shape (k, 3), at least two; each is moved to the nearest point of the surface
@@ -305,10 +309,10 @@ def _joined(pieces: list[Piece]) -> Piece:
     return faces, points
 
 
-def _skin_path(surface: Surface, piece: Piece, closed: bool) -> SkinPath:
+def _skin_path(surface: Surface, piece: Piece, closed: bool) -> SurfacePath:
     segments, places = piece
     points = np.array(places)
     faces = np.array([*segments, segments[-1]], dtype=np.int32)
     weights = points_to_barycentric(surface.vertices[surface.faces[faces]], points)
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    return SkinPath(faces, weights, np.concatenate([[0.0], np.cumsum(steps)]), closed)
+    return SurfacePath(faces, weights, np.concatenate([[0.0], np.cumsum(steps)]), closed)
