@@ -14,6 +14,7 @@ from palmfield.simulation.sensors import SensorPlace, SkinReading, fill, sensor_
 from palmfield.simulation.state import HapticState, check_arrays, stepper_of
 from palmfield.simulation.step import Workspace, gather, step
 from palmfield.simulation.validate import check_clear
+from palmfield.skin.stepper import SkinStepper
 from palmfield.types import Complex, Float
 
 
@@ -21,6 +22,7 @@ class SceneRuntime:
     """Model, state and workspace of one mjData.
 
     applied: mean force on each body over the present step [N], world axes, shape (3,) each
+    applied_parts: the same on the bones of each body, and torques about their origins [N m], shapes (b, 3)
     """
 
     def __init__(self, view: DataView):
@@ -46,6 +48,7 @@ class SceneRuntime:
         self._posed: PosedScene = self.work.reference
         self._places: dict[str, SensorPlace] = {}
         self.applied: list[Float] = [np.zeros(3) for _ in self.bodies]
+        self.applied_parts = [(np.zeros((len(parts), 3)), np.zeros((len(parts), 3))) for parts in self.parts]
         check_clear(self.work.reference)
 
     @cached_property
@@ -81,6 +84,10 @@ class SceneRuntime:
         check_arrays(self.model, self.state)
         return gather(self.state, self.work)
 
+    def skin_states(self) -> list[tuple[SkinStepper, Float]]:
+        """What steps each skin, and its numbers, shape (1, state_size), views."""
+        return [stepper_of(self.model, self.state, number) for number in range(len(self.model.skins))]
+
     def now(self) -> tuple[PosedScene, EmittedCourse]:
         """Pose and emission at MuJoCo's present time."""
         posed = self.posed
@@ -103,6 +110,7 @@ class SceneRuntime:
             outlet = self._outlets[number]
             outlet.forces[:], outlet.torques[:] = force, torque
             outlet.apply()
+            self.applied_parts[number] = force, torque
             self.applied[number] = np.add.reduce(force, axis=0)
 
     def advance(self) -> None:

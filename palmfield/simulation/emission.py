@@ -22,7 +22,7 @@ from palmfield.drive.transducer_response import (
 from palmfield.simulation.model import HapticModel, StimulusModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.stimulus.focal_points import FocalPoints
-from palmfield.stimulus.schedule import Moments, first_point, frame_at, substep_moments
+from palmfield.stimulus.schedule import Moments, first_point, frame_at, frames_at, substep_moments
 from palmfield.types import Complex, Float
 
 TICK_S = 1e-9
@@ -114,8 +114,11 @@ class Emission:
         """Where each stimulus's foci are at some times [s], array frame [m], shapes (k, foci, 3)."""
         result = []
         for part, place in zip(self.model.stimuli, self.focal_points(posed, float(times[0])), strict=True):
-            foci = [np.atleast_2d(place.at(frame_at(part.config, float(t)).focus)) for t in times]
-            result.append(np.array(foci))
+            points, _ = frames_at(part.config, times)
+            if len(part.offsets):
+                result.append(np.array([place.at(point) for point in points]))
+            else:
+                result.append(place.along(points)[:, None])
         return result
 
     def mean_drives(self, posed: PosedScene, emitted: Complex, t0: float) -> list[tuple[Complex, float]]:

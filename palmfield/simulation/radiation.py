@@ -51,12 +51,12 @@ class Radiation:
         self._last[skin, role] = posed, drive, sound
         return sound
 
-    def many(self, posed: PosedScene, skin: int, drives: Complex) -> Float32:
-        """ARP at a skin's quadrature points for several drives, shape (m, N): shape (m, q)."""
+    def many(self, posed: PosedScene, skin: int, drives: Complex, role: Role = "quadrature") -> Float32:
+        """ARP at a skin's quadrature points, or its surface nodes, for several drives, shape (m, N): shape (m, q)."""
         if self.model.skins[skin].spec.config.body_sound != "none":
-            return np.stack([self.on(posed, skin, "quadrature", drive).arp for drive in drives])
-        points, normals = posed.skins[skin].quadrature
-        return self._evaluator(posed.arrays, skin, "quadrature", len(points)).evaluate_many(points, normals, drives)
+            return np.stack([self.on(posed, skin, role, drive).arp for drive in drives])
+        points, normals = getattr(posed.skins[skin], role)
+        return self._evaluator(posed.arrays, skin, role, len(points)).evaluate_many(points, normals, drives)
 
     def at(
         self, posed: PosedScene, skin: int, role: Role, points: Float, normals: Float, drive: Complex

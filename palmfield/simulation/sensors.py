@@ -37,6 +37,11 @@ CHANNELS: dict[str, Callable[[SkinReading], float]] = {
     "arp_Pa": lambda reading: reading.arp_Pa,
 }
 """A sensor's numbers, in this order."""
+UNITS = tuple(
+    next(unit for ending, unit in (("_m_s", "m s-1"), ("_N", "N"), ("_Pa", "Pa"), ("_m", "m")) if name.endswith(ending))
+    for name in CHANNELS
+)
+"""Their units."""
 
 
 class SensorPlace:

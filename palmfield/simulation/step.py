@@ -30,7 +30,7 @@ class StepTrace:
 
     times: ends of the substeps [s], shape (s,); posed: where everything was
     course, moments: what was emitted at the moments of the load
-    emitted: what is emitted at the end, shape (N,)
+    begun, emitted: what is emitted at the beginning and at the end, shape (N,)
     motion: of each skin displacement [m] and velocity [m/s] after each substep as its reader gives them, (s, 2, m)
     """
 
@@ -38,6 +38,7 @@ class StepTrace:
     posed: PosedScene
     moments: Moments
     course: EmittedCourse
+    begun: Complex
     emitted: Complex
     motion: tuple[Float | None, ...]
 
@@ -82,7 +83,7 @@ def step(model: HapticModel, state: HapticState, posed: PosedScene, t0: float, t
     if work.observer is not None:
         times = t0 + model.step_s * np.arange(1, model.substeps + 1)
         seen = tuple(None if motion is None else motion[0] for motion in motions)
-        work.observer(StepTrace(times, posed, moments, course, course.end, seen))
+        work.observer(StepTrace(times, posed, moments, course, begun, course.end, seen))
 
 
 def skin_loads(work: Workspace, posed: PosedScene, skin: int, moments: Moments, course: EmittedCourse) -> SurfaceLoads:
