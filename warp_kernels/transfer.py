@@ -85,21 +85,29 @@ def matrix(
 
 @wp.func_native(
     snippet=f"""
-    const float* __restrict a = reinterpret_cast<const float*>(reinterpret_cast<const char*>(parts.data)
-        + size_t(frame) * parts.strides[0]);
+    const auto row = [&](int j, int r) {{
+        return reinterpret_cast<const float*>(reinterpret_cast<const char*>(parts.data)
+            + j * size_t(parts.strides[0]) + r * size_t(parts.strides[1]));
+    }};
+    const int re = frame, im = frames + frame;
+    const float *rr0 = row(0, re), *rr1 = row(1, re), *rr2 = row(2, re), *rr3 = row(3, re);
+    const float *ri0 = row(4, re), *ri1 = row(5, re), *ri2 = row(6, re), *ri3 = row(7, re);
+    const float *ir0 = row(0, im), *ir1 = row(1, im), *ir2 = row(2, im), *ir3 = row(3, im);
+    const float *ii0 = row(4, im), *ii1 = row(5, im), *ii2 = row(6, im), *ii3 = row(7, im);
     float* __restrict to = reinterpret_cast<float*>(reinterpret_cast<char*>(result.data)
         + size_t(first_frame + frame) * result.strides[0]) + first;
-    for (int k = 0; k < count; ++k) {{
-        const float p_re = a[k], s_re = a[count + k], t_re = a[2 * count + k], n_re = a[3 * count + k];
-        const float p_im = a[4 * count + k], s_im = a[5 * count + k], t_im = a[6 * count + k], n_im = a[7 * count + k];
+    for (int k = 0; k < width; ++k) {{
+        const float p_re = rr0[k] - ii0[k], s_re = rr1[k] - ii1[k], t_re = rr2[k] - ii2[k], n_re = rr3[k] - ii3[k];
+        const float p_im = ri0[k] + ir0[k], s_im = ri1[k] + ir1[k], t_im = ri2[k] + ir2[k], n_im = ri3[k] + ir3[k];
         const float along2 = s_re * s_re + s_im * s_im + t_re * t_re + t_im * t_im;
         to[k] = {FORMULA};
     }}
 """
 )
 def arp_row(
-    parts: wp.array(dtype=wp.float32, ndim=2),
-    count: wp.int32,
+    parts: wp.array(dtype=wp.float32, ndim=3),
+    frames: wp.int32,
+    width: wp.int32,
     weights: wp.vec3,
     frame: wp.int32,
     first_frame: wp.int32,
@@ -112,15 +120,21 @@ def arp_row(
 
 @wp.kernel
 def arp_rows(
-    parts: wp.array(dtype=wp.float32, ndim=2),
+    parts: wp.array(dtype=wp.float32, ndim=3),
+    frames: wp.int32,
+    width: wp.int32,
     weights: wp.vec3,
     first_frame: wp.int32,
     first: wp.int32,
     result: wp.array(dtype=wp.float32, ndim=2),
 ):
-    """ARP [Pa] from a row of eight blocks, see `matrix`, a frame a thread: the form for the CPU."""
+    """ARP [Pa] from products with the blocks of `matrix`, a frame a thread: the form for the CPU.
+
+    parts: by block, row and point; the first `frames` rows are of the drives' real parts, the next of their imaginary
+        parts, so that a product's real part is parts[j, f] - parts[4 + j, frames + f]
+    """
     frame = wp.tid()
-    arp_row(parts, parts.shape[1] / 8, weights, frame, first_frame, first, result)
+    arp_row(parts, frames, width, weights, frame, first_frame, first, result)
 
 
 @wp.kernel
@@ -146,7 +160,7 @@ def arp_columns(
     first: int,
     result: wp.array(dtype=wp.float32, ndim=2),
 ):
-    """As `arp_rows`, one point and frame a thread: the form for GPUs."""
+    """ARP [Pa] from a row of eight blocks, see `matrix`, one point and frame a thread: the form for GPUs."""
     frame, k = wp.tid()
     count = parts.shape[1] / 8
     s_re = parts[frame, count + k]

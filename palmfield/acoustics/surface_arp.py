@@ -13,13 +13,17 @@ from palmfield.acoustics.arp import SurfaceSound, law_weights, unit_normals
 from palmfield.acoustics.field import FieldEvaluator, falling, filled, in_unit
 from palmfield.acoustics.phased_array import DirectivityGroup, MultiArrayField
 from palmfield.acoustics.threads import Calls, cores, share
-from palmfield.acoustics.transfer import MATRIX_FROM, Transfer, arp_frames, matrix_bytes, memory_limit, too_steep
+from palmfield.acoustics.transfer import Transfer, arp_frames, matrix_bytes, memory_limit, too_steep
 from palmfield.device import SharedArray, recorded
 from palmfield.errors import PalmfieldError
 from palmfield.types import Complex, Float, Float32
 
 PAIRS_PER_THREAD = 100_000
 """Fewest pairs of point and transducer worth a thread of its own: 0.13 ms of work against 0.02 ms to hand it over."""
+MATRIX_FROM = 32
+"""Drives from which a transfer matrix is cheaper: for 256 transducers and 762 points it takes 3 ms and 0.1 ms a drive,
+and 7 ms more where it is new; a drive by itself takes 0.25 ms. The choice depends on their number alone, not on whether
+the matrix is there already: so a run repeats to the bit."""
 BLOCKS_PER_THREAD = 4
 SMALL_BLOCK_PAIRS = 250_000
 """Blocks are not made smaller than this to balance threads [pairs of point and transducer]."""

@@ -1,4 +1,4 @@
-"""The new acoustics gives what the old middle gave. To be deleted with palmfield/{emitter,chain,obstacle}.py."""
+"""The new acoustics and hand give what the old middle gave. To be deleted with emitter, chain, obstacle and posed."""
 
 import numpy as np
 import pytest
@@ -9,6 +9,12 @@ from palmfield.acoustics.phased_array import ArrayInstance, PhasedArray
 from palmfield.acoustics.surface_load import distance_to_arrays
 from palmfield.config import ArrayConfig, StimulusConfig
 from palmfield.drive.device import DEVICES
+from palmfield.hand.articulated import bone_poses
+from palmfield.hand.blend import blended, bone_shifts
+from palmfield.hand.posed_surface import SkinBinding, blend
+from palmfield.hand.preset import load_preset
+from palmfield.hand.skinning import SkinnedHand
+from palmfield.posed import Bound
 from palmfield.transforms import IDENTITY, Placement, Transform
 
 TILTED = Transform(np.array([0.25, 0.0, 0.05]), Rotation.from_euler("yx", [-40, 10], degrees=True).as_matrix())
@@ -38,3 +44,16 @@ def test_field_and_distance(both: tuple[emitter.Emitter, PhasedArray]) -> None:
     np.testing.assert_allclose(
         distance_to_arrays(points, flux, new), chain.to_boards(points, flux, old), rtol=1e-9, atol=1e-12
     )
+
+
+def test_bound_points() -> None:
+    hand = SkinnedHand(load_preset("open_men_p50"), 0.004)
+    points, normals = hand.surface.vertices[::11] + 1e-4, hand.surface.normals[::11]
+    old, new = Bound.to(hand, points), SkinBinding.to(hand, points)
+    np.testing.assert_array_equal(new.bones, old.bones)
+    positions, rotations = bone_poses(hand.hand, {"index_mcp_flexion": 50.0, "wrist_flexion": 30.0})
+    shift, turn = blended(old.bones, old.shares, bone_shifts(hand.origins, positions, rotations), rotations)
+    turned = np.einsum("nij,nj->ni", turn, normals)
+    moved = blend(new, hand, positions, rotations, points, normals)
+    np.testing.assert_allclose(moved[0], np.einsum("nij,nj->ni", turn, points) + shift, atol=1e-15)
+    np.testing.assert_allclose(moved[1], turned / np.linalg.norm(turned, axis=1, keepdims=True), atol=1e-14)
