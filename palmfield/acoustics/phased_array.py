@@ -130,6 +130,7 @@ class PhasedArray:
     array: all transducers in one, for positions, directions and gains. Where directivities differ it has the widest
         piston of them and no table: take `pressure64` or `field` for the sound
     impedance: rho c^2 of the air [Pa]
+    flat: whether each array's transducers lie in one plane and face along its normal
     board_normals, board_middles: mean direction and mean position [m] of each array's transducers, array frame, (a, 3)
     """
 
@@ -153,6 +154,9 @@ class PhasedArray:
             self.groups = directivity_groups(moved)
             self.board_normals = np.array([part.normals.mean(axis=0) for part in moved])
             self.board_middles = np.array([part.positions.mean(axis=0) for part in moved])
+            self.flat = all(
+                np.ptp(part.positions[:, 2]) < 1e-6 and np.all(part.normals[:, 2] > 1 - 1e-9) for part in self.parts
+            )
             if len(self.groups) > 1:
                 widest = max(part.piston_radius_m for part in moved)
                 moved = [replace(part, piston_radius_m=widest, directivity_table=None) for part in moved]

@@ -74,7 +74,8 @@ class SceneRuntime:
         rows = PoseRows(self._positions, self._matrices.reshape(-1, 3, 3))
         posed = posed_scene(self.model, self.layout, rows, self._posed, self.work.reference)
         if posed is not self._posed:
-            check_clear(posed)
+            if posed.bodies != self._posed.bodies or posed.arrays is not self._posed.arrays:
+                check_clear(posed)
             self._posed = posed
         return posed
 

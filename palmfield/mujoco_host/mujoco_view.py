@@ -159,6 +159,7 @@ class DataView:
         }
         """World positions [m], shape (n, 3), and rotation matrices by row, shape (n, 9), of bodies and sites."""
         self.controls = self._view("ctrl", counts.nu, 1)[:, 0]
+        self._mocap = self._view("mocap_pos", counts.nmocap, 3), self._view("mocap_quat", counts.nmocap, 4)
         self._qpos = self._view("qpos", counts.nq, 1)[:, 0]
         self._qvel = self._view("qvel", counts.nv, 1)[:, 0]
 
@@ -179,9 +180,7 @@ class DataView:
 
     def put_mocap(self, mocap: int, position: Float, quaternion: Float) -> None:
         """Pose a mocap body in the world: position [m], quaternion (w, x, y, z)."""
-        count = self.model.raw.nmocap
-        self._view("mocap_pos", count, 3)[mocap] = position
-        self._view("mocap_quat", count, 4)[mocap] = quaternion
+        self._mocap[0][mocap], self._mocap[1][mocap] = position, quaternion
 
     def put_free(self, joint: int, position: Float, quaternion: Float, velocity: Float, spin: Float) -> None:
         """Put a free joint's body: world position [m] and velocity [m/s], quaternion, spin in its own axes [rad/s]."""

@@ -6,6 +6,7 @@ when they are first needed, once.
 
 import threading
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +18,7 @@ from palmfield.config import StimulusConfig
 from palmfield.drive.device import Device as Board
 from palmfield.drive.response import Pole
 from palmfield.drive.transducer_response import TransducerResponse
-from palmfield.hand.posed_surface import SkinBinding, blend, face_samples
+from palmfield.hand.posed_surface import FaceSampler, SkinBinding, blend, face_samples
 from palmfield.hand.skinning import SkinnedSurface
 from palmfield.hand.subdivide import EDGE_m
 from palmfield.locked import Lazy, locked_cached_property
@@ -27,6 +28,7 @@ from palmfield.skin.mesh.surface import closed_boundary, output_triangles, surfa
 from palmfield.skin.scene_layer import SceneLayer
 from palmfield.skin.stepper import SkinStepper
 from palmfield.stimulus.surface_path import SurfacePath
+from palmfield.transforms import Transform
 from palmfield.types import Float, Int, Surface
 
 
@@ -87,6 +89,17 @@ class BodyModel:
         """Points [m], outward normals, shapes (n, 3), and areas [m^2], (n,), of a surface in one piece."""
         assert self.surface is not None
         return face_samples(*subdivide_to_size(self.surface.vertices, self.surface.faces, EDGE_m, max_iter=20))
+
+    def posed_samples(self, vertices: Float, frame: Transform) -> tuple[Float, Float, Float]:
+        """Points [m], outward normals, shapes (n, 3), in the outer frame, and areas [m^2], (n,), of moved vertices."""
+        with self.lock:
+            samples = self._sampler.at(vertices)
+            return frame.points(samples.centroids), frame.vectors(samples.normals), samples.areas.copy()
+
+    @locked_cached_property
+    def _sampler(self) -> FaceSampler:
+        assert self.surface is not None
+        return FaceSampler(self.surface.faces, len(self.surface.vertices))
 
     def bind(self, points: Float) -> SkinBinding | None:
         """The bones that carry points of the resting skin [m], shape (n, 3); None for a body in one piece."""
@@ -214,12 +227,12 @@ class HapticModel:
     whole: tuple[Lazy[WedgeStepper], ...]
     marks: dict[tuple[str, int, str], float] = field(default_factory=dict)
 
-    @property
+    @cached_property
     def substeps(self) -> int:
         """Steps of the skins in one of MuJoCo's; all skins share them, so that results have one time."""
         return round(self.spec.timestep_s / self.step_s)
 
-    @property
+    @cached_property
     def step_s(self) -> float:
         """The skins' time step [s]."""
         return self.skins[0].layer.sizes.step_s

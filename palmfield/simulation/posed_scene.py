@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from palmfield.acoustics.phased_array import PhasedArray
-from palmfield.hand.posed_surface import SkinBinding, face_samples
+from palmfield.hand.posed_surface import SkinBinding
 from palmfield.simulation.model import BodyModel, HapticModel, SkinModel, StimulusModel, array_instances
 from palmfield.stimulus.focal_points import FocalPoints, SurfaceCourse
 from palmfield.transforms import IDENTITY, Placement, Transform
@@ -75,15 +75,11 @@ class PosedBody:
     def __init__(self, model: BodyModel, skin: SkinModel, frame: Transform, bones: tuple[Float, Float]):
         self.model, self.skin, self.frame = model, skin, frame
         self.bone_positions, self.bone_rotations = bones
+        self.numbers = b"".join([array.tobytes() for array in (*frame, *bones)])
 
     def same(self, other: "PosedBody") -> bool:
         """Exactly equal: only then may a field be used again."""
-        return (
-            np.array_equal(self.frame.position, other.frame.position)
-            and np.array_equal(self.frame.rotation, other.frame.rotation)
-            and np.array_equal(self.bone_positions, other.bone_positions)
-            and np.array_equal(self.bone_rotations, other.bone_rotations)
-        )
+        return self.numbers == other.numbers
 
     @cached_property
     def vertices(self) -> Float:
@@ -111,7 +107,7 @@ class PosedBody:
         elif self.model.hand is None:
             points, normals, areas = self.model.rest_samples
         else:
-            points, normals, areas = face_samples(self.vertices, self.model.surface.faces)
+            return self.model.posed_samples(self.vertices, self.frame)
         return self.frame.points(points), self.frame.vectors(normals), areas
 
     @cached_property
@@ -141,12 +137,11 @@ class PosedSkin:
     def __init__(self, skin: SkinModel, body: PosedBody, obstacles: tuple[Float, Float]):
         self.skin, self.body = skin, body
         self.obstacle_positions, self.obstacle_rotations = obstacles
+        self.numbers = obstacles[0].tobytes() + obstacles[1].tobytes()
 
     def same_obstacles(self, other: "PosedSkin") -> bool:
         """Whether the obstacles stand exactly alike to the body."""
-        return np.array_equal(self.obstacle_positions, other.obstacle_positions) and np.array_equal(
-            self.obstacle_rotations, other.obstacle_rotations
-        )
+        return self.numbers == other.numbers
 
     @cached_property
     def nodes(self) -> tuple[Float, Float]:
@@ -199,6 +194,7 @@ class PosedScene:
         skins: Sequence[PosedSkin],
     ):
         self.rows, self.array_frame, self.arrays = rows, array_frame, arrays
+        self.numbers = rows.positions.tobytes() + rows.rotations.tobytes()
         self.frames, self.bodies, self.skins = tuple(frames), tuple(bodies), tuple(skins)
 
     def focal_points(self, stimulus: StimulusModel, number: int) -> FocalPoints:
@@ -239,9 +235,8 @@ def posed_scene(
     reference: as `reference_scene`; a skin whose small model was made for that pose is taken to be there as long as
         it, the arrays and obstacles are within STILL of it
     """
-    if np.array_equal(previous.rows.positions, rows.positions) and np.array_equal(
-        previous.rows.rotations, rows.rotations
-    ):
+    numbers = rows.positions.tobytes() + rows.rotations.tobytes()
+    if numbers == previous.numbers:
         return previous
     rows = PoseRows(rows.positions.copy(), rows.rotations.copy())
     origin, turn = rows.positions[0], rows.rotations[0]
@@ -270,7 +265,7 @@ def posed_scene(
 
 def _settled(posed: PosedSkin, reference: PosedSkin) -> bool:
     """Whether a skin is as good as in the reference pose."""
-    return bool(np.abs(posed.extent - reference.extent).max() < posed.skin.still_m)
+    return bool(np.maximum.reduce(np.abs(posed.extent - reference.extent), axis=None) < posed.skin.still_m)
 
 
 def _seen_from(rows: PoseRows, body: int, others: slice) -> tuple[Float, Float]:

@@ -7,7 +7,6 @@ leave the small model. A header says whose numbers they are; all zeros is rest, 
 
 import hashlib
 import json
-from dataclasses import dataclass
 from importlib.metadata import version
 
 import numpy as np
@@ -24,13 +23,16 @@ VERSION = 1
 """Of the layout of these numbers."""
 
 
-@dataclass(frozen=True)
 class HapticState:
     """arrays: of each array header and what its transducers emit, shape (1, HEADER + 2 n); skins: of each skin header
-    and numbers, shape (1, HEADER + room). float64"""
+    and numbers, shape (1, HEADER + room). float64
 
-    arrays: tuple[Float, ...]
-    skins: tuple[Float, ...]
+    emitted: complex amplitude that each transducer emits, by array, shape (1, n), views
+    """
+
+    def __init__(self, arrays: tuple[Float, ...], skins: tuple[Float, ...]):
+        self.arrays, self.skins = arrays, skins
+        self.emitted: tuple[Complex, ...] = tuple(part[:, HEADER:].view(np.complex128) for part in arrays)
 
     def copy(self) -> "HapticState":
         """The same, in memory of its own."""
@@ -51,11 +53,6 @@ def new_state(model: HapticModel) -> HapticState:
     """Everything at rest."""
     arrays = tuple(np.zeros((1, array_room(len(part)))) for part in model.arrays.parts)
     return HapticState(arrays, tuple(np.zeros((1, skin_room(model, i))) for i in range(len(model.skins))))
-
-
-def emitted(state: HapticState) -> list[Complex]:
-    """Complex amplitude that each transducer emits, by array, shape (1, n), views."""
-    return [part[:, HEADER:].view(np.complex128) for part in state.arrays]
 
 
 def check_arrays(model: HapticModel, state: HapticState) -> None:

@@ -17,7 +17,7 @@ from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene, reference_scene
 from palmfield.simulation.prefetch import LoadPrefetch
 from palmfield.simulation.radiation import Radiation
-from palmfield.simulation.state import HapticState, claim, emitted, stepper_of
+from palmfield.simulation.state import HapticState, claim, stepper_of
 from palmfield.simulation.whole_layer import continue_on_whole_layer, leaves_small_model
 from palmfield.skin.stepper import Reader, SurfaceLoads
 from palmfield.stimulus.schedule import Moments
@@ -103,7 +103,7 @@ def skin_loads(work: Workspace, posed: PosedScene, skin: int, moments: Moments, 
 def gather(state: HapticState, work: Workspace) -> Complex:
     """What all transducers emit, shape (N,), in the workspace's array."""
     start = 0
-    for part in emitted(state):
+    for part in state.emitted:
         work.amplitudes[start : start + part.shape[1]] = part[0]
         start += part.shape[1]
     return work.amplitudes
@@ -112,6 +112,6 @@ def gather(state: HapticState, work: Workspace) -> Complex:
 def scatter(state: HapticState, amplitudes: Complex) -> None:
     """Write what all transducers emit, shape (N,), into the state."""
     start = 0
-    for part in emitted(state):
+    for part in state.emitted:
         part[0] = amplitudes[start : start + part.shape[1]]
         start += part.shape[1]

@@ -141,20 +141,24 @@ def check_clear(posed: PosedScene) -> None:
     for body in posed.bodies:
         points = body.vertices_in_array
         if body.model.surface is None:
-            points = posed.skins[0].nodes[0] if len(posed.skins) == 1 else _disc_nodes(posed, body.skin)
+            # The closed surface of a disc has its base too, which may be the board itself.
+            points = points[: len(points) // 2]
         _check_clear(posed, f"body '{body.model.name}'", points, behind=False)
     for skin in posed.skins:
         if skin.obstacles is not None:
             _check_clear(posed, "one of the obstacles", skin.obstacles[0], behind=True)
 
 
-def _disc_nodes(posed: PosedScene, skin: SkinModel) -> Float:
-    return next(part.nodes[0] for part in posed.skins if part.skin is skin)
-
-
 def _check_clear(posed: PosedScene, what: str, points: Float, *, behind: bool) -> None:
     """behind: whether it may lie wholly behind the board."""
-    for part, placement in zip(posed.arrays.parts, posed.arrays.placements, strict=True):
+    arrays = posed.arrays
+    for part, placement, normal, middle in zip(
+        arrays.parts, arrays.placements, arrays.board_normals, arrays.board_middles, strict=True
+    ):
+        # All that is so far in front of the middle's plane is clear of a flat board; the rest is looked at closely.
+        reach = CLEARANCE_M if arrays.flat else np.inf
+        if np.minimum.reduce(points @ normal) - middle @ normal > reach:
+            continue
         local = placement.transform.inverse_points(points)
         above = clearance(part, local)
         if above >= CLEARANCE_M:
