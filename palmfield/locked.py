@@ -23,18 +23,14 @@ class Lazy(Generic[T]):
     """Something costly that is made when it is first asked for."""
 
     def __init__(self, make: Callable[[], T]):
-        self._make, self._lock = make, threading.RLock()
-        self._made: tuple[T] | None = None
+        self._make, self.lock = make, threading.RLock()
 
     @property
     def made(self) -> bool:
         """Whether it has been asked for."""
-        return self._made is not None
+        return "value" in vars(self)
 
-    def get(self) -> T:
+    @locked_cached_property
+    def value(self) -> T:
         """The thing. Raises what making it raises."""
-        if self._made is None:
-            with self._lock:
-                if self._made is None:
-                    self._made = (self._make(),)
-        return self._made[0]
+        return self._make()

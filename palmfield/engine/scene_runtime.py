@@ -82,7 +82,6 @@ class SceneRuntime:
     @property
     def amplitudes(self) -> Complex:
         """What all transducers emit now, shape (N,); overwritten by the next call."""
-        check_arrays(self.model, self.state)
         return gather(self.state, self.work)
 
     def skin_states(self) -> list[tuple[SkinStepper, Float]]:
@@ -133,7 +132,7 @@ class SceneRuntime:
             if drive is not None:
                 points, normals = posed.bodies[part.body].moved(place.probe.closest, place.probe.normals, place.binding)
                 arp = factor * float(self.work.radiation.at(posed, skin, "probe", points, normals, drive).arp[0])
-            fill(sensor.data, SkinReading(self.applied[part.body], motion[0], motion[1], arp))
+            fill(sensor.data, SkinReading(*self.applied[part.body], motion[0], motion[1], arp))
 
     def _place(self, skin: int, sensor: PluginSensor) -> SensorPlace:
         known = self._places.get(sensor.name)

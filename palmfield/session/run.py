@@ -167,7 +167,7 @@ def _prepare(sim: Simulation, out: Path | None, overwrite: bool, bar: Progress) 
     task = bar.add_task("preparing the skin layers", total=None)
     model, runtime = sim.runtime.model, sim.runtime
     for lazy in model.begin:
-        lazy.get()
+        _ = lazy.value
     static = static_arrays(model, _world(sim), runtime)
     attributes = _attributes(sim)
     store = MemoryStore(static, attributes) if out is None else Store(out, static, attributes, overwrite)

@@ -71,7 +71,10 @@ class Emission:
 
     def focal_points(self, posed: PosedScene, time_s: float) -> list[FocalPoints]:
         """Where each stimulus's points are; between control ticks, where they were at the last."""
-        return [self._at(posed, number, part, time_s) for number, part in enumerate(self.model.stimuli)]
+        points = []
+        for number, part in enumerate(self.model.stimuli):
+            points.append(self._at(posed, number, part, time_s))
+        return points
 
     def _at(self, posed: PosedScene, number: int, stimulus: StimulusModel, time_s: float) -> FocalPoints:
         rate, held = stimulus.config.control_rate_Hz, self.held[number]
@@ -80,14 +83,16 @@ class Emission:
             if ticks[0] == ticks[1]:
                 return held.points
         if self._points[0] is not posed:
-            parts = enumerate(self.model.stimuli)
-            self._points = posed, [posed.focal_points(part, other) for other, part in parts]
+            points = []
+            for other, part in enumerate(self.model.stimuli):
+                points.append(posed.focal_points(part, other))
+            self._points = posed, points
         return self._points[1][number]
 
     def over(self, posed: PosedScene, emitted: Complex, t0: float, count: int) -> tuple[Moments, EmittedCourse]:
         """What is emitted at the moments of `count` substeps from t0 [s] on; emitted: at t0, shape (N,)."""
         model = self.model
-        moments = substep_moments([part.config for part in model.stimuli], t0, model.step_s, count)
+        moments = substep_moments(model.configs, t0, model.step_s, count)
         points, drives = self.focal_points(posed, t0), self.drives(posed.arrays)
         courses = []
         for part, drive, place in zip(model.stimuli, drives, points, strict=True):

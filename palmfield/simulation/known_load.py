@@ -170,7 +170,7 @@ def first_stepper(model: HapticModel, skin: int) -> SkinStepper:
     """
     part = model.skins[skin]
     if part.choice.name == "wedges":
-        return model.whole[skin].get()
+        return model.whole[skin].value
     layer, posed = part.layer, reference_scene(model)
     focus = posed.skins[skin].body.frame.inverse_points(model.stimuli[sounding(model)].first_focus)
     try:
@@ -187,7 +187,7 @@ def first_stepper(model: HapticModel, skin: int) -> SkinStepper:
     except SceneError:
         if part.spec.config.solver == "reduced":
             raise
-        return model.whole[skin].get()
+        return model.whole[skin].value
 
 
 def known_load(model: HapticModel, skin: int, posed: PosedScene) -> KnownLoad:

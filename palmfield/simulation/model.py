@@ -228,6 +228,11 @@ class HapticModel:
     marks: dict[tuple[str, int, str], float] = field(default_factory=dict)
 
     @cached_property
+    def configs(self) -> tuple[StimulusConfig, ...]:
+        """Keys of the stimuli."""
+        return tuple(part.config for part in self.stimuli)
+
+    @cached_property
     def substeps(self) -> int:
         """Steps of the skins in one of MuJoCo's; all skins share them, so that results have one time."""
         return round(self.spec.timestep_s / self.step_s)

@@ -1,7 +1,8 @@
 """What a sensor on the skin reads. A new channel is one entry of CHANNELS."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from operator import attrgetter
+from typing import NamedTuple
 
 from palmfield.errors import SceneError
 from palmfield.hand.posed_surface import SkinBinding
@@ -14,28 +15,22 @@ REACH_M = 0.01
 """A sensor's site may lie so far from the skin layer."""
 
 
-@dataclass(frozen=True)
-class SkinReading:
+class SkinReading(NamedTuple):
     """What is known at a sensor's place at the beginning of a MuJoCo step.
 
-    force_N: of the sound on the whole body, mean over the step that begins, world axes, shape (3,)
-    displacement_m, velocity_m_s: of the skin along its outward normal; arp_Pa: positive inwards
+    arp_force_x_N, _y_N, _z_N: of the sound on the whole body, mean over the step that begins, world axes
+    normal_displacement_m, normal_velocity_m_s: of the skin along its outward normal; arp_Pa: positive inwards
     """
 
-    force_N: Float
-    displacement_m: float
-    velocity_m_s: float
+    arp_force_x_N: float
+    arp_force_y_N: float
+    arp_force_z_N: float
+    normal_displacement_m: float
+    normal_velocity_m_s: float
     arp_Pa: float
 
 
-CHANNELS: dict[str, Callable[[SkinReading], float]] = {
-    "arp_force_x_N": lambda reading: reading.force_N[0],
-    "arp_force_y_N": lambda reading: reading.force_N[1],
-    "arp_force_z_N": lambda reading: reading.force_N[2],
-    "normal_displacement_m": lambda reading: reading.displacement_m,
-    "normal_velocity_m_s": lambda reading: reading.velocity_m_s,
-    "arp_Pa": lambda reading: reading.arp_Pa,
-}
+CHANNELS: dict[str, Callable[[SkinReading], float]] = {name: attrgetter(name) for name in SkinReading._fields}
 """A sensor's numbers, in this order."""
 UNITS = tuple(
     next(unit for ending, unit in (("_m_s", "m s-1"), ("_N", "N"), ("_Pa", "Pa"), ("_m", "m")) if name.endswith(ending))

@@ -58,7 +58,7 @@ def new_state(model: HapticModel) -> HapticState:
 def check_arrays(model: HapticModel, state: HapticState) -> None:
     """Mark the arrays' states as this model's. Raises SceneError for one that another scene or version wrote."""
     for number, (array, part) in enumerate(zip(model.spec.arrays, state.arrays, strict=True)):
-        mark = _mark(model, "array", number, "pole")
+        mark = model.marks.get(("array", number, "pole")) or _mark(model, "array", number, "pole")
         if part[0, 0] == BEGUN and part[0, 1] == mark:
             continue
         if np.logical_or.reduce(part[0]):
@@ -73,11 +73,12 @@ def stepper_of(model: HapticModel, state: HapticState, skin: int) -> tuple[SkinS
     """
     part = state.skins[skin]
     kind = part[0, 0]
-    stepper: SkinStepper = (model.whole if kind == WHOLE else model.begin)[skin].get()
+    stepper: SkinStepper = (model.whole if kind == WHOLE else model.begin)[skin].value
     if kind == 0.0:
         known = not np.logical_or.reduce(part[0])
     else:
-        known = kind in (BEGUN, WHOLE) and part[0, 1] == _mark(model, "skin", skin, stepper.name)
+        mark = model.marks.get(("skin", skin, stepper.name)) or _mark(model, "skin", skin, stepper.name)
+        known = kind in (BEGUN, WHOLE) and part[0, 1] == mark
     if not known:
         raise SceneError(_foreign(f"plugin 'palmfield.skin' instance '{model.skins[skin].spec.name}'"))
     return stepper, part[:, HEADER : HEADER + stepper.state_size]
@@ -86,21 +87,18 @@ def stepper_of(model: HapticModel, state: HapticState, skin: int) -> tuple[SkinS
 def claim(model: HapticModel, state: HapticState, skin: int, stepper: SkinStepper) -> None:
     """Write into a skin's header that its numbers are this stepper's."""
     header = state.skins[skin][0]
-    header[0] = BEGUN if model.begin[skin].get() is stepper else WHOLE
-    header[1] = _mark(model, "skin", skin, stepper.name)
+    header[0] = BEGUN if model.begin[skin].value is stepper else WHOLE
+    header[1] = model.marks.get(("skin", skin, stepper.name)) or _mark(model, "skin", skin, stepper.name)
 
 
 def _mark(model: HapticModel, kind: str, number: int, name: str) -> float:
     """A number, exact in float64, that tells states of this solver, on this scene, in this version, from others."""
-    known = model.marks.get((kind, number, name))
-    if known is not None:
-        return known
     if kind == "array":
         array = model.spec.arrays[number]
         parts = [array.config.model_dump_json(), len(model.arrays.parts[number])]
     else:
         skin = model.skins[number]
-        stepper = (model.begin[number] if model.begin[number].get().name == name else model.whole[number]).get()
+        stepper = (model.begin[number] if model.begin[number].value.name == name else model.whole[number]).value
         parts = [skin.spec.config.model_dump_json(), skin.layer.state_room, stepper.state_size, stepper.step_s]
     digest = hashlib.sha256(json.dumps([VERSION, version("palmfield"), kind, name, *parts]).encode()).digest()
     mark = float(int.from_bytes(digest[:6], "big") + 1)

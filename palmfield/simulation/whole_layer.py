@@ -30,7 +30,7 @@ def leaves_small_model(
     part = model.skins[skin]
     if state.skins[skin][0, 0] == WHOLE:
         return False
-    stepper = model.begin[skin].get()
+    stepper = model.begin[skin].value
     if not isinstance(stepper, ReducedStepper):
         return False
     stimulus = sounding(model)
@@ -73,7 +73,7 @@ def continue_on_whole_layer(
 
     Returns the whole layer's stepper and its numbers, shape (1, state_size), a view of the state.
     """
-    small, whole = model.begin[skin].get(), model.whole[skin].get()
+    small, whole = model.begin[skin].value, model.whole[skin].value
     assert isinstance(small, ReducedStepper)
     course = emission.now(posed, amplitudes, t0)
     pressure = np.zeros(len(posed.skins[skin].quadrature[0]))
