@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from palmfield.acoustics.air import sound_speed
 from palmfield.config import ArrayConfig, StimulusConfig
 from palmfield.drive.array_drive import ArrayDrive
-from palmfield.drive.device import DEVICES
+from palmfield.drive.boards import BOARDS
 from palmfield.drive.response import Pole, envelope_response, flight_times
 from palmfield.drive.response_error import shares, windows
 from palmfield.drive.transducer_response import transducer_response
@@ -23,7 +23,7 @@ FOCUS = np.array([0.0, 0.0, 0.12])
 
 def errors_of(source, stimulus, frame=IDENTITY):
     every = np.arange(len(source.array), dtype=np.int32)
-    drive = ArrayDrive(source, every, None, None, DEVICES["ideal"])
+    drive = ArrayDrive(source, every, None, None, BOARDS["ideal"])
     return transducer_response(stimulus, drive, FocalPoints(frame), [ArrayConfig()], 0.05)
 
 
