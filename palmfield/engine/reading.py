@@ -4,7 +4,16 @@ from typing import Any
 
 import numpy as np
 
-from palmfield.config import ArrayConfig, Config, DriverConfig, MotionConfig, SkinConfig, StimulusConfig, parse
+from palmfield.config import (
+    ArrayConfig,
+    Config,
+    DriverConfig,
+    MotionConfig,
+    SkinConfig,
+    StimulusConfig,
+    known_keys,
+    parse,
+)
 from palmfield.errors import SceneError
 from palmfield.hand.collision_shapes import Obstacle
 from palmfield.mujoco_host.mujoco_view import ModelView
@@ -224,5 +233,5 @@ def _aim_moves(stimulus: StimulusConfig, skin: SkinConfig, array: ArrayConfig, m
 
 def _keys(config: type[Config], model: ModelView, instance: int) -> Any:
     name = next(n for i, _, n in model.instances() if i == instance)
-    values = model.values(instance, list(config.model_fields))
+    values = model.values(instance, known_keys(config))
     return parse(config, values, f"plugin '{config.plugin}' instance '{name}'")
