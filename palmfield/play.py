@@ -11,10 +11,10 @@ from rich.progress import Progress
 
 from palmfield.acoustics.arrays import layout
 from palmfield.acoustics.focus import focus
+from palmfield.drive.boards.sonicsurface import OFF_FRAME, encode
 from palmfield.drive.device import DEVICES
 from palmfield.drive.foci import solve_foci
 from palmfield.drive.link import Played, RecordLink, open_link, play_frames
-from palmfield.drive.sonicsurface import OFF_FRAME, encode
 from palmfield.errors import DeviceError
 from palmfield.scene import Scene, load
 from palmfield.stimulus.schedule import frame_at, frame_rates, jumps

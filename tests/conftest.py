@@ -1,5 +1,6 @@
 """Scenes small enough to step in a test."""
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -74,3 +75,24 @@ def small_scene(tmp_path: Path) -> Write:
 def module_scene(tmp_path_factory: pytest.TempPathFactory) -> Write:
     """As small_scene, for a fixture that serves a whole file."""
     return _writer(tmp_path_factory.mktemp("scene"))
+
+
+@pytest.fixture(scope="session")
+def python_calls() -> Callable[[Callable[[], object]], int]:
+    """Counts the Python functions that a call runs, C functions left out; the call itself is not counted."""
+
+    def count(call: Callable[[], object]) -> int:
+        seen = 0
+
+        def note(frame: object, event: str, argument: object) -> None:
+            nonlocal seen
+            seen += event == "call"
+
+        sys.setprofile(note)
+        try:
+            call()
+        finally:
+            sys.setprofile(None)
+        return seen - 1
+
+    return count

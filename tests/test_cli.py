@@ -14,7 +14,7 @@ import xarray as xr
 from palmfield.acoustics.arrays import layout
 from palmfield.acoustics.focus import focus
 from palmfield.cli.app import main
-from palmfield.drive.sonicsurface import FRAME_BYTES, OFF_FRAME, decode
+from palmfield.drive.boards.sonicsurface import FRAME_BYTES, OFF_FRAME, decode
 from palmfield.types import Air
 
 SCENES = Path(__file__).parent.parent / "mjcf" / "scenes"

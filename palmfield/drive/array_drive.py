@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from palmfield.acoustics.air import absorption_Np_m, sound_speed
 from palmfield.acoustics.focus import focus
 from palmfield.acoustics.reference import directivity
-from palmfield.drive.device import Device, play
+from palmfield.drive.boards import Board, play
 from palmfield.drive.foci import solve_foci
 from palmfield.errors import SceneError
 from palmfield.stimulus.focal_points import FocalPoints
@@ -72,7 +72,7 @@ class ArrayDrive:
         chosen: Int,
         arp_peak_Pa: float | None,
         drive_amplitude: float | None,
-        board: Device,
+        board: Board,
     ):
         self.array, self.chosen, self.board, self.arp_peak_Pa = array, chosen, board, arp_peak_Pa
         whole = array.array
@@ -128,7 +128,7 @@ class ArrayDrive:
         Errors as unit_drive.
         """
         points = points.reshape(len(points), -1, 3)
-        if len(focal_points.offsets) or self.board.name != "ideal":
+        if len(focal_points.offsets) or not self.board.exact:
             return self._one_by_one(points, focal_points, group, heard)
         foci = focal_points.along(points.reshape(-1, 3)).reshape(points.shape)
         mine = group if group is None or self.everything else group[self.chosen]

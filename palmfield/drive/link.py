@@ -19,7 +19,7 @@ from typing import Protocol, Self
 import serial
 from serial.tools.list_ports import comports
 
-from palmfield.drive.sonicsurface import BAUD, BITS_PER_BYTE, OFF_FRAME
+from palmfield.drive.boards.sonicsurface import BAUD, BITS_PER_BYTE, OFF_FRAME
 from palmfield.errors import DeviceError, OutputError
 
 WRITE_TIMEOUT_S = 0.25

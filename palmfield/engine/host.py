@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 
 import mujoco
 
-from palmfield.config import Config, parse
+from palmfield.config import Config, known_keys, parse
 from palmfield.errors import PalmfieldError
 from palmfield.mujoco_host.mujoco_view import DataView, ModelView
 from palmfield.mujoco_host.structs import Plugin, library
@@ -125,7 +125,7 @@ def _fail(world: World | None, module: str, error: Exception) -> None:
 def settings_of(module: type[Module], model: ModelView, instance: int) -> Config:
     """Typed configuration of a plugin instance; SceneError as in `palmfield.config.parse`."""
     name = next(n for i, _, n in model.instances() if i == instance)
-    values = model.values(instance, module.config.registered())
+    values = model.values(instance, known_keys(module.config))
     return parse(module.config, values, f"plugin '{module.name}' instance '{name}'")
 
 
@@ -222,7 +222,7 @@ def register(module: type[Module]) -> None:
     flags = 0 if module.forces is Module.forces else int(mujoco.mjtPluginCapabilityBit.mjPLUGIN_PASSIVE)
     if module.sensor:
         flags |= int(mujoco.mjtPluginCapabilityBit.mjPLUGIN_SENSOR)
-    keys = [key.encode() for key in module.config.registered()]
+    keys = [key.encode() for key in known_keys(module.config)]
     attributes = (ctypes.c_char_p * max(len(keys), 1))(*keys)
     plugin = Plugin()
     lib.mjp_defaultPlugin(ctypes.byref(plugin))

@@ -8,6 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from palmfield.config import known_keys
 from palmfield.engine.host import compiling, take_compile_error
 from palmfield.engine.modules import MODULES
 from palmfield.engine.motion_plugin import place
@@ -141,7 +142,7 @@ def _changes(spec: mujoco.MjSpec, keys: Mapping[str, object]) -> dict[str, dict[
             raise SceneError(f"key '{given}' is not of an instance or plugin of this scene; it has: {', '.join(known)}")
         for plugin in own:
             config = configs.get(plugin.plugin_name)
-            if config is not None and key not in config.registered():
+            if config is not None and key not in known_keys(config):
                 raise SceneError(
                     f"plugin '{plugin.plugin_name}' instance '{plugin.name}': unknown key '{key}'; allowed: "
                     f"{', '.join(config.model_fields)}"

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from palmfield.config import ArrayConfig, Config, DriverConfig, MotionConfig, SkinConfig, StimulusConfig, parse
+from palmfield.config import ArrayConfig, Config, DriverConfig, MotionConfig, SkinConfig, StimulusConfig, known_keys, parse
 from palmfield.device import resolve
 from palmfield.errors import PalmfieldError, SceneError
 from palmfield.hand.articulated import articulate
@@ -108,7 +108,7 @@ def read_scene(model: ModelView) -> tuple[SceneSpec, SceneBinding]:
 def keys_of(config: type[Config], model: ModelView, instance: int) -> Any:
     """Typed keys of a plugin instance. Raises SceneError as `palmfield.config.parse`."""
     name = next(n for i, _, n in model.instances() if i == instance)
-    values = model.values(instance, config.registered())
+    values = model.values(instance, known_keys(config))
     return parse(config, values, element_of(config, name))
 
 

@@ -1,7 +1,5 @@
 """The parts of a scene that a drive needs, without a scene."""
 
-import sys
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -54,24 +52,3 @@ def mixed() -> Source:
     second = replace(layout("sonicsurface"), piston_radius_m=0.0, p0_Pa_m=4.0)
     tilt = np.array([[0.8, 0.0, -0.6], [0.0, 1.0, 0.0], [0.6, 0.0, 0.8]])
     return Source((first, second), (first, placed(second, np.array([0.25, 0.0, 0.03]), tilt)))
-
-
-@pytest.fixture(scope="session")
-def python_calls() -> Callable[[Callable[[], object]], int]:
-    """Counts the Python functions that a call runs, C functions left out; the call itself is not counted."""
-
-    def count(call: Callable[[], object]) -> int:
-        seen = 0
-
-        def note(frame: object, event: str, argument: object) -> None:
-            nonlocal seen
-            seen += event == "call"
-
-        sys.setprofile(note)
-        try:
-            call()
-        finally:
-            sys.setprofile(None)
-        return seen - 1
-
-    return count

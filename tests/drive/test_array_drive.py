@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 
 from palmfield.acoustics.focus import focus
 from palmfield.drive.array_drive import KEPT, ArrayDrive, in_mm
-from palmfield.drive.device import DEVICES
+from palmfield.drive.boards import BOARDS
+from palmfield.drive.boards.sonicsurface import decode, encode
 from palmfield.drive.foci import solve_foci, transfer64
-from palmfield.drive.sonicsurface import decode, encode
 from palmfield.errors import SceneError
 from palmfield.stimulus.focal_points import FocalPoints
 from palmfield.transforms import IDENTITY
@@ -20,7 +20,7 @@ PLACES = st.tuples(st.floats(-0.15, 0.15), st.floats(-0.15, 0.15), st.floats(0.0
 
 def drive_of(source, *, chosen=None, arp_peak_Pa=None, amplitude=None, board="ideal"):
     every = np.arange(len(source.array), dtype=np.int32)
-    return ArrayDrive(source, every if chosen is None else chosen, arp_peak_Pa, amplitude, DEVICES[board])
+    return ArrayDrive(source, every if chosen is None else chosen, arp_peak_Pa, amplitude, BOARDS[board])
 
 
 @given(place=PLACES)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from palmfield.config import ArrayConfig, StimulusConfig
 from palmfield.drive.array_drive import ArrayDrive
-from palmfield.drive.device import DEVICES
+from palmfield.drive.boards import BOARDS
 from palmfield.drive.response import Pole, envelope_response, pole_step
 from palmfield.drive.response_error import ResponseError
 from palmfield.drive.transducer_response import (
@@ -54,7 +54,7 @@ def of(**keys):
 def drive_of(source, stimulus, chosen=None, board="ideal"):
     every = np.arange(len(source.array), dtype=np.int32)
     return ArrayDrive(
-        source, every if chosen is None else chosen, stimulus.arp_peak_Pa, stimulus.drive_amplitude, DEVICES[board]
+        source, every if chosen is None else chosen, stimulus.arp_peak_Pa, stimulus.drive_amplitude, BOARDS[board]
     )
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from palmfield.drive.boards.board import Board
 from palmfield.errors import DeviceError
 from palmfield.types import Complex, Float
 
@@ -89,7 +90,7 @@ def encode(amplitude: ArrayLike, calibration: Calibration | None = None) -> byte
     return bytes([START]) + data.tobytes() + bytes([SWAP])
 
 
-class Board:
+class SonicSurfaceTwin:
     """One SonicSurface as its firmware behaves: two buffers, a byte counter, and no reply.
 
     Both buffers hold phase 0 at power-up, so all 256 emitters sound before the first frame. A swap *exchanges* the
@@ -150,4 +151,16 @@ def decode(data: bytes, calibration: Calibration | None = None) -> list[Complex]
     data: bytes as sent; calibration: the board's own deviations, None for an ideal board
     Raises DeviceError when a frame has more than 256 data bytes.
     """
-    return Board(calibration).feed(data)
+    return SonicSurfaceTwin(calibration).feed(data)
+
+
+BOARD = Board(
+    "sonicsurface",
+    FRAME_RATE_HZ,
+    "on_off",
+    "SonicSurface, 256 emitters at 230400 baud: 32 phases, off or full (50 % duty), 89.3 frames/s",
+    layout="sonicsurface",
+    encode=encode,
+    decode=decode,
+    off_frame=OFF_FRAME,
+)

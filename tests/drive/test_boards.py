@@ -1,16 +1,17 @@
-"""Devices: what they play and what they refuse."""
+"""Boards: what they play and what they refuse."""
 
 import numpy as np
 import pytest
 
-from palmfield.drive.device import DEVICES, Device, check, play
+from palmfield.config import DriverConfig, allowed
+from palmfield.drive.boards import BOARDS, board_named, check, play
 from palmfield.errors import DeviceError
 
-BOARD = DEVICES["sonicsurface"]
-IDEAL = DEVICES["ideal"]
+BOARD = BOARDS["sonicsurface"]
+IDEAL = BOARDS["ideal"]
 
 
-def test_the_ideal_device_plays_anything():
+def test_the_ideal_board_plays_anything():
     asked = np.array([0.3 + 0.1j, 0, 1, -2j])
     played = play(IDEAL, asked)
     np.testing.assert_array_equal(played, asked)
@@ -30,9 +31,20 @@ def test_the_board_plays_no_amplitude_between():
         play(BOARD, np.full(256, 0.4))
 
 
-def test_an_unknown_device():
-    with pytest.raises(DeviceError, match="'toaster' is not known; use one of ideal, sonicsurface"):
-        play(Device("toaster", 1.0, "on_off", ""), np.ones(1))
+def test_an_unknown_board():
+    with pytest.raises(DeviceError, match="'toaster' is not known; allowed: ideal, sonicsurface"):
+        board_named("toaster")
+
+
+def test_the_scenes_key_takes_the_boards_that_there_are():
+    assert allowed(DriverConfig, "device").split(" | ") == list(BOARDS)
+
+
+def test_silence_in_bytes_is_silence():
+    for board in BOARDS.values():
+        if not board.exact:
+            assert not board.decode(board.off_frame)[-1].any()
+            np.testing.assert_array_equal(board.encode(np.zeros(256)), board.off_frame)
 
 
 def test_a_still_focus_and_a_slow_path_fit_the_board():
