@@ -9,7 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from palmfield.config import ArrayConfig, Config, DriverConfig, MotionConfig, SkinConfig, StimulusConfig, known_keys, parse
+from palmfield.config import (
+    ArrayConfig,
+    Config,
+    DriverConfig,
+    MotionConfig,
+    SkinConfig,
+    StimulusConfig,
+    known_keys,
+    parse,
+)
 from palmfield.device import resolve
 from palmfield.errors import PalmfieldError, SceneError
 from palmfield.hand.articulated import articulate
