@@ -83,6 +83,14 @@ def test_renamed_values_are_refused_with_what_to_use():
     assert renamed_table(Nose)[1] == ("solver full", "wedges")
 
 
+@pytest.mark.parametrize("name", ["axisymmetric", "lateral_waves"])
+def test_a_solver_of_whole_histories_is_refused_with_the_call_that_does_it(name):
+    with pytest.raises(SceneError) as refusal:
+        parse(SkinConfig, {"solver": name, "patch_site": "x"}, "e")
+    assert str(refusal.value).startswith(f"e: key 'solver' has value '{name}', which computes the whole history")
+    assert f"palmfield.skin.solve(..., solver='{name}')" in str(refusal.value)
+
+
 def test_what_is_renamed_is_gone_and_what_to_use_is_there():
     for config in CONFIGS:
         for name, use in config.renamed.items():
