@@ -227,7 +227,7 @@ def _layers(
     demands = []
     layers = []
     for skin in spec.skins:
-        body, stimulus = bodies[names.index(skin.config.body)], _nearest(skin, stimuli)
+        body, stimulus = bodies[names.index(skin.config.body)], nearest_stimulus(skin, stimuli)
         frequencies = main_frequencies(stimulus.config)
         highest = skin.config.max_frequency_Hz
         if highest is None:
@@ -257,7 +257,7 @@ def _layer(skin: SkinSpec, body: BodyModel, demand: LayerDemand) -> SceneLayer:
     )  # fmt: skip
 
 
-def _nearest(skin: SkinSpec, stimuli: tuple[StimulusModel, ...]) -> StimulusModel:
+def nearest_stimulus(skin: SkinSpec, stimuli: tuple[StimulusModel, ...]) -> StimulusModel:
     """The stimulus whose first focus is nearest to the middle of a skin: its sound is what the layer is made for."""
     centre = skin.body.transform.points(np.array(skin.patch_centre))
     sounding = [stimulus for stimulus in stimuli if not stimulus.silent] or list(stimuli)
