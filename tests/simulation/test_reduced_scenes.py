@@ -8,9 +8,12 @@ import pytest
 
 import palmfield
 from palmfield.engine.host import raise_errors
-from palmfield.foresight import MOST_TURNS, refusal
-from palmfield.skin.reduction import stepping
-from palmfield.skin.reduction.stepping import FullSkin, ReducedSkin
+from palmfield.session.simulation import load
+from palmfield.simulation.known_load import MOST_TURNS, refusal
+from palmfield.simulation.state import BEGUN, HEADER, WHOLE
+from palmfield.skin.fem.wedge_stepper import WedgeStepper
+from palmfield.skin.reduction import reduced_stepper
+from palmfield.skin.reduction.reduced_stepper import ReducedStepper
 
 JOINT = '<joint name="slide" type="slide" axis="1 0 0" stiffness="400" damping="10"/>'
 STEADY = {"modulation": "none", "am_of": None, "am_frequency_Hz": None, "am_depth": None}
@@ -26,16 +29,30 @@ def fixed(path, place="", position="0 0 0.12"):
     return path
 
 
-def run(path, steps=15, change=lambda scene, step: None):
-    """Normal displacement and velocity of the surface after every step of the skin, and the scene."""
-    scene = palmfield.load(path)
-    chain, seen = scene.skin.chain, []
-    chain.observer = lambda t, motion, *rest: seen.append(motion.copy())
+def watched(path, steps=15, change=lambda sim, step: None):
+    """Normal displacement and velocity of the surface after every step of the skin, shape (t, 2, S), and the scene."""
+    sim = load(path)
+    work, seen = sim.runtime.work, []
+    work.observe = (sim.runtime.model.skins[0].layer.surface_operator,)
+    work.observer = lambda trace: seen.extend(trace.motion[0].copy())
     for step in range(steps):
-        change(scene, step)
-        mujoco.mj_step(scene.model, scene.data)
-        raise_errors(scene.data)
-    return np.array(seen), scene
+        change(sim, step)
+        sim.step()
+    return np.array(seen), sim
+
+
+def stepper_of(sim):
+    """What the scene's one skin begins with."""
+    return sim.runtime.model.begin[0].value
+
+
+def choice_of(sim):
+    return sim.runtime.model.skins[0].choice
+
+
+def kind_of(sim):
+    """Whose numbers the skin's state holds: BEGUN or WHOLE."""
+    return sim.runtime.state.skins[0][0, 0]
 
 
 def relative(a, b):
@@ -56,15 +73,15 @@ CASES = {
 def test_motion_is_the_whole_layers(small_scene, changes):
     """To the two solvers' own errors: (w h)^2 / 10 of the whole layer's step is 0.6 % at 400 Hz, and the reduction."""
     keys = {name: dict(values) for name, values in changes.items()}
-    small, scene = run(fixed(small_scene(**keys | {"skin": SKIN | keys.get("skin", {})})))
-    full, _ = run(fixed(small_scene(**keys | {"skin": SKIN | keys.get("skin", {}) | {"solver": "full"}})))
-    skin = scene.skin.chain.skin.begin
-    error = relative(small[:, 0], full[:, 0])
-    print(scene.skin.rig.system.ndof, skin.model.order, "estimate", skin.error, "difference", error)
-    assert isinstance(skin, ReducedSkin)
-    assert skin.error <= 0.1 * scene.skin.rig.skin.accuracy
-    assert error < 0.01 + skin.error
-    assert not scene.skin.world.state(scene.skin.instance)[scene.skin.rig.skin_room]
+    small, sim = watched(fixed(small_scene(**keys | {"skin": SKIN | keys.get("skin", {})})))
+    whole, _ = watched(fixed(small_scene(**keys | {"skin": SKIN | keys.get("skin", {}) | {"solver": "wedges"}})))
+    skin, stepper = sim.runtime.model.skins[0], stepper_of(sim)
+    error = relative(small[:, 0], whole[:, 0])
+    print(skin.layer.system.ndof, stepper.order, "estimate", stepper.error, "difference", error)
+    assert isinstance(stepper, ReducedStepper)
+    assert stepper.error <= 0.1 * skin.spec.config.accuracy
+    assert error < 0.01 + stepper.error
+    assert kind_of(sim) == BEGUN and sim.skin().solver == "reduced"
 
 
 @pytest.fixture
@@ -82,7 +99,8 @@ def stepped(model, count):
 
 def test_state_is_saved_copied_and_reset(model):
     data = stepped(model, 3)
-    assert 0 < np.count_nonzero(data.plugin_state) < 400
+    # Headers of the array and of the skin, and a small model's numbers
+    assert 0 < np.count_nonzero(data.plugin_state) < 400 + 2 * HEADER
     twin = copy.copy(data)
     kind = mujoco.mjtState.mjSTATE_INTEGRATION
     state = np.empty(mujoco.mj_stateSize(model, kind))
@@ -98,57 +116,58 @@ def test_state_is_saved_copied_and_reset(model):
     assert not data.plugin_state.any()
     for _ in range(4):
         mujoco.mj_step(model, data)
+    raise_errors(data)
     np.testing.assert_array_equal(data.plugin_state, after)
     np.testing.assert_array_equal(data.plugin_state, stepped(model, 4).plugin_state)
 
 
-def shift(scene, step):
+def shift(sim, step):
     if step >= 5:
-        scene.data.mocap_pos[0, 1] = 1e-4 * (step - 4)
+        sim.data.mocap_pos[0, 1] = 1e-4 * (step - 4)
 
 
 def test_a_body_that_moves_goes_on_with_the_whole_layer(small_scene):
-    def path(solver):
-        return fixed(small_scene(skin=SKIN | {"solver": solver}, array={"response": "off"}), ' mocap="true"')
+    def path(solver, **scene):
+        return fixed(small_scene(skin=SKIN | {"solver": solver}, array={"response": "off"}, **scene), ' mocap="true"')
 
-    still, _ = run(path("full"), 5)
-    with pytest.raises(palmfield.SceneError, match=r"palmfield\.skin.*'solver'.*'reduced'.*moved"):
-        run(path("reduced"), 8, shift)
-    scene = palmfield.load(path("reduced"))
-    text = scene.path.read_text().replace('"reduced"', '"auto"').replace('data="0.015"', 'data="10"')
-    scene.path.write_text(text)
-    moved, scene = run(scene.path, 15, shift)
-    assert scene.skin.world.state(scene.skin.instance)[scene.skin.rig.skin_room] == 1.0
-    full, _ = run(path("full"), 15, shift)
-    assert relative(moved[:, 0], full[:, 0]) < 0.015
+    still, _ = watched(path("wedges"), 5)
+    with pytest.raises(
+        palmfield.SceneError, match=r"palmfield\.skin' instance 'skin'.*'solver'.*'reduced'.*moved.*set solver to auto"
+    ):
+        watched(path("reduced"), 8, shift)
+    moved, sim = watched(path("auto", duration_s=10), 15, shift)
+    assert choice_of(sim).name == "reduced"
+    assert kind_of(sim) == WHOLE and sim.skin().solver == "wedges"
+    whole, _ = watched(path("wedges"), 15, shift)
+    assert relative(moved[:, 0], whole[:, 0]) < 0.015
     assert relative(moved[: len(still), 0], still[:, 0]) < 0.015
 
 
 def test_what_moves_less_than_matters_stays_small(small_scene):
     path = small_scene(skin=SKIN, stimulus=STEADY)
 
-    def slowly(scene, step):
+    def slowly(sim, step):
         if step == 0:
-            scene.data.qvel[:] = 5e-3
+            sim.data.qvel[:] = 5e-3
 
-    seen, scene = run(path, change=slowly)
-    assert 1e-6 < np.abs(scene.data.qpos).max() < scene.skin.chain.skin.limit_m
-    assert not scene.skin.world.state(scene.skin.instance)[scene.skin.rig.skin_room]
-    full, _ = run(small_scene(skin=SKIN | {"solver": "full"}, stimulus=STEADY), change=slowly)
-    assert relative(seen[:, 0], full[:, 0]) < 0.015
+    seen, sim = watched(path, change=slowly)
+    assert 1e-6 < np.abs(sim.data.qpos).max() < sim.runtime.model.skins[0].still_m
+    assert kind_of(sim) == BEGUN and sim.skin().solver == "reduced"
+    whole, _ = watched(small_scene(skin=SKIN | {"solver": "wedges"}, stimulus=STEADY), change=slowly)
+    assert relative(seen[:, 0], whole[:, 0]) < 0.015
 
 
 def test_a_path_met_half_way_is_not_for_the_small_model(small_scene):
     path = fixed(small_scene(skin=SKIN, stimulus=CIRCLE, array={"response": "off"}))
 
-    def later(scene, step):
+    def later(sim, step):
         if step == 0:
-            scene.data.time = 0.004
+            sim.data.time = 0.004
 
     with pytest.raises(palmfield.SceneError, match="begins at rest"):
-        run(path, 1, later)
-    _, scene = run(fixed(small_scene(skin=SKIN, array={"response": "off"})), 1, later)
-    assert not scene.skin.world.state(scene.skin.instance)[scene.skin.rig.skin_room]
+        watched(path, 1, later)
+    _, sim = watched(fixed(small_scene(skin=SKIN, array={"response": "off"})), 1, later)
+    assert kind_of(sim) == BEGUN and sim.skin().solver == "reduced"
 
 
 @pytest.mark.parametrize(
@@ -161,48 +180,52 @@ def test_a_path_met_half_way_is_not_for_the_small_model(small_scene):
     ],
 )
 def test_a_load_without_a_small_model_is_refused_by_name(small_scene, stimulus, reason):
-    with pytest.raises(palmfield.SceneError, match=f"palmfield.skin.*'solver' has value 'reduced'.*{reason}"):
-        palmfield.load(small_scene(stimulus=stimulus, skin=SKIN))
-    scene = palmfield.load(small_scene(stimulus=stimulus, skin=SKIN | {"solver": "auto"}))
-    assert scene.skin.rig.choice.name == "full" and reason in scene.skin.rig.choice.why
-    assert isinstance(scene.skin.chain.skin.begin, FullSkin)
+    refused = f"palmfield.skin' instance 'skin': key 'solver' has value 'reduced'.*{reason}.*set it to auto"
+    with pytest.raises(palmfield.SceneError, match=refused):
+        load(small_scene(stimulus=stimulus, skin=SKIN))
+    sim = load(small_scene(stimulus=stimulus, skin=SKIN | {"solver": "auto"}))
+    assert choice_of(sim).name == "wedges" and reason in choice_of(sim).why
+    assert isinstance(stepper_of(sim), WedgeStepper)
 
 
 def test_modulation_that_comes_round_with_the_path_is_taken(small_scene):
     path = {"path": "circle", "path_diameter_m": 0.01, "path_rate_Hz": 80}
-    assert refusal(palmfield.load(small_scene(stimulus=path, skin=SKIN)).skin.rig) is None
+    model = load(small_scene(stimulus=path, skin=SKIN)).runtime.model
+    skin = model.skins[0]
+    assert refusal(skin.spec, skin.layer, model.stimuli, model.pole, model.response_on) is None
 
 
 def test_auto_weighs_making_against_stepping(small_scene):
-    def chosen(duration):
-        path = fixed(small_scene(skin=SKIN | {"solver": "auto"}))
-        path.write_text(path.read_text().replace('data="0.015"', f'data="{duration}"'))
-        return palmfield.load(path)
+    def chosen(duration_s):
+        return load(fixed(small_scene(skin=SKIN | {"solver": "auto"}, duration_s=duration_s)))
 
     short, long = chosen(0.002), chosen(1.0)
-    assert (short.skin.rig.choice.name, long.skin.rig.choice.name) == ("full", "reduced")
-    assert isinstance(short.skin.chain.skin.begin, FullSkin)
-    assert long.skin.rig.choice.reduced_s < long.skin.rig.choice.full_s
+    assert (choice_of(short).name, choice_of(long).name) == ("wedges", "reduced")
+    assert isinstance(stepper_of(short), WedgeStepper)
+    assert choice_of(long).reduced_s < choice_of(long).wedges_s
     said = {row.what: row for row in palmfield.plan(long).modelled}
-    assert "full about" in said["skin solver reduced"].size and "whole layer goes on" in said["skin solver reduced"].why
-    assert "skin solver full" in {row.what for row in palmfield.plan(short).modelled}
+    assert "wedges about" in said["skin solver reduced"].size
+    assert "whole layer goes on" in said["skin solver reduced"].why
+    assert "skin solver wedges" in {row.what for row in palmfield.plan(short).modelled}
     assert palmfield.plan(chosen(1.0)).seconds > palmfield.plan(chosen(0.002)).seconds
 
 
 def test_a_model_that_grows_too_large_is_left(small_scene, monkeypatch):
-    monkeypatch.setattr(stepping, "MOST_VECTORS", 8)
-    path = fixed(small_scene(skin=SKIN | {"accuracy": 0.049}))
+    monkeypatch.setattr(reduced_stepper, "MOST_VECTORS", 8)
+
+    def scene(solver, **more):
+        return load(fixed(small_scene(skin=SKIN | {"accuracy": 0.049, "solver": solver}, **more)))
+
     with pytest.raises(palmfield.SceneError, match="vectors"):
-        _ = palmfield.load(path).skin.chain.skin.begin
-    path.write_text(path.read_text().replace('"reduced"', '"auto"').replace('data="0.015"', 'data="10"'))
-    scene = palmfield.load(path)
-    assert scene.skin.rig.choice.name == "reduced"
-    assert isinstance(scene.skin.chain.skin.begin, FullSkin)
+        stepper_of(scene("reduced"))
+    sim = scene("auto", duration_s=10)
+    assert choice_of(sim).name == "reduced"
+    assert isinstance(stepper_of(sim), WedgeStepper)
 
 
 def test_the_reduction_is_in_the_error_budget(small_scene, tmp_path):
-    result = palmfield.run(palmfield.load(fixed(small_scene(skin=SKIN))), tmp_path / "out", progress=False)
-    found = result.summary
+    result = palmfield.run(load(fixed(small_scene(skin=SKIN))), tmp_path / "out", progress=False)
+    found = result.summary["skins"][0]
     assert 0.0 < found["reduction_error_relative"] <= 0.006
     assert found["displacement_error_relative"] > found["reduction_error_relative"]
     # A sine sampled at steps of h keeps sinc(f h)^2 of itself between straight lines.
