@@ -15,7 +15,7 @@ from palmfield.errors import SceneError
 from palmfield.simulation.build import nearest_stimulus
 from palmfield.simulation.emission import array_drives
 from palmfield.simulation.model import HapticModel, SkinModel
-from palmfield.simulation.posed_scene import PosedSurface, PosedScene, PosedSkin
+from palmfield.simulation.posed_scene import PosedScene, PosedSkin, PosedSurface
 from palmfield.simulation.radiation import Radiation
 from palmfield.skin.approximation.estimate import ORDER, mesh_error
 from palmfield.skin.fem.solver import harmonic, harmonic_discrete, static
