@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from palmfield.config import DriverConfig
+
 ARRAYS = Path(__file__).parent.parent / "mjcf" / "arrays"
 
 PLAIN = """
@@ -25,7 +27,10 @@ HAPTIC = """
 <mujoco model="small">
   <include file="plain.xml"/>
   <option timestep="0.001"/>
-  <custom><numeric name="palmfield_duration_s" data="0.015"/></custom>
+  <custom>
+    <numeric name="palmfield_duration_s" data="{duration_s}"/>
+    <text name="palmfield_device" data="{device}"/>
+  </custom>
   <extension>
     <plugin plugin="palmfield.array"><instance name="array">{array}</instance></plugin>
     <plugin plugin="palmfield.stimulus"><instance name="stimulus">{stimulus}</instance></plugin>
@@ -37,7 +42,7 @@ HAPTIC = """
 """
 
 DEFAULTS: dict[str, dict[str, object]] = {
-    "array": {"compute": "cpu"},
+    "array": {},
     "stimulus": {
         "focus_m": "0 0 0.12", "modulation": "am", "am_of": "pressure", "am_frequency_Hz": 200, "am_depth": 1,
     },
@@ -45,21 +50,23 @@ DEFAULTS: dict[str, dict[str, object]] = {
         "body": "pad", "shape": "disc", "radius_m": 0.02, "thickness_m": 0.008, "material": "ecoflex_00-10",
         "side": "free", "element_m": 0.006, "step_s": 0.0005,
     },
-    "driver": {"device": "ideal"},
+    "driver": {"board": "ideal"},
 }  # fmt: skip
 
 Write = Callable[..., Path]
 
 
 def _writer(folder: Path) -> Write:
-    def write(**changes: dict[str, object]) -> Path:
+    def write(*, device: str = "cpu", duration_s: float = 0.015, **changes: dict[str, object]) -> Path:
         texts = {}
         for module, defaults in DEFAULTS.items():
             keys = defaults | changes.get(module, {})
+            if module == "driver" and "board" not in DriverConfig.model_fields:
+                keys = {"device" if key == "board" else key: value for key, value in keys.items()}
             texts[module] = "".join(f'<config key="{k}" value="{v}"/>' for k, v in keys.items() if v is not None)
         (folder / "plain.xml").write_text(PLAIN.format(arrays=ARRAYS))
         path = folder / "small.xml"
-        path.write_text(HAPTIC.format(**texts))
+        path.write_text(HAPTIC.format(device=device, duration_s=duration_s, **texts))
         return path
 
     return write
@@ -67,7 +74,10 @@ def _writer(folder: Path) -> Write:
 
 @pytest.fixture
 def small_scene(tmp_path: Path) -> Write:
-    """Writes a disc of 40 mm over an array; keywords such as skin={"base": "free_slip"} change or (None) drop keys."""
+    """Writes a disc of 40 mm over an array; keywords such as skin={"base": "free_slip"} change or (None) drop keys.
+
+    device: where fields are computed; duration_s: of a run
+    """
     return _writer(tmp_path)
 
 
