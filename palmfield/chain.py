@@ -22,7 +22,7 @@ from palmfield.errors import SceneError
 from palmfield.foresight import STEPS, Foresight
 from palmfield.obstacle import WallSound, energy_flux
 from palmfield.rig import Rig
-from palmfield.skin.mesh.surface import SurfaceProbe, surface_motion
+from palmfield.skin.fem.probe import SurfaceProbe, surface_motion
 from palmfield.stimulus.schedule import frame_at, held_frames, mean_arp_factor
 from palmfield.types import Array, Complex, Float, Float32
 

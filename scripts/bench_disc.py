@@ -18,10 +18,10 @@ import numpy as np
 from palmfield.skin.analytic.layer_oracle import centre_response
 from palmfield.skin.fem.assembly import assemble
 from palmfield.skin.fem.load import SurfaceQuadrature
+from palmfield.skin.fem.probe import SurfaceProbe
 from palmfield.skin.fem.solver import SkinSolver, harmonic, static
 from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.mesh.disc import disc_patch
-from palmfield.skin.mesh.surface import SurfaceProbe
 from palmfield.skin.mesh.wedges import extrude
 from palmfield.skin.problem import Motion, Sheet, Slab, Spot
 from palmfield.skin.reduction.reduced import Reduced, reduce

@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from palmfield.errors import SceneError
-from palmfield.skin.materials.material import Material
-from palmfield.types import Complex, Float, Patch
+from palmfield.skin.materials.sheet import Sheet
+from palmfield.types import Float, Patch
 
 Law = Literal["linear", "held"]
 Shape = Literal["infinite", "disc", "box"]
@@ -30,18 +30,6 @@ ONLY_IMPLICIT = "only the implicit and reduced solvers take a Foundation below: 
 """Why the others refuse one."""
 GAUSSIAN = 4.0 * math.log(2.0)
 """exp(-GAUSSIAN (r / fwhm)^2) is half at r = fwhm / 2."""
-
-
-@dataclass(frozen=True)
-class Sheet:
-    """A sub-layer: thickness_m [m], > 0, of one material."""
-
-    material: Material
-    thickness_m: float
-
-    def __post_init__(self) -> None:
-        if not (math.isfinite(self.thickness_m) and self.thickness_m > 0.0):
-            raise SceneError(f"sheet of '{self.material.name}': thickness_m is {self.thickness_m}; give one above 0")
 
 
 @dataclass(frozen=True)
@@ -87,12 +75,6 @@ class Foundation:
     def levels(self) -> int:
         """Levels of nodes below the mesh."""
         return self.degree * len(self.sheets)
-
-    def impedance(self, k: Float, f_Hz: float) -> Complex:
-        """Traction by displacement at wavenumbers k [rad/m] [Pa/m], shape (n, 2, 2); see palmfield.skin.fem.depth."""
-        from palmfield.skin.fem.depth import impedance
-
-        return impedance(k, f_Hz, self.sheets, self.base, self.degree)
 
 
 Base = BaseKind | Springs | Foundation

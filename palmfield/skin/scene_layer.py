@@ -16,9 +16,9 @@ from palmfield.hand.patch import surface_patch
 from palmfield.skin.approximation.estimate import choose_sizes
 from palmfield.skin.fem.assembly import SkinSystem, assemble
 from palmfield.skin.fem.load import SurfaceQuadrature
+from palmfield.skin.fem.probe import SurfaceProbe, surface_motion
 from palmfield.skin.from_config import base_of, rows_of, sheets_of, slowest
 from palmfield.skin.mesh.disc import disc_patch
-from palmfield.skin.mesh.surface import SurfaceProbe, surface_motion
 from palmfield.skin.mesh.wedges import WedgeMesh, extrude
 from palmfield.skin.problem import Sheet
 from palmfield.types import Float, Patch, Surface

@@ -7,10 +7,10 @@ import pytest
 
 from palmfield.skin.fem.assembly import SkinSystem, assemble
 from palmfield.skin.fem.load import SurfaceQuadrature
+from palmfield.skin.fem.probe import SurfaceProbe
 from palmfield.skin.materials.catalogue import PRESETS
 from palmfield.skin.materials.material import Material
 from palmfield.skin.mesh.disc import disc_patch
-from palmfield.skin.mesh.surface import SurfaceProbe
 from palmfield.skin.mesh.wedges import WedgeMesh, extrude
 from palmfield.types import Float
 

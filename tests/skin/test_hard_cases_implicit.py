@@ -19,12 +19,12 @@ from palmfield.skin.analytic.layer_oracle import centre_response
 from palmfield.skin.fem.assembly import assemble
 from palmfield.skin.fem.depth import surface_compliance
 from palmfield.skin.fem.load import PressureHistory, SurfaceQuadrature
+from palmfield.skin.fem.probe import SurfaceProbe
 from palmfield.skin.fem.solver import SkinSolver, harmonic, static
 from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson, shear_wave
 from palmfield.skin.mesh.body_mesh import Sizes, box_patch
 from palmfield.skin.mesh.disc import disc_patch
-from palmfield.skin.mesh.surface import SurfaceProbe
 from palmfield.skin.mesh.wedges import extrude
 from palmfield.skin.problem import Sheet, Spot
 from palmfield.types import Surface

@@ -12,12 +12,13 @@ from palmfield.skin.analytic.layer_oracle import centre_response
 from palmfield.skin.approximation.estimate import load_centre, load_frequency, load_width
 from palmfield.skin.fem.absorbing import match_speed, sponge
 from palmfield.skin.fem.assembly import assemble
+from palmfield.skin.fem.body import build
 from palmfield.skin.fem.load import PressureHistory, SurfaceQuadrature
+from palmfield.skin.fem.probe import SurfaceProbe
 from palmfield.skin.fem.solver import harmonic, static
 from palmfield.skin.materials.catalogue import preset
-from palmfield.skin.mesh.body_mesh import Sizes, box_patch, build, quartered, rows_of
+from palmfield.skin.mesh.body_mesh import Sizes, box_patch, quartered, rows_of
 from palmfield.skin.mesh.disc import disc_patch
-from palmfield.skin.mesh.surface import SurfaceProbe
 from palmfield.skin.mesh.wedges import extrude
 from palmfield.skin.problem import Layer, Sheet, Slab, Spot, Springs, Traction
 from palmfield.skin.solvers.wedges import refusal_implicit, solve_implicit, static_implicit

@@ -14,9 +14,9 @@ from palmfield.skin.blas import one_blas_thread
 from palmfield.skin.fem.factor import factorise
 from palmfield.skin.fem.generalised_alpha import Scheme, alpha_weights, branch_weights
 from palmfield.skin.fem.load import SurfaceQuadrature
+from palmfield.skin.fem.probe import surface_motion
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
 from palmfield.skin.materials.material import Branch, Material
-from palmfield.skin.mesh.surface import surface_motion
 from palmfield.skin.reduction.reduced_stepper import KnownLoad, reduced_stepper
 from palmfield.skin.stepper import SurfaceLoads
 

@@ -9,9 +9,9 @@ from scipy.linalg import expm
 
 from palmfield.errors import SceneError
 from palmfield.skin.fem.load import SurfaceQuadrature
+from palmfield.skin.fem.probe import SurfaceProbe, surface_motion
 from palmfield.skin.fem.solver import SkinSolver, harmonic, static
 from palmfield.skin.materials.material import Branch, Material, stiffening
-from palmfield.skin.mesh.surface import SurfaceProbe, surface_motion
 from palmfield.skin.reduction import reduced_stepper
 from palmfield.skin.reduction.dynamic_stiffness import Pencil
 from palmfield.skin.reduction.krylov import Krylov, harmonics, level, periodic

@@ -30,8 +30,8 @@ from scipy.special import j0
 from palmfield.errors import SceneError
 from palmfield.skin.fem.absorbing import match_speed, rim_edges, scatter
 from palmfield.skin.fem.depth import condensed, impedance, line_matrices, on_impedance
-from palmfield.skin.fem.element import triangle_rule, triangle_shape, triangle_slopes
 from palmfield.skin.materials.material import Material
+from palmfield.skin.mesh.element import triangle_rule, triangle_shape, triangle_slopes
 from palmfield.skin.mesh.wedges import WedgeMesh
 from palmfield.skin.problem import BaseKind, Foundation, Sheet, Springs, spread
 from palmfield.types import Float
@@ -200,5 +200,7 @@ class _Case:
         self.exact = self.transform @ on_impedance(self.upper, impedance(self.k, f_Hz, below, base))
 
     def misfit(self, foundation: Foundation) -> float:
-        found = self.transform @ on_impedance(self.upper, foundation.impedance(self.k, self.f_Hz))
+        found = self.transform @ on_impedance(
+            self.upper, impedance(self.k, self.f_Hz, foundation.sheets, foundation.base, foundation.degree)
+        )
         return float((np.abs(found - self.exact) / np.abs(self.exact)).max())

@@ -9,8 +9,8 @@ from scipy.spatial import Delaunay, cKDTree
 
 from palmfield.errors import SceneError
 from palmfield.skin.fem.assembly import SkinSystem
-from palmfield.skin.fem.element import triangle_rule, triangle_shape
-from palmfield.skin.mesh.surface import SurfaceProbe
+from palmfield.skin.fem.probe import SurfaceProbe
+from palmfield.skin.mesh.element import triangle_rule, triangle_shape
 from palmfield.skin.mesh.wedges import WedgeMesh
 from palmfield.skin.problem import GAUSSIAN, Load, Spot, Traction
 from palmfield.types import Float, Int

@@ -1,17 +1,13 @@
-"""The mesh and the matrices of a slab or layer, for a wanted element size."""
+"""Patches and rows of elements of a slab or layer, for a wanted element size."""
 
 import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from palmfield.hand.remesh import remeshed
-from palmfield.skin.fem.absorbing import match_speed, sponge
-from palmfield.skin.fem.assembly import SkinSystem, assemble
 from palmfield.skin.materials.material import Material
 from palmfield.skin.mesh.disc import disc_patch
-from palmfield.skin.mesh.wedges import extrude
-from palmfield.skin.problem import Body, Layer, Sheet, Slab
+from palmfield.skin.problem import Sheet, Slab
 from palmfield.types import Float, Patch
 
 GROWTH = 1.6
@@ -51,31 +47,6 @@ class Sizes:
         )  # fmt: skip
 
 
-def build(body: Body, sizes: Sizes) -> SkinSystem:
-    """Mesh and matrices. Raises SceneError for what they can't be made of, an inverted element among it."""
-    side = body.side or "absorbing"
-    if isinstance(body, Layer):
-        patch = body.patch
-        if sizes.remesh:
-            centre = np.asarray(sizes.centre_m, dtype=np.float64)
-            patch = remeshed(patch, centre, sizes.fine_m, sizes.coarse_m, sizes.fine_radius_m)
-        for _ in range(sizes.refinements):
-            patch = quartered(patch)
-        depth = float(np.median(patch.depth))
-        in_ring = None
-    else:
-        patch, in_ring = _slab_patch(body, sizes)
-        depth = body.thickness_m
-    fractions, materials = rows_of(body.sheets, depth, sizes.row_m, sizes.deepest_row_m)
-    mesh = extrude(patch, fractions)
-    damping = None
-    if side == "absorbing" and in_ring is not None:
-        damping = sponge(mesh, in_ring, sizes.ring_m, match_speed(materials[0], sizes.match_Hz))
-    return assemble(
-        mesh, materials, base=body.base, side=side, absorbing_Hz=sizes.match_Hz, sponge_1_s=damping
-    )  # fmt: skip
-
-
 def rows_of(
     sheets: tuple[Sheet, ...], depth_m: float, row_m: float, deepest_row_m: float
 ) -> tuple[Float, list[Material]]:
@@ -102,7 +73,7 @@ def rows_of(
     return np.array(fractions), materials
 
 
-def _slab_patch(slab: Slab, sizes: Sizes) -> tuple[Patch, Float]:
+def slab_patch(slab: Slab, sizes: Sizes) -> tuple[Patch, Float]:
     """The slab's face, a ring round it where its sides absorb, and each vertex's distance into that ring [m]."""
     ring = sizes.ring_m if slab.shape == "infinite" or slab.side == "absorbing" else 0.0
     if slab.shape == "box":

@@ -16,10 +16,10 @@ from palmfield.skin.approximation.estimate import load_frequency, load_width
 from palmfield.skin.approximation.refine import Answer, Numerics, ratio_of, resized, settle
 from palmfield.skin.approximation.trim_absorbing_rim import extent
 from palmfield.skin.blas import one_blas_thread
+from palmfield.skin.fem.body import build
 from palmfield.skin.fem.load import SurfaceQuadrature, bell, sampled
+from palmfield.skin.fem.probe import SurfaceProbe
 from palmfield.skin.materials.material import shear_wave
-from palmfield.skin.mesh.body_mesh import build
-from palmfield.skin.mesh.surface import SurfaceProbe
 from palmfield.skin.problem import Body, Load, Motion, Slab, Spot, Traction, points_on_face, rising
 from palmfield.skin.reduction.dynamic_stiffness import Pencil
 from palmfield.skin.reduction.krylov import Krylov

@@ -25,11 +25,12 @@ from palmfield.skin.approximation.refine import (
 )
 from palmfield.skin.approximation.trim_absorbing_rim import extent, refusal_of_spot
 from palmfield.skin.fem.assembly import SkinSystem
+from palmfield.skin.fem.body import build
 from palmfield.skin.fem.load import PressureHistory
+from palmfield.skin.fem.probe import SurfaceProbe
 from palmfield.skin.fem.solver import SkinSolver, static
 from palmfield.skin.materials.material import shear_wave
-from palmfield.skin.mesh.body_mesh import Sizes, build
-from palmfield.skin.mesh.surface import SurfaceProbe
+from palmfield.skin.mesh.body_mesh import Sizes
 from palmfield.skin.problem import Body, Layer, Load, Motion, Slab, points_on_face, rising
 from palmfield.types import Float
 

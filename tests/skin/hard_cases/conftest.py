@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
+from palmfield.skin.fem.body import build
 from palmfield.skin.fem.load import PressureHistory
-from palmfield.skin.mesh.body_mesh import Sizes, build
-from palmfield.skin.mesh.surface import SurfaceProbe
+from palmfield.skin.fem.probe import SurfaceProbe
+from palmfield.skin.mesh.body_mesh import Sizes
 from palmfield.skin.problem import Motion, Spot, points_on_face
 from palmfield.skin.reduction.reduced import pod, reduce
 
