@@ -220,7 +220,7 @@ def _modelled(rig: Rig, dofs: int, substeps: int) -> tuple[Row, ...]:
 def _solver(rig: Rig) -> Row:
     chosen = rig.choice
     if chosen.name == "full":
-        return Row("skin solver full", f"about {chosen.seconds:.0f} s", f"implicit, factorised once; {chosen.why}")
+        return Row("skin solver full", f"about {chosen.seconds:.0f} s", f"wedges, factorised once; {chosen.why}")
     limit = STILL * rig.skin.accuracy * rig.spot_fwhm_m
     return Row(
         "skin solver reduced",

@@ -30,8 +30,9 @@ from palmfield.skin.approximation.estimate import choose_sizes
 from palmfield.skin.fem.assembly import SkinSystem, assemble
 from palmfield.skin.fem.load import SurfaceQuadrature
 from palmfield.skin.fem.solver import SkinSolver
-from palmfield.skin.from_config import base_of, rows_of, sheets_of, slowest
+from palmfield.skin.from_config import base_of, sheets_of, slowest
 from palmfield.skin.mesh.disc import disc_patch
+from palmfield.skin.mesh.rows import rows_of
 from palmfield.skin.mesh.surface import closed_boundary
 from palmfield.skin.mesh.wedges import WedgeMesh, extrude
 from palmfield.skin.reduction.stepping import FullSkin, ReducedSkin

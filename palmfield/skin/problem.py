@@ -26,7 +26,7 @@ SIDES = ("fixed", "free", "roller", "absorbing")
 SHAPES = ("infinite", "disc", "box")
 THICKEST_M, WIDEST_M = 1.0, 10.0
 """A slab beyond these [m] is one whose lengths were given in millimetres."""
-ONLY_IMPLICIT = "only the implicit and reduced solvers take a Foundation below: name one, or use another base"
+ONLY_WEDGES = "only the solvers wedges and reduced take a Foundation below: name one, or use another base"
 """Why the others refuse one."""
 GAUSSIAN = 4.0 * math.log(2.0)
 """exp(-GAUSSIAN (r / fwhm)^2) is half at r = fwhm / 2."""
@@ -152,6 +152,11 @@ class Layer:
             )
 
 
+def depth_of(body: "Slab | Layer") -> float:
+    """Thickness of a slab, median depth of a layer [m]."""
+    return float(np.median(body.patch.depth)) if isinstance(body, Layer) else body.thickness_m
+
+
 def check_patch(patch: Patch) -> None:
     """Raise SceneError for numbers not finite, directions not of length 1, and faces without vertices."""
     for name in ("vertices", "inward", "depth"):
@@ -237,7 +242,7 @@ Load = Spot | Traction
 
 @dataclass(frozen=True)
 class Motion:
-    """What the skin does at the asked times and points.
+    """What the skin does at the requested times and points.
 
     times_s: shape (t,); points: [m], shape (n, 3)
     displacement_m, velocity_m_s: shape (t, n, 3)
@@ -290,7 +295,7 @@ def rising(what: str, times_s: ArrayLike) -> Float:
     return times
 
 
-def asked_points(at: ArrayLike) -> Float:
+def requested_points(at: ArrayLike) -> Float:
     """Points as an array, (n, 2) or (n, 3). Raises SceneError for other shapes, for none, and for NaN or infinity."""
     points = numbers("at", at)
     if points.ndim != 2 or points.shape[1] not in (2, 3) or len(points) == 0 or not np.isfinite(points).all():
@@ -311,7 +316,7 @@ def points_on_face(body: Body, at: ArrayLike) -> Float:
 
     A layer's are off it where no vertex of its patch is nearer than its longest edge.
     """
-    points = asked_points(at)
+    points = requested_points(at)
     if isinstance(body, Layer):
         vertices, across = np.asarray(body.patch.vertices), points.shape[1]
         corners = vertices[body.patch.faces]
@@ -351,9 +356,9 @@ def check_times(what: str, times_s: Float, law: str) -> None:
 
 
 def check_finite(what: str, values: Float, shape: tuple[int, ...]) -> None:
-    found = np.asarray(values, dtype=float)
-    if found.shape != shape:
-        raise SceneError(f"{what} has shape {found.shape}; give {shape}")
-    if not np.isfinite(found).all():
-        place = np.argwhere(~np.isfinite(found))[0].tolist()
+    result = np.asarray(values, dtype=float)
+    if result.shape != shape:
+        raise SceneError(f"{what} has shape {result.shape}; give {shape}")
+    if not np.isfinite(result).all():
+        place = np.argwhere(~np.isfinite(result))[0].tolist()
         raise SceneError(f"{what} is not finite at {place}: mend it")

@@ -57,8 +57,8 @@ def _closest(corners: Float, points: Float) -> tuple[Int, Float]:
     nearest, _ = tree.query(points)
     # The nearest centroid lies on the surface, so the closest triangle's own centroid is within `reach` of that far.
     lists = tree.query_ball_point(points, nearest + reach)
-    counts = np.array([len(found) for found in lists])
-    candidates = np.concatenate([np.asarray(found, dtype=np.int64) for found in lists])
+    counts = np.array([len(result) for result in lists])
+    candidates = np.concatenate([np.asarray(result, dtype=np.int64) for result in lists])
     owner = np.repeat(np.arange(len(points)), counts)
     # trimesh takes edges for reached within an absolute tolerance that is meant for millimetres.
     spots = 1e-3 * closest_point(1e3 * corners[candidates], 1e3 * points[owner])

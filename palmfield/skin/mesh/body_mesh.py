@@ -5,9 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from palmfield.skin.materials.material import Material
 from palmfield.skin.mesh.disc import disc_patch
-from palmfield.skin.problem import Sheet, Slab
+from palmfield.skin.problem import Slab
 from palmfield.types import Float, Patch
 
 GROWTH = 1.6
@@ -47,30 +46,14 @@ class Sizes:
         )  # fmt: skip
 
 
-def rows_of(
-    sheets: tuple[Sheet, ...], depth_m: float, row_m: float, deepest_row_m: float
-) -> tuple[Float, list[Material]]:
-    """Depth fractions of the rows of elements (L+1,), at least two, and the material of each; none crosses two sheets.
-
-    Rows grow by GROWTH from row_m at the surface to deepest_row_m; a sheet has at least one.
-    """
+def graded_fractions(depth_m: float, row_m: float, deepest_row_m: float) -> Float:
+    """Depth fractions of at least two rows of elements, (L+1,), growing by GROWTH from row_m to deepest_row_m [m]."""
     heights = [min(row_m, 0.5 * depth_m)]
     while sum(heights) < depth_m * (1.0 - 1e-9):
         heights.append(min(GROWTH * heights[-1], max(deepest_row_m, row_m)))
     if sum(heights) - depth_m > 0.5 * heights[-1] and len(heights) > 2:
         heights.pop()
-    edges = np.concatenate([[0.0], np.cumsum(heights)]) / sum(heights)
-    index = np.arange(len(edges), dtype=float)
-    total = sum(sheet.thickness_m for sheet in sheets)
-    fractions, materials = [0.0], []
-    for sheet in sheets:
-        first, last = np.interp([fractions[-1], fractions[-1] + sheet.thickness_m / total], edges, index)
-        count = max(1, round(last - first))
-        inner = np.interp(np.linspace(first, last, count + 1)[1:-1], index, edges)
-        fractions += [*inner.tolist(), fractions[-1] + sheet.thickness_m / total]
-        materials += [sheet.material] * count
-    fractions[-1] = 1.0
-    return np.array(fractions), materials
+    return np.concatenate([[0.0], np.cumsum(heights)]) / sum(heights)
 
 
 def slab_patch(slab: Slab, sizes: Sizes) -> tuple[Patch, Float]:
