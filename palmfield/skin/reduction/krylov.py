@@ -96,6 +96,8 @@ class Krylov:
             (part, ratio, time_s)
             for part, material in enumerate(dynamics.materials)
             for ratio, time_s in zip(material.ratios, material.times_s, strict=True)
+            # A branch without stiffness or time carries nothing.
+            if ratio > 0.0 and time_s > 0.0
         ]
         count = 2 + len(self.laws)
         self._scales = np.array([shift, 1.0, *(shift for _ in self.laws)])
