@@ -59,7 +59,7 @@ def test_modulation_is_refused_with_both_sides_said():
     assert "stimulus 'am' needs continuous amplitude at 4000 frames/s" in message
     assert "sonicsurface gives on/off amplitude at 89.3 frames/s" in message
     assert "44.7 Hz" in message
-    assert "device ideal" in message
+    assert "board ideal" in message
     assert "\n" not in message
 
 
