@@ -64,9 +64,8 @@ class Radiation:
         """ARP at any points of a skin's body with outward normals, array frame, shapes (n, 3)."""
         kind = self.model.skins[skin].spec.config.body_sound
         if kind == "scattering":
-            return SurfaceSound(
-                *self._scattered_field(posed, skin, drive).at(posed.skins[skin].body.frame.inverse_points(points))
-            )
+            total = self._scattered_field(posed, skin, drive).at(posed.skins[skin].body.frame.inverse_points(points))
+            return SurfaceSound(total.arp, total.amplitude)
         evaluator = self._evaluator(posed.arrays, skin, role, len(points))
         sound = evaluator.evaluate(points, normals, drive, flux=kind == "shadows")
         arp = sound.arp.copy()
