@@ -11,11 +11,15 @@ from palmfield.simulation.build import model_of
 from palmfield.simulation.posed_scene import PosedScene, PoseLayout, PoseRows, posed_scene
 from palmfield.simulation.scene_reader import read_scene
 from palmfield.simulation.sensors import SensorPlace, SkinReading, fill, sensor_place
-from palmfield.simulation.state import HapticState, check_arrays, stepper_of
+from palmfield.simulation.state import HapticState, at_rest, check_arrays, stepper_of
 from palmfield.simulation.step import Workspace, gather, step
 from palmfield.simulation.validate import check_clear
 from palmfield.skin.stepper import SkinStepper
 from palmfield.types import Complex, Float
+
+
+AT_REST: Float = np.zeros(2)
+"""Displacement and velocity of skin that nothing has stepped yet: to read them takes no stepper."""
 
 
 class SceneRuntime:
@@ -67,10 +71,10 @@ class SceneRuntime:
         Raises SceneError where a body reaches into an array.
         """
         sites, bodies = len(self._sites), self._bodies
-        for kind, numbers, rows in (("site", self._sites, slice(0, sites)), ("body", bodies, slice(sites, None))):
+        for kind, numbers, part in (("site", self._sites, slice(0, sites)), ("body", bodies, slice(sites, None))):
             positions, matrices = self.view.frames[kind]
-            positions.take(numbers, 0, self._positions[rows])
-            matrices.take(numbers, 0, self._matrices[rows])
+            positions.take(numbers, 0, self._positions[part])
+            matrices.take(numbers, 0, self._matrices[part])
         rows = PoseRows(self._positions, self._matrices.reshape(-1, 3, 3))
         posed = posed_scene(self.model, self.layout, rows, self._posed, self.work.reference)
         if posed is not self._posed:
@@ -123,16 +127,20 @@ class SceneRuntime:
         """Fill a skin's sensors from the state at the present time."""
         posed, course = self.now()
         part = self.model.skins[skin]
-        stepper, numbers = stepper_of(self.model, self.state, skin)
+        resting = at_rest(self.state, skin)
         for sensor in sensors:
             place = self._place(skin, sensor)
-            motion = stepper.read(numbers, place.reader(stepper))[0, :, 0]
+            motion = AT_REST
+            if not resting:
+                stepper, numbers = stepper_of(self.model, self.state, skin)
+                motion = stepper.read(numbers, place.reader(stepper))[0, :, 0]
             arp = 0.0
             drive, factor = present_drive(course)
             if drive is not None:
                 points, normals = posed.bodies[part.body].moved(place.probe.closest, place.probe.normals, place.binding)
                 arp = factor * float(self.work.radiation.at(posed, skin, "probe", points, normals, drive).arp[0])
-            fill(sensor.data, SkinReading(*self.applied[part.body], motion[0], motion[1], arp))
+            x, y, z = self.applied[part.body]
+            fill(sensor.data, SkinReading(x, y, z, motion[0], motion[1], arp))
 
     def _place(self, skin: int, sensor: PluginSensor) -> SensorPlace:
         known = self._places.get(sensor.name)

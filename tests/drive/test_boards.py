@@ -37,7 +37,7 @@ def test_an_unknown_board():
 
 
 def test_the_scenes_key_takes_the_boards_that_there_are():
-    assert allowed(DriverConfig, "device").split(" | ") == list(BOARDS)
+    assert allowed(DriverConfig, "board").split(" | ") == list(BOARDS)
 
 
 def test_silence_in_bytes_is_silence():
