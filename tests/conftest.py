@@ -25,7 +25,10 @@ HAPTIC = """
 <mujoco model="small">
   <include file="plain.xml"/>
   <option timestep="0.001"/>
-  <custom><numeric name="palmfield_duration_s" data="0.015"/></custom>
+  <custom>
+    <numeric name="palmfield_duration_s" data="0.015"/>
+    <text name="palmfield_device" data="{device}"/>
+  </custom>
   <extension>
     <plugin plugin="palmfield.array"><instance name="array">{array}</instance></plugin>
     <plugin plugin="palmfield.stimulus"><instance name="stimulus">{stimulus}</instance></plugin>
@@ -37,7 +40,7 @@ HAPTIC = """
 """
 
 DEFAULTS: dict[str, dict[str, object]] = {
-    "array": {"compute": "cpu"},
+    "array": {},
     "stimulus": {
         "focus_m": "0 0 0.12", "modulation": "am", "am_of": "pressure", "am_frequency_Hz": 200, "am_depth": 1,
     },
@@ -45,21 +48,21 @@ DEFAULTS: dict[str, dict[str, object]] = {
         "body": "pad", "shape": "disc", "radius_m": 0.02, "thickness_m": 0.008, "material": "ecoflex_00-10",
         "side": "free", "element_m": 0.006, "step_s": 0.0005,
     },
-    "driver": {"device": "ideal"},
+    "driver": {"board": "ideal"},
 }  # fmt: skip
 
 Write = Callable[..., Path]
 
 
 def _writer(folder: Path) -> Write:
-    def write(**changes: dict[str, object]) -> Path:
+    def write(device: str = "cpu", **changes: dict[str, object]) -> Path:
         texts = {}
         for module, defaults in DEFAULTS.items():
             keys = defaults | changes.get(module, {})
             texts[module] = "".join(f'<config key="{k}" value="{v}"/>' for k, v in keys.items() if v is not None)
         (folder / "plain.xml").write_text(PLAIN.format(arrays=ARRAYS))
         path = folder / "small.xml"
-        path.write_text(HAPTIC.format(**texts))
+        path.write_text(HAPTIC.format(**texts, device=device))
         return path
 
     return write
@@ -67,7 +70,10 @@ def _writer(folder: Path) -> Write:
 
 @pytest.fixture
 def small_scene(tmp_path: Path) -> Write:
-    """Writes a disc of 40 mm over an array; keywords such as skin={"base": "free_slip"} change or (None) drop keys."""
+    """Writes a disc of 40 mm over an array; keywords such as skin={"base": "free_slip"} change or (None) drop keys.
+
+    device: of the field, the text palmfield_device
+    """
     return _writer(tmp_path)
 
 

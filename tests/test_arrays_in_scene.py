@@ -16,7 +16,7 @@ from palmfield.types import Air
 STEADY = {"modulation": "none", "am_of": None, "am_frequency_Hz": None, "am_depth": None}
 SECOND = (
     '<plugin plugin="palmfield.array"><instance name="second">'
-    '<config key="site" value="second"/><config key="compute" value="cpu"/>{keys}</instance></plugin>'
+    '<config key="site" value="second"/>{keys}</instance></plugin>'
 )
 SLIDER = (
     '<body name="cart" pos="0.3 0 0.05"><joint name="cart" type="slide" axis="0 1 0"/>'
@@ -255,4 +255,4 @@ def test_arrays_share_their_air_and_a_board_plays_alone(small_scene):
     with pytest.raises(SceneError, match=r"key 'temperature_C' has value .*the same for all arrays"):
         palmfield.load(with_second(small_scene(stimulus=STEADY), warm))
     with pytest.raises(SceneError, match="drives one array; the scene has 2"):
-        palmfield.load(with_second(small_scene(stimulus=STEADY, driver={"device": "sonicsurface"})))
+        palmfield.load(with_second(small_scene(stimulus=STEADY, driver={"board": "sonicsurface"})))

@@ -8,7 +8,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from palmfield.cli.keys import as_markdown, as_text
-from palmfield.config import CONFIGS, Config, SkinConfig, StimulusConfig, known_keys, parse, renamed_table, table, unit
+from palmfield.config import (
+    CONFIGS,
+    Config,
+    SkinConfig,
+    StimulusConfig,
+    allowed,
+    known_keys,
+    parse,
+    renamed_table,
+    table,
+    unit,
+)
 from palmfield.errors import SceneError
 
 PAGE = Path(__file__).parent.parent / "docs" / "keys.md"
@@ -20,10 +31,10 @@ def test_page_is_up_to_date():
 
 def test_every_key_has_a_meaning_and_every_quantity_a_unit():
     for config in CONFIGS:
-        for key, key_unit, allowed, _, meaning in table(config):
-            assert meaning and allowed
+        for key, key_unit, takes, _, meaning in table(config):
+            assert meaning and takes
             pure = {"am_depth", "drive_amplitude", "path_points", "accuracy", "quality"}
-            assert bool(key_unit) == ("number" in allowed and key not in pure) or "whole" in allowed, key
+            assert bool(key_unit) == ("number" in takes and key not in pure) or "whole" in takes, key
 
 
 def test_unknown_plugin_names_those_there_are():
@@ -83,13 +94,20 @@ def test_renamed_values_are_refused_with_what_to_use():
     assert renamed_table(Nose)[1] == ("solver full", "wedges")
 
 
+@pytest.mark.parametrize("name", ["axisymmetric", "lateral_waves"])
+def test_a_solver_of_whole_histories_is_refused_with_the_call_that_does_it(name):
+    with pytest.raises(SceneError) as refusal:
+        parse(SkinConfig, {"solver": name, "patch_site": "x"}, "e")
+    assert str(refusal.value).startswith(f"e: key 'solver' has value '{name}', which computes the whole history")
+    assert f"palmfield.skin.solve(..., solver='{name}')" in str(refusal.value)
+
+
 def test_what_is_renamed_is_gone_and_what_to_use_is_there():
     for config in CONFIGS:
         for name, use in config.renamed.items():
             key, _, value = name.partition("=")
             assert (key in config.model_fields) == bool(value), name
-            if value:
-                parse(config, {key: use}, "e")
+            assert not value or use in allowed(config, key).split(" | "), name
 
 
 def test_a_stimulus_names_its_arrays_and_its_skin():

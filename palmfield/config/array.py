@@ -21,6 +21,7 @@ def _air(name: str) -> Any:
 class ArrayConfig(Config):
     plugin: ClassVar[str] = "palmfield.array"
     about: ClassVar[str] = "A transducer array and the air around it. Its frame is that of a site."
+    renamed: ClassVar[dict[str, str]] = {"compute": "the scene's palmfield_device text"}
 
     layout: Layout = Field("uhev1", description="arrangement of the transducers (docs/arrays.md), or `sites`")
     sites: str | None = Field(
@@ -51,9 +52,6 @@ class ArrayConfig(Config):
     temperature_C: Annotated[float, _air("temperature_C")] = Field(20.0, description="air temperature")
     humidity_percent: Annotated[float, _air("humidity_percent")] = Field(50.0, description="relative humidity")
     pressure_Pa: Annotated[float, _air("pressure_Pa")] = Field(101325.0, description="static air pressure")
-    compute: Annotated[str, Field(pattern=r"^(auto|cpu|cuda:\d+)$")] = Field(
-        "auto", description="where the field kernels run: auto, cpu or cuda:N"
-    )
 
     @model_validator(mode="after")
     def _range(self) -> Self:

@@ -28,12 +28,14 @@ class Config(BaseModel):
     plugin: name of the plugin; about: what its keys say, in a sentence
     renamed: what has another name since the last version -> what to use: a key (`device`: "board"), or a value of a
         key (`solver=full`: "wedges"). They stay known for one version so that a scene that has them is told what to do
+    refused: values that make sense elsewhere but not in a scene (`solver=axisymmetric`) -> why, and what to do
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     plugin: ClassVar[str]
     about: ClassVar[str]
     renamed: ClassVar[dict[str, str]] = {}
+    refused: ClassVar[dict[str, str]] = {}
 
 
 def known_keys(model: type[Config]) -> list[str]:
@@ -47,7 +49,7 @@ def parse(model: type[Config], values: dict[str, str], element: str) -> Config:
 
     values: key -> text, only the keys that the scene sets
     element: how the message names the instance, e.g. `plugin 'palmfield.skin' instance 'skin'`
-    Raises SceneError with element, key, value and what is allowed, or what to use in place of what is renamed.
+    Raises SceneError with element, key, value and what is allowed, or what to do instead.
     """
     advice = [text for key, value in values.items() for text in _advice(model, key, value)]
     if advice:
@@ -59,11 +61,13 @@ def parse(model: type[Config], values: dict[str, str], element: str) -> Config:
 
 
 def _advice(model: type[Config], key: str, value: str) -> list[str]:
-    """What to use in place of a key or a value that is renamed; nothing for others."""
+    """What to use in place of a key or a value that is renamed or refused; nothing for others."""
     if key in model.renamed:
         return [f"key '{key}' is renamed: use {model.renamed[key]}"]
-    use = model.renamed.get(f"{key}={value}")
-    return [] if use is None else [f"key '{key}' has value '{value}', which is renamed: use {use}"]
+    both = f"{key}={value}"
+    if both in model.renamed:
+        return [f"key '{key}' has value '{value}', which is renamed: use {model.renamed[both]}"]
+    return [f"key '{key}' has value '{value}', {model.refused[both]}"] if both in model.refused else []
 
 
 def _explain(model: type[Config], values: dict[str, str], error: Any) -> str:

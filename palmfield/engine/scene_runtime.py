@@ -67,10 +67,10 @@ class SceneRuntime:
         Raises SceneError where a body reaches into an array.
         """
         sites, bodies = len(self._sites), self._bodies
-        for kind, numbers, rows in (("site", self._sites, slice(0, sites)), ("body", bodies, slice(sites, None))):
+        for kind, numbers, part in (("site", self._sites, slice(0, sites)), ("body", bodies, slice(sites, None))):
             positions, matrices = self.view.frames[kind]
-            positions.take(numbers, 0, self._positions[rows])
-            matrices.take(numbers, 0, self._matrices[rows])
+            positions.take(numbers, 0, self._positions[part])
+            matrices.take(numbers, 0, self._matrices[part])
         rows = PoseRows(self._positions, self._matrices.reshape(-1, 3, 3))
         posed = posed_scene(self.model, self.layout, rows, self._posed, self.work.reference)
         if posed is not self._posed:
@@ -132,7 +132,8 @@ class SceneRuntime:
             if drive is not None:
                 points, normals = posed.bodies[part.body].moved(place.probe.closest, place.probe.normals, place.binding)
                 arp = factor * float(self.work.radiation.at(posed, skin, "probe", points, normals, drive).arp[0])
-            fill(sensor.data, SkinReading(*self.applied[part.body], motion[0], motion[1], arp))
+            x, y, z = self.applied[part.body]
+            fill(sensor.data, SkinReading(x, y, z, motion[0], motion[1], arp))
 
     def _place(self, skin: int, sensor: PluginSensor) -> SensorPlace:
         known = self._places.get(sensor.name)

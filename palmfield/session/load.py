@@ -3,7 +3,7 @@
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import mujoco
 import numpy as np
@@ -19,7 +19,7 @@ FILES = {"palmfield.skin": ("mesh",), "palmfield.motion": ("keyframes", "traject
 """Keys that name files, relative to the scene."""
 SKIN, ARRAY, DRIVER = "palmfield.skin", "palmfield.array", "palmfield.driver"
 
-Source = str | Path | mujoco.MjSpec | mujoco.MjModel
+Source: TypeAlias = str | Path | mujoco.MjSpec | mujoco.MjModel
 
 
 def compiled(

@@ -165,8 +165,7 @@ class Recorder:
         if peaks[first] > self._loudest_Pa[number]:
             self._loudest_Pa[number] = float(peaks[first])
             drive = emitted.drives if emitted.drives.ndim == 1 else emitted.drives[first].copy()
-            time_s = float(times[first]) - self._zero_s
-            self.loudest[number] = LoudestMoment(time_s, posed, drive, float(emitted.factors[first]))
+            self.loudest[number] = LoudestMoment(float(times[first]), posed, drive, float(emitted.factors[first]))
         return arp
 
     def _add_stimuli(self, block: Block, times: Float, posed: PosedScene) -> None:
@@ -215,7 +214,7 @@ class Recorder:
                     arp = np.float32(moment.factor) * sound.arp
                     amplitude = np.float32(np.sqrt(moment.factor)) * sound.amplitude
                 block[group(kind, skin.spec.name)] = {
-                    "loudest_time": np.array(0.0 if moment is None else moment.time_s),
+                    "loudest_time": np.array(0.0 if moment is None else moment.time_s - self._zero_s),
                     "loudest_arp": arp,
                     "loudest_pressure": amplitude,
                 }

@@ -30,6 +30,7 @@ from palmfield.session.load import Source
 from palmfield.session.recorder import Recorder, static_arrays
 from palmfield.session.simulation import Simulation
 from palmfield.session.summary import scene_numbers, skin_numbers
+from palmfield.types import Float
 
 PICTURES: tuple[tuple[str, Callable[[Any, Path], None]], ...] = (
     ("pressure.png", plot_pressure),
@@ -197,14 +198,19 @@ def _simulate(sim: Simulation, recorder: Recorder, duration_s: float, bar: Progr
 def _numbers(sim: Simulation, recorder: Recorder, tree: xr.DataTree) -> dict[str, Any]:
     """What a run says beyond its arrays: of each skin and of the scene."""
     skins = {}
-    times = tree["time"].values
+    times: Float = np.asarray(tree["time"])
     for name, ds in instances(tree, "skin").items():
         number = sim.skins.index(name)
         normal = normal_component(ds)
         peak = np.abs(normal).max(axis=0)
         vertex = int(peak.argmax())
         skins[name] = skin_numbers(
-            sim, name, recorder.loudest[number], times, normal[:, vertex].astype(np.float64), float(peak[vertex])
+            sim,
+            name,
+            recorder.loudest[number],
+            times,
+            np.asarray(normal[:, vertex], dtype=np.float64),
+            float(peak[vertex]),
         )
     return scene_numbers(sim, recorder.loudest) | {"skin_numbers": skins}
 

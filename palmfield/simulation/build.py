@@ -10,8 +10,7 @@ import numpy as np
 from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.config import SkinConfig, StimulusConfig
 from palmfield.drive.array_drive import ArrayDrive
-from palmfield.drive.device import DEVICES as BOARDS
-from palmfield.drive.device import Device as Board
+from palmfield.drive.boards import BOARDS, Board
 from palmfield.drive.response import Pole
 from palmfield.drive.transducer_response import transducer_response
 from palmfield.errors import SceneError
@@ -65,7 +64,7 @@ def build(spec: SceneSpec, alike: HapticModel | None = None) -> HapticModel:
     Raises SceneError or DeviceError, with element, key, value and what is allowed, for what doesn't fit together.
     """
     check_bodies(spec)
-    board = BOARDS[spec.driver.device]
+    board = BOARDS[spec.driver.board]
     arrays = PhasedArray(array_instances(spec), [array.placement for array in spec.arrays], spec.device)
     names = list(dict.fromkeys(skin.config.body for skin in spec.skins))
     if alike is not None:
@@ -227,7 +226,7 @@ def _layers(
     demands = []
     layers = []
     for skin in spec.skins:
-        body, stimulus = bodies[names.index(skin.config.body)], _nearest(skin, stimuli)
+        body, stimulus = bodies[names.index(skin.config.body)], nearest_stimulus(skin, stimuli)
         frequencies = main_frequencies(stimulus.config)
         highest = skin.config.max_frequency_Hz
         if highest is None:
@@ -257,7 +256,7 @@ def _layer(skin: SkinSpec, body: BodyModel, demand: LayerDemand) -> SceneLayer:
     )  # fmt: skip
 
 
-def _nearest(skin: SkinSpec, stimuli: tuple[StimulusModel, ...]) -> StimulusModel:
+def nearest_stimulus(skin: SkinSpec, stimuli: tuple[StimulusModel, ...]) -> StimulusModel:
     """The stimulus whose first focus is nearest to the middle of a skin: its sound is what the layer is made for."""
     centre = skin.body.transform.points(np.array(skin.patch_centre))
     sounding = [stimulus for stimulus in stimuli if not stimulus.silent] or list(stimuli)

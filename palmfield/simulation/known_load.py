@@ -197,7 +197,7 @@ def known_load(model: HapticModel, skin: int, posed: PosedScene) -> KnownLoad:
     config, layer = stimulus.config, model.skins[skin].layer
     start, step = config.start_s, layer.sizes.step_s
     turn = period_s(config) or 0.0
-    trial: Float = step * np.arange(round(min(max(TRIAL_S, turn), LONGEST_TRIAL_S) / step) + 1)
+    trial: Float = step * np.arange(round(min(max(TRIAL_S, turn), LONGEST_TRIAL_S) / step) + 1, dtype=np.float64)
     if one_shape(stimulus, model.pole, model.response_on):
         drive = array_drives(model, posed.arrays)[number].unit_drive(stimulus.reference_foci)
         shape = _forces(model, skin, posed, radiation, drive.amplitudes[None]).T
@@ -256,7 +256,7 @@ def rehearse(model: HapticModel, number: int, posed: PosedScene, step_s: float, 
     stimulus = model.stimuli[number]
     steady = stimulus.config.model_copy(update={"ramp_s": 0.0, "stop_s": None})
     drive, places = array_drives(model, posed.arrays)[number], posed.focal_points(stimulus, number)
-    times: Float = steady.start_s + step_s * np.arange(skip + count)
+    times: Float = steady.start_s + step_s * np.arange(skip + count, dtype=np.float64)
     delays_s = stimulus.response.delays_s if model.response_on else None
     commanded = commanded_drive(steady, drive, delays_s, times, places)
     if not model.response_on:

@@ -15,7 +15,7 @@ from trimesh.remesh import subdivide_to_size
 
 from palmfield.acoustics.phased_array import ArrayInstance, PhasedArray
 from palmfield.config import StimulusConfig
-from palmfield.drive.device import Device as Board
+from palmfield.drive.boards import Board
 from palmfield.drive.response import Pole
 from palmfield.drive.transducer_response import TransducerResponse
 from palmfield.hand.posed_surface import FaceSampler, SkinBinding, blend, face_samples

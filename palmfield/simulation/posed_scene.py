@@ -146,7 +146,8 @@ class PosedSkin:
     @cached_property
     def nodes(self) -> tuple[Float, Float]:
         """Surface nodes of the skin layer [m] and their outward normals, shapes (S, 3)."""
-        return self.body.moved(*self.skin.nodes, self.skin.nodes_binding)
+        points, normals = self.skin.nodes
+        return self.body.moved(points, normals, self.skin.nodes_binding)
 
     @cached_property
     def quadrature(self) -> tuple[Float, Float]:

@@ -4,12 +4,12 @@ A Radiation belongs to one state and is used by one thread at a time: it holds b
 the last answers, which hold as long as pose and drive are the same objects or equal.
 """
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from palmfield.acoustics.air import sound_speed
+from palmfield.acoustics.arp import SurfaceSound
 from palmfield.acoustics.body_scattering import Occlusion, RigidScatteredField, boundary_mesh
 from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.acoustics.surface_arp import SurfaceArp
@@ -20,14 +20,6 @@ from palmfield.types import Complex, Float, Float32, Int
 
 Role = Literal["quadrature", "samples", "nodes", "vertices", "probe"]
 """What points are for: each role of a skin has buffers of its own."""
-
-
-@dataclass(frozen=True)
-class SurfaceSound:
-    """arp: [Pa], positive inwards; amplitude: peak sound pressure [Pa]; shapes (n,), copies"""
-
-    arp: Float32
-    amplitude: Float32
 
 
 class Radiation:
@@ -64,9 +56,8 @@ class Radiation:
         """ARP at any points of a skin's body with outward normals, array frame, shapes (n, 3)."""
         kind = self.model.skins[skin].spec.config.body_sound
         if kind == "scattering":
-            return SurfaceSound(
-                *self._scattered_field(posed, skin, drive).at(posed.skins[skin].body.frame.inverse_points(points))
-            )
+            own = posed.skins[skin].body.frame.inverse_points(points)
+            return self._scattered_field(posed, skin, drive).at(own)
         evaluator = self._evaluator(posed.arrays, skin, role, len(points))
         sound = evaluator.evaluate(points, normals, drive, flux=kind == "shadows")
         arp = sound.arp.copy()

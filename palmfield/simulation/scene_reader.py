@@ -90,7 +90,7 @@ def read_scene(model: ModelView) -> tuple[SceneSpec, SceneBinding]:
         )
     if len(named[DriverConfig]) > 1:
         raise SceneError(f"the scene has {len(named[DriverConfig])} of 'palmfield.driver'; allowed: one")
-    driver = named[DriverConfig][0][2] if named[DriverConfig] else DriverConfig()
+    driver = named[DriverConfig][0][2] if named[DriverConfig] else DriverConfig.model_validate({})
     array_specs, array_sites, transducers = _arrays(arrays, model)
     skin_specs, skin_bindings = _skins(skins, model, array_sites[0])
     stimulus_specs, frame_sites = _stimuli(stimuli, model, array_specs, array_sites, skin_specs, skin_bindings)

@@ -81,7 +81,7 @@ def step(model: HapticModel, state: HapticState, posed: PosedScene, t0: float, t
     if model.response_on:
         scatter(state, course.end)
     if work.observer is not None:
-        times = t0 + model.step_s * np.arange(1, model.substeps + 1)
+        times = t0 + model.step_s * np.arange(1, model.substeps + 1, dtype=np.float64)
         seen = tuple(None if motion is None else motion[0] for motion in motions)
         work.observer(StepTrace(times, posed, moments, course, begun, course.end, seen))
 

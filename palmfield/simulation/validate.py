@@ -6,8 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from palmfield.acoustics.surface_load import CLEARANCE_M, HOUSING_M, clearance
-from palmfield.drive.device import Device as Board
-from palmfield.drive.device import check
+from palmfield.drive.boards import Board, check
 from palmfield.drive.response import Pole
 from palmfield.errors import DeviceError, SceneError
 from palmfield.simulation.model import SkinModel

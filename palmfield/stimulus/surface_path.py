@@ -21,8 +21,6 @@ from palmfield.types import Float, Int, Surface
 REACH_m = 0.02
 """A start or waypoint further than this from the surface is taken for a mistake."""
 
-TINY_m = 1e-300
-
 CLOSING_ROUNDS = 12
 CLOSING_SHARE = 0.02
 """Largest gap of a closed path, as a share of its length, that is bridged by a straight line."""
@@ -84,7 +82,7 @@ class SurfacePath:
         segment = np.minimum(np.maximum(self.arc_m.searchsorted(arc, "right") - 1, 0), len(self.arc_m) - 2)
         step = self.arc_m[segment + 1] - self.arc_m[segment]
         # Between points that coincide the share is 0, whatever the rounding
-        return segment, ((arc - self.arc_m[segment]) / np.maximum(step, TINY_m))[:, None]
+        return segment, ((arc - self.arc_m[segment]) / np.maximum(step, 1e-300))[:, None]
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,10 @@ import pytest
 from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.body_scattering import BODY_SOUNDS, Occlusion, RigidScatteredField, boundary_mesh
 from palmfield.acoustics.scattering import wall_arp
+from palmfield.acoustics.shadow import lit, shadow_mesh
 from palmfield.acoustics.sphere import geodesic
 from palmfield.errors import PalmfieldError
-from palmfield.types import Air
+from palmfield.types import Air, Surface
 
 RADIUS = 0.02
 UP = np.array([[0.0, 0.0, 3.0]])
@@ -44,6 +45,48 @@ def test_reach_ends_before_the_body_and_no_flux_is_dark() -> None:
     flux = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
     lit = occlusion.lit(points, flux, np.array([0.03, 0.05, 0.03]))
     np.testing.assert_array_equal(lit, [True, False, False])
+
+
+def test_bodies_that_begin_in_one_place_and_go_apart() -> None:
+    vertices, faces = geodesic(RADIUS, 20)
+    both = np.concatenate([vertices, vertices])
+    occlusion = Occlusion(both, np.concatenate([faces, faces + len(vertices)]), "cpu", [len(vertices)] * 2)
+    points = plane_points()
+    flux = np.repeat(UP, len(points), axis=0)
+    first, second = np.array([-0.03, 0.0, -0.06]), np.array([0.025, 0.0, -0.09])
+    occlusion.move(np.concatenate([vertices + first, vertices + second]))
+    dark, clear = (
+        np.array(pair) for pair in zip(in_shadow_of(first, points), in_shadow_of(second, points), strict=True)
+    )
+    clear = clear.all(axis=0)
+    np.testing.assert_array_equal(~occlusion.lit(points, flux)[clear], dark.any(axis=0)[clear])
+
+
+def test_equals_the_rays_of_shadow_whatever_the_threads() -> None:
+    vertices, faces = geodesic(RADIUS, 20)
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-0.03, 0.03, (3000, 3))
+    flux = rng.normal(size=(3000, 3)) * 10.0 ** rng.uniform(-20, 9, (3000, 1))
+    reach = rng.uniform(0.0, 0.05, 3000)
+    expected = lit(points, flux, shadow_mesh(Surface(vertices, faces, vertices), "cpu"), reach_m=reach)
+    assert 0.1 < expected.mean() < 0.9
+    for threads in (1, 3):
+        occlusion = Occlusion(vertices, faces, "cpu", threads=threads)
+        for _ in range(2):
+            got = occlusion.lit(points, flux, reach)
+            assert got.dtype == np.bool_ and (got != expected).sum() <= 2  # rays along an edge
+        assert (occlusion.lit(points[:400], flux[:400], reach[:400]) == got[:400]).all()
+
+
+def test_bad_rays_are_named() -> None:
+    occlusion = Occlusion(*geodesic(RADIUS, 2), "cpu")
+    points, flux = np.zeros((4, 3)), np.ones((4, 3))
+    with pytest.raises(PalmfieldError, match=r"points \(4, 3\) and flux \(3, 3\)"):
+        occlusion.lit(points, flux[:3])
+    flux[2, 1] = np.nan
+    with pytest.raises(PalmfieldError, match=r"flux\[2\] is not finite"):
+        occlusion.lit(points, flux)
+    assert occlusion.lit(points[:0], flux[:0]).shape == (0,)
 
 
 def test_a_device_that_is_not_there() -> None:

@@ -37,7 +37,7 @@ def test_an_unknown_board():
 
 
 def test_the_scenes_key_takes_the_boards_that_there_are():
-    assert allowed(DriverConfig, "device").split(" | ") == list(BOARDS)
+    assert allowed(DriverConfig, "board").split(" | ") == list(BOARDS)
 
 
 def test_silence_in_bytes_is_silence():
@@ -59,7 +59,7 @@ def test_modulation_is_refused_with_both_sides_said():
     assert "stimulus 'am' needs continuous amplitude at 4000 frames/s" in message
     assert "sonicsurface gives on/off amplitude at 89.3 frames/s" in message
     assert "44.7 Hz" in message
-    assert "device ideal" in message
+    assert "board ideal" in message
     assert "\n" not in message
 
 

@@ -10,7 +10,7 @@ from palmfield.foresight import STEPS
 
 STEADY = {"modulation": "none", "am_of": None, "am_frequency_Hz": None, "am_depth": None}
 CIRCLE = STEADY | {"path": "circle", "path_diameter_m": 0.01, "path_rate_Hz": 70}
-FULL = {"step_s": 0.0001, "solver": "full"}
+FULL = {"step_s": 0.0001, "solver": "wedges"}
 FIXED = '<joint name="slide" type="slide" axis="1 0 0" stiffness="400" damping="10"/>'
 
 

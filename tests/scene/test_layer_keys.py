@@ -70,7 +70,7 @@ def test_dashpots_below_and_at_the_sides_take_energy(small_scene):
         assert np.linalg.eigvalsh(damping.toarray())[-1] > 0.0
 
 
-@pytest.mark.parametrize("solver", ["full", "reduced"])
+@pytest.mark.parametrize("solver", ["wedges", "reduced"])
 def test_a_layered_scene_runs(small_scene, tmp_path, solver):
     keys = {
         "material": None, "materials": "finger_pad ecoflex_00-10", "shares": "0.3 0.7", "side": "absorbing",
@@ -92,7 +92,7 @@ def test_a_layered_scene_runs(small_scene, tmp_path, solver):
         ({"base_normal_Pa_m": "1"}, "belongs to base 'springs'"),
         ({"base": "free", "side": "free"}, "fly away"),
         ({"base": "free_slip", "foundation_normal_Pa_m": "1", "foundation_tangential_Pa_m": "1"}, "drop one"),
-        ({"solver": "quick"}, "auto | full | reduced"),
+        ({"solver": "quick"}, "auto | wedges | reduced"),
         ({"materials": "palm nose", "shares": "0.5 0.5"}, "nose"),
     ],
 )

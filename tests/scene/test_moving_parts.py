@@ -32,7 +32,7 @@ def felt(scene, steps=3):
     return scene.data.sensordata.copy()
 
 
-@pytest.mark.parametrize("solver", ["auto", "full"])
+@pytest.mark.parametrize("solver", ["auto", "wedges"])
 def test_an_obstacle_that_comes_between_takes_the_sound(small_scene, solver):
     scene = with_ball(small_scene, "0.3 0 0.06", solver=solver)
     free = felt(scene)
@@ -65,7 +65,7 @@ def unscripted(tmp_path, **keys):
     return palmfield.load(tmp_path / "still.xml", device="cpu", keys={"skin.accuracy": 0.5} | keys)
 
 
-@pytest.mark.parametrize("solver", ["auto", "full"])
+@pytest.mark.parametrize("solver", ["auto", "wedges"])
 def test_a_finger_that_bends_by_itself_is_seen(tmp_path, solver):
     """By MuJoCo's own joints, while the patch on the palm keeps still: surface and force are those of the bent hand."""
     data = unscripted(tmp_path).data
@@ -110,7 +110,7 @@ def test_a_tick_holds_the_aim_of_a_moving_frame():
 def test_a_board_of_limited_rate_refuses_a_frame_that_moves(small_scene):
     path = small_scene(
         array={"layout": "sonicsurface"},
-        driver={"device": "sonicsurface"},
+        driver={"board": "sonicsurface"},
         stimulus=STEADY | {"frame": "centre", "focus_m": "0 0 0"},
     )
     with pytest.raises(DeviceError, match="a frame that moves"):

@@ -122,7 +122,7 @@ def test_plan_says_what_was_measured_of_the_drive(small_scene):
 def test_plan_names_every_arrays_quality(small_scene):
     second = (
         '<plugin plugin="palmfield.array"><instance name="second"><config key="site" value="second"/>'
-        '<config key="compute" value="cpu"/><config key="quality" value="40"/></instance></plugin>'
+        '<config key="quality" value="40"/></instance></plugin>'
     )
     path = small_scene(stimulus=STEADY)
     plain = path.parent / "plain.xml"

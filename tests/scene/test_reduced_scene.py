@@ -57,7 +57,7 @@ def test_motion_is_the_whole_layers(small_scene, changes):
     """To the two solvers' own errors: (w h)^2 / 10 of the whole layer's step is 0.6 % at 400 Hz, and the reduction."""
     keys = {name: dict(values) for name, values in changes.items()}
     small, scene = run(fixed(small_scene(**keys | {"skin": SKIN | keys.get("skin", {})})))
-    full, _ = run(fixed(small_scene(**keys | {"skin": SKIN | keys.get("skin", {}) | {"solver": "full"}})))
+    full, _ = run(fixed(small_scene(**keys | {"skin": SKIN | keys.get("skin", {}) | {"solver": "wedges"}})))
     skin = scene.skin.chain.skin.begin
     error = relative(small[:, 0], full[:, 0])
     print(scene.skin.rig.system.ndof, skin.model.order, "estimate", skin.error, "difference", error)
@@ -111,7 +111,7 @@ def test_a_body_that_moves_goes_on_with_the_whole_layer(small_scene):
     def path(solver):
         return fixed(small_scene(skin=SKIN | {"solver": solver}, array={"response": "off"}), ' mocap="true"')
 
-    still, _ = run(path("full"), 5)
+    still, _ = run(path("wedges"), 5)
     with pytest.raises(palmfield.SceneError, match=r"palmfield\.skin.*'solver'.*'reduced'.*moved"):
         run(path("reduced"), 8, shift)
     scene = palmfield.load(path("reduced"))
@@ -119,7 +119,7 @@ def test_a_body_that_moves_goes_on_with_the_whole_layer(small_scene):
     scene.path.write_text(text)
     moved, scene = run(scene.path, 15, shift)
     assert scene.skin.world.state(scene.skin.instance)[scene.skin.rig.skin_room] == 1.0
-    full, _ = run(path("full"), 15, shift)
+    full, _ = run(path("wedges"), 15, shift)
     assert relative(moved[:, 0], full[:, 0]) < 0.015
     assert relative(moved[: len(still), 0], still[:, 0]) < 0.015
 
@@ -134,7 +134,7 @@ def test_what_moves_less_than_matters_stays_small(small_scene):
     seen, scene = run(path, change=slowly)
     assert 1e-6 < np.abs(scene.data.qpos).max() < scene.skin.chain.skin.limit_m
     assert not scene.skin.world.state(scene.skin.instance)[scene.skin.rig.skin_room]
-    full, _ = run(small_scene(skin=SKIN | {"solver": "full"}, stimulus=STEADY), change=slowly)
+    full, _ = run(small_scene(skin=SKIN | {"solver": "wedges"}, stimulus=STEADY), change=slowly)
     assert relative(seen[:, 0], full[:, 0]) < 0.015
 
 
@@ -164,7 +164,7 @@ def test_a_load_without_a_small_model_is_refused_by_name(small_scene, stimulus, 
     with pytest.raises(palmfield.SceneError, match=f"palmfield.skin.*'solver' has value 'reduced'.*{reason}"):
         palmfield.load(small_scene(stimulus=stimulus, skin=SKIN))
     scene = palmfield.load(small_scene(stimulus=stimulus, skin=SKIN | {"solver": "auto"}))
-    assert scene.skin.rig.choice.name == "full" and reason in scene.skin.rig.choice.why
+    assert scene.skin.rig.choice.name == "wedges" and reason in scene.skin.rig.choice.why
     assert isinstance(scene.skin.chain.skin.begin, FullSkin)
 
 
@@ -180,7 +180,7 @@ def test_auto_weighs_making_against_stepping(small_scene):
         return palmfield.load(path)
 
     short, long = chosen(0.002), chosen(1.0)
-    assert (short.skin.rig.choice.name, long.skin.rig.choice.name) == ("full", "reduced")
+    assert (short.skin.rig.choice.name, long.skin.rig.choice.name) == ("wedges", "reduced")
     assert isinstance(short.skin.chain.skin.begin, FullSkin)
     assert long.skin.rig.choice.reduced_s < long.skin.rig.choice.full_s
     said = {row.what: row for row in palmfield.plan(long).modelled}

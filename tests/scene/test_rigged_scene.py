@@ -30,9 +30,10 @@ SCENE = """
   <include file="{arrays}/uhev1.xml"/>
   <include file="{hand}"/>
   <option timestep="0.001"/>
+  <custom><text name="palmfield_device" data="cpu"/></custom>
   <extension>
     <plugin plugin="palmfield.array"><instance name="array">
-      <config key="compute" value="cpu"/><config key="response" value="off"/>
+      <config key="response" value="off"/>
     </instance></plugin>
     <plugin plugin="palmfield.stimulus"><instance name="stimulus">
       <config key="focus_m" value="{focus}"/><config key="modulation" value="none"/>
@@ -41,7 +42,7 @@ SCENE = """
       {keys}<config key="patch_radius_m" value="0.006"/>
       <config key="material" value="finger_pad"/><config key="accuracy" value="0.2"/>
     </instance></plugin>
-    <plugin plugin="palmfield.driver"><instance name="driver"><config key="device" value="ideal"/></instance></plugin>
+    <plugin plugin="palmfield.driver"><instance name="driver"><config key="board" value="ideal"/></instance></plugin>
   </extension>
 </mujoco>
 """

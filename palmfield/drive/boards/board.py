@@ -75,7 +75,7 @@ def check(
     if points_per_turn is not None and too_fast:
         needs += f" ({points_per_turn:.4g} points a turn)"
         gives += f", {points_per_turn * board.max_frame_rate_Hz / frame_rate_Hz:.2g} points a turn"
-    mends = ["device ideal"]
+    mends = ["board ideal"]
     if needs_amplitude:
         gives += f", so on/off AM up to {board.max_frame_rate_Hz / 2:.1f} Hz"
         mends.append("modulation none")

@@ -81,7 +81,7 @@ def encode(amplitude: ArrayLike, calibration: Calibration | None = None) -> byte
         address = int(np.flatnonzero(bad)[0])
         raise DeviceError(
             f"emitter {address} is asked for amplitude {magnitude[address]:.4g}; the SonicSurface has a fixed 50 % "
-            "duty, so only 0 (off) and 1 (full) can be sent: use drive amplitude 1, or device ideal"
+            "duty, so only 0 (off) and 1 (full) can be sent: use drive amplitude 1, or board ideal"
         )
     if calibration is not None:
         wanted = wanted / calibration.response()
