@@ -1,5 +1,6 @@
 """Pressure and its gradient from an array of transducers, on the CPU or a GPU."""
 
+import functools
 import warnings
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -143,11 +144,14 @@ class FieldEvaluator:
     def _form(self, fall: str) -> kernels.Form:
         return kernels.Form(self._gpu, self._accurate, fall, self._smooth and not self._accurate, self._groups.flat)
 
-    def kernel(self, fall: str, gradient: bool) -> tuple[Any, int]:
-        """The kernel for how sound falls off (see `falling`), and how many points each of its threads takes."""
-        module = with_gradient if gradient else kernels
-        kernel = module.gradient(self._form(fall)) if gradient else module.pressure(self._form(fall))
-        return kernel, module.WIDTH["gpu" if self._gpu else "cpu"]
+    def kernel(self, fall: str, gradient: bool) -> Any:
+        """The kernel for how sound falls off, see `falling`."""
+        return with_gradient.gradient(self._form(fall)) if gradient else kernels.pressure(self._form(fall))
+
+    @property
+    def points_per_thread(self) -> int:
+        """How many points each thread of a kernel takes."""
+        return kernels.WIDTH["gpu" if self._gpu else "cpu"]
 
     def inputs(self, elements: Any, strengths: Any, gradient: bool) -> list[Any]:
         """What a kernel takes between points and results; elements, strengths: see `elements`, on the device."""
@@ -192,9 +196,9 @@ class FieldEvaluator:
         strengths = (self.array.p0_Pa_m * np.abs(emitted)[:, None] * fall).astype(np.float32)
         elements = self.elements(gradient)
         elements[:, 2] = np.angle(emitted) / self.phase_unit
-        kernel, width = self.kernel(kind, gradient)
         _, vec4, _ = self._form(kind).vectors
-        return kernel, width, self.inputs(self._upload(elements, vec4), self._upload(strengths, wp.vec4), gradient)
+        inputs = self.inputs(self._upload(elements, vec4), self._upload(strengths, wp.vec4), gradient)
+        return self.kernel(kind, gradient), self.points_per_thread, inputs
 
     def _upload(self, values: NDArray[Any], dtype: Any) -> Any:
         return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self.device)
@@ -300,13 +304,23 @@ def off_axis(array: Array, wavenumber: float) -> tuple[Float, Float, bool]:
     The last is whether they are a quartic and a cubic (padded with zeros), see SMOOTH.
     """
     in_sine, _ = directivity_coefficients(array, wavenumber)
-    quintic = Polynomial(in_sine)(Polynomial([1.0, -1.0]))
-    slope = 2.0 * quintic.deriv()
+    return _in_cosine(tuple(in_sine.tolist()))
+
+
+@functools.lru_cache(maxsize=64)
+def _in_cosine(in_sine: tuple[float, ...]) -> tuple[Float, Float, bool]:
+    """`off_axis` from a polynomial in sin^2. Arrays that move get new evaluators each step: it is kept for them."""
+    quintic: Any = Polynomial(in_sine)(Polynomial([1.0, -1.0]))
+    slope: Any = 2.0 * quintic.deriv()
     quartic = Chebyshev.interpolate(quintic, 4, domain=[0.0, 1.0])
     q = np.linspace(0.0, 1.0, 201)
-    if np.abs(quartic(q) - quintic(q)).max() > SMOOTH:
-        return padded(quintic, 6), padded(slope, 6), False
-    return padded(quartic, 6), padded(Chebyshev.interpolate(slope, 3, domain=[0.0, 1.0]), 6), True
+    smooth = bool(np.abs(quartic(q) - quintic(q)).max() <= SMOOTH)
+    if smooth:
+        quintic, slope = quartic, Chebyshev.interpolate(slope, 3, domain=[0.0, 1.0])
+    kept = padded(quintic, 6), padded(slope, 6)
+    for values in kept:
+        values.setflags(write=False)
+    return *kept, smooth
 
 
 def in_unit(fall: Float, unit_m: float) -> Float:

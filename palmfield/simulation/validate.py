@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
-from palmfield.acoustics.surface_load import CLEARANCE_M, HOUSING_M, clearance
+from palmfield.acoustics.phased_array import HOUSING_M
+from palmfield.acoustics.surface_load import CLEARANCE_M
 from palmfield.drive.boards import Board, check
 from palmfield.drive.response import Pole
 from palmfield.errors import DeviceError, SceneError
@@ -151,19 +152,18 @@ def check_clear(posed: PosedScene) -> None:
 def _check_clear(posed: PosedScene, what: str, points: Float, *, behind: bool) -> None:
     """behind: whether it may lie wholly behind the board."""
     arrays = posed.arrays
-    for part, placement, normal, middle in zip(
-        arrays.parts, arrays.placements, arrays.board_normals, arrays.board_middles, strict=True
-    ):
-        # All that is so far in front of the middle's plane is clear of a flat board; the rest is looked at closely.
-        reach = CLEARANCE_M if arrays.flat else np.inf
-        if np.minimum.reduce(points @ normal) - middle @ normal > reach:
+    for frame, board in zip(arrays.frames, arrays.boards, strict=True):
+        upwards = frame.rotation[:, 2]
+        lowest = np.minimum.reduce(points @ upwards) - frame.position @ upwards - board.height
+        # All that is so far in front of a board's plane is clear of it; the rest is looked at closely.
+        if board.nearest is None and lowest >= CLEARANCE_M:
             continue
-        local = placement.transform.inverse_points(points)
-        above = clearance(part, local)
+        local = frame.inverse_points(points)
+        above = board.clearance(local)
         if above >= CLEARANCE_M:
             continue
-        mirrored = local * [1.0, 1.0, -1.0] + [0.0, 0.0, 2.0 * part.positions[:, 2].mean()]
-        if not (behind and clearance(part, mirrored) > HOUSING_M):
+        mirrored = local * [1.0, 1.0, -1.0] + [0.0, 0.0, 2.0 * board.height]
+        if not (behind and board.clearance(mirrored) > HOUSING_M):
             raise SceneError(
                 f"plugin 'palmfield.skin': {what} reaches into the array (lowest point "
                 f"{1e3 * above:.1f} mm above the board, at least {1e3 * CLEARANCE_M:g} mm needed); move it up"
