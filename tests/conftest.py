@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from palmfield.config import DriverConfig
+
 ARRAYS = Path(__file__).parent.parent / "mjcf" / "arrays"
 
 PLAIN = """
@@ -26,7 +28,7 @@ HAPTIC = """
   <include file="plain.xml"/>
   <option timestep="0.001"/>
   <custom>
-    <numeric name="palmfield_duration_s" data="0.015"/>
+    <numeric name="palmfield_duration_s" data="{duration_s}"/>
     <text name="palmfield_device" data="{device}"/>
   </custom>
   <extension>
@@ -55,14 +57,16 @@ Write = Callable[..., Path]
 
 
 def _writer(folder: Path) -> Write:
-    def write(device: str = "cpu", **changes: dict[str, object]) -> Path:
+    def write(*, device: str = "cpu", duration_s: float = 0.015, **changes: dict[str, object]) -> Path:
         texts = {}
         for module, defaults in DEFAULTS.items():
             keys = defaults | changes.get(module, {})
+            if module == "driver" and "board" not in DriverConfig.model_fields:
+                keys = {"device" if key == "board" else key: value for key, value in keys.items()}
             texts[module] = "".join(f'<config key="{k}" value="{v}"/>' for k, v in keys.items() if v is not None)
         (folder / "plain.xml").write_text(PLAIN.format(arrays=ARRAYS))
         path = folder / "small.xml"
-        path.write_text(HAPTIC.format(**texts, device=device))
+        path.write_text(HAPTIC.format(device=device, duration_s=duration_s, **texts))
         return path
 
     return write
@@ -72,7 +76,7 @@ def _writer(folder: Path) -> Write:
 def small_scene(tmp_path: Path) -> Write:
     """Writes a disc of 40 mm over an array; keywords such as skin={"base": "free_slip"} change or (None) drop keys.
 
-    device: of the field, the text palmfield_device
+    device: where fields are computed; duration_s: of a run
     """
     return _writer(tmp_path)
 

@@ -174,7 +174,7 @@ class PhasedArray:
     array: all transducers in one, for positions, directions and gains. Where directivities differ it has the widest
         piston of them and no table: take `pressure64` or `field` for the sound
     impedance: rho c^2 of the air [Pa]
-    frames: of each part, seen from the first; boards: of each part, in its own frame
+    boards: of each part, in its own frame
     facing: mean direction of each part's transducers, array frame, by column, shape (3, parts)
     heights: of the middle of each part along that direction [m], shape (parts,)
     """
@@ -186,7 +186,6 @@ class PhasedArray:
         self.precision: Mode = first.precision
         self.device = device
         self.placements = tuple(placements)
-        self.frames = tuple(placement.transform for placement in self.placements)
         self._lock = threading.Lock()
         self._field: MultiArrayField | None = None
         try:
@@ -194,8 +193,8 @@ class PhasedArray:
             self.impedance = density(self.air) * sound_speed(self.air) ** 2
             # The first array's frame is the common one: its transducers stay as they are to the last digit
             moved = [
-                part if i == 0 else placed(part, *frame)
-                for i, (part, frame) in enumerate(zip(self.parts, self.frames, strict=True))
+                part if i == 0 else placed(part, *place.transform)
+                for i, (part, place) in enumerate(zip(self.parts, placements, strict=True))
             ]
             self.groups = directivity_groups(moved)
             self.boards = tuple(Board.of(part) for part in self.parts)

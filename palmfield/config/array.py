@@ -4,8 +4,8 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from palmfield.acoustics.air import LIMITS
 from palmfield.config.base import Config, Numbers, Positive
+from palmfield.types import AIR_LIMITS
 
 Layout = Literal[
     "uhev1", "sonicsurface", "autd2018", "autd2018_2x2", "autd3", "autd3_2x2", "two_bow_as_printed",
@@ -14,7 +14,7 @@ Layout = Literal[
 
 
 def _air(name: str) -> Any:
-    low, high = LIMITS[name]
+    low, high = AIR_LIMITS[name]
     return Field(ge=low, le=high)
 
 

@@ -62,7 +62,7 @@ def posed(mesh: xr.Dataset, body: xr.Dataset | None, time_s: float) -> Float:
     if body is None or not has_records(body, "bone_pose") or "bone_index" not in mesh:
         return rest
     poses = body["bone_pose"].isel(step_time=nearest(body["step_time"].values, time_s)).values
-    rotations = Rotation.from_quat(poses[:, 3:], scalar_first=True).as_matrix()
+    rotations = _rotation(poses).as_matrix()
     shifts = bone_shifts(body["bone_rest"].values, poses[:, :3], rotations)
     weights = mesh["bone_weight"].values.astype(np.float64)
     shift, matrix = blended(mesh["bone_index"].values, weights, shifts, rotations)
@@ -126,4 +126,5 @@ def foci_at(stimulus: xr.Dataset, index: int) -> Float:
 
 
 def _rotation(pose: Float) -> Rotation:
-    return Rotation.from_quat(np.roll(pose[3:], -1))
+    # SciPy before 1.14 has the scalar last only
+    return Rotation.from_quat(np.roll(pose[..., 3:], -1, axis=-1))

@@ -18,6 +18,7 @@ from palmfield.types import Float
 
 DPI = 150
 DISTANCES_M = (0.010, 0.020)
+NARROW = 1.5
 
 
 class _View(NamedTuple):
@@ -74,8 +75,7 @@ def plot_displacement(result: xr.DataTree, path: Path) -> None:
     if not skins:
         raise OutputError("the result holds no displacement; run at least one step with the skin first")
     with style():
-        width = 8.0 if len(skins) == 1 else 6.5 * len(skins)
-        figure = Figure(figsize=(width, 6.0), dpi=DPI, layout="constrained")
+        figure = Figure(figsize=(8.0 * len(skins), 6.0), dpi=DPI, layout="constrained")
         columns: list[Any] = [figure] if len(skins) == 1 else list(figure.subfigures(1, len(skins), squeeze=False)[0])
         for column, (name, skin) in zip(columns, skins.items(), strict=True):
             _draw_motion(column, skin, f" '{name}'" if len(skins) > 1 else "")
@@ -130,7 +130,10 @@ def _draw_skin(figure: Any, skin: xr.Dataset, view: _View, stimuli: list[xr.Data
             _draw_foci(axes, stimulus, view)
         if axes.get_legend_handles_labels()[0]:
             axes.legend(loc="upper right", labelcolor="white", facecolor="#333333", frameon=True, framealpha=0.6)
-        axes.set_title(f"{title}, max {_number(np.nanmax(values))} Pa")
+        span = np.ptp(view.vertices[:, :2], axis=0)
+        # A panel of a narrow patch has no room for the title in one line.
+        gap = ",\n" if span[1] > NARROW * span[0] else ", "
+        axes.set_title(f"{title}{gap}max {_number(np.nanmax(values))} Pa")
 
 
 def _draw_foci(axes: Any, stimulus: xr.Dataset, view: _View) -> None:

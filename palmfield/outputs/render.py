@@ -12,12 +12,13 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
-from scipy.spatial import cKDTree
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, cKDTree
 
 from palmfield.device import resolve
 from palmfield.errors import OutputError
-from palmfield.outputs.camera import Camera, look_along_emission
-from palmfield.outputs.frames import arrays_of, bodies, foci_at, in_world, loudest, nearest, pose_at, to_world
+from palmfield.outputs.camera import AZIMUTH_DEG, Camera, look_along_emission
+from palmfield.outputs.frames import arrays_of, bodies, foci_at, in_world, loudest, nearest, pose_at, to_local, to_world
 from palmfield.outputs.schema import has_records, instances
 from palmfield.outputs.style import save, style
 from palmfield.types import Float
@@ -28,6 +29,8 @@ SUPERSAMPLING = 2
 AMBIENT_RAYS = 5
 AMBIENT_REACH_M = 0.035
 SAME_INSTANT_S = 1e-9
+AZIMUTHS_DEG = (0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180)
+BOARD_RIM_M = 0.008
 # magma from pale to dark, short of black: a silent palm looks like skin and shading stays visible everywhere.
 COLOURS = ListedColormap(colormaps["magma_r"](np.linspace(0.07, 0.82, 256)))
 
@@ -62,7 +65,8 @@ def render_scene(result: xr.DataTree, path: Path, size: tuple[int, int] = (960, 
     size: width and height [pixels]
     Everything stands as it did when the loudest of all skins was at its loudest. The camera looks along the emission of
     the first array at a slant, so that the side which the sound reaches faces it and the array is seen from behind,
-    through its board. Raises OutputError where there is nothing to show and where `path` cannot be written.
+    through its board; with several arrays, from where they hide least of the sound. Raises OutputError where there
+    is nothing to show and where `path` cannot be written.
     """
     scene = _scene(result)
     parts = [part for pose, positions in scene.arrays.values() for part in _array_parts(positions, pose)]
@@ -73,8 +77,7 @@ def render_scene(result: xr.DataTree, path: Path, size: tuple[int, int] = (960, 
     painted = _joined([mesh for mesh, _ in scene.bodies])
     level = np.concatenate([pressure for _, pressure in scene.bodies]) / max(scene.peak_Pa, 1e-9)
     solids = np.concatenate([painted.vertices, *(part.mesh.vertices for part in parts)])
-    first = next(iter(scene.arrays.values()))[0]
-    camera = look_along_emission(solids, first, (0.0, 0.09 * height, 0.9 * width, 0.91 * height))
+    camera = _camera(scene, painted, level, solids, (0.0, 0.09 * height, 0.9 * width, 0.91 * height))
     image = _cast(painted, level, parts, camera, size)
     with style():
         figure = Figure(figsize=(width / DPI, height / DPI), dpi=DPI)
@@ -131,6 +134,41 @@ def _pressure(surface: xr.Dataset) -> Float:
     if not has_records(surface, "loudest_pressure"):
         return np.zeros(surface.sizes["vertex"])
     return np.nan_to_num(surface["loudest_pressure"].values.astype(float))
+
+
+def _camera(
+    scene: Scene, painted: trimesh.Trimesh, level: Float, solids: Float, window: tuple[float, float, float, float]
+) -> Camera:
+    """Camera on the emission of the first array; with several arrays, the azimuth from which most sound is seen.
+
+    painted: what has a pressure, level: of each of its vertices, from 0 to 1; solids: all points to be seen [m]
+    """
+    first = next(iter(scene.arrays.values()))[0]
+    if len(scene.arrays) == 1:
+        return look_along_emission(solids, first, window)
+    # Its corners take as much of the picture as the whole, and a hundredth of the time.
+    corners = solids[ConvexHull(solids).vertices]
+    cameras = [look_along_emission(corners, first, window, AZIMUTH_DEG + turn) for turn in AZIMUTHS_DEG]
+    loud = level > 0.3 * level.max(initial=0.0)
+    points, normals, weights = painted.vertices[loud], painted.vertex_normals[loud], level[loud]
+    seen = []
+    for camera in cameras:
+        facing = np.einsum("ni,ni->n", normals, camera.eye - points) > 0.0
+        free = np.logical_and.reduce([~_behind(points, camera.eye, *array) for array in scene.arrays.values()])
+        seen.append(float(weights[facing & free].sum()))
+    # A little more seen is not worth another view than in all other pictures.
+    return cameras[next(k for k, much in enumerate(seen) if much >= 0.9 * max(seen))]
+
+
+def _behind(points: Float, eye: Float, pose: Float, positions: Float) -> NDArray[np.bool_]:
+    """Which points [m], shape (n, 3), an array's board hides from an eye."""
+    here, there = to_local(points, pose), to_local(eye[None], pose)[0]
+    way = there - here
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = -here[:, 2] / way[:, 2]
+        crossing = here[:, :2] + share[:, None] * way[:, :2]
+    low, high = positions[:, :2].min(axis=0) - BOARD_RIM_M, positions[:, :2].max(axis=0) + BOARD_RIM_M
+    return (share > 0.0) & (share < 1.0) & ((crossing > low) & (crossing < high)).all(axis=1)
 
 
 def _caption(result: xr.DataTree, scene: Scene) -> str:

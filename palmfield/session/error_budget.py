@@ -15,7 +15,7 @@ from palmfield.errors import SceneError
 from palmfield.simulation.build import nearest_stimulus
 from palmfield.simulation.emission import array_drives
 from palmfield.simulation.model import HapticModel, SkinModel
-from palmfield.simulation.posed_scene import PosedBody, PosedScene, PosedSkin
+from palmfield.simulation.posed_scene import PosedScene, PosedSkin, PosedSurface
 from palmfield.simulation.radiation import Radiation
 from palmfield.skin.approximation.estimate import ORDER, mesh_error
 from palmfield.skin.fem.solver import harmonic, harmonic_discrete, static
@@ -132,7 +132,7 @@ class _Sound:
         disc = part.carrier.surface is None
         if disc:
             # The boundary of a disc is that of its skin's mesh; any other body's is its own.
-            body = PosedBody(part.carrier, other, body.frame, (body.bone_positions, body.bone_rotations))
+            body = PosedSurface(part.carrier, other, body.frame, (body.bone_positions, body.bone_rotations))
         obstacles = place.obstacle_positions, place.obstacle_rotations
         varied_model = replace(model, skins=_exchanged(model.skins, skin, other))
         varied = PosedScene(

@@ -15,7 +15,6 @@ from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.sensors import CHANNELS, UNITS
 from palmfield.simulation.step import StepTrace
-from palmfield.skin.stepper import Reader
 from palmfield.stimulus.schedule import frames_at
 from palmfield.transforms import quaternion
 from palmfield.types import Complex, Float, Float32
@@ -57,26 +56,21 @@ class Recorder:
         """Note the state before the first step, and watch those that follow."""
         work, posed = self.runtime.work, self.runtime.posed
         now_s = self._zero_s = self.world.time
-        readers = self._readers()
+        work.observe = tuple(skin.surface_vectors for skin in self.model.skins)
         motions = []
         for number, (stepper, numbers) in enumerate(self.runtime.skin_states()):
-            motions.append(stepper.read(numbers, readers[number]))
+            reader = work.reader(number, stepper)
+            assert reader is not None
+            motions.append(stepper.read(numbers, reader))
         course = work.emission.now(posed, self.runtime.amplitudes, now_s)
         block = self._block(np.array([now_s]), posed, self._emitted(course, np.array([0])), motions)
         self.sink.append(block)
-        work.observe = tuple(readers)
         work.observer = self._observe
 
     def stop(self) -> None:
         """Watch no longer."""
         self.runtime.work.observer = None
         self.runtime.work.observe = (None,) * len(self.model.skins)
-
-    def _readers(self) -> list[Reader]:
-        states = self.runtime.skin_states()
-        return [
-            stepper.reader(skin.surface_vectors) for (stepper, _), skin in zip(states, self.model.skins, strict=True)
-        ]
 
     def _observe(self, trace: StepTrace) -> None:
         self._trace = trace
@@ -100,8 +94,6 @@ class Recorder:
         for name, data in self._sensors:
             block[group("sensors", name)] = {"value": data[None].copy()}
         self.sink.append(block)
-        # A run may leave a small model: what reads the whole layer is then another reader.
-        self.runtime.work.observe = tuple(self._readers())
 
     def _add_body(self, block: Block, name: str, number: int, posed: PosedScene) -> None:
         runtime, frame = self.runtime, posed.array_frame

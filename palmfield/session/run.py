@@ -29,7 +29,7 @@ from palmfield.outputs.usd import write_usd
 from palmfield.session.load import Source
 from palmfield.session.recorder import Recorder, static_arrays
 from palmfield.session.simulation import Simulation
-from palmfield.session.summary import scene_numbers, skin_numbers
+from palmfield.session.summary import scene_numbers, skin_numbers, stimulus_numbers
 from palmfield.types import Float
 
 PICTURES: tuple[tuple[str, Callable[[Any, Path], None]], ...] = (
@@ -105,7 +105,8 @@ def run(
             if stopped is not None:
                 raise stopped
             task = bar.add_task("estimating the error", total=None)
-            written = summary(finished, extra | _numbers(sim, recorder, finished) | _spent(started))
+            whole, skins, stimuli = _numbers(sim, recorder, finished)
+            written = summary(finished, extra | whole | _spent(started), skins, stimuli)
             bar.remove_task(task)
             return Result(None, {}, written, finished)
         assert out is not None
@@ -116,10 +117,10 @@ def run(
             if stopped is not None:
                 raise stopped
             task = bar.add_task("estimating the error", total=None)
-            extra |= _numbers(sim, recorder, tree)
+            whole, skins, stimuli = _numbers(sim, recorder, tree)
             bar.remove_task(task)
             files |= draw(tree, Path(out), bar)
-            written = summary(tree, extra | _spent(started))
+            written = summary(tree, extra | whole | _spent(started), skins, stimuli)
         write_json(files["summary.json"], written)
     return Result(Path(out), files, written)
 
@@ -195,14 +196,16 @@ def _simulate(sim: Simulation, recorder: Recorder, duration_s: float, bar: Progr
     return None
 
 
-def _numbers(sim: Simulation, recorder: Recorder, tree: xr.DataTree) -> dict[str, Any]:
-    """What a run says beyond its arrays: of each skin and of the scene."""
+def _numbers(
+    sim: Simulation, recorder: Recorder, tree: xr.DataTree
+) -> tuple[dict[str, Any], dict[str, dict[str, Any]], dict[str, dict[str, Any]]]:
+    """What a run says beyond its arrays: of the scene, of each skin and of each stimulus."""
     skins = {}
     times: Float = np.asarray(tree["time"])
     for name, ds in instances(tree, "skin").items():
         number = sim.skins.index(name)
         normal = normal_component(ds)
-        peak = np.abs(normal).max(axis=0)
+        peak = np.asarray(np.abs(normal).max(axis=0))
         vertex = int(peak.argmax())
         skins[name] = skin_numbers(
             sim,
@@ -212,7 +215,7 @@ def _numbers(sim: Simulation, recorder: Recorder, tree: xr.DataTree) -> dict[str
             np.asarray(normal[:, vertex], dtype=np.float64),
             float(peak[vertex]),
         )
-    return scene_numbers(sim, recorder.loudest) | {"skin_numbers": skins}
+    return scene_numbers(sim, recorder.loudest), skins, stimulus_numbers(sim, recorder.loudest)
 
 
 def _spent(started: float) -> dict[str, Any]:

@@ -65,7 +65,7 @@ class PoseLayout:
         return PoseLayout(len(spec.arrays), frames, tuple(transducers), tuple(bodies), tuple(obstacles), row)
 
 
-class PosedBody:
+class PosedSurface:
     """One body in one pose; what is not asked for is not computed.
 
     model: the body at rest; skin: the first skin on it; frame: seen from the first array
@@ -77,7 +77,7 @@ class PosedBody:
         self.bone_positions, self.bone_rotations = bones
         self.numbers = b"".join([array.tobytes() for array in (*frame, *bones)])
 
-    def same(self, other: "PosedBody") -> bool:
+    def same(self, other: "PosedSurface") -> bool:
         """Exactly equal: only then may a field be used again."""
         return self.numbers == other.numbers
 
@@ -134,7 +134,7 @@ class PosedSkin:
     obstacle_positions, obstacle_rotations: of what casts shadows besides bodies with skins, in the body's frame
     """
 
-    def __init__(self, skin: SkinModel, body: PosedBody, obstacles: tuple[Float, Float]):
+    def __init__(self, skin: SkinModel, body: PosedSurface, obstacles: tuple[Float, Float]):
         self.skin, self.body = skin, body
         self.obstacle_positions, self.obstacle_rotations = obstacles
         self.numbers = obstacles[0].tobytes() + obstacles[1].tobytes()
@@ -191,7 +191,7 @@ class PosedScene:
         array_frame: Transform,
         arrays: PhasedArray,
         frames: Sequence[Transform],
-        bodies: Sequence[PosedBody],
+        bodies: Sequence[PosedSurface],
         skins: Sequence[PosedSkin],
     ):
         self.rows, self.array_frame, self.arrays = rows, array_frame, arrays
@@ -214,7 +214,7 @@ def reference_scene(model: HapticModel) -> PosedScene:
     for number, body in enumerate(model.bodies):
         first = model.skins[model.carried(number)[0]]
         upright = np.tile(np.eye(3), (len(body.rest_origins), 1, 1))
-        bodies.append(PosedBody(body, first, first.spec.body.transform, (body.rest_origins, upright)))
+        bodies.append(PosedSurface(body, first, first.spec.body.transform, (body.rest_origins, upright)))
     for skin in model.skins:
         frames = [obstacle.placement.transform for obstacle in skin.spec.obstacles]
         obstacles = (
@@ -248,7 +248,7 @@ def posed_scene(
     for number, (row, bones) in enumerate(layout.bodies):
         first = reference.bodies[number].skin
         frame = Transform(positions[row], rotations[row])
-        body = PosedBody(model.bodies[number], first, frame, _seen_from(rows, row, bones))
+        body = PosedSurface(model.bodies[number], first, frame, _seen_from(rows, row, bones))
         bodies.append(previous.bodies[number] if previous.bodies[number].same(body) else body)
     skins = []
     for number, skin in enumerate(model.skins):

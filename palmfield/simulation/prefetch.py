@@ -7,6 +7,7 @@ many drives are one matrix product: see `palmfield.acoustics.transfer`.
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from palmfield.acoustics.transfer import MATRIX_FROM
 from palmfield.simulation.emission import Emission
@@ -19,6 +20,7 @@ AHEAD = 128
 """Substeps that are looked ahead; a move throws away what was computed for them."""
 SAME_DRIVE = 1e-9
 """Of full drive: MuJoCo adds up its time, so that what comes differs from what was predicted in the last digits."""
+ALWAYS = np.ones(1, dtype=bool)
 
 
 class LoadPrefetch:
@@ -49,13 +51,20 @@ class LoadPrefetch:
         self._until = t0 + (count - 0.5) * self.model.step_s
         self._loads.clear()
         drives = self._drives[:0] if course.emitted is None else course.emitted
-        self._drives = drives if len(drives) >= MATRIX_FROM else drives[:0]
+        # A focus that rests at a few points is a few drives: each of them costs less by itself.
+        worthwhile = len(drives) >= MATRIX_FROM and np.count_nonzero(_changes(drives)) + 1 >= MATRIX_FROM
+        self._drives = drives if worthwhile else drives[:0]
 
     def pressures(self, posed: PosedScene, skin: int, drives: Complex) -> Float32:
         """ARP [Pa] at a skin's quadrature points for drives (m, N), shape (m, q)."""
         rows = self._found(drives)
         if rows is None:
-            return self.radiation.many(posed, skin, drives)
+            changes = _changes(drives)
+            if np.logical_and.reduce(changes):
+                return self.radiation.many(posed, skin, drives)
+            # What sounds on unchanged is computed once.
+            first = np.concatenate((ALWAYS, changes))
+            return self.radiation.many(posed, skin, drives[first])[np.add.accumulate(first, dtype=np.intp) - 1]
         known = self._loads.get(skin)
         if known is None or known[0] is not posed.skins[skin]:
             known = self._loads[skin] = posed.skins[skin], self.radiation.many(posed, skin, self._drives)
@@ -67,7 +76,8 @@ class LoadPrefetch:
         model = self.model
         changing = any(part.config.path != "point" or part.response.delayed for part in model.stimuli)
         free = all(skin.spec.config.body_sound == "none" for skin in model.skins)
-        return changing and free and model.spec.arrays[0].config.precision == "fast"
+        matrix = len(model.arrays.groups) == 1 and model.arrays.precision == "fast"
+        return changing and free and matrix
 
     def _found(self, drives: Complex) -> slice | None:
         """Which of the predicted drives these are; None where they were not predicted."""
@@ -79,3 +89,8 @@ class LoadPrefetch:
         if len(there) < len(drives) or np.abs(there - drives).max() >= SAME_DRIVE:
             return None
         return rows
+
+
+def _changes(drives: Complex) -> NDArray[np.bool_]:
+    """Whether each of some drives (m, N), m >= 1, but the first differs from the one before it, shape (m - 1,)."""
+    return np.asarray(np.logical_or.reduce(drives[1:] != drives[:-1], axis=1))

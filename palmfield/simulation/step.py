@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import sparse
 
 from palmfield.drive.transducer_response import EmittedCourse
 from palmfield.simulation.emission import Emission
@@ -19,7 +20,7 @@ from palmfield.simulation.prefetch import LoadPrefetch
 from palmfield.simulation.radiation import Radiation
 from palmfield.simulation.state import HapticState, claim, stepper_of
 from palmfield.simulation.whole_layer import continue_on_whole_layer, leaves_small_model
-from palmfield.skin.stepper import Reader, SurfaceLoads
+from palmfield.skin.stepper import Reader, SkinStepper, SurfaceLoads
 from palmfield.stimulus.schedule import Moments
 from palmfield.types import Complex, Float
 
@@ -31,7 +32,7 @@ class StepTrace:
     times: ends of the substeps [s], shape (s,); posed: where everything was
     course, moments: what was emitted at the moments of the load
     begun, emitted: what is emitted at the beginning and at the end, shape (N,)
-    motion: of each skin displacement [m] and velocity [m/s] after each substep as its reader gives them, (s, 2, m)
+    motion: of each skin what is watched of it, displacement [m] and velocity [m/s] after each substep, (s, 2, m)
     """
 
     times: Float
@@ -46,7 +47,7 @@ class StepTrace:
 class Workspace:
     """What one state's steps keep: emission, radiation, forces and prefetched loads, and who watches.
 
-    observe: readers of what is watched of each skin; observer: told of each step
+    observe: what is watched of each skin, an operator (m, unknowns) or None; observer: told of each step
     """
 
     def __init__(self, model: HapticModel):
@@ -56,8 +57,19 @@ class Workspace:
         self.forces = BodyForces(model, self.radiation)
         self.prefetch = LoadPrefetch(model, self.emission, self.radiation)
         self.amplitudes: Complex = np.zeros(len(model.arrays), np.complex128)
-        self.observe: tuple[Reader | None, ...] = (None,) * len(model.skins)
+        self.observe: tuple[sparse.csr_matrix | None, ...] = (None,) * len(model.skins)
         self.observer: Callable[[StepTrace], None] | None = None
+        self._readers: dict[tuple[int, str], tuple[sparse.csr_matrix, Reader]] = {}
+
+    def reader(self, skin: int, stepper: SkinStepper) -> Reader | None:
+        """Reads what is watched of a skin off this stepper's states; a run may leave a small model in any step."""
+        operator = self.observe[skin]
+        if operator is None:
+            return None
+        known = self._readers.get((skin, stepper.name))
+        if known is None or known[0] is not operator:
+            known = self._readers[skin, stepper.name] = operator, stepper.reader(operator)
+        return known[1]
 
 
 def step(model: HapticModel, state: HapticState, posed: PosedScene, t0: float, t1: float, work: Workspace) -> None:
@@ -76,7 +88,7 @@ def step(model: HapticModel, state: HapticState, posed: PosedScene, t0: float, t
                 model, state, number, posed, work.emission, work.radiation, begun, t0
             )
         loads = skin_loads(work, posed, number, moments, course)
-        motions.append(stepper.step(numbers, loads, t0, t1, work.observe[number]))
+        motions.append(stepper.step(numbers, loads, t0, t1, work.reader(number, stepper)))
         claim(model, state, number, stepper)
     if model.response_on:
         scatter(state, course.end)

@@ -152,17 +152,12 @@ def check_clear(posed: PosedScene) -> None:
 def _check_clear(posed: PosedScene, what: str, points: Float, *, behind: bool) -> None:
     """behind: whether it may lie wholly behind the board."""
     arrays = posed.arrays
-    for frame, board in zip(arrays.frames, arrays.boards, strict=True):
-        upwards = frame.rotation[:, 2]
-        lowest = np.minimum.reduce(points @ upwards) - frame.position @ upwards - board.height
-        # All that is so far in front of a board's plane is clear of it; the rest is looked at closely.
-        if board.nearest is None and lowest >= CLEARANCE_M:
-            continue
-        local = frame.inverse_points(points)
-        above = board.clearance(local)
+    for board, placement in zip(arrays.boards, arrays.placements, strict=True):
+        own = points if placement is arrays.placements[0] else placement.transform.inverse_points(points)
+        above = board.clearance(own)
         if above >= CLEARANCE_M:
             continue
-        mirrored = local * [1.0, 1.0, -1.0] + [0.0, 0.0, 2.0 * board.height]
+        mirrored = own * [1.0, 1.0, -1.0] + [0.0, 0.0, 2.0 * board.height]
         if not (behind and board.clearance(mirrored) > HOUSING_M):
             raise SceneError(
                 f"plugin 'palmfield.skin': {what} reaches into the array (lowest point "
