@@ -1,5 +1,6 @@
 """Pressure and its gradient from an array of transducers, on the CPU or a GPU."""
 
+import functools
 import warnings
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -300,13 +301,23 @@ def off_axis(array: Array, wavenumber: float) -> tuple[Float, Float, bool]:
     The last is whether they are a quartic and a cubic (padded with zeros), see SMOOTH.
     """
     in_sine, _ = directivity_coefficients(array, wavenumber)
-    quintic = Polynomial(in_sine)(Polynomial([1.0, -1.0]))
-    slope = 2.0 * quintic.deriv()
+    return _in_cosine(tuple(in_sine.tolist()))
+
+
+@functools.lru_cache(maxsize=64)
+def _in_cosine(in_sine: tuple[float, ...]) -> tuple[Float, Float, bool]:
+    """`off_axis` from a polynomial in sin^2. Arrays that move get new evaluators each step: it is kept for them."""
+    quintic: Any = Polynomial(in_sine)(Polynomial([1.0, -1.0]))
+    slope: Any = 2.0 * quintic.deriv()
     quartic = Chebyshev.interpolate(quintic, 4, domain=[0.0, 1.0])
     q = np.linspace(0.0, 1.0, 201)
-    if np.abs(quartic(q) - quintic(q)).max() > SMOOTH:
-        return padded(quintic, 6), padded(slope, 6), False
-    return padded(quartic, 6), padded(Chebyshev.interpolate(slope, 3, domain=[0.0, 1.0]), 6), True
+    smooth = bool(np.abs(quartic(q) - quintic(q)).max() <= SMOOTH)
+    if smooth:
+        quintic, slope = quartic, Chebyshev.interpolate(slope, 3, domain=[0.0, 1.0])
+    kept = padded(quintic, 6), padded(slope, 6)
+    for values in kept:
+        values.setflags(write=False)
+    return *kept, smooth
 
 
 def in_unit(fall: Float, unit_m: float) -> Float:

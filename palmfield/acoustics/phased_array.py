@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from palmfield.acoustics.air import density, sound_speed
 from palmfield.acoustics.arrays import combined, from_poses, layout, placed, with_faults
@@ -20,6 +21,10 @@ from palmfield.errors import SceneError
 from palmfield.transforms import Numbers, Placement
 from palmfield.types import Air, Array, Complex, Field, Float, Int
 
+HOUSING_M = 5e-3
+"""How far a board reaches beyond its transducers, and how high a transducer is [m]."""
+FLAT_M = 1e-6
+"""Transducers lie in one plane if their heights differ by less [m]."""
 SAME_PLACE = 1e-9
 """Positions [m] and directions that differ by less are the same."""
 
@@ -88,6 +93,45 @@ def directivity_groups(parts: Sequence[Array]) -> tuple[DirectivityGroup, ...]:
     )
 
 
+@dataclass(frozen=True)
+class Board:
+    """What of an array a body must not reach into, in the array's own frame.
+
+    low, high: corners of the rectangle around transducers that lie in one plane and face along z, with its housing, x
+        and y [m]; height: of that plane [m]
+    nearest: tree of the transducers of any other array, which has no such rectangle; else None
+    """
+
+    low: tuple[float, float]
+    high: tuple[float, float]
+    height: float
+    nearest: cKDTree | None = None
+
+    @staticmethod
+    def of(array: Array) -> "Board":
+        """The board of an array in its own frame."""
+        positions = array.positions
+        (low_x, low_y, low), (high_x, high_y, high) = positions.min(axis=0).tolist(), positions.max(axis=0).tolist()
+        flat = high - low <= FLAT_M and array.normals[:, 2].min() >= 0.5
+        return Board(
+            (low_x - HOUSING_M, low_y - HOUSING_M),
+            (high_x + HOUSING_M, high_y + HOUSING_M),
+            float(positions[:, 2].mean()),
+            None if flat else cKDTree(positions),
+        )
+
+    def clearance(self, points: Float) -> float:
+        """Least distance of points [m], shape (n, 3), from the board [m], negative behind it; inf if none is over it.
+
+        Of an array without a rectangle, the least distance from the face of a transducer.
+        """
+        if self.nearest is not None:
+            return float(np.minimum.reduce(self.nearest.query(points)[0], initial=np.inf)) - HOUSING_M
+        x, y, z = points.T
+        over = (x >= self.low[0]) & (x <= self.high[0]) & (y >= self.low[1]) & (y <= self.high[1])
+        return float(np.minimum.reduce(z, where=over, initial=np.inf)) - self.height
+
+
 class MultiArrayField:
     """The field of transducers of one or several directivities: the sum over an evaluator for each, on one device.
 
@@ -130,7 +174,9 @@ class PhasedArray:
     array: all transducers in one, for positions, directions and gains. Where directivities differ it has the widest
         piston of them and no table: take `pressure64` or `field` for the sound
     impedance: rho c^2 of the air [Pa]
-    board_normals, board_middles: mean direction and mean position [m] of each array's transducers, array frame, (a, 3)
+    boards: of each part, in its own frame
+    facing: mean direction of each part's transducers, array frame, by column, shape (3, parts)
+    heights: of the middle of each part along that direction [m], shape (parts,)
     """
 
     def __init__(self, instances: Sequence[ArrayInstance], placements: Sequence[Placement], device: str = "auto"):
@@ -151,8 +197,10 @@ class PhasedArray:
                 for i, (part, place) in enumerate(zip(self.parts, placements, strict=True))
             ]
             self.groups = directivity_groups(moved)
-            self.board_normals = np.array([part.normals.mean(axis=0) for part in moved])
-            self.board_middles = np.array([part.positions.mean(axis=0) for part in moved])
+            self.boards = tuple(Board.of(part) for part in self.parts)
+            facing = np.array([part.normals.mean(axis=0) for part in moved])
+            middles = np.array([part.positions.mean(axis=0) for part in moved])
+            self.facing, self.heights = np.ascontiguousarray(facing.T), (middles * facing).sum(axis=1)
             if len(self.groups) > 1:
                 widest = max(part.piston_radius_m for part in moved)
                 moved = [replace(part, piston_radius_m=widest, directivity_table=None) for part in moved]

@@ -1,34 +1,25 @@
 """What the sound does to a surface as a whole, and where the surface is to the arrays."""
 
 import numpy as np
-from scipy.spatial import cKDTree
 
-from palmfield.acoustics.phased_array import PhasedArray
+from palmfield.acoustics.phased_array import Board, PhasedArray
 from palmfield.acoustics.shadow import REACH_m
 from palmfield.types import Array, Float, Float32, Int
 
 CLEARANCE_M = 2e-3
 """Least distance of a body from an array's board [m]."""
-HOUSING_M = 5e-3
-"""How far the board reaches beyond its transducers [m]."""
 GRAZING = 1e-6
 """A ray that goes along a board, to this cosine, does not meet it."""
 
 
 def clearance(array: Array, points: Float) -> float:
-    """Least distance of points from an array's board [m], negative behind it.
+    """Least distance of points from an array's board [m], negative behind it, inf where none is over it.
 
     points: [m], in the array's own frame, shape (n, 3)
     The board is the rectangle around transducers that lie in one plane of constant z and face along z. Any other array
-    has none: there it is the distance from the face of the nearest transducer.
+    has none: there it is the distance from the face of the nearest transducer. `PhasedArray.boards` has them made.
     """
-    positions = array.positions
-    if np.ptp(positions[:, 2]) > 1e-6 or array.normals[:, 2].min() < 0.5:
-        distance, _ = cKDTree(positions).query(points)
-        return float(distance.min()) - HOUSING_M
-    low, high = positions[:, :2].min(axis=0) - HOUSING_M, positions[:, :2].max(axis=0) + HOUSING_M
-    over = np.all((points[:, :2] >= low) & (points[:, :2] <= high), axis=1)
-    return float(points[over, 2].min() - positions[:, 2].mean()) if over.any() else np.inf
+    return Board.of(array).clearance(points)
 
 
 def distance_to_arrays(points: Float, flux: Float | Float32, phased_array: PhasedArray) -> Float:
@@ -37,13 +28,16 @@ def distance_to_arrays(points: Float, flux: Float | Float32, phased_array: Phase
     points: [m], array frame, shape (n, 3); flux: where the sound goes there, any length, shape (n, 3)
     A board is the plane through an array's middle across its mean direction; of several arrays the farthest counts.
     """
-    normals, middles = phased_array.board_normals, phased_array.board_middles
-    length = np.sqrt(np.einsum("ij,ij->i", flux, flux, dtype=np.float64))
-    towards = (flux @ normals.T) / np.maximum(length, 1e-30)[:, None]  # how fast the way back leaves each board
-    meets = towards > GRAZING
-    height = points @ normals.T - np.einsum("ij,ij->i", middles, normals)
-    way = np.where(meets, height / np.where(meets, towards, 1.0), REACH_m)
-    farthest: Float = np.maximum.reduce(way, axis=1, initial=0.0)
+    along = flux.T.astype(np.float64, order="C")
+    along /= np.maximum(np.sqrt(np.add.reduce(along * along, axis=0)), 1e-30)
+    farthest: Float = np.zeros(len(points))
+    for facing, height in zip(phased_array.facing.T, phased_array.heights.tolist(), strict=True):
+        leaving = facing @ along  # how fast the way back nears the board
+        above = points @ facing
+        above -= height
+        way = np.full(len(points), REACH_m)
+        np.divide(above, leaving, out=way, where=leaving > GRAZING)
+        np.maximum(farthest, way, out=farthest)
     return np.minimum(farthest, REACH_m, out=farthest)
 
 

@@ -44,6 +44,9 @@ def test_field_and_distance(both: tuple[emitter.Emitter, PhasedArray]) -> None:
     np.testing.assert_allclose(
         distance_to_arrays(points, flux, new), chain.to_boards(points, flux, old), rtol=1e-9, atol=1e-12
     )
+    for part, board in zip(new.parts, new.boards, strict=True):
+        for shift in (0.0, 0.19, 0.5):
+            assert board.clearance(points - [0.0, 0.0, shift]) == chain.clearance(part, points - [0.0, 0.0, shift])
 
 
 def test_bound_points() -> None:

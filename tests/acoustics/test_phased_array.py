@@ -38,8 +38,8 @@ def test_transducers_are_numbered_from_array_to_array() -> None:
     assert array.slices[0].start == 0 and array.slices[1].start == array.slices[0].stop
     second = placed(layout("sonicsurface"), *TILTED)
     np.testing.assert_allclose(array.array.positions[array.slices[1]], second.positions, atol=1e-15)
-    np.testing.assert_allclose(array.board_normals[1], TILTED.rotation[:, 2], atol=1e-12)
-    np.testing.assert_allclose(array.board_middles[1], TILTED.position, atol=1e-12)
+    np.testing.assert_allclose(array.facing[:, 1], TILTED.rotation[:, 2], atol=1e-12)
+    assert array.heights[1] == pytest.approx(TILTED.rotation[:, 2] @ TILTED.position, abs=1e-12)
 
 
 @pytest.mark.parametrize("second", [{}, {"directivity": "t4010a1"}])

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from palmfield.acoustics.arrays import layout
-from palmfield.acoustics.phased_array import ArrayInstance, PhasedArray
+from palmfield.acoustics.phased_array import HOUSING_M, ArrayInstance, PhasedArray
 from palmfield.acoustics.shadow import REACH_m
 from palmfield.acoustics.sphere import geodesic
-from palmfield.acoustics.surface_load import HOUSING_M, clearance, distance_to_arrays, resultants
+from palmfield.acoustics.surface_load import clearance, distance_to_arrays, resultants
 from palmfield.config import ArrayConfig
 from palmfield.hand.triangles import face_normals
 from palmfield.transforms import IDENTITY, Placement, Transform
@@ -66,6 +66,7 @@ def test_clearance() -> None:
     points = np.array([[0.0, 0.0, 0.03], [1.0, 0.0, -0.5]])
     assert clearance(array, points) == pytest.approx(0.03 - array.positions[:, 2].mean())
     assert clearance(array, points[1:]) == np.inf
+    assert clearance(array, points - [0.0, 0.0, 0.1]) < 0.0
     bowl = layout("two_bow_corrected")
     nearest = np.linalg.norm(bowl.positions - points[0], axis=1).min()
     assert clearance(bowl, points[:1]) == pytest.approx(nearest - HOUSING_M)
