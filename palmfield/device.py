@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import warp as wp
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from palmfield.errors import PalmfieldError
 
@@ -45,7 +45,7 @@ class SharedArray:
     """An array of fixed size that NumPy sees as `host` and kernels as `array`.
 
     On the CPU both are one memory. On a GPU `host` is pinned memory: `upload` and `download` copy, in the order of the
-    device's stream, and `download` must be waited for (`wp.synchronize_stream`).
+    device's stream, which must be waited for (`wp.synchronize_stream`) before `host` holds what was downloaded.
 
     shape: of the Warp array; dtype: its type, for example wp.vec3; device: of `resolve`
     """
@@ -57,8 +57,15 @@ class SharedArray:
             self._pinned = wp.zeros(shape, dtype=dtype, device="cpu", pinned=True)
         self.host: NDArray[Any] = (self.array if self._pinned is None else self._pinned).numpy()
 
+    def put(self, values: ArrayLike) -> None:
+        """Give kernels these values, which `host` then holds; a copy that is still under way is waited for."""
+        if self._pinned is not None:
+            wp.synchronize_stream(self.array.device)
+        self.host[...] = values
+        self.upload()
+
     def upload(self) -> None:
-        """Give kernels what `host` holds."""
+        """Give kernels what `host` holds; until the device's stream is waited for, it must stay as it is."""
         if self._pinned is not None:
             wp.copy(self.array, self._pinned)
 

@@ -110,16 +110,14 @@ class Occlusion:
         # from one to the other once they are elsewhere
         extent = float(np.ptp(vertices, axis=0).max()) if len(vertices) else 0.0
         body = np.repeat(np.arange(len(counts)), counts) if len(counts) else np.zeros(len(vertices), int)
-        self._vertices.host[...] = vertices + np.outer(2.0 * extent * body, [1.0, 0.0, 0.0])
-        self._vertices.upload()
+        self._vertices.put(vertices + np.outer(2.0 * extent * body, [1.0, 0.0, 0.0]))
         self.mesh = wp.Mesh(self._vertices.array, corners)
         self._rays: dict[int, _Rays] = {}
         self.move(vertices)
 
     def move(self, vertices: Float) -> None:
         """Take new positions of the same vertices [m], shape (v, 3)."""
-        self._vertices.host[...] = vertices
-        self._vertices.upload()
+        self._vertices.put(vertices)
         self.mesh.refit()
 
     def lit(

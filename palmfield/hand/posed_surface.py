@@ -130,8 +130,7 @@ class FaceSampler:
 
     def at(self, vertices: Float) -> FaceSamples:
         """The faces with the vertices there [m], shape (count, 3): views of buffers that the next call overwrites."""
-        self._vertices.host[...] = vertices
-        self._vertices.upload()
+        self._vertices.put(vertices)
         self._sample()
         if self._device != "cpu":
             for result in self._results:

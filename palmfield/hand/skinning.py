@@ -167,10 +167,8 @@ class SkinnedSurface:
                 f"skin on bones: positions {bone_positions.shape} and rotations {bone_rotations.shape} given; "
                 f"give ({number}, 3) and ({number}, 3, 3), one for each bone"
             )
-        self._turns.host[...] = bone_rotations
-        self._shifts.host[...] = bone_shifts(self.origins, bone_positions, bone_rotations)
-        self._turns.upload()
-        self._shifts.upload()
+        self._turns.put(bone_rotations)
+        self._shifts.put(bone_shifts(self.origins, bone_positions, bone_rotations))
         self._blend()
 
     def _fetch(self, *arrays: SharedArray) -> None:
