@@ -57,7 +57,7 @@ def arp(
 
 
 @wp.struct
-class SurfaceSound:
+class SurfacePoints:
     """What `surface_sound` takes, in one piece: a recorded launch packs each of its arguments anew.
 
     pressure [Pa], gradient [Pa/m], shape (n, 3), unit outward normals; per_wavenumber, weights: as `arp`
@@ -75,7 +75,7 @@ class SurfaceSound:
 
 
 @wp.kernel
-def surface_sound(at: SurfaceSound):
+def surface_sound(at: SurfacePoints):
     """ARP [Pa], |p| [Pa] and Im(p* grad p) [Pa2/m], along which the sound's energy flows, by point.
 
     It leaves pressure and gradient at zero, as the kernels of `gradient.py` add to them when they come round again.

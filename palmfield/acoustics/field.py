@@ -144,11 +144,14 @@ class FieldEvaluator:
     def _form(self, fall: str) -> kernels.Form:
         return kernels.Form(self._gpu, self._accurate, fall, self._smooth and not self._accurate, self._groups.flat)
 
-    def kernel(self, fall: str, gradient: bool) -> tuple[Any, int]:
-        """The kernel for how sound falls off (see `falling`), and how many points each of its threads takes."""
-        module = with_gradient if gradient else kernels
-        kernel = module.gradient(self._form(fall)) if gradient else module.pressure(self._form(fall))
-        return kernel, module.WIDTH["gpu" if self._gpu else "cpu"]
+    def kernel(self, fall: str, gradient: bool) -> Any:
+        """The kernel for how sound falls off, see `falling`."""
+        return with_gradient.gradient(self._form(fall)) if gradient else kernels.pressure(self._form(fall))
+
+    @property
+    def points_per_thread(self) -> int:
+        """How many points each thread of a kernel takes."""
+        return kernels.WIDTH["gpu" if self._gpu else "cpu"]
 
     def inputs(self, elements: Any, strengths: Any, gradient: bool) -> list[Any]:
         """What a kernel takes between points and results; elements, strengths: see `elements`, on the device."""
@@ -193,9 +196,9 @@ class FieldEvaluator:
         strengths = (self.array.p0_Pa_m * np.abs(emitted)[:, None] * fall).astype(np.float32)
         elements = self.elements(gradient)
         elements[:, 2] = np.angle(emitted) / self.phase_unit
-        kernel, width = self.kernel(kind, gradient)
         _, vec4, _ = self._form(kind).vectors
-        return kernel, width, self.inputs(self._upload(elements, vec4), self._upload(strengths, wp.vec4), gradient)
+        inputs = self.inputs(self._upload(elements, vec4), self._upload(strengths, wp.vec4), gradient)
+        return self.kernel(kind, gradient), self.points_per_thread, inputs
 
     def _upload(self, values: NDArray[Any], dtype: Any) -> Any:
         return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self.device)

@@ -59,6 +59,7 @@ class SurfaceArp:
         self._sound_and_flux = SurfaceSound(results[0].host, results[1].host, flux.host)
         self._pressure: wp.array = wp.zeros(count, dtype=wp.vec2, device=device)
         self._gradient: wp.array = wp.zeros((count, 3), dtype=wp.vec2, device=device)
+        self._interrupted = False  # between adding fields up and taking them out again, by Ctrl-C for example
         self._flat_normals = self._normals.host.reshape(-1)
         self._columns = np.empty((3, count), np.float64 if accurate else np.float32)
         self._emitters = [_Emitter(*pair) for pair in zip(field.groups, field.evaluators, strict=True)]
@@ -104,10 +105,15 @@ class SurfaceArp:
         blocks = self._recorded.get(falls)
         if blocks is None:
             blocks = self._recorded[falls] = self._record(falls)
+        if self._interrupted:
+            self._pressure.zero_()
+            self._gradient.zero_()
+        self._interrupted = True
         if self._gpu:
             self._run_on_gpu(blocks)
         else:
             share(blocks, self._threads)
+        self._interrupted = False
         result = self._sound_and_flux if flux else self._sound
         # A NaN makes a point dark: it would not show in the ARP
         if not math.isfinite(np.add.reduce(result.amplitude) + np.add.reduce(self._flat_normals)):
@@ -157,7 +163,7 @@ class SurfaceArp:
             return 1, [slice(0, self.count)]
         threads = max(1, min(threads, pairs // PAIRS_PER_THREAD))
         blocks = threads if threads == 1 else max(threads, min(BLOCKS_PER_THREAD * threads, pairs // SMALL_BLOCK_PAIRS))
-        width = self.field.evaluators[0].kernel("cubic", gradient=True)[1]
+        width = self.field.evaluators[0].points_per_thread
         size = -(-self.count // (blocks * width)) * width
         return threads, [slice(start, min(start + size, self.count)) for start in range(0, self.count, size)]
 
@@ -176,11 +182,11 @@ class SurfaceArp:
             count = block.stop - block.start
             calls = []
             for emitter, fall in zip(self._emitters, falls, strict=True):
-                kernel, width = emitter.evaluator.kernel(fall, gradient=True)
+                kernel = emitter.evaluator.kernel(fall, gradient=True)
                 inputs = [points, *emitter.inputs, pressure, gradient]
-                calls.append(recorded(kernel, -(-count // width), inputs, device))
+                calls.append(recorded(kernel, -(-count // emitter.evaluator.points_per_thread), inputs, device))
             at = filled(
-                kernels.SurfaceSound(),
+                kernels.SurfacePoints(),
                 pressure=pressure,
                 gradient=gradient,
                 normals=normals,

@@ -3,11 +3,13 @@
 import multiprocessing
 import sys
 import tracemalloc
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from palmfield.acoustics import surface_arp
 from palmfield.acoustics.air import density, sound_speed
 from palmfield.acoustics.arp import LAWS, arp
 from palmfield.acoustics.arrays import placed
@@ -156,6 +158,24 @@ def test_results_are_overwritten() -> None:
     loud = first.arp.copy()
     at.evaluate(points, normals, 0.5 * driven(array))
     np.testing.assert_allclose(first.arp, 0.25 * loud, rtol=1e-5)
+
+
+def test_a_call_that_was_interrupted_leaves_nothing_behind(monkeypatch: pytest.MonkeyPatch) -> None:
+    array = phased()
+    points, normals = surface(20)
+    at = SurfaceArp(array.field, 20)
+    drive = driven(array)
+    good = at.evaluate(points, normals, drive).arp.copy()
+
+    def stopped(blocks: list[list[Callable[[], object]]], _threads: int) -> None:
+        blocks[0][0]()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(surface_arp, "share", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        at.evaluate(points, normals, drive)
+    monkeypatch.undo()
+    np.testing.assert_array_equal(at.evaluate(points, normals, drive).arp, good)
 
 
 def test_no_points() -> None:
