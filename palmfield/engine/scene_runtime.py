@@ -17,7 +17,6 @@ from palmfield.simulation.validate import check_clear
 from palmfield.skin.stepper import SkinStepper
 from palmfield.types import Complex, Float
 
-
 AT_REST: Float = np.zeros(2)
 """Displacement and velocity of skin that nothing has stepped yet: to read them takes no stepper."""
 

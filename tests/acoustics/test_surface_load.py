@@ -33,6 +33,13 @@ def test_resultants_are_the_sums_over_each_bodys_faces() -> None:
     assert forces.tobytes() == again[0].tobytes() and torques.tobytes() == again[1].tobytes()
 
 
+def test_no_faces_push_nothing() -> None:
+    none = np.zeros((0, 3))
+    forces, torques = resultants(np.zeros(0), np.zeros(0), none, none, np.ones((2, 3)), np.zeros(0, np.int32))
+    np.testing.assert_array_equal(forces, np.zeros((2, 3)))
+    np.testing.assert_array_equal(torques, np.zeros((2, 3)))
+
+
 def test_even_pressure_on_a_closed_body_moves_nothing() -> None:
     vertices, faces = geodesic(0.02, 8)
     normals, areas = face_normals(vertices, faces)
