@@ -3,13 +3,12 @@
 import numpy as np
 import pytest
 
-from palmfield.acoustics.air import LIMITS
 from palmfield.acoustics.arrays import layout, placed
 from palmfield.acoustics.field import FieldEvaluator
 from palmfield.errors import SceneError
 from palmfield.session.simulation import load
 from palmfield.simulation.emission import array_drives
-from palmfield.types import Air
+from palmfield.types import AIR_LIMITS, Air
 
 STEADY = {"modulation": "none", "am_of": None, "am_frequency_Hz": None, "am_depth": None}
 SECOND = (
@@ -182,7 +181,7 @@ def test_a_level_that_a_dead_array_cannot_give_is_refused(small_scene):
 
 @pytest.mark.parametrize("key", ["temperature_C", "humidity_percent", "pressure_Pa"])
 def test_air_has_the_same_limits_as_a_key_and_as_a_model(small_scene, key):
-    low, high = LIMITS[key]
+    low, high = AIR_LIMITS[key]
     for good in (low, high):
         assert getattr(arrays_of(load(small_scene(stimulus=STEADY, array={key: good}))).air, key) == good
     with pytest.raises(SceneError, match=f"key '{key}' has value '{high + 1:g}'; allowed: .*<= {high:g}"):
