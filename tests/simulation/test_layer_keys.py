@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
-import palmfield
 from palmfield.config import SkinConfig, parse
+from palmfield.errors import SceneError
+from palmfield.session.plan import plan
+from palmfield.session.run import run
 from palmfield.session.simulation import load
 from palmfield.simulation.emission import array_drives
 from palmfield.simulation.posed_scene import reference_scene
@@ -88,9 +90,9 @@ def test_a_layered_scene_runs(small_scene, tmp_path, solver):
         "material": None, "materials": "finger_pad ecoflex_00-10", "shares": "0.3 0.7", "side": "absorbing",
         "base": "springs", "base_normal_Pa_m": 1e7, "base_tangential_Pa_m": 1e6, "solver": solver,
     }  # fmt: skip
-    result = palmfield.run(load(small_scene(skin=keys)), tmp_path / "out", progress=False)
+    result = run(load(small_scene(skin=keys)), tmp_path / "out", progress=False)
     [skin] = result.summary["skins"]
-    assert skin["peak_displacement_m"] > 0 and skin["skin_solver"].startswith(solver)
+    assert skin["peak_displacement_m"] > 0 and skin["solver"].startswith(solver)
 
 
 @pytest.mark.parametrize(
@@ -110,7 +112,7 @@ def test_a_layered_scene_runs(small_scene, tmp_path, solver):
     ],
 )
 def test_what_does_not_fit_is_refused_in_one_line(small_scene, keys, reason):
-    with pytest.raises(palmfield.SceneError) as caught:
+    with pytest.raises(SceneError) as caught:
         if "nose" in keys.get("materials", ""):
             load(small_scene(skin=keys | {"material": None}))
         parse(SkinConfig, keys | {"patch_site": "x"}, "plugin 'palmfield.skin'")
@@ -133,10 +135,10 @@ def test_cut_off_of_one_sheet_and_of_matched_ones():
 def test_plan_promises_no_waves_below_the_cut_off(small_scene, skin, promised):
     stimulus = {"am_frequency_Hz": 100}
     scene = load(small_scene(skin=skin, stimulus=stimulus))
-    plan = palmfield.plan(scene)
-    said = [text for text in plan.warnings if "no waves are promised at" in text]
+    planned = plan(scene)
+    said = [text for text in planned.warnings if "no waves are promised at" in text]
     assert bool(said) == (not promised)
-    rows = [row for row in plan.left_out if row.what == "waves below the cut-off"]
+    rows = [row for row in planned.left_out if row.what == "waves below the cut-off"]
     assert bool(rows) == ("base" not in skin)
     if rows:
         depth = skin.get("thickness_m", 0.008)

@@ -4,13 +4,13 @@ import mujoco
 import numpy as np
 import pytest
 
-import palmfield
 from palmfield.acoustics.air import density, sound_speed
 from palmfield.acoustics.body_scattering import boundary_mesh
 from palmfield.acoustics.scattering import scatter
 from palmfield.drive.response import Pole, envelope_response
 from palmfield.drive.transducer_response import commanded_drive
 from palmfield.errors import SceneError
+from palmfield.session.run import run
 from palmfield.session.simulation import load
 from palmfield.simulation.emission import array_drives
 from palmfield.simulation.posed_scene import reference_scene
@@ -110,7 +110,7 @@ def test_far_transducers_play_what_was_asked_earlier(small_scene):
 def test_plain_steps_and_a_run_agree_with_ringing(small_scene):
     path = small_scene(array={"response": "on"})
     sim = load(path)
-    palmfield.run(sim, duration_s=0.01, progress=False)
+    run(sim, duration_s=0.01, progress=False)
     other = load(path)
     for _ in range(10):
         mujoco.mj_step(other.model, other.data)
