@@ -3,11 +3,11 @@
 import mujoco
 import numpy as np
 import pytest
+from palmfield.engine.motion import place
 
 import palmfield
 from palmfield.data import folder
 from palmfield.engine.host import raise_errors
-from palmfield.engine.motion import place
 from palmfield.errors import DeviceError, SceneError
 
 SCENES = folder("mjcf") / "scenes"

@@ -10,11 +10,11 @@ from palmfield.skin.analytic.layer_oracle import centre_response
 from palmfield.skin.approximation.estimate import choose_sizes, mesh_error
 from palmfield.skin.fem.assembly import assemble
 from palmfield.skin.fem.load import SurfaceQuadrature
+from palmfield.skin.fem.probe import SurfaceProbe
 from palmfield.skin.fem.solver import harmonic, harmonic_discrete, static
 from palmfield.skin.materials.catalogue import PRESETS
 from palmfield.skin.materials.material import shear_wave
 from palmfield.skin.mesh.disc import disc_patch
-from palmfield.skin.mesh.surface import SurfaceProbe
 from palmfield.skin.mesh.wedges import extrude
 
 

@@ -5,19 +5,31 @@ import pytest
 
 import palmfield
 from palmfield.config import SkinConfig, parse
+from palmfield.session.simulation import load
+from palmfield.simulation.emission import array_drives
+from palmfield.simulation.posed_scene import reference_scene
+from palmfield.simulation.radiation import Radiation
 from palmfield.skin.fem.solver import static
-from palmfield.skin.from_config import layer_cutoff, rows_of
+from palmfield.skin.from_config import layer_cutoff
 from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.materials.dispersion import cutoff
 from palmfield.skin.materials.material import elastic
+from palmfield.skin.mesh.rows import rows_of
 from palmfield.skin.problem import Sheet
 
 
 def push(path):
     """Largest static push of the surface under the scene's sound [m]."""
-    skin = palmfield.load(path).skin
-    sound = skin.chain.sound(skin.rig.reference_focus, skin.pose())
-    return np.abs(skin.chain.surface_operator @ static(skin.rig.system, sound.skin_force)).max()
+    model = load(path).runtime.model
+    drive = array_drives(model, model.arrays)[0].unit_drive(model.stimuli[0].reference_foci).amplitudes
+    arp = Radiation(model).on(reference_scene(model), 0, "quadrature", drive).arp
+    layer = model.skins[0].layer
+    force = layer.quadrature.operator @ arp.astype(np.float64)
+    return np.abs(layer.surface_operator @ static(layer.system, force)).max()
+
+
+def damping(path):
+    return load(path).runtime.model.skins[0].layer.system.damping
 
 
 def test_sheets_of_one_material_are_the_layer_of_it(small_scene):
@@ -62,12 +74,12 @@ def test_springs_go_from_free_to_bonded(small_scene):
 
 def test_dashpots_below_and_at_the_sides_take_energy(small_scene):
     springs = {"base": "springs", "base_normal_Pa_m": 1e6, "base_tangential_Pa_m": 1e6}
-    quiet = palmfield.load(small_scene(skin=springs)).skin.rig.system.damping
-    loss = palmfield.load(small_scene(skin=springs | {"base_normal_Pa_s_m": 500})).skin.rig.system.damping
-    sides = palmfield.load(small_scene(skin={"side": "absorbing"})).skin.rig.system.damping
+    quiet = damping(small_scene(skin=springs))
+    loss = damping(small_scene(skin=springs | {"base_normal_Pa_s_m": 500}))
+    sides = damping(small_scene(skin={"side": "absorbing"}))
     assert quiet.nnz == 0 or abs(quiet).max() == 0.0
-    for damping in (loss, sides):
-        assert np.linalg.eigvalsh(damping.toarray())[-1] > 0.0
+    for matrix in (loss, sides):
+        assert np.linalg.eigvalsh(matrix.toarray())[-1] > 0.0
 
 
 @pytest.mark.parametrize("solver", ["wedges", "reduced"])
@@ -76,8 +88,9 @@ def test_a_layered_scene_runs(small_scene, tmp_path, solver):
         "material": None, "materials": "finger_pad ecoflex_00-10", "shares": "0.3 0.7", "side": "absorbing",
         "base": "springs", "base_normal_Pa_m": 1e7, "base_tangential_Pa_m": 1e6, "solver": solver,
     }  # fmt: skip
-    result = palmfield.run(palmfield.load(small_scene(skin=keys)), tmp_path / "out", progress=False)
-    assert result.summary["peak_displacement_m"] > 0 and result.summary["skin_solver"].startswith(solver)
+    result = palmfield.run(load(small_scene(skin=keys)), tmp_path / "out", progress=False)
+    [skin] = result.summary["skins"]
+    assert skin["peak_displacement_m"] > 0 and skin["skin_solver"].startswith(solver)
 
 
 @pytest.mark.parametrize(
@@ -99,7 +112,7 @@ def test_a_layered_scene_runs(small_scene, tmp_path, solver):
 def test_what_does_not_fit_is_refused_in_one_line(small_scene, keys, reason):
     with pytest.raises(palmfield.SceneError) as caught:
         if "nose" in keys.get("materials", ""):
-            palmfield.load(small_scene(skin=keys | {"material": None}))
+            load(small_scene(skin=keys | {"material": None}))
         parse(SkinConfig, keys | {"patch_site": "x"}, "plugin 'palmfield.skin'")
     assert reason in str(caught.value) and "\n" not in str(caught.value)
 
@@ -119,7 +132,7 @@ def test_cut_off_of_one_sheet_and_of_matched_ones():
 )
 def test_plan_promises_no_waves_below_the_cut_off(small_scene, skin, promised):
     stimulus = {"am_frequency_Hz": 100}
-    scene = palmfield.load(small_scene(skin=skin, stimulus=stimulus))
+    scene = load(small_scene(skin=skin, stimulus=stimulus))
     plan = palmfield.plan(scene)
     said = [text for text in plan.warnings if "no waves are promised at" in text]
     assert bool(said) == (not promised)
