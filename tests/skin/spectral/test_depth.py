@@ -46,6 +46,18 @@ def test_compliance_is_that_of_plane_waves(name, base):
 
 
 @pytest.mark.parametrize("base", ["bonded", "free_slip"])
+@pytest.mark.parametrize("k", [1.0, 5.0, 30.0])
+def test_soft_modes_of_a_stiff_sheet_keep_their_digits(base, k):
+    """K / G = 1e6: from the eigenvalues of its stiffness the motion at 5 rad/m was off by 1e-4 to 5e-4, by chance."""
+    material, thickness = MATERIALS["incompressible"], 0.012
+    found = modes(Slab((Sheet(material, thickness),), base=base), k, tolerance=1e-13)
+    for f in (10.0, 70.0, 200.0):
+        exact = layer_compliance(k, f, material, thickness, base)
+        print(base, k, f, abs(-found.compliance(-2j * np.pi * f) / exact - 1.0))
+        assert -found.compliance(-2j * np.pi * f) == pytest.approx(complex(exact), rel=1e-9)
+
+
+@pytest.mark.parametrize("base", ["bonded", "free_slip"])
 def test_static_limit(base):
     slab = Slab((Sheet(PRONY, 0.02),), base=base)
     for k in (20.0, 300.0, 1500.0):
