@@ -120,7 +120,7 @@ def simulate(name: str, out: Path, duration_s: float | None) -> None:
     }
     if name == "stroke_palm":
         for speed in SPEEDS_M_S:
-            np.savez_compressed(out / f"wake_{speed:g}.npz", allow_pickle=False, **stroke_velocities(speed))
+            np.savez_compressed(out / f"wake_{speed:g}.npz", **stroke_velocities(speed))
     (out / "facts.json").write_text(json.dumps(facts, indent=1) + "\n")
 
 
