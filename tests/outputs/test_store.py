@@ -71,6 +71,7 @@ def _write_all(out, static, block_arrays, blocks=4):
     return target
 
 
+@pytest.mark.smoke
 def test_round_trip(tmp_path, static, static_arrays, block_arrays, monkeypatch):
     monkeypatch.setattr(store, "FLUSH_SECONDS", 0.0)
     target = _write_all(tmp_path / "run", static, block_arrays)

@@ -19,6 +19,8 @@ from palmfield.skin.surface import surface_motion
 from palmfield.skin.wedges import extrude
 from palmfield.types import Patch
 
+pytestmark = pytest.mark.numerics
+
 THIRDS = np.array([0.0, 0.35, 1.0])
 
 

@@ -17,6 +17,8 @@ from palmfield.skin.solver import harmonic, harmonic_discrete, static
 from palmfield.skin.surface import SurfaceProbe
 from palmfield.skin.wedges import extrude
 
+pytestmark = pytest.mark.numerics
+
 
 def centre(material, fwhm, depth, fine, coarse, fine_radius, fractions, step, radius, f):
     """Static, harmonic and stepped harmonic push of the centre."""

@@ -10,6 +10,8 @@ from palmfield.errors import SceneError
 from palmfield.skin.fit import fit_prony, fractional, fractional_kelvin_voigt, fractional_zener
 from palmfield.skin.material import complex_shear, prony
 
+pytestmark = pytest.mark.numerics
+
 F = np.geomspace(1.0, 1000.0, 40)
 
 

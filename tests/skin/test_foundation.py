@@ -27,6 +27,8 @@ from palmfield.skin.solver import Scheme, SkinSolver, branch_weights, harmonic, 
 from palmfield.skin.surface import SurfaceProbe
 from palmfield.skin.wedges import extrude
 
+pytestmark = pytest.mark.numerics
+
 ECOFLEX, PALM = preset("ecoflex_00-10"), preset("palm")
 LENGTH = 0.015
 K = math.pi / LENGTH

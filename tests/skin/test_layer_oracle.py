@@ -14,6 +14,8 @@ from palmfield.skin.layer_oracle import BASES, centre_response, layer_compliance
 from palmfield.skin.material import Material, bulk_from_poisson, complex_shear
 from palmfield.skin.presets import PRESETS
 
+pytestmark = pytest.mark.numerics
+
 ECOFLEX = PRESETS["ecoflex_00-10"]
 SPOT, DEPTH = 0.0103, 0.02
 

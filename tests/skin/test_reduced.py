@@ -16,6 +16,8 @@ from palmfield.skin.presets import preset
 from palmfield.skin.reduced import pod, reduce
 from palmfield.skin.solver import SkinSolver, harmonic, static
 
+pytestmark = pytest.mark.numerics
+
 ECOFLEX = preset("ecoflex_00-10")
 BAND = (0.0, 600.0)
 TOLERANCE = 1e-3

@@ -17,6 +17,8 @@ from palmfield.skin.solver import SkinSolver, harmonic, static
 from palmfield.skin.stepping import FullSkin, KnownLoad, reduced_skin
 from palmfield.skin.surface import SurfaceProbe, surface_motion
 
+pytestmark = pytest.mark.numerics
+
 STEP = 1e-4
 TIMES = STEP * np.arange(251)
 TOLERANCE = 5e-3

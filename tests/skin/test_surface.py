@@ -14,6 +14,8 @@ from palmfield.skin.presets import PRESETS
 from palmfield.skin.surface import SurfaceProbe, output_triangles, surface_motion
 from palmfield.skin.wedges import extrude
 
+pytestmark = pytest.mark.numerics
+
 FRACTIONS = np.array([0.0, 0.4, 1.0])
 
 

@@ -18,6 +18,8 @@ from palmfield.stimuli.onskin import drawn, through
 from palmfield.stimuli.shapes import circle, letters, line, polyline, square, z_shape
 from palmfield.types import Surface
 
+pytestmark = pytest.mark.numerics
+
 RADIUS_m = 0.05
 X = [1.0, 0.0, 0.0]
 

@@ -10,6 +10,8 @@ from palmfield.skin.material import standard_linear
 from palmfield.skin.problem import Sheet, Slab
 from palmfield.skin.spectral import static_spectral
 
+pytestmark = pytest.mark.numerics
+
 AT = np.array([[0.0, 0.0], [0.005, 0.0]])
 TIMES = np.linspace(5e-4, 6e-3, 12)
 WITHIN = {"disc": 4e-3, "implicit": 0.03, "reduced": 0.03, "explicit": 4e-3}

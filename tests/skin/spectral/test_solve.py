@@ -14,6 +14,8 @@ from palmfield.skin.problem import Sheet, Slab, Spot, Springs, Traction
 from palmfield.skin.spectral import cost_spectral, refusal_spectral, solve_spectral, static_spectral
 from palmfield.skin.spectral.accuracy import relative_error
 
+pytestmark = pytest.mark.numerics
+
 ECOFLEX = PRESETS["ecoflex_00-10"]
 WIDTH, DEPTH = 0.0103, 0.02
 C0 = Slab((Sheet(ECOFLEX, DEPTH),))
