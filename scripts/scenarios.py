@@ -14,10 +14,10 @@ import matplotlib.image
 import numpy as np
 from _scenario_stories import SCENES, SPEEDS_M_S, STORIES, Run, stroke_velocities
 from matplotlib.figure import Figure
+from palmfield.outputs.v1_store import load
 
 import palmfield
 from palmfield.outputs.style import save, style
-from palmfield.outputs.v1_store import load
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "scenarios.md"
@@ -123,7 +123,7 @@ def simulate(name: str, out: Path, duration_s: float | None) -> None:
     }
     if name == "stroke_palm":
         for speed in SPEEDS_M_S:
-            np.savez_compressed(out / f"wake_{speed:g}.npz", allow_pickle=False, **stroke_velocities(speed))
+            np.savez_compressed(out / f"wake_{speed:g}.npz", **stroke_velocities(speed))
     (out / "facts.json").write_text(json.dumps(facts, indent=1) + "\n")
 
 
