@@ -41,24 +41,41 @@ def distance_to_arrays(points: Float, flux: Float | Float32, phased_array: Phase
     return np.minimum(farthest, REACH_m, out=farthest)
 
 
+class Parts:
+    """The parts of a body that faces belong to, and sums over the faces of each, in the order of the faces.
+
+    owners: the part that each face belongs to, shape (n,); count: of parts
+    """
+
+    def __init__(self, owners: Int, count: int):
+        self.count = count
+        # One list of six rows for all of a force's and torque's coordinates
+        self._owners = (owners.astype(np.intp) + count * np.arange(6)[:, None]).ravel()
+
+    def sums(self, loads: Float) -> Float:
+        """Six rows of numbers by face, shape (6, n), added up by part, shape (6, count)."""
+        return np.bincount(self._owners, loads.ravel(), 6 * self.count).reshape(6, self.count)
+
+
 def resultants(
-    arp: Float | Float32, areas: Float, normals: Float, points: Float, origins: Float, owners: Int
+    arp: Float | Float32, areas: Float, normals: Float, points: Float, origins: Float, parts: Parts
 ) -> tuple[Float, Float]:
-    """Forces [N] on bodies and torques about their origins [N m], shapes (b, 3), from the pressure on their faces.
+    """Forces [N] on a body's parts and torques about their origins [N m], shapes (b, 3), from what presses its faces.
 
     arp: [Pa], positive pushes in, shape (n,); areas: [m2], shape (n,)
     normals: unit, outward, points: where the faces are [m], both of shape (n, 3), in one frame, that of the result
-    origins: of the bodies [m], in the same frame, shape (b, 3); owners: the body that each face belongs to, shape (n,)
+    origins: of the parts [m], in the same frame, shape (b, 3)
     Faces are added up in their order, so that equal input gives equal bits.
     """
-    count = len(origins)
-    # Rows of one coordinate each, (3, n), as bincount takes contiguous ones
-    push = np.multiply(normals.T, arp * areas, order="C", dtype=np.float64)
+    loads = np.empty((6, len(areas)))
+    push = loads[:3]
+    np.multiply(normals.T, arp * areas, out=push)
     np.negative(push, out=push)
     x, y, z = np.array(points.T, order="C", dtype=np.float64)
-    moments = y * push[2] - z * push[1], z * push[0] - x * push[2], x * push[1] - y * push[0]
-    owner = owners.astype(np.intp, copy=False)
-    sums = np.array([np.bincount(owner, row, count) for row in (*push, *moments)]).T
+    loads[3] = y * push[2] - z * push[1]
+    loads[4] = z * push[0] - x * push[2]
+    loads[5] = x * push[1] - y * push[0]
+    sums = parts.sums(loads).T
     forces, torques = np.ascontiguousarray(sums[:, :3]), sums[:, 3:]
     fx, fy, fz = forces.T
     ox, oy, oz = origins.T
