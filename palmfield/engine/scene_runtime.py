@@ -11,11 +11,14 @@ from palmfield.simulation.build import model_of
 from palmfield.simulation.posed_scene import PosedScene, PoseLayout, PoseRows, posed_scene
 from palmfield.simulation.scene_reader import read_scene
 from palmfield.simulation.sensors import SensorPlace, SkinReading, fill, sensor_place
-from palmfield.simulation.state import HapticState, check_arrays, stepper_of
+from palmfield.simulation.state import HapticState, at_rest, check_arrays, stepper_of
 from palmfield.simulation.step import Workspace, gather, step
 from palmfield.simulation.validate import check_clear
 from palmfield.skin.stepper import SkinStepper
 from palmfield.types import Complex, Float
+
+AT_REST: Float = np.zeros(2)
+"""Displacement and velocity of skin that nothing has stepped yet: to read them takes no stepper."""
 
 
 class SceneRuntime:
@@ -125,10 +128,13 @@ class SceneRuntime:
         """Fill a skin's sensors from the state at the present time."""
         posed, course = self.now()
         part = self.model.skins[skin]
-        stepper, numbers = stepper_of(self.model, self.state, skin)
+        resting = at_rest(self.state, skin)
         for sensor in sensors:
             place = self._place(skin, sensor)
-            motion = stepper.read(numbers, place.reader(stepper))[0, :, 0]
+            motion = AT_REST
+            if not resting:
+                stepper, numbers = stepper_of(self.model, self.state, skin)
+                motion = stepper.read(numbers, place.reader(stepper))[0, :, 0]
             arp = 0.0
             drive, factor = present_drive(course)
             if drive is not None:

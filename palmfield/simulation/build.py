@@ -65,7 +65,7 @@ def build(spec: SceneSpec, alike: HapticModel | None = None) -> HapticModel:
     """
     check_bodies(spec)
     board = BOARDS[spec.driver.board]
-    arrays = PhasedArray(array_instances(spec), [array.placement for array in spec.arrays], spec.device)
+    arrays = _arrays(spec)
     names = list(dict.fromkeys(skin.config.body for skin in spec.skins))
     if alike is not None:
         bodies = alike.bodies
@@ -97,6 +97,17 @@ def build(spec: SceneSpec, alike: HapticModel | None = None) -> HapticModel:
 def _whole(layer: SceneLayer) -> WedgeStepper:
     """What steps a whole layer, with its factorised matrix."""
     return WedgeStepper(layer.system, layer.quadrature.operator, layer.sizes.step_s)
+
+
+def _arrays(spec: SceneSpec) -> PhasedArray:
+    """The scene's arrays in the reference pose. Raises SceneError, which names the instance, for one that can't be."""
+    instances = array_instances(spec)
+    for array, instance in zip(spec.arrays, instances, strict=True):
+        try:
+            instance.array(array.placement.sites)
+        except SceneError as error:
+            raise SceneError(f"plugin 'palmfield.array' instance '{array.name}': {error}") from None
+    return PhasedArray(instances, [array.placement for array in spec.arrays], spec.device)
 
 
 # -- bodies and stimuli --------------------------------------------------------------------------------------------

@@ -23,8 +23,9 @@ from palmfield.hand.skinning import SkinnedSurface
 from palmfield.hand.subdivide import EDGE_m
 from palmfield.locked import Lazy, locked_cached_property
 from palmfield.simulation.spec import SceneSpec, SkinSpec, StimulusSpec
+from palmfield.skin.fem.probe import surface_vectors
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
-from palmfield.skin.mesh.surface import closed_boundary, output_triangles, surface_vectors
+from palmfield.skin.mesh.surface import closed_boundary, output_triangles
 from palmfield.skin.scene_layer import SceneLayer
 from palmfield.skin.stepper import SkinStepper
 from palmfield.stimulus.surface_path import SurfacePath

@@ -1,4 +1,4 @@
-"""Sizes of mesh, patch and step for a wanted accuracy, and the error that two meshes show.
+"""Sizes of mesh, patch and step for a target accuracy, and the error that two meshes show.
 
 The rules are read off the 120 x 20 mm Ecoflex disc with a spot of 10.3 mm, against its exact series (static / 200 Hz
 error of the centre's displacement; shear wavelength 18.7 mm; edges grow 2.5 times from the spot to the rim):
@@ -24,6 +24,7 @@ import math
 import numpy as np
 
 from palmfield.errors import SceneError
+from palmfield.skin.approximation.richardson import error_of_finer
 from palmfield.skin.materials.material import Material, shear_wave
 from palmfield.skin.problem import GAUSSIAN, Load, Spot
 from palmfield.types import Complex, Float
@@ -39,7 +40,7 @@ def choose_sizes(
     """Sizes for a relative error of about `accuracy` of the displacement under a spot.
 
     fwhm_m: full width of the pressure spot at half its peak [m]; max_frequency_Hz: highest frequency of the load [Hz]
-    accuracy: wanted relative error, 0.001 to 0.5
+    accuracy: target relative error, 0.001 to 0.5
     Returns (fine_m, coarse_m, fine_radius_m, fractions, step_s, patch_radius_m): edge length under the spot [m] and at
     the rim [m], radius of the fine part [m], depth fractions (L+1,), time step [s], radius of the patch [m].
     Raises SceneError for values outside these ranges.
@@ -78,7 +79,7 @@ def mesh_error(coarse: Complex | Float, fine: Complex | Float, size_ratio: float
     size = np.abs(fine)
     if not size_ratio > 1.0 or not np.all(size > 0.0):
         raise SceneError(f"size ratio {size_ratio}, answers {fine}: the ratio must be above 1 and the answers not 0")
-    return float(np.max(np.abs(coarse - fine) / size) / (size_ratio**order - 1.0))
+    return error_of_finer(float(np.max(np.abs(coarse - fine) / size)), size_ratio, order)
 
 
 def load_width(load: Load) -> float:

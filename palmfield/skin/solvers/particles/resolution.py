@@ -8,7 +8,7 @@ from scipy.optimize import brentq
 
 from palmfield.errors import SceneError
 from palmfield.skin.materials.material import shear_wave
-from palmfield.skin.problem import ONLY_IMPLICIT, Body, Foundation, Layer, Load, Slab, Spot, Springs, Traction
+from palmfield.skin.problem import ONLY_WEDGES, Body, Foundation, Layer, Load, Slab, Spot, Springs, Traction, depth_of
 from palmfield.skin.solvers.particles.columns import FEWEST_CELLS
 from palmfield.types import Float
 
@@ -32,7 +32,7 @@ def refusal_particles(body: Body, load: Load) -> str | None:
     if isinstance(body, Slab) and body.shape == "infinite":
         return "particles need a body with an end: give the slab a shape 'box' or 'disc'"
     if isinstance(body.base, Foundation):
-        return ONLY_IMPLICIT
+        return ONLY_WEDGES
     if isinstance(body.base, Springs):
         return "particles have no spring base: use base 'bonded', 'free_slip' or 'free'"
     if body.side == "absorbing":
@@ -44,14 +44,14 @@ def refusal_particles(body: Body, load: Load) -> str | None:
             return (
                 f"particles step with the pressure wave, and '{material.name}' has a bulk modulus of "
                 f"{material.bulk_Pa / material.shear_instant_Pa:.3g} times its shear modulus (at most {STIFFEST:g}): "
-                "use the implicit or spectral solver"
+                "use solver 'wedges' or 'lateral_waves'"
             )
     for upper, lower in itertools.combinations([sheet.material for sheet in body.sheets], 2):
         ratio = upper.shear_instant_Pa / lower.shear_instant_Pa
         if ratio > STIFFER:
             return (
                 f"'{upper.name}' is {ratio:.3g} times as stiff as '{lower.name}' below it (at most {STIFFER:g}): "
-                "particles bend such a sheet too little; use the implicit or spectral solver"
+                "particles bend such a sheet too little; use solver 'wedges' or 'lateral_waves'"
             )
     return None
 
@@ -115,10 +115,6 @@ def _run_seconds(body: Body, load: Load, times: Float, spacing: float, device: s
     step = 1.24 * math.sqrt(3.0 / (2.0 / along**2 + 1.0 / lowest**2)) / fastest
     steps = max(0.0, float(np.max(times)) - float(load.times_s[0])) / step
     return 0.1 + count * steps * SECONDS_A_STEP["cuda" if device.startswith("cuda") else "cpu"]
-
-
-def depth_of(body: Body) -> float:
-    return body.thickness_m if isinstance(body, Slab) else float(np.median(body.patch.depth))
 
 
 def length_of(body: Body) -> float:

@@ -1,4 +1,4 @@
-"""Which elements a body gets: size from the load and the wanted accuracy, and a sponge where it has no sides."""
+"""Which elements a body gets: size from the load and the target accuracy, and a sponge where it has no sides."""
 
 import math
 from dataclasses import dataclass
@@ -45,7 +45,7 @@ CORE = 0.45
 @dataclass(frozen=True)
 class Plan:
     """order: N; size_m: width of the elements under the load [m]; deep: elements through each sheet
-    watched_m: box around the load's path and the asked points, along x and y, shape (2, 2)
+    watched_m: box around the load's path and the requested points, along x and y, shape (2, 2)
     margin_m: from there to where an endless body's sponge begins [m]; sponge_m: width of the sponge [m], or 0
     """
 
