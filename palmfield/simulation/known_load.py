@@ -18,7 +18,6 @@ from palmfield.simulation.model import HapticModel, StepperChoice, StimulusModel
 from palmfield.simulation.posed_scene import PosedScene, reference_scene
 from palmfield.simulation.radiation import Radiation
 from palmfield.simulation.spec import SceneSpec, SkinSpec
-from palmfield.simulation.whole_layer import sounding
 from palmfield.skin.reduction.krylov import Fade, harmonics, level, periodic
 from palmfield.skin.reduction.reduced_stepper import MOST_VECTORS, KnownLoad, reduced_stepper
 from palmfield.skin.scene_layer import SceneLayer
@@ -162,7 +161,7 @@ def first_stepper(model: HapticModel, skin: int) -> SkinStepper:
     if part.choice.name == "wedges":
         return model.whole[skin].value
     layer, posed = part.layer, reference_scene(model)
-    focus = posed.skins[skin].body.frame.inverse_points(model.stimuli[sounding(model)].first_focus)
+    focus = posed.skins[skin].body.frame.inverse_points(model.stimuli[model.sounding].first_focus)
     try:
         return reduced_stepper(
             layer.system,
@@ -182,7 +181,7 @@ def first_stepper(model: HapticModel, skin: int) -> SkinStepper:
 
 def known_load(model: HapticModel, skin: int, posed: PosedScene) -> KnownLoad:
     """What the one sounding stimulus does to a skin in a pose that it keeps."""
-    number = sounding(model)
+    number = model.sounding
     stimulus, radiation = model.stimuli[number], Radiation(model)
     config, layer = stimulus.config, model.skins[skin].layer
     start, step = config.start_s, layer.sizes.step_s

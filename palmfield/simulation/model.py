@@ -234,6 +234,11 @@ class HapticModel:
         return tuple(part.config for part in self.stimuli)
 
     @cached_property
+    def sounding(self) -> int:
+        """Number of the stimulus that sounds, the first of several; 0 in silence."""
+        return next((number for number, stimulus in enumerate(self.stimuli) if not stimulus.silent), 0)
+
+    @cached_property
     def substeps(self) -> int:
         """Steps of the skins in one of MuJoCo's; all skins share them, so that results have one time."""
         return round(self.spec.timestep_s / self.step_s)

@@ -84,7 +84,7 @@ class SurfacePath:
 
     def _between(self, arc_m: ArrayLike) -> tuple[NDArray[np.intp], Float]:
         """The segment in which each arc length lies, shape (k,), and its share of the segment, shape (k, 1)."""
-        arc = folded(arc_m, self.length_m, self.closed)
+        arc = folded(arc_m, self.arc_m[-1], self.closed)
         segment = np.minimum(np.maximum(self.arc_m.searchsorted(arc, "right") - 1, 0), len(self.arc_m) - 2)
         step = self.arc_m[segment + 1] - self.arc_m[segment]
         # Between points that coincide the share is 0, whatever the rounding
