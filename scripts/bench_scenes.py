@@ -90,7 +90,7 @@ def compare(path: Path, folder: Path) -> str:
     if choice.name == "full":
         return f"| {path.stem} | {choice.why} | | | | | | |"
     made, each, name, small = motion(path, "reduced", folder)
-    full_made, full_each, _, full = motion(path, "full", folder)
+    full_made, full_each, _, full = motion(path, "wedges", folder)
     most = int(np.abs(full).max(axis=0).argmax())
     surface = np.linalg.norm(small - full) / np.linalg.norm(full)
     peak = np.linalg.norm(small[:, most] - full[:, most]) / np.linalg.norm(full[:, most])

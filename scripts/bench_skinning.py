@@ -67,7 +67,7 @@ def main() -> None:
     apart = float(np.abs(skin_in_numpy() - hand.posed(*bones)).max())
     rows = {
         "vertices and normals, left on the device": median_ms(skin),
-        "the same, and vertices as a NumPy array (`posed`)": median_ms(lambda: hand.posed(*bones)),
+        "the vertices alone, as a NumPy array (`posed`)": median_ms(lambda: hand.posed(*bones)),
         "bones from joint angles (`bone_poses`)": median_ms(lambda: bone_poses(hand.hand, pose)),
         f"yardstick: the vertices alone in NumPy, float64 ({1e9 * apart:.0f} nm apart)": median_ms(skin_in_numpy, 5, 5),
         "yardstick: NumPy copy of the vertices": median_ms(hand.surface.vertices.copy),

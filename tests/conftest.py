@@ -1,5 +1,6 @@
 """Scenes small enough to step in a test."""
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -24,7 +25,10 @@ HAPTIC = """
 <mujoco model="small">
   <include file="plain.xml"/>
   <option timestep="0.001"/>
-  <custom><numeric name="palmfield_duration_s" data="0.015"/></custom>
+  <custom>
+    <numeric name="palmfield_duration_s" data="{duration_s}"/>
+    <text name="palmfield_device" data="{device}"/>
+  </custom>
   <extension>
     <plugin plugin="palmfield.array"><instance name="array">{array}</instance></plugin>
     <plugin plugin="palmfield.stimulus"><instance name="stimulus">{stimulus}</instance></plugin>
@@ -36,7 +40,7 @@ HAPTIC = """
 """
 
 DEFAULTS: dict[str, dict[str, object]] = {
-    "array": {"compute": "cpu"},
+    "array": {},
     "stimulus": {
         "focus_m": "0 0 0.12", "modulation": "am", "am_of": "pressure", "am_frequency_Hz": 200, "am_depth": 1,
     },
@@ -44,21 +48,21 @@ DEFAULTS: dict[str, dict[str, object]] = {
         "body": "pad", "shape": "disc", "radius_m": 0.02, "thickness_m": 0.008, "material": "ecoflex_00-10",
         "side": "free", "element_m": 0.006, "step_s": 0.0005,
     },
-    "driver": {"device": "ideal"},
+    "driver": {"board": "ideal"},
 }  # fmt: skip
 
 Write = Callable[..., Path]
 
 
 def _writer(folder: Path) -> Write:
-    def write(**changes: dict[str, object]) -> Path:
+    def write(*, device: str = "cpu", duration_s: float = 0.015, **changes: dict[str, object]) -> Path:
         texts = {}
         for module, defaults in DEFAULTS.items():
             keys = defaults | changes.get(module, {})
             texts[module] = "".join(f'<config key="{k}" value="{v}"/>' for k, v in keys.items() if v is not None)
         (folder / "plain.xml").write_text(PLAIN.format(arrays=ARRAYS))
         path = folder / "small.xml"
-        path.write_text(HAPTIC.format(**texts))
+        path.write_text(HAPTIC.format(device=device, duration_s=duration_s, **texts))
         return path
 
     return write
@@ -66,7 +70,10 @@ def _writer(folder: Path) -> Write:
 
 @pytest.fixture
 def small_scene(tmp_path: Path) -> Write:
-    """Writes a disc of 40 mm over an array; keywords such as skin={"base": "free_slip"} change or (None) drop keys."""
+    """Writes a disc of 40 mm over an array; keywords such as skin={"base": "free_slip"} change or (None) drop keys.
+
+    device: where fields are computed; duration_s: of a run
+    """
     return _writer(tmp_path)
 
 
@@ -74,3 +81,24 @@ def small_scene(tmp_path: Path) -> Write:
 def module_scene(tmp_path_factory: pytest.TempPathFactory) -> Write:
     """As small_scene, for a fixture that serves a whole file."""
     return _writer(tmp_path_factory.mktemp("scene"))
+
+
+@pytest.fixture(scope="session")
+def python_calls() -> Callable[[Callable[[], object]], int]:
+    """Counts the Python functions that a call runs, C functions left out; the call itself is not counted."""
+
+    def count(call: Callable[[], object]) -> int:
+        seen = 0
+
+        def note(frame: object, event: str, argument: object) -> None:
+            nonlocal seen
+            seen += event == "call"
+
+        sys.setprofile(note)
+        try:
+            call()
+        finally:
+            sys.setprofile(None)
+        return seen - 1
+
+    return count

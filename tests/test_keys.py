@@ -1,13 +1,25 @@
 """The keys' table, its page, and the configuration that it is made from."""
 
 from pathlib import Path
+from typing import ClassVar, Literal
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from palmfield.cli.keys import as_markdown, as_text
-from palmfield.config import CONFIGS, SkinConfig, StimulusConfig, parse, table, unit
+from palmfield.config import (
+    CONFIGS,
+    Config,
+    SkinConfig,
+    StimulusConfig,
+    allowed,
+    known_keys,
+    parse,
+    renamed_table,
+    table,
+    unit,
+)
 from palmfield.errors import SceneError
 
 PAGE = Path(__file__).parent.parent / "docs" / "keys.md"
@@ -19,10 +31,10 @@ def test_page_is_up_to_date():
 
 def test_every_key_has_a_meaning_and_every_quantity_a_unit():
     for config in CONFIGS:
-        for key, key_unit, allowed, _, meaning in table(config):
-            assert meaning and allowed
+        for key, key_unit, takes, _, meaning in table(config):
+            assert meaning and takes
             pure = {"am_depth", "drive_amplitude", "path_points", "accuracy", "quality"}
-            assert bool(key_unit) == ("number" in allowed and key not in pure) or "whole" in allowed, key
+            assert bool(key_unit) == ("number" in takes and key not in pure) or "whole" in takes, key
 
 
 def test_unknown_plugin_names_those_there_are():
@@ -52,3 +64,57 @@ def test_units_come_from_the_names():
     assert [unit(k) for k in ("p0_Pa_m", "foundation_normal_Pa_m", "arp_peak_Pa", "radius_m", "step_s")] == [
         "Pa m", "Pa/m", "Pa", "m", "s",
     ]  # fmt: skip
+
+
+class Nose(Config):
+    plugin: ClassVar[str] = "palmfield.nose"
+    about: ClassVar[str] = "A plugin with a past."
+    renamed: ClassVar[dict[str, str]] = {
+        "smell": "odour", "solver=full": "wedges", "compute": "the scene's palmfield_device text",
+    }  # fmt: skip
+
+    odour: str = "rose"
+    solver: Literal["auto", "wedges"] = "auto"
+
+
+def test_renamed_keys_stay_known_and_are_refused_with_what_to_use():
+    assert known_keys(Nose) == ["odour", "solver", "smell", "compute"]
+    with pytest.raises(SceneError, match=r"^plugin 'nose': key 'smell' is renamed: use odour$"):
+        parse(Nose, {"smell": "rose"}, "plugin 'nose'")
+    with pytest.raises(SceneError, match="key 'compute' is renamed: use the scene's palmfield_device text"):
+        parse(Nose, {"compute": "cpu", "odour": "oak"}, "e")
+
+
+def test_renamed_values_are_refused_with_what_to_use():
+    with pytest.raises(SceneError, match="key 'solver' has value 'full', which is renamed: use wedges"):
+        parse(Nose, {"solver": "full"}, "e")
+    with pytest.raises(SceneError, match=r"key 'solver' has value 'quick'; allowed: auto \| wedges"):
+        parse(Nose, {"solver": "quick"}, "e")
+    assert parse(Nose, {"solver": "wedges"}, "e").solver == "wedges"
+    assert renamed_table(Nose)[1] == ("solver full", "wedges")
+
+
+@pytest.mark.parametrize("name", ["axisymmetric", "lateral_waves"])
+def test_a_solver_of_whole_histories_is_refused_with_the_call_that_does_it(name):
+    with pytest.raises(SceneError) as refusal:
+        parse(SkinConfig, {"solver": name, "patch_site": "x"}, "e")
+    assert str(refusal.value).startswith(f"e: key 'solver' has value '{name}', which computes the whole history")
+    assert f"palmfield.skin.solve(..., solver='{name}')" in str(refusal.value)
+
+
+def test_what_is_renamed_is_gone_and_what_to_use_is_there():
+    for config in CONFIGS:
+        for name, use in config.renamed.items():
+            key, _, value = name.partition("=")
+            assert (key in config.model_fields) == bool(value), name
+            assert not value or use in allowed(config, key).split(" | "), name
+
+
+def test_a_stimulus_names_its_arrays_and_its_skin():
+    keys = {"arrays": "left right", "path": "line", "path_width_m": "0.01", "path_rate_Hz": "1", "path_on": "skin"}
+    config = parse(StimulusConfig, keys | {"on_skin": "palm"}, "e")
+    assert (config.arrays, config.on_skin) == (("left", "right"), "palm")
+    with pytest.raises(SceneError, match="arrays are 'left left': name each once"):
+        parse(StimulusConfig, {"arrays": "left left"}, "e")
+    with pytest.raises(SceneError, match="on_skin belongs to a path on the skin, path_on is 'plane'"):
+        parse(StimulusConfig, keys | {"on_skin": "palm", "path_on": "plane"}, "e")

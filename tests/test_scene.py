@@ -44,6 +44,15 @@ BAD = {
     "nan": (
         {"array": {"p0_Pa_m": "nan"}}, "plugin 'palmfield.array' instance 'array': key 'p0_Pa_m' has value 'nan';",
     ),
+    "renamed key": (
+        {"driver": {"device": "ideal"}},
+        "plugin 'palmfield.driver' instance 'driver': key 'device' is renamed: use board",
+    ),
+    "renamed value": ({"skin": {"solver": "full"}}, "key 'solver' has value 'full', which is renamed: use wedges"),
+    "key of the array": (
+        {"array": {"compute": "cpu"}}, "key 'compute' is renamed: use the scene's palmfield_device text",
+    ),
+    "whole history": ({"skin": {"solver": "axisymmetric"}}, "palmfield.skin.solve(..., solver='axisymmetric')"),
     "unit": ({"stimulus": {"focus_m": "0 0 120mm"}}, "key 'focus_m' has value '0 0 120mm'; allowed: three finite"),
     "choice": ({"skin": {"base": "glued"}}, "key 'base' has value 'glued'; allowed: bonded | free_slip"),
     "behind": ({"stimulus": {"focus_m": "0 0 -0.1"}}, "plugin 'palmfield.stimulus': key 'focus_m': focus"),
@@ -55,12 +64,12 @@ BAD = {
         {"skin": {"shape": "mesh", "mesh": "gone.obj", "mesh_unit": "mm", "patch_site": "centre"}}, "gone.obj",
     ),
     "step": ({"skin": {"step_s": 0.0003}}, "must divide the timestep"),
-    "am on board": ({"driver": {"device": "sonicsurface"}, "array": {"layout": "sonicsurface"}}, "sonicsurface gives"),
+    "am on board": ({"driver": {"board": "sonicsurface"}, "array": {"layout": "sonicsurface"}}, "sonicsurface gives"),
     "other board": (
-        {"driver": {"device": "sonicsurface"}, "stimulus": {"modulation": "none"}},
+        {"driver": {"board": "sonicsurface"}, "stimulus": {"modulation": "none"}},
         "drives the layout 'sonicsurface' only",
     ),
-    "no device": ({"array": {"compute": "cuda:7"}}, "device 'cuda:7' is not on this machine"),
+    "no device": ({"device": "cuda:7"}, "device 'cuda:7' is not on this machine"),
 }  # fmt: skip
 
 

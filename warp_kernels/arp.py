@@ -1,8 +1,40 @@
-"""Radiation pressure of an incident field on a surface that is rigid for sound, one point per thread."""
+"""Acoustic radiation pressure (ARP) of sound on a surface that is rigid for it. The formula is here and nowhere else.
+
+With s = grad p/k, so that |s|^2/(rho c^2) = rho |u|^2, every law is a weighted sum of the squares of p, of s along the
+surface and of s across it, on points that are lit: into which the sound flows, Im(p* s).n < 0.
+"""
 
 import warp as wp
 
 wp.set_module_options({"enable_backward": False})
+
+# In C, as `warp_kernels.transfer` puts it into a loop that LLVM must vectorise
+FORMULA = """p_re * n_im - p_im * n_re < 0.0f
+    ? weights[0] * (p_re * p_re + p_im * p_im) - weights[1] * along2 + weights[2] * (n_re * n_re + n_im * n_im)
+    : 0.0f"""
+
+
+@wp.func_native(snippet=f"return {FORMULA};")
+def radiation_pressure(
+    p_re: wp.float32, p_im: wp.float32, n_re: wp.float32, n_im: wp.float32, along2: wp.float32, weights: wp.vec3
+) -> wp.float32:
+    """ARP [Pa] from pressure p [Pa], s along the normal [Pa], and |s|^2 along the surface [Pa2].
+
+    weights: of |p|^2, of -|s|^2 along the surface and of |s|^2 along the normal [1/Pa]
+    """
+    ...
+
+
+@wp.func
+def pressure_on_surface(p: wp.vec2, g_re: wp.vec3, g_im: wp.vec3, n: wp.vec3, per_wavenumber: float, weights: wp.vec3):
+    """ARP [Pa] from pressure, its gradient [Pa/m] and the unit outward normal."""
+    s_re = per_wavenumber * g_re
+    s_im = per_wavenumber * g_im
+    n_re = wp.dot(s_re, n)
+    n_im = wp.dot(s_im, n)
+    t_re = s_re - n_re * n
+    t_im = s_im - n_im * n
+    return radiation_pressure(p[0], p[1], n_re, n_im, wp.dot(t_re, t_re) + wp.dot(t_im, t_im), weights)
 
 
 @wp.kernel
@@ -10,27 +42,54 @@ def arp(
     pressure: wp.array(dtype=wp.vec2),
     gradient: wp.array2d(dtype=wp.vec2),
     normals: wp.array(dtype=wp.vec3),
-    per_pressure: float,
-    per_velocity: float,
-    velocity_per_gradient: float,
+    per_wavenumber: float,
+    weights: wp.vec3,
     result: wp.array(dtype=float),
 ):
-    """per_pressure |p|^2 - per_velocity |u_t|^2 where sound comes in, 0 elsewhere.
-
-    With e^{-i w t}, u = grad p/(i w rho): re(u) = im(grad p)/(w rho) and im(u) = -re(grad p)/(w rho).
-    """
+    """ARP [Pa] by point; per_wavenumber: 1/k [m]; weights: as `radiation_pressure`."""
     i = wp.tid()
-    p = pressure[i]
-    n = normals[i]
     gx = gradient[i, 0]
     gy = gradient[i, 1]
     gz = gradient[i, 2]
-    u_re = velocity_per_gradient * wp.vec3(gx[1], gy[1], gz[1])
-    u_im = -velocity_per_gradient * wp.vec3(gx[0], gy[0], gz[0])
-    inflow = p[0] * wp.dot(u_re, n) + p[1] * wp.dot(u_im, n)
-    if inflow >= 0.0:
-        result[i] = 0.0
-        return
-    t_re = u_re - wp.dot(u_re, n) * n
-    t_im = u_im - wp.dot(u_im, n) * n
-    result[i] = per_pressure * wp.dot(p, p) - per_velocity * (wp.dot(t_re, t_re) + wp.dot(t_im, t_im))
+    g_re = wp.vec3(gx[0], gy[0], gz[0])
+    g_im = wp.vec3(gx[1], gy[1], gz[1])
+    result[i] = pressure_on_surface(pressure[i], g_re, g_im, normals[i], per_wavenumber, weights)
+
+
+@wp.struct
+class SurfacePoints:
+    """What `surface_sound` takes, in one piece: a recorded launch packs each of its arguments anew.
+
+    pressure [Pa], gradient [Pa/m], shape (n, 3), unit outward normals; per_wavenumber, weights: as `arp`
+    arp, amplitude, flux: results
+    """
+
+    pressure: wp.array(dtype=wp.vec2)
+    gradient: wp.array2d(dtype=wp.vec2)
+    normals: wp.array(dtype=wp.vec3)
+    per_wavenumber: wp.float32
+    weights: wp.vec3
+    arp: wp.array(dtype=wp.float32)
+    amplitude: wp.array(dtype=wp.float32)
+    flux: wp.array(dtype=wp.vec3)
+
+
+@wp.kernel
+def surface_sound(at: SurfacePoints):
+    """ARP [Pa], |p| [Pa] and Im(p* grad p) [Pa2/m], along which the sound's energy flows, by point.
+
+    It leaves pressure and gradient at zero, as the kernels of `gradient.py` add to them when they come round again.
+    """
+    i = wp.tid()
+    p = at.pressure[i]
+    gx = at.gradient[i, 0]
+    gy = at.gradient[i, 1]
+    gz = at.gradient[i, 2]
+    g_re = wp.vec3(gx[0], gy[0], gz[0])
+    g_im = wp.vec3(gx[1], gy[1], gz[1])
+    at.arp[i] = pressure_on_surface(p, g_re, g_im, at.normals[i], at.per_wavenumber, at.weights)
+    at.amplitude[i] = wp.length(p)
+    at.flux[i] = p[0] * g_im - p[1] * g_re
+    at.pressure[i] = wp.vec2()
+    for j in range(3):
+        at.gradient[i, j] = wp.vec2()

@@ -13,6 +13,7 @@ from warp_kernels.pressure import (
     CPU,
     GPU,
     NEAREST_M2,
+    WIDTH,
     Form,
     Sound,
     cubic,
@@ -24,8 +25,6 @@ from warp_kernels.pressure import (
     row64,
     vec6,
 )
-
-WIDTH = {"cpu": 16, "gpu": 4}
 
 
 @functools.cache

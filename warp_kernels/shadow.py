@@ -54,6 +54,37 @@ def lit(
     result[i] = wp.where(blocked, wp.uint8(0), wp.uint8(1))
 
 
+@wp.struct
+class Rays:
+    """What `lit_by_flux` takes, in one piece.
+
+    mesh: what casts shadows; points [m]; flux: where the sound goes there, any length; reach: of each ray [m]
+    clearance: how far above the surface a ray starts [m]; lit: result
+    """
+
+    mesh: wp.uint64
+    points: wp.array(dtype=wp.vec3)
+    flux: wp.array(dtype=wp.vec3)
+    reach: wp.array(dtype=wp.float32)
+    clearance: wp.float32
+    lit: wp.array(dtype=wp.uint8)
+
+
+@wp.kernel
+def lit_by_flux(rays: Rays):
+    """1 where the way back along the sound meets nothing within its reach; 0 too where there is no sound."""
+    i = wp.tid()
+    flux = rays.flux[i]
+    # Divided by its largest part first: the squares of a faint sound's would be 0
+    largest = wp.max(wp.max(wp.abs(flux[0]), wp.abs(flux[1])), wp.abs(flux[2]))
+    rays.lit[i] = wp.uint8(0)
+    if largest > 0.0:
+        back = -wp.normalize(flux / largest)
+        start = rays.points[i] + rays.clearance * back
+        if not wp.mesh_query_ray_anyhit(rays.mesh, start, back, rays.reach[i]):
+            rays.lit[i] = wp.uint8(1)
+
+
 @wp.kernel
 def pressure_gradient(
     mesh: wp.uint64,

@@ -1,4 +1,4 @@
-"""Linear blend skinning of a triangle mesh, and its normals."""
+"""Linear blend skinning of a triangle mesh, its normals, and its faces."""
 
 import warp as wp
 
@@ -50,3 +50,24 @@ def normals_by_angle(
         if twice_area > 0.0:
             total += wp.atan2(twice_area, wp.dot(u, v)) / twice_area * across
     out[i] = wp.normalize(total)
+
+
+@wp.kernel
+def face_samples(
+    vertices: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    centroids: wp.array[wp.vec3d],
+    normals: wp.array[wp.vec3d],
+    areas: wp.array[wp.float64],
+):
+    """Centroid, unit normal and area of each face; the normal of a face without area is zero."""
+    i = wp.tid()
+    face = faces[i]
+    a = vertices[face[0]]
+    b = vertices[face[1]]
+    c = vertices[face[2]]
+    across = wp.cross(b - a, c - a)
+    twice = wp.length(across)
+    centroids[i] = (a + b + c) / wp.float64(3.0)
+    areas[i] = wp.float64(0.5) * twice
+    normals[i] = across / wp.where(twice > wp.float64(0.0), twice, wp.float64(1.0))

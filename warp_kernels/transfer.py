@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from warp_kernels.arp import FORMULA, radiation_pressure
 from warp_kernels.pressure import NEAREST_M2, Sound, fall_cubic, inverse_root, polynomial_wave, quartic, quintic
 
 wp.set_module_options(
@@ -83,25 +84,31 @@ def matrix(
 
 
 @wp.func_native(
-    snippet="""
-    const float* __restrict a = reinterpret_cast<const float*>(reinterpret_cast<const char*>(parts.data)
-        + size_t(frame) * parts.strides[0]);
+    snippet=f"""
+    const auto row = [&](int j, int r) {{
+        return reinterpret_cast<const float*>(reinterpret_cast<const char*>(parts.data)
+            + j * size_t(parts.strides[0]) + r * size_t(parts.strides[1]));
+    }};
+    const int re = frame, im = frames + frame;
+    const float *rr0 = row(0, re), *rr1 = row(1, re), *rr2 = row(2, re), *rr3 = row(3, re);
+    const float *ri0 = row(4, re), *ri1 = row(5, re), *ri2 = row(6, re), *ri3 = row(7, re);
+    const float *ir0 = row(0, im), *ir1 = row(1, im), *ir2 = row(2, im), *ir3 = row(3, im);
+    const float *ii0 = row(4, im), *ii1 = row(5, im), *ii2 = row(6, im), *ii3 = row(7, im);
     float* __restrict to = reinterpret_cast<float*>(reinterpret_cast<char*>(result.data)
         + size_t(first_frame + frame) * result.strides[0]) + first;
-    for (int k = 0; k < count; ++k) {
-        const float p_re = a[k], s_re = a[count + k], t_re = a[2 * count + k], n_re = a[3 * count + k];
-        const float p_im = a[4 * count + k], s_im = a[5 * count + k], t_im = a[6 * count + k], n_im = a[7 * count + k];
-        const float load = per_pressure * (p_re * p_re + p_im * p_im)
-            - per_slope * (s_re * s_re + s_im * s_im + t_re * t_re + t_im * t_im);
-        to[k] = p_re * n_im - p_im * n_re < 0.0f ? load : 0.0f;
-    }
+    for (int k = 0; k < width; ++k) {{
+        const float p_re = rr0[k] - ii0[k], s_re = rr1[k] - ii1[k], t_re = rr2[k] - ii2[k], n_re = rr3[k] - ii3[k];
+        const float p_im = ri0[k] + ir0[k], s_im = ri1[k] + ir1[k], t_im = ri2[k] + ir2[k], n_im = ri3[k] + ir3[k];
+        const float along2 = s_re * s_re + s_im * s_im + t_re * t_re + t_im * t_im;
+        to[k] = {FORMULA};
+    }}
 """
 )
 def arp_row(
-    parts: wp.array(dtype=wp.float32, ndim=2),
-    count: wp.int32,
-    per_pressure: wp.float32,
-    per_slope: wp.float32,
+    parts: wp.array(dtype=wp.float32, ndim=3),
+    frames: wp.int32,
+    width: wp.int32,
+    weights: wp.vec3,
     frame: wp.int32,
     first_frame: wp.int32,
     first: wp.int32,
@@ -113,16 +120,21 @@ def arp_row(
 
 @wp.kernel
 def arp_rows(
-    parts: wp.array(dtype=wp.float32, ndim=2),
-    per_pressure: wp.float32,
-    per_slope: wp.float32,
+    parts: wp.array(dtype=wp.float32, ndim=3),
+    frames: wp.int32,
+    width: wp.int32,
+    weights: wp.vec3,
     first_frame: wp.int32,
     first: wp.int32,
     result: wp.array(dtype=wp.float32, ndim=2),
 ):
-    """ARP [Pa] from a row of eight blocks, see `matrix`, a frame a thread: the form for the CPU."""
+    """ARP [Pa] from products with the blocks of `matrix`, a frame a thread: the form for the CPU.
+
+    parts: by block, row and point; the first `frames` rows are of the drives' real parts, the next of their imaginary
+        parts, so that a product's real part is parts[j, f] - parts[4 + j, frames + f]
+    """
     frame = wp.tid()
-    arp_row(parts, parts.shape[1] / 8, per_pressure, per_slope, frame, first_frame, first, result)
+    arp_row(parts, frames, width, weights, frame, first_frame, first, result)
 
 
 @wp.kernel
@@ -144,22 +156,19 @@ def product(
 @wp.kernel
 def arp_columns(
     parts: wp.array(dtype=wp.float32, ndim=2),
-    per_pressure: wp.float32,
-    per_slope: wp.float32,
+    weights: wp.vec3,
     first: int,
     result: wp.array(dtype=wp.float32, ndim=2),
 ):
-    """As `arp_rows`, one point and frame a thread: the form for GPUs."""
+    """ARP [Pa] from a row of eight blocks, see `matrix`, one point and frame a thread: the form for GPUs."""
     frame, k = wp.tid()
     count = parts.shape[1] / 8
-    p_re = parts[frame, k]
     s_re = parts[frame, count + k]
     t_re = parts[frame, 2 * count + k]
-    n_re = parts[frame, 3 * count + k]
-    p_im = parts[frame, 4 * count + k]
     s_im = parts[frame, 5 * count + k]
     t_im = parts[frame, 6 * count + k]
-    n_im = parts[frame, 7 * count + k]
-    load = per_pressure * (p_re * p_re + p_im * p_im)
-    load -= per_slope * (s_re * s_re + s_im * s_im + t_re * t_re + t_im * t_im)
-    result[first + frame, k] = wp.where(p_re * n_im - p_im * n_re < 0.0, load, 0.0)
+    along2 = s_re * s_re + s_im * s_im + t_re * t_re + t_im * t_im
+    result[first + frame, k] = radiation_pressure(
+        parts[frame, k], parts[frame, 4 * count + k], parts[frame, 3 * count + k], parts[frame, 7 * count + k],
+        along2, weights,
+    )  # fmt: skip

@@ -12,21 +12,47 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from palmfield.acoustics.arp import SurfaceSound
     from palmfield.acoustics.arrays import layout
+    from palmfield.acoustics.body_scattering import Occlusion, RigidScatteredField, boundary_mesh
     from palmfield.acoustics.derived import intensity, particle_velocity
     from palmfield.acoustics.field import FieldEvaluator, pressure
+    from palmfield.acoustics.phased_array import ArrayInstance, MultiArrayField, PhasedArray
+    from palmfield.acoustics.surface_arp import SurfaceArp
+    from palmfield.acoustics.surface_load import clearance, distance_to_arrays, resultants
     from palmfield.acoustics.transfer import Transfer, arp_frames
 
 _WHERE = {
-    "FieldEvaluator": "field",
-    "Transfer": "transfer",
-    "arp_frames": "transfer",
-    "intensity": "derived",
+    "SurfaceSound": "arp",
     "layout": "arrays",
-    "particle_velocity": "derived",
-    "pressure": "field",
+    **dict.fromkeys(("Occlusion", "RigidScatteredField", "boundary_mesh"), "body_scattering"),
+    **dict.fromkeys(("intensity", "particle_velocity"), "derived"),
+    **dict.fromkeys(("FieldEvaluator", "pressure"), "field"),
+    **dict.fromkeys(("ArrayInstance", "MultiArrayField", "PhasedArray"), "phased_array"),
+    "SurfaceArp": "surface_arp",
+    **dict.fromkeys(("clearance", "distance_to_arrays", "resultants"), "surface_load"),
+    **dict.fromkeys(("Transfer", "arp_frames"), "transfer"),
 }
-__all__ = ["FieldEvaluator", "Transfer", "arp_frames", "intensity", "layout", "particle_velocity", "pressure"]
+__all__ = [
+    "ArrayInstance",
+    "FieldEvaluator",
+    "MultiArrayField",
+    "Occlusion",
+    "PhasedArray",
+    "RigidScatteredField",
+    "SurfaceArp",
+    "SurfaceSound",
+    "Transfer",
+    "arp_frames",
+    "boundary_mesh",
+    "clearance",
+    "distance_to_arrays",
+    "intensity",
+    "layout",
+    "particle_velocity",
+    "pressure",
+    "resultants",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -3,35 +3,28 @@
 import math
 
 from palmfield.errors import SceneError
-from palmfield.types import Air
-
-LIMITS = {
-    "temperature_C": (-20.0, 50.0),
-    "humidity_percent": (0.0, 100.0),
-    "pressure_Pa": (10e3, 200e3),
-}
-"""Air that ISO 9613-1 covers; its lower end of pressure is an altitude of about 16 km."""
+from palmfield.types import AIR_LIMITS, Air
 
 GAS_CONSTANT_AIR = 287.06
 ZERO_CELSIUS_K = 273.15
 
 
 def check(air: Air) -> None:
-    """Raise SceneError when a property of the air is not a number or lies outside LIMITS."""
-    for name, (low, high) in LIMITS.items():
+    """Raise SceneError when a property of the air is not a number or lies outside AIR_LIMITS."""
+    for name, (low, high) in AIR_LIMITS.items():
         value = getattr(air, name)
         if not low <= value <= high:
             raise SceneError(f"air {name} = {value} is outside {low:g} to {high:g}: set it within that range")
 
 
 def sound_speed(air: Air) -> float:
-    """Speed of sound [m/s], c = 331.3 sqrt(1 + T/273.15). Raises SceneError for air outside LIMITS."""
+    """Speed of sound [m/s], c = 331.3 sqrt(1 + T/273.15). Raises SceneError for air outside AIR_LIMITS."""
     check(air)
     return 331.3 * math.sqrt(1.0 + air.temperature_C / ZERO_CELSIUS_K)
 
 
 def density(air: Air) -> float:
-    """Density [kg/m3] of dry air at the same temperature and pressure. Raises SceneError for air outside LIMITS."""
+    """Density [kg/m3] of dry air at the same temperature and pressure. Raises SceneError for air outside AIR_LIMITS."""
     check(air)
     return air.pressure_Pa / (GAS_CONSTANT_AIR * (air.temperature_C + ZERO_CELSIUS_K))
 
@@ -39,7 +32,7 @@ def density(air: Air) -> float:
 def absorption_Np_m(air: Air, frequency_Hz: float) -> float:
     """Absorption of a pure tone's amplitude [Np/m], ISO 9613-1:1993 equations (3) to (5) and annex B.
 
-    Raises SceneError for air outside LIMITS and for a frequency that is not positive.
+    Raises SceneError for air outside AIR_LIMITS and for a frequency that is not positive.
     """
     check(air)
     if not 0.0 < frequency_Hz < math.inf:

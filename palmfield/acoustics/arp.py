@@ -1,4 +1,10 @@
-"""Acoustic radiation pressure (ARP) of the incident field on skin, which is rigid for sound in air."""
+"""Acoustic radiation pressure (ARP) of sound on skin, which is rigid for sound in air: its laws, all of them.
+
+`warp_kernels.arp` has the formula for kernels, with the weights that a law gives it.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import warp as wp
@@ -8,14 +14,55 @@ from palmfield.acoustics import check
 from palmfield.acoustics.air import density, sound_speed
 from palmfield.device import resolve
 from palmfield.errors import PalmfieldError, SceneError
-from palmfield.types import Air, Field, Float32
+from palmfield.types import Air, Complex, Field, Float, Float32
 from warp_kernels import arp as kernels
 
+
+class SurfaceSound(NamedTuple):
+    """The sound at points of a surface.
+
+    arp: radiation pressure [Pa], positive when it pushes inwards, shape (n,)
+    amplitude: peak of the pressure, |p| [Pa], shape (n,)
+    flux: Im(p* grad p) [Pa2/m], along which the sound's energy flows, shape (n, 3), or None
+    """
+
+    arp: Float32
+    amplitude: Float32
+    flux: Float32 | None = None
+
+
+@dataclass(frozen=True)
+class ArpLaw:
+    """ARP = pressure |p|^2/(rho c^2) - along rho |u_t|^2 + across rho |u_n|^2, with the field's peak amplitudes.
+
+    about: in words; u_t, u_n: the velocity along the surface and along its normal
+    """
+
+    about: str
+    pressure: float = 1.0
+    along: float = 0.0
+    across: float = 0.0
+
+
 LAWS = {
-    "default": "|p|^2/(rho c^2) - rho |u_t|^2 of the incident field's peak amplitudes on lit points: the Lagrangian of "
-    "the total field on a rigid wall; right at any angle and on converging beams",
-    "alpha": "2 p_rms^2/(rho c^2) on lit points: right for a plane wave at normal incidence, overstates focused beams",
+    "default": ArpLaw(
+        "|p|^2/(rho c^2) - rho |u_t|^2 of the incident field's peak amplitudes on lit points: the Lagrangian of "
+        "the total field on a rigid wall; right at any angle and on converging beams",
+        along=1.0,
+    ),
+    "alpha": ArpLaw(
+        "2 p_rms^2/(rho c^2) on lit points: right for a plane wave at normal incidence, overstates focused beams"
+    ),
 }
+"""Laws that take the incident field, by the value of the scene's key `arp_law`. A new one is a line here."""
+
+TOTAL_FIELD = ArpLaw(
+    "|p|^2/(4 rho c^2) - rho |u_t|^2/4 of the total field's peak amplitudes on a rigid wall, lit or not: the mean "
+    "Lagrangian <p^2>/(2 rho c^2) - rho <u^2>/2",
+    pressure=0.25,
+    along=0.25,
+)
+"""For a field that has the body's own echo in it, as boundary elements give it."""
 
 
 def arp(
@@ -28,7 +75,7 @@ def arp(
 
     field: incident pressure and gradient, n points
     normals: unit outward normals of the surface, in the field's frame, shape (n, 3)
-    law: a key of LAWS
+    law: a key of LAWS; device: where it is computed
     Raises SceneError for an unknown law or bad air, PalmfieldError for a field without gradient, for normals of another
     shape or length, and for a field that is not finite.
     """
@@ -46,7 +93,6 @@ def arp(
     if count == 0:
         return np.zeros(0, np.float32)
 
-    rho, c = density(air), sound_speed(air)
     device = resolve(device)
     pressure = np.ascontiguousarray(field.pressure, np.complex64).view(np.float32).reshape(count, 2)
     gradient = np.ascontiguousarray(field.gradient, np.complex64).view(np.float32).reshape(count, 3, 2)
@@ -58,14 +104,33 @@ def arp(
             wp.array(pressure, dtype=wp.vec2, device=device, copy=False),
             wp.array(gradient, dtype=wp.vec2, device=device, copy=False),
             wp.array(outward, dtype=wp.vec3, device=device, copy=False),
-            1.0 / (rho * c**2),
-            rho if law == "default" else 0.0,
-            1.0 / (2.0 * np.pi * frequency_Hz * rho),
+            sound_speed(air) / (2.0 * np.pi * frequency_Hz),
+            wp.vec3(*law_weights(law, air)),
             result,
         ],
         device=device,
     )
     return result.numpy()
+
+
+def law_weights(law: str, air: Air) -> tuple[float, float, float]:
+    """Weights of |p|^2, of -|grad p/k|^2 along the surface and of |grad p/k|^2 across it [1/Pa].
+
+    Raises SceneError for an unknown law or bad air.
+    """
+    check_law(law)
+    kind, scale = LAWS[law], 1.0 / (density(air) * sound_speed(air) ** 2)
+    return scale * kind.pressure, scale * kind.along, scale * kind.across
+
+
+def wall_pressure(pressure: Complex, gradient: Complex, wavenumber: float, air: Air) -> Float:
+    """ARP [Pa], shape (n,), of the total field on a rigid wall, by the law TOTAL_FIELD.
+
+    pressure: [Pa], shape (n,); gradient: along the wall [Pa/m], shape (n, 3); wavenumber: [rad/m]
+    """
+    scale = 1.0 / (density(air) * sound_speed(air) ** 2)
+    along = (np.abs(gradient) ** 2).sum(axis=1) / wavenumber**2
+    return np.asarray(scale * (TOTAL_FIELD.pressure * np.abs(pressure) ** 2 - TOTAL_FIELD.along * along))
 
 
 def check_law(law: str) -> None:

@@ -1,9 +1,7 @@
 """Pressure and its gradient from an array of transducers, on the CPU or a GPU."""
 
 import functools
-import os
 import warnings
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -16,10 +14,11 @@ from palmfield.acoustics import check, polynomials, validity
 from palmfield.acoustics.air import absorption_Np_m as air_absorption
 from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.groups import groups
+from palmfield.acoustics.threads import cores, pool
 from palmfield.acoustics.transducer import directivity_coefficients
 from palmfield.device import resolve
 from palmfield.errors import PalmfieldError
-from palmfield.types import Air, Array, Field, Float
+from palmfield.types import Air, Array, Field, Float, Int
 from warp_kernels import gradient as with_gradient
 from warp_kernels import pressure as kernels
 
@@ -75,7 +74,7 @@ class FieldEvaluator:
         )
         self._gpu = self.device != "cpu"
         self._accurate = mode == "accurate"
-        self._real: Any = np.float64 if self._accurate else np.float32
+        self.real: Any = np.float64 if self._accurate else np.float32
         wavenumber = 2.0 * np.pi * array.frequency_Hz / sound_speed(air)
         directivity, slope, self._smooth = off_axis(array, wavenumber)
         sine, cosine = polynomials.sine_cosine()
@@ -102,14 +101,14 @@ class FieldEvaluator:
         self._shapes = self._upload(np.array([directivity, slope], np.float32), kernels.vec6)
         self._groups = groups(array)
         self._vec3, _, mat33 = self._form("cubic").vectors
-        self._origins = self._upload(self._groups.origins.astype(self._real), self._vec3)
-        self._turns = self._upload(self._groups.turns.astype(self._real), mat33)
-        self._turns_radians = self._upload((wavenumber * self._groups.turns).astype(self._real), mat33)
+        self._origins = self._upload(self._groups.origins.astype(self.real), self._vec3)
+        self._turns = self._upload(self._groups.turns.astype(self.real), mat33)
+        self._turns_radians = self._upload((wavenumber * self._groups.turns).astype(self.real), mat33)
         self._ranges = self._upload(self._groups.ranges, wp.vec2i)
 
     def pressure(self, points: ArrayLike, drive: ArrayLike, gradient: bool = False) -> Field:
         """Field at points; see `pressure` below for shapes, units and errors."""
-        where = check.points(points, self._real)
+        where = check.points(points, self.real)
         amplitude = check.drive(drive, self.array)
         count = len(where)
         pressure = np.zeros(count, np.complex64)
@@ -128,7 +127,7 @@ class FieldEvaluator:
 
     def upload(self, points: ArrayLike) -> "Points":
         """Points, [m], shape (n, 3), on the evaluator's GPU for `pressure_on_gpu`. Errors as `pressure`."""
-        where = check.points(points, self._real)
+        where = check.points(points, self.real)
         bounds = distances(where, self.array.positions) if len(where) else (0.0, 0.0)
         return Points(self._upload(where, self._vec3), bounds)
 
@@ -145,36 +144,61 @@ class FieldEvaluator:
     def _form(self, fall: str) -> kernels.Form:
         return kernels.Form(self._gpu, self._accurate, fall, self._smooth and not self._accurate, self._groups.flat)
 
+    def kernel(self, fall: str, gradient: bool) -> Any:
+        """The kernel for how sound falls off, see `falling`."""
+        return with_gradient.gradient(self._form(fall)) if gradient else kernels.pressure(self._form(fall))
+
+    @property
+    def points_per_thread(self) -> int:
+        """How many points each thread of a kernel takes."""
+        return kernels.WIDTH["gpu" if self._gpu else "cpu"]
+
+    def inputs(self, elements: Any, strengths: Any, gradient: bool) -> list[Any]:
+        """What a kernel takes between points and results; elements, strengths: see `elements`, on the device."""
+        if gradient:
+            turns, sound, shapes = self._turns_radians, self._radians, [self._shapes]
+        else:
+            turns, sound, shapes = self._turns, self.sound, []
+        return [self._origins, turns, self._ranges, elements, strengths, sound, *shapes]
+
+    def elements(self, gradient: bool) -> NDArray[Any]:
+        """x, y, phase and z of each transducer in the order of its groups, shape (n, 4), the phase still 0.
+
+        The kernels take them with strengths, shape (n, 4): p0 times amplitude times the coefficients of the fall.
+        For the gradient lengths are in units of 1/k.
+        """
+        elements = np.zeros((len(self.order), 4), self.real)
+        elements[:, [0, 1, 3]] = (self._wavenumber if gradient else 1.0) * self._groups.places
+        return elements
+
+    @property
+    def order(self) -> Int:
+        """The array's transducers in the order in which kernels take them, shape (n,)."""
+        return self._groups.order
+
+    @property
+    def phase_unit(self) -> float:
+        """The angle [rad] in which the kernels count phases: a turn, or a radian."""
+        return 1.0 if self._gpu and not self._accurate else 2.0 * np.pi
+
+    def unit_m(self, gradient: bool) -> float:
+        """The length [m] in which the kernels count."""
+        return float(1.0 / self._wavenumber) if gradient else 1.0
+
     def _inputs(
         self, bounds: tuple[float, float], drive: NDArray[np.complex128], gradient: bool
     ) -> tuple[Any, int, list[Any]]:
-        """Kernel for points within these distances [m], points a thread, and what it takes between them and results.
-
-        For the gradient lengths are in units of 1/k.
-        """
-        order = self._groups.order
+        """Kernel for points within these distances [m], points a thread, and what it takes between them and results."""
         emitted = drive if self.array.gain is None else drive * self.array.gain
-        emitted = emitted[order]
-        low, high = bounds
-        kind, fall = falling(self.absorption_Np_m, low, high)
-        scale = self._wavenumber if gradient else 1.0
-        fall = fall * scale ** np.array([1.0, 0.0, -1.0, -2.0])
+        emitted = emitted[self.order]
+        kind, fall = falling(self.absorption_Np_m, *bounds)
+        fall = in_unit(fall, self.unit_m(gradient))
         strengths = (self.array.p0_Pa_m * np.abs(emitted)[:, None] * fall).astype(np.float32)
-        elements = np.zeros((len(order), 4), self._real)
-        elements[:, [0, 1, 3]] = scale * self._groups.places
-        radians = self._gpu and not self._accurate
-        elements[:, 2] = np.angle(emitted) / (1.0 if radians else 2.0 * np.pi)
-        form = self._form(kind)
-        _, vec4, _ = form.vectors
-        module = with_gradient if gradient else kernels
-        kernel = with_gradient.gradient(form) if gradient else kernels.pressure(form)
-        turns, sound = (self._turns_radians, self._radians) if gradient else (self._turns, self.sound)
-        inputs = [
-            self._origins, turns, self._ranges, self._upload(elements, vec4), self._upload(strengths, wp.vec4), sound,
-        ]  # fmt: skip
-        if gradient:
-            inputs.append(self._shapes)
-        return kernel, module.WIDTH["gpu" if form.gpu else "cpu"], inputs
+        elements = self.elements(gradient)
+        elements[:, 2] = np.angle(emitted) / self.phase_unit
+        _, vec4, _ = self._form(kind).vectors
+        inputs = self.inputs(self._upload(elements, vec4), self._upload(strengths, wp.vec4), gradient)
+        return self.kernel(kind, gradient), self.points_per_thread, inputs
 
     def _upload(self, values: NDArray[Any], dtype: Any) -> Any:
         return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self.device)
@@ -280,37 +304,34 @@ def off_axis(array: Array, wavenumber: float) -> tuple[Float, Float, bool]:
     The last is whether they are a quartic and a cubic (padded with zeros), see SMOOTH.
     """
     in_sine, _ = directivity_coefficients(array, wavenumber)
-    quintic = Polynomial(in_sine)(Polynomial([1.0, -1.0]))
-    slope = 2.0 * quintic.deriv()
+    return _in_cosine(tuple(in_sine.tolist()))
+
+
+@functools.lru_cache(maxsize=64)
+def _in_cosine(in_sine: tuple[float, ...]) -> tuple[Float, Float, bool]:
+    """`off_axis` from a polynomial in sin^2. Arrays that move get new evaluators each step: it is kept for them."""
+    quintic: Any = Polynomial(in_sine)(Polynomial([1.0, -1.0]))
+    slope: Any = 2.0 * quintic.deriv()
     quartic = Chebyshev.interpolate(quintic, 4, domain=[0.0, 1.0])
     q = np.linspace(0.0, 1.0, 201)
-    if np.abs(quartic(q) - quintic(q)).max() > SMOOTH:
-        return padded(quintic, 6), padded(slope, 6), False
-    return padded(quartic, 6), padded(Chebyshev.interpolate(slope, 3, domain=[0.0, 1.0]), 6), True
+    smooth = bool(np.abs(quartic(q) - quintic(q)).max() <= SMOOTH)
+    if smooth:
+        quintic, slope = quartic, Chebyshev.interpolate(slope, 3, domain=[0.0, 1.0])
+    kept = padded(quintic, 6), padded(slope, 6)
+    for values in kept:
+        values.setflags(write=False)
+    return *kept, smooth
+
+
+def in_unit(fall: Float, unit_m: float) -> Float:
+    """The coefficients of `falling` for distances in units of unit_m, so that amplitudes over distance stay in Pa."""
+    return np.asarray(fall * unit_m ** np.array([-1.0, 0.0, 1.0, 2.0]))
 
 
 def padded(function: Polynomial | Chebyshev, count: int) -> Float:
     """Coefficients, lowest power first, with zeros up to `count`."""
     coefficients = np.asarray(function.convert(kind=Polynomial).coef, dtype=float)
     return np.pad(coefficients, (0, count - len(coefficients)))
-
-
-def cores() -> int:
-    """Cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
-@functools.cache
-def pool() -> ThreadPoolExecutor:
-    """Threads shared by all evaluators of this process."""
-    return ThreadPoolExecutor(cores(), thread_name_prefix="palmfield-field")
-
-
-if hasattr(os, "register_at_fork"):
-    # A child inherits the pool but none of its threads, and would wait for them for ever
-    os.register_at_fork(after_in_child=pool.cache_clear)
 
 
 def pressure(

@@ -64,6 +64,14 @@ def pressure64(
     return pressure, slope
 
 
+def directivity(array: Array, wavenumber: float, cosine: Float) -> Float:
+    """Directivity at the cosine of the angle off the axis, of the cosine's shape."""
+    square = np.maximum(1.0 - cosine**2, 0.0)
+    if array.directivity_table is not None:
+        return np.asarray(polyval(square, directivity_coefficients(array, wavenumber)[0]))
+    return piston(wavenumber * array.piston_radius_m * np.sqrt(square))
+
+
 def directivity_and_bend(array: Array, wavenumber: float, cosine: Float) -> tuple[Float, Float]:
     """Directivity at the cosine of the angle off the axis, and its derivative with respect to that cosine."""
     square = np.maximum(1.0 - cosine**2, 0.0)

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from scipy.sparse.linalg import LinearOperator, gmres
 
 from palmfield.acoustics import check
-from palmfield.acoustics.air import density, sound_speed
+from palmfield.acoustics.arp import wall_pressure
 from palmfield.acoustics.bem import NEAR_EDGES, DoubleLayer
 from palmfield.acoustics.bem_mesh import checked, elements_per_wavelength, inner_points, mean_edge_m
 from palmfield.acoustics.field import FieldEvaluator
@@ -155,11 +155,9 @@ def scatter(
 def wall_arp(found: Scattering, air: Air) -> Float:
     """Radiation pressure on the rigid wall [Pa], shape (m,), positive when it pushes inwards.
 
-    <p^2>/(2 rho c^2) - rho <u_t^2>/2 of the total field: |p|^2/(4 rho c^2) - rho |u_t|^2/4 with peak amplitudes.
+    The law is `palmfield.acoustics.arp.TOTAL_FIELD`.
     """
-    rho, c = density(air), sound_speed(air)
-    square = np.abs(found.pressure) ** 2 - (np.abs(found.gradient) ** 2).sum(axis=1) / found.wavenumber**2
-    return square / (4.0 * rho * c**2)
+    return wall_pressure(found.pressure, found.gradient, found.wavenumber, air)
 
 
 def wall_force(found: Scattering, air: Air) -> Float:

@@ -1,5 +1,6 @@
 """Many drive frames on the same points: the field of each transducer once, then a matrix product a frame."""
 
+import functools
 from pathlib import Path
 from typing import Any
 
@@ -7,13 +8,13 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import qr
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 from palmfield.acoustics import check
-from palmfield.acoustics.air import density, sound_speed
-from palmfield.acoustics.arp import arp, check_law, unit_normals
-from palmfield.acoustics.field import CUBIC_REACH_Np, FieldEvaluator, distances, polynomial_fall, pool
+from palmfield.acoustics.arp import arp, check_law, law_weights, unit_normals
+from palmfield.acoustics.field import CUBIC_REACH_Np, FieldEvaluator, distances, polynomial_fall
 from palmfield.acoustics.groups import axes
+from palmfield.acoustics.threads import pool, share
 from palmfield.errors import PalmfieldError
 from palmfield.types import Complex, Float, Float32
 from warp_kernels import transfer as kernels
@@ -24,9 +25,9 @@ SPAN_FROM = 0.7
 """Share of the transducers above which fewer dimensions save no work."""
 FIRST_SAMPLE = 64
 
-# Eight rows of points for a block of frames are 1 MB: they stay in the cache between product and ARP
+# Sixteen rows of points for a block of frames are 1 MB: they stay in the cache between product and ARP
 POINTS_A_BLOCK = 256
-FRAMES_A_BLOCK = 128
+FRAMES_A_BLOCK = 64
 GPU_SCRATCH_BYTES = 2**31
 BYTES_LIMIT = 2**32
 """Most that a matrix may take [bytes], however much memory there is."""
@@ -54,6 +55,7 @@ class Transfer:
             )
         where = check.points(points, np.float32)
         outward = unit_normals(normals, len(where))
+        self.where, self.normals = where, outward
         self.points = len(where)
         elements = len(evaluator.array)
         self.nbytes = matrix_bytes(elements, self.points)
@@ -65,6 +67,7 @@ class Transfer:
             )
         self._matrix = self._compute(where, outward)
         self._on_gpu: Any = None
+        self._rooms: list[Float32] = []
 
     def _compute(self, points: Float32, normals: Float32) -> Float32:
         """Pressure and gradient over k, real parts first, shape (transducers, 8, points)."""
@@ -113,10 +116,10 @@ class Transfer:
         Raises SceneError for an unknown law, PalmfieldError for drives that are not finite or of another shape, and for
         an `out` of another shape or type.
         """
-        weights = self._weights(law)
+        weights = wp.vec3(*law_weights(law, self.evaluator.air))
         # One BLAS thread in each of ours: its own would share out products that fit one core's cache, and where other
         # programs run its waiting threads took up to twenty times as long for the reduction
-        with threadpool_limits(1, user_api="blas"):
+        with _blas().limit(limits=1, user_api="blas"):
             left, basis = self.reduced(drives)
             result = np.empty((len(left), self.points), np.float32) if out is None else out
             if result.shape != (len(left), self.points) or result.dtype != np.float32 or not result.flags.c_contiguous:
@@ -125,42 +128,46 @@ class Transfer:
                     f"({len(left)}, {self.points})"
                 )
             if result.size > 0:
-                self._fill(result, left, basis, *weights)
+                self._fill(result, left, basis, weights)
         return result
 
     def _fill(
-        self,
-        result: Float32,
-        left: NDArray[np.complex64],
-        basis: NDArray[np.complex64] | None,
-        per_pressure: float,
-        per_slope: float,
+        self, result: Float32, left: NDArray[np.complex64], basis: NDArray[np.complex64] | None, weights: Any
     ) -> None:
-        """Write the ARP of frames with coordinates `left` in `basis`, blocks of points shared among the threads."""
-        stacked = np.concatenate([left.real, left.imag], axis=1)
+        """Write the ARP of frames with coordinates `left` in `basis`, blocks of points shared among the threads.
+
+        weights: of the law, see `palmfield.acoustics.arp.law_weights`
+        """
         wp.load_module(kernels, device="cpu")
         target: Any = wp.array(result, dtype=wp.float32, device="cpu", copy=False)
-        # The threads share one iterator, so that a slow core takes fewer blocks
-        blocks = iter(range(0, self.points, POINTS_A_BLOCK))
+        chunks = [left[start : start + FRAMES_A_BLOCK] for start in range(0, len(left), FRAMES_A_BLOCK)]
+        stacked = [np.concatenate([chunk.real, chunk.imag]) for chunk in chunks]
 
-        def run(_: int) -> None:
-            room = np.empty((FRAMES_A_BLOCK, 8 * POINTS_A_BLOCK), np.float32)
-            for first in blocks:
-                right = real_form(self._matrix[:, :, first : first + POINTS_A_BLOCK], basis)
-                for start in range(0, len(left), FRAMES_A_BLOCK):
-                    rows = stacked[start : start + FRAMES_A_BLOCK]
-                    parts = np.matmul(rows, right, out=room[: len(rows), : right.shape[1]])
-                    inputs = [
-                        wp.array(parts, dtype=wp.float32, device="cpu", copy=False),
-                        per_pressure, per_slope, start, first, target,
-                    ]  # fmt: skip
-                    wp.launch(kernels.arp_rows, dim=len(parts), inputs=inputs, device="cpu")
+        def fill(first: int) -> None:
+            matrix = self._matrix[:, :, first : first + POINTS_A_BLOCK]
+            if basis is not None:
+                matrix = in_basis(matrix, basis)
+            width = matrix.shape[2]
+            try:
+                room = self._rooms.pop()
+            except IndexError:
+                room = np.empty((8, 2 * FRAMES_A_BLOCK, POINTS_A_BLOCK), np.float32)
+            parts: Any = wp.array(room, dtype=wp.float32, device="cpu", copy=False)
+            for i, rows in enumerate(stacked):
+                for k in range(8):
+                    # BLAS takes rows that lie apart: nothing is copied
+                    np.matmul(rows, matrix[:, k], out=room[k, : len(rows), :width])
+                count = len(rows) // 2
+                inputs = [parts, count, width, weights, i * FRAMES_A_BLOCK, first, target]
+                wp.launch(kernels.arp_rows, dim=count, inputs=inputs, device="cpu")
+            self._rooms.append(room)
 
-        list(pool().map(run, range(self.evaluator.threads)))
+        blocks = [(functools.partial(fill, first),) for first in range(0, self.points, POINTS_A_BLOCK)]
+        share(blocks, self.evaluator.threads)
 
     def arp_on_gpu(self, drives: ArrayLike, law: str = "default") -> Any:
         """As `arp`, but computed and left on the evaluator's GPU: a Warp array of shape (frames, points)."""
-        per_pressure, per_slope = self._weights(law)
+        weights = wp.vec3(*law_weights(law, self.evaluator.air))
         left, basis = self.reduced(drives)
         device = self.evaluator.device
         right = self._gpu_matrix(basis)
@@ -173,7 +180,7 @@ class Transfer:
         for first in range(0, len(left), step):
             rows = stacked[first : min(first + step, len(left))]
             self._product(rows, right, parts[: rows.shape[0]])
-            inputs = [parts, per_pressure, per_slope, first, result]
+            inputs = [parts, weights, first, result]
             wp.launch(kernels.arp_columns, dim=(rows.shape[0], self.points), inputs=inputs, device=device)
         return result
 
@@ -181,7 +188,7 @@ class Transfer:
         """Real form of the matrix: (real, imaginary) rows of the drive -> four real and four imaginary blocks."""
         device = self.evaluator.device
         if self._on_gpu is None:
-            self._on_gpu = wp.array(real_form(self._matrix, None), dtype=wp.float32, device=device)
+            self._on_gpu = wp.array(real_form(self._matrix), dtype=wp.float32, device=device)
         if basis is None:
             return self._on_gpu
         back = basis.conj().T
@@ -197,13 +204,6 @@ class Transfer:
             kernels.product, dim=tiles, inputs=[left, right, result], block_dim=kernels.TILE_THREADS,
             device=self.evaluator.device,
         )  # fmt: skip
-
-    def _weights(self, law: str) -> tuple[float, float]:
-        """Factors of |p|^2 and of |grad p/k|^2 along the surface; |u| = |grad p|/(w rho), so rho |u|^2 has the same."""
-        check_law(law)
-        air = self.evaluator.air
-        per_pressure = 1.0 / (density(air) * sound_speed(air) ** 2)
-        return per_pressure, per_pressure if law == "default" else 0.0
 
     def reduced(self, drives: ArrayLike) -> tuple[NDArray[np.complex64], NDArray[np.complex64] | None]:
         """The frames, or their coordinates in a smaller orthonormal basis, shape (transducers, r), if that saves work.
@@ -260,17 +260,27 @@ def squares(frames: Complex) -> Float:
     return np.einsum("ij,ij->i", parts, parts)
 
 
-def real_form(matrix: Float32, basis: NDArray[np.complex64] | None) -> Float32:
-    """Matrix that takes (real, imaginary) coordinates of a drive to eight blocks of points, shape (2 r, 8 n).
+def in_basis(matrix: Float32, basis: NDArray[np.complex64]) -> Float32:
+    """The rows of V^H times the matrix, in its own form, shape (r, 8, n); basis: V, see Transfer.reduced."""
+    back = basis.conj().T
+    real, imag = (matrix[:, half].reshape(len(matrix), -1) for half in (slice(0, 4), slice(4, 8)))
+    parts = [back.real @ real - back.imag @ imag, back.real @ imag + back.imag @ real]
+    return np.concatenate([part.reshape(len(back), 4, -1) for part in parts], axis=1)
 
-    matrix: as Transfer keeps it, shape (transducers, 8, n); basis: see Transfer.reduced
+
+def real_form(matrix: Float32) -> Float32:
+    """Matrix that takes a drive's (real, imaginary) parts to eight blocks of points, shape (2 transducers, 8 n).
+
+    matrix: as Transfer keeps it, shape (transducers, 8, n)
     """
-    real = matrix[:, :4].reshape(len(matrix), -1)
-    imag = matrix[:, 4:].reshape(len(matrix), -1)
-    if basis is not None:
-        back = basis.conj().T
-        real, imag = back.real @ real - back.imag @ imag, back.real @ imag + back.imag @ real
+    real, imag = (matrix[:, half].reshape(len(matrix), -1) for half in (slice(0, 4), slice(4, 8)))
     return np.block([[real, imag], [-imag, real]])
+
+
+@functools.cache
+def _blas() -> ThreadpoolController:
+    """The BLAS libraries of this process: to look for them takes 2 ms."""
+    return ThreadpoolController()
 
 
 def matrix_bytes(elements: int, points: int) -> int:

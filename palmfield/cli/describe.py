@@ -38,7 +38,7 @@ def describe(scene: Scene) -> str:
             f"G*(200 Hz) {modulus.real:.0f}{modulus.imag:+.0f}i Pa",
         ),
         ("material source", material.source),
-        ("ARP law", LAWS[rig.skin.arp_law]),
+        ("ARP law", LAWS[rig.skin.arp_law].about),
         (
             "conventions",
             "e^{-i w t}, pressure as complex peak; ARP positive into the surface; displacement positive outward",

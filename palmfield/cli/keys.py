@@ -5,7 +5,7 @@ import io
 from rich.console import Console
 from rich.table import Table
 
-from palmfield.config import CONFIGS, table
+from palmfield.config import CONFIGS, renamed_table, table
 from palmfield.errors import SceneError
 
 HEADINGS = ("key", "unit", "allowed", "default", "meaning")
@@ -32,7 +32,14 @@ def as_markdown() -> str:
     for config in CONFIGS:
         lines += [f"## {config.plugin}", "", config.about, ""]
         lines += ["| " + " | ".join(HEADINGS) + " |", "|" + "---|" * len(HEADINGS)]
-        for row in table(config):
-            lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |")
+        lines += [_line(row) for row in table(config)]
         lines.append("")
+    renamed = [(f"`{c.plugin}` {old}", use) for c in CONFIGS for old, use in renamed_table(c)]
+    if renamed:
+        lines += ["## Renamed", "", "Since the last version; a scene that has these is told what to use.", ""]
+        lines += ["| was | use |", "|---|---|", *(_line(row) for row in renamed), ""]
     return "\n".join(lines)
+
+
+def _line(row: tuple[str, ...]) -> str:
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |"

@@ -57,7 +57,7 @@ HAPTIC = """<!-- {name}: run with `palmfield run {name}.xml`, or watch with `pyt
     <plugin plugin="palmfield.driver">
       <instance name="driver">
         <!-- ideal plays anything; sonicsurface only what the board can. -->
-        <config key="device" value="ideal"/>
+        <config key="board" value="ideal"/>
       </instance>
     </plugin>
   </extension>

@@ -4,8 +4,8 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from palmfield.acoustics.air import LIMITS
 from palmfield.config.base import Config, Numbers, Positive
+from palmfield.types import AIR_LIMITS
 
 Layout = Literal[
     "uhev1", "sonicsurface", "autd2018", "autd2018_2x2", "autd3", "autd3_2x2", "two_bow_as_printed",
@@ -14,13 +14,14 @@ Layout = Literal[
 
 
 def _air(name: str) -> Any:
-    low, high = LIMITS[name]
+    low, high = AIR_LIMITS[name]
     return Field(ge=low, le=high)
 
 
 class ArrayConfig(Config):
     plugin: ClassVar[str] = "palmfield.array"
     about: ClassVar[str] = "A transducer array and the air around it. Its frame is that of a site."
+    renamed: ClassVar[dict[str, str]] = {"compute": "the scene's palmfield_device text"}
 
     layout: Layout = Field("uhev1", description="arrangement of the transducers (docs/arrays.md), or `sites`")
     sites: str | None = Field(
@@ -51,9 +52,6 @@ class ArrayConfig(Config):
     temperature_C: Annotated[float, _air("temperature_C")] = Field(20.0, description="air temperature")
     humidity_percent: Annotated[float, _air("humidity_percent")] = Field(50.0, description="relative humidity")
     pressure_Pa: Annotated[float, _air("pressure_Pa")] = Field(101325.0, description="static air pressure")
-    compute: Annotated[str, Field(pattern=r"^(auto|cpu|cuda:\d+)$")] = Field(
-        "auto", description="where the field kernels run: auto, cpu or cuda:N"
-    )
 
     @model_validator(mode="after")
     def _range(self) -> Self:

@@ -23,11 +23,25 @@ Fraction = Annotated[float, Field(ge=0, le=1)]
 
 
 class Config(BaseModel):
-    """Keys of one plugin instance. Values arrive as MJCF text; a value that does not fit is a SceneError."""
+    """Keys of one plugin instance. Values arrive as MJCF text; a value that does not fit is a SceneError.
+
+    plugin: name of the plugin; about: what its keys say, in a sentence
+    renamed: what has another name since the last version -> what to use: a key (`device`: "board"), or a value of a
+        key (`solver=full`: "wedges"). They stay known for one version so that a scene that has them is told what to do
+    refused: values that make sense elsewhere but not in a scene (`solver=axisymmetric`) -> why, and what to do
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     plugin: ClassVar[str]
     about: ClassVar[str]
+    renamed: ClassVar[dict[str, str]] = {}
+    refused: ClassVar[dict[str, str]] = {}
+
+
+def known_keys(model: type[Config]) -> list[str]:
+    """All keys that a scene may hold without MuJoCo refusing it: those that there are, and renamed ones."""
+    gone = [name for name in model.renamed if "=" not in name and name not in model.model_fields]
+    return [*model.model_fields, *gone]
 
 
 def parse(model: type[Config], values: dict[str, str], element: str) -> Config:
@@ -35,12 +49,25 @@ def parse(model: type[Config], values: dict[str, str], element: str) -> Config:
 
     values: key -> text, only the keys that the scene sets
     element: how the message names the instance, e.g. `plugin 'palmfield.skin' instance 'skin'`
-    Raises SceneError with element, key, value and what is allowed.
+    Raises SceneError with element, key, value and what is allowed, or what to do instead.
     """
+    advice = [text for key, value in values.items() for text in _advice(model, key, value)]
+    if advice:
+        raise SceneError(f"{element}: " + "; ".join(advice))
     try:
         return model.model_validate(values)
     except ValidationError as error:
         raise SceneError(f"{element}: " + "; ".join(_explain(model, values, e) for e in error.errors())) from None
+
+
+def _advice(model: type[Config], key: str, value: str) -> list[str]:
+    """What to use in place of a key or a value that is renamed or refused; nothing for others."""
+    if key in model.renamed:
+        return [f"key '{key}' is renamed: use {model.renamed[key]}"]
+    both = f"{key}={value}"
+    if both in model.renamed:
+        return [f"key '{key}' has value '{value}', which is renamed: use {model.renamed[both]}"]
+    return [f"key '{key}' has value '{value}', {model.refused[both]}"] if both in model.refused else []
 
 
 def _explain(model: type[Config], values: dict[str, str], error: Any) -> str:
@@ -92,3 +119,8 @@ def table(model: type[Config]) -> list[tuple[str, str, str, str, str]]:
         text = "" if default is None else str(default)
         rows.append((key, unit(key), allowed(model, key), text, info.description or ""))
     return rows
+
+
+def renamed_table(model: type[Config]) -> list[tuple[str, str]]:
+    """Rows (key, or key and value, of the last version; what to use) of what is renamed."""
+    return [(name.replace("=", " "), use) for name, use in model.renamed.items()]

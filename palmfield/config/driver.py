@@ -9,8 +9,9 @@ from palmfield.config.base import Config
 
 class DriverConfig(Config):
     plugin: ClassVar[str] = "palmfield.driver"
-    about: ClassVar[str] = "The device that plays the drive; what it can't play is not simulated either."
+    about: ClassVar[str] = "The board that plays the drive; what it can't play is not simulated either."
+    renamed: ClassVar[dict[str, str]] = {"device": "board"}
 
-    device: Literal["ideal", "sonicsurface"] = Field(
+    board: Literal["ideal", "sonicsurface"] = Field(
         "ideal", description="ideal: continuous phase and amplitude at any rate; sonicsurface: decoded from its bytes"
     )

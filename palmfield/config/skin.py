@@ -11,12 +11,22 @@ ArpLaw = Literal["default", "alpha"]
 Base = Literal["bonded", "free_slip", "free", "springs"]
 Side = Literal["fixed", "free", "roller", "absorbing"]
 SPRINGS = ("base_normal_Pa_m", "base_tangential_Pa_m", "base_normal_Pa_s_m", "base_tangential_Pa_s_m")
+WHOLE_HISTORY = ("axisymmetric", "lateral_waves", "spectral_elements", "particles")
+"""Solvers that no scene can step."""
 OVERRIDES = ("density_kg_m3", "shear_relaxed_Pa", "shear_branch_Pa", "relaxation_time_s", "bulk_Pa")
 
 
 class SkinConfig(Config):
     plugin: ClassVar[str] = "palmfield.skin"
     about: ClassVar[str] = "The surface that the sound meets and the viscoelastic skin layer on part of it."
+    renamed: ClassVar[dict[str, str]] = {"solver=full": "wedges", "solver=implicit": "wedges"}
+    refused: ClassVar[dict[str, str]] = {
+        f"solver={name}": (
+            "which computes the whole history of a load that is known from the start, as a scene's is not: "
+            f"call palmfield.skin.solve(..., solver='{name}'), or set solver to auto"
+        )
+        for name in WHOLE_HISTORY
+    }
 
     body: str = Field("hand", description="body that carries the surface; its frame is the surface's frame")
     shape: Literal["hand", "articulated", "disc", "mesh", "rigged"] = Field(
@@ -77,9 +87,9 @@ class SkinConfig(Config):
     max_frequency_Hz: Annotated[float, Field(gt=0, le=2000)] | None = Field(
         None, description="highest frequency to resolve (default: from the stimulus)"
     )
-    solver: Literal["auto", "full", "reduced"] = Field(
+    solver: Literal["auto", "wedges", "reduced"] = Field(
         "auto",
-        description="steps the whole layer, or a small model made for the stimulus; auto takes the cheaper that can",
+        description="wedges: steps the whole layer; reduced: a small model of it for the stimulus; auto: the cheaper",
     )
     obstacles: Names = Field(
         (), description="bodies whose geoms, and those of what hangs on them, cast shadows too: body_sound shadows"

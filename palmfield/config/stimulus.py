@@ -27,6 +27,9 @@ class StimulusConfig(Config):
     plugin: ClassVar[str] = "palmfield.stimulus"
     about: ClassVar[str] = "Where the focus is and how strong, over time."
 
+    arrays: Names = Field(
+        (), description="instances of palmfield.array that it drives (default: all that no other stimulus names)"
+    )
     focus_m: Vector = Field((0.0, 0.0, 0.2), description="focus, or centre of its path, in `frame`")
     frame: str = Field("array", description="`array`, or the name of a site in whose frame focus and path are given")
     path: Literal["point", "circle", "line", "zigzag", "square", "z", "lissajous", "letters", "polyline", "sites"] = (
@@ -38,6 +41,9 @@ class StimulusConfig(Config):
     path_on: Literal["plane", "skin"] = Field(
         "plane",
         description="skin: drawn on the surface about the skin nearest to focus_m in the reference pose, x as in frame",
+    )
+    on_skin: str | None = Field(
+        None, description="instance of palmfield.skin that path_on and path_sites mean (default: the only one)"
     )
     path_diameter_m: Positive | None = Field(None, description="diameter of the circle")
     path_width_m: Positive | None = Field(
@@ -97,6 +103,12 @@ class StimulusConfig(Config):
             missing = [k for k in ("am_of", "am_frequency_Hz", "am_depth") if getattr(self, k) is None]
             if missing:
                 raise ValueError(f"modulation 'am' needs {', '.join(missing)}")
+        if len(set(self.arrays)) < len(self.arrays):
+            raise ValueError(f"arrays are '{' '.join(self.arrays)}': name each once")
+        if self.on_skin is not None and self.path_on != "skin":
+            raise ValueError(
+                f"on_skin belongs to a path on the skin, path_on is '{self.path_on}': drop it or set path_on"
+            )
         self._check_path()
         self._check_foci_and_bursts()
         if self.arp_peak_Pa is not None and self.drive_amplitude is not None:

@@ -81,7 +81,7 @@ def filter_frames(
     Raises DeviceError for another shape, values that are not finite, and dt not above 0.
     """
     wanted, start = _frames(drives, dt, pole, initial)
-    decay, held, slope = _weights(pole.rate * dt)
+    decay, held, slope = pole_weights(pole.rate * dt)
     gain = pole.damping / pole.rate
     count = len(wanted) - 1 if linear else len(wanted)
     emitted = np.empty((count + 1, wanted.shape[1]), np.complex128)
@@ -99,7 +99,7 @@ def pole_step(emitted: Complex, first: Complex, last: Complex, pole: Pole, time_
     Relative to the steady response at the carrier, where p0 is measured: under a constant drive they settle to it.
     time_s: [s], above 0
     """
-    decay, held, slope = _weights(pole.rate * time_s)
+    decay, held, slope = pole_weights(pole.rate * time_s)
     return np.asarray(decay * emitted + held * first + slope * (last - first), np.complex128)
 
 
@@ -183,7 +183,7 @@ def delay_bound(envelope_frequency_Hz: float, spread_s: float) -> float:
     return float(2.0 * np.sin(min(0.25 * w * spread_s, 0.5 * np.pi)))
 
 
-def _weights(z: Complex) -> tuple[Complex, Complex, Complex]:
+def pole_weights(z: Complex) -> tuple[Complex, Complex, Complex]:
     """e^{-z}; 1 - e^{-z}; and 1 - (1 - e^{-z})/z, the weight of a ramp over a step; each without cancellation."""
     held = -np.expm1(-z)
     small = np.abs(z) < 1e-3

@@ -14,10 +14,25 @@ from typing import Any, ClassVar
 
 import mujoco
 
-from palmfield.config import Config, parse
+from palmfield.config import Config, known_keys, parse
 from palmfield.errors import PalmfieldError
-from palmfield.mujoco_host.mujoco_view import ModelView, World
+from palmfield.mujoco_host.mujoco_view import DataView, ModelView
 from palmfield.mujoco_host.structs import Plugin, library
+
+
+class World(DataView):
+    """One mjData with the modules of its plugin instances.
+
+    scene: the palmfield scene that it holds, made by its first skin
+    error: what a module could not raise through C; quiet: whether somebody will raise it, so that MuJoCo need not warn
+    """
+
+    def __init__(self, model: int, data: int):
+        super().__init__(model, data)
+        self.modules: dict[int, Module] = {}
+        self.scene: Any = None
+        self.error: Exception | None = None
+        self.quiet = False
 
 
 class Module:
@@ -53,6 +68,9 @@ class Module:
 
     def advance(self) -> None:
         """Carry the module's own state over one step; MuJoCo's time already stands at its end."""
+
+    def copy_from(self, other: Any) -> None:
+        """mj_copyData has copied another mjData's state into this one; `other` is its module."""
 
 
 _worlds: dict[int, World] = {}
@@ -100,14 +118,14 @@ def _fail(world: World | None, module: str, error: Exception) -> None:
     if world is not None:
         world.error = world.error or error
         for instance in world.modules:
-            for *_, data in world.sensors(instance):
-                data[:] = float("nan")
+            for sensor in world.sensors(instance):
+                sensor.data[:] = float("nan")
 
 
 def settings_of(module: type[Module], model: ModelView, instance: int) -> Config:
     """Typed configuration of a plugin instance; SceneError as in `palmfield.config.parse`."""
     name = next(n for i, _, n in model.instances() if i == instance)
-    values = model.values(instance, list(module.config.model_fields))
+    values = model.values(instance, known_keys(module.config))
     return parse(module.config, values, f"plugin '{module.name}' instance '{name}'")
 
 
@@ -119,20 +137,25 @@ def register(module: type[Module]) -> None:
 
     def nstate(model: int, instance: int) -> int:
         try:
-            view = ModelView(model)
+            view = ModelView(model, complete=False)
             return module.state_size(settings_of(module, view, instance), view)
-        except Exception:
-            return 0  # init meets the same error and can report it
+        except Exception as error:
+            _compiling.sizing = getattr(_compiling, "sizing", None) or error
+            return 0  # init reports it
 
     def nsensordata(model: int, instance: int, sensor: int) -> int:
         try:
-            view = ModelView(model)
+            view = ModelView(model, complete=False)
             return module.sensor_size(settings_of(module, view, instance), view, sensor)
-        except Exception:
+        except Exception as error:
+            _compiling.sizing = getattr(_compiling, "sizing", None) or error
             return 1  # as above
 
     def init(model: int, data: int, instance: int) -> int:
         try:
+            sizing, _compiling.sizing = getattr(_compiling, "sizing", None), None
+            if sizing is not None:
+                raise sizing
             with _lock:
                 world = _worlds.get(data)
                 if world is None or instance in world.modules or world.model.address != model:
@@ -149,6 +172,10 @@ def register(module: type[Module]) -> None:
         world = _worlds.get(data)
         if world is None or instance not in world.modules or world.model.address != model:
             init(model, data, instance)
+            world = _worlds.get(data)
+        origin = _worlds.get(source)
+        if world is not None and origin is not None and instance in world.modules and instance in origin.modules:
+            world.modules[instance].copy_from(origin.modules[instance])
 
     # At exit MuJoCo frees its data after this file's globals are gone; the closure keeps what `destroy` needs.
     worlds, lock = _worlds, _lock
@@ -192,10 +219,10 @@ def register(module: type[Module]) -> None:
             _fail(world, module.name, error)
 
     void, integer = ctypes.c_void_p, ctypes.c_int
-    flags = int(mujoco.mjtPluginCapabilityBit.mjPLUGIN_PASSIVE)
+    flags = 0 if module.forces is Module.forces else int(mujoco.mjtPluginCapabilityBit.mjPLUGIN_PASSIVE)
     if module.sensor:
         flags |= int(mujoco.mjtPluginCapabilityBit.mjPLUGIN_SENSOR)
-    keys = [key.encode() for key in module.config.model_fields]
+    keys = [key.encode() for key in known_keys(module.config)]
     attributes = (ctypes.c_char_p * max(len(keys), 1))(*keys)
     plugin = Plugin()
     lib.mjp_defaultPlugin(ctypes.byref(plugin))
@@ -213,6 +240,8 @@ def register(module: type[Module]) -> None:
         "compute": (compute, ctypes.CFUNCTYPE(None, void, void, integer, integer)),
         "advance": (advance, ctypes.CFUNCTYPE(None, void, void, integer)),
     }
+    if module.advance is Module.advance:
+        del prototypes["advance"]
     for field, (function, prototype) in prototypes.items():
         thunk = prototype(function)
         # MuJoCo calls destroy after the interpreter has begun to shut down: the thunk must never be freed.

@@ -2,8 +2,9 @@
 
 
 def register() -> None:
-    """Make the four modules known to MuJoCo."""
-    from palmfield.engine import host, modules
+    """Make palmfield's modules known to MuJoCo."""
+    from palmfield.engine import host
+    from palmfield.engine.modules import MODULES
 
-    for module in modules.MODULES:
+    for module in MODULES:
         host.register(module)

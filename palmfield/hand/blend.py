@@ -10,7 +10,7 @@ def bone_shifts(origins: Float, positions: Float, turns: Float) -> Float:
 
     origins: of the bones' frames at rest [m], positions: now, shapes (b, 3); turns: rotations, shape (b, 3, 3)
     """
-    return np.asarray(positions - np.einsum("bij,bj->bi", turns, origins))
+    return np.asarray(positions - np.matmul(turns, origins[:, :, None])[:, :, 0])
 
 
 def blended(bones: Int, shares: Float, shifts: Float, turns: Float) -> tuple[Float, Float]:

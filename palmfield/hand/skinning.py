@@ -1,7 +1,9 @@
 """A skin that follows its bones: that of the articulated hand, and that of a user's rigged mesh."""
 
-from collections.abc import Sequence
-from functools import lru_cache
+import threading
+from collections.abc import Callable, Sequence
+from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -10,7 +12,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 import warp_kernels.skinning as kernels
-from palmfield.device import resolve
+from palmfield.device import SharedArray, recorded, resolve
 from palmfield.errors import SceneError
 from palmfield.hand.articulated import ArticulatedHand, HandBone, articulate
 from palmfield.hand.blend import bone_shifts
@@ -112,26 +114,24 @@ class SkinnedSurface:
     """A skin that follows its bones, whose frames are parallel to the surface's in the rest pose.
 
     bones: names and rest origins; surface: the skin in the rest pose; weights: share of each bone in each vertex,
-    shape (n, bones), at most four a vertex, rows of sum 1
-    After `pose` the arrays `vertices` and `normals` hold the posed skin on the device (Warp, vec3).
+    shape (n, bones), at most four a vertex, rows of sum 1; origins: of the bones at rest [m], shape (bones, 3)
+    Poses may be asked for from several threads: each waits for the others. After `pose` the arrays `vertices` and
+    `normals` hold the posed skin on the device (Warp, vec3), until the next pose of whoever asks.
     """
 
     def __init__(self, bones: Sequence[HandBone], surface: Surface, weights: Float, device: str = "cpu") -> None:
         """Raises PalmfieldError for an unknown device."""
         self.bones, self.surface, self.weights = list(bones), surface, weights
         self._device = resolve(device)
-        self._origins = np.array([bone.origin for bone in self.bones])
-        shares, order = strongest(sparse.csr_array(weights))
-        faces = surface.faces
-        count = np.bincount(faces.ravel(), minlength=len(surface.vertices))
-        self._rest: wp.array = self._put(surface.vertices, wp.vec3)
-        self._bones: wp.array = self._put(order, wp.vec4i)
-        self._shares: wp.array = self._put(shares, wp.vec4)
-        self._faces: wp.array = wp.array(faces, dtype=wp.int32, device=self._device)
-        self._first: wp.array = self._put(np.concatenate([[0], np.cumsum(count)]), wp.int32)
-        self._corners: wp.array = self._put(np.argsort(faces.ravel(), kind="stable"), wp.int32)
-        self.vertices: wp.array = wp.empty(len(order), dtype=wp.vec3, device=self._device)
-        self.normals: wp.array = wp.empty(len(order), dtype=wp.vec3, device=self._device)
+        self.origins: Float = np.array([bone.origin for bone in self.bones])
+        self._shapes = self.origins.shape, (len(self.bones), 3, 3)
+        self._lock = threading.Lock()
+        count = len(surface.vertices)
+        self._turns = SharedArray(len(self.bones), wp.mat33, self._device)
+        self._shifts = SharedArray(len(self.bones), wp.vec3, self._device)
+        self._vertices = SharedArray(count, wp.vec3, self._device)
+        self._normals = SharedArray(count, wp.vec3, self._device)
+        self.vertices, self.normals = self._vertices.array, self._normals.array
 
     def posed(self, bone_positions: Float, bone_rotations: Float) -> Float:
         """Vertices [m], shape (n, 3), where the bones' frames are at `bone_positions` [m], shape (bones, 3), and
@@ -139,40 +139,68 @@ class SkinnedSurface:
 
         Linear blend skinning in float32. Raises SceneError for other shapes.
         """
-        self.pose(bone_positions, bone_rotations)
-        return self.vertices.numpy().astype(np.float64)
+        with self._lock:
+            self._blend_to(bone_positions, bone_rotations)
+            self._fetch(self._vertices)
+            return self._vertices.host.astype(np.float64)
 
     def posed_surface(self, bone_positions: Float, bone_rotations: Float) -> Surface:
         """As `posed`, with faces and angle-weighted normals."""
-        vertices = self.posed(bone_positions, bone_rotations)
-        return Surface(vertices, self.surface.faces, self.normals.numpy().astype(np.float64))
+        with self._lock:
+            self._blend_to(bone_positions, bone_rotations)
+            self._make_normals()
+            self._fetch(self._vertices, self._normals)
+            vertices, normals = (array.host.astype(np.float64) for array in (self._vertices, self._normals))
+        return Surface(vertices, self.surface.faces, normals)
 
     def pose(self, bone_positions: Float, bone_rotations: Float) -> None:
         """Fill `vertices` and `normals` on the device, without waiting for it. Raises SceneError as `posed`."""
-        number = len(self._origins)
-        if np.shape(bone_positions) != (number, 3) or np.shape(bone_rotations) != (number, 3, 3):
+        with self._lock:
+            self._blend_to(bone_positions, bone_rotations)
+            self._make_normals()
+
+    def _blend_to(self, bone_positions: Float, bone_rotations: Float) -> None:
+        """Fill `vertices`."""
+        if (bone_positions.shape, bone_rotations.shape) != self._shapes:
+            number = len(self.bones)
             raise SceneError(
-                f"skin on bones: positions {np.shape(bone_positions)} and rotations {np.shape(bone_rotations)} given; "
+                f"skin on bones: positions {bone_positions.shape} and rotations {bone_rotations.shape} given; "
                 f"give ({number}, 3) and ({number}, 3, 3), one for each bone"
             )
-        shifts = bone_shifts(self._origins, bone_positions, bone_rotations)
-        turned = self._put(bone_rotations, wp.mat33)
-        inputs = [self._rest, self._bones, self._shares, turned, self._put(shifts, wp.vec3)]
-        dim = len(self.vertices)
-        wp.launch(kernels.blend_bones, dim=dim, inputs=inputs, outputs=[self.vertices], device=self._device)
-        wp.launch(
-            kernels.normals_by_angle,
-            dim=dim,
-            inputs=[self.vertices, self._faces, self._first, self._corners],
-            outputs=[self.normals],
-            device=self._device,
-        )
+        self._turns.put(bone_rotations)
+        self._shifts.put(bone_shifts(self.origins, bone_positions, bone_rotations))
+        self._blend()
+
+    def _fetch(self, *arrays: SharedArray) -> None:
+        """Bring what kernels have written to where NumPy sees it."""
+        if self._device != "cpu":
+            for array in arrays:
+                array.download()
+            wp.synchronize_stream(self._device)
+
+    @cached_property
+    def _blend(self) -> Callable[[], object]:
+        shares, order = strongest(sparse.csr_array(self.weights))
+        inputs = [
+            self._put(self.surface.vertices, wp.vec3), self._put(order, wp.vec4i), self._put(shares, wp.vec4),
+            self._turns.array, self._shifts.array, self.vertices,
+        ]  # fmt: skip
+        return recorded(kernels.blend_bones, len(self.surface.vertices), inputs, self._device)
+
+    @cached_property
+    def _make_normals(self) -> Callable[[], object]:
+        faces, number = self.surface.faces, len(self.surface.vertices)
+        count = np.bincount(faces.ravel(), minlength=number)
+        corners: wp.array = wp.array(faces, dtype=wp.int32, device=self._device)
+        first = self._put(np.concatenate([[0], np.cumsum(count)]), wp.int32)
+        inputs = [self.vertices, corners, first, self._put(np.argsort(faces.ravel(), kind="stable"), wp.int32)]
+        return recorded(kernels.normals_by_angle, number, [*inputs, self.normals], self._device)
 
     def dominant_bone(self) -> Int:
         """Index of the bone with the largest share in each vertex, shape (n,)."""
         return np.argmax(self.weights, axis=1).astype(np.int32)
 
-    def _put(self, values: ArrayLike, dtype: type) -> wp.array:
+    def _put(self, values: ArrayLike, dtype: Any) -> wp.array:
         whole = dtype in (wp.int32, wp.vec4i)
         return wp.array(np.asarray(values, dtype=np.int32 if whole else np.float32), dtype=dtype, device=self._device)
 

@@ -1,5 +1,7 @@
 """A hand's motion through given poses at given times."""
 
+import math
+from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -33,27 +35,46 @@ class Curve:
         """
         self.span_s = float(times_s[0]), float(times_s[-1])
         self._joints = list(joints)
-        self._times = times_s
         values = np.concatenate([positions, angles_deg], axis=1)
         slopes = PchipInterpolator(times_s, values).derivative()(times_s)
         if rest:
             slopes[[0, -1]] = 0.0
-        self._values = CubicHermiteSpline(times_s, values, slopes)
-        self._from = Rotation.from_quat(quaternions, scalar_first=True)
-        self._turns = _turns(times_s, self._from, rest)
+        self._coefficients = CubicHermiteSpline(times_s, values, slopes).c
+        keys = Rotation.from_quat(quaternions, scalar_first=True)
+        self._knots, self._from = times_s.tolist(), quaternions.tolist()
+        self._turns = _turns(times_s, keys, rest).tolist()
 
     def __call__(self, time_s: float) -> HandPose:
         """The pose at a time [s]."""
         time = min(max(float(time_s), self.span_s[0]), self.span_s[1])
-        values = self._values(time)
-        n = int(np.clip(np.searchsorted(self._times, time, side="right") - 1, 0, len(self._times) - 2))
-        s = (time - self._times[n]) / (self._times[n + 1] - self._times[n])
+        n = min(max(bisect_right(self._knots, time) - 1, 0), len(self._knots) - 2)
+        begin, end = self._knots[n], self._knots[n + 1]
+        cubic, square, linear, constant = self._coefficients[:, n]
+        x, s = time - begin, (time - begin) / (end - begin)
+        values = ((cubic * x + square) * x + linear) * x + constant
         # Bernstein polynomials of the third order, summed from the end.
-        shares = np.array([1.0 - (1.0 - s) ** 3, s * s * (3.0 - 2.0 * s), s**3])
-        first, second, third = Rotation.from_rotvec(shares[:, None] * self._turns[n])
-        turned = self._from[n] * first * second * third
+        shares = 1.0 - (1.0 - s) ** 3, s * s * (3.0 - 2.0 * s), s**3
+        turned = self._from[n]
+        for share, turn in zip(shares, self._turns[n], strict=True):
+            turned = _turned(turned, share, turn)
         angles = dict(zip(self._joints, values[3:].tolist(), strict=True))
-        return HandPose(values[:3], turned.as_quat(scalar_first=True), angles)
+        return HandPose(values[:3], np.array(turned), angles)
+
+
+def _turned(quaternion: Sequence[float], share: float, turn: Sequence[float]) -> tuple[float, float, float, float]:
+    """A rotation (w, x, y, z) followed, in its own axes, by a share of a rotation vector [rad]."""
+    a, b, c = turn
+    angle = math.sqrt(a * a + b * b + c * c)
+    half = 0.5 * share * angle
+    scale = math.sin(half) / angle if angle > 0.0 else 0.0
+    w, x, y, z = quaternion
+    p, q, r, s = math.cos(half), scale * a, scale * b, scale * c
+    return (
+        w * p - x * q - y * r - z * s,
+        w * q + x * p + y * s - z * r,
+        w * r - x * s + y * p + z * q,
+        w * s + x * r - y * q + z * p,
+    )
 
 
 def _turns(times: Float, keys: Rotation, rest: bool) -> Float:

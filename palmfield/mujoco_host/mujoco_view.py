@@ -1,14 +1,16 @@
-"""What a module sees of MuJoCo's model and data inside a callback: names, poses, time, forces."""
+"""What plugins see of MuJoCo's model and data inside a callback: names, poses, time, state, forces."""
 
 import ctypes
-from typing import Any, Literal
+from collections.abc import Sequence
+from typing import Any, Literal, NamedTuple
 
 import mujoco
 import numpy as np
 
 from palmfield.errors import SceneError
 from palmfield.mujoco_host.structs import Plugin, library, mirror
-from palmfield.types import Float, Int
+from palmfield.transforms import Transform, rotation_matrix
+from palmfield.types import Float
 
 SOLIDS = ("box", "capsule", "cylinder", "ellipsoid", "sphere")
 Geom = tuple[str, tuple[Any, ...], tuple[float, ...], tuple[float, ...]]
@@ -24,18 +26,14 @@ _OBJECT = {
 _COUNT = {"joint": "njnt", "actuator": "nu"}
 
 
-def rotation(quaternion: Float) -> Float:
-    """Rotation matrix, shape (3, 3), of a unit quaternion (w, x, y, z)."""
-    matrix = np.empty(9)
-    mujoco.mju_quat2Mat(matrix, np.asarray(quaternion, dtype=np.float64))
-    return matrix.reshape(3, 3)
-
-
 class ModelView:
-    """Read-only view of an mjModel by its address."""
+    """Read-only view of an mjModel by its address.
 
-    def __init__(self, address: int):
-        self.address = address
+    complete: False while MuJoCo compiles it and asks for the sizes of states: custom numbers and texts are missing then
+    """
+
+    def __init__(self, address: int, complete: bool = True):
+        self.address, self.complete = address, complete
         self.raw = mirror("mjModel").from_address(address)
 
     @property
@@ -61,6 +59,15 @@ class ModelView:
         number = library().mj_name2id(self.address, int(mujoco.mjtObj.mjOBJ_NUMERIC), name.encode())
         return default if number < 0 else float(self.raw.numeric_data[self.raw.numeric_adr[number]])
 
+    def text(self, name: str, default: str) -> str:
+        """A custom text, or the default where the scene has none of that name."""
+        number = library().mj_name2id(self.address, int(mujoco.mjtObj.mjOBJ_TEXT), name.encode())
+        if number < 0:
+            return default
+        start = int(self.raw.text_adr[number])
+        size = int(self.raw.text_size[number]) - 1
+        return b"".join(self.raw.text_data[start + i] for i in range(size)).decode()
+
     def ancestors(self, body: int) -> set[int]:
         """A body and all those that carry it, the world left out."""
         found = set()
@@ -74,7 +81,7 @@ class ModelView:
         return bool(self.raw.body_dofnum[body] > 0 or self.raw.body_mocapid[body] >= 0)
 
     def geoms(self, body: int, element: str) -> tuple[Geom, ...]:
-        """Solid shapes of a body as `palmfield.obstacle.Obstacle` takes them.
+        """Solid shapes of a body as `palmfield.hand.collision_shapes.Obstacle` takes them.
 
         Raises SceneError, naming the asking `element`, for kinds of geom that are no solids.
         """
@@ -104,19 +111,19 @@ class ModelView:
         """Position of a site in its body's frame [m], shape (3,)."""
         return np.array(self.raw.site_pos[3 * site : 3 * site + 3])
 
-    def reference_pose(self, kind: Literal["body", "site"], number: int) -> tuple[Float, Float]:
-        """World position [m], shape (3,), and rotation, shape (3, 3), in the reference configuration qpos0."""
+    def reference_pose(self, kind: Literal["body", "site"], number: int) -> Transform:
+        """Frame of a body or site in the world, in the reference configuration qpos0."""
         position, turn = np.zeros(3), np.eye(3)
         if kind == "site":
             position = self.site_position(number)
-            turn = rotation(np.array(self.raw.site_quat[4 * number : 4 * number + 4]))
+            turn = rotation_matrix(np.array(self.raw.site_quat[4 * number : 4 * number + 4]))
             number = self.site_body(number)
         while number > 0:
-            parent = rotation(np.array(self.raw.body_quat[4 * number : 4 * number + 4]))
+            parent = rotation_matrix(np.array(self.raw.body_quat[4 * number : 4 * number + 4]))
             position = np.array(self.raw.body_pos[3 * number : 3 * number + 3]) + parent @ position
             turn = parent @ turn
             number = int(self.raw.body_parentid[number])
-        return position, turn
+        return Transform(position, turn)
 
     def instances(self) -> list[tuple[int, str, str]]:
         """All plugin instances as (number, plugin name, instance name)."""
@@ -135,78 +142,56 @@ class ModelView:
         return {key: text.decode() for key, text in texts.items() if text}
 
 
-class World:
+class DataView:
     """One mjData with its model. Arrays are views: they show MuJoCo's present values.
 
-    error: what a module could not raise through C; quiet: whether somebody will raise it, so that MuJoCo need not warn
+    Only arrays of mjData's own buffer are kept as views; its arena moves from step to step.
     """
 
     def __init__(self, model: int, data: int):
         self.model = ModelView(model)
         self.address = data
         self.raw = mirror("mjData").from_address(data)
-        self.modules: dict[int, Any] = {}
-        self.error: Exception | None = None
-        self.quiet = False
         counts = self.model.raw
-        self._views = {
+        self.frames = {
             "body": (self._view("xpos", counts.nbody, 3), self._view("xmat", counts.nbody, 9)),
             "site": (self._view("site_xpos", counts.nsite, 3), self._view("site_xmat", counts.nsite, 9)),
         }
+        """World positions [m], shape (n, 3), and rotation matrices by row, shape (n, 9), of bodies and sites."""
+        self.controls = self._view("ctrl", counts.nu, 1)[:, 0]
+        self._mocap = self._view("mocap_pos", counts.nmocap, 3), self._view("mocap_quat", counts.nmocap, 4)
+        self._qpos = self._view("qpos", counts.nq, 1)[:, 0]
+        self._qvel = self._view("qvel", counts.nv, 1)[:, 0]
 
     def _view(self, name: str, rows: int, columns: int) -> Float:
         if rows == 0:
             return np.zeros((0, columns))
-        return np.ctypeslib.as_array(getattr(self.raw, name), shape=(rows, columns))
+        return np.ctypeslib.as_array(getattr(self.raw, name), shape=(int(rows), columns))
 
     @property
     def time(self) -> float:
         """MuJoCo's time [s]."""
         return float(self.raw.time)
 
-    def pose(self, kind: Literal["body", "site"], number: int) -> tuple[Float, Float]:
-        """World position [m], shape (3,), and rotation matrix, shape (3, 3), copied."""
-        position, matrix = self._views[kind]
-        return position[number].copy(), matrix[number].reshape(3, 3).copy()
-
-    def sites(self, numbers: Int) -> tuple[Float, Float]:
-        """World positions [m] and z axes of some sites, shapes (n, 3), copied."""
-        position, matrix = self._views["site"]
-        return position[numbers], matrix[numbers, 2::3]
+    def pose(self, kind: Literal["body", "site"], number: int) -> Transform:
+        """Frame of a body or site in the world, copied."""
+        position, matrix = self.frames[kind]
+        return Transform(position[number].copy(), matrix[number].reshape(3, 3).copy())
 
     def put_mocap(self, mocap: int, position: Float, quaternion: Float) -> None:
         """Pose a mocap body in the world: position [m], quaternion (w, x, y, z)."""
-        count = self.model.raw.nmocap
-        self._view("mocap_pos", count, 3)[mocap] = position
-        self._view("mocap_quat", count, 4)[mocap] = quaternion
-
-    def controls(self) -> Float:
-        """Controls of all actuators, shape (nu,), a view."""
-        return self._view("ctrl", self.model.raw.nu, 1)[:, 0]
+        self._mocap[0][mocap], self._mocap[1][mocap] = position, quaternion
 
     def put_free(self, joint: int, position: Float, quaternion: Float, velocity: Float, spin: Float) -> None:
         """Put a free joint's body: world position [m] and velocity [m/s], quaternion, spin in its own axes [rad/s]."""
         first, speed = int(self.model.raw.jnt_qposadr[joint]), int(self.model.raw.jnt_dofadr[joint])
-        self._view("qpos", self.model.raw.nq, 1)[first : first + 7, 0] = np.concatenate([position, quaternion])
-        self._view("qvel", self.model.raw.nv, 1)[speed : speed + 6, 0] = np.concatenate([velocity, spin])
+        self._qpos[first : first + 3], self._qpos[first + 3 : first + 7] = position, quaternion
+        self._qvel[speed : speed + 3], self._qvel[speed + 3 : speed + 6] = velocity, spin
 
-    def put_hinges(self, joints: list[int], angles: Float, speeds: Float) -> None:
+    def put_hinges(self, joints: Sequence[int], angles: Float, speeds: Float) -> None:
         """Put hinges at angles [rad] with speeds [rad/s], shapes (n,)."""
-        places = [int(self.model.raw.jnt_qposadr[joint]) for joint in joints]
-        self._view("qpos", self.model.raw.nq, 1)[places, 0] = angles
-        places = [int(self.model.raw.jnt_dofadr[joint]) for joint in joints]
-        self._view("qvel", self.model.raw.nv, 1)[places, 0] = speeds
-
-    def apply(self, body: int, force: Float, torque: Float, point: Float) -> None:
-        """Add a force [N] and torque [N m], both shape (3,) in world axes, at a world point to the passive forces."""
-        if self.model.raw.nv == 0:
-            return
-        f, t, p = (np.ascontiguousarray(x, dtype=np.float64) for x in (force, torque, point))
-        numbers = ctypes.POINTER(ctypes.c_double)
-        library().mj_applyFT(
-            self.model.address, self.address, *(x.ctypes.data_as(numbers) for x in (f, t, p)), body,
-            self.raw.qfrc_passive,
-        )  # fmt: skip
+        self._qpos[[int(self.model.raw.jnt_qposadr[joint]) for joint in joints]] = angles
+        self._qvel[[int(self.model.raw.jnt_dofadr[joint]) for joint in joints]] = speeds
 
     def state(self, instance: int) -> Float:
         """Plugin state of an instance, shape (n,): part of mjData, so that MuJoCo copies, resets and saves it."""
@@ -217,15 +202,56 @@ class World:
         whole = np.ctypeslib.as_array(self.raw.plugin_state, shape=(int(self.model.raw.npluginstate),))
         return whole[start : start + count]
 
-    def sensors(self, instance: int) -> list[tuple[int, str, int, Float]]:
-        """Sensors of an instance: (number, kind of object, object, view of its data)."""
+    def sensors(self, instance: int) -> list["PluginSensor"]:
+        """Sensors of an instance, with views of their data."""
         raw = self.model.raw
         kinds = {int(mujoco.mjtObj.mjOBJ_SITE): "site", int(mujoco.mjtObj.mjOBJ_BODY): "body"}
-        found = []
+        result = []
         for i in range(raw.nsensor):
             if raw.sensor_plugin[i] == instance:
-                size = raw.sensor_dim[i]
                 whole = np.ctypeslib.as_array(self.raw.sensordata, shape=(int(raw.nsensordata),))
-                data = whole[raw.sensor_adr[i] : raw.sensor_adr[i] + size]
-                found.append((i, kinds.get(raw.sensor_objtype[i], ""), int(raw.sensor_objid[i]), data))
-        return found
+                data = whole[raw.sensor_adr[i] : raw.sensor_adr[i] + raw.sensor_dim[i]]
+                name = library().mj_id2name(self.model.address, int(mujoco.mjtObj.mjOBJ_SENSOR), i)
+                kind, target = kinds.get(raw.sensor_objtype[i], ""), int(raw.sensor_objid[i])
+                result.append(PluginSensor(name.decode() if name else f"sensor_{i}", kind, target, data))
+        return result
+
+
+class PluginSensor(NamedTuple):
+    """A sensor of a plugin instance. kind: "site", "body" or "" of what it is attached to; target: its number;
+    data: view of what it reads, shape (channels,)"""
+
+    name: str
+    kind: str
+    target: int
+    data: Float
+
+
+class ForceOutlet:
+    """Adds forces at the origins of some bodies to MuJoCo's passive forces; buffers are made once.
+
+    forces: [N], torques: about the bodies' origins [N m], world axes, shapes (b, 3): to be filled before `apply`
+    """
+
+    def __init__(self, view: DataView, bodies: Sequence[int]):
+        count = len(bodies)
+        self.forces, self.torques = np.zeros((count, 3)), np.zeros((count, 3))
+        self._origins, self._index = np.zeros((count, 3)), np.array(bodies, dtype=np.int64)
+        self._positions = view.frames["body"][0]
+        self._model, self._data, self._raw = view.model.address, view.address, view.raw
+        self._moves = view.model.raw.nv > 0
+        self._apply = library().mj_applyFT
+        rows = [[self._row(array, i) for i in range(count)] for array in (self.forces, self.torques, self._origins)]
+        self._arguments = list(zip(*rows, list(bodies), strict=True))
+
+    @staticmethod
+    def _row(array: Float, i: int) -> Any:
+        return array[i].ctypes.data_as(ctypes.POINTER(ctypes.c_double))
+
+    def apply(self) -> None:
+        """Add the forces at the bodies' present origins."""
+        if not self._moves:
+            return
+        self._positions.take(self._index, 0, self._origins)
+        for force, torque, origin, body in self._arguments:
+            self._apply(self._model, self._data, force, torque, origin, body, self._raw.qfrc_passive)

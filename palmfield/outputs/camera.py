@@ -33,14 +33,17 @@ class Camera(NamedTuple):
         return self.centre + self.focal * plane / (local @ self.forward)[:, None]
 
 
-def look_along_emission(points: Float, array_pose: Float, window: tuple[float, float, float, float]) -> Camera:
+def look_along_emission(
+    points: Float, array_pose: Float, window: tuple[float, float, float, float], azimuth_deg: float = AZIMUTH_DEG
+) -> Camera:
     """Camera that sees the side of things which the array's sound reaches, with all points in a window of the picture.
 
     points: [m] in the world, shape (n, 3); array_pose: shape (7,); window: left, top, width, height [pixels]
+    azimuth_deg: from where, round the array's z
     It looks along the array's +z, slanted, so array and target lie beside each other. The world's z points up.
     """
     x, y, z = axes(array_pose)
-    azimuth, slant = np.radians(AZIMUTH_DEG), np.radians(SLANT_DEG)
+    azimuth, slant = np.radians(azimuth_deg), np.radians(SLANT_DEG)
     forward = np.cos(slant) * (np.cos(azimuth) * x + np.sin(azimuth) * y) + np.sin(slant) * z
     # Where the camera looks straight up or down, the world's z gives no direction in the picture; the board's y does.
     vertical = np.array([0.0, 0.0, 1.0]) if abs(forward[2]) < 0.95 else y

@@ -1,16 +1,17 @@
-"""Poses in results: seven numbers, position [m] and unit quaternion (w, x, y, z)."""
+"""Where things of a result are in the world: poses of seven numbers, position [m] and unit quaternion (w, x, y, z)."""
 
-from typing import Literal
+import json
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 from scipy.spatial.transform import Rotation
 
 from palmfield.hand.blend import blended, bone_shifts
+from palmfield.outputs.motion import pieces
+from palmfield.outputs.schema import has_records, instances
 from palmfield.types import Float
 
-Mesh = Literal["surface", "skin"]
-VERTICES = {"surface": "surface_vertices", "skin": "skin_position"}
 IDENTITY = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 
 
@@ -29,41 +30,101 @@ def axes(pose: Float) -> Float:
     return _rotation(pose).as_matrix().T
 
 
-def body_pose_at(ds: xr.Dataset, time_s: float) -> Float:
-    """Pose of the body at the MuJoCo step nearest to `time_s` [s]; the identity where the result has no steps."""
-    if ds.sizes.get("step_time", 0) == 0 or "body_pose" not in ds:
-        return IDENTITY
-    return ds["body_pose"].values[int(np.abs(ds["step_time"].values - time_s).argmin())]
+def nearest(times_s: Float, time_s: float) -> int:
+    """Place of the time that is nearest to `time_s` [s]."""
+    return int(np.abs(times_s - time_s).argmin())
 
 
-def posed(ds: xr.Dataset, mesh: Mesh, time_s: float) -> Float:
-    """Vertices of the surface or the skin [m], shape (n, 3), in the body frame at the step nearest to a time [s].
+def poses_at(group: xr.Dataset | None, times_s: Float) -> Float:
+    """Poses of an array or a body at the MuJoCo steps nearest to times [s], shape (n,) -> (n, 7).
 
-    An articulated hand's are blended linearly from its bones; any other body's are as at rest.
+    group: one of `instances(result, "array")` or `instances(result, "body")`; the identity where it is None (the result
+    has none) or holds no steps
     """
-    rest: Float = ds[VERTICES[mesh]].values
-    if not has_records(ds, "bone_pose") or f"{mesh}_bone" not in ds:
+    if group is None or not has_records(group, "pose"):
+        return np.tile(IDENTITY, (len(times_s), 1))
+    steps = group["step_time"].values
+    return group["pose"].values[[nearest(steps, time_s) for time_s in times_s.tolist()]]
+
+
+def pose_at(group: xr.Dataset | None, time_s: float) -> Float:
+    """As `poses_at`, of one time, shape (7,)."""
+    return poses_at(group, np.array([time_s]))[0]
+
+
+def posed(mesh: xr.Dataset, body: xr.Dataset | None, time_s: float) -> Float:
+    """Vertices of a skin or a surface [m], shape (n, 3), in the body frame at the step nearest to a time [s].
+
+    mesh: one of `instances(result, "skin")` or `instances(result, "surface")`; body: of the same name
+    An articulated hand's vertices are blended linearly from its bones; any other body's are as at rest.
+    """
+    rest: Float = mesh["rest_position"].values
+    if body is None or not has_records(body, "bone_pose") or "bone_index" not in mesh:
         return rest
-    poses = ds["bone_pose"].values[int(np.abs(ds["step_time"].values - time_s).argmin())]
-    turns = Rotation.from_quat(poses[:, 3:], scalar_first=True).as_matrix()
-    shifts = bone_shifts(ds["bone_rest"].values, poses[:, :3], turns)
-    shares = ds[f"{mesh}_share"].values.astype(np.float64)
-    shift, turn = blended(ds[f"{mesh}_bone"].values, shares, shifts, turns)
-    return np.einsum("nij,nj->ni", turn, rest) + shift
+    poses = body["bone_pose"].isel(step_time=nearest(body["step_time"].values, time_s)).values
+    rotations = _rotation(poses).as_matrix()
+    shifts = bone_shifts(body["bone_rest"].values, poses[:, :3], rotations)
+    weights = mesh["bone_weight"].values.astype(np.float64)
+    shift, matrix = blended(mesh["bone_index"].values, weights, shifts, rotations)
+    return np.einsum("nij,nj->ni", matrix, rest) + shift
 
 
-def has_records(ds: xr.Dataset, name: str) -> bool:
-    """Whether the result holds at least one value of a variable (a run cut off early may lack it)."""
-    return name in ds and ds[name].size > 0
+def in_world(mesh: xr.Dataset, body: xr.Dataset | None, time_s: float) -> Float:
+    """As `posed`, in the world."""
+    return to_world(posed(mesh, body, time_s), pose_at(body, time_s))
 
 
-def loudest(ds: xr.Dataset) -> tuple[int, float]:
-    """Index along `time` and time [s] of the largest ARP on the skin; (0, 0.0) where the result has none."""
-    if not has_records(ds, "arp"):
-        return 0, 0.0
-    index = int(ds["arp"].values.max(axis=1).argmax())
-    return index, float(ds["time"].values[index])
+class Loudest(NamedTuple):
+    """When the ARP on a skin is largest. time_s: [s], 0 for a silent run; place: along `time`; arp_Pa: [Pa]"""
+
+    time_s: float
+    place: int
+    arp_Pa: float
+
+
+def loudest(skin: xr.Dataset) -> Loudest:
+    """When the ARP on a skin is largest; of a run cut off early, from its ARP over time."""
+    times: Float = skin["time"].values if "time" in skin.coords else np.zeros(0)
+    if has_records(skin, "loudest_arp"):
+        time_s = float(skin["loudest_time"])
+        index = nearest(times, time_s) if len(times) else 0
+        return Loudest(time_s, index, float(skin["loudest_arp"].values.max()))
+    best = Loudest(0.0, 0, 0.0)
+    if has_records(skin, "arp"):
+        for place, values in pieces(skin, "arp"):
+            index = int(values.max(axis=1).argmax())
+            if values[index].max() > best.arp_Pa:
+                best = Loudest(float(times[place][index]), place.start + index, float(values[index].max()))
+    return best
+
+
+def bodies(result: xr.DataTree) -> dict[str, list[str]]:
+    """Skins by the body that they are on, in the scene's order.
+
+    A body is named by the attribute `body` of its skins' groups /body; a skin without one has a body of its own.
+    """
+    found: dict[str, list[str]] = {}
+    groups = instances(result, "body")
+    for name in instances(result, "skin"):
+        group = groups.get(name)
+        found.setdefault(name if group is None else str(group.attrs.get("body", name)), []).append(name)
+    return found
+
+
+def arrays_of(stimulus: xr.Dataset, arrays: list[str]) -> list[str]:
+    """Names of the arrays that a stimulus drives: those of its attribute `arrays`, else all."""
+    given = stimulus.attrs.get("arrays")
+    chosen = json.loads(given) if isinstance(given, str) else given
+    return arrays if chosen is None else [name for name in chosen if name in arrays]
+
+
+def foci_at(stimulus: xr.Dataset, index: int) -> Float:
+    """Focal points in the world [m], shape (m, 3), at a place along `time`; shape (0, 3) in silence."""
+    if not has_records(stimulus, "foci") or not bool(stimulus["sounding"].isel(time=index)):
+        return np.empty((0, 3))
+    return stimulus["foci"].isel(time=index).values
 
 
 def _rotation(pose: Float) -> Rotation:
-    return Rotation.from_quat(np.roll(pose[3:], -1))
+    # SciPy before 1.14 has the scalar last only
+    return Rotation.from_quat(np.roll(pose[..., 3:], -1, axis=-1))

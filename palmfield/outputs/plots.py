@@ -1,7 +1,7 @@
-"""Figures of a run: pressure on the skin, and its motion in time and frequency."""
+"""Figures of a run: pressure on each skin, and its motion in time and frequency."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -9,78 +9,147 @@ from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
 
 from palmfield.errors import OutputError
-from palmfield.outputs.frames import body_pose_at, has_records, loudest, posed, to_local, to_world
+from palmfield.outputs.frames import Loudest, foci_at, in_world, loudest, nearest, pose_at, to_local
+from palmfield.outputs.motion import at_vertices, extremes
+from palmfield.outputs.schema import has_records, instances
 from palmfield.outputs.spectrum import amplitude_spectrum, spectral_peaks
 from palmfield.outputs.style import COLOURS, save, style
 from palmfield.types import Float
 
 DPI = 150
 DISTANCES_M = (0.010, 0.020)
+NARROW = 1.5
 
 
-def plot_pressure(ds: xr.Dataset, path: Path) -> None:
-    """PNG of peak pressure amplitude and ARP on the skin patch when loudest, seen from the array.
+class _View(NamedTuple):
+    """A skin as an array sees it when the sound on the skin is loudest.
 
-    ds: a result (outputs/schema.py) with the skin patch, array_pose and skin_pressure or arp
-    Raises OutputError where neither is there, and where `path` cannot be written.
+    array: its name; pose: of the array, shape (7,); vertices: of the skin in the array's frame [m], shape (n, 3)
     """
-    index, time_s = loudest(ds)
-    panels: list[tuple[str, str, Float]] = []
-    if has_records(ds, "skin_pressure"):
-        panels.append(("Peak pressure", "magma", ds["skin_pressure"].values.astype(float)))
-    if has_records(ds, "arp"):
-        panels.append(("Radiation pressure (ARP)", "viridis", ds["arp"].values[index].astype(float)))
-    if not panels:
-        raise OutputError("the result holds neither skin_pressure nor arp; run at least one step before plotting")
-    pose = ds["array_pose"].values
-    seen = to_local(to_world(posed(ds, "skin", time_s), body_pose_at(ds, time_s)), pose)
-    foci = to_local(ds["focus"].values, pose) if has_records(ds, "focus") else np.empty((0, 3))
+
+    array: str
+    pose: Float
+    vertices: Float
+    loudest: Loudest
+
+
+def plot_pressure(result: xr.DataTree, path: Path) -> None:
+    """PNG of peak pressure amplitude and ARP on each skin at its loudest instant, seen from the array that it faces.
+
+    result: of `open_result` or `tree`, with a skin and loudest_pressure or arp, and an array. One row a skin.
+    Raises OutputError where none of these is there, and where `path` cannot be written.
+    """
+    skins = {name: skin for name, skin in instances(result, "skin").items() if _pressures(skin, loudest(skin))}
+    if not skins:
+        raise OutputError("the result holds neither loudest_pressure nor arp; run at least one step before plotting")
+    if not instances(result, "array"):
+        raise OutputError("the result holds no array, from which the skin is seen; keep the groups /array")
+    views = {name: _seen_from_array(result, name, skin) for name, skin in skins.items()}
+    owners = _skin_of_stimuli(result)
+    columns = max(len(_pressures(skin, views[name].loudest)) for name, skin in skins.items())
     with style():
-        figure = Figure(figsize=(0.6 + 4.4 * len(panels), 4.4), dpi=DPI, layout="constrained")
-        columns = figure.subplots(1, len(panels), squeeze=False)[0]
-        for axes, (title, colours, values) in zip(columns, panels, strict=True):
-            _draw_patch(figure, axes, ds["skin_faces"].values, seen, values, colours)
-            if len(foci):
-                axes.plot(*(foci[:, :2].T * 1e3), color="white", lw=0.6, alpha=0.5)
-                axes.plot(*(foci[index, :2] * 1e3), "+", color="white", ms=12, mew=1.6, label="focus")
-                axes.legend(loc="upper right", labelcolor="white", facecolor="#333333", frameon=True, framealpha=0.6)
-            axes.set_title(f"{title}, max {_number(np.nanmax(values))} Pa")
-        height = float(np.median(seen[:, 2])) * 1e3
-        figure.suptitle(
-            f"Skin patch at t = {time_s * 1e3:.2f} ms, seen from the array\n"
-            f"(along its +z, so x runs left; the array is {height:.0f} mm nearer to you)",
-            fontsize=9,
-            color="#555555",
-        )
+        figure = Figure(figsize=(0.6 + 4.4 * columns, 4.4 * len(skins)), dpi=DPI, layout="constrained")
+        rows: list[Any] = [figure] if len(skins) == 1 else list(figure.subfigures(len(skins), 1, squeeze=False)[:, 0])
+        for row, (name, skin) in zip(rows, skins.items(), strict=True):
+            stimuli = [s for key, s in instances(result, "stimulus").items() if owners.get(key) == name]
+            _draw_skin(row, skin, views[name], stimuli)
+            height = float(np.median(views[name].vertices[:, 2])) * 1e3
+            whose = f" '{name}'" if len(skins) > 1 else ""
+            seer = f"array '{views[name].array}'" if len(instances(result, "array")) > 1 else "the array"
+            row.suptitle(
+                f"Skin patch{whose} at t = {views[name].loudest.time_s * 1e3:.2f} ms, seen from {seer}\n"
+                f"(along its +z, so x runs left; the array is {height:.0f} mm nearer to you)",
+                fontsize=9,
+                color="#555555",
+            )
         save(figure, path, DPI)
 
 
-def plot_displacement(ds: xr.Dataset, path: Path) -> None:
-    """PNG of the normal displacement over time at the vertex that moves most and two more, and its spectrum below.
+def plot_displacement(result: xr.DataTree, path: Path) -> None:
+    """PNG of each skin's normal displacement at the vertex that moves most and two more, and its spectrum below.
 
-    ds: a result with time, normal_displacement and skin_position
+    result: of `open_result` or `tree`, with displacement; one column a skin
     Raises OutputError where there is no displacement, and where `path` cannot be written.
     """
-    if not has_records(ds, "normal_displacement"):
-        raise OutputError("the result holds no normal_displacement; run at least one step with the skin first")
-    time_s = ds["time"].values
-    motion = ds["normal_displacement"].values
-    vertices = _probe_vertices(ds["skin_position"].values, motion)
+    skins = {name: skin for name, skin in instances(result, "skin").items() if has_records(skin, "displacement")}
+    if not skins:
+        raise OutputError("the result holds no displacement; run at least one step with the skin first")
     with style():
-        figure = Figure(figsize=(8.0, 6.0), dpi=DPI, layout="constrained")
-        above, below = figure.subplots(2, 1)
-        for (vertex, distance), colour in zip(vertices, COLOURS, strict=False):
-            label = "largest motion" if distance == 0 else f"{distance * 1e3:.1f} mm away"
-            above.plot(time_s * 1e3, motion[:, vertex] * 1e6, color=colour, label=label)
-        above.set(xlabel="time [ms]", ylabel="normal displacement [µm]")
-        above.set_title("Normal displacement of the skin (negative: pushed in)")
-        above.legend(loc="upper right", ncols=3)
-        above.margins(x=0, y=0.2)
-        _draw_spectra(below, time_s, motion, vertices)
+        figure = Figure(figsize=(8.0 * len(skins), 6.0), dpi=DPI, layout="constrained")
+        columns: list[Any] = [figure] if len(skins) == 1 else list(figure.subfigures(1, len(skins), squeeze=False)[0])
+        for column, (name, skin) in zip(columns, skins.items(), strict=True):
+            _draw_motion(column, skin, f" '{name}'" if len(skins) > 1 else "")
         save(figure, path, DPI)
 
 
-def _draw_patch(figure: Figure, axes: Any, faces: Any, seen: Float, values: Float, colours: str) -> None:
+def _pressures(skin: xr.Dataset, when: Loudest) -> list[tuple[str, str, Float]]:
+    """Title, colours and values [Pa] of each panel of a skin."""
+    panels: list[tuple[str, str, Float]] = []
+    if has_records(skin, "loudest_pressure"):
+        panels.append(("Peak pressure", "magma", skin["loudest_pressure"].values.astype(float)))
+    if has_records(skin, "loudest_arp"):
+        panels.append(("Radiation pressure (ARP)", "viridis", skin["loudest_arp"].values.astype(float)))
+    elif has_records(skin, "arp"):
+        arp = skin["arp"].isel(time=when.place).values.astype(float)
+        panels.append(("Radiation pressure (ARP)", "viridis", arp))
+    return panels
+
+
+def _seen_from_array(result: xr.DataTree, name: str, skin: xr.Dataset) -> _View:
+    """A skin seen from the array in whose direction its normals point most."""
+    when, body = loudest(skin), instances(result, "body").get(name)
+    vertices = in_world(skin, body, when.time_s)
+    corners = vertices[skin["face"].values]
+    outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).sum(axis=0)
+    poses = {key: pose_at(array, when.time_s) for key, array in instances(result, "array").items()}
+    ways = {key: pose[:3] - vertices.mean(axis=0) for key, pose in poses.items()}
+    best = max(poses, key=lambda key: float(ways[key] @ outward) / max(float(np.linalg.norm(ways[key])), 1e-9))
+    return _View(best, poses[best], to_local(vertices, poses[best]), when)
+
+
+def _skin_of_stimuli(result: xr.DataTree) -> dict[str, str]:
+    """For each stimulus, the skin that is nearest to its focal points when the sound on that skin is loudest."""
+    distances: dict[str, dict[str, float]] = {}
+    for name, skin in instances(result, "skin").items():
+        when = loudest(skin)
+        vertices = in_world(skin, instances(result, "body").get(name), when.time_s)
+        for key, stimulus in instances(result, "stimulus").items():
+            if has_records(stimulus, "foci"):
+                middle = stimulus["foci"].isel(time=when.place).values.mean(axis=0)
+                distance = float(np.linalg.norm(vertices - middle, axis=1).min())
+                distances.setdefault(key, {})[name] = distance
+    return {key: min(found, key=lambda name: found[name]) for key, found in distances.items()}
+
+
+def _draw_skin(figure: Any, skin: xr.Dataset, view: _View, stimuli: list[xr.Dataset]) -> None:
+    panels = _pressures(skin, view.loudest)
+    columns = figure.subplots(1, len(panels), squeeze=False)[0]
+    for axes, (title, colours, values) in zip(columns, panels, strict=True):
+        _draw_patch(figure, axes, skin["face"].values, view.vertices, values, colours)
+        for stimulus in stimuli:
+            _draw_foci(axes, stimulus, view)
+        if axes.get_legend_handles_labels()[0]:
+            axes.legend(loc="upper right", labelcolor="white", facecolor="#333333", frameon=True, framealpha=0.6)
+        span = np.ptp(view.vertices[:, :2], axis=0)
+        # A panel of a narrow patch has no room for the title in one line.
+        gap = ",\n" if span[1] > NARROW * span[0] else ", "
+        axes.set_title(f"{title}{gap}max {_number(np.nanmax(values))} Pa")
+
+
+def _draw_foci(axes: Any, stimulus: xr.Dataset, view: _View) -> None:
+    """The way of each focal point while it sounds, and where it is when loudest."""
+    foci = stimulus["foci"].values
+    way: Float = to_local(foci.reshape(-1, 3), view.pose).reshape(foci.shape)
+    way[~stimulus["sounding"].values.astype(bool)] = np.nan
+    for number in range(way.shape[1]):
+        axes.plot(*(way[:, number, :2].T * 1e3), color="white", lw=0.6, alpha=0.5)
+    now = foci_at(stimulus, view.loudest.place)
+    if len(now):
+        label = None if "focus" in axes.get_legend_handles_labels()[1] else "focus"
+        axes.plot(*(to_local(now, view.pose)[:, :2].T * 1e3), "+", color="white", ms=12, mew=1.6, label=label)
+
+
+def _draw_patch(figure: Any, axes: Any, faces: Any, seen: Float, values: Float, colours: str) -> None:
     """The patch in the array's x and y, far triangles first so that near ones cover them."""
     order = np.argsort(-seen[faces].mean(axis=1)[:, 2])
     triangles = Triangulation(seen[:, 0] * 1e3, seen[:, 1] * 1e3, faces[order])
@@ -94,18 +163,33 @@ def _draw_patch(figure: Figure, axes: Any, faces: Any, seen: Float, values: Floa
     figure.colorbar(drawn, ax=axes, shrink=0.85, pad=0.02, label="Pa")
 
 
-def _probe_vertices(rest: Float, motion: Float) -> list[tuple[int, float]]:
+def _draw_motion(figure: Any, skin: xr.Dataset, whose: str) -> None:
+    time_s = skin["time"].values
+    vertices = _probe_vertices(skin["rest_position"].values, extremes(skin).peak)
+    motion = at_vertices(skin, [vertex for vertex, _ in vertices])
+    above, below = figure.subplots(2, 1)
+    for (_, distance), course, colour in zip(vertices, motion.T, COLOURS, strict=False):
+        label = "largest motion" if distance == 0 else f"{distance * 1e3:.1f} mm away"
+        above.plot(time_s * 1e3, course * 1e6, color=colour, label=label)
+    above.set(xlabel="time [ms]", ylabel="normal displacement [µm]")
+    above.set_title(f"Normal displacement of the skin{whose} (negative: pushed in)")
+    above.legend(loc="upper right", ncols=3)
+    above.margins(x=0, y=0.2)
+    _draw_spectra(below, time_s, motion)
+
+
+def _probe_vertices(rest: Float, peak: Float) -> list[tuple[int, float]]:
     """(vertex, distance [m]) of the largest |u| and of those nearest to 10 and 20 mm from it (small patch: less)."""
-    first = int(np.abs(motion).max(axis=0).argmax())
+    first = int(peak.argmax())
     distance = np.linalg.norm(rest - rest[first], axis=1)
     scale = min(1.0, 0.9 * float(distance.max()) / DISTANCES_M[-1])
-    others = [int(np.abs(distance - scale * wanted).argmin()) for wanted in DISTANCES_M]
+    others = [nearest(distance, scale * target) for target in DISTANCES_M]
     return [(first, 0.0)] + [(v, float(distance[v])) for v in others if v != first]
 
 
-def _draw_spectra(axes: Any, time_s: Float, motion: Float, vertices: list[tuple[int, float]]) -> None:
+def _draw_spectra(axes: Any, time_s: Float, motion: Any) -> None:
     try:
-        spectra = [amplitude_spectrum(time_s, motion[:, v].astype(float)) for v, _ in vertices]
+        spectra = [amplitude_spectrum(time_s, course.astype(float)) for course in motion.T]
     except OutputError as error:
         axes.text(0.5, 0.5, f"no spectrum: {error}", ha="center", va="center", transform=axes.transAxes, wrap=True)
         axes.set_axis_off()

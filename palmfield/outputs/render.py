@@ -12,12 +12,14 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
-from scipy.spatial import cKDTree
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, cKDTree
 
 from palmfield.device import resolve
 from palmfield.errors import OutputError
-from palmfield.outputs.camera import Camera, look_along_emission
-from palmfield.outputs.frames import body_pose_at, has_records, loudest, posed, to_world
+from palmfield.outputs.camera import AZIMUTH_DEG, Camera, look_along_emission
+from palmfield.outputs.frames import arrays_of, bodies, foci_at, in_world, loudest, nearest, pose_at, to_local, to_world
+from palmfield.outputs.schema import has_records, instances
 from palmfield.outputs.style import save, style
 from palmfield.types import Float
 from warp_kernels import raycast
@@ -26,9 +28,11 @@ DPI = 120
 SUPERSAMPLING = 2
 AMBIENT_RAYS = 5
 AMBIENT_REACH_M = 0.035
+SAME_INSTANT_S = 1e-9
+AZIMUTHS_DEG = (0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180)
+BOARD_RIM_M = 0.008
 # magma from pale to dark, short of black: a silent palm looks like skin and shading stays visible everywhere.
 COLOURS = ListedColormap(colormaps["magma_r"](np.linspace(0.07, 0.82, 256)))
-NEEDED = ("surface_vertices", "surface_faces", "surface_pressure", "transducer_position", "array_pose")
 
 
 class Part(NamedTuple):
@@ -40,64 +44,159 @@ class Part(NamedTuple):
     opacity: float
 
 
-def render_scene(ds: xr.Dataset, path: Path, size: tuple[int, int] = (960, 720)) -> None:
-    """PNG of the array and the hand (or phantom) above it, coloured by peak pressure amplitude when loudest.
+class Scene(NamedTuple):
+    """What is seen. time_s: instant whose poses are shown; peak_Pa: end of the colour map
 
-    ds: a result with surface_vertices, surface_faces, surface_pressure, transducer_position and array_pose
-    size: width and height [pixels]
-    The camera looks along the emission at a slant, so that the side which the sound reaches faces it and the array is
-    seen from behind, through its board. Raises OutputError where one of these variables is missing and where `path`
-    cannot be written.
+    bodies: meshes in the world with the pressure by vertex [Pa]; arrays: pose, shape (7,), and transducers in the
+    array's frame [m], shape (n, 3), by name; others: meshes in the world without pressure
     """
-    missing = [name for name in NEEDED if name not in ds]
-    if missing:
-        raise OutputError(f"the result lacks {', '.join(missing)}; run with the whole surface to render the scene")
-    index, time_s = loudest(ds)
-    pressure = np.nan_to_num(ds["surface_pressure"].values.astype(float))
-    peak = float(pressure.max())
-    vertices = to_world(posed(ds, "surface", time_s), body_pose_at(ds, time_s))
-    hand = trimesh.Trimesh(vertices, ds["surface_faces"].values, process=False)
-    parts = _array_parts(ds["transducer_position"].values, ds["array_pose"].values)
-    if "obstacle_vertices" in ds:
-        beside = to_world(ds["obstacle_vertices"].values, body_pose_at(ds, time_s))
-        mesh = trimesh.Trimesh(beside, ds["obstacle_faces"].values, process=False)
+
+    time_s: float
+    peak_Pa: float
+    bodies: list[tuple[trimesh.Trimesh, Float]]
+    arrays: dict[str, tuple[Float, Float]]
+    others: list[trimesh.Trimesh]
+
+
+def render_scene(result: xr.DataTree, path: Path, size: tuple[int, int] = (960, 720)) -> None:
+    """PNG of the arrays and the bodies above them, coloured by the peak pressure amplitude at their loudest instants.
+
+    result: of `open_result` or `tree`, with arrays and a surface that has loudest_pressure
+    size: width and height [pixels]
+    Everything stands as it did when the loudest of all skins was at its loudest. The camera looks along the emission of
+    the first array at a slant, so that the side which the sound reaches faces it and the array is seen from behind,
+    through its board; with several arrays, from where they hide least of the sound. Raises OutputError where there
+    is nothing to show and where `path` cannot be written.
+    """
+    scene = _scene(result)
+    parts = [part for pose, positions in scene.arrays.values() for part in _array_parts(positions, pose)]
+    for mesh in scene.others:
         mesh.unmerge_vertices()
         parts.append(Part(mesh, (0.55, 0.60, 0.68), 0.2, 1.0))
     width, height = size
-    solids = np.concatenate([hand.vertices, *(part.mesh.vertices for part in parts)])
-    camera = look_along_emission(solids, ds["array_pose"].values, (0.0, 0.09 * height, 0.9 * width, 0.91 * height))
-    image = _cast(hand, pressure / max(peak, 1e-9), parts, camera, size)
+    painted = _joined([mesh for mesh, _ in scene.bodies])
+    level = np.concatenate([pressure for _, pressure in scene.bodies]) / max(scene.peak_Pa, 1e-9)
+    solids = np.concatenate([painted.vertices, *(part.mesh.vertices for part in parts)])
+    camera = _camera(scene, painted, level, solids, (0.0, 0.09 * height, 0.9 * width, 0.91 * height))
+    image = _cast(painted, level, parts, camera, size)
     with style():
         figure = Figure(figsize=(width / DPI, height / DPI), dpi=DPI)
-        scene = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-        scene.imshow(image, interpolation="none", aspect="auto", extent=(0, width, height, 0))
-        scene.set_axis_off()
-        if has_records(ds, "focus"):
-            _draw_guides(scene, camera, ds, ds["focus"].values[index])
+        picture = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+        picture.imshow(image, interpolation="none", aspect="auto", extent=(0, width, height, 0))
+        picture.set_axis_off()
+        for stimulus in instances(result, "stimulus").values():
+            _draw_guides(picture, camera, scene, stimulus)
         bar = figure.add_axes((0.91, 0.18, 0.016, 0.56))
-        figure.colorbar(ScalarMappable(Normalize(0.0, max(peak, 1e-9)), COLOURS), cax=bar).outline.set_visible(False)
+        scale = ScalarMappable(Normalize(0.0, max(scene.peak_Pa, 1e-9)), COLOURS)
+        figure.colorbar(scale, cax=bar).outline.set_visible(False)
         bar.set_title("Pa", fontsize=8, loc="left", fontweight="normal")
         figure.text(0.025, 0.955, "Peak sound pressure on the surface", fontsize=12, fontweight="bold", va="center")
-        figure.text(0.025, 0.915, _caption(ds, peak, time_s), fontsize=8.5, color="#555555", va="center")
+        figure.text(0.025, 0.915, _caption(result, scene), fontsize=8.5, color="#555555", va="center")
         save(figure, path, DPI)
 
 
-def _caption(ds: xr.Dataset, peak: float, time_s: float) -> str:
-    level = f" ({20.0 * np.log10(peak / np.sqrt(2.0) / 20e-6):.0f} dB SPL)" if peak > 0 else ""
+def _scene(result: xr.DataTree) -> Scene:
+    skins, surfaces = instances(result, "skin"), instances(result, "surface")
+    groups, arrays = instances(result, "body"), instances(result, "array")
+    loud = {name: loudest(skin) for name, skin in skins.items()}
+    painted = [name for name in skins if name in surfaces and has_records(surfaces[name], "loudest_pressure")]
+    if not painted or not arrays:
+        lacking = "array" if painted else "surface with loudest_pressure"
+        raise OutputError(f"the result holds no {lacking}; run with the whole surface to render the scene")
+    time_s = max((loud[name] for name in painted), key=lambda one: one.arp_Pa).time_s
+    shown: list[tuple[trimesh.Trimesh, Float]] = []
+    for names in bodies(result).values():
+        own = {name: surfaces[name] for name in names if name in surfaces}
+        if not own:
+            continue
+        # Skins on one body share its surface; each brings the pressure of its own loudest instant.
+        name, surface = next(iter(own.items()))
+        vertices = in_world(surface, groups.get(name), time_s)
+        mesh = trimesh.Trimesh(vertices, surface["face"].values, process=False)
+        shown.append((mesh, np.maximum.reduce([_pressure(one) for one in own.values()])))
+    others = {
+        surface["obstacle_position"].values.tobytes(): surface
+        for name, surface in surfaces.items()
+        if "obstacle_position" in surface and abs(loud[name].time_s - time_s) < SAME_INSTANT_S
+    }
+    return Scene(
+        time_s,
+        max(float(pressure.max()) for _, pressure in shown),
+        shown,
+        {name: (pose_at(array, time_s), array["transducer_position"].values) for name, array in arrays.items()},
+        [trimesh.Trimesh(s["obstacle_position"].values, s["obstacle_face"].values, process=False)
+         for s in others.values()],
+    )  # fmt: skip
+
+
+def _pressure(surface: xr.Dataset) -> Float:
+    """Of a surface at its loudest instant [Pa]; 0 where a run cut off early has none."""
+    if not has_records(surface, "loudest_pressure"):
+        return np.zeros(surface.sizes["vertex"])
+    return np.nan_to_num(surface["loudest_pressure"].values.astype(float))
+
+
+def _camera(
+    scene: Scene, painted: trimesh.Trimesh, level: Float, solids: Float, window: tuple[float, float, float, float]
+) -> Camera:
+    """Camera on the emission of the first array; with several arrays, the azimuth from which most sound is seen.
+
+    painted: what has a pressure, level: of each of its vertices, from 0 to 1; solids: all points to be seen [m]
+    """
+    first = next(iter(scene.arrays.values()))[0]
+    if len(scene.arrays) == 1:
+        return look_along_emission(solids, first, window)
+    # Its corners take as much of the picture as the whole, and a hundredth of the time.
+    corners = solids[ConvexHull(solids).vertices]
+    cameras = [look_along_emission(corners, first, window, AZIMUTH_DEG + turn) for turn in AZIMUTHS_DEG]
+    loud = level > 0.3 * level.max(initial=0.0)
+    points, normals, weights = painted.vertices[loud], painted.vertex_normals[loud], level[loud]
+    seen = []
+    for camera in cameras:
+        facing = np.einsum("ni,ni->n", normals, camera.eye - points) > 0.0
+        free = np.logical_and.reduce([~_behind(points, camera.eye, *array) for array in scene.arrays.values()])
+        seen.append(float(weights[facing & free].sum()))
+    # A little more seen is not worth another view than in all other pictures.
+    return cameras[next(k for k, much in enumerate(seen) if much >= 0.9 * max(seen))]
+
+
+def _behind(points: Float, eye: Float, pose: Float, positions: Float) -> NDArray[np.bool_]:
+    """Which points [m], shape (n, 3), an array's board hides from an eye."""
+    here, there = to_local(points, pose), to_local(eye[None], pose)[0]
+    way = there - here
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = -here[:, 2] / way[:, 2]
+        crossing = here[:, :2] + share[:, None] * way[:, :2]
+    low, high = positions[:, :2].min(axis=0) - BOARD_RIM_M, positions[:, :2].max(axis=0) + BOARD_RIM_M
+    return (share > 0.0) & (share < 1.0) & ((crossing > low) & (crossing < high)).all(axis=1)
+
+
+def _caption(result: xr.DataTree, scene: Scene) -> str:
+    level = f" ({20.0 * np.log10(scene.peak_Pa / np.sqrt(2.0) / 20e-6):.0f} dB SPL)" if scene.peak_Pa > 0 else ""
+    times = [loudest(skin).time_s for skin in instances(result, "skin").values()]
+    each = "" if max(times) - min(times) < SAME_INSTANT_S else ", each skin's body at its loudest"
+    count = sum(len(positions) for _, positions in scene.arrays.values())
+    whose = "the array" if len(scene.arrays) == 1 else f"array '{next(iter(scene.arrays))}'"
     return (
-        f"{ds.sizes['transducer']} transducers, at most {peak:.4g} Pa{level}, t = {time_s * 1e3:.2f} ms; "
-        "seen from behind the array"
+        f"{count} transducers, at most {scene.peak_Pa:.4g} Pa{level}{each}, t = {scene.time_s * 1e3:.2f} ms; "
+        f"seen from behind {whose}"
     )
 
 
-def _draw_guides(scene: Axes, camera: Camera, ds: xr.Dataset, focus: Float) -> None:
-    """Dashed lines from the corners of the array to the focus."""
-    positions = ds["transducer_position"].values
-    low, high = positions.min(axis=0), positions.max(axis=0)
-    corners = np.array([[x, y, high[2]] for x in (low[0], high[0]) for y in (low[1], high[1])])
-    ends = camera.project(np.vstack([to_world(corners, ds["array_pose"].values), focus]))
-    for corner in ends[:-1]:
-        scene.plot(*np.array([corner, ends[-1]]).T, "--", color="#4338ca", lw=0.7, alpha=0.45)
+def _draw_guides(picture: Axes, camera: Camera, scene: Scene, stimulus: xr.Dataset) -> None:
+    """Dashed lines from the corners of each array that a stimulus drives to the middle of its focal points."""
+    if not has_records(stimulus, "foci"):
+        return
+    foci = foci_at(stimulus, nearest(stimulus["time"].values, scene.time_s))
+    if len(foci) == 0:
+        return
+    for name in arrays_of(stimulus, list(scene.arrays)):
+        pose, positions = scene.arrays[name]
+        low, high = positions.min(axis=0), positions.max(axis=0)
+        corners = np.array([[x, y, high[2]] for x in (low[0], high[0]) for y in (low[1], high[1])])
+        ends = camera.project(np.vstack([to_world(corners, pose), foci.mean(axis=0)]))
+        for corner in ends[:-1]:
+            picture.plot(*np.array([corner, ends[-1]]).T, "--", color="#4338ca", lw=0.7, alpha=0.45)
 
 
 def _array_parts(positions: Float, pose: Float) -> list[Part]:
@@ -128,16 +227,22 @@ def _copies(mesh: trimesh.Trimesh, positions: Float) -> trimesh.Trimesh:
     return trimesh.Trimesh(vertices, faces, process=False)
 
 
-def _cast(hand: trimesh.Trimesh, level: Float, parts: list[Part], camera: Camera, size: tuple[int, int]) -> Float:
-    """sRGB image, shape (height, width, 3), in [0, 1]; level: place in the colour map by vertex of the hand."""
-    meshes = [hand, *(part.mesh for part in parts)]
+def _joined(meshes: list[trimesh.Trimesh]) -> trimesh.Trimesh:
+    starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+    faces = [mesh.faces + start for mesh, start in zip(meshes, starts[:-1], strict=True)]
+    return trimesh.Trimesh(np.concatenate([m.vertices for m in meshes]), np.concatenate(faces), process=False)
+
+
+def _cast(painted: trimesh.Trimesh, level: Float, parts: list[Part], camera: Camera, size: tuple[int, int]) -> Float:
+    """sRGB image, shape (height, width, 3), in [0, 1]; level: place in the colour map by vertex of what is painted."""
+    meshes = [painted, *(part.mesh for part in parts)]
     offsets = np.cumsum([0, *(len(m.vertices) for m in meshes)])
     points = np.concatenate([m.vertices for m in meshes])
     faces = np.concatenate([m.faces + start for m, start in zip(meshes, offsets[:-1], strict=True)])
-    normals = np.concatenate([hand.vertex_normals, *(np.repeat(p.mesh.face_normals, 3, axis=0) for p in parts)])
+    normals = np.concatenate([painted.vertex_normals, *(np.repeat(p.mesh.face_normals, 3, axis=0) for p in parts)])
     counts = [len(part.mesh.vertices) for part in parts]
-    painted = np.repeat([_linear(np.array(part.colour)) for part in parts], counts, axis=0)
-    albedo = np.concatenate([np.zeros((len(level), 3)), painted])
+    colours = np.repeat([_linear(np.array(part.colour)) for part in parts], counts, axis=0)
+    albedo = np.concatenate([np.zeros((len(level), 3)), colours])
     gloss = np.repeat([0.06, *(part.gloss for part in parts)], [len(level), *counts])
     opacity = np.repeat([1.0, *(part.opacity for part in parts)], [len(m.faces) for m in meshes])
     levels = np.concatenate([level, np.full(sum(counts), -1.0)])

@@ -1,118 +1,313 @@
-"""Names, dimensions, types and units of everything that a run writes."""
+"""Schema 2 of a result: which groups and variables there are, their dimensions, types, units, signs and frames.
 
-from typing import NamedTuple
+A result is a tree. Its root holds the three time axes, and every instance of the scene has groups of its own, named
+KIND/INSTANCE: `/skin/palm`, `/array/left`. Later versions add variables; what is here stays as it is.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple, TypeAlias
+from urllib.parse import quote, unquote
 
 import numpy as np
 import xarray as xr
+from numpy.typing import ArrayLike, NDArray
 
 from palmfield.errors import OutputError
 
+SCHEMA_VERSION = 2
+CONVENTIONS = "CF-1.11"
+
+Arrays: TypeAlias = Mapping[str, Mapping[str, ArrayLike]]
+"""Plain arrays by group ("/" or the path that `group` gives) and variable."""
+Checked: TypeAlias = dict[str, dict[str, NDArray[Any]]]
+"""The same as arrays of the schema's types."""
+Attributes: TypeAlias = Mapping[str, Mapping[str, Any]]
+"""Attributes of groups, by group."""
+
 
 class Variable(NamedTuple):
-    """What one variable of a result must look like."""
+    """What one variable of a result must look like.
+
+    dims: dimensions, of which `time`, `step_time` and `frame_time` are the root's; units: UDUNITS, empty for names
+    frame: the frame in which a vector, position or pose is given; sign: what a positive value means
+    """
 
     dims: tuple[str, ...]
     dtype: str
     units: str
     long_name: str
+    frame: str = ""
+    sign: str = ""
+
+    @property
+    def attributes(self) -> dict[str, str]:
+        """Those of the netCDF variable."""
+        pairs = {"units": self.units, "long_name": self.long_name, "frame": self.frame, "sign": self.sign}
+        found = {name: text for name, text in pairs.items() if text}
+        # No unit holds for positions and quaternions at once, so generic readers get none that they could convert.
+        return found | ({"component_units": "m m m 1 1 1 1"} if self.dims[-1:] == ("pose7",) else {})
 
 
-SCHEMA: dict[str, Variable] = {
-    "skin_position": Variable(("vertex", "xyz"), "float64", "m", "rest position of the skin patch in the body frame"),
-    "skin_faces": Variable(("face", "corner"), "int32", "1", "triangles of the skin patch, counter-clockwise outside"),
-    "skin_depth": Variable(("vertex",), "float64", "m", "thickness of the skin layer"),
-    "skin_pressure": Variable(("vertex",), "float32", "Pa", "peak pressure amplitude on the skin patch when loudest"),
-    "surface_vertices": Variable(("surface_vertex", "xyz"), "float64", "m", "whole surface in the body frame"),
-    "surface_faces": Variable(
-        ("surface_face", "corner"), "int32", "1", "triangles of the whole surface, counter-clockwise outside"
-    ),
-    "surface_arp": Variable(
-        ("surface_vertex",), "float32", "Pa", "acoustic radiation pressure on the whole surface when loudest"
-    ),
-    "surface_pressure": Variable(
-        ("surface_vertex",), "float32", "Pa", "peak pressure amplitude on the whole surface when loudest"
-    ),
-    "transducer_position": Variable(("transducer", "xyz"), "float64", "m", "transducers in the array frame"),
-    "array_pose": Variable(("pose7",), "float64", "m, 1", "array frame in the world: position, then quaternion wxyz"),
-    "frame_time": Variable(("frame",), "float64", "s", "start of each drive frame"),
-    "drive_amplitude": Variable(("frame", "transducer"), "float32", "1", "drive amplitude, 1 is full drive"),
-    "drive_phase": Variable(("frame", "transducer"), "float32", "rad", "drive phase, a delay is positive"),
-    "time": Variable(("time",), "float64", "s", "time of the skin substeps"),
-    "normal_displacement": Variable(
-        ("time", "vertex"), "float32", "m", "displacement of the skin along its outward normal"
-    ),
-    "normal_velocity": Variable(("time", "vertex"), "float32", "m/s", "velocity of the skin along its outward normal"),
-    "arp": Variable(
-        ("time", "vertex"), "float32", "Pa", "acoustic radiation pressure on the skin, positive into the surface"
-    ),
-    "focus": Variable(("time", "xyz"), "float64", "m", "focus in the world frame"),
-    "step_time": Variable(("step_time",), "float64", "s", "time of the MuJoCo steps"),
-    "body_pose": Variable(
-        ("step_time", "pose7"), "float64", "m, 1", "body frame in the world: position, then quaternion wxyz"
-    ),
-    "skin_bone": Variable(("vertex", "influence"), "int32", "1", "bones that carry each skin vertex"),
-    "skin_share": Variable(("vertex", "influence"), "float32", "1", "share of each of those bones"),
-    "surface_bone": Variable(("surface_vertex", "influence"), "int32", "1", "bones that carry each surface vertex"),
-    "surface_share": Variable(("surface_vertex", "influence"), "float32", "1", "share of each of those bones"),
-    "bone_rest": Variable(("bone", "xyz"), "float64", "m", "origins of the bones at rest in the body frame"),
-    "bone_pose": Variable(
-        ("step_time", "bone", "pose7"), "float64", "m, 1", "bones in the body frame: position, then quaternion wxyz"
-    ),
-    "obstacle_vertices": Variable(
-        ("obstacle_vertex", "xyz"), "float64", "m", "what else casts shadows, in the body frame when loudest"
-    ),
-    "obstacle_faces": Variable(("obstacle_face", "corner"), "int32", "1", "triangles of what else casts shadows"),
-    "arp_force": Variable(("step_time", "xyz"), "float64", "N", "total acoustic radiation force in the world frame"),
+_BODY = "body frame at rest (before bones move)"
+_WORLD = "world"
+_INTO = "positive pushes into the surface"
+_POSE = "maps the frame's own points to the outer frame: x_outer = R x + position"
+
+
+def _mesh(what: str) -> dict[str, Variable]:
+    """Variables that a skin and the surface of its body have in common."""
+    return {
+        "rest_position": Variable(("vertex", "xyz"), "float64", "m", f"vertices of the {what} at rest", _BODY),
+        "face": Variable(
+            ("triangle", "corner"),
+            "int32",
+            "1",
+            f"triangles of the {what}, counter-clockwise from outside; first 0",
+        ),
+        "bone_index": Variable(
+            ("vertex", "influence"), "int32", "1", "bones that carry each vertex: places along bone in /body; first 0"
+        ),
+        "bone_weight": Variable(
+            ("vertex", "influence"), "float32", "1", "share of each of those bones; the shares of a vertex add up to 1"
+        ),
+        "loudest_time": Variable(
+            (), "float64", "s", "instant at which the ARP on the skin is largest, from the run's start"
+        ),
+        "loudest_arp": Variable(
+            ("vertex",), "float32", "Pa", f"acoustic radiation pressure on the {what} at loudest_time", sign=_INTO
+        ),
+        "loudest_pressure": Variable(
+            ("vertex",), "float32", "Pa", f"peak amplitude of the sound pressure on the {what} at loudest_time"
+        ),
+    }
+
+
+ROOT: dict[str, Variable] = {
+    "time": Variable(("time",), "float64", "s", "ends of the skin's substeps, from the run's start"),
+    "step_time": Variable(("step_time",), "float64", "s", "starts of the MuJoCo steps, from the run's start"),
+    "frame_time": Variable(("frame_time",), "float64", "s", "starts of the drive frames, from the run's start"),
 }
-OPTIONAL = frozenset(name for name in SCHEMA if "bone" in name or "share" in name or "obstacle" in name)
-"""Only where the scene has them: an articulated hand's bones, and what stands in the sound's way."""
-LABELS: dict[str, tuple[list[str], str]] = {
-    "xyz": (["x", "y", "z"], "Cartesian component"),
-    "corner": (["0", "1", "2"], "corner of a triangle"),
-    "pose7": (["x", "y", "z", "qw", "qx", "qy", "qz"], "component of a pose"),
+GROUPS: dict[str, dict[str, Variable]] = {
+    "skin": _mesh("skin patch")
+    | {
+        "rest_normal": Variable(
+            ("vertex", "xyz"), "float64", "1", "unit normals of the skin at rest", _BODY, "positive points outward"
+        ),
+        "depth": Variable(("vertex",), "float64", "m", "thickness of the skin layer along the inward normal"),
+        "displacement": Variable(
+            ("time", "vertex", "xyz"), "float32", "m", "displacement of the skin from where the body carries it", _BODY,
+            "positive along the axes; its dot product with rest_normal is positive outward, so a push is negative",
+        ),
+        "velocity": Variable(
+            ("time", "vertex", "xyz"), "float32", "m s-1", "velocity of that displacement", _BODY,
+            "as the displacement's",
+        ),
+        "arp": Variable(
+            ("time", "vertex"), "float32", "Pa", "acoustic radiation pressure (ARP) on the skin patch", sign=_INTO
+        ),
+    },
+    "surface": _mesh("whole surface of the skin's body")
+    | {
+        "obstacle_position": Variable(
+            ("obstacle_vertex", "xyz"), "float64", "m",
+            "vertices of bodies without skin that cast shadows, at loudest_time", _WORLD,
+        ),
+        "obstacle_face": Variable(
+            ("obstacle_triangle", "corner"), "int32", "1", "their triangles, counter-clockwise from outside; first 0"
+        ),
+    },
+    "array": {
+        "transducer_position": Variable(("transducer", "xyz"), "float64", "m", "transducers", "this array's own"),
+        "drive_amplitude": Variable(
+            ("frame_time", "transducer"), "float32", "1", "amplitude of the drive, 1 is full drive"
+        ),
+        "drive_phase": Variable(
+            ("frame_time", "transducer"), "float32", "rad", "phase of the drive",
+            sign="positive is a delay (time factor e^{-i w t})",
+        ),
+        "pose": Variable(
+            ("step_time", "pose7"), "float64", "1", "array frame: position, then unit quaternion (w, x, y, z)", _WORLD,
+            _POSE,
+        ),
+    },
+    "stimulus": {
+        "foci": Variable(
+            ("time", "focus", "xyz"), "float64", "m", "focal points; where they would be while the stimulus is silent",
+            _WORLD,
+        ),
+        "sounding": Variable(("time",), "bool", "1", "whether the stimulus sounds"),
+    },
+    "body": {
+        "bone": Variable(("bone",), "str", "", "names of the bones"),
+        "pose": Variable(
+            ("step_time", "pose7"), "float64", "1", "body frame: position, then unit quaternion (w, x, y, z)", _WORLD,
+            _POSE,
+        ),
+        "bone_pose": Variable(
+            ("step_time", "bone", "pose7"), "float64", "1", "bones: position, then unit quaternion (w, x, y, z)",
+            "body frame", _POSE,
+        ),
+        "bone_rest": Variable(("bone", "xyz"), "float64", "m", "origins of the bones at rest", _BODY),
+    },
+    "forces": {
+        "bone": Variable(("bone",), "str", "", "names of the bones"),
+        "force": Variable(
+            ("step_time", "xyz"), "float64", "N", "force of the sound on the whole body, mean over the step", _WORLD,
+            "acts on the body",
+        ),
+        "torque": Variable(
+            ("step_time", "xyz"), "float64", "N m", "torque of the sound about the body's origin, mean over the step",
+            _WORLD, "acts on the body",
+        ),
+        "bone_force": Variable(
+            ("step_time", "bone", "xyz"), "float64", "N", "force of the sound on each bone, mean over the step", _WORLD,
+            "acts on the bone",
+        ),
+        "bone_torque": Variable(
+            ("step_time", "bone", "xyz"), "float64", "N m",
+            "torque of the sound about each bone's own origin, mean over the step", _WORLD, "acts on the bone",
+        ),
+    },
+    "sensors": {
+        "channel": Variable(("channel",), "str", "", "names of the sensor's channels"),
+        "channel_units": Variable(("channel",), "str", "", "units of the sensor's channels"),
+        "value": Variable(
+            ("step_time", "channel"), "float64", "1", "what the sensor reads, each channel in its unit of channel_units"
+        ),
+    },
+}  # fmt: skip
+"""Variables by kind of group. Variables along `bone` and `influence` are there for bodies with bones only, obstacles
+where there are some; a run cut off early lacks the loudest instant's."""
+LABELS: dict[str, tuple[tuple[str, ...], str]] = {
+    "xyz": (("x", "y", "z"), "Cartesian component"),
+    "corner": (("0", "1", "2"), "corner of a triangle"),
+    "pose7": (("x", "y", "z", "qw", "qx", "qy", "qz"), "component of a pose"),
 }
-RECORDS = ("time", "frame", "step_time")
-RECORD_TIME = {"time": "time", "frame": "frame_time", "step_time": "step_time"}
+"""Coordinates of the root that name components."""
+RECORDS = ("time", "step_time", "frame_time")
+"""Dimensions along which a run grows."""
 
 
-def dataset(**arrays: np.ndarray) -> xr.Dataset:
-    """Label arrays with the dimensions, units and long names of SCHEMA.
+def group(kind: str, instance: str) -> str:
+    """Path of an instance's group, such as /skin/palm; what a group's name can't hold is percent-encoded.
 
-    arrays: any of SCHEMA's names; dtype, number of dimensions and lengths must fit it. A variable along `time`, `frame`
-    or `step_time` needs that dimension's time (`time`, `frame_time`, `step_time`) beside it.
-    Raises OutputError for an unknown name, another dtype, or shapes that do not fit each other.
+    Raises OutputError for a kind that is not in GROUPS and for an instance without a name.
     """
-    sizes: dict[str, int] = {name: len(labels) for name, (labels, _) in LABELS.items()}
-    source = dict.fromkeys(sizes, "the schema")
-    variables: dict[str, xr.Variable] = {}
-    for name, given in arrays.items():
-        array = np.asarray(given)
-        _check(name, array, sizes, source)
-        wanted = SCHEMA[name]
-        variables[name] = xr.Variable(wanted.dims, array, {"units": wanted.units, "long_name": wanted.long_name})
-    used = {str(dim) for variable in variables.values() for dim in variable.dims}
-    for dim in used & RECORD_TIME.keys():
-        if RECORD_TIME[dim] not in variables:
-            raise OutputError(f"variables along '{dim}' came without their time; give '{RECORD_TIME[dim]}' with them")
-    for dim in used & LABELS.keys():
-        labels, long_name = LABELS[dim]
-        variables[dim] = xr.Variable((dim,), labels, {"units": "1", "long_name": long_name})
-    coords = {name: v for name, v in variables.items() if name in LABELS or name in RECORD_TIME.values()}
-    return xr.Dataset({name: v for name, v in variables.items() if name not in coords}, coords)
+    if kind not in GROUPS or not instance:
+        raise OutputError(f"no group for '{kind}' '{instance}': give a name, and one of {', '.join(GROUPS)}")
+    name = quote(instance, safe=" !#$&'()*+,;=:@[]~")
+    return f"/{kind}/{name.replace('.', '%2E') if name.strip('.') == '' else name}"
 
 
-def _check(name: str, array: np.ndarray, sizes: dict[str, int], source: dict[str, str]) -> None:
-    """Hold one array against SCHEMA and the lengths seen so far; adds its own lengths to `sizes` and `source`."""
-    if name not in SCHEMA:
-        raise OutputError(f"result variable '{name}' is unknown; known are {', '.join(SCHEMA)}")
-    wanted = SCHEMA[name]
-    if array.dtype != np.dtype(wanted.dtype):
-        raise OutputError(f"'{name}' has dtype {array.dtype}, allowed is {wanted.dtype}; convert it with .astype")
-    if array.ndim != len(wanted.dims):
-        raise OutputError(f"'{name}' has shape {array.shape}, allowed is ({', '.join(wanted.dims)}); reshape it")
-    for dim, length in zip(wanted.dims, array.shape, strict=True):
-        if sizes.setdefault(dim, length) != length:
+def kind_and_instance(path: str) -> tuple[str, str]:
+    """The kind and the instance's name of a group's path. Raises OutputError for a path that `group` does not give."""
+    parts = path.split("/")
+    if len(parts) != 3 or parts[0] or parts[1] not in GROUPS or not parts[2]:
+        allowed = ", ".join(f"/{kind}/NAME" for kind in GROUPS)
+        raise OutputError(f"a result has no group '{path}'; allowed are '/' and {allowed}")
+    return parts[1], unquote(parts[2])
+
+
+def ordered(paths: Iterable[str]) -> list[str]:
+    """Paths of groups without repeats, in the order of GROUPS; those of one kind stay in theirs, the scene's."""
+    kinds = list(GROUPS)
+    return sorted(dict.fromkeys(paths), key=lambda path: -1 if path == "/" else kinds.index(kind_and_instance(path)[0]))
+
+
+def variables_of(path: str) -> dict[str, Variable]:
+    """The schema's variables of a group. Raises OutputError for a group that can't be."""
+    return ROOT if path == "/" else GROUPS[kind_and_instance(path)[0]]
+
+
+def check(arrays: Arrays, sizes: dict[tuple[str, str], int]) -> Checked:
+    """Hold arrays against the schema; returns them as arrays, not copied where they are already.
+
+    arrays: by group and variable. What goes along `time`, `step_time` or `frame_time` needs that time in the root ("/")
+    sizes: lengths by (group, dimension) that earlier arrays had; new ones are added, those along records are not
+    Raises OutputError for unknown groups and variables, other types, and shapes that do not fit each other.
+    """
+    records = {name: len(np.atleast_1d(array)) for name, array in arrays.get("/", {}).items()}
+    checked: Checked = {}
+    for path, variables in arrays.items():
+        known = variables_of(path)
+        checked[path] = {}
+        for name, given in variables.items():
+            if name not in known:
+                raise OutputError(f"variable '{name}' of group '{path}' is unknown; known are {', '.join(known)}")
+            array = np.asarray(given)
+            _check_one(f"{path.rstrip('/')}/{name}", path, known[name], array, sizes, records)
+            checked[path][name] = array
+    return checked
+
+
+def _check_one(
+    name: str,
+    path: str,
+    allowed: Variable,
+    array: NDArray[Any],
+    sizes: dict[tuple[str, str], int],
+    records: dict[str, int],
+) -> None:
+    if array.dtype != np.dtype(allowed.dtype) and not (allowed.dtype == "str" and array.dtype.kind == "U"):
+        raise OutputError(f"'{name}' has type {array.dtype}, allowed is {allowed.dtype}; convert it with .astype")
+    if array.ndim != len(allowed.dims):
+        raise OutputError(f"'{name}' has shape {array.shape}, allowed is ({', '.join(allowed.dims)}); reshape it")
+    for dim, length in zip(allowed.dims, array.shape, strict=True):
+        if dim in RECORDS:
+            if dim not in records:
+                raise OutputError(f"'{name}' came without its times; give '{dim}' of group '/' with it")
+            expected = records[dim]
+        elif dim in LABELS:
+            expected = len(LABELS[dim][0])
+        else:
+            expected = sizes.setdefault((path, dim), length)
+            if length == 0:
+                raise OutputError(f"'{name}' has nothing along '{dim}'; leave it out")
+        if length != expected:
             raise OutputError(
-                f"'{name}' has {length} along '{dim}' where {source[dim]} has {sizes[dim]}; give both the same length"
+                f"'{name}' has {length} along '{dim}', where the result has {expected}; give arrays of one length"
             )
-        source.setdefault(dim, f"'{name}'")
+
+
+def tree(arrays: Arrays, attributes: Attributes | None = None) -> xr.DataTree:
+    """A result in memory. Raises OutputError as `check` does.
+
+    arrays: by group and variable; attributes: of groups, "/" are the result's own
+    """
+    checked = check(arrays, {})
+    root = {name: xr.Variable((name,), np.array(names), {"long_name": what}) for name, (names, what) in LABELS.items()}
+    datasets = {}
+    paths = ordered(["/", *checked, *(attributes or {})])
+    for path in paths:
+        known = variables_of(path)
+        made = {name: xr.Variable(known[name].dims, array, known[name].attributes) for name, array in
+                checked.get(path, {}).items()}  # fmt: skip
+        datasets[path] = xr.Dataset(made | root if path == "/" else made, attrs=dict((attributes or {}).get(path, {})))
+    datasets["/"].attrs = root_attributes() | datasets["/"].attrs
+    return xr.DataTree.from_dict(datasets)
+
+
+def root_attributes() -> dict[str, Any]:
+    """Attributes that every result has."""
+    return {
+        "Conventions": CONVENTIONS,
+        "schema_version": SCHEMA_VERSION,
+        "title": "palmfield: sound of ultrasonic arrays on skin, and the skin's motion",
+    }
+
+
+def instances(result: xr.DataTree, kind: str) -> dict[str, xr.Dataset]:
+    """The groups of one kind by instance name, in the scene's order, each with the root's coordinates."""
+    if kind not in result.children:
+        return {}
+    return {unquote(name): node.to_dataset() for name, node in result.children[kind].children.items()}
+
+
+def has_records(ds: xr.Dataset | xr.DataTree, *names: str) -> bool:
+    """Whether a group holds at least one value of each of these variables (a run cut off early may lack them)."""
+    return all(name in ds and ds[name].size > 0 for name in names)
+
+
+def sensor_channels(names: Sequence[str], units: Sequence[str]) -> dict[str, NDArray[Any]]:
+    """The static variables of a group /sensors/NAME: names and units of its channels."""
+    return {"channel": np.array(names), "channel_units": np.array(units)}

@@ -1,52 +1,128 @@
 """Results on disk that survive Ctrl-C, kill -9 and a full disk.
 
 A run writes self-contained chunks into `.partial`; `finish` (or, after a kill, `recover`) joins them into `result.nc`.
-HDF5 crashes the interpreter when its disk fills up, so every file is made in memory and written with plain file calls.
 Each file in `.partial` is a netCDF file with the SHA-256 of its content behind it (which netCDF readers pass over), so
-that damage of any kind is seen.
+that damage of any kind is seen. `netcdf.py` says how files are made without letting HDF5 write to the disk.
 """
 
 import hashlib
-import io
 import json
 import os
 import shutil
 import time
 import uuid
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-import h5netcdf
 import numpy as np
 import xarray as xr
 
 from palmfield.errors import OutputError
-from palmfield.outputs.schema import RECORDS
+from palmfield.outputs.interrupts import interrupts_held
+from palmfield.outputs.netcdf import (
+    UNREADABLE,
+    image,
+    joined,
+    plain,
+    read_attributes,
+    read_image,
+    read_lengths,
+    record_of,
+    result_file,
+)
+from palmfield.outputs.schema import (
+    RECORDS,
+    SCHEMA_VERSION,
+    Arrays,
+    Attributes,
+    Checked,
+    check,
+    root_attributes,
+    tree,
+    variables_of,
+)
 
+RESULT = "result.nc"
+DERIVED = ("summary.json", "pressure.png", "displacement.png", "scene.png", "scene.usdc")
+"""Files that a run makes of its result."""
 FLUSH_BYTES = 8_000_000
 FLUSH_SECONDS = 2.0
-COMPRESSION: dict[str, Any] = {"zlib": True, "complevel": 1}
 SEAL_BYTES = hashlib.sha256().digest_size
-RESULT_CHUNK_BYTES = 1_000_000
 ENGINE: Any = "h5netcdf"
 
 
-class Store:
-    """Files of one run: `static` at once, blocks along `time`, `frame` and `step_time` as they come.
+class _Waiting(NamedTuple):
+    """Blocks that are not on the disk yet. chunks: files written before them"""
 
-    out: folder of the result, made where missing; an older result.nc in it is replaced only by `finish`
-    static: variables without a record dimension; its attributes go into the result
-    Raises OutputError where `out` cannot be written or holds an unfinished run.
+    chunks: int
+    blocks: list[Checked]
+
+
+class _Blocks:
+    """What all stores ask of the blocks that they take."""
+
+    def __init__(self, static: Arrays) -> None:
+        self._sizes: dict[tuple[str, str], int] = {}
+        self._names: dict[tuple[str, str], set[str]] = {}
+        self._last = dict.fromkeys(RECORDS, -np.inf)
+        self.static = check(static, self._sizes)
+
+    def taken(self, block: Arrays) -> Checked:
+        """A copy of a block that fits what came before it; see `Store.append` for what is refused."""
+        sizes, last, known_names = dict(self._sizes), dict(self._last), dict(self._names)
+        checked = check(block, sizes)
+        for dim in RECORDS:
+            times = checked.get("/", {}).get(dim)
+            if times is None or len(times) == 0:
+                continue
+            if not (times[0] > last[dim] and (times[1:] > times[:-1]).all()):
+                raise OutputError(
+                    f"'{dim}' does not rise: a block begins at {times[0]:g} s after {last[dim]:g} s; give later times "
+                    "in each block, and each once"
+                )
+            last[dim] = float(times[-1])
+        for path, variables in checked.items():
+            known = variables_of(path)
+            for dim in RECORDS if path != "/" else ():
+                names = {name for name in variables if record_of(known[name]) == dim}
+                expected = known_names.setdefault((path, dim), names) if names else names
+                if names != expected:
+                    raise OutputError(
+                        f"a block holds {', '.join(sorted(names))} of '{path}' along '{dim}'; earlier ones held "
+                        f"{', '.join(sorted(expected))}: give the same variables in every block"
+                    )
+        self._sizes, self._last, self._names = sizes, last, known_names
+        return {path: {n: np.array(a) for n, a in variables.items()} for path, variables in checked.items()}
+
+
+class Store:
+    """Files of one run: `static` at once, blocks along `time`, `step_time` and `frame_time` as they come.
+
+    out: folder of the result, made where missing
+    static: arrays by group and variable that are known before the first step (outputs/schema.py)
+    attributes: of groups; those of "/" are the result's own: settings, versions
+    overwrite: whether a folder may hold another run's results; they are replaced by `finish`, not before
+    Raises OutputError where `out` cannot be written, and where it holds an unfinished run or, without `overwrite`,
+    another run's results.
     """
 
-    def __init__(self, out: Path, static: xr.Dataset) -> None:
+    def __init__(
+        self, out: Path, static: Arrays, attributes: Attributes | None = None, overwrite: bool = False
+    ) -> None:
         self.out = Path(out)
         self.partial = self.out / ".partial"
-        self._state: tuple[int, list[xr.Dataset]] = (0, [])
-        self._names: dict[str, set[str]] = {}
-        self._sizes = {str(dim): length for dim, length in static.sizes.items()}
+        self._blocks = _Blocks(static)
+        self._waiting = _Waiting(0, [])
+        self._waiting_bytes = 0
         self._lost = ""
         self._flushed_at = time.monotonic()
+        held = [name for name in (RESULT, *DERIVED) if (self.out / name).exists()]
+        if held and not overwrite and not self.partial.is_dir():
+            raise OutputError(
+                f"{self.out} holds another run's {', '.join(held)}; choose another folder, or replace them with "
+                "--overwrite (overwrite=True)"
+            )
         try:
             self.partial.mkdir(parents=True)
         except FileExistsError as error:
@@ -58,70 +134,79 @@ class Store:
             ) from error
         except OSError as error:
             raise _unwritable(self.out, error) from error
+        own = dict(attributes or {})
+        own["/"] = root_attributes() | {"run_id": uuid.uuid4().hex} | dict(own.get("/", {}))
         try:
-            _write_sealed(self.partial / "static.nc", _image(static.assign_attrs(run_id=uuid.uuid4().hex)))
+            _write_sealed(self.partial / "static.nc", image(self._blocks.static, own))
         except OSError as error:
             shutil.rmtree(self.partial)
             raise _unwritable(self.out, error) from error
 
-    def append(self, block: xr.Dataset) -> None:
-        """Take a block; flushed to disk after 8 MB or 2 s.
+    def append(self, block: Arrays) -> None:
+        """Take a block, which is copied; it is flushed to disk after 8 MB or 2 s.
 
-        Variables without a record dimension (such as surface_arp) replace earlier ones. All blocks along a dimension
-        must hold the same variables, and other dimensions keep the length of `static`. Raises OutputError where they
-        do not, and where a flush fails.
+        block: plain arrays by group and variable; those along `time`, `step_time` or `frame_time` come with these times
+            in the root ("/"). Other variables (such as loudest_arp) replace earlier ones
+        All blocks must hold the same variables along a dimension, other dimensions keep their lengths, and times rise.
+        Raises OutputError where they do not, and where a flush fails.
         """
-        for name, length in block.sizes.items():
-            if name not in RECORDS and self._sizes.setdefault(str(name), length) != length:
-                raise OutputError(
-                    f"a block has {length} along '{name}' where the run has {self._sizes[str(name)]}; "
-                    "give blocks of one mesh and one array"
-                )
-        for dim in RECORDS:
-            if block.sizes.get(dim, 0) == 0:
-                continue
-            names = {str(name) for name, variable in block.variables.items() if dim in variable.dims}
-            expected = self._names.setdefault(dim, names)
-            if names != expected:
-                raise OutputError(
-                    f"a block along '{dim}' holds {', '.join(sorted(names))}; "
-                    f"earlier ones held {', '.join(sorted(expected))}: give the same variables in every block"
-                )
-        self._state[1].append(block.copy(deep=True))
-        waiting = sum(b.nbytes for b in self._state[1])
-        if waiting > FLUSH_BYTES or time.monotonic() - self._flushed_at > FLUSH_SECONDS:
+        taken = self._blocks.taken(block)
+        self._waiting.blocks.append(taken)
+        self._waiting_bytes += sum(array.nbytes for variables in taken.values() for array in variables.values())
+        if self._waiting_bytes > FLUSH_BYTES or time.monotonic() - self._flushed_at > FLUSH_SECONDS:
             self._flush()
 
-    def finish(self, attrs: dict[str, Any], complete: bool) -> Path:
+    def finish(self, attributes: Mapping[str, Any], complete: bool) -> Path:
         """Join what was appended into out/result.nc and remove .partial; returns the result's path.
 
-        attrs: attributes of the result; `reason` says why the run ended; `complete` becomes 1 or 0
-        Raises OutputError where there is no room for the result; .partial then stays for `palmfield recover`.
+        attributes: more of the result; `reason` says why the run ended; `complete` becomes 1 or 0
+        Files that an earlier run made of its own result go with it. Raises OutputError where there is no room for the
+        result; .partial then stays for `palmfield recover`.
         """
         try:
             self._flush()
         except OutputError as error:
             self._lost = str(error)
+        attributes = dict(attributes)
         if self._lost:
             complete = False
-            attrs = attrs | {"reason": f"{attrs.get('reason', '')} {self._lost}".strip()}
-        return _assemble(self.out, attrs, complete)
+            attributes["reason"] = f"{attributes.get('reason', '')} {self._lost}".strip()
+        return _assemble(self.out, attributes, complete)
 
     def _flush(self) -> None:
-        count, blocks = self._state
+        count, blocks = self._waiting
         if not blocks:
             return
         path = self.partial / f"chunk_{count + 1:06d}.nc"
         try:
-            _write_sealed(path, _image(_join(blocks)))
+            _write_sealed(path, image(joined(blocks), {}))
         except OSError as error:
             raise OutputError(
                 f"cannot write {path}: {error.strerror or error}; {count} earlier chunks are safe, "
                 f"free some space and run `palmfield recover {self.out}`"
             ) from error
         # One assignment: Ctrl-C must not fall between counting a chunk and letting go of its blocks.
-        self._state = (count + 1, [])
+        self._waiting = _Waiting(count + 1, [])
+        self._waiting_bytes = 0
         self._flushed_at = time.monotonic()
+
+
+class MemoryStore:
+    """As `Store`, for a run whose results stay in memory."""
+
+    def __init__(self, static: Arrays, attributes: Attributes | None = None) -> None:
+        self._blocks = _Blocks(static)
+        self._attributes = dict(attributes or {})
+        self._held: list[Checked] = []
+
+    def append(self, block: Arrays) -> None:
+        """As `Store.append`, without a flush."""
+        self._held.append(self._blocks.taken(block))
+
+    def finish(self, attributes: Mapping[str, Any], complete: bool) -> xr.DataTree:
+        """The result as `open_result` gives it, all of it in memory."""
+        own = dict(self._attributes.get("/", {})) | dict(attributes) | {"complete": int(complete)}
+        return tree(joined([self._blocks.static, *self._held]), self._attributes | {"/": own})
 
 
 def recover(out: Path) -> Path:
@@ -134,25 +219,42 @@ def recover(out: Path) -> Path:
     partial = out / ".partial"
     if not partial.is_dir():
         raise OutputError(f"{out} holds no unfinished run (no .partial folder in it); name the folder of the run")
-    static = _read_sealed(partial / "static.nc")
-    if static is None:
-        raise OutputError(
-            f"{partial} has no readable static.nc: the run ended before its first data; delete {partial} to go on"
-        )
-    result = out / "result.nc"
-    finished = _read(result) if result.exists() else None
-    if finished is not None and finished.attrs.get("run_id") == static.attrs["run_id"]:
+    _, attributes = _static(partial)
+    finished = read_attributes(out / RESULT)
+    if finished is not None and finished.get("run_id") == attributes["/"]["run_id"]:
         shutil.rmtree(partial)
-        return result
+        return out / RESULT
     return _assemble(out, {"reason": "recovered after the run was cut off"}, complete=False)
 
 
-def load(path: Path) -> xr.Dataset:
-    """Read a result file into memory, times as plain seconds. Raises OutputError where it cannot be read."""
-    found = _read(Path(path))
-    if found is None:
-        raise OutputError(f"{path} is not a readable result file; name a result.nc that palmfield wrote")
-    return found
+def open_result(path: str | Path) -> xr.DataTree:
+    """A result file, or that of a run's folder, opened lazily: arrays are read where they are used.
+
+    `tree["skin/palm"]["displacement"].isel(time=-1).values` reads one instant; times are plain seconds. Close it with
+    `.close()`, or use it in a `with`. Raises OutputError for a file that can't be read or has another schema.
+    """
+    path = Path(path)
+    path = path / RESULT if path.is_dir() else path
+    attributes = read_attributes(path)
+    if attributes is None:
+        raise OutputError(f"{path} is not a readable result file; name a {RESULT} that palmfield wrote")
+    version = attributes.get("schema_version")
+    if version is None and "skin_position" in attributes["_variables"]:
+        raise OutputError(
+            f"{path} has schema 1, from before a scene could have several skins, and this palmfield reads schema "
+            f"{SCHEMA_VERSION}; run its scene again, or read the file with xarray.open_dataset"
+        )
+    if version is None:
+        raise OutputError(f"{path} is a netCDF file that palmfield did not write; name a {RESULT} of a run")
+    if int(version) != SCHEMA_VERSION:
+        raise OutputError(
+            f"{path} has schema {version} and this palmfield reads schema {SCHEMA_VERSION}; "
+            f"use the palmfield that wrote it, or run its scene again"
+        )
+    try:
+        return xr.open_datatree(path, engine=ENGINE, decode_times=False)
+    except UNREADABLE as error:
+        raise OutputError(f"{path} is damaged: {error}; run its scene again") from error
 
 
 def write_json(path: Path, obj: object) -> None:
@@ -161,7 +263,7 @@ def write_json(path: Path, obj: object) -> None:
     Raises OutputError for what JSON cannot hold (NaN included) and where the file cannot be written.
     """
     try:
-        text = json.dumps(obj, indent=2, default=_plain, allow_nan=False)
+        text = json.dumps(obj, indent=2, default=plain, allow_nan=False)
     except (TypeError, ValueError) as error:
         raise OutputError(
             f"cannot write {path} as JSON: {error}; give finite numbers, text, lists and dicts"
@@ -176,20 +278,7 @@ def _unwritable(path: Path, error: OSError) -> OutputError:
     return OutputError(f"cannot write {path}: {error.strerror or error}; choose a folder on a disk with room for it")
 
 
-def _plain(value: object) -> object:
-    if isinstance(value, np.generic | np.ndarray):
-        return value.tolist()
-    raise TypeError(f"{type(value).__name__} is not JSON")
-
-
-def _safe(value: object) -> object:
-    """Value that netCDF can hold as an attribute; what it cannot becomes JSON text."""
-    if isinstance(value, bool | np.bool_) or not isinstance(value, str | int | float | np.number):
-        return json.dumps(value, default=_plain)
-    return value
-
-
-def _write(path: Path, data: bytes | memoryview) -> None:
+def _write(path: Path, data: bytes) -> None:
     temporary = path.with_name(path.name + ".tmp")
     try:
         with open(temporary, "wb") as file:
@@ -202,135 +291,86 @@ def _write(path: Path, data: bytes | memoryview) -> None:
         raise
 
 
-def _write_sealed(path: Path, data: bytes | memoryview) -> None:
-    _write(path, bytes(data) + hashlib.sha256(data).digest())
+def _write_sealed(path: Path, data: bytes) -> None:
+    _write(path, data + hashlib.sha256(data).digest())
 
 
-def _image(ds: xr.Dataset) -> bytes | memoryview:
-    """The netCDF file of a dataset, as bytes."""
-    safe = ds.copy()
-    safe.attrs = {key: _safe(value) for key, value in ds.attrs.items()}
-    packed = {
-        name: COMPRESSION
-        for name, variable in ds.variables.items()
-        if variable.dtype == np.float32 and variable.size and set(variable.dims) & set(RECORDS)
-    }
-    return safe.to_netcdf(None, engine=ENGINE, encoding=packed)
-
-
-def _read(path: Path) -> xr.Dataset | None:
-    """Dataset of a file, or None where it is damaged, half written or missing."""
-    try:
-        with xr.open_dataset(path, engine=ENGINE, decode_times=False) as ds:
-            return ds.load()
-    except (OSError, ValueError, KeyError, RuntimeError):
-        return None
-
-
-def _read_sealed(path: Path) -> xr.Dataset | None:
-    """Dataset of a file in .partial, or None where it is missing or not what was written."""
+def _sealed(path: Path) -> bytes | None:
+    """Content of a file in .partial, or None where it is missing or not what was written."""
     try:
         data = path.read_bytes()
     except OSError:
         return None
     content, seal = data[:-SEAL_BYTES], data[-SEAL_BYTES:]
-    if hashlib.sha256(content).digest() != seal:
-        return None
-    with xr.open_dataset(io.BytesIO(content), engine=ENGINE, decode_times=False) as ds:
-        return ds.load()
+    return content if hashlib.sha256(content).digest() == seal else None
 
 
-def _record(variable: xr.Variable) -> str | None:
-    return next((dim for dim in RECORDS if dim in variable.dims), None)
+def _static(partial: Path) -> tuple[Checked, dict[str, dict[str, Any]]]:
+    """What was known before the first step. Raises OutputError where it is gone, damaged or of another schema."""
+    content = _sealed(partial / "static.nc")
+    if content is None:
+        raise OutputError(
+            f"{partial} has no readable static.nc: the run ended before its first data; delete {partial} to go on"
+        )
+    version = read_image(content, static=False, records=False)[1]["/"].get("schema_version", 1)
+    if version != SCHEMA_VERSION:
+        raise OutputError(
+            f"{partial} was left by a palmfield of schema {version}, and this one has {SCHEMA_VERSION}; recover it "
+            f"with that one, or delete {partial}"
+        )
+    return read_image(content)
 
 
-def _join(blocks: list[xr.Dataset]) -> xr.Dataset:
-    """One dataset of many: joined along each variable's record dimension, the last one kept where there is none."""
-    parts: dict[str, list[xr.Variable]] = {}
-    for block in blocks:
-        for name, variable in block.variables.items():
-            dim = _record(variable)
-            if dim is None:
-                parts[str(name)] = [variable]
-            elif variable.sizes[dim]:
-                parts.setdefault(str(name), []).append(variable)
-    joined = {
-        name: xr.Variable.concat(list_, _record(list_[0])) if _record(list_[0]) else list_[0]
-        for name, list_ in parts.items()
-    }
-    coords = {str(name) for block in blocks for name in block.coords} & joined.keys()
-    return xr.Dataset({k: v for k, v in joined.items() if k not in coords}, {k: joined[k] for k in coords})
-
-
-def _assemble(out: Path, attrs: dict[str, Any], complete: bool) -> Path:
+def _assemble(out: Path, attributes: dict[str, Any], complete: bool) -> Path:
     partial = out / ".partial"
-    static = _read_sealed(partial / "static.nc")
-    if static is None:
-        raise OutputError(f"{partial}/static.nc is gone or damaged; the chunks beside it are plain netCDF files")
+    head, own = _static(partial)
     found = sorted(partial.glob("chunk_*.nc"))
     chunks: list[Path] = []
     lengths = dict.fromkeys(RECORDS, 0)
-    head = static
     for path in found:
-        ds = _read_sealed(path)
-        if ds is None:
+        content = _sealed(path)
+        if content is None:
             continue
         chunks.append(path)
-        for dim in RECORDS:
-            lengths[dim] += ds.sizes.get(dim, 0)
-        head = _join([head, ds.drop_dims(set(RECORDS) & set(ds.dims))])
+        lengths = {dim: lengths[dim] + length for dim, length in read_lengths(content).items()}
+        head = joined([head, read_image(content, records=False)[0]])
     bad = len(found) - len(chunks) + len(list(partial.glob("chunk_*.nc.tmp")))
-    reason = str(attrs.get("reason", ""))
+    reason = str(attributes.get("reason", ""))
     if bad:
         reason = f"{reason}; {bad} of {len(chunks) + bad} chunks could not be read".strip("; ")
-    head.attrs = static.attrs | attrs
-    head.attrs |= {"complete": int(complete and not bad), "reason": reason, "unreadable_chunks": bad}
+    own["/"] |= attributes | {"complete": int(complete and not bad), "reason": reason, "unreadable_chunks": bad}
+    temporary = out / f"{RESULT}.tmp"
     try:
-        _write(out / "result.nc", _concatenated(head, chunks, lengths))
+        _join_chunks(temporary, head, own, chunks, lengths)
+        for name in DERIVED:
+            (out / name).unlink(missing_ok=True)
+        os.replace(temporary, out / RESULT)
     except OSError as error:
         raise OutputError(
-            f"cannot write {out / 'result.nc'}: {error.strerror or error}; {len(chunks)} chunks are safe in {partial}: "
+            f"cannot write {out / RESULT}: {error.strerror or error}; {len(chunks)} chunks are safe in {partial}: "
             f"free some space and run `palmfield recover {out}`"
         ) from error
+    finally:
+        temporary.unlink(missing_ok=True)
     shutil.rmtree(partial)
-    return out / "result.nc"
+    return out / RESULT
 
 
-def _concatenated(head: xr.Dataset, chunks: list[Path], lengths: dict[str, int]) -> memoryview:
-    """The result file's bytes: `head`, then the record variables of one chunk after the other."""
-    image = io.BytesIO(bytes(_image(head)))
-    with h5netcdf.File(image, "a", decode_vlen_strings=True) as file:
+def _join_chunks(
+    path: Path, head: Checked, attributes: dict[str, dict[str, Any]], chunks: list[Path], lengths: dict[str, int]
+) -> None:
+    """Write the result: what has no records, then the records of one chunk after the other."""
+    with interrupts_held() as check_interrupt, result_file(path, lengths) as (writer, disk):
+        writer.labels()
+        writer.groups(head, attributes)
+        writer.put(head, dict.fromkeys(RECORDS, 0))
         start = dict.fromkeys(RECORDS, 0)
-        for path in chunks:
-            ds = _read_sealed(path)
-            if ds is None:
-                raise OutputError(f"{path} changed while it was read; stop what writes there and try again")
-            for name, variable in ds.variables.items():
-                dim = _record(variable)
-                if dim is not None:
-                    _put(file, str(name), variable, start[dim], lengths[dim])
-            for dim in RECORDS:
-                start[dim] += ds.sizes.get(dim, 0)
-    return image.getbuffer()
-
-
-def _put(file: Any, name: str, variable: xr.Variable, start: int, total: int) -> None:
-    """Write one chunk's part of a record variable into the open result, making the variable on first use."""
-    if name not in file.variables:
-        for dim, length in zip(variable.dims, (total, *variable.shape[1:]), strict=True):
-            if dim not in file.dimensions:
-                file.dimensions[dim] = length
-        row = variable.dtype.itemsize * int(np.prod(variable.shape[1:]))
-        rows = min(total, max(1, RESULT_CHUNK_BYTES // row))
-        packing = {"compression": "gzip", "compression_opts": COMPRESSION["complevel"], "shuffle": True}
-        created = file.create_variable(
-            name,
-            variable.dims,
-            variable.dtype,
-            chunks=(rows, *variable.shape[1:]),
-            **(packing if variable.dtype == np.float32 else {}),
-        )
-        created.attrs.update(variable.attrs)
-        if "frame" in variable.dims and name != "frame_time":
-            created.attrs["coordinates"] = "frame_time"
-    file.variables[name][start : start + len(variable)] = variable.values
+        for chunk in chunks:
+            if disk.lost is not None:
+                break
+            check_interrupt()
+            content = _sealed(chunk)
+            if content is None:
+                raise OutputError(f"{chunk} changed while it was read; stop what writes there and try again")
+            writer.put(read_image(content, static=False)[0], start)
+            start = {dim: start[dim] + length for dim, length in read_lengths(content).items()}

@@ -1,53 +1,105 @@
-"""The numbers of a run in one flat, plain dictionary."""
+"""The numbers of a run as plain JSON: a list of skins, of arrays and of stimuli, and what holds for all."""
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from palmfield.outputs.frames import has_records
+from palmfield.outputs.motion import extremes, pieces
+from palmfield.outputs.schema import SCHEMA_VERSION, has_records, instances
 
 REFERENCE_PA = 20e-6
+PEAKS = ("peak_pressure_Pa", "peak_arp_Pa", "peak_displacement_m", "peak_velocity_m_s", "total_force_peak_N")
+
+More = Mapping[str, Mapping[str, Any]]
+"""Further numbers by instance."""
 
 
-def summary(ds: xr.Dataset, extra: dict[str, Any]) -> dict[str, Any]:
-    """Plain-JSON numbers of a result, units in the names; what a run cut off early lacks is left out.
+def summary(
+    result: xr.DataTree, extra: Mapping[str, Any], skins: More | None = None, stimuli: More | None = None
+) -> dict[str, Any]:
+    """Numbers of a result, units in the names; what a run cut off early lacks is left out.
 
-    ds: a result (outputs/schema.py); extra: further entries, which come last
-    peak_pressure_Pa is the largest pressure amplitude (peak, not rms) on the surface or the skin patch;
-    peak_pressure_dB_SPL is its rms level over 20 µPa, None in silence. rms_displacement_m (and ..._without_dc_m) are
+    result: of `open_result` or `tree`; extra: further entries, which come last
+    skins, stimuli: further entries of their elements in the lists, by instance name
+
+    `skins` is a list, one element a skin (`skin_numbers`); `arrays` and `stimuli` likewise. The largest of PEAKS over
+    all skins and the sound level of the largest pressure stand beside the lists.
+    """
+    more_skins, more_stimuli = skins or {}, stimuli or {}
+    surfaces, forces = instances(result, "surface"), instances(result, "forces")
+    listed = [
+        {"name": name, **skin_numbers(skin, surfaces.get(name), forces.get(name)), **more_skins.get(name, {})}
+        for name, skin in instances(result, "skin").items()
+    ]
+    arrays = [
+        {"name": name, "transducers": int(array.sizes.get("transducer", 0))}
+        for name, array in instances(result, "array").items()
+    ]
+    out: dict[str, Any] = {
+        "schema_version": SCHEMA_VERSION,
+        "skins": listed,
+        "arrays": arrays,
+        "stimuli": [
+            {"name": name, "focal_points": int(stimulus.sizes.get("focus", 0)), **more_stimuli.get(name, {})}
+            for name, stimulus in instances(result, "stimulus").items()
+        ],
+        "transducers": sum(array["transducers"] for array in arrays),
+        "drive_frames": int(result.sizes.get("frame_time", 0)),
+        "skin_steps": int(result.sizes.get("time", 0)),
+        "steps": int(result.sizes.get("step_time", 0)),
+    }
+    if out["skin_steps"]:
+        times = result.coords["time"].values
+        out["simulated_time_s"] = float(times[-1] - times[0])
+    for key in PEAKS:
+        found = [skin[key] for skin in listed if key in skin]
+        if found:
+            out[key] = max(found)
+    if "peak_pressure_Pa" in out:
+        out["peak_pressure_dB_SPL"] = level_dB_SPL(out["peak_pressure_Pa"])
+    return out | dict(extra)
+
+
+def skin_numbers(skin: xr.Dataset, surface: xr.Dataset | None, forces: xr.Dataset | None) -> dict[str, Any]:
+    """Numbers of one skin.
+
+    skin, surface, forces: the groups of its name. peak_pressure_Pa is the largest pressure amplitude (peak, not rms) on
+    its body's surface or on the skin at the loudest instant; peak_pressure_dB_SPL is its rms level over 20 µPa, None in
+    silence. Displacement and velocity are those along the outward normal; rms_displacement_m (and ..._without_dc_m) are
     over time at the vertex that moves most. total_force_mean_N is the mean vector in the world.
     """
-    out: dict[str, Any] = {}
-    for name, dim in (("skin_vertices", "vertex"), ("transducers", "transducer"), ("drive_frames", "frame")):
-        out[name] = int(ds.sizes.get(dim, 0))
-    if has_records(ds, "time"):
-        out["skin_steps"] = int(ds.sizes["time"])
-        out["simulated_time_s"] = float(ds["time"].values[-1] - ds["time"].values[0])
-    _add_peak(out, ds, "peak_pressure_Pa", ("surface_pressure", "skin_pressure"))
-    if "peak_pressure_Pa" in out:
-        rms = out["peak_pressure_Pa"] / math.sqrt(2.0)
-        out["peak_pressure_dB_SPL"] = 20.0 * math.log10(rms / REFERENCE_PA) if rms > 0 else None
-    _add_peak(out, ds, "peak_arp_Pa", ("surface_arp", "arp"))
-    if has_records(ds, "arp_force"):
-        force = ds["arp_force"].values
+    out: dict[str, Any] = {"vertices": int(skin.sizes.get("vertex", 0))}
+    meshes = [mesh for mesh in (surface, skin) if mesh is not None]
+    pressures = [float(m["loudest_pressure"].values.max()) for m in meshes if has_records(m, "loudest_pressure")]
+    if pressures:
+        out["peak_pressure_Pa"] = max(pressures)
+        out["peak_pressure_dB_SPL"] = level_dB_SPL(max(pressures))
+    loads = [float(mesh["loudest_arp"].values.max()) for mesh in meshes if has_records(mesh, "loudest_arp")]
+    if has_records(skin, "arp"):
+        loads += [float(values.max()) for _, values in pieces(skin, "arp")]
+    if loads:
+        out["peak_arp_Pa"] = max(loads)
+    if forces is not None and has_records(forces, "force"):
+        force = forces["force"].values
         out["total_force_peak_N"] = float(np.linalg.norm(force, axis=1).max())
         out["total_force_mean_N"] = force.mean(axis=0).tolist()
-    if has_records(ds, "normal_displacement"):
-        motion = ds["normal_displacement"].values
-        when, vertex = np.unravel_index(np.abs(motion).argmax(), motion.shape)
-        there = motion[:, vertex].astype(np.float64)
-        out["peak_displacement_m"] = float(abs(there[when]))
-        out["peak_displacement_time_s"] = float(ds["time"].values[when])
-        out["peak_displacement_vertex"] = int(vertex)
-        out["rms_displacement_m"] = float(np.sqrt(np.mean(there**2)))
-        out["rms_displacement_without_dc_m"] = float(there.std())
-    _add_peak(out, ds, "peak_velocity_m_s", ("normal_velocity",))
-    return out | extra
+    if has_records(skin, "displacement"):
+        motion = extremes(skin)
+        vertex = int(motion.peak.argmax())
+        mean, square = float(motion.mean[vertex]), float(motion.mean_square[vertex])
+        out["peak_displacement_m"] = float(motion.peak[vertex])
+        out["peak_displacement_time_s"] = float(skin["time"].values[motion.when[vertex]])
+        out["peak_displacement_vertex"] = vertex
+        out["rms_displacement_m"] = math.sqrt(square)
+        out["rms_displacement_without_dc_m"] = math.sqrt(max(0.0, square - mean**2))
+    if has_records(skin, "velocity"):
+        out["peak_velocity_m_s"] = float(extremes(skin, "velocity").peak.max())
+    return out
 
 
-def _add_peak(out: dict[str, Any], ds: xr.Dataset, key: str, names: tuple[str, ...]) -> None:
-    found = [float(np.abs(ds[name].values).max()) for name in names if has_records(ds, name)]
-    if found:
-        out[key] = max(found)
+def level_dB_SPL(peak_Pa: float) -> float | None:
+    """Sound pressure level of a sine of this amplitude: rms over 20 µPa; None in silence."""
+    return 20.0 * math.log10(peak_Pa / math.sqrt(2.0) / REFERENCE_PA) if peak_Pa > 0 else None

@@ -1,37 +1,44 @@
-"""The run as a USD scene: array, moving hand, and the skin's ARP and displacement as primvars over time."""
+"""The run as a USD scene: arrays, moving bodies, and each skin's ARP and displacement as primvars over time."""
 
 import os
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import trimesh
 import xarray as xr
+from numpy.typing import NDArray
 from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdSkel, UsdValidation, Vt
 from scipy.spatial import cKDTree
 
 from palmfield.errors import OutputError
-from palmfield.outputs.frames import body_pose_at, has_records
-from palmfield.outputs.usdskel import add_skeleton, bind
-from palmfield.types import Float, Int
+from palmfield.outputs.frames import bodies, poses_at
+from palmfield.outputs.motion import normal_pieces, pieces
+from palmfield.outputs.schema import has_records, instances
+from palmfield.outputs.usdskel import add_skeleton, bind, identifiers
+from palmfield.types import Float
 
 MOST_FRAMES = 600
 SAVE_EVERY = 50
 LEVELS = 1000
-SKIN_PRIMVARS = {"arp": "Pa", "normal_displacement": "m"}
+SKIN_PRIMVARS: dict[str, tuple[str, Any, str]] = {
+    "arp": ("arp", pieces, "Pa"),
+    "normal_displacement": ("displacement", normal_pieces, "m"),
+}
+"""Variable of the result, how it is read, and units, by primvar."""
 SKIN_COLOUR = (0.86, 0.66, 0.55)
 PATCH_COLOUR = (0.80, 0.50, 0.42)
 CASE_COLOUR = (0.62, 0.64, 0.67)
 
 
-def write_usd(ds: xr.Dataset, path: Path, fps: float = 30.0) -> None:
+def write_usd(result: xr.DataTree, path: Path, fps: float = 30.0) -> None:
     """USD crate of a result: a slow-motion film, one stored frame a time code, at most 600 frames.
 
-    ds: a result (outputs/schema.py); path: name of the .usdc file; fps: time codes per second [1/s]
-    /Scene/Array is a point instancer, /Scene/Body moves as the body did, with the bones of an articulated hand as a
-    UsdSkel skeleton; under it, Surface has the primvars surface_arp
-    and surface_pressure [Pa], and Skin has arp [Pa] and normal_displacement [m] by vertex over time, each rounded to
+    result: of `open_result` or `tree`; path: name of the .usdc file; fps: time codes per second [1/s]
+    /Scene/Arrays/NAME is a point instancer that moves as the array did. /Scene/Bodies/NAME moves as the body did, with
+    the bones of an articulated hand as a UsdSkel skeleton; under it, Surface has the primvars loudest_arp and
+    loudest_pressure [Pa], and Skins/NAME has arp [Pa] and normal_displacement [m] by vertex over time, each rounded to
     1/1000 of its largest magnitude: the primvar's customData holds that step and the error bound. The vertices stay at
     rest. The root layer's customLayerData says how time codes map to seconds (start_s + code * seconds_per_time_code).
     Raises OutputError where `path` cannot be written or does not end in .usdc, and for an fps that is not positive.
@@ -46,7 +53,7 @@ def write_usd(ds: xr.Dataset, path: Path, fps: float = 30.0) -> None:
         temporary.unlink(missing_ok=True)
         temporary.touch()
         temporary.unlink()
-        _write(ds, temporary, fps)
+        _write(result, temporary, fps)
         os.replace(temporary, path)
     except (OSError, Tf.ErrorException) as error:
         raise OutputError(
@@ -75,7 +82,7 @@ def validate_usd(path: Path) -> list[str]:
     return found
 
 
-def quantise(values: Float) -> tuple[np.ndarray, float, float]:
+def quantise(values: NDArray[np.floating]) -> tuple[np.ndarray, float, float]:
     """Values rounded to 1/1000 of their largest magnitude, as float32; the step; the largest possible error.
 
     The error is half a step plus the rounding of the result to float32 (half a unit in its last place).
@@ -96,7 +103,14 @@ def _cause(error: Exception) -> str:
     return quoted[1] if len(quoted) > 1 else "USD could not save it"
 
 
-def _write(ds: xr.Dataset, path: Path, fps: float) -> None:
+class _Clock(NamedTuple):
+    """The time codes. kept: which of the stored times become one; times_s: those [s], shape (n,)"""
+
+    kept: slice
+    times_s: Float
+
+
+def _write(result: xr.DataTree, path: Path, fps: float) -> None:
     stage = Usd.Stage.CreateNew(str(path))
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
@@ -104,68 +118,105 @@ def _write(ds: xr.Dataset, path: Path, fps: float) -> None:
     stage.SetFramesPerSecond(fps)
     root = UsdGeom.Xform.Define(stage, "/Scene")
     stage.SetDefaultPrim(root.GetPrim())
-    if "transducer_position" in ds:
-        _add_array(stage, ds["transducer_position"].values, ds["array_pose"].values)
-    boned = has_records(ds, "bone_pose")
-    body = (UsdSkel.Root if boned else UsdGeom.Xform).Define(stage, "/Scene/Body")
-    if "surface_vertices" in ds:
-        surface = _add_mesh(
-            stage, "/Scene/Body/Surface", ds["surface_vertices"].values, ds["surface_faces"].values, SKIN_COLOUR
-        )
-        for name in ("surface_arp", "surface_pressure"):
-            if name in ds:
-                _primvar(surface, name, "Pa").Set(Vt.FloatArray.FromNumpy(ds[name].values))
-    skin = _add_mesh(stage, "/Scene/Body/Skin", ds["skin_position"].values, ds["skin_faces"].values, PATCH_COLOUR)
-    _add_frames(stage, ds, body, skin, fps)
-    if boned:
-        skeleton = add_skeleton(stage, "/Scene/Body", ds, kept_frames(ds))
-        bind(skin, skeleton, ds["skin_bone"].values, ds["skin_share"].values)
-        if "surface_bone" in ds:
-            bind(surface, skeleton, ds["surface_bone"].values, ds["surface_share"].values)
+    clock = _clock(result)
+    _add_clock(stage, clock, fps)
+    for scope in ("/Scene/Arrays", "/Scene/Bodies"):
+        UsdGeom.Scope.Define(stage, scope)
+    arrays = instances(result, "array")
+    for name, prim in identifiers(arrays).items():
+        _add_array(stage, f"/Scene/Arrays/{prim}", arrays[name], clock)
+    found = bodies(result)
+    for name, prim in identifiers(found).items():
+        _add_body(stage, f"/Scene/Bodies/{prim}", result, found[name], clock)
     stage.Save()
 
 
-def kept_frames(ds: xr.Dataset) -> Int:
-    """Which of the stored times become time codes, shape (n,)."""
-    count = ds.sizes["time"] if has_records(ds, "time") else 0
-    return np.arange(0, count, max(1, -(-count // MOST_FRAMES)), dtype=np.int32)
+def _clock(result: xr.DataTree) -> _Clock:
+    count = result.sizes.get("time", 0)
+    kept = slice(0, count, max(1, -(-count // MOST_FRAMES)))
+    return _Clock(kept, result.coords["time"].values[kept] if count else np.zeros(0))
 
 
-def _add_frames(stage: Usd.Stage, ds: xr.Dataset, body: UsdGeom.Xform, skin: UsdGeom.Mesh, fps: float) -> None:
-    time_s = ds["time"].values if has_records(ds, "time") else np.zeros(0)
-    kept = kept_frames(ds)
-    stride = int(kept[1] - kept[0]) if len(kept) > 1 else 1
-    move, turn = body.AddTranslateOp(UsdGeom.XformOp.PrecisionDouble), body.AddOrientOp(UsdGeom.XformOp.PrecisionDouble)
-    if len(kept) == 0:
-        _place(move, turn, body_pose_at(ds, 0.0))
+def _add_clock(stage: Usd.Stage, clock: _Clock, fps: float) -> None:
+    """Say which times the time codes are."""
+    count = len(clock.times_s)
+    if count == 0:
         return
-    step_s = float(time_s[kept[-1]] - time_s[0]) / max(1, len(kept) - 1)
+    step_s = float(clock.times_s[-1] - clock.times_s[0]) / max(1, count - 1)
     stage.SetStartTimeCode(0)
-    stage.SetEndTimeCode(len(kept) - 1)
+    stage.SetEndTimeCode(count - 1)
     stage.GetRootLayer().customLayerData = {
         "palmfield": {
-            "start_s": float(time_s[0]),
+            "start_s": float(clock.times_s[0]),
             "seconds_per_time_code": step_s,
-            "stride": stride,
+            "stride": clock.kept.step if count > 1 else 1,
             "slow_motion_factor": 1.0 / (step_s * fps) if step_s > 0 else 1.0,
         }
     }
-    clock = stage.GetDefaultPrim().CreateAttribute("palmfield:time_s", Sdf.ValueTypeNames.Double, custom=True)
-    samples: list[tuple[Any, np.ndarray]] = []
-    for name, units in SKIN_PRIMVARS.items():
-        if has_records(ds, name):
-            values, step, bound = quantise(ds[name].values[kept])
-            primvar = _primvar(skin, name, units)
-            primvar.GetAttr().SetCustomDataByKey("palmfield:quantisation_step", step)
-            primvar.GetAttr().SetCustomDataByKey("palmfield:error_bound", bound)
-            samples.append((primvar, values))
-    for code, index in enumerate(kept):
-        _place(move, turn, body_pose_at(ds, float(time_s[index])), code)
-        clock.Set(float(time_s[index]), code)
-        for primvar, values in samples:
+    attribute = stage.GetDefaultPrim().CreateAttribute("palmfield:time_s", Sdf.ValueTypeNames.Double, custom=True)
+    for code, time_s in enumerate(clock.times_s.tolist()):
+        attribute.Set(time_s, code)
+
+
+def _add_body(stage: Usd.Stage, path: str, result: xr.DataTree, names: list[str], clock: _Clock) -> None:
+    """A body with its surface, its bones and the skins of these names on it."""
+    skins, surfaces = instances(result, "skin"), instances(result, "surface")
+    body = instances(result, "body").get(names[0])
+    boned = body is not None and has_records(body, "bone_pose")
+    prim = (UsdSkel.Root if boned else UsdGeom.Xform).Define(stage, path)
+    _move(prim, body, clock)
+    meshes: list[tuple[UsdGeom.Mesh, xr.Dataset]] = []
+    own = [surfaces[name] for name in names if name in surfaces]
+    if own:
+        mesh = _add_mesh(stage, f"{path}/Surface", own[0]["rest_position"].values, own[0]["face"].values, SKIN_COLOUR)
+        meshes.append((mesh, own[0]))
+        for name in ("loudest_arp", "loudest_pressure"):
+            # Skins on one body share its surface; each brings its own loudest instant.
+            values = [surface[name].values for surface in own if has_records(surface, name)]
+            if values:
+                _primvar(mesh, name, "Pa").Set(Vt.FloatArray.FromNumpy(np.maximum.reduce(values)))
+    UsdGeom.Scope.Define(stage, f"{path}/Skins")
+    for name, identifier in identifiers(names).items():
+        skin = skins[name]
+        place = f"{path}/Skins/{identifier}"
+        mesh = _add_mesh(stage, place, skin["rest_position"].values, skin["face"].values, PATCH_COLOUR)
+        meshes.append((mesh, skin))
+        _add_motion(stage, mesh, skin, clock)
+    if body is not None and boned:
+        skeleton = add_skeleton(stage, path, body, clock.times_s)
+        for mesh, ds in meshes:
+            if "bone_index" in ds:
+                bind(mesh, skeleton, ds["bone_index"].values, ds["bone_weight"].values)
+
+
+def _add_motion(stage: Usd.Stage, mesh: UsdGeom.Mesh, skin: xr.Dataset, clock: _Clock) -> None:
+    """ARP and normal displacement of a skin over time."""
+    count = len(clock.times_s)
+    for name, (variable, read, units) in SKIN_PRIMVARS.items():
+        if not has_records(skin, variable):
+            continue
+        kept = np.empty((count, skin.sizes["vertex"]), np.float32)
+        for place, part in read(skin, variable, clock.kept):
+            kept[place] = part
+        values, step, bound = quantise(kept)
+        primvar = _primvar(mesh, name, units)
+        primvar.GetAttr().SetCustomDataByKey("palmfield:quantisation_step", step)
+        primvar.GetAttr().SetCustomDataByKey("palmfield:error_bound", bound)
+        for code in range(count):
             primvar.Set(Vt.FloatArray.FromNumpy(values[code]), code)
-        if code % SAVE_EVERY == SAVE_EVERY - 1:
-            stage.Save()
+            if code % SAVE_EVERY == SAVE_EVERY - 1:
+                stage.Save()
+
+
+def _move(prim: UsdGeom.Xformable, group: xr.Dataset | None, clock: _Clock) -> None:
+    """Let a prim move as a group's pose does; where that does not change, stand there."""
+    move, turn = prim.AddTranslateOp(UsdGeom.XformOp.PrecisionDouble), prim.AddOrientOp(UsdGeom.XformOp.PrecisionDouble)
+    poses = poses_at(group, clock.times_s if len(clock.times_s) else np.zeros(1))
+    if (poses == poses[0]).all():
+        _place(move, turn, poses[0])
+        return
+    for code, pose in enumerate(poses):
+        _place(move, turn, pose, code)
 
 
 def _place(move: UsdGeom.XformOp, turn: UsdGeom.XformOp, pose: Float, code: int | None = None) -> None:
@@ -174,15 +225,14 @@ def _place(move: UsdGeom.XformOp, turn: UsdGeom.XformOp, pose: Float, code: int 
     turn.Set(Gf.Quatd(*pose[3:].tolist()), at)
 
 
-def _add_array(stage: Usd.Stage, positions: Float, pose: Float) -> None:
+def _add_array(stage: Usd.Stage, path: str, group: xr.Dataset, clock: _Clock) -> None:
+    positions: Float = group["transducer_position"].values
     gap = float(cKDTree(positions).query(positions, k=2)[0][:, 1].min()) if len(positions) > 1 else 0.010
     case = trimesh.creation.cylinder(0.46 * gap, 0.7 * gap, sections=24)
     case.apply_translation([0, 0, -0.35 * gap])
-    array = UsdGeom.PointInstancer.Define(stage, "/Scene/Array")
-    _place(
-        array.AddTranslateOp(UsdGeom.XformOp.PrecisionDouble), array.AddOrientOp(UsdGeom.XformOp.PrecisionDouble), pose
-    )
-    prototype = _add_mesh(stage, "/Scene/Array/Transducer", case.vertices, case.faces, CASE_COLOUR)
+    array = UsdGeom.PointInstancer.Define(stage, path)
+    _move(array, group, clock)
+    prototype = _add_mesh(stage, f"{path}/Transducer", case.vertices, case.faces, CASE_COLOUR)
     array.CreatePrototypesRel().SetTargets([prototype.GetPath()])
     array.CreateProtoIndicesAttr(Vt.IntArray([0] * len(positions)))
     array.CreatePositionsAttr(Vt.Vec3fArray.FromNumpy(positions.astype(np.float32)))

@@ -3,9 +3,8 @@
 import math
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, TypeVar
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from scipy import sparse
@@ -13,6 +12,7 @@ from scipy import sparse
 from palmfield.config.skin import Side, SkinConfig
 from palmfield.errors import SceneError
 from palmfield.hand.patch import surface_patch
+from palmfield.locked import locked_cached_property
 from palmfield.skin.approximation.estimate import choose_sizes
 from palmfield.skin.fem.assembly import SkinSystem, assemble
 from palmfield.skin.fem.load import SurfaceQuadrature
@@ -30,17 +30,6 @@ hand's layer thins at rims and webs, differently on each mesh: its 200 Hz respon
 is within 0.5 %."""
 
 T = TypeVar("T")
-
-
-class locked_cached_property(cached_property[T]):
-    """A cached property that several threads may ask for: the first one computes, the others wait."""
-
-    def __get__(self, instance: Any, owner: Any = None) -> Any:
-        if instance is None:
-            return self
-        # `cached_property` puts its value into the instance, where later reads find it before they come here.
-        with instance.lock:
-            return super().__get__(instance, owner)
 
 
 @dataclass(frozen=True)
@@ -67,7 +56,7 @@ class LayerDemand:
     spot_fwhm_m: full width at half maximum of the pressure spot [m]
     max_frequency_Hz: highest frequency that mesh and step must resolve; main_frequency_Hz: of most of the response
     path_reach_m: how far the focus goes from its own middle, and from the middle of the layer [m]
-    timestep_s: MuJoCo's step [s]
+    timestep_s: MuJoCo's step [s]; longest_step_s: the substep is at most so long [s]
     """
 
     spot_fwhm_m: float
@@ -75,6 +64,7 @@ class LayerDemand:
     main_frequency_Hz: float
     path_reach_m: tuple[float, float]
     timestep_s: float
+    longest_step_s: float = math.inf
 
 
 def layer_sizes(
@@ -156,10 +146,11 @@ class SceneLayer:
     def sizes(self) -> LayerSizes:
         """Sizes of elements, patch and step."""
         demand = self.demand
-        return layer_sizes(
+        sizes = layer_sizes(
             self.config, self.sheets, demand.spot_fwhm_m, demand.max_frequency_Hz, demand.path_reach_m,
             demand.timestep_s, self.resizing, element=self.element,
         )  # fmt: skip
+        return replace(sizes, step_s=min(sizes.step_s, demand.longest_step_s))
 
     @property
     def step_s(self) -> float:
@@ -234,6 +225,16 @@ class SceneLayer:
         """Unknowns, without the matrices; roller and fixed sides take a few of them away."""
         held = self.config.base == "bonded" and self.config.foundation is None
         return 3 * (len(self.mesh.nodes) - (self.mesh.surface_nodes if held else 0))
+
+    @property
+    def expected_dofs(self) -> float:
+        """About how many unknowns the layer will have, from its sizes alone."""
+        sizes = self.sizes
+        inner = min(sizes.fine_radius_m, sizes.radius_m)
+        middle = 0.5 * (sizes.edge_fine_m + sizes.edge_coarse_m)
+        # An equilateral triangle of edge a has the area 0.43 a^2; quadratic wedges have two nodes a triangle and level.
+        triangles = math.pi / 0.43 * ((inner / sizes.edge_fine_m) ** 2 + (sizes.radius_m**2 - inner**2) / middle**2)
+        return 3.0 * 2.0 * triangles * 2.0 * (len(sizes.depth_fractions) - 1)
 
     @property
     def state_room(self) -> int:

@@ -11,7 +11,7 @@ import numpy as np
 from scipy import sparse
 
 from palmfield.errors import SceneError
-from palmfield.types import Float
+from palmfield.types import Float, Float32
 
 CLOCK = 1e-6
 """Of a substep, by which t1 - t0 may differ from the substeps that the loads are for: MuJoCo adds up its time."""
@@ -25,7 +25,7 @@ class SurfaceLoads:
     first, last: weight of each pattern at the start and at the end of each substep, shape (w, s, k)
     """
 
-    pressure_Pa: Float
+    pressure_Pa: Float | Float32
     first: Float
     last: Float
 

@@ -39,7 +39,13 @@ class PlanePath:
         steps = np.linalg.norm(np.diff(self.corners, axis=0), axis=1)
         return np.concatenate([[0.0], np.cumsum(steps)])
 
-    @property
+    @cached_property
+    def slopes(self) -> Float:
+        """Unit direction of each segment, shape (n - 1, 2) or (n, 2); zeros for a segment without length."""
+        steps = np.diff(self.corner_arcs)
+        return np.asarray(np.diff(self.corners, axis=0) / np.where(steps > 0.0, steps, 1.0)[:, None])
+
+    @cached_property
     def length_m(self) -> float:
         """Length of one turn, or of one way of an open path, pen lifts included."""
         return float(self.corner_arcs[-1])
@@ -57,7 +63,9 @@ class PlanePath:
         A closed path goes round again; an open one goes there and back, at(2 L - s) = at(s).
         """
         arc = folded(arc_m, self.length_m, self.closed)
-        return np.stack([np.interp(arc, self.corner_arcs, self.corners[:, i]) for i in range(2)], axis=1)
+        segment = np.minimum(self.corner_arcs.searchsorted(arc, "right") - 1, len(self.slopes) - 1)
+        points: Float = self.corners[segment] + (arc - self.corner_arcs[segment])[:, None] * self.slopes[segment]
+        return points
 
     def pen_down(self, arc_m: ArrayLike) -> NDArray[np.bool_]:
         """Whether the path draws at arc lengths [m], shape (k,); False on the straight moves between strokes.
@@ -67,13 +75,13 @@ class PlanePath:
         arc = folded(arc_m, self.length_m, self.closed)
         if self.lifted is None:
             return np.ones(len(arc), dtype=np.bool_)
-        segment = np.searchsorted(self.corner_arcs, arc, side="right") - 1
-        return ~self.lifted[np.clip(segment, 0, len(self.lifted) - 1)]
+        segment = self.corner_arcs.searchsorted(arc, "right") - 1
+        return ~self.lifted[np.minimum(segment, len(self.lifted) - 1)]
 
 
 def folded(arc_m: ArrayLike, length_m: float, closed: bool) -> Float:
     """Arc lengths brought into 0..length_m: round again if closed, else there and back. Shape (k,)."""
-    arc = np.atleast_1d(np.asarray(arc_m, dtype=np.float64))
+    arc = np.asarray(arc_m, dtype=np.float64).reshape(-1)
     if closed:
         return np.mod(arc, length_m)
     there_and_back = np.mod(arc, 2.0 * length_m)

@@ -1,9 +1,11 @@
 """Where the focus is and how loud, as functions of time. A stimulus knows neither array nor hand."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
+from typing import Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -18,6 +20,8 @@ from palmfield.types import Float
 SPOT_M = 0.0103
 """Width of a usual focus, for the frequencies that a moving one excites."""
 MOST_HARMONICS = 8
+TICK_S = 1e-12
+"""Times nearer to each other than this are one and the same."""
 HIGHEST_HZ = 1000.0
 """Above this skin hardly answers, nor does anybody feel it: faster passages are resolved to here."""
 
@@ -136,17 +140,152 @@ def frame_at(config: StimulusConfig, t: float) -> Frame:
     return Frame(focus[0], float(factor[0]))
 
 
+@lru_cache(maxsize=64)
+def first_point(config: StimulusConfig) -> Float:
+    """The stimulus's point where its sound begins, `Frame.focus` at start_s, shape (3,)."""
+    return _locked(frame_at(config, config.start_s).focus)
+
+
 def frames_at(config: StimulusConfig, times: Float) -> tuple[Float, Float]:
     """Foci [m], shape (n, 3), and ARP factors, shape (n,), at times [s], shape (n,); see `frame_at`."""
-    if config.control_rate_Hz > 0:
-        times = _floor(times, config.control_rate_Hz, 0.0)
-    on_path = times
-    if _point_rate(config) > 0:
-        on_path = _floor(times, _point_rate(config), config.start_s)
+    timing = _timing(config)
+    if timing.control_rate > 0.0:
+        times = _floor(times, timing.control_rate, 0.0)
+    foci = np.empty((len(times), 3))
+    foci[:] = timing.focus
+    factors = _arp_factors(config, timing, times)
     if config.path == "point":
-        return np.tile(np.array(config.focus_m, dtype=np.float64), (len(times), 1)), _arp_factors(config, times)
-    arcs = _arcs(config, on_path)
-    return _foci(config, arcs), _arp_factors(config, times) * _pen_down(config, arcs)
+        return foci, factors
+    arcs = _arcs(timing, _floor(times, timing.point_rate, timing.start_s) if timing.point_rate > 0.0 else times)
+    if timing.on_skin:
+        foci[:, 0] = arcs
+        foci[:, 1:] = 0.0
+    elif config.path == "circle":
+        # Exactly round; the polygon is for paths that are drawn.
+        angle = (2.0 * math.pi / timing.length_m) * arcs
+        foci[:, 0] += timing.radius_m * np.cos(angle)
+        foci[:, 1] += timing.radius_m * np.sin(angle)
+    else:
+        assert timing.path is not None
+        foci[:, :2] += timing.path.at(arcs)
+    if config.path == "letters":
+        assert timing.path is not None
+        factors *= timing.path.pen_down(arcs)
+    return foci, factors
+
+
+class Moments(NamedTuple):
+    """The moments of some equal steps at which a load is taken, in order, and the load's weights in each step.
+
+    Where nothing jumps and nothing is held the load goes along a straight line through a step: its moments are the
+    step's two ends, shared with the steps beside it. A step in which focus or level jump, or are held, is cut into
+    parts at each jump and tick: its moments are the middles of these parts, and the load of the whole step is their
+    mean, weighted by the parts' lengths, so that its impulse is right.
+
+    times: [s], shape (m,)
+    first, last: weights of the moments' loads in the load at the beginning and the end of each step, shape (count, m)
+    linear: for each moment, whether a straight line through a whole step leads to it from the moment before
+    held_s: for each moment, the length of the part that it stands for [s]; 0 at the end of a straight line
+    step_s: length of a step [s]
+    """
+
+    times: Float
+    first: Float
+    last: Float
+    linear: tuple[bool, ...]
+    held_s: tuple[float, ...]
+    step_s: float
+
+
+def substep_moments(
+    stimuli: Sequence[StimulusConfig], t0: float, step_s: float, count: int, *, hold: bool = False
+) -> Moments:
+    """The moments of `count` steps of `step_s` [s] from time t0 [s] on, the same for several stimuli that add up.
+
+    hold: take every step as held, so that each one's mean is asked for
+    """
+    end = t0 + count * step_s
+    grids: list[tuple[float, float]] = []
+    changes: list[float] = []
+    for config in stimuli:
+        timing = _timing(config)
+        grids += timing.grids
+        for t in _jumps(config, timing, t0, end):
+            if t0 + TICK_S < t <= end + TICK_S:
+                changes.append(t)
+    if not changes and not grids:
+        unit = _middles(count) if hold else _straight(count)
+        held_s = (step_s,) * count if hold else unit.held_s
+        return Moments(t0 + step_s * unit.times, unit.first, unit.last, unit.linear, held_s, step_s)
+    ticks: list[float] = []
+    for rate, first_tick in grids:
+        low, high = math.ceil((t0 - first_tick) * rate), math.floor((end - first_tick) * rate)
+        for k in range(low, high + 1):
+            ticks.append(first_tick + k / rate)
+    return _cut(t0, step_s, count, changes, ticks, hold or bool(grids))
+
+
+def _cut(t0: float, step_s: float, count: int, changes: list[float], ticks: list[float], hold: bool) -> Moments:
+    """`substep_moments` where something jumps or is held."""
+    times: list[float] = []
+    linear: list[bool] = []
+    held_s: list[float] = []
+    weights: list[tuple[int, int, float, float]] = []
+    for i in range(count):
+        begin, end = t0 + i * step_s, t0 + (i + 1) * step_s
+        edges, held = [begin, end], hold
+        for t in changes:
+            if begin + TICK_S < t <= end + TICK_S:
+                held = True
+                if t < end:
+                    edges.append(t)
+        for t in ticks:
+            if begin < t < end:
+                edges.append(t)
+        if held:
+            edges.sort()
+            for a, b in pairwise(edges):
+                if b - a > TICK_S:
+                    share = (b - a) / (end - begin)
+                    weights.append((i, len(times), share, share))
+                    times.append(0.5 * (a + b))
+                    linear.append(False)
+                    held_s.append(b - a)
+            continue
+        if not times or held_s[-1] > 0.0:
+            times.append(begin)
+            linear.append(False)
+            held_s.append(0.0)
+        weights.append((i, len(times) - 1, 1.0, 0.0))
+        weights.append((i, len(times), 0.0, 1.0))
+        times.append(end)
+        linear.append(True)
+        held_s.append(0.0)
+    first, last = np.zeros((count, len(times))), np.zeros((count, len(times)))
+    for i, j, at_first, at_last in weights:
+        first[i, j] = at_first
+        last[i, j] = at_last
+    return Moments(np.array(times), first, last, tuple(linear), tuple(held_s), step_s)
+
+
+@lru_cache(maxsize=64)
+def _straight(count: int) -> Moments:
+    """Moments of steps of length 1 from time 0 on without jumps; the arrays are shared, and can't be written."""
+    first, last = np.eye(count, count + 1), np.eye(count, count + 1, 1)
+    linear = (False, *[True] * count)
+    return Moments(_locked(np.arange(count + 1.0)), _locked(first), _locked(last), linear, (0.0,) * (count + 1), 1.0)
+
+
+@lru_cache(maxsize=64)
+def _middles(count: int) -> Moments:
+    """As `_straight`, with the middle of each step as its only moment."""
+    whole = _locked(np.eye(count))
+    return Moments(_locked(0.5 + np.arange(float(count))), whole, whole, (False,) * count, (1.0,) * count, 1.0)
+
+
+def _locked(values: Float) -> Float:
+    values.flags.writeable = False
+    return values
 
 
 def held_frames(config: StimulusConfig, start: float, end: float) -> list[tuple[float, float]]:
@@ -155,50 +294,98 @@ def held_frames(config: StimulusConfig, start: float, end: float) -> list[tuple[
     The parts lie between ticks, path points, start and end of the sound. The shares add up to 1, so that the load's
     impulse is right over any step. Empty where nothing jumps or is held: the load is then smooth over the interval.
     """
-    grids = _grids(config)
-    steps = {t for t in jumps(config, start, end) if start + 1e-12 < t <= end + 1e-12}
-    if not grids and not steps:
+    moments = substep_moments((config,), start, end - start, 1)
+    if moments.linear[-1]:
         return []
-    ticks = {start, end} | {t for t in steps if t < end}
-    for rate, first in grids:
-        low, high = math.ceil((start - first) * rate), math.floor((end - first) * rate)
-        ticks |= {t for t in (first + k / rate for k in range(low, high + 1)) if start < t < end}
-    parts = [(a, b) for a, b in pairwise(sorted(ticks)) if b - a > 1e-12]
-    return [(0.5 * (a + b), (b - a) / (end - start)) for a, b in parts]
+    return list(zip(moments.times.tolist(), moments.first[0].tolist(), strict=True))
 
 
 def jumps(config: StimulusConfig, start: float, end: float) -> set[float]:
     """Times about an interval [s] at which the sound begins or ends, or an open path jumps to its start."""
-    found = {t for t in (config.start_s, config.stop_s, path_end_s(config)) if t is not None}
+    return set(_jumps(config, _timing(config), start, end))
+
+
+def _jumps(config: StimulusConfig, timing: "_Timing", start: float, end: float) -> Sequence[float]:
+    if config.burst_window != "rectangular" and timing.jump_rate == 0.0:
+        return timing.edges
+    found = [*timing.edges]
     if config.burst_window == "rectangular":
         assert config.burst_length_s and config.burst_period_s
         edge = 1e-9
-        found |= {
-            config.start_s + t
-            for t in onsets(
-                start - config.start_s - edge,
-                end - config.start_s + edge,
-                length_s=config.burst_length_s,
-                period_s=config.burst_period_s,
-                count=config.burst_count,
-            ).tolist()
-        }
-    rate = turn_rate_Hz(config)
-    if rate is not None and config.path_end == "jump" and not is_closed(config):
-        turns = range(max(1, math.floor((start - config.start_s) * rate)), math.ceil((end - config.start_s) * rate) + 1)
-        found |= {config.start_s + n / rate for n in turns}
+        train = onsets(
+            start - config.start_s - edge,
+            end - config.start_s + edge,
+            length_s=config.burst_length_s,
+            period_s=config.burst_period_s,
+            count=config.burst_count,
+        )
+        found += (config.start_s + train).tolist()
+    if timing.jump_rate > 0.0:
+        rate = timing.jump_rate
+        first, last = math.floor((start - config.start_s) * rate), math.ceil((end - config.start_s) * rate)
+        for n in range(max(1, first), last + 1):
+            found.append(config.start_s + n / rate)
     return found
 
 
 def mean_arp_factor(config: StimulusConfig, start: float, end: float, count: int) -> float:
     """Mean of the ARP factor over an interval [s], from `count` midpoints between jumps."""
-    total = 0.0
-    width = (end - start) / count
-    for i in range(count):
-        a, b = start + i * width, start + (i + 1) * width
-        parts = held_frames(config, a, b) or [(0.5 * (a + b), 1.0)]
-        total += sum(share * frame_at(config, t).arp_factor for t, share in parts)
-    return total / count
+    moments = substep_moments((config,), start, (end - start) / count, count, hold=True)
+    _, factors = frames_at(config, moments.times)
+    return float(np.add.reduce(moments.first @ factors)) / count
+
+
+@dataclass(frozen=True)
+class _Timing:
+    """What of a stimulus does not change with time.
+
+    focus: [m], shape (3,); start_s; ends: times after which there is no sound [s]; edges: start and ends
+    control_rate, point_rate: rates at which all is held, and at which the focus is [1/s]; 0 for none
+    grids: (rate, time of the first tick) of what is held
+    path: its shape in the plane, None for a point and for sites; on_skin: whether it is drawn on the surface
+    length_m, turn_rate: of the path, 0 for a point; radius_m: of a circle
+    runs: how the arc goes on: once, round (again from the start), or back and forth
+    jump_rate: how often a second an open path jumps to its start, 0 for never
+    """
+
+    focus: Float
+    start_s: float
+    ends: tuple[float, ...]
+    edges: tuple[float, ...]
+    control_rate: float
+    point_rate: float
+    grids: tuple[tuple[float, float], ...]
+    path: PlanePath | None
+    on_skin: bool
+    length_m: float
+    turn_rate: float
+    radius_m: float
+    runs: Literal["once", "round", "back"]
+    jump_rate: float
+
+
+@lru_cache(maxsize=64)
+def _timing(config: StimulusConfig) -> _Timing:
+    rate = turn_rate_Hz(config) or 0.0
+    closed = is_closed(config)
+    ends = tuple(t for t in (config.stop_s, path_end_s(config)) if t is not None)
+    grids = _grids(config)
+    return _Timing(
+        focus=_locked(np.array(config.focus_m, dtype=np.float64)),
+        start_s=config.start_s,
+        ends=ends,
+        edges=(config.start_s, *ends),
+        control_rate=config.control_rate_Hz,
+        point_rate=_point_rate(config),
+        grids=tuple(grids),
+        path=plane_path(config),
+        on_skin=config.path_on == "skin",
+        length_m=length_m(config),
+        turn_rate=rate,
+        radius_m=0.5 * (config.path_diameter_m or 0.0),
+        runs="once" if config.path_end == "stop" else "round" if closed or config.path_end == "jump" else "back",
+        jump_rate=rate if config.path_end == "jump" and not closed else 0.0,
+    )
 
 
 def _point_rate(config: StimulusConfig) -> float:
@@ -216,47 +403,24 @@ def _floor(times: Float, rate: float, first: float) -> Float:
     return first + np.floor((times - first + 1e-9) * rate) / rate
 
 
-def _arcs(config: StimulusConfig, times: Float) -> Float:
+def _arcs(timing: _Timing, times: Float) -> Float:
     """Arc length from the start of the path at times [s], 0 to its length [m], shape (n,)."""
-    length, rate = length_m(config), turn_rate_Hz(config)
-    assert rate is not None
-    turns = rate * (times - config.start_s)
-    if config.path_end == "stop":
-        return length * np.clip(turns, 0.0, 1.0)
-    if is_closed(config) or config.path_end == "jump":
+    turns: Float = timing.turn_rate * (times - timing.start_s)
+    if timing.runs == "once":
+        return timing.length_m * np.minimum(np.maximum(turns, 0.0), 1.0)
+    if timing.runs == "round":
         # Rounding must not take the end of a turn for its beginning, where the two are apart.
-        return length * np.mod(turns + 1e-12, 1.0)
-    return folded(2.0 * length * turns, length, closed=False)
+        return timing.length_m * np.mod(turns + 1e-12, 1.0)
+    return folded(2.0 * timing.length_m * turns, timing.length_m, closed=False)
 
 
-def _foci(config: StimulusConfig, arcs: Float) -> Float:
-    if config.path_on == "skin":
-        return np.column_stack([arcs, np.zeros((len(arcs), 2))])
-    centre = np.tile(np.array(config.focus_m, dtype=np.float64), (len(arcs), 1))
-    if config.path == "circle":
-        # Exactly round; the polygon is for paths that are drawn.
-        angle = 2.0 * math.pi * arcs / length_m(config)
-        centre[:, :2] += 0.5 * _given(config.path_diameter_m) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        return centre
-    path = plane_path(config)
-    assert path is not None
-    centre[:, :2] += path.at(arcs)
-    return centre
-
-
-def _pen_down(config: StimulusConfig, arcs: Float) -> Float:
-    path = plane_path(config) if config.path == "letters" else None
-    return np.ones(len(arcs)) if path is None else path.pen_down(arcs).astype(np.float64)
-
-
-def _arp_factors(config: StimulusConfig, times: Float) -> Float:
-    since = times - config.start_s
-    level = np.where(since < -1e-9, 0.0, 1.0)
-    for end in (config.stop_s, path_end_s(config)):
-        if end is not None:
-            level[times >= end - 1e-9] = 0.0
+def _arp_factors(config: StimulusConfig, timing: _Timing, times: Float) -> Float:
+    since: Float = times - timing.start_s
+    level = (since >= -1e-9).astype(np.float64)
+    for end in timing.ends:
+        level *= times < end - 1e-9
     if config.ramp_s > 0:
-        level *= 0.5 - 0.5 * np.cos(math.pi * np.clip(since / config.ramp_s, 0.0, 1.0))
+        level *= 0.5 - 0.5 * np.cos(math.pi * np.minimum(np.maximum(since / config.ramp_s, 0.0), 1.0))
     if config.modulation == "am":
         assert config.am_depth is not None and config.am_frequency_Hz
         wave = (1 + config.am_depth * np.sin(2 * math.pi * config.am_frequency_Hz * since)) / (1 + config.am_depth)

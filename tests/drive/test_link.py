@@ -14,8 +14,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from palmfield.drive.link import Played, RecordLink, open_link, play_frames
-from palmfield.drive.sonicsurface import BAUD, FRAME_RATE_HZ, OFF_FRAME, Board, decode, encode
+from palmfield.drive.boards.sonicsurface import BAUD, FRAME_RATE_HZ, OFF_FRAME, SonicSurfaceTwin, decode, encode
+from palmfield.drive.link import RecordLink, open_link
+from palmfield.drive.playback import Played, play_frames
 from palmfield.errors import DeviceError, OutputError
 
 LINE_BYTES_PER_S = BAUD / 10
@@ -40,7 +41,7 @@ class VirtualBoard:
         self.received = bytearray()
         self.times: list[float] = []
         self.emitted: list[np.ndarray] = []
-        self._board = Board()
+        self._board = SonicSurfaceTwin()
         self.pause = threading.Event()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._read, daemon=True)
@@ -128,7 +129,7 @@ def test_a_board_that_stalls_gets_whole_frames_again_and_the_newest(board):
         board.settle()
     timer_on.join()
     timer_off.join()
-    # Board.feed raises on overlong frames in the reader thread, which then no longer empties the line.
+    # SonicSurfaceTwin.feed raises on overlong frames in the reader thread, which then no longer empties the line.
     assert playing.skipped > 0
     assert board.received.endswith(OFF_FRAME + OFF_FRAME)
     assert not np.any(board.emitted[-1])
@@ -193,8 +194,9 @@ def test_closing_silences_a_board_that_was_never_played(board):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_killed_process_leaves_the_board_off(board, number):
     program = f"""
-from palmfield.drive.link import open_link, play_frames
-from palmfield.drive.sonicsurface import encode
+from palmfield.drive.link import open_link
+from palmfield.drive.playback import play_frames
+from palmfield.drive.boards.sonicsurface import encode
 import numpy as np
 frame = encode(np.ones(256))
 with open_link({board.port!r}) as link:
@@ -231,6 +233,7 @@ def test_a_port_that_is_not_there(port):
     assert "port" in message.split(";")[1]
 
 
+@pytest.mark.smoke
 def test_loop_port():
     link = open_link("loop://")
     frame = encode(turned(3))

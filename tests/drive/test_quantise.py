@@ -6,7 +6,8 @@ from hypothesis import strategies as st
 from palmfield.acoustics.arrays import layout
 from palmfield.acoustics.focus import focus
 from palmfield.acoustics.reference import pressure64
-from palmfield.drive import quantise, sonicsurface
+from palmfield.drive import quantise
+from palmfield.drive.boards import sonicsurface
 from palmfield.drive.foci import transfer64
 from palmfield.errors import DeviceError
 from palmfield.types import Air, Complex

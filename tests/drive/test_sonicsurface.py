@@ -7,13 +7,13 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from palmfield.acoustics.arrays import layout
-from palmfield.drive.sonicsurface import (
+from palmfield.drive.boards.sonicsurface import (
     BAUD,
     FRAME_BYTES,
     FRAME_RATE_HZ,
     OFF_FRAME,
-    Board,
     Calibration,
+    SonicSurfaceTwin,
     decode,
     encode,
 )
@@ -140,13 +140,13 @@ def test_focus_off_axis():
 
 
 def test_at_power_up_every_emitter_sounds_with_only_the_lag():
-    emitted = Board().emitted
+    emitted = SonicSurfaceTwin().emitted
     np.testing.assert_allclose(emitted[~lagging()], 1.0)
     np.testing.assert_allclose(np.angle(emitted[lagging()]), np.deg2rad(11.25))
 
 
 def test_nothing_changes_before_the_swap():
-    board = Board()
+    board = SonicSurfaceTwin()
     before = board.emitted
     assert board.feed(encode(np.full(256, -1))[:-1]) == []
     np.testing.assert_array_equal(board.emitted, before)
@@ -154,7 +154,7 @@ def test_nothing_changes_before_the_swap():
 
 
 def test_a_short_frame_leaves_the_phases_of_two_frames_before():
-    board = Board()
+    board = SonicSurfaceTwin()
     for phase in (1j, -1):
         board.feed(encode(np.full(256, phase)))
     short = encode(np.full(256, -1j))
@@ -164,7 +164,7 @@ def test_a_short_frame_leaves_the_phases_of_two_frames_before():
 
 
 def test_one_off_frame_is_undone_by_a_stray_swap_and_two_are_not():
-    once, twice = Board(), Board()
+    once, twice = SonicSurfaceTwin(), SonicSurfaceTwin()
     once.feed(OFF_FRAME)
     twice.feed(OFF_FRAME + OFF_FRAME)
     np.testing.assert_array_equal(once.emitted, QUIET)
@@ -176,7 +176,7 @@ def test_one_off_frame_is_undone_by_a_stray_swap_and_two_are_not():
 
 @given(st.integers(0, 257))
 def test_a_start_byte_recovers_from_a_frame_cut_anywhere(cut):
-    board = Board()
+    board = SonicSurfaceTwin()
     board.feed(encode(np.full(256, -1))[:cut])
     wanted = np.exp(2j * np.pi * np.arange(256) / 32)
     np.testing.assert_allclose(board.feed(encode(wanted))[-1], wanted, atol=1e-12)
@@ -184,13 +184,13 @@ def test_a_start_byte_recovers_from_a_frame_cut_anywhere(cut):
 
 def test_bytes_fed_one_by_one_do_the_same():
     stream = encode(np.full(256, 1j)) + OFF_FRAME + encode(np.full(256, -1))
-    board = Board()
+    board = SonicSurfaceTwin()
     single = [frame for byte in stream for frame in board.feed(bytes([byte]))]
     np.testing.assert_array_equal(single, decode(stream))
 
 
 def test_stopped_clocks_make_no_ultrasound_and_keep_the_frame():
-    board = Board()
+    board = SonicSurfaceTwin()
     wanted = np.full(256, 1j)
     (quiet,) = board.feed(b"\x96")
     np.testing.assert_array_equal(quiet, QUIET)
@@ -204,17 +204,17 @@ def test_two_boards_on_one_line():
     left, right = np.full(256, 1j), np.full(256, -1)
     stream = b"\xc0" + encode(left)[1:-1] + b"\xc1" + encode(right)[1:-1] + b"\xfd"
     assert len(stream) == 515
-    primary, secondary = Board(), Board(secondary=True)
+    primary, secondary = SonicSurfaceTwin(), SonicSurfaceTwin(secondary=True)
     np.testing.assert_allclose(primary.feed(stream)[-1], left, atol=1e-12)
     # 16.5 of 32 steps late
     np.testing.assert_allclose(secondary.feed(stream)[-1], right * np.exp(2j * np.pi * 16.5 / 32), atol=1e-12)
 
 
 def test_only_32_is_off_and_other_bytes_are_phases_modulo_32():
-    (emitted,) = Board().feed(b"\xfe" + bytes([40]) * 256 + b"\xfd")
+    (emitted,) = SonicSurfaceTwin().feed(b"\xfe" + bytes([40]) * 256 + b"\xfd")
     np.testing.assert_allclose(emitted[~lagging()], 1j, atol=1e-12)
 
 
 def test_too_much_data_is_refused_where_the_board_is_undefined():
     with pytest.raises(DeviceError, match="more than 256"):
-        Board().feed(b"\xfe" + bytes(257))
+        SonicSurfaceTwin().feed(b"\xfe" + bytes(257))

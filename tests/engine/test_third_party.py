@@ -14,6 +14,7 @@ from palmfield.engine.host import Module, register
 class MeterConfig(Config):
     plugin: ClassVar[str] = "thirdparty.meter"
     about: ClassVar[str] = "Integrates the time for which sound pushes a body."
+    renamed: ClassVar[dict[str, str]] = {"limit_N": "threshold_N"}
     threshold_N: float = Field(0.0, ge=0)
 
 class Meter(Module):
@@ -62,13 +63,16 @@ def test_a_module_from_another_package(small_scene, tmp_path):
     path.write_text(text.replace("THRESHOLD", "1e-6"))
     bad = path.with_name("bad.xml")
     bad.write_text(text.replace("THRESHOLD", "-1"))
+    old = path.with_name("old.xml")
+    old.write_text(text.replace("threshold_N", "limit_N"))
     code = (
         "import mujoco\n"
         f"m = mujoco.MjModel.from_xml_path({str(path)!r})\nd = mujoco.MjData(m)\n"
         "for _ in range(4): mujoco.mj_step(m, d)\n"
         "mujoco.mj_forward(m, d)\nprint(d.sensor('meter').data[0])\n"
-        f"try: mujoco.MjModel.from_xml_path({str(bad)!r})\n"
-        "except ValueError as e: print(e)\n"
+        f"for scene in ({str(bad)!r}, {str(old)!r}):\n"
+        "  try: mujoco.MjModel.from_xml_path(scene)\n"
+        "  except ValueError as e: print(e)\n"
     )
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(site), os.environ.get("PYTHONPATH", "")])}
     done = subprocess.run(
@@ -77,3 +81,4 @@ def test_a_module_from_another_package(small_scene, tmp_path):
     first, *rest = done.stdout.splitlines()
     assert float(first) == 0.004
     assert "key 'threshold_N' has value '-1'; allowed: finite number >= 0" in " ".join(rest)
+    assert "key 'limit_N' is renamed: use threshold_N" in " ".join(rest)

@@ -1,25 +1,30 @@
-"""A synthetic run: 16 x 16 array below, a flattened sphere as hand, a disc of skin under it with waves on it."""
+"""A synthetic run: two arrays below, a flattened sphere and a small ball as bodies, a disc of skin under each with
+waves on it. The small body has two bones."""
 
 import numpy as np
 import pytest
 import trimesh
-import xarray as xr
+from scipy.spatial import Delaunay
 
-from palmfield.outputs.schema import dataset
+from palmfield.outputs.schema import sensor_channels, tree
 
 HEIGHT_M = 0.15
 SINE_HZ = 200.0
 STEP_S = 2e-4
+ATTRIBUTES = {
+    "/": {"scene": "synthetic"},
+    "/body/palm": {"body": "hand"},
+    "/body/tip": {"body": "finger"},
+    "/stimulus/pulse": {"arrays": ["below"]},
+}
 
 
-def _disc(radius=0.03, rings=12):
+def disc(radius, rings):
     points = [[0.0, 0.0]]
     for ring in range(1, rings + 1):
         angle = 2 * np.pi * np.arange(6 * ring) / (6 * ring)
         points += list(radius * ring / rings * np.column_stack([np.cos(angle), np.sin(angle)]))
     flat = np.array(points)
-    from scipy.spatial import Delaunay
-
     # Clockwise in x and y is counter-clockwise seen from below, where the outside is.
     faces = Delaunay(flat).simplices
     a, b, c = (flat[faces[:, k]] for k in range(3))
@@ -28,62 +33,171 @@ def _disc(radius=0.03, rings=12):
     return np.column_stack([flat, np.zeros(len(flat))]), faces.astype(np.int32)
 
 
+def _spot(points, width):
+    return np.exp(-(points[:, :2] ** 2).sum(axis=1) / (2 * width**2))
+
+
+def _skin(radius, rings, width):
+    points, faces = disc(radius, rings)
+    normals = np.tile([0.0, 0.0, -1.0], (len(points), 1))
+    pressure = 1500.0 * _spot(points, width)
+    return {
+        "rest_position": points,
+        "rest_normal": normals,
+        "face": faces,
+        "depth": np.full(len(points), 0.01),
+        "loudest_time": np.array(0.0026),
+        "loudest_pressure": pressure.astype(np.float32),
+        "loudest_arp": (pressure**2 / 1.4e5).astype(np.float32),
+    }
+
+
+def _surface(size, width):
+    ball = trimesh.creation.icosphere(subdivisions=3)
+    vertices = ball.vertices * size + [0.0, 0.0, size[2] + 1e-4]
+    pressure = np.where(vertices[:, 2] < size[2], 1500.0 * _spot(vertices, width), 0.0)
+    return {
+        "rest_position": np.asarray(vertices),
+        "face": np.asarray(ball.faces, dtype=np.int32),
+        "loudest_time": np.array(0.0026),
+        "loudest_pressure": pressure.astype(np.float32),
+        "loudest_arp": (pressure**2 / 1.4e5).astype(np.float32),
+    }
+
+
+def _bones(count):
+    share = np.tile(np.float32([0.75, 0.25]), (count, 1))
+    return {"bone_index": np.tile(np.int32([0, 1]), (count, 1)), "bone_weight": share}
+
+
+def _array(count):
+    grid = (np.arange(count) - 0.5 * (count - 1)) * 0.0105
+    x, y = np.meshgrid(grid, grid)
+    return {"transducer_position": np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])}
+
+
 @pytest.fixture(scope="session")
 def static_arrays():
-    skin, faces = _disc()
-    hand = trimesh.creation.icosphere(subdivisions=3)
-    vertices = hand.vertices * [0.045, 0.09, 0.015] + [0.0, 0.0, 0.0151]
-    squared = (vertices[:, :2] ** 2).sum(axis=1)
-    pressure = np.where(vertices[:, 2] < 0.015, 1500.0 * np.exp(-squared / (2 * 0.006**2)), 0.0)
-    grid = (np.arange(16) - 7.5) * 0.0105
-    x, y = np.meshgrid(grid, grid)
-    return {
-        "skin_position": skin,
-        "skin_faces": faces,
-        "skin_depth": np.full(len(skin), 0.01),
-        "skin_pressure": (1500.0 * np.exp(-(skin[:, :2] ** 2).sum(axis=1) / (2 * 0.006**2))).astype(np.float32),
-        "surface_vertices": np.asarray(vertices),
-        "surface_faces": np.asarray(hand.faces, dtype=np.int32),
-        "surface_pressure": pressure.astype(np.float32),
-        "surface_arp": (pressure**2 / 1.4e5).astype(np.float32),
-        "transducer_position": np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]),
-        "array_pose": np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]),
+    """What is known before the first step, and the loudest instant's."""
+    groups = {
+        "/array/below": _array(16),
+        "/array/beside": _array(8),
+        "/skin/palm": _skin(0.03, 12, 0.006),
+        "/skin/tip": _skin(0.008, 6, 0.003),
+        "/surface/palm": _surface(np.array([0.045, 0.09, 0.015]), 0.006),
+        "/surface/tip": _surface(np.array([0.012, 0.02, 0.010]), 0.003),
+        "/body/tip": {"bone": np.array(["proximal", "distal"]), "bone_rest": np.array([[0, 0, 0], [0, 0.01, 0.0]])},
+        "/forces/tip": {"bone": np.array(["proximal", "distal"])},
+        "/sensors/nose": sensor_channels(["normal_displacement", "arp"], ["m", "Pa"]),
     }
+    for kind in ("skin", "surface"):
+        groups[f"/{kind}/tip"] |= _bones(len(groups[f"/{kind}/tip"]["rest_position"]))
+    return groups
 
 
 @pytest.fixture(scope="session")
 def block_arrays(static_arrays):
     """Function (first step, number of steps) -> arrays of a block; a wave of 200 Hz runs outwards at 5 m/s."""
-    radius = np.linalg.norm(static_arrays["skin_position"], axis=1)
+
+    def moving(path, time):
+        skin = static_arrays[path]
+        radius = np.linalg.norm(skin["rest_position"], axis=1)
+        wave = np.cos(2 * np.pi * SINE_HZ * (time[:, None] - radius / 5.0)) * np.exp(-radius / 0.01)
+        along = -4e-6 * np.exp(-radius / 0.01) + 5e-6 * wave
+        load = 16.0 * np.exp(-((radius / 0.008) ** 2)) * (1 - np.cos(2 * np.pi * SINE_HZ * time))[:, None]
+        return {
+            "displacement": (along[..., None] * skin["rest_normal"] + [1e-6, 0, 0]).astype(np.float32),
+            "velocity": (5e-3 * wave[..., None] * skin["rest_normal"]).astype(np.float32),
+            "arp": load.astype(np.float32),
+        }
 
     def make(start, count):
         time = STEP_S * (start + np.arange(count))
-        wave = np.cos(2 * np.pi * SINE_HZ * (time[:, None] - radius / 5.0)) * np.exp(-radius / 0.01)
-        load = 16.0 * np.exp(-((radius / 0.008) ** 2)) * (1 - np.cos(2 * np.pi * SINE_HZ * time))[:, None]
-        pose = np.array([0.0, 0.0, HEIGHT_M, 1.0, 0.0, 0.0, 0.0])
-        return {
-            "time": time,
-            "normal_displacement": (-4e-6 * np.exp(-radius / 0.01) + 5e-6 * wave).astype(np.float32),
-            "normal_velocity": (5e-6 * wave).astype(np.float32),
-            "arp": load.astype(np.float32),
-            "focus": np.tile([0.0, 0.0, HEIGHT_M], (count, 1)),
-            "step_time": time,
-            "body_pose": np.tile(pose, (count, 1)),
-            "arp_force": np.tile([0.0, 0.0, 0.003], (count, 1)),
-            "frame_time": time,
-            "drive_amplitude": np.ones((count, 256), np.float32),
-            "drive_phase": np.zeros((count, 256), np.float32),
+        pose = {
+            name: np.tile([x, 0.0, z, 1.0, 0.0, 0.0, 0.0], (count, 1))
+            for name, x, z in (("palm", 0, HEIGHT_M), ("tip", 0.08, 0.14), ("below", 0, 0), ("beside", 0.16, 0))
         }
+        bones = np.zeros((count, 2, 7))
+        bones[:, :, 3] = 1.0
+        bones[:, 1, 1] = 0.01
+        bones[:, 1, 2] = 0.002 * time / 0.1
+        groups = {
+            "/": {"time": time, "step_time": time, "frame_time": time},
+            "/body/palm": {"pose": pose["palm"]},
+            "/body/tip": {"pose": pose["tip"], "bone_pose": bones},
+            "/stimulus/pulse": {
+                "foci": np.tile([0.0, 0.0, HEIGHT_M], (count, 1, 1)),
+                "sounding": np.sin(2 * np.pi * SINE_HZ * time) != 0.0,
+            },
+            "/stimulus/pair": {
+                "foci": np.tile([[0.078, 0.0, 0.14], [0.082, 0.0, 0.14]], (count, 1, 1)),
+                "sounding": np.ones(count, bool),
+            },
+            "/sensors/nose": {"value": np.ones((count, 2))},
+        }
+        for name in ("palm", "tip"):
+            groups[f"/skin/{name}"] = moving(f"/skin/{name}", time)
+            force = np.tile([0.0, 0.0, 0.003], (count, 1))
+            groups[f"/forces/{name}"] = {"force": force, "torque": 0.01 * force}
+        half = np.tile([0.0, 0.0, 0.0015], (count, 2, 1))
+        groups["/forces/tip"] |= {"bone_force": half, "bone_torque": 0.01 * half}
+        for name, transducers in (("below", 256), ("beside", 64)):
+            groups[f"/array/{name}"] = {
+                "drive_amplitude": np.ones((count, transducers), np.float32),
+                "drive_phase": np.zeros((count, transducers), np.float32),
+                "pose": pose[name],
+            }
+        return groups
 
     return make
 
 
-@pytest.fixture(scope="session")
-def static(static_arrays) -> xr.Dataset:
-    return dataset(**static_arrays)
+def merged(*parts):
+    """Groups of arrays, one over the other."""
+    paths = dict.fromkeys(path for part in parts for path in part)
+    return {path: {k: v for part in parts for k, v in part.get(path, {}).items()} for path in paths}
+
+
+def only(arrays, skins, arrays_named, stimuli):
+    """Less instances: names to keep."""
+    kept = {"array": arrays_named, "stimulus": stimuli, "sensors": ()}
+    return {p: v for p, v in arrays.items() if p == "/" or p.split("/")[2] in kept.get(p.split("/")[1], skins)}
 
 
 @pytest.fixture(scope="session")
-def result(static_arrays, block_arrays) -> xr.Dataset:
-    """0.1 s of a whole run, as the runner hands it on."""
-    return dataset(**static_arrays, **block_arrays(0, 500))
+def attributes():
+    return ATTRIBUTES
+
+
+@pytest.fixture(scope="session")
+def merge():
+    return merged
+
+
+@pytest.fixture(scope="session")
+def keep():
+    return only
+
+
+@pytest.fixture(scope="session")
+def whole(static_arrays, block_arrays):
+    """Arrays of a whole run of 0.1 s."""
+    return merged(static_arrays, block_arrays(0, 500))
+
+
+@pytest.fixture(scope="session")
+def result(whole):
+    """0.1 s of two skins under two arrays."""
+    return tree(whole, ATTRIBUTES)
+
+
+@pytest.fixture(scope="session")
+def one_skin(whole):
+    """The same with one skin, one array and one stimulus."""
+    return tree(only(whole, ("palm",), ("below",), ("pulse",)), {"/": ATTRIBUTES["/"]})
+
+
+@pytest.fixture(scope="session")
+def still(static_arrays):
+    """A run without steps."""
+    return tree(static_arrays, ATTRIBUTES)

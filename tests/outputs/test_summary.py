@@ -3,46 +3,144 @@ import json
 import numpy as np
 import pytest
 
-from palmfield.outputs.schema import dataset
+from palmfield.outputs.schema import tree
+from palmfield.outputs.store import Store, open_result
 from palmfield.outputs.summary import summary
+from palmfield.outputs.summary_table import format_summary
 
 
-def test_numbers_of_a_known_motion(static_arrays):
-    """u = -4 um + 5 um sin(2 pi 50 t) over whole periods: rms 5 / sqrt 2 without DC, sqrt(16 + 12.5) with."""
-    count = len(static_arrays["skin_position"])
+@pytest.fixture
+def known(static_arrays, merge, keep):
+    """u = -4 um + 5 um sin(2 pi 50 t) along the normal at one vertex over whole periods, and more across it."""
+    count = len(static_arrays["/skin/palm"]["rest_position"])
     time = np.arange(1000) * 1e-4
-    motion = np.zeros((1000, count), np.float32)
-    motion[:, 7] = -4e-6 + 5e-6 * np.sin(2 * np.pi * 50 * time)
+    motion = np.zeros((1000, count, 3), np.float32)
+    # The outward normal is -z.
+    motion[:, 7, 2] = 4e-6 - 5e-6 * np.sin(2 * np.pi * 50 * time)
+    motion[:, 9, 0] = 1e-3
     force = np.zeros((1000, 3))
     force[:, 2] = 3e-3
     force[0] = [0.0, 4e-3, 3e-3]
+    blocks = {
+        "/": {"time": time, "step_time": time},
+        "/skin/palm": {"displacement": motion, "velocity": 2 * motion},
+        "/forces/palm": {"force": force, "torque": 0 * force},
+    }
+    return merge(keep(static_arrays, ("palm",), ("below",), ()), blocks)
+
+
+def test_numbers_of_a_known_motion(known, tmp_path):
+    """rms 5 / sqrt 2 without DC, sqrt(16 + 12.5) with; what lies across the normal does not count."""
+    store = Store(tmp_path, {p: v for p, v in known.items() if not p.startswith("/forces")})
+    store.append({p: known[p] for p in ("/", "/forces/palm")} | {"/skin/palm": _records(known)})
+    with open_result(store.finish({}, True)) as opened:
+        found = [summary(result, {"scene": "x"}) for result in (tree(known), opened)]
+    assert json.loads(json.dumps(found[0], allow_nan=False)) == found[0]
+    for numbers in found:
+        skin = numbers["skins"][0]
+        assert skin["name"] == "palm"
+        assert skin["peak_displacement_vertex"] == 7
+        assert skin["peak_displacement_m"] == pytest.approx(9e-6)
+        assert skin["peak_displacement_time_s"] == pytest.approx(0.015)
+        assert skin["rms_displacement_m"] == pytest.approx(np.sqrt(16 + 12.5) * 1e-6)
+        assert skin["rms_displacement_without_dc_m"] == pytest.approx(5e-6 / np.sqrt(2))
+        assert skin["peak_velocity_m_s"] == pytest.approx(18e-6)
+        assert skin["total_force_peak_N"] == pytest.approx(5e-3)
+        assert skin["total_force_mean_N"] == pytest.approx([0.0, 4e-6, 3e-3])
+        assert numbers["simulated_time_s"] == pytest.approx(0.0999)
+        assert (numbers["scene"], numbers["schema_version"], numbers["skin_steps"]) == ("x", 2, 1000)
+
+
+def _records(known):
+    return {name: known["/skin/palm"][name] for name in ("displacement", "velocity")}
+
+
+def test_a_list_of_skins_with_what_others_know_of_them(result):
     found = summary(
-        dataset(**static_arrays, time=time, normal_displacement=motion, step_time=time, arp_force=force), {"scene": "x"}
+        result, {"complete": True}, {"tip": {"solver": "reduced, 30 vectors"}}, {"pair": {"drive_level": 0.4}}
     )
-    assert found["peak_displacement_vertex"] == 7
-    assert found["peak_displacement_m"] == pytest.approx(9e-6)
-    assert found["peak_displacement_time_s"] == pytest.approx(0.015)
-    assert found["rms_displacement_m"] == pytest.approx(np.sqrt(16 + 12.5) * 1e-6)
-    assert found["rms_displacement_without_dc_m"] == pytest.approx(5e-6 / np.sqrt(2))
-    assert found["total_force_peak_N"] == pytest.approx(5e-3)
-    assert found["total_force_mean_N"] == pytest.approx([0.0, 4e-6, 3e-3])
-    assert found["simulated_time_s"] == pytest.approx(0.0999)
-    assert found["scene"] == "x"
-    assert json.loads(json.dumps(found, allow_nan=False)) == found
+    assert [skin["name"] for skin in found["skins"]] == ["palm", "tip"]
+    assert [skin["vertices"] for skin in found["skins"]] == [469, 127]
+    assert found["skins"][1]["solver"] == "reduced, 30 vectors" and "solver" not in found["skins"][0]
+    assert found["arrays"] == [{"name": "below", "transducers": 256}, {"name": "beside", "transducers": 64}]
+    assert found["stimuli"] == [
+        {"name": "pulse", "focal_points": 1},
+        {"name": "pair", "focal_points": 2, "drive_level": 0.4},
+    ]
+    assert (found["transducers"], found["drive_frames"], found["steps"]) == (320, 500, 500)
+    for key in ("peak_displacement_m", "peak_pressure_Pa", "peak_arp_Pa"):
+        assert found[key] == max(skin[key] for skin in found["skins"])
+    assert list(found)[-1] == "complete"
 
 
-def test_levels_are_rms_over_20_micropascal(static_arrays):
+def test_levels_are_rms_over_20_micropascal(static_arrays, keep, merge):
     """1 Pa rms is 94 dB SPL (IEC 61672)."""
-    pressure = np.zeros_like(static_arrays["surface_pressure"])
-    pressure[3] = np.sqrt(2.0)
-    quiet = static_arrays | {"skin_pressure": np.zeros_like(static_arrays["skin_pressure"])}
-    found = summary(dataset(**(quiet | {"surface_pressure": pressure})), {})
+    one = keep(static_arrays, ("palm",), (), ())
+    pressure = np.zeros_like(one["/surface/palm"]["loudest_pressure"])
+    quiet = {"/skin/palm": {"loudest_pressure": np.zeros_like(one["/skin/palm"]["loudest_pressure"])}}
+    silent = merge(one, quiet, {"/surface/palm": {"loudest_pressure": pressure}})
+    assert summary(tree(silent), {})["peak_pressure_dB_SPL"] is None
+    loud = pressure.copy()
+    loud[3] = np.sqrt(2.0)
+    found = summary(tree(merge(silent, {"/surface/palm": {"loudest_pressure": loud}})), {})
     assert found["peak_pressure_dB_SPL"] == pytest.approx(93.98, abs=0.005)
-    silent = summary(dataset(**(quiet | {"surface_pressure": 0 * pressure})), {})
-    assert silent["peak_pressure_dB_SPL"] is None
+    assert found["skins"][0]["peak_pressure_dB_SPL"] == found["peak_pressure_dB_SPL"]
 
 
-def test_a_run_without_steps_leaves_motion_out(static):
-    found = summary(static, {})
-    assert found["skin_vertices"] == 469
-    assert not [name for name in found if "displacement" in name or "force" in name or "velocity" in name]
+def test_a_run_without_steps_leaves_motion_out(still):
+    found = summary(still, {})
+    assert found["skins"][0]["vertices"] == 469 and found["skin_steps"] == 0
+    assert not [n for n in (*found, *found["skins"][0]) if "displacement" in n or "force" in n or "velocity" in n]
+
+
+FULL = {
+    "dofs": 1512,
+    "solver": "wedges",
+    "accuracy_wanted_relative": 0.05,
+    "mesh_error_relative": 0.01,
+    "step_error_relative": 0.02,
+    "reduction_error_relative": 0.0,
+    "edge_error_relative": 0.1,
+    "displacement_error_relative": 0.1025,
+    "main_frequency_Hz": 200.0,
+    "level_morioka_griffin_2006_dB_SL": 24.87,
+    "level_afferent_human_dB_SL": None,
+    "peak_displacement_low_m": 1e-6,
+    "peak_displacement_high_m": 2e-6,
+}
+RUN = {"wall_time_s": 12.3, "peak_memory_MiB": 600.0}
+
+
+def _rows(text):
+    return [[cell.strip() for cell in line.strip("│|").split("│")] for line in text.splitlines() if "│" in line]
+
+
+def test_the_table_of_one_skin(one_skin):
+    found = summary(one_skin, RUN, {"palm": FULL}, {"pulse": {"drive_level": 0.989}})
+    rows = [(name, text) for name, text in _rows(format_summary(found)) if name]
+    assert [name for name, _ in rows] == [
+        "peak sound pressure", "peak ARP", "total force", "drive", "skin", "peak skin displacement",
+        "rms skin displacement", "error estimate", "accuracy", "peak for the p0 range", "level at 200 Hz",
+        "level at 200 Hz", "wall time, peak memory",
+    ]  # fmt: skip
+    told = dict(rows)
+    assert told["drive"] == "0.989 of full"
+    assert told["skin"] == "1512 unknowns, solver wedges"
+    assert told["peak sound pressure"] == "1500 Pa (154.5 dB SPL)"
+    assert "+- 10.2 %" in told["peak skin displacement"]
+    assert told["accuracy"].startswith("NOT reached: 5 % wanted; the layer's cut sides")
+    assert "observer 2" in told["level at 200 Hz"] and "outside the table" in told["level at 200 Hz"]
+
+
+def test_the_table_has_a_block_a_skin(result):
+    found = summary(result, RUN, {"palm": FULL, "tip": {"displacement_error_missing": "no room"}}, {
+        "pulse": {"drive_level": 0.5}, "pair": {"drive_level": 0.25}})  # fmt: skip
+    text = format_summary(found)
+    names = [name for name, _ in _rows(text) if name]
+    assert names[:3] == ["drive, pulse", "drive, pair", "SKIN"]
+    assert names.count("SKIN") == 2 and names.count("peak ARP") == 2 and names[-1] == "wall time, peak memory"
+    assert "none: no room" in text
+
+
+def test_a_run_cut_off_early_has_a_table(still):
+    assert "peak sound pressure" in format_summary(summary(still, {"complete": False}))

@@ -3,12 +3,12 @@
 import mujoco
 import numpy as np
 import pytest
+from palmfield.engine.motion import place
 
 import palmfield
 from palmfield.acoustics.reference import pressure64
 from palmfield.data import folder
 from palmfield.engine.host import raise_errors
-from palmfield.engine.motion import place
 from palmfield.hand.meshquery import barycentric, build_mesh, closest_faces
 from palmfield.skin.fem.probe import SurfaceProbe
 from palmfield.stimulus.schedule import frame_at

@@ -18,6 +18,8 @@ from palmfield.skin.mesh.disc import disc_patch
 from palmfield.skin.mesh.wedges import extrude
 from palmfield.types import Patch
 
+pytestmark = pytest.mark.numerics
+
 THIRDS = np.array([0.0, 0.35, 1.0])
 
 

@@ -17,6 +17,8 @@ from palmfield.skin.materials.material import shear_wave
 from palmfield.skin.mesh.disc import disc_patch
 from palmfield.skin.mesh.wedges import extrude
 
+pytestmark = pytest.mark.numerics
+
 
 def centre(material, fwhm, depth, fine, coarse, fine_radius, fractions, step, radius, f):
     """Static, harmonic and stepped harmonic push of the centre."""

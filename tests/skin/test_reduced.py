@@ -16,6 +16,8 @@ from palmfield.skin.materials.material import Branch, Material
 from palmfield.skin.reduction.reducer import reduce
 from palmfield.skin.solvers.axisymmetric.samples import principal_shapes
 
+pytestmark = pytest.mark.numerics
+
 ECOFLEX = preset("ecoflex_00-10")
 BAND = (0.0, 600.0)
 TOLERANCE = 1e-3

@@ -12,6 +12,8 @@ from palmfield.skin.problem import Layer, Sheet, Slab, Spot, Traction
 from palmfield.skin.solvers.axisymmetric.solve import solve_axisymmetric
 from palmfield.skin.solvers.reduced import course, patterns, refusal_reduced, solve_reduced
 
+pytestmark = pytest.mark.numerics
+
 PAD = preset("finger_pad")
 THICK, RADIUS, WIDTH = 0.003, 0.015, 0.008
 DISC = Slab((Sheet(PAD, THICK),), "disc", "bonded", "fixed", radius_m=RADIUS)

@@ -20,6 +20,8 @@ from palmfield.skin.reduction.krylov import Krylov, harmonics, level, periodic
 from palmfield.skin.reduction.reduced_stepper import KnownLoad, reduced_stepper
 from palmfield.skin.stepper import SurfaceLoads
 
+pytestmark = pytest.mark.numerics
+
 STEP = 1e-4
 TIMES = STEP * np.arange(251)
 TOLERANCE = 5e-3

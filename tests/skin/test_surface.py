@@ -15,6 +15,8 @@ from palmfield.skin.mesh.disc import disc_patch
 from palmfield.skin.mesh.surface import output_triangles
 from palmfield.skin.mesh.wedges import extrude
 
+pytestmark = pytest.mark.numerics
+
 FRACTIONS = np.array([0.0, 0.4, 1.0])
 
 

@@ -43,6 +43,17 @@ class Factor:
         result[order] = moved
         return result
 
+    def solve_vector(self, right: Any, out: Any) -> Any:
+        """The solution for one real vector, (n,), into `out`, (n,), another one; for a caller that holds BLAS to one
+        thread (palmfield.skin.blas), and in as few calls as can be."""
+        order = self._order
+        with self._lock:
+            if order is None:
+                return self._lu.solve(right)
+            moved = self._lu.solve(right[order])
+        out[order] = moved
+        return out
+
     def _common(self, right: Any) -> Any:
         return complex if right.dtype.kind == "c" or self._diagonal.dtype.kind == "c" else float
 

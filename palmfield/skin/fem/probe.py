@@ -75,3 +75,10 @@ def surface_motion(mesh: WedgeMesh, system: SkinSystem) -> sparse.csr_matrix:
         (mesh.surface_normals().ravel(), (rows, np.arange(3 * count))), shape=(count, 3 * len(mesh.nodes))
     )
     return sparse.csr_matrix(nodal.tocsr() @ system.dof_map)
+
+
+def surface_vectors(mesh: WedgeMesh, system: SkinSystem) -> sparse.csr_matrix:
+    """Operator (3 S, free degrees of freedom) giving the displacement at all S surface nodes, x, y, z of each."""
+    count = 3 * mesh.surface_nodes
+    nodal = sparse.eye_array(count, 3 * len(mesh.nodes), format="csr")
+    return sparse.csr_matrix(nodal @ system.dof_map)

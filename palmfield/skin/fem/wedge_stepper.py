@@ -27,9 +27,11 @@ from palmfield.types import Float
 
 @dataclass
 class _Room:
-    """Work arrays of a call: right-hand side (n,), sums of state rows (i, n), two states, forces of patterns (k, n)."""
+    """Work arrays of a call: right-hand side and solution (n,), sums of state rows (i, n), two states, forces of
+    patterns (k, n)."""
 
     right: Float
+    moved: Float
     sums: Float
     next: Float
     change: Float
@@ -75,7 +77,7 @@ class WedgeStepper:
         substeps = len(mix)
         seen = None if observe is None else np.zeros((1, substeps, 2, observe.count))
         room = self._room(mix.shape[1])
-        matrix, size, solve = self._others, self.ndof, self.factor.solve
+        matrix, size, solve = self._others, self.ndof, self.factor.solve_vector
         others = room.sums[:-1].reshape(-1)
         with one_blas_thread:
             forces = self._forces(room, loads.pressure_Pa[0])
@@ -83,7 +85,7 @@ class WedgeStepper:
                 np.matmul(self._sums, rows, out=room.sums)
                 np.matmul(mix[i], forces, out=room.right)
                 csr_matvec(size, len(others), matrix.indptr, matrix.indices, matrix.data, others, room.right)
-                moved = solve(room.right)
+                moved = solve(room.right, room.moved)
                 np.add(moved, room.sums[-1], out=moved)
                 np.matmul(self._advance, rows, out=room.next)
                 np.multiply(self._follow, moved, out=room.change)
@@ -126,7 +128,7 @@ class WedgeStepper:
         except IndexError:
             state = np.empty((self.state_rows, self.ndof))
             sums = np.empty((len(self._sums), self.ndof))
-            room = _Room(np.empty(self.ndof), sums, state, state.copy(), np.empty((0, self.ndof)))
+            room = _Room(np.empty(self.ndof), np.empty(self.ndof), sums, state, state.copy(), np.empty((0, self.ndof)))
         if len(room.forces) < patterns:
             room.forces = np.empty((patterns, self.ndof))
         return room

@@ -10,6 +10,8 @@ from palmfield.skin.materials.material import standard_linear
 from palmfield.skin.problem import Sheet, Slab
 from palmfield.skin.solvers.lateral_waves import static_lateral_waves
 
+pytestmark = pytest.mark.numerics
+
 AT = np.array([[0.0, 0.0], [0.005, 0.0]])
 TIMES = np.linspace(5e-4, 6e-3, 12)
 WITHIN = {"axisymmetric": 4e-3, "wedges": 0.03, "reduced": 0.03, "spectral_elements": 4e-3}

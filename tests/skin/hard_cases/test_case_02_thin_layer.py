@@ -10,6 +10,8 @@ from palmfield.skin.problem import Sheet, Slab, Spot, Traction
 from palmfield.skin.solvers.particles.cloud import build_cloud
 from palmfield.skin.solvers.particles.solve import run_particles
 
+pytestmark = pytest.mark.numerics
+
 YOUNG, PRESSURE, DEPTH, WIDTH, RADIUS = 23.5e3, 4000.0, 1e-3, 6e-3, 0.012
 
 

@@ -14,6 +14,8 @@ from palmfield.skin.problem import Sheet, Slab, Spot, spread
 from palmfield.skin.solvers.lateral_waves import static_lateral_waves
 from palmfield.skin.solvers.wedges import static_wedges
 
+pytestmark = pytest.mark.numerics
+
 GEL = Material("gel", 1030.0, 12.5e3, (Branch(25e3, 1e-3),), bulk_from_poisson(0.45, 12.5e3), "", bulk_relaxes=True)
 RADIUS, DEPTH, WIDTH = 0.02, 0.008, 0.0103
 FREE = Slab((Sheet(GEL, DEPTH),), "disc", "free", "roller", RADIUS)

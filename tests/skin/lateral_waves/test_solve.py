@@ -19,6 +19,8 @@ from palmfield.skin.solvers.lateral_waves import (
 )
 from palmfield.skin.solvers.lateral_waves.accuracy import relative_error
 
+pytestmark = pytest.mark.numerics
+
 ECOFLEX = PRESETS["ecoflex_00-10"]
 WIDTH, DEPTH = 0.0103, 0.02
 C0 = Slab((Sheet(ECOFLEX, DEPTH),))

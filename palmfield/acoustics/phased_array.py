@@ -1,0 +1,261 @@
+"""The arrays of a scene as one source of sound: their transducers in one frame, and the field of all of them.
+
+The frame is that of the scene's first array ("array frame"). Nothing here changes once it is made, so that several
+threads and simulations share it; where arrays move against one another, a new `PhasedArray` is made.
+"""
+
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from palmfield.acoustics.air import density, sound_speed
+from palmfield.acoustics.arrays import combined, from_poses, layout, placed, with_faults
+from palmfield.acoustics.field import FieldEvaluator, Mode
+from palmfield.acoustics.reference import pressure64
+from palmfield.acoustics.transducer import T4010A1_DIRECTIVITY
+from palmfield.config import ArrayConfig
+from palmfield.errors import SceneError
+from palmfield.transforms import Numbers, Placement
+from palmfield.types import Air, Array, Complex, Field, Float, Int
+
+HOUSING_M = 5e-3
+"""How far a board reaches beyond its transducers, and how high a transducer is [m]."""
+FLAT_M = 1e-6
+"""Transducers lie in one plane if their heights differ by less [m]."""
+SAME_PLACE = 1e-9
+"""Positions [m] and directions that differ by less are the same."""
+
+
+@dataclass(frozen=True)
+class ArrayInstance:
+    """One array of the scene. config: its keys; placement: where it is in the scene's reference pose"""
+
+    config: ArrayConfig
+    placement: Placement
+
+    def array(self, sites: tuple[tuple[Numbers, Numbers], ...] = ()) -> Array:
+        """The transducers in the array's own frame.
+
+        sites: position [m] and emitting direction of each transducer, for layout `sites`
+        Raises SceneError for faults that the array cannot have, and for a piston's radius where there is no piston.
+        """
+        config = self.config
+        if config.layout == "sites":
+            positions, normals = zip(*sites, strict=True)
+            array = from_poses("sites", np.array(positions), np.array(normals), config.p0_Pa_m)
+        else:
+            array = layout(config.layout, config.p0_Pa_m)
+        if config.directivity == "point":
+            array = replace(array, piston_radius_m=0.0, directivity_table=None)
+        elif config.directivity == "piston":
+            array = replace(array, directivity_table=None)
+        elif config.directivity == "t4010a1":
+            array = replace(array, directivity_table=T4010A1_DIRECTIVITY)
+        if config.piston_radius_m is not None:
+            if config.directivity == "point" or array.directivity_table is not None:
+                raise SceneError(
+                    f"key 'piston_radius_m' has value {config.piston_radius_m:g}, but layout '{config.layout}' with "
+                    f"directivity '{config.directivity}' has no piston: drop it or set directivity to piston"
+                )
+            array = replace(array, piston_radius_m=config.piston_radius_m)
+        if config.dead or config.inverted:
+            array = with_faults(array, config.dead, config.inverted)
+        return array
+
+
+@dataclass(frozen=True)
+class DirectivityGroup:
+    """All transducers with one directivity.
+
+    array: these transducers, in the array frame; chosen: their numbers among all transducers, shape (n,)
+    """
+
+    array: Array
+    chosen: Int
+
+
+def directivity_groups(parts: Sequence[Array]) -> tuple[DirectivityGroup, ...]:
+    """Arrays in one frame, sorted by directivity; transducers are numbered from array to array."""
+    starts = np.cumsum([0, *(len(part) for part in parts)])
+    members: dict[tuple[float, bytes], list[int]] = {}
+    for i, part in enumerate(parts):
+        table = b"" if part.directivity_table is None else part.directivity_table.tobytes()
+        members.setdefault((part.piston_radius_m, table), []).append(i)
+    return tuple(
+        DirectivityGroup(
+            combined([parts[i] for i in same]),
+            np.concatenate([np.arange(starts[i], starts[i + 1]) for i in same]).astype(np.int32),
+        )
+        for same in members.values()
+    )
+
+
+@dataclass(frozen=True)
+class Board:
+    """What of an array a body must not reach into, in the array's own frame.
+
+    low, high: corners of the rectangle around transducers that lie in one plane and face along z, with its housing, x
+        and y [m]; height: of that plane [m]
+    nearest: tree of the transducers of any other array, which has no such rectangle; else None
+    """
+
+    low: tuple[float, float]
+    high: tuple[float, float]
+    height: float
+    nearest: cKDTree | None = None
+
+    @staticmethod
+    def of(array: Array) -> "Board":
+        """The board of an array in its own frame."""
+        positions = array.positions
+        (low_x, low_y, low), (high_x, high_y, high) = positions.min(axis=0).tolist(), positions.max(axis=0).tolist()
+        flat = high - low <= FLAT_M and array.normals[:, 2].min() >= 0.5
+        return Board(
+            (low_x - HOUSING_M, low_y - HOUSING_M),
+            (high_x + HOUSING_M, high_y + HOUSING_M),
+            float(positions[:, 2].mean()),
+            None if flat else cKDTree(positions),
+        )
+
+    def clearance(self, points: Float) -> float:
+        """Least distance of points [m], shape (n, 3), from the board [m], negative behind it; inf if none is over it.
+
+        Of an array without a rectangle, the least distance from the face of a transducer.
+        """
+        if self.nearest is not None:
+            return float(np.minimum.reduce(self.nearest.query(points)[0], initial=np.inf)) - HOUSING_M
+        x, y, z = points.T
+        over = (x >= self.low[0]) & (x <= self.high[0]) & (y >= self.low[1]) & (y <= self.high[1])
+        return float(np.minimum.reduce(z, where=over, initial=np.inf)) - self.height
+
+
+class MultiArrayField:
+    """The field of transducers of one or several directivities: the sum over an evaluator for each, on one device.
+
+    Safe to use from several threads at once. For many calls on the same number of points take
+    `palmfield.acoustics.surface_arp.SurfaceArp`.
+
+    groups: which transducers each evaluator has; evaluators: one a group
+    air: for all; device: "cpu" or "cuda:N"; mode: as FieldEvaluator
+    count: how many transducers all groups have together
+    """
+
+    def __init__(self, groups: tuple[DirectivityGroup, ...], air: Air, device: str = "auto", mode: Mode = "fast"):
+        """Raises SceneError for a bad array or air, PalmfieldError for a device that is not there."""
+        self.groups, self.air, self.mode = groups, air, mode
+        self.evaluators = tuple(FieldEvaluator(group.array, air, device, mode=mode) for group in groups)
+        self.device = self.evaluators[0].device
+        self.count = sum(len(group.chosen) for group in groups)
+
+    def pressure(self, points: Float, drive: Complex, gradient: bool = False) -> Field:
+        """As FieldEvaluator.pressure, for the drive of all transducers, shape (count,)."""
+        fields = [
+            evaluator.pressure(points, drive[group.chosen], gradient)
+            for group, evaluator in zip(self.groups, self.evaluators, strict=True)
+        ]
+        total = fields[0].pressure, fields[0].gradient
+        for field in fields[1:]:
+            slope = None if total[1] is None or field.gradient is None else total[1] + field.gradient
+            total = total[0] + field.pressure, slope
+        return Field(*total)
+
+
+class PhasedArray:
+    """All arrays of a scene in one relative pose. Immutable, and safe to share among threads.
+
+    instances: the scene's arrays; the air, the kernels' precision and the frame are those of the first one
+    placements: of each array, in the frame of the first one
+    device: where the field is computed, "auto", "cpu" or "cuda:N"
+    parts: transducers of each array in its own frame; slices: of each part, into the numbering of all transducers
+    groups: transducers by directivity, in the array frame
+    array: all transducers in one, for positions, directions and gains. Where directivities differ it has the widest
+        piston of them and no table: take `pressure64` or `field` for the sound
+    impedance: rho c^2 of the air [Pa]
+    boards: of each part, in its own frame
+    facing: mean direction of each part's transducers, array frame, by column, shape (3, parts)
+    heights: of the middle of each part along that direction [m], shape (parts,)
+    """
+
+    def __init__(self, instances: Sequence[ArrayInstance], placements: Sequence[Placement], device: str = "auto"):
+        """Raises SceneError, which names the plugin, for an array that cannot be built."""
+        first = instances[0].config
+        self.air = Air(first.temperature_C, first.humidity_percent, first.pressure_Pa)
+        self.precision: Mode = first.precision
+        self.device = device
+        self.placements = tuple(placements)
+        self._lock = threading.Lock()
+        self._field: MultiArrayField | None = None
+        try:
+            self.parts = tuple(one.array(place.sites) for one, place in zip(instances, placements, strict=True))
+            self.impedance = density(self.air) * sound_speed(self.air) ** 2
+            # The first array's frame is the common one: its transducers stay as they are to the last digit
+            moved = [
+                part if i == 0 else placed(part, *place.transform)
+                for i, (part, place) in enumerate(zip(self.parts, placements, strict=True))
+            ]
+            self.groups = directivity_groups(moved)
+            self.boards = tuple(Board.of(part) for part in self.parts)
+            facing = np.array([part.normals.mean(axis=0) for part in moved])
+            middles = np.array([part.positions.mean(axis=0) for part in moved])
+            self.facing, self.heights = np.ascontiguousarray(facing.T), (middles * facing).sum(axis=1)
+            if len(self.groups) > 1:
+                widest = max(part.piston_radius_m for part in moved)
+                moved = [replace(part, piston_radius_m=widest, directivity_table=None) for part in moved]
+            self.array = moved[0] if len(moved) == 1 else combined(moved)
+        except SceneError as error:
+            raise SceneError(f"plugin 'palmfield.array': {error}") from None
+        ends = np.cumsum([len(part) for part in self.parts]).tolist()
+        self.slices = tuple(slice(end - len(part), end) for end, part in zip(ends, self.parts, strict=True))
+
+    def __len__(self) -> int:
+        """Transducers of all arrays."""
+        return len(self.array)
+
+    @property
+    def field(self) -> MultiArrayField:
+        """Field kernels for these arrays; made when first asked for.
+
+        Raises PalmfieldError for a device that is not on this machine.
+        """
+        # Made once, whoever asks first: a second one would only cost time, but callers compare fields by identity
+        with self._lock:
+            if self._field is None:
+                self._field = MultiArrayField(self.groups, self.air, self.device, self.precision)
+            return self._field
+
+    def pressure64(self, points: Float, drive: Complex) -> Complex:
+        """Complex peak pressure [Pa], shape (n,), at points [m], shape (n, 3), in float64 on the CPU.
+
+        drive: complex amplitudes of all transducers, 1 is full drive, shape (len(self),)
+        """
+        total: Complex = np.zeros(len(points), complex)
+        for group in self.groups:
+            total += pressure64(points, group.array, drive[group.chosen], self.air)[0]
+        return total
+
+    def same(self, placements: Sequence[Placement]) -> bool:
+        """Whether the arrays stand to one another as they do here, to a nanometre and a nanoradian."""
+        placements = tuple(placements)
+        return placements == self.placements or all(
+            same_place(a, b) for a, b in zip(self.placements, placements, strict=True)
+        )
+
+
+def same_place(one: Placement, other: Placement) -> bool:
+    """Whether two placements of an array agree to SAME_PLACE."""
+    pairs = ((one.position, other.position), (one.rotation, other.rotation), (one.sites, other.sites))
+    return one == other or all(np.allclose(a, b, rtol=0.0, atol=SAME_PLACE) for a, b in pairs)
+
+
+def only(array: Array, chosen: Float | Int) -> Array:
+    """The chosen transducers of an array. chosen: their numbers, or a mask"""
+    return replace(
+        array,
+        positions=array.positions[chosen],
+        normals=array.normals[chosen],
+        address=None if array.address is None else array.address[chosen],
+        gain=None if array.gain is None else array.gain[chosen],
+    )

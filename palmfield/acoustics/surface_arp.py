@@ -1,0 +1,270 @@
+"""Radiation pressure at the same number of points again and again, as a simulation's steps ask for it."""
+
+import cmath
+import math
+
+import numpy as np
+import warp as wp
+
+import warp_kernels.arp as kernels
+from palmfield.acoustics import check
+from palmfield.acoustics.air import sound_speed
+from palmfield.acoustics.arp import SurfaceSound, law_weights, unit_normals
+from palmfield.acoustics.field import FieldEvaluator, falling, filled, in_unit
+from palmfield.acoustics.phased_array import DirectivityGroup, MultiArrayField
+from palmfield.acoustics.threads import Calls, cores, share
+from palmfield.acoustics.transfer import Transfer, arp_frames, matrix_bytes, memory_limit, too_steep
+from palmfield.device import SharedArray, recorded
+from palmfield.errors import PalmfieldError
+from palmfield.types import Complex, Float, Float32
+
+PAIRS_PER_THREAD = 100_000
+"""Fewest pairs of point and transducer worth a thread of its own: 0.13 ms of work against 0.02 ms to hand it over."""
+MATRIX_FROM = 32
+"""Drives from which a transfer matrix is cheaper: for 256 transducers and 762 points it takes 3 ms and 0.1 ms a drive,
+and 7 ms more where it is new; a drive by itself takes 0.25 ms. The choice depends on their number alone, not on whether
+the matrix is there already: so a run repeats to the bit."""
+BLOCKS_PER_THREAD = 4
+SMALL_BLOCK_PAIRS = 250_000
+"""Blocks are not made smaller than this to balance threads [pairs of point and transducer]."""
+RANGE_STEP_M = 1.0 / 64.0
+"""The fall of sound is fitted over ranges of distance whose ends are multiples of this [m]. So a fit serves many poses,
+and depends on where the points are now, not on where they were before: a run repeats to the bit."""
+FITS_KEPT = 64
+MATRIX_KEPT_BYTES = 2**26
+"""A transfer matrix up to this size is kept for the next call with the same points."""
+
+
+class SurfaceArp:
+    """ARP, and more, at `count` points for one drive after another, in fixed buffers with recorded launches.
+
+    It belongs to one simulation's state and is used by one thread at a time; on the CPU it takes helper threads.
+
+    field: of the arrays; count: of points; law: a key of `palmfield.acoustics.arp.LAWS`
+    threads: on the CPU, 1 or more; None is all cores that this process may use
+    """
+
+    def __init__(self, field: MultiArrayField, count: int, law: str = "default", threads: int | None = None):
+        """Raises SceneError for an unknown law."""
+        self.field, self.count, self.law = field, count, law
+        device = field.device
+        accurate = field.mode == "accurate"
+        self._gpu = device != "cpu"
+        self._points = SharedArray(count, wp.vec3d if accurate else wp.vec3, device)
+        self._normals = SharedArray(count, wp.vec3, device)
+        results = SharedArray(count, wp.float32, device), SharedArray(count, wp.float32, device)
+        flux = SharedArray(count, wp.vec3, device)
+        self._results = (*results, flux)
+        self._sound = SurfaceSound(results[0].host, results[1].host)
+        self._sound_and_flux = SurfaceSound(results[0].host, results[1].host, flux.host)
+        self._pressure: wp.array = wp.zeros(count, dtype=wp.vec2, device=device)
+        self._gradient: wp.array = wp.zeros((count, 3), dtype=wp.vec2, device=device)
+        self._interrupted = False  # between adding fields up and taking them out again, by Ctrl-C for example
+        self._flat_normals = self._normals.host.reshape(-1)
+        self._columns = np.empty((3, count), np.float64 if accurate else np.float32)
+        self._emitters = [_Emitter(*pair) for pair in zip(field.groups, field.evaluators, strict=True)]
+        self._threads, self._blocks = self._shared_out(cores() if threads is None else threads)
+        self._recorded: dict[tuple[str, ...], list[Calls]] = {}
+        self._transfer: Transfer | None = None
+        self._weights = law_weights(law, field.air)
+        self._per_wavenumber = sound_speed(field.air) / (2.0 * np.pi * field.groups[0].array.frequency_Hz)
+
+    def evaluate(
+        self, points: Float | Float32, normals: Float | Float32, drive: Complex, flux: bool = False
+    ) -> SurfaceSound:
+        """The sound of one drive at the points. Its arrays are views of buffers that the next call overwrites.
+
+        points: [m], normals: unit outward, array frame, both of shape (count, 3)
+        drive: complex amplitudes of all transducers, 1 is full drive, shape (field.count,)
+        flux: whether the result has the energy flux
+        Raises PalmfieldError for other shapes and numbers that are not finite. Normals are taken to be unit vectors.
+        """
+        count = self.count
+        if drive.dtype != np.complex128:
+            drive = drive.astype(np.complex128)
+        if points.shape != (count, 3) or normals.shape != (count, 3) or drive.shape != (self.field.count,):
+            raise PalmfieldError(
+                f"points {points.shape}, normals {normals.shape} and drive {drive.shape}: this SurfaceArp takes "
+                f"({count}, 3), ({count}, 3) and ({self.field.count},)"
+            )
+        if count == 0:
+            return self._sound_and_flux if flux else self._sound
+        self._points.host[...] = points
+        self._normals.host[...] = normals
+        # By column: NumPy's reduction along short rows takes ten times as long
+        self._columns[...] = points.T
+        low = np.minimum.reduce(self._columns, axis=1).tolist()
+        high = np.maximum.reduce(self._columns, axis=1).tolist()
+        if not math.isfinite(sum(low)) or min(low) < -check.FARTHEST_m or max(high) > check.FARTHEST_m:
+            check.points(points, np.float64)  # says which
+        if not cmath.isfinite(np.add.reduce(drive)):
+            raise _not_finite("drive", drive)
+        falls: tuple[str, ...] = ()
+        for emitter in self._emitters:
+            falls = (*falls, emitter.prepare(low, high, drive))
+        blocks = self._recorded.get(falls)
+        if blocks is None:
+            blocks = self._recorded[falls] = self._record(falls)
+        if self._interrupted:
+            self._pressure.zero_()
+            self._gradient.zero_()
+        self._interrupted = True
+        if self._gpu:
+            self._run_on_gpu(blocks)
+        else:
+            share(blocks, self._threads)
+        self._interrupted = False
+        result = self._sound_and_flux if flux else self._sound
+        # A NaN makes a point dark: it would not show in the ARP
+        if not math.isfinite(np.add.reduce(result.amplitude) + np.add.reduce(self._flat_normals)):
+            raise _not_finite("normals", self._normals.host)
+        return result
+
+    def evaluate_many(
+        self, points: Float | Float32, normals: Float | Float32, drives: Complex, out: Float32 | None = None
+    ) -> Float32:
+        """ARP [Pa] of many drives at the points, shape (m, count), by the cheaper way.
+
+        From MATRIX_FROM drives on that is a transfer matrix, which is kept for a next call with the same points; one by
+        one otherwise, and where directivities differ, mode is "accurate" or points are too far apart for the matrix.
+
+        drives: shape (m, field.count); out: array to fill and return, float32
+        Raises PalmfieldError as `evaluate`, and for normals that are not unit vectors.
+        """
+        evaluator, frames = self.field.evaluators[0], len(drives)
+        result = np.empty((frames, self.count), np.float32) if out is None else out
+        alike = len(self._emitters) == 1 and self.field.mode == "fast"
+        if frames < MATRIX_FROM or self.count == 0 or not alike or too_steep(evaluator, points):
+            for row, drive in zip(result, drives, strict=True):
+                row[:] = self.evaluate(points, normals, drive).arp
+            return result
+        size = matrix_bytes(self.field.count, self.count)
+        if size > min(MATRIX_KEPT_BYTES, memory_limit(self.field.device)):
+            result[:] = arp_frames(evaluator, points, normals, drives, self.law)
+            return result
+        transfer = self._matrix(evaluator, points, normals)
+        if self._gpu:
+            result[:] = transfer.arp_on_gpu(drives, self.law).numpy()
+            return result
+        return transfer.arp(drives, self.law, out=result)
+
+    def _matrix(self, evaluator: FieldEvaluator, points: Float | Float32, normals: Float | Float32) -> Transfer:
+        """The transfer matrix for these points; the last one is kept."""
+        where, outward = check.points(points, np.float32), unit_normals(normals, self.count)
+        last = self._transfer
+        if last is None or not (np.array_equal(last.where, where) and np.array_equal(last.normals, outward)):
+            self._transfer = last = Transfer(evaluator, where, outward)
+        return last
+
+    def _shared_out(self, threads: int) -> tuple[int, list[slice]]:
+        """How many threads are worth their while, and the blocks of points that they share out."""
+        pairs = self.count * self.field.count
+        if self._gpu or self.count == 0:
+            return 1, [slice(0, self.count)]
+        threads = max(1, min(threads, pairs // PAIRS_PER_THREAD))
+        blocks = threads if threads == 1 else max(threads, min(BLOCKS_PER_THREAD * threads, pairs // SMALL_BLOCK_PAIRS))
+        width = self.field.evaluators[0].points_per_thread
+        size = -(-self.count // (blocks * width)) * width
+        return threads, [slice(start, min(start + size, self.count)) for start in range(0, self.count, size)]
+
+    def _record(self, falls: tuple[str, ...]) -> list[Calls]:
+        """The launches of each block: every directivity adds its field, then comes the ARP."""
+        device = self.field.device
+        blocks: list[Calls] = []
+        for block in self._blocks:
+            points, normals, pressure, gradient, *results = (
+                array[block.start : block.stop]
+                for array in (
+                    self._points.array, self._normals.array, self._pressure, self._gradient,
+                    *(result.array for result in self._results),
+                )
+            )  # fmt: skip
+            count = block.stop - block.start
+            calls = []
+            for emitter, fall in zip(self._emitters, falls, strict=True):
+                kernel = emitter.evaluator.kernel(fall, gradient=True)
+                inputs = [points, *emitter.inputs, pressure, gradient]
+                calls.append(recorded(kernel, -(-count // emitter.evaluator.points_per_thread), inputs, device))
+            at = filled(
+                kernels.SurfacePoints(),
+                pressure=pressure,
+                gradient=gradient,
+                normals=normals,
+                per_wavenumber=self._per_wavenumber,
+                weights=wp.vec3(*self._weights),
+                arp=results[0],
+                amplitude=results[1],
+                flux=results[2],
+            )
+            calls.append(recorded(kernels.surface_sound, count, [at], device))
+            blocks.append(calls)
+        return blocks
+
+    def _run_on_gpu(self, blocks: list[Calls]) -> None:
+        self._points.upload()
+        self._normals.upload()
+        for emitter in self._emitters:
+            emitter.upload()
+        share(blocks, 1)
+        for result in self._results:
+            result.download()
+        wp.synchronize_stream(self.field.device)
+
+
+def _not_finite(name: str, values: Complex | Float | Float32) -> PalmfieldError:
+    bad = check.first_bad(values)
+    return PalmfieldError(f"{name}[{bad}] = {values[bad].tolist()} is not finite: mend what makes the {name}")
+
+
+class _Emitter:
+    """The transducers of one directivity as the kernels take them, for one drive after another."""
+
+    def __init__(self, group: DirectivityGroup, evaluator: FieldEvaluator):
+        self.evaluator = evaluator
+        array, device = group.array, evaluator.device
+        accurate = evaluator.mode == "accurate"
+        self._chosen = group.chosen[evaluator.order].astype(np.intp)
+        self._gain = None if array.gain is None else array.gain[evaluator.order]
+        self._emitted = np.empty(len(array), np.complex128)
+        self._size = np.empty(len(array))
+        self._rows = SharedArray(len(array), wp.vec4d if accurate else wp.vec4, device)
+        self._rows.host[...] = evaluator.elements(gradient=True)
+        self._strengths = SharedArray(len(array), wp.vec4, device)
+        self.inputs = evaluator.inputs(self._rows.array, self._strengths.array, gradient=True)
+        self._per_turn = 1.0 / evaluator.phase_unit
+        box = array.positions.min(axis=0).tolist(), array.positions.max(axis=0).tolist()
+        self._box = list(zip(*box, strict=True))
+        self._fits: dict[tuple[int, int], tuple[str, Float]] = {}
+
+    def prepare(self, low: list[float], high: list[float], drive: Complex) -> str:
+        """Take a drive for points in this box [m]; returns how the sound's fall is computed, see `falling`."""
+        near = far = 0.0
+        for (least, most), first, last in zip(self._box, low, high, strict=True):
+            gap = max(least - last, first - most, 0.0)
+            reach = max(last, most) - min(first, least)
+            near += gap * gap
+            far += reach * reach
+        ends = int(math.sqrt(near) / RANGE_STEP_M), int(math.sqrt(far) / RANGE_STEP_M) + 1
+        kind, fall = self._fits.get(ends) or self._fit(ends)
+        emitted, size = self._emitted, self._size
+        drive.take(self._chosen, out=emitted, mode="clip")  # mode raise would copy
+        if self._gain is not None:
+            np.multiply(emitted, self._gain, out=emitted)
+        np.absolute(emitted, out=size)
+        np.multiply(size[:, None], fall, out=self._strengths.host, casting="same_kind")
+        np.arctan2(emitted.imag, emitted.real, out=size)
+        np.multiply(size, self._per_turn, out=self._rows.host[:, 2], casting="same_kind")
+        return kind
+
+    def upload(self) -> None:
+        self._rows.upload()
+        self._strengths.upload()
+
+    def _fit(self, ends: tuple[int, int]) -> tuple[str, Float]:
+        if len(self._fits) >= FITS_KEPT:
+            self._fits.clear()
+        evaluator = self.evaluator
+        kind, fall = falling(evaluator.absorption_Np_m, ends[0] * RANGE_STEP_M, ends[1] * RANGE_STEP_M)
+        fit = kind, evaluator.array.p0_Pa_m * in_unit(fall, evaluator.unit_m(gradient=True))
+        self._fits[ends] = fit
+        return fit

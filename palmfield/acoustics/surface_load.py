@@ -1,0 +1,79 @@
+"""What the sound does to a surface as a whole, and where the surface is to the arrays."""
+
+import numpy as np
+
+from palmfield.acoustics.phased_array import Board, PhasedArray
+from palmfield.acoustics.shadow import REACH_m
+from palmfield.types import Array, Float, Float32, Int
+
+CLEARANCE_M = 2e-3
+"""Least distance of a body from an array's board [m]."""
+GRAZING = 1e-6
+"""A ray that goes along a board, to this cosine, does not meet it."""
+
+
+def clearance(array: Array, points: Float) -> float:
+    """Least distance of points from an array's board [m], negative behind it, inf where none is over it.
+
+    points: [m], in the array's own frame, shape (n, 3)
+    The board is the rectangle around transducers that lie in one plane of constant z and face along z. Any other array
+    has none: there it is the distance from the face of the nearest transducer. `PhasedArray.boards` has them made.
+    """
+    return Board.of(array).clearance(points)
+
+
+def distance_to_arrays(points: Float, flux: Float | Float32, phased_array: PhasedArray) -> Float:
+    """How far back along the sound each point's ray can meet something before an array's board [m], shape (n,).
+
+    points: [m], array frame, shape (n, 3); flux: where the sound goes there, any length, shape (n, 3)
+    A board is the plane through an array's middle across its mean direction; of several arrays the farthest counts.
+    """
+    along = flux.T.astype(np.float64, order="C")
+    along /= np.maximum(np.sqrt(np.add.reduce(along * along, axis=0)), 1e-30)
+    farthest: Float = np.zeros(len(points))
+    for facing, height in zip(phased_array.facing.T, phased_array.heights.tolist(), strict=True):
+        leaving = facing @ along  # how fast the way back nears the board
+        above = points @ facing
+        above -= height
+        way = np.full(len(points), REACH_m)
+        np.divide(above, leaving, out=way, where=leaving > GRAZING)
+        np.maximum(farthest, way, out=farthest)
+    return np.minimum(farthest, REACH_m, out=farthest)
+
+
+def resultants(
+    arp: Float | Float32, areas: Float, normals: Float, points: Float, origins: Float, owners: Int
+) -> tuple[Float, Float]:
+    """Forces [N] on bodies and torques about their origins [N m], shapes (b, 3), from the pressure on their faces.
+
+    0.17 ms for 11,448 faces of a hand with 17 bones, in the order of its mesh; 0.4 ms where owners are at random.
+
+    arp: [Pa], positive pushes in, shape (n,); areas: [m2], shape (n,)
+    normals: unit, outward, points: where the faces are [m], both of shape (n, 3), in one frame, that of the result
+    origins: of the bodies [m], in the same frame, shape (b, 3); owners: the body that each face belongs to, shape (n,)
+    Faces are added up in a fixed order, so that equal input gives equal bits.
+    """
+    count = len(origins)
+    if len(arp) == 0:
+        return np.zeros((count, 3)), np.zeros((count, 3))
+    # One row for each component
+    rows = np.empty((6, len(arp)))
+    push, moments = rows[:3], rows[3:]
+    np.multiply(normals.T, arp * areas, out=push)
+    np.negative(push, out=push)
+    x, y, z = np.array(points.T, order="C", dtype=np.float64)
+    np.subtract(y * push[2], z * push[1], out=moments[0])
+    np.subtract(z * push[0], x * push[2], out=moments[1])
+    np.subtract(x * push[1], y * push[0], out=moments[2])
+    # Faces beside one another mostly belong to one body: first the sum over each run of them, then over the runs
+    changes = np.empty(len(arp), np.bool_)
+    changes[0] = True
+    np.not_equal(owners[1:], owners[:-1], out=changes[1:])
+    starts = changes.nonzero()[0]
+    owner = owners[starts]
+    sums = np.array([np.bincount(owner, row, count) for row in np.add.reduceat(rows, starts, axis=1)]).T
+    forces, torques = np.ascontiguousarray(sums[:, :3]), sums[:, 3:]
+    fx, fy, fz = forces.T
+    ox, oy, oz = origins.T
+    turned = np.array([oy * fz - oz * fy, oz * fx - ox * fz, ox * fy - oy * fx]).T
+    return forces, np.subtract(torques, turned, order="C")

@@ -1,0 +1,307 @@
+"""What an array is told to emit for a focus: the phases that bring the sound there together, and the level."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palmfield.acoustics.air import absorption_Np_m, sound_speed
+from palmfield.acoustics.focus import focus
+from palmfield.acoustics.reference import directivity
+from palmfield.drive.boards import Board, play
+from palmfield.drive.foci import solve_foci
+from palmfield.errors import SceneError
+from palmfield.stimulus.focal_points import FocalPoints
+from palmfield.types import Air, Array, Complex, Float, Int
+
+Bool = NDArray[np.bool_]
+
+KEPT = 32
+"""Unit drives that are kept: a path that rests at few points comes back to each of them."""
+
+
+class SoundSource(Protocol):
+    """The scene's arrays as one source, as `palmfield.acoustics.phased_array.PhasedArray` is.
+
+    array: all transducers, in the frame of the first array; parts: the arrays that they come from, in turn, each in its
+        own frame; impedance: rho c^2 [Pa], so that the ARP at a focus is |p|^2 over it
+    """
+
+    @property
+    def array(self) -> Array: ...
+    @property
+    def parts(self) -> Sequence[Array]: ...
+    @property
+    def air(self) -> Air: ...
+    @property
+    def impedance(self) -> float: ...
+    def pressure64(self, points: Float, drive: Complex) -> Complex:
+        """Complex peak pressure [Pa], shape (n,), at points [m], shape (n, 3), in float64."""
+        ...
+
+
+class UnitDrive:
+    """What the transducers are told to emit for a focus at the loudest moment.
+
+    amplitudes: complex, relative to full drive, shape (N,); level: amplitude asked of each transducer, 0..1
+    conjugate: of the amplitudes; power: sum of |amplitude|^2; peak: largest |amplitude|
+    """
+
+    def __init__(self, amplitudes: Complex, level: float):
+        self.amplitudes, self.level = amplitudes, level
+        self.conjugate: Complex = amplitudes.conj()
+        self.power = float((self.conjugate @ amplitudes).real)
+        self.peak = float(np.maximum.reduce(np.abs(amplitudes)))
+
+
+class ArrayDrive:
+    """How one stimulus drives the transducers that it has, with the arrays in one relative pose.
+
+    array: all transducers of the scene; chosen: those that this stimulus drives, shape (k,), rising
+    arp_peak_Pa: ARP at the focus at the loudest moment, where the stimulus sets it; drive_amplitude: of each
+        transducer, where the stimulus sets that (1 where it sets neither); board: what plays the drive
+    Amplitudes are over all N transducers, 0 for those that are not chosen.
+    """
+
+    def __init__(
+        self,
+        array: SoundSource,
+        chosen: Int,
+        arp_peak_Pa: float | None,
+        drive_amplitude: float | None,
+        board: Board,
+    ):
+        self.array, self.chosen, self.board, self.arp_peak_Pa = array, chosen, board, arp_peak_Pa
+        whole = array.array
+        self.count = len(whole)
+        self.everything = len(chosen) == self.count
+        self.amplitude = 1.0 if drive_amplitude is None else drive_amplitude
+        self.sound_speed = sound_speed(array.air)
+        self.wavenumber = 2.0 * math.pi * whole.frequency_Hz / self.sound_speed
+        self.places: Float = np.ascontiguousarray(whole.positions[chosen].T)
+        self.normals: Float = np.ascontiguousarray(whole.normals[chosen].T)
+        self._known: dict[bytes, UnitDrive] = {}
+
+    def unit_drive(self, point: Float) -> UnitDrive:
+        """The drive for a focus at `point` (frame of the first array [m], shape (3,)) at the loudest moment.
+
+        Several points, shape (m, 3), become foci at once, equally loud (`palmfield.drive.foci`). A transducer that a
+        point is behind stays silent. The last KEPT drives are kept.
+        Raises SceneError for a focus that no transducer can make or a level that they cannot reach, DeviceError for
+        what the board cannot play.
+        """
+        key = point.tobytes()
+        known = self._known.get(key)
+        if known is None:
+            known = self._made(point)
+            if len(self._known) >= KEPT:
+                self._known.clear()
+            self._known[key] = known
+        return known
+
+    def _made(self, point: Float) -> UnitDrive:
+        if point.ndim == 1:
+            distances, heights = self._rays(*point)
+            facing = heights > 0.0
+            if not np.logical_or.reduce(facing):
+                self._refuse(point)
+            phases = self._waves(distances) * facing
+        else:
+            phases = self._several(point)
+        level = self.amplitude
+        if self.arp_peak_Pa is not None:
+            level = self._level_of_several(point, phases) if point.ndim == 2 else float(self._levels(point[None])[0])
+        return UnitDrive(self._over_all(play(self.board, level * phases)), level)
+
+    def unit_drives(
+        self, points: Float, focal_points: FocalPoints, group: Int | None = None, heard: Bool | None = None
+    ) -> Complex:
+        """Amplitudes of `unit_drive` for many of the stimulus's points at once, shape (k, N).
+
+        points: for each row one of the stimulus's points, shape (k, 3), or several, shape (k, d, 3), of which each
+            transducer takes the one that `group`, shape (N,), names
+        focal_points: where these points are
+        heard: which of the points will sound at all, shape (k, d): only these need be ones that the array can make
+        Errors as unit_drive.
+        """
+        points = points.reshape(len(points), -1, 3)
+        if len(focal_points.offsets) or not self.board.exact:
+            return self._one_by_one(points, focal_points, group, heard)
+        foci = focal_points.along(points.reshape(-1, 3)).reshape(points.shape)
+        mine = group if group is None or self.everything else group[self.chosen]
+        x, y, z = (foci if mine is None else foci[:, mine]).transpose(2, 0, 1)
+        distances, heights = self._rays(x, y, z)
+        facing = heights > 0.0
+        sounds = np.logical_or.reduce(facing, axis=1)
+        if not np.logical_and.reduce(sounds):
+            needed = ~sounds if heard is None else ~sounds & np.logical_or.reduce(heard, axis=1)
+            if np.logical_or.reduce(needed):
+                row = int(needed.argmax())
+                self._refuse(foci[row, 0 if heard is None else int(heard[row].argmax())])
+        drives = self._waves(distances)
+        if self.arp_peak_Pa is None:
+            drives *= facing if self.amplitude == 1.0 else self.amplitude * facing
+        else:
+            levels = self._levels_at(foci, heard)
+            drives *= facing * (levels if mine is None else levels[:, mine])
+        return self._over_all(drives)
+
+    def focusing(self, foci: Float, some: Int) -> Complex:
+        """Drives exp(-i k d) of some of the chosen transducers for foci [m], shape (k, 3), each by itself, (k, n)."""
+        offsets = foci[:, None, :] - self.places.T[some]
+        return np.asarray(np.exp(-1j * self.wavenumber * np.sqrt(np.einsum("ijk,ijk->ij", offsets, offsets))))
+
+    def flight_times(self, focus: Float) -> Float:
+        """Time that the sound of each chosen transducer takes to a point [s], shape (n,)."""
+        return np.asarray(self._rays(*focus)[0] / self.sound_speed)
+
+    # -- one focus ---------------------------------------------------------------------------------------------------
+
+    def _rays(self, x: Float, y: Float, z: Float) -> tuple[Float, Float]:
+        """Distance [m] from each transducer to a point, and the point's height over its face [m].
+
+        x, y, z: of the points [m], numbers, or shapes that fit (k, n) beside the transducers
+        """
+        dx, dy, dz = x - self.places[0], y - self.places[1], z - self.places[2]
+        distances = dx * dx
+        distances += dy * dy
+        distances += dz * dz
+        dx *= self.normals[0]
+        dy *= self.normals[1]
+        dz *= self.normals[2]
+        dx += dy
+        dx += dz
+        return np.sqrt(distances, out=distances), dx
+
+    def _waves(self, distances: Float) -> Complex:
+        """exp(-i k d), of the distances' shape."""
+        turns: Float = -self.wavenumber * distances
+        waves = np.empty(turns.shape, np.complex128)
+        np.cos(turns, out=waves.real)
+        np.sin(turns, out=waves.imag)
+        return waves
+
+    def _over_all(self, drives: Complex) -> Complex:
+        """Drives of the chosen transducers, shape (n,) or (k, n), among those of all."""
+        if self.everything:
+            return drives
+        full = np.zeros((*drives.shape[:-1], self.count), np.complex128)
+        full[..., self.chosen] = drives
+        return full
+
+    def _refuse(self, point: Float) -> None:
+        """Raises SceneError: no transducer faces this focus."""
+        try:
+            focus(only(self.array.array, self.chosen), self.array.air, point)
+        except SceneError as error:
+            raise SceneError(f"plugin 'palmfield.stimulus': key 'focus_m': {error}") from None
+
+    # -- its level ---------------------------------------------------------------------------------------------------
+
+    def _levels_at(self, foci: Float, heard: Bool | None) -> Float:
+        """`_levels` for foci of shape (k, d, 3); those that won't sound get 0. Shape (k, d)."""
+        if heard is None:
+            return self._levels(foci.reshape(-1, 3)).reshape(foci.shape[:2])
+        levels = np.zeros(foci.shape[:2])
+        levels[heard] = self._levels(foci[heard])
+        return levels
+
+    def _levels(self, foci: Float) -> Float:
+        """Level at which single foci [m], shape (q, 3), have the ARP that is asked for, shape (q,).
+
+        At its focus the sound of all transducers that face it is in phase but for their gains.
+        """
+        distances, heights = self._rays(*foci.T[:, :, None])
+        cosines = heights / np.maximum(distances, 1e-9)
+        strength = np.exp(-self._absorption() * distances) * (cosines > 0.0) / np.maximum(distances, 1e-9)
+        pressure = np.zeros(len(foci), np.complex128)
+        start = 0
+        for part in self.array.parts:
+            low, high = np.searchsorted(self.chosen, [start, start + len(part)])
+            start += len(part)
+            if low == high:
+                continue
+            shape = directivity(part, self.wavenumber, cosines[:, low:high])
+            gain = np.ones(len(part)) if part.gain is None else part.gain
+            gain = gain[self.chosen[low:high] - (start - len(part))]
+            pressure += part.p0_Pa_m * ((strength[:, low:high] * shape) @ gain)
+        return self._reached(np.abs(pressure) ** 2 / self.array.impedance, foci)
+
+    def _absorption(self) -> float:
+        return absorption_Np_m(self.array.air, self.array.array.frequency_Hz)
+
+    def _reached(self, full_Pa: Float, foci: Float) -> Float:
+        """Levels for the ARP that is asked for, from that at full drive [Pa], shapes (q,); foci: (q, 3) or (q, m, 3)"""
+        target = self.arp_peak_Pa
+        assert target is not None
+        if not np.logical_and.reduce(full_Pa >= target):
+            worst = int(full_Pa.argmin())
+            if full_Pa[worst] == 0.0:
+                raise SceneError(
+                    f"plugin 'palmfield.stimulus': arp_peak_Pa {target:g} is wanted at {in_mm(foci[worst])}, but all "
+                    "transducers that could sound there are dead: shorten key 'dead' of the array"
+                )
+            raise SceneError(
+                f"plugin 'palmfield.stimulus': arp_peak_Pa {target:g} is more than the array gives at "
+                f"{in_mm(foci[worst])}: {full_Pa[worst]:.3g} Pa at full drive with "
+                f"p0_Pa_m {self.array.array.p0_Pa_m:g}"
+            )
+        return np.sqrt(target / full_Pa)
+
+    # -- several foci at once, and boards ----------------------------------------------------------------------------
+
+    def _several(self, foci: Float) -> Complex:
+        """Phases for foci at once [m], shape (m, 3), of the chosen transducers, shape (n,)."""
+        array = only(self.array.array, self.chosen)
+        facing = (np.einsum("mij,ij->mi", foci[:, None] - array.positions, array.normals) > 0.0).all(axis=0)
+        # Where none faces all points, `solve_foci` says so
+        some = facing if facing.any() else np.ones(len(array), dtype=bool)
+        phases = np.zeros(len(array), complex)
+        try:
+            phases[some] = solve_foci(foci, only(array, some), self.array.air).drive
+        except SceneError as error:
+            raise SceneError(f"plugin 'palmfield.stimulus': key 'focus_m': {error}") from None
+        return phases
+
+    def _level_of_several(self, foci: Float, phases: Complex) -> float:
+        pressure = self.array.pressure64(foci, self._over_all(phases))
+        full = float((np.abs(pressure) ** 2).max()) / self.array.impedance
+        return float(self._reached(np.array([full]), foci[None])[0])
+
+    def _one_by_one(self, points: Float, focal_points: FocalPoints, group: Int | None, heard: Bool | None) -> Complex:
+        """`unit_drives` for what can't be computed for many points together; equal points are computed once."""
+        rows, columns = points.shape[:2]
+        drives = np.zeros((rows, self.count), np.complex128)
+        takes = [slice(None)] if group is None else [(group == j).nonzero()[0] for j in range(columns)]
+        known: dict[bytes, Complex] = {}
+        for i in range(rows):
+            for j, taken in enumerate(takes):
+                if heard is not None and not heard[i, j]:
+                    continue
+                key = points[i, j].tobytes()
+                unit = known.get(key)
+                if unit is None:
+                    unit = known[key] = self.unit_drive(focal_points.at(points[i, j])).amplitudes
+                drives[i, taken] = unit[taken]
+        return drives
+
+
+def only(array: Array, chosen: Bool | Int) -> Array:
+    """The chosen transducers of an array; chosen: their numbers, or which of all, shape (n,)."""
+    return replace(
+        array,
+        positions=array.positions[chosen],
+        normals=array.normals[chosen],
+        address=None if array.address is None else array.address[chosen],
+        gain=None if array.gain is None else array.gain[chosen],
+    )
+
+
+def in_mm(point: Sequence[float] | Float) -> str:
+    """A position, or several, as text, e.g. (0.0, 12.5, 200.0) mm."""
+    if np.ndim(point) == 2:
+        return " and ".join(in_mm(one) for one in np.asarray(point))
+    return "(" + ", ".join(f"{1e3 * float(x):.1f}" for x in point) + ") mm"

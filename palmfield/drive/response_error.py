@@ -1,0 +1,181 @@
+"""What leaving out ring-up and flight time would cost: measured on samples of a scene's own drive.
+
+Every jump of the drive counts: start, stop, path points, control ticks, and the cusps of a full modulation.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import lfilter
+
+from palmfield.config import StimulusConfig
+from palmfield.stimulus.schedule import frames_at, silent_after_s, turn_rate_Hz
+from palmfield.types import Complex, Float, Int
+
+SAMPLES_A_DELAY = 16
+"""Samples in the time by which a ringing transducer is late, 0.2 ms for Q = 25."""
+SHORTEST_S = 2e-6
+LEAST_WINDOW_S = 10e-3
+MOST_WINDOW_S = 100e-3
+SETTLED = 10
+"""Delays after which a pole has forgotten, to 5e-5, what was before."""
+VALUES = 100_000
+"""Most drives that are sampled; a path that would need more is sampled on some of the transducers."""
+FEWEST = 16
+
+
+@dataclass(frozen=True)
+class ResponseError:
+    """Error of the pressure relative to the sound while it lasts: rms over the worst window, and the worst moment."""
+
+    rms: float
+    peak: float
+
+    def __str__(self) -> str:
+        return f"{100 * self.rms:.2g} % rms, {100 * self.peak:.2g} % at worst"
+
+
+def windows(stimulus: StimulusConfig, delay_s: float) -> list[tuple[float, float]]:
+    """Stretches of time [s] that hold all that a stimulus does: start and ramp, one period, stop.
+
+    delay_s: by how much the transducers are late; what rings needs a window of several of these
+    """
+    least = max(LEAST_WINDOW_S, SETTLED * delay_s)
+    start, steady = stimulus.start_s, stimulus.start_s + stimulus.ramp_s
+    stretches = [(start, start + max(least, min(stimulus.ramp_s, MOST_WINDOW_S)))]
+    burst = 1.0 / stimulus.burst_period_s if stimulus.burst_period_s else None
+    rates = [rate for rate in (stimulus.am_frequency_Hz, turn_rate_Hz(stimulus), burst) if rate]
+    if rates:
+        period = 1.0 / min(rates)
+        half = 0.5 * min(max(period, least), MOST_WINDOW_S)
+        # Round the AM's quietest moment, where a full modulation of the ARP has its cusp
+        middle = steady + half
+        if stimulus.am_frequency_Hz:
+            turns = math.ceil((middle - start) * stimulus.am_frequency_Hz - 0.75)
+            middle = start + (turns + 0.75) / stimulus.am_frequency_Hz
+        stretches.append((middle - half, middle + half))
+    end = silent_after_s(stimulus)
+    if end is not None:
+        stretches.append((end - 0.5 * least, end + 0.5 * least))
+    return stretches
+
+
+def shares(emitted: Complex, gain: Complex | None, distances: Float) -> Float:
+    """Part that each transducer has in the pressure at a focus, shape (n,).
+
+    emitted: its amplitude, shape (n,); gain: see Array, of the same transducers; distances: to the focus [m]
+    """
+    parts = np.abs(emitted if gain is None else emitted * gain) / distances
+    total = parts.sum()
+    return np.asarray(parts / total if total > 0.0 else parts)
+
+
+def response_errors(
+    stimulus: StimulusConfig,
+    along: Callable[[Float], Float],
+    focusing: Callable[[Float, Int], Complex],
+    weights: Float,
+    rates: Complex,
+    times_s: Float,
+) -> tuple[ResponseError, ResponseError]:
+    """Errors of leaving out the transducers' ring-up, and of letting the sound of all arrive at once.
+
+    The first: what a pole emits against the drive itself, later by the mean delay of all. The second: what the poles
+    emit, each later by its flight time against the mean, or all by the same.
+
+    along: from the stimulus's points, shape (k, 3), to foci in the frame of the first array [m]; several foci count as
+        one in their middle
+    focusing: from foci, shape (k, 3), and the numbers of some transducers to their drives, shape (k, n)
+    weights: parts of the transducers in the pressure where the sound goes first, see `shares`, shape (n,)
+    rates: of their poles [1/s], shape (n,); times_s: flight times of their sound to there [s], shape (n,)
+    """
+    delay = float((1.0 / rates).real.mean())
+    step = max(delay / SAMPLES_A_DELAY, SHORTEST_S)
+    lag = max(1, round(delay / step))
+    late = (times_s - weights @ times_s) / step
+    # Sound that is early takes samples from after the window
+    reach = math.ceil(np.abs(late).max()) + 2
+    inside = slice(SETTLED * lag, -reach)
+    errors = []
+    for begin, end in windows(stimulus, delay):
+        cells = np.arange(-SETTLED * lag, math.ceil((end - begin) / step) + reach)
+        points, factors = frames_at(stimulus, np.asarray(begin + (cells + 0.5) * step))
+        levels = np.sqrt(factors)
+        if stimulus.path == "point":
+            pair = _still(levels, weights, rates * step, late, lag)
+        else:
+            chosen = _some(late, max(FEWEST, VALUES // len(cells)))
+            drives = levels[:, None] * focusing(along(points), chosen)
+            part = weights[chosen] / max(weights[chosen].sum(), 1e-300)
+            pair = _moving(drives, part, (rates * step)[chosen], late[chosen], lag)
+        sound = levels[inside]
+        if weights.any() and sound.any():
+            errors.append([_relative(error[inside], sound) for error in pair])
+    ring_up, flight_time = zip(*errors, strict=True) if errors else ((), ())
+    return _worst(ring_up), _worst(flight_time)
+
+
+def _still(levels: Float, weights: Float, z: Complex, late: Float, lag: int) -> tuple[Float, Float]:
+    """Errors of the pressure at a still focus over time, shapes (k,), relative to full level.
+
+    There the transducers differ by their poles only, and their sounds add up.
+    levels: of the drive, shape (k,); weights, z (rate times step), late (in steps), shapes (n,)
+    """
+    ring_up, flight_time = np.zeros(len(levels)), np.zeros(len(levels), complex)
+    reach = math.ceil(np.abs(late).max()) + 2
+    for one in np.unique(z):
+        same = z == one
+        emitted = _rung(levels.astype(complex), one)
+        ring_up += weights[same].sum() * np.abs(emitted - _later(levels, lag)) ** 2
+        # Shares of the pressure by flight time, each on the three nearest samples: a parabola through them
+        whole = np.round(late[same]).astype(int)
+        rest = late[same] - whole
+        kernel = np.zeros(2 * reach + 1)
+        for offset, part in ((-1, 0.5 * rest * (rest - 1.0)), (0, 1.0 - rest**2), (1, 0.5 * rest * (rest + 1.0))):
+            np.add.at(kernel, whole + reach + offset, weights[same] * part)
+        padded = np.pad(emitted, reach, mode="edge")
+        flight_time += np.convolve(padded, kernel, mode="valid") - weights[same].sum() * emitted
+    return np.sqrt(ring_up), np.abs(flight_time)
+
+
+def _moving(drives: Complex, weights: Float, z: Complex, late: Float, lag: int) -> tuple[Float, Float]:
+    """As `_still`, the rms over the transducers, weighted by their shares: by Cauchy and Schwarz at least the error of
+    the pressure at the focus.
+
+    drives: shape (k, n)
+    """
+    moments = np.arange(len(drives))
+    ring_up, flight_time = np.zeros(len(drives)), np.zeros(len(drives))
+    for j, weight in enumerate(weights):
+        emitted = _rung(drives[:, j], z[j])
+        ring_up += weight * np.abs(emitted - _later(drives[:, j], lag)) ** 2
+        flight_time += weight * np.abs(emitted - np.interp(moments - late[j], moments, emitted)) ** 2
+    return np.sqrt(ring_up), np.sqrt(flight_time)
+
+
+def _rung(drive: Complex, z: complex) -> Complex:
+    """What a pole emits in the middle of each sample, the drive being held over it; settled at first. Exact."""
+    half = np.exp(-0.5 * z)
+    ends, _ = lfilter([1.0 - half**2], [1.0, -(half**2)], drive, zi=[half**2 * drive[0]])
+    begins = np.concatenate([drive[:1], ends[:-1]])
+    return np.asarray(half * begins + (1.0 - half) * drive)
+
+
+def _later(drive: Complex | Float, lag: int) -> Complex | Float:
+    return np.concatenate([np.repeat(drive[:1], lag), drive[:-lag]])
+
+
+def _some(late: Float, most: int) -> Int:
+    """Numbers of all transducers, or of some of them, evenly from the nearest to the farthest."""
+    order = np.argsort(late)
+    return order[np.linspace(0, len(order) - 1, min(most, len(order))).round().astype(int)].astype(np.int32)
+
+
+def _relative(error: Float, sound: Float) -> ResponseError:
+    return ResponseError(float(np.sqrt((error**2).mean() / (sound**2).mean())), float(error.max() / sound.max()))
+
+
+def _worst(errors: Sequence[ResponseError]) -> ResponseError:
+    return ResponseError(max((e.rms for e in errors), default=0.0), max((e.peak for e in errors), default=0.0))

@@ -1,0 +1,420 @@
+"""What the transducers make of the drive over time: their resonance, and the spread of the sound's flight time.
+
+The carrier is never stepped. Each transducer is one complex pole, stepped exactly under a held or linear drive; sound
+that is longer under way starts from an earlier drive. A delay common to all is left out: it shifts results in time.
+
+`emitted_over` takes the transducers over one MuJoCo step; `mean_level` gives the mean over it, for forces on bodies.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from palmfield.config import ArrayConfig, StimulusConfig
+from palmfield.drive.array_drive import ArrayDrive, UnitDrive
+from palmfield.drive.response import Pole, pole_weights
+from palmfield.drive.response_error import ResponseError, response_errors, shares
+from palmfield.stimulus.focal_points import FocalPoints
+from palmfield.stimulus.schedule import Moments, first_point, frames_at, mean_arp_factor, substep_moments
+from palmfield.types import Complex, Float, Int
+
+DELAY_STEP_S = 20e-6
+"""Flight times are rounded to this: 2 % of a turn of an envelope of 1 kHz."""
+SILENT = 1e-9
+"""Of full drive: what is emitted less than this is taken for nothing."""
+GRAIN_S = 1e-15
+"""Lengths of steps are rounded to this, so that those which differ by the rounding of clocks share their weights."""
+KEPT = 64
+
+Weights = tuple[complex | Complex, complex | Complex, complex | Complex]
+
+
+class PoleStepper:
+    """Steps transducers exactly under a drive that goes along a straight line; immutable but for kept weights.
+
+    alike: whether one pole serves all transducers: then what they emit for one unit drive can be stepped as a number
+    """
+
+    def __init__(self, pole: Pole):
+        rates, self._index = np.unique(pole.rate, return_inverse=True)
+        self._rates: Any = rates if rates.imag.any() else rates.real
+        self.alike = len(rates) == 1
+        self._known: dict[int, Weights] = {}
+
+    def weights(self, time_s: float) -> Weights:
+        """Weights of what was emitted before, and of the drive at the beginning and the end, over `time_s` [s].
+
+        Numbers where all transducers are alike, else arrays of shape (N,).
+        """
+        grains = round(time_s / GRAIN_S)
+        known = self._known.get(grains)
+        if known is None:
+            decay, held, slope = pole_weights(self._rates * (grains * GRAIN_S))
+            parts = decay, held - slope, slope
+            before, first, last = (w[0].item() if self.alike else w[self._index] for w in parts)
+            known = before, first, last
+            if len(self._known) >= KEPT:
+                self._known.clear()
+            self._known[grains] = known
+        return known
+
+
+@dataclass(frozen=True)
+class TransducerResponse:
+    """Whether ring-up and flight time are modelled, and what leaving them out would cost.
+
+    ring_up, flight_time: errors of the pressure without ring-up, and with the sound of all transducers arriving at once
+    spread_s: between the first and the last transducer's sound; pole: of all N transducers
+    delays_s: of each transducer against the middle [s] in the reference pose, shape (N,), zeros where left out
+    """
+
+    on: bool
+    ring_up: ResponseError
+    flight_time: ResponseError
+    spread_s: float
+    pole: Pole
+    delays_s: Float
+
+    @cached_property
+    def stepper(self) -> PoleStepper:
+        """Steps the transducers."""
+        return PoleStepper(self.pole)
+
+    @cached_property
+    def delayed(self) -> bool:
+        """Whether flight times differ."""
+        return bool(self.delays_s.any())
+
+
+def transducer_response(
+    stimulus: StimulusConfig,
+    drive: ArrayDrive,
+    focal_points: FocalPoints,
+    configs: Sequence[ArrayConfig],
+    accuracy: float,
+    *,
+    spread: bool = True,
+) -> TransducerResponse:
+    """Decide what to model. ARP goes with the square of the pressure, so `auto` allows a quarter of the accuracy.
+
+    focal_points: where the stimulus's points are in the reference pose; configs: of the arrays, as `drive.array.parts`
+    accuracy: asked of the skin's displacement, relative; spread: whether flight times may differ
+    """
+    counts = [len(part) for part in drive.array.parts]
+    f0 = np.repeat([config.resonance_Hz for config in configs], counts)
+    quality = np.repeat([config.quality for config in configs], counts)
+    pole = Pole(f0, quality, drive.array.array.frequency_Hz)
+    focus = np.atleast_2d(focal_points.at(first_point(stimulus)))[0]
+    chosen, gain = drive.chosen, drive.array.array.gain
+    times = drive.flight_times(focus)
+    weights = shares(
+        drive.unit_drive(focus).amplitudes[chosen], None if gain is None else gain[chosen], times * drive.sound_speed
+    )
+    ring_up, flight_time = response_errors(
+        stimulus, focal_points.along, drive.focusing, weights, pole.rate[chosen], times
+    )
+    owners = np.repeat(np.arange(len(counts)), counts)[chosen]
+    switches = {configs[i].response for i in np.unique(owners)}
+    on = "on" in switches or ("auto" in switches and ring_up.rms + flight_time.rms > 0.25 * accuracy)
+    delayed = on and spread and flight_time.rms > 0.25 * accuracy
+    delays = flight_delays(drive, focus) if delayed else np.zeros(len(f0))
+    return TransducerResponse(on, ring_up, flight_time, float(np.ptp(times)), pole, delays)
+
+
+def flight_delays(drive: ArrayDrive, focus: Float) -> Float:
+    """Flight time of each transducer's sound to a focus against the middle, in whole DELAY_STEP_S [s], shape (N,).
+
+    Of several foci, shape (m, 3), the first one counts. Transducers that aren't chosen get 0.
+    """
+    times = drive.flight_times(focus if focus.ndim == 1 else focus[0])
+    middle = 0.5 * (np.maximum.reduce(times) + np.minimum.reduce(times))
+    steps = np.rint((times - middle) / DELAY_STEP_S)
+    if drive.everything:
+        return DELAY_STEP_S * steps
+    delays = np.zeros(drive.count)
+    delays[drive.chosen] = DELAY_STEP_S * steps
+    return delays
+
+
+def commanded_drive(
+    stimulus: StimulusConfig,
+    drive: ArrayDrive,
+    delays_s: Float | None,
+    times: Float,
+    focal_points: FocalPoints,
+) -> Complex:
+    """Drive of each transducer whose sound arrives at some times [s], shape (k,) (less the common delay), (k, N).
+
+    delays_s: of each transducer, in whole DELAY_STEP_S [s], shape (N,); None for none
+    Errors as `ArrayDrive.unit_drive`, for points that sound only.
+    """
+    lags, group = _delay_groups(delays_s)
+    points, levels = _points_and_levels(stimulus, times, lags)
+    return _commanded(drive, points, levels, group, focal_points)
+
+
+def _points_and_levels(stimulus: StimulusConfig, times: Float, lags: Float) -> tuple[Float, Float]:
+    """The stimulus's points and the pressure's levels at times less lags, shapes (k, d, 3) and (k, d)."""
+    when = times[:, None] - lags
+    points, factors = frames_at(stimulus, when.reshape(-1))
+    return points.reshape(*when.shape, 3), np.sqrt(factors, out=factors).reshape(when.shape)
+
+
+def _commanded(
+    drive: ArrayDrive, points: Float, levels: Float, group: Int | None, focal_points: FocalPoints
+) -> Complex:
+    """Unit drives times levels, each transducer by its group, shape (k, N)."""
+    heard = levels > 0.0
+    if not np.logical_or.reduce(heard, axis=None):
+        return np.zeros((len(points), drive.count), np.complex128)
+    drives = drive.unit_drives(points, focal_points, group, heard)
+    drives *= levels if group is None else levels[:, group]
+    return drives
+
+
+NO_LAG: Float = np.zeros(1)
+
+
+def _delay_groups(delays_s: Float | None) -> tuple[Float, Int | None]:
+    """The delays that there are [s], shape (d,), and which of them each transducer has, shape (N,); None for one."""
+    if delays_s is None or not np.logical_or.reduce(delays_s):
+        return NO_LAG, None
+    steps = np.rint(delays_s / DELAY_STEP_S)
+    first, last = np.minimum.reduce(steps), np.maximum.reduce(steps)
+    return DELAY_STEP_S * np.arange(first, last + 1.0), (steps - first).astype(np.int32)
+
+
+def ring(
+    emitted: complex | Complex, commanded: Complex | Float, moments: Moments, stepper: PoleStepper
+) -> tuple[Complex, complex | Complex]:
+    """Step transducers through all moments: what they emit at each, and at the end of the last step.
+
+    emitted: at the beginning, shape (N,); commanded: drive at the moments, shape (m, N). Over a straight line the drive
+    goes from moment to moment; over a part for which it is held the moment is in the middle
+    Where all are alike and emit so much of one drive, a number and shape (m,) do.
+    """
+    at_moments = np.empty(commanded.shape, np.complex128)
+    decay, before, after = stepper.weights(moments.step_s)
+    half_s = -1.0
+    for j, (linear, held_s) in enumerate(zip(moments.linear, moments.held_s, strict=True)):
+        if linear:
+            emitted = decay * emitted
+            emitted += before * commanded[j - 1]
+            emitted += after * commanded[j]
+        if held_s > 0.0:
+            if held_s != half_s:
+                half_s = held_s
+                half_decay, half_before, half_after = stepper.weights(0.5 * held_s)
+                half_held = half_before + half_after
+            push = half_held * commanded[j]
+            emitted = half_decay * emitted + push
+            at_moments[j] = emitted
+            emitted = half_decay * emitted + push
+        else:
+            at_moments[j] = emitted
+    return at_moments, emitted
+
+
+class EmittedCourse(NamedTuple):
+    """What one stimulus makes the transducers emit at some moments: one drive that gets louder and softer, or any.
+
+    unit, levels: the amplitudes, shape (N,), and by how much of them is emitted at each moment, complex, shape (m,):
+        ARP goes with |level|^2. Both None where each moment has a drive of its own; the unit alone where all is silent
+    emitted: complex amplitudes at each moment, shape (m, N), where levels don't tell them, else None
+    end: complex amplitudes at the end of the last step, shape (N,); where the response is off those at the beginning
+    """
+
+    unit: Complex | None
+    levels: Complex | Float | None
+    emitted: Complex | None
+    end: Complex
+
+
+def emitted_over(
+    stimulus: StimulusConfig,
+    drive: ArrayDrive,
+    response: TransducerResponse,
+    emitted: Complex,
+    focal_points: FocalPoints,
+    moments: Moments,
+) -> EmittedCourse:
+    """What the transducers emit at the moments of one MuJoCo step, or of any equal steps.
+
+    emitted: complex amplitudes at the beginning, shape (N,); those of transducers that this stimulus doesn't drive
+        are left out. Not changed, and not looked at where the response is off
+    focal_points: where the stimulus's points are meanwhile
+    moments: `substep_moments` of this stimulus, or of all stimuli of a scene together
+    For a focus that keeps still the answer is levels of one unit drive wherever that is true to SILENT: no array of
+    shape (m, N) is made then, if all transducers are alike and their sound arrives at once. Errors as
+    `ArrayDrive.unit_drive`.
+    """
+    if response.on and not drive.everything:
+        emitted = _own(emitted, drive)
+    lags, group = _lags(stimulus, drive, response, focal_points)
+    points, levels = _points_and_levels(stimulus, moments.times, lags)
+    silent = not np.logical_or.reduce(levels, axis=None)
+    if silent and (not response.on or np.maximum.reduce(np.abs(emitted)) < SILENT):
+        nothing = np.zeros(len(levels))
+        return EmittedCourse(None, nothing, None, np.zeros_like(emitted) if response.on else emitted)
+    if stimulus.path == "point":
+        unit = drive.unit_drive(focal_points.at(points[0, 0]))
+        return _of_one_unit(unit, levels, group, response, emitted, moments)
+    commanded = _commanded(drive, points, levels, group, focal_points)
+    if not response.on:
+        return EmittedCourse(None, None, commanded, emitted)
+    at_moments, end = ring(emitted, commanded, moments, response.stepper)
+    return EmittedCourse(None, None, at_moments, np.asarray(end))
+
+
+def _own(emitted: Complex, drive: ArrayDrive) -> Complex:
+    """What is emitted by the chosen transducers, 0 for all others."""
+    own = np.zeros_like(emitted)
+    own[drive.chosen] = emitted[drive.chosen]
+    return own
+
+
+def _lags(
+    stimulus: StimulusConfig, drive: ArrayDrive, response: TransducerResponse, focal_points: FocalPoints
+) -> tuple[Float, Int | None]:
+    """`_delay_groups` with the arrays and the stimulus's points as they are now."""
+    if not response.on or not response.delayed:
+        return NO_LAG, None
+    return _delay_groups(flight_delays(drive, focal_points.at(first_point(stimulus))))
+
+
+def _of_one_unit(
+    unit: UnitDrive,
+    levels: Float,
+    group: Int | None,
+    response: TransducerResponse,
+    emitted: Complex,
+    moments: Moments,
+) -> EmittedCourse:
+    """`emitted_over` for one focus whose level alone changes; levels: of the drive, shape (m, d)."""
+    if not response.on:
+        return EmittedCourse(unit.amplitudes, levels[:, 0], None, emitted)
+    if group is None and response.stepper.alike:
+        level = _level_of(unit, emitted)
+        if level is not None:
+            rung, end = ring(level, levels[:, 0], moments, response.stepper)
+            return EmittedCourse(unit.amplitudes, _audible(rung, unit), None, end * unit.amplitudes)
+    commanded = (levels if group is None else levels[:, group]) * unit.amplitudes
+    at_moments, last = ring(emitted, commanded, moments, response.stepper)
+    end = np.asarray(last)
+    if unit.power > 0.0 and _level_of(unit, at_moments[-1]) is not None:
+        rung = at_moments @ unit.conjugate / unit.power
+        if np.maximum.reduce(np.abs(at_moments - rung[:, None] * unit.amplitudes), axis=None) < SILENT:
+            return EmittedCourse(unit.amplitudes, _audible(rung, unit), None, end)
+    return EmittedCourse(None, None, at_moments, end)
+
+
+def _level_of(unit: UnitDrive, emitted: Complex) -> complex | None:
+    """How much of a unit drive is emitted, or None where something else is."""
+    level = complex(unit.conjugate @ emitted) / unit.power if unit.power > 0.0 else 0j
+    rest = np.abs(emitted - level * unit.amplitudes)
+    return level if np.maximum.reduce(rest) < SILENT else None
+
+
+def _audible(levels: Complex, unit: UnitDrive) -> Complex:
+    """The levels, 0 where less than SILENT is emitted."""
+    levels *= np.abs(levels) * unit.peak >= SILENT
+    return levels
+
+
+def emitted_now(
+    stimulus: StimulusConfig,
+    drive: ArrayDrive,
+    response: TransducerResponse,
+    emitted: Complex,
+    focal_points: FocalPoints,
+    time_s: float,
+) -> EmittedCourse:
+    """What the transducers emit at the present time [s], as a course of one moment.
+
+    emitted: complex amplitudes now, shape (N,), of the transducers' state. Where the response is off, what is
+    commanded sounds at once.
+    """
+    if not response.on:
+        return emitted_over(stimulus, drive, response, emitted, focal_points, instant(time_s))
+    if not drive.everything:
+        emitted = _own(emitted, drive)
+    if np.maximum.reduce(np.abs(emitted)) < SILENT:
+        return EmittedCourse(None, np.zeros(1), None, emitted)
+    if stimulus.path == "point":
+        unit = drive.unit_drive(focal_points.at(first_point(stimulus)))
+        level = _level_of(unit, emitted)
+        if level is not None:
+            return EmittedCourse(unit.amplitudes, np.array([level]), None, emitted)
+    return EmittedCourse(None, None, emitted[None], emitted)
+
+
+def instant(time_s: float) -> Moments:
+    """A single time [s] as moments without a step."""
+    return Moments(np.array([time_s]), np.ones((1, 1)), np.ones((1, 1)), (False,), (0.0,), 0.0)
+
+
+def combined(courses: Sequence[EmittedCourse]) -> EmittedCourse:
+    """The sum over stimuli that sound together, at the same moments; each drives transducers of its own.
+
+    Levels of one unit drive are kept where the others are silent.
+    """
+    if len(courses) == 1:
+        return courses[0]
+    end = courses[0].end
+    sounding = []
+    for i, course in enumerate(courses):
+        end = course.end if i == 0 else end + course.end
+        if course.emitted is not None or course.unit is not None:
+            sounding.append(course)
+    if not sounding:
+        return EmittedCourse(None, courses[0].levels, None, end)
+    if len(sounding) == 1:
+        return sounding[0]._replace(end=end)
+    total = rows(sounding[0]).copy()
+    for course in sounding[1:]:
+        total += rows(course)
+    return EmittedCourse(None, None, total, end)
+
+
+def rows(course: EmittedCourse) -> Complex:
+    """Amplitudes at each moment, shape (m, N)."""
+    if course.emitted is not None:
+        return course.emitted
+    assert course.levels is not None
+    unit: Complex = np.zeros(len(course.end), np.complex128) if course.unit is None else course.unit
+    return np.asarray(course.levels[:, None] * unit)
+
+
+def mean_level(
+    stimulus: StimulusConfig,
+    drive: ArrayDrive,
+    response: TransducerResponse,
+    emitted: Complex,
+    focal_points: FocalPoints,
+    t0: float,
+    step_s: float,
+    count: int,
+) -> float:
+    """Mean ARP over `count` steps of `step_s` [s] from time t0 [s] on, relative to the loudest moment's.
+
+    emitted: complex amplitudes at t0, shape (N,). Of a focus that moves it is the mean of what is commanded; else what
+    is emitted counts, sum of |amplitude|^2 over that of the unit drive. Every step's middle stands for it, or the
+    middles of its parts where something jumps or is held.
+    """
+    if not response.on or stimulus.path != "point":
+        return mean_arp_factor(stimulus, t0, t0 + count * step_s, count)
+    moments = substep_moments((stimulus,), t0, step_s, count, hold=True)
+    course = emitted_over(stimulus, drive, response, emitted, focal_points, moments)
+    if course.levels is not None:
+        squares: Float = np.abs(course.levels) ** 2
+    else:
+        assert course.emitted is not None
+        power = drive.unit_drive(focal_points.at(first_point(stimulus))).power
+        if power == 0.0:
+            return 0.0
+        squares = np.add.reduce(course.emitted.real**2 + course.emitted.imag**2, axis=1)
+        squares /= power
+    return float(np.add.reduce(moments.first @ squares)) / count

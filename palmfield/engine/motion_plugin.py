@@ -1,0 +1,108 @@
+"""The module that moves a hand by script."""
+
+from typing import Any, ClassVar
+
+import mujoco
+import numpy as np
+
+from palmfield.config import Config, MotionConfig
+from palmfield.engine.host import Module, World, world_of
+from palmfield.errors import SceneError
+from palmfield.transforms import rotation_matrix
+from palmfield.types import Float
+
+
+class MotionModule(Module):
+    """Leads a hand along its motion: after each step the mocap body and the joints' servos get what is due then.
+
+    At the scene's first step, and at every one with follow `exact`, the hand itself is put where the motion has it,
+    with its speed. The script goes by MuJoCo's time alone, so copies and saved states stay complete.
+    """
+
+    name: ClassVar[str] = MotionConfig.plugin
+    config: ClassVar[type[Config]] = MotionConfig
+
+    def __init__(self, settings: Any, world: World, instance: int):
+        # Imported here: MuJoCo registers the plugins in every process, and Warp takes half a second to load.
+        from palmfield.motion.source import motion_of
+        from palmfield.simulation.scene_reader import check_rest, element_of
+
+        super().__init__(settings, world, instance)
+        model = world.model
+        names = {number: name for number, _, name in model.instances()}
+        element = element_of(self.config, names[instance])
+        self.motion = motion_of(settings)
+        body = model.find("body", settings.body, f"{element}: key 'body'")
+        self.mocap = int(model.raw.body_mocapid[body])
+        if self.mocap < 0:
+            raise SceneError(f"{element}: key 'body' has value '{settings.body}'; allowed: a body with mocap='true'")
+        self.servos: list[int] = []
+        self.joints: list[int] = []
+        self.root: int | None = None
+        if self.motion.hand is not None:
+            if not settings.body.endswith("hand_target"):
+                raise SceneError(
+                    f"{element}: key 'body' has value '{settings.body}'; allowed with key 'hand': [prefix]hand_target"
+                )
+            prefix, why = settings.body.removesuffix("hand_target"), f"{element}: key 'hand'"
+            joints = [prefix + joint.name for joint in self.motion.hand.joints]
+            self.servos = [model.find("actuator", name, why) for name in joints]
+            self.joints = [model.find("joint", name, why) for name in joints]
+            self.root = model.find("joint", prefix + "hand_root", why)
+            frame = model.reference_pose("body", model.find("body", prefix + "hand", why))
+            for bone in self.motion.hand.bones:
+                pose = model.reference_pose("body", model.find("body", prefix + bone.name, why))
+                check_rest(bone, frame, pose, f"{why}: body '{prefix}{bone.name}'", "name the preset of that hand")
+        rivals = [m for m in world.modules.values() if isinstance(m, MotionModule) and m.mocap == self.mocap]
+        if rivals:
+            raise SceneError(f"{element}: two instances move body '{settings.body}'; give each hand one")
+
+    def place(self) -> None:
+        """Put mocap body, servos and the hand itself where the motion has them now."""
+        self._lead()
+        self._put()
+
+    def advance(self) -> None:
+        """Give what is due at the step's end."""
+        self._lead()
+        first = self.world.time < 1.5 * self.world.model.timestep
+        if first or self.settings.follow == "exact":
+            self._put()
+
+    def _lead(self) -> None:
+        pose = self.motion.at(self.world.time)
+        self.world.put_mocap(self.mocap, pose.position, pose.quaternion)
+        if self.servos:
+            self.world.controls[self.servos] = self._angles(pose.angles_deg)
+
+    def _put(self) -> None:
+        if self.root is None:
+            return
+        step = self.world.model.timestep
+        before, now = self.motion.at(self.world.time - step), self.motion.at(self.world.time)
+        velocity = (now.position - before.position) / step
+        turned = rotation_matrix(before.quaternion).T @ rotation_matrix(now.quaternion)
+        spin = np.array([turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]])
+        self.world.put_free(self.root, now.position, now.quaternion, velocity, 0.5 * spin / step)
+        angles = self._angles(now.angles_deg)
+        self.world.put_hinges(self.joints, angles, (angles - self._angles(before.angles_deg)) / step)
+
+    def _angles(self, angles_deg: dict[str, float]) -> Float:
+        """Of all joints [rad]; those that are not named are at rest."""
+        assert self.motion.hand is not None
+        return np.deg2rad([angles_deg.get(joint.name, joint.rest_deg) for joint in self.motion.hand.joints])
+
+
+def place(data: mujoco.MjData) -> None:
+    """Put every scripted hand of some data where its motion has it at the data's time, and update all positions.
+
+    `palmfield.load` does so; call it after `mujoco.mj_resetData` or after setting the time. Otherwise the first step
+    is computed where MuJoCo's reference configuration has the hands. Raises SceneError from what a motion answers.
+    """
+    world = world_of(data)
+    if world is None:
+        return
+    for module in world.modules.values():
+        if isinstance(module, MotionModule):
+            module.place()
+    mujoco.mj_kinematics(data.model, data)

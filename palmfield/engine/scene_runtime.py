@@ -1,0 +1,170 @@
+"""A scene in one mjData: reads poses, keeps the state where MuJoCo keeps its own, and calls the simulation."""
+
+from functools import cached_property
+
+import numpy as np
+
+from palmfield.drive.transducer_response import EmittedCourse
+from palmfield.errors import SceneError
+from palmfield.mujoco_host.mujoco_view import DataView, ForceOutlet, PluginSensor
+from palmfield.simulation.build import model_of
+from palmfield.simulation.posed_scene import PosedScene, PoseLayout, PoseRows, posed_scene
+from palmfield.simulation.scene_reader import read_scene
+from palmfield.simulation.sensors import SensorPlace, SkinReading, fill, sensor_place
+from palmfield.simulation.state import HapticState, at_rest, check_arrays, stepper_of
+from palmfield.simulation.step import Workspace, gather, step
+from palmfield.simulation.validate import check_clear
+from palmfield.skin.stepper import SkinStepper
+from palmfield.types import Complex, Float
+
+AT_REST: Float = np.zeros(2)
+"""Displacement and velocity of skin that nothing has stepped yet: to read them takes no stepper."""
+
+
+class SceneRuntime:
+    """Model, state and workspace of one mjData.
+
+    applied: mean force on each body over the present step [N], world axes, shape (3,) each
+    applied_parts: the same on the bones of each body, and torques about their origins [N m], shapes (b, 3)
+    """
+
+    def __init__(self, view: DataView):
+        """Raises SceneError or DeviceError for a scene that doesn't fit together."""
+        self.view = view
+        self.spec, self.binding = read_scene(view.model)
+        self.model = model_of(self.spec)
+        self.work = Workspace(self.model)
+        self.layout = PoseLayout.of(self.model)
+        bound, carried = self.binding.skins, self.model.carried
+        firsts = [bound[carried(number)[0]] for number in range(len(self.model.bodies))]
+        self.bodies = [first.body for first in firsts]
+        self.parts = [first.bones or (first.body,) for first in firsts]
+        self._outlets = [ForceOutlet(view, parts) for parts in self.parts]
+        binding = self.binding
+        transducers = [site for sites in binding.transducer_sites for site in sites]
+        self._sites = np.array([*binding.array_sites, *binding.frame_sites, *transducers], dtype=np.int64)
+        bodies = [number for first in firsts for number in (first.body, *first.bones)]
+        obstacles = [number for skin in bound for number in skin.obstacles]
+        self._bodies = np.array([*bodies, *obstacles], dtype=np.int64)
+        count = len(self._sites) + len(self._bodies)
+        self._positions, self._matrices = np.zeros((count, 3)), np.zeros((count, 9))
+        self._posed: PosedScene = self.work.reference
+        self._places: dict[str, SensorPlace] = {}
+        self.applied: list[Float] = [np.zeros(3) for _ in self.bodies]
+        self.applied_parts = [(np.zeros((len(parts), 3)), np.zeros((len(parts), 3))) for parts in self.parts]
+        check_clear(self.work.reference)
+
+    @cached_property
+    def state(self) -> HapticState:
+        """Views of MuJoCo's plugin state."""
+        view, binding = self.view, self.binding
+        return HapticState(
+            tuple(view.state(instance).reshape(1, -1) for instance in binding.array_instances),
+            tuple(view.state(skin.instance).reshape(1, -1) for skin in binding.skins),
+        )
+
+    @property
+    def posed(self) -> PosedScene:
+        """What MuJoCo's present poses mean; the same object while nothing moves.
+
+        Raises SceneError where a body reaches into an array.
+        """
+        sites, bodies = len(self._sites), self._bodies
+        for kind, numbers, part in (("site", self._sites, slice(0, sites)), ("body", bodies, slice(sites, None))):
+            positions, matrices = self.view.frames[kind]
+            positions.take(numbers, 0, self._positions[part])
+            matrices.take(numbers, 0, self._matrices[part])
+        rows = PoseRows(self._positions, self._matrices.reshape(-1, 3, 3))
+        posed = posed_scene(self.model, self.layout, rows, self._posed, self.work.reference)
+        if posed is not self._posed:
+            if posed.bodies != self._posed.bodies or posed.arrays is not self._posed.arrays:
+                check_clear(posed)
+            self._posed = posed
+        return posed
+
+    @property
+    def amplitudes(self) -> Complex:
+        """What all transducers emit now, shape (N,); overwritten by the next call."""
+        return gather(self.state, self.work)
+
+    def skin_states(self) -> list[tuple[SkinStepper, Float]]:
+        """What steps each skin, and its numbers, shape (1, state_size), views."""
+        return [stepper_of(self.model, self.state, number) for number in range(len(self.model.skins))]
+
+    def now(self) -> tuple[PosedScene, EmittedCourse]:
+        """Pose and emission at MuJoCo's present time."""
+        posed = self.posed
+        return posed, self.work.emission.now(posed, self.amplitudes, self.view.time)
+
+    def body_forces(self) -> list[tuple[Float, Float]]:
+        """Forces [N] on the parts of each body and torques about their origins [N m], world axes, shapes (b, 3).
+
+        The mean over the MuJoCo step that begins now.
+        """
+        posed, time_s = self.posed, self.view.time
+        self.work.emission.begin(posed, time_s)
+        turn = posed.array_frame.rotation.T
+        forces = self.work.forces.over(self.work.emission, posed, self.amplitudes, time_s)
+        return [(force @ turn, torque @ turn) for force, torque in forces]
+
+    def push(self) -> None:
+        """Add the sound's forces to MuJoCo's passive ones."""
+        for number, (force, torque) in enumerate(self.body_forces()):
+            outlet = self._outlets[number]
+            outlet.forces[:], outlet.torques[:] = force, torque
+            outlet.apply()
+            self.applied_parts[number] = force, torque
+            self.applied[number] = np.add.reduce(force, axis=0)
+
+    def advance(self) -> None:
+        """Carry transducers and skins over MuJoCo's last step, with the pose at its beginning."""
+        end = self.view.time
+        check_arrays(self.model, self.state)
+        step(self.model, self.state, self.posed, end - self.spec.timestep_s, end, self.work)
+
+    def sense(self, skin: int, sensors: list[PluginSensor]) -> None:
+        """Fill a skin's sensors from the state at the present time."""
+        posed, course = self.now()
+        part = self.model.skins[skin]
+        resting = at_rest(self.state, skin)
+        for sensor in sensors:
+            place = self._place(skin, sensor)
+            motion = AT_REST
+            if not resting:
+                stepper, numbers = stepper_of(self.model, self.state, skin)
+                motion = stepper.read(numbers, place.reader(stepper))[0, :, 0]
+            arp = 0.0
+            drive, factor = present_drive(course)
+            if drive is not None:
+                points, normals = posed.bodies[part.body].moved(place.probe.closest, place.probe.normals, place.binding)
+                arp = factor * float(self.work.radiation.at(posed, skin, "probe", points, normals, drive).arp[0])
+            x, y, z = self.applied[part.body]
+            fill(sensor.data, SkinReading(x, y, z, motion[0], motion[1], arp))
+
+    def _place(self, skin: int, sensor: PluginSensor) -> SensorPlace:
+        known = self._places.get(sensor.name)
+        if known is not None:
+            return known
+        bound, part = self.binding.skins[skin], self.model.skins[skin]
+        element = f"plugin 'palmfield.skin' instance '{part.spec.name}': sensor '{sensor.name}'"
+        owners = (bound.body, *bound.bones)
+        model = self.view.model
+        if sensor.kind != "site" or model.site_body(sensor.target) not in owners:
+            raise SceneError(
+                f"{element} needs objtype='site' and a site of body '{part.spec.config.body}'"
+                + (" or of one of its bones" if bound.bones else "")
+            )
+        site = model.site_position(sensor.target)
+        if bound.bones:
+            site = site + part.carrier.rest_origins[bound.bones.index(model.site_body(sensor.target))]
+        self._places[sensor.name] = place = sensor_place(part, site, element)
+        return place
+
+
+def present_drive(course: EmittedCourse) -> tuple[Complex | None, float]:
+    """The drive that sounds at a course's first moment, shape (N,), and the factor of its ARP; None in silence."""
+    if course.emitted is not None:
+        return course.emitted[0], 1.0
+    if course.unit is None or course.levels is None or course.levels[0] == 0.0:
+        return None, 0.0
+    return course.unit, float(abs(course.levels[0]) ** 2)

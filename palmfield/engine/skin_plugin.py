@@ -1,0 +1,98 @@
+"""The plugin of one skin: it carries the layer's motion in its state; the first one steps the whole scene."""
+
+from typing import Any, ClassVar
+
+import numpy as np
+
+from palmfield.config import Config, SkinConfig
+from palmfield.engine.host import Module, World
+from palmfield.mujoco_host.mujoco_view import ModelView
+from palmfield.types import Float
+
+
+class SkinModule(Module):
+    """Pushes its body with the ARP's resultant and carries the skin layer's motion in the plugin state.
+
+    The sensor, on a site of the body, reads `palmfield.simulation.sensors.CHANNELS`: the mean force over the present
+    step, and at the skin point nearest to the site the displacement and velocity along the outward normal and the ARP.
+    As all of MuJoCo's sensors it belongs to the step's beginning: after mj_step it is one timestep older than
+    data.time, until mj_forward.
+
+    number: of this skin among the scene's; scene: `palmfield.engine.scene_runtime.SceneRuntime`, shared by all
+    """
+
+    name: ClassVar[str] = SkinConfig.plugin
+    config: ClassVar[type[Config]] = SkinConfig
+    sensor: ClassVar[bool] = True
+
+    def __init__(self, settings: Any, world: World, instance: int):
+        # Imported here: MuJoCo registers the plugins in every process, and Warp takes half a second to load.
+        from palmfield.engine.scene_runtime import SceneRuntime
+
+        super().__init__(settings, world, instance)
+        if world.scene is None:
+            world.scene = SceneRuntime(world)
+        self.scene = world.scene
+        self.number = [skin.instance for skin in self.scene.binding.skins].index(instance)
+        self._sensors: list[Any] | None = None
+
+    @classmethod
+    def state_size(cls, settings: Any, model: ModelView) -> int:
+        """Room for the whole layer's motion, of which a small model of it takes a part."""
+        from palmfield.simulation.build import model_of
+        from palmfield.simulation.scene_reader import read_scene
+        from palmfield.simulation.state import skin_room
+
+        spec, _ = read_scene(model)
+        number = next(i for i, skin in enumerate(spec.skins) if skin.config == settings)
+        return skin_room(model_of(spec), number)
+
+    @classmethod
+    def sensor_size(cls, settings: Any, model: ModelView, sensor: int) -> int:
+        """See `palmfield.simulation.sensors.CHANNELS`."""
+        from palmfield.simulation.sensors import CHANNELS
+
+        return len(CHANNELS)
+
+    @property
+    def leads(self) -> bool:
+        """Whether this skin's plugin steps the scene."""
+        return self.number == 0
+
+    @property
+    def applied(self) -> Float:
+        """Mean force of the sound on this skin's body over the present step [N], world axes, shape (3,)."""
+        force: Float = self.scene.applied[self.scene.model.skins[self.number].body]
+        return force
+
+    def body_force(self) -> tuple[Float, Float]:
+        """Force [N] of the sound on the whole body and torque about its origin [N m], world axes, shapes (3,).
+
+        The mean over the MuJoCo step that begins now.
+        """
+        body = self.scene.model.skins[self.number].body
+        forces, torques = self.scene.body_forces()[body]
+        frames = self.world.frames["body"][0]
+        arms = frames[list(self.scene.parts[body])] - frames[self.scene.bodies[body]]
+        return forces.sum(axis=0), (torques + np.cross(arms, forces)).sum(axis=0)
+
+    def forces(self) -> None:
+        """Push all bodies of the scene."""
+        if self.leads:
+            self.scene.push()
+
+    def sense(self) -> None:
+        """Fill the sensors from the state at the present time."""
+        if self._sensors is None:
+            self._sensors = self.world.sensors(self.instance)
+        self.scene.sense(self.number, self._sensors)
+
+    def advance(self) -> None:
+        """Carry the scene over MuJoCo's last step."""
+        if self.leads:
+            self.scene.advance()
+
+    def copy_from(self, other: "SkinModule") -> None:
+        """Take over where the stimuli's points were at the last control tick, which MuJoCo's state doesn't hold."""
+        if self.leads:
+            self.scene.work.emission.held = list(other.scene.work.emission.held)

@@ -1,0 +1,139 @@
+"""Points and faces of a skin where its bones have taken it, as a simulation's steps ask for them."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+import warp as wp
+from scipy import sparse
+
+import warp_kernels.skinning as kernels
+from palmfield.device import SharedArray, recorded, resolve
+from palmfield.errors import SceneError
+from palmfield.hand.blend import bone_shifts
+from palmfield.hand.meshquery import barycentric, build_mesh, closest_faces
+from palmfield.hand.rigged import strongest
+from palmfield.hand.skinning import SkinnedSurface
+from palmfield.hand.triangles import face_normals
+from palmfield.types import Float, Int
+
+REACH_M = 0.05
+"""What is farther from the resting skin than this belongs to no point of it."""
+
+
+@dataclass(frozen=True)
+class SkinBinding:
+    """Points of a resting skin with the bones that carry them.
+
+    bones: numbers, shape (n, 4); shares: of each, shape (n, 4), rows of sum 1; count: how many bones the skin has
+    """
+
+    bones: Int
+    shares: Float
+    count: int
+
+    @staticmethod
+    def to(hand: SkinnedSurface, points: Float) -> "SkinBinding":
+        """Points on or near the resting hand's skin [m], shape (n, 3), go with the face that is nearest to each.
+
+        Raises SceneError for a point that is farther than REACH_M from the skin.
+        """
+        surface = hand.surface
+        face = closest_faces(build_mesh(surface.vertices, surface.faces), points, REACH_M)
+        if (face < 0).any():
+            i = int(np.argmin(face))
+            raise SceneError(
+                f"point {i} at {points[i].tolist()} m is over {1e3 * REACH_M:g} mm from the skin on bones: give points "
+                "on the resting skin"
+            )
+        corners = surface.faces[face]
+        weights = np.einsum("nk,nkb->nb", barycentric(surface.vertices[corners], points), hand.weights[corners])
+        shares, bones = strongest(sparse.csr_array(weights))
+        return SkinBinding(bones, shares, len(hand.bones))
+
+    @cached_property
+    def weights(self) -> Float:
+        """Share of every bone in every point, by bone, shape (count, n)."""
+        result = np.zeros((self.count, len(self.bones)))
+        np.add.at(result, (self.bones, np.arange(len(self.bones))[:, None]), self.shares)
+        return result
+
+
+def blend(
+    binding: SkinBinding,
+    hand: SkinnedSurface,
+    bone_positions: Float,
+    bone_rotations: Float,
+    points: Float,
+    normals: Float,
+) -> tuple[Float, Float]:
+    """Points of the resting skin [m] and their unit normals, both of shape (n, 3), where they are now.
+
+    Linear blend skinning in float64, for points; `SkinnedSurface.posed` does the whole skin by a kernel.
+
+    bone_positions: of the bones' frames [m], shape (b, 3); bone_rotations: shape (b, 3, 3), in any common frame
+    points, normals: at rest, in the order of the binding, both of shape (n, 3)
+    """
+    count = len(hand.origins)
+    motions = np.empty((12, count))
+    motions[:9] = bone_rotations.reshape(count, 9).T
+    motions[9:] = bone_shifts(hand.origins, bone_positions, bone_rotations).T
+    # Points along the rows: a matrix product blends all bones, and the rest runs over long rows
+    of_points = motions @ binding.weights
+    turns = of_points[:9].reshape(3, 3, -1)
+    moved, turned = np.empty(points.shape), np.empty(normals.shape)
+    np.add(np.add.reduce(turns * points.T, axis=1), of_points[9:], out=moved.T)
+    direction = np.add.reduce(turns * normals.T, axis=1)
+    np.divide(direction, np.sqrt(np.add.reduce(direction * direction, axis=0)), out=turned.T)
+    return moved, turned
+
+
+class FaceSamples(NamedTuple):
+    """The faces of a mesh as samples of its surface.
+
+    centroids: [m], normals: unit, outward, both of shape (m, 3); a face without area has the normal 0
+    areas: [m2], shape (m,)
+    """
+
+    centroids: Float
+    normals: Float
+    areas: Float
+
+
+def face_samples(vertices: Float, faces: Int) -> FaceSamples:
+    """Centroid, normal and area of each face; for the same faces again and again take a `FaceSampler`.
+
+    vertices: [m], shape (n, 3); faces: shape (m, 3)
+    """
+    normals, areas = face_normals(vertices, faces)
+    return FaceSamples(vertices[faces].mean(axis=1), normals, areas)
+
+
+class FaceSampler:
+    """`face_samples` of one mesh whose vertices move, in fixed buffers, in float64.
+
+    It belongs to one simulation's state and is used by one thread at a time.
+
+    faces: shape (m, 3); count: of vertices; device: "auto", "cpu" or "cuda:N"
+    """
+
+    def __init__(self, faces: Int, count: int, device: str = "cpu") -> None:
+        """Raises PalmfieldError for an unknown device."""
+        self._device = resolve(device)
+        self._vertices = SharedArray(count, wp.vec3d, self._device)
+        self._results = [SharedArray(len(faces), dtype, self._device) for dtype in (wp.vec3d, wp.vec3d, wp.float64)]
+        corners: wp.array = wp.array(np.ascontiguousarray(faces, np.int32), dtype=wp.vec3i, device=self._device)
+        arrays = [self._vertices.array, corners, *(result.array for result in self._results)]
+        self._sample = recorded(kernels.face_samples, len(faces), arrays, self._device)
+        self._samples = FaceSamples(*(result.host for result in self._results))
+
+    def at(self, vertices: Float) -> FaceSamples:
+        """The faces with the vertices there [m], shape (count, 3): views of buffers that the next call overwrites."""
+        self._vertices.put(vertices)
+        self._sample()
+        if self._device != "cpu":
+            for result in self._results:
+                result.download()
+            wp.synchronize_stream(self._device)
+        return self._samples

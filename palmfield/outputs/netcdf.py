@@ -1,0 +1,297 @@
+"""Results as netCDF files, made without ever letting HDF5 write to a disk.
+
+HDF5 crashes the interpreter when its disk fills up. Small files are made in memory; large ones go through a file that
+keeps what it can't write, so that HDF5 never learns of it and this module can raise afterwards.
+"""
+
+import io
+import json
+import os
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import h5netcdf
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from palmfield.outputs.schema import LABELS, RECORDS, Attributes, Checked, Variable, ordered, variables_of
+
+CHUNK_BYTES = 1_000_000
+"""Of a compressed chunk in the result. HDF5 keeps 1 MiB a variable: a chunk is filled before it is packed."""
+COMPRESSION: dict[str, Any] = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+UNREADABLE = (OSError, ValueError, KeyError, RuntimeError, TypeError)
+
+
+class SpillingFile(io.RawIOBase):
+    """A file on disk that never fails to be written: what has no room there stays in memory, and `lost` says why.
+
+    It is for little that follows a failure: whoever writes looks at `lost` and stops.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o666)
+        self._at = 0
+        self._length = 0
+        self._spilled: list[tuple[int, bytes]] = []
+        self.lost: OSError | None = None
+
+    def write(self, data: Any) -> int:
+        view = memoryview(data).cast("B")
+        done = 0
+        try:
+            while done < len(view) and self.lost is None:
+                done += os.pwrite(self._file, view[done:], self._at + done)
+        except OSError as error:
+            self.lost = error
+        if done < len(view):
+            self._spilled.append((self._at + done, bytes(view[done:])))
+        self._at += len(view)
+        self._length = max(self._length, self._at)
+        return len(view)
+
+    def readinto(self, buffer: Any) -> int:
+        view = memoryview(buffer).cast("B")
+        count = min(len(view), max(0, self._length - self._at))
+        found = os.pread(self._file, count, self._at)
+        view[:count] = found + bytes(count - len(found))
+        for start, data in self._spilled:
+            low, high = max(start, self._at), min(start + len(data), self._at + count)
+            if low < high:
+                view[low - self._at : high - self._at] = data[low - start : high - start]
+        self._at += count
+        return count
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        self._at = offset + {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: self._length}[whence]
+        return self._at
+
+    def tell(self) -> int:
+        return self._at
+
+    def truncate(self, size: int | None = None) -> int:
+        self._length = self._at if size is None else size
+        try:
+            os.ftruncate(self._file, self._length)
+        except OSError as error:
+            self.lost = self.lost or error
+        return self._length
+
+    def flush(self) -> None:
+        """Nothing waits here."""
+
+    def readable(self) -> bool:
+        return True
+
+    def writable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+    def close(self) -> None:
+        if not self.closed:
+            try:
+                if self.lost is None:
+                    os.fsync(self._file)
+            except OSError as error:
+                self.lost = error
+            finally:
+                os.close(self._file)
+                super().close()
+
+
+class ResultWriter:
+    """Writes groups, static variables, and the parts of record variables one after the other."""
+
+    def __init__(self, file: h5netcdf.File, lengths: dict[str, int], *, packed: bool) -> None:
+        """lengths: of the record dimensions; packed: compress what goes along them"""
+        self._file, self._lengths, self._packed = file, lengths, packed
+        for dim, length in lengths.items():
+            if length:
+                file.dimensions[dim] = length
+
+    def groups(self, paths: Iterable[str], attributes: Attributes) -> None:
+        """Make groups in the schema's order, with their attributes; what netCDF can't hold becomes JSON text."""
+        for path in ordered([*paths, *attributes]):
+            pairs = attributes.get(path, {})
+            self._group(path).attrs.update({name: storable(value) for name, value in pairs.items()})
+
+    def labels(self) -> None:
+        """The names of components, in the root."""
+        for name, (names, what) in LABELS.items():
+            self._file.dimensions[name] = len(names)
+            made = self._file.create_variable(name, (name,), h5py.string_dtype())
+            made[...] = np.array(names, dtype=object)
+            made.attrs["long_name"] = what
+
+    def put(self, arrays: Checked, start: dict[str, int]) -> None:
+        """Write variables; of those along a record dimension, the part that begins at `start`."""
+        for path, variables in arrays.items():
+            known = variables_of(path)
+            group = self._group(path)
+            for name, array in variables.items():
+                made = group.variables.get(name)
+                made = self._create(group, name, known[name], array.shape) if made is None else made
+                values = _stored(array)
+                dim = record_of(known[name])
+                if dim is not None:
+                    made[start[dim] : start[dim] + len(values)] = values
+                else:
+                    made[...] = values
+
+    def _group(self, path: str) -> Any:
+        if path == "/":
+            return self._file
+        return self._file[path] if path in self._file else self._file.create_group(path)
+
+    def _create(self, group: Any, name: str, variable: Variable, shape: tuple[int, ...]) -> Any:
+        dim = record_of(variable)
+        shape = shape if dim is None else (self._lengths[dim], *shape[1:])
+        for own, length in zip(variable.dims, shape, strict=True):
+            if own not in RECORDS and own not in LABELS and own not in group.dimensions:
+                group.dimensions[own] = length
+        extra: dict[str, Any] = {}
+        dtype: Any = np.dtype("int8") if variable.dtype == "bool" else variable.dtype
+        if dtype == "str":
+            dtype = h5py.string_dtype()
+        elif dim is not None and self._packed and variable.dtype == "float32":
+            row = 4 * int(np.prod(shape[1:]))
+            extra = COMPRESSION | {"chunks": (min(shape[0], max(1, CHUNK_BYTES // row)), *shape[1:])}
+        made = group.create_variable(name, variable.dims, dtype, **extra)
+        made.attrs.update(variable.attributes)
+        if variable.dtype == "bool":
+            made.attrs["dtype"] = "bool"
+        return made
+
+
+def image(arrays: Checked, attributes: Attributes) -> bytes:
+    """A netCDF file of some groups, as bytes; times hold their own lengths."""
+    memory = io.BytesIO()
+    with h5netcdf.File(memory, "w") as file:
+        writer = ResultWriter(file, lengths_of(arrays), packed=False)
+        writer.labels()
+        writer.groups(arrays, attributes)
+        writer.put(arrays, dict.fromkeys(RECORDS, 0))
+    return memory.getvalue()
+
+
+def read_image(data: bytes, *, static: bool = True, records: bool = True) -> tuple[Checked, dict[str, dict[str, Any]]]:
+    """Arrays and attributes of a file that `image` made, with or without what goes along a record dimension.
+
+    Read with h5py: a netCDF file is an HDF5 file, and h5netcdf takes ten times as long to open one.
+    """
+    arrays: Checked = {}
+    attributes: dict[str, dict[str, Any]] = {}
+    with h5py.File(io.BytesIO(data), "r") as file:
+        for path, group in _groups(file, "/"):
+            known = variables_of(path)
+            # netCDF keeps a number as an array of one
+            attributes[path] = {
+                name: value.item() if isinstance(value, np.ndarray) and value.size == 1 else value
+                for name, value in group.attrs.items()
+                if not name.startswith("_")
+            }
+            arrays[path] = {}
+            for name in [name for name in known if name in group]:
+                requested = static if record_of(known[name]) is None else records
+                if requested and not _without_values(group[name]):
+                    arrays[path][name] = _loaded(group[name], known[name])
+    return arrays, attributes
+
+
+def read_lengths(data: bytes) -> dict[str, int]:
+    """How many records a file that `image` made has along each record dimension."""
+    with h5py.File(io.BytesIO(data), "r") as file:
+        return {dim: len(file[dim]) if dim in file else 0 for dim in RECORDS}
+
+
+@contextmanager
+def result_file(path: Path, lengths: dict[str, int]) -> Iterator[tuple[ResultWriter, SpillingFile]]:
+    """A new result file, and what it is written through. Raises OSError afterwards where there was no room for it."""
+    disk = SpillingFile(path)
+    try:
+        with h5netcdf.File(disk, "w") as file:
+            yield ResultWriter(file, lengths, packed=True), disk
+    finally:
+        disk.close()
+    if disk.lost is not None:
+        raise disk.lost
+
+
+def read_attributes(path: Path) -> dict[str, Any] | None:
+    """Attributes of a file's root; None where it is damaged, half written, missing or no netCDF."""
+    try:
+        with h5netcdf.File(path, "r", decode_vlen_strings=True) as file:
+            return dict(file.attrs) | {"_variables": tuple(file.variables)}
+    except UNREADABLE:
+        return None
+
+
+def record_of(variable: Variable) -> str | None:
+    """The record dimension that a variable goes along, which is its first, or None."""
+    return variable.dims[0] if variable.dims and variable.dims[0] in RECORDS else None
+
+
+def lengths_of(arrays: Checked) -> dict[str, int]:
+    """How many records there are along each record dimension."""
+    root = arrays.get("/", {})
+    return {dim: len(root[dim]) if dim in root else 0 for dim in RECORDS}
+
+
+def joined(blocks: list[Checked]) -> Checked:
+    """One block of many: joined along each variable's record dimension, the last one kept where there is none."""
+    parts: dict[str, dict[str, list[NDArray[Any]]]] = {}
+    for block in blocks:
+        for path, variables in block.items():
+            known = variables_of(path)
+            into = parts.setdefault(path, {})
+            for name, array in variables.items():
+                if record_of(known[name]) is None:
+                    into[name] = [array]
+                elif len(array):
+                    into.setdefault(name, []).append(array)
+    return {
+        path: {name: np.concatenate(list_) if len(list_) > 1 else list_[0] for name, list_ in variables.items()}
+        for path, variables in parts.items()
+    }
+
+
+def storable(value: object) -> object:
+    """Value that netCDF can hold as an attribute; what it cannot becomes JSON text."""
+    if isinstance(value, bool | np.bool_) or not isinstance(value, str | int | float | np.number):
+        return json.dumps(value, default=plain)
+    return value
+
+
+def plain(value: object) -> object:
+    """NumPy's scalars and arrays as JSON has them."""
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} is not JSON")
+
+
+def _groups(file: Any, path: str) -> Iterator[tuple[str, Any]]:
+    """The root and the groups of instances; the groups between them hold nothing."""
+    if path == "/" or path.count("/") == 2:
+        yield path, file
+    for name, member in file.items():
+        if isinstance(member, h5py.Group):
+            yield from _groups(member, f"{path.rstrip('/')}/{name}")
+
+
+def _without_values(dataset: Any) -> bool:
+    """Whether netCDF holds no variable here but the length of a dimension only."""
+    return bytes(dataset.attrs.get("NAME", b"")).startswith(b"This is a netCDF dimension but not a netCDF variable")
+
+
+def _loaded(dataset: Any, variable: Variable) -> NDArray[Any]:
+    return np.asarray(dataset.asstr()[...] if variable.dtype == "str" else dataset[...]).astype(variable.dtype)
+
+
+def _stored(array: NDArray[Any]) -> NDArray[Any]:
+    if array.dtype == np.bool_:
+        return array.astype(np.int8)
+    return array.astype(object) if array.dtype.kind == "U" else array

@@ -1,0 +1,248 @@
+"""What the numbers of a finished run are worth: relative error of a skin's displacement by source, and the p0 band.
+
+Both are estimated at one moment, the loudest on the skin. Errors of the model itself (ARP law, material, linearity) are
+not in these; the plan names them.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+
+from palmfield.errors import SceneError
+from palmfield.simulation.build import nearest_stimulus
+from palmfield.simulation.emission import array_drives
+from palmfield.simulation.model import HapticModel, SkinModel
+from palmfield.simulation.posed_scene import PosedScene, PosedSkin, PosedSurface
+from palmfield.simulation.radiation import Radiation
+from palmfield.skin.approximation.estimate import ORDER, mesh_error
+from palmfield.skin.fem.solver import harmonic, harmonic_discrete, static
+from palmfield.skin.reduction.reduced_stepper import ReducedStepper
+from palmfield.skin.scene_layer import SceneLayer
+from palmfield.stimulus.schedule import frame_at
+from palmfield.types import Complex, Float
+
+T = TypeVar("T")
+
+RATIO = 1.25
+"""Element sizes of the two meshes that are compared."""
+FINER_BELOW = 15_000
+"""Unknowns above which a finer mesh costs minutes and gigabytes."""
+LAYERS = 3
+"""A coarser mesh must keep two rows of elements: one alone is off by 20 %."""
+PUBLISHED_P0_Pa_m = (1.27, 8.02)
+"""Of transducers of 10 mm at 40 kHz, see `palmfield.acoustics.placement`."""
+
+
+@dataclass(frozen=True)
+class LoudestMoment:
+    """The moment of a run at which the ARP on a skin was highest.
+
+    time_s: when, by MuJoCo's clock [s]; posed: where everything was
+    drive: what all transducers emitted, relative to full drive, shape (N,); factor: of its ARP
+    """
+
+    time_s: float
+    posed: PosedScene
+    drive: Complex
+    factor: float
+
+
+# -- error of the displacement -------------------------------------------------------------------------------------
+
+
+def compares_with_finer(layer: SceneLayer, dofs: int) -> bool:
+    """Whether the error estimate of a layer with `dofs` unknowns takes a finer mesh, rather than a coarser one."""
+    return dofs < FINER_BELOW or len(layer.sizes.depth_fractions) - 1 < LAYERS
+
+
+def error_estimate(
+    model: HapticModel, skin: int, loudest: LoudestMoment, radiation: Radiation, *, left_small_model: bool
+) -> dict[str, float]:
+    """Relative error of a skin's displacement at its point nearest to the focus, by source.
+
+    radiation: of the model; its solution by boundary elements for that moment serves again
+    left_small_model: whether the run went on from a small model to the whole layer
+
+    mesh: static and harmonic response on the scene's mesh and on one RATIO finer (or coarser, for more than
+        FINER_BELOW unknowns and at least LAYERS rows of elements), by Richardson's rule; the larger of the two. The
+        frequency is the stimulus's main one; half of the highest that mesh and step are made for where there is none,
+        as the spectrum of a load that only starts and stops falls with frequency
+    step: the discrete scheme's exact steady state against the continuous one, on the coarser mesh, where it costs less.
+        A small model is exact in time; what it is given is the load's chords, of which a sine has sinc^2 of itself
+    reduction: of a small model: its own estimate, or, where it is made for any course of the load, the difference from
+        the whole layer's static and harmonic response on the scene's mesh, if that is larger; 0 without one
+    edge: half the difference that fixed or free cut faces make to the harmonic response, also there: a layer on a hand
+        ends where the body goes on; 0 for a disc, whose side is its own
+
+    Raises SceneError where neither a finer nor a coarser mesh of the layer can be made.
+    """
+    layer, stepper = model.skins[skin].layer, model.begin[skin].value
+    small = stepper if isinstance(stepper, ReducedStepper) else None
+    sound, point = _Sound(model, skin, loudest, radiation), _under_focus(model, skin, loudest)
+    finer = compares_with_finer(layer, layer.system.ndof)
+    try:
+        return _estimate(layer, small, sound, point, finer, left_small_model)
+    except SceneError:
+        return _estimate(layer, small, sound, point, not finer, left_small_model)
+
+
+class _Response:
+    """Displacement at a point of one mesh of a skin under one sound.
+
+    pressure: ARP at the mesh's quadrature points at the factor 1 [Pa], shape (q,); force: the nodal forces of it [N]
+    read: of the displacement at the point, csr, shape (1, ndof)
+    """
+
+    def __init__(self, layer: SceneLayer, pressure: Float, point: Float):
+        self.layer, self.pressure = layer, pressure
+        self.force: Float = layer.quadrature.operator @ pressure
+        self.read = layer.probe(point).operator
+
+    def static(self) -> float:
+        return float((self.read @ static(self.layer.system, self.force))[0])
+
+    def harmonic(self, f_Hz: float) -> complex:
+        return complex((self.read @ harmonic(self.layer.system, self.force, f_Hz))[0])
+
+    def harmonic_discrete(self, f_Hz: float, step_s: float) -> complex:
+        return complex((self.read @ harmonic_discrete(self.layer.system, self.force, f_Hz, step_s))[0])
+
+
+class _Sound:
+    """ARP of the loudest moment on other meshes of a skin's layer."""
+
+    def __init__(self, model: HapticModel, skin: int, loudest: LoudestMoment, radiation: Radiation):
+        self.model, self.skin, self.loudest, self.radiation = model, skin, loudest, radiation
+        self.on_own: Float = self._arp(radiation, loudest.posed)
+
+    def on(self, layer: SceneLayer) -> Float:
+        """ARP [Pa] at a layer's quadrature points, shape (q,)."""
+        model, skin, posed = self.model, self.skin, self.loudest.posed
+        part = model.skins[skin]
+        if layer is part.layer:
+            return self.on_own
+        other = SkinModel(part.spec, part.body, part.carrier, layer, part.choice, part.still_m)
+        place, body = posed.skins[skin], posed.bodies[part.body]
+        disc = part.carrier.surface is None
+        if disc:
+            # The boundary of a disc is that of its skin's mesh; any other body's is its own.
+            body = PosedSurface(part.carrier, other, body.frame, (body.bone_positions, body.bone_rotations))
+        obstacles = place.obstacle_positions, place.obstacle_rotations
+        varied_model = replace(model, skins=_exchanged(model.skins, skin, other))
+        varied = PosedScene(
+            posed.rows,
+            posed.array_frame,
+            posed.arrays,
+            posed.frames,
+            _exchanged(posed.bodies, part.body, body),
+            _exchanged(posed.skins, skin, PosedSkin(other, body, obstacles)),
+        )
+        radiation, solved = Radiation(varied_model), self.radiation.scattered_fields()
+        if skin in solved and not disc:
+            radiation.adopt({skin: (varied, *solved[skin][1:])})
+        return self._arp(radiation, varied)
+
+    def _arp(self, radiation: Radiation, posed: PosedScene) -> Float:
+        return radiation.on(posed, self.skin, "quadrature", self.loudest.drive).arp.astype(np.float64)
+
+
+def _exchanged(parts: Sequence[T], number: int, other: T) -> tuple[T, ...]:
+    """The parts, with another one in one's place."""
+    return (*parts[:number], other, *parts[number + 1 :])
+
+
+def _estimate(
+    layer: SceneLayer,
+    small: ReducedStepper | None,
+    sound: _Sound,
+    point: Float,
+    finer: bool,
+    left_small_model: bool,
+) -> dict[str, float]:
+    frequency, step_s = layer.demand.main_frequency_Hz, layer.sizes.step_s
+    low, high = (layer, layer.resized(1 / RATIO)) if finer else (layer.resized(RATIO), layer)
+    coarse, fine = (_Response(which, sound.on(which), point) for which in (low, high))
+    coarse_static, coarse_wave = coarse.static(), coarse.harmonic(frequency)
+    fine_static, fine_wave = fine.static(), fine.harmonic(frequency)
+    mesh = mesh_error(np.array([coarse_static, coarse_wave]), np.array([fine_static, fine_wave]), RATIO)
+    if finer:
+        mesh *= RATIO**ORDER
+    step = 1.0 - float(np.sinc(frequency * step_s)) ** 2
+    if small is None or left_small_model:
+        step = abs(coarse.harmonic_discrete(frequency, step_s) - coarse_wave) / abs(coarse_wave)
+    reduction = 0.0
+    if small is not None:
+        own = coarse if low is layer else fine
+        answers = (coarse_static, coarse_wave) if low is layer else (fine_static, fine_wave)
+        reduction = small.error
+        if small.any_course:
+            reduced = [small.harmonic(own.pressure, f, own.read)[0] for f in (0.0, frequency)]
+            reduction = max(reduction, *(abs(a - b) / abs(b) for a, b in zip(reduced, answers, strict=True)))
+    edge = 0.0
+    if layer.config.shape != "disc":
+        other = low.resized(low.resizing, side="free" if layer.config.side == "fixed" else "fixed")
+        wave = _Response(other, sound.on(other), point).harmonic(frequency)
+        edge = 0.5 * abs(wave - coarse_wave) / abs(coarse_wave)
+    return {
+        "mesh_error_relative": mesh,
+        "step_error_relative": float(step),
+        "reduction_error_relative": float(reduction),
+        "edge_error_relative": float(edge),
+        "displacement_error_relative": float(math.hypot(mesh, step, reduction, edge)),
+    }
+
+
+def _under_focus(model: HapticModel, skin: int, loudest: LoudestMoment) -> Float:
+    """The place of the resting skin that is nearest to a focus at the loudest moment, body frame [m], shape (3,)."""
+    posed = loudest.posed.skins[skin]
+    nodes = posed.nodes[0]
+    foci = []
+    for number, stimulus in enumerate(model.stimuli):
+        if not stimulus.silent:
+            places = loudest.posed.focal_points(stimulus, number)
+            foci.append(np.atleast_2d(places.at(frame_at(stimulus.config, loudest.time_s).focus))[0])
+    focus = min(foci, key=lambda place: float(np.linalg.norm(nodes - place, axis=1).min()))
+    if posed.body.model.hand is None:
+        return posed.body.frame.inverse_points(focus)
+    nearest = np.linalg.norm(nodes - focus, axis=1).argmin()
+    return model.skins[skin].nodes[0][nearest]
+
+
+# -- band from an uncertain p0 -------------------------------------------------------------------------------------
+
+
+def stimulus_of(model: HapticModel, skin: int) -> int:
+    """Number of the stimulus whose sound a skin's layer is made for."""
+    nearest = nearest_stimulus(model.skins[skin].spec, model.stimuli)
+    return next(number for number, stimulus in enumerate(model.stimuli) if stimulus is nearest)
+
+
+def p0_band(model: HapticModel, stimulus: int) -> tuple[float, float] | None:
+    """Factors on the skin's motion at the low and high ends of every array's p0; None where arp_peak_Pa sets the level.
+
+    An array without a range of its own has the published one. The pressures of the stimulus's arrays add up at its
+    focus, each with its own p0, and the motion goes with the square.
+    """
+    part, arrays = model.stimuli[stimulus], model.arrays
+    drive = array_drives(model, arrays)[stimulus].unit_drive(part.first_focus).amplitudes
+    pressures = []
+    for own in arrays.slices:
+        alone = np.zeros_like(drive)
+        alone[own] = drive[own]
+        pressures.append(arrays.pressure64(part.first_focus[None], alone)[0])
+    whole = abs(sum(pressures)) ** 2
+    if part.config.arp_peak_Pa is not None or whole == 0.0:
+        return None
+    configs = [array.config for array in model.spec.arrays]
+    low = [(config.p0_low_Pa_m or PUBLISHED_P0_Pa_m[0]) / config.p0_Pa_m for config in configs]
+    high = [(config.p0_high_Pa_m or PUBLISHED_P0_Pa_m[1]) / config.p0_Pa_m for config in configs]
+    return abs(np.dot(low, pressures)) ** 2 / whole, abs(np.dot(high, pressures)) ** 2 / whole
+
+
+def p0_given(model: HapticModel, stimulus: int) -> bool:
+    """Whether every array of a stimulus has a range of p0 of its own."""
+    arrays = model.stimuli[stimulus].spec.arrays
+    return all(model.spec.arrays[number].config.p0_low_Pa_m is not None for number in arrays)

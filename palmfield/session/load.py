@@ -1,0 +1,191 @@
+"""From a scene file, an MjSpec or a compiled model to MuJoCo's model and data, with other values for its keys."""
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import mujoco
+import numpy as np
+
+from palmfield.config import known_keys
+from palmfield.engine.host import compiling, take_compile_error
+from palmfield.engine.modules import MODULES
+from palmfield.engine.motion_plugin import place
+from palmfield.errors import PalmfieldError, SceneError
+from palmfield.simulation.scene_reader import DEVICE
+
+FILES = {"palmfield.skin": ("mesh",), "palmfield.motion": ("keyframes", "trajectory", "tracking")}
+"""Keys that name files, relative to the scene."""
+SKIN, ARRAY, DRIVER = "palmfield.skin", "palmfield.array", "palmfield.driver"
+
+Source: TypeAlias = str | Path | mujoco.MjSpec | mujoco.MjModel
+
+
+def compiled(
+    source: Source,
+    *,
+    device: str | None = None,
+    accuracy: float | None = None,
+    board: str | None = None,
+    keys: Mapping[str, object] | None = None,
+) -> tuple[str, mujoco.MjModel, mujoco.MjData]:
+    """A scene's name, MuJoCo's model, and fresh data at time 0 with hands where their motions have them.
+
+    source: MJCF file, MjSpec (left as it is), or a compiled model, whose keys stay as they are
+    device: where fields are computed (auto, cpu, cuda:N); accuracy: wanted relative error of the skin displacement, of
+        all skins; board: what plays the drive
+    keys: other values for keys by INSTANCE.key, or PLUGIN.key for all instances of a plugin, such as
+        {"stimulus.focus_m": (0, 0, 0.19)}: numbers, text, sequences and arrays; None takes a key out
+    Raises SceneError (or DeviceError) with a one-line message that names element, key, value and what is allowed.
+    """
+    if device is not None and not re.fullmatch(r"auto|cpu|cuda:\d+", device):
+        raise SceneError(f"device '{device}' is not known; allowed: auto, cpu or cuda:N")
+    if isinstance(source, mujoco.MjModel):
+        if keys or any(value is not None for value in (device, accuracy, board)):
+            raise SceneError(
+                "the scene is compiled (MjModel), so its keys can't be changed any more: give its file or its MjSpec "
+                "with the keys, or the model without"
+            )
+        return "model", source, _data(source, "model")
+    name, spec, folder = _opened(source)
+    _check_plugins(spec, name)
+    _check_sensors(spec, name)
+    if device is not None:
+        _set_text(spec, DEVICE, device)
+    changes = _changes(spec, keys or {})
+    for plugin in spec.plugins:
+        config: dict[str, Any] = dict(plugin.config)
+        if plugin.plugin_name == SKIN and accuracy is not None:
+            config["accuracy"] = as_text(accuracy)
+        if plugin.plugin_name == DRIVER and board is not None:
+            config["board"] = board
+        for key, value in changes.get(plugin.name, {}).items():
+            if value is None:
+                config.pop(key, None)
+            else:
+                config[key] = as_text(value)
+        for key in FILES.get(plugin.plugin_name, ()):
+            if config.get(key) and folder is not None and not Path(config[key]).is_absolute():
+                config[key] = str(folder / config[key])
+        plugin.config = config
+    if board is not None and DRIVER not in [plugin.plugin_name for plugin in spec.plugins]:
+        raise SceneError(f"{name} has no plugin '{DRIVER}', so there is no board to replace by '{board}'")
+    try:
+        with compiling():
+            model = spec.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        raise _explained(error, name) from None
+    return name, model, _data(model, name)
+
+
+def as_text(value: object) -> str:
+    """A key's value as MJCF has it: numbers in full, sequences and arrays with spaces between."""
+    if isinstance(value, bool | np.bool_):
+        return str(bool(value)).lower()
+    if isinstance(value, str):
+        return value
+    if isinstance(value, float | np.floating):
+        return repr(float(value))
+    if isinstance(value, int | np.integer):
+        return str(int(value))
+    if isinstance(value, np.ndarray):
+        return " ".join(as_text(part) for part in value.ravel())
+    if isinstance(value, list | tuple):
+        return " ".join(as_text(part) for part in value)
+    return str(value)
+
+
+def _opened(source: str | Path | mujoco.MjSpec) -> tuple[str, mujoco.MjSpec, Path | None]:
+    """The scene's name for messages, its spec to be changed, and the folder that its files are relative to."""
+    if isinstance(source, mujoco.MjSpec):
+        folder = Path(source.modelfiledir).resolve() if source.modelfiledir else None
+        return source.modelname or "the spec", source.copy(), folder
+    path = Path(source)
+    if not path.is_file():
+        raise SceneError(f"scene {path} does not exist; `palmfield new NAME` writes one to start from")
+    take_compile_error()
+    try:
+        return str(path), mujoco.MjSpec.from_file(str(path)), path.resolve().parent
+    except (ValueError, mujoco.FatalError) as error:
+        raise SceneError(f"{path}: {_with_choices(_one_line(error))}") from None
+
+
+def _check_plugins(spec: mujoco.MjSpec, name: str) -> None:
+    if SKIN not in [plugin.plugin_name for plugin in spec.plugins]:
+        raise SceneError(f"{name} has no plugin '{SKIN}'; it is a plain MuJoCo scene (see `palmfield new`)")
+
+
+def _check_sensors(spec: mujoco.MjSpec, name: str) -> None:
+    """Refuse a plugin sensor without objtype, on which MuJoCo 4.0 crashes while it compiles."""
+    for sensor in spec.sensors:
+        plugged = sensor.type == mujoco.mjtSensor.mjSENS_PLUGIN
+        if plugged and sensor.objtype == mujoco.mjtObj.mjOBJ_UNKNOWN:
+            raise SceneError(
+                f"{name}: sensor '{sensor.name}' of plugin '{sensor.plugin.plugin_name}' has no objtype; give "
+                "objtype='site' and objname, a site of the skin's body"
+            )
+
+
+def _changes(spec: mujoco.MjSpec, keys: Mapping[str, object]) -> dict[str, dict[str, object]]:
+    """Values by instance name. Raises SceneError for an instance or plugin that the scene has not, and unknown keys."""
+    configs = {module.name: module.config for module in MODULES}
+    result: dict[str, dict[str, object]] = {}
+    for given, value in keys.items():
+        owner, _, key = given.rpartition(".")
+        own = [plugin for plugin in spec.plugins if plugin.name == owner]
+        if not own:
+            full = f"palmfield.{owner.removeprefix('palmfield.')}"
+            own = [plugin for plugin in spec.plugins if plugin.plugin_name == full]
+        if not own:
+            known = sorted({plugin.name for plugin in spec.plugins} | {p.plugin_name for p in spec.plugins})
+            raise SceneError(f"key '{given}' is not of an instance or plugin of this scene; it has: {', '.join(known)}")
+        for plugin in own:
+            config = configs.get(plugin.plugin_name)
+            if config is not None and key not in known_keys(config):
+                raise SceneError(
+                    f"plugin '{plugin.plugin_name}' instance '{plugin.name}': unknown key '{key}'; allowed: "
+                    f"{', '.join(config.model_fields)}"
+                )
+            result.setdefault(plugin.name, {})[key] = value
+    return result
+
+
+def _set_text(spec: mujoco.MjSpec, name: str, value: str) -> None:
+    for text in spec.texts:
+        if text.name == name:
+            text.data = value
+            return
+    spec.add_text(name=name, data=value)
+
+
+def _data(model: mujoco.MjModel, name: str) -> mujoco.MjData:
+    try:
+        data = mujoco.MjData(model)
+    except (ValueError, mujoco.FatalError) as error:
+        raise _explained(error, name) from None
+    place(data)
+    return data
+
+
+def _explained(error: Exception, name: str) -> Exception:
+    """What a module's own error says, or MuJoCo's in one line."""
+    cause = take_compile_error()
+    if isinstance(cause, PalmfieldError):
+        return type(cause)(f"{name}: {cause}")
+    return cause or SceneError(f"{name}: {_with_choices(_one_line(error))}")
+
+
+def _with_choices(message: str) -> str:
+    """MuJoCo's message about a plugin or key that it doesn't know, with those there are."""
+    known = {module.name: module.config for module in MODULES}
+    key = re.search(r"unrecognized attribute 'plugin:(\w+)' for plugin (\S+?)'", message)
+    if key and key[2] in known:
+        return f"{message}: plugin '{key[2]}' has no key '{key[1]}'; allowed: {', '.join(known[key[2]].model_fields)}"
+    if re.search(r"plugin \S+ not found", message):
+        return f"{message}; palmfield's are: {', '.join(known)}"
+    return message
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split()).removeprefix("Error: ")

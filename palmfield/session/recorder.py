@@ -1,0 +1,251 @@
+"""What a running simulation writes: blocks of arrays, a MuJoCo step each, for a store."""
+
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palmfield.drive.transducer_response import EmittedCourse, rows
+from palmfield.engine.host import World
+from palmfield.engine.scene_runtime import SceneRuntime
+from palmfield.hand.triangles import vertex_normals
+from palmfield.outputs.schema import Arrays, group, sensor_channels
+from palmfield.session.error_budget import LoudestMoment
+from palmfield.simulation.model import HapticModel
+from palmfield.simulation.posed_scene import PosedScene
+from palmfield.simulation.sensors import CHANNELS, UNITS
+from palmfield.simulation.step import StepTrace
+from palmfield.stimulus.schedule import frames_at
+from palmfield.transforms import quaternion
+from palmfield.types import Complex, Float, Float32
+
+Block = dict[str, dict[str, NDArray[Any]]]
+
+
+class Sink(Protocol):
+    """Where blocks go: `palmfield.outputs.store.Store` or MemoryStore."""
+
+    def append(self, block: Arrays) -> None: ...
+
+
+class Emitted(NamedTuple):
+    """What sounds at some moments: one drive (N,) with factors of its ARP (m,), or as many drives as moments (m, N)."""
+
+    drives: Complex
+    factors: Float
+
+
+class Recorder:
+    """Watches a scene's steps and hands on what happens.
+
+    loudest: by skin, the moment of the highest ARP on it so far, None in silence
+    """
+
+    def __init__(self, runtime: SceneRuntime, world: World, sink: Sink):
+        self.runtime, self.model, self.world, self.sink = runtime, runtime.model, world, sink
+        self.loudest: list[LoudestMoment | None] = [None] * len(self.model.skins)
+        self._loudest_Pa = [0.0] * len(self.model.skins)
+        self._drive: Complex | None = None
+        self._trace: StepTrace | None = None
+        self._zero_s = 0.0
+        self._sensors = [
+            (sensor.name, sensor.data) for skin in runtime.binding.skins for sensor in world.sensors(skin.instance)
+        ]
+
+    def start(self) -> None:
+        """Note the state before the first step, and watch those that follow."""
+        work, posed = self.runtime.work, self.runtime.posed
+        now_s = self._zero_s = self.world.time
+        work.observe = tuple(skin.surface_vectors for skin in self.model.skins)
+        motions = []
+        for number, (stepper, numbers) in enumerate(self.runtime.skin_states()):
+            reader = work.reader(number, stepper)
+            assert reader is not None
+            motions.append(stepper.read(numbers, reader))
+        course = work.emission.now(posed, self.runtime.amplitudes, now_s)
+        block = self._block(np.array([now_s]), posed, self._emitted(course, np.array([0])), motions)
+        self.sink.append(block)
+        work.observer = self._observe
+
+    def stop(self) -> None:
+        """Watch no longer."""
+        self.runtime.work.observer = None
+        self.runtime.work.observe = (None,) * len(self.model.skins)
+
+    def _observe(self, trace: StepTrace) -> None:
+        self._trace = trace
+
+    def step(self) -> None:
+        """One MuJoCo step has ended: hand on what happened in it."""
+        trace, self._trace = self._trace, None
+        if trace is None:
+            return
+        motions = [motion for motion in trace.motion if motion is not None]
+        block = self._block(trace.times, trace.posed, self._at_ends(trace), motions)
+        posed = trace.posed
+        block["/"]["step_time"] = np.array([self.world.time - self.model.spec.timestep_s - self._zero_s])
+        frame = posed.array_frame
+        for array, placement in zip(self.model.spec.arrays, posed.arrays.placements, strict=True):
+            own = placement.transform
+            pose = pose7(frame.points(own.position), frame.rotation @ own.rotation)
+            block.setdefault(group("array", array.name), {})["pose"] = pose[None]
+        for skin in self.model.skins:
+            self._add_body(block, skin.spec.name, skin.body, posed)
+        for name, data in self._sensors:
+            block[group("sensors", name)] = {"value": data[None].copy()}
+        self.sink.append(block)
+
+    def _add_body(self, block: Block, name: str, number: int, posed: PosedScene) -> None:
+        runtime, frame = self.runtime, posed.array_frame
+        body = posed.bodies[number]
+        rotation = frame.rotation @ body.frame.rotation
+        origin = frame.points(body.frame.position)
+        poses = {"pose": pose7(origin, rotation)[None]}
+        force, torque = runtime.applied_parts[number]
+        forces = {"force": force.sum(axis=0)[None]}
+        arms = np.zeros((1, 3))
+        if len(body.bone_positions):
+            places = zip(body.bone_positions, body.bone_rotations, strict=True)
+            poses["bone_pose"] = np.array([pose7(position, turn) for position, turn in places])[None]
+            arms = body.bone_positions @ rotation.T
+            forces |= {"bone_force": force[None].copy(), "bone_torque": torque[None].copy()}
+        forces["torque"] = (torque + np.cross(arms, force)).sum(axis=0)[None]
+        block[group("body", name)], block[group("forces", name)] = poses, forces
+
+    # -- one instant after the other -----------------------------------------------------------------------------
+
+    def _emitted(self, course: EmittedCourse, moments: NDArray[np.int_]) -> Emitted:
+        if course.levels is None or course.unit is None:
+            return Emitted(rows(course)[moments], np.ones(len(moments)))
+        return Emitted(course.unit, np.abs(course.levels[moments]) ** 2)
+
+    def _at_ends(self, trace: StepTrace) -> Emitted:
+        """What sounds at the ends of the substeps."""
+        moments, course = trace.moments, trace.course
+        if not any(moments.held_s):
+            return self._emitted(course, np.argmax(moments.last, axis=1))
+        emission, step_s = self.runtime.work.emission, self.model.step_s
+        emitted, drives = trace.begun, []
+        for end in trace.times:
+            emitted = emission.over(trace.posed, emitted, float(end) - step_s, 1)[1].end
+            drives.append(rows(emission.now(trace.posed, emitted, float(end)))[0])
+        return Emitted(np.array(drives), np.ones(len(drives)))
+
+    def _block(self, times: Float, posed: PosedScene, emitted: Emitted, motions: list[Float]) -> Block:
+        block: Block = {"/": {"time": times - self._zero_s}}
+        for number, skin in enumerate(self.model.skins):
+            count = len(skin.nodes[0])
+            motion = motions[number].reshape(len(times), 2, count, 3).astype(np.float32)
+            arp = self._arp(posed, number, emitted, times)
+            block[group("skin", skin.spec.name)] = {
+                "displacement": motion[:, 0], "velocity": motion[:, 1], "arp": arp,
+            }  # fmt: skip
+        self._add_stimuli(block, times, posed)
+        self._add_drive(block, times, posed)
+        return block
+
+    def _arp(self, posed: PosedScene, number: int, emitted: Emitted, times: Float) -> Float32:
+        """ARP at a skin's surface nodes, shape (t, S); keeps the loudest moment."""
+        radiation = self.runtime.work.radiation
+        if emitted.drives.ndim == 1:
+            unit = radiation.on(posed, number, "nodes", emitted.drives).arp
+            arp = (emitted.factors[:, None] * unit).astype(np.float32)
+        else:
+            arp = radiation.many(posed, number, emitted.drives, "nodes")
+        peaks = arp.max(axis=1)
+        first = int(peaks.argmax())
+        if peaks[first] > self._loudest_Pa[number]:
+            self._loudest_Pa[number] = float(peaks[first])
+            drive = emitted.drives if emitted.drives.ndim == 1 else emitted.drives[first].copy()
+            self.loudest[number] = LoudestMoment(float(times[first]), posed, drive, float(emitted.factors[first]))
+        return arp
+
+    def _add_stimuli(self, block: Block, times: Float, posed: PosedScene) -> None:
+        foci = self.runtime.work.emission.foci(posed, times)
+        for part, places in zip(self.model.stimuli, foci, strict=True):
+            _, factors = frames_at(part.config, times)
+            world = posed.array_frame.points(places.reshape(-1, 3)).reshape(places.shape)
+            sounding = (factors > 0.0) & (not part.silent)
+            block[group("stimulus", part.spec.name)] = {"foci": world, "sounding": sounding}
+
+    def _add_drive(self, block: Block, times: Float, posed: PosedScene) -> None:
+        """Drive frames where they begin: what the transducers are told differs from the last one's."""
+        commanded = self.runtime.work.emission.commanded(posed, times)
+        frames = []
+        for i, drive in enumerate(commanded):
+            if self._drive is None or not np.array_equal(self._drive, drive):
+                self._drive = drive.copy()
+                frames.append(i)
+        if not frames:
+            return
+        block["/"]["frame_time"] = times[frames] - self._zero_s
+        chosen = commanded[frames]
+        for array, part in zip(self.model.spec.arrays, posed.arrays.slices, strict=True):
+            block.setdefault(group("array", array.name), {}).update(
+                drive_amplitude=np.abs(chosen[:, part]).astype(np.float32),
+                drive_phase=np.angle(chosen[:, part]).astype(np.float32),
+            )
+
+    # -- at the end ----------------------------------------------------------------------------------------------
+
+    def surfaces(self) -> Block:
+        """ARP and pressure on each skin and on the whole surface of its body at the skin's loudest moment."""
+        block: Block = {}
+        radiation = self.runtime.work.radiation
+        for number, (skin, moment) in enumerate(zip(self.model.skins, self.loudest, strict=True)):
+            posed = self.runtime.work.reference if moment is None else moment.posed
+            body = posed.bodies[skin.body]
+            normals = body.frame.vectors(vertex_normals(body.vertices, body.faces))
+            for kind, role, points, outward in (
+                ("skin", "nodes", *posed.skins[number].nodes),
+                ("surface", "vertices", body.vertices_in_array, normals),
+            ):
+                arp, amplitude = np.zeros(len(points), np.float32), np.zeros(len(points), np.float32)
+                if moment is not None:
+                    sound = radiation.at(posed, number, role, points, outward, moment.drive)  # type: ignore[arg-type]
+                    arp = np.float32(moment.factor) * sound.arp
+                    amplitude = np.float32(np.sqrt(moment.factor)) * sound.amplitude
+                block[group(kind, skin.spec.name)] = {
+                    "loudest_time": np.array(0.0 if moment is None else moment.time_s - self._zero_s),
+                    "loudest_arp": arp,
+                    "loudest_pressure": amplitude,
+                }
+            obstacles = posed.skins[number].obstacles
+            if obstacles is not None:
+                block[group("surface", skin.spec.name)] |= {
+                    "obstacle_position": posed.array_frame.points(obstacles[0]), "obstacle_face": obstacles[1],
+                }  # fmt: skip
+        return block
+
+
+def static_arrays(model: HapticModel, world: World, runtime: SceneRuntime) -> Block:
+    """What is known before the first step."""
+    block: Block = {}
+    for array, part in zip(model.spec.arrays, model.arrays.parts, strict=True):
+        block[group("array", array.name)] = {"transducer_position": part.positions}
+    for skin in model.skins:
+        nodes, normals = skin.nodes
+        vertices, faces = skin.closed_surface
+        own: dict[str, NDArray[Any]] = {
+            "rest_position": nodes, "rest_normal": normals, "face": skin.faces, "depth": skin.depth,
+        }  # fmt: skip
+        whole: dict[str, NDArray[Any]] = {"rest_position": vertices, "face": faces}
+        if skin.carrier.hand is not None:
+            for arrays, points in ((own, nodes), (whole, vertices)):
+                binding = skin.carrier.bind(points)
+                assert binding is not None
+                arrays["bone_index"] = np.asarray(binding.bones, dtype=np.int32)
+                arrays["bone_weight"] = np.asarray(binding.shares, dtype=np.float32)
+            names = np.array([bone.name for bone in skin.carrier.hand.bones])
+            block[group("body", skin.spec.name)] = {"bone": names, "bone_rest": skin.carrier.rest_origins}
+            block[group("forces", skin.spec.name)] = {"bone": names}
+        block[group("skin", skin.spec.name)], block[group("surface", skin.spec.name)] = own, whole
+    for bound in runtime.binding.skins:
+        for sensor in world.sensors(bound.instance):
+            block[group("sensors", sensor.name)] = sensor_channels(list(CHANNELS), list(UNITS))
+    return block
+
+
+def pose7(position: Float, rotation: Float) -> Float:
+    """Position [m] and unit quaternion (w, x, y, z) in one array, shape (7,)."""
+    return np.concatenate([position, quaternion(rotation)])

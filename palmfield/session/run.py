@@ -1,0 +1,265 @@
+"""Run a scene and write, or keep, its results."""
+
+import json
+import platform
+import resource
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from palmfield.engine.host import World, world_of
+from palmfield.errors import OutputError, PalmfieldError
+from palmfield.outputs.interrupts import interrupts_held
+from palmfield.outputs.motion import normal_component
+from palmfield.outputs.plots import plot_displacement, plot_pressure
+from palmfield.outputs.render import render_scene
+from palmfield.outputs.schema import group, instances
+from palmfield.outputs.store import MemoryStore, Store, open_result, write_json
+from palmfield.outputs.store import recover as assemble
+from palmfield.outputs.summary import summary
+from palmfield.outputs.usd import write_usd
+from palmfield.session.load import Source
+from palmfield.session.recorder import Recorder, static_arrays
+from palmfield.session.simulation import Simulation
+from palmfield.session.summary import scene_numbers, skin_numbers, stimulus_numbers
+from palmfield.types import Float
+
+PICTURES: tuple[tuple[str, Callable[[Any, Path], None]], ...] = (
+    ("pressure.png", plot_pressure),
+    ("displacement.png", plot_displacement),
+    ("scene.png", render_scene),
+    ("scene.usdc", write_usd),
+)
+CONVENTIONS = {
+    "time_factor": "e^{-i w t}: a delay is +phase",
+    "pressure": "complex peak amplitude of the incident field [Pa]",
+    "arp_sign": "positive pushes into the surface",
+    "normal_displacement": "along the outward normal: a push is negative",
+    "pose": "position [m] and quaternion (w, x, y, z)",
+}
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a run left behind.
+
+    out: folder, None for a run that was kept in memory; files: paths written, by name
+    summary: the numbers of summary.json
+    """
+
+    out: Path | None
+    files: dict[str, Path]
+    summary: dict[str, Any]
+    _kept: xr.DataTree | None = field(default=None, repr=False)
+    _opened: list[xr.DataTree] = field(default_factory=list, repr=False)
+
+    @property
+    def dataset(self) -> xr.DataTree:
+        """The result's groups (palmfield.outputs.schema), opened when first asked for and read where it is used."""
+        if self._kept is not None:
+            return self._kept
+        if not self._opened:
+            self._opened.append(open_result(self.files["result.nc"]))
+        return self._opened[0]
+
+
+def run(
+    scene: Source | Simulation,
+    out: str | Path | None = None,
+    *,
+    duration_s: float | None = None,
+    progress: bool = True,
+    overwrite: bool = False,
+) -> Result:
+    """Simulate a scene from its present state and write result.nc, summary.json, pictures and scene.usdc.
+
+    scene: a file, an MjSpec, or a Simulation; out: folder, made where missing; None keeps the result in memory
+    duration_s: simulated time [s], the scene's own by default; overwrite: whether the folder may hold another run's
+        results
+    Ctrl-C, a full disk or an error in a module end the run early: what was computed by then is assembled and marked
+    incomplete, and the error is raised afterwards (KeyboardInterrupt as such).
+    Raises OutputError where `out` cannot be written, or holds an unfinished run or, without `overwrite`, another one.
+    """
+    started = time.perf_counter()
+    sim = scene if isinstance(scene, Simulation) else Simulation(scene)
+    duration = sim.duration_s if duration_s is None else duration_s
+    with _progress(progress) as bar:
+        store, recorder = _prepare(sim, None if out is None else Path(out), overwrite, bar)
+        stopped = _simulate(sim, recorder, duration, bar)
+        reason = "ran to its end" if stopped is None else f"{type(stopped).__name__}: {stopped}".rstrip(": ")
+        try:
+            store.append(recorder.surfaces())
+        except OutputError as error:
+            stopped = stopped or error
+        finished = store.finish({"reason": reason}, complete=stopped is None)
+        extra: dict[str, Any] = {"complete": stopped is None, "reason": reason}
+        if isinstance(finished, xr.DataTree):
+            if stopped is not None:
+                raise stopped
+            task = bar.add_task("estimating the error", total=None)
+            whole, skins, stimuli = _numbers(sim, recorder, finished)
+            written = summary(finished, extra | whole | _spent(started), skins, stimuli)
+            bar.remove_task(task)
+            return Result(None, {}, written, finished)
+        assert out is not None
+        files = {"result.nc": finished, "summary.json": Path(out) / "summary.json"}
+        with open_result(finished) as tree:
+            # Written before what may take long or be interrupted, and again at the end.
+            write_json(files["summary.json"], summary(tree, extra))
+            if stopped is not None:
+                raise stopped
+            task = bar.add_task("estimating the error", total=None)
+            whole, skins, stimuli = _numbers(sim, recorder, tree)
+            bar.remove_task(task)
+            files |= draw(tree, Path(out), bar)
+            written = summary(tree, extra | whole | _spent(started), skins, stimuli)
+        write_json(files["summary.json"], written)
+    return Result(Path(out), files, written)
+
+
+def recover(out: str | Path) -> dict[str, Path]:
+    """Assemble what a killed run left, or complete the files of one that was cut off while drawing.
+
+    Returns the files by name. Raises OutputError where there is nothing to recover or no room.
+    """
+    out = Path(out)
+    path = out / "result.nc"
+    if (out / ".partial").is_dir() or not path.exists():
+        path = assemble(out)
+    target = out / "summary.json"
+    with open_result(path) as tree:
+        complete = bool(tree.attrs["complete"])
+        if not complete or not target.exists():
+            write_json(target, summary(tree, {"complete": complete, "reason": tree.attrs["reason"]}))
+        with _progress(True) as bar:
+            return {"result.nc": path, "summary.json": target} | draw(tree, out, bar)
+
+
+def draw(tree: xr.DataTree, out: Path, bar: Progress) -> dict[str, Path]:
+    """Write each picture and the USD scene that the data allow; what can't be drawn is said and left out."""
+    files = {}
+    task = bar.add_task("drawing", total=len(PICTURES))
+    for name, make in PICTURES:
+        bar.update(task, description=f"writing {name}")
+        try:
+            make(tree, out / name)
+            files[name] = out / name
+        except OutputError as error:
+            bar.console.print(f"palmfield: no {name}: {error}", highlight=False, markup=False, soft_wrap=True)
+        bar.advance(task)
+    return files
+
+
+def _world(sim: Simulation) -> World:
+    world = world_of(sim.data)
+    assert world is not None
+    return world
+
+
+def _prepare(sim: Simulation, out: Path | None, overwrite: bool, bar: Progress) -> tuple[Store | MemoryStore, Recorder]:
+    """Everything that can fail before the first step."""
+    task = bar.add_task("preparing the skin layers", total=None)
+    model, runtime = sim.runtime.model, sim.runtime
+    for lazy in model.begin:
+        _ = lazy.value
+    static = static_arrays(model, _world(sim), runtime)
+    attributes = _attributes(sim)
+    store = MemoryStore(static, attributes) if out is None else Store(out, static, attributes, overwrite)
+    bar.remove_task(task)
+    return store, Recorder(runtime, _world(sim), store)
+
+
+def _simulate(sim: Simulation, recorder: Recorder, duration_s: float, bar: Progress) -> BaseException | None:
+    """Step to the end; returns what ended it early, or None."""
+    steps = max(1, round(duration_s / sim.model.opt.timestep))
+    task = bar.add_task(f"simulating {1e3 * duration_s:g} ms", total=steps)
+    try:
+        recorder.start()
+        with interrupts_held() as check:
+            for _ in range(steps):
+                sim.step()
+                recorder.step()
+                bar.advance(task)
+                check()
+    except (KeyboardInterrupt, PalmfieldError, MemoryError) as error:
+        return error
+    finally:
+        recorder.stop()
+    return None
+
+
+def _numbers(
+    sim: Simulation, recorder: Recorder, tree: xr.DataTree
+) -> tuple[dict[str, Any], dict[str, dict[str, Any]], dict[str, dict[str, Any]]]:
+    """What a run says beyond its arrays: of the scene, of each skin and of each stimulus."""
+    skins = {}
+    times: Float = np.asarray(tree["time"])
+    for name, ds in instances(tree, "skin").items():
+        number = sim.skins.index(name)
+        normal = normal_component(ds)
+        peak = np.asarray(np.abs(normal).max(axis=0))
+        vertex = int(peak.argmax())
+        skins[name] = skin_numbers(
+            sim,
+            name,
+            recorder.loudest[number],
+            times,
+            np.asarray(normal[:, vertex], dtype=np.float64),
+            float(peak[vertex]),
+        )
+    return scene_numbers(sim, recorder.loudest), skins, stimulus_numbers(sim, recorder.loudest)
+
+
+def _spent(started: float) -> dict[str, Any]:
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    memory = peak / 2**20 if platform.system() == "Darwin" else peak / 2**10
+    return {"wall_time_s": time.perf_counter() - started, "peak_memory_MiB": memory}
+
+
+def _progress(show: bool) -> Progress:
+    """Bars on standard error, with the time left."""
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    return Progress(*columns, console=Console(stderr=True), disable=not show, transient=True)
+
+
+def _attributes(sim: Simulation) -> dict[str, dict[str, Any]]:
+    """Every setting, convention and version, as attributes of the result and its groups."""
+    model = sim.runtime.model
+    packages = ("palmfield", "warp-lang", "mujoco", "numpy", "scipy", "trimesh", "usd-core", "xarray")
+    found: dict[str, dict[str, Any]] = {
+        "/": {
+            "scene": sim.name,
+            "driver": model.spec.driver.model_dump_json(),
+            "skin_step_s": model.step_s,
+            "timestep_s": model.spec.timestep_s,
+            "device": model.spec.device,
+            "conventions": json.dumps(CONVENTIONS),
+            "versions": json.dumps({name: version(name) for name in packages} | {"python": platform.python_version()}),
+        }
+    }
+    for array in model.spec.arrays:
+        found[group("array", array.name)] = {"config": array.config.model_dump_json()}
+    for part in model.stimuli:
+        arrays = [model.spec.arrays[number].name for number in part.spec.arrays]
+        found[group("stimulus", part.spec.name)] = {"config": part.config.model_dump_json(), "arrays": arrays}
+    for skin in model.skins:
+        layer, name = skin.layer, skin.spec.name
+        sizes = {key: np.asarray(value).tolist() for key, value in asdict(layer.sizes).items()}
+        mesh = sizes | {"dofs": layer.system.ndof, "elements": len(layer.mesh.elements), **layer.patch.report}
+        found[group("skin", name)] = {
+            "config": skin.spec.config.model_dump_json(),
+            "material": json.dumps([asdict(sheet.material) for sheet in layer.sheets]),
+            "mesh": json.dumps(mesh),
+            "arp_law": skin.spec.config.arp_law,
+        }
+        found[group("body", name)] = {"body": skin.carrier.name}
+        found[group("surface", name)] = {"body": skin.carrier.name}
+    return found

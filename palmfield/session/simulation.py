@@ -1,0 +1,236 @@
+"""One scene that is stepped: MuJoCo's model and data, and what sound and skin do in them."""
+
+import copy
+from collections.abc import Mapping
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from palmfield.engine.host import raise_errors, world_of
+from palmfield.engine.motion_plugin import place
+from palmfield.engine.scene_runtime import SceneRuntime, present_drive
+from palmfield.errors import SceneError
+from palmfield.session.load import Source, compiled
+from palmfield.simulation.model import SkinModel
+from palmfield.simulation.state import at_rest, stepper_of
+from palmfield.skin.stepper import Reader
+from palmfield.types import Complex, Float, Float32, Int
+
+
+class Simulation:
+    """A scene, loaded and ready to step.
+
+    sim = palmfield.Simulation("scene.xml", keys={"stimulus.focus_m": (0, 0, 0.19)})
+    sim.run(0.1)
+    print(sim.skin("palm").displacement)
+
+    model, data: MuJoCo's, for those who call mj_step themselves (then `palmfield.raise_errors(data)` raises what went
+        wrong inside a plugin)
+    name: of the scene, for messages; path: its file, or None
+    duration_s: how long `palmfield.run` runs it by default [s]
+    """
+
+    def __init__(
+        self,
+        scene: Source,
+        *,
+        device: str | None = None,
+        accuracy: float | None = None,
+        board: str | None = None,
+        keys: Mapping[str, object] | None = None,
+    ):
+        """See `palmfield.session.load.compiled` for the arguments and what is raised."""
+        self.name, self.model, self.data = compiled(scene, device=device, accuracy=accuracy, board=board, keys=keys)
+        self.path = Path(scene) if isinstance(scene, str | Path) else None
+        self._attach()
+
+    def _attach(self) -> None:
+        world = world_of(self.data)
+        if world is None or world.scene is None:
+            raise SceneError(f"{self.name} has no plugin 'palmfield.skin'; it is a plain MuJoCo model")
+        world.quiet = True
+        self.runtime: SceneRuntime = world.scene
+        self.duration_s = self.runtime.spec.duration_s
+        self._skins: dict[str, Skin] = {}
+        mujoco.mj_forward(self.model, self.data)
+        raise_errors(self.data)
+
+    # -- stepping ------------------------------------------------------------------------------------------------
+
+    @property
+    def time(self) -> float:
+        """Simulated time [s]."""
+        return float(self.data.time)
+
+    def step(self, count: int = 1) -> None:
+        """`count` of MuJoCo's steps. Raises what a plugin raised in them (SceneError, DeviceError)."""
+        for _ in range(count):
+            mujoco.mj_step(self.model, self.data)
+            raise_errors(self.data)
+
+    def run(self, duration_s: float) -> None:
+        """As many steps as come nearest to a duration [s], at least one. Raises SceneError for one that is not > 0."""
+        if not 0.0 < duration_s < np.inf:
+            raise SceneError(f"duration_s is {duration_s}; allowed: seconds > 0")
+        self.step(max(1, round(duration_s / self.model.opt.timestep)))
+
+    def reset(self) -> None:
+        """Back to time 0, with everything at rest and hands where their motions begin."""
+        mujoco.mj_resetData(self.model, self.data)
+        place(self.data)
+        mujoco.mj_forward(self.model, self.data)
+        raise_errors(self.data)
+
+    def start_at(self, time_s: float) -> None:
+        """As `reset`, but at another time [s], with hands where their motions have them then; the skin is at rest."""
+        mujoco.mj_resetData(self.model, self.data)
+        self.data.time = time_s
+        place(self.data)
+        mujoco.mj_forward(self.model, self.data)
+        raise_errors(self.data)
+
+    def copy(self) -> "Simulation":
+        """A second simulation in the same state, which goes on by itself; model and matrices are shared."""
+        twin = object.__new__(Simulation)
+        twin.name, twin.path, twin.model = self.name, self.path, self.model
+        twin.data = copy.copy(self.data)
+        twin._attach()
+        return twin
+
+    # -- what there is to see ------------------------------------------------------------------------------------
+
+    @property
+    def skins(self) -> tuple[str, ...]:
+        """Instance names of the skins."""
+        return tuple(skin.name for skin in self.runtime.spec.skins)
+
+    @property
+    def bodies(self) -> tuple[str, ...]:
+        """Names of the bodies that the sound pushes, in the order of `forces`."""
+        return tuple(body.name for body in self.runtime.model.bodies)
+
+    def skin(self, name: str | None = None) -> "Skin":
+        """A skin by its instance name; the only one without. Raises SceneError for one that the scene has not."""
+        names = self.skins
+        if name is None and len(names) == 1:
+            name = names[0]
+        if name not in names:
+            raise SceneError(f"the scene has no skin '{name}'; it has: {', '.join(names)}")
+        if name not in self._skins:
+            self._skins[name] = Skin(self.runtime, names.index(name))
+        return self._skins[name]
+
+    @property
+    def drive(self) -> Complex:
+        """What the transducers are told now: complex amplitudes relative to full drive, e^{-iwt}, shape (N,).
+
+        N counts the transducers of all arrays, array after array.
+        """
+        posed = self.runtime.posed
+        return self.runtime.work.emission.commanded(posed, np.array([self.time]))[0]
+
+    @property
+    def emitted(self) -> Complex:
+        """What the transducers emit now, after their ring-up, shape (N,)."""
+        _, course = self.runtime.now()
+        drive, factor = present_drive(course)
+        if drive is None:
+            return np.zeros(len(self.runtime.model.arrays), np.complex128)
+        return np.asarray(np.sqrt(factor) * drive)
+
+    @property
+    def forces(self) -> Float:
+        """Mean force of the sound on each of `bodies` over the last step [N], world axes, shape (bodies, 3)."""
+        return np.array(self.runtime.applied)
+
+
+class Skin:
+    """One skin of a simulation, at the simulation's present time. Each array is computed when it is asked for."""
+
+    def __init__(self, runtime: SceneRuntime, number: int):
+        self._runtime, self._number = runtime, number
+        self._readers: dict[str, Reader] = {}
+
+    @property
+    def _part(self) -> SkinModel:
+        return self._runtime.model.skins[self._number]
+
+    @property
+    def name(self) -> str:
+        """Of its plugin instance."""
+        return self._part.spec.name
+
+    @property
+    def solver(self) -> str:
+        """What steps it now, or will: "wedges" or "reduced"."""
+        if at_rest(self._runtime.state, self._number):
+            return self._part.choice.name
+        return stepper_of(self._runtime.model, self._runtime.state, self._number)[0].name
+
+    @property
+    def rest_position(self) -> Float:
+        """Surface nodes at rest, body frame [m], shape (S, 3)."""
+        return self._part.nodes[0]
+
+    @property
+    def rest_normal(self) -> Float:
+        """Their unit outward normals at rest, shape (S, 3)."""
+        return self._part.nodes[1]
+
+    @property
+    def faces(self) -> Int:
+        """Triangles over the surface nodes, shape (f, 3)."""
+        return self._part.faces
+
+    @property
+    def position(self) -> Float:
+        """Where the body and its bones have taken the surface nodes, world [m], shape (S, 3); without displacement."""
+        posed = self._runtime.posed
+        return posed.array_frame.points(posed.skins[self._number].nodes[0])
+
+    def _motion(self) -> Float:
+        if at_rest(self._runtime.state, self._number):
+            return np.zeros((2, len(self.rest_position), 3))
+        stepper, numbers = stepper_of(self._runtime.model, self._runtime.state, self._number)
+        if stepper.name not in self._readers:
+            self._readers[stepper.name] = stepper.reader(self._part.surface_vectors)
+        motion: Float = stepper.read(numbers, self._readers[stepper.name])[0]
+        return motion.reshape(2, -1, 3)
+
+    @property
+    def displacement(self) -> Float:
+        """Of the surface nodes, in the resting body's axes [m], shape (S, 3)."""
+        return self._motion()[0]
+
+    @property
+    def velocity(self) -> Float:
+        """Of the surface nodes, in the resting body's axes [m/s], shape (S, 3)."""
+        return self._motion()[1]
+
+    @property
+    def normal_displacement(self) -> Float:
+        """Along the outward normal [m], shape (S,): a push is negative."""
+        return np.einsum("si,si->s", self.displacement, self.rest_normal)
+
+    @property
+    def arp(self) -> Float32:
+        """Acoustic radiation pressure at the surface nodes [Pa], positive inwards, shape (S,)."""
+        posed, course = self._runtime.now()
+        drive, factor = present_drive(course)
+        if drive is None:
+            return np.zeros(len(self.rest_position), np.float32)
+        sound = self._runtime.work.radiation.on(posed, self._number, "nodes", drive)
+        return np.float32(factor) * sound.arp
+
+
+def load(
+    path: Source,
+    *,
+    device: str | None = None,
+    accuracy: float | None = None,
+    board: str | None = None,
+    keys: Mapping[str, object] | None = None,
+) -> Simulation:
+    """Read and check a scene; see Simulation, whose arguments these are."""
+    return Simulation(path, device=device, accuracy=accuracy, board=board, keys=keys)

@@ -1,0 +1,132 @@
+"""Numbers of a finished run that its result doesn't hold: drive level, force, error estimate, felt level.
+
+They go into summary.json beside those of `palmfield.outputs.summary`, by skin and by stimulus.
+"""
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from palmfield.errors import PalmfieldError
+from palmfield.perception.observers import OBSERVERS, level_dB_SL, line_amplitude
+from palmfield.session.error_budget import LoudestMoment, error_estimate, p0_band, p0_given, stimulus_of
+from palmfield.session.simulation import Simulation
+from palmfield.simulation.forces import BodyForces
+from palmfield.simulation.model import HapticModel
+from palmfield.simulation.radiation import Radiation
+from palmfield.simulation.state import WHOLE
+from palmfield.skin.reduction.reduced_stepper import ReducedStepper
+from palmfield.stimulus.schedule import main_frequencies
+from palmfield.types import Float
+
+
+def skin_numbers(
+    simulation: Simulation,
+    skin_name: str,
+    loudest: LoudestMoment | None,
+    times: Float,
+    motion_at_vertex: Float,
+    peak: float,
+) -> dict[str, Any]:
+    """Of one skin: solver, force on its body, error estimate, p0 band and felt level, units in the names.
+
+    loudest: the moment of the highest ARP on the skin, None for a run that was silent there
+    times: of the run's records [s], shape (t,); motion_at_vertex: displacement along the outward normal of the vertex
+        that moves most [m], shape (t,); peak: its largest size, of all vertices [m]
+    An error estimate that fails leaves its reason in `displacement_error_missing`; the results stand without it.
+    """
+    runtime = simulation.runtime
+    model, number = runtime.model, simulation.skins.index(skin_name)
+    skin = model.skins[number]
+    left_small_model = _left_small_model(simulation, number)
+    result: dict[str, Any] = {
+        "dofs": skin.layer.system.ndof,
+        "solver": _solver_in_words(model, number, left_small_model),
+        "solver_why": skin.choice.why,
+        "accuracy_wanted_relative": skin.spec.config.accuracy,
+    }
+    stimulus = stimulus_of(model, number)
+    radiation = Radiation(model)
+    radiation.adopt(runtime.work.radiation.scattered_fields())
+    if loudest is not None:
+        force = _force_N(model, number, loudest, radiation)
+        result["total_force_peak_N"] = loudest.factor * force
+        band = p0_band(model, stimulus) if p0_given(model, stimulus) else None
+        if band is not None:
+            result |= {"peak_displacement_low_m": peak * band[0], "peak_displacement_high_m": peak * band[1]}
+    if loudest is not None and peak > 0.0:
+        try:
+            errors = error_estimate(model, number, loudest, radiation, left_small_model=left_small_model)
+            result |= errors | {"displacement_error_m": errors["displacement_error_relative"] * peak}
+        except (PalmfieldError, MemoryError) as error:
+            result["displacement_error_missing"] = f"{error}" or type(error).__name__
+    frequencies = main_frequencies(model.stimuli[stimulus].config)
+    return result | felt_levels(times, motion_at_vertex.astype(np.float64), frequencies)
+
+
+def stimulus_numbers(simulation: Simulation, loudest: Iterable[LoudestMoment | None]) -> dict[str, dict[str, Any]]:
+    """Of each stimulus, by name: `drive_level`, the largest amplitude of its transducers at the skins' loudest moments.
+
+    Relative to full drive; 0 in silence.
+    """
+    moments = [moment for moment in loudest if moment is not None]
+    result = {}
+    for stimulus in simulation.runtime.model.stimuli:
+        levels = [float(np.abs(moment.drive[stimulus.transducers]).max()) for moment in moments]
+        result[stimulus.spec.name] = {"drive_level": max(levels, default=0.0)}
+    return result
+
+
+def scene_numbers(simulation: Simulation, loudest: Iterable[LoudestMoment | None]) -> dict[str, Any]:
+    """Of the whole scene: what computes its fields, the board that plays it, and the highest level of its drive.
+
+    loudest: of each skin
+    """
+    model = simulation.runtime.model
+    levels = [one["drive_level"] for one in stimulus_numbers(simulation, loudest).values()]
+    return {"palmfield_device": model.arrays.field.device, "board": model.board.name, "drive_level": max(levels)}
+
+
+def felt_levels(times: Float, motion: Float, frequencies: list[float]) -> dict[str, float | None]:
+    """Level above threshold by observer: at the main frequency, and of all main frequencies together.
+
+    times: [s], shape (t,), evenly spaced; motion: displacement [m], shape (t,); frequencies: main one first [Hz]
+    None where an observer's table does not reach; nothing at all for less than two periods of the main frequency.
+    """
+    if not frequencies or len(times) < 2 or frequencies[0] * (times[-1] - times[0]) < 2.0:
+        return {}
+    step = float(times[1] - times[0])
+    frequencies = [f for f in frequencies if f * step <= 1 / 3]
+    if not frequencies:
+        return {}
+    lines = [line_amplitude(times, motion, f) for f in frequencies]
+    result: dict[str, float | None] = {"main_frequency_Hz": frequencies[0], "main_line_amplitude_m": lines[0]}
+    for name, observer in OBSERVERS.items():
+        for key, count in (("level", 1), ("level_all_lines", len(lines))):
+            level = float(level_dB_SL(observer, frequencies[:count], lines[:count]))
+            result[f"{key}_{name}_dB_SL"] = level if math.isfinite(level) else None
+    return result
+
+
+def _left_small_model(simulation: Simulation, skin: int) -> bool:
+    """Whether a run that began with a small model of a skin went on with its whole layer."""
+    runtime = simulation.runtime
+    begun = isinstance(runtime.model.begin[skin].value, ReducedStepper)
+    return begun and bool(runtime.state.skins[skin][0, 0] == WHOLE)
+
+
+def _solver_in_words(model: HapticModel, skin: int, left_small_model: bool) -> str:
+    """What stepped a skin."""
+    stepper = model.begin[skin].value
+    if not isinstance(stepper, ReducedStepper):
+        return stepper.name
+    words = f"{stepper.name}, {stepper.order} vectors"
+    return f"{words}; then wedges" if left_small_model else words
+
+
+def _force_N(model: HapticModel, skin: int, loudest: LoudestMoment, radiation: Radiation) -> float:
+    """Size of the sound's force on a skin's body at the loudest moment, at the factor 1 [N]."""
+    forces, _ = BodyForces(model, radiation).under(loudest.posed, model.skins[skin].body, loudest.drive)
+    return float(np.linalg.norm(forces.sum(axis=0)))

@@ -1,0 +1,313 @@
+"""From what a scene says to its model: the one place where parts are made and joined."""
+
+import threading
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from palmfield.acoustics.phased_array import PhasedArray
+from palmfield.config import SkinConfig, StimulusConfig
+from palmfield.drive.array_drive import ArrayDrive
+from palmfield.drive.boards import BOARDS, Board
+from palmfield.drive.response import Pole
+from palmfield.drive.transducer_response import transducer_response
+from palmfield.errors import SceneError
+from palmfield.hand.meshfile import load_mesh
+from palmfield.hand.preset import load_preset
+from palmfield.hand.rigged import joint_of_body
+from palmfield.hand.skinning import SkinnedHand, rigged_file, skinned_mesh
+from palmfield.hand.surface import hand_surface
+from palmfield.locked import Lazy
+from palmfield.simulation.known_load import choose_stepper, first_stepper
+from palmfield.simulation.model import BodyModel, HapticModel, SkinModel, StimulusModel, array_instances
+from palmfield.simulation.posed_scene import STILL
+from palmfield.simulation.spec import SceneSpec, SkinSpec, StimulusSpec
+from palmfield.simulation.validate import check_board, check_bodies, check_body_sound, check_cost, check_overlaps
+from palmfield.skin.fem.wedge_stepper import WedgeStepper
+from palmfield.skin.scene_layer import LayerDemand, SceneLayer
+from palmfield.stimulus.focal_points import FocalPoints, SurfaceCourse
+from palmfield.stimulus.schedule import SitesStimulus, frame_at, main_frequencies, plane_path
+from palmfield.stimulus.surface_path import SurfacePath, drawn, through
+from palmfield.transforms import Transform
+from palmfield.types import Float
+
+LEAST_FREQUENCY_Hz = 200.0
+"""Mesh and step resolve at least this, unless key max_frequency_Hz says otherwise."""
+MOST_MODELS = 8
+_lock = threading.RLock()
+_models: list[HapticModel] = []
+
+
+def model_of(spec: SceneSpec) -> HapticModel:
+    """The model of a spec; equal specs share one, so that two scenes alike factorise once. Errors as `build`."""
+    with _lock:
+        for known in _models:
+            if known.spec == spec:
+                return known
+        alike = next((m for m in _models if _but_for_texts(m.spec) == _but_for_texts(spec)), None)
+        model = build(spec, alike)
+        _models[:] = [*_models, model][-MOST_MODELS:]
+        return model
+
+
+def _but_for_texts(spec: SceneSpec) -> SceneSpec:
+    """The spec without what MuJoCo fills in last: it asks for the states' sizes before."""
+    return replace(spec, duration_s=1.0, device="cpu")
+
+
+def build(spec: SceneSpec, alike: HapticModel | None = None) -> HapticModel:
+    """Make a scene's model.
+
+    alike: a model of the same scene for another duration or device, whose bodies and layers serve here as well
+    Raises SceneError or DeviceError, with element, key, value and what is allowed, for what doesn't fit together.
+    """
+    check_bodies(spec)
+    board = BOARDS[spec.driver.board]
+    arrays = _arrays(spec)
+    names = list(dict.fromkeys(skin.config.body for skin in spec.skins))
+    if alike is not None:
+        bodies = alike.bodies
+    else:
+        bodies = tuple(_body(next(skin.config for skin in spec.skins if skin.config.body == name)) for name in names)
+    carriers = [bodies[names.index(skin.config.body)] for skin in spec.skins]
+    strictest = min(skin.config.accuracy for skin in spec.skins)
+    scattering = any(skin.config.body_sound == "scattering" for skin in spec.skins)
+    stimuli = []
+    for stimulus in spec.stimuli:
+        check_board(stimulus, board, spec.arrays)
+        carrier = None if stimulus.on_skin is None else carriers[stimulus.on_skin]
+        stimuli.append(_stimulus(stimulus, spec, arrays, board, carrier, strictest, spread=not scattering))
+    pole = stimuli[0].response.pole
+    response_on = any(stimulus.response.on for stimulus in stimuli)
+    # Transducers of one scene ring up, or none do: their sounds add up in one state.
+    stimuli = [replace(stimulus, response=replace(stimulus.response, on=response_on)) for stimulus in stimuli]
+    for skin in spec.skins:
+        check_body_sound(skin, spec.stimuli, pole, response_on)
+    known = None if alike is None else [skin.layer for skin in alike.skins]
+    skins = _skins(spec, tuple(stimuli), arrays, board, bodies, names, pole, response_on, known)
+    check_overlaps(skins)
+    check_cost(spec, skins)
+    whole = tuple(Lazy(partial(_whole, skin.layer)) for skin in skins)
+    model = HapticModel(spec, arrays, board, tuple(stimuli), bodies, skins, pole, response_on, (), whole)
+    return replace(model, begin=tuple(Lazy(partial(first_stepper, model, number)) for number in range(len(skins))))
+
+
+def _whole(layer: SceneLayer) -> WedgeStepper:
+    """What steps a whole layer, with its factorised matrix."""
+    return WedgeStepper(layer.system, layer.quadrature.operator, layer.sizes.step_s)
+
+
+def _arrays(spec: SceneSpec) -> PhasedArray:
+    """The scene's arrays in the reference pose. Raises SceneError, which names the instance, for one that can't be."""
+    instances = array_instances(spec)
+    for array, instance in zip(spec.arrays, instances, strict=True):
+        try:
+            instance.array(array.placement.sites)
+        except SceneError as error:
+            raise SceneError(f"plugin 'palmfield.array' instance '{array.name}': {error}") from None
+    return PhasedArray(instances, [array.placement for array in spec.arrays], spec.device)
+
+
+# -- bodies and stimuli --------------------------------------------------------------------------------------------
+
+
+def _body(skin: SkinConfig) -> BodyModel:
+    """The surface of a skin's body, and its bones."""
+    if skin.shape == "disc":
+        return BodyModel(skin.body, None, None, skin.depth_m)
+    if skin.shape == "mesh":
+        assert skin.mesh and skin.mesh_unit
+        return BodyModel(skin.body, load_mesh(Path(skin.mesh), skin.mesh_unit), None, skin.depth_m)
+    if skin.shape == "rigged":
+        assert skin.mesh and skin.mesh_unit
+        mesh = rigged_file(skin.mesh, skin.mesh_unit)
+        joint, _ = joint_of_body(skin.body, mesh.joints)
+        rigged = skinned_mesh(mesh, mesh.joints.rest[joint, :3, 3])
+        return BodyModel(skin.body, rigged.surface, rigged, skin.depth_m)
+    preset = load_preset(skin.hand)
+    hand = hand_surface(preset)
+    bones = SkinnedHand(preset) if skin.shape == "articulated" else None
+    return BodyModel(skin.body, hand.surface, bones, hand.depth_to_bone)
+
+
+def _stimulus(
+    spec: StimulusSpec,
+    scene: SceneSpec,
+    arrays: PhasedArray,
+    board: Board,
+    carrier: BodyModel | None,
+    accuracy: float,
+    *,
+    spread: bool,
+) -> StimulusModel:
+    """A stimulus with its path and its transducers' response.
+
+    carrier: the body that its path runs on; accuracy: the strictest of all skins; spread: whether flight times may
+        differ
+    """
+    config: StimulusConfig = spec.config
+    path, body = None, None
+    if spec.on_skin is not None:
+        assert carrier is not None
+        body = scene.skins[spec.on_skin].body.transform
+        path = _path_on(spec, carrier, body)
+    if config.path == "sites":
+        assert path is not None
+        config = SitesStimulus(**config.model_dump(exclude_unset=True), sites_length_m=float(path.arc_m[-1]))
+    offsets = np.reshape(config.foci_m, (-1, 3))
+    course = None
+    if path is not None and carrier is not None and carrier.surface is not None and body is not None:
+        course = SurfaceCourse(path, carrier.surface.vertices, carrier.surface.faces, body)
+    focal_points = FocalPoints(spec.frame.transform, offsets, course)
+    transducers = np.concatenate([np.arange(arrays.slices[i].start, arrays.slices[i].stop) for i in spec.arrays])
+    drive = ArrayDrive(arrays, transducers.astype(np.int32), config.arp_peak_Pa, config.drive_amplitude, board)
+    foci = focal_points.at(frame_at(config, config.start_s).focus)
+    try:
+        silent = not np.any(drive.unit_drive(foci).amplitudes)
+        configs = [array.config for array in scene.arrays]
+        response = transducer_response(config, drive, focal_points, configs, accuracy, spread=spread)
+    except SceneError as error:
+        raise _named(error, spec.name) from None
+    return StimulusModel(spec, config, transducers.astype(np.int32), path, offsets, response, foci, silent)
+
+
+def _named(error: SceneError, instance: str) -> SceneError:
+    """The error with the stimulus's instance in it."""
+    text = str(error)
+    plain, named = "plugin 'palmfield.stimulus':", f"plugin 'palmfield.stimulus' instance '{instance}':"
+    return type(error)(text.replace(plain, named, 1))
+
+
+def _path_on(spec: StimulusSpec, carrier: BodyModel, body: Transform) -> SurfacePath:
+    """The path that the focus takes on the resting surface.
+
+    body: frame of the surface, seen from the first array, in the reference pose
+    """
+    element = f"plugin 'palmfield.stimulus' instance '{spec.name}': key 'path_on' has value 'skin'"
+    if carrier.surface is None:
+        raise SceneError(f"{element}, but the skin's shape is a flat disc: set path_on to plane")
+    try:
+        if spec.config.path == "sites":
+            return through(carrier.surface, np.array(spec.path_sites))
+        path = plane_path(spec.config)
+        assert path is not None
+        frame = spec.frame.transform
+        start = body.inverse_points(frame.points(np.array(spec.config.focus_m)))
+        return drawn(carrier.surface, start, body.inverse_vectors(frame.rotation[:, 0]), path)
+    except SceneError as error:
+        raise SceneError(f"{element}: {error}") from None
+
+
+# -- skins ---------------------------------------------------------------------------------------------------------
+
+
+def _skins(
+    spec: SceneSpec,
+    stimuli: tuple[StimulusModel, ...],
+    arrays: PhasedArray,
+    board: Board,
+    bodies: tuple[BodyModel, ...],
+    names: list[str],
+    pole: Pole,
+    response_on: bool,
+    layers: list[SceneLayer] | None,
+) -> tuple[SkinModel, ...]:
+    """The skins with their layers, which are made here if they are not known."""
+    layers = layers or _layers(spec, stimuli, arrays, board, bodies, names)
+    skins = []
+    for skin, layer in zip(spec.skins, layers, strict=True):
+        number = names.index(skin.config.body)
+        choice = choose_stepper(spec, skin, layer, stimuli, pole, response_on)
+        still_m = STILL * skin.config.accuracy * layer.demand.spot_fwhm_m
+        skins.append(SkinModel(skin, number, bodies[number], layer, choice, still_m))
+    return tuple(skins)
+
+
+def _layers(
+    spec: SceneSpec,
+    stimuli: tuple[StimulusModel, ...],
+    arrays: PhasedArray,
+    board: Board,
+    bodies: tuple[BodyModel, ...],
+    names: list[str],
+) -> list[SceneLayer]:
+    """The skins' layers; all have the time step of the one that needs the shortest."""
+    demands = []
+    layers = []
+    for skin in spec.skins:
+        body, stimulus = bodies[names.index(skin.config.body)], nearest_stimulus(skin, stimuli)
+        frequencies = main_frequencies(stimulus.config)
+        highest = skin.config.max_frequency_Hz
+        if highest is None:
+            highest = max([LEAST_FREQUENCY_Hz, *frequencies])
+        demand = LayerDemand(
+            spot_fwhm_m=spot_fwhm(arrays, board, stimulus),
+            max_frequency_Hz=highest,
+            main_frequency_Hz=next(iter(frequencies), 0.5 * highest),
+            path_reach_m=path_reach(stimulus, body, np.array(skin.patch_centre)),
+            timestep_s=spec.timestep_s,
+        )
+        demands.append(demand)
+        layers.append(_layer(skin, body, demand))
+    if len(layers) == 1:
+        return layers
+    step_s = _common_step([layer.sizes.step_s for layer in layers], spec)
+    return [
+        _layer(skin, bodies[names.index(skin.config.body)], replace(demand, longest_step_s=step_s))
+        for skin, demand in zip(spec.skins, demands, strict=True)
+    ]
+
+
+def _layer(skin: SkinSpec, body: BodyModel, demand: LayerDemand) -> SceneLayer:
+    return SceneLayer(
+        skin.config, body.surface, body.depth_to_bone_m, np.array(skin.patch_centre), demand,
+        element=f"plugin 'palmfield.skin' instance '{skin.name}'",
+    )  # fmt: skip
+
+
+def nearest_stimulus(skin: SkinSpec, stimuli: tuple[StimulusModel, ...]) -> StimulusModel:
+    """The stimulus whose first focus is nearest to the middle of a skin: its sound is what the layer is made for."""
+    centre = skin.body.transform.points(np.array(skin.patch_centre))
+    sounding = [stimulus for stimulus in stimuli if not stimulus.silent] or list(stimuli)
+    return min(sounding, key=lambda stimulus: float(np.linalg.norm(stimulus.first_focus - centre)))
+
+
+def _common_step(steps_s: list[float], spec: SceneSpec) -> float:
+    """The time step that all skins share [s], so that results have one time."""
+    step_s = min(steps_s)
+    for skin, own in zip(spec.skins, steps_s, strict=True):
+        if skin.config.step_s is not None and own > (1.0 + 1e-9) * step_s:
+            raise SceneError(
+                f"plugin 'palmfield.skin' instance '{skin.name}': key 'step_s' has value {skin.config.step_s:g}, but "
+                f"another skin needs {step_s:g}, and all skins share one step; allowed: {step_s:g}"
+            )
+    return step_s
+
+
+def spot_fwhm(arrays: PhasedArray, board: Board, stimulus: StimulusModel) -> float:
+    """Full width at half maximum of |p|^2 around a stimulus's first focus, along the array's x axis [m]."""
+    focus = stimulus.first_focus
+    config = stimulus.config
+    drive = ArrayDrive(arrays, stimulus.transducers, config.arp_peak_Pa, config.drive_amplitude, board)
+    offset = np.linspace(0.0, 0.06, 241)
+    points = focus + offset[:, None] * np.array([1.0, 0.0, 0.0])
+    square = np.abs(arrays.pressure64(points, drive.unit_drive(focus).amplitudes)) ** 2
+    below = np.flatnonzero(square < 0.5 * square[0])
+    return 2 * float(offset[below[0]]) if len(below) else 2 * float(offset[-1])
+
+
+def path_reach(stimulus: StimulusModel, body: BodyModel, centre: Float) -> tuple[float, float]:
+    """How far a path goes from the focus's middle, and from the middle of the skin layer [m]."""
+    if stimulus.path is not None and body.surface is not None:
+        places, _ = stimulus.path.at(stimulus.path.arc_m, body.surface.vertices, body.surface.faces)
+        reach = float(np.linalg.norm(places - centre, axis=1).max())
+        return reach, reach
+    foci = np.reshape(stimulus.config.foci_m, (-1, 3))[:, :2]
+    offset = float(np.hypot(*foci.T).max(initial=0.0))
+    if stimulus.config.path_diameter_m:
+        return (0.5 * stimulus.config.path_diameter_m + offset,) * 2
+    path = plane_path(stimulus.config)
+    reach = offset + (0.0 if path is None else float(np.hypot(*path.points.T).max()))
+    return reach, reach

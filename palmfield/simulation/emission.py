@@ -1,0 +1,166 @@
+"""What the transducers are told and what they emit over a step: the stages drive and emitted.
+
+An Emission belongs to one state and is used by one thread at a time: it keeps the drives of the arrays as they stand
+now, and where each stimulus's points were at the last control tick.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from palmfield.acoustics.phased_array import PhasedArray
+from palmfield.drive.array_drive import ArrayDrive
+from palmfield.drive.transducer_response import (
+    EmittedCourse,
+    combined,
+    commanded_drive,
+    emitted_now,
+    emitted_over,
+    mean_level,
+    rows,
+)
+from palmfield.simulation.model import HapticModel, StimulusModel
+from palmfield.simulation.posed_scene import PosedScene
+from palmfield.stimulus.focal_points import FocalPoints
+from palmfield.stimulus.schedule import Moments, first_point, frame_at, frames_at, substep_moments
+from palmfield.types import Complex, Float
+
+TICK_S = 1e-9
+"""A control tick that is nearer than this counts as reached."""
+LEAST_MEANS = 4
+"""Parts of a MuJoCo step over which the force on bodies is averaged, at least."""
+
+
+class HeldPoints(NamedTuple):
+    """Where a stimulus's points were at a control tick, and when they were taken [s]."""
+
+    time_s: float
+    points: FocalPoints
+
+
+class Emission:
+    """Drives and emission of a model's transducers.
+
+    held: of each stimulus with a control rate, None before its first step
+    """
+
+    def __init__(self, model: HapticModel):
+        self.model = model
+        self.held: list[HeldPoints | None] = [None] * len(model.stimuli)
+        self._drives: tuple[PhasedArray, list[ArrayDrive]] = (model.arrays, array_drives(model, model.arrays))
+        self._points: tuple[PosedScene | None, list[FocalPoints]] = (None, [])
+
+    def drives(self, arrays: PhasedArray) -> list[ArrayDrive]:
+        """How each stimulus drives its transducers, with the arrays as they stand."""
+        if self._drives[0] is not arrays:
+            self._drives = arrays, array_drives(self.model, arrays)
+        return self._drives[1]
+
+    def begin(self, posed: PosedScene, time_s: float) -> None:
+        """Take the stimuli's points where a step begins, for those whose control tick is due."""
+        for number, stimulus in enumerate(self.model.stimuli):
+            if stimulus.config.control_rate_Hz > 0.0:
+                held = self.held[number]
+                if held is not None and time_s <= held.time_s:
+                    # The same moment again, or an earlier one after a reset: what was held may lie elsewhere now.
+                    self.held[number] = None
+                points = self._at(posed, number, stimulus, time_s)
+                held = self.held[number]
+                if held is None or held.points is not points:
+                    self.held[number] = HeldPoints(time_s, points)
+
+    def focal_points(self, posed: PosedScene, time_s: float) -> list[FocalPoints]:
+        """Where each stimulus's points are; between control ticks, where they were at the last."""
+        points = []
+        for number, part in enumerate(self.model.stimuli):
+            points.append(self._at(posed, number, part, time_s))
+        return points
+
+    def _at(self, posed: PosedScene, number: int, stimulus: StimulusModel, time_s: float) -> FocalPoints:
+        rate, held = stimulus.config.control_rate_Hz, self.held[number]
+        if held is not None and time_s >= held.time_s:
+            ticks = int((time_s + TICK_S) * rate), int((held.time_s + TICK_S) * rate)
+            if ticks[0] == ticks[1]:
+                return held.points
+        if self._points[0] is not posed:
+            points = []
+            for other, part in enumerate(self.model.stimuli):
+                points.append(posed.focal_points(part, other))
+            self._points = posed, points
+        return self._points[1][number]
+
+    def over(self, posed: PosedScene, emitted: Complex, t0: float, count: int) -> tuple[Moments, EmittedCourse]:
+        """What is emitted at the moments of `count` substeps from t0 [s] on; emitted: at t0, shape (N,)."""
+        model = self.model
+        moments = substep_moments(model.configs, t0, model.step_s, count)
+        points, drives = self.focal_points(posed, t0), self.drives(posed.arrays)
+        courses = []
+        for part, drive, place in zip(model.stimuli, drives, points, strict=True):
+            courses.append(emitted_over(part.config, drive, part.response, emitted, place, moments))
+        return moments, combined(courses)
+
+    def now(self, posed: PosedScene, emitted: Complex, time_s: float) -> EmittedCourse:
+        """What is emitted at the present time [s], as a course of one moment; emitted: shape (N,)."""
+        points, drives = self.focal_points(posed, time_s), self.drives(posed.arrays)
+        courses = []
+        for part, drive, place in zip(self.model.stimuli, drives, points, strict=True):
+            courses.append(emitted_now(part.config, drive, part.response, emitted, place, time_s))
+        return combined(courses)
+
+    def commanded(self, posed: PosedScene, times: Float) -> Complex:
+        """What the transducers are told at some times [s], shape (k, N); what they make of it comes later."""
+        points, drives = self.focal_points(posed, float(times[0])), self.drives(posed.arrays)
+        total = np.zeros((len(times), len(posed.arrays)), np.complex128)
+        for part, drive, place in zip(self.model.stimuli, drives, points, strict=True):
+            total += commanded_drive(part.config, drive, None, times, place)
+        return total
+
+    def foci(self, posed: PosedScene, times: Float) -> list[Float]:
+        """Where each stimulus's foci are at some times [s], array frame [m], shapes (k, foci, 3)."""
+        result = []
+        for part, place in zip(self.model.stimuli, self.focal_points(posed, float(times[0])), strict=True):
+            points, _ = frames_at(part.config, times)
+            if len(part.offsets):
+                result.append(np.array([place.at(point) for point in points]))
+            else:
+                result.append(place.along(points)[:, None])
+        return result
+
+    def mean_drives(self, posed: PosedScene, emitted: Complex, t0: float) -> list[tuple[Complex, float]]:
+        """Drives (N,) whose ARP, with these weights, is the mean over the MuJoCo step that begins at t0 [s].
+
+        Of one stimulus it is that for its focus at the step's beginning; of several, what they emit together at
+        LEAST_MEANS moments.
+        """
+        model = self.model
+        timestep_s = model.spec.timestep_s
+        if len(model.stimuli) > 1:
+            moments, course = self.over(posed, emitted, t0, model.substeps)
+            weights = 0.5 * np.add.reduce(moments.first + moments.last, axis=0) / model.substeps
+            if course.levels is not None:
+                if course.unit is None:
+                    return []
+                return [(course.unit, float(weights @ np.abs(course.levels) ** 2))]
+            every = max(1, len(weights) // LEAST_MEANS)
+            chosen = range(0, len(weights), every)
+            share = sum(weights[i] for i in chosen)
+            emitted_rows = rows(course)
+            return [(emitted_rows[i], float(weights[i] / share)) for i in chosen if weights[i] > 0.0]
+        part = model.stimuli[0]
+        if part.silent:
+            return []
+        place, drive = self.focal_points(posed, t0)[0], self.drives(posed.arrays)[0]
+        count = max(LEAST_MEANS, model.substeps)
+        level = mean_level(part.config, drive, part.response, emitted, place, t0, timestep_s / count, count)
+        if level == 0.0:
+            return []
+        point = first_point(part.config) if part.config.path == "point" else frame_at(part.config, t0).focus
+        return [(drive.unit_drive(place.at(point)).amplitudes, level)]
+
+
+def array_drives(model: HapticModel, arrays: PhasedArray) -> list[ArrayDrive]:
+    """How each stimulus drives its transducers, with the arrays in one relative pose."""
+    return [
+        ArrayDrive(arrays, part.transducers, part.config.arp_peak_Pa, part.config.drive_amplitude, model.board)
+        for part in model.stimuli
+    ]

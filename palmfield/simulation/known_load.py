@@ -1,0 +1,264 @@
+"""Loads whose course is known before the run: which scenes have one, and the small model of the skin made for it.
+
+A stimulus that comes round on skin that keeps still loads it with few patterns, and a skin whose load is known needs a
+small model only.
+"""
+
+import math
+from fractions import Fraction
+
+import numpy as np
+
+from palmfield.config import StimulusConfig
+from palmfield.drive.response import Pole
+from palmfield.drive.transducer_response import commanded_drive
+from palmfield.errors import SceneError
+from palmfield.simulation.emission import array_drives
+from palmfield.simulation.model import HapticModel, StepperChoice, StimulusModel
+from palmfield.simulation.posed_scene import PosedScene, reference_scene
+from palmfield.simulation.radiation import Radiation
+from palmfield.simulation.spec import SceneSpec, SkinSpec
+from palmfield.simulation.whole_layer import sounding
+from palmfield.skin.reduction.krylov import Fade, harmonics, level, periodic
+from palmfield.skin.reduction.reduced_stepper import MOST_VECTORS, KnownLoad, reduced_stepper
+from palmfield.skin.scene_layer import SceneLayer
+from palmfield.skin.solver_choice import scene_choices
+from palmfield.skin.stepper import SkinStepper
+from palmfield.stimulus.schedule import frames_at, is_closed, main_frequencies, repeats, turn_rate_Hz
+from palmfield.types import Complex, Float
+
+SHARE = 0.1
+"""Of the wanted accuracy that reducing the skin may cost."""
+MOST_TURNS = 4
+"""Turns of a path in which its modulation must come round."""
+BAND = 2.5
+"""Of the highest frequency that mesh and step resolve: harmonics of a load that a model is made for."""
+TRIAL_S, LONGEST_TRIAL_S = 0.03, 0.1
+"""Time of the load under which models are compared [s], and at most for a load that comes round more slowly."""
+REST_S = 2.5e-3
+"""A focus that rests longer than this at each point of its path is as many loads, and no smooth course [s]."""
+MOST_SAMPLES = 1024
+SMALLEST = 1e-4
+"""Of the largest harmonic of a load: smaller ones are left out of what a model is made for."""
+BEGINNING = 48
+"""Moments at which the load is looked at while the transducers ring up."""
+SETTLED = 12.0
+"""Transducers are rung up after this over their damping."""
+
+# -- which scenes have one -----------------------------------------------------------------------------------------
+
+
+def choose_stepper(
+    spec: SceneSpec,
+    skin: SkinSpec,
+    layer: SceneLayer,
+    stimuli: tuple[StimulusModel, ...],
+    pole: Pole,
+    response_on: bool,
+) -> StepperChoice:
+    """Choose by key `solver`, by what can be reduced, and by predicted time.
+
+    Raises SceneError where a small model is asked for and can't be.
+    """
+    substeps = spec.duration_s / layer.sizes.step_s
+    reason = refusal(skin, layer, stimuli, pole, response_on)
+    requested = skin.config.solver
+    if reason is not None and requested == "reduced":
+        raise SceneError(
+            f"plugin 'palmfield.skin' instance '{skin.name}': key 'solver' has value 'reduced', but no small "
+            f"model: {reason}: set it to auto"
+        )
+    vectors = 0 if reason is not None else expected_vectors(_sounding(stimuli), pole, response_on)
+    choices = scene_choices(layer.dofs, substeps, vectors, reason)
+    seconds = {choice.name: choice.seconds for choice in choices}
+    if reason is not None:
+        return StepperChoice("wedges", f"no small model: {reason}", seconds["wedges"], None)
+    if requested != "auto":
+        return StepperChoice(requested, "asked for", seconds["wedges"], seconds["reduced"])
+    why = f"the load is known ahead; about {seconds['reduced']:.1f} s against {seconds['wedges']:.1f} s"
+    return StepperChoice(choices[0].name, why, seconds["wedges"], seconds["reduced"])
+
+
+def refusal(
+    skin: SkinSpec, layer: SceneLayer, stimuli: tuple[StimulusModel, ...], pole: Pole, response_on: bool
+) -> str | None:
+    """Why a skin can't be reduced for these stimuli, in words, or None."""
+    if skin.config.solver == "wedges":
+        return "solver 'wedges' is asked for"
+    if skin.moves:
+        return "a hand is moved by script"
+    heard = [stimulus for stimulus in stimuli if not stimulus.silent]
+    if not heard:
+        return "the stimulus is silent"
+    if len(heard) > 1:
+        return f"{len(heard)} stimuli sound together"
+    if one_shape(heard[0], pole, response_on):
+        return None
+    config = heard[0].config
+    if not repeats(config):
+        return "bursts, or a path that runs once, don't come round"
+    if config.path == "letters" or (config.path_end == "jump" and not is_closed(config)):
+        return "the focus jumps from one end of its path to the other"
+    if config.path != "point" and config.control_rate_Hz > 0.0:
+        return "control_rate_Hz holds the focus at moments that don't come round with the path"
+    expected = expected_vectors(heard[0], pole, response_on)
+    if expected > MOST_VECTORS:
+        return f"the focus rests at {config.path_points} points in turn, which takes about {expected} vectors"
+    turn = period_s(config)
+    if turn is None:
+        return f"path and modulation come round together after more than {MOST_TURNS} turns"
+    if samples(config, turn, layer.demand.max_frequency_Hz) > MOST_SAMPLES:
+        return f"the load comes round after {turn:.3g} s only"
+    return None
+
+
+def _sounding(stimuli: tuple[StimulusModel, ...]) -> StimulusModel:
+    return next((stimulus for stimulus in stimuli if not stimulus.silent), stimuli[0])
+
+
+def expected_vectors(stimulus: StimulusModel, pole: Pole, response_on: bool) -> int:
+    """About how many vectors the model will have, as seen on the shipped scenes."""
+    if one_shape(stimulus, pole, response_on):
+        return 60
+    config = stimulus.config
+    rate = turn_rate_Hz(config)
+    if config.path_points and rate and REST_S * rate * config.path_points < 1.0:
+        return 60 * config.path_points
+    return 100 if config.stop_s is None else 200
+
+
+def one_shape(stimulus: StimulusModel, pole: Pole, response_on: bool) -> bool:
+    """Whether the load is one field whose level alone changes."""
+    alike = not response_on or (not stimulus.response.delayed and np.ptp(np.abs(pole.rate)) == 0.0)
+    return stimulus.config.path == "point" and alike
+
+
+def period_s(config: StimulusConfig) -> float | None:
+    """Time after which focus and level are the same again [s]; None where that takes more than MOST_TURNS turns."""
+    path = turn_rate_Hz(config)
+    wave = config.am_frequency_Hz if config.modulation == "am" else None
+    if path is None or wave is None:
+        return 1.0 / (path or wave or 200.0)
+    ratio = Fraction(wave / path).limit_denominator(MOST_TURNS)
+    return ratio.denominator / path if math.isclose(float(ratio) * path, wave, rel_tol=1e-9) else None
+
+
+def samples(config: StimulusConfig, turn_s: float, max_frequency_Hz: float) -> int:
+    """Loads to be computed over one period, for harmonics up to BAND, as many to each held point of a path."""
+    points = max(config.path_points, 1)
+    band = BAND * (2.0 if points > 1 else 1.0) * max_frequency_Hz
+    return points * math.ceil(max(32, 4 * math.ceil(band * turn_s)) / points)
+
+
+# -- the load and its model ----------------------------------------------------------------------------------------
+
+
+def first_stepper(model: HapticModel, skin: int) -> SkinStepper:
+    """What a skin begins with: a small model for the known load in the reference pose, or its whole layer.
+
+    Raises SceneError for a small model that is asked for but fails.
+    """
+    part = model.skins[skin]
+    if part.choice.name == "wedges":
+        return model.whole[skin].value
+    layer, posed = part.layer, reference_scene(model)
+    focus = posed.skins[skin].body.frame.inverse_points(model.stimuli[sounding(model)].first_focus)
+    try:
+        return reduced_stepper(
+            layer.system,
+            known_load(model, skin, posed),
+            layer.surface_operator,
+            layer.probe(focus).operator,
+            layer.quadrature.operator,
+            layer.sizes.step_s,
+            layer.demand.max_frequency_Hz,
+            SHARE * part.spec.config.accuracy,
+        )
+    except SceneError:
+        if part.spec.config.solver == "reduced":
+            raise
+        return model.whole[skin].value
+
+
+def known_load(model: HapticModel, skin: int, posed: PosedScene) -> KnownLoad:
+    """What the one sounding stimulus does to a skin in a pose that it keeps."""
+    number = sounding(model)
+    stimulus, radiation = model.stimuli[number], Radiation(model)
+    config, layer = stimulus.config, model.skins[skin].layer
+    start, step = config.start_s, layer.sizes.step_s
+    turn = period_s(config) or 0.0
+    trial: Float = step * np.arange(round(min(max(TRIAL_S, turn), LONGEST_TRIAL_S) / step) + 1, dtype=np.float64)
+    if one_shape(stimulus, model.pole, model.response_on):
+        drive = array_drives(model, posed.arrays)[number].unit_drive(stimulus.reference_foci)
+        shape = _forces(model, skin, posed, radiation, drive.amplitudes[None]).T
+        lines = [0.0, layer.demand.main_frequency_Hz, *main_frequencies(config)]
+        spectrum: list[tuple[float, Complex]] = [(f, np.ones(1, complex)) for f in dict.fromkeys(lines)]
+        return KnownLoad(shape, shape, [frames_at(config, start + trial)[1][:, None]], spectrum)
+    count = samples(config, turn, layer.demand.max_frequency_Hz)
+    skip = math.ceil(_settling_s(stimulus, model) * count / turn)
+    drives = rehearse(model, number, posed, turn / count, skip, count)
+    loads = _forces(model, skin, posed, radiation, drives)
+    waves = np.conj(np.fft.rfft(loads, axis=0)[: count // 4 + 1].T) / count
+    waves[:, 1:] *= 2.0
+    frequencies = np.arange(waves.shape[1]) / turn
+    size = np.linalg.norm(waves, axis=0)
+    kept = size > SMALLEST * size.max()
+    # Sampled from `skip` on, wanted from the start of the sound
+    late = np.exp(2j * np.pi * frequencies * skip * turn / count)
+    frequencies, waves = frequencies[kept], (waves * late)[:, kept]
+    # The ARP goes with the square of what the transducers emit.
+    g = float(model.pole.damping.min()) if model.response_on else math.inf
+    begin: Fade = ((0.0, 1.0), (g, -2.0), (2.0 * g, 1.0)) if model.response_on else ((0.0, 1.0),)
+    end: Fade = ((0.0, -1.0), (2.0 * g, 1.0)) if model.response_on else ((0.0, -1.0),)
+    events = [(0.0, begin)]
+    if config.stop_s is not None:
+        events.append((config.stop_s - start, end))
+    course = periodic(waves, frequencies, events)
+    trials: list[Float] = [level(fade, trial)[:, None] * harmonics(frequencies, time + trial) for time, fade in events]
+    pair = np.array([1.0, -1j])
+    spectrum = [(float(f), np.kron(np.eye(len(frequencies) + 1)[k], pair)[:-1]) for k, f in enumerate(frequencies)]
+    # What the beginning differs from the course, as one impulse spread over the trial.
+    impulse = np.zeros(len(course.shapes))
+    if model.response_on:
+        width = _settling_s(stimulus, model) / BEGINNING
+        drives = rehearse(model, number, posed, width, 0, BEGINNING)
+        difference = _forces(model, skin, posed, radiation, drives)
+        moments: Float = width * np.arange(BEGINNING, dtype=np.float64)
+        difference -= (level(begin, moments)[:, None] * harmonics(frequencies, moments)) @ course.shapes.T
+        impulse = width / trial[-1] * difference.sum(axis=0)
+        spectrum += [(float(f), np.eye(2 * len(frequencies) + 1)[-1].astype(complex)) for f in frequencies]
+    shapes = np.column_stack([course.shapes, impulse])
+    return KnownLoad(course, shapes, [np.column_stack([shares, np.zeros(len(trial))]) for shares in trials], spectrum)
+
+
+def _settling_s(stimulus: StimulusModel, model: HapticModel) -> float:
+    """Time after which the transducers are rung up [s]; 0 where they do so at once."""
+    if not model.response_on:
+        return 0.0
+    return float(SETTLED / model.pole.damping.min() + 2.0 * np.abs(stimulus.response.delays_s).max())
+
+
+def rehearse(model: HapticModel, number: int, posed: PosedScene, step_s: float, skip: int, count: int) -> Complex:
+    """What is emitted at `count` times after the first `skip`, from the start of the sound on, (count, N).
+
+    The stimulus is that without ramp and end: what comes round.
+    """
+    stimulus = model.stimuli[number]
+    steady = stimulus.config.model_copy(update={"ramp_s": 0.0, "stop_s": None})
+    drive, places = array_drives(model, posed.arrays)[number], posed.focal_points(stimulus, number)
+    times: Float = steady.start_s + step_s * np.arange(skip + count, dtype=np.float64)
+    delays_s = stimulus.response.delays_s if model.response_on else None
+    commanded = commanded_drive(steady, drive, delays_s, times, places)
+    if not model.response_on:
+        return commanded[skip:]
+    emitted = np.zeros_like(commanded)
+    decay, before, after = stimulus.response.stepper.weights(step_s)
+    for k in range(1, len(times)):
+        emitted[k] = decay * emitted[k - 1] + before * commanded[k - 1] + after * commanded[k]
+    return emitted[skip:]
+
+
+def _forces(model: HapticModel, skin: int, posed: PosedScene, radiation: Radiation, drives: Complex) -> Float:
+    """Consistent nodal forces on the skin [N] of drives (f, N), shape (f, ndof)."""
+    operator = model.skins[skin].layer.quadrature.operator
+    return np.array([operator @ row for row in radiation.many(posed, skin, drives).astype(np.float64)])

@@ -1,0 +1,253 @@
+"""All of a scene that is constant in a run: phased arrays, stimuli, surfaces, skin layers and what steps them.
+
+Made by `palmfield.simulation.build.build`, shared by every mjData of the scene and by threads. Costly parts are made
+when they are first needed, once.
+"""
+
+import threading
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from scipy import sparse
+from trimesh.remesh import subdivide_to_size
+
+from palmfield.acoustics.phased_array import ArrayInstance, PhasedArray
+from palmfield.config import StimulusConfig
+from palmfield.drive.boards import Board
+from palmfield.drive.response import Pole
+from palmfield.drive.transducer_response import TransducerResponse
+from palmfield.hand.posed_surface import FaceSampler, SkinBinding, blend, face_samples
+from palmfield.hand.skinning import SkinnedSurface
+from palmfield.hand.subdivide import EDGE_m
+from palmfield.locked import Lazy, locked_cached_property
+from palmfield.simulation.spec import SceneSpec, SkinSpec, StimulusSpec
+from palmfield.skin.fem.probe import surface_vectors
+from palmfield.skin.fem.wedge_stepper import WedgeStepper
+from palmfield.skin.mesh.surface import closed_boundary, output_triangles
+from palmfield.skin.scene_layer import SceneLayer
+from palmfield.skin.stepper import SkinStepper
+from palmfield.stimulus.surface_path import SurfacePath
+from palmfield.transforms import Transform
+from palmfield.types import Float, Int, Surface
+
+
+@dataclass(frozen=True)
+class StimulusModel:
+    """One stimulus with what it drives.
+
+    config: its keys, with the length of a path through sites; transducers: numbers of those that it drives, (k,)
+    path: on the skin, None for one in space; offsets: of several foci at once [m], shape (m, 3), or (0, 3)
+    response: ring-up and flight time of its transducers
+    reference_foci: where the sound goes first in the reference pose, array frame [m], shape (3,) or (m, 3)
+    silent: whether it never sounds
+    """
+
+    spec: StimulusSpec
+    config: StimulusConfig
+    transducers: Int
+    path: SurfacePath | None
+    offsets: Float
+    response: TransducerResponse
+    reference_foci: Float
+    silent: bool
+
+    @property
+    def first_focus(self) -> Float:
+        """The focus, or the first of several, in the reference pose, array frame [m], shape (3,)."""
+        return np.atleast_2d(self.reference_foci)[0]
+
+
+class BodyModel:
+    """A body that carries skin: its surface, and how its bones move it. All in the body's frame.
+
+    name: of MuJoCo's body; surface: whole and closed, None for a disc, whose lit face is the skin itself
+    hand: the surface with its bones, None for a body in one piece
+    depth_to_bone_m: by vertex of the surface, shape (v,), or one depth for all
+    """
+
+    def __init__(self, name: str, surface: Surface | None, hand: SkinnedSurface | None, depth_to_bone_m: Float | float):
+        self.name, self.surface, self.hand, self.depth_to_bone_m = name, surface, hand, depth_to_bone_m
+        self.lock = threading.RLock()
+        origins = [] if hand is None else [bone.origin for bone in hand.bones]
+        self.rest_origins: Float = np.array(origins).reshape(-1, 3)
+        """Of the bones at rest [m], shape (b, 3); none for a body in one piece."""
+
+    @property
+    def parts(self) -> int:
+        """How many of MuJoCo's bodies the sound pushes: the bones, or one."""
+        return max(1, len(self.rest_origins))
+
+    @locked_cached_property
+    def face_bones(self) -> Int:
+        """The bone that each face of a surface with bones pushes, shape (m,)."""
+        assert self.hand is not None
+        return self.hand.dominant_bone()[self.hand.surface.faces[:, 0]]
+
+    @locked_cached_property
+    def rest_samples(self) -> tuple[Float, Float, Float]:
+        """Points [m], outward normals, shapes (n, 3), and areas [m^2], (n,), of a surface in one piece."""
+        assert self.surface is not None
+        return face_samples(*subdivide_to_size(self.surface.vertices, self.surface.faces, EDGE_m, max_iter=20))
+
+    def posed_samples(self, vertices: Float, frame: Transform) -> tuple[Float, Float, Float]:
+        """Points [m], outward normals, shapes (n, 3), in the outer frame, and areas [m^2], (n,), of moved vertices."""
+        with self.lock:
+            samples = self._sampler.at(vertices)
+            return frame.points(samples.centroids), frame.vectors(samples.normals), samples.areas.copy()
+
+    @locked_cached_property
+    def _sampler(self) -> FaceSampler:
+        assert self.surface is not None
+        return FaceSampler(self.surface.faces, len(self.surface.vertices))
+
+    def bind(self, points: Float) -> SkinBinding | None:
+        """The bones that carry points of the resting skin [m], shape (n, 3); None for a body in one piece."""
+        return None if self.hand is None else SkinBinding.to(self.hand, points)
+
+    def posed_vertices(self, bone_positions: Float, bone_rotations: Float) -> Float:
+        """Vertices of the surface [m], shape (v, 3), where the bones have taken it."""
+        assert self.surface is not None
+        if self.hand is None:
+            return self.surface.vertices
+        with self.lock:
+            return self.hand.posed(bone_positions, bone_rotations)
+
+    def moved(
+        self, points: Float, normals: Float, binding: SkinBinding | None, bone_positions: Float, bone_rotations: Float
+    ) -> tuple[Float, Float]:
+        """Points of the resting surface [m] and their unit normals, shapes (n, 3), where the bones have taken them."""
+        if binding is None or self.hand is None:
+            return points, normals
+        return blend(binding, self.hand, bone_positions, bone_rotations, points, normals)
+
+
+class StepperChoice(NamedTuple):
+    """Which stepper a skin begins with.
+
+    name: "wedges" or "reduced"; why: in words
+    wedges_s, reduced_s: predicted seconds of making and stepping, the latter None where it can't
+    """
+
+    name: str
+    why: str
+    wedges_s: float
+    reduced_s: float | None
+
+    @property
+    def seconds(self) -> float:
+        """Predicted for the stepper that was chosen."""
+        return self.wedges_s if self.name == "wedges" or self.reduced_s is None else self.reduced_s
+
+
+class SkinModel:
+    """One skin layer on its body.
+
+    body: number of the body that carries it, carrier: that body; layer: mesh and matrices
+    choice: of what steps it; still_m: what moves by less than this counts as still [m]
+    """
+
+    def __init__(
+        self, spec: SkinSpec, body: int, carrier: BodyModel, layer: SceneLayer, choice: StepperChoice, still_m: float
+    ):
+        self.spec, self.body, self.carrier, self.layer = spec, body, carrier, layer
+        self.choice, self.still_m = choice, still_m
+        self.lock = threading.RLock()
+
+    @locked_cached_property
+    def nodes(self) -> tuple[Float, Float]:
+        """Rest positions [m] and outward normals of the layer's surface nodes, body frame, shapes (S, 3)."""
+        mesh = self.layer.mesh
+        return mesh.nodes[: mesh.surface_nodes], mesh.surface_normals()
+
+    @locked_cached_property
+    def nodes_binding(self) -> SkinBinding | None:
+        """Bones of the surface nodes."""
+        return self.carrier.bind(self.nodes[0])
+
+    @locked_cached_property
+    def quadrature_binding(self) -> SkinBinding | None:
+        """Bones of the points at which the ARP is integrated."""
+        return self.carrier.bind(self.layer.quadrature.points)
+
+    @locked_cached_property
+    def obstacles(self) -> list[tuple[Float, Int]]:
+        """Meshes [m] of what casts shadows besides bodies with skins, each in its own body's frame."""
+        return [obstacle.shape.mesh() for obstacle in self.spec.obstacles]
+
+    @locked_cached_property
+    def corners(self) -> Float:
+        """Of a box round the layer's surface, body frame [m], shape (8, 3)."""
+        nodes = self.nodes[0]
+        ends = np.array([nodes.min(axis=0), nodes.max(axis=0)])
+        return np.stack(np.meshgrid(*ends.T, indexing="ij"), axis=-1).reshape(-1, 3)
+
+    @locked_cached_property
+    def faces(self) -> Int:
+        """Triangles over the surface nodes, counter-clockwise from outside, shape (f, 3)."""
+        return output_triangles(self.layer.mesh).astype(np.int32)
+
+    @locked_cached_property
+    def depth(self) -> Float:
+        """Thickness of the layer under each surface node [m], shape (S,)."""
+        nodes = self.nodes[0]
+        return np.linalg.norm(nodes - self.layer.mesh.nodes[-len(nodes) :], axis=1)
+
+    @locked_cached_property
+    def surface_vectors(self) -> sparse.csr_matrix:
+        """Unknowns -> displacement of the surface nodes, three components a node, shape (3 S, ndof)."""
+        return surface_vectors(self.layer.mesh, self.layer.system)
+
+    @locked_cached_property
+    def closed_surface(self) -> tuple[Float, Int]:
+        """Vertices [m] and faces of the body that the sound meets, closed, at rest."""
+        surface = self.carrier.surface
+        return closed_boundary(self.layer.mesh) if surface is None else (surface.vertices, surface.faces)
+
+
+@dataclass(frozen=True)
+class HapticModel:
+    """All of a scene that is constant in a run.
+
+    arrays: as they stand to one another in the reference pose; board: what plays the drive
+    pole: of all transducers; response_on: whether their ring-up is modelled
+    begin: the stepper with which each skin begins; whole: the one that steps its whole layer
+    marks: numbers by which states are known, see `palmfield.simulation.state`; filled as they are needed
+    """
+
+    spec: SceneSpec
+    arrays: PhasedArray
+    board: Board
+    stimuli: tuple[StimulusModel, ...]
+    bodies: tuple[BodyModel, ...]
+    skins: tuple[SkinModel, ...]
+    pole: Pole
+    response_on: bool
+    begin: tuple[Lazy[SkinStepper], ...]
+    whole: tuple[Lazy[WedgeStepper], ...]
+    marks: dict[tuple[str, int, str], float] = field(default_factory=dict)
+
+    @cached_property
+    def configs(self) -> tuple[StimulusConfig, ...]:
+        """Keys of the stimuli."""
+        return tuple(part.config for part in self.stimuli)
+
+    @cached_property
+    def substeps(self) -> int:
+        """Steps of the skins in one of MuJoCo's; all skins share them, so that results have one time."""
+        return round(self.spec.timestep_s / self.step_s)
+
+    @cached_property
+    def step_s(self) -> float:
+        """The skins' time step [s]."""
+        return self.skins[0].layer.sizes.step_s
+
+    def carried(self, body: int) -> list[int]:
+        """Numbers of the skins on a body; the first one's keys count for the force on the body."""
+        return [number for number, skin in enumerate(self.skins) if skin.body == body]
+
+
+def array_instances(spec: SceneSpec) -> tuple[ArrayInstance, ...]:
+    """A scene's arrays as `palmfield.acoustics.phased_array` takes them."""
+    return tuple(ArrayInstance(array.config, array.placement) for array in spec.arrays)

@@ -1,0 +1,293 @@
+"""What one pose of MuJoCo's bodies means for sound and skin, in the frame of the first array.
+
+A PosedScene is made once per MuJoCo step. Everything that follows from the pose hangs on it and is computed when first
+asked for, so that "the same pose" is the same object: fields kept for it can't belong to another.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from palmfield.acoustics.phased_array import PhasedArray
+from palmfield.hand.posed_surface import SkinBinding
+from palmfield.simulation.model import BodyModel, HapticModel, SkinModel, StimulusModel, array_instances
+from palmfield.stimulus.focal_points import FocalPoints, SurfaceCourse
+from palmfield.transforms import IDENTITY, Placement, Transform
+from palmfield.types import Float, Int
+
+STILL = 0.05
+"""A body or focus that moves by less than this part of accuracy times spot width counts as still: the load then is off
+by less than a tenth of the accuracy (displacement over standard deviation, over sqrt 2)."""
+
+
+class PoseRows(NamedTuple):
+    """World frames of all that a scene's sound and skins depend on.
+
+    positions: [m], shape (m, 3); rotations: shape (m, 3, 3). Rows are the arrays, the stimuli's frames, the transducers
+    that are sites, then for each skin its body, its bones and its obstacles.
+    """
+
+    positions: Float
+    rotations: Float
+
+
+@dataclass(frozen=True)
+class PoseLayout:
+    """Which rows of PoseRows are what. transducers: one slice an array; bodies: row and bones; obstacles: by skin"""
+
+    arrays: int
+    frames: slice
+    transducers: tuple[slice, ...]
+    bodies: tuple[tuple[int, slice], ...]
+    obstacles: tuple[slice, ...]
+    rows: int
+
+    @staticmethod
+    def of(model: HapticModel) -> "PoseLayout":
+        """For a model's arrays, stimuli, bodies and skins."""
+        spec = model.spec
+        row = len(spec.arrays)
+        frames = slice(row, row + len(spec.stimuli))
+        row = frames.stop
+        transducers, bodies, obstacles = [], [], []
+        for array in spec.arrays:
+            transducers.append(slice(row, row + len(array.placement.sites)))
+            row = transducers[-1].stop
+        for body in model.bodies:
+            bodies.append((row, slice(row + 1, row + 1 + len(body.rest_origins))))
+            row = bodies[-1][1].stop
+        for skin in model.skins:
+            obstacles.append(slice(row, row + len(skin.spec.obstacles)))
+            row = obstacles[-1].stop
+        return PoseLayout(len(spec.arrays), frames, tuple(transducers), tuple(bodies), tuple(obstacles), row)
+
+
+class PosedSurface:
+    """One body in one pose; what is not asked for is not computed.
+
+    model: the body at rest; skin: the first skin on it; frame: seen from the first array
+    bone_positions, bone_rotations: in the body's frame, shapes (b, 3) and (b, 3, 3); none for a body in one piece
+    """
+
+    def __init__(self, model: BodyModel, skin: SkinModel, frame: Transform, bones: tuple[Float, Float]):
+        self.model, self.skin, self.frame = model, skin, frame
+        self.bone_positions, self.bone_rotations = bones
+        self.numbers = b"".join([array.tobytes() for array in (*frame, *bones)])
+
+    def same(self, other: "PosedSurface") -> bool:
+        """Exactly equal: only then may a field be used again."""
+        return self.numbers == other.numbers
+
+    @cached_property
+    def vertices(self) -> Float:
+        """Of the closed surface, in the body's frame [m], shape (v, 3)."""
+        if self.model.surface is None:
+            return self.skin.closed_surface[0]
+        return self.model.posed_vertices(self.bone_positions, self.bone_rotations)
+
+    @cached_property
+    def vertices_in_array(self) -> Float:
+        """The same in the array frame."""
+        return self.frame.points(self.vertices)
+
+    @property
+    def faces(self) -> Int:
+        """Of the closed surface, shape (m, 3)."""
+        return self.skin.closed_surface[1]
+
+    @cached_property
+    def samples(self) -> tuple[Float, Float, Float]:
+        """Points for the force on the body [m], outward normals, array frame, (n, 3), and areas [m^2], (n,)."""
+        if self.model.surface is None:
+            quadrature = self.skin.layer.quadrature
+            points, normals, areas = quadrature.points, quadrature.normals, quadrature.weights
+        elif self.model.hand is None:
+            points, normals, areas = self.model.rest_samples
+        else:
+            return self.model.posed_samples(self.vertices, self.frame)
+        return self.frame.points(points), self.frame.vectors(normals), areas
+
+    @cached_property
+    def sample_parts(self) -> Int:
+        """Which of the bodies at `origins` each sample pushes, shape (n,)."""
+        if self.model.hand is None:
+            return np.zeros(len(self.samples[2]), np.int32)
+        return self.model.face_bones
+
+    @cached_property
+    def origins(self) -> Float:
+        """Of the bodies that the sound pushes, bones or the body itself, array frame [m], shape (b, 3)."""
+        return self.frame.position[None] if self.model.hand is None else self.frame.points(self.bone_positions)
+
+    def moved(self, points: Float, normals: Float, binding: SkinBinding | None) -> tuple[Float, Float]:
+        """Points of the resting surface [m] and their normals, body frame, now in the array frame, shapes (n, 3)."""
+        points, normals = self.model.moved(points, normals, binding, self.bone_positions, self.bone_rotations)
+        return self.frame.points(points), self.frame.vectors(normals)
+
+
+class PosedSkin:
+    """One skin layer in one pose; positions are in the array frame.
+
+    obstacle_positions, obstacle_rotations: of what casts shadows besides bodies with skins, in the body's frame
+    """
+
+    def __init__(self, skin: SkinModel, body: PosedSurface, obstacles: tuple[Float, Float]):
+        self.skin, self.body = skin, body
+        self.obstacle_positions, self.obstacle_rotations = obstacles
+        self.numbers = obstacles[0].tobytes() + obstacles[1].tobytes()
+
+    def same_obstacles(self, other: "PosedSkin") -> bool:
+        """Whether the obstacles stand exactly alike to the body."""
+        return self.numbers == other.numbers
+
+    @cached_property
+    def nodes(self) -> tuple[Float, Float]:
+        """Surface nodes of the skin layer [m] and their outward normals, shapes (S, 3)."""
+        points, normals = self.skin.nodes
+        return self.body.moved(points, normals, self.skin.nodes_binding)
+
+    @cached_property
+    def quadrature(self) -> tuple[Float, Float]:
+        """Points at which the ARP on the skin is integrated [m] and their outward normals, shapes (q, 3)."""
+        quadrature = self.skin.layer.quadrature
+        return self.body.moved(quadrature.points, quadrature.normals, self.skin.quadrature_binding)
+
+    @cached_property
+    def obstacles(self) -> tuple[Float, Int] | None:
+        """Vertices [m] and faces of the obstacles that key `obstacles` names; None without any."""
+        if not self.skin.obstacles:
+            return None
+        vertices: list[Float] = []
+        faces: list[Int] = []
+        count = 0
+        places = zip(self.skin.obstacles, self.obstacle_positions, self.obstacle_rotations, strict=True)
+        for (points, corners), position, rotation in places:
+            faces.append((corners + count).astype(np.int32))
+            vertices.append(points @ rotation.T + position)
+            count += len(points)
+        return self.body.frame.points(np.concatenate(vertices)), np.concatenate(faces)
+
+    @cached_property
+    def extent(self) -> Float:
+        """Points that tell how far anything moves: a box round the skin, with bones all of the hand; and obstacles."""
+        points = self.skin.corners if self.body.model.hand is None else self.body.vertices
+        placed = self.body.frame.points(points)
+        return placed if self.obstacles is None else np.concatenate([placed, self.obstacles[0]])
+
+
+class PosedScene:
+    """Arrays, stimuli's frames, bodies and skins in one pose.
+
+    rows: the world frames it was made from; array_frame: frame of the first array in the world
+    arrays: all arrays as they stand to one another; frames: each stimulus's frame, seen from the first array
+    """
+
+    def __init__(
+        self,
+        rows: PoseRows,
+        array_frame: Transform,
+        arrays: PhasedArray,
+        frames: Sequence[Transform],
+        bodies: Sequence[PosedSurface],
+        skins: Sequence[PosedSkin],
+    ):
+        self.rows, self.array_frame, self.arrays = rows, array_frame, arrays
+        self.numbers = rows.positions.tobytes() + rows.rotations.tobytes()
+        self.frames, self.bodies, self.skins = tuple(frames), tuple(bodies), tuple(skins)
+
+    def focal_points(self, stimulus: StimulusModel, number: int) -> FocalPoints:
+        """Where the points of a stimulus, by its number, are in this pose."""
+        course = None
+        if stimulus.path is not None:
+            assert stimulus.spec.on_skin is not None
+            body = self.skins[stimulus.spec.on_skin].body
+            course = SurfaceCourse(stimulus.path, body.vertices, body.faces, body.frame)
+        return FocalPoints(self.frames[number], stimulus.offsets, course)
+
+
+def reference_scene(model: HapticModel) -> PosedScene:
+    """The scene in MuJoCo's reference configuration."""
+    bodies, skins = [], []
+    for number, body in enumerate(model.bodies):
+        first = model.skins[model.carried(number)[0]]
+        upright = np.tile(np.eye(3), (len(body.rest_origins), 1, 1))
+        bodies.append(PosedSurface(body, first, first.spec.body.transform, (body.rest_origins, upright)))
+    for skin in model.skins:
+        frames = [obstacle.placement.transform for obstacle in skin.spec.obstacles]
+        obstacles = (
+            np.array([frame.position for frame in frames]).reshape(-1, 3),
+            np.array([frame.rotation for frame in frames]).reshape(-1, 3, 3),
+        )
+        skins.append(PosedSkin(skin, bodies[skin.body], obstacles))
+    stimuli = [stimulus.frame.transform for stimulus in model.spec.stimuli]
+    none = PoseRows(np.zeros((0, 3)), np.zeros((0, 3, 3)))
+    return PosedScene(none, IDENTITY, model.arrays, stimuli, bodies, skins)
+
+
+def posed_scene(
+    model: HapticModel, layout: PoseLayout, rows: PoseRows, previous: PosedScene, reference: PosedScene
+) -> PosedScene:
+    """The scene in a pose.
+
+    previous: the last one, or the reference: it is returned where nothing has moved, and lends its parts that have not
+    reference: as `reference_scene`; a skin whose small model was made for that pose is taken to be there as long as
+        it, the arrays and obstacles are within STILL of it
+    """
+    numbers = rows.positions.tobytes() + rows.rotations.tobytes()
+    if numbers == previous.numbers:
+        return previous
+    rows = PoseRows(rows.positions.copy(), rows.rotations.copy())
+    origin, turn = rows.positions[0], rows.rotations[0]
+    positions, rotations = (rows.positions - origin) @ turn, turn.T @ rows.rotations
+    arrays = _arrays(model, layout, positions, rotations, previous)
+    frames = [Transform(positions[row], rotations[row]) for row in range(layout.frames.start, layout.frames.stop)]
+    bodies = []
+    for number, (row, bones) in enumerate(layout.bodies):
+        first = reference.bodies[number].skin
+        frame = Transform(positions[row], rotations[row])
+        body = PosedSurface(model.bodies[number], first, frame, _seen_from(rows, row, bones))
+        bodies.append(previous.bodies[number] if previous.bodies[number].same(body) else body)
+    skins = []
+    for number, skin in enumerate(model.skins):
+        body = bodies[skin.body]
+        posed = PosedSkin(skin, body, _seen_from(rows, layout.bodies[skin.body][0], layout.obstacles[number]))
+        last, first_pose = previous.skins[number], reference.skins[number]
+        if last.body is body and last.same_obstacles(posed):
+            posed = last
+        elif skin.choice.name == "reduced" and arrays is model.arrays and _settled(posed, first_pose):
+            posed = first_pose
+            bodies[skin.body] = first_pose.body
+        skins.append(posed)
+    return PosedScene(rows, Transform(origin, turn), arrays, frames, bodies, skins)
+
+
+def _settled(posed: PosedSkin, reference: PosedSkin) -> bool:
+    """Whether a skin is as good as in the reference pose."""
+    return bool(np.maximum.reduce(np.abs(posed.extent - reference.extent), axis=None) < posed.skin.still_m)
+
+
+def _seen_from(rows: PoseRows, body: int, others: slice) -> tuple[Float, Float]:
+    turn = rows.rotations[body]
+    return (rows.positions[others] - rows.positions[body]) @ turn, turn.T @ rows.rotations[others]
+
+
+def _arrays(
+    model: HapticModel, layout: PoseLayout, positions: Float, rotations: Float, previous: PosedScene
+) -> PhasedArray:
+    """The arrays in this relative pose; the reference one, or the last, while they stand to one another as there."""
+    if layout.arrays == 1 and layout.transducers[0].start == layout.transducers[0].stop:
+        return model.arrays
+    placements = []
+    for number, sites in enumerate(layout.transducers):
+        frame = Transform(positions[number], rotations[number])
+        where = frame.inverse_points(positions[sites]).tolist()
+        facing = frame.inverse_vectors(rotations[sites][:, :, 2]).tolist()
+        own = tuple((tuple(place), tuple(direction)) for place, direction in zip(where, facing, strict=True))
+        placements.append(Placement.of(frame, own))
+    for arrays in (model.arrays, previous.arrays):
+        if arrays.same(placements):
+            return arrays
+    return PhasedArray(array_instances(model.spec), placements, model.spec.device)

@@ -1,0 +1,96 @@
+"""Loads that are known ahead while nothing moves: the field of many coming drives costs little more than a few.
+
+A path needs a new field at every substep. What will be emitted is known, and on points that keep still the fields of
+many drives are one matrix product: see `palmfield.acoustics.transfer`.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palmfield.acoustics.transfer import MATRIX_FROM
+from palmfield.simulation.emission import Emission
+from palmfield.simulation.model import HapticModel
+from palmfield.simulation.posed_scene import PosedScene, PosedSkin
+from palmfield.simulation.radiation import Radiation
+from palmfield.types import Complex, Float32
+
+AHEAD = 128
+"""Substeps that are looked ahead; a move throws away what was computed for them."""
+SAME_DRIVE = 1e-9
+"""Of full drive: MuJoCo adds up its time, so that what comes differs from what was predicted in the last digits."""
+ALWAYS = np.ones(1, dtype=bool)
+
+
+class LoadPrefetch:
+    """ARP for coming drives at the quadrature points of each skin. Belongs to one state."""
+
+    def __init__(self, model: HapticModel, emission: Emission, radiation: Radiation):
+        self.model, self.emission, self.radiation = model, emission, radiation
+        self._posed: PosedScene | None = None
+        self._until = -math.inf
+        self._drives: Complex = np.zeros((0, len(model.arrays)), np.complex128)
+        self._loads: dict[int, tuple[PosedSkin, Float32]] = {}
+
+    def predict_drives(self, posed: PosedScene, emitted: Complex, t0: float) -> None:
+        """Predict what will be emitted from t0 [s] on, where the scene has kept still since the last step.
+
+        emitted: at t0, shape (N,)
+        """
+        last, self._posed = self._posed, posed
+        still = last is posed or (last is not None and last.arrays is posed.arrays and last.skins == posed.skins)
+        if not still:
+            self._until, self._drives = -math.inf, self._drives[:0]
+            self._loads.clear()
+            return
+        if t0 < self._until or not self._worthwhile:
+            return
+        count = max(AHEAD // self.model.substeps, 1) * self.model.substeps
+        _, course = self.emission.over(posed, emitted, t0, count)
+        self._until = t0 + (count - 0.5) * self.model.step_s
+        self._loads.clear()
+        drives = self._drives[:0] if course.emitted is None else course.emitted
+        # A focus that rests at a few points is a few drives: each of them costs less by itself.
+        worthwhile = len(drives) >= MATRIX_FROM and np.count_nonzero(_changes(drives)) + 1 >= MATRIX_FROM
+        self._drives = drives if worthwhile else drives[:0]
+
+    def pressures(self, posed: PosedScene, skin: int, drives: Complex) -> Float32:
+        """ARP [Pa] at a skin's quadrature points for drives (m, N), shape (m, q)."""
+        rows = self._found(drives)
+        if rows is None:
+            changes = _changes(drives)
+            if np.logical_and.reduce(changes):
+                return self.radiation.many(posed, skin, drives)
+            # What sounds on unchanged is computed once.
+            first = np.concatenate((ALWAYS, changes))
+            return self.radiation.many(posed, skin, drives[first])[np.add.accumulate(first, dtype=np.intp) - 1]
+        known = self._loads.get(skin)
+        if known is None or known[0] is not posed.skins[skin]:
+            known = self._loads[skin] = posed.skins[skin], self.radiation.many(posed, skin, self._drives)
+        return known[1][rows]
+
+    @property
+    def _worthwhile(self) -> bool:
+        """Whether the coming drives differ, and a transfer matrix gives their load."""
+        model = self.model
+        changing = any(part.config.path != "point" or part.response.delayed for part in model.stimuli)
+        free = all(skin.spec.config.body_sound == "none" for skin in model.skins)
+        matrix = len(model.arrays.groups) == 1 and model.arrays.precision == "fast"
+        return changing and free and matrix
+
+    def _found(self, drives: Complex) -> slice | None:
+        """Which of the predicted drives these are; None where they were not predicted."""
+        if len(self._drives) < len(drives):
+            return None
+        first = int(np.abs(self._drives - drives[0]).max(axis=1).argmin())
+        rows = slice(first, first + len(drives))
+        there = self._drives[rows]
+        if len(there) < len(drives) or np.abs(there - drives).max() >= SAME_DRIVE:
+            return None
+        return rows
+
+
+def _changes(drives: Complex) -> NDArray[np.bool_]:
+    """Whether each of some drives (m, N), m >= 1, but the first differs from the one before it, shape (m - 1,)."""
+    return np.asarray(np.logical_or.reduce(drives[1:] != drives[:-1], axis=1))

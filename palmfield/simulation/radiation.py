@@ -1,0 +1,156 @@
+"""ARP on the surfaces of a posed scene: the stages field and ARP of a step, with what they keep for the next one.
+
+A Radiation belongs to one state and is used by one thread at a time: it holds buffers for the points of each skin, and
+the last answers, which hold as long as pose and drive are the same objects or equal.
+"""
+
+from typing import Literal
+
+import numpy as np
+
+from palmfield.acoustics.air import sound_speed
+from palmfield.acoustics.arp import SurfaceSound
+from palmfield.acoustics.body_scattering import Occlusion, RigidScatteredField, boundary_mesh
+from palmfield.acoustics.phased_array import PhasedArray
+from palmfield.acoustics.surface_arp import SurfaceArp
+from palmfield.acoustics.surface_load import distance_to_arrays
+from palmfield.simulation.model import HapticModel
+from palmfield.simulation.posed_scene import PosedScene
+from palmfield.types import Complex, Float, Float32, Int
+
+Role = Literal["quadrature", "samples", "nodes", "vertices", "probe"]
+"""What points are for: each role of a skin has buffers of its own."""
+
+
+class Radiation:
+    """ARP at the points of a model's skins."""
+
+    def __init__(self, model: HapticModel):
+        self.model = model
+        self._evaluators: dict[tuple[int, str, int], tuple[PhasedArray, SurfaceArp]] = {}
+        self._occlusions: dict[int, tuple[PosedScene, Occlusion]] = {}
+        self._scattered: dict[int, tuple[PosedScene, Complex, RigidScatteredField]] = {}
+        self._last: dict[tuple[int, str], tuple[PosedScene, Complex, SurfaceSound]] = {}
+
+    def on(self, posed: PosedScene, skin: int, role: Role, drive: Complex) -> SurfaceSound:
+        """ARP at a skin's quadrature points, force samples or surface nodes, for what the transducers emit, (N,)."""
+        known = self._last.get((skin, role))
+        if known is not None and self._holds(known[0], posed, skin) and _equal(known[1], drive):
+            return known[2]
+        part = posed.skins[skin]
+        points, normals = part.body.samples[:2] if role == "samples" else getattr(part, role)
+        sound = self.at(posed, skin, role, points, normals, drive)
+        self._last[skin, role] = posed, drive, sound
+        return sound
+
+    def many(self, posed: PosedScene, skin: int, drives: Complex, role: Role = "quadrature") -> Float32:
+        """ARP at a skin's quadrature points, or its surface nodes, for several drives, shape (m, N): shape (m, q)."""
+        if self.model.skins[skin].spec.config.body_sound != "none":
+            return np.stack([self.on(posed, skin, role, drive).arp for drive in drives])
+        points, normals = getattr(posed.skins[skin], role)
+        return self._evaluator(posed.arrays, skin, role, len(points)).evaluate_many(points, normals, drives)
+
+    def at(
+        self, posed: PosedScene, skin: int, role: Role, points: Float, normals: Float, drive: Complex
+    ) -> SurfaceSound:
+        """ARP at any points of a skin's body with outward normals, array frame, shapes (n, 3)."""
+        kind = self.model.skins[skin].spec.config.body_sound
+        if kind == "scattering":
+            own = posed.skins[skin].body.frame.inverse_points(points)
+            return self._scattered_field(posed, skin, drive).at(own)
+        evaluator = self._evaluator(posed.arrays, skin, role, len(points))
+        sound = evaluator.evaluate(points, normals, drive, flux=kind == "shadows")
+        arp = sound.arp.copy()
+        if kind == "shadows":
+            assert sound.flux is not None
+            reach = distance_to_arrays(points, sound.flux, posed.arrays)
+            arp[~self._occlusion(posed, skin).lit(points, sound.flux, reach)] = 0.0
+        return SurfaceSound(arp, sound.amplitude.copy())
+
+    def scattered_fields(self) -> dict[int, tuple[PosedScene, Complex, RigidScatteredField]]:
+        """The last solutions by boundary elements, by skin, with their pose and drive."""
+        return self._scattered
+
+    def adopt(self, scattered: dict[int, tuple[PosedScene, Complex, RigidScatteredField]]) -> None:
+        """Begin with solutions that another Radiation of the same bodies has found."""
+        self._scattered = dict(scattered)
+
+    def _holds(self, known: PosedScene, posed: PosedScene, skin: int) -> bool:
+        """Whether the sound on a skin is the same in both poses."""
+        if known is posed:
+            return True
+        if known.arrays is not posed.arrays:
+            return False
+        if self.model.skins[skin].spec.config.body_sound == "none":
+            return known.skins[skin] is posed.skins[skin]
+        return all(a is b for a, b in zip(known.skins, posed.skins, strict=True))
+
+    def _evaluator(self, arrays: PhasedArray, skin: int, role: str, count: int) -> SurfaceArp:
+        key = skin, role, count
+        known = self._evaluators.get(key)
+        if known is None or known[0] is not arrays:
+            law = self.model.skins[skin].spec.config.arp_law
+            known = self._evaluators[key] = arrays, SurfaceArp(arrays.field, count, law)
+        return known[1]
+
+    def _occlusion(self, posed: PosedScene, skin: int) -> Occlusion:
+        """What casts shadows on a skin: its own body, the bodies of the other skins, and its obstacles."""
+        known = self._occlusions.get(skin)
+        if known is not None and self._holds(known[0], posed, skin):
+            return known[1]
+        vertices = occluding_vertices(posed, skin)
+        if known is None:
+            occlusion = Occlusion(
+                vertices, occluding_faces(posed, skin), self.model.spec.device, counts=occluding_counts(posed, skin)
+            )
+        else:
+            occlusion = known[1]
+            occlusion.move(vertices)
+        self._occlusions[skin] = posed, occlusion
+        return occlusion
+
+    def _scattered_field(self, posed: PosedScene, skin: int, drive: Complex) -> RigidScatteredField:
+        """Total sound on a rigid body, in the body's frame; the last one is kept."""
+        known = self._scattered.get(skin)
+        if known is not None and self._holds(known[0], posed, skin) and _equal(known[1], drive):
+            return known[2]
+        arrays, part = posed.arrays, posed.skins[skin]
+        wavenumber = 2.0 * np.pi * arrays.array.frequency_Hz / sound_speed(arrays.air)
+
+        def incident(points: Float) -> Complex:
+            return arrays.field.pressure(part.body.frame.points(points), drive).pressure.astype(np.complex128)
+
+        mesh = boundary_mesh(part.body.vertices, part.body.faces, 2.0 * np.pi / wavenumber)
+        solved = RigidScatteredField.of(mesh, incident, wavenumber, arrays.air, self.model.spec.device)
+        self._scattered[skin] = posed, drive, solved
+        return solved
+
+
+def occluding_vertices(posed: PosedScene, skin: int) -> Float:
+    """Vertices of all that casts shadows on a skin, array frame [m], shape (v, 3)."""
+    parts = [body.vertices_in_array for body in posed.bodies]
+    obstacles = posed.skins[skin].obstacles
+    if obstacles is not None:
+        parts.append(obstacles[0])
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+
+def occluding_counts(posed: PosedScene, skin: int) -> list[int]:
+    """How many vertices each body that casts shadows on a skin has."""
+    obstacles = posed.skins[skin].obstacles
+    counts = [len(body.vertices) for body in posed.bodies]
+    return counts if obstacles is None else [*counts, len(obstacles[0])]
+
+
+def occluding_faces(posed: PosedScene, skin: int) -> Int:
+    """Their faces, shape (f, 3)."""
+    meshes = [(len(body.vertices), body.faces) for body in posed.bodies]
+    obstacles = posed.skins[skin].obstacles
+    if obstacles is not None:
+        meshes.append((len(obstacles[0]), obstacles[1]))
+    starts = np.cumsum([0, *(count for count, _ in meshes)])
+    return np.concatenate([faces + start for (_, faces), start in zip(meshes, starts, strict=False)]).astype(np.int32)
+
+
+def _equal(one: Complex, other: Complex) -> bool:
+    return one is other or np.array_equal(one, other)

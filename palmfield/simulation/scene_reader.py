@@ -1,0 +1,382 @@
+"""What a scene says, read from MuJoCo's compiled model: the only reader of keys.
+
+Beside the spec, which physics is made from, it gives the numbers of the bodies and sites that a spec's parts are bound
+to, with which poses are read later.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from palmfield.config import (
+    ArrayConfig,
+    Config,
+    DriverConfig,
+    MotionConfig,
+    SkinConfig,
+    StimulusConfig,
+    known_keys,
+    parse,
+)
+from palmfield.device import resolve
+from palmfield.errors import PalmfieldError, SceneError
+from palmfield.hand.articulated import articulate
+from palmfield.hand.collision_shapes import Obstacle
+from palmfield.hand.preset import load_preset
+from palmfield.hand.rigged import joint_of_body
+from palmfield.hand.skinning import bones_of_mesh, rigged_file
+from palmfield.mujoco_host.mujoco_view import ModelView
+from palmfield.simulation.spec import ArraySpec, ObstacleSpec, SceneSpec, SkinSpec, StimulusSpec, Triple
+from palmfield.transforms import Placement, Transform, relative
+
+DURATION = "palmfield_duration_s"
+"""Custom numeric of a scene: how long `palmfield run` runs it [s]."""
+DEFAULT_DURATION_S = 0.1
+DEVICE = "palmfield_device"
+"""Custom text of a scene: where fields are computed, auto, cpu or cuda:N."""
+REST_M, REST_RAD = 1e-4, 1e-3
+"""So far a body may stand from the joint whose skin it carries: a tenth of a layer's element, and rounding."""
+SAME_AIR = ("temperature_C", "humidity_percent", "pressure_Pa", "precision")
+"""Keys that all arrays of a scene share."""
+
+
+@dataclass(frozen=True)
+class SkinBodies:
+    """MuJoCo's numbers of a skin's body, of its bones (none for a body in one piece) and of its obstacles."""
+
+    instance: int
+    body: int
+    bones: tuple[int, ...]
+    obstacles: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class SceneBinding:
+    """MuJoCo's numbers of what a SceneSpec names, in the same order.
+
+    array_instances, stimulus_instances: plugin instances; array_sites: each array's frame
+    transducer_sites: of each array, empty but for layout `sites`; frame_sites: each stimulus's frame
+    """
+
+    array_instances: tuple[int, ...]
+    array_sites: tuple[int, ...]
+    transducer_sites: tuple[tuple[int, ...], ...]
+    stimulus_instances: tuple[int, ...]
+    frame_sites: tuple[int, ...]
+    skins: tuple[SkinBodies, ...]
+
+
+def read_scene(model: ModelView) -> tuple[SceneSpec, SceneBinding]:
+    """The scene's spec and what it is bound to.
+
+    Raises SceneError with element, key, value and what is allowed for anything that doesn't fit together.
+    """
+    named: dict[type[Config], list[tuple[int, str, Any]]] = {
+        config: [
+            (i, name, keys_of(config, model, i)) for i, plugin, name in model.instances() if plugin == config.plugin
+        ]
+        for config in (ArrayConfig, StimulusConfig, SkinConfig, DriverConfig)
+    }
+    arrays, stimuli, skins = (named[config] for config in (ArrayConfig, StimulusConfig, SkinConfig))
+    if not skins:
+        raise SceneError("the scene has no plugin 'palmfield.skin'; at least one is needed")
+    if not arrays:
+        raise SceneError("plugin 'palmfield.skin': the scene has no 'palmfield.array'; at least one is needed")
+    if not stimuli:
+        raise SceneError(
+            f"plugin 'palmfield.skin' instance '{skins[0][1]}': the scene has no 'palmfield.stimulus', so that nothing "
+            "would sound; at least one is needed"
+        )
+    if len(named[DriverConfig]) > 1:
+        raise SceneError(f"the scene has {len(named[DriverConfig])} of 'palmfield.driver'; allowed: one")
+    driver = named[DriverConfig][0][2] if named[DriverConfig] else DriverConfig.model_validate({})
+    array_specs, array_sites, transducers = _arrays(arrays, model)
+    skin_specs, skin_bindings = _skins(skins, model, array_sites[0])
+    stimulus_specs, frame_sites = _stimuli(stimuli, model, array_specs, array_sites, skin_specs, skin_bindings)
+    spec = SceneSpec(
+        arrays=array_specs,
+        stimuli=stimulus_specs,
+        skins=skin_specs,
+        driver=driver,
+        device=_device(model),
+        timestep_s=_timestep(model),
+        duration_s=_duration(model),
+    )
+    binding = SceneBinding(
+        array_instances=tuple(i for i, _, _ in arrays),
+        array_sites=array_sites,
+        transducer_sites=transducers,
+        stimulus_instances=tuple(i for i, _, _ in stimuli),
+        frame_sites=frame_sites,
+        skins=skin_bindings,
+    )
+    return spec, binding
+
+
+def keys_of(config: type[Config], model: ModelView, instance: int) -> Any:
+    """Typed keys of a plugin instance. Raises SceneError as `palmfield.config.parse`."""
+    name = next(n for i, _, n in model.instances() if i == instance)
+    values = model.values(instance, known_keys(config))
+    return parse(config, values, element_of(config, name))
+
+
+def element_of(config: type[Config], name: str) -> str:
+    """How messages name a plugin instance."""
+    return f"plugin '{config.plugin}' instance '{name}'"
+
+
+# -- the parts of a scene ------------------------------------------------------------------------------------------
+
+
+def _arrays(
+    found: list[tuple[int, str, Any]], model: ModelView
+) -> tuple[tuple[ArraySpec, ...], tuple[int, ...], tuple[tuple[int, ...], ...]]:
+    """Specs, frame sites and transducer sites of the arrays; each array has a frame site of its own."""
+    first_name, first = found[0][1:]
+    for _, name, config in found[1:]:
+        for key in SAME_AIR:
+            if getattr(config, key) != getattr(first, key):
+                raise SceneError(
+                    f"{element_of(ArrayConfig, name)}: key '{key}' has value {getattr(config, key)}, and "
+                    f"{getattr(first, key)} at instance '{first_name}'; allowed: the same for all arrays"
+                )
+    sites = tuple(
+        model.find("site", config.site, f"{element_of(ArrayConfig, name)}: key 'site'") for _, name, config in found
+    )
+    transducers = tuple(transducer_sites(config, name, model) for _, name, config in found)
+    origin = model.reference_pose("site", sites[0])
+    specs = []
+    for (_, name, config), site, numbers in zip(found, sites, transducers, strict=True):
+        pose = model.reference_pose("site", site)
+        own = []
+        for number in numbers:
+            transducer = relative(pose, model.reference_pose("site", number))
+            own.append((tuple(transducer.position.tolist()), tuple(transducer.rotation[:, 2].tolist())))
+        specs.append(ArraySpec(name, config, Placement.of(relative(origin, pose), tuple(own))))
+    return tuple(specs), sites, transducers
+
+
+def transducer_sites(config: ArrayConfig, name: str, model: ModelView) -> tuple[int, ...]:
+    """Numbers of the sites that are an array's transducers; none for another layout than `sites`.
+
+    A site that a key names serves another purpose, however its name begins.
+    """
+    if config.sites is None:
+        return ()
+    keys = ["site", "frame", "patch_site"]
+    used = {config.site} | {text for i, _, _ in model.instances() for text in model.values(i, keys).values()}
+    names = [site for site in model.names("site") if site.startswith(config.sites) and site not in used]
+    element = f"{element_of(ArrayConfig, name)}: key 'sites'"
+    if not names:
+        raise SceneError(
+            f"{element} has value '{config.sites}'; allowed: how names of sites begin that no key names; the scene "
+            f"has: {', '.join(model.names('site'))}"
+        )
+    return tuple(model.find("site", site, element) for site in names)
+
+
+def _skins(
+    found: list[tuple[int, str, Any]], model: ModelView, array_site: int
+) -> tuple[tuple[SkinSpec, ...], tuple[SkinBodies, ...]]:
+    origin = model.reference_pose("site", array_site)
+    moves = any(plugin == MotionConfig.plugin for _, plugin, _ in model.instances())
+    specs, bindings = [], []
+    for instance, name, config in found:
+        element = element_of(SkinConfig, name)
+        body = model.find("body", config.body, f"{element}: key 'body'")
+        frame = model.reference_pose("body", body)
+        bones = bones_of(config, element, model)
+        obstacles = obstacles_of(config, element, model, bones)
+        centre: Triple = (0.0, 0.0, 0.0)
+        if config.patch_site is not None:
+            centre = _on_body(model, frame, config.patch_site, f"{element}: key 'patch_site'")
+        placed = tuple(
+            ObstacleSpec(shape, Placement.of(relative(frame, model.reference_pose("body", number))))
+            for shape, number in obstacles
+        )
+        specs.append(SkinSpec(name, config, Placement.of(relative(origin, frame)), centre, placed, moves))
+        bindings.append(SkinBodies(instance, body, tuple(bones), tuple(number for _, number in obstacles)))
+    return tuple(specs), tuple(bindings)
+
+
+def _stimuli(
+    found: list[tuple[int, str, Any]],
+    model: ModelView,
+    arrays: tuple[ArraySpec, ...],
+    array_sites: tuple[int, ...],
+    skins: tuple[SkinSpec, ...],
+    bindings: tuple[SkinBodies, ...],
+) -> tuple[tuple[StimulusSpec, ...], tuple[int, ...]]:
+    driven = _driven_arrays(found, [array.name for array in arrays])
+    origin = model.reference_pose("site", array_sites[0])
+    specs, frames = [], []
+    for (_, name, config), own in zip(found, driven, strict=True):
+        element = element_of(StimulusConfig, name)
+        frame_site = array_sites[own[0]]
+        if config.frame != "array":
+            frame_site = model.find("site", config.frame, f"{element}: key 'frame'")
+        on_skin = _path_skin(config, element, skins)
+        sites: tuple[Triple, ...] = ()
+        if on_skin is not None:
+            frame = model.reference_pose("body", bindings[on_skin].body)
+            sites = tuple(_on_body(model, frame, site, f"{element}: key 'path_sites'") for site in config.path_sites)
+        aimed = bindings[on_skin].body if on_skin is not None else model.site_body(frame_site)
+        boards = [model.site_body(array_sites[number]) for number in own]
+        # What carries both moves neither against the other.
+        frame_moves = any(
+            model.can_move(body) for board in boards for body in model.ancestors(aimed) ^ model.ancestors(board)
+        )
+        placement = Placement.of(relative(origin, model.reference_pose("site", frame_site)))
+        specs.append(StimulusSpec(name, config, own, placement, on_skin, sites, frame_moves))
+        frames.append(frame_site)
+    return tuple(specs), tuple(frames)
+
+
+def _driven_arrays(found: list[tuple[int, str, Any]], names: list[str]) -> list[tuple[int, ...]]:
+    """Numbers of the arrays that each stimulus drives: those it names, or all that no other one names."""
+    owner: dict[str, str] = {}
+    for _, stimulus, config in found:
+        element = f"{element_of(StimulusConfig, stimulus)}: key 'arrays'"
+        for array in config.arrays:
+            if array not in names:
+                raise SceneError(f"{element} names '{array}'; the scene's arrays are: {', '.join(names)}")
+            if array in owner:
+                raise SceneError(
+                    f"{element} names '{array}', which instance '{owner[array]}' drives; allowed: one stimulus an array"
+                )
+            owner[array] = stimulus
+    free = tuple(i for i, name in enumerate(names) if name not in owner)
+    rest = [stimulus for _, stimulus, config in found if not config.arrays]
+    if len(rest) > 1:
+        raise SceneError(
+            f"{element_of(StimulusConfig, rest[1])}: it names no arrays, and neither does instance '{rest[0]}'; name "
+            "the arrays that each drives by key 'arrays'"
+        )
+    if rest and not free:
+        raise SceneError(
+            f"{element_of(StimulusConfig, rest[0])}: every array is driven by another stimulus; name one by key "
+            "'arrays', or drop this stimulus"
+        )
+    return [
+        tuple(sorted(names.index(array) for array in config.arrays)) if config.arrays else free
+        for _, _, config in found
+    ]
+
+
+def _path_skin(config: StimulusConfig, element: str, skins: tuple[SkinSpec, ...]) -> int | None:
+    """Number of the skin that a path runs on."""
+    names = [skin.name for skin in skins]
+    if config.on_skin is not None and config.on_skin not in names:
+        raise SceneError(f"{element}: key 'on_skin' has value '{config.on_skin}'; allowed: {' | '.join(names)}")
+    if config.path_on != "skin":
+        return None
+    if config.on_skin is not None:
+        return names.index(config.on_skin)
+    if len(names) > 1:
+        raise SceneError(
+            f"{element}: key 'path_on' has value 'skin' and the scene has several; name one by key 'on_skin': "
+            f"{' | '.join(names)}"
+        )
+    return 0
+
+
+def _on_body(model: ModelView, frame: Transform, site: str, element: str) -> Triple:
+    x, y, z = relative(frame, model.reference_pose("site", model.find("site", site, element))).position.tolist()
+    return x, y, z
+
+
+def _device(model: ModelView) -> str:
+    asked = model.text(DEVICE, "auto") if model.complete else "cpu"
+    try:
+        return resolve(asked)
+    except PalmfieldError as error:
+        raise SceneError(f"text '{DEVICE}' has value '{asked}': {error}") from None
+
+
+def _timestep(model: ModelView) -> float:
+    step = model.timestep
+    if not step > 0.0:
+        raise SceneError(f"option 'timestep' has value {step:g}; allowed: seconds > 0")
+    return step
+
+
+def _duration(model: ModelView) -> float:
+    value = model.numeric(DURATION, DEFAULT_DURATION_S)
+    if not model.complete:
+        return DEFAULT_DURATION_S
+    if not value > 0.0:
+        raise SceneError(f"numeric '{DURATION}' has value {value:g}; allowed: seconds > 0")
+    return value
+
+
+# -- bones and obstacles -------------------------------------------------------------------------------------------
+
+
+def bones_of(skin: SkinConfig, element: str, model: ModelView) -> list[int]:
+    """Numbers of the bodies that carry a hand's skin, in the order of its bones; none for shapes in one piece.
+
+    Raises SceneError where one is missing, where key `body` is none of an articulated hand's palm and a rigged mesh's
+    joints, and where the bodies of a rigged mesh don't stand in the reference pose as its joints do.
+    """
+    if skin.shape not in ("articulated", "rigged"):
+        return []
+    element = f"{element}: key 'shape' has value '{skin.shape}'"
+    prefix, bones = _bones(skin, element)
+    numbers = [model.find("body", prefix + bone.name, element) for bone in bones]
+    mend = "write its MJCF by `palmfield hand MESH --mjcf FILE.xml`"
+    if skin.shape == "articulated":
+        mend = f"name the preset of that hand by key 'hand' ('{skin.hand}' now)"
+    frame = model.reference_pose("body", model.find("body", skin.body, element))
+    for bone, number in zip(bones, numbers, strict=True):
+        pose = model.reference_pose("body", number)
+        check_rest(bone, frame, pose, f"{element}: body '{prefix}{bone.name}'", mend)
+    return numbers
+
+
+def _bones(skin: SkinConfig, element: str) -> tuple[str, list[Any]]:
+    """How the names of the bodies begin, and the bones in the frame of key `body`."""
+    if skin.shape == "rigged":
+        assert skin.mesh and skin.mesh_unit
+        mesh = rigged_file(skin.mesh, skin.mesh_unit)
+        joint, prefix = joint_of_body(skin.body, mesh.joints)
+        return prefix, bones_of_mesh(mesh, mesh.joints.rest[joint, :3, 3])
+    if not skin.body.endswith("hand"):
+        raise SceneError(f"{element}: key 'body' has value '{skin.body}'; allowed: the palm, [prefix]hand")
+    return skin.body.removesuffix("hand"), articulate(load_preset(skin.hand)).bones
+
+
+def check_rest(bone: Any, frame: Transform, pose: Transform, element: str, mend: str) -> None:
+    """Raises SceneError, with what mends it, where a body isn't at its joint's place, parallel to the hand's axes."""
+    place = relative(frame, pose)
+    distance = float(np.linalg.norm(place.position - bone.origin))
+    angle = float(np.arccos(np.clip(0.5 * (np.trace(place.rotation) - 1.0), -1.0, 1.0)))
+    if distance > REST_M or angle > REST_RAD:
+        raise SceneError(
+            f"{element} stands {1e3 * distance:.3g} mm and {np.rad2deg(angle):.3g} degrees off the mesh's joint; {mend}"
+        )
+
+
+def obstacles_of(skin: SkinConfig, element: str, model: ModelView, bones: list[int]) -> list[tuple[Obstacle, int]]:
+    """Bodies named by key `obstacles` and those that hang on them, with their geoms, and their numbers.
+
+    bones: as `bones_of` gives them
+    Raises SceneError for unknown bodies, for the skin's own, and where none of them has a geom.
+    """
+    element = f"{element}: key 'obstacles'"
+    named = {model.find("body", name, element) for name in skin.obstacles}
+    own = {model.find("body", skin.body, element), *bones}
+    result = []
+    for number in range(model.raw.nbody):
+        if not named & model.ancestors(number):
+            continue
+        if number in own:
+            raise SceneError(
+                f"{element} has value '{' '.join(skin.obstacles)}'; allowed: other bodies than the skin's own"
+            )
+        geoms = model.geoms(number, element)
+        if geoms:
+            result.append((Obstacle(geoms), number))
+    if named and not result:
+        raise SceneError(f"{element} has value '{' '.join(skin.obstacles)}', but none of these has a geom")
+    return result

@@ -1,0 +1,75 @@
+"""What a sensor on the skin reads. A new channel is one entry of CHANNELS."""
+
+from collections.abc import Callable
+from operator import attrgetter
+from typing import NamedTuple
+
+from palmfield.errors import SceneError
+from palmfield.hand.posed_surface import SkinBinding
+from palmfield.simulation.model import SkinModel
+from palmfield.skin.fem.probe import SurfaceProbe
+from palmfield.skin.stepper import Reader, SkinStepper
+from palmfield.types import Float
+
+REACH_M = 0.01
+"""A sensor's site may lie so far from the skin layer."""
+
+
+class SkinReading(NamedTuple):
+    """What is known at a sensor's place at the beginning of a MuJoCo step.
+
+    arp_force_x_N, _y_N, _z_N: of the sound on the whole body, mean over the step that begins, world axes
+    normal_displacement_m, normal_velocity_m_s: of the skin along its outward normal; arp_Pa: positive inwards
+    """
+
+    arp_force_x_N: float
+    arp_force_y_N: float
+    arp_force_z_N: float
+    normal_displacement_m: float
+    normal_velocity_m_s: float
+    arp_Pa: float
+
+
+CHANNELS: dict[str, Callable[[SkinReading], float]] = {name: attrgetter(name) for name in SkinReading._fields}
+"""A sensor's numbers, in this order."""
+UNITS = tuple(
+    next(unit for ending, unit in (("_m_s", "m s-1"), ("_N", "N"), ("_Pa", "Pa"), ("_m", "m")) if name.endswith(ending))
+    for name in CHANNELS
+)
+"""Their units."""
+
+
+class SensorPlace:
+    """Where a sensor reads: the place of the layer that is nearest to its site, and the bones that carry it."""
+
+    def __init__(self, probe: SurfaceProbe, binding: SkinBinding | None):
+        self.probe, self.binding = probe, binding
+        self._readers: dict[str, Reader] = {}
+
+    def reader(self, stepper: SkinStepper) -> Reader:
+        """Reads displacement and velocity along the outward normal there, off one stepper's state."""
+        known = self._readers.get(stepper.name)
+        if known is None:
+            known = self._readers[stepper.name] = stepper.reader(self.probe.operator)
+        return known
+
+
+def sensor_place(skin: SkinModel, site: Float, element: str) -> SensorPlace:
+    """The place for a site of the resting body (body frame [m], shape (3,)).
+
+    Raises SceneError, naming the element, for a site that is far from the skin layer.
+    """
+    probe = skin.layer.probe(site)
+    distance = float(probe.distance[0])
+    if distance > max(REACH_M, 2.0 * skin.layer.sizes.edge_coarse_m):
+        raise SceneError(
+            f"{element}: its site is {1e3 * distance:.0f} mm from the skin layer, whose rim it would read; put it on "
+            "the layer, or patch_site nearer to it"
+        )
+    return SensorPlace(probe, skin.carrier.bind(probe.closest))
+
+
+def fill(data: Float, reading: SkinReading) -> None:
+    """Write a reading's channels into a sensor's data, shape (channels,)."""
+    for number, channel in enumerate(CHANNELS.values()):
+        data[number] = channel(reading)

@@ -1,0 +1,118 @@
+"""All of a scene that changes in a run, as plain arrays with a leading axis for worlds.
+
+In a plain mj_step the arrays are views of MuJoCo's plugin state, so that mj_copyData, mj_getState and mj_resetData
+treat it as their own. A skin's array has room for its whole layer, of which a small model takes the front: a run may
+leave the small model. A header says whose numbers they are; all zeros is rest, and nobody's yet.
+"""
+
+import hashlib
+import json
+from importlib.metadata import version
+
+import numpy as np
+
+from palmfield.errors import SceneError
+from palmfield.simulation.model import HapticModel
+from palmfield.skin.stepper import SkinStepper
+from palmfield.types import Complex, Float
+
+HEADER = 4
+"""Numbers before a state's own: what wrote it (0 nobody, BEGUN, WHOLE), its fingerprint, and two spare ones."""
+BEGUN, WHOLE = 1.0, 2.0
+VERSION = 1
+"""Of the layout of these numbers."""
+
+
+class HapticState:
+    """arrays: of each array header and what its transducers emit, shape (1, HEADER + 2 n); skins: of each skin header
+    and numbers, shape (1, HEADER + room). float64
+
+    emitted: complex amplitude that each transducer emits, by array, shape (1, n), views
+    """
+
+    def __init__(self, arrays: tuple[Float, ...], skins: tuple[Float, ...]):
+        self.arrays, self.skins = arrays, skins
+        self.emitted: tuple[Complex, ...] = tuple(part[:, HEADER:].view(np.complex128) for part in arrays)
+
+    def copy(self) -> "HapticState":
+        """The same, in memory of its own."""
+        return HapticState(tuple(part.copy() for part in self.arrays), tuple(part.copy() for part in self.skins))
+
+
+def array_room(transducers: int) -> int:
+    """Numbers of an array's state."""
+    return HEADER + 2 * transducers
+
+
+def skin_room(model: HapticModel, skin: int) -> int:
+    """Numbers of a skin's state, known without its matrices."""
+    return HEADER + model.skins[skin].layer.state_room
+
+
+def new_state(model: HapticModel) -> HapticState:
+    """Everything at rest."""
+    arrays = tuple(np.zeros((1, array_room(len(part)))) for part in model.arrays.parts)
+    return HapticState(arrays, tuple(np.zeros((1, skin_room(model, i))) for i in range(len(model.skins))))
+
+
+def at_rest(state: HapticState, skin: int) -> bool:
+    """Whether nothing has stepped a skin since the start or a reset."""
+    return bool(state.skins[skin][0, 0] == 0.0)
+
+
+def check_arrays(model: HapticModel, state: HapticState) -> None:
+    """Mark the arrays' states as this model's. Raises SceneError for one that another scene or version wrote."""
+    for number, (array, part) in enumerate(zip(model.spec.arrays, state.arrays, strict=True)):
+        mark = model.marks.get(("array", number, "pole")) or _mark(model, "array", number, "pole")
+        if part[0, 0] == BEGUN and part[0, 1] == mark:
+            continue
+        if np.logical_or.reduce(part[0]):
+            raise SceneError(_foreign(f"plugin 'palmfield.array' instance '{array.name}'"))
+        part[0, 0], part[0, 1] = BEGUN, mark
+
+
+def stepper_of(model: HapticModel, state: HapticState, skin: int) -> tuple[SkinStepper, Float]:
+    """The stepper to which a skin's state belongs, and its numbers, shape (1, state_size), a view.
+
+    Raises SceneError for a state of another solver, basis or version.
+    """
+    part = state.skins[skin]
+    kind = part[0, 0]
+    stepper: SkinStepper = (model.whole if kind == WHOLE else model.begin)[skin].value
+    if kind == 0.0:
+        known = not np.logical_or.reduce(part[0])
+    else:
+        mark = model.marks.get(("skin", skin, stepper.name)) or _mark(model, "skin", skin, stepper.name)
+        known = kind in (BEGUN, WHOLE) and part[0, 1] == mark
+    if not known:
+        raise SceneError(_foreign(f"plugin 'palmfield.skin' instance '{model.skins[skin].spec.name}'"))
+    return stepper, part[:, HEADER : HEADER + stepper.state_size]
+
+
+def claim(model: HapticModel, state: HapticState, skin: int, stepper: SkinStepper) -> None:
+    """Write into a skin's header that its numbers are this stepper's."""
+    header = state.skins[skin][0]
+    header[0] = BEGUN if model.begin[skin].value is stepper else WHOLE
+    header[1] = model.marks.get(("skin", skin, stepper.name)) or _mark(model, "skin", skin, stepper.name)
+
+
+def _mark(model: HapticModel, kind: str, number: int, name: str) -> float:
+    """A number, exact in float64, that tells states of this solver, on this scene, in this version, from others."""
+    if kind == "array":
+        array = model.spec.arrays[number]
+        parts = [array.config.model_dump_json(), len(model.arrays.parts[number])]
+    else:
+        skin = model.skins[number]
+        stepper = (model.begin[number] if model.begin[number].value.name == name else model.whole[number]).value
+        parts = [skin.spec.config.model_dump_json(), skin.layer.state_room, stepper.state_size, stepper.step_s]
+    digest = hashlib.sha256(json.dumps([VERSION, version("palmfield"), kind, name, *parts]).encode()).digest()
+    mark = float(int.from_bytes(digest[:6], "big") + 1)
+    model.marks[kind, number, name] = mark
+    return mark
+
+
+def _foreign(element: str) -> str:
+    return (
+        f"{element}: the state in mjData was written by another solver, basis, scene or version of palmfield; start "
+        "from mj_resetData, or step it with the scene that wrote it"
+    )

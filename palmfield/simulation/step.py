@@ -1,0 +1,129 @@
+"""One MuJoCo step of the sound and the skins: drive -> emitted -> field -> ARP -> skin load -> skin.
+
+What a step keeps from one to the next (buffers, the last fields, loads computed ahead) lies in a Workspace, which
+belongs to one state. Forces and sensors are read at the step's beginning, by `palmfield.simulation.forces` and
+`palmfield.simulation.sensors`.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from palmfield.drive.transducer_response import EmittedCourse
+from palmfield.simulation.emission import Emission
+from palmfield.simulation.forces import BodyForces
+from palmfield.simulation.model import HapticModel
+from palmfield.simulation.posed_scene import PosedScene, reference_scene
+from palmfield.simulation.prefetch import LoadPrefetch
+from palmfield.simulation.radiation import Radiation
+from palmfield.simulation.state import HapticState, claim, stepper_of
+from palmfield.simulation.whole_layer import continue_on_whole_layer, leaves_small_model
+from palmfield.skin.stepper import Reader, SkinStepper, SurfaceLoads
+from palmfield.stimulus.schedule import Moments
+from palmfield.types import Complex, Float
+
+
+@dataclass(frozen=True)
+class StepTrace:
+    """What happened in a step, for those who watch. Arrays are valid until the next step.
+
+    times: ends of the substeps [s], shape (s,); posed: where everything was
+    course, moments: what was emitted at the moments of the load
+    begun, emitted: what is emitted at the beginning and at the end, shape (N,)
+    motion: of each skin what is watched of it, displacement [m] and velocity [m/s] after each substep, (s, 2, m)
+    """
+
+    times: Float
+    posed: PosedScene
+    moments: Moments
+    course: EmittedCourse
+    begun: Complex
+    emitted: Complex
+    motion: tuple[Float | None, ...]
+
+
+class Workspace:
+    """What one state's steps keep: emission, radiation, forces and prefetched loads, and who watches.
+
+    observe: what is watched of each skin, an operator (m, unknowns) or None; observer: told of each step
+    """
+
+    def __init__(self, model: HapticModel):
+        self.reference = reference_scene(model)
+        self.emission = Emission(model)
+        self.radiation = Radiation(model)
+        self.forces = BodyForces(model, self.radiation)
+        self.prefetch = LoadPrefetch(model, self.emission, self.radiation)
+        self.amplitudes: Complex = np.zeros(len(model.arrays), np.complex128)
+        self.observe: tuple[sparse.csr_matrix | None, ...] = (None,) * len(model.skins)
+        self.observer: Callable[[StepTrace], None] | None = None
+        self._readers: dict[tuple[int, str], tuple[sparse.csr_matrix, Reader]] = {}
+
+    def reader(self, skin: int, stepper: SkinStepper) -> Reader | None:
+        """Reads what is watched of a skin off this stepper's states; a run may leave a small model in any step."""
+        operator = self.observe[skin]
+        if operator is None:
+            return None
+        known = self._readers.get((skin, stepper.name))
+        if known is None or known[0] is not operator:
+            known = self._readers[skin, stepper.name] = operator, stepper.reader(operator)
+        return known[1]
+
+
+def step(model: HapticModel, state: HapticState, posed: PosedScene, t0: float, t1: float, work: Workspace) -> None:
+    """Carry transducers and skins from t0 to t1 [s], one MuJoCo step, in place.
+
+    Raises SceneError for a state of another solver and where a small model that is asked for can't go on.
+    """
+    begun = gather(state, work)
+    work.prefetch.predict_drives(posed, begun, t0)
+    moments, course = work.emission.over(posed, begun, t0, model.substeps)
+    motions = []
+    for number in range(len(model.skins)):
+        stepper, numbers = stepper_of(model, state, number)
+        if leaves_small_model(model, state, number, posed, work.reference, work.emission, t0):
+            stepper, numbers = continue_on_whole_layer(
+                model, state, number, posed, work.emission, work.radiation, begun, t0
+            )
+        loads = skin_loads(work, posed, number, moments, course)
+        motions.append(stepper.step(numbers, loads, t0, t1, work.reader(number, stepper)))
+        claim(model, state, number, stepper)
+    if model.response_on:
+        scatter(state, course.end)
+    if work.observer is not None:
+        times = t0 + model.step_s * np.arange(1, model.substeps + 1, dtype=np.float64)
+        seen = tuple(None if motion is None else motion[0] for motion in motions)
+        work.observer(StepTrace(times, posed, moments, course, begun, course.end, seen))
+
+
+def skin_loads(work: Workspace, posed: PosedScene, skin: int, moments: Moments, course: EmittedCourse) -> SurfaceLoads:
+    """The ARP on a skin's quadrature points over a step's substeps."""
+    if course.levels is not None:
+        if course.unit is None:
+            count = len(posed.skins[skin].quadrature[0])
+            return SurfaceLoads(np.zeros((1, 1, count)), *(np.zeros((1, len(moments.first), 1)) for _ in range(2)))
+        pressure = work.radiation.on(posed, skin, "quadrature", course.unit).arp[None, None]
+        factors = (np.abs(course.levels) ** 2)[:, None]
+        return SurfaceLoads(pressure, (moments.first @ factors)[None], (moments.last @ factors)[None])
+    assert course.emitted is not None
+    pressures = work.prefetch.pressures(posed, skin, course.emitted)
+    return SurfaceLoads(pressures[None], moments.first[None], moments.last[None])
+
+
+def gather(state: HapticState, work: Workspace) -> Complex:
+    """What all transducers emit, shape (N,), in the workspace's array."""
+    start = 0
+    for part in state.emitted:
+        work.amplitudes[start : start + part.shape[1]] = part[0]
+        start += part.shape[1]
+    return work.amplitudes
+
+
+def scatter(state: HapticState, amplitudes: Complex) -> None:
+    """Write what all transducers emit, shape (N,), into the state."""
+    start = 0
+    for part in state.emitted:
+        part[0] = amplitudes[start : start + part.shape[1]]
+        start += part.shape[1]

@@ -1,0 +1,165 @@
+"""What board, boundary elements, bodies and machine cannot follow: refused before anything runs."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from palmfield.acoustics.phased_array import HOUSING_M
+from palmfield.acoustics.surface_load import CLEARANCE_M
+from palmfield.drive.boards import Board, check
+from palmfield.drive.response import Pole
+from palmfield.errors import DeviceError, SceneError
+from palmfield.simulation.model import SkinModel
+from palmfield.simulation.posed_scene import PosedScene
+from palmfield.simulation.spec import ArraySpec, SceneSpec, SkinSpec, StimulusSpec
+from palmfield.stimulus.schedule import frame_rates, turn_rate_Hz
+from palmfield.types import Float
+
+MOST_UNKNOWNS = 2_000_000
+"""Factors of the matrix of so large a layer take more than 100 GB."""
+MOST_SUBSTEPS = 10_000
+"""Steps of a skin in one of MuJoCo's."""
+SURFACE_KEYS = ("shape", "hand", "mesh", "mesh_unit")
+"""Keys that say what surface a body has; all skins on a body share them."""
+
+
+def check_bodies(spec: SceneSpec) -> None:
+    """Refuse skins on one body that take it for different surfaces, and two discs on one body."""
+    first: dict[str, SkinSpec] = {}
+    for skin in spec.skins:
+        other = first.setdefault(skin.config.body, skin)
+        if other is skin:
+            continue
+        element = f"plugin 'palmfield.skin' instance '{skin.name}'"
+        if skin.config.shape == "disc":
+            raise SceneError(
+                f"{element}: key 'body' has value '{skin.config.body}', whose disc instance '{other.name}' already is; "
+                "allowed: a body of its own for each disc"
+            )
+        for key in (*SURFACE_KEYS, "body_sound", "arp_law"):
+            if getattr(skin.config, key) != getattr(other.config, key):
+                raise SceneError(
+                    f"{element}: key '{key}' has value '{getattr(skin.config, key)}', and "
+                    f"'{getattr(other.config, key)}' at instance '{other.name}' on the same body "
+                    f"'{skin.config.body}'; allowed: the same for all skins on a body"
+                )
+
+
+def check_overlaps(skins: Sequence[SkinModel]) -> None:
+    """Refuse layers on one body that overlap: where they do, the skin would be there twice."""
+    for number, skin in enumerate(skins):
+        for other in skins[:number]:
+            if other.body != skin.body:
+                continue
+            distance = cKDTree(other.nodes[0]).query(skin.nodes[0])[0].min()
+            least = 0.5 * max(skin.layer.sizes.edge_coarse_m, other.layer.sizes.edge_coarse_m)
+            if distance < least:
+                raise SceneError(
+                    f"plugin 'palmfield.skin' instance '{skin.spec.name}': its layer overlaps that of instance "
+                    f"'{other.spec.name}' on body '{skin.spec.config.body}' (their surfaces come within "
+                    f"{1e3 * distance:.1f} mm); set patch_site or patch_radius_m so that they lie apart, or make one "
+                    "layer of both"
+                )
+
+
+def check_cost(spec: SceneSpec, skins: Sequence[SkinModel]) -> None:
+    """Refuse elements and steps so small that the run can't end."""
+    for skin in skins:
+        element = f"plugin 'palmfield.skin' instance '{skin.spec.name}'"
+        substeps = round(spec.timestep_s / skin.layer.sizes.step_s)
+        if substeps > MOST_SUBSTEPS:
+            raise SceneError(
+                f"{element}: steps of {skin.layer.sizes.step_s:.2g} s are {substeps} in each of MuJoCo's, so that the "
+                f"run would not end; allowed: at most {MOST_SUBSTEPS}; set step_s larger, or timestep smaller"
+            )
+        unknowns = skin.layer.expected_dofs
+        if unknowns > MOST_UNKNOWNS:
+            raise SceneError(
+                f"{element}: elements of {1e3 * skin.layer.sizes.edge_fine_m:.3g} mm make about {unknowns:.2g} "
+                f"unknowns, whose factors take more memory than there is; allowed: at most {MOST_UNKNOWNS:.2g}; set "
+                "element_m or accuracy larger, or patch_radius_m smaller"
+            )
+
+
+def check_body_sound(skin: SkinSpec, stimuli: Sequence[StimulusSpec], pole: Pole, response_on: bool) -> None:
+    """Refuse what boundary elements can't follow in sensible time: they solve once for a focus and a pose."""
+    if skin.config.body_sound != "scattering":
+        return
+    name = f"plugin 'palmfield.skin' instance '{skin.name}': key 'body_sound' has value 'scattering'; allowed:"
+    if any(stimulus.config.path != "point" for stimulus in stimuli):
+        raise SceneError(f"{name} with path 'point' only, as each focus takes a solution of its own; use shadows")
+    if len(stimuli) > 1:
+        raise SceneError(f"{name} with one stimulus only, as their levels change apart; use shadows")
+    if skin.config.arp_law != "default":
+        raise SceneError(f"{name} with arp_law 'default' only; it has the total field")
+    if response_on and np.ptp(np.abs(pole.rate)) > 0.0:
+        raise SceneError(f"{name} with transducers that change together; set key 'response' of the array to off")
+
+
+def check_board(stimulus: StimulusSpec, board: Board, arrays: Sequence[ArraySpec]) -> None:
+    """Refuse a stimulus that the board cannot play (DeviceError) and a board on another array (SceneError)."""
+    if board.name == "ideal":
+        return
+    if len(arrays) > 1:
+        raise SceneError(
+            f"plugin 'palmfield.driver': board '{board.name}' drives one array; the scene has "
+            f"{len(arrays)} of 'palmfield.array': use board ideal"
+        )
+    config, element = stimulus.config, f"plugin 'palmfield.stimulus' instance '{stimulus.name}'"
+    rates = frame_rates(config)
+    moving = config.path != "point" or stimulus.frame_moves
+    if moving and not rates:
+        raise DeviceError(
+            f"{element}: a path without steps, or a frame that moves, needs any number of frames/s; "
+            f"{board.name} gives {board.max_frame_rate_Hz:.1f}: set control_rate_Hz, or path_points and a rate, "
+            "so that they fit, or use board ideal"
+        )
+    turns = turn_rate_Hz(config) if config.path != "sites" else None
+    turn = rates[0] / turns if turns else None
+    wants_level = config.arp_peak_Pa is not None or config.drive_amplitude not in (None, 0.0, 1.0)
+    modulated = config.modulation == "am" or config.burst_window == "hann"
+    rate = max(rates) if rates else 0.0
+    if modulated and not rates:
+        rate = 10 * (config.am_frequency_Hz or 0.0)
+    check(board, frame_rate_Hz=rate, points_per_turn=turn, modulated=modulated, element=stimulus.name)
+    if config.ramp_s > 0 or wants_level:
+        raise DeviceError(
+            f"{element}: a ramp or a level between off and full needs continuous amplitude; "
+            f"{board.name} gives on or off: drop ramp_s, arp_peak_Pa and drive_amplitude, or use board ideal"
+        )
+    layout = arrays[0].config.layout
+    if layout != board.name:
+        raise SceneError(
+            f"plugin 'palmfield.driver': board '{board.name}' drives the layout '{board.name}' only; "
+            f"plugin 'palmfield.array' instance '{arrays[0].name}' has layout '{layout}': set it to '{board.name}'"
+        )
+
+
+def check_clear(posed: PosedScene) -> None:
+    """Raise SceneError where a body's surface, or an obstacle's, reaches into an array's board."""
+    for body in posed.bodies:
+        points = body.vertices_in_array
+        if body.model.surface is None:
+            # The closed surface of a disc has its base too, which may be the board itself.
+            points = points[: len(points) // 2]
+        _check_clear(posed, f"body '{body.model.name}'", points, behind=False)
+    for skin in posed.skins:
+        if skin.obstacles is not None:
+            _check_clear(posed, "one of the obstacles", skin.obstacles[0], behind=True)
+
+
+def _check_clear(posed: PosedScene, what: str, points: Float, *, behind: bool) -> None:
+    """behind: whether it may lie wholly behind the board."""
+    arrays = posed.arrays
+    for board, placement in zip(arrays.boards, arrays.placements, strict=True):
+        own = points if placement is arrays.placements[0] else placement.transform.inverse_points(points)
+        above = board.clearance(own)
+        if above >= CLEARANCE_M:
+            continue
+        mirrored = own * [1.0, 1.0, -1.0] + [0.0, 0.0, 2.0 * board.height]
+        if not (behind and board.clearance(mirrored) > HOUSING_M):
+            raise SceneError(
+                f"plugin 'palmfield.skin': {what} reaches into the array (lowest point "
+                f"{1e3 * above:.1f} mm above the board, at least {1e3 * CLEARANCE_M:g} mm needed); move it up"
+            )

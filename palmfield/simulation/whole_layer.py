@@ -1,0 +1,88 @@
+"""Where a small model of a skin no longer serves, and how the whole layer goes on from it."""
+
+import numpy as np
+
+from palmfield.errors import SceneError
+from palmfield.simulation.emission import Emission
+from palmfield.simulation.model import HapticModel
+from palmfield.simulation.posed_scene import PosedScene
+from palmfield.simulation.radiation import Radiation
+from palmfield.simulation.state import HEADER, WHOLE, HapticState, claim
+from palmfield.skin.fem.wedge_stepper import WedgeStepper
+from palmfield.skin.reduction.reduced_stepper import ReducedStepper
+from palmfield.stimulus.schedule import first_point
+from palmfield.types import Complex, Float
+
+
+def leaves_small_model(
+    model: HapticModel,
+    state: HapticState,
+    skin: int,
+    posed: PosedScene,
+    reference: PosedScene,
+    emission: Emission,
+    t0: float,
+) -> bool:
+    """Whether a skin's small model ends here: body, arrays or focus have moved, or the run begins after the sound.
+
+    Raises SceneError instead where key `solver` asks for the small model.
+    """
+    part = model.skins[skin]
+    if state.skins[skin][0, 0] == WHOLE:
+        return False
+    stepper = model.begin[skin].value
+    if not isinstance(stepper, ReducedStepper):
+        return False
+    stimulus = sounding(model)
+    start_s = model.stimuli[stimulus].config.start_s
+    moved = posed.skins[skin] is not reference.skins[skin] or posed.arrays is not model.arrays
+    if not moved:
+        place = emission.focal_points(posed, t0)[stimulus]
+        foci = place.at(first_point(model.stimuli[stimulus].config))
+        moved = bool(np.abs(foci - model.stimuli[stimulus].reference_foci).max() > part.still_m)
+    late = start_s < t0 - 1e-9 and not stepper.any_course and not state.skins[skin][0, HEADER:].any()
+    if not moved and not late:
+        return False
+    if part.spec.config.solver == "reduced":
+        what = (
+            f"body '{part.spec.config.body}', an array or the focus has moved" if moved else "the skin begins at rest"
+        )
+        raise SceneError(
+            f"plugin 'palmfield.skin' instance '{part.spec.name}': key 'solver' has value 'reduced', but {what} at "
+            f"{t0:g} s, which the small model was not made for; set solver to auto or wedges"
+        )
+    return True
+
+
+def sounding(model: HapticModel) -> int:
+    """Number of the one stimulus that sounds in a scene with small models."""
+    return next((i for i, part in enumerate(model.stimuli) if not part.silent), 0)
+
+
+def continue_on_whole_layer(
+    model: HapticModel,
+    state: HapticState,
+    skin: int,
+    posed: PosedScene,
+    emission: Emission,
+    radiation: Radiation,
+    amplitudes: Complex,
+    t0: float,
+) -> tuple[WedgeStepper, Float]:
+    """Turn a small model's motion into one of the whole layer, in place; amplitudes: emitted at t0 [s], shape (N,).
+
+    Returns the whole layer's stepper and its numbers, shape (1, state_size), a view of the state.
+    """
+    small, whole = model.begin[skin].value, model.whole[skin].value
+    assert isinstance(small, ReducedStepper)
+    course = emission.now(posed, amplitudes, t0)
+    pressure = np.zeros(len(posed.skins[skin].quadrature[0]))
+    if course.unit is not None and course.levels is not None:
+        pressure = abs(course.levels[0]) ** 2 * radiation.on(posed, skin, "quadrature", course.unit).arp
+    elif course.emitted is not None:
+        pressure = radiation.on(posed, skin, "quadrature", course.emitted[0]).arp.astype(np.float64)
+    numbers = state.skins[skin][:, HEADER:]
+    lifted = small.lifted(numbers[:, : small.state_size], pressure)
+    numbers[:, : whole.state_size] = lifted
+    claim(model, state, skin, whole)
+    return whole, numbers[:, : whole.state_size]

@@ -1,0 +1,56 @@
+"""From what a stimulus asks for to places in the frame of the first array, while nothing moves."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from palmfield.stimulus.surface_path import SurfacePath
+from palmfield.transforms import Transform
+from palmfield.types import Float, Int
+
+NO_OFFSETS: Float = np.zeros((0, 3))
+
+
+class SurfaceCourse(NamedTuple):
+    """A path along a surface as that surface stands now.
+
+    vertices [m], shape (v, 3), and faces, shape (f, 3), of the surface on which the path was drawn, in the body's frame
+    body: that frame seen from the first array
+    """
+
+    path: SurfacePath
+    vertices: Float
+    faces: Int
+    body: Transform
+
+    def positions(self, arcs: Float) -> Float:
+        """Places [m] at arc lengths from the path's start [m], shape (k,), seen from the first array, shape (k, 3)."""
+        return self.body.points(self.path.positions(arcs, self.vertices, self.faces))
+
+
+class FocalPoints(NamedTuple):
+    """Where the stimulus's points are while body, arrays and the stimulus's frame keep still.
+
+    frame: the stimulus's frame seen from the first array
+    offsets: of several foci at once from the stimulus's point [m], shape (m, 3); (0, 3) for a single focus
+    on_surface: the surface on which the path runs; None for points in `frame`
+    """
+
+    frame: Transform
+    offsets: Float = NO_OFFSETS
+    on_surface: SurfaceCourse | None = None
+
+    def at(self, point: Float) -> Float:
+        """The focus [m], shape (3,), or several at once, shape (m, 3), for one of the stimulus's points, shape (3,).
+
+        point: `palmfield.stimulus.schedule.Frame.focus`
+        """
+        if len(self.offsets):
+            return self.frame.points(point + self.offsets)
+        return self.along(point[None])[0]
+
+    def along(self, points: Float) -> Float:
+        """The focus, or the middle of several, for many of the stimulus's points, shapes (k, 3) [m]."""
+        if self.on_surface is not None:
+            return self.on_surface.positions(points[:, 0])
+        return self.frame.points(points)

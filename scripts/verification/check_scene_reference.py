@@ -1,0 +1,103 @@
+#!/usr/bin/env python3
+"""Hold the scenes against the arrays that the program before the redesign of its core gave (commit f6cb3e2).
+
+The solver, the mesh and the step are those that it took then. `small` layers take seconds and are a test; `shipped` are
+the scenes as they are, some minutes each: run this file.
+"""
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from palmfield.data import folder
+from palmfield.session.simulation import Simulation
+
+REFERENCE = Path(__file__).parents[2] / "tests" / "data" / "scene_reference"
+TOLERANCE = 1e-5
+"""Of each array's largest value."""
+WATCHED = ("sensordata", "displacement_m", "velocity_m_s", "force_N", "qpos")
+FORCE, DISPLACEMENT, VELOCITY, ARP = slice(0, 3), 3, 4, 5
+"""Channels of the skin's sensor."""
+
+
+def scenes(size: str) -> list[str]:
+    """Names of the scenes with stored arrays. size: "small" or "shipped"."""
+    return sorted(path.stem for path in (REFERENCE / size).glob("*.npz"))
+
+
+def opened(facts: dict[str, Any]) -> Simulation:
+    """The scene as it was stepped then, at the time from which it was stored."""
+    solver = facts["began"]
+    if facts["began"] != facts["ended"]:
+        solver = "auto"  # only this may leave its small model
+    keys = {**facts["keys"], "skin.solver": solver}
+    sim = Simulation(folder("mjcf") / "scenes" / f"{facts['scene']}.xml", device="cpu", keys=keys)
+    if facts["start_s"]:
+        sim.start_at(facts["start_s"])
+    return sim
+
+
+def differences(size: str, name: str) -> Iterator[tuple[str, float]]:
+    """What was compared, and its largest difference over the stored array's largest value."""
+    with np.load(REFERENCE / size / f"{name}.npz") as stored:
+        facts, expected = json.loads(str(stored["facts"])), {key: stored[key] for key in stored.files if key != "facts"}
+    sim = opened(facts)
+    skin, layer = sim.skin(), sim.runtime.model.skins[0].layer
+    nodes = expected["nodes"]
+    rows: dict[str, list[Any]] = {
+        key: [] for key in ("sensordata", "displacement_m", "velocity_m_s", "force_N", "qpos")
+    }
+    for _ in range(facts["steps"]):
+        sim.step()
+        normals = skin.rest_normal[nodes]
+        rows["displacement_m"].append(np.einsum("ij,ij->i", skin.displacement[nodes], normals))
+        rows["velocity_m_s"].append(np.einsum("ij,ij->i", skin.velocity[nodes], normals))
+        rows["sensordata"].append(sim.data.sensordata.copy())
+        rows["force_N"].append(sim.forces[0].copy())
+        rows["qpos"].append(sim.data.qpos.copy())
+    yield "unknowns", abs(layer.system.ndof - facts["unknowns"]) / facts["unknowns"]
+    yield "step_s", abs(layer.sizes.step_s - facts["step_s"]) / facts["step_s"]
+    yield "rest_m", relative(skin.rest_position[nodes], expected["rest_m"])
+    if facts["response"]:
+        yield "emitted", relative(sim.runtime.amplitudes, expected["emitted"])
+    sensors, seen = np.array(rows.pop("sensordata")), expected["sensordata"]
+    for channel in (FORCE, DISPLACEMENT, VELOCITY, ARP):
+        yield f"sensor channel {channel}", relative(sensors[:, channel], seen[:, channel])
+    for key, values in rows.items():
+        yield key, relative(np.array(values), expected[key])
+    yield f"ended with {facts['ended']}", float(skin.solver != facts["ended"])
+
+
+def relative(values: Any, expected: Any) -> float:
+    """Largest difference over the largest expected value."""
+    if np.shape(values) != np.shape(expected):
+        return float("inf")
+    largest = float(np.abs(expected).max(initial=0.0))
+    difference = float(np.abs(values - expected).max(initial=0.0))
+    return difference / largest if largest > 0.0 else difference
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("scene", nargs="*", help="all by default")
+    parser.add_argument("--size", choices=("small", "shipped"), default="shipped")
+    chosen = parser.parse_args()
+    failed = 0
+    for name in chosen.scene or scenes(chosen.size):
+        found = dict(differences(chosen.size, name))
+        what, worst = max(found.items(), key=lambda item: item[1])
+        bad = not worst <= TOLERANCE
+        failed += bad
+        print(
+            f"{'DIFFERS' if bad else 'agrees'}  {name}: at most {worst:.1e} of the largest value, in {what}", flush=True
+        )
+    return min(failed, 1)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

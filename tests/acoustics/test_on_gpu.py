@@ -1,0 +1,69 @@
+"""What a step takes gives on a GPU what it gives on the CPU. Runs where there is one."""
+
+import numpy as np
+import pytest
+import warp as wp
+
+from palmfield.acoustics.body_scattering import Occlusion
+from palmfield.acoustics.phased_array import ArrayInstance, PhasedArray
+from palmfield.acoustics.sphere import geodesic
+from palmfield.acoustics.surface_arp import MATRIX_FROM, SurfaceArp
+from palmfield.config import ArrayConfig
+from palmfield.hand.articulated import bone_poses
+from palmfield.hand.posed_surface import FaceSampler
+from palmfield.hand.preset import load_preset
+from palmfield.hand.skinning import SkinnedHand
+from palmfield.transforms import IDENTITY, Placement, Transform
+
+pytestmark = pytest.mark.skipif(not wp.is_cuda_available(), reason="no GPU here")
+
+HERE = Placement.of(IDENTITY)
+BESIDE = Placement.of(Transform(np.array([0.2, 0.0, 0.0]), np.eye(3)))
+GPU = "cuda:0"
+
+
+@pytest.mark.parametrize(
+    "keys", [[{}], [{"precision": "accurate"}], [{}, {"directivity": "point"}], [{"layout": "two_bow_corrected"}]]
+)
+def test_surface_arp(keys: list[dict[str, object]]) -> None:
+    places = [HERE, BESIDE][: len(keys)]
+    instances = [ArrayInstance(ArrayConfig.model_validate(one), place) for one, place in zip(keys, places, strict=True)]
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-0.03, 0.03, (1000, 3)) - [0.0, 0.0, -0.2]
+    normals = rng.normal(size=(1000, 3)) * 0.5 - [0.0, 0.0, 1.0]
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    here, there = (SurfaceArp(PhasedArray(instances, places, device).field, 1000) for device in ("cpu", GPU))
+    drives = np.exp(2j * np.pi * rng.uniform(size=(MATRIX_FROM, here.field.count)))
+    for drive in drives[:3]:
+        one, other = here.evaluate(points, normals, drive, flux=True), there.evaluate(points, normals, drive, flux=True)
+        for mine, theirs in zip(one, other, strict=True):
+            assert (np.abs(theirs - mine) < 1e-4 * np.abs(mine).max()).mean() > 0.998  # the side of a grazing flow
+    first = there.evaluate(points, normals, drives[0]).arp.copy()
+    np.testing.assert_array_equal(there.evaluate(points, normals, drives[0]).arp, first)
+    one, other = here.evaluate_many(points, normals, drives), there.evaluate_many(points, normals, drives)
+    assert (np.abs(other - one) < 1e-4 * one.max()).mean() > 0.998
+
+
+def test_occlusion_follows_its_vertices() -> None:
+    vertices, faces = geodesic(0.02, 20)
+    rng = np.random.default_rng(0)
+    points, flux = rng.uniform(-0.05, 0.05, (2000, 3)), rng.normal(size=(2000, 3))
+    here, there = (Occlusion(vertices, faces, device) for device in ("cpu", GPU))
+    for shift in (0.0, 0.02, -0.03):
+        here.move(vertices + shift)
+        there.move(vertices + shift)
+        assert (here.lit(points, flux, 0.05) != there.lit(points, flux, 0.05)).sum() <= 2  # rays along an edge
+
+
+def test_a_posed_hand_and_its_faces() -> None:
+    preset = load_preset("open_men_p50")
+    here, there = SkinnedHand(preset, 0.004), SkinnedHand(preset, 0.004, GPU)
+    samplers = [FaceSampler(here.surface.faces, len(here.surface.vertices), device) for device in ("cpu", GPU)]
+    for angle in (0.0, 40.0):
+        pose = bone_poses(here.hand, {"index_mcp_flexion": angle})
+        one, other = here.posed_surface(*pose), there.posed_surface(*pose)
+        np.testing.assert_allclose(other.vertices, one.vertices, atol=1e-7)
+        np.testing.assert_allclose(there.posed(*pose), one.vertices, atol=1e-7)
+        assert np.einsum("ij,ij->i", other.normals, one.normals).min() > 1.0 - 1e-5
+        for mine, theirs in zip(*(sampler.at(one.vertices) for sampler in samplers), strict=True):
+            np.testing.assert_allclose(theirs, mine, rtol=1e-9, atol=1e-12)
