@@ -15,7 +15,7 @@ from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
 import numpy as np
-from coverage_cases import Row, relative_change, summary
+from coverage_cases import Row, judge, summary
 from random_cases import random_case
 
 from palmfield.skin.materials.catalogue import preset
@@ -46,7 +46,7 @@ def warm(device: str) -> None:
 
 def one(seed: int, number: int, settings: argparse.Namespace) -> list[Row]:
     case = random_case(seed, number, settings.duration)
-    return relative_change(case, settings.device, settings.longest, settings.limit)
+    return judge(case, settings.device, settings.longest, settings.limit)
 
 
 def line(row: Row) -> str:
