@@ -6,8 +6,6 @@ from pathlib import Path
 
 import pytest
 
-from palmfield.config import DriverConfig
-
 ARRAYS = Path(__file__).parent.parent / "mjcf" / "arrays"
 
 PLAIN = """
@@ -61,8 +59,6 @@ def _writer(folder: Path) -> Write:
         texts = {}
         for module, defaults in DEFAULTS.items():
             keys = defaults | changes.get(module, {})
-            if module == "driver" and "board" not in DriverConfig.model_fields:
-                keys = {"device" if key == "board" else key: value for key, value in keys.items()}
             texts[module] = "".join(f'<config key="{k}" value="{v}"/>' for k, v in keys.items() if v is not None)
         (folder / "plain.xml").write_text(PLAIN.format(arrays=ARRAYS))
         path = folder / "small.xml"

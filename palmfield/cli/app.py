@@ -267,7 +267,7 @@ def bench_skin(
     Ours at several wanted accuracies; scikit-fem, warp.fem and MuJoCo's flexes on several meshes. Errors are against
     plane waves in depth, which are exact. It takes some minutes.
 
-    Examples: palmfield bench skin --only spectral
+    Examples: palmfield bench skin --only lateral_waves
 
     palmfield bench skin --peers-python ~/.cache/palmfield-peers/bin/python --out skin.md --picture skin.png
     """

@@ -11,11 +11,14 @@ from palmfield.simulation.build import model_of
 from palmfield.simulation.posed_scene import PosedScene, PoseLayout, PoseRows, posed_scene
 from palmfield.simulation.scene_reader import read_scene
 from palmfield.simulation.sensors import SensorPlace, SkinReading, fill, sensor_place
-from palmfield.simulation.state import HapticState, check_arrays, stepper_of
+from palmfield.simulation.state import HapticState, at_rest, check_arrays, stepper_of
 from palmfield.simulation.step import Workspace, gather, step
 from palmfield.simulation.validate import check_clear
 from palmfield.skin.stepper import SkinStepper
 from palmfield.types import Complex, Float
+
+AT_REST: Float = np.zeros(2)
+"""Displacement and velocity of skin that nothing has stepped yet: to read them takes no stepper."""
 
 
 class SceneRuntime:
@@ -71,12 +74,14 @@ class SceneRuntime:
             positions, matrices = self.view.frames[kind]
             positions.take(numbers, 0, self._positions[part])
             matrices.take(numbers, 0, self._matrices[part])
+        last = self._posed
+        if self._positions.tobytes() + self._matrices.tobytes() == last.numbers:
+            return last
         rows = PoseRows(self._positions, self._matrices.reshape(-1, 3, 3))
-        posed = posed_scene(self.model, self.layout, rows, self._posed, self.work.reference)
-        if posed is not self._posed:
-            if posed.bodies != self._posed.bodies or posed.arrays is not self._posed.arrays:
-                check_clear(posed)
-            self._posed = posed
+        posed = posed_scene(self.model, self.layout, rows, last, self.work.reference)
+        if posed.bodies != last.bodies or posed.arrays is not last.arrays:
+            check_clear(posed)
+        self._posed = posed
         return posed
 
     @property
@@ -91,7 +96,7 @@ class SceneRuntime:
     def now(self) -> tuple[PosedScene, EmittedCourse]:
         """Pose and emission at MuJoCo's present time."""
         posed = self.posed
-        return posed, self.work.emission.now(posed, self.amplitudes, self.view.time)
+        return posed, self.work.emission.now(posed, gather(self.state, self.work), self.view.time)
 
     def body_forces(self) -> list[tuple[Float, Float]]:
         """Forces [N] on the parts of each body and torques about their origins [N m], world axes, shapes (b, 3).
@@ -101,7 +106,7 @@ class SceneRuntime:
         posed, time_s = self.posed, self.view.time
         self.work.emission.begin(posed, time_s)
         turn = posed.array_frame.rotation.T
-        forces = self.work.forces.over(self.work.emission, posed, self.amplitudes, time_s)
+        forces = self.work.forces.over(self.work.emission, posed, gather(self.state, self.work), time_s)
         return [(force @ turn, torque @ turn) for force, torque in forces]
 
     def push(self) -> None:
@@ -123,10 +128,13 @@ class SceneRuntime:
         """Fill a skin's sensors from the state at the present time."""
         posed, course = self.now()
         part = self.model.skins[skin]
-        stepper, numbers = stepper_of(self.model, self.state, skin)
+        resting = at_rest(self.state, skin)
         for sensor in sensors:
             place = self._place(skin, sensor)
-            motion = stepper.read(numbers, place.reader(stepper))[0, :, 0]
+            motion = AT_REST
+            if not resting:
+                stepper, numbers = stepper_of(self.model, self.state, skin)
+                motion = stepper.read(numbers, place.reader(stepper))[0, :, 0]
             arp = 0.0
             drive, factor = present_drive(course)
             if drive is not None:

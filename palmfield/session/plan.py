@@ -27,9 +27,10 @@ from palmfield.session.load import Source
 from palmfield.session.preview import Preview, preview
 from palmfield.session.simulation import Simulation
 from palmfield.simulation.emission import array_drives
-from palmfield.simulation.known_load import SHARE, factor_s
+from palmfield.simulation.known_load import SHARE
 from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
 from palmfield.simulation.posed_scene import reference_scene
+from palmfield.skin.costs import factor_s
 from palmfield.skin.from_config import cutoff_Hz, sheets_in_words
 from palmfield.skin.materials.material import shear_wave
 from palmfield.stimulus.schedule import frame_rates, frames_at, main_frequencies, turn_rate_Hz

@@ -13,7 +13,7 @@ from palmfield.engine.scene_runtime import SceneRuntime, present_drive
 from palmfield.errors import SceneError
 from palmfield.session.load import Source, compiled
 from palmfield.simulation.model import SkinModel
-from palmfield.simulation.state import stepper_of
+from palmfield.simulation.state import at_rest, stepper_of
 from palmfield.skin.stepper import Reader
 from palmfield.types import Complex, Float, Float32, Int
 
@@ -163,7 +163,9 @@ class Skin:
 
     @property
     def solver(self) -> str:
-        """What steps it now: "wedges" or "reduced"."""
+        """What steps it now, or will: "wedges" or "reduced"."""
+        if at_rest(self._runtime.state, self._number):
+            return self._part.choice.name
         return stepper_of(self._runtime.model, self._runtime.state, self._number)[0].name
 
     @property
@@ -188,6 +190,8 @@ class Skin:
         return posed.array_frame.points(posed.skins[self._number].nodes[0])
 
     def _motion(self) -> Float:
+        if at_rest(self._runtime.state, self._number):
+            return np.zeros((2, len(self.rest_position), 3))
         stepper, numbers = stepper_of(self._runtime.model, self._runtime.state, self._number)
         if stepper.name not in self._readers:
             self._readers[stepper.name] = stepper.reader(self._part.surface_vectors)

@@ -28,7 +28,7 @@ from palmfield.simulation.validate import check_board, check_bodies, check_body_
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
 from palmfield.skin.scene_layer import LayerDemand, SceneLayer
 from palmfield.stimulus.focal_points import FocalPoints, SurfaceCourse
-from palmfield.stimulus.schedule import SitesStimulus, frame_at, main_frequencies, plane_path
+from palmfield.stimulus.schedule import frame_at, main_frequencies, plane_path, with_length
 from palmfield.stimulus.surface_path import SurfacePath, drawn, through
 from palmfield.transforms import Transform
 from palmfield.types import Float
@@ -65,7 +65,7 @@ def build(spec: SceneSpec, alike: HapticModel | None = None) -> HapticModel:
     """
     check_bodies(spec)
     board = BOARDS[spec.driver.board]
-    arrays = PhasedArray(array_instances(spec), [array.placement for array in spec.arrays], spec.device)
+    arrays = _arrays(spec)
     names = list(dict.fromkeys(skin.config.body for skin in spec.skins))
     if alike is not None:
         bodies = alike.bodies
@@ -97,6 +97,17 @@ def build(spec: SceneSpec, alike: HapticModel | None = None) -> HapticModel:
 def _whole(layer: SceneLayer) -> WedgeStepper:
     """What steps a whole layer, with its factorised matrix."""
     return WedgeStepper(layer.system, layer.quadrature.operator, layer.sizes.step_s)
+
+
+def _arrays(spec: SceneSpec) -> PhasedArray:
+    """The scene's arrays in the reference pose. Raises SceneError, which names the instance, for one that can't be."""
+    instances = array_instances(spec)
+    for array, instance in zip(spec.arrays, instances, strict=True):
+        try:
+            instance.array(array.placement.sites)
+        except SceneError as error:
+            raise SceneError(f"plugin 'palmfield.array' instance '{array.name}': {error}") from None
+    return PhasedArray(instances, [array.placement for array in spec.arrays], spec.device)
 
 
 # -- bodies and stimuli --------------------------------------------------------------------------------------------
@@ -144,7 +155,7 @@ def _stimulus(
         path = _path_on(spec, carrier, body)
     if config.path == "sites":
         assert path is not None
-        config = SitesStimulus(**config.model_dump(exclude_unset=True), sites_length_m=float(path.arc_m[-1]))
+        config = with_length(config, float(path.arc_m[-1]))
     offsets = np.reshape(config.foci_m, (-1, 3))
     course = None
     if path is not None and carrier is not None and carrier.surface is not None and body is not None:

@@ -55,6 +55,11 @@ def new_state(model: HapticModel) -> HapticState:
     return HapticState(arrays, tuple(np.zeros((1, skin_room(model, i))) for i in range(len(model.skins))))
 
 
+def at_rest(state: HapticState, skin: int) -> bool:
+    """Whether nothing has stepped a skin since the start or a reset."""
+    return bool(state.skins[skin][0, 0] == 0.0)
+
+
 def check_arrays(model: HapticModel, state: HapticState) -> None:
     """Mark the arrays' states as this model's. Raises SceneError for one that another scene or version wrote."""
     for number, (array, part) in enumerate(zip(model.spec.arrays, state.arrays, strict=True)):

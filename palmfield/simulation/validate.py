@@ -101,6 +101,11 @@ def check_board(stimulus: StimulusSpec, board: Board, arrays: Sequence[ArraySpec
     """Refuse a stimulus that the board cannot play (DeviceError) and a board on another array (SceneError)."""
     if board.name == "ideal":
         return
+    if len(arrays) > 1:
+        raise SceneError(
+            f"plugin 'palmfield.driver': board '{board.name}' drives one array; the scene has "
+            f"{len(arrays)} of 'palmfield.array': use board ideal"
+        )
     config, element = stimulus.config, f"plugin 'palmfield.stimulus' instance '{stimulus.name}'"
     rates = frame_rates(config)
     moving = config.path != "point" or stimulus.frame_moves
@@ -117,22 +122,17 @@ def check_board(stimulus: StimulusSpec, board: Board, arrays: Sequence[ArraySpec
     rate = max(rates) if rates else 0.0
     if modulated and not rates:
         rate = 10 * (config.am_frequency_Hz or 0.0)
-    check(board, frame_rate_Hz=rate, points_per_turn=turn, modulated=modulated, element="palmfield.stimulus")
+    check(board, frame_rate_Hz=rate, points_per_turn=turn, modulated=modulated, element=stimulus.name)
     if config.ramp_s > 0 or wants_level:
         raise DeviceError(
             f"{element}: a ramp or a level between off and full needs continuous amplitude; "
             f"{board.name} gives on or off: drop ramp_s, arp_peak_Pa and drive_amplitude, or use board ideal"
         )
-    if len(arrays) > 1:
-        raise SceneError(
-            f"plugin 'palmfield.driver': board '{board.name}' drives one array; the scene has "
-            f"{len(arrays)} of 'palmfield.array': use board ideal"
-        )
     layout = arrays[0].config.layout
     if layout != board.name:
         raise SceneError(
             f"plugin 'palmfield.driver': board '{board.name}' drives the layout '{board.name}' only; "
-            f"plugin 'palmfield.array' has layout '{layout}': set it to '{board.name}'"
+            f"plugin 'palmfield.array' instance '{arrays[0].name}' has layout '{layout}': set it to '{board.name}'"
         )
 
 

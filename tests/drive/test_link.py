@@ -233,6 +233,7 @@ def test_a_port_that_is_not_there(port):
     assert "port" in message.split(";")[1]
 
 
+@pytest.mark.smoke
 def test_loop_port():
     link = open_link("loop://")
     frame = encode(turned(3))

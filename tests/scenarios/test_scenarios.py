@@ -3,14 +3,14 @@
 import mujoco
 import numpy as np
 import pytest
+from palmfield.engine.motion import place
 
 import palmfield
 from palmfield.acoustics.reference import pressure64
 from palmfield.data import folder
 from palmfield.engine.host import raise_errors
-from palmfield.engine.motion import place
 from palmfield.hand.meshquery import barycentric, build_mesh, closest_faces
-from palmfield.skin.mesh.surface import SurfaceProbe
+from palmfield.skin.fem.probe import SurfaceProbe
 from palmfield.stimulus.schedule import frame_at
 
 COARSE = {"skin.accuracy": 0.5, "skin.max_frequency_Hz": 250.0, "skin.element_m": None}

@@ -6,8 +6,10 @@ import mujoco
 import numpy as np
 import pytest
 
-import palmfield
 from palmfield.engine.host import raise_errors
+from palmfield.errors import SceneError
+from palmfield.session.plan import plan
+from palmfield.session.run import run
 from palmfield.session.simulation import load
 from palmfield.simulation.known_load import MOST_TURNS, refusal
 from palmfield.simulation.state import BEGUN, HEADER, WHOLE
@@ -132,7 +134,7 @@ def test_a_body_that_moves_goes_on_with_the_whole_layer(small_scene):
 
     still, _ = watched(path("wedges"), 5)
     with pytest.raises(
-        palmfield.SceneError, match=r"palmfield\.skin' instance 'skin'.*'solver'.*'reduced'.*moved.*set solver to auto"
+        SceneError, match=r"palmfield\.skin' instance 'skin'.*'solver'.*'reduced'.*moved.*set solver to auto"
     ):
         watched(path("reduced"), 8, shift)
     moved, sim = watched(path("auto", duration_s=10), 15, shift)
@@ -164,7 +166,7 @@ def test_a_path_met_half_way_is_not_for_the_small_model(small_scene):
         if step == 0:
             sim.data.time = 0.004
 
-    with pytest.raises(palmfield.SceneError, match="begins at rest"):
+    with pytest.raises(SceneError, match="begins at rest"):
         watched(path, 1, later)
     _, sim = watched(fixed(small_scene(skin=SKIN, array={"response": "off"})), 1, later)
     assert kind_of(sim) == BEGUN and sim.skin().solver == "reduced"
@@ -181,7 +183,7 @@ def test_a_path_met_half_way_is_not_for_the_small_model(small_scene):
 )
 def test_a_load_without_a_small_model_is_refused_by_name(small_scene, stimulus, reason):
     refused = f"palmfield.skin' instance 'skin': key 'solver' has value 'reduced'.*{reason}.*set it to auto"
-    with pytest.raises(palmfield.SceneError, match=refused):
+    with pytest.raises(SceneError, match=refused):
         load(small_scene(stimulus=stimulus, skin=SKIN))
     sim = load(small_scene(stimulus=stimulus, skin=SKIN | {"solver": "auto"}))
     assert choice_of(sim).name == "wedges" and reason in choice_of(sim).why
@@ -203,11 +205,11 @@ def test_auto_weighs_making_against_stepping(small_scene):
     assert (choice_of(short).name, choice_of(long).name) == ("wedges", "reduced")
     assert isinstance(stepper_of(short), WedgeStepper)
     assert choice_of(long).reduced_s < choice_of(long).wedges_s
-    said = {row.what: row for row in palmfield.plan(long).modelled}
+    said = {row.what: row for row in plan(long).modelled}
     assert "wedges about" in said["skin solver reduced"].size
     assert "whole layer goes on" in said["skin solver reduced"].why
-    assert "skin solver wedges" in {row.what for row in palmfield.plan(short).modelled}
-    assert palmfield.plan(chosen(1.0)).seconds > palmfield.plan(chosen(0.002)).seconds
+    assert "skin solver wedges" in {row.what for row in plan(short).modelled}
+    assert plan(chosen(1.0)).seconds > plan(chosen(0.002)).seconds
 
 
 def test_a_model_that_grows_too_large_is_left(small_scene, monkeypatch):
@@ -216,7 +218,7 @@ def test_a_model_that_grows_too_large_is_left(small_scene, monkeypatch):
     def scene(solver, **more):
         return load(fixed(small_scene(skin=SKIN | {"accuracy": 0.049, "solver": solver}, **more)))
 
-    with pytest.raises(palmfield.SceneError, match="vectors"):
+    with pytest.raises(SceneError, match="vectors"):
         stepper_of(scene("reduced"))
     sim = scene("auto", duration_s=10)
     assert choice_of(sim).name == "reduced"
@@ -224,10 +226,10 @@ def test_a_model_that_grows_too_large_is_left(small_scene, monkeypatch):
 
 
 def test_the_reduction_is_in_the_error_budget(small_scene, tmp_path):
-    result = palmfield.run(load(fixed(small_scene(skin=SKIN))), tmp_path / "out", progress=False)
+    result = run(load(fixed(small_scene(skin=SKIN))), tmp_path / "out", progress=False)
     found = result.summary["skins"][0]
     assert 0.0 < found["reduction_error_relative"] <= 0.006
     assert found["displacement_error_relative"] > found["reduction_error_relative"]
     # A sine sampled at steps of h keeps sinc(f h)^2 of itself between straight lines.
     assert found["step_error_relative"] == pytest.approx((2 * np.pi * 200 * 5e-5) ** 2 / 12, rel=0.01)
-    assert found["skin_solver"].startswith("reduced, ")
+    assert found["solver"].startswith("reduced, ")

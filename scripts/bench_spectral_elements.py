@@ -1,0 +1,224 @@
+"""Time and error of solver spectral_elements: the reference disc, a fast focus, a hand's layer.
+
+    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python scripts/bench_spectral_elements.py [--device cuda:0] [--out FILE]
+
+Errors of the roller disc and the endless slab are against the exact layer (palmfield/skin/analytic/layer_oracle.py)
+through its
+frequency response; those of fixed and free sides against a finer run of the same solver, and so are those of the fast
+focus; those of the hand's layer against a reduced model at 2 %. Times are with meshing and, on the disc, the coarser
+run that estimates the error; kernels are compiled before.
+"""
+
+import argparse
+import time
+from pathlib import Path
+
+import numpy as np
+import warp as wp
+
+from palmfield.device import resolve
+from palmfield.hand.patch import surface_patch
+from palmfield.hand.preset import load_preset
+from palmfield.hand.surface import hand_surface
+from palmfield.skin.analytic.layer_oracle import centre_response
+from palmfield.skin.materials.catalogue import preset
+from palmfield.skin.materials.material import Material, bulk_from_poisson
+from palmfield.skin.problem import Layer, Sheet, Slab, Spot
+from palmfield.skin.solver_choice import solve
+from palmfield.skin.solvers.spectral_elements.solve import solve_spectral_elements
+from palmfield.studies.bench.table import processor
+
+ROOT = Path(__file__).resolve().parents[1]
+SPOT, DEPTH, RADIUS, END = 0.0103, 0.02, 0.06, 0.2
+PLACES = np.array([[0.0, 0.0], [0.01, 0.0]])
+ECOFLEX = preset("ecoflex_00-10")
+
+
+def courses() -> dict[str, Spot]:
+    grid = np.arange(0.0, END + 1e-9, 5e-5)
+    ramp = np.where(grid < 1e-3, 0.5 - 0.5 * np.cos(np.pi * grid / 1e-3), 1.0)
+    modulated = 0.5 * (1.0 + np.sin(2.0 * np.pi * 200.0 * grid))
+    turn = 2.0 * np.pi * 70.0 * grid
+    circle = 0.01 * np.column_stack([np.cos(turn), np.sin(turn)])
+    return {
+        "ramp": Spot(SPOT, grid, ramp),
+        "AM 200 Hz": Spot(SPOT, grid, modulated),
+        "STM 70 Hz": Spot(SPOT, grid, np.ones_like(grid), circle),
+    }
+
+
+def exact(course: Spot, times: np.ndarray, radius: float | None) -> np.ndarray:
+    """Exact displacement into the layer at PLACES, (t, 2), of a spot at rest that is switched off at END.
+
+    The period of 0.6 s leaves 0.4 s to forget it; a jump's share above 4 kHz is left out.
+    """
+    period, top, step = 0.6, 4000.0, 5e-5
+    count = round(period / step)
+    grid = step * np.arange(count)
+    # The mean of both sides where the course jumps
+    values = np.interp(grid, course.times_s, course.peak_Pa, right=0.0)
+    values[0] *= 0.5
+    spectrum = np.fft.rfft(values)
+    responses = np.zeros((len(spectrum), len(PLACES)), dtype=complex)
+    for index in range(round(top * period)):
+        responses[index] = centre_response(index / period, ECOFLEX, DEPTH, SPOT, radius, PLACES[:, 0]).conj()
+    series = np.fft.irfft(spectrum[:, None] * responses, n=count, axis=0)
+    return np.stack([np.interp(times, grid, column) for column in series.T], axis=1)
+
+
+def timed(device: str, *arguments, **keywords):
+    """A solution, after a step or two of the same that compile what it needs."""
+    body, load, _, at = arguments
+    solve_spectral_elements(body, load, load.times_s[:1] + 1e-4, at, device=device, **keywords)
+    return solve_spectral_elements(*arguments, device=device, **keywords)
+
+
+def gap(found: np.ndarray, wanted: np.ndarray) -> float:
+    return float((np.linalg.norm(found - wanted, axis=0) / np.linalg.norm(wanted, axis=0)).max())
+
+
+def disc_rows(device: str) -> list[str]:
+    times = np.arange(1, 1001) * 2e-4
+    sheets = (Sheet(ECOFLEX, DEPTH),)
+    bodies = {side: Slab(sheets, "disc", "bonded", side, radius_m=RADIUS) for side in ("roller", "fixed", "free")} | {
+        "endless": Slab(sheets)
+    }
+    rows = []
+    for side, body in bodies.items():
+        for name, course in courses().items():
+            motion = timed(device, body, course, times, PLACES, accuracy=0.02)
+            if side in ("roller", "endless") and name != "STM 70 Hz":
+                wanted = exact(course, times, RADIUS if side == "roller" else None)
+            else:
+                wanted = -solve_spectral_elements(
+                    body, course, times, PLACES, device=device, order=4, size_m=0.0067, deep=(3,), estimate=False
+                ).displacement_m[:, :, 2]
+            error = gap(-motion.displacement_m[:, :, 2], wanted)
+            rows.append(
+                f"| {side} | {name} | {motion.seconds:.2f} | {100 * error:.2f} % | {100 * motion.error:.2f} % "
+                f"| {motion.solver.removeprefix('spectral_elements, ')} |"
+            )
+    return rows
+
+
+def fast_rows(device: str, sizes: dict[int, tuple[float, ...]]) -> list[str]:
+    """A focus at 7 m/s over an endless plate of 10 mm, snapshot of the normal velocity at the end of its way."""
+    rows = []
+    grid = np.array([0.0, 0.16 / 7.0])
+    load = Spot(0.006, grid, np.ones(2), np.array([[-0.08, 0.0], [0.08, 0.0]]))
+    x, y = (a.ravel() for a in np.meshgrid(np.arange(-0.1, 0.1001, 0.002), np.arange(-0.04, 0.0401, 0.002)))
+    at = np.column_stack([x, y])
+    shear = 23087.5
+    plate = Material("plate", 923.5, shear, (), bulk_from_poisson(0.495, shear), "Reardon et al. 2023", 0.0202, True)
+    for base in ("bonded", "free"):
+        body = Slab((Sheet(plate, 0.01),), base=base)
+        finest = None
+        for order, widths in sizes.items():
+            for width in widths:
+                motion = timed(device, body, load, grid[1:], at, order=order, size_m=width, estimate=False)
+                speed = motion.velocity_m_s[0, :, 2]
+                finest = speed if finest is None else finest
+                error = float(np.linalg.norm(speed - finest) / np.linalg.norm(finest))
+                text = "reference" if speed is finest else f"{100 * error:.2f} %"
+                rows.append(
+                    f"| {base} | {motion.solver.removeprefix('spectral_elements, ')} | {motion.seconds:.2f} | {text} |"
+                )
+    return rows
+
+
+def hand_rows(device: str) -> list[str]:
+    """Palmar skin of 2 mm, AM 200 Hz from rest to END, at 5 %, as `solve` does it; the median of three."""
+    skin = hand_surface(load_preset("open_men_p50"))
+    patch = surface_patch(
+        skin.surface, 0.002, np.zeros(3), 0.045, 0.0018, 0.0018, 0.045, max_depth_m=0.002, max_fraction=1.0
+    )
+    body = Layer(patch, (Sheet(preset("finger_pad"), 0.002),))
+    grid = np.arange(0.0, END + 1e-9, 5e-5)
+    middle = patch.vertices[int(np.argmin(np.linalg.norm(patch.vertices[:, :2], axis=1)))]
+    at = middle + np.array([[0.0, 0.0, 0.0], [0.5 * SPOT, 0.0, 0.0]])
+    load = Spot(SPOT, grid, 0.5 * (1.0 + np.sin(2.0 * np.pi * 200.0 * grid)), middle[:2])
+    reference = solve(body, load, grid[1:], at, solver="reduced", accuracy=0.02, device="cpu")
+    asked = {"cpu": (("reduced", False), ("reduced", True), ("wedges", False))}
+    rows = []
+    for name, whole in asked.get(device, (("spectral_elements", False), ("spectral_elements", True))):
+        motions = []
+        solve(body, load, grid[1:3], at, solver=name, accuracy=0.05, device=device, whole=whole)
+        for _ in range(3):
+            motions.append(solve(body, load, grid[1:], at, solver=name, accuracy=0.05, device=device, whole=whole))
+            if motions[-1].seconds > 30.0:
+                break
+        error = gap(motions[-1].displacement_m[:, :, 2], reference.displacement_m[:, :, 2])
+        seconds = float(np.median([motion.seconds for motion in motions]))
+        rows.append(
+            f"| {'whole patch' if whole else 'what the load reaches'} | {motions[-1].solver.split(' (')[0]} "
+            f"| {seconds:.2f} | {100 * motions[-1].error:.2g} % | {100 * error:.2g} % |"
+        )
+    rows += ["", f"The reference: {reference.solver.split(' (')[0]}, its estimate {100 * reference.error:.2g} %."]
+    return rows
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--device", default="cpu")
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "bench" / "skin_spectral_elements.md")
+    parser.add_argument("--cases", default="disc,hand", help="any of disc, fast, hand")
+    arguments = parser.parse_args()
+    device = resolve(arguments.device)
+    gpu = device != "cpu"
+    where = wp.get_device(device).name if gpu else f"{processor()}, one core"
+    lines = [
+        "# Solver spectral_elements",
+        "",
+        f"`python scripts/bench_spectral_elements.py --device {arguments.device} --cases {arguments.cases}`, {where}, "
+        f"Warp {wp.__version__}. Seconds with meshing and, on the disc, the coarser run of the estimate; kernels "
+        "compiled before.",
+    ]
+    begun = time.perf_counter()
+    if "disc" in arguments.cases:
+        lines += [
+            "",
+            "## The reference disc",
+            "",
+            f"Disc 120 x 20 mm and endless slab, Ecoflex 00-10, bonded, spot of {1e3 * SPOT:g} mm, {END} s, accuracy "
+            "0.02. Error over the series, the worse of centre and 10 mm off: rollers and endless slab against the "
+            "exact frequency response, the rest and STM against elements of 6.7 mm, three deep.",
+            "",
+            "| side | load | seconds | error | estimate | elements |",
+            "|---|---|---|---|---|---|",
+            *disc_rows(device),
+        ]
+    if "fast" in arguments.cases:
+        sizes = {5: (0.0025,), 4: (0.0025, 0.004), 2: (0.002,)}
+        lines += [
+            "",
+            "## A focus at 7 m/s",
+            "",
+            "Endless plate of 10 mm, rho 923.5, mu 23087.5 Pa, Kelvin-Voigt 0.0202 Pa s with the bulk following, nu "
+            "0.495, spot of 6 mm from -80 to 80 mm; normal velocity at the end, on 200 x 80 mm.",
+            "",
+            "| base | elements | seconds | difference |",
+            "|---|---|---|---|",
+            *fast_rows(device, sizes if gpu else {4: (0.004, 0.006), 2: (0.003,)}),
+        ]
+    if "hand" in arguments.cases:
+        lines += [
+            "",
+            "## A layer of palmar skin",
+            "",
+            "2 mm on the palm, patch of 45 mm radius with triangles of 1.8 mm (each cut in three makes 40 k hexahedra, "
+            f"three deep), finger-pad material, bonded, AM 200 Hz for {END} s at 5 %, by `palmfield.skin.solve`. "
+            "Seconds are the median of three with all that it does, the error is the worse of the spot's middle and "
+            "half a width off.",
+            "",
+            "| of it | solver | seconds | estimate | error |",
+            "|---|---|---|---|---|",
+            *hand_rows(device),
+        ]
+    lines += ["", f"All of it took {time.perf_counter() - begun:.0f} s.", ""]
+    arguments.out.parent.mkdir(parents=True, exist_ok=True)
+    arguments.out.write_text("\n".join(lines))
+    print("\n".join(lines))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,145 @@
+"""Sheets, base and sides of a scene's skin layer, and its cut-off in the plan."""
+
+import numpy as np
+import pytest
+
+from palmfield.config import SkinConfig, parse
+from palmfield.errors import SceneError
+from palmfield.session.plan import plan
+from palmfield.session.run import run
+from palmfield.session.simulation import load
+from palmfield.simulation.emission import array_drives
+from palmfield.simulation.posed_scene import reference_scene
+from palmfield.simulation.radiation import Radiation
+from palmfield.skin.fem.solver import static
+from palmfield.skin.from_config import layer_cutoff
+from palmfield.skin.materials.catalogue import preset
+from palmfield.skin.materials.dispersion import cutoff
+from palmfield.skin.materials.material import elastic
+from palmfield.skin.mesh.rows import rows_of
+from palmfield.skin.problem import Sheet
+
+
+def push(path):
+    """Largest static push of the surface under the scene's sound [m]."""
+    model = load(path).runtime.model
+    drive = array_drives(model, model.arrays)[0].unit_drive(model.stimuli[0].reference_foci).amplitudes
+    arp = Radiation(model).on(reference_scene(model), 0, "quadrature", drive).arp
+    layer = model.skins[0].layer
+    force = layer.quadrature.operator @ arp.astype(np.float64)
+    return np.abs(layer.surface_operator @ static(layer.system, force)).max()
+
+
+def damping(path):
+    return load(path).runtime.model.skins[0].layer.system.damping
+
+
+def test_sheets_of_one_material_are_the_layer_of_it(small_scene):
+    both = {"material": None, "materials": "ecoflex_00-10 ecoflex_00-10", "shares": "0.4 0.6", "element_m": 0.003}
+    one = push(small_scene(skin={"element_m": 0.003}))
+    assert push(small_scene(skin=both)) == pytest.approx(one, rel=0.01)
+
+
+def test_a_stiff_sheet_on_a_soft_one_moves_less(small_scene):
+    soft, stiff = "ecoflex_00-10", "gelatin_2"
+    pushes = {}
+    for order in ((soft, soft), (stiff, soft), (soft, stiff), (stiff, stiff)):
+        keys = {"material": None, "materials": " ".join(order), "shares": "0.3 0.7"}
+        pushes[order] = push(small_scene(skin=keys))
+    least, most = sorted((pushes[soft, soft], pushes[stiff, stiff]))
+    assert least < pushes[stiff, soft] < most and least < pushes[soft, stiff] < most
+
+
+@pytest.mark.parametrize("shares", [(0.5, 0.5), (0.1, 0.9), (0.34, 0.33, 0.33), (1.0,)])
+def test_no_row_crosses_two_sheets(shares):
+    materials = [elastic(f"m{k}", 1e3, 1e4) for k in range(len(shares))]
+    sheets = tuple(Sheet(m, s) for m, s in zip(materials, shares, strict=True))
+    edges, rows = rows_of(sheets, np.array([0.0, 0.11, 0.28, 0.56, 1.0]))
+    assert len(rows) == len(edges) - 1 >= len(shares) and np.all(np.diff(edges) > 0) and edges[-1] == 1.0
+    for sheet, end in zip(sheets, np.cumsum(shares), strict=True):
+        inside = [k for k, row in enumerate(rows) if row is sheet.material]
+        assert edges[inside[-1] + 1] == pytest.approx(end) and edges[inside[0]] == pytest.approx(
+            end - sheet.thickness_m
+        )
+
+
+def test_springs_go_from_free_to_bonded(small_scene):
+    def on(stiffness, **more):
+        keys = {"base": "springs", "base_normal_Pa_m": stiffness, "base_tangential_Pa_m": stiffness, "side": "fixed"}
+        return push(small_scene(skin=keys | more))
+
+    bonded, free = push(small_scene(skin={"side": "fixed"})), push(small_scene(skin={"base": "free", "side": "fixed"}))
+    assert on(1e12) == pytest.approx(bonded, rel=1e-4)
+    assert on(1e-3) == pytest.approx(free, rel=1e-4)
+    assert bonded < on(3e6) < free
+
+
+def test_dashpots_below_and_at_the_sides_take_energy(small_scene):
+    springs = {"base": "springs", "base_normal_Pa_m": 1e6, "base_tangential_Pa_m": 1e6}
+    quiet = damping(small_scene(skin=springs))
+    loss = damping(small_scene(skin=springs | {"base_normal_Pa_s_m": 500}))
+    sides = damping(small_scene(skin={"side": "absorbing"}))
+    assert quiet.nnz == 0 or abs(quiet).max() == 0.0
+    for matrix in (loss, sides):
+        assert np.linalg.eigvalsh(matrix.toarray())[-1] > 0.0
+
+
+@pytest.mark.parametrize("solver", ["wedges", "reduced"])
+def test_a_layered_scene_runs(small_scene, tmp_path, solver):
+    keys = {
+        "material": None, "materials": "finger_pad ecoflex_00-10", "shares": "0.3 0.7", "side": "absorbing",
+        "base": "springs", "base_normal_Pa_m": 1e7, "base_tangential_Pa_m": 1e6, "solver": solver,
+    }  # fmt: skip
+    result = run(load(small_scene(skin=keys)), tmp_path / "out", progress=False)
+    [skin] = result.summary["skins"]
+    assert skin["peak_displacement_m"] > 0 and skin["solver"].startswith(solver)
+
+
+@pytest.mark.parametrize(
+    ("keys", "reason"),
+    [
+        ({"materials": "palm finger_pad", "shares": "1"}, "give one for each"),
+        ({"materials": "palm finger_pad", "shares": "0.5 0.6"}, "add up to 1.1"),
+        ({"materials": "palm", "shares": "1", "material": "palm"}, "drop one"),
+        ({"materials": "palm", "shares": "1", "bulk_Pa": "1e6"}, "drop one"),
+        ({"shares": "-1"}, "decimals > 0"),
+        ({"base": "springs", "base_normal_Pa_m": "1"}, "base_tangential_Pa_m"),
+        ({"base_normal_Pa_m": "1"}, "belongs to base 'springs'"),
+        ({"base": "free", "side": "free"}, "fly away"),
+        ({"base": "free_slip", "foundation_normal_Pa_m": "1", "foundation_tangential_Pa_m": "1"}, "drop one"),
+        ({"solver": "quick"}, "auto | wedges | reduced"),
+        ({"materials": "palm nose", "shares": "0.5 0.5"}, "nose"),
+    ],
+)
+def test_what_does_not_fit_is_refused_in_one_line(small_scene, keys, reason):
+    with pytest.raises(SceneError) as caught:
+        if "nose" in keys.get("materials", ""):
+            load(small_scene(skin=keys | {"material": None}))
+        parse(SkinConfig, keys | {"patch_site": "x"}, "plugin 'palmfield.skin'")
+    assert reason in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_cut_off_of_one_sheet_and_of_matched_ones():
+    palm = preset("palm")
+    assert layer_cutoff((Sheet(palm, 1.0),), 0.01) == pytest.approx(cutoff(palm, 0.01), rel=1e-6)
+    assert layer_cutoff((Sheet(palm, 0.3), Sheet(palm, 0.7)), 0.01) == pytest.approx(cutoff(palm, 0.01), rel=1e-6)
+    # Equal impedance rho c: nothing is reflected in between, and the quarter wave counts the way in time.
+    slow, fast = elastic("slow", 1000.0, 4e3), elastic("fast", 500.0, 8e3)
+    assert layer_cutoff((Sheet(slow, 0.5), Sheet(fast, 0.5)), 0.02) == pytest.approx(0.25 / (0.01 / 2 + 0.01 / 4))
+
+
+@pytest.mark.parametrize(
+    ("skin", "promised"),
+    [({}, False), ({"base": "free_slip"}, True), ({"thickness_m": 0.02}, True), ({"thickness_m": 0.004}, False)],
+)
+def test_plan_promises_no_waves_below_the_cut_off(small_scene, skin, promised):
+    stimulus = {"am_frequency_Hz": 100}
+    scene = load(small_scene(skin=skin, stimulus=stimulus))
+    planned = plan(scene)
+    said = [text for text in planned.warnings if "no waves are promised at" in text]
+    assert bool(said) == (not promised)
+    rows = [row for row in planned.left_out if row.what == "waves below the cut-off"]
+    assert bool(rows) == ("base" not in skin)
+    if rows:
+        depth = skin.get("thickness_m", 0.008)
+        assert f"c_s/4h = {cutoff(preset('ecoflex_00-10'), depth):.0f} Hz" in rows[0].size
