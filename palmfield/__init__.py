@@ -1,29 +1,69 @@
 """palmfield: from an ultrasonic array's drive to radiation pressure on a hand, skin waves and what is felt.
 
 import palmfield
-scene = palmfield.load("mjcf/scenes/palm_am200.xml")
-print(palmfield.plan(scene))
-result = palmfield.run(scene, "out/palm")
+print(palmfield.plan("mjcf/scenes/palm_am200.xml"))
+sim = palmfield.Simulation("mjcf/scenes/palm_am200.xml", keys={"stimulus.focus_m": (0, 0, 0.19)})
+sim.run(0.02)
+print(sim.skin().normal_displacement)
+result = palmfield.run("mjcf/scenes/palm_am200.xml", "out/palm")
+print(result.summary)
+
+`dir(palmfield)` lists what is public; the packages below it, such as `palmfield.skin`, list theirs.
 """
 
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from palmfield.errors import DeviceError, OutputError, PalmfieldError, SceneError
 
+if TYPE_CHECKING:
+    from palmfield.engine.host import raise_errors
+    from palmfield.session.plan import Plan, plan
+    from palmfield.session.run import Result, recover, run
+    from palmfield.session.simulation import Simulation, load
+
+    __version__: str
+
 _WHERE = {
-    "load": "palmfield.scene",
-    "Scene": "palmfield.scene",
-    "plan": "palmfield.planning",
-    "run": "palmfield.runner",
+    "Plan": "session.plan",
+    "Result": "session.run",
+    "Simulation": "session.simulation",
+    "load": "session.simulation",
+    "plan": "session.plan",
+    "raise_errors": "engine.host",
+    "recover": "session.run",
+    "run": "session.run",
 }
-__all__ = ["DeviceError", "OutputError", "PalmfieldError", "SceneError", *_WHERE]
+__all__ = [
+    "DeviceError",
+    "OutputError",
+    "PalmfieldError",
+    "Plan",
+    "Result",
+    "SceneError",
+    "Simulation",
+    "__version__",
+    "load",
+    "plan",
+    "raise_errors",
+    "recover",
+    "run",
+]
 
 
 def __getattr__(name: str) -> Any:
     # Loaded when asked for: MuJoCo imports this package in every process, and Warp takes half a second.
-    if name in _WHERE:
-        value = getattr(import_module(_WHERE[name]), name)
-        globals()[name] = value
-        return value
-    raise AttributeError(f"module 'palmfield' has no attribute '{name}'")
+    if name == "__version__":
+        from importlib.metadata import version
+
+        value: Any = version("palmfield")
+    elif name in _WHERE:
+        value = getattr(import_module(f"{__name__}.{_WHERE[name]}"), name)
+    else:
+        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

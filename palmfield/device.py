@@ -61,8 +61,10 @@ class SharedArray:
         """Give kernels these values, which `host` then holds; a copy that is still under way is waited for."""
         if self._pinned is not None:
             wp.synchronize_stream(self.array.device)
-        self.host[...] = values
-        self.upload()
+            self.host[...] = values
+            wp.copy(self.array, self._pinned)
+        else:
+            self.host[...] = values
 
     def upload(self) -> None:
         """Give kernels what `host` holds; until the device's stream is waited for, it must stay as it is."""

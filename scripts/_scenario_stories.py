@@ -10,13 +10,13 @@ import trimesh
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.tri import Triangulation
+from palmfield.outputs.v1_frames import body_pose_at, posed, to_local, to_world
 from scipy.ndimage import uniform_filter1d
 
 import palmfield
 from palmfield.acoustics.reference import pressure64
 from palmfield.engine.host import raise_errors
 from palmfield.outputs.style import COLOURS
-from palmfield.outputs.v1_frames import body_pose_at, posed, to_local, to_world
 from palmfield.skin.materials.dispersion import describe
 from palmfield.types import Float
 

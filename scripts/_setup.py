@@ -1,24 +1,25 @@
-"""The repository's environment, for demo.py and test.py. Standard library only: nothing is installed when it runs."""
+"""The repository's environments, for demo.py and test.py. Standard library only: nothing is installed when it runs."""
 
 import hashlib
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-VENV = ROOT / ".venv"
-STAMP = VENV / "palmfield.json"
-PYTHON = VENV / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
+VENV, LOWEST_VENV = ROOT / ".venv", ROOT / ".venv-lowest"
 OLDEST = (3, 11)
 LAST_LINES = 15
+LOWEST = re.compile(r"([A-Za-z0-9._-]+)\s*>=\s*([0-9][0-9A-Za-z.]*)\s*(,|$)")
 
 
-def environment(extra: str = "") -> Path:
-    """Python of an up-to-date `.venv` with palmfield installed editable; makes or refreshes it where needed.
+def environment(extra: str = "", venv: Path = VENV) -> Path:
+    """Python of an up-to-date environment with palmfield installed editable; makes or refreshes it where needed.
 
     extra: optional dependencies, "" or "test"
+    venv: VENV, or LOWEST_VENV, in which each dependency of palmfield has the lowest version that pyproject.toml allows
     Exits with a message that says how to mend it when that fails.
     """
     if sys.version_info < OLDEST:
@@ -26,28 +27,59 @@ def environment(extra: str = "") -> Path:
     # Sparse solves here are many small products: threads of the BLAS only get in each other's way.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     key = fingerprint()
-    stamp = read_stamp()
-    if stamp.get("key") == key and extra in stamp["extras"] and works(PYTHON):
-        return PYTHON
-    if stamp.get("key") != key or not works(PYTHON):
+    stamp = read_stamp(venv)
+    python = python_of(venv)
+    if stamp.get("key") == key and extra in stamp["extras"] and works(python):
+        return python
+    if stamp.get("key") != key or not works(python):
         stamp = {"key": key, "extras": []}
-        make_venv()
+        make_venv(venv)
     what = f"palmfield and its {extra} tools" if extra else "palmfield"
-    say(f"installing {what} into .venv (1.2 GB of disk; the first time takes minutes)")
+    say(f"installing {what} into {venv.name} (1.2 GB of disk; the first time takes minutes)")
+    mend = "is the network up, and does pip reach its package index? Mend that and run this again."
+    options = []
+    if venv == LOWEST_VENV:
+        pins = venv / "lowest.txt"
+        pins.write_text("\n".join(lowest()) + "\n")
+        options = ["--constraint", pins]
+        mend += "\nOr does a lowest version in pyproject.toml not exist, or not go with the others?"
     run(
         [
-            *installer(),
+            *installer(python),
             "install",
             "--quiet",
             "--disable-pip-version-check",
+            *options,
             "--editable",
             f".[{extra}]" if extra else ".",
         ],
-        "is the network up, and does pip reach its package index? Mend that and run this again.",
+        mend,
     )
     stamp["extras"] = sorted({*stamp["extras"], extra, ""})
-    STAMP.write_text(json.dumps(stamp))
-    return PYTHON
+    stamp_of(venv).write_text(json.dumps(stamp))
+    return python
+
+
+def lowest() -> list[str]:
+    """Each dependency of palmfield at the lowest version that pyproject.toml allows, as pip's `name==version`."""
+    import tomllib
+
+    dependencies = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
+    pins = []
+    for dependency in dependencies:
+        found = LOWEST.match(dependency)
+        if found is None:
+            stop(f"pyproject.toml: dependency '{dependency}' has no lowest version; write it as name>=version")
+        pins.append(f"{found[1]}=={found[2]}")
+    return pins
+
+
+def stamp_of(venv: Path) -> Path:
+    return venv / "palmfield.json"
+
+
+def python_of(venv: Path) -> Path:
+    return venv / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
 
 
 def fingerprint() -> str:
@@ -59,9 +91,9 @@ def fingerprint() -> str:
     return digest.hexdigest()
 
 
-def read_stamp() -> dict:
+def read_stamp(venv: Path) -> dict:
     try:
-        return json.loads(STAMP.read_text())
+        return json.loads(stamp_of(venv).read_text())
     except (OSError, ValueError):
         return {}
 
@@ -70,10 +102,10 @@ def works(python: Path) -> bool:
     return python.exists() and subprocess.run([python, "-c", ""], check=False).returncode == 0
 
 
-def make_venv() -> None:
-    """Make `.venv` anew; without its own pip where the system has split that off (Debian's python3-venv)."""
-    say(f"making .venv with Python {version()}")
-    made = subprocess.run([sys.executable, "-m", "venv", "--clear", VENV], capture_output=True, text=True, check=False)
+def make_venv(venv: Path) -> None:
+    """Make an environment anew; without its own pip where the system has split that off (Debian's python3-venv)."""
+    say(f"making {venv.name} with Python {version()}")
+    made = subprocess.run([sys.executable, "-m", "venv", "--clear", venv], capture_output=True, text=True, check=False)
     if made.returncode == 0:
         return
     if not has_pip(Path(sys.executable)):
@@ -83,19 +115,19 @@ def make_venv() -> None:
             "Python cannot make an environment with pip in it. On Debian or Ubuntu:\n"
             f"  sudo apt-get install python{major}.{minor}-venv\nthen run this again."
         )
-    say("ensurepip is missing here: making .venv without pip and installing with this Python's own")
-    run([sys.executable, "-m", "venv", "--clear", "--without-pip", VENV], "Is the folder writable, the disk full?")
+    say(f"ensurepip is missing here: making {venv.name} without pip and installing with this Python's own")
+    run([sys.executable, "-m", "venv", "--clear", "--without-pip", venv], "Is the folder writable, the disk full?")
 
 
 def has_pip(python: Path) -> bool:
     return subprocess.run([python, "-m", "pip", "--version"], capture_output=True, check=False).returncode == 0
 
 
-def installer() -> list:
-    """Command of a pip that installs into `.venv`."""
-    if has_pip(PYTHON):
-        return [PYTHON, "-m", "pip"]
-    return [sys.executable, "-m", "pip", "--python", PYTHON]
+def installer(python: Path) -> list:
+    """Command of a pip that installs into the environment of `python`."""
+    if has_pip(python):
+        return [python, "-m", "pip"]
+    return [sys.executable, "-m", "pip", "--python", python]
 
 
 def run(command: list, mend: str) -> None:

@@ -178,7 +178,12 @@ def draw(array: Array, air: Air, field: FieldEvaluator, shown: dict[Method, list
             found = solve_transfer(transfer, method=method)
             loud = np.abs(field.pressure(where, found.drive).pressure) / found.bound_Pa.mean()
             image = axis.imshow(
-                loud.reshape(side, side), origin="lower", extent=(-80, 80, -80, 80), vmin=0, vmax=0.4, cmap="magma"
+                loud.reshape(side, side),
+                origin="lower",
+                extent=(-80, 80, -80, 80),
+                vmin=0,
+                vmax=0.4,
+                cmap="magma",
             )
             axis.plot(*(1e3 * points[:, :2].T), "o", mfc="none", mec="white", ms=11, mew=0.8)
             axis.set(title=f"{method}: uniformity {found.uniformity:.2f}", xlabel="x [mm]", ylabel="y [mm]")

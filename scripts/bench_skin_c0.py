@@ -19,11 +19,11 @@ from palmfield.skin.analytic.layer_oracle import centre_response
 from palmfield.skin.fem.assembly import SkinSystem, assemble, element_matrices
 from palmfield.skin.fem.factor import factorise
 from palmfield.skin.fem.load import SurfaceQuadrature
+from palmfield.skin.fem.probe import SurfaceProbe
 from palmfield.skin.fem.solver import harmonic, harmonic_discrete, static
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
 from palmfield.skin.materials.catalogue import PRESETS
 from palmfield.skin.mesh.disc import disc_patch
-from palmfield.skin.mesh.surface import SurfaceProbe
 from palmfield.skin.mesh.wedges import extrude
 from palmfield.skin.stepper import SurfaceLoads
 from palmfield.studies.bench.field import git_commit

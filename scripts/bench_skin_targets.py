@@ -19,9 +19,9 @@ from bench_spectral import SURFACE, passage, plate
 
 from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.problem import Motion, Sheet, Slab
-from palmfield.skin.solvers.axisymmetric.solve import solve_disc
-from palmfield.skin.solvers.lateral_waves import solve_spectral
-from palmfield.skin.solvers.spectral_elements.solve import solve_explicit
+from palmfield.skin.solvers.axisymmetric.solve import solve_axisymmetric
+from palmfield.skin.solvers.lateral_waves import solve_lateral_waves
+from palmfield.skin.solvers.spectral_elements.solve import solve_spectral_elements
 from palmfield.studies.bench.field import git_commit
 from palmfield.studies.bench.table import processor
 
@@ -73,7 +73,7 @@ def disc_rows(runs: int, solve: Callable[..., Motion], accuracy: float) -> list[
                 return solve(body, load, TIMES, AT, accuracy=accuracy)
 
             def finer(body=body, load=load) -> Motion:
-                return solve_disc(body, load, TIMES, AT, accuracy=0.002, degree=7)
+                return solve_axisymmetric(body, load, TIMES, AT, accuracy=0.002, degree=7)
 
             lines.append(row(f"{side}, {name}", runs, call, finer))
     return lines
@@ -85,10 +85,10 @@ def endless_rows(runs: int) -> list[str]:
     for name, load in loads().items():
 
         def call(load=load) -> Motion:
-            return solve_spectral(body, load, TIMES, AT, accuracy=0.01, threads=2)
+            return solve_lateral_waves(body, load, TIMES, AT, accuracy=0.01, threads=2)
 
         def finer(load=load) -> Motion:
-            return solve_spectral(body, load, TIMES, AT, tolerance=3e-4, threads=2)
+            return solve_lateral_waves(body, load, TIMES, AT, tolerance=3e-4, threads=2)
 
         lines.append(row(f"endless, {name}", runs, call, finer))
     return lines
@@ -102,10 +102,10 @@ def plate_rows(runs: int) -> list[str]:
                 body, load = Slab((Sheet(plate(nu), 0.01),), base=base), passage(speed)
 
                 def call(body=body, load=load) -> Motion:
-                    return solve_spectral(body, load, load.times_s[-1:], SURFACE, accuracy=0.05, threads=2)
+                    return solve_lateral_waves(body, load, load.times_s[-1:], SURFACE, accuracy=0.05, threads=2)
 
                 def finer(body=body, load=load) -> Motion:
-                    return solve_spectral(body, load, load.times_s[-1:], SURFACE[::37], tolerance=1e-3, threads=2)
+                    return solve_lateral_waves(body, load, load.times_s[-1:], SURFACE[::37], tolerance=1e-3, threads=2)
 
                 lines.append(row(f"nu {nu}, {base}, {speed:g} m/s", runs, call, finer, velocity=True))
     return lines
@@ -120,8 +120,8 @@ def main() -> None:
     busy = os.getloadavg()[0]
     # Kernels are compiled before anything is timed
     first = loads()["1 ms ramp"]
-    solve_spectral(Slab((Sheet(preset("ecoflex_00-10"), 0.02),)), first, TIMES[:10], AT, tolerance=0.1)
-    solve_explicit(disc("fixed"), first, TIMES[:5], AT, accuracy=0.02)
+    solve_lateral_waves(Slab((Sheet(preset("ecoflex_00-10"), 0.02),)), first, TIMES[:10], AT, tolerance=0.1)
+    solve_spectral_elements(disc("fixed"), first, TIMES[:5], AT, accuracy=0.02)
     head = "| case | s | s of threads | slowest | yardstick [ms] | error | estimate | how |"
     rule = "|---|---|---|---|---|---|---|---|"
     lines = [
@@ -138,7 +138,7 @@ def main() -> None:
         "",
         head,
         rule,
-        *disc_rows(arguments.runs, solve_disc, 0.01),
+        *disc_rows(arguments.runs, solve_axisymmetric, 0.01),
         "",
         "The same on an endless slab; error against a run at tolerance 3e-4.",
         "",
@@ -158,7 +158,7 @@ def main() -> None:
         "",
         head,
         rule,
-        *disc_rows(arguments.general_runs, solve_explicit, 0.02),
+        *disc_rows(arguments.general_runs, solve_spectral_elements, 0.02),
         "",
     ]
     arguments.out.write_text("\n".join(lines))

@@ -1,8 +1,8 @@
-"""A focus strokes the reference hand layer for half a second: the scene on the CPU, explicit elements on a GPU.
+"""A focus strokes the reference hand layer for half a second: the scene on the CPU, spectral elements on a GPU.
 
 python scripts/bench_stroke.py scene            two CPU cores; writes docs/bench/stroke.md
-python scripts/bench_stroke.py explicit [--device cuda:0] [--seconds 0.5] [--save FILE.npz]
-python scripts/bench_stroke.py implicit --seconds 0.03 --against FILE.npz     its first part, on the CPU
+python scripts/bench_stroke.py spectral_elements [--device cuda:0] [--seconds 0.5] [--save FILE.npz]
+python scripts/bench_stroke.py wedges --seconds 0.03 --against FILE.npz     its first part, on the CPU
 """
 
 import argparse
@@ -63,7 +63,7 @@ def in_scene(seconds: float) -> str:
 
 
 def problem(seconds: float) -> tuple[Layer, Spot, np.ndarray]:
-    """The layer of docs/bench/skin_explicit.md under a spot that goes to and fro; two points on its way."""
+    """The layer of docs/bench/skin_spectral_elements.md under a spot that goes to and fro; two points on its way."""
     hand = hand_surface(load_preset("open_men_p50"))
     patch = surface_patch(
         hand.surface, DEPTH_m, np.zeros(3), 0.045, 0.0018, 0.0018, 0.045, max_depth_m=DEPTH_m, max_fraction=1.0
@@ -79,7 +79,7 @@ def problem(seconds: float) -> tuple[Layer, Spot, np.ndarray]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("scene", "explicit", "implicit"))
+    parser.add_argument("what", choices=("scene", "spectral_elements", "wedges"))
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--seconds", type=float, default=0.5)
     parser.add_argument("--save", type=Path)
@@ -91,10 +91,10 @@ def main() -> None:
         return
     body, load, at = problem(arguments.seconds)
     solver = arguments.what
-    if solver == "explicit":
+    if solver == "spectral_elements":
         # Kernels are compiled before anything is timed
         solve(body, load, load.times_s[1:3], at, solver=solver, accuracy=0.05, device=arguments.device)
-    for _ in range(3 if solver == "explicit" else 1):
+    for _ in range(3 if solver == "spectral_elements" else 1):
         motion = solve(body, load, load.times_s[1:], at, solver=solver, accuracy=0.05, device=arguments.device)
         print(f"{solver}: {motion.seconds:.2f} s, {motion.seconds / arguments.seconds:.1f} times real time; "
               f"{motion.solver}; error {100 * motion.error:.2g} % ({motion.error_source})", flush=True)  # fmt: skip

@@ -17,7 +17,8 @@ from palmfield.outputs.style import COLOURS, save, style
 from palmfield.skin.analytic import as_printed
 from palmfield.skin.analytic.hyperelastic import advance, at_rest, piola
 from palmfield.skin.analytic.layer_oracle import centre_response
-from palmfield.skin.materials.catalogue import CATALOGUE, DEPTH_M, PRESETS, TISSUES, UNITS, hand_skin, model, varied
+from palmfield.skin.analytic.observed import predicted
+from palmfield.skin.materials.catalogue import CATALOGUE, DEPTH_M, PRESETS, TISSUES, UNITS, hand_skin, varied
 from palmfield.skin.materials.dispersion import Waves, describe
 from palmfield.skin.materials.material import Material, complex_shear, elastic, prony, standard_linear
 from palmfield.skin.materials.prony_fit import fractional, fractional_kelvin_voigt
@@ -258,7 +259,7 @@ def misfit_rows() -> list[str]:
         if not entry.observations:
             lines.append(f"| {name} | - | - | no speed or decay measured on it is known | - | - | - |")
         for seen in entry.observations:
-            found = model(entry.material, seen)
+            found = predicted(entry.material, seen)
             spread = f" +- {seen.spread:.3g}" if seen.spread is not None else ""
             lines.append(
                 f"| {name} | {seen.quantity} [{UNITS[seen.quantity]}] | {seen.f_Hz:g} | {seen.value:.4g}{spread} | "

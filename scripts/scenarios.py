@@ -14,10 +14,10 @@ import matplotlib.image
 import numpy as np
 from _scenario_stories import SCENES, SPEEDS_M_S, STORIES, Run, stroke_velocities
 from matplotlib.figure import Figure
+from palmfield.outputs.v1_store import load
 
 import palmfield
 from palmfield.outputs.style import save, style
-from palmfield.outputs.v1_store import load
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "scenarios.md"
@@ -56,8 +56,9 @@ commit's hash means that files differed from it.
 `keyframes`, `trajectory` (CSV or NPZ), `tracking` (a recorded OpenXR hand) and `function` (`package.module:function`
 of time) says where to ([motion.md](motion.md)); files are relative to the scene. `start_s` shifts it. `follow` is
 `servo` (the hand is led by springs, lags a little, and yields to contacts) or `exact`. A second hand has an instance
-of its own with `body` set to `PREFIXhand_target` (`two_hands.xml`). Bodies in `obstacles` of `palmfield.skin` cast
-shadows with `body_sound` `shadows`.
+of its own with `body` set to `PREFIXhand_target` (`two_hands.xml`), and feels where it has an instance of
+`palmfield.skin` (`two_hands_both_feel.xml`). With `body_sound` `shadows` bodies with a skin cast shadows on one
+another, and other bodies do where key `obstacles` of `palmfield.skin` names them.
 
 A keyframe file is TOML, two or more tables `[[key]]` with rising times:
 
@@ -79,9 +80,11 @@ skin crosses itself is refused with the key's number.
 
 The stimulus goes with the hand where `frame` names one of its sites (`index_pad`, `palm_centre`): `focus_m` and path
 are then given there. `path_on` `skin` draws the path along the surface from the skin nearest to `focus_m`; `path`
-`sites` with `path_sites` takes the shortest way on the skin through the sites named. The path moves with the skin.
+`sites` with `path_sites` takes the shortest way on the skin through the sites named. The path moves with the skin;
+`on_skin` says which one is meant where there are several.
 
-Any key can be changed without a new file: `palmfield.load(path, keys={"stimulus.path_speed_m_s": 11})`.
+Any key can be changed without a new file: `palmfield.Simulation(path, keys={"stimulus.path_speed_m_s": 11})`, or on the
+command line `--set stimulus.path_speed_m_s=11`.
 """
 
 
@@ -120,7 +123,7 @@ def simulate(name: str, out: Path, duration_s: float | None) -> None:
     }
     if name == "stroke_palm":
         for speed in SPEEDS_M_S:
-            np.savez_compressed(out / f"wake_{speed:g}.npz", allow_pickle=False, **stroke_velocities(speed))
+            np.savez_compressed(out / f"wake_{speed:g}.npz", **stroke_velocities(speed))
     (out / "facts.json").write_text(json.dumps(facts, indent=1) + "\n")
 
 

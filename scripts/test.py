@@ -1,35 +1,86 @@
 #!/usr/bin/env python3
-"""Runs what CI runs, from a bare Python: ruff, mypy, then pytest, whose closing line is the last line."""
+"""Runs what CI runs, from a bare Python: ruff, mypy, the contract of imports, then pytest three times, whose closing line is the last line."""
 
 import argparse
+import json
 import os
+import platform
 import subprocess
 import sys
+from pathlib import Path
 
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 
 import _setup
 
-CHECKS = (("ruff", "check", "."), ("ruff", "format", "--check", "."), ("mypy",))
+CHECKS = (("ruff", "check", "."), ("ruff", "format", "--check", "."), ("mypy",), ("lint-imports",))
+PYTEST = ("pytest", "-n", "auto", "--dist", "loadfile")
+CORES = {"SkylakeX": "Haswell", "Cooperlake": "Haswell", "SapphireRapids": "Haswell", "Nehalem": "Prescott"}
+"""OpenBLAS's names of kernels: which others to test with where it takes these; on other x86 processors "Nehalem"."""
+TELL_CORES = (
+    "import json, numpy, scipy.linalg, threadpoolctl; "
+    "print(json.dumps([p.get('architecture') for p in threadpoolctl.threadpool_info() if p['user_api'] == 'blas']))"
+)
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(
         description="Make .venv, install palmfield and its test tools in it, and run ruff check, ruff format --check, "
-        "mypy and pytest. Stops at the first that fails.",
+        "mypy, import-linter and pytest. Before that, pytest's smoke tests run in .venv-lowest, with the lowest versions of "
+        "dependencies that pyproject.toml allows (made and run on Python 3.11 alone); after it, its numerics tests "
+        "run once more with OpenBLAS's kernels for another processor. Stops at the first that fails.",
         epilog="Tests run on all cores, those of a file one after the other. Anything else is passed "
         "on to pytest, for instance -k NAME, -m 'not slow', or a path from the "
-        "repository's root.",
+        "repository's root; then it runs once, in .venv.",
         allow_abbrev=False,
     )
     _, passed_on = parser.parse_known_args()
     python = _setup.environment("test")
-    for tool, *options in (*CHECKS, ("pytest", "-n", "auto", "--dist", "loadfile", *passed_on)):
-        _setup.say(" ".join([tool, *options]))
-        status = subprocess.run([python, "-m", tool, *options], cwd=_setup.ROOT, check=False).returncode
-        if status != 0:
-            break
-    return status
+    for command in CHECKS:
+        if status := run(python, *command):
+            return status
+    if passed_on:
+        return run(python, *PYTEST, *passed_on)
+    core = another_core(python)
+    if status := smoke_on_lowest() or run(python, *PYTEST):
+        return status
+    return run(python, *PYTEST, "-m", "numerics", OPENBLAS_CORETYPE=core) if core else 0
+
+
+def smoke_on_lowest() -> int:
+    """The smoke tests with the lowest versions allowed, which have no wheels for later Pythons than the oldest."""
+    if sys.version_info[:2] != _setup.OLDEST:
+        _setup.say(f"lowest versions are tested on Python {'.'.join(map(str, _setup.OLDEST))}: left out")
+        return 0
+    return run(_setup.environment("test", _setup.LOWEST_VENV), *PYTEST, "-m", "smoke")
+
+
+def another_core(python: Path) -> str | None:
+    """Kernels of OpenBLAS that sum in another order than those that numpy and scipy take here, and can run here."""
+    own = cores(python)
+    if own and platform.machine().lower() in ("x86_64", "amd64"):
+        other = CORES.get(own[0], "Nehalem")
+        if cores(python, OPENBLAS_CORETYPE=other) == [other]:
+            return other
+    _setup.say(f"no second set of OpenBLAS kernels here (BLAS: {', '.join(own) or 'none'}): numerics run once only")
+    return None
+
+
+def cores(python: Path, **variables: str) -> list[str]:
+    """Names of the kernels that numpy's and scipy's BLAS take; empty where they don't tell, as Accelerate."""
+    told = subprocess.run(
+        [python, "-c", TELL_CORES], env={**os.environ, **variables}, capture_output=True, text=True, check=False
+    )
+    return sorted({name for name in json.loads(told.stdout) if name}) if told.returncode == 0 else []
+
+
+def run(python: Path, tool: str, *options: str, **variables: str) -> int:
+    """Exit status of a tool in the environment of `python`, run with more environment variables."""
+    where = [] if python == _setup.python_of(_setup.VENV) else [f"{_setup.LOWEST_VENV.name}:"]
+    _setup.say(" ".join([*where, *(f"{name}={value}" for name, value in variables.items()), tool, *options]))
+    # import-linter has a command only, and no module to run.
+    command = [python.parent / tool, *options] if tool == "lint-imports" else [python, "-m", tool, *options]
+    return subprocess.run(command, cwd=_setup.ROOT, env={**os.environ, **variables}, check=False).returncode
 
 
 if __name__ == "__main__":

@@ -9,11 +9,12 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+import typer.main
 import xarray as xr
 
 from palmfield.acoustics.arrays import layout
 from palmfield.acoustics.focus import focus
-from palmfield.cli.app import main
+from palmfield.cli.app import app, main
 from palmfield.drive.boards.sonicsurface import FRAME_BYTES, OFF_FRAME, decode
 from palmfield.types import Air
 
@@ -33,6 +34,20 @@ def call(monkeypatch, capsys, *arguments):
 def test_help_teaches_by_example(command, monkeypatch, capsys):
     code, out = call(monkeypatch, capsys, command, "--help")
     assert code == 0 and f"palmfield {command}" in out.out and "Example" in out.out
+
+
+def command_lines(group, *before):
+    for name, command in getattr(group, "commands", {}).items():
+        yield (*before, name)
+        yield from command_lines(command, *before, name)
+
+
+@pytest.mark.smoke
+@pytest.mark.parametrize("line", [(), *command_lines(typer.main.get_command(app))], ids=" ".join)
+def test_every_command_has_help(line, monkeypatch, capsys):
+    code, out = call(monkeypatch, capsys, *line, "--help")
+    assert code == 0 and not out.err
+    assert " ".join(["palmfield", *line, "[OPTIONS]"]) in " ".join(out.out.split())
 
 
 def test_help_is_quick_to_import():
@@ -56,6 +71,7 @@ def test_new_refuses_a_path(monkeypatch, capsys):
     assert code == 2 and "'../x'" in out.err
 
 
+@pytest.mark.smoke
 def test_drive_records_what_run_simulates(tmp_path, monkeypatch, capsys):
     file = tmp_path / "focus.bin"
     code, out = call(monkeypatch, capsys, "drive", "--focus", 0.02, -0.01, 0.15, "--record", file, "--duration", 0.5)
@@ -81,6 +97,7 @@ def test_simulated_drive_is_decoded_from_the_recorded_bytes(tmp_path, monkeypatc
     np.testing.assert_allclose(distinct, emitted, atol=1e-6)
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize(
     "arguments",
     [
@@ -102,6 +119,7 @@ def test_bad_arguments_end_in_one_line_and_exit_code_2(arguments, tmp_path, monk
     assert out.err.startswith("palmfield: ") and len(out.err.strip().splitlines()) == 1
 
 
+@pytest.mark.smoke
 def test_info_names_array_material_and_law(small_scene, monkeypatch, capsys):
     code, out = call(monkeypatch, capsys, "info", small_scene())
     assert code == 0 and "uhev1" in out.out and "ecoflex" in out.out and "ARP law" in out.out

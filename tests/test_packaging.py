@@ -1,10 +1,12 @@
 """The package as users get it: a wheel, an editable install, an sdist; and the scripts on a bare Python."""
 
+import importlib.util
 import os
 import shutil
 import subprocess
 import sys
 import tarfile
+import tomllib
 import zipfile
 from pathlib import Path
 
@@ -153,6 +155,76 @@ def test_help_needs_no_packages(script, tmp_path):
     assert "passed on" in told
     assert ".venv" in told
     assert not any(tmp_path.iterdir())
+
+
+def script(name, monkeypatch):
+    monkeypatch.syspath_prepend(str(CLONE / "scripts"))
+    spec = importlib.util.spec_from_file_location(f"palmfield_script_{name}", CLONE / "scripts" / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_lowest_versions_are_those_of_pyproject(monkeypatch, tmp_path, capsys):
+    setup = script("_setup", monkeypatch)
+    project = tomllib.loads((CLONE / "pyproject.toml").read_text())["project"]
+    pins = setup.lowest()
+    assert len(pins) == len(project["dependencies"])
+    assert all(dep.startswith(pin.replace("==", ">=")) for dep, pin in zip(project["dependencies"], pins, strict=True))
+    monkeypatch.setattr(setup, "ROOT", tmp_path)
+    for dependency in ("numpy", "numpy>2", "numpy<3", "numpy==2.0"):
+        (tmp_path / "pyproject.toml").write_text(f'[project]\ndependencies = ["{dependency}"]')
+        with pytest.raises(SystemExit) as stopped:
+            setup.lowest()
+        assert stopped.value.code == 1 and f"'{dependency}' has no lowest version" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("machine", "own", "other"),
+    [
+        ("x86_64", "SkylakeX", "Haswell"),
+        ("AMD64", "Haswell", "Nehalem"),
+        ("x86_64", "Zen", "Nehalem"),
+        ("x86_64", "Nehalem", "Prescott"),
+        ("x86_64", None, None),
+        ("arm64", "neoversen1", None),
+    ],
+)
+def test_numerics_run_on_kernels_that_are_not_this_machines_own(machine, own, other, monkeypatch, capsys):
+    test = script("test", monkeypatch)
+    monkeypatch.setattr(test.platform, "machine", lambda: machine)
+
+    def cores(_, **variables):
+        return [name for name in [variables.get("OPENBLAS_CORETYPE", own)] if name]
+
+    monkeypatch.setattr(test, "cores", cores)
+    assert test.another_core(Path("python")) == other
+    assert ("numerics run once only" in capsys.readouterr().out) == (other is None)
+
+
+@pytest.mark.parametrize("failing", [None, "ruff", "mypy", "smoke", "whole", "numerics"])
+def test_any_stage_that_fails_is_the_exit_status_and_the_last(failing, monkeypatch):
+    test = script("test", monkeypatch)
+    ran = []
+
+    def run(_, tool, *options, **variables):
+        marked = [name for name in ("smoke", "numerics") if name in options]
+        stage = tool if tool != "pytest" else marked[0] if marked else "whole"
+        ran.append(stage)
+        return 3 if stage == failing else 0
+
+    monkeypatch.setattr(test, "run", run)
+    monkeypatch.setattr(test, "another_core", lambda _: "Haswell")
+    monkeypatch.setattr(test._setup, "environment", lambda *_: Path("python"))
+    monkeypatch.setattr(test._setup, "OLDEST", sys.version_info[:2])
+    monkeypatch.setattr(sys, "argv", ["test.py"])
+    assert test.main() == (0 if failing is None else 3)
+    stages = ["ruff", "ruff", "mypy", "smoke", "whole", "numerics"]
+    assert ran == stages[: stages.index(failing) + 1 if failing else None]
+    monkeypatch.setattr(sys, "argv", ["test.py", "-k", "name"])
+    ran.clear()
+    assert test.main() == (3 if failing in ("ruff", "mypy", "whole") else 0)
+    assert "smoke" not in ran and "numerics" not in ran
 
 
 def test_ci_calls_the_test_script():

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 import trimesh
 import xarray as xr
+from palmfield.report import format_report
+from palmfield.runner import recover
 from pxr import Usd, UsdGeom
 
 import palmfield
 from palmfield.outputs.usd import validate_usd
-from palmfield.report import format_report
-from palmfield.runner import recover
 from palmfield.skin.fem.solver import static
 
 FILES = ("result.nc", "summary.json", "pressure.png", "displacement.png", "scene.png", "scene.usdc")
@@ -31,6 +31,7 @@ def finished(tmp_path_factory, module_scene):
         yield result, ds.load()
 
 
+@pytest.mark.smoke
 def test_everything_is_written(finished):
     result, ds = finished
     assert set(result.files) == set(FILES)
@@ -39,6 +40,7 @@ def test_everything_is_written(finished):
     assert ds.attrs["complete"] == 1
 
 
+@pytest.mark.smoke
 def test_result_is_labelled_and_consistent(finished):
     _, ds = finished
     for name in (
@@ -69,6 +71,7 @@ def test_result_is_labelled_and_consistent(finished):
         assert json.loads(ds.attrs[key])
 
 
+@pytest.mark.smoke
 def test_summary_holds_the_tables_numbers(finished):
     result, ds = finished
     stored = json.loads((result.out / "summary.json").read_text())
@@ -80,6 +83,7 @@ def test_summary_holds_the_tables_numbers(finished):
     assert 0 < stored["displacement_error_relative"] < 1
 
 
+@pytest.mark.smoke
 def test_usd_passes_the_validators_and_moves(finished):
     result, ds = finished
     assert validate_usd(result.files["scene.usdc"]) == []

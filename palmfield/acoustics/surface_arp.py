@@ -87,8 +87,14 @@ class SurfaceArp:
                 f"points {points.shape}, normals {normals.shape} and drive {drive.shape}: this SurfaceArp takes "
                 f"({count}, 3), ({count}, 3) and ({self.field.count},)"
             )
-        if count == 0:
-            return self._sound_and_flux if flux else self._sound
+        if count > 0:
+            self._run(points, normals, drive[None])
+        return self._sound_and_flux if flux else self._sound
+
+    def _run(
+        self, points: Float | Float32, normals: Float | Float32, drives: Complex, out: Float32 | None = None
+    ) -> None:
+        """Fill the buffers for one drive after another, complex128, shape (m, N); out: takes their ARP, (m, count)."""
         self._points.host[...] = points
         self._normals.host[...] = normals
         # By column: NumPy's reduction along short rows takes ten times as long
@@ -97,28 +103,39 @@ class SurfaceArp:
         high = np.maximum.reduce(self._columns, axis=1).tolist()
         if not math.isfinite(sum(low)) or min(low) < -check.FARTHEST_m or max(high) > check.FARTHEST_m:
             check.points(points, np.float64)  # says which
-        if not cmath.isfinite(np.add.reduce(drive)):
-            raise _not_finite("drive", drive)
+        if not cmath.isfinite(np.add.reduce(drives, axis=None)):
+            raise _not_finite("drive", drives[int(check.first_bad(drives))])
         falls: tuple[str, ...] = ()
         for emitter in self._emitters:
-            falls = (*falls, emitter.prepare(low, high, drive))
+            falls = (*falls, emitter.prepare(low, high, drives))
         blocks = self._recorded.get(falls)
         if blocks is None:
             blocks = self._recorded[falls] = self._record(falls)
-        if self._interrupted:
-            self._pressure.zero_()
-            self._gradient.zero_()
-        self._interrupted = True
-        if self._gpu:
-            self._run_on_gpu(blocks)
-        else:
-            share(blocks, self._threads)
-        self._interrupted = False
-        result = self._sound_and_flux if flux else self._sound
-        # A NaN makes a point dark: it would not show in the ARP
-        if not math.isfinite(np.add.reduce(result.amplitude) + np.add.reduce(self._flat_normals)):
+        arp, amplitude = self._sound.arp, self._sound.amplitude
+        for i in range(len(drives)):
+            for emitter in self._emitters:
+                emitter.strengths.host[...] = emitter.amplitudes[i]
+                emitter.rows.host[:, 2] = emitter.phases[i]
+            if self._interrupted:
+                self._pressure.zero_()
+                self._gradient.zero_()
+            self._interrupted = True
+            if self._gpu:
+                self._run_on_gpu(blocks)
+            elif self._threads > 1:
+                share(blocks, self._threads)
+            else:
+                for calls in blocks:
+                    for call in calls:
+                        call()
+            self._interrupted = False
+            # A NaN makes a point dark: it would not show in the ARP
+            if not math.isfinite(np.add.reduce(amplitude)):
+                raise _not_finite("normals", self._normals.host)
+            if out is not None:
+                out[i] = arp
+        if not math.isfinite(np.add.reduce(self._flat_normals)):
             raise _not_finite("normals", self._normals.host)
-        return result
 
     def evaluate_many(
         self, points: Float | Float32, normals: Float | Float32, drives: Complex, out: Float32 | None = None
@@ -134,9 +151,12 @@ class SurfaceArp:
         evaluator, frames = self.field.evaluators[0], len(drives)
         result = np.empty((frames, self.count), np.float32) if out is None else out
         alike = len(self._emitters) == 1 and self.field.mode == "fast"
-        if frames < MATRIX_FROM or self.count == 0 or not alike or too_steep(evaluator, points):
-            for row, drive in zip(result, drives, strict=True):
-                row[:] = self.evaluate(points, normals, drive).arp
+        if frames == 0 or self.count == 0:
+            return result
+        if frames < MATRIX_FROM or not alike or too_steep(evaluator, points):
+            if points.shape != (self.count, 3) or drives.shape[1:] != (self.field.count,):
+                self.evaluate(points, normals, drives[0])  # says what is expected
+            self._run(points, normals, drives.astype(np.complex128, copy=False), result)
             return result
         size = matrix_bytes(self.field.count, self.count)
         if size > min(MATRIX_KEPT_BYTES, memory_limit(self.field.device)):
@@ -217,7 +237,11 @@ def _not_finite(name: str, values: Complex | Float | Float32) -> PalmfieldError:
 
 
 class _Emitter:
-    """The transducers of one directivity as the kernels take them, for one drive after another."""
+    """The transducers of one directivity as the kernels take them, for one drive after another.
+
+    rows, strengths: what the kernels read
+    phases: of each drive, shape (m, n); amplitudes: times the coefficients of the sound's fall, shape (m, n, 4)
+    """
 
     def __init__(self, group: DirectivityGroup, evaluator: FieldEvaluator):
         self.evaluator = evaluator
@@ -225,19 +249,19 @@ class _Emitter:
         accurate = evaluator.mode == "accurate"
         self._chosen = group.chosen[evaluator.order].astype(np.intp)
         self._gain = None if array.gain is None else array.gain[evaluator.order]
-        self._emitted = np.empty(len(array), np.complex128)
-        self._size = np.empty(len(array))
-        self._rows = SharedArray(len(array), wp.vec4d if accurate else wp.vec4, device)
-        self._rows.host[...] = evaluator.elements(gradient=True)
-        self._strengths = SharedArray(len(array), wp.vec4, device)
-        self.inputs = evaluator.inputs(self._rows.array, self._strengths.array, gradient=True)
+        self.rows = SharedArray(len(array), wp.vec4d if accurate else wp.vec4, device)
+        self.rows.host[...] = evaluator.elements(gradient=True)
+        self.strengths = SharedArray(len(array), wp.vec4, device)
+        self.phases: Float = np.zeros((0, len(array)))
+        self.amplitudes: Float = np.zeros((0, len(array), 4))
+        self.inputs = evaluator.inputs(self.rows.array, self.strengths.array, gradient=True)
         self._per_turn = 1.0 / evaluator.phase_unit
         box = array.positions.min(axis=0).tolist(), array.positions.max(axis=0).tolist()
         self._box = list(zip(*box, strict=True))
         self._fits: dict[tuple[int, int], tuple[str, Float]] = {}
 
-    def prepare(self, low: list[float], high: list[float], drive: Complex) -> str:
-        """Take a drive for points in this box [m]; returns how the sound's fall is computed, see `falling`."""
+    def prepare(self, low: list[float], high: list[float], drives: Complex) -> str:
+        """Take drives (m, N) for points in this box [m]; returns how the sound's fall is computed, see `falling`."""
         near = far = 0.0
         for (least, most), first, last in zip(self._box, low, high, strict=True):
             gap = max(least - last, first - most, 0.0)
@@ -246,19 +270,17 @@ class _Emitter:
             far += reach * reach
         ends = int(math.sqrt(near) / RANGE_STEP_M), int(math.sqrt(far) / RANGE_STEP_M) + 1
         kind, fall = self._fits.get(ends) or self._fit(ends)
-        emitted, size = self._emitted, self._size
-        drive.take(self._chosen, out=emitted, mode="clip")  # mode raise would copy
+        emitted = drives.take(self._chosen, axis=1)
         if self._gain is not None:
-            np.multiply(emitted, self._gain, out=emitted)
-        np.absolute(emitted, out=size)
-        np.multiply(size[:, None], fall, out=self._strengths.host, casting="same_kind")
-        np.arctan2(emitted.imag, emitted.real, out=size)
-        np.multiply(size, self._per_turn, out=self._rows.host[:, 2], casting="same_kind")
+            emitted *= self._gain
+        self.amplitudes = np.abs(emitted)[:, :, None] * fall
+        self.phases = np.arctan2(emitted.imag, emitted.real)
+        self.phases *= self._per_turn
         return kind
 
     def upload(self) -> None:
-        self._rows.upload()
-        self._strengths.upload()
+        self.rows.upload()
+        self.strengths.upload()
 
     def _fit(self, ends: tuple[int, int]) -> tuple[str, Float]:
         if len(self._fits) >= FITS_KEPT:

@@ -120,7 +120,7 @@ def drive(
     Examples: palmfield drive --focus 0 0 0.15 --port /dev/ttyUSB0 --duration 5
     palmfield drive mjcf/scenes/palm_circle_sonicsurface.xml --record circle.bin
     """
-    from palmfield.play import play_focus, play_scene
+    from palmfield.session.play import play_focus, play_scene
 
     if (scene is None) == (focus is None):
         raise SceneError("`palmfield drive` plays either a SCENE.xml or --focus X Y Z; give one of them")
@@ -253,7 +253,7 @@ def bench_skin(
     Ours at several wanted accuracies; scikit-fem, warp.fem and MuJoCo's flexes on several meshes. Errors are against
     plane waves in depth, which are exact. It takes some minutes.
 
-    Examples: palmfield bench skin --only spectral
+    Examples: palmfield bench skin --only lateral_waves
 
     palmfield bench skin --peers-python ~/.cache/palmfield-peers/bin/python --out skin.md --picture skin.png
     """

@@ -1,5 +1,6 @@
 """What the keys of all modules share: their model, their types, and how a bad value is told."""
 
+from functools import lru_cache
 from typing import Annotated, Any, ClassVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
@@ -55,9 +56,15 @@ def parse(model: type[Config], values: dict[str, str], element: str) -> Config:
     if advice:
         raise SceneError(f"{element}: " + "; ".join(advice))
     try:
-        return model.model_validate(values)
+        return _validated(model, tuple(values.items()))
     except ValidationError as error:
         raise SceneError(f"{element}: " + "; ".join(_explain(model, values, e) for e in error.errors())) from None
+
+
+@lru_cache(maxsize=256)
+def _validated(model: type[Config], values: tuple[tuple[str, str], ...]) -> Config:
+    """The configuration of these texts: the same object for the same texts, as what is kept for it asks it often."""
+    return model.model_validate(dict(values))
 
 
 def _advice(model: type[Config], key: str, value: str) -> list[str]:

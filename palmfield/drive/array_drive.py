@@ -84,6 +84,7 @@ class ArrayDrive:
         self.places: Float = np.ascontiguousarray(whole.positions[chosen].T)
         self.normals: Float = np.ascontiguousarray(whole.normals[chosen].T)
         self._known: dict[bytes, UnitDrive] = {}
+        self._last: tuple[FocalPoints, bytes, UnitDrive] | None = None
 
     def unit_drive(self, point: Float) -> UnitDrive:
         """The drive for a focus at `point` (frame of the first array [m], shape (3,)) at the loudest moment.
@@ -98,9 +99,16 @@ class ArrayDrive:
         if known is None:
             known = self._made(point)
             if len(self._known) >= KEPT:
-                self._known.clear()
+                del self._known[next(iter(self._known))]
             self._known[key] = known
         return known
+
+    def unit_drive_at(self, focal_points: FocalPoints, point: Float) -> UnitDrive:
+        """`unit_drive` for one of the stimulus's points, shape (3,), where it is now."""
+        last, key = self._last, point.tobytes()
+        if last is None or last[0] is not focal_points or last[1] != key:
+            self._last = last = focal_points, key, self.unit_drive(focal_points.at(point))
+        return last[2]
 
     def _made(self, point: Float) -> UnitDrive:
         if point.ndim == 1:

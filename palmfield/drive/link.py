@@ -5,14 +5,8 @@ playing ends in any way that leaves the host alive.
 """
 
 import errno
-import math
 import os
-import signal
-import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, Self
 
@@ -41,7 +35,7 @@ def line_time_s(data: bytes) -> float:
 
 
 class FrameSink(Protocol):
-    """What `play_frames` needs: a clock and a place for frames."""
+    """What `palmfield.drive.playback.play_frames` needs: a clock and a place for frames."""
 
     def now(self) -> float:
         """Seconds on this sink's clock."""
@@ -231,85 +225,3 @@ def _choices() -> str:
     return (
         f"ports found: {', '.join(ports)}" if ports else "no serial port found: connect the board, or check its cable"
     )
-
-
-@dataclass(frozen=True)
-class Played:
-    """How playing went. frames: sent whole; skipped: not sent because a newer one was due; late_s: worst delay [s]."""
-
-    frames: int
-    skipped: int
-    late_s: float
-
-
-def play_frames(
-    link: FrameSink,
-    frames: Iterable[tuple[float, bytes]],
-    *,
-    on_progress: Callable[[Played], None] | None = None,
-) -> Played:
-    """Send frames at their times, never faster than the line; when late, the newest frame that is due wins.
-
-    frames: (time since the start [s], bytes of one frame that begins with 254), times rising. It is read one frame
-        ahead, so it must not wait for the world: give a schedule.
-    on_progress: called after each frame that got through
-    After a write timeout nothing is resumed: the next send begins with a frame's first byte. The board is silenced when
-    this ends, also by an exception, Ctrl-C, SIGTERM or SIGHUP (the signals are caught in the main thread only).
-    Raises DeviceError when the board is lost.
-    """
-    with _signals_as_exit():
-        try:
-            return _play(link, iter(frames), on_progress)
-        finally:
-            link.off()
-
-
-def _play(
-    link: FrameSink, frames: Iterator[tuple[float, bytes]], on_progress: Callable[[Played], None] | None
-) -> Played:
-    sent, skipped, late_s = 0, 0, 0.0
-    start = link.now()
-    line_free = start
-    current = next(frames, None)
-    while current is not None:
-        upcoming = next(frames, None)
-        due = start + current[0]
-        newer_due = start + upcoming[0] if upcoming is not None else math.inf
-        through = False
-        if newer_due > max(line_free, link.now()):
-            link.wait_until(max(due, line_free))
-            began = link.now()
-            through = link.write(current[1])
-            while not through and newer_due > link.now():
-                through = link.write(current[1])
-            # The line, not the buffer that took the bytes, says when the next frame may start.
-            line_free = max(line_free, began) + line_time_s(current[1])
-        if through:
-            sent, late_s = sent + 1, max(late_s, began - due)
-            if on_progress is not None:
-                on_progress(Played(sent, skipped, late_s))
-        else:
-            skipped += 1
-        current = upcoming
-    link.wait_until(line_free)
-    return Played(sent, skipped, late_s)
-
-
-@contextmanager
-def _signals_as_exit() -> Iterator[None]:
-    """SIGTERM and SIGHUP end a process without running `finally`; as SystemExit they leave the board silent."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def leave(number: int, _frame: object) -> None:
-        raise SystemExit(128 + number)
-
-    numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    heeded = [number for number in numbers if signal.getsignal(number) is not signal.SIG_IGN]  # nohup ignores SIGHUP
-    before = {number: signal.signal(number, leave) for number in heeded}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -253,14 +253,16 @@ def emitted_over(
     """
     if response.on and not drive.everything:
         emitted = _own(emitted, drive)
-    lags, group = _lags(stimulus, drive, response, focal_points)
+    lags, group = NO_LAG, None
+    if response.on and response.delayed:
+        lags, group = _delay_groups(flight_delays(drive, focal_points.at(first_point(stimulus))))
     points, levels = _points_and_levels(stimulus, moments.times, lags)
     silent = not np.logical_or.reduce(levels, axis=None)
     if silent and (not response.on or np.maximum.reduce(np.abs(emitted)) < SILENT):
         nothing = np.zeros(len(levels))
         return EmittedCourse(None, nothing, None, np.zeros_like(emitted) if response.on else emitted)
     if stimulus.path == "point":
-        unit = drive.unit_drive(focal_points.at(points[0, 0]))
+        unit = drive.unit_drive_at(focal_points, points[0, 0])
         return _of_one_unit(unit, levels, group, response, emitted, moments)
     commanded = _commanded(drive, points, levels, group, focal_points)
     if not response.on:
@@ -274,15 +276,6 @@ def _own(emitted: Complex, drive: ArrayDrive) -> Complex:
     own = np.zeros_like(emitted)
     own[drive.chosen] = emitted[drive.chosen]
     return own
-
-
-def _lags(
-    stimulus: StimulusConfig, drive: ArrayDrive, response: TransducerResponse, focal_points: FocalPoints
-) -> tuple[Float, Int | None]:
-    """`_delay_groups` with the arrays and the stimulus's points as they are now."""
-    if not response.on or not response.delayed:
-        return NO_LAG, None
-    return _delay_groups(flight_delays(drive, focal_points.at(first_point(stimulus))))
 
 
 def _of_one_unit(
@@ -344,7 +337,7 @@ def emitted_now(
     if np.maximum.reduce(np.abs(emitted)) < SILENT:
         return EmittedCourse(None, np.zeros(1), None, emitted)
     if stimulus.path == "point":
-        unit = drive.unit_drive(focal_points.at(first_point(stimulus)))
+        unit = drive.unit_drive_at(focal_points, first_point(stimulus))
         level = _level_of(unit, emitted)
         if level is not None:
             return EmittedCourse(unit.amplitudes, np.array([level]), None, emitted)
@@ -412,7 +405,7 @@ def mean_level(
         squares: Float = np.abs(course.levels) ** 2
     else:
         assert course.emitted is not None
-        power = drive.unit_drive(focal_points.at(first_point(stimulus))).power
+        power = drive.unit_drive_at(focal_points, first_point(stimulus)).power
         if power == 0.0:
             return 0.0
         squares = np.add.reduce(course.emitted.real**2 + course.emitted.imag**2, axis=1)

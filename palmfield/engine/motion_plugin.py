@@ -8,6 +8,7 @@ import numpy as np
 from palmfield.config import Config, MotionConfig
 from palmfield.engine.host import Module, World, world_of
 from palmfield.errors import SceneError
+from palmfield.motion.pose import HandPose
 from palmfield.transforms import rotation_matrix
 from palmfield.types import Float
 
@@ -36,6 +37,7 @@ class MotionModule(Module):
         self.mocap = int(model.raw.body_mocapid[body])
         if self.mocap < 0:
             raise SceneError(f"{element}: key 'body' has value '{settings.body}'; allowed: a body with mocap='true'")
+        self._first_s = 1.5 * model.timestep
         self.servos: list[int] = []
         self.joints: list[int] = []
         self.root: int | None = None
@@ -45,7 +47,9 @@ class MotionModule(Module):
                     f"{element}: key 'body' has value '{settings.body}'; allowed with key 'hand': [prefix]hand_target"
                 )
             prefix, why = settings.body.removesuffix("hand_target"), f"{element}: key 'hand'"
-            joints = [prefix + joint.name for joint in self.motion.hand.joints]
+            self._names = [joint.name for joint in self.motion.hand.joints]
+            self._rest_deg = [joint.rest_deg for joint in self.motion.hand.joints]
+            joints = [prefix + name for name in self._names]
             self.servos = [model.find("actuator", name, why) for name in joints]
             self.joints = [model.find("joint", name, why) for name in joints]
             self.root = model.find("joint", prefix + "hand_root", why)
@@ -59,27 +63,30 @@ class MotionModule(Module):
 
     def place(self) -> None:
         """Put mocap body, servos and the hand itself where the motion has them now."""
-        self._lead()
-        self._put()
+        time_s = self.world.time
+        self._put(self._lead(time_s), time_s)
 
     def advance(self) -> None:
         """Give what is due at the step's end."""
-        self._lead()
-        first = self.world.time < 1.5 * self.world.model.timestep
-        if first or self.settings.follow == "exact":
-            self._put()
+        time_s = self.world.time
+        pose = self._lead(time_s)
+        if time_s < self._first_s or self.settings.follow == "exact":
+            self._put(pose, time_s)
 
-    def _lead(self) -> None:
-        pose = self.motion.at(self.world.time)
+    def _lead(self, time_s: float) -> HandPose:
+        """Tell the mocap body and the servos where to be at a time [s]; returns that."""
+        pose = self.motion.at(time_s)
         self.world.put_mocap(self.mocap, pose.position, pose.quaternion)
         if self.servos:
             self.world.controls[self.servos] = self._angles(pose.angles_deg)
+        return pose
 
-    def _put(self) -> None:
+    def _put(self, now: HandPose, time_s: float) -> None:
+        """Put the hand itself into its pose at a time [s], with the speed that it has there."""
         if self.root is None:
             return
         step = self.world.model.timestep
-        before, now = self.motion.at(self.world.time - step), self.motion.at(self.world.time)
+        before = self.motion.at(time_s - step)
         velocity = (now.position - before.position) / step
         turned = rotation_matrix(before.quaternion).T @ rotation_matrix(now.quaternion)
         spin = np.array([turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]])
@@ -89,8 +96,7 @@ class MotionModule(Module):
 
     def _angles(self, angles_deg: dict[str, float]) -> Float:
         """Of all joints [rad]; those that are not named are at rest."""
-        assert self.motion.hand is not None
-        return np.deg2rad([angles_deg.get(joint.name, joint.rest_deg) for joint in self.motion.hand.joints])
+        return np.deg2rad(list(map(angles_deg.get, self._names, self._rest_deg)))
 
 
 def place(data: mujoco.MjData) -> None:

@@ -17,7 +17,6 @@ from palmfield.simulation.validate import check_clear
 from palmfield.skin.stepper import SkinStepper
 from palmfield.types import Complex, Float
 
-
 AT_REST: Float = np.zeros(2)
 """Displacement and velocity of skin that nothing has stepped yet: to read them takes no stepper."""
 
@@ -75,12 +74,14 @@ class SceneRuntime:
             positions, matrices = self.view.frames[kind]
             positions.take(numbers, 0, self._positions[part])
             matrices.take(numbers, 0, self._matrices[part])
+        last = self._posed
+        if self._positions.tobytes() + self._matrices.tobytes() == last.numbers:
+            return last
         rows = PoseRows(self._positions, self._matrices.reshape(-1, 3, 3))
-        posed = posed_scene(self.model, self.layout, rows, self._posed, self.work.reference)
-        if posed is not self._posed:
-            if posed.bodies != self._posed.bodies or posed.arrays is not self._posed.arrays:
-                check_clear(posed)
-            self._posed = posed
+        posed = posed_scene(self.model, self.layout, rows, last, self.work.reference)
+        if posed.bodies != last.bodies or posed.arrays is not last.arrays:
+            check_clear(posed)
+        self._posed = posed
         return posed
 
     @property
@@ -95,7 +96,7 @@ class SceneRuntime:
     def now(self) -> tuple[PosedScene, EmittedCourse]:
         """Pose and emission at MuJoCo's present time."""
         posed = self.posed
-        return posed, self.work.emission.now(posed, self.amplitudes, self.view.time)
+        return posed, self.work.emission.now(posed, gather(self.state, self.work), self.view.time)
 
     def body_forces(self) -> list[tuple[Float, Float]]:
         """Forces [N] on the parts of each body and torques about their origins [N m], world axes, shapes (b, 3).
@@ -105,7 +106,7 @@ class SceneRuntime:
         posed, time_s = self.posed, self.view.time
         self.work.emission.begin(posed, time_s)
         turn = posed.array_frame.rotation.T
-        forces = self.work.forces.over(self.work.emission, posed, self.amplitudes, time_s)
+        forces = self.work.forces.over(self.work.emission, posed, gather(self.state, self.work), time_s)
         return [(force @ turn, torque @ turn) for force, torque in forces]
 
     def push(self) -> None:

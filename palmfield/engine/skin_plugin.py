@@ -18,7 +18,8 @@ class SkinModule(Module):
     As all of MuJoCo's sensors it belongs to the step's beginning: after mj_step it is one timestep older than
     data.time, until mj_forward.
 
-    number: of this skin among the scene's; scene: `palmfield.engine.scene_runtime.SceneRuntime`, shared by all
+    number: of this skin among the scene's; leads: whether it steps the scene, as the first one does
+    scene: `palmfield.engine.scene_runtime.SceneRuntime`, shared by all
     """
 
     name: ClassVar[str] = SkinConfig.plugin
@@ -34,6 +35,7 @@ class SkinModule(Module):
             world.scene = SceneRuntime(world)
         self.scene = world.scene
         self.number = [skin.instance for skin in self.scene.binding.skins].index(instance)
+        self.leads = self.number == 0
         self._sensors: list[Any] | None = None
 
     @classmethod
@@ -53,11 +55,6 @@ class SkinModule(Module):
         from palmfield.simulation.sensors import CHANNELS
 
         return len(CHANNELS)
-
-    @property
-    def leads(self) -> bool:
-        """Whether this skin's plugin steps the scene."""
-        return self.number == 0
 
     @property
     def applied(self) -> Float:

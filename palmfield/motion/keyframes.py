@@ -54,27 +54,28 @@ class Curve:
         values = ((cubic * x + square) * x + linear) * x + constant
         # Bernstein polynomials of the third order, summed from the end.
         shares = 1.0 - (1.0 - s) ** 3, s * s * (3.0 - 2.0 * s), s**3
-        turned = self._from[n]
-        for share, turn in zip(shares, self._turns[n], strict=True):
-            turned = _turned(turned, share, turn)
+        turned = _turned(self._from[n], shares, self._turns[n])
         angles = dict(zip(self._joints, values[3:].tolist(), strict=True))
         return HandPose(values[:3], np.array(turned), angles)
 
 
-def _turned(quaternion: Sequence[float], share: float, turn: Sequence[float]) -> tuple[float, float, float, float]:
-    """A rotation (w, x, y, z) followed, in its own axes, by a share of a rotation vector [rad]."""
-    a, b, c = turn
-    angle = math.sqrt(a * a + b * b + c * c)
-    half = 0.5 * share * angle
-    scale = math.sin(half) / angle if angle > 0.0 else 0.0
+def _turned(
+    quaternion: Sequence[float], shares: Sequence[float], turns: Sequence[Sequence[float]]
+) -> tuple[float, float, float, float]:
+    """A rotation (w, x, y, z) followed, in its own axes, by shares of rotation vectors [rad], one after the other."""
     w, x, y, z = quaternion
-    p, q, r, s = math.cos(half), scale * a, scale * b, scale * c
-    return (
-        w * p - x * q - y * r - z * s,
-        w * q + x * p + y * s - z * r,
-        w * r - x * s + y * p + z * q,
-        w * s + x * r - y * q + z * p,
-    )
+    for share, (a, b, c) in zip(shares, turns, strict=True):
+        angle = math.sqrt(a * a + b * b + c * c)
+        half = 0.5 * share * angle
+        scale = math.sin(half) / angle if angle > 0.0 else 0.0
+        p, q, r, s = math.cos(half), scale * a, scale * b, scale * c
+        w, x, y, z = (
+            w * p - x * q - y * r - z * s,
+            w * q + x * p + y * s - z * r,
+            w * r - x * s + y * p + z * q,
+            w * s + x * r - y * q + z * p,
+        )
+    return w, x, y, z
 
 
 def _turns(times: Float, keys: Rotation, rest: bool) -> Float:

@@ -53,7 +53,8 @@ def motion_of(config: MotionConfig) -> Motion:
         assert config.function is not None
         source = from_callable(config.function, joints)
     start = config.start_s
-    return Motion(hand, lambda t: source(t - start), start + source.span_s[1])
+    at = source if start == 0.0 else lambda t: source(t - start)
+    return Motion(hand, at, start + source.span_s[1])
 
 
 def _tracked(config: MotionConfig) -> Stream:

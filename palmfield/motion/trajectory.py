@@ -200,7 +200,8 @@ def write_table(file: Path, names: Sequence[str], table: Float) -> None:
     try:
         if file.suffix.lower() == ".npz":
             with file.open("wb") as data:
-                np.savez_compressed(data, allow_pickle=False, **dict(zip(names, table.T, strict=True)))
+                # Not with allow_pickle=False, which numpy below 2.2 takes for one more array, and numbers don't need
+                np.savez_compressed(data, **dict(zip(names, table.T, strict=True)))
         else:
             with file.open("w", newline="", encoding="utf-8") as text:
                 writer = csv.writer(text)

@@ -59,12 +59,12 @@ def compares_with_finer(layer: SceneLayer, dofs: int) -> bool:
 
 
 def error_estimate(
-    model: HapticModel, skin: int, loudest: LoudestMoment, *, left_small_model: bool, radiation: Radiation | None = None
+    model: HapticModel, skin: int, loudest: LoudestMoment, radiation: Radiation, *, left_small_model: bool
 ) -> dict[str, float]:
     """Relative error of a skin's displacement at its point nearest to the focus, by source.
 
+    radiation: of the model; its solution by boundary elements for that moment serves again
     left_small_model: whether the run went on from a small model to the whole layer
-    radiation: of the run, whose solution by boundary elements serves again
 
     mesh: static and harmonic response on the scene's mesh and on one RATIO finer (or coarser, for more than
         FINER_BELOW unknowns and at least LAYERS rows of elements), by Richardson's rule; the larger of the two. The
@@ -114,12 +114,9 @@ class _Response:
 class _Sound:
     """ARP of the loudest moment on other meshes of a skin's layer."""
 
-    def __init__(self, model: HapticModel, skin: int, loudest: LoudestMoment, radiation: Radiation | None):
-        self.model, self.skin, self.loudest = model, skin, loudest
-        self.radiation = Radiation(model)
-        if radiation is not None:
-            self.radiation.adopt(radiation.scattered_fields())
-        self.on_own: Float = self._arp(self.radiation, loudest.posed)
+    def __init__(self, model: HapticModel, skin: int, loudest: LoudestMoment, radiation: Radiation):
+        self.model, self.skin, self.loudest, self.radiation = model, skin, loudest, radiation
+        self.on_own: Float = self._arp(radiation, loudest.posed)
 
     def on(self, layer: SceneLayer) -> Float:
         """ARP [Pa] at a layer's quadrature points, shape (q,)."""

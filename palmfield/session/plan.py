@@ -1,6 +1,7 @@
 """What a scene needs to be modelled, what is left out and why, and what it costs; decided before anything runs."""
 
 import io
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -26,9 +27,10 @@ from palmfield.session.load import Source
 from palmfield.session.preview import Preview, preview
 from palmfield.session.simulation import Simulation
 from palmfield.simulation.emission import array_drives
-from palmfield.simulation.known_load import SHARE, factor_s
+from palmfield.simulation.known_load import SHARE
 from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
 from palmfield.simulation.posed_scene import reference_scene
+from palmfield.skin.costs import factor_s
 from palmfield.skin.from_config import cutoff_Hz, sheets_in_words
 from palmfield.skin.materials.material import shear_wave
 from palmfield.stimulus.schedule import frame_rates, frames_at, main_frequencies, turn_rate_Hz
@@ -40,8 +42,8 @@ START_AND_PICTURES_S = 12.0
 SCATTER_PAIR_S = 2e-8
 SCATTER_ELEMENT_S = 1e-4
 """One solution of the boundary elements, docs/bench/scattering.md: 20 iterations of all pairs, and set-up."""
-COURSE = 64
-"""Points of a path at which its distance from a skin is looked at."""
+COURSE, POSES = 64, 16
+"""Points of a path, and poses of hands that scripts move, in which its distance from a skin is looked at."""
 
 
 @dataclass(frozen=True)
@@ -167,25 +169,26 @@ def _warnings(view: Preview) -> list[str]:
 
 
 def _far_focus(view: Preview, number: int) -> list[str]:
-    """Whether no focus comes near a skin in the present pose."""
-    model, posed = view.runtime.model, view.runtime.posed
+    """Whether no focus comes near a skin, now or where scripts take it."""
+    model = view.runtime.model
     skin = model.skins[number]
-    nodes = cKDTree(posed.skins[number].nodes[0])
-    active = [i for i, stimulus in enumerate(model.stimuli) if not stimulus.silent] or list(range(len(model.stimuli)))
-    distances = []
-    for i in active:
-        stimulus = model.stimuli[i]
-        places = posed.focal_points(stimulus, i)
-        foci = [np.atleast_2d(places.at(point)) for point in _course(stimulus)]
-        distances.append(float(nodes.query(np.concatenate(foci))[0].min()))
-    nearest = int(np.argmin(distances))
-    sizes = skin.layer.sizes
-    if distances[nearest] <= max(skin.layer.demand.spot_fwhm_m, 2 * sizes.edge_coarse_m):
-        return []
-    name = model.stimuli[active[nearest]].spec.name
+    numbers = range(len(model.stimuli))
+    active = [i for i in numbers if not model.stimuli[i].silent] or list(numbers)
+    limit = max(skin.layer.demand.spot_fwhm_m, 2 * skin.layer.sizes.edge_coarse_m)
+    least, name = math.inf, ""
+    for posed in view.poses(POSES):
+        nodes = cKDTree(posed.skins[number].nodes[0])
+        for i in active:
+            places = posed.focal_points(model.stimuli[i], i)
+            foci = [np.atleast_2d(places.at(point)) for point in _course(model.stimuli[i])]
+            distance = float(nodes.query(np.concatenate(foci))[0].min())
+            if distance <= limit:
+                return []
+            if distance < least:
+                least, name = distance, model.stimuli[i].spec.name
     return [
-        f"no focus comes near skin '{skin.spec.name}': that of stimulus '{name}' stays "
-        f"{1e3 * distances[nearest]:.0f} mm away from the skin layer, which then hardly moves"
+        f"no focus comes near skin '{skin.spec.name}': that of stimulus '{name}' stays {1e3 * least:.0f} mm away from "
+        "the skin layer, which then hardly moves"
     ]
 
 

@@ -1,15 +1,18 @@
 """A scene to be looked at and not stepped: its model and poses, without the matrices of its skins."""
 
-from collections.abc import Mapping
+import copy
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import mujoco
 
 from palmfield.engine.host import world_of
+from palmfield.engine.motion_plugin import place
 from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.errors import SceneError
 from palmfield.session.load import Source, compiled
 from palmfield.session.simulation import Simulation
+from palmfield.simulation.posed_scene import PosedScene
 
 
 @dataclass(frozen=True)
@@ -23,6 +26,26 @@ class Preview:
     duration_s: float
     runtime: SceneRuntime
     data: mujoco.MjData
+
+    def poses(self, count: int) -> Iterator[PosedScene]:
+        """The present pose, and then, where a script moves something, `count` others over the run by that script.
+
+        Poses in which a body reaches into an array are left out: a run says so itself.
+        """
+        yield self.runtime.posed
+        if not any(skin.moves for skin in self.runtime.spec.skins):
+            return
+        # Sampled on a copy, so that a simulation stays where it is.
+        data = copy.copy(self.data)
+        world = world_of(data)
+        assert world is not None
+        for number in range(1, count + 1):
+            data.time = self.data.time + number * self.duration_s / count
+            place(data)
+            try:
+                yield world.scene.posed
+            except SceneError:
+                continue
 
 
 def preview(
@@ -41,10 +64,8 @@ def preview(
         if keys or any(value is not None for value in (device, accuracy, board)):
             raise SceneError("a simulation's keys can't be changed any more: give them to Simulation(...)")
         return Preview(scene.name, scene.duration_s, scene.runtime, scene.data)
-    name, model, data = compiled(scene, device=device, accuracy=accuracy, board=board, keys=keys)
+    name, _, data = compiled(scene, device=device, accuracy=accuracy, board=board, keys=keys)
     world = world_of(data)
     if world is None or world.scene is None:
         raise SceneError(f"{name} has no plugin 'palmfield.skin'; it is a plain MuJoCo model")
-    # Frames alone: mj_forward would read the sensors, which needs the skins' factorised matrices.
-    mujoco.mj_kinematics(model, data)
     return Preview(name, world.scene.spec.duration_s, world.scene, data)

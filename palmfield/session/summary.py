@@ -48,17 +48,17 @@ def skin_numbers(
         "accuracy_wanted_relative": skin.spec.config.accuracy,
     }
     stimulus = stimulus_of(model, number)
+    radiation = Radiation(model)
+    radiation.adopt(runtime.work.radiation.scattered_fields())
     if loudest is not None:
-        force = _force_N(model, number, loudest, runtime.work.radiation)
+        force = _force_N(model, number, loudest, radiation)
         result["total_force_peak_N"] = loudest.factor * force
         band = p0_band(model, stimulus) if p0_given(model, stimulus) else None
         if band is not None:
             result |= {"peak_displacement_low_m": peak * band[0], "peak_displacement_high_m": peak * band[1]}
     if loudest is not None and peak > 0.0:
         try:
-            errors = error_estimate(
-                model, number, loudest, left_small_model=left_small_model, radiation=runtime.work.radiation
-            )
+            errors = error_estimate(model, number, loudest, radiation, left_small_model=left_small_model)
             result |= errors | {"displacement_error_m": errors["displacement_error_relative"] * peak}
         except (PalmfieldError, MemoryError) as error:
             result["displacement_error_missing"] = f"{error}" or type(error).__name__
@@ -126,9 +126,7 @@ def _solver_in_words(model: HapticModel, skin: int, left_small_model: bool) -> s
     return f"{words}; then wedges" if left_small_model else words
 
 
-def _force_N(model: HapticModel, skin: int, loudest: LoudestMoment, known: Radiation) -> float:
+def _force_N(model: HapticModel, skin: int, loudest: LoudestMoment, radiation: Radiation) -> float:
     """Size of the sound's force on a skin's body at the loudest moment, at the factor 1 [N]."""
-    radiation = Radiation(model)
-    radiation.adopt(known.scattered_fields())
     forces, _ = BodyForces(model, radiation).under(loudest.posed, model.skins[skin].body, loudest.drive)
     return float(np.linalg.norm(forces.sum(axis=0)))

@@ -28,7 +28,7 @@ from palmfield.simulation.validate import check_board, check_bodies, check_body_
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
 from palmfield.skin.scene_layer import LayerDemand, SceneLayer
 from palmfield.stimulus.focal_points import FocalPoints, SurfaceCourse
-from palmfield.stimulus.schedule import SitesStimulus, frame_at, main_frequencies, plane_path
+from palmfield.stimulus.schedule import frame_at, main_frequencies, plane_path, with_length
 from palmfield.stimulus.surface_path import SurfacePath, drawn, through
 from palmfield.transforms import Transform
 from palmfield.types import Float
@@ -155,7 +155,7 @@ def _stimulus(
         path = _path_on(spec, carrier, body)
     if config.path == "sites":
         assert path is not None
-        config = SitesStimulus(**config.model_dump(exclude_unset=True), sites_length_m=float(path.arc_m[-1]))
+        config = with_length(config, float(path.arc_m[-1]))
     offsets = np.reshape(config.foci_m, (-1, 3))
     course = None
     if path is not None and carrier is not None and carrier.surface is not None and body is not None:

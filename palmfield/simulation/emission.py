@@ -22,13 +22,21 @@ from palmfield.drive.transducer_response import (
 from palmfield.simulation.model import HapticModel, StimulusModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.stimulus.focal_points import FocalPoints
-from palmfield.stimulus.schedule import Moments, first_point, frame_at, frames_at, substep_moments
+from palmfield.stimulus.schedule import Moments, first_point, frames_at, substep_moments
 from palmfield.types import Complex, Float
 
 TICK_S = 1e-9
 """A control tick that is nearer than this counts as reached."""
 LEAST_MEANS = 4
 """Parts of a MuJoCo step over which the force on bodies is averaged, at least."""
+
+
+class Aim(NamedTuple):
+    """A stimulus, how it drives its transducers with the arrays as they stand, and where its points are."""
+
+    stimulus: StimulusModel
+    drive: ArrayDrive
+    points: FocalPoints
 
 
 class HeldPoints(NamedTuple):
@@ -48,7 +56,8 @@ class Emission:
         self.model = model
         self.held: list[HeldPoints | None] = [None] * len(model.stimuli)
         self._drives: tuple[PhasedArray, list[ArrayDrive]] = (model.arrays, array_drives(model, model.arrays))
-        self._points: tuple[PosedScene | None, list[FocalPoints]] = (None, [])
+        self._aims: tuple[PosedScene | None, list[Aim]] = (None, [])
+        self._held = any(config.control_rate_Hz > 0.0 for config in model.configs)
 
     def drives(self, arrays: PhasedArray) -> list[ArrayDrive]:
         """How each stimulus drives its transducers, with the arrays as they stand."""
@@ -58,67 +67,65 @@ class Emission:
 
     def begin(self, posed: PosedScene, time_s: float) -> None:
         """Take the stimuli's points where a step begins, for those whose control tick is due."""
+        if not self._held:
+            return
         for number, stimulus in enumerate(self.model.stimuli):
             if stimulus.config.control_rate_Hz > 0.0:
                 held = self.held[number]
                 if held is not None and time_s <= held.time_s:
                     # The same moment again, or an earlier one after a reset: what was held may lie elsewhere now.
                     self.held[number] = None
-                points = self._at(posed, number, stimulus, time_s)
+                points = self.aims(posed, time_s)[number].points
                 held = self.held[number]
                 if held is None or held.points is not points:
                     self.held[number] = HeldPoints(time_s, points)
 
-    def focal_points(self, posed: PosedScene, time_s: float) -> list[FocalPoints]:
-        """Where each stimulus's points are; between control ticks, where they were at the last."""
-        points = []
-        for number, part in enumerate(self.model.stimuli):
-            points.append(self._at(posed, number, part, time_s))
-        return points
+    def aims(self, posed: PosedScene, time_s: float) -> list[Aim]:
+        """The stimuli with their drives and points; between control ticks, points are where they were at the last."""
+        if self._aims[0] is not posed:
+            drives, aims = self.drives(posed.arrays), []
+            for number, stimulus in enumerate(self.model.stimuli):
+                aims.append(Aim(stimulus, drives[number], posed.focal_points(stimulus, number)))
+            self._aims = posed, aims
+        aims = self._aims[1]
+        if not self._held:
+            return aims
+        return [self._at_tick(aim, held, time_s) for aim, held in zip(aims, self.held, strict=True)]
 
-    def _at(self, posed: PosedScene, number: int, stimulus: StimulusModel, time_s: float) -> FocalPoints:
-        rate, held = stimulus.config.control_rate_Hz, self.held[number]
-        if held is not None and time_s >= held.time_s:
-            ticks = int((time_s + TICK_S) * rate), int((held.time_s + TICK_S) * rate)
-            if ticks[0] == ticks[1]:
-                return held.points
-        if self._points[0] is not posed:
-            points = []
-            for other, part in enumerate(self.model.stimuli):
-                points.append(posed.focal_points(part, other))
-            self._points = posed, points
-        return self._points[1][number]
+    def _at_tick(self, aim: Aim, held: HeldPoints | None, time_s: float) -> Aim:
+        if held is None or time_s < held.time_s:
+            return aim
+        rate = aim.stimulus.config.control_rate_Hz
+        ticks = int((time_s + TICK_S) * rate), int((held.time_s + TICK_S) * rate)
+        return aim._replace(points=held.points) if ticks[0] == ticks[1] else aim
 
     def over(self, posed: PosedScene, emitted: Complex, t0: float, count: int) -> tuple[Moments, EmittedCourse]:
         """What is emitted at the moments of `count` substeps from t0 [s] on; emitted: at t0, shape (N,)."""
         model = self.model
         moments = substep_moments(model.configs, t0, model.step_s, count)
-        points, drives = self.focal_points(posed, t0), self.drives(posed.arrays)
         courses = []
-        for part, drive, place in zip(model.stimuli, drives, points, strict=True):
+        for part, drive, place in self.aims(posed, t0):
             courses.append(emitted_over(part.config, drive, part.response, emitted, place, moments))
-        return moments, combined(courses)
+        return moments, courses[0] if len(courses) == 1 else combined(courses)
 
     def now(self, posed: PosedScene, emitted: Complex, time_s: float) -> EmittedCourse:
         """What is emitted at the present time [s], as a course of one moment; emitted: shape (N,)."""
-        points, drives = self.focal_points(posed, time_s), self.drives(posed.arrays)
         courses = []
-        for part, drive, place in zip(self.model.stimuli, drives, points, strict=True):
+        for part, drive, place in self.aims(posed, time_s):
             courses.append(emitted_now(part.config, drive, part.response, emitted, place, time_s))
-        return combined(courses)
+        return courses[0] if len(courses) == 1 else combined(courses)
 
     def commanded(self, posed: PosedScene, times: Float) -> Complex:
         """What the transducers are told at some times [s], shape (k, N); what they make of it comes later."""
-        points, drives = self.focal_points(posed, float(times[0])), self.drives(posed.arrays)
         total = np.zeros((len(times), len(posed.arrays)), np.complex128)
-        for part, drive, place in zip(self.model.stimuli, drives, points, strict=True):
+        for part, drive, place in self.aims(posed, float(times[0])):
             total += commanded_drive(part.config, drive, None, times, place)
         return total
 
     def foci(self, posed: PosedScene, times: Float) -> list[Float]:
         """Where each stimulus's foci are at some times [s], array frame [m], shapes (k, foci, 3)."""
         result = []
-        for part, place in zip(self.model.stimuli, self.focal_points(posed, float(times[0])), strict=True):
+        for part, _, place in self.aims(posed, float(times[0])):
             points, _ = frames_at(part.config, times)
             if len(part.offsets):
                 result.append(np.array([place.at(point) for point in points]))
@@ -149,13 +156,15 @@ class Emission:
         part = model.stimuli[0]
         if part.silent:
             return []
-        place, drive = self.focal_points(posed, t0)[0], self.drives(posed.arrays)[0]
+        _, drive, place = self.aims(posed, t0)[0]
         count = max(LEAST_MEANS, model.substeps)
         level = mean_level(part.config, drive, part.response, emitted, place, t0, timestep_s / count, count)
         if level == 0.0:
             return []
-        point = first_point(part.config) if part.config.path == "point" else frame_at(part.config, t0).focus
-        return [(drive.unit_drive(place.at(point)).amplitudes, level)]
+        point = first_point(part.config)
+        if part.config.path != "point":
+            point = frames_at(part.config, np.array([t0]))[0][0]
+        return [(drive.unit_drive_at(place, point).amplitudes, level)]
 
 
 def array_drives(model: HapticModel, arrays: PhasedArray) -> list[ArrayDrive]:

@@ -18,10 +18,10 @@ from palmfield.simulation.model import HapticModel, StepperChoice, StimulusModel
 from palmfield.simulation.posed_scene import PosedScene, reference_scene
 from palmfield.simulation.radiation import Radiation
 from palmfield.simulation.spec import SceneSpec, SkinSpec
-from palmfield.simulation.whole_layer import sounding
 from palmfield.skin.reduction.krylov import Fade, harmonics, level, periodic
 from palmfield.skin.reduction.reduced_stepper import MOST_VECTORS, KnownLoad, reduced_stepper
 from palmfield.skin.scene_layer import SceneLayer
+from palmfield.skin.solver_choice import scene_choices
 from palmfield.skin.stepper import SkinStepper
 from palmfield.stimulus.schedule import frames_at, is_closed, main_frequencies, repeats, turn_rate_Hz
 from palmfield.types import Complex, Float
@@ -43,16 +43,6 @@ BEGINNING = 48
 """Moments at which the load is looked at while the transducers ring up."""
 SETTLED = 12.0
 """Transducers are rung up after this over their damping."""
-SOLVE_S = 1.7e-6
-REDUCED_STEP_S = 1e-3
-"""Measured on one core of a server CPU: seconds a substep and unknown of the whole layer, and a substep of a small
-model."""
-
-
-def factor_s(dofs: float) -> float:
-    """Seconds of one real factorisation, fitted on layers of 2,000 to 60,000 unknowns."""
-    return 1.3e-7 * dofs**1.7
-
 
 # -- which scenes have one -----------------------------------------------------------------------------------------
 
@@ -69,24 +59,23 @@ def choose_stepper(
 
     Raises SceneError where a small model is asked for and can't be.
     """
-    steps = spec.duration_s / layer.sizes.step_s
-    whole_s = factor_s(layer.dofs) + SOLVE_S * layer.dofs * steps
+    substeps = spec.duration_s / layer.sizes.step_s
     reason = refusal(skin, layer, stimuli, pole, response_on)
     requested = skin.config.solver
+    if reason is not None and requested == "reduced":
+        raise SceneError(
+            f"plugin 'palmfield.skin' instance '{skin.name}': key 'solver' has value 'reduced', but no small "
+            f"model: {reason}: set it to auto"
+        )
+    vectors = 0 if reason is not None else expected_vectors(_sounding(stimuli), pole, response_on)
+    choices = scene_choices(layer.dofs, substeps, vectors, reason)
+    seconds = {choice.name: choice.seconds for choice in choices}
     if reason is not None:
-        if requested == "reduced":
-            raise SceneError(
-                f"plugin 'palmfield.skin' instance '{skin.name}': key 'solver' has value 'reduced', but no small "
-                f"model: {reason}: set it to auto"
-            )
-        return StepperChoice("wedges", f"no small model: {reason}", whole_s, None)
-    vectors = expected_vectors(_sounding(stimuli), pole, response_on)
-    reduced_s = factor_s(layer.dofs) + 1.5 * SOLVE_S * layer.dofs * vectors + REDUCED_STEP_S * steps
+        return StepperChoice("wedges", f"no small model: {reason}", seconds["wedges"], None)
     if requested != "auto":
-        return StepperChoice(requested, "asked for", whole_s, reduced_s)
-    name = "reduced" if reduced_s < whole_s else "wedges"
-    why = f"the load is known ahead; about {reduced_s:.1f} s against {whole_s:.1f} s"
-    return StepperChoice(name, why, whole_s, reduced_s)
+        return StepperChoice(requested, "asked for", seconds["wedges"], seconds["reduced"])
+    why = f"the load is known ahead; about {seconds['reduced']:.1f} s against {seconds['wedges']:.1f} s"
+    return StepperChoice(choices[0].name, why, seconds["wedges"], seconds["reduced"])
 
 
 def refusal(
@@ -172,7 +161,7 @@ def first_stepper(model: HapticModel, skin: int) -> SkinStepper:
     if part.choice.name == "wedges":
         return model.whole[skin].value
     layer, posed = part.layer, reference_scene(model)
-    focus = posed.skins[skin].body.frame.inverse_points(model.stimuli[sounding(model)].first_focus)
+    focus = posed.skins[skin].body.frame.inverse_points(model.stimuli[model.sounding].first_focus)
     try:
         return reduced_stepper(
             layer.system,
@@ -192,7 +181,7 @@ def first_stepper(model: HapticModel, skin: int) -> SkinStepper:
 
 def known_load(model: HapticModel, skin: int, posed: PosedScene) -> KnownLoad:
     """What the one sounding stimulus does to a skin in a pose that it keeps."""
-    number = sounding(model)
+    number = model.sounding
     stimulus, radiation = model.stimuli[number], Radiation(model)
     config, layer = stimulus.config, model.skins[skin].layer
     start, step = config.start_s, layer.sizes.step_s

@@ -23,8 +23,9 @@ from palmfield.hand.skinning import SkinnedSurface
 from palmfield.hand.subdivide import EDGE_m
 from palmfield.locked import Lazy, locked_cached_property
 from palmfield.simulation.spec import SceneSpec, SkinSpec, StimulusSpec
+from palmfield.skin.fem.probe import surface_vectors
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
-from palmfield.skin.mesh.surface import closed_boundary, output_triangles, surface_vectors
+from palmfield.skin.mesh.surface import closed_boundary, output_triangles
 from palmfield.skin.scene_layer import SceneLayer
 from palmfield.skin.stepper import SkinStepper
 from palmfield.stimulus.surface_path import SurfacePath
@@ -231,6 +232,11 @@ class HapticModel:
     def configs(self) -> tuple[StimulusConfig, ...]:
         """Keys of the stimuli."""
         return tuple(part.config for part in self.stimuli)
+
+    @cached_property
+    def sounding(self) -> int:
+        """Number of the stimulus that sounds, the first of several; 0 in silence."""
+        return next((number for number, stimulus in enumerate(self.stimuli) if not stimulus.silent), 0)
 
     @cached_property
     def substeps(self) -> int:

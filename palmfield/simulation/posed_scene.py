@@ -75,7 +75,8 @@ class PosedSurface:
     def __init__(self, model: BodyModel, skin: SkinModel, frame: Transform, bones: tuple[Float, Float]):
         self.model, self.skin, self.frame = model, skin, frame
         self.bone_positions, self.bone_rotations = bones
-        self.numbers = b"".join([array.tobytes() for array in (*frame, *bones)])
+        place, turn = frame
+        self.numbers = place.tobytes() + turn.tobytes() + bones[0].tobytes() + bones[1].tobytes()
 
     def same(self, other: "PosedSurface") -> bool:
         """Exactly equal: only then may a field be used again."""
@@ -232,13 +233,10 @@ def posed_scene(
 ) -> PosedScene:
     """The scene in a pose.
 
-    previous: the last one, or the reference: it is returned where nothing has moved, and lends its parts that have not
+    previous: the last one, or the reference: it lends the parts that have not moved
     reference: as `reference_scene`; a skin whose small model was made for that pose is taken to be there as long as
         it, the arrays and obstacles are within STILL of it
     """
-    numbers = rows.positions.tobytes() + rows.rotations.tobytes()
-    if numbers == previous.numbers:
-        return previous
     rows = PoseRows(rows.positions.copy(), rows.rotations.copy())
     origin, turn = rows.positions[0], rows.rotations[0]
     positions, rotations = (rows.positions - origin) @ turn, turn.T @ rows.rotations

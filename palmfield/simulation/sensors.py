@@ -7,7 +7,7 @@ from typing import NamedTuple
 from palmfield.errors import SceneError
 from palmfield.hand.posed_surface import SkinBinding
 from palmfield.simulation.model import SkinModel
-from palmfield.skin.mesh.surface import SurfaceProbe
+from palmfield.skin.fem.probe import SurfaceProbe
 from palmfield.skin.stepper import Reader, SkinStepper
 from palmfield.types import Float
 

@@ -33,14 +33,13 @@ def leaves_small_model(
     stepper = model.begin[skin].value
     if not isinstance(stepper, ReducedStepper):
         return False
-    stimulus = sounding(model)
-    start_s = model.stimuli[stimulus].config.start_s
+    start_s = model.stimuli[model.sounding].config.start_s
     moved = posed.skins[skin] is not reference.skins[skin] or posed.arrays is not model.arrays
     if not moved:
-        place = emission.focal_points(posed, t0)[stimulus]
-        foci = place.at(first_point(model.stimuli[stimulus].config))
-        moved = bool(np.abs(foci - model.stimuli[stimulus].reference_foci).max() > part.still_m)
-    late = start_s < t0 - 1e-9 and not stepper.any_course and not state.skins[skin][0, HEADER:].any()
+        stimulus, _, points = emission.aims(posed, t0)[model.sounding]
+        difference = np.abs(points.at(first_point(stimulus.config)) - stimulus.reference_foci)
+        moved = bool(np.maximum.reduce(difference, axis=None) > part.still_m)
+    late = start_s < t0 - 1e-9 and not stepper.any_course and not np.logical_or.reduce(state.skins[skin][0, HEADER:])
     if not moved and not late:
         return False
     if part.spec.config.solver == "reduced":
@@ -52,11 +51,6 @@ def leaves_small_model(
             f"{t0:g} s, which the small model was not made for; set solver to auto or wedges"
         )
     return True
-
-
-def sounding(model: HapticModel) -> int:
-    """Number of the one stimulus that sounds in a scene with small models."""
-    return next((i for i, part in enumerate(model.stimuli) if not part.silent), 0)
 
 
 def continue_on_whole_layer(

@@ -2,7 +2,6 @@
 
 from dataclasses import astuple, replace
 
-import numpy as np
 from scipy.optimize import brentq
 
 from palmfield.config.skin import OVERRIDES, SkinConfig
@@ -11,7 +10,6 @@ from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.materials.dispersion import cutoff
 from palmfield.skin.materials.material import Branch, Material, shear_wave
 from palmfield.skin.problem import BaseKind, Sheet, Springs
-from palmfield.types import Float
 
 
 def sheets_of(skin: SkinConfig) -> tuple[Sheet, ...]:
@@ -24,25 +22,6 @@ def sheets_of(skin: SkinConfig) -> tuple[Sheet, ...]:
 def slowest(sheets: tuple[Sheet, ...], f_Hz: float) -> Material:
     """The material with the slowest shear wave at a frequency [Hz]: it needs the smallest elements."""
     return min((sheet.material for sheet in sheets), key=lambda material: shear_wave(material, f_Hz)[0])
-
-
-def rows_of(sheets: tuple[Sheet, ...], fractions: Float) -> tuple[Float, list[Material]]:
-    """Depth fractions of rows of elements such that none crosses two sheets, and the material of each row.
-
-    fractions: of a layer of one sheet, 0 first, 1 last, (L+1,). A sheet gets as many rows as they have in it, at least
-    one.
-    """
-    index = np.arange(len(fractions), dtype=float)
-    found, materials = [0.0], []
-    for sheet in sheets:
-        top = found[-1]
-        first, last = np.interp([top, top + sheet.thickness_m], fractions, index)
-        count = max(1, round(last - first))
-        inner = np.interp(np.linspace(first, last, count + 1)[1:-1], index, fractions)
-        found += [*inner.tolist(), top + sheet.thickness_m]
-        materials += [sheet.material] * count
-    found[-1] = 1.0
-    return np.array(found), materials
 
 
 def layer_cutoff(sheets: tuple[Sheet, ...], depth_m: float) -> float:

@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from palmfield.errors import SceneError
-from palmfield.skin.materials.material import Material
-from palmfield.types import Complex, Float, Patch
+from palmfield.skin.materials.sheet import Sheet
+from palmfield.types import Float, Patch
 
 Law = Literal["linear", "held"]
 Shape = Literal["infinite", "disc", "box"]
@@ -26,22 +26,10 @@ SIDES = ("fixed", "free", "roller", "absorbing")
 SHAPES = ("infinite", "disc", "box")
 THICKEST_M, WIDEST_M = 1.0, 10.0
 """A slab beyond these [m] is one whose lengths were given in millimetres."""
-ONLY_IMPLICIT = "only the implicit and reduced solvers take a Foundation below: name one, or use another base"
+ONLY_WEDGES = "only the solvers wedges and reduced take a Foundation below: name one, or use another base"
 """Why the others refuse one."""
 GAUSSIAN = 4.0 * math.log(2.0)
 """exp(-GAUSSIAN (r / fwhm)^2) is half at r = fwhm / 2."""
-
-
-@dataclass(frozen=True)
-class Sheet:
-    """A sub-layer: thickness_m [m], > 0, of one material."""
-
-    material: Material
-    thickness_m: float
-
-    def __post_init__(self) -> None:
-        if not (math.isfinite(self.thickness_m) and self.thickness_m > 0.0):
-            raise SceneError(f"sheet of '{self.material.name}': thickness_m is {self.thickness_m}; give one above 0")
 
 
 @dataclass(frozen=True)
@@ -87,12 +75,6 @@ class Foundation:
     def levels(self) -> int:
         """Levels of nodes below the mesh."""
         return self.degree * len(self.sheets)
-
-    def impedance(self, k: Float, f_Hz: float) -> Complex:
-        """Traction by displacement at wavenumbers k [rad/m] [Pa/m], shape (n, 2, 2); see palmfield.skin.fem.depth."""
-        from palmfield.skin.fem.depth import impedance
-
-        return impedance(k, f_Hz, self.sheets, self.base, self.degree)
 
 
 Base = BaseKind | Springs | Foundation
@@ -168,6 +150,11 @@ class Layer:
                 f"layer: its depth near ({place}) m is {depth[thin]:g} m, so elements there are flat or inside out; "
                 "give depths above 0"
             )
+
+
+def depth_of(body: "Slab | Layer") -> float:
+    """Thickness of a slab, median depth of a layer [m]."""
+    return float(np.median(body.patch.depth)) if isinstance(body, Layer) else body.thickness_m
 
 
 def check_patch(patch: Patch) -> None:
@@ -255,7 +242,7 @@ Load = Spot | Traction
 
 @dataclass(frozen=True)
 class Motion:
-    """What the skin does at the asked times and points.
+    """What the skin does at the requested times and points.
 
     times_s: shape (t,); points: [m], shape (n, 3)
     displacement_m, velocity_m_s: shape (t, n, 3)
@@ -308,7 +295,7 @@ def rising(what: str, times_s: ArrayLike) -> Float:
     return times
 
 
-def asked_points(at: ArrayLike) -> Float:
+def requested_points(at: ArrayLike) -> Float:
     """Points as an array, (n, 2) or (n, 3). Raises SceneError for other shapes, for none, and for NaN or infinity."""
     points = numbers("at", at)
     if points.ndim != 2 or points.shape[1] not in (2, 3) or len(points) == 0 or not np.isfinite(points).all():
@@ -329,7 +316,7 @@ def points_on_face(body: Body, at: ArrayLike) -> Float:
 
     A layer's are off it where no vertex of its patch is nearer than its longest edge.
     """
-    points = asked_points(at)
+    points = requested_points(at)
     if isinstance(body, Layer):
         vertices, across = np.asarray(body.patch.vertices), points.shape[1]
         corners = vertices[body.patch.faces]
@@ -369,9 +356,9 @@ def check_times(what: str, times_s: Float, law: str) -> None:
 
 
 def check_finite(what: str, values: Float, shape: tuple[int, ...]) -> None:
-    found = np.asarray(values, dtype=float)
-    if found.shape != shape:
-        raise SceneError(f"{what} has shape {found.shape}; give {shape}")
-    if not np.isfinite(found).all():
-        place = np.argwhere(~np.isfinite(found))[0].tolist()
+    result = np.asarray(values, dtype=float)
+    if result.shape != shape:
+        raise SceneError(f"{what} has shape {result.shape}; give {shape}")
+    if not np.isfinite(result).all():
+        place = np.argwhere(~np.isfinite(result))[0].tolist()
         raise SceneError(f"{what} is not finite at {place}: mend it")

@@ -1,4 +1,4 @@
-"""A scene's skin layer: sizes for the wanted accuracy, patch, elements, matrices and quadrature, each made once."""
+"""A scene's skin layer: sizes for the target accuracy, patch, elements, matrices and quadrature, each made once."""
 
 import math
 import threading
@@ -16,9 +16,10 @@ from palmfield.locked import locked_cached_property
 from palmfield.skin.approximation.estimate import choose_sizes
 from palmfield.skin.fem.assembly import SkinSystem, assemble
 from palmfield.skin.fem.load import SurfaceQuadrature
-from palmfield.skin.from_config import base_of, rows_of, sheets_of, slowest
+from palmfield.skin.fem.probe import SurfaceProbe, surface_motion
+from palmfield.skin.from_config import base_of, sheets_of, slowest
 from palmfield.skin.mesh.disc import disc_patch
-from palmfield.skin.mesh.surface import SurfaceProbe, surface_motion
+from palmfield.skin.mesh.rows import rows_of
 from palmfield.skin.mesh.wedges import WedgeMesh, extrude
 from palmfield.skin.problem import Sheet
 from palmfield.types import Float, Patch, Surface
@@ -77,7 +78,7 @@ def layer_sizes(
     *,
     element: str = "plugin 'palmfield.skin'",
 ) -> LayerSizes:
-    """Sizes of a scene's layer for its wanted accuracy; see LayerDemand.
+    """Sizes of a scene's layer for its target accuracy; see LayerDemand.
 
     sheets: of the layer, thicknesses as shares; resizing: factor of all element sizes; element: how messages name it
     Raises SceneError for a step_s that doesn't divide the timestep.

@@ -1,9 +1,13 @@
-"""One call for every skin solver: the cheapest that reaches the wanted accuracy, and solved finer where it did not."""
+"""Which solver: one call for every skin solver, and the choice of what steps a scene's skin.
+
+`solve` takes the cheapest that reaches the target accuracy, and solves finer where it did not. Scenes and `solve` share
+the predicted costs (palmfield.skin.costs).
+"""
 
 import inspect
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from importlib import import_module
 from typing import Any, Literal
@@ -13,24 +17,25 @@ from numpy.typing import ArrayLike
 
 from palmfield.device import resolve
 from palmfield.errors import SceneError
-from palmfield.skin.approximation.truncate_domain import crop
-from palmfield.skin.problem import Body, Load, Motion, Spot, asked_points, points_on_face, rising
+from palmfield.skin.approximation.truncate_domain import truncate_domain
+from palmfield.skin.costs import reduced_s, wedges_s
+from palmfield.skin.problem import Body, Load, Motion, Spot, points_on_face, requested_points, rising
 from palmfield.types import Float
 
-Name = Literal["auto", "spectral", "disc", "reduced", "implicit", "explicit", "particles"]
+Name = Literal["auto", "lateral_waves", "axisymmetric", "reduced", "wedges", "spectral_elements", "particles"]
 
-ASKED = ("solve", "refusal", "cost")
+FUNCTIONS = ("solve", "refusal", "cost")
 WHERE = {
-    "spectral": {
+    "lateral_waves": {
         "solve": "solvers.lateral_waves.solve",
         "static": "solvers.lateral_waves.solve",
         "refusal": "solvers.lateral_waves.build",
         "cost": "solvers.lateral_waves.cost",
     },
-    "disc": dict.fromkeys(ASKED, "solvers.axisymmetric.solve"),
-    "reduced": dict.fromkeys(ASKED, "solvers.reduced"),
-    "implicit": dict.fromkeys((*ASKED, "static"), "solvers.wedges"),
-    "explicit": dict.fromkeys(ASKED, "solvers.spectral_elements.solve"),
+    "axisymmetric": dict.fromkeys(FUNCTIONS, "solvers.axisymmetric.solve"),
+    "reduced": dict.fromkeys(FUNCTIONS, "solvers.reduced"),
+    "wedges": dict.fromkeys((*FUNCTIONS, "static"), "solvers.wedges"),
+    "spectral_elements": dict.fromkeys(FUNCTIONS, "solvers.spectral_elements.solve"),
     "particles": {
         "solve": "solvers.particles.solve",
         "refusal": "solvers.particles.resolution",
@@ -39,11 +44,23 @@ WHERE = {
 }
 """Modules of palmfield.skin that hold each solver's solve_NAME, refusal_NAME and cost_NAME."""
 
+FORMER = {
+    "spectral": "lateral_waves",
+    "disc": "axisymmetric",
+    "implicit": "wedges",
+    "explicit": "spectral_elements",
+    "full": "wedges",
+}
+"""Names that solvers had before, and those that they have."""
+
 PREVIEW = ("particles",)
 """Solvers for large deformation and previews: never chosen by `auto`."""
 
+IN_SCENES = ("wedges", "reduced")
+"""Solvers that step in time, under loads that come as a scene goes on."""
+
 FINER = 3
-"""How often a solution is made finer when its estimate misses the wanted accuracy."""
+"""How often a solution is made finer when its estimate misses the target accuracy."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +69,39 @@ class Choice:
 
     name: str
     seconds: float
-    refusal: str | None
+    refusal: str | None = None
+
+
+def ranked(options: Iterable[Choice]) -> list[Choice]:
+    """The cheapest first, those that refuse last."""
+    return sorted(options, key=lambda choice: (choice.seconds, choice.refusal is not None))
+
+
+def scene_choices(dofs: float, substeps: float, vectors: float, refusal: str | None) -> list[Choice]:
+    """The solvers that can step a scene's layer, the cheapest first.
+
+    dofs: unknowns of the layer; substeps: of the whole run; vectors: of a reduced model for its load, about
+    refusal: why there can't be one, in a sentence, or None
+    """
+    reduced = Choice("reduced", math.inf, refusal)
+    if refusal is None:
+        reduced = Choice("reduced", reduced_s(dofs, substeps, vectors))
+    return ranked([reduced, Choice("wedges", wedges_s(dofs, substeps))])
+
+
+def refusal_in_scenes(name: str) -> str | None:
+    """Why a scene can't name this solver, in a sentence, or None for "auto" and those of IN_SCENES."""
+    if name == "auto" or name in IN_SCENES:
+        return None
+    if name in FORMER:
+        return f"solver '{name}' is now '{FORMER[name]}': use {FORMER[name]}"
+    if name in WHERE:
+        return (
+            f"solver '{name}' solves for a load that is known from beginning to end, and a scene's load comes as it "
+            f"goes on: use {', '.join(('auto', *IN_SCENES))} here, or palmfield.skin.solve(body, load, times, at, "
+            f"solver='{name}') for a body and a load of your own"
+        )
+    return f"solver '{name}' is not known; use {', '.join(('auto', *IN_SCENES))}"
 
 
 def choices(
@@ -60,13 +109,13 @@ def choices(
 ) -> list[Choice]:
     """Every solver's prediction for a problem, the cheapest first; arguments as for `solve`."""
     moments, points = checked(times, at, accuracy)
-    body, load, _ = crop(body, load, float(moments[-1]), points, accuracy)
+    body, load, _ = truncate_domain(body, load, float(moments[-1]), points, accuracy)
     return ranking(body, load, moments, points, accuracy, resolve(device))
 
 
 def ranking(body: Body, load: Load, times: Float, at: Float, accuracy: float, device: str) -> list[Choice]:
     """Choices for arguments that are checked."""
-    found = []
+    options = []
     for name in WHERE:
         refusal = function(name, "refusal")(body, load)
         seconds = math.inf
@@ -74,9 +123,9 @@ def ranking(body: Body, load: Load, times: Float, at: Float, accuracy: float, de
             try:
                 seconds = cost(name, body, load, times, at, accuracy, device)
             except SceneError as reason:
-                refusal = str(reason)
-        found.append(Choice(name, seconds, refusal))
-    return sorted(found, key=lambda choice: choice.seconds)
+                refusal = f"{reason}"
+        options.append(Choice(name, seconds, refusal))
+    return ranked(options)
 
 
 def solve(
@@ -94,9 +143,9 @@ def solve(
     """Motion of skin under a load, with an estimate of its error.
 
     body: Slab or Layer; load: Spot or Traction (palmfield.skin.problem); the body is at rest before the load begins
-    times: asked times [s], rising, shape (t,); at: points on the face [m], shape (n, 2) or (n, 3)
-    solver: "auto", the cheapest by prediction that doesn't refuse, or one by name
-    accuracy: wanted relative error of the displacement, L2 over the times at a point, the largest of the points
+    times: requested times [s], rising, shape (t,); at: points on the face [m], shape (n, 2) or (n, 3)
+    solver: "auto", the cheapest by prediction that doesn't refuse, before or while it solves; or one by name
+    accuracy: target relative error of the displacement, L2 over the times at a point, the largest of the points
     device: "auto", "cpu" or "cuda:N"
     whole: keep all of a layer, also what lies beyond the reach of load and points
     (palmfield.skin.approximation.truncate_domain)
@@ -108,43 +157,45 @@ def solve(
     begin = time.perf_counter()
     moments, points = checked(times, at, accuracy)
     where = resolve(device)
+    if solver in FORMER:
+        raise SceneError(f"solver '{solver}' is now '{FORMER[solver]}': use {FORMER[solver]}")
     if solver != "auto" and solver not in WHERE:
         raise SceneError(f"solver is '{solver}'; use auto or one of {', '.join(WHERE)}")
+    # Points off the body would make every solver refuse.
+    on_face = points_on_face(body, points)
     if not np.any(load.peak_Pa if isinstance(load, Spot) else load.pressure_Pa):
         still = np.zeros((len(moments), len(points), 3))
-        where_to = points_on_face(body, points)
-        return Motion(moments, where_to, still, still.copy(), 0.0, "no load: all is at rest", "none needed", 0.0)
+        return Motion(moments, on_face, still, still.copy(), 0.0, "no load: all is at rest", "none needed", 0.0)
     cut = 0.0
     if not whole:
-        body, load, cut = crop(body, load, float(moments[-1]), points, accuracy)
+        body, load, cut = truncate_domain(body, load, float(moments[-1]), points, accuracy)
     if solver == "auto":
         if resolution:
             raise SceneError(f"{', '.join(resolution)}: resolutions are a solver's own; name one with solver=")
-        ranked = ranking(body, load, moments, points, accuracy, where)
-        able = [choice for choice in ranked if choice.refusal is None and choice.name not in PREVIEW]
+        options = ranking(body, load, moments, points, accuracy, where)
+        able = [choice for choice in options if choice.refusal is None and choice.name not in PREVIEW]
         if not able:
-            raise SceneError("no solver can do this: " + "; ".join(f"{c.name}: {c.refusal}" for c in ranked))
-        name = able[0].name
-        others = ", ".join(f"{c.name} {c.seconds:.2g} s" for c in able[1:])
-        why = f"auto: predicted {able[0].seconds:.2g} s" + (f"; {others}" if others else "")
+            raise SceneError("no solver can do this: " + "; ".join(f"{c.name}: {c.refusal}" for c in options))
+        name, motion, why = _first_that_can(able, body, load, moments, points, accuracy, where)
+        run = function(name, "solve")
     else:
         name, why = solver, "asked for"
         refusal = None if resolution else function(name, "refusal")(body, load)
         if refusal is not None:
             raise SceneError(f"solver '{name}': {refusal}")
-    run = function(name, "solve")
-    known = inspect.signature(run).parameters
-    for key in resolution:
-        if key not in known:
-            raise SceneError(f"solver '{name}' has no '{key}'; it takes {', '.join(list(known)[4:])}")
-    motion: Motion = run(body, load, moments, points, accuracy=accuracy, device=where, **resolution)
-    wanted = accuracy
+        run = function(name, "solve")
+        known = inspect.signature(run).parameters
+        for key in resolution:
+            if key not in known:
+                raise SceneError(f"solver '{name}' has no '{key}'; it takes {', '.join(list(known)[4:])}")
+        motion = run(body, load, moments, points, accuracy=accuracy, device=where, **resolution)
+    target = accuracy
     for _ in range(FINER):
         if motion.error + cut <= accuracy or resolution:
             break
-        wanted *= 0.7 * accuracy / (motion.error + cut)
+        target *= 0.7 * accuracy / (motion.error + cut)
         try:
-            motion = run(body, load, moments, points, accuracy=wanted, device=where)
+            motion = run(body, load, moments, points, accuracy=target, device=where)
         except SceneError as reason:
             why += f"; not solved finer: {reason}"
             break
@@ -153,26 +204,43 @@ def solve(
     if cut > 0.0:
         source += f"; {cut:.2g} for leaving out the layer beyond the reach of load and points"
     if error > accuracy:
-        why += f"; error {100 * error:.2g} % NOT within the wanted {100 * accuracy:.2g} %"
+        why += f"; error {100 * error:.2g} % NOT within the target of {100 * accuracy:.2g} %"
     spent = time.perf_counter() - begin
     return replace(motion, error=error, error_source=source, solver=f"{motion.solver} ({why})", seconds=spent)
 
 
+def _first_that_can(
+    able: list[Choice], body: Body, load: Load, times: Float, at: Float, accuracy: float, device: str
+) -> tuple[str, Motion, str]:
+    """The first solver of a list that doesn't refuse once it has begun, what it found, and why it, in words."""
+    refused: list[str] = []
+    for place, choice in enumerate(able):
+        try:
+            motion: Motion = function(choice.name, "solve")(body, load, times, at, accuracy=accuracy, device=device)
+        except (SceneError, MemoryError) as reason:
+            refused.append(f"{choice.name} refused: {reason}")
+            continue
+        others = ", ".join(f"{c.name} {c.seconds:.2g} s" for c in able[place + 1 :])
+        words = [f"auto: predicted {choice.seconds:.2g} s", *([others] if others else []), *refused]
+        return choice.name, motion, "; ".join(words)
+    raise SceneError("no solver can do this: " + "; ".join(refused))
+
+
 def static(body: Body, load: Load, at: ArrayLike, *, accuracy: float = 0.05) -> Motion:
-    """Displacement under the load's last pressure, held for ever, by lateral waves or else implicit elements.
+    """Displacement under the load's last pressure, held for ever, by lateral waves or else wedges.
 
     Arguments as for `solve`; times_s is the load's last time, the velocity 0.
     Raises SceneError for bad arguments and a body that nothing holds.
     """
     _, points = checked(load.times_s[-1:], at, accuracy)
-    name = "implicit" if function("spectral", "refusal")(body, load) else "spectral"
+    name = "wedges" if function("lateral_waves", "refusal")(body, load) else "lateral_waves"
     solver: Callable[..., Motion] = function(name, "static")
     return solver(body, load, points, accuracy=accuracy)
 
 
 def checked(times: ArrayLike, at: ArrayLike, accuracy: float) -> tuple[Float, Float]:
     """Times, shape (t,), and points, shape (n, 2 or 3). Raises SceneError."""
-    moments, points = rising("times", times), asked_points(at)
+    moments, points = rising("times", times), requested_points(at)
     if not isinstance(accuracy, (int, float)) or not 1e-5 <= accuracy <= 0.5:
         raise SceneError(f"accuracy is {accuracy}; give a relative error of 1e-5 to 0.5")
     return moments, points
@@ -186,6 +254,6 @@ def function(name: str, what: str) -> Callable[..., Any]:
 def cost(name: str, body: Body, load: Load, times: Float, at: Float, accuracy: float, device: str) -> float:
     """Predicted seconds."""
     predict = function(name, "cost")
-    if device != "cpu" and name in ("explicit", "particles"):
+    if device != "cpu" and name in ("spectral_elements", "particles"):
         return predict(body, load, times, at, accuracy, device)
     return predict(body, load, times, at, accuracy)

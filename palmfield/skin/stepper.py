@@ -76,8 +76,13 @@ class SkinStepper(Protocol):
         ...
 
 
-def check_step(stepper: SkinStepper, state: Float, loads: SurfaceLoads, t0: float, t1: float) -> None:
-    """Raise SceneError for what no stepper takes: several worlds, other shapes, another time than the substeps'."""
+def check_step(
+    stepper: SkinStepper, state: Float, loads: SurfaceLoads, t0: float, t1: float, any_length: bool = False
+) -> bool:
+    """Raise SceneError for several worlds, other shapes, and substeps of another length unless that may be any.
+
+    Returns whether the substeps have the stepper's own length.
+    """
     worlds, substeps, patterns = loads.first.shape
     if state.shape != (1, stepper.state_size) or worlds != 1 or not state.flags.c_contiguous:
         raise SceneError(
@@ -89,10 +94,12 @@ def check_step(stepper: SkinStepper, state: Float, loads: SurfaceLoads, t0: floa
             f"skin loads: pressure {loads.pressure_Pa.shape}, first {loads.first.shape}, last {loads.last.shape}; give "
             "(1, k, q), (1, s, k) and (1, s, k)"
         )
-    if abs(t1 - t0 - substeps * stepper.step_s) > CLOCK * stepper.step_s:
+    own = abs(t1 - t0 - substeps * stepper.step_s) <= CLOCK * stepper.step_s
+    if not own and not (any_length and t1 > t0):
         raise SceneError(
             f"skin step from {t0:g} to {t1:g} s: loads for {substeps} substeps of {stepper.step_s:g} s are given"
         )
+    return own
 
 
 def checked_operator(operator: sparse.csr_matrix, unknowns: int) -> sparse.csr_matrix:

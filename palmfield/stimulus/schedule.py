@@ -32,6 +32,12 @@ class SitesStimulus(StimulusConfig):
     sites_length_m: Positive = Field(description="length of the path along the surface")
 
 
+@lru_cache(maxsize=64)
+def with_length(config: StimulusConfig, length_m: float) -> SitesStimulus:
+    """A stimulus through sites with the length of its path along the surface [m]."""
+    return SitesStimulus(**config.model_dump(exclude_unset=True), sites_length_m=length_m)
+
+
 @dataclass(frozen=True)
 class Frame:
     """What is asked of the array at one moment.
@@ -174,6 +180,16 @@ def frames_at(config: StimulusConfig, times: Float) -> tuple[Float, Float]:
     return foci, factors
 
 
+def factors_at(config: StimulusConfig, times: Float) -> Float:
+    """The ARP factors of `frames_at` alone, shape (n,)."""
+    if config.path == "letters":
+        return frames_at(config, times)[1]
+    timing = _timing(config)
+    if timing.control_rate > 0.0:
+        times = _floor(times, timing.control_rate, 0.0)
+    return _arp_factors(config, timing, times)
+
+
 class Moments(NamedTuple):
     """The moments of some equal steps at which a load is taken, in order, and the load's weights in each step.
 
@@ -210,7 +226,7 @@ def substep_moments(
     for config in stimuli:
         timing = _timing(config)
         grids += timing.grids
-        for t in _jumps(config, timing, t0, end):
+        for t in timing.edges if timing.smooth else _jumps(config, timing, t0, end):
             if t0 + TICK_S < t <= end + TICK_S:
                 changes.append(t)
     if not changes and not grids:
@@ -306,7 +322,7 @@ def jumps(config: StimulusConfig, start: float, end: float) -> set[float]:
 
 
 def _jumps(config: StimulusConfig, timing: "_Timing", start: float, end: float) -> Sequence[float]:
-    if config.burst_window != "rectangular" and timing.jump_rate == 0.0:
+    if timing.smooth:
         return timing.edges
     found = [*timing.edges]
     if config.burst_window == "rectangular":
@@ -331,8 +347,7 @@ def _jumps(config: StimulusConfig, timing: "_Timing", start: float, end: float) 
 def mean_arp_factor(config: StimulusConfig, start: float, end: float, count: int) -> float:
     """Mean of the ARP factor over an interval [s], from `count` midpoints between jumps."""
     moments = substep_moments((config,), start, (end - start) / count, count, hold=True)
-    _, factors = frames_at(config, moments.times)
-    return float(np.add.reduce(moments.first @ factors)) / count
+    return float(np.add.reduce(moments.first @ factors_at(config, moments.times))) / count
 
 
 @dataclass(frozen=True)
@@ -345,7 +360,8 @@ class _Timing:
     path: its shape in the plane, None for a point and for sites; on_skin: whether it is drawn on the surface
     length_m, turn_rate: of the path, 0 for a point; radius_m: of a circle
     runs: how the arc goes on: once, round (again from the start), or back and forth
-    jump_rate: how often a second an open path jumps to its start, 0 for never
+    jump_rate: how often a second an open path jumps to its start, 0 for never; smooth: whether nothing jumps but at
+        the edges
     """
 
     focus: Float
@@ -362,6 +378,7 @@ class _Timing:
     radius_m: float
     runs: Literal["once", "round", "back"]
     jump_rate: float
+    smooth: bool
 
 
 @lru_cache(maxsize=64)
@@ -370,6 +387,7 @@ def _timing(config: StimulusConfig) -> _Timing:
     closed = is_closed(config)
     ends = tuple(t for t in (config.stop_s, path_end_s(config)) if t is not None)
     grids = _grids(config)
+    jump_rate = rate if config.path_end == "jump" and not closed else 0.0
     return _Timing(
         focus=_locked(np.array(config.focus_m, dtype=np.float64)),
         start_s=config.start_s,
@@ -384,7 +402,8 @@ def _timing(config: StimulusConfig) -> _Timing:
         turn_rate=rate,
         radius_m=0.5 * (config.path_diameter_m or 0.0),
         runs="once" if config.path_end == "stop" else "round" if closed or config.path_end == "jump" else "back",
-        jump_rate=rate if config.path_end == "jump" and not closed else 0.0,
+        jump_rate=jump_rate,
+        smooth=config.burst_window != "rectangular" and jump_rate == 0.0,
     )
 
 

@@ -21,6 +21,12 @@ from palmfield.types import Float, Int, Surface
 REACH_m = 0.02
 """A start or waypoint further than this from the surface is taken for a mistake."""
 
+TOUCH_m = 1e-9
+"""A path that comes this near to the edge of an open mesh ahead has reached it: far above rounding, far below skin."""
+
+ALONG = 1e-9
+"""Sine of the angle to an edge below which a path runs along it and never reaches it."""
+
 CLOSING_ROUNDS = 12
 CLOSING_SHARE = 0.02
 """Largest gap of a closed path, as a share of its length, that is bridged by a straight line."""
@@ -78,7 +84,7 @@ class SurfacePath:
 
     def _between(self, arc_m: ArrayLike) -> tuple[NDArray[np.intp], Float]:
         """The segment in which each arc length lies, shape (k,), and its share of the segment, shape (k, 1)."""
-        arc = folded(arc_m, self.length_m, self.closed)
+        arc = folded(arc_m, self.arc_m[-1], self.closed)
         segment = np.minimum(np.maximum(self.arc_m.searchsorted(arc, "right") - 1, 0), len(self.arc_m) - 2)
         step = self.arc_m[segment + 1] - self.arc_m[segment]
         # Between points that coincide the share is 0, whatever the rounding
@@ -115,8 +121,8 @@ def drawn(surface: Surface, start_point: ArrayLike, direction: ArrayLike, path: 
     what the skin's curvature turns it (Gauss-Bonnet), and what gap is left is drawn shut. Its `arc_m` is stretched
     evenly to the plane path's length, from which the real one differs a little (see `_closed_walk`).
     Raises SceneError for a start more than 20 mm off the surface, a direction along the normal, triangles without area,
-    a path that runs off an open mesh (it names the arc length), and a closed one that misses its start by more than 2 %
-    of its length, as on skin that is too curved for its size.
+    a path that runs off an open mesh or ends on its edge, to TOUCH_m (it names the arc length), and a closed one that
+    misses its start by more than 2 % of its length, as on skin that is too curved for its size.
     """
     start = _vector("start_point", start_point)
     along = _vector("direction", direction)
@@ -228,7 +234,7 @@ def _walk(mesh: _Mesh, start: _Place, legs: Float) -> tuple[Piece, _Place]:
             normal = mesh.normals[face]
             ahead = leg[0] * x + leg[1] * _cross(normal, x)
             ahead /= math.sqrt(ahead @ ahead)
-            corner, way = _exit(mesh.corners[face], normal, position, ahead, entered)
+            corner, way = _exit(mesh, face, position, ahead, entered)
             if way >= left:
                 way, corner = left, -1
             position = position + way * ahead
@@ -242,8 +248,8 @@ def _walk(mesh: _Mesh, start: _Place, legs: Float) -> tuple[Piece, _Place]:
             beyond = int(mesh.across[face, corner])
             if beyond < 0:
                 raise SceneError(
-                    f"the path runs off the edge of the mesh after {1e3 * done:.1f} mm; make it shorter, "
-                    "turn it, or start elsewhere"
+                    f"the path runs off the edge of the mesh after {1e3 * done:.1f} mm, or ends on that edge; make it "
+                    "shorter, turn it, or start elsewhere"
                 )
             edge = mesh.corners[face][corner - 1] - mesh.corners[face][corner - 2]
             edge = edge / math.sqrt(edge @ edge)
@@ -256,18 +262,26 @@ def _walk(mesh: _Mesh, start: _Place, legs: Float) -> tuple[Piece, _Place]:
     return (faces, points), _Place(face, position, x)
 
 
-def _exit(corners: Float, normal: Float, position: Float, ahead: Float, entered: int) -> tuple[int, float]:
+def _exit(mesh: _Mesh, face: int, position: Float, ahead: Float, entered: int) -> tuple[int, float]:
     """The corner opposite the edge through which a ray in a triangle leaves it, and how far off that is [m].
 
     A ray along an edge could go to and fro over it for ever: it does not leave where it entered, opposite `entered`.
+    An edge of the mesh is reached TOUCH_m before it, so that rounding does not decide whether a path that ends there is
+    let through, and never by a ray along it.
     """
+    corners, normal = mesh.corners[face], mesh.normals[face]
     best, way = -1, math.inf
     for i in range(3):
         inward = _cross(normal, corners[i - 1] - corners[i - 2])
         # Height above the edge opposite corner i, and how fast the ray comes nearer to it
         rate = -(ahead @ inward)
-        if rate > 0.0 and i != entered:
-            reach = max(((position - corners[i - 2]) @ inward) / rate, 0.0)
+        height = (position - corners[i - 2]) @ inward
+        least = 0.0
+        if mesh.across[face, i] < 0:
+            length = math.sqrt(inward @ inward)
+            height, least = height - TOUCH_m * length, ALONG * length
+        if rate > least and i != entered:
+            reach = max(height / rate, 0.0)
             if reach < way:
                 best, way = i, reach
     return best, way
@@ -311,6 +325,7 @@ def _skin_path(surface: Surface, piece: Piece, closed: bool) -> SurfacePath:
     segments, places = piece
     points = np.array(places)
     faces = np.array([*segments, segments[-1]], dtype=np.int32)
-    weights = points_to_barycentric(surface.vertices[surface.faces[faces]], points)
+    # On slivers its default, which squares lengths, loses twice the digits: a weight was off by 5e-9 on a test's mesh
+    weights = points_to_barycentric(surface.vertices[surface.faces[faces]], points, method="cross")
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     return SurfacePath(faces, weights, np.concatenate([[0.0], np.cumsum(steps)]), closed)

@@ -20,10 +20,10 @@ from random_cases import random_case
 
 from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.problem import Sheet, Slab, Spot
-from palmfield.skin.solvers.lateral_waves.solve import solve_spectral
+from palmfield.skin.solvers.lateral_waves.solve import solve_lateral_waves
 from palmfield.skin.solvers.particles.solve import solve_particles
-from palmfield.skin.solvers.spectral_elements.solve import solve_explicit
-from palmfield.skin.solvers.wedges import first_sizes, solve_implicit
+from palmfield.skin.solvers.spectral_elements.solve import solve_spectral_elements
+from palmfield.skin.solvers.wedges import first_sizes, solve_wedges
 from palmfield.studies.bench.field import git_commit
 from palmfield.studies.bench.table import processor
 
@@ -36,12 +36,12 @@ def warm(device: str) -> None:
     """Compile what the solvers need, so that no case pays for it."""
     box = Slab((Sheet(preset("ecoflex_00-10"), 0.005),), "box", side="roller", size_m=(0.03, 0.03))
     load, times, at = Spot(0.008, [0.0, 0.01], [0.0, 1.0]), [0.001], [[0.0, 0.0]]
-    solve_spectral(box, load, times, at, accuracy=0.5, device=device)
+    solve_lateral_waves(box, load, times, at, accuracy=0.5, device=device)
     sizes = first_sizes(box, load, np.zeros((1, 3)), 0.5)
-    solve_implicit(box, load, times, at, device=device, sizes=sizes, step_s=0.0005)
+    solve_wedges(box, load, times, at, device=device, sizes=sizes, step_s=0.0005)
     solve_particles(box, load, times, at, accuracy=0.5, device=device)
     for order in (1, 2, 3, 4):
-        solve_explicit(box, load, times, at, device=device, order=order, size_m=0.01)
+        solve_spectral_elements(box, load, times, at, device=device, order=order, size_m=0.01)
 
 
 def one(seed: int, number: int, settings: argparse.Namespace) -> list[Row]:
@@ -80,7 +80,7 @@ def report(rows: list[Row], settings: argparse.Namespace, begun_load: float) -> 
         "times at a "
         "point, the largest of the points, of the difference from a converged answer; the estimate is of the same. "
         "Converged: lateral waves at 1e-4 where they know the body (absorbing slabs count as endless, flat roller "
-        "layers as boxes), else the disc's harmonics of degree 7 at a tenth of the accuracy, else explicit elements of "
+        "layers as boxes), else the disc's harmonics of degree 7 at a tenth of the accuracy, else spectral elements of "
         "high order on two meshes that agree to a tenth of the accuracy; a case without one is dropped. "
         f"A run above {settings.limit:.0f} s was given up. Seconds and processor seconds include finer solutions where "
         "an estimate missed; predictions are for one core and the first solution.",

@@ -14,14 +14,14 @@ from random_cases import Case
 from palmfield.errors import SceneError
 from palmfield.skin.problem import Body, Layer, Motion, Slab
 from palmfield.skin.solver_choice import Name, choices, solve
-from palmfield.skin.solvers.axisymmetric.solve import refusal_disc, solve_disc
-from palmfield.skin.solvers.lateral_waves.build import refusal_spectral
-from palmfield.skin.solvers.lateral_waves.solve import solve_spectral
+from palmfield.skin.solvers.axisymmetric.solve import refusal_axisymmetric, solve_axisymmetric
+from palmfield.skin.solvers.lateral_waves.build import refusal_lateral_waves
+from palmfield.skin.solvers.lateral_waves.solve import solve_lateral_waves
 from palmfield.skin.solvers.spectral_elements.mesh import plan
-from palmfield.skin.solvers.spectral_elements.solve import refusal_explicit, size_of, solve_explicit
+from palmfield.skin.solvers.spectral_elements.solve import refusal_spectral_elements, size_of, solve_spectral_elements
 from palmfield.types import Float
 
-NAMES: tuple[Name, ...] = ("spectral", "disc", "implicit", "explicit", "particles")
+NAMES: tuple[Name, ...] = ("lateral_waves", "axisymmetric", "wedges", "spectral_elements", "particles")
 TENTH = 0.1
 """Most that two reference runs may differ by, as a share of the wanted accuracy."""
 SPECTRAL_ACCURACY = 1e-4
@@ -147,14 +147,14 @@ def at_most(seconds: float) -> Iterator[None]:
 def converged(case: Case, device: str, limit_s: float) -> Reference:
     """The answer, by lateral waves where there are such, by the disc's harmonics, else by elements of high order."""
     body = equivalent(case.body)
-    if refusal_spectral(body, case.load) is None:
-        motion = solve_spectral(body, case.load, case.times, case.at, accuracy=SPECTRAL_ACCURACY)
-        return _accepted(motion.displacement_m, motion.error, case, "spectral")
-    if refusal_disc(body, case.load) is None:
+    if refusal_lateral_waves(body, case.load) is None:
+        motion = solve_lateral_waves(body, case.load, case.times, case.at, accuracy=SPECTRAL_ACCURACY)
+        return _accepted(motion.displacement_m, motion.error, case, "lateral_waves")
+    if refusal_axisymmetric(body, case.load) is None:
         wanted = max(1e-4, 0.02 * case.accuracy)
-        motion = solve_disc(body, case.load, case.times, case.at, accuracy=wanted, degree=7, fine=1.5)
+        motion = solve_axisymmetric(body, case.load, case.times, case.at, accuracy=wanted, degree=7, fine=1.5)
         return _accepted(motion.displacement_m, motion.error, case, "disc, degree 7")
-    reason = refusal_explicit(body, case.load)
+    reason = refusal_spectral_elements(body, case.load)
     return Reference(None, reason) if reason else _by_elements(case, device, limit_s)
 
 
@@ -176,7 +176,7 @@ def _accepted(displacement: Float, error: float, case: Case, how: str) -> Refere
 
 
 def _by_elements(case: Case, device: str, limit_s: float) -> Reference:
-    """Explicit elements of order 6 to 8, finer until two runs agree."""
+    """Spectral elements of order 6 to 8, finer until two runs agree."""
     body = equivalent(case.body)
     first = plan(body, case.load, case.at, 0.01)
     before: Motion | None = None
@@ -189,17 +189,19 @@ def _by_elements(case: Case, device: str, limit_s: float) -> Reference:
         nodes, step = size_of(body, chosen)
         seconds = nodes * ((order + 1) / order) ** 3 * float(case.times[-1]) / step / CORE_RATE
         if device == "cpu" and seconds > limit_s:
-            return Reference(None, f"explicit elements of order {order} would take {seconds:.0f} s")
-        motion = solve_explicit(
+            return Reference(None, f"spectral elements of order {order} would take {seconds:.0f} s")
+        motion = solve_spectral_elements(
             body, case.load, case.times, case.at, device=device, order=order, size_m=size, estimate=False,
             precision="float64", nu_at_most=0.5,
         )  # fmt: skip
         if before is not None:
             apart = relative_error(before.displacement_m, motion.displacement_m)
             if apart <= TENTH * case.accuracy:
-                return Reference(motion.displacement_m, f"explicit, order {order}, two meshes {apart:.1e} apart")
+                return Reference(
+                    motion.displacement_m, f"spectral_elements, order {order}, two meshes {apart:.1e} apart"
+                )
         before = motion
-    return Reference(None, f"explicit elements: two meshes still {apart:.1e} apart")
+    return Reference(None, f"spectral elements: two meshes still {apart:.1e} apart")
 
 
 def summary(rows: list[Row]) -> dict[str, tuple[int, float, float, float]]:

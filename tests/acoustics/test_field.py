@@ -23,6 +23,8 @@ from palmfield.acoustics.validity import PalmfieldWarning
 from palmfield.errors import PalmfieldError, SceneError
 from palmfield.types import Air, Array, Field
 
+pytestmark = pytest.mark.numerics
+
 AIR = Air()
 LIMIT = 3e-5
 

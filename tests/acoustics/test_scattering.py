@@ -15,6 +15,8 @@ from palmfield.hand.triangles import face_normals
 from palmfield.types import Air, Complex, Field, Float, Int
 from warp_kernels import bem as kernels
 
+pytestmark = pytest.mark.numerics
+
 AIR = Air()
 RHO, C = density(AIR), sound_speed(AIR)
 FREQUENCY_HZ = 40e3

@@ -3,13 +3,11 @@
 import multiprocessing
 import sys
 import tracemalloc
-from collections.abc import Callable
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from palmfield.acoustics import surface_arp
 from palmfield.acoustics.air import density, sound_speed
 from palmfield.acoustics.arp import LAWS, arp
 from palmfield.acoustics.arrays import placed
@@ -160,21 +158,22 @@ def test_results_are_overwritten() -> None:
     np.testing.assert_allclose(first.arp, 0.25 * loud, rtol=1e-5)
 
 
-def test_a_call_that_was_interrupted_leaves_nothing_behind(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_call_that_was_interrupted_leaves_nothing_behind() -> None:
     array = phased()
     points, normals = surface(20)
     at = SurfaceArp(array.field, 20)
     drive = driven(array)
     good = at.evaluate(points, normals, drive).arp.copy()
 
-    def stopped(blocks: list[list[Callable[[], object]]], _threads: int) -> None:
-        blocks[0][0]()
+    def stop() -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(surface_arp, "share", stopped)
+    (blocks,) = at._recorded.values()
+    field, arp = blocks[0]
+    blocks[0] = [field, stop]
     with pytest.raises(KeyboardInterrupt):
         at.evaluate(points, normals, drive)
-    monkeypatch.undo()
+    blocks[0] = [field, arp]
     np.testing.assert_array_equal(at.evaluate(points, normals, drive).arp, good)
 
 

@@ -25,6 +25,8 @@ from palmfield.acoustics.transfer import (
 from palmfield.errors import PalmfieldError, SceneError
 from palmfield.types import Air, Array, Complex, Field, Float
 
+pytestmark = pytest.mark.numerics
+
 AIR = Air()
 
 

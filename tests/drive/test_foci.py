@@ -24,6 +24,8 @@ from palmfield.drive.foci import (
 from palmfield.errors import PalmfieldError, SceneError
 from palmfield.types import Air, Array, Complex, Float
 
+pytestmark = pytest.mark.numerics
+
 ARRAY, AIR = layout("uhev1"), Air()
 METHODS: tuple[Method, ...] = get_args(Method)
 ITERATIVE: tuple[Method, ...] = ("gs", "gsw", "lbfgs")

@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 
 from palmfield.drive.boards.sonicsurface import BAUD, FRAME_RATE_HZ, OFF_FRAME, SonicSurfaceTwin, decode, encode
-from palmfield.drive.link import Played, RecordLink, open_link, play_frames
+from palmfield.drive.link import RecordLink, open_link
+from palmfield.drive.playback import Played, play_frames
 from palmfield.errors import DeviceError, OutputError
 
 LINE_BYTES_PER_S = BAUD / 10
@@ -193,7 +194,8 @@ def test_closing_silences_a_board_that_was_never_played(board):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_killed_process_leaves_the_board_off(board, number):
     program = f"""
-from palmfield.drive.link import open_link, play_frames
+from palmfield.drive.link import open_link
+from palmfield.drive.playback import play_frames
 from palmfield.drive.boards.sonicsurface import encode
 import numpy as np
 frame = encode(np.ones(256))
@@ -231,6 +233,7 @@ def test_a_port_that_is_not_there(port):
     assert "port" in message.split(";")[1]
 
 
+@pytest.mark.smoke
 def test_loop_port():
     link = open_link("loop://")
     frame = encode(turned(3))

@@ -111,6 +111,7 @@ def match(surface, expected):
     return index
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize("suffix, kind", [("glb", "f4"), ("gltf", "f4"), ("glb", "u1")])
 def test_joints_and_weights_are_read_and_survive_the_merge(tmp_path, suffix, kind):
     path = tmp_path / f"hand.{suffix}"

@@ -21,6 +21,7 @@ def fails(path, unit, says):
     assert "\n" not in str(caught.value) and str(path) in str(caught.value)
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize("suffix", ["obj", "ply", "stl"])
 @pytest.mark.parametrize("unit, size", [("mm", 180.0), ("cm", 18.0), ("in", 7.0), ("m", 0.18)])
 def test_formats_and_units(tmp_path, suffix, unit, size):

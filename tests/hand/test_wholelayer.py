@@ -25,11 +25,12 @@ from palmfield.hand.surface import hand_surface
 from palmfield.hand.triangles import unique_edges, vertex_normals
 from palmfield.hand.wholelayer import facing_faces, hand_layer
 from palmfield.skin.fem.assembly import assemble
+from palmfield.skin.fem.body import build
 from palmfield.skin.fem.load import SurfaceQuadrature
+from palmfield.skin.fem.probe import SurfaceProbe
 from palmfield.skin.fem.solver import static
 from palmfield.skin.materials.catalogue import preset
-from palmfield.skin.mesh.body_mesh import Sizes, build
-from palmfield.skin.mesh.surface import SurfaceProbe
+from palmfield.skin.mesh.body_mesh import Sizes
 from palmfield.skin.mesh.wedges import extrude
 from palmfield.skin.problem import Layer, Sheet
 from palmfield.types import Surface

@@ -72,6 +72,7 @@ def test_turn_about_one_axis_is_the_monotone_cubic_of_its_angle():
         assert turned(curve(time)).as_rotvec() == pytest.approx(expected(time) * axis, abs=1e-9)
 
 
+@pytest.mark.smoke
 def test_orientation_does_not_depend_on_the_frame():
     rng = np.random.default_rng(5)
     keys, frame = Rotation.random(4, random_state=rng), Rotation.random(random_state=rng)

@@ -21,6 +21,7 @@ def table(tmp_path):
     return written
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize("kind", ["csv", "npz"])
 def test_what_is_written_is_read_back(tmp_path, median, swing, kind):
     times = np.linspace(0.1, 0.9, 9)

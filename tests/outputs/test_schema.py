@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -106,3 +108,16 @@ def test_a_run_cut_off_before_its_first_step_is_fine():
     skin = instances(empty, "skin")["p"]
     assert not has_records(skin, "arp") and not has_records(skin, "time") and not has_records(skin, "velocity")
     assert instances(empty, "array") == {}
+
+
+def test_the_page_on_results_lists_every_variable():
+    page = (Path(__file__).parents[2] / "docs" / "results.md").read_text()
+    parts = {part.split("`")[1]: part for part in page.split("\n### ")[1:]}
+    for kind, variables in {"/": ROOT, **GROUPS}.items():
+        part = parts["/" if kind == "/" else f"/{kind}/NAME"]
+        rows = [line.split(" | ") for line in part.splitlines() if line.startswith("| `")]
+        told = {row[0].strip("| `"): row[1:4] for row in rows}
+        assert list(told) == list(variables)
+        for name, variable in variables.items():
+            units = "m, 1" if variable.dims[-1:] == ("pose7",) else variable.units or "-"
+            assert told[name] == [", ".join(variable.dims) or "-", variable.dtype, units]

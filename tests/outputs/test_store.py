@@ -86,6 +86,7 @@ def _load(path):
 SMALL = {"/skin/p": {"rest_position": np.zeros((4, 3))}}
 
 
+@pytest.mark.smoke
 def test_round_trip(tmp_path, static_arrays, block_arrays, merge, attributes, monkeypatch):
     monkeypatch.setattr(store, "FLUSH_SECONDS", 0.0)
     target = _write_all(tmp_path / "run", static_arrays, block_arrays, attributes=attributes)

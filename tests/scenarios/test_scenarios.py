@@ -9,7 +9,7 @@ from palmfield.data import folder
 from palmfield.hand.meshquery import barycentric, build_mesh, closest_faces
 from palmfield.session.simulation import load
 from palmfield.simulation.emission import array_drives
-from palmfield.skin.mesh.surface import SurfaceProbe
+from palmfield.skin.fem.probe import SurfaceProbe
 
 COARSE = {"skin.accuracy": 0.5, "skin.max_frequency_Hz": 250.0, "skin.element_m": None}
 PERIOD_STEPS = 5

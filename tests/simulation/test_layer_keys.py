@@ -12,10 +12,11 @@ from palmfield.simulation.emission import array_drives
 from palmfield.simulation.posed_scene import reference_scene
 from palmfield.simulation.radiation import Radiation
 from palmfield.skin.fem.solver import static
-from palmfield.skin.from_config import layer_cutoff, rows_of
+from palmfield.skin.from_config import layer_cutoff
 from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.materials.dispersion import cutoff
 from palmfield.skin.materials.material import elastic
+from palmfield.skin.mesh.rows import rows_of
 from palmfield.skin.problem import Sheet
 
 

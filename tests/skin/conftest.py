@@ -4,14 +4,17 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from scipy import sparse
 
 from palmfield.skin.fem.assembly import SkinSystem, assemble
 from palmfield.skin.fem.load import SurfaceQuadrature
+from palmfield.skin.fem.probe import SurfaceProbe
+from palmfield.skin.fem.wedge_stepper import WedgeStepper
 from palmfield.skin.materials.catalogue import PRESETS
 from palmfield.skin.materials.material import Material
 from palmfield.skin.mesh.disc import disc_patch
-from palmfield.skin.mesh.surface import SurfaceProbe
 from palmfield.skin.mesh.wedges import WedgeMesh, extrude
+from palmfield.skin.stepper import SurfaceLoads
 from palmfield.types import Float
 
 SPOT_M, DEPTH_M, RADIUS_M = 0.0103, 0.02, 0.06
@@ -51,6 +54,26 @@ def disc_spot(
     distance2 = (quadrature.points[:, :2] ** 2).sum(axis=1)
     force = quadrature.assemble(np.exp(-4 * np.log(2) * distance2 / SPOT_M**2))
     return Spot(mesh, system, force, SurfaceProbe(mesh, np.zeros((1, 3)), system).operator)
+
+
+class NodalStepper:
+    """A WedgeStepper one substep at a time, under nodal forces [N]; its states are (rows, unknowns)."""
+
+    def __init__(self, system: SkinSystem, step_s: float, rho_inf: float = 0.8) -> None:
+        self.whole = WedgeStepper(system, sparse.identity(system.ndof, format="csr"), step_s, rho_inf)
+
+    def new_state(self) -> Float:
+        return np.zeros((self.whole.state_rows, self.whole.ndof))
+
+    def step(self, state: Float, first: Float, last: Float) -> None:
+        ends = np.eye(2)[:, None, None]
+        loads = SurfaceLoads(np.array([[first, last]]), ends[0], ends[1])
+        self.whole.step(state.reshape(1, -1), loads, 0.0, self.whole.step_s)
+
+
+@pytest.fixture(scope="session")
+def nodal_stepper():
+    return NodalStepper
 
 
 @pytest.fixture(scope="session")

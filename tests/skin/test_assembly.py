@@ -11,12 +11,14 @@ from palmfield.errors import SceneError
 from palmfield.skin.analytic.layer_oracle import centre_response
 from palmfield.skin.fem.assembly import assemble
 from palmfield.skin.fem.load import SurfaceQuadrature
+from palmfield.skin.fem.probe import surface_motion
 from palmfield.skin.fem.solver import static
 from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
 from palmfield.skin.mesh.disc import disc_patch
-from palmfield.skin.mesh.surface import surface_motion
 from palmfield.skin.mesh.wedges import extrude
 from palmfield.types import Patch
+
+pytestmark = pytest.mark.numerics
 
 THIRDS = np.array([0.0, 0.35, 1.0])
 

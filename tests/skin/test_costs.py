@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 
 from palmfield.skin.fem.assembly import assemble
-from palmfield.skin.fem.solver import SkinSolver
 from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.mesh.disc import disc_patch
 from palmfield.skin.mesh.wedges import extrude
 from palmfield.skin.problem import Sheet, Slab, Spot
-from palmfield.skin.solvers.lateral_waves import cost_spectral, solve_spectral
-from palmfield.skin.solvers.wedges import cost_implicit, run_cost
+from palmfield.skin.solvers.lateral_waves import cost_lateral_waves, solve_lateral_waves
+from palmfield.skin.solvers.wedges import cost_wedges, run_cost
 
 ECOFLEX = preset("ecoflex_00-10")
 TIMES = np.linspace(0.0, 0.1, 401)
@@ -30,11 +29,11 @@ def busy(call) -> float:
     return min(seconds)
 
 
-def stepped(edge_m, steps):
+def stepped(nodal_stepper, edge_m, steps):
     """Build, factorise and step a disc; its unknowns."""
     mesh = extrude(disc_patch(0.03, 0.012, edge_m, edge_m, 0.03), np.array([0.0, 0.4, 1.0]))
     system = assemble(mesh, ECOFLEX)
-    solver = SkinSolver(system, 2e-4)
+    solver = nodal_stepper(system, 2e-4)
     state, force = solver.new_state(), np.ones(system.ndof)
     for _ in range(steps):
         solver.step(state, force, force)
@@ -42,26 +41,28 @@ def stepped(edge_m, steps):
 
 
 @pytest.mark.parametrize("steps", [5, 60])
-def test_implicit_law_has_the_ratio_of_two_sizes(steps):
+def test_law_of_wedges_has_the_ratio_of_two_sizes(nodal_stepper, steps):
     """Four to five times the unknowns, with few and with many steps."""
-    dofs = [stepped(edge, 1) for edge in (0.006, 0.003)]
-    measured = busy(lambda: stepped(0.003, steps)) / busy(lambda: stepped(0.006, steps))
+    dofs = [stepped(nodal_stepper, edge, 1) for edge in (0.006, 0.003)]
+    measured = busy(lambda: stepped(nodal_stepper, 0.003, steps)) / busy(lambda: stepped(nodal_stepper, 0.006, steps))
     predicted = run_cost(dofs[1], steps) / run_cost(dofs[0], steps)
     print(dofs, steps, measured, predicted)
     assert 0.5 < measured / predicted < 2.0
 
 
-def test_spectral_law_has_the_ratio_of_two_accuracies():
+def test_law_of_lateral_waves_has_the_ratio_of_two_accuracies():
     body = Slab((Sheet(ECOFLEX, 0.02),))
-    solve_spectral(body, SPOT, TIMES[:20], AT, tolerance=0.1, threads=1)
-    measured = [busy(lambda a=a: solve_spectral(body, SPOT, TIMES, AT, accuracy=a, threads=1)) for a in (0.05, 0.005)]
-    predicted = [cost_spectral(body, SPOT, TIMES, AT, a) for a in (0.05, 0.005)]
+    solve_lateral_waves(body, SPOT, TIMES[:20], AT, tolerance=0.1, threads=1)
+    measured = [
+        busy(lambda a=a: solve_lateral_waves(body, SPOT, TIMES, AT, accuracy=a, threads=1)) for a in (0.05, 0.005)
+    ]
+    predicted = [cost_lateral_waves(body, SPOT, TIMES, AT, a) for a in (0.05, 0.005)]
     print(measured, predicted)
     assert 0.5 < measured[1] / measured[0] / (predicted[1] / predicted[0]) < 2.0
 
 
-def test_implicit_cost_rises_with_what_is_asked():
+def test_cost_of_wedges_rises_with_what_is_asked():
     body = Slab((Sheet(ECOFLEX, 0.02),), shape="disc", side="roller", radius_m=0.06)
-    rough = cost_implicit(body, SPOT, TIMES, AT, 0.05)
-    assert cost_implicit(body, SPOT, TIMES, AT, 0.02) > 2.0 * rough
-    assert cost_implicit(body, SPOT, TIMES[:201], AT, 0.05) < 0.7 * rough
+    rough = cost_wedges(body, SPOT, TIMES, AT, 0.05)
+    assert cost_wedges(body, SPOT, TIMES, AT, 0.02) > 2.0 * rough
+    assert cost_wedges(body, SPOT, TIMES[:201], AT, 0.05) < 0.7 * rough

@@ -99,5 +99,5 @@ def test_a_case_without_a_converged_answer_is_dropped(monkeypatch: pytest.Monkey
     monkeypatch.setattr(module, "TENTH", 1e-12)
     rows = judge(random_case(5, 5, 0.02))
     assert [row.asked for row in rows] == ["auto"]
-    assert rows[0].missing.startswith("dropped: spectral: its own error of")
+    assert rows[0].missing.startswith("dropped: lateral_waves: its own error of")
     assert isinstance(random_case(5, 5, 0.02).load, Spot)

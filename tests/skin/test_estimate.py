@@ -10,12 +10,14 @@ from palmfield.skin.analytic.layer_oracle import centre_response
 from palmfield.skin.approximation.estimate import choose_sizes, mesh_error
 from palmfield.skin.fem.assembly import assemble
 from palmfield.skin.fem.load import SurfaceQuadrature
+from palmfield.skin.fem.probe import SurfaceProbe
 from palmfield.skin.fem.solver import harmonic, harmonic_discrete, static
 from palmfield.skin.materials.catalogue import PRESETS
 from palmfield.skin.materials.material import shear_wave
 from palmfield.skin.mesh.disc import disc_patch
-from palmfield.skin.mesh.surface import SurfaceProbe
 from palmfield.skin.mesh.wedges import extrude
+
+pytestmark = pytest.mark.numerics
 
 
 def centre(material, fwhm, depth, fine, coarse, fine_radius, fractions, step, radius, f):

@@ -10,6 +10,8 @@ from palmfield.errors import SceneError
 from palmfield.skin.materials.material import complex_shear, prony
 from palmfield.skin.materials.prony_fit import fit_prony, fractional, fractional_kelvin_voigt, fractional_zener
 
+pytestmark = pytest.mark.numerics
+
 F = np.geomspace(1.0, 1000.0, 40)
 
 

@@ -8,24 +8,26 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from palmfield.errors import SceneError
 from palmfield.skin.analytic.layer_oracle import layer_compliance
 from palmfield.skin.fem.assembly import assemble
-from palmfield.skin.fem.depth import surface_compliance
+from palmfield.skin.fem.depth import impedance, surface_compliance
 from palmfield.skin.fem.foundation import Foundation, fit_foundation
 from palmfield.skin.fem.generalised_alpha import branch_weights
 from palmfield.skin.fem.load import SurfaceQuadrature
-from palmfield.skin.fem.solver import SkinSolver, harmonic, static
+from palmfield.skin.fem.probe import SurfaceProbe
+from palmfield.skin.fem.solver import harmonic, static
 from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
 from palmfield.skin.mesh.body_mesh import Sizes, box_patch
 from palmfield.skin.mesh.disc import disc_patch
-from palmfield.skin.mesh.surface import SurfaceProbe
 from palmfield.skin.mesh.wedges import extrude
 from palmfield.skin.problem import GAUSSIAN, Sheet, Springs, spread
+
+pytestmark = pytest.mark.numerics
 
 ECOFLEX, PALM = preset("ecoflex_00-10"), preset("palm")
 LENGTH = 0.015
@@ -45,7 +47,7 @@ def test_depth_polynomials_are_the_plane_waves(name, base):
         np.testing.assert_allclose(surface_compliance(k, f, halves, base), exact, rtol=1e-7)
         # One polynomial a sheet: spectral convergence with its degree.
         errors = [
-            np.abs(1.0 / np.linalg.inv(Foundation(tuple(halves), base, degree).impedance(k, f))[:, 1, 1] * exact - 1.0)
+            np.abs(1.0 / np.linalg.inv(impedance(k, f, halves, base, degree))[:, 1, 1] * exact - 1.0)
             for degree in (4, 8, 12)
         ]
         assert errors[2][:3].max() < 1e-6
@@ -210,16 +212,31 @@ def test_static_limit():
 @settings(max_examples=40, deadline=None)
 @given(
     degree=st.integers(1, 8),
-    heights=st.lists(st.floats(1e-3, 0.03), min_size=1, max_size=3),
+    heights=st.lists(st.floats(1e-4, 0.1), min_size=1, max_size=3),
     base=st.sampled_from(["bonded", "free_slip", "free", Springs(1e5, 1e4, 30.0, 0.0)]),
-    k=st.floats(1.0, 2e3),
-    f_Hz=st.floats(1.0, 1e3),
+    k=st.floats(0.01, 2e3),
+    f_Hz=st.floats(1e-3, 1e4),
 )
+# Thin free sheets under long slow waves: by moduli over heights their loss was -5e-7 and -2e-5 of Z, from rounding.
+@example(degree=8, heights=[1e-3], base="free", k=2.0, f_Hz=3.0)
+@example(degree=4, heights=[1e-3, 1e-3], base="free", k=1.0, f_Hz=1.0)
+@example(degree=7, heights=[1.4e-4], base="free", k=0.33, f_Hz=0.6)
 def test_foundations_are_passive(degree, heights, base, k, f_Hz):
     """Under e^{-i w t} what moves a foundation works on it: -Im Z has no negative eigenvalue."""
     sheets = tuple(Sheet(m, h) for m, h in zip((PALM, VISCOUS, ECOFLEX), heights, strict=False))
-    z = Foundation(sheets, base, degree).impedance(np.array([k]), f_Hz)[0]
-    assert np.linalg.eigvalsh(-0.5 * (z.imag + z.imag.T))[0] >= -1e-9 * np.abs(z).max()
+    z = impedance(np.array([k]), f_Hz, sheets, base, degree)[0]
+    assert np.linalg.eigvalsh(-0.5 * (z.imag + z.imag.T))[0] >= -1e-15 * np.abs(z).max()
+
+
+@pytest.mark.parametrize("f_Hz", [0.01, 0.1, 1.0])
+@pytest.mark.parametrize("degree", [1, 4, 8])
+def test_thin_free_sheets_under_long_waves_are_their_mass(degree, f_Hz):
+    """Across, they move as one: moduli over heights, 1e10 times their inertia and more, leave no rounding in it."""
+    sheets = Sheet(PALM, 2e-4), Sheet(STIFF, 3e-4), Sheet(ECOFLEX, 5e-4)
+    z = impedance(np.array([1e-3]), f_Hz, sheets, "free", degree)[0]
+    inertia = (2.0 * math.pi * f_Hz) ** 2 * sum(s.material.density_kg_m3 * s.thickness_m for s in sheets)
+    print(degree, f_Hz, abs(z[1, 1] / -inertia - 1.0))
+    assert abs(z[1, 1] / -inertia - 1.0) < 1e-8
 
 
 def shaken():
@@ -230,14 +247,14 @@ def shaken():
 
 
 @pytest.mark.parametrize("step_s", [2e-5, 2e-4, 1e-2])
-def test_unloaded_energy_never_grows_on_a_foundation(step_s):
+def test_unloaded_energy_never_grows_on_a_foundation(step_s, nodal_stepper):
     """rho_inf = 1: a theorem at any step, what is lost in a step being a square.
 
     With w = u - q, w1 = (1 - b)(u1 - u0) + e w0: a branch works (w0 + w1)/2 (u1 - u0) = ((1 + e)/2 (w1^2 - w0^2) +
     (1 - e)/2 (w0 + w1)^2) / (2 (1 - b)), so its stored energy is weighted by (1 + e) / (2 (1 - b)).
     """
     system, kick = shaken()
-    solver = SkinSolver(system, step_s, rho_inf=1.0)
+    solver = nodal_stepper(system, step_s, rho_inf=1.0)
     state = solver.new_state()
     state[1] = kick
     stiffness, rest = system.parts[0].stiffness, np.zeros(system.ndof)

@@ -14,6 +14,8 @@ from palmfield.skin.analytic.layer_oracle import BASES, centre_response, layer_c
 from palmfield.skin.materials.catalogue import PRESETS
 from palmfield.skin.materials.material import Material, bulk_from_poisson, complex_shear
 
+pytestmark = pytest.mark.numerics
+
 ECOFLEX = PRESETS["ecoflex_00-10"]
 SPOT, DEPTH = 0.0103, 0.02
 

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from palmfield.errors import SceneError
-from palmfield.skin.fem.element import corner_slopes, displacement_shape, prism_rule
 from palmfield.skin.mesh.disc import disc_patch
+from palmfield.skin.mesh.element import corner_slopes, displacement_shape, prism_rule
 from palmfield.skin.mesh.wedges import extrude
 
 

@@ -5,14 +5,13 @@ import pytest
 
 from palmfield.errors import SceneError
 from palmfield.skin.analytic.layer_oracle import centre_response
+from palmfield.skin.analytic.observed import misfits, predicted
 from palmfield.skin.materials.catalogue import (
     CATALOGUE,
     DEPTH_M,
     GEL_STORAGE_PA,
     PRESETS,
     hand_skin,
-    misfits,
-    model,
     preset,
     scaled,
     varied,
@@ -62,7 +61,7 @@ def test_palm_keeps_what_its_source_says():
 
 
 def test_palm_decays_as_a_default_must_and_finger_pad_does_not():
-    decays = {name: model(PRESETS[name], CATALOGUE[name].observations[-1]) for name in ("palm", "finger_pad")}
+    decays = {name: predicted(PRESETS[name], CATALOGUE[name].observations[-1]) for name in ("palm", "finger_pad")}
     assert 0.05 < decays["palm"] < 0.15
     assert decays["finger_pad"] < 0.05
 
@@ -107,13 +106,13 @@ def test_gels_follow_the_fractional_law(name):
 def test_forearm_meets_the_speed_measured_with_it():
     entry = CATALOGUE["forearm"]
     (seen,) = entry.observations
-    assert abs(model(entry.material, seen) - seen.value) < 2.0 * seen.spread
-    assert misfits(entry) == [model(entry.material, seen) / seen.value - 1.0]
+    assert abs(predicted(entry.material, seen) - seen.value) < 2.0 * seen.spread
+    assert misfits(entry) == [predicted(entry.material, seen) / seen.value - 1.0]
 
 
 def test_models_are_those_of_waves():
     seen = CATALOGUE["gelatin_2"].observations[0]
-    assert model(preset("palm"), seen) == describe(preset("palm"), 200.0).shear_speed_m_s
+    assert predicted(preset("palm"), seen) == describe(preset("palm"), 200.0).shear_speed_m_s
 
 
 def test_varied_and_scaled():

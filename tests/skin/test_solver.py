@@ -14,7 +14,7 @@ from palmfield.skin.analytic.layer_oracle import centre_response
 from palmfield.skin.fem.assembly import assemble
 from palmfield.skin.fem.generalised_alpha import alpha_weights, branch_weights
 from palmfield.skin.fem.load import SurfaceQuadrature
-from palmfield.skin.fem.solver import SkinSolver, harmonic, harmonic_discrete, static
+from palmfield.skin.fem.solver import harmonic, harmonic_discrete, static
 from palmfield.skin.materials.catalogue import PRESETS
 from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
 from palmfield.skin.mesh.disc import disc_patch
@@ -161,13 +161,13 @@ def test_every_mode_is_stable(frequency, relaxation, ratio, rho):
     assert radius <= 1 + 1e-6
 
 
-def test_unloaded_energy_never_grows(coarse_spot):
+def test_unloaded_energy_never_grows(coarse_spot, nodal_stepper):
     """rho_inf = 1: with the branch's energy weighted by (1 + e) / 2 (1 - b), see test_foundation.py, for any step.
 
     Default rho_inf: the plain energy, measured.
     """
     system = coarse_spot.system
-    solver = SkinSolver(system, 2e-4, rho_inf=1.0)
+    solver = nodal_stepper(system, 2e-4, rho_inf=1.0)
     state = kicked(coarse_spot)
     decay, _, end = branch_weights(2e-4, ECOFLEX.branches[0].time_s)
     rest = np.zeros(system.ndof)
@@ -178,7 +178,7 @@ def test_unloaded_energy_never_grows(coarse_spot):
     assert np.all(np.diff(levels) <= 1e-12 * levels[0])
     assert levels[-1] < 0.1 * levels[0]
 
-    solver = SkinSolver(system, 2e-4)
+    solver = nodal_stepper(system, 2e-4)
     state = kicked(coarse_spot)
     levels = []
     for _ in range(300):
@@ -195,7 +195,7 @@ def kicked(spot):
     return state
 
 
-def test_free_body_keeps_momentum():
+def test_free_body_keeps_momentum(nodal_stepper):
     """Impulse in = momentum out, linear and angular, and no drift afterwards."""
     mesh = extrude(disc_patch(0.02, 0.01, 0.01, 0.01, 0.01), np.array([0.0, 0.4, 1.0]))
     system = assemble(mesh, ECOFLEX, base="free", side="free")
@@ -208,7 +208,7 @@ def test_free_body_keeps_momentum():
     expected = 1e-4 * rigid @ force
     # Below rho_inf = 1 the algorithm's acceleration takes some steps to forget the force.
     for rho, settling in ((1.0, 0), (0.8, 100)):
-        solver = SkinSolver(system, 1e-4, rho)
+        solver = nodal_stepper(system, 1e-4, rho)
         state = solver.new_state()
         # Force up in one step and down in the next: an impulse of one step.
         solver.step(state, rest, force)
@@ -223,11 +223,11 @@ def ramp(t):
     return 0.5 * (1 - math.cos(math.pi * min(t, 1e-3) / 1e-3))
 
 
-def test_second_order_on_a_ramp(coarse_spot):
+def test_second_order_on_a_ramp(coarse_spot, nodal_stepper):
     """1 ms raised-cosine ramp; largest error of the centre over 2 ms, sampled each 0.1 ms, against a fine step."""
 
     def pushes(step):
-        solver = SkinSolver(coarse_spot.system, step)
+        solver = nodal_stepper(coarse_spot.system, step)
         state = solver.new_state()
         seen = []
         for n in range(round(2e-3 / step)):
@@ -243,10 +243,10 @@ def test_second_order_on_a_ramp(coarse_spot):
     np.testing.assert_allclose(rates, 2.0, atol=0.2)
 
 
-def test_stepper_reaches_its_own_symbol(coarse_spot):
+def test_stepper_reaches_its_own_symbol(coarse_spot, nodal_stepper):
     """Long-time steady state under a sampled sine = harmonic_discrete, and that converges to harmonic like h^2."""
     f, step = 200.0, 2.5e-4
-    solver = SkinSolver(coarse_spot.system, step)
+    solver = nodal_stepper(coarse_spot.system, step)
     state = solver.new_state()
 
     def phase(n):
@@ -272,8 +272,8 @@ def test_stepper_reaches_its_own_symbol(coarse_spot):
 
 @pytest.mark.parametrize("step", [0.02, 0.05])
 @pytest.mark.parametrize("rho", [0.0, 0.8])
-def test_steps_far_above_tau_reach_the_static_answer(coarse_spot, step, rho):
-    solver = SkinSolver(coarse_spot.system, step, rho)
+def test_steps_far_above_tau_reach_the_static_answer(coarse_spot, step, rho, nodal_stepper):
+    solver = nodal_stepper(coarse_spot.system, step, rho)
     state = solver.new_state()
     still = coarse_spot.push(static(coarse_spot.system, coarse_spot.force))
     seen = []
@@ -284,8 +284,8 @@ def test_steps_far_above_tau_reach_the_static_answer(coarse_spot, step, rho):
     assert seen[-1] == pytest.approx(still, rel=1e-6)
 
 
-def test_scaling_the_load_scales_the_answer(coarse_spot):
-    solver = SkinSolver(coarse_spot.system, 1e-4)
+def test_scaling_the_load_scales_the_answer(coarse_spot, nodal_stepper):
+    solver = nodal_stepper(coarse_spot.system, 1e-4)
     small, large = solver.new_state(), solver.new_state()
     for _ in range(20):
         solver.step(small, coarse_spot.force, coarse_spot.force)
@@ -295,7 +295,7 @@ def test_scaling_the_load_scales_the_answer(coarse_spot):
 
 
 @pytest.mark.parametrize("branches", [(), (Branch(0.0, 1e-3),), (Branch(2e4, 0.0),)])
-def test_without_branch_or_viscosity_the_layer_is_elastic(coarse_spot, branches):
+def test_without_branch_or_viscosity_the_layer_is_elastic(coarse_spot, branches, nodal_stepper):
     mesh = coarse_spot.mesh
     answers = []
     for material in (
@@ -303,7 +303,7 @@ def test_without_branch_or_viscosity_the_layer_is_elastic(coarse_spot, branches)
         Material("elastic", 1030.0, 12.5e3, (), ECOFLEX.bulk_Pa, ""),
     ):
         system = assemble(mesh, material, side="roller")
-        solver = SkinSolver(system, 1e-4)
+        solver = nodal_stepper(system, 1e-4)
         state = solver.new_state()
         for n in range(30):
             solver.step(state, ramp(n * 1e-4) * coarse_spot.force, ramp((n + 1) * 1e-4) * coarse_spot.force)
@@ -311,13 +311,13 @@ def test_without_branch_or_viscosity_the_layer_is_elastic(coarse_spot, branches)
     assert answers[0] == pytest.approx(answers[1], rel=1e-9)
 
 
-def test_stiff_skin_on_soft_material_scales():
+def test_stiff_skin_on_soft_material_scales(nodal_stepper):
     """A thousand times stiffer and denser material moves a thousand times less, at the same time."""
     pushes = []
     for s in (1.0, 1000.0):
         material = Material("s", 1000.0 * s, 1e4 * s, (Branch(2e4 * s, 1e-3),), 1e7 * s, "")
         system = assemble(extrude(disc_patch(0.02, 0.01, 0.01, 0.01, 0.01), np.array([0.0, 1.0])), material)
-        solver = SkinSolver(system, 1e-4)
+        solver = nodal_stepper(system, 1e-4)
         state = solver.new_state()
         force = np.random.default_rng(1).normal(size=system.ndof)
         for _ in range(10):
@@ -326,9 +326,9 @@ def test_stiff_skin_on_soft_material_scales():
     np.testing.assert_allclose(1000 * pushes[1], pushes[0], rtol=1e-8, atol=1e-10 * np.abs(pushes[0]).max())
 
 
-def test_state_size_and_bad_steps(coarse_spot):
-    solver = SkinSolver(coarse_spot.system, 1e-3)
-    assert solver.new_state().size == solver.state_size == 4 * coarse_spot.system.ndof
+def test_state_size_and_bad_steps(coarse_spot, nodal_stepper):
+    solver = nodal_stepper(coarse_spot.system, 1e-3)
+    assert solver.new_state().size == solver.whole.state_size == 4 * coarse_spot.system.ndof
     for step, rho in ((0.0, 0.8), (math.nan, 0.8), (1e-3, 1.2)):
         with pytest.raises(SceneError, match="rho_inf in"):
-            SkinSolver(coarse_spot.system, step, rho)
+            nodal_stepper(coarse_spot.system, step, rho)

@@ -12,9 +12,9 @@ from trimesh.creation import icosphere
 
 from palmfield.skin.fem.assembly import assemble
 from palmfield.skin.fem.load import SurfaceQuadrature
+from palmfield.skin.fem.probe import surface_motion
 from palmfield.skin.fem.solver import static
 from palmfield.skin.materials.material import Material, bulk_from_poisson
-from palmfield.skin.mesh.surface import surface_motion
 from palmfield.skin.mesh.wedges import extrude
 from palmfield.types import Patch
 

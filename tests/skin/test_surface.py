@@ -9,10 +9,13 @@ from trimesh import Trimesh
 from palmfield.errors import SceneError
 from palmfield.skin.fem.assembly import assemble
 from palmfield.skin.fem.load import SurfaceQuadrature
+from palmfield.skin.fem.probe import SurfaceProbe, surface_motion
 from palmfield.skin.materials.catalogue import PRESETS
 from palmfield.skin.mesh.disc import disc_patch
-from palmfield.skin.mesh.surface import SurfaceProbe, output_triangles, surface_motion
+from palmfield.skin.mesh.surface import output_triangles
 from palmfield.skin.mesh.wedges import extrude
+
+pytestmark = pytest.mark.numerics
 
 FRACTIONS = np.array([0.0, 0.4, 1.0])
 

@@ -18,6 +18,8 @@ from palmfield.stimulus.curves import circle, letters, line, polyline, square, z
 from palmfield.stimulus.surface_path import drawn, through
 from palmfield.types import Surface
 
+pytestmark = pytest.mark.numerics
+
 RADIUS_m = 0.05
 X = [1.0, 0.0, 0.0]
 
@@ -271,6 +273,48 @@ def test_running_off_an_open_mesh_names_the_arc_length():
     # From the path's start at x = -10 mm to the edge at x = 50 mm
     found = re.search(r"after ([\d.]+) mm", str(error.value))
     assert found and float(found[1]) == pytest.approx(60.0, abs=0.1)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_rounding_does_not_decide_whether_a_path_reaches_the_edge(seed):
+    """A plate turned and shifted at random, so that each case rounds in its own way."""
+    rng = np.random.default_rng(seed)
+    flat, turn, away = plate(), Rotation.random(rng=rng), rng.uniform(-0.3, 0.3, 3)
+    surface = surface_of(turn.apply(flat.vertices) + away, flat.faces)
+    y, angle = rng.uniform(-0.02, 0.02), rng.uniform(-0.6, 0.6)
+    # From the point (0, y) to the edge x = 50 mm, at an angle to x
+    ahead, reach = np.array([math.cos(angle), math.sin(angle), 0.0]), 0.05 / math.cos(angle)
+
+    def to(length):
+        middle = np.array([0.0, y, 0.0]) + 0.5 * length * ahead
+        return drawn(surface, turn.apply(middle) + away, turn.apply(ahead), line(length))
+
+    for beyond in (0.0, 1e-6, 0.01):
+        with pytest.raises(SceneError, match="runs off the edge") as error:
+            to(reach + beyond)
+        found = re.search(r"after ([\d.]+) mm", str(error.value))
+        assert found and float(found[1]) == pytest.approx(1e3 * reach, abs=0.051)
+    path = to(reach - 1e-8)
+    assert lies_on_its_triangles(path, surface) == pytest.approx(1.0, abs=1e-9)
+    end, _ = path.at([path.length_m], surface.vertices, surface.faces)
+    assert np.linalg.norm(turn.inv().apply(end - away) - ([0.0, y, 0.0] + (reach - 1e-8) * ahead)) < 1e-9
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_path_may_run_along_the_edge(seed):
+    rng = np.random.default_rng(seed)
+    x, y = np.meshgrid(np.linspace(-0.05, 0.05, 21), np.linspace(-0.05, 0.05, 21))
+    a = (21 * np.arange(20)[:, None] + np.arange(20)).ravel()
+    faces = np.vstack([np.column_stack([a, a + 1, a + 22]), np.column_stack([a, a + 22, a + 21])])
+    turn, away = Rotation.random(rng=rng), rng.uniform(-0.3, 0.3, 3)
+    surface = surface_of(turn.apply(np.column_stack([x.ravel(), y.ravel(), np.zeros(441)])) + away, faces)
+    for angle in np.radians([0.0, 90.0, 180.0, 270.0]):
+        way, aside = np.array([math.cos(angle), math.sin(angle), 0.0]), [math.sin(angle), -math.cos(angle), 0.0]
+        path = drawn(surface, turn.apply(0.05 * np.array(aside)) + away, turn.apply(way), line(0.0823))
+        assert lies_on_its_triangles(path, surface) == pytest.approx(1.0, abs=1e-9)
+        ends, _ = path.at([0.0, 0.0823], surface.vertices, surface.faces)
+        expected = 0.05 * np.array(aside) + [[-0.04115], [0.04115]] * way
+        assert np.abs(turn.inv().apply(ends - away) - expected).max() < 1e-9
 
 
 def test_what_cannot_be_drawn_is_named():

@@ -41,13 +41,13 @@ def bands(load: Load, end_s: float, resonance_Hz: float) -> tuple[Float, Float]:
     low = 1.0 / length
     wide = np.geomspace(low, max(HIGHEST_Hz, 2.0 * low), COUNT + 1)
     edges = np.unique(np.concatenate([[0.0], wide, resonance_Hz * NEAR]))
-    found = []
+    result = []
     for first, last in itertools.pairwise(edges):
         inside = (rates >= first) & (rates < last)
         total = float(energy[inside].sum())
         if total > 0.0:
-            found.append((float(rates[inside] @ energy[inside]) / total, total))
-    frequencies, energies = np.array(found).reshape(-1, 2).T
+            result.append((float(rates[inside] @ energy[inside]) / total, total))
+    frequencies, energies = np.array(result).reshape(-1, 2).T
     # The lowest band is what a push that lasts does, whose end is only the window's
     return np.where(frequencies < low, 0.0, frequencies), energies
 

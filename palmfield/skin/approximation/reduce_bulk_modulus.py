@@ -8,7 +8,7 @@ import numpy as np
 from palmfield.errors import SceneError
 from palmfield.skin.analytic.layer_oracle import centre_responses
 from palmfield.skin.approximation.bands import bands, course_moves, resonance
-from palmfield.skin.approximation.estimate import load_width
+from palmfield.skin.approximation.load_scales import load_width
 from palmfield.skin.materials.material import Material, bulk_from_poisson
 from palmfield.skin.problem import BASES, Body, Foundation, Layer, Load, Spot, Springs
 from palmfield.types import Float
@@ -17,7 +17,7 @@ RATIOS = (0.49, 0.495, 0.497, 0.499)
 """Poisson's ratios at once that are tried, the one with the largest step first."""
 
 SHARE = 0.5
-"""Part of the wanted accuracy that a bulk modulus chosen by itself may take."""
+"""Part of the target accuracy that a bulk modulus chosen by itself may take."""
 
 FAR = 1e-3
 """Share of the motion in the middle below which motion is judged by that."""
@@ -26,12 +26,12 @@ FAINT = 1e-5
 """Share of the energy of the load's course below which a band counts for nothing here."""
 
 
-def soften(
+def reduce_bulk_modulus(
     body: Body, load: Load, end_s: float, at: Float, accuracy: float, nu_at_most: float | None
 ) -> tuple[Body, float]:
     """The body with Poisson's ratio at once of at most nu_at_most, and the relative change of its motion.
 
-    end_s: last asked time [s]; at: asked points [m], shape (n, 2) or (n, 3)
+    end_s: last requested time [s]; at: requested points [m], shape (n, 2) or (n, 3)
     nu_at_most: None takes the smallest of RATIOS that changes at most SHARE of the accuracy, on layers and endless
     slabs of one sheet, whose volume nothing else confines; others stay as they are, as all do at 0.5
     The change is that of the flat endless layer (palmfield.skin.analytic.layer_oracle), with the load's own
@@ -44,21 +44,21 @@ def soften(
         return body, 0.0
     if nu_at_most is not None:
         if not plain:
-            raise SceneError("explicit skin: nu_at_most needs one sheet on a plain base; leave it out")
-        found, change = _tried(body, judge(body, load, end_s, at), nu_at_most)
+            raise SceneError("solver 'spectral_elements': nu_at_most needs one sheet on a plain base; leave it out")
+        result, change = _tried(body, relative_change(body, load, end_s, at), nu_at_most)
         if change > accuracy:
             raise SceneError(
-                f"explicit skin: nu_at_most {nu_at_most} would change this layer's motion by {change:.2g}, above the "
-                f"accuracy of {accuracy:g}: leave it out, or use the implicit or spectral solver"
+                f"solver 'spectral_elements': nu_at_most {nu_at_most} would change this layer's motion by "
+                f"{change:.2g}, above the accuracy of {accuracy:g}: leave it out, or use wedges or lateral_waves"
             )
-        return found, change
+        return result, change
     if plain and (isinstance(body, Layer) or body.shape == "infinite"):
         try:
-            change_of = judge(body, load, end_s, at)
+            change_of = relative_change(body, load, end_s, at)
             for nu in RATIOS:
-                found, change = _tried(body, change_of, nu)
+                result, change = _tried(body, change_of, nu)
                 if change <= SHARE * accuracy:
-                    return found, change
+                    return result, change
         except SceneError:
             # Waves that nothing damps: that layer cannot say
             return body, 0.0
@@ -75,7 +75,7 @@ def _tried(body: Body, change_of: Callable[[Material], float], nu: float) -> tup
     return replace(body, sheets=(replace(sheet, material=soft),)), change_of(soft)
 
 
-def judge(body: Body, load: Load, end_s: float, at: Float) -> Callable[[Material], float]:
+def relative_change(body: Body, load: Load, end_s: float, at: Float) -> Callable[[Material], float]:
     """Tells the relative change of the motion with another material.
 
     L2 over the times, the largest of the spot's middle and the points' places about it.
@@ -95,8 +95,8 @@ def judge(body: Body, load: Load, end_s: float, at: Float) -> Callable[[Material
 
     def change(soft: Material) -> float:
         near = centre_responses(frequencies[counted], soft, depth, width, away, base, 1e-5)
-        apart, size = (energies[counted] @ np.abs(values) ** 2 for values in (near - exact, exact))
+        difference, size = (energies[counted] @ np.abs(values) ** 2 for values in (near - exact, exact))
         # Far off there is nothing but the integral's own error
-        return float(np.sqrt(apart / np.maximum(size, FAR**2 * size[0])).max())
+        return float(np.sqrt(difference / np.maximum(size, FAR**2 * size[0])).max())
 
     return change

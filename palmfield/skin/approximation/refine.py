@@ -1,4 +1,4 @@
-"""How fine an implicit solution must be, and how far it then is from the converged one: coarser runs tell.
+"""How fine a solution by wedges must be, and how far it then is from the converged one: coarser runs tell.
 
 Errors fall by a power of the size of steps and elements, so that two of them show what is left (Richardson).
 """
@@ -9,14 +9,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from palmfield.skin.mesh.body_mesh import Sizes, rows_of
-from palmfield.skin.problem import Body, Layer, Slab
+from palmfield.skin.approximation.richardson import error_of_coarser, error_of_finer, largest_share
+from palmfield.skin.mesh.body_mesh import Sizes, graded_fractions
+from palmfield.skin.mesh.rows import rows_of
+from palmfield.skin.problem import Body, Layer, Slab, depth_of
 from palmfield.types import Float
 
 RATIO = 4.0 / 3.0
 """Element sizes of the coarser over those of the finer mesh; a layer's triangles are quartered, so there it is 2."""
 MESH_ORDER = 2.0
-"""Between such meshes the disc's errors fall with an order of 2.5 to 4; 3 told too small an error in a test."""
+"""Between such meshes the disc's errors fall with an order of 2.5 to 4; 3 claimed too small an error in a test."""
 FINEST_RATIO = 2.0
 """Largest ratio of the sizes of one mesh and the next finer."""
 LEAST_MORE = 1.1
@@ -24,11 +26,12 @@ LEAST_MORE = 1.1
 SHRINK = 0.7
 """Extent of the smaller of two endless slabs."""
 WIDER = 2.0
-"""Their difference over the error of the wider one, at least. For the palm preset, 12 mm, at 200 Hz under and 20 mm
-beside a spot it is 3 to 5 once the meshes agree."""
+"""Safety factor: the difference between the two domain sizes divided by the true error of the larger one. Measured 3 to
+5 (palm preset, 12 mm, at 200 Hz, under and 20 mm beside a spot, once the meshes agree); we use 2."""
 BELT = 1.0
-"""Error by an absorbing layer's sides over the difference from one without the belt along them, see extent."""
-UNTOLD = 1.0
+"""Error by an absorbing layer's sides over the difference from one without the belt along them, see
+trim_absorbing_rim."""
+UNKNOWN = 1.0
 """That error where load or points lie so near the sides that nothing can be taken away."""
 MOST_DOFS = 400_000
 """Above this the factors of the matrix take more than 10 GB."""
@@ -36,18 +39,17 @@ ROUNDS = 3
 
 
 @dataclass(frozen=True)
-class Numerics:
-    """Sizes of the mesh, step [s], spectral radius at infinite frequency, and device."""
+class Discretisation:
+    """Sizes of the mesh, step [s], and spectral radius at infinite frequency."""
 
     sizes: Sizes
     step_s: float
     rho_inf: float
-    device: str
 
 
 @dataclass(frozen=True)
-class Answer:
-    """Displacement [m] and velocity [m/s] at the asked times and points, (t, n, 3), and the mesh's numbers."""
+class MeshSolution:
+    """Displacement [m] and velocity [m/s] at the requested times and points, (t, n, 3), and the mesh's numbers."""
 
     displacement: Float
     velocity: Float
@@ -57,10 +59,10 @@ class Answer:
 
 
 @dataclass(frozen=True)
-class Settled:
-    """The finest answer, its sizes, and what other meshes, rows in depth and extents say of its error."""
+class ConvergedSolution:
+    """The finest solution, its sizes, and what other meshes, rows in depth and extents say of its error."""
 
-    fine: Answer
+    fine: MeshSolution
     sizes: Sizes
     mesh_error: float
     rows_error: float
@@ -78,13 +80,16 @@ class Settled:
         )
 
 
-def settle(
-    body: Body, now: Numerics, run: Callable[..., Answer], coarse: Answer, accuracy: float, pinned: bool
-) -> Settled:
+Run = Callable[..., MeshSolution]
+"""(discretisation, element factor, extent factor) -> MeshSolution"""
+
+
+def refine_until_converged(
+    body: Body, now: Discretisation, run: Run, coarse: MeshSolution, accuracy: float, pinned: bool
+) -> ConvergedSolution:
     """Widen what absorbs, then add rows, then refine, until the errors fit the accuracy; at most ROUNDS times each.
 
-    run: (numerics, element factor, extent factor) -> Answer; coarse: that of now, one mesh coarser
-    pinned: neither widen nor refine, only tell the errors
+    coarse: the solution of `now`, one mesh coarser; pinned: neither widen nor refine, only estimate the errors
     """
     reach_error = 0.0
     if isinstance(body, Slab) and (body.shape == "infinite" or body.side == "absorbing"):
@@ -97,12 +102,11 @@ def settle(
             reach_error, coarse = difference(wider, coarse) / WIDER, wider
     elif isinstance(body, Layer) and body.side == "absorbing":
         smaller = run(now, ratio_of(body, now.sizes), SHRINK)
-        # The same triangles: nothing could be taken away
-        told = smaller.triangles < coarse.triangles
-        reach_error = BELT * difference(coarse, smaller) if told else UNTOLD
-    now, coarse, rows_error = deepen(body, now, run, coarse, accuracy, pinned)
+        # The same triangles: nothing could be taken away.
+        reach_error = BELT * difference(coarse, smaller) if smaller.triangles < coarse.triangles else UNKNOWN
+    now, coarse, rows_error = refine_in_depth(body, now, run, coarse, accuracy, pinned)
     fine = run(now)
-    mesh_error = richardson(coarse, fine)
+    mesh_error = error_by_meshes(coarse, fine)
     for _ in range(ROUNDS):
         room = min(FINEST_RATIO, (MOST_DOFS / fine.dofs) ** (1.0 / 3.0))
         # Rounded, so that another unit of load does not make another mesh
@@ -111,17 +115,18 @@ def settle(
             break
         now, coarse = replace(now, sizes=resized(now.sizes, 1.0 / ratio, 1.0)), fine
         fine = run(now)
-        mesh_error = richardson(coarse, fine)
-    return Settled(fine, now.sizes, mesh_error, rows_error, reach_error)
+        mesh_error = error_by_meshes(coarse, fine)
+    return ConvergedSolution(fine, now.sizes, mesh_error, rows_error, reach_error)
 
 
-def deepen(
-    body: Body, now: Numerics, run: Callable[..., Answer], coarse: Answer, accuracy: float, pinned: bool
-) -> tuple[Numerics, Answer, float]:
-    """Add rows in depth until their error fits; numerics, their coarse answer and that error.
+def refine_in_depth(
+    body: Body, now: Discretisation, run: Run, coarse: MeshSolution, accuracy: float, pinned: bool
+) -> tuple[Discretisation, MeshSolution, float]:
+    """Add rows in depth until their error fits; the discretisation, its coarse solution and that error.
 
-    Two meshes of a thin layer both have the fewest rows there are: their difference says nothing of the depth. Where
-    the finer one has more rows it does, and the error here is 0.
+    On thin layers both meshes use the minimum number of element rows, so comparing them does not measure the
+    through-thickness error. This function adds rows until it does. Where the finer mesh has more rows than the coarser
+    one it does already, and the error here is 0.
     """
     error = 0.0
     for _ in range(ROUNDS):
@@ -136,32 +141,31 @@ def deepen(
             thin = replace(now, sizes=replace(now.sizes, row_m=row, deepest_row_m=deepest))
         deeper = run(thin, ratio)
         more = max(deeper.rows / coarse.rows, LEAST_MORE)
-        gap = difference(deeper, coarse)
-        error = gap / (1.0 - more**-MESH_ORDER)
+        change = difference(deeper, coarse)
+        error = error_of_coarser(change, more, MESH_ORDER)
         if pinned or error <= 0.3 * accuracy:
             break
-        now, coarse, error = thin, deeper, gap / (more**MESH_ORDER - 1.0)
+        now, coarse, error = thin, deeper, error_of_finer(change, more, MESH_ORDER)
     return now, coarse, error
 
 
-def richardson(coarse: Answer, fine: Answer) -> float:
+def error_by_meshes(coarse: MeshSolution, fine: MeshSolution) -> float:
     """Error of the finer of two meshes from their difference, at MESH_ORDER and the edges that they really have."""
     ratio = max(math.sqrt(fine.triangles / coarse.triangles), LEAST_MORE)
-    return difference(fine, coarse) / (ratio**MESH_ORDER - 1.0)
+    return error_of_finer(difference(fine, coarse), ratio, MESH_ORDER)
 
 
-def difference(answer: Answer, other: Answer) -> float:
+def difference(solution: MeshSolution, other: MeshSolution) -> float:
     """Relative difference of the displacement, L2 over times, the largest of the points that move at all.
 
     At one time only, two meshes may agree at a point by chance: half of the largest difference of all points, in
     metres, is then the least for each.
     """
-    size = np.linalg.norm(answer.displacement, axis=(0, 2))
-    apart = np.linalg.norm(answer.displacement - other.displacement, axis=(0, 2))
-    if len(answer.displacement) == 1:
-        apart = np.maximum(apart, 0.5 * apart.max(initial=0.0))
-    moving = size > 1e-9 * size.max(initial=0.0)
-    return float((apart[moving] / size[moving]).max(initial=0.0))
+    size = np.linalg.norm(solution.displacement, axis=(0, 2))
+    change = np.linalg.norm(solution.displacement - other.displacement, axis=(0, 2))
+    if len(solution.displacement) == 1:
+        change = np.maximum(change, 0.5 * change.max(initial=0.0))
+    return largest_share(change, size)
 
 
 def ratio_of(body: Body, sizes: Sizes) -> float:
@@ -172,9 +176,5 @@ def resized(sizes: Sizes, factor: float, reach: float) -> Sizes:
     return replace(sizes.scaled(factor), reach_m=reach * sizes.reach_m, ring_m=reach * sizes.ring_m)
 
 
-def depth_of(body: Body) -> float:
-    return float(np.median(body.patch.depth)) if isinstance(body, Layer) else body.thickness_m
-
-
 def rows_below(body: Body, sizes: Sizes) -> int:
-    return len(rows_of(body.sheets, depth_of(body), sizes.row_m, sizes.deepest_row_m)[1])
+    return len(rows_of(body.sheets, graded_fractions(depth_of(body), sizes.row_m, sizes.deepest_row_m))[1])

@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 
 from palmfield.hand.remesh import outward
 from palmfield.hand.triangles import face_components
-from palmfield.skin.approximation.estimate import load_centre
+from palmfield.skin.approximation.load_scales import load_centre
 from palmfield.skin.approximation.truncate_domain import part_of
 from palmfield.skin.problem import Body, Layer, Load, Spot
 from palmfield.types import Float
@@ -28,10 +28,10 @@ def refusal_of_spot(body: Body, load: Load) -> str | None:
     return None
 
 
-def extent(body: Body, load: Load, points: Float, reach: float) -> Body:
+def trim_absorbing_rim(body: Body, load: Load, points: Float, reach: float) -> Body:
     """A layer without a belt along its rim, (1 - reach) of the way from the load's middle to there wide; others whole.
 
-    The belt ends half way to the load's path and the asked points (n, 3) where these are nearer. A layer from which
+    The belt ends half way to the load's path and the requested points (n, 3) where these are nearer. A layer from which
     nothing can be taken so comes back whole.
     """
     if reach == 1.0 or not isinstance(body, Layer):

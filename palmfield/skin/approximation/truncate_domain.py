@@ -1,4 +1,7 @@
-"""The part of a layer that a load and the asked points notice: a thin layer on bone hardly moves beside the spot."""
+"""The part of a layer that matters to a load and the requested points.
+
+A thin layer on bone hardly moves beside the spot.
+"""
 
 import math
 from dataclasses import replace
@@ -11,22 +14,22 @@ from palmfield.errors import SceneError
 from palmfield.hand.triangles import face_components
 from palmfield.skin.analytic.layer_oracle import centre_responses
 from palmfield.skin.approximation.bands import bands, course_moves, resonance
-from palmfield.skin.approximation.estimate import load_width
+from palmfield.skin.approximation.load_scales import load_width
 from palmfield.skin.materials.material import shear_wave
 from palmfield.skin.problem import Body, Layer, Load, Spot
 from palmfield.types import Float, Int, Patch
 
 SHARE = 0.1
-"""Part of the wanted accuracy that the cut edge may take."""
+"""Part of the target accuracy that the cut edge may take."""
 
 FURTHEST = 20.0
 """Distance in widths of the load up to which the decay is looked for."""
 
 
-def crop(body: Body, load: Load, end_s: float, at: Float, accuracy: float) -> tuple[Body, Load, float]:
-    """A body's part around the load's path and the asked points, the load on it, and what leaving out the rest changes.
+def truncate_domain(body: Body, load: Load, end_s: float, at: Float, accuracy: float) -> tuple[Body, Load, float]:
+    """A body's part around the load's path and the points, the load on it, and what leaving out the rest changes.
 
-    end_s: last asked time [s]; at: asked points [m], shape (n, 2) or (n, 3); accuracy: wanted relative error
+    end_s: last requested time [s]; at: requested points [m], shape (n, 2) or (n, 3); accuracy: target relative error
     A layer of one sheet bonded to bone is cut where the flat endless layer of its greatest depth
     (palmfield.skin.analytic.layer_oracle) says that the edge changes the motion by SHARE of the accuracy; see `reach`.
     Other bodies, layers almost without loss, and those that need their whole patch come back as they are, with 0.
@@ -34,22 +37,22 @@ def crop(body: Body, load: Load, end_s: float, at: Float, accuracy: float) -> tu
     if not isinstance(body, Layer) or len(body.sheets) != 1 or body.base != "bonded":
         return body, load, 0.0
     try:
-        found = reach(body, load, end_s, accuracy)
+        result = reach(body, load, end_s, accuracy)
     except SceneError:
         # Waves that nothing damps: they reach everything
-        found = None
-    if found is None:
+        result = None
+    if result is None:
         return body, load, 0.0
-    distance, change = found
+    distance, change = result
     patch = body.patch
     path = load.centres() if isinstance(load, Spot) else load.points[np.any(load.pressure_Pa != 0.0, axis=0), :2]
-    asked = np.asarray(at, dtype=float)[:, :2]
+    requested = np.asarray(at, dtype=float)[:, :2]
     here = patch.vertices[:, :2]
-    away = cKDTree(np.concatenate([path, asked])).query(here)[0]
+    away = cKDTree(np.concatenate([path, requested])).query(here)[0]
     inside = away <= distance
-    if len(path) == 0 or cKDTree(path).query(asked)[0].max() > distance:
+    if len(path) == 0 or cKDTree(path).query(requested)[0].max() > distance:
         # Points farther off move by what gets there on a straight way
-        marks = np.concatenate([path, asked])
+        marks = np.concatenate([path, requested])
         inside = np.all((here >= marks.min(axis=0) - distance) & (here <= marks.max(axis=0) + distance), axis=1)
     kept = inside[patch.faces].any(axis=1)
     if kept.all() or not kept.any() or face_components(patch.faces[kept]).max() > 0:

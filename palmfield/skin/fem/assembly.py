@@ -11,9 +11,9 @@ from scipy import sparse
 from palmfield.device import resolve
 from palmfield.errors import SceneError
 from palmfield.skin.fem.absorbing import side_dashpots
-from palmfield.skin.fem.element import corner_slopes, displacement_shape, prism_rule, volume_basis
 from palmfield.skin.fem.foundation import BaseFace, Foundation, placed, rim_dashpots, sheet_mass, sheet_stiffness
 from palmfield.skin.materials.material import Material
+from palmfield.skin.mesh.element import corner_slopes, displacement_shape, prism_rule, volume_basis
 from palmfield.skin.mesh.ordering import dissection_order
 from palmfield.skin.mesh.wedges import WedgeMesh
 from palmfield.skin.problem import Springs

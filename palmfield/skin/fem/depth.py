@@ -3,6 +3,11 @@
 u_x = i a(z) e^{ikx}, u_z = b(z) e^{ikx} make all matrices real and symmetric in (a, b):
 int (K - 2/3 mu) (b' - k a)^2 + 2 mu (k^2 a^2 + b'^2) + mu (a' + k b)^2 - rho w^2 (a^2 + b^2) dz. In the K term a is
 projected on polynomials of one degree less, those of b': the volume then doesn't lock at any degree.
+
+Unknowns are the displacement of a sheet's top and its rise from there down, never that of both ends: what moves the
+whole depth together then strains it by nothing at all. Between two ends it is a difference of moduli over heights, in
+which thin free sheets under long slow waves drown: their inertia is 1e-10 of them, their loss less. Rounding made that
+loss negative, by up to 3e-5 of the impedance, so that such a foundation gave energy.
 """
 
 import functools
@@ -22,7 +27,7 @@ REACH = 5.0
 
 
 def condensed(k: Float, f_Hz: float, sheets: Sequence[Sheet], degree: int | None = None) -> Complex:
-    """Dynamic stiffness of sheets by (a, b) on their top, then (a, b) on their bottom [Pa/m], shape (n, 4, 4).
+    """Dynamic stiffness of sheets [Pa/m], shape (n, 4, 4): by (a, b) on their top, then by their rise to the bottom.
 
     k: wavenumbers [rad/m], > 0, shape (n,); f_Hz: >= 0, under e^{-i w t}; sheets: the first on top
     degree: of one polynomial for each sheet; None for as many pieces of DEGREE as make it exact
@@ -43,13 +48,16 @@ def impedance(
 ) -> Complex:
     """Traction by displacement (a, b) on the top of sheets on a base [Pa/m], shape (n, 2, 2); see condensed."""
     matrix = condensed(k, f_Hz, sheets, degree)
-    held = {"bonded": [], "free_slip": [2], "free": [2, 3]}
-    moving = [2, 3] if isinstance(base, Springs) else held[base]
     if isinstance(base, Springs):
         s = -2j * math.pi * f_Hz
-        matrix[:, 2, 2] += base.tangential_Pa_m + base.tangential_Pa_s_m * s
-        matrix[:, 3, 3] += base.normal_Pa_m + base.normal_Pa_s_m * s
-    return _without(matrix, moving)[:, :2, :2]
+        rates = [base.tangential_Pa_m + base.tangential_Pa_s_m * s, base.normal_Pa_m + base.normal_Pa_s_m * s]
+        return _without(_on(matrix, np.diag(rates)), [2, 3])
+    # A bottom that is held rises by minus the top's displacement.
+    rising = {"bonded": [], "free_slip": [0], "free": [0, 1]}[base]
+    moved = np.concatenate([np.eye(2), -np.eye(2)])
+    moved[[2 + i for i in rising]] = 0.0
+    shape = np.concatenate([moved, np.eye(4)[:, [2 + i for i in rising]]], axis=1)
+    return _without(shape.T @ matrix @ shape, range(2, 2 + len(rising)))
 
 
 def surface_compliance(k: Float, f_Hz: float, sheets: Sequence[Sheet], base: BaseKind | Springs = "bonded") -> Complex:
@@ -59,16 +67,19 @@ def surface_compliance(k: Float, f_Hz: float, sheets: Sequence[Sheet], base: Bas
 
 def on_impedance(upper: Complex, below: Complex) -> Complex:
     """Normal compliance of the top of sheets of condensed stiffness (n, 4, 4) on an impedance (n, 2, 2), shape (n,)."""
-    total = upper.copy()
-    total[:, 2:, 2:] += below
-    return np.linalg.inv(total)[:, 1, 1].astype(complex)
+    return np.linalg.inv(_on(upper, below))[:, 1, 1].astype(complex)
+
+
+def _on(upper: Complex, below: Complex) -> Complex:
+    """Condensed stiffness of sheets (n, 4, 4) with an impedance (2, 2) or (n, 2, 2) at their bottom."""
+    return upper + np.tile(below, (2, 2))
 
 
 def _joined(upper: Complex, lower: Complex) -> Complex:
-    total = np.zeros((len(upper), 6, 6), dtype=complex)
-    total[:, :4, :4] += upper
-    total[:, 2:, 2:] += lower
-    return _without(total, [2, 3])
+    """Condensed stiffness of sheets on sheets. Unknowns on the way: the top, the whole rise, the lower sheets' rise."""
+    one, none = np.eye(2), np.zeros((2, 2))
+    above, below = np.block([[one, none, none], [none, one, -one]]), np.block([[one, one, -one], [none, none, one]])
+    return _without(above.T @ upper @ above + below.T @ lower @ below, [4, 5])
 
 
 def _without(matrix: Complex, inner: Sequence[int]) -> Complex:
@@ -82,7 +93,7 @@ def _without(matrix: Complex, inner: Sequence[int]) -> Complex:
 def _piece(k: Float, f_Hz: float, material: Material, h: float, degree: int) -> Complex:
     """Condensed stiffness of one polynomial piece of height h [m], shape (n, 4, 4)."""
     shear, bulk = complex_shear(material, f_Hz), complex_bulk(material, f_Hz)
-    mass, slope, mixed, projected = line_matrices(degree, h)
+    mass, slope, mixed, projected = _by_rise(degree, h)
     # z points up while nodes run down: a derivative by z is minus one by depth.
     wave = k[:, None, None]
     lame = bulk - 2.0 / 3.0 * shear
@@ -95,6 +106,17 @@ def _piece(k: Float, f_Hz: float, material: Material, h: float, degree: int) -> 
     inner = np.setdiff1d(np.arange(2 * degree + 2), ends)
     order = np.concatenate([ends, inner])
     return _without(total[:, order][:, :, order], np.arange(4, 2 * degree + 2).tolist())
+
+
+def _by_rise(degree: int, h: float) -> tuple[Float, Float, Float, Float]:
+    """line_matrices with the constant 1 for the first function: the others then weigh rises from the top."""
+    whole = np.eye(degree + 1)
+    whole[:, 0] = 1.0
+    mass, slope, mixed, projected = (whole.T @ matrix @ whole for matrix in line_matrices(degree, h))
+    # What the derivative of 1 makes nothing of, and the others' integral: 1 for the lowest, which ends at 1.
+    slope[0], slope[:, 0], mixed[:, 0] = 0.0, 0.0, 0.0
+    mixed[0, 1:] = np.arange(1, degree + 1) == degree
+    return mass, slope, mixed, projected
 
 
 @functools.lru_cache(maxsize=64)

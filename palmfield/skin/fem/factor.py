@@ -32,11 +32,6 @@ class Factor:
         """Numbers in both triangular factors."""
         return int(self._lu.nnz)
 
-    def singular(self) -> bool:
-        """Whether a pivot has lost all but round-off of its diagonal element."""
-        pivots = np.abs(self._lu.U.diagonal())[self._lu.perm_c]
-        return not bool(np.all(pivots > 1e-11 * np.abs(self._diagonal)))
-
     def solve(self, right: Any) -> Any:
         """The solution, shape (n,) or (n, k), of matrix @ solution = right; complex where either is."""
         order = self._order

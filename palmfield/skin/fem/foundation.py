@@ -30,8 +30,8 @@ from scipy.special import j0
 from palmfield.errors import SceneError
 from palmfield.skin.fem.absorbing import match_speed, rim_edges, scatter
 from palmfield.skin.fem.depth import condensed, impedance, line_matrices, on_impedance
-from palmfield.skin.fem.element import triangle_rule, triangle_shape, triangle_slopes
 from palmfield.skin.materials.material import Material
+from palmfield.skin.mesh.element import triangle_rule, triangle_shape, triangle_slopes
 from palmfield.skin.mesh.wedges import WedgeMesh
 from palmfield.skin.problem import BaseKind, Foundation, Sheet, Springs, spread
 from palmfield.types import Float
@@ -148,7 +148,7 @@ def fit_foundation(
     fwhm_m: float | Sequence[float] = WIDTHS_M,
     base: BaseKind | Springs = "bonded",
     frequencies_Hz: Sequence[float] = FREQUENCIES_Hz,
-    wanted: float = 0.05,
+    target: float = 0.05,
 ) -> Foundation:
     """The foundation of lowest degree that replaces the sheets `below` under the meshed sheets `above`.
 
@@ -169,16 +169,16 @@ def fit_foundation(
     cases = [_Case(above, below, base, float(width), f) for f in frequencies_Hz for width in widths]
     misfit = np.zeros(len(frequencies_Hz))
     for degree in range(1, MOST_DEGREE + 1):
-        found = Foundation(tuple(below), base, degree)
-        misfit = np.array([case.misfit(found) for case in cases]).reshape(len(frequencies_Hz), -1).max(axis=1)
-        if misfit.max() <= wanted:
+        result = Foundation(tuple(below), base, degree)
+        misfit = np.array([case.misfit(result) for case in cases]).reshape(len(frequencies_Hz), -1).max(axis=1)
+        if misfit.max() <= target:
             return Foundation(
                 tuple(below), base, degree, tuple(frequencies_Hz), tuple(float(x) for x in misfit)
             )  # fmt: skip
     worst = int(np.argmax(misfit))
     raise SceneError(
         f"foundation: at degree {MOST_DEGREE} it still misses by {100 * misfit[worst]:.3g} % at "
-        f"{frequencies_Hz[worst]:g} Hz, {100 * wanted:g} % are wanted: mesh more of the depth, or give the part below "
+        f"{frequencies_Hz[worst]:g} Hz, {100 * target:g} % are wanted: mesh more of the depth, or give the part below "
         "as several sheets"
     )
 
@@ -200,5 +200,7 @@ class _Case:
         self.exact = self.transform @ on_impedance(self.upper, impedance(self.k, f_Hz, below, base))
 
     def misfit(self, foundation: Foundation) -> float:
-        found = self.transform @ on_impedance(self.upper, foundation.impedance(self.k, self.f_Hz))
-        return float((np.abs(found - self.exact) / np.abs(self.exact)).max())
+        result = self.transform @ on_impedance(
+            self.upper, impedance(self.k, self.f_Hz, foundation.sheets, foundation.base, foundation.degree)
+        )
+        return float((np.abs(result - self.exact) / np.abs(self.exact)).max())

@@ -2,6 +2,8 @@
 
 import itertools
 import math
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -9,10 +11,11 @@ from scipy.spatial import Delaunay, cKDTree
 
 from palmfield.errors import SceneError
 from palmfield.skin.fem.assembly import SkinSystem
-from palmfield.skin.fem.element import triangle_rule, triangle_shape
-from palmfield.skin.mesh.surface import SurfaceProbe
+from palmfield.skin.fem.probe import SurfaceProbe
+from palmfield.skin.mesh.element import triangle_rule, triangle_shape
 from palmfield.skin.mesh.wedges import WedgeMesh
 from palmfield.skin.problem import GAUSSIAN, Load, Spot, Traction
+from palmfield.skin.stepper import SurfaceLoads
 from palmfield.types import Float, Int
 
 MOST_HALVINGS = 4
@@ -106,8 +109,8 @@ def sampled(mesh: WedgeMesh, system: SkinSystem, load: Traction) -> sparse.csr_m
     corners = mesh.nodes[mesh.surface_triangles6[:, :3]]
     under = np.unique(probe.triangles)
     edge = float(np.linalg.norm(corners[under] - np.roll(corners[under], 1, axis=1), axis=2).mean())
-    apart = math.sqrt(float(np.median(load.weights_m2)))
-    halvings = int(np.clip(math.ceil(math.log2(max(0.5 * edge / apart, 1.0))), 0, MOST_HALVINGS))
+    difference = math.sqrt(float(np.median(load.weights_m2)))
+    halvings = int(np.clip(math.ceil(math.log2(max(0.5 * edge / difference, 1.0))), 0, MOST_HALVINGS))
     middles = corners.mean(axis=1)
     size = np.linalg.norm(corners - middles[:, None], axis=2).max(axis=1)
     near = cKDTree(points).query(middles)[0] <= size + longest.max()
@@ -142,8 +145,9 @@ def beyond_rim(net: Delaunay, spacing: Float) -> tuple[Int, Float]:
 
 
 class PressureHistory:
-    """The force of a load on a layer as time goes on.
+    """The pressure of a load on a layer as time goes on.
 
+    operator: csr, shape (n, q): consistent nodal force [N] = operator @ pressure at the load's points [Pa]
     knots_s: the load's own times [s]
     Raises SceneError for a load whose points lie off the surface.
     """
@@ -151,20 +155,33 @@ class PressureHistory:
     def __init__(self, load: Load, mesh: WedgeMesh, system: SkinSystem) -> None:
         self.load = load
         self.knots_s = np.asarray(load.times_s, dtype=float)
+        self._shape: Float | None = None
         if isinstance(load, Spot):
             quadrature = SurfaceQuadrature(mesh, system)
             self.points, self.operator = quadrature.points, quadrature.operator
             self.centres = load.centres()
+            if not np.ptp(self.centres, axis=0).any():
+                # A spot at rest is one pattern that grows and falls.
+                self._shape = self._bell(self.centres[0])
         else:
             self.operator = sampled(mesh, system, load)
-        self._still: Float | None = None
 
-    def force(self, start_s: float, end_s: float) -> tuple[Float, Float]:
-        """Forces [N], (n,), at the ends of a step whose straight line has the load's own impulse and first moment.
+    def loads(self, clock: Float) -> SurfaceLoads:
+        """The loads of the substeps between rising times [s], (s + 1,), for a stepper with `operator` as its inputs.
 
-        Where the load itself is a straight line over the step, that is the load; a jump or a bend inside the step keeps
-        its effect to second order. Two Gauss points between knots: exact for linear pressure.
+        Each substep's straight line has the load's own impulse and first moment. Where the load itself is a straight
+        line over the substep, that is the load; a jump or a bend inside it keeps its effect to second order.
         """
+        course = self._weight if self._shape is not None else self.pressure
+        ends = [self._ends(course, *step) for step in itertools.pairwise(clock.tolist())]
+        if self._shape is not None:
+            first, last = np.array(ends).T[..., None]
+            return SurfaceLoads(self._shape[None, None], first[None], last[None])
+        unit = np.eye(2 * len(ends))[None]
+        return SurfaceLoads(np.array(ends).reshape(1, 2 * len(ends), -1), unit[:, ::2], unit[:, 1::2])
+
+    def _ends(self, course: Callable[[float], Any], start_s: float, end_s: float) -> tuple[Any, Any]:
+        """The course at both ends of a substep. Two Gauss points between knots: exact for a linear one."""
         inside = self.knots_s[(self.knots_s > start_s) & (self.knots_s < end_s)]
         edges = np.concatenate([[start_s], inside, [end_s]])
         first = last = 0.0
@@ -172,10 +189,10 @@ class PressureHistory:
             for node in (-1.0, 1.0):
                 t = 0.5 * (a + b) + 0.5 * (b - a) * node / math.sqrt(3.0)
                 share, x = 0.5 * (b - a) / (end_s - start_s), (t - start_s) / (end_s - start_s)
-                pressure = self.pressure(t)
-                first = first + share * (4.0 - 6.0 * x) * pressure
-                last = last + share * (6.0 * x - 2.0) * pressure
-        return self.operator @ first, self.operator @ last
+                value = course(t)
+                first = first + share * (4.0 - 6.0 * x) * value
+                last = last + share * (6.0 * x - 2.0) * value
+        return first, last
 
     def final_force(self) -> Float:
         """Force [N], (n,), of the load after its last time."""
@@ -183,19 +200,26 @@ class PressureHistory:
 
     def pressure(self, t: float) -> Float:
         """Pressure [Pa] at the load's points at time t [s]; 0 before the first time, at rest after the last."""
+        if self._shape is not None:
+            return self._weight(t) * self._shape
+        weights = self._knot_weights(t)
+        if isinstance(self.load, Traction):
+            return weights @ np.asarray(self.load.pressure_Pa)
+        return float(weights @ np.asarray(self.load.peak_Pa)) * self._bell(weights @ self.centres)
+
+    def _weight(self, t: float) -> float:
+        """Peak [Pa] of a spot at time t [s]."""
+        assert isinstance(self.load, Spot)
+        return float(self._knot_weights(t) @ np.asarray(self.load.peak_Pa))
+
+    def _knot_weights(self, t: float) -> Float:
+        """Weight of the load at each of its own times at time t [s], shape (f,)."""
         place, share = self._between(t)
         weights = np.zeros(len(self.knots_s))
         if place >= 0:
             weights[place] += 1.0 - share
             weights[min(place + 1, len(weights) - 1)] += share
-        if isinstance(self.load, Traction):
-            return weights @ np.asarray(self.load.pressure_Pa)
-        peak = float(weights @ np.asarray(self.load.peak_Pa))
-        if len(self.centres) == 1 or not np.ptp(self.centres, axis=0).any():
-            if self._still is None:
-                self._still = self._bell(self.centres[0])
-            return peak * self._still
-        return peak * self._bell(weights @ self.centres)
+        return weights
 
     def _bell(self, centre: Float) -> Float:
         assert isinstance(self.load, Spot)

@@ -1,19 +1,15 @@
 """Named skin materials, how sure their numbers are, and the layered skin of the hand.
 
 `preset(name)` gives a Material; `CATALOGUE` has, beside it, the range of its numbers and the measurements with which
-`misfits` compares it. docs/materials.md is made from these.
+`palmfield.skin.analytic.observed.misfits` compares it. docs/materials.md is made from these.
 """
 
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-import numpy as np
-
 from palmfield.errors import SceneError
-from palmfield.skin.analytic.layer_oracle import centre_response
-from palmfield.skin.materials.dispersion import describe
-from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson, complex_shear, kelvin_voigt, prony
-from palmfield.skin.problem import Sheet
+from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson, kelvin_voigt, prony
+from palmfield.skin.materials.sheet import Sheet
 
 Quantity = Literal["surface speed", "shear speed", "decay", "storage in compression"]
 UNITS: dict[str, str] = {"surface speed": "m/s", "shear speed": "m/s", "decay": "1", "storage in compression": "Pa"}
@@ -58,24 +54,6 @@ class Preset:
     material: Material
     ranges: tuple[Range, ...] = ()
     observations: tuple[Observation, ...] = ()
-
-
-def model(material: Material, observation: Observation) -> float:
-    """What the material gives where the observation was made, in the observation's unit."""
-    f = observation.f_Hz
-    if observation.quantity == "surface speed":
-        return describe(material, f).rayleigh_speed_m_s
-    if observation.quantity == "shear speed":
-        return describe(material, f).shear_speed_m_s
-    if observation.quantity == "storage in compression":
-        return 3.0 * complex_shear(material, f).real
-    near, far = np.abs(centre_response(f, material, observation.depth_m, 0.010, at=np.array([0.005, 0.040])))
-    return float(far / near)
-
-
-def misfits(entry: Preset) -> list[float]:
-    """model / value - 1 of each observation of a preset."""
-    return [model(entry.material, seen) / seen.value - 1.0 for seen in entry.observations]
 
 
 MANFREDI = "Manfredi et al. 2012, PLoS ONE 7:e31203"

@@ -74,7 +74,7 @@ def fit_prony(f_Hz: Float, storage_Pa: Float, loss_Pa: Float, branches: int) -> 
     for margin in (0.0, 1.0, 2.0):
         start = np.linspace(shortest - margin, longest + margin, branches + 2)[1:-1]
         tries.append(least_squares(lambda logs: stiffness(logs)[1], start, bounds=bounds, xtol=1e-12, ftol=1e-12))
-    best = min(tries, key=lambda found: found.cost)
+    best = min(tries, key=lambda result: result.cost)
     logs = np.sort(best.x)
     moduli, residual = stiffness(logs)
     return PronyFit(
@@ -127,5 +127,5 @@ def fractional(
         raise SceneError(f"material '{name}': band is {low} to {high} Hz; give 0 < low < high")
     f = np.geomspace(low, high, 1 + math.ceil(20.0 * math.log10(high / low)))
     shear = modulus(f)
-    found = fit_prony(f, shear.real, -shear.imag, branches)
-    return found.material(name, density_kg_m3, nu, source), found
+    result = fit_prony(f, shear.real, -shear.imag, branches)
+    return result.material(name, density_kg_m3, nu, source), result

@@ -1,17 +1,12 @@
-"""The mesh and the matrices of a slab or layer, for a wanted element size."""
+"""Patches and rows of elements of a slab or layer, for a wanted element size."""
 
 import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from palmfield.hand.remesh import remeshed
-from palmfield.skin.fem.absorbing import match_speed, sponge
-from palmfield.skin.fem.assembly import SkinSystem, assemble
-from palmfield.skin.materials.material import Material
 from palmfield.skin.mesh.disc import disc_patch
-from palmfield.skin.mesh.wedges import extrude
-from palmfield.skin.problem import Body, Layer, Sheet, Slab
+from palmfield.skin.problem import Slab
 from palmfield.types import Float, Patch
 
 GROWTH = 1.6
@@ -51,58 +46,17 @@ class Sizes:
         )  # fmt: skip
 
 
-def build(body: Body, sizes: Sizes) -> SkinSystem:
-    """Mesh and matrices. Raises SceneError for what they can't be made of, an inverted element among it."""
-    side = body.side or "absorbing"
-    if isinstance(body, Layer):
-        patch = body.patch
-        if sizes.remesh:
-            centre = np.asarray(sizes.centre_m, dtype=np.float64)
-            patch = remeshed(patch, centre, sizes.fine_m, sizes.coarse_m, sizes.fine_radius_m)
-        for _ in range(sizes.refinements):
-            patch = quartered(patch)
-        depth = float(np.median(patch.depth))
-        in_ring = None
-    else:
-        patch, in_ring = _slab_patch(body, sizes)
-        depth = body.thickness_m
-    fractions, materials = rows_of(body.sheets, depth, sizes.row_m, sizes.deepest_row_m)
-    mesh = extrude(patch, fractions)
-    damping = None
-    if side == "absorbing" and in_ring is not None:
-        damping = sponge(mesh, in_ring, sizes.ring_m, match_speed(materials[0], sizes.match_Hz))
-    return assemble(
-        mesh, materials, base=body.base, side=side, absorbing_Hz=sizes.match_Hz, sponge_1_s=damping
-    )  # fmt: skip
-
-
-def rows_of(
-    sheets: tuple[Sheet, ...], depth_m: float, row_m: float, deepest_row_m: float
-) -> tuple[Float, list[Material]]:
-    """Depth fractions of the rows of elements (L+1,), at least two, and the material of each; none crosses two sheets.
-
-    Rows grow by GROWTH from row_m at the surface to deepest_row_m; a sheet has at least one.
-    """
+def graded_fractions(depth_m: float, row_m: float, deepest_row_m: float) -> Float:
+    """Depth fractions of at least two rows of elements, (L+1,), growing by GROWTH from row_m to deepest_row_m [m]."""
     heights = [min(row_m, 0.5 * depth_m)]
     while sum(heights) < depth_m * (1.0 - 1e-9):
         heights.append(min(GROWTH * heights[-1], max(deepest_row_m, row_m)))
     if sum(heights) - depth_m > 0.5 * heights[-1] and len(heights) > 2:
         heights.pop()
-    edges = np.concatenate([[0.0], np.cumsum(heights)]) / sum(heights)
-    index = np.arange(len(edges), dtype=float)
-    total = sum(sheet.thickness_m for sheet in sheets)
-    fractions, materials = [0.0], []
-    for sheet in sheets:
-        first, last = np.interp([fractions[-1], fractions[-1] + sheet.thickness_m / total], edges, index)
-        count = max(1, round(last - first))
-        inner = np.interp(np.linspace(first, last, count + 1)[1:-1], index, edges)
-        fractions += [*inner.tolist(), fractions[-1] + sheet.thickness_m / total]
-        materials += [sheet.material] * count
-    fractions[-1] = 1.0
-    return np.array(fractions), materials
+    return np.concatenate([[0.0], np.cumsum(heights)]) / sum(heights)
 
 
-def _slab_patch(slab: Slab, sizes: Sizes) -> tuple[Patch, Float]:
+def slab_patch(slab: Slab, sizes: Sizes) -> tuple[Patch, Float]:
     """The slab's face, a ring round it where its sides absorb, and each vertex's distance into that ring [m]."""
     ring = sizes.ring_m if slab.shape == "infinite" or slab.side == "absorbing" else 0.0
     if slab.shape == "box":

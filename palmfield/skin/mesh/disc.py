@@ -29,8 +29,8 @@ def disc_patch(radius_m: float, thickness_m: float, fine_m: float, coarse_m: flo
     def edge(r: float) -> float:
         if r <= fine_radius_m:
             return fine_m
-        wanted = (coarse_m - fine_m) / (radius_m - fine_radius_m)
-        return fine_m + min(wanted, STEEPEST) * (r - fine_radius_m)
+        target = (coarse_m - fine_m) / (radius_m - fine_radius_m)
+        return fine_m + min(target, STEEPEST) * (r - fine_radius_m)
 
     # An equilateral ring is sqrt(3)/2 edges wide; stretch all rings alike so that the last one is the rim.
     radii = [0.0]

@@ -60,10 +60,10 @@ def _dissect(triangles: Int, middles: Float, piece: Int, pending: np.ndarray) ->
         for share in PLACES:
             count = min(max(1, round(share * len(piece))), len(piece) - 1)
             near, far = piece[along[:count]], piece[along[count:]]
-            beside = np.zeros(len(pending), dtype=bool)
-            beside[triangles[near]] = True
+            offset = np.zeros(len(pending), dtype=bool)
+            offset[triangles[near]] = True
             common = np.unique(triangles[far])
-            common = common[beside[common] & pending[common]]
+            common = common[offset[common] & pending[common]]
             # Uneven halves cost too.
             if len(common) * (1.0 + abs(share - 0.5)) < least:
                 least, parts, separator = len(common) * (1.0 + abs(share - 0.5)), (near, far), common

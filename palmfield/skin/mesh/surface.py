@@ -1,87 +1,9 @@
-"""Motion of the skin's surface, at its nodes and at points of one's choice."""
+"""A layer's surface and its whole boundary as flat triangles."""
 
 import numpy as np
-from scipy import sparse
-from scipy.spatial import cKDTree
-from trimesh.triangles import closest_point, points_to_barycentric
 
-from palmfield.errors import SceneError
-from palmfield.skin.fem.assembly import SkinSystem
-from palmfield.skin.fem.element import triangle_shape
 from palmfield.skin.mesh.wedges import WedgeMesh
 from palmfield.types import Float, Int
-
-
-class SurfaceProbe:
-    """Normal displacement at points of the skin.
-
-    points: positions [m], shape (n, 3); each is moved to the closest point of the surface
-    closest: those points [m], (n, 3); triangles: what they lie in, (n,); distance: how far each moved [m], (n,)
-    normals: outward normals there, (n, 3)
-    operator: csr, shape (n, free degrees of freedom): displacement along the outward normal = operator @ u
-    vectors: csr, shape (3 n, free degrees of freedom): displacement, three components a point = vectors @ u
-    Raises SceneError unless points is (n, 3) and finite.
-    """
-
-    def __init__(self, mesh: WedgeMesh, points: Float, system: SkinSystem) -> None:
-        points = np.asarray(points, dtype=float)
-        if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
-            raise SceneError(f"skin points have shape {points.shape}; give finite positions of shape (n, 3)")
-        corners = mesh.nodes[mesh.surface_triangles6[:, :3]]
-        triangle, self.closest = _closest(corners, points)
-        self.triangles = triangle
-        self.distance = np.linalg.norm(points - self.closest, axis=1)
-        barycentric = points_to_barycentric(corners[triangle], self.closest)
-        nodes = mesh.surface_triangles6[triangle]
-        shape = triangle_shape(barycentric[:, 1:])
-        normals = np.einsum("pi,pic->pc", shape, mesh.surface_normals()[nodes])
-        self.normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
-        rows = np.broadcast_to(np.arange(len(points))[:, None, None], (len(points), 6, 3))
-        values = shape[..., None] * self.normals[:, None, :]
-        nodal = sparse.coo_matrix(
-            (values.ravel(), (rows.ravel(), (3 * nodes[..., None] + np.arange(3)).ravel())),
-            shape=(len(points), 3 * len(mesh.nodes)),
-        )
-        self.operator = sparse.csr_matrix(nodal.tocsr() @ system.dof_map)
-        shares = sparse.coo_matrix(
-            (shape.ravel(), (np.repeat(np.arange(len(points)), 6), nodes.ravel())), shape=(len(points), len(mesh.nodes))
-        )
-        self.vectors = sparse.csr_matrix(sparse.kron(shares, sparse.identity(3)) @ system.dof_map)
-
-
-def _closest(corners: Float, points: Float) -> tuple[Int, Float]:
-    """Index of the closest triangle (n,) and the closest point on it (n, 3)."""
-    centroids = corners.mean(axis=1)
-    reach = np.linalg.norm(corners - centroids[:, None], axis=2).max()
-    tree = cKDTree(centroids)
-    nearest, _ = tree.query(points)
-    # The nearest centroid lies on the surface, so the closest triangle's own centroid is within `reach` of that far.
-    lists = tree.query_ball_point(points, nearest + reach)
-    counts = np.array([len(found) for found in lists])
-    candidates = np.concatenate([np.asarray(found, dtype=np.int64) for found in lists])
-    owner = np.repeat(np.arange(len(points)), counts)
-    # trimesh takes edges for reached within an absolute tolerance that is meant for millimetres.
-    spots = 1e-3 * closest_point(1e3 * corners[candidates], 1e3 * points[owner])
-    order = np.lexsort((np.linalg.norm(spots - points[owner], axis=1), owner))
-    first = order[np.concatenate(([0], np.cumsum(counts)[:-1]))]
-    return candidates[first].astype(np.int32), spots[first]
-
-
-def surface_motion(mesh: WedgeMesh, system: SkinSystem) -> sparse.csr_matrix:
-    """Operator (S, free degrees of freedom) giving the outward normal displacement at all S surface nodes."""
-    count = mesh.surface_nodes
-    rows = np.repeat(np.arange(count), 3)
-    nodal = sparse.coo_matrix(
-        (mesh.surface_normals().ravel(), (rows, np.arange(3 * count))), shape=(count, 3 * len(mesh.nodes))
-    )
-    return sparse.csr_matrix(nodal.tocsr() @ system.dof_map)
-
-
-def surface_vectors(mesh: WedgeMesh, system: SkinSystem) -> sparse.csr_matrix:
-    """Operator (3 S, free degrees of freedom) giving the displacement at all S surface nodes, x, y, z of each."""
-    count = 3 * mesh.surface_nodes
-    nodal = sparse.eye_array(count, 3 * len(mesh.nodes), format="csr")
-    return sparse.csr_matrix(nodal @ system.dof_map)
 
 
 def output_triangles(mesh: WedgeMesh) -> Int:

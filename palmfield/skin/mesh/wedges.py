@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from palmfield.errors import SceneError
-from palmfield.skin.fem.element import EDGES, corner_slopes, prism_rule
+from palmfield.skin.mesh.element import EDGES, corner_slopes, prism_rule
 from palmfield.types import Float, Int, Patch
 
 

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import block_diag
 
-from palmfield.skin.reduction.dynamic_stiffness import Pencil
+from palmfield.skin.reduction.dynamic_stiffness import DynamicStiffness
 from palmfield.types import Complex, Float
 
 Fade = tuple[tuple[float, float], ...]
@@ -81,21 +81,23 @@ def level(fade: Fade, times: Float) -> Float:
 class Krylov:
     """Vectors V, (n, r), orthonormal in the mass; `grow` adds a block.
 
-    pencil: the body; shift: sigma [1/s], > 0, where Z is factorised, once
+    dynamics: the body; shift: sigma [1/s], > 0, where Z is factorised, once
     load: force for one unit of each of j inputs, shape (n, j), for any course of each; or the one Course
-    products: each matrix of the pencil times V
+    products: each matrix of the dynamics times V
     """
 
-    def __init__(self, pencil: Pencil, shift: float, load: Float | Course) -> None:
-        self.pencil, self.shift = pencil, shift
-        self.factored = pencil.factor(shift)
-        self._vectors = np.empty((pencil.size, ROOM), order="F")
-        self._products = [np.zeros((pencil.size, ROOM), order="F") for _ in pencil.matrices]
-        self._small = np.zeros((len(pencil.matrices), 0, 0))
+    def __init__(self, dynamics: DynamicStiffness, shift: float, load: Float | Course) -> None:
+        self.dynamics, self.shift = dynamics, shift
+        self.factored = dynamics.factor(shift)
+        self._vectors = np.empty((dynamics.size, ROOM), order="F")
+        self._products = [np.zeros((dynamics.size, ROOM), order="F") for _ in dynamics.matrices]
+        self._small = np.zeros((len(dynamics.matrices), 0, 0))
         self.laws = [
             (part, ratio, time_s)
-            for part, material in enumerate(pencil.materials)
+            for part, material in enumerate(dynamics.materials)
             for ratio, time_s in zip(material.ratios, material.times_s, strict=True)
+            # A branch without stiffness or time carries nothing.
+            if ratio > 0.0 and time_s > 0.0
         ]
         count = 2 + len(self.laws)
         self._scales = np.array([shift, 1.0, *(shift for _ in self.laws)])
@@ -126,7 +128,7 @@ class Krylov:
 
     @property
     def projected(self) -> list[Float]:
-        """The pencil's matrices in these vectors, symmetric."""
+        """The dynamics's matrices in these vectors, symmetric."""
         return list(self._small)
 
     def _driven(self, load: Float) -> Float:
@@ -140,7 +142,7 @@ class Krylov:
         u, v, *internal = self._block
         mass, damping, _, *stiffness = self.products
         right = mass @ (v + shift * u) + damping @ u
-        for part, (product, material) in enumerate(zip(stiffness, self.pencil.materials, strict=True)):
+        for part, (product, material) in enumerate(zip(stiffness, self.dynamics.materials, strict=True)):
             share = material.viscous_time_s * u
             for (owner, ratio, tau), q in zip(self.laws, internal, strict=True):
                 if owner == part:
@@ -156,12 +158,12 @@ class Krylov:
         self._trim()
         return self.order - before
 
-    def _take(self, found: Float) -> Float:
+    def _take(self, result: Float) -> Float:
         """Coordinates (r, k) of columns (n, k), for which the basis grows by what is new in them."""
-        mass = self.pencil.matrices[0]
-        size = np.sqrt(np.einsum("nk,nk->k", found, mass @ found)).max(initial=0.0)
-        coordinates = np.zeros((self.order, found.shape[1]))
-        rest = found
+        mass = self.dynamics.matrices[0]
+        size = np.sqrt(np.einsum("nk,nk->k", result, mass @ result)).max(initial=0.0)
+        coordinates = np.zeros((self.order, result.shape[1]))
+        rest = result
         for _ in range(2):
             share = self.vectors.T @ (mass @ rest)
             coordinates += share
@@ -176,13 +178,13 @@ class Krylov:
     def _append(self, new: Float) -> None:
         before, after = self.order, self.order + new.shape[1]
         if after > self._vectors.shape[1]:
-            more = np.zeros((self.pencil.size, max(ROOM, new.shape[1])), order="F")
+            more = np.zeros((self.dynamics.size, max(ROOM, new.shape[1])), order="F")
             self._vectors = np.asfortranarray(np.hstack([self._vectors, more]))
             self._products = [np.asfortranarray(np.hstack([product, more])) for product in self._products]
         self._vectors[:, before:after] = new
         grown = np.zeros((len(self._products), after, after))
         grown[:, :before, :before] = self._small
-        for number, matrix in enumerate(self.pencil.matrices):
+        for number, matrix in enumerate(self.dynamics.matrices):
             if matrix.nnz:
                 product = matrix @ new
                 self._products[number][:, before:after] = product
@@ -204,11 +206,11 @@ class Krylov:
             block = block - known @ (known.T @ block)
         left, singular, _ = np.linalg.svd(block, full_matrices=False)
         left = left[:, singular > SMALLEST * singular.max(initial=0.0)]
-        found = left[: count * order].reshape(count, order, -1)
+        result = left[: count * order].reshape(count, order, -1)
         self._load = left[count * order :]
-        self._known = np.concatenate([self._known, found], axis=2)
+        self._known = np.concatenate([self._known, result], axis=2)
         self._known_load = np.concatenate([self._known_load, self._load], axis=1)
-        self._block = found / self._scales[:, None, None]
+        self._block = result / self._scales[:, None, None]
 
 
 def _padded(rows: Any, count: int) -> Any:

@@ -1,15 +1,8 @@
-"""A small model of a viscoelastic body for repeated loads: rational Krylov reduction, exact in time.
+"""A small model of a viscoelastic body, exact in time for loads that change linearly from one time to the next.
 
-Full body: M u'' + C u' + E u + sum_p K_p (u + sum_i g_i (u - q_i) + t u') = B f, q_i' = (u - q_i) / tau_i, y = Y u,
-that is Z(s) u = B f with Z(s) = s^2 M + s C + E + sum_p G_p(s)/G_r K_p under e^{st}.
-
-Reduction: u = V a with V real, from Z^-1 B and its first derivatives in s at a few complex s, real and imaginary parts,
-and at s = 0 (Grimme 1997; Beattie & Gugercin 2009 for transfer functions that are not rational). All matrices are
-projected with V on both sides and stay symmetric and positive semidefinite, so the small body dissipates energy as the
-full one does: it is stable whatever V is, and its static answer to the inputs is exact.
-
-Choice of s: where the residual B - Z V a, in the norm of the inverse static stiffness, is largest on a line of s. The
-full body is solved there anyway, so its true error at that s is measured before the basis grows.
+Full body: M u'' + C u' + E u + sum_p K_p (u + sum_i g_i (u - q_i) + t u') = B f, q_i' = (u - q_i) / tau_i, y = Y u.
+Its matrices are projected on both sides with a real V (palmfield.skin.reduction.reducer) and stay symmetric and
+positive semidefinite, so the small body dissipates energy as the full one does: it is stable whatever V is.
 
 Time: coordinates x = (w_k a_k, a', sqrt(g) L_p (a - q)) with w_k^2 the relaxed stiffness's eigenvalues and L^T L = K_p
 make |x|^2 / 2 the energy, so exp(A h) never lengthens x. Steps use that matrix exponential, with the force held or
@@ -17,193 +10,36 @@ linear in between.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy import sparse
 from scipy.linalg import expm
 
 from palmfield.errors import SceneError
-from palmfield.skin.fem.factor import Factor
 from palmfield.skin.materials.material import Material
 from palmfield.skin.problem import Law
-from palmfield.skin.reduction.dynamic_stiffness import LinearBody, Pencil
-from palmfield.types import Complex, Float, Int
+from palmfield.types import Complex, Float
 
 MOST_CONDITION = 1e8
 """Condition of the eigenvectors above which `run` steps by matrix exponentials (free bodies have a double root 0)."""
 
-FLOOR = 0.01
-"""Share of the tolerance below which a direction is left out of the basis."""
-WEAK = 0.1
-"""Part of the largest answer to which the error of weaker ones is related."""
-TAYLOR = 20.0
-"""Shifts that fill the band, about: a Taylor series in s is asked to reach this part of it."""
 MOST_STEPS = 64
 """Step lengths whose exponentials are kept."""
 
 
-class _Basis:
-    """Mass-orthonormal vectors V, the body's matrices times V, and what residual norms need."""
-
-    def __init__(self, pencil: Pencil, inputs: Float, norm: Factor) -> None:
-        self.pencil, self.inputs, self.norm = pencil, inputs, norm
-        self.vectors = np.zeros((pencil.size, 0))
-        self.products = [np.zeros((pencil.size, 0)) for _ in pencil.matrices]
-        self.riesz = [np.zeros((pencil.size, 0)) for _ in pencil.matrices]
-        self.riesz_inputs = norm.solve(inputs)
-
-    def add(self, found: Any, floor: float) -> int:
-        """Take in columns (n, k), real or complex, but for what is new by less than `floor` of the largest column.
-
-        Returns by how many vectors the basis grew.
-        """
-        new = np.column_stack([found.real, found.imag] if np.iscomplexobj(found) else [found])
-        mass, known = self.pencil.matrices[0], self.vectors
-        largest = np.sqrt(np.einsum("nk,nk->k", new, mass @ new).max())
-        for limit in (floor * largest, 0.5):
-            for _ in range(2):
-                new = new - known @ (known.T @ (mass @ new))
-            squares, turn = np.linalg.eigh(new.T @ (mass @ new))
-            kept = squares > limit**2
-            new = new @ (turn[:, kept] / np.sqrt(squares[kept]))
-        self.vectors = np.column_stack([known, new])
-        for number, matrix in enumerate(self.pencil.matrices):
-            product = matrix @ new
-            self.products[number] = np.column_stack([self.products[number], product])
-            lifted = self.norm.solve(product) if product.any() else product
-            self.riesz[number] = np.column_stack([self.riesz[number], lifted])
-        return new.shape[1]
-
-    def project(self) -> list[Float]:
-        """V^T M V, V^T C V, V^T E V and V^T K_p V, symmetric to the last bit."""
-        small = [self.vectors.T @ product for product in self.products]
-        return [0.5 * (matrix + matrix.T) for matrix in small]
-
-    def answers(self, s: Complex) -> tuple[Any, Float]:
-        """Coordinates a (k, r, j) of the reduced answers at rates s (k,), and their residuals' norms (k,)."""
-        weights = self.pencil.weights(s)
-        small = np.tensordot(weights, np.array(self.project()), axes=1)
-        answer = np.linalg.solve(small, (self.vectors.T @ self.inputs)[None].astype(complex))
-        there = [n for n, product in enumerate(self.products) if product.any()]
-        parts = np.column_stack([self.inputs, *(self.products[n] for n in there)])
-        gram = parts.T @ np.column_stack([self.riesz_inputs, *(self.riesz[n] for n in there)])
-        scaled = -weights[:, there, None, None] * answer[:, None]
-        count, inputs = len(s), self.inputs.shape[1]
-        unit = np.broadcast_to(np.eye(inputs), (count, inputs, inputs))
-        share = np.concatenate([unit, scaled.reshape(count, -1, inputs)], axis=1)
-        square = np.einsum("kaj,kaj->k", share.conj(), np.matmul(gram, share)).real
-        return answer, np.sqrt(np.maximum(square, 0.0))
-
-
-def reduce(
-    body: LinearBody,
-    inputs: Any,
-    outputs: Any,
-    band_Hz: tuple[float, float],
-    tolerance: float,
-    *,
-    order: Int | None = None,
-    points: int = 160,
-    most_shifts: int = 100,
-) -> "Reduced":
-    """Reduced model of a body between its inputs and outputs.
-
-    body: the full matrices, n unknowns, such as a SkinSystem
-    inputs: B, force [N] for one unit of each of j inputs, shape (n, j), sparse or dense
-    outputs: Y, shape (k, n): what is read, y = Y u [m]
-    band_Hz: lowest and highest frequency at which the model must be right, 0 <= low < high
-    tolerance: wanted relative error of y, on a line s = d + i w over the band, 2 d being the spacing of its `points`,
-        which is closer at low w: sharper resonances are seen at this width. Relative to the largest answer at this or
-        a higher frequency, or WEAK times the largest of all.
-    order: elimination order of the unknowns, shape (n,), for the factors; None lets SuperLU choose
-    most_shifts: refuse after this many
-    Raises SceneError for shapes that do not fit, a tolerance or band outside these ranges, or no end at most_shifts.
-    """
-    forces = np.asarray(inputs.toarray() if sparse.issparse(inputs) else inputs, dtype=float)
-    read = sparse.csr_matrix(outputs)
-    low, high = band_Hz
-    size = body.mass.shape[0]
-    if forces.ndim != 2 or forces.shape[0] != size or read.shape[1] != size:
-        raise SceneError(f"inputs {forces.shape}, outputs {read.shape}: give ({size}, j) and (k, {size})")
-    if not (0.0 <= low < high < np.inf and 0.0 < tolerance < 1.0 and np.isfinite(forces).all()):
-        raise SceneError(f"band {band_Hz} Hz, tolerance {tolerance}: need 0 <= low < high, 0 < tolerance < 1, finite B")
-    pencil = Pencil(body, order)
-    # Resonances are narrower at low frequencies.
-    omega = 2.0 * np.pi * (low + (high - low) * np.linspace(0.0, 1.0, points) ** 2)
-    line = 0.5 * np.gradient(omega) + 1j * omega
-    anchor = 0.0
-    norm = pencil.static()
-    if norm is None:
-        # Nothing holds the body: its slowest motion in the band takes the static answer's place.
-        anchor = line[0].real
-        norm = pencil.factor(anchor)
-    basis = _Basis(pencil, forces, norm)
-    reach = (omega[-1] - omega[0]) / TAYLOR
-    basis.add(pencil.moments(norm, forces, anchor, reach), FLOOR * tolerance)
-    tried: list[int] = []
-    effectivity: list[float] = []
-    error = np.inf
-    while True:
-        answer, residual = basis.answers(line)
-        shapes = basis.vectors
-        seen = np.linalg.norm(np.matmul(read @ shapes, answer), axis=(1, 2))
-        scale = np.maximum(np.maximum.accumulate(seen[::-1])[::-1], WEAK * seen.max())
-        if not scale[0] > 0.0:
-            raise SceneError("reduced model: the outputs do not move under the inputs: check B and Y")
-        worst = residual / scale
-        worst[tried] = 0.0
-        if len(effectivity) > 1:
-            error = max(effectivity[-2:]) * float((residual / scale).max())
-            if error <= tolerance:
-                break
-        if len(tried) >= most_shifts:
-            raise SceneError(
-                f"reduced model: error {error:.2g} after {most_shifts} shifts, {tolerance:.2g} wanted: narrow the band "
-                f"{band_Hz} Hz or allow more error"
-            )
-        grown = 0
-        for place in _peaks(worst, 1 + len(tried) // 4):
-            tried.append(place)
-            s = complex(line[place])
-            moments = pencil.moments(pencil.factor(s), forces, s, reach)
-            exact = read @ moments[:, : forces.shape[1]]
-            missed = np.linalg.norm(exact - (read @ shapes) @ answer[place])
-            effectivity.append(float(missed / residual[place]) if residual[place] > 0.0 else 0.0)
-            grown += basis.add(moments, FLOOR * tolerance)
-        if grown == 0:
-            error = max(effectivity) * float((residual / scale).max())
-            break
-    small = Projection(basis.project(), pencil.materials, basis.vectors.T @ forces, read @ basis.vectors)
-    return Reduced(small, error, len(tried))
-
-
-def _peaks(values: Float, count: int) -> list[int]:
-    """Places of the largest values that lie apart, at most `count`."""
-    found: list[int] = []
-    for place in np.argsort(-values, kind="stable").tolist():
-        if all(abs(place - other) > len(values) // 16 for other in found):
-            found.append(place)
-            if len(found) == count:
-                break
-    return found
-
-
 class Reduced:
-    """Small model: y and y' of forces f. Made by `reduce`, or from a Projection.
+    """Small model: y and y' of forces f.
 
-    order: number r of basis vectors; shifts: at how many complex rates the full body was solved
-    error: estimated relative error of y over the band: the residual's norm (inverse static stiffness) on the line,
-        times the largest true error per residual seen at the last two shifts; an estimate, not a bound
+    order: number r of basis vectors; error: estimated relative error of y, by whoever made it; no bound
     A state is one flat array of `state_size` floats; all zeros is rest.
     """
 
-    def __init__(self, small: "Projection", error: float, shifts: int = 0) -> None:
-        self.error, self.shifts = error, shifts
+    def __init__(self, small: "Projection", error: float) -> None:
+        self.error = error
         self.rates, self.inputs, self.displaces, self.moves, self.internals = _energy_form(small)
         self.order = len(small.force)
         self._steps: dict[float, tuple[Float, Float, Float]] = {}
-        self._modes: tuple[Complex, Complex] | None = None
 
     @property
     def state_size(self) -> int:
@@ -217,6 +53,37 @@ class Reduced:
         """Advance a state by step_s [s], in place, exactly, under forces (j,) linear between these two."""
         advance, start, end = self.propagators(step_s)
         state[:] = advance @ state + start @ force_start + end @ force_end
+
+    def march(self, state: Float, first: Float, last: Float, step_s: float) -> Float:
+        """States (s, state_size) after each of s steps of step_s [s], exactly, from a state that stays as it is.
+
+        first, last: forces at the start and end of each step, linear in between, (s, j)
+        By the modes of A where they are well conditioned: a length that comes once needs no matrix exponential then.
+        """
+        modes = self._modes
+        if modes is None:
+            advance, start, end = self.propagators(step_s)
+            states = first @ start.T + last @ end.T
+            for after in states:
+                after += advance @ state
+                state = after
+            return states
+        grow, at_start, at_end = _modal_weights(modes.roots, step_s)
+        moved = at_start * (first @ modes.inputs.T) + at_end * (last @ modes.inputs.T)
+        before = modes.inverse @ state
+        for after in moved:
+            after += grow * before
+            before = after
+        return np.ascontiguousarray((moved @ modes.vectors.T).real)
+
+    @cached_property
+    def _modes(self) -> "_Modes | None":
+        """The modes of A; None where they are ill conditioned."""
+        roots, vectors = np.linalg.eig(self.rates)
+        if not np.linalg.cond(vectors, 1) < MOST_CONDITION:
+            return None
+        inverse = np.linalg.inv(vectors)
+        return _Modes(roots, vectors, inverse, np.linalg.solve(vectors, self.inputs))
 
     def displacement(self, state: Float) -> Float:
         """y [m], shape (k,)."""
@@ -246,13 +113,11 @@ class Reduced:
         # Step lengths that differ by round-off only share their exponentials.
         digits = 12 - int(np.floor(np.log10(times[-1] - times[0]))) if len(times) > 1 else 0
         lengths, which = np.unique(np.round(steps, digits), return_inverse=True)
-        if self._modes is None:
-            self._modes = np.linalg.eig(self.rates)
-        roots, vectors = self._modes
-        if np.linalg.cond(vectors, 1) < MOST_CONDITION:
-            states = _modal_run(roots, forces @ np.linalg.solve(vectors, self.inputs).T, lengths, which, law)
-            shape: Any = self.displaces @ vectors
-            moves: Any = self.moves @ vectors
+        modes = self._modes
+        if modes is not None:
+            states = _modal_run(modes.roots, forces @ modes.inputs.T, lengths, which, law)
+            shape: Any = self.displaces @ modes.vectors
+            moves: Any = self.moves @ modes.vectors
         else:
             states = self._stepped_run(forces, lengths, which, law)
             shape, moves = self.displaces, self.moves
@@ -283,6 +148,16 @@ class Reduced:
             ramp = whole[:size, size + inputs :]
             self._steps[step_s] = whole[:size, :size], whole[:size, size : size + inputs] - ramp, ramp
         return self._steps[step_s]
+
+
+@dataclass(frozen=True)
+class _Modes:
+    """Rates [1/s], columns x of each mode and their inverse, and modal forces for one unit of each input."""
+
+    roots: Complex
+    vectors: Complex
+    inverse: Complex
+    inputs: Complex
 
 
 @dataclass(frozen=True)
@@ -380,14 +255,3 @@ def _modal_weights(roots: Complex, h: float) -> tuple[Complex, Complex, Complex]
         second[small] += term / (n + 1)
         term = term * z[small]
     return grow, h * (first - second), h * second
-
-
-def pod(loads: Float, tolerance: float) -> tuple[Float, Float]:
-    """Basis of load shapes: loads (n, f) = shapes (n, j) @ coordinates (j, f), to `tolerance` of each's scale.
-
-    Proper orthogonal decomposition (truncated singular values): the largest dropped one is below tolerance times the
-    largest, at least one is kept.
-    """
-    left, singular, right = np.linalg.svd(loads, full_matrices=False)
-    kept = max(1, int(np.sum(singular > tolerance * singular[0])))
-    return left[:, :kept] * singular[:kept], right[:kept]

@@ -10,22 +10,16 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from palmfield.errors import SceneError
 from palmfield.skin.blas import one_blas_thread
 from palmfield.skin.fem.assembly import SkinSystem
 from palmfield.skin.materials.material import stiffening
-from palmfield.skin.reduction.dynamic_stiffness import Pencil
+from palmfield.skin.reduction.dynamic_stiffness import DynamicStiffness
 from palmfield.skin.reduction.krylov import Course, Krylov
 from palmfield.skin.reduction.reduced import Projection, Reduced
+from palmfield.skin.reduction.reducer import SHIFT, grow_until
 from palmfield.skin.stepper import Reader, SurfaceLoads, check_step, checked_operator
 from palmfield.types import Complex, Float
 
-SHIFT = 0.6
-"""Of the highest angular frequency that matters: there answers from 0 to it converge together."""
-ROUND = 8
-"""Vectors by which two models that are compared differ, at least."""
-SAFETY = 1.5
-"""Times the last change: with a circle on the palm, on large elements, the true error was up to 1.3 times that."""
 MOST_VECTORS = 400
 
 
@@ -49,10 +43,11 @@ class ReducedStepper:
     """Galerkin in the vectors V, exact in time for loads that change linearly within a substep; see SkinStepper.
 
     Any load may be given, but only for that course of it for which the model was made is the error as estimated.
+    Unlike other steppers it takes substeps of any length; those of step_s cost least.
 
-    small: the body in the vectors, with V^T F as its force and the coordinates in V as what it reads
+    small: the body in the vectors, under j shapes of force, with the coordinates in V as what it reads
     vectors: V, (n, r)
-    inputs: csr, shape (n, q): consistent nodal force [N] = inputs @ inward pressure [Pa]
+    shares: shape (q, j): how much of each shape of force a pressure of 1 Pa at each point is
     step_s: length of a substep [s]
     error: relative, of the surface's displacement under the known load, see `reduced_stepper`
     any_course: whether the model is made for any course of its load in time, from any moment on
@@ -64,7 +59,7 @@ class ReducedStepper:
         self,
         small: Projection,
         vectors: Float,
-        inputs: sparse.csr_matrix,
+        shares: Float,
         step_s: float,
         error: float,
         any_course: bool,
@@ -72,8 +67,7 @@ class ReducedStepper:
         self.small, self.vectors, self.model = small, vectors, Reduced(small, error)
         self.step_s, self.error, self.any_course = step_s, error, any_course
         self.state_size, self.order = self.model.state_size, vectors.shape[1]
-        # V^T F of a pressure of 1 Pa at each point, shape (q, r).
-        self._pushes = np.ascontiguousarray(inputs.T @ vectors)
+        self._shares = np.ascontiguousarray(shares)
         advance, start, end = self.model.propagators(step_s)
         self._advance = np.ascontiguousarray(advance)
         self._start, self._end = np.ascontiguousarray(start.T), np.ascontiguousarray(end.T)
@@ -85,18 +79,22 @@ class ReducedStepper:
         self, state: Float, loads: SurfaceLoads, t0: float, t1: float, observe: Reader | None = None
     ) -> Float | None:
         """See SkinStepper."""
-        check_step(self, state, loads, t0, t1)
+        own = check_step(self, state, loads, t0, t1, any_length=True)
         advance, one = self._advance, state[0]
         with one_blas_thread:
-            pushes = loads.pressure_Pa[0] @ self._pushes
-            driven = (loads.first[0] @ pushes) @ self._start + (loads.last[0] @ pushes) @ self._end
-            # Each substep overwrites what drove it by the state after it.
-            before = one
-            for after in driven:
-                after += advance @ before
-                before = after
-            one[:] = before
-            return None if observe is None else self._read(driven, observe)[None]
+            forces = loads.pressure_Pa[0] @ self._shares
+            first, last = loads.first[0] @ forces, loads.last[0] @ forces
+            if own:
+                states = first @ self._start + last @ self._end
+                # Each substep overwrites what drove it by the state after it.
+                before = one
+                for after in states:
+                    after += advance @ before
+                    before = after
+            else:
+                states = self.model.march(one, first, last, (t1 - t0) / len(first))
+            one[:] = states[-1]
+            return None if observe is None else self._read(states, observe)[None]
 
     def reader(self, operator: sparse.csr_matrix) -> Reader:
         """See SkinStepper."""
@@ -127,13 +125,14 @@ class ReducedStepper:
         for material, part in zip(self.small.materials, parts, strict=True):
             matrix = matrix + stiffening(material, s) * part
         return np.asarray(
-            (operator @ self.vectors) @ np.linalg.solve(matrix, pressure_Pa @ self._pushes), dtype=complex
+            (operator @ self.vectors) @ np.linalg.solve(matrix, self.small.force @ (pressure_Pa @ self._shares)),
+            dtype=complex,
         )
 
     def lifted(self, state: Float, pressure_Pa: Float) -> Float:
         """The same motion as a state of WedgeStepper, (w, its state_size), under the present inward pressure (q,)."""
         model = self.model
-        rates = state @ model.rates.T + (pressure_Pa @ self._pushes) @ model.inputs.T
+        rates = state @ model.rates.T + (pressure_Pa @ self._shares) @ model.inputs.T
         rows = [state @ model.displaces.T, state @ model.moves.T, rates @ model.moves.T]
         rows += [state @ internal.T for internal in model.internals]
         return np.concatenate([row @ self.vectors.T for row in rows], axis=1)
@@ -154,7 +153,7 @@ def reduced_stepper(
     surface: reads the displacement that must be right, csr, (S, n); point: at one place of it, (1, n)
     inputs: csr, shape (n, q): consistent nodal force [N] = inputs @ inward pressure [Pa]
     step_s: length of a substep [s], also that of the known load's shares
-    highest_Hz: highest frequency that matters [Hz]; tolerance: wanted relative error
+    highest_Hz: highest frequency that matters [Hz]; tolerance: target relative error
     The error is the larger of two. First, SAFETY times what the last ROUND vectors or more change in the motion under
     the load from rest: L2 over times, the larger of over the surface and at the point. Second, of the steady motion
     at the load's frequencies, the residual's own displacement by the factors that are there, over the surface. Both
@@ -162,7 +161,7 @@ def reduced_stepper(
     Raises SceneError where MOST_VECTORS don't reach the tolerance.
     """
     small, vectors, error, any_course = known_model(system, load, surface, point, step_s, highest_Hz, tolerance)
-    return ReducedStepper(small, vectors, inputs, step_s, error, any_course)
+    return ReducedStepper(small, vectors, inputs.T @ vectors, step_s, error, any_course)
 
 
 def known_model(
@@ -177,27 +176,18 @@ def known_model(
     """The body in its vectors V, V (n, r), the error, and whether any course of the load will do."""
     # Small products only, which several threads of BLAS slow down where other programs run.
     with one_blas_thread:
-        pencil = Pencil(system, system.elimination_order())
-        krylov = Krylov(pencil, SHIFT * 2.0 * np.pi * highest_Hz, load.basis)
-        before, error = _Trial(krylov, load, step_s), np.inf
-        while True:
-            target = krylov.order + max(ROUND, krylov.order // 6)
-            growing = 1
-            while growing and krylov.order < target:
-                growing = krylov.grow()
-            now = _Trial(krylov, load, step_s)
-            error = SAFETY * now.change(before, krylov, surface, point)
-            if error <= tolerance:
-                error = max(error, _defect(krylov, load, surface))
-            if error <= tolerance or not growing:
-                break
-            if now.order > MOST_VECTORS:
-                raise SceneError(
-                    f"reduced model of the skin: error {error:.2g} with {now.order} vectors, {tolerance:.2g} wanted; "
-                    "use solver 'wedges'"
-                )
-            before = now
-        small = Projection(krylov.projected, pencil.materials, np.eye(now.order), np.eye(now.order))
+        dynamics = DynamicStiffness(system, system.elimination_order())
+        krylov = Krylov(dynamics, SHIFT * 2.0 * np.pi * highest_Hz, load.basis)
+        last, error = grow_until(
+            krylov,
+            lambda: _Trial(krylov, load, step_s),
+            lambda now, before: now.change(before, krylov, surface, point),
+            tolerance,
+            MOST_VECTORS,
+            lambda: _defect(krylov, load, surface),
+        )
+        unit = np.eye(last.order)
+        small = Projection(krylov.projected, dynamics.materials, unit, unit)
         return small, krylov.vectors, error, krylov.course is None
 
 
@@ -207,7 +197,7 @@ class _Trial:
     def __init__(self, krylov: Krylov, load: KnownLoad, step_s: float) -> None:
         self.order = krylov.order
         small = Projection(
-            krylov.projected, krylov.pencil.materials, krylov.vectors.T @ load.shapes, np.eye(self.order)
+            krylov.projected, krylov.dynamics.materials, krylov.vectors.T @ load.shapes, np.eye(self.order)
         )
         model = Reduced(small, 0.0)
         self.moved = []
@@ -224,10 +214,10 @@ class _Trial:
         for operator in (surface, point):
             small = operator @ krylov.vectors[:, : self.order]
             for mine, theirs in zip(self.moved, other.moved, strict=True):
-                apart = mine.copy()
-                apart[:, : other.order] -= theirs
+                difference = mine.copy()
+                difference[:, : other.order] -= theirs
                 size = float(np.linalg.norm(mine @ small.T))
-                worst = max(worst, float(np.linalg.norm(apart @ small.T)) / size if size > 0.0 else 0.0)
+                worst = max(worst, float(np.linalg.norm(difference @ small.T)) / size if size > 0.0 else 0.0)
         return worst
 
 
@@ -236,7 +226,7 @@ def _defect(krylov: Krylov, load: KnownLoad, surface: Any) -> float:
     answers, residuals = [], []
     for f_Hz, shares in load.spectrum:
         force = load.shapes @ np.column_stack([shares.real, shares.imag])
-        weights = krylov.pencil.weights(np.array([-2j * np.pi * f_Hz]))[0]
+        weights = krylov.dynamics.weights(np.array([-2j * np.pi * f_Hz]))[0]
         small = sum(w * matrix for w, matrix in zip(weights, krylov.projected, strict=True))
         pushed = krylov.vectors.T @ force
         answer = np.linalg.solve(small, pushed[:, 0] + 1j * pushed[:, 1])

@@ -9,10 +9,10 @@ from palmfield.skin.fem.assembly import SkinSystem
 from palmfield.skin.fem.solver import SkinSolver
 from palmfield.skin.materials.material import stiffening
 from palmfield.skin.reduction.reduced import Projection, Reduced
-from palmfield.skin.reduction.reduced_stepper import MOST_VECTORS, ROUND, SAFETY, SHIFT, KnownLoad, known_model
+from palmfield.skin.reduction.reduced_stepper import MOST_VECTORS, KnownLoad, known_model
 from palmfield.types import Complex, Float, Int
 
-__all__ = ["MOST_VECTORS", "ROUND", "SAFETY", "SHIFT", "FullSkin", "KnownLoad", "ReducedSkin", "reduced_skin"]
+__all__ = ["MOST_VECTORS", "FullSkin", "KnownLoad", "ReducedSkin", "reduced_skin"]
 
 
 class FullSkin:

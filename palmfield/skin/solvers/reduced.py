@@ -1,10 +1,11 @@
-"""Skin problems by reduced models of implicit meshes: for loads that keep their shape, exact in time.
+"""Skin problems by reduced models of wedges: for loads that keep their shape, exact in time.
 
 A spot at rest, or pressures that are sums of a few patterns, push with few shapes. The mesh's matrices are projected on
 the Krylov space of those (palmfield.skin.reduction.krylov), which takes one factorisation and some tens of solves in
 place of a solve for every step. Meshes and their errors are those of palmfield.skin.solvers.wedges.
 """
 
+import itertools
 import math
 import time
 from dataclasses import replace
@@ -12,20 +13,24 @@ from dataclasses import replace
 import numpy as np
 
 from palmfield.errors import SceneError
-from palmfield.skin.approximation.estimate import load_frequency, load_width
-from palmfield.skin.approximation.refine import Answer, Numerics, ratio_of, resized, settle
-from palmfield.skin.approximation.trim_absorbing_rim import extent
+from palmfield.skin.approximation.load_scales import load_frequency, load_width
+from palmfield.skin.approximation.refine import Discretisation, MeshSolution, ratio_of, refine_until_converged, resized
+from palmfield.skin.approximation.richardson import relative_difference
+from palmfield.skin.approximation.trim_absorbing_rim import trim_absorbing_rim
 from palmfield.skin.blas import one_blas_thread
+from palmfield.skin.costs import assembly_s, reduced_s
+from palmfield.skin.fem.body import build
 from palmfield.skin.fem.load import SurfaceQuadrature, bell, sampled
+from palmfield.skin.fem.probe import SurfaceProbe
 from palmfield.skin.materials.material import shear_wave
-from palmfield.skin.mesh.body_mesh import build
-from palmfield.skin.mesh.surface import SurfaceProbe
 from palmfield.skin.problem import Body, Load, Motion, Slab, Spot, Traction, points_on_face, rising
-from palmfield.skin.reduction.dynamic_stiffness import Pencil
+from palmfield.skin.reduction.dynamic_stiffness import DynamicStiffness
 from palmfield.skin.reduction.krylov import Krylov
-from palmfield.skin.reduction.reduced import Projection, Reduced
-from palmfield.skin.reduction.stepping import ROUND, SAFETY, SHIFT
-from palmfield.skin.solvers.wedges import GROWTH, expected_dofs, first_sizes, refusal_implicit, run_cost
+from palmfield.skin.reduction.reduced import Projection
+from palmfield.skin.reduction.reduced_stepper import ReducedStepper
+from palmfield.skin.reduction.reducer import SHIFT, grow_until
+from palmfield.skin.solvers.wedges import GROWTH, expected_dofs, first_sizes, refusal_wedges
+from palmfield.skin.stepper import SurfaceLoads
 from palmfield.types import Float, Int
 
 MOST_SHAPES = 8
@@ -33,10 +38,14 @@ MOST_SHAPES = 8
 
 MOST_VECTORS = 300
 SHARE = 0.1
-"""Part of the wanted accuracy that the reduction may take."""
+"""Part of the target accuracy that the reduction may take."""
 
 VECTORS = 60.0
 """Vectors that a model takes, about."""
+
+SAME_LENGTH = 1e-9
+"""Of the time of the whole run, by which the lengths of two steps may differ and count as one: round-off of the times
+that were given."""
 
 
 def refusal_reduced(body: Body, load: Load) -> str | None:
@@ -47,7 +56,7 @@ def refusal_reduced(body: Body, load: Load) -> str | None:
         return f"a reduced model takes pressures that are sums of at most {MOST_SHAPES} patterns"
     if isinstance(body, Slab) and body.shape == "infinite":
         return "a reduced model needs a body with an end: give the slab a shape 'box' or 'disc'"
-    return refusal_implicit(body, load)
+    return refusal_wedges(body, load)
 
 
 def at_least(load: Traction) -> int:
@@ -68,7 +77,8 @@ def cost_reduced(body: Body, load: Load, times: Float, at: Float, accuracy: floa
     """Predicted time [s] on one core, to a factor of a few."""
     first = expected_dofs(body, first_sizes(body, load, np.asarray(at, dtype=float), accuracy))
     grown = max(1.0, GROWTH * 0.05 / accuracy) if isinstance(body, Slab) else 1.0
-    return 1.8 * run_cost(grown * first, VECTORS)
+    dofs = grown * first
+    return 1.8 * (assembly_s(dofs) + reduced_s(dofs, len(times) + len(load.times_s), VECTORS))
 
 
 def solve_reduced(
@@ -77,98 +87,122 @@ def solve_reduced(
     """Displacement and velocity of the skin under a load that keeps its shape, from rest.
 
     times: [s], rising, shape (t,); at: points of the face [m], shape (n, 3) or (n, 2)
-    accuracy: wanted relative error, L2 over the times, largest over the points; device: it runs on the CPU
+    accuracy: target relative error, L2 over the times, largest over the points
+    device: taken and not used, as reduced models are made and run on the CPU
     Raises SceneError for what refusal_reduced names, an inverted element, points off the face, and bad numbers.
     """
     begin = time.perf_counter()
     reason = refusal_reduced(body, load)
     if reason is not None:
         raise SceneError(f"solver 'reduced': {reason}")
-    asked, points = rising("times", times), points_on_face(body, at)
-    now = Numerics(first_sizes(body, load, points, accuracy), math.inf, 1.0, device)
+    requested, points = rising("times", times), points_on_face(body, at)
+    now = Discretisation(first_sizes(body, load, points, accuracy), math.inf, 1.0)
     models: list[tuple[int, float]] = []
 
-    def run(numerics: Numerics, factor: float = 1.0, reach: float = 1.0) -> Answer:
-        sizes = resized(numerics.sizes, factor, reach)
-        part = extent(body, load, points, reach)
+    def run(discretisation: Discretisation, factor: float = 1.0, reach: float = 1.0) -> MeshSolution:
+        sizes = resized(discretisation.sizes, factor, reach)
+        part = trim_absorbing_rim(body, load, points, reach)
         with one_blas_thread:
-            answer, order, error = _run(part, load, asked, points, replace(numerics, sizes=sizes), SHARE * accuracy)
+            solution, order, error = _run(
+                part, load, requested, points, replace(discretisation, sizes=sizes), SHARE * accuracy
+            )
         models.append((order, error))
-        return answer
+        return solution
 
-    found = settle(body, now, run, run(now, ratio_of(body, now.sizes)), accuracy, pinned=False)
+    result = refine_until_converged(body, now, run, run(now, ratio_of(body, now.sizes)), accuracy, pinned=False)
     order, reduction = models[-1]
     return Motion(
-        times_s=asked,
+        times_s=requested,
         points=points,
-        displacement_m=found.fine.displacement,
-        velocity_m_s=found.fine.velocity,
-        error=found.error + reduction,
-        error_source=f"{order} vectors {reduction:.2g}, {found.source}",
-        solver=f"reduced: quadratic wedges, {found.fine.dofs} unknowns, edges {1e3 * found.sizes.fine_m:.2f} mm, "
+        displacement_m=result.fine.displacement,
+        velocity_m_s=result.fine.velocity,
+        error=result.error + reduction,
+        error_source=f"{order} vectors {reduction:.2g}, {result.source}",
+        solver=f"reduced: wedges, {result.fine.dofs} unknowns, edges {1e3 * result.sizes.fine_m:.2f} mm, "
         f"{order} vectors",
         seconds=time.perf_counter() - begin,
     )
 
 
 def _run(
-    body: Body, load: Load, asked: Float, points: Float, numerics: Numerics, tolerance: float
-) -> tuple[Answer, int, float]:
-    """The answer on one mesh, the vectors it took, and what the last of them changed."""
-    system = build(body, numerics.sizes)
+    body: Body, load: Load, requested: Float, points: Float, discretisation: Discretisation, tolerance: float
+) -> tuple[MeshSolution, int, float]:
+    """The solution on one mesh, the vectors it took, and what the last of them changed."""
+    system = build(body, discretisation.sizes)
     mesh = system.mesh
     if isinstance(load, Spot):
         quadrature = SurfaceQuadrature(mesh, system)
         shape_at = bell(quadrature.points, load.centres()[0], load.fwhm_m)
-        shapes, shares = quadrature.assemble(shape_at)[:, None], load.peak_Pa[:, None]
+        shapes, weights = quadrature.assemble(shape_at)[:, None], load.peak_Pa[:, None]
     else:
-        pressures, shares = patterns(load)
-        shapes = sampled(mesh, system, load) @ pressures.T
+        pressures, weights = patterns(load)
+        shapes = np.asarray(sampled(mesh, system, load) @ pressures.T)
     read = SurfaceProbe(mesh, points, system).vectors
-    clock, forces, rows = course(load, shares, asked)
-
+    clock, weights, rows = course(load, weights, requested)
     speed = min(shear_wave(sheet.material, 200.0)[0] for sheet in body.sheets)
     shift = SHIFT * 2.0 * math.pi * load_frequency(load, speed, load_width(load))
-    krylov = Krylov(Pencil(system, system.elimination_order()), shift, np.asarray(shapes, dtype=float))
+    krylov = Krylov(DynamicStiffness(system, system.elimination_order()), shift, shapes)
 
-    def motion() -> tuple[Float, Float]:
-        small = Projection(krylov.projected, krylov.pencil.materials, krylov.vectors.T @ shapes, read @ krylov.vectors)
-        moved, speeds = Reduced(small, 0.0).run(forces, clock, load.law)
-        begun = asked[:, None] >= clock[0]
-        return np.where(begun, moved[rows], 0.0), np.where(begun, speeds[rows], 0.0)
+    def motion() -> Float:
+        """Displacement and velocity at the requested times, (2, t, n, 3)."""
+        unit = np.eye(krylov.order)
+        small = Projection(krylov.projected, krylov.dynamics.materials, krylov.vectors.T @ shapes, unit)
+        stepper = ReducedStepper(small, krylov.vectors, np.eye(shapes.shape[1]), common_length(clock), 0.0, True)
+        seen = carried(stepper, read, clock, weights, load.law)[rows]
+        begun = (requested >= clock[0])[:, None, None]
+        return np.where(begun, seen, 0.0).swapaxes(0, 1).reshape(2, len(requested), -1, 3)
 
-    before, error = motion(), math.inf
-    while error > tolerance:
-        target = krylov.order + max(ROUND, krylov.order // 6)
-        growing = 1
-        while growing and krylov.order < target:
-            growing = krylov.grow()
-        now = motion()
-        size, gap = (np.linalg.norm(x.reshape(len(asked), -1, 3), axis=(0, 2)) for x in (now[0], now[0] - before[0]))
-        moving = size > 1e-9 * size.max(initial=0.0)
-        error = SAFETY * float((gap[moving] / size[moving]).max(initial=0.0))
-        before = now
-        if not growing:
-            break
-        if error > tolerance and krylov.order > MOST_VECTORS:
-            raise SceneError(
-                f"solver 'reduced': error {error:.2g} with {krylov.order} vectors, {tolerance:.2g} wanted; use implicit"
-            )
-    shape = (len(asked), len(points), 3)
+    try:
+        moved, error = grow_until(
+            krylov, motion, lambda now, before: relative_difference(before[0], now[0]), tolerance, MOST_VECTORS
+        )
+    except SceneError as reason:
+        raise SceneError(f"solver 'reduced': {reason}") from None
     triangles, levels = len(mesh.surface_triangles6), (mesh.levels - 1) // 2
-    answer = Answer(before[0].reshape(shape), before[1].reshape(shape), system.ndof, triangles, levels)
-    return answer, krylov.order, error
+    return MeshSolution(moved[0], moved[1], system.ndof, triangles, levels), krylov.order, error
 
 
-def course(load: Load, shares: Float, asked: Float) -> tuple[Float, Float, Int]:
-    """Times at which force or answer is wanted (c,), the shares there (c, m), and the rows of the asked times (t,).
+def course(load: Load, weights: Float, requested: Float) -> tuple[Float, Float, Int]:
+    """Times at which load or motion is wanted (c,), the weights there (c, m), and the rows of the requested times (t,).
 
-    shares: at the load's times, (f, m); they stay after the last
+    weights: at the load's times, (f, m); they stay after the last
     """
     knots = load.times_s
-    clock = np.unique(np.concatenate([knots, asked[asked > knots[0]]]))
+    clock = np.unique(np.concatenate([knots, requested[requested > knots[0]]]))
     if load.law == "held":
-        forces = shares[np.searchsorted(knots, clock, side="right") - 1]
+        there = weights[np.searchsorted(knots, clock, side="right") - 1]
     else:
-        forces = np.stack([np.interp(clock, knots, column) for column in shares.T], axis=1)
-    return clock, forces, np.minimum(np.searchsorted(clock, asked), len(clock) - 1).astype(np.int32)
+        there = np.stack([np.interp(clock, knots, column) for column in weights.T], axis=1)
+    return clock, there, np.minimum(np.searchsorted(clock, requested), len(clock) - 1).astype(np.int32)
+
+
+def common_length(clock: Float) -> float:
+    """The most common distance of neighbouring times [s], to round-off; 1 for a single time."""
+    if len(clock) < 2:
+        return 1.0
+    lengths = np.diff(clock)
+    width = SAME_LENGTH * (clock[-1] - clock[0])
+    _, first, counts = np.unique(np.round(lengths / width), return_index=True, return_counts=True)
+    return float(lengths[first[np.argmax(counts)]])
+
+
+def carried(stepper: ReducedStepper, read: Float, clock: Float, weights: Float, law: str) -> Float:
+    """Displacement [m] and velocity [m/s] from rest at the times of the clock, shape (c, 2, m).
+
+    weights: of the stepper's inputs at these times, (c, k), "linear" in between or "held" at the earlier one's
+    Steps of one length are taken in one call.
+    """
+    reader = stepper.reader(read)
+    seen = np.zeros((len(clock), 2, reader.count))
+    state = np.zeros((1, stepper.state_size))
+    unit = np.eye(weights.shape[1])[None]
+    lengths = np.diff(clock)
+    changes = np.flatnonzero(np.abs(np.diff(lengths)) > SAME_LENGTH * (clock[-1] - clock[0])) + 1
+    ends = [0, *changes.tolist(), len(lengths)] if len(lengths) else []
+    for begin, end in itertools.pairwise(ends):
+        first, last = weights[begin:end], weights[begin:end] if law == "held" else weights[begin + 1 : end + 1]
+        loads = SurfaceLoads(unit, first[None], last[None])
+        moved = stepper.step(state, loads, clock[begin], clock[end], reader)
+        assert moved is not None
+        seen[begin + 1 : end + 1] = moved[0]
+    return seen

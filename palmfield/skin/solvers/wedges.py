@@ -1,6 +1,7 @@
-"""Skin problems by implicit finite elements: quadratic wedges, generalised-alpha, for any slab or layer.
+"""Skin problems by quadratic wedges: generalised-alpha, for any slab or layer.
 
-Sizes come from the wanted accuracy, then from what coarser runs show (`settle`): two steps, where sides absorb two
+Sizes come from the target accuracy, then from what coarser runs show
+(`refine_until_converged`): two steps, where sides absorb two
 extents, more rows in depth, and two meshes. The error is the sum of what their differences tell.
 """
 
@@ -12,29 +13,32 @@ import numpy as np
 
 from palmfield.errors import SceneError
 from palmfield.hand.remesh import is_height_field
-from palmfield.skin.approximation.estimate import load_centre, load_frequency, load_width
+from palmfield.skin.approximation.load_scales import load_centre, load_frequency, load_width
 from palmfield.skin.approximation.refine import (
     MOST_DOFS,
-    Answer,
-    Numerics,
-    depth_of,
+    Discretisation,
+    MeshSolution,
     difference,
     ratio_of,
+    refine_until_converged,
     resized,
-    settle,
 )
-from palmfield.skin.approximation.trim_absorbing_rim import extent, refusal_of_spot
+from palmfield.skin.approximation.richardson import error_of_finer
+from palmfield.skin.approximation.trim_absorbing_rim import refusal_of_spot, trim_absorbing_rim
+from palmfield.skin.costs import assembly_s, wedges_s
 from palmfield.skin.fem.assembly import SkinSystem
+from palmfield.skin.fem.body import build
 from palmfield.skin.fem.load import PressureHistory
-from palmfield.skin.fem.solver import SkinSolver, static
+from palmfield.skin.fem.probe import SurfaceProbe
+from palmfield.skin.fem.solver import static
+from palmfield.skin.fem.wedge_stepper import WedgeStepper
 from palmfield.skin.materials.material import shear_wave
-from palmfield.skin.mesh.body_mesh import Sizes, build
-from palmfield.skin.mesh.surface import SurfaceProbe
-from palmfield.skin.problem import Body, Layer, Load, Motion, Slab, points_on_face, rising
+from palmfield.skin.mesh.body_mesh import Sizes
+from palmfield.skin.problem import Body, Layer, Load, Motion, Slab, depth_of, points_on_face, rising
 from palmfield.types import Float
 
 
-def refusal_implicit(body: Body, load: Load) -> str | None:
+def refusal_wedges(body: Body, load: Load) -> str | None:
     """Why this solver can't, in a sentence, or None."""
     if isinstance(body, Layer) and body.side == "roller" and body.patch.axis is None:
         return "roller sides need a patch with an axis; this layer's has none"
@@ -47,7 +51,7 @@ def refusal_implicit(body: Body, load: Load) -> str | None:
     return None
 
 
-def cost_implicit(body: Body, load: Load, times: Float, at: Float, accuracy: float) -> float:
+def cost_wedges(body: Body, load: Load, times: Float, at: Float, accuracy: float) -> float:
     """Predicted time [s] on one core; mostly too low, by 2 to 5 times where the mesh is refined more often.
 
     The time of a run is known to a factor of 1.5; what isn't is how fine the mesh will have to be.
@@ -63,16 +67,18 @@ def cost_implicit(body: Body, load: Load, times: Float, at: Float, accuracy: flo
 
 
 def run_cost(dofs: float, steps: float) -> float:
-    """Time [s] to build, factorise and step a mesh on one core: 10^4 unknowns take 0.3 s, 0.45 s and 12 ms a step.
-
-    Fitted to 3 k to 126 k unknowns, in seconds of the process.
-    """
-    size = dofs / 1e4
-    return 0.3 * size + 0.45 * size**1.5 + 0.012 * steps * size**1.15
+    """Time [s] to build, factorise and step a mesh on one core."""
+    return assembly_s(dofs) + wedges_s(dofs, steps)
 
 
-FINER_THAN_ASKED = 0.6
-"""Share of the asked edges below which a layer's own triangles are left for coarser ones."""
+FINER_THAN_REQUESTED = 0.6
+"""Share of the requested edges below which a layer's own triangles are left for coarser ones."""
+
+STEP_ORDER = 2.0
+"""By which the error of generalised-alpha falls with its step."""
+
+TOGETHER = 32
+"""Substeps that are taken in one call."""
 
 NARROWEST = 3.0
 """Edges that must fit across a patch for that."""
@@ -82,7 +88,7 @@ GROWTH, ENDLESS_GROWTH = 2.5, 10.0
 slabs, which are widened as well. A layer's triangles are quartered from the beginning."""
 
 
-def solve_implicit(
+def solve_wedges(
     body: Body,
     load: Load,
     times: Float,
@@ -97,79 +103,82 @@ def solve_implicit(
     """Displacement and velocity of the skin under a load, from rest.
 
     times: [s], rising, shape (t,); at: points of the face [m], shape (n, 3) or (n, 2)
-    accuracy: wanted relative error, L2 over the times, largest over the points
-    device: it runs on the CPU
-    sizes, step_s: to pin mesh and step [s] instead of choosing them; rho_inf: see SkinSolver
-    Raises SceneError for what refusal_implicit names, an inverted element, points off the face, and bad numbers.
+    accuracy: target relative error, L2 over the times, largest over the points
+    device: taken and not used, as wedges run on the CPU
+    sizes, step_s: to pin mesh and step [s] instead of choosing them; rho_inf: see WedgeStepper
+    Raises SceneError for what refusal_wedges names, an inverted element, points off the face, and bad numbers.
     """
     begin = time.perf_counter()
-    asked, points = _check(body, load, times, at, accuracy)
+    requested, points = _check(body, load, times, at, accuracy)
     _check_pinned(body, load, sizes)
     if step_s is not None and not 0.0 < step_s < math.inf:
-        raise SceneError(f"implicit skin: step_s is {step_s}; give a time above 0 s, or leave it out")
-    now = Numerics(
+        raise SceneError(f"solver 'wedges': step_s is {step_s}; give a time above 0 s, or leave it out")
+    now = Discretisation(
         sizes or first_sizes(body, load, points, accuracy),
         step_s or first_step(body, load, accuracy),
         rho_inf,
-        "cpu",
     )
 
-    def run(numerics: Numerics, factor: float = 1.0, reach: float = 1.0) -> Answer:
-        part = extent(body, load, points, reach)
-        return _run(part, load, asked, points, replace(numerics, sizes=resized(numerics.sizes, factor, reach)))
+    def run(discretisation: Discretisation, factor: float = 1.0, reach: float = 1.0) -> MeshSolution:
+        part = trim_absorbing_rim(body, load, points, reach)
+        sizes = resized(discretisation.sizes, factor, reach)
+        return _run(part, load, requested, points, replace(discretisation, sizes=sizes))
 
     coarse = run(now, ratio_of(body, now.sizes))
-    step_error = difference(coarse, run(replace(now, step_s=2.0 * now.step_s), ratio_of(body, now.sizes))) / 3.0
+    longer = run(replace(now, step_s=2.0 * now.step_s), ratio_of(body, now.sizes))
+    step_error = error_of_finer(difference(coarse, longer), 2.0, STEP_ORDER)
     while step_s is None and step_error > 0.4 * accuracy and now.step_s > first_step(body, load, accuracy) / 32.0:
         now = replace(now, step_s=now.step_s / 2.0)
         finer = run(now, ratio_of(body, now.sizes))
-        step_error, coarse = difference(finer, coarse) / 3.0, finer
-    found = settle(body, now, run, coarse, accuracy, pinned=sizes is not None)
+        step_error, coarse = error_of_finer(difference(finer, coarse), 2.0, STEP_ORDER), finer
+    result = refine_until_converged(body, now, run, coarse, accuracy, pinned=sizes is not None)
     return Motion(
-        times_s=asked,
+        times_s=requested,
         points=points,
-        displacement_m=found.fine.displacement,
-        velocity_m_s=found.fine.velocity,
-        error=found.error + step_error,
-        error_source=f"two steps {step_error:.2g}, {found.source}",
-        solver=f"implicit: quadratic wedges, {found.fine.dofs} unknowns, edges {1e3 * found.sizes.fine_m:.2f} mm, "
+        displacement_m=result.fine.displacement,
+        velocity_m_s=result.fine.velocity,
+        error=result.error + step_error,
+        error_source=f"two steps {step_error:.2g}, {result.source}",
+        solver=f"wedges: {result.fine.dofs} unknowns, edges {1e3 * result.sizes.fine_m:.2f} mm, "
         f"steps of {1e3 * now.step_s:.3f} ms",
         seconds=time.perf_counter() - begin,
     )
 
 
-def static_implicit(body: Body, load: Load, at: Float, *, accuracy: float = 0.05, sizes: Sizes | None = None) -> Motion:
+def static_wedges(body: Body, load: Load, at: Float, *, accuracy: float = 0.05, sizes: Sizes | None = None) -> Motion:
     """Displacement under the load's last pressure, held for ever; times_s is its last time, the velocity 0.
 
-    Arguments as for solve_implicit. Raises SceneError also for a body without a support.
+    Arguments as for solve_wedges. Raises SceneError also for a body without a support.
     """
     begin = time.perf_counter()
     end = np.array([float(load.times_s[-1])])
     _, points = _check(body, load, end, at, accuracy)
     _check_pinned(body, load, sizes)
-    now = Numerics(sizes or first_sizes(body, load, points, accuracy), math.inf, 1.0, "cpu")
+    now = Discretisation(sizes or first_sizes(body, load, points, accuracy), math.inf, 1.0)
 
-    def run(numerics: Numerics, factor: float = 1.0, reach: float = 1.0) -> Answer:
-        system = build(extent(body, load, points, reach), resized(numerics.sizes, factor, reach))
+    def run(discretisation: Discretisation, factor: float = 1.0, reach: float = 1.0) -> MeshSolution:
+        system = build(trim_absorbing_rim(body, load, points, reach), resized(discretisation.sizes, factor, reach))
         moved = static(system, PressureHistory(load, system.mesh, system).final_force())
-        found = (_probe(system, points).vectors @ moved).reshape(1, -1, 3)
-        return Answer(found, np.zeros_like(found), system.ndof, *_size(system))
+        result = (SurfaceProbe(system.mesh, points, system).vectors @ moved).reshape(1, -1, 3)
+        return MeshSolution(result, np.zeros_like(result), system.ndof, *_size(system))
 
-    found = settle(body, now, run, run(now, ratio_of(body, now.sizes)), accuracy, pinned=sizes is not None)
+    result = refine_until_converged(
+        body, now, run, run(now, ratio_of(body, now.sizes)), accuracy, pinned=sizes is not None
+    )
     return Motion(
         times_s=end,
         points=points,
-        displacement_m=found.fine.displacement,
-        velocity_m_s=found.fine.velocity,
-        error=found.error,
-        error_source=found.source,
-        solver=f"implicit, static: quadratic wedges, {found.fine.dofs} unknowns",
+        displacement_m=result.fine.displacement,
+        velocity_m_s=result.fine.velocity,
+        error=result.error,
+        error_source=result.source,
+        solver=f"wedges, static: {result.fine.dofs} unknowns",
         seconds=time.perf_counter() - begin,
     )
 
 
 def first_step(body: Body, load: Load, accuracy: float) -> float:
-    """Step [s] whose error is a third of the wanted one at the load's frequency: 0.1 (w h)^2, see estimate."""
+    """Step [s] whose error is a third of the target at the load's frequency: 0.1 (w h)^2, see estimate."""
     frequency = load_frequency(load, _slowest(body, 200.0), load_width(load))
     return math.sqrt(10.0 * min(accuracy, 0.2) / 3.0) / (2.0 * math.pi * frequency)
 
@@ -178,7 +187,7 @@ def first_sizes(body: Body, load: Load, points: Float, accuracy: float) -> Sizes
     """Sizes of a mesh for an accuracy, from the load's width, the shear wavelength and where load and points lie.
 
     A disc's errors by these sizes are in estimate.py. A layer's triangles are quartered at least once, as the coarser
-    mesh that tells the error is the patch itself or lies between; those much finer than asked for give way to others.
+    mesh that tells the error is the patch itself or lies between; those much finer than requested give way to others.
     """
     if not 1e-4 <= accuracy <= 0.5:
         raise SceneError(f"accuracy is {accuracy}; give one in 0.0001 to 0.5")
@@ -201,7 +210,7 @@ def first_sizes(body: Body, load: Load, points: Float, accuracy: float) -> Sizes
         edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean(axis=1)
         mean = float(edges[near].mean()) if near.any() else float(edges.mean())
         across = float(np.ptp(body.patch.vertices[:, :2], axis=0).min())
-        remesh = mean < FINER_THAN_ASKED * fine and across > NARROWEST * fine and is_height_field(body.patch)
+        remesh = mean < FINER_THAN_REQUESTED * fine and across > NARROWEST * fine and is_height_field(body.patch)
         coarse = max(fine, min(coarse, across / NARROWEST)) if remesh else coarse
         refinements = 0 if remesh else max(1, math.ceil(math.log2(mean / fine) - 0.2))
     return Sizes(
@@ -249,9 +258,9 @@ def _slowest(body: Body, f_Hz: float) -> float:
 
 
 def _check(body: Body, load: Load, times: Float, at: Float, accuracy: float) -> tuple[Float, Float]:
-    reason = refusal_implicit(body, load)
+    reason = refusal_wedges(body, load)
     if reason is not None:
-        raise SceneError(f"solver 'implicit': {reason}")
+        raise SceneError(f"solver 'wedges': {reason}")
     return rising("times", times), points_on_face(body, at)
 
 
@@ -270,34 +279,33 @@ def _size(system: SkinSystem) -> tuple[int, int]:
     return triangles, (system.mesh.levels - 1) // 2
 
 
-def _probe(system: SkinSystem, points: Float) -> SurfaceProbe:
-    return SurfaceProbe(system.mesh, points, system)
-
-
-def _run(body: Body, load: Load, asked: Float, points: Float, numerics: Numerics) -> Answer:
-    """March from the load's first time to the last asked one; the motion between steps by cubic Hermite pieces."""
-    system = build(body, numerics.sizes)
+def _run(body: Body, load: Load, requested: Float, points: Float, discretisation: Discretisation) -> MeshSolution:
+    """March from the load's first time to the last requested one; the motion between steps by cubic Hermite pieces."""
+    system, step_s = build(body, discretisation.sizes), discretisation.step_s
     history = PressureHistory(load, system.mesh, system)
-    read = SurfaceProbe(system.mesh, points, system).vectors
+    stepper = WedgeStepper(system, history.operator, step_s, discretisation.rho_inf)
+    reader = stepper.reader(SurfaceProbe(system.mesh, points, system).vectors)
     start = float(history.knots_s[0])
-    steps = max(1, math.ceil((float(asked[-1]) - start) / numerics.step_s - 1e-9))
-    seen = np.zeros((steps + 1, 3, read.shape[0]))
-    clock: Float = start + numerics.step_s * np.arange(steps + 1, dtype=np.float64)
-    solver = SkinSolver(system, numerics.step_s, numerics.rho_inf)
-    state = solver.new_state()
-    for n in range(steps):
-        solver.step(state, *history.force(clock[n], clock[n + 1]))
-        seen[n + 1] = (read @ state[:3].T).T
-    moved, velocity = (_between(clock, seen[:, i], seen[:, i + 1], asked) for i in (0, 1))
-    shape = (len(asked), len(points), 3)
-    return Answer(moved.reshape(shape), velocity.reshape(shape), system.ndof, *_size(system))
+    steps = max(1, math.ceil((float(requested[-1]) - start) / step_s - 1e-9))
+    clock: Float = start + step_s * np.arange(steps + 1, dtype=np.float64)
+    seen = np.zeros((steps + 1, 2, reader.count))
+    state = np.zeros((1, stepper.state_size))
+    for begin in range(0, steps, TOGETHER):
+        end = min(begin + TOGETHER, steps)
+        moved = stepper.step(state, history.loads(clock[begin : end + 1]), clock[begin], clock[end], reader)
+        assert moved is not None
+        seen[begin + 1 : end + 1] = moved[0]
+    displacement = _between(clock, seen[:, 0], seen[:, 1], requested)
+    velocity = _between(clock, seen[:, 1], np.gradient(seen[:, 1], step_s, axis=0), requested)
+    shape = (len(requested), len(points), 3)
+    return MeshSolution(displacement.reshape(shape), velocity.reshape(shape), system.ndof, *_size(system))
 
 
-def _between(clock: Float, values: Float, slopes: Float, asked: Float) -> Float:
-    """Cubic Hermite interpolation at the asked times, 0 before the first of the clock; shape (t, m)."""
+def _between(clock: Float, values: Float, slopes: Float, requested: Float) -> Float:
+    """Cubic Hermite interpolation at the requested times, 0 before the first of the clock; shape (t, m)."""
     step = clock[1] - clock[0]
-    place = np.clip(np.floor((asked - clock[0]) / step).astype(int), 0, len(clock) - 2)
-    x = np.clip((asked - clock[place]) / step, 0.0, 1.0)[:, None]
+    place = np.clip(np.floor((requested - clock[0]) / step).astype(int), 0, len(clock) - 2)
+    x = np.clip((requested - clock[place]) / step, 0.0, 1.0)[:, None]
     start = (1 + 2 * x) * (1 - x) ** 2 * values[place] + step * x * (1 - x) ** 2 * slopes[place]
     end = x**2 * (3 - 2 * x) * values[place + 1] - step * x**2 * (1 - x) * slopes[place + 1]
-    return np.where(asked[:, None] >= clock[0], start + end, 0.0)
+    return np.where(requested[:, None] >= clock[0], start + end, 0.0)

@@ -30,11 +30,11 @@ from palmfield.studies.bench.skin_case import CASE, Case, F_Hz
 from palmfield.studies.bench.table import processor
 
 ACCURACIES = {
-    "spectral": (0.1, 0.01, 0.001),
-    "disc": (0.1, 0.02, 0.005),
+    "lateral_waves": (0.1, 0.01, 0.001),
+    "axisymmetric": (0.1, 0.02, 0.005),
     "reduced": (0.1, 0.05, 0.02),
-    "implicit": (0.1, 0.05, 0.02),
-    "explicit": (0.1, 0.05, 0.02),
+    "wedges": (0.1, 0.05, 0.02),
+    "spectral_elements": (0.1, 0.05, 0.02),
     "particles": (0.2, 0.1, 0.05),
 }
 """What each of our solvers is asked for."""
@@ -75,7 +75,7 @@ class Row:
 def own(case: Case, name: str, accuracy: float, device: str, runs: int) -> Row:
     """A solver of ours on AM from rest: mean and amplitude over the last LAST_s are half of both answers."""
     sheets = (Sheet(case.material, case.depth_m),)
-    endless = name in ("spectral", "implicit", "explicit")
+    endless = name in ("lateral_waves", "wedges", "spectral_elements")
     body = Slab(sheets) if endless else Slab(sheets, "disc", side="free", radius_m=RADIUS_M)
     grid = np.arange(0.0, END_s + 1e-9, 5e-5)
     load = Spot(case.fwhm_m, grid, 0.5 * (1.0 + np.sin(2.0 * np.pi * F_Hz * grid)))

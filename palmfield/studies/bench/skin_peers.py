@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 from palmfield.skin.problem import GAUSSIAN
 from palmfield.studies.bench.skin_case import CASE, Case, F_Hz, graded, pressure
 
-Answer = tuple[float | None, complex | None, int]
+MeshSolution = tuple[float | None, complex | None, int]
 HALF_M = 0.06
 """Half width of the piece: its sides matter by 0.3 % (docs/bench/skin_c0.md)."""
 PUSH_Pa = 1.0
@@ -25,7 +25,7 @@ PUSH_Pa = 1.0
 SETTLE_STEPS = 200
 
 
-def scikit_fem(case: Case, cells: int, layers: int) -> Answer:
+def scikit_fem(case: Case, cells: int, layers: int) -> MeshSolution:
     """Quadratic hexahedra (27 nodes), full integration, on a graded quarter with mirror planes."""
     import skfem as fem
     from skfem.helpers import ddot, div, dot, sym_grad
@@ -67,7 +67,7 @@ def scikit_fem(case: Case, cells: int, layers: int) -> Answer:
     return *_solve(case, matrices, force[free], where), len(free)
 
 
-def warp_fem(case: Case, cells: int, layers: int) -> Answer:
+def warp_fem(case: Case, cells: int, layers: int) -> MeshSolution:
     """warp.fem: quadratic hexahedra (27 nodes) on the same graded quarter, in float32, solved by SciPy."""
     import warp as wp
     from warp import fem
@@ -110,7 +110,7 @@ def warp_fem(case: Case, cells: int, layers: int) -> Answer:
     return *_solve(case, reduced, 1e-6 * force.ravel()[free], int(np.searchsorted(free, read))), len(free)
 
 
-def mujoco_flex(case: Case, cells: int, layers: int) -> Answer:
+def mujoco_flex(case: Case, cells: int, layers: int) -> MeshSolution:
     """MuJoCo's flex: a full box of trilinear cells, let settle under the spot's nodal forces; no answer at F_Hz.
 
     It has Young's modulus and Poisson's ratio of the relaxed solid; sides are free. Strong damping brings it to rest.

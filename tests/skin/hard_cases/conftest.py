@@ -7,35 +7,37 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
+from palmfield.skin.fem.body import build
 from palmfield.skin.fem.load import PressureHistory
-from palmfield.skin.mesh.body_mesh import Sizes, build
-from palmfield.skin.mesh.surface import SurfaceProbe
+from palmfield.skin.fem.probe import SurfaceProbe
+from palmfield.skin.mesh.body_mesh import Sizes
 from palmfield.skin.problem import Motion, Spot, points_on_face
-from palmfield.skin.reduction.reduced import pod, reduce
+from palmfield.skin.reduction.reducer import reduce
+from palmfield.skin.solvers.axisymmetric.samples import principal_shapes
 
 FWHM = 0.0103
 SIZES = Sizes((0.0, 0.0), 0.012, 0.0055, 0.0055, 0.004, 0.004, 1, 0.03, 0.02, 150.0)
 """Edges of 5.5 mm, rows of 4 mm: 1.5 k unknowns on a disc of 40 x 8 mm."""
 
 HOW = {
-    "spectral": {"accuracy": 2e-3},
-    "disc": {"degree": 5},
-    "implicit": {"sizes": SIZES, "step_s": 2.5e-4},
-    "explicit": {"size_m": 0.0055, "estimate": False},
+    "lateral_waves": {"accuracy": 2e-3},
+    "axisymmetric": {"degree": 5},
+    "wedges": {"sizes": SIZES, "step_s": 2.5e-4},
+    "spectral_elements": {"size_m": 0.0055, "estimate": False},
     "particles": {"spacing_m": 2e-3},
     "reduced": {"sizes": SIZES},
 }
 WHERE = {
-    "spectral": "palmfield.skin.solvers.lateral_waves",
-    "disc": "palmfield.skin.solvers.axisymmetric.solve",
-    "implicit": "palmfield.skin.solvers.wedges",
-    "explicit": "palmfield.skin.solvers.spectral_elements.solve",
+    "lateral_waves": "palmfield.skin.solvers.lateral_waves",
+    "axisymmetric": "palmfield.skin.solvers.axisymmetric.solve",
+    "wedges": "palmfield.skin.solvers.wedges",
+    "spectral_elements": "palmfield.skin.solvers.spectral_elements.solve",
     "particles": "palmfield.skin.solvers.particles",
 }
 
 
 def reduced(body, load, times, at, *, sizes=SIZES, band_Hz=(0.0, 900.0), tolerance=3e-3):
-    """Motion by a reduced model of the implicit solver's matrices: shapes of the load in, asked points out."""
+    """Motion by a reduced model of the wedges' matrices: shapes of the load in, asked points out."""
     points = points_on_face(body, at)
     system = build(body, sizes)
     history = PressureHistory(load, system.mesh, system)
@@ -45,7 +47,7 @@ def reduced(body, load, times, at, *, sizes=SIZES, band_Hz=(0.0, 900.0), toleran
     fine = np.linspace(start, end, 160) if moves else np.zeros(0)
     grid = np.unique(np.concatenate([[start], knots, times[times > start], fine]))
     forces = np.column_stack([history.operator @ history.pressure(t) for t in grid])
-    shapes, course = pod(forces, 1e-3)
+    shapes, course = principal_shapes(forces, 1e-3)
     read = SurfaceProbe(system.mesh, points, system).vectors
     model = reduce(system, shapes, read, band_Hz, tolerance, order=system.elimination_order())
     moved = [part.reshape(len(grid), len(points), 3) for part in model.run(course.T, grid, load.law)]
@@ -78,10 +80,10 @@ def solve_by():
 
 @pytest.fixture(scope="session")
 def refusal_by():
-    """(name, body, load) -> str | None. A reduced model is of the implicit solver's matrices."""
+    """(name, body, load) -> str | None. A reduced model is of the wedges' matrices."""
 
     def why(name, body, load):
-        name = "implicit" if name == "reduced" else name
+        name = "wedges" if name == "reduced" else name
         return getattr(importlib.import_module(WHERE[name]), f"refusal_{name}")(body, load)
 
     return why

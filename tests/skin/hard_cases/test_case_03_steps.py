@@ -11,7 +11,7 @@ from palmfield.skin.analytic.layer_oracle import centre_response
 from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
 from palmfield.skin.problem import Sheet, Slab, Spot
 
-ALL = ["spectral", "disc", "implicit", "reduced", "explicit", "particles"]
+ALL = ["lateral_waves", "axisymmetric", "wedges", "reduced", "spectral_elements", "particles"]
 AT = np.array([[0.0, 0.0], [0.005, 0.0]])
 VOIGT = Material("voigt", 1030.0, 12.5e3, (), bulk_from_poisson(0.45, 12.5e3), "", viscosity_Pa_s=3.0)
 
@@ -44,13 +44,13 @@ def settling(pressure=1.0):
 @pytest.mark.parametrize("name", ALL)
 def test_late_times_50_ms_apart_are_the_static_answer(name, solve_by):
     body, load = settling()
-    times = np.array([0.02, 0.07]) if name in ("explicit", "particles") else np.array([0.02, 0.07, 0.12, 1.0])
-    how = {"implicit": {"step_s": 0.02}, "explicit": {"size_m": 0.008}}.get(name, {})
+    times = np.array([0.02, 0.07]) if name in ("spectral_elements", "particles") else np.array([0.02, 0.07, 0.12, 1.0])
+    how = {"wedges": {"step_s": 0.02}, "spectral_elements": {"size_m": 0.008}}.get(name, {})
     motion = solve_by(name, body, load, times, AT, **how)
     exact = centre_response(0.0, body.sheets[0].material, 0.008, load.fwhm_m, 0.02, AT[:, 0]).real
     error = np.abs(-motion.displacement_m[:, :, 2] / exact - 1.0)
     print(name, error, motion.error)
-    assert error[-1].max() < {"particles": 0.05, "implicit": 0.02, "reduced": 0.02}.get(name, 3e-3)
+    assert error[-1].max() < {"particles": 0.05, "wedges": 0.02, "reduced": 0.02}.get(name, 3e-3)
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.8])
@@ -58,14 +58,14 @@ def test_implicit_steps_of_50_ms_stay_bounded(rho, solve_by):
     """Asked at every step: below 3 static answers at once, at the static one in the end (L-stable at 0)."""
     body, load = settling()
     times = 0.05 * np.arange(1, 41)
-    push = -solve_by("implicit", body, load, times, AT[:1], step_s=0.05, rho_inf=rho).displacement_m[:, 0, 2]
+    push = -solve_by("wedges", body, load, times, AT[:1], step_s=0.05, rho_inf=rho).displacement_m[:, 0, 2]
     exact = centre_response(0.0, body.sheets[0].material, 0.008, load.fwhm_m, 0.02).real
     assert push.max() < 3.0 * exact and push.min() > -exact
     assert push[-1] == pytest.approx(exact, rel=0.02, abs=0.0)
     assert np.ptp(push[-3:]) < 1e-3 * exact
 
 
-@pytest.mark.parametrize("name", ["explicit", "particles"])
+@pytest.mark.parametrize("name", ["spectral_elements", "particles"])
 @pytest.mark.parametrize("step_s", [0.02, 0.05])
 def test_explicit_steps_of_that_length_are_refused_with_the_stable_one(name, step_s, solve_by):
     body, load = settling()

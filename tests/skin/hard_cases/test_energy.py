@@ -1,8 +1,8 @@
 """Energy of an unloaded body: each scheme's own never grows.
 
-Explicit: test_energy_never_grows (explicit/test_steps.py). Implicit: test_unloaded_energy_never_grows and
-test_every_mode_is_stable (test_solver.py). Reduced: test_energy_never_grows (test_reduced.py). Spectral:
-test_residues_sum_to_nothing_and_nothing_grows (spectral/test_depth.py). Here the particles' and the disc's.
+Spectral elements: test_energy_never_grows (spectral_elements/test_steps.py). Wedges: test_unloaded_energy_never_grows
+and test_every_mode_is_stable (test_solver.py). Reduced: test_energy_never_grows (test_reduced.py). Lateral waves:
+test_residues_sum_to_nothing_and_nothing_grows (lateral_waves/test_depth.py). Here the particles' and the disc's.
 """
 
 import dataclasses
@@ -12,7 +12,7 @@ import warp as wp
 
 from palmfield.skin.materials.material import Branch, Material
 from palmfield.skin.problem import Sheet, Slab, spread
-from palmfield.skin.reduction.reduced import reduce
+from palmfield.skin.reduction.reducer import reduce
 from palmfield.skin.solvers.axisymmetric.element import DiscGrid, Line, graded
 from palmfield.skin.solvers.particles.cloud import build_cloud
 from palmfield.skin.solvers.particles.run import BLOCK, SAFETY, Particles, Reader, branch_table, stable_step
@@ -21,7 +21,7 @@ SOLID = Material("branched", 1000.0, 1e4, (Branch(1e4, 1e-3), Branch(5e3, 2e-5))
 
 
 def energies(material, steps):
-    """E of each step of a ringing box, as `explicit.run.Stepper` derives it.
+    """E of each step of a ringing box, as `spectral_elements.run.Stepper` derives it.
 
     With y = u - q the branch's law q1 = e q0 + a u0 + b u1 is y1 = e y0 + c (u1 - u0), c = 1 - b, so
     E = v M v / 2 + u0 K u1 / 2 + sum g / (2 c) [y0 K_d y1 + (1 - e) / 2 y0 K_d y0], K_d the shear and pair stiffness.

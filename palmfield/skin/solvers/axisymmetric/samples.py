@@ -18,7 +18,7 @@ MOST_BINS = 1 << 16
 
 @dataclass(frozen=True)
 class Samples:
-    """A spot at rising times (t,), the last asked one at the end: amplitude [Pa] (t,), distance [m], angle [rad]."""
+    """A spot at rising times (t,), the last requested at the end: amplitude [Pa] (t,), distance [m], angle [rad]."""
 
     times_s: Float
     peak_Pa: Float
@@ -28,7 +28,7 @@ class Samples:
 
 
 def sample(load: Spot, times: Float, error: float) -> Samples:
-    """The spot at its own and the asked times, and while it moves so often that the load is linear to `error`.
+    """The spot at its own and the requested times, and while it moves so often that the load is linear to `error`.
 
     A Gaussian moved by x in a step is off its chord by up to (x / s)^2 / 8 of its peak.
     """
@@ -103,3 +103,14 @@ def band_of(body: Slab, load: Spot, samples: Samples, error: float) -> float:
     left = np.cumsum(power[::-1])[::-1]
     law = float(frequency[left >= error**2 * left[0]][-1]) if left[0] > 0.0 else 0.0
     return max(BAND * own, min(1.5 * law, MOST_BAND * own), path)
+
+
+def principal_shapes(loads: Float, tolerance: float) -> tuple[Float, Float]:
+    """Basis of load shapes: loads (n, f) = shapes (n, j) @ coordinates (j, f), to `tolerance` of each's scale.
+
+    Proper orthogonal decomposition (truncated singular values): the largest dropped one is below tolerance times the
+    largest, at least one is kept.
+    """
+    left, singular, right = np.linalg.svd(loads, full_matrices=False)
+    kept = max(1, int(np.sum(singular > tolerance * singular[0])))
+    return left[:, :kept] * singular[:kept], right[:kept]

@@ -4,11 +4,11 @@ A spot of width s at distance d from the axis, at angle phi, is the sum over m o
 
     e_m exp(-(r^2 + d^2) / 2 s^2) I_m(r d / s^2) cos m(theta - phi),    e_0 = 1, e_m = 2
 
-(Jacobi-Anger; Abramowitz & Stegun 9.6.34), and as the disc is round each harmonic moves by itself (`disc_element`). A
+(Jacobi-Anger; Abramowitz & Stegun 9.6.34), and as the disc is round each harmonic moves by itself (`element`). A
 harmonic's load is a few shapes in r (POD over the distances that the spot takes) times complex numbers e^{-i m phi(t)}
 in time: on a circle about the axis it is a single shape. Each harmonic is reduced to some tens of vectors between these
-shapes and the asked points (`reduced`), which are then integrated exactly between the load's times; a moving spot is
-sampled often enough for the load to be linear in between.
+shapes and the requested points (`reduced`), which are then integrated exactly between the load's times; a moving spot
+is sampled often enough for the load to be linear in between.
 """
 
 import math
@@ -22,8 +22,9 @@ from scipy.interpolate import CubicSpline
 from scipy.special import ive
 
 from palmfield.errors import SceneError
+from palmfield.skin.approximation.richardson import relative_difference
 from palmfield.skin.problem import (
-    ONLY_IMPLICIT,
+    ONLY_WEDGES,
     Body,
     Foundation,
     Load,
@@ -34,9 +35,9 @@ from palmfield.skin.problem import (
     rising,
     spread,
 )
-from palmfield.skin.reduction.reduced import pod, reduce
+from palmfield.skin.reduction.reducer import reduce
 from palmfield.skin.solvers.axisymmetric.element import DiscGrid, Line, graded
-from palmfield.skin.solvers.axisymmetric.samples import REACH, Samples, band_of, sample
+from palmfield.skin.solvers.axisymmetric.samples import REACH, Samples, band_of, principal_shapes, sample
 from palmfield.types import Complex, Float
 
 FINE = 1.8
@@ -46,26 +47,26 @@ BAND_STEP = 1.25
 SAFETY = 2.0
 """Of 14 random discs the error was 0.2 to 1.6 times the difference from the finer run, which errs itself."""
 TIGHTER, TIGHTEST = 0.35, 2e-5
-"""Accuracy for which that run's harmonics, path and reduced models are chosen, in the wanted one, and the least."""
+"""Accuracy for which that run's harmonics, path and reduced models are chosen, in the target, and the least."""
 CORNER = 0.15
 """Width of the elements at a singular corner, in those of their neighbours (Szabo & Babuska 1991, ch. 10)."""
 MOST_DEGREE = 9
 
 
-def refusal_disc(body: Body, load: Load) -> str | None:
+def refusal_axisymmetric(body: Body, load: Load) -> str | None:
     """Why this solver cannot, in a sentence, or None."""
     if not isinstance(body, Slab) or body.shape != "disc":
-        return "the disc solver takes slabs of shape 'disc' only"
+        return "solver 'axisymmetric' takes slabs of shape 'disc' only"
     if isinstance(body.base, Foundation):
-        return ONLY_IMPLICIT
+        return ONLY_WEDGES
     if body.side == "absorbing":
-        return "the disc solver's sides are fixed, free or roller, not absorbing"
+        return "solver 'axisymmetric' knows sides fixed, free and roller, not absorbing"
     if not isinstance(load, Spot):
-        return "the disc solver takes Spot loads only"
+        return "solver 'axisymmetric' takes Spot loads only"
     return None
 
 
-def solve_disc(
+def solve_axisymmetric(
     body: Body,
     load: Load,
     times: Float,
@@ -80,13 +81,13 @@ def solve_disc(
     """Motion of a disc's face under a spot.
 
     body: Slab of shape "disc"; load: Spot; times: [s], rising, shape (t,); at: on the face [m], shape (n, 2) or (n, 3)
-    accuracy: wanted relative error, 1e-4 to 0.5; device: taken and not used, all work is the host's
+    accuracy: target relative error, 1e-4 to 0.5; device: taken and not used, all work is the host's
     degree: polynomial degree p of the elements; fine: their edge under the spot in its standard deviations; harmonics:
         highest harmonic. None chooses.
-    Raises SceneError for what `refusal_disc` names, points off the face, and values outside these ranges.
+    Raises SceneError for what `refusal_axisymmetric` names, points off the face, and values outside these ranges.
     """
     begin = time.perf_counter()
-    reason = refusal_disc(body, load)
+    reason = refusal_axisymmetric(body, load)
     if reason is not None or not isinstance(body, Slab) or not isinstance(load, Spot):
         raise SceneError(f"{reason}: use another solver")
     times, points = _checked(body, times, at, accuracy)
@@ -98,21 +99,21 @@ def solve_disc(
     tighter = _problem(body, load, times, points, max(TIGHTER * accuracy, TIGHTEST), harmonics)
     while True:
         wider = BAND_STEP * max(band, tighter.band_Hz)
-        finer, found = _motions([(tighter, first + 1, wider), (problem, first, band)], fine)
-        apart = SAFETY * _difference(found.moved[0], finer.moved[0])
-        error = apart + finer.dropped + tighter.path
+        finer, result = _motions([(tighter, first + 1, wider), (problem, first, band)], fine)
+        difference = SAFETY * relative_difference(result.moved[0], finer.moved[0])
+        error = difference + finer.dropped + tighter.path
         if degree is not None or error <= accuracy or first >= MOST_DEGREE:
             break
         first, band = first + 2, BAND_STEP**2 * band
     return Motion(
         times_s=times,
         points=points,
-        displacement_m=found.moved[0],
-        velocity_m_s=found.moved[1],
+        displacement_m=result.moved[0],
+        velocity_m_s=result.moved[1],
         error=error,
         error_source=f"{SAFETY} times the difference from a run finer in everything, of degree {first + 1}: "
-        f"{apart:.2g}; harmonics that it leaves out: {finer.dropped:.2g}; its path: {tighter.path:.2g}",
-        solver=f"disc, {found.elements} elements of degree {first} (r x z), {len(problem.numbers)} harmonics, "
+        f"{difference:.2g}; harmonics that it leaves out: {finer.dropped:.2g}; its path: {tighter.path:.2g}",
+        solver=f"axisymmetric, {result.elements} elements of degree {first} (r x z), {len(problem.numbers)} harmonics, "
         f"{len(problem.samples.times_s)} times",
         seconds=time.perf_counter() - begin,
     )
@@ -123,9 +124,9 @@ def first_degree(accuracy: float) -> int:
     return 5 if accuracy >= 0.005 else 7
 
 
-def cost_disc(body: Body, load: Load, times: Float, at: Float, accuracy: float) -> float:
-    """Predicted seconds of `solve_disc` on one core of a 2 GHz server; raises SceneError as it does."""
-    reason = refusal_disc(body, load)
+def cost_axisymmetric(body: Body, load: Load, times: Float, at: Float, accuracy: float) -> float:
+    """Predicted seconds of `solve_axisymmetric` on one core of a 2 GHz server; raises SceneError as it does."""
+    reason = refusal_axisymmetric(body, load)
     if reason is not None or not isinstance(body, Slab) or not isinstance(load, Spot):
         raise SceneError(f"{reason}: use another solver")
     times, points = _checked(body, times, at, accuracy)
@@ -207,31 +208,26 @@ def _motions(runs: list[tuple[_Problem, int, float]], fine: float | None) -> lis
         tasks += [(grid, problem, m, band_Hz) for m in problem.numbers]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         parts = pool.map(lambda task: _harmonic(*task), tasks)
-        found = [[next(parts) for _ in problem.numbers] for problem, _, _ in runs]
-    return [_summed(run[0], grid, each) for run, grid, each in zip(runs, grids, found, strict=True)]
+        result = [[next(parts) for _ in problem.numbers] for problem, _, _ in runs]
+    return [_summed(run[0], grid, each) for run, grid, each in zip(runs, grids, result, strict=True)]
 
 
-def _summed(problem: _Problem, grid: DiscGrid, found: list[tuple[Complex, Complex]]) -> _Found:
+def _summed(problem: _Problem, grid: DiscGrid, result: list[tuple[Complex, Complex]]) -> _Found:
     """The motion that the harmonics make together."""
     load, samples, points = problem.load, problem.samples, problem.points
-    wanted = np.searchsorted(samples.times_s, problem.times - 1e-12 * samples.times_s[-1])
+    target = np.searchsorted(samples.times_s, problem.times - 1e-12 * samples.times_s[-1])
     after = problem.times >= load.times_s[0]
     moved = np.zeros((2, len(problem.times), len(points), 3))
-    for m, parts in zip(problem.numbers, found, strict=True):
+    for m, parts in zip(problem.numbers, result, strict=True):
         mine = np.zeros_like(moved)
         for kind, part in enumerate(parts):
-            mine[kind, after] = _turned(part[wanted[after]], m, points)
+            mine[kind, after] = _turned(part[target[after]], m, points)
         moved += mine
     size = np.sqrt((moved[0] ** 2).sum(axis=(0, 2)))
     # Those left out move as the last one does, by their share of the load.
     last = _worst(np.sqrt((mine[0] ** 2).sum(axis=(0, 2))), size)
     dropped = last * problem.dropped / float(problem.share[problem.numbers[-1]])
     return _Found(moved, dropped, f"{grid.radial.elements} x {grid.depth.elements}")
-
-
-def _difference(coarse: Float, fine: Float) -> float:
-    """L2 over the times of the difference of displacements (t, n, 3), of the finer ones', the worst point's."""
-    return _worst(np.sqrt(((fine - coarse) ** 2).sum(axis=(0, 2))), np.sqrt((fine**2).sum(axis=(0, 2))))
 
 
 def _worst(part: Float, whole: Float) -> float:
@@ -280,7 +276,7 @@ def _grid(body: Slab, load: Spot, samples: Samples, degree: int, fine: float) ->
 
 
 def _harmonic(grid: DiscGrid, problem: _Problem, m: int, band_Hz: float) -> tuple[Complex, Complex]:
-    """U, V, W of one harmonic at all samples and asked points: displacement and velocity, (t, n, 3)."""
+    """U, V, W of one harmonic at all samples and requested points: displacement and velocity, (t, n, 3)."""
     samples, system = problem.samples, grid.system(m)
     s = spread(problem.load.fwhm_m)
     near, far = float(samples.distance_m.min()), float(samples.distance_m.max())
@@ -296,7 +292,7 @@ def _harmonic(grid: DiscGrid, problem: _Problem, m: int, band_Hz: float) -> tupl
     if far - near < 1e-9 * s:
         inputs, coordinates = forces[:, :1], np.ones((len(samples.times_s), 1))
     else:
-        inputs, shares = pod(forces, problem.tolerance)
+        inputs, shares = principal_shapes(forces, problem.tolerance)
         coordinates = CubicSpline(table, shares, axis=1)(samples.distance_m).T
     turning = samples.peak_Pa * np.exp(-1j * m * samples.angle_rad)
     # A weak harmonic may err by more of itself.

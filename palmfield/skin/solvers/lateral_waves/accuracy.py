@@ -20,7 +20,7 @@ def is_picture(times: int, points: int) -> bool:
     return times < SERIES_FROM and points > FEW_POINTS
 
 
-def relative_error(found: Float, finer: Float) -> float:
+def relative_error(result: Float, finer: Float) -> float:
     """L2 difference of motions (t, n, 3), relative to the finer one: over the times at each point, the largest of the
     points; over times and points together where there are few times and many points."""
     if finer.size == 0:
@@ -28,7 +28,7 @@ def relative_error(found: Float, finer: Float) -> float:
     over = (0, 1, 2) if is_picture(*finer.shape[:2]) else (0, 2)
     size = np.sqrt((finer**2).sum(axis=over))
     floor = max(FAINT * float(size.max()), 1e-300)
-    return float(np.max(np.sqrt(((found - finer) ** 2).sum(axis=over)) / np.maximum(size, floor)))
+    return float(np.max(np.sqrt(((result - finer) ** 2).sum(axis=over)) / np.maximum(size, floor)))
 
 
 def pick(displacement: Float) -> Int:
@@ -42,7 +42,7 @@ def pick(displacement: Float) -> Int:
 
 def check_points(body: Slab, times: ArrayLike, at: ArrayLike, accuracy: float) -> tuple[Float, Float]:
     """Times (t,) and points (n, 3) on the face. Raises SceneError for others, and for an accuracy out of range."""
-    asked, points = rising("times", times), points_on_face(body, at)
+    requested, points = rising("times", times), points_on_face(body, at)
     if not 1e-7 <= accuracy <= 0.5:
         raise SceneError(f"accuracy is {accuracy}; give a relative error from 1e-7 to 0.5")
-    return asked, points
+    return requested, points

@@ -7,7 +7,7 @@ from numpy.polynomial.legendre import leggauss
 from scipy.special import j0
 
 from palmfield.errors import SceneError
-from palmfield.skin.problem import GAUSSIAN, ONLY_IMPLICIT, Body, Foundation, Load, Slab, Spot
+from palmfield.skin.problem import GAUSSIAN, ONLY_WEDGES, Body, Foundation, Load, Slab, Spot
 from palmfield.skin.solvers.lateral_waves.depth import depth_problem
 from palmfield.skin.solvers.lateral_waves.drive import spot_transform
 from palmfield.skin.solvers.lateral_waves.modes import FaceModes, face_modes, still_modes
@@ -33,12 +33,12 @@ LOOSEST = 0.03
 RINGS = 60
 
 
-def refusal_spectral(body: Body, load: Load) -> str | None:
-    """Why the spectral solver can't solve this, in one sentence, or None."""
+def refusal_lateral_waves(body: Body, load: Load) -> str | None:
+    """Why solver lateral_waves can't solve this, in one sentence, or None."""
     if not isinstance(body, Slab):
         return "it solves flat slabs, and this is a layer on a surface"
     if isinstance(body.base, Foundation):
-        return ONLY_IMPLICIT
+        return ONLY_WEDGES
     if body.shape != "infinite" and body.side != "roller":
         return f"a {body.shape} with {body.side} sides has no simple lateral waves; it needs side='roller'"
     if body.shape == "disc" and not (isinstance(load, Spot) and is_still(load) and not load.centres().any()):

@@ -1,4 +1,7 @@
-"""What a spectral solution will cost, before any of it is computed. Constants are from docs/bench/skin_spectral.md."""
+"""What a solution by lateral waves will cost, before any of it is computed.
+
+Constants are from docs/bench/skin_lateral_waves.md.
+"""
 
 import numpy as np
 
@@ -23,20 +26,20 @@ PHASE_S = 20e-9
 LATE_Hz = 200.0
 
 
-def cost_spectral(body: Body, load: Load, times: Float, at: Float, accuracy: float) -> float:
+def cost_lateral_waves(body: Body, load: Load, times: Float, at: Float, accuracy: float) -> float:
     """Predicted seconds on one core, within a factor of about two; infinite for what the solver refuses.
 
     Fitted to seconds of the process, on Ecoflex 20 mm at 0.1 to 5 % and on a plate of 10 mm under a fast spot.
     """
     if not isinstance(body, Slab):
         return float("inf")
-    asked = np.asarray(times, dtype=float)
+    requested = np.asarray(times, dtype=float)
     points = np.asarray(at, dtype=float)[:, :2]
     resolution = choose(load, 0.5 * accuracy)
     k_end = resolution.cut(load.fwhm_m) if isinstance(load, Spot) else nyquist(load.weights_m2)
     sources = load.centres() if isinstance(load, Spot) else load.points[:, :2]
     farthest = reach(points, sources)
-    horizon = max(float(asked[-1] - load.times_s[0]), 0.0)
+    horizon = max(float(requested[-1] - load.times_s[0]), 0.0)
     main = max(body.sheets, key=lambda sheet: sheet.thickness_m)
     speed, length = shear_wave(main.material, LATE_Hz)
     way = farthest + min(speed * horizon, resolution.digits * length)
@@ -54,10 +57,10 @@ def cost_spectral(body: Body, load: Load, times: Float, at: Float, accuracy: flo
     # Modes that matter for the face, seen in runs: they grow with the digits asked for and with waves in the depth
     digits = resolution.digits + 0.35
     poles = (2 + branches) * min(2.0 * degree, 4.0 * digits**2 + 0.2 * k_end * body.thickness_m)
-    stretches = len(np.union1d(load.times_s[load.times_s < asked[-1]], asked))
+    stretches = len(np.union1d(load.times_s[load.times_s < requested[-1]], requested))
     tried, summed = (TRIED, SUMMED) if body.shape == "infinite" else (TWICE, TWICE)
     modes = tried * wavenumbers * (WAVENUMBER_S + SQUARE_S * poles**2)
     steps = summed * waves * stretches * (WAVE_S + POLE_S * poles)
-    sums = waves * len(asked) * min(len(points), 4 if len(asked) >= SERIES_FROM else len(points)) * SUM_S
+    sums = waves * len(requested) * min(len(points), 4 if len(requested) >= SERIES_FROM else len(points)) * SUM_S
     phases = waves * (len(points) if len(points) < 64 else 2.0 * np.sqrt(len(points))) * PHASE_S
     return float(modes + steps + sums + phases)

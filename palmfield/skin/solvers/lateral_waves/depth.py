@@ -3,6 +3,10 @@
 Motion u_x = i U(z) e^{ikx}, u_z = W(z) e^{ikx} makes the strain -k U, W', (U' + k W) / 2 and every matrix real and
 symmetric. Polynomials of high degree neither lock at Poisson's ratio 0.5 nor disperse (Szabo & Babuska 1991, ch. 6,
 give the basis: integrated Legendre polynomials).
+
+Stiffness and damping are kept as their factors, rows of strain whose squares sum to the energy: the soft modes of a
+stiff sheet, 1e13 times softer than its stiffest, keep their digits in the factor's singular values and lose them in the
+eigenvalues of its square.
 """
 
 import math
@@ -10,9 +14,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.polynomial.legendre import leggauss, legvander
 
-from palmfield.skin.problem import Sheet, Slab, Springs
+from palmfield.skin.material import Material
+from palmfield.skin.problem import Slab, Springs
 from palmfield.types import Float
 
 STIFFEST = 1e7
@@ -21,25 +25,27 @@ STIFFEST = 1e7
 
 @dataclass(frozen=True)
 class Relaxing:
-    """Force g Q (u - q) with tau q' = u - q. matrix: Q [Pa], shape (n, n); ratio: g; time_s: tau [s], > 0"""
+    """Forces g Q (u - q) with tau q' = u - q and Q = strain^T strain, of the branches of one sheet.
 
-    matrix: Float
-    ratio: float
-    time_s: float
+    strain: [Pa^1/2], shape (m, n); branches: (g, tau [s]) of each, both > 0
+    """
+
+    strain: Float
+    branches: tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True)
 class DepthProblem:
-    """M u'' + D u' + E u + sum g Q (u - q) = force, by area of the face.
+    """M u'' + D u' + E u + sum g Q (u - q) = force, by area of the face; D = viscous^T viscous, E = strain^T strain.
 
-    mass, damping, stiffness: M [kg/m^2], D [Pa s/m], E [Pa/m], shape (n, n)
+    mass: M [kg/m^2], shape (n, n); strain: [(Pa/m)^1/2], shape (m, n); viscous: [(Pa s/m)^1/2], shape (l, n)
     relaxing: the terms of the Maxwell branches
     normal, lateral: places of the face's W and U among the n unknowns; lateral is None at k = 0, where they part
     """
 
     mass: Float
-    damping: Float
-    stiffness: Float
+    strain: Float
+    viscous: Float
     relaxing: tuple[Relaxing, ...]
     normal: int
     lateral: int | None
@@ -47,43 +53,42 @@ class DepthProblem:
 
 @lru_cache(maxsize=8)
 def _reference(degree: int) -> tuple[Float, Float, Float]:
-    """Integrals over [-1, 1] of N_i N_j, N_i N_j' and N_i' N_j', shape (degree + 1, degree + 1); leading blocks serve
-    lower degrees. N_0 is 1 at the lower end, N_1 at the upper one; the others vanish at both."""
-    points, weights = leggauss(degree + 1)
-    legendre = legvander(points, degree)
-    values, slopes = np.empty_like(legendre), np.empty_like(legendre)
-    values[:, 0], values[:, 1] = 0.5 * (1.0 - points), 0.5 * (1.0 + points)
-    slopes[:, 0], slopes[:, 1] = -0.5, 0.5
+    """By Legendre polynomials of unit square integral over [-1, 1]: N_j and N_j', and the integrals of N_i N_j.
+
+    All of shape (degree + 1, degree + 1), the first two by polynomial and j; leading blocks serve lower degrees. N_0 is
+    1 at the lower end, N_1 at the upper one; the others, integrals of Legendre polynomials, vanish at both.
+    """
+    values, slopes = np.zeros((degree + 1, degree + 1)), np.zeros((degree + 1, degree + 1))
+    values[0, :2], values[1, :2] = np.sqrt(0.5), [-np.sqrt(1.0 / 6.0), np.sqrt(1.0 / 6.0)]
+    slopes[0, :2] = [-np.sqrt(0.5), np.sqrt(0.5)]
     j = np.arange(2, degree + 1)
-    values[:, 2:] = (legendre[:, 2:] - legendre[:, :-2]) / np.sqrt(2.0 * (2.0 * j - 1.0))
-    slopes[:, 2:] = legendre[:, 1:-1] * np.sqrt(0.5 * (2.0 * j - 1.0))
-    weighted = weights[:, None] * values
-    return values.T @ weighted, weighted.T @ slopes, slopes.T @ (weights[:, None] * slopes)
+    values[j, j] = 1.0 / np.sqrt((2.0 * j - 1.0) * (2.0 * j + 1.0))
+    values[j - 2, j] = -1.0 / np.sqrt((2.0 * j - 1.0) * (2.0 * j - 3.0))
+    slopes[j - 1, j] = 1.0
+    return values, slopes, values.T @ values
 
 
 def reference(degree: int) -> tuple[Float, Float, Float]:
     block = slice(degree + 1)
-    plain, mixed, steep = _reference(64 * math.ceil(degree / 64))
-    return plain[block, block], mixed[block, block], steep[block, block]
+    values, slopes, plain = _reference(64 * math.ceil(degree / 64))
+    return values[block, block], slopes[block, block], plain[block, block]
 
 
 def sheet_matrices(k: float, thickness_m: float, degree: int) -> tuple[Float, Float, Float]:
-    """Of one sheet: mass for density 1, stiffness for K = 1 and for G = 1 (U first, then W), shape (2p + 2, 2p + 2)."""
-    plain, mixed, steep = reference(degree)
-    plain, steep = 0.5 * thickness_m * plain, 2.0 / thickness_m * steep
-    cross = k * (2.0 / 3.0 * mixed + mixed.T)
-    mass = _blocks(plain, 0.0, plain)
-    bulk = _blocks(k**2 * plain, -k * mixed, steep)
-    shear = _blocks(4.0 / 3.0 * k**2 * plain + steep, cross, 4.0 / 3.0 * steep + k**2 * plain)
-    return mass, bulk, shear
+    """Of one sheet, by U first, then W: mass for density 1, shape (2p + 2, 2p + 2), then rows of strain.
 
-
-def _blocks(first: Float, cross: Float | float, second: Float) -> Float:
-    """Symmetric matrix of U and W; np.block takes ten times as long."""
-    n = len(first)
-    result = np.empty((2 * n, 2 * n))
-    result[:n, :n], result[:n, n:], result[n:, :n], result[n:, n:] = first, cross, np.transpose(cross), second
-    return result
+    Twice the energy is the sum of squares of these rows by u: for K = 1 of the dilation's, shape (p + 1, 2p + 2); for
+    G = 1 a third of that, and of the others', shape (2p + 2, 2p + 2).
+    """
+    values, slopes, plain = reference(degree)
+    values, slopes = math.sqrt(0.5 * thickness_m) * values, math.sqrt(2.0 / thickness_m) * slopes
+    plain = 0.5 * thickness_m * plain
+    nothing = np.zeros_like(plain)
+    mass = np.vstack([np.hstack([plain, nothing]), np.hstack([nothing, plain])])
+    # e_xx + e_zz, then e_xx - e_zz and 2 e_xz: 2 e:e - 2/3 tr^2 is a third of the first squared and the others'
+    dilation = np.hstack([-k * values, slopes])
+    turned = np.vstack([np.hstack([-k * values, -slopes]), np.hstack([slopes, k * values])])
+    return mass, dilation, turned
 
 
 def _places(sheet: int, sheets: int, degrees: tuple[int, ...]) -> np.ndarray:
@@ -92,52 +97,56 @@ def _places(sheet: int, sheets: int, degrees: tuple[int, ...]) -> np.ndarray:
     return np.concatenate([[sheet + 1, sheet], np.arange(inside, inside + degrees[sheet] - 1)])
 
 
-def _laws(sheet: Sheet, bulk: Float, shear: Float) -> tuple[Float, Float, list[Relaxing]]:
-    """Stiffness, damping and relaxing terms of one sheet."""
-    material = sheet.material
-    modulus = min(material.bulk_Pa, STIFFEST * material.shear_relaxed_Pa)
-    elastic, delayed = modulus * bulk, material.shear_relaxed_Pa * shear
-    if material.bulk_relaxes:
-        delayed = delayed + elastic
-        elastic = np.zeros_like(elastic)
-    branches = zip(material.ratios, material.times_s, strict=True)
-    relaxing = [Relaxing(delayed, ratio, time) for ratio, time in branches if ratio > 0.0 and time > 0.0]
-    return elastic + delayed, material.viscous_time_s * delayed, relaxing
+def _laws(material: Material, dilation: Float, turned: Float) -> tuple[Float, Float]:
+    """Rows of strain of one sheet: of all its stiffness, and of what follows the shear modulus in time."""
+    shear = material.shear_relaxed_Pa
+    bulk = min(material.bulk_Pa, STIFFEST * shear)
+    sheared = math.sqrt(shear) * turned
+    whole = np.vstack([math.sqrt(bulk + shear / 3.0) * dilation, sheared])
+    return whole, whole if material.bulk_relaxes else np.vstack([math.sqrt(shear / 3.0) * dilation, sheared])
 
 
 def depth_problem(slab: Slab, k: float, degrees: tuple[int, ...]) -> DepthProblem:
     """Matrices of a slab at lateral wavenumber k [rad/m], >= 0, with a polynomial degree (>= 2) for each sheet."""
     sheets = len(slab.sheets)
     count = sheets + 1 + sum(p - 1 for p in degrees)
-    mass, damping, stiffness = (np.zeros((2 * count, 2 * count)) for _ in range(3))
-    relaxing = []
-    for number, (sheet, degree) in enumerate(zip(slab.sheets, degrees, strict=True)):
-        places = _places(number, sheets, degrees)
-        places = np.concatenate([places, count + places])
-        where = np.ix_(places, places)
-        plain, bulk, shear = sheet_matrices(k, sheet.thickness_m, degree)
-        still, viscous, terms = _laws(sheet, bulk, shear)
-        mass[where] += sheet.material.density_kg_m3 * plain
-        stiffness[where] += still
-        damping[where] += viscous
-        for term in terms:
-            whole = np.zeros_like(mass)
-            whole[where] = term.matrix
-            relaxing.append(Relaxing(whole, term.ratio, term.time_s))
     bottom = np.array([sheets, count + sheets])
-    if isinstance(slab.base, Springs):
-        stiffness[bottom, bottom] += [slab.base.tangential_Pa_m, slab.base.normal_Pa_m]
-        damping[bottom, bottom] += [slab.base.tangential_Pa_s_m, slab.base.normal_Pa_s_m]
     kept = np.ones(2 * count, dtype=bool)
     kept[bottom] = slab.base not in ("bonded",), slab.base not in ("bonded", "free_slip")
     if k == 0.0:
         kept[:count] = False
-    where = np.ix_(kept, kept)
+    mass = np.zeros((2 * count, 2 * count))
+    strain, viscous, relaxing = [], [], []
+
+    def spread(rows: Float, places: np.ndarray) -> Float:
+        whole = np.zeros((len(rows), 2 * count))
+        whole[:, places] = rows
+        return whole[:, kept]
+
+    for number, (sheet, degree) in enumerate(zip(slab.sheets, degrees, strict=True)):
+        places = _places(number, sheets, degrees)
+        places = np.concatenate([places, count + places])
+        material = sheet.material
+        plain, dilation, turned = sheet_matrices(k, sheet.thickness_m, degree)
+        mass[np.ix_(places, places)] += material.density_kg_m3 * plain
+        still, delayed = (spread(rows, places) for rows in _laws(material, dilation, turned))
+        strain.append(still)
+        if material.viscous_time_s > 0.0:
+            viscous.append(math.sqrt(material.viscous_time_s) * delayed)
+        pairs = zip(material.ratios, material.times_s, strict=True)
+        branches = tuple((ratio, time) for ratio, time in pairs if ratio > 0.0 and time > 0.0)
+        if branches:
+            relaxing.append(Relaxing(delayed, branches))
+    if isinstance(slab.base, Springs):
+        rates = [slab.base.tangential_Pa_m, slab.base.normal_Pa_m]
+        strain.append(spread(np.diag(np.sqrt(rates)), bottom))
+        rates = [slab.base.tangential_Pa_s_m, slab.base.normal_Pa_s_m]
+        viscous.append(spread(np.diag(np.sqrt(rates)), bottom))
     return DepthProblem(
-        mass[where],
-        damping[where],
-        stiffness[where],
-        tuple(Relaxing(term.matrix[where], term.ratio, term.time_s) for term in relaxing),
+        mass[np.ix_(kept, kept)],
+        np.vstack(strain),
+        np.vstack([np.zeros((0, kept.sum())), *viscous]),
+        tuple(relaxing),
         normal=int(kept[:count].sum()),
         lateral=0 if k > 0.0 else None,
     )

@@ -24,20 +24,20 @@ class Timeline:
     rows: Int
 
 
-def timeline(load: Load, asked: Float) -> Timeline | None:
-    """Segments from the load's begin to the last asked time; None where all asked times are before or at it."""
+def timeline(load: Load, requested: Float) -> Timeline | None:
+    """Segments from the load's begin to the last requested time; None where all requested times are before or at it."""
     start = float(load.times_s[0])
-    span = float(asked[-1]) - start
+    span = float(requested[-1]) - start
     if span <= 0.0:
         return None
-    bends = load.times_s[load.times_s < asked[-1]]
-    ticks = np.round((np.concatenate([bends, asked[asked > start]]) - start) / (SAME * span)).astype(np.int64)
+    bends = load.times_s[load.times_s < requested[-1]]
+    ticks = np.round((np.concatenate([bends, requested[requested > start]]) - start) / (SAME * span)).astype(np.int64)
     different, place = np.unique(ticks, return_inverse=True)
     edges = np.empty(len(different))
     # Bends last, so that an edge of both is the load's own instant
-    edges[place[::-1]] = np.concatenate([bends, asked[asked > start]])[::-1]
+    edges[place[::-1]] = np.concatenate([bends, requested[requested > start]])[::-1]
     rows = np.full(len(edges), -1, dtype=np.int32)
-    rows[place[len(bends) :]] = np.flatnonzero(asked > start)
+    rows[place[len(bends) :]] = np.flatnonzero(requested > start)
     lengths = np.round(np.diff(edges) / (SAME * span)).astype(np.int64)
     _, first, kind = np.unique(lengths, return_index=True, return_inverse=True)
     return Timeline(edges, kind.astype(np.int32), np.diff(edges)[first], rows[1:])

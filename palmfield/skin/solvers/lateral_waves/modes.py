@@ -1,9 +1,10 @@
 """From the matrices of a slab in depth to what its face does: u(s) = sum r_j / (s - s_j) under a normal pressure."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import eigh, solve
+from scipy.linalg import cholesky, solve_triangular
 
 from palmfield.skin.solvers.lateral_waves.depth import DepthProblem
 from palmfield.types import Complex, Float
@@ -38,7 +39,7 @@ class FaceModes:
 
 @dataclass(frozen=True)
 class Reduced:
-    """A depth problem in coordinates with unit mass. branches: (L, g, tau) with Q = L L^T."""
+    """A depth problem in coordinates with unit mass. branches: (L, g, tau [s]) with Q = L L^T."""
 
     stiffness: Float
     damping: Float
@@ -54,19 +55,23 @@ def reduce(problem: DepthProblem, horizon_s: float, tolerance: float) -> Reduced
     root of their summed squares stays below `tolerance` of all; their sum remains, as one shape, so that the static
     answer is that of the whole problem. A second shape does the same for the stiffness at once, branches included.
     """
-    squares, shapes = eigh(problem.stiffness, problem.mass)
-    squares = np.maximum(squares, (SLOWEST / horizon_s) ** 2)
+    root = cholesky(problem.mass)
+    # Of the factor: its values are right to 1e-16 of the largest, eigenvalues of its square to 1e-16 of that squared
+    values, shapes = np.linalg.svd(solve_triangular(root, problem.strain.T, trans="T").T, full_matrices=False)[1:]
+    shapes = solve_triangular(root, shapes.T)
+    squares = np.maximum(values**2, (SLOWEST / horizon_s) ** 2)
     normal = shapes[problem.normal]
     lateral = shapes[problem.lateral] if problem.lateral is not None else np.zeros_like(normal)
     share = np.abs(normal) * np.hypot(normal, lateral) / np.maximum(squares, 2.0 / min(horizon_s, LONGEST_S) ** 2)
     order = np.argsort(share)
     left_out = np.sqrt(np.cumsum(share[order] ** 2)) < tolerance * share.sum()
     kept = np.sort(order[~left_out])
-    terms = [(shapes.T @ r.matrix @ shapes, r.ratio, r.time_s) for r in problem.relaxing]
+    delayed = [r.strain @ shapes for r in problem.relaxing]
     static = [normal / squares]
-    if terms:
-        at_once = np.diag(squares) + sum(ratio * matrix for matrix, ratio, _ in terms)
-        static.append(np.linalg.solve(at_once, normal))
+    if delayed:
+        ratios = [sum(ratio for ratio, _ in r.branches) for r in problem.relaxing]
+        added = [math.sqrt(ratio) * rows for ratio, rows in zip(ratios, delayed, strict=True)]
+        static.append(_solved(np.vstack([np.diag(np.sqrt(squares)), *added]), normal))
     basis = np.zeros((len(squares), len(kept) + len(static)))
     basis[kept, np.arange(len(kept))] = 1.0
     used = len(kept)
@@ -79,16 +84,27 @@ def reduce(problem: DepthProblem, horizon_s: float, tolerance: float) -> Reduced
             basis[:, used] = rest / size
             used += 1
     basis = basis[:, :used]
-    damping = basis.T @ (shapes.T @ problem.damping @ shapes) @ basis
-    branches = tuple((_factor(basis.T @ matrix @ basis), ratio, time) for matrix, ratio, time in terms)
-    return Reduced((basis.T * squares) @ basis, damping, branches, normal @ basis, lateral @ basis)
+    viscous = problem.viscous @ shapes @ basis
+    branches = tuple(
+        (factor, ratio, time)
+        for rows, r in zip(delayed, problem.relaxing, strict=True)
+        for factor in [_factor(rows @ basis)]
+        for ratio, time in r.branches
+    )
+    return Reduced((basis.T * squares) @ basis, viscous.T @ viscous, branches, normal @ basis, lateral @ basis)
 
 
-def _factor(matrix: Float) -> Float:
-    """L with L L^T = matrix, semidefinite, as many columns as it has rank."""
-    values, vectors = np.linalg.eigh(matrix)
-    kept = values > 1e-14 * values[-1]
-    return vectors[:, kept] * np.sqrt(values[kept])
+def _solved(rows: Float, right: Float) -> Float:
+    """x with rows^T rows x = right."""
+    root = np.linalg.qr(rows, mode="r")
+    return solve_triangular(root, solve_triangular(root, right, trans="T"))
+
+
+def _factor(rows: Float) -> Float:
+    """L with L L^T = rows^T rows, as many columns as that has rank."""
+    values, vectors = np.linalg.svd(rows, full_matrices=False)[1:]
+    kept = values > 1e-12 * values[0]
+    return vectors[kept].T * values[kept]
 
 
 def face_modes(problem: DepthProblem, horizon_s: float, tolerance: float) -> FaceModes:
@@ -131,7 +147,7 @@ def still_modes(problem: DepthProblem) -> FaceModes:
     """One pole that takes the face to its static answer in a time that is nothing beside a second."""
     force = np.zeros(len(problem.mass))
     force[problem.normal] = -1.0
-    shape = solve(problem.stiffness, force, assume_a="pos")
+    shape = _solved(problem.strain, force)
     lateral = 0.0 if problem.lateral is None else shape[problem.lateral]
     return FaceModes(
         *(

@@ -1,4 +1,4 @@
-"""How fine the spectral solver works for a wanted tolerance."""
+"""How fine solver lateral_waves works for a wanted tolerance."""
 
 import math
 from dataclasses import dataclass

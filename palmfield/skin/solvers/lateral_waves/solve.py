@@ -1,4 +1,4 @@
-"""The spectral solver: every slab whose lateral waves are known, exact in time."""
+"""The solver 'lateral_waves': every slab whose lateral waves are known, exact in time."""
 
 import time
 from dataclasses import dataclass, replace
@@ -9,7 +9,7 @@ from palmfield.device import resolve
 from palmfield.errors import SceneError
 from palmfield.skin.problem import Body, Load, Motion, Slab, Spot, Springs, Traction
 from palmfield.skin.solvers.lateral_waves.accuracy import SERIES_FROM, check_points, is_picture, pick, relative_error
-from palmfield.skin.solvers.lateral_waves.build import box_images, build_waves, refusal_spectral
+from palmfield.skin.solvers.lateral_waves.build import box_images, build_waves, refusal_lateral_waves
 from palmfield.skin.solvers.lateral_waves.drive import timeline
 from palmfield.skin.solvers.lateral_waves.march import march
 from palmfield.skin.solvers.lateral_waves.resolution import choose
@@ -26,12 +26,12 @@ PICTURE_FINER, PICTURE_SAFETY = 0.35, 2.5
 FINEST = 1e-9
 RETRIES = 3
 PART = 0.5
-"""Tolerance of each part of the solution relative to the wanted accuracy."""
+"""Tolerance of each part of the solution relative to the target accuracy."""
 
 
 @dataclass(frozen=True)
-class Choice:
-    """How to solve: as the arguments of solve_spectral; still: at rest."""
+class Settings:
+    """How to solve: as the arguments of solve_lateral_waves; still: at rest."""
 
     accuracy: float
     tolerance: float | None
@@ -52,7 +52,7 @@ class Run:
     panels: Float | None
 
 
-def solve_spectral(
+def solve_lateral_waves(
     body: Body,
     load: Load,
     times: Float,
@@ -65,21 +65,21 @@ def solve_spectral(
 ) -> Motion:
     """Displacement and velocity of the face of a slab at points and times.
 
-    body: a Slab, see `refusal_spectral`; times: asked times [s], rising, shape (t,)
+    body: a Slab, see `refusal_lateral_waves`; times: requested times [s], rising, shape (t,)
     at: points on the face [m], shape (n, 3) or (n, 2)
-    accuracy: wanted relative error of the displacement, 1e-7 to 0.5; device: "auto", "cpu" or "cuda:0"
+    accuracy: target relative error of the displacement, 1e-7 to 0.5; device: "auto", "cpu" or "cuda:0"
     tolerance: pins that of the wavenumbers, angles, depth modes and cut, each; then nothing is refined
     threads: on the CPU; None takes all cores
     The error is told by a run with a fifth of the tolerance at up to four of the points; for a picture (fewer than
     eight times, more than 32 points) by one with a third, over 200 of them together.
-    Raises SceneError where `refusal_spectral` has a reason, and for times, points or an accuracy out of range.
+    Raises SceneError where `refusal_lateral_waves` has a reason, and for times, points or an accuracy out of range.
     """
     slab = accepted(body, load)
-    asked, points = check_points(slab, times, at, accuracy)
-    return _solve(slab, load, asked, points, chosen_by(accuracy, tolerance, device, threads))
+    requested, points = check_points(slab, times, at, accuracy)
+    return _solve(slab, load, requested, points, settings_of(accuracy, tolerance, device, threads))
 
 
-def static_spectral(
+def static_lateral_waves(
     body: Body,
     load: Load,
     at: Float,
@@ -89,17 +89,21 @@ def static_spectral(
     tolerance: float | None = None,
     threads: int | None = None,
 ) -> Motion:
-    """Displacement at rest under the load as it is at its last time, shape (1, n, 3); arguments as for solve_spectral.
+    """Displacement at rest under the load as it is at its last time, shape (1, n, 3).
 
-    Raises SceneError as solve_spectral, and for a base that holds nothing.
+    Arguments are as for solve_lateral_waves.
+
+    Raises SceneError as solve_lateral_waves, and for a base that holds nothing.
     """
     slab = accepted(body, load)
     if is_unheld(slab.base):
-        raise SceneError("spectral solver: a slab on nothing has no state of rest under a load; give a base that holds")
-    asked, points = check_points(slab, load.times_s[-1:], at, accuracy)
-    choice = chosen_by(accuracy, tolerance, device, threads, still=True)
-    motion = _solve(slab, last_of(load), np.ones(1), points, choice)
-    return replace(motion, times_s=asked)
+        raise SceneError(
+            "solver 'lateral_waves': a slab on nothing has no state of rest under a load; give a base that holds"
+        )
+    requested, points = check_points(slab, load.times_s[-1:], at, accuracy)
+    settings = settings_of(accuracy, tolerance, device, threads, still=True)
+    motion = _solve(slab, last_of(load), np.ones(1), points, settings)
+    return replace(motion, times_s=requested)
 
 
 def is_unheld(base: object) -> bool:
@@ -116,52 +120,52 @@ def last_of(load: Load) -> Load:
 
 def accepted(body: Body, load: Load) -> Slab:
     """The body, which is a slab. Raises SceneError with the reason where the solver refuses it."""
-    reason = refusal_spectral(body, load)
+    reason = refusal_lateral_waves(body, load)
     if reason is not None or not isinstance(body, Slab):
-        raise SceneError(f"spectral solver: {reason}")
+        raise SceneError(f"solver 'lateral_waves': {reason}")
     return body
 
 
-def chosen_by(
+def settings_of(
     accuracy: float, tolerance: float | None, device: str, threads: int | None, still: bool = False
-) -> Choice:
+) -> Settings:
     """Raises SceneError for a tolerance out of range."""
     if tolerance is not None and not FINEST <= tolerance <= 0.25:
         raise SceneError(f"tolerance is {tolerance}; give {FINEST} to 0.25, or leave it out")
-    return Choice(accuracy, tolerance, resolve(device), threads, still)
+    return Settings(accuracy, tolerance, resolve(device), threads, still)
 
 
-def _solve(body: Slab, load: Load, asked: Float, points: Float, choice: Choice) -> Motion:
+def _solve(body: Slab, load: Load, requested: Float, points: Float, settings: Settings) -> Motion:
     begun = time.perf_counter()
-    if timeline(load, asked) is None or not np.any(load.peak_Pa if isinstance(load, Spot) else load.pressure_Pa):
-        still = np.zeros((len(asked), len(points), 3))
-        return Motion(asked, points, still, still.copy(), 0.0, "no load yet: all is at rest", "spectral", 0.0)
-    part = PART * choice.accuracy if choice.tolerance is None else choice.tolerance
-    result = run(body, load, asked, points, part, choice)
-    picture = is_picture(len(asked), len(points))
+    if timeline(load, requested) is None or not np.any(load.peak_Pa if isinstance(load, Spot) else load.pressure_Pa):
+        still = np.zeros((len(requested), len(points), 3))
+        return Motion(requested, points, still, still.copy(), 0.0, "no load yet: all is at rest", "lateral_waves", 0.0)
+    part = PART * settings.accuracy if settings.tolerance is None else settings.tolerance
+    result = run(body, load, requested, points, part, settings)
+    picture = is_picture(len(requested), len(points))
     share, safety = (PICTURE_FINER, PICTURE_SAFETY) if picture else (FINER, SAFETY)
-    if not picture and len(asked) < SERIES_FROM:
+    if not picture and len(requested) < SERIES_FROM:
         safety = MOMENT_SAFETY
     for left in reversed(range(RETRIES)):
         chosen = pick(result.displacement)
         finer = max(share * part, FINEST)
-        check = run(body, load, asked, points[chosen], finer, choice, result.panels)
+        check = run(body, load, requested, points[chosen], finer, settings, result.panels)
         error = safety * relative_error(result.displacement[:, chosen], check.displacement)
         speed_error = safety * relative_error(result.velocity[:, chosen], check.velocity)
-        if error <= choice.accuracy or choice.tolerance is not None or part <= FINEST or left == 0:
+        if error <= settings.accuracy or settings.tolerance is not None or part <= FINEST or left == 0:
             break
         part = finer
-        result = run(body, load, asked, points, part, choice, check.panels)
+        result = run(body, load, requested, points, part, settings, check.panels)
     return Motion(
-        asked,
+        requested,
         points,
         result.displacement,
         result.velocity,
         error,
         f"{safety} times the difference from a run with {share} of the tolerance, at {len(chosen)} points; of the "
         f"velocity it is {speed_error:.2g}",
-        f"spectral: {result.wavenumbers} wavenumbers, {result.waves} waves, {result.poles:.0f} poles each, tolerance "
-        f"{part:.2g}",
+        f"lateral_waves: {result.wavenumbers} wavenumbers, {result.waves} waves, {result.poles:.0f} poles each, "
+        f"tolerance {part:.2g}",
         time.perf_counter() - begun,
     )
 
@@ -169,25 +173,25 @@ def _solve(body: Slab, load: Load, asked: Float, points: Float, choice: Choice) 
 def run(
     body: Slab,
     load: Load,
-    asked: Float,
+    requested: Float,
     points: Float,
     tolerance: float,
-    choice: Choice,
+    settings: Settings,
     panels: Float | None = None,
 ) -> Run:
     """One solution at one tolerance; panels: of a coarser run, to begin with."""
-    line = timeline(load, asked)
+    line = timeline(load, requested)
     assert line is not None
-    horizon = float(asked[-1] - load.times_s[0])
+    horizon = float(requested[-1] - load.times_s[0])
     resolution = choose(load, tolerance)
     waves, panels = build_waves(
-        body, load, points[:, :2], horizon, resolution, still=choice.still, panels=panels, threads=choice.threads
+        body, load, points[:, :2], horizon, resolution, still=settings.still, panels=panels, threads=settings.threads
     )
     images = box_images(body, points[:, :2])
 
     def to_points(part: slice, amplitude: Complex) -> Float:
         return np.sum([sign * at_points(waves, part, amplitude, image) for image, sign in images], axis=0)
 
-    moved = march(load, line, waves, len(asked), to_points, choice.device, choice.threads)
+    moved = march(load, line, waves, len(requested), to_points, settings.device, settings.threads)
     poles = float(np.mean([len(m.poles) for m in waves.modes]))
     return Run(moved[:, 0], moved[:, 1], len(waves), len(waves.modes), poles, panels)

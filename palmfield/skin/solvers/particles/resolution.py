@@ -7,8 +7,9 @@ import numpy as np
 from scipy.optimize import brentq
 
 from palmfield.errors import SceneError
+from palmfield.skin.approximation.load_scales import load_width, mean_frequency, passing_frequency
 from palmfield.skin.materials.material import shear_wave
-from palmfield.skin.problem import ONLY_IMPLICIT, Body, Foundation, Layer, Load, Slab, Spot, Springs, Traction
+from palmfield.skin.problem import ONLY_WEDGES, Body, Foundation, Layer, Load, Slab, Springs, depth_of
 from palmfield.skin.solvers.particles.columns import FEWEST_CELLS
 from palmfield.types import Float
 
@@ -32,7 +33,7 @@ def refusal_particles(body: Body, load: Load) -> str | None:
     if isinstance(body, Slab) and body.shape == "infinite":
         return "particles need a body with an end: give the slab a shape 'box' or 'disc'"
     if isinstance(body.base, Foundation):
-        return ONLY_IMPLICIT
+        return ONLY_WEDGES
     if isinstance(body.base, Springs):
         return "particles have no spring base: use base 'bonded', 'free_slip' or 'free'"
     if body.side == "absorbing":
@@ -44,14 +45,14 @@ def refusal_particles(body: Body, load: Load) -> str | None:
             return (
                 f"particles step with the pressure wave, and '{material.name}' has a bulk modulus of "
                 f"{material.bulk_Pa / material.shear_instant_Pa:.3g} times its shear modulus (at most {STIFFEST:g}): "
-                "use the implicit or spectral solver"
+                "use solver 'wedges' or 'lateral_waves'"
             )
     for upper, lower in itertools.combinations([sheet.material for sheet in body.sheets], 2):
         ratio = upper.shear_instant_Pa / lower.shear_instant_Pa
         if ratio > STIFFER:
             return (
                 f"'{upper.name}' is {ratio:.3g} times as stiff as '{lower.name}' below it (at most {STIFFER:g}): "
-                "particles bend such a sheet too little; use the implicit or spectral solver"
+                "particles bend such a sheet too little; use solver 'wedges' or 'lateral_waves'"
             )
     return None
 
@@ -64,10 +65,10 @@ def law_error(body: Body, load: Load, spacing_m: float) -> float:
     H, h_z the spacing in depth, the shear wavelength at the load's mean frequency in its slowest sheet.
     """
     depth = depth_of(body)
-    width = _width(load)
+    width = load_width(load)
     length = min(width, math.sqrt(width * depth))
     below = min(spacing_m, depth / FEWEST_CELLS)
-    frequency = _frequency(load, width)
+    frequency = max(mean_frequency(load), passing_frequency(load, width))
     waves = 0.0
     if frequency > 0.0:
         wavelength = min(shear_wave(sheet.material, frequency)[0] for sheet in body.sheets) / frequency
@@ -84,7 +85,7 @@ def choose_spacing(body: Body, load: Load, accuracy: float) -> float:
         raise SceneError(f"particles: accuracy is {accuracy}; give 0.002 to 1 (5 % is what they are good for)")
     accuracy = max(accuracy, FINEST)
     # Below two particles a width in the run that shows the error, it shows nothing.
-    high = min(length_of(body) / 4.0, _width(load) / 3.0)
+    high = min(length_of(body) / 4.0, load_width(load) / 3.0)
     low = 1e-3 * high
     if law_error(body, load, high) <= accuracy:
         return high
@@ -117,10 +118,6 @@ def _run_seconds(body: Body, load: Load, times: Float, spacing: float, device: s
     return 0.1 + count * steps * SECONDS_A_STEP["cuda" if device.startswith("cuda") else "cpu"]
 
 
-def depth_of(body: Body) -> float:
-    return body.thickness_m if isinstance(body, Slab) else float(np.median(body.patch.depth))
-
-
 def length_of(body: Body) -> float:
     """Least length along the face [m]."""
     if isinstance(body, Layer):
@@ -133,36 +130,3 @@ def _area(body: Body) -> float:
         a, b, c = (body.patch.vertices[body.patch.faces[:, i]] for i in range(3))
         return float(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
     return math.prod(body.size_m) if body.size_m is not None else math.pi * (body.radius_m or 0.0) ** 2
-
-
-def _width(load: Load) -> float:
-    return load.fwhm_m if isinstance(load, Spot) else _traction_width(load)
-
-
-def _traction_width(load: Traction) -> float:
-    """Full width at half maximum of the Gaussian with the spread of the greatest frame's pressure [m]."""
-    frame = np.abs(load.pressure_Pa[np.argmax(np.abs(load.pressure_Pa).sum(axis=1))]) * load.weights_m2
-    if not frame.sum() > 0.0:
-        return math.inf
-    middle = frame @ load.points / frame.sum()
-    square = frame @ ((load.points - middle) ** 2).sum(axis=1) / frame.sum()
-    # A Gaussian's mean square distance is 2 s^2 and its width s sqrt(8 ln 2).
-    return math.sqrt(0.5 * square * 8.0 * math.log(2.0)) or math.inf
-
-
-def _frequency(load: Load, width: float) -> float:
-    """Mean frequency of the load [Hz], its constant part included: rms rate over 2 pi rms; of a moving spot at least
-    half its speed over its width."""
-    times = np.asarray(load.times_s, dtype=float)
-    if len(times) < 3:
-        return 0.0
-    values = np.asarray(load.peak_Pa if isinstance(load, Spot) else load.pressure_Pa, dtype=float)
-    values = values.reshape(len(times), -1)
-    gaps = np.diff(times)[:, None]
-    size = (0.5 * (values[1:] ** 2 + values[:-1] ** 2) * gaps).sum()
-    rate = (np.diff(values, axis=0) ** 2 / gaps).sum()
-    changing = math.sqrt(rate / size) / (2.0 * math.pi) if size > 0.0 else 0.0
-    if not isinstance(load, Spot):
-        return changing
-    speed = np.linalg.norm(np.diff(load.centres(), axis=0), axis=1) / gaps[:, 0]
-    return max(changing, 0.5 * float(speed.max()) / width)

@@ -6,6 +6,7 @@ import numpy as np
 import warp as wp
 
 from palmfield.errors import SceneError
+from palmfield.skin.approximation.richardson import error_of_finer, relative_difference
 from palmfield.skin.problem import Body, Load, Motion, Slab, rising
 from palmfield.skin.solvers.particles.cloud import Cloud, build_cloud
 from palmfield.skin.solvers.particles.pressure import Pressure
@@ -56,7 +57,7 @@ def solve_particles(
     """Motion at points of the face under a pressure, by total-Lagrangian particles at finite strain (neo-Hookean).
 
     times: [s], rising, (t,); at: points on the face [m], (n, 3) or, on a slab, (n, 2)
-    accuracy: wanted relative error; it sets the spacing of a slab's particles where spacing_m [m] is None. A layer's
+    accuracy: target relative error; it sets the spacing of a slab's particles where spacing_m [m] is None. A layer's
         particles stand on its patch's own vertices, and spacing_m sets its levels only.
     step_s, follower: as run_particles
     A layer's spot is measured in the x and y of the patch's frame.
@@ -69,25 +70,25 @@ def solve_particles(
     refused = refusal_particles(body, load)
     if refused is not None:
         raise SceneError(refused)
-    asked = rising("times", times)
+    requested = rising("times", times)
     spacing = choose_spacing(body, load, accuracy) if spacing_m is None else spacing_m
     longest = length_of(body) / (2.0 * COARSER)
     if isinstance(body, Slab) and spacing > longest:
         raise SceneError(f"particles: spacing_m is {spacing}; the body's size allows at most {longest:.4g}")
     cloud = build_cloud(body, spacing)
-    points, u, v, step = run_particles(cloud, load, asked, at, device=device, step_s=step_s, follower=follower)
+    points, u, v, step = run_particles(cloud, load, requested, at, device=device, step_s=step_s, follower=follower)
     known = law_error(body, load, cloud.columns.spacing_m)
     source = "error measured on discs at this spacing (docs/bench/skin_particles.md)"
     error = known
     if isinstance(body, Slab):
         coarse_cloud = build_cloud(body, COARSER * spacing, COARSE_CELLS)
-        _, coarse, _, _ = run_particles(coarse_cloud, load, asked, at, device=device, follower=follower)
+        _, coarse, _, _ = run_particles(coarse_cloud, load, requested, at, device=device, follower=follower)
         ratio = coarse_cloud.columns.spacing_m / cloud.columns.spacing_m
-        error = max(_difference(coarse, u) / (ratio**ORDER - 1.0), 0.5 * known)
+        error = max(error_of_finer(relative_difference(coarse, u), ratio, ORDER), 0.5 * known)
         source = f"particles {ratio:.2f} times as far apart, order {ORDER:g}, and at least half of the {source}"
     count = len(cloud.points)
     return Motion(
-        times_s=asked,
+        times_s=requested,
         points=points,
         displacement_m=u,
         velocity_m_s=v,
@@ -96,12 +97,6 @@ def solve_particles(
         solver=f"particles: {count}, {1e3 * cloud.columns.spacing_m:.3g} mm apart, step {1e6 * step:.3g} us",
         seconds=time.perf_counter() - begun,
     )
-
-
-def _difference(coarse: Float, fine: Float) -> float:
-    """L2 difference over the times at a point, of the finer one's there, the largest of the points."""
-    apart, size = (np.sqrt((u**2).sum(axis=(0, 2))) for u in (coarse - fine, fine))
-    return float(np.max(np.divide(apart, size, out=np.zeros_like(size), where=size > 0.0)))
 
 
 def run_particles(
@@ -122,17 +117,17 @@ def run_particles(
     Returns points [m] (n, 3), displacement [m] and velocity [m/s], both (t, n, 3), and the step [s].
     Raises SceneError for a pinned step above the stable one and a body that is crushed or turned inside out.
     """
-    asked = np.asarray(times, dtype=float)
+    requested = np.asarray(times, dtype=float)
     longest = stable_step(cloud)
     if step_s is not None and not 0.0 < step_s <= longest:
         raise SceneError(f"particles: step_s is {step_s} s; give one above 0 and at most the stable {longest:.4g} s")
-    _refuse_hours(cloud, float(asked[-1] - load.times_s[0]) / longest, longest, device)
+    _refuse_hours(cloud, float(requested[-1] - load.times_s[0]) / longest, longest, device)
     points, near, weights = point_weights(cloud.columns, cloud.face_area, at)
     step = SAFETY * longest if step_s is None else step_s
     for _ in range(RESTARTS):
         body = Particles(cloud, device, step)
         try:
-            history = _history(body, load, asked, (near, weights), longest, follower)
+            history = _history(body, load, requested, (near, weights), longest, follower)
         except CrushedError:
             if step_s is not None or step < 2.0 * SHORTEST * SAFETY * longest:
                 raise
@@ -156,42 +151,42 @@ def _refuse_hours(cloud: Cloud, steps: float, step_s: float, device: str) -> Non
     seconds = len(cloud.points) * steps * SECONDS_A_STEP[kind]
     if seconds <= LONGEST_S:
         return
-    apart = np.linalg.norm(cloud.offset, axis=2)
-    closest = np.where(apart > 0.0, apart, np.inf).min(axis=1)
+    difference = np.linalg.norm(cloud.offset, axis=2)
+    closest = np.where(difference > 0.0, difference, np.inf).min(axis=1)
     place = ", ".join(f"{x:.4g}" for x in cloud.points[cloud.owner[np.argmin(closest)]])
     raise SceneError(
         f"particles: {steps:.2g} steps of {step_s:.3g} s would take about {seconds:.2g} s, above {LONGEST_S:g} s: near "
-        f"({place}) m particles lie {closest.min():.2g} m apart; make the body even there, or use the implicit solver"
+        f"({place}) m particles lie {closest.min():.2g} m apart; make the body even there, or use solver 'wedges'"
     )
 
 
 def _history(
-    body: Particles, load: Load, asked: Float, probe: tuple[Int, Float], longest_s: float, follower: bool
+    body: Particles, load: Load, requested: Float, probe: tuple[Int, Float], longest_s: float, follower: bool
 ) -> tuple[Float, Float]:
     begin, step = float(load.times_s[0]), body.step_s
     reader = Reader(probe[0], probe[1], body.device)
     pressure = Pressure(body.cloud, load, body.device)
     table = wp.zeros((BLOCK, len(body.cloud.face_area)), dtype=wp.float32, device=body.device)
     # Displacement is kept at the steps round each asked time: two before and two after.
-    late = asked > begin
-    first = np.floor((asked - begin) / step).astype(np.int64) - 1
-    wanted = np.unique(np.concatenate([first[late] + shift for shift in range(4)])) if late.any() else np.zeros(0, int)
-    kept = np.zeros((len(wanted), reader.count, 3))
-    total = int(wanted[-1]) + 1 if len(wanted) else 0
+    late = requested > begin
+    first = np.floor((requested - begin) / step).astype(np.int64) - 1
+    target = np.unique(np.concatenate([first[late] + shift for shift in range(4)])) if late.any() else np.zeros(0, int)
+    kept = np.zeros((len(target), reader.count, 3))
+    total = int(target[-1]) + 1 if len(target) else 0
     for start in range(0, total, BLOCK):
         rows = min(BLOCK, total - start)
         pressure.fill(table, begin + step * np.arange(start, start + rows, dtype=float), step)
         body.steps(rows, table, follower, reader)
         body.check(longest_s)
-        low, high = np.searchsorted(wanted, [max(start, 0), start + rows])
+        low, high = np.searchsorted(target, [max(start, 0), start + rows])
         if high > low:
-            kept[low:high] = reader.rows.numpy()[wanted[low:high] - start]
-    displacement = np.zeros((len(asked), reader.count, 3))
+            kept[low:high] = reader.rows.numpy()[target[low:high] - start]
+    displacement = np.zeros((len(requested), reader.count, 3))
     velocity = np.zeros_like(displacement)
     for row in np.flatnonzero(late):
-        place = np.searchsorted(wanted, first[row])
+        place = np.searchsorted(target, first[row])
         before, low_u, high_u, after = kept[place : place + 4]
-        x = (asked[row] - begin) / step - (first[row] + 1)
+        x = (requested[row] - begin) / step - (first[row] + 1)
         low_v, high_v = 0.5 * (high_u - before), 0.5 * (after - low_u)
         # Cubic Hermite between the two steps, with central differences as slopes.
         a, b = 2.0 * (low_u - high_u) + low_v + high_v, 3.0 * (high_u - low_u) - 2.0 * low_v - high_v

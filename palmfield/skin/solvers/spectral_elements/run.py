@@ -82,12 +82,12 @@ class Stepper:
     """
 
     def __init__(
-        self, model: Model, holds: Holds, step_s: float, table: Table, points: Points, wanted: Int, stable_s: float
+        self, model: Model, holds: Holds, step_s: float, table: Table, points: Points, target: Int, stable_s: float
     ) -> None:
         if not 0.0 < step_s <= stable_s:
             raise SceneError(
-                f"explicit skin: step {step_s:.4g} s is above the stable one, {stable_s:.4g} s, or not above 0; leave "
-                "step_s out, or give one between them"
+                f"solver 'spectral_elements': step {step_s:.4g} s is above the stable one, {stable_s:.4g} s, or not "
+                "above 0; leave step_s out, or give one between them"
             )
         self.model, self.holds, self.step_s, self.table = model, holds, step_s, table
         device, real, put = model.device, model.real, model.put
@@ -132,10 +132,10 @@ class Stepper:
         self.clock, self.finished = (wp.zeros(1, dtype=wp.int32, device=device) for _ in range(2))
         self.done = 0
         slots = np.full(table.steps + GRAPH_STEPS, -1)
-        slots[wanted] = np.arange(len(wanted))
+        slots[target] = np.arange(len(target))
         self.slots = model.ints(slots)
         self.read_nodes, self.read_shares = model.ints(points.nodes), put(points.shares)
-        shape = (max(1, len(wanted)), len(points.nodes))
+        shape = (max(1, len(target)), len(points.nodes))
         self.read_u, self.read_v = (wp.zeros(shape, dtype=model.vec3, device=device) for _ in range(2))
         self.commands = self._commands()
         self.graph: Any = None
@@ -149,8 +149,8 @@ class Stepper:
         if len(laws) == 1:
             keys, inverse = np.arange(len(solid.nodes)), solid.elements
         else:
-            keys, found = np.unique(pairs, return_inverse=True)
-            inverse = found.reshape(pairs.shape)
+            keys, result = np.unique(pairs, return_inverse=True)
+            inverse = result.reshape(pairs.shape)
         self.copy_node, self.copy_law = keys // len(laws), keys % len(laws)
         self.copy_count = len(keys)
         self.copy_starts = model.ints(np.searchsorted(self.copy_node, np.arange(len(solid.nodes) + hexa.LANES + 1)))
@@ -201,7 +201,8 @@ class Stepper:
         """Take that many steps. Raises SceneError where the load's table ends before."""
         if self.done + steps > self.table.steps:
             raise SceneError(
-                f"explicit skin: {self.done + steps} steps asked, the load is tabled for {self.table.steps}; table more"
+                f"solver 'spectral_elements': {self.done + steps} steps asked, the load is tabled for "
+                f"{self.table.steps}; table more"
             )
         left = steps
         if self.model.layout.gpu and left >= GRAPH_STEPS:

@@ -10,11 +10,13 @@ import warp as wp
 
 from palmfield.device import resolve
 from palmfield.errors import SceneError
-from palmfield.skin.approximation.reduce_bulk_modulus import soften
+from palmfield.skin.approximation.load_scales import course_frequency, load_width
+from palmfield.skin.approximation.reduce_bulk_modulus import reduce_bulk_modulus
+from palmfield.skin.approximation.richardson import relative_difference
 from palmfield.skin.approximation.trim_absorbing_rim import refusal_of_spot
-from palmfield.skin.problem import ONLY_IMPLICIT, Body, Foundation, Layer, Load, Motion, Spot, rising
+from palmfield.skin.problem import ONLY_WEDGES, Body, Foundation, Layer, Load, Motion, Spot, rising
 from palmfield.skin.solvers.spectral_elements.loads import table_of
-from palmfield.skin.solvers.spectral_elements.mesh import Plan, build, fast_speed, load_frequency, load_width, plan
+from palmfield.skin.solvers.spectral_elements.mesh import MOST, Plan, build, fast_speed, plan
 from palmfield.skin.solvers.spectral_elements.model import SAFETY, Model, hold
 from palmfield.skin.solvers.spectral_elements.places import find
 from palmfield.skin.solvers.spectral_elements.run import Points, Stepper
@@ -46,20 +48,20 @@ COURANT = {1: 0.587, 2: 0.477, 3: 0.406, 4: 0.345, 5: 0.295}
 """Stable step of a cube times wave speed over node spacing (size / N), nu 0.495; higher orders like 1.5 / (N + 0.1)."""
 
 CPU_COST = (8.5e-9, 22e-9, 15e-6)
-"""Seconds by element node, by node and by step on one CPU core (AMD EPYC), measured by scripts/bench_explicit.py."""
+"""Seconds by element node, by node and by step on one CPU core (AMD EPYC), scripts/bench_spectral_elements.py."""
 
 GPU_COST = (0.035e-9, 0.1e-9, 5e-6)
 """The same on a GPU: layers of 13 k to 40 k elements of order 1 and 2 on an H200."""
 
 
-def refusal_explicit(body: Body, load: Load) -> str | None:
-    """Why the explicit solver cannot take this problem, in a sentence, or None."""
+def refusal_spectral_elements(body: Body, load: Load) -> str | None:
+    """Why solver spectral_elements cannot take this problem, in a sentence, or None."""
     if isinstance(body.base, Foundation):
-        return ONLY_IMPLICIT
+        return ONLY_WEDGES
     if isinstance(body, Layer) and body.side == "absorbing":
         return (
-            "explicit elements have dashpots only at a layer's sides, which send slow waves back, and nothing to tell "
-            "how much: use the implicit solver"
+            "spectral elements have dashpots only at a layer's sides, which send slow waves back, and nothing to tell "
+            "how much: use solver 'wedges'"
         )
     turned = refusal_of_spot(body, load)
     if turned is not None:
@@ -68,22 +70,24 @@ def refusal_explicit(body: Body, load: Load) -> str | None:
         material = sheet.material
         if material.bulk_Pa > STIFFEST * material.shear_instant_Pa:
             return (
-                f"explicit elements step with the pressure wave, and '{material.name}' has a bulk modulus of "
+                f"spectral elements step with the pressure wave, and '{material.name}' has a bulk modulus of "
                 f"{material.bulk_Pa / material.shear_instant_Pa:.3g} times its shear modulus (at most {STIFFEST:g}): "
-                "use the implicit or spectral solver, or nu_at_most"
+                "use solver 'wedges' or 'lateral_waves', or nu_at_most"
             )
     return None
 
 
-def cost_explicit(body: Body, load: Load, times: Float, at: Float, accuracy: float, device: str = "cpu") -> float:
-    """Predicted seconds of `solve_explicit`, from the size of its mesh and its step."""
+def cost_spectral_elements(
+    body: Body, load: Load, times: Float, at: Float, accuracy: float, device: str = "cpu"
+) -> float:
+    """Predicted seconds of `solve_spectral_elements`, from the size of its mesh and its step."""
     points = np.atleast_2d(np.asarray(at, dtype=float))
-    body, _ = soften(body, load, float(np.max(times)), points, accuracy, None)
+    body, _ = reduce_bulk_modulus(body, load, float(np.max(times)), points, accuracy, None)
     chosen = plan(body, load, points, accuracy)
     total = 0.0
-    asked, start = np.asarray(times, dtype=float), float(load.times_s[0])
-    ends = float(np.max(asked)), window(body, chosen, load, asked)
-    for each, end in zip((chosen, beside(body, chosen)), ends, strict=True):
+    requested, start = np.asarray(times, dtype=float), float(load.times_s[0])
+    ends = float(np.max(requested)), window(body, chosen, load, requested)
+    for each, end in zip((chosen, comparison_plan(body, chosen)), ends, strict=True):
         nodes, step = size_of(body, each)
         rates = CPU_COST if device == "cpu" else GPU_COST
         steps = max(0.0, end - start) / step
@@ -120,7 +124,7 @@ def size_of(body: Body, chosen: Plan) -> tuple[float, float]:
     return nodes, step
 
 
-def beside(body: Body, chosen: Plan) -> Plan:
+def comparison_plan(body: Body, chosen: Plan) -> Plan:
     """The mesh by which the error is estimated: wider elements, or another order where those would be the same ones.
 
     That is so on a patch's own triangles and where few elements lie under the load. Order 1 has no lower one: the next
@@ -147,16 +151,9 @@ def width_under(solid: Solid, chosen: Plan) -> float:
     return float(np.sqrt(0.5 * np.linalg.norm(across, axis=1).mean()))
 
 
-def apart(found: Float, other: Float) -> float:
-    """Relative difference of two displacements (t, n, 3), L2 over the times, the largest of the points that move."""
-    size, gap = (np.linalg.norm(values, axis=(0, 2)) for values in (found, found - other))
-    moving = size > 1e-9 * size.max(initial=0.0)
-    return float((gap[moving] / size[moving]).max(initial=0.0))
-
-
 def window(body: Body, chosen: Plan, load: Load, times: Float) -> float:
-    """Time [s] up to which the second run goes: the last asked, or a twentieth of the way where it is the dearer."""
-    if chosen.order == 1 and beside(body, chosen).order == 2:
+    """Time [s] up to which the second run goes: the last requested, or a twentieth of the way where it costs more."""
+    if chosen.order == 1 and comparison_plan(body, chosen).order == 2:
         pressing = load.peak_Pa if isinstance(load, Spot) else np.abs(load.pressure_Pa).max(axis=1)
         start = float(load.times_s[max(0, int(np.argmax(pressing != 0.0)) - 1)])
         begun = times[times > start]
@@ -165,7 +162,7 @@ def window(body: Body, chosen: Plan, load: Load, times: Float) -> float:
     return float(times[-1])
 
 
-def solve_explicit(
+def solve_spectral_elements(
     body: Body,
     load: Load,
     times: Float,
@@ -190,42 +187,44 @@ def solve_explicit(
     default one that the accuracy allows, see palmfield.skin.approximation.reduce_bulk_modulus; 0.5 leaves the material
     as it is. What it changes is in the error
     estimate: False leaves the second run out; the error is then NaN
-    Raises SceneError for a problem that `refusal_explicit` names, an element inside out, a step above the stable one,
-    times that do not rise, and points off the face.
+    Raises SceneError for a problem that `refusal_spectral_elements` names, an element inside out, a step above the
+    stable one, times that do not rise, and points off the face.
     """
     began = time.perf_counter()
     device = resolve(device)
-    asked = rising("times", times)
+    requested = rising("times", times)
     if precision not in ("float32", "float64"):
-        raise SceneError(f"explicit skin: precision is '{precision}'; use float32 or float64")
+        raise SceneError(f"solver 'spectral_elements': precision is '{precision}'; use float32 or float64")
     if size_m is not None and not size_m > 0.0:
-        raise SceneError(f"explicit skin: size_m is {size_m}; give a width above 0")
+        raise SceneError(f"solver 'spectral_elements': size_m is {size_m}; give a width above 0")
     if order is not None and not 1 <= order <= 7:
-        raise SceneError(f"explicit skin: order is {order}; give 1 to 7")
+        raise SceneError(f"solver 'spectral_elements': order is {order}; give 1 to 7")
     if step_s is not None and not 0.0 < step_s < math.inf:
-        raise SceneError(f"explicit skin: step_s is {step_s}; give a time above 0 s, or leave it out")
+        raise SceneError(f"solver 'spectral_elements': step_s is {step_s}; give a time above 0 s, or leave it out")
     if deep is not None and (len(deep) != len(body.sheets) or min(deep) < 1):
-        raise SceneError(f"explicit skin: deep is {deep}; give 1 or more for each of {len(body.sheets)} sheets")
+        raise SceneError(
+            f"solver 'spectral_elements': deep is {deep}; give 1 or more for each of {len(body.sheets)} sheets"
+        )
     points = np.atleast_2d(np.asarray(at, dtype=float))
-    body, softened = soften(body, load, float(asked[-1]), points, accuracy, nu_at_most)
-    reason = refusal_explicit(body, load)
+    body, bulk_error = reduce_bulk_modulus(body, load, float(requested[-1]), points, accuracy, nu_at_most)
+    reason = refusal_spectral_elements(body, load)
     if reason is not None:
         raise SceneError(reason)
     chosen = plan(body, load, points, accuracy, order, size_m, deep)
-    fine = march(body, chosen, load, asked, points, device, precision, step_s)
+    fine = march(body, chosen, load, requested, points, device, precision, step_s)
     error, source = math.nan, "not estimated"
     if estimate:
-        other = beside(body, chosen)
-        early = asked[asked <= window(body, chosen, load, asked)]
+        other = comparison_plan(body, chosen)
+        early = requested[requested <= window(body, chosen, load, requested)]
         rough = march(body, other, load, early, points, device, precision, None)
-        gap = apart(fine[0][: len(early)], rough[0])
+        gap = relative_difference(rough[0], fine[0][: len(early)])
         if other.order != chosen.order:
             lower = LOWER_SPONGE if chosen.sponge_m > 0.0 else LOWER
             share = lower if other.order < chosen.order else 1.0
             error, source = share * gap, f"{share:.2g} of the difference to order {other.order} on the same elements"
             if chosen.sponge_m > 0.0:
                 source += " in a smaller sponge"
-            if len(early) < len(asked):
+            if len(early) < len(requested):
                 source += f" up to {early[-1]:.3g} s"
         else:
             # Elements this large have not come to their order: the difference was 0.7 to 59 times the error, and
@@ -233,13 +232,14 @@ def solve_explicit(
             error, source = gap, f"the difference to elements {COARSER} times as wide"
             if chosen.sponge_m > 0.0:
                 source += " in a smaller sponge"
-        error += lag(body, load, fine[3]) + softened
-    if softened > 0.0:
-        source += f"; {softened:.2g} for a bulk modulus of {body.sheets[0].material.bulk_Pa:.3g} Pa"
-    where = f"explicit, order {chosen.order}, {fine[2]} elements of {1e3 * chosen.size_m:.3g} mm, step {fine[3]:.3g} s"
+        error += lag(body, load, fine[3]) + bulk_error
+    if bulk_error > 0.0:
+        source += f"; {bulk_error:.2g} for a bulk modulus of {body.sheets[0].material.bulk_Pa:.3g} Pa"
+    where = f"spectral_elements, order {chosen.order}, {fine[2]} elements of {1e3 * chosen.size_m:.3g} mm, "
+    where += f"step {fine[3]:.3g} s"
     if points.shape[1] == 2:
         points = np.column_stack([points, np.zeros(len(points))])
-    return Motion(asked, points, fine[0], fine[1], error, source, where, time.perf_counter() - began)
+    return Motion(requested, points, fine[0], fine[1], error, source, where, time.perf_counter() - began)
 
 
 def march(
@@ -267,18 +267,18 @@ def march(
     start = float(load.times_s[0])
     late = np.maximum(times - start, 0.0) / step
     first = np.floor(late).astype(np.int64)
-    wanted = np.unique(first[:, None] + np.array([-1, 0, 1]))
-    wanted = wanted[wanted >= 0]
-    steps = int(wanted[-1]) + 1
+    target = np.unique(first[:, None] + np.array([-1, 0, 1]))
+    target = target[target >= 0]
+    steps = int(target[-1]) + 1
     check_time(model, steps, step)
     table = table_of(load, solid, step, steps)
-    stepper = Stepper(model, holds, step, table, Points(*find(solid, points)), wanted, stable)
+    stepper = Stepper(model, holds, step, table, Points(*find(solid, points)), target, stable)
     stepper.advance(steps)
-    u, v = (np.concatenate([np.zeros((1, len(points), 3)), a.numpy()[: len(wanted)]]) for a in stepper.readings())
+    u, v = (np.concatenate([np.zeros((1, len(points), 3)), a.numpy()[: len(target)]]) for a in stepper.readings())
 
     def row(step_number: Any) -> Any:
         """Reading after a step; before the first the body rests."""
-        return np.where(step_number < 0, 0, 1 + np.searchsorted(wanted, np.maximum(step_number, 0)))
+        return np.where(step_number < 0, 0, 1 + np.searchsorted(target, np.maximum(step_number, 0)))
 
     before, here, after = (v[row(first + k)] for k in (-1, 0, 1))
     part = (late - first)[:, None, None]
@@ -297,8 +297,9 @@ def check_time(model: Model, steps: int, step_s: float) -> None:
     if seconds > LONGEST_S:
         worst = int(np.argmin(model.volume.sum(axis=1)))
         raise SceneError(
-            f"explicit skin: {steps} steps of {step_s:.3g} s would take about {seconds:.2g} s, above {LONGEST_S:g}: "
-            f"the smallest element is near ({solid.place(worst)}) m; make the mesh even there, or use implicit"
+            f"solver 'spectral_elements': {steps} steps of {step_s:.3g} s would take about {seconds:.2g} s, above "
+            f"{LONGEST_S:g}: the smallest element is near ({solid.place(worst)}) m; make the mesh even there, or "
+            "use solver 'wedges'"
         )
 
 
@@ -312,6 +313,6 @@ def lag(body: Body, load: Load, step_s: float) -> float:
         material = sheet.material
         if material.viscosity_Pa_s > 0.0:
             speed = math.sqrt(material.shear_relaxed_Pa / material.density_kg_m3)
-            omega = 2.0 * math.pi * max(load_frequency(load), 0.5 * speed / load_width(load))
+            omega = 2.0 * math.pi * max(course_frequency(load, MOST), 0.5 * speed / load_width(load))
             worst = max(worst, 0.5 * step_s * omega * min(1.0, omega * material.viscous_time_s))
     return worst

@@ -18,6 +18,8 @@ from palmfield.skin.solvers.spectral_elements.quads import box_quads, disc_quads
 from palmfield.skin.solvers.spectral_elements.solid import extrude, face_areas
 from palmfield.types import Patch
 
+pytestmark = pytest.mark.numerics
+
 
 def gel(nu: float = 0.495, shear: float = 12.5e3, branches: tuple[Branch, ...] = ()) -> Material:
     return Material("gel", 1030.0, shear, branches, bulk_from_poisson(nu, shear), "test")

@@ -5,17 +5,22 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from scipy import sparse
 from scipy.linalg import expm
 
 from palmfield.errors import SceneError
 from palmfield.skin.fem.load import SurfaceQuadrature
-from palmfield.skin.fem.solver import SkinSolver, harmonic, static
+from palmfield.skin.fem.probe import SurfaceProbe, surface_motion
+from palmfield.skin.fem.solver import harmonic, static
+from palmfield.skin.fem.wedge_stepper import WedgeStepper
 from palmfield.skin.materials.material import Branch, Material, stiffening
-from palmfield.skin.mesh.surface import SurfaceProbe, surface_motion
-from palmfield.skin.reduction import reduced_stepper
-from palmfield.skin.reduction.dynamic_stiffness import Pencil
+from palmfield.skin.reduction import reduced_stepper as module
+from palmfield.skin.reduction.dynamic_stiffness import DynamicStiffness
 from palmfield.skin.reduction.krylov import Krylov, harmonics, level, periodic
-from palmfield.skin.reduction.stepping import FullSkin, KnownLoad, reduced_skin
+from palmfield.skin.reduction.reduced_stepper import KnownLoad, reduced_stepper
+from palmfield.skin.stepper import SurfaceLoads
+
+pytestmark = pytest.mark.numerics
 
 STEP = 1e-4
 TIMES = STEP * np.arange(251)
@@ -29,19 +34,24 @@ def disc(make_spot):
     return spot, SurfaceQuadrature(spot.mesh, spot.system), surface_motion(spot.mesh, spot.system)
 
 
+def forced(spot):
+    """Inputs of steppers whose "pressures" are nodal forces themselves."""
+    return sparse.identity(spot.system.ndof, format="csr")
+
+
 def model_of(disc, load, tolerance=TOLERANCE, highest_Hz=400.0):
-    spot, quadrature, surface = disc
-    loaded = np.flatnonzero(np.diff(quadrature.operator.indptr))
-    return reduced_skin(spot.system, load, surface, spot.read, loaded, STEP, highest_Hz, tolerance)
+    spot, _, surface = disc
+    return reduced_stepper(spot.system, load, surface, spot.read, forced(spot), STEP, highest_Hz, tolerance)
 
 
-def stepped(skin, surface, force, steps, step_s):
-    state = np.zeros(skin.state_size)
-    seen = [np.zeros((2, surface.shape[0]))]
-    for n in range(steps):
-        skin.step(state, force(n * step_s), force((n + 1) * step_s))
-        seen.append(skin.read(state, surface))
-    return np.array(seen), state
+def stepped(stepper, surface, force, steps, state=None, begin=0):
+    """What is seen after each of `steps` substeps from number `begin` on, (steps, 2, m), and the state."""
+    state = np.zeros((1, stepper.state_size)) if state is None else state
+    times = stepper.step_s * np.arange(begin, begin + steps + 1)
+    weights = np.eye(steps + 1)[None]
+    loads = SurfaceLoads(np.array([force(t) for t in times])[None], weights[:, :-1], weights[:, 1:])
+    seen = stepper.step(state, loads, times[0], times[-1], stepper.reader(surface))
+    return seen[0], state
 
 
 def converged(disc, force, knots, parts=2):
@@ -50,14 +60,14 @@ def converged(disc, force, knots, parts=2):
     known = [force(t) for t in knots]
     found = []
     for cut in (parts, 2 * parts):
-        solver = FullSkin(SkinSolver(spot.system, STEP / cut))
+        stepper = WedgeStepper(spot.system, forced(spot), STEP / cut)
 
         def chord(t):
             k = min(int(t / STEP + 1e-6), len(knots) - 2)
             share = t / STEP - k
             return (1 - share) * known[k] + share * known[k + 1]
 
-        found.append(stepped(solver, surface, chord, cut * (len(knots) - 1), STEP / cut)[0][::cut])
+        found.append(stepped(stepper, surface, chord, cut * (len(knots) - 1))[0][cut - 1 :: cut])
     return (4 * found[1] - found[0]) / 3
 
 
@@ -79,7 +89,7 @@ def at_one_place(disc):
 def test_am_is_the_whole_bodys_within_the_estimate(disc, at_one_place):
     spot, _, surface = disc
     exact = converged(disc, lambda t: am(t) * spot.force, TIMES)
-    seen, _ = stepped(at_one_place, surface, lambda t: am(t) * spot.force, len(TIMES) - 1, STEP)
+    seen, _ = stepped(at_one_place, surface, lambda t: am(t) * spot.force, len(TIMES) - 1)
     error = relative(seen[:, 0], exact[:, 0])
     print(spot.system.ndof, at_one_place.model.order, "error", error, "estimate", at_one_place.error)
     assert error < at_one_place.error <= TOLERANCE
@@ -127,7 +137,7 @@ def test_a_focus_on_a_circle_takes_fewer_vectors_than_its_shapes(disc, ring_up, 
     small = model_of(disc, KnownLoad(course, course.shapes, trials, spectrum))
     # A sudden beginning converges slowly.
     exact = converged(disc, force, times, parts=6 if ring_up == 0.0 else 2)
-    seen, _ = stepped(small, surface, force, len(times) - 1, STEP)
+    seen, _ = stepped(small, surface, force, len(times) - 1)
     error = relative(seen[:, 0], exact[:, 0])
     print("order", small.model.order, "error", error, "estimate", small.error)
     assert error < small.error <= TOLERANCE
@@ -137,25 +147,22 @@ def test_a_focus_on_a_circle_takes_fewer_vectors_than_its_shapes(disc, ring_up, 
 def test_a_state_goes_on_in_the_whole_body(disc, at_one_place):
     """Lifted in the middle of the modulation, the whole body does what the small model would have done."""
     spot, _, surface = disc
-    seen, _ = stepped(at_one_place, surface, lambda t: am(t) * spot.force, 200, STEP)
-    _, state = stepped(at_one_place, surface, lambda t: am(t) * spot.force, 100, STEP)
-    full = FullSkin(SkinSolver(spot.system, STEP))
+    seen, _ = stepped(at_one_place, surface, lambda t: am(t) * spot.force, 200)
+    _, state = stepped(at_one_place, surface, lambda t: am(t) * spot.force, 100)
+    whole = WedgeStepper(spot.system, forced(spot), STEP)
     state = at_one_place.lifted(state, am(100 * STEP) * spot.force)
-    assert state.shape == (full.state_size,)
-    np.testing.assert_allclose(full.read(state, surface), seen[100], atol=1e-12 * np.abs(seen[100]).max())
-    found = []
-    for n in range(100, 200):
-        full.step(state, am(n * STEP) * spot.force, am((n + 1) * STEP) * spot.force)
-        found.append(full.read(state, surface))
-    found = np.array(found)
-    assert relative(found[:, 0], seen[101:, 0]) < 0.01
-    assert relative(found[:, 1], seen[101:, 1]) < 0.03
+    assert state.shape == (1, whole.state_size)
+    there = whole.read(state, whole.reader(surface))[0]
+    np.testing.assert_allclose(there, seen[99], atol=1e-12 * np.abs(seen[99]).max())
+    found, _ = stepped(whole, surface, lambda t: am(t) * spot.force, 100, state, 100)
+    assert relative(found[:, 0], seen[100:, 0]) < 0.01
+    assert relative(found[:, 1], seen[100:, 1]) < 0.03
 
 
 def test_linear_in_the_load_and_repeatable(disc, at_one_place):
     spot, _, surface = disc
-    one, _ = stepped(at_one_place, surface, lambda t: am(t) * spot.force, 20, STEP)
-    thousand, _ = stepped(at_one_place, surface, lambda t: 1000 * am(t) * spot.force, 20, STEP)
+    one, _ = stepped(at_one_place, surface, lambda t: am(t) * spot.force, 20)
+    thousand, _ = stepped(at_one_place, surface, lambda t: 1000 * am(t) * spot.force, 20)
     np.testing.assert_allclose(thousand, 1000 * one, rtol=1e-9, atol=1e-12 * np.abs(thousand).max())
     force = spot.force[:, None]
     load = KnownLoad(force, force, [am(TIMES[:50])[:, None]], [(200.0, np.ones(1, complex))])
@@ -165,7 +172,7 @@ def test_linear_in_the_load_and_repeatable(disc, at_one_place):
 
 
 def test_more_vectors_than_allowed_are_refused(disc, monkeypatch):
-    monkeypatch.setattr(reduced_stepper, "MOST_VECTORS", 10)
+    monkeypatch.setattr(module, "MOST_VECTORS", 10)
     force = disc[0].force[:, None]
     load = KnownLoad(force, force, [am(TIMES)[:, None]], [(200.0, np.ones(1, complex))])
     with pytest.raises(SceneError, match=r"vectors.*solver 'wedges'"):
@@ -193,7 +200,7 @@ def test_as_many_vectors_as_unknowns_lose_nothing(tau, viscosity):
     k = 2 * np.eye(5) - np.eye(5, k=1) - np.eye(5, k=-1)
     material = Material("m", 1e3, 1.0, (Branch(2.0, tau), Branch(0.7, 1e-3)), 1.0, "", viscosity_Pa_s=viscosity)
     body = Body(1e-3 * np.eye(5), 1e-3 * k, 2e3 * k @ k, (Relaxing(1e4 * k, material),))
-    krylov = Krylov(Pencil(body), 800.0, np.eye(5)[:, :2])
+    krylov = Krylov(DynamicStiffness(body), 800.0, np.eye(5)[:, :2])
     while krylov.order < 5:
         assert krylov.grow() > 0
     np.testing.assert_allclose(krylov.vectors.T @ (1e-3 * krylov.vectors), np.eye(5), atol=1e-12)
@@ -223,11 +230,13 @@ def test_a_course_is_its_sum_of_harmonics(ring_up):
 
 def test_probe_and_surface_read_the_same_motion(disc, at_one_place):
     spot, _, surface = disc
-    _, state = stepped(at_one_place, surface, lambda t: am(t) * spot.force, 30, STEP)
+    _, state = stepped(at_one_place, surface, lambda t: am(t) * spot.force, 30)
     node = int(np.hypot(*spot.mesh.nodes[: spot.mesh.surface_nodes, :2].T).argmin())
     probe = SurfaceProbe(spot.mesh, spot.mesh.nodes[node : node + 1], spot.system)
     np.testing.assert_allclose(
-        at_one_place.read(state, probe.operator)[:, 0], at_one_place.read(state, surface)[:, node], rtol=1e-9
+        at_one_place.read(state, at_one_place.reader(probe.operator))[0, :, 0],
+        at_one_place.read(state, at_one_place.reader(surface))[0, :, node],
+        rtol=1e-9,
     )
 
 
@@ -238,10 +247,10 @@ def test_two_equal_beginnings_are_one(disc):
     frequencies = np.array([0.0, 70.0])
     once = periodic(waves, frequencies, [(0.0, ((0.0, 1.0),))])
     twice = periodic(waves, frequencies, [(0.0, ((0.0, 1.0),)), (3 / 70, ((0.0, -1.0),))])
-    pencil = Pencil(spot.system)
+    dynamics = DynamicStiffness(spot.system)
     orders = []
     for course in (once, twice):
-        krylov = Krylov(pencil, 1500.0, course)
+        krylov = Krylov(dynamics, 1500.0, course)
         for _ in range(12):
             krylov.grow()
         gram = krylov.vectors.T @ (spot.system.mass @ krylov.vectors)

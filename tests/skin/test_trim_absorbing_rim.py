@@ -10,12 +10,12 @@ from random_cases import curved_patch
 from palmfield.errors import SceneError
 from palmfield.skin import solve, static
 from palmfield.skin.analytic.layer_oracle import centre_response
-from palmfield.skin.approximation.trim_absorbing_rim import extent, refusal_of_spot
+from palmfield.skin.approximation.trim_absorbing_rim import refusal_of_spot, trim_absorbing_rim
 from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.problem import Layer, Sheet, Slab, Spot, points_on_face
 from palmfield.skin.solver_choice import choices
-from palmfield.skin.solvers.lateral_waves import solve_spectral
-from palmfield.skin.solvers.wedges import static_implicit
+from palmfield.skin.solvers.lateral_waves import solve_lateral_waves
+from palmfield.skin.solvers.wedges import static_wedges
 from palmfield.types import Patch
 
 ECOFLEX, PALM = preset("ecoflex_00-10"), preset("palm")
@@ -26,7 +26,7 @@ def held(x, fwhm=0.008):
     return Spot(fwhm, np.array([0.0]), np.array([1.0]), np.array([x, 0.0]), law="held")
 
 
-@pytest.mark.parametrize("solver", ["implicit", "reduced", "explicit"])
+@pytest.mark.parametrize("solver", ["wedges", "reduced", "spectral_elements"])
 def test_a_spot_beside_the_body_does_not_press_it(solver):
     """Three widths outside, the bell is 1e-11 of its peak; it is not moved onto the rim."""
     body = Slab((Sheet(ECOFLEX, 0.006),), shape="box", size_m=(0.03, 0.03), side="free")
@@ -42,7 +42,7 @@ def test_where_a_dome_lies_along_z_changes_nothing():
     for shift in (0.0, 0.05, -0.02):
         moved = replace(patch, vertices=patch.vertices + np.array([0.0, 0.0, shift]))
         body = Layer(moved, (Sheet(PALM, 0.004),))
-        motion = static_implicit(body, held(0.004), at, accuracy=0.3)
+        motion = static_wedges(body, held(0.004), at, accuracy=0.3)
         assert motion.points[:, 2] == pytest.approx(points_on_face(Layer(patch, body.sheets), at)[:, 2] + shift)
         found.append(motion.displacement_m)
     assert np.abs(found[0][0, :, 2]).min() > 0.0
@@ -73,7 +73,7 @@ def test_absorbing_sides_near_the_load_are_in_the_error():
     times, asked = np.linspace(0.0, 0.02, 81), np.linspace(0.001, 0.02, 20)
     load = Spot(0.0103, times, np.sin(2.0 * np.pi * 100.0 * times) ** 2)
     at = np.array([[0.0, 0.0], [0.01, 0.0]])
-    exact = solve_spectral(Slab((Sheet(ECOFLEX, 0.008),)), load, asked, at, accuracy=0.01).displacement_m
+    exact = solve_lateral_waves(Slab((Sheet(ECOFLEX, 0.008),)), load, asked, at, accuracy=0.01).displacement_m
     flat = curved_patch(np.array([0.036, 0.036]), 0.008, FLAT, 0.006)
     body = Layer(flat, (Sheet(ECOFLEX, 0.008),), side="absorbing")
     found = solve(body, load, asked, at, solver="reduced", accuracy=0.2, device="cpu")
@@ -85,11 +85,11 @@ def test_absorbing_sides_near_the_load_are_in_the_error():
 def test_the_belt_is_taken_from_the_rim_and_leaves_load_and_points():
     flat = curved_patch(np.array([0.04, 0.04]), 0.004, FLAT, 0.002)
     body = Layer(flat, (Sheet(PALM, 0.004),), side="absorbing")
-    part = extent(body, held(0.0), np.array([[0.01, 0.0, 0.0]]), 0.7)
+    part = trim_absorbing_rim(body, held(0.0), np.array([[0.01, 0.0, 0.0]]), 0.7)
     assert isinstance(part, Layer)
     # 0.3 of 20 mm, but half of the 10 mm between the point and the side at most
     assert np.abs(part.patch.vertices[:, :2]).max() == pytest.approx(0.015, abs=0.0021)
-    assert extent(body, held(0.0), np.array([[0.02, 0.0, 0.0]]), 0.7) is body
+    assert trim_absorbing_rim(body, held(0.0), np.array([[0.02, 0.0, 0.0]]), 0.7) is body
 
 
 def test_few_times_at_few_points_are_judged_by_the_worst_point():

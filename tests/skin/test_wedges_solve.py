@@ -1,4 +1,4 @@
-"""Whole problems by implicit elements: against exact layers, with errors that tell the truth."""
+"""Whole problems by wedges: against exact layers, with errors that tell the truth."""
 
 import math
 from dataclasses import replace
@@ -9,18 +9,20 @@ import trimesh
 
 from palmfield.errors import SceneError
 from palmfield.skin.analytic.layer_oracle import centre_response
-from palmfield.skin.approximation.estimate import load_centre, load_frequency, load_width
+from palmfield.skin.approximation.load_scales import load_centre, load_frequency, load_width
 from palmfield.skin.fem.absorbing import match_speed, sponge
 from palmfield.skin.fem.assembly import assemble
+from palmfield.skin.fem.body import build
 from palmfield.skin.fem.load import PressureHistory, SurfaceQuadrature
+from palmfield.skin.fem.probe import SurfaceProbe
 from palmfield.skin.fem.solver import harmonic, static
 from palmfield.skin.materials.catalogue import preset
-from palmfield.skin.mesh.body_mesh import Sizes, box_patch, build, quartered, rows_of
+from palmfield.skin.mesh.body_mesh import Sizes, box_patch, graded_fractions, quartered
 from palmfield.skin.mesh.disc import disc_patch
-from palmfield.skin.mesh.surface import SurfaceProbe
+from palmfield.skin.mesh.rows import rows_of
 from palmfield.skin.mesh.wedges import extrude
 from palmfield.skin.problem import Layer, Sheet, Slab, Spot, Springs, Traction
-from palmfield.skin.solvers.wedges import refusal_implicit, solve_implicit, static_implicit
+from palmfield.skin.solvers.wedges import refusal_wedges, solve_wedges, static_wedges
 from palmfield.types import Patch
 
 ECOFLEX, PALM = preset("ecoflex_00-10"), preset("palm")
@@ -42,7 +44,7 @@ def slab(thickness=0.02, **kind):
 )
 def test_static_answer_and_its_error(body, radius):
     """Within the 5 % asked for, and within the error that the answer claims."""
-    found = static_implicit(body, HELD, AT, accuracy=0.05)
+    found = static_wedges(body, HELD, AT, accuracy=0.05)
     exact = 2.0 * centre_response(0.0, ECOFLEX, 0.01, FWHM, radius, at=AT[:, 0]).real
     true = np.abs(found.displacement_m[0, :, 2] / -exact - 1.0).max()
     print(body.shape, "true", true, found.error, found.error_source, found.solver)
@@ -57,7 +59,7 @@ def test_ring_of_a_stopped_load_reaches_the_harmonic_answer():
     load = Spot(FWHM, times, np.sin(2.0 * np.pi * 200.0 * times))
     asked = np.arange(0.05, 0.06, 2.5e-4)
     body = Slab((Sheet(PALM, 0.01),), shape="disc", side="roller", radius_m=0.03)
-    found = solve_implicit(body, load, asked, AT, accuracy=0.05)
+    found = solve_wedges(body, load, asked, AT, accuracy=0.05)
     phasor = centre_response(200.0, PALM, 0.01, FWHM, 0.03, at=AT[:, 0])
     exact = -(1j * phasor * np.exp(-2j * np.pi * 200.0 * asked)[:, None]).real
     apart = found.displacement_m[:, :, 2] - exact
@@ -117,7 +119,7 @@ def test_absorbing_needs_its_frequency():
 def test_a_layer_is_the_slab_of_its_patch():
     """A flat disc given as a layer, coarse: refined until its edges suit the load."""
     patch = disc_patch(0.03, 0.01, 0.012, 0.012, 0.03)
-    found = static_implicit(Layer(patch, (Sheet(ECOFLEX, 0.01),), side="roller"), HELD, AT, accuracy=0.05)
+    found = static_wedges(Layer(patch, (Sheet(ECOFLEX, 0.01),), side="roller"), HELD, AT, accuracy=0.05)
     exact = 2.0 * centre_response(0.0, ECOFLEX, 0.01, FWHM, 0.03, at=AT[:, 0]).real
     true = np.abs(found.displacement_m[0, :, 2] / -exact - 1.0).max()
     print("true", true, found.error, found.solver)
@@ -149,12 +151,18 @@ def test_box_patch_covers_the_box():
 
 def test_rows_follow_the_sheets():
     sheets = (Sheet(PALM, 0.001), Sheet(ECOFLEX, 0.019))
-    fractions, materials = rows_of(sheets, 0.02, 0.004, 0.01)
+    fractions, materials = rows_of(sheets, graded_fractions(0.02, 0.004, 0.01))
     assert fractions[0] == 0.0 and fractions[-1] == 1.0
     assert np.isclose(fractions, 0.05).sum() == 1
     assert [m.name for m in materials].count("palm") == np.flatnonzero(np.isclose(fractions, 0.05))[0]
     assert len(materials) == len(fractions) - 1
     assert np.all(np.diff(fractions) > 0.0)
+
+
+def ends(history, start_s, end_s):
+    """Forces [N] at the start and end of one substep."""
+    loads = history.loads(np.array([start_s, end_s]))
+    return (history.operator @ (weights[0, 0] @ loads.pressure_Pa[0]) for weights in (loads.first, loads.last))
 
 
 @pytest.mark.parametrize("law", ["linear", "held"])
@@ -164,13 +172,13 @@ def test_force_over_a_step_keeps_impulse_and_first_moment(law):
     load = Spot(FWHM, times, np.array([1.0, -2.0, 5.0, 0.5]), law=law)
     system = build(slab(0.01, shape="disc", side="fixed", radius_m=0.02), SMALL)
     history = PressureHistory(load, system.mesh, system)
-    first, last = history.force(0.1e-3, 1.1e-3)
+    first, last = ends(history, 0.1e-3, 1.1e-3)
     fine = 0.1e-3 + 1e-3 * (np.arange(20000) + 0.5) / 20000
     place = np.searchsorted(times, fine, side="right") - 1
     peaks = np.asarray(load.peak_Pa)
     amplitude = peaks[place] if law == "held" else np.interp(fine, times, peaks)
     x = (fine - 0.1e-3) / 1e-3
-    shape = history.force(1.9e-3, 1.95e-3)[0]
+    shape, _ = ends(history, 1.9e-3, 1.95e-3)
     unit = shape / np.interp(1.9e-3, times, peaks) if law == "linear" else shape / 5.0
     np.testing.assert_allclose(0.5 * (first + last), amplitude.mean() * unit, rtol=1e-3, atol=1e-12)
     np.testing.assert_allclose(first / 6 + last / 3, (amplitude * x).mean() * unit, rtol=1e-3, atol=1e-12)
@@ -247,19 +255,19 @@ def test_load_frequencies():
 def test_bad_input():
     free = slab(0.01, shape="disc", base="free", side="free", radius_m=0.02)
     with pytest.raises(SceneError, match="static answer needs a support"):
-        static_implicit(free, HELD, AT, sizes=SMALL)
+        static_wedges(free, HELD, AT, sizes=SMALL)
     half = Slab((Sheet(ECOFLEX, 0.01),), "disc", Springs(1e6, 0.0), "free", 0.02)
     with pytest.raises(SceneError, match="static answer needs a support"):
-        static_implicit(half, HELD, AT, sizes=SMALL)
+        static_wedges(half, HELD, AT, sizes=SMALL)
     with pytest.raises(SceneError, match="lies off the slab"):
-        solve_implicit(slab(0.01, shape="disc", side="fixed", radius_m=0.004), HELD, np.array([0.01]), AT)
+        solve_wedges(slab(0.01, shape="disc", side="fixed", radius_m=0.004), HELD, np.array([0.01]), AT)
     with pytest.raises(SceneError, match="rising"):
-        solve_implicit(slab(0.01), HELD, np.array([0.01, 0.0]), AT)
+        solve_wedges(slab(0.01), HELD, np.array([0.01, 0.0]), AT)
     with pytest.raises(SceneError, match="accuracy is 0"):
-        solve_implicit(slab(0.01), HELD, np.array([0.01]), AT, accuracy=0.0)
+        solve_wedges(slab(0.01), HELD, np.array([0.01]), AT, accuracy=0.0)
     patch = disc_patch(0.02, 0.01, 0.01, 0.01, 0.01)
     inverted = Layer(type(patch)(**{**vars(patch), "inward": -patch.inward}), (Sheet(ECOFLEX, 0.01),))
     with pytest.raises(SceneError, match=r"near \(.*flat or inside out"):
-        static_implicit(inverted, HELD, AT)
+        static_wedges(inverted, HELD, AT)
     no_axis = Layer(type(patch)(**{**vars(patch), "axis": None}), (Sheet(ECOFLEX, 0.01),), side="roller")
-    assert "axis" in (refusal_implicit(no_axis, HELD) or "")
+    assert "axis" in (refusal_wedges(no_axis, HELD) or "")

@@ -16,8 +16,8 @@ CENTRE = [[0.0, 0.0]]
 
 def test_an_endless_slab_goes_to_lateral_waves_and_comes_to_rest_at_the_exact_answer() -> None:
     motion = solve(ENDLESS, HELD, [0.2], CENTRE, accuracy=0.01, device="cpu")
-    assert motion.solver.startswith("spectral")
-    assert "auto: predicted" in motion.solver and "explicit" in motion.solver
+    assert motion.solver.startswith("lateral_waves")
+    assert "auto: predicted" in motion.solver and "spectral_elements" in motion.solver
     assert motion.error <= 0.01
     exact = centre_response(0.0, ECOFLEX, 0.02, 0.0103).real.item()
     assert -motion.displacement_m[0, 0, 2] == pytest.approx(exact, rel=0.005)
@@ -26,22 +26,22 @@ def test_an_endless_slab_goes_to_lateral_waves_and_comes_to_rest_at_the_exact_an
 
 def test_choices_are_ranked_and_say_why_not() -> None:
     ranked = choices(ENDLESS, HELD, [0.01], CENTRE, device="cpu")
-    assert ranked[0].name == "spectral"
+    assert ranked[0].name == "lateral_waves"
     assert {choice.name for choice in ranked} == set(module.WHERE)
     seconds = [choice.seconds for choice in ranked]
     assert seconds == sorted(seconds)
     for choice in ranked:
         assert (choice.refusal is None) == np.isfinite(choice.seconds)
-    disc = next(choice for choice in ranked if choice.name == "disc")
+    disc = next(choice for choice in ranked if choice.name == "axisymmetric")
     assert disc.refusal is not None and "disc" in disc.refusal
 
 
 def test_a_solver_asked_for_runs_or_says_why_not() -> None:
     body = Slab((Sheet(ECOFLEX, 0.02),), shape="disc", side="fixed", radius_m=0.06)
-    motion = solve(body, HELD, [2e-3], CENTRE, solver="disc", accuracy=0.1, device="cpu")
-    assert motion.solver.startswith("disc") and motion.solver.endswith("(asked for)")
-    with pytest.raises(SceneError, match="solver 'spectral': a disc with fixed sides"):
-        solve(body, HELD, [2e-3], CENTRE, solver="spectral", device="cpu")
+    motion = solve(body, HELD, [2e-3], CENTRE, solver="axisymmetric", accuracy=0.1, device="cpu")
+    assert motion.solver.startswith("axisymmetric") and motion.solver.endswith("(asked for)")
+    with pytest.raises(SceneError, match="solver 'lateral_waves': a disc with fixed sides"):
+        solve(body, HELD, [2e-3], CENTRE, solver="lateral_waves", device="cpu")
 
 
 def test_a_missed_accuracy_is_solved_finer_and_a_lasting_miss_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -67,16 +67,18 @@ def test_a_missed_accuracy_is_solved_finer_and_a_lasting_miss_is_said(monkeypatc
     errors = [0.2] * 4
     motion = solve(ENDLESS, HELD, [0.01], CENTRE, accuracy=0.05, device="cpu")
     assert len(asked) == 1 + module.FINER and asked == sorted(asked, reverse=True)
-    assert "error 20 % NOT within the wanted 5 %" in motion.solver
+    assert "error 20 % NOT within the target of 5 %" in motion.solver
     asked.clear()
-    solve(ENDLESS, HELD, [0.01], CENTRE, solver="implicit", accuracy=0.05, device="cpu", step_s=1e-3)
+    solve(ENDLESS, HELD, [0.01], CENTRE, solver="wedges", accuracy=0.05, device="cpu", step_s=1e-3)
     assert len(asked) == 1
 
 
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"solver": "magic"}, "solver is 'magic'; use auto or one of spectral"),
+        ({"solver": "magic"}, "solver is 'magic'; use auto or one of lateral_waves"),
+        ({"solver": "spectral"}, "solver 'spectral' is now 'lateral_waves': use lateral_waves"),
+        ({"solver": "implicit"}, "use wedges"),
         ({"accuracy": 0.0}, "accuracy is 0.0"),
         ({"accuracy": np.nan}, "accuracy is nan"),
         ({"times": [0.1, 0.1]}, "times of shape"),
@@ -117,11 +119,11 @@ def test_bad_problems_are_named(make, words: str) -> None:
 def test_static_answers_come_from_lateral_waves_or_elements() -> None:
     exact = centre_response(0.0, ECOFLEX, 0.02, 0.0103).real.item()
     endless = static(ENDLESS, HELD, CENTRE, accuracy=0.01)
-    assert endless.solver.startswith("spectral")
+    assert endless.solver.startswith("lateral_waves")
     assert -endless.displacement_m[0, 0, 2] == pytest.approx(exact, rel=0.01)
     box = Slab((Sheet(ECOFLEX, 0.02),), shape="box", side="fixed", size_m=(0.12, 0.12))
     held = static(box, HELD, CENTRE, accuracy=0.05)
-    assert held.solver.startswith("implicit")
+    assert held.solver.startswith("wedges")
     assert -held.displacement_m[0, 0, 2] == pytest.approx(exact, rel=0.05)
     with pytest.raises(SceneError, match="needs a support"):
         static(Slab(box.sheets, shape="box", base="free", side="free", size_m=(0.12, 0.12)), HELD, CENTRE)
@@ -129,7 +131,48 @@ def test_static_answers_come_from_lateral_waves_or_elements() -> None:
 
 def test_a_solver_that_cannot_price_a_problem_leaves_it_to_others() -> None:
     ranked = choices(ENDLESS, HELD, [0.01], CENTRE, accuracy=2e-5, device="cpu")
-    assert ranked[0].name == "spectral" and ranked[0].refusal is None
+    assert ranked[0].name == "lateral_waves" and ranked[0].refusal is None
     assert any(choice.refusal and "accuracy" in choice.refusal for choice in ranked)
-    with pytest.raises(SceneError, match="solver 'spectral' has no 'order'; it takes accuracy, device"):
-        solve(ENDLESS, HELD, [0.01], CENTRE, solver="spectral", device="cpu", order=3)
+    with pytest.raises(SceneError, match="solver 'lateral_waves' has no 'order'; it takes accuracy, device"):
+        solve(ENDLESS, HELD, [0.01], CENTRE, solver="lateral_waves", device="cpu", order=3)
+
+
+def test_auto_takes_the_next_where_its_choice_refuses_while_it_solves(monkeypatch: pytest.MonkeyPatch) -> None:
+    tried: list[str] = []
+
+    def fake(name: str, what: str):
+        def run(*_: object, **__: object) -> Motion:
+            tried.append(name)
+            if name in refusing:
+                raise SceneError(f"{name} came apart")
+            still = np.zeros((1, 1, 3))
+            return Motion(np.zeros(1), np.zeros((1, 3)), still, still, 0.01, "made up for the test", name, 1.0)
+
+        order = {"axisymmetric": 1.0, "wedges": 2.0}
+        return {"solve": run, "refusal": lambda *_: None, "cost": lambda *_: order.get(name, 3.0)}[what]
+
+    monkeypatch.setattr(module, "function", fake)
+    refusing = {"axisymmetric"}
+    motion = solve(ENDLESS, HELD, [0.01], CENTRE, device="cpu")
+    assert tried == ["axisymmetric", "wedges"]
+    assert motion.solver.startswith("wedges (auto: predicted 2 s")
+    assert "axisymmetric refused: axisymmetric came apart" in motion.solver
+    refusing = set(module.WHERE)
+    with pytest.raises(SceneError, match=r"no solver can do this: axisymmetric refused.*; wedges refused"):
+        solve(ENDLESS, HELD, [0.01], CENTRE, device="cpu")
+    with pytest.raises(SceneError, match="off the slab"):
+        solve(Slab(ENDLESS.sheets, "disc", side="free", radius_m=0.02), HELD, [0.01], [[0.03, 0.0]], device="cpu")
+
+
+def test_scenes_choose_between_what_steps_in_time() -> None:
+    cheap, other = module.scene_choices(30_000, 1600, 60, None)
+    assert (cheap.name, other.name) == ("reduced", "wedges") and cheap.seconds < other.seconds
+    brief, _ = module.scene_choices(2_000, 10, 400, None)
+    assert brief.name == "wedges"
+    only, never = module.scene_choices(30_000, 1600, 60, "the hand moves")
+    assert only.name == "wedges" and never.refusal == "the hand moves" and never.seconds == np.inf
+    for name in ("auto", "wedges", "reduced"):
+        assert module.refusal_in_scenes(name) is None
+    assert "palmfield.skin.solve" in (module.refusal_in_scenes("lateral_waves") or "")
+    assert "use wedges" in (module.refusal_in_scenes("full") or "")
+    assert "not known" in (module.refusal_in_scenes("magic") or "")

@@ -13,6 +13,8 @@ from palmfield.skin.problem import Sheet, Slab, Springs
 from palmfield.skin.solvers.lateral_waves.depth import depth_problem
 from palmfield.skin.solvers.lateral_waves.modes import face_modes, still_modes
 
+pytestmark = pytest.mark.numerics
+
 ECOFLEX = PRESETS["ecoflex_00-10"]
 SHEAR = 23087.5
 PRONY = dataclasses.replace(ECOFLEX, branches=(Branch(20e3, 1.7e-4), Branch(6e3, 2e-3), Branch(3e3, 3e-2)))
@@ -43,6 +45,18 @@ def test_compliance_is_that_of_plane_waves(name, base):
             exact = layer_compliance(k, f, material, thickness, base)
             # e^{-iwt} is s = -iw; pushed in is positive there, u_z here
             assert -found.compliance(-2j * np.pi * f) == pytest.approx(complex(exact), rel=2e-4)
+
+
+@pytest.mark.parametrize("base", ["bonded", "free_slip"])
+@pytest.mark.parametrize("k", [1.0, 5.0, 30.0])
+def test_soft_modes_of_a_stiff_sheet_keep_their_digits(base, k):
+    """K / G = 1e6: from the eigenvalues of its stiffness the motion at 5 rad/m was off by 1e-4 to 5e-4, by chance."""
+    material, thickness = MATERIALS["incompressible"], 0.012
+    found = modes(Slab((Sheet(material, thickness),), base=base), k, tolerance=1e-13)
+    for f in (10.0, 70.0, 200.0):
+        error = abs(-found.compliance(-2j * np.pi * f) / layer_compliance(k, f, material, thickness, base) - 1.0)
+        print(base, k, f, error)
+        assert error < 1e-9
 
 
 @pytest.mark.parametrize("base", ["bonded", "free_slip"])

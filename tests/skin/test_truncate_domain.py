@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from palmfield.skin.approximation.bands import bands, resonance
-from palmfield.skin.approximation.truncate_domain import SHARE, crop, part_of, reach
+from palmfield.skin.approximation.truncate_domain import SHARE, part_of, reach, truncate_domain
 from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.materials.material import elastic
 from palmfield.skin.mesh.disc import disc_patch
 from palmfield.skin.problem import Layer, Sheet, Slab, Spot, Springs, Traction, spread
-from palmfield.skin.solvers.axisymmetric.solve import solve_disc
+from palmfield.skin.solvers.axisymmetric.solve import solve_axisymmetric
 
 GRID = np.arange(0.0, 0.03, 5e-5)
 
@@ -35,7 +35,7 @@ def test_a_fixed_edge_at_the_reach_changes_no_more_than_is_said(name: str, thick
     assert change <= SHARE * 0.1
     at = np.array([[0.0, 0.0], [0.5 * width, 0.0]])
     near, far = (
-        solve_disc(
+        solve_axisymmetric(
             Slab((Sheet(preset(name), thickness),), "disc", "bonded", "fixed", radius_m=r),
             load,
             GRID[1:],
@@ -56,13 +56,13 @@ def test_waves_that_the_layer_guides_need_far_more() -> None:
 def test_what_is_kept_is_round_the_path_and_the_points() -> None:
     body = flat("finger_pad", 0.002)
     load = modulated(200.0, 0.006)
-    part, same, change = crop(body, load, GRID[-1], np.array([[0.0, 0.0, 0.0]]), 0.1)
+    part, same, change = truncate_domain(body, load, GRID[-1], np.array([[0.0, 0.0, 0.0]]), 0.1)
     assert same is load and 0.0 < change <= SHARE * 0.1
     radius = reach(body, load, GRID[-1], 0.1)[0]
     away = np.hypot(*part.patch.vertices[:, :2].T)
     assert len(part.patch.faces) < 0.5 * len(body.patch.faces)
     assert radius < away[part.patch.rim].min() + 0.004 and away.max() < radius + 0.008
-    wide, _, _ = crop(body, load, GRID[-1], np.array([[0.03, 0.0, 0.0]]), 0.1)
+    wide, _, _ = truncate_domain(body, load, GRID[-1], np.array([[0.03, 0.0, 0.0]]), 0.1)
     across = wide.patch.vertices[np.abs(wide.patch.vertices[:, 1]) < 0.004]
     assert across[:, 0].max() > 0.035 and across[:, 0].min() < -0.012
     # No gap on the way to a point far off
@@ -75,25 +75,25 @@ def test_points_without_pressure_go_with_what_they_lie_on() -> None:
     pressure = np.exp(-((np.hypot(*points[:, :2].T) / 0.004) ** 2))
     pressure[pressure < 1e-3] = 0.0
     load = Traction(points, np.full(len(points), 1e-5), GRID, np.outer(np.sin(400.0 * np.pi * GRID), pressure))
-    part, cut, change = crop(body, load, GRID[-1], np.zeros((1, 2)), 0.1)
+    part, cut, change = truncate_domain(body, load, GRID[-1], np.zeros((1, 2)), 0.1)
     assert change > 0.0 and len(part.patch.faces) < len(body.patch.faces)
     # Those that bound the pressure stay, or it would be linear over the gap
     assert np.count_nonzero(pressure) < len(cut.points) < len(points)
     assert cut.pressure_Pa.any(axis=0).sum() == np.count_nonzero(pressure)
-    assert crop(flat("palm", 0.003), load, GRID[-1], np.zeros((1, 2)), 0.001)[1] is load
+    assert truncate_domain(flat("palm", 0.003), load, GRID[-1], np.zeros((1, 2)), 0.001)[1] is load
 
 
 def test_parts_that_hang_together_by_nothing_stay_whole() -> None:
     body = flat("finger_pad", 0.002)
     points = np.array([[-0.03, 0.0, 0.0], [0.03, 0.0, 0.0]])
     load = Traction(points, np.full(2, 1e-5), GRID, np.outer(np.sin(400.0 * np.pi * GRID), np.ones(2)))
-    same, _, change = crop(body, load, GRID[-1], points, 0.1)
+    same, _, change = truncate_domain(body, load, GRID[-1], points, 0.1)
     assert same is body and change == 0.0
 
 
 def test_a_load_that_never_presses_leaves_all_as_it_is() -> None:
     body, none = flat("finger_pad", 0.002), Spot(0.0103, GRID, np.zeros_like(GRID))
-    assert crop(body, none, GRID[-1], np.zeros((1, 2)), 0.1) == (body, none, 0.0)
+    assert truncate_domain(body, none, GRID[-1], np.zeros((1, 2)), 0.1) == (body, none, 0.0)
 
 
 def test_the_rim_of_a_part_is_its_outline() -> None:
@@ -113,7 +113,7 @@ def test_bodies_that_stay_whole() -> None:
     on_springs = Layer(layer.patch, layer.sheets, Springs(1e6, 1e6))
     lossless = Layer(layer.patch, (Sheet(elastic("glass", 1000.0, 1e4, 0.49), 0.002),))
     for body in (endless, on_springs, lossless):
-        assert crop(body, load, GRID[-1], at, 0.1) == (body, load, 0.0)
+        assert truncate_domain(body, load, GRID[-1], at, 0.1) == (body, load, 0.0)
 
 
 def test_bands_hold_the_energy_of_the_course() -> None:

@@ -1,6 +1,6 @@
-"""Time and error of the explicit solver: the reference disc, a fast focus, a hand's layer.
+"""Time and error of solver spectral_elements: the reference disc, a fast focus, a hand's layer.
 
-    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python scripts/bench_explicit.py [--device cuda:0] [--out FILE]
+    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python scripts/bench_spectral_elements.py [--device cuda:0] [--out FILE]
 
 Errors of the roller disc and the endless slab are against the exact layer (palmfield/skin/analytic/layer_oracle.py)
 through its
@@ -25,7 +25,7 @@ from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.materials.material import Material, bulk_from_poisson
 from palmfield.skin.problem import Layer, Sheet, Slab, Spot
 from palmfield.skin.solver_choice import solve
-from palmfield.skin.solvers.spectral_elements.solve import solve_explicit
+from palmfield.skin.solvers.spectral_elements.solve import solve_spectral_elements
 from palmfield.studies.bench.table import processor
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -69,8 +69,8 @@ def exact(course: Spot, times: np.ndarray, radius: float | None) -> np.ndarray:
 def timed(device: str, *arguments, **keywords):
     """A solution, after a step or two of the same that compile what it needs."""
     body, load, _, at = arguments
-    solve_explicit(body, load, load.times_s[:1] + 1e-4, at, device=device, **keywords)
-    return solve_explicit(*arguments, device=device, **keywords)
+    solve_spectral_elements(body, load, load.times_s[:1] + 1e-4, at, device=device, **keywords)
+    return solve_spectral_elements(*arguments, device=device, **keywords)
 
 
 def gap(found: np.ndarray, wanted: np.ndarray) -> float:
@@ -90,13 +90,13 @@ def disc_rows(device: str) -> list[str]:
             if side in ("roller", "endless") and name != "STM 70 Hz":
                 wanted = exact(course, times, RADIUS if side == "roller" else None)
             else:
-                wanted = -solve_explicit(
+                wanted = -solve_spectral_elements(
                     body, course, times, PLACES, device=device, order=4, size_m=0.0067, deep=(3,), estimate=False
                 ).displacement_m[:, :, 2]
             error = gap(-motion.displacement_m[:, :, 2], wanted)
             rows.append(
                 f"| {side} | {name} | {motion.seconds:.2f} | {100 * error:.2f} % | {100 * motion.error:.2f} % "
-                f"| {motion.solver.removeprefix('explicit, ')} |"
+                f"| {motion.solver.removeprefix('spectral_elements, ')} |"
             )
     return rows
 
@@ -120,7 +120,9 @@ def fast_rows(device: str, sizes: dict[int, tuple[float, ...]]) -> list[str]:
                 finest = speed if finest is None else finest
                 error = float(np.linalg.norm(speed - finest) / np.linalg.norm(finest))
                 text = "reference" if speed is finest else f"{100 * error:.2f} %"
-                rows.append(f"| {base} | {motion.solver.removeprefix('explicit, ')} | {motion.seconds:.2f} | {text} |")
+                rows.append(
+                    f"| {base} | {motion.solver.removeprefix('spectral_elements, ')} | {motion.seconds:.2f} | {text} |"
+                )
     return rows
 
 
@@ -136,9 +138,9 @@ def hand_rows(device: str) -> list[str]:
     at = middle + np.array([[0.0, 0.0, 0.0], [0.5 * SPOT, 0.0, 0.0]])
     load = Spot(SPOT, grid, 0.5 * (1.0 + np.sin(2.0 * np.pi * 200.0 * grid)), middle[:2])
     reference = solve(body, load, grid[1:], at, solver="reduced", accuracy=0.02, device="cpu")
-    asked = {"cpu": (("reduced", False), ("reduced", True), ("implicit", False))}
+    asked = {"cpu": (("reduced", False), ("reduced", True), ("wedges", False))}
     rows = []
-    for name, whole in asked.get(device, (("explicit", False), ("explicit", True))):
+    for name, whole in asked.get(device, (("spectral_elements", False), ("spectral_elements", True))):
         motions = []
         solve(body, load, grid[1:3], at, solver=name, accuracy=0.05, device=device, whole=whole)
         for _ in range(3):
@@ -158,18 +160,18 @@ def hand_rows(device: str) -> list[str]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--device", default="cpu")
-    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "bench" / "skin_explicit.md")
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "bench" / "skin_spectral_elements.md")
     parser.add_argument("--cases", default="disc,hand", help="any of disc, fast, hand")
     arguments = parser.parse_args()
     device = resolve(arguments.device)
     gpu = device != "cpu"
     where = wp.get_device(device).name if gpu else f"{processor()}, one core"
     lines = [
-        "# Explicit spectral elements",
+        "# Solver spectral_elements",
         "",
-        f"`python scripts/bench_explicit.py --device {arguments.device} --cases {arguments.cases}`, {where}, Warp "
-        f"{wp.__version__}. Seconds with meshing and, on the disc, the coarser run of the estimate; kernels compiled "
-        "before.",
+        f"`python scripts/bench_spectral_elements.py --device {arguments.device} --cases {arguments.cases}`, {where}, "
+        f"Warp {wp.__version__}. Seconds with meshing and, on the disc, the coarser run of the estimate; kernels "
+        "compiled before.",
     ]
     begun = time.perf_counter()
     if "disc" in arguments.cases:

@@ -1,8 +1,8 @@
-"""Time and error of the spectral slab solver on the Ecoflex disc's loads and on fast foci over a nearly lossless plate.
+"""Time and error of solver lateral_waves on the Ecoflex disc's loads and on fast foci over a nearly lossless plate.
 
-    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python scripts/bench_spectral.py [--threads 2] [--deep]
+    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python scripts/bench_lateral_waves.py [--threads 2] [--deep]
 
-Writes docs/bench/skin_spectral.md. `--deep` adds the slab of 100 mm, which takes minutes.
+Writes docs/bench/skin_lateral_waves.md. `--deep` adds the slab of 100 mm, which takes minutes.
 """
 
 import argparse
@@ -16,7 +16,7 @@ from palmfield.skin.analytic.mach import mach_half_angle
 from palmfield.skin.materials.catalogue import PRESETS
 from palmfield.skin.materials.material import Material, bulk_from_poisson
 from palmfield.skin.problem import Load, Motion, Sheet, Slab, Spot
-from palmfield.skin.solvers.lateral_waves import cost_spectral, solve_spectral, static_spectral
+from palmfield.skin.solvers.lateral_waves import cost_lateral_waves, solve_lateral_waves, static_lateral_waves
 from palmfield.skin.solvers.lateral_waves.accuracy import relative_error
 
 ROOT = Path(__file__).parents[1]
@@ -55,13 +55,13 @@ def reference_rows(threads: int) -> list[str]:
             if body.shape == "disc" and name == "STM 70 Hz":
                 continue
             if name == "static":
-                motion, wall, busy = timed(static_spectral, body, load, AT, accuracy=0.01, threads=threads)
-                finer = static_spectral(body, load, AT, tolerance=3e-4, threads=threads)
+                motion, wall, busy = timed(static_lateral_waves, body, load, AT, accuracy=0.01, threads=threads)
+                finer = static_lateral_waves(body, load, AT, tolerance=3e-4, threads=threads)
                 predicted = float("nan")
             else:
-                motion, wall, busy = timed(solve_spectral, body, load, TIMES, AT, accuracy=0.01, threads=threads)
-                finer = solve_spectral(body, load, TIMES, AT, tolerance=3e-4, threads=threads)
-                predicted = cost_spectral(body, load, TIMES, AT, 0.01)
+                motion, wall, busy = timed(solve_lateral_waves, body, load, TIMES, AT, accuracy=0.01, threads=threads)
+                finer = solve_lateral_waves(body, load, TIMES, AT, tolerance=3e-4, threads=threads)
+                predicted = cost_lateral_waves(body, load, TIMES, AT, 0.01)
             error = relative_error(motion.displacement_m, finer.displacement_m)
             lowest = -1e9 * finer.displacement_m[..., 2].min(axis=0)
             last = -1e9 * finer.displacement_m[-1, :, 2]
@@ -86,7 +86,7 @@ def passage(speed: float) -> Spot:
 
 def wake(body: Slab, speed: float, points: np.ndarray, threads: int, **keywords) -> tuple[Motion, float, float]:
     load = passage(speed)
-    return timed(solve_spectral, body, load, load.times_s[-1:], points, threads=threads, **keywords)
+    return timed(solve_lateral_waves, body, load, load.times_s[-1:], points, threads=threads, **keywords)
 
 
 def plate_rows(threads: int) -> list[str]:
@@ -128,21 +128,21 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--deep", action="store_true")
     choice = parser.parse_args()
-    solve_spectral(  # loads the kernels
+    solve_lateral_waves(  # loads the kernels
         Slab((Sheet(PRESETS["ecoflex_00-10"], 0.02),)), passage(5.0), np.array([1e-3]), AT, tolerance=0.1
     )
     load = os.getloadavg()[0]
     lines = [
-        "# Spectral slab solver",
+        "# Solver lateral_waves",
         "",
-        "Command: `OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python scripts/bench_spectral.py"
+        "Command: `OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python scripts/bench_lateral_waves.py"
         f" --threads {choice.threads}{' --deep' if choice.deep else ''}`",
         f"{os.cpu_count()} cores, load average {load:.1f} at the start; above the number of threads other programs",
         "took part of the cores, and the clock's seconds say less than those of the threads. Kernels compiled before.",
         "",
         "Ecoflex 00-10, 20 mm, bonded, spot of 10.3 mm, 0.2 s in 2001 times, at the centre and at r = 10 mm; asked for",
         "1 %. Estimate: the solver's own. Error: against a run at tolerance 3e-4, whose own estimate follows.",
-        "Predicted: `cost_spectral`, one core. Push in nm per Pa at centre / observer: largest and last.",
+        "Predicted: `cost_lateral_waves`, one core. Push in nm per Pa at centre / observer: largest and last.",
         "",
         "| body | load | s | s of threads | predicted | estimate | error | of the finer | largest push | last push |",
         "|---|---|---|---|---|---|---|---|---|---|",
@@ -158,7 +158,7 @@ def main() -> None:
         *(deep_lines(choice.threads) if choice.deep else []),
         "",
     ]
-    (ROOT / "docs" / "bench" / "skin_spectral.md").write_text("\n".join(lines))
+    (ROOT / "docs" / "bench" / "skin_lateral_waves.md").write_text("\n".join(lines))
 
 
 if __name__ == "__main__":

@@ -1,0 +1,33 @@
+"""What the difference of two solutions tells of their error (Richardson's rule)."""
+
+import numpy as np
+
+from palmfield.types import Float
+
+STILL = 1e-9
+"""Part of the largest motion of any point below which a point counts as still."""
+
+
+def error_of_finer(difference: float, ratio: float, order: float) -> float:
+    """Error of the finer of two solutions whose error falls by `order` in the size of elements or steps.
+
+    ratio: size of the coarser's elements or steps over that of the finer's, > 1
+    """
+    return difference / (ratio**order - 1.0)
+
+
+def error_of_coarser(difference: float, ratio: float, order: float) -> float:
+    """As error_of_finer, of the coarser one."""
+    return difference / (1.0 - ratio**-order)
+
+
+def relative_difference(solution: Float, reference: Float) -> float:
+    """Difference of displacements (t, n, 3), L2 over times, over the reference's; the largest of the moving points."""
+    size, difference = (np.linalg.norm(values, axis=(0, 2)) for values in (reference, reference - solution))
+    return largest_share(difference, size)
+
+
+def largest_share(difference: Float, size: Float) -> float:
+    """Largest of difference / size over the points (n,) that move at all; 0 where none does."""
+    moving = size > STILL * size.max(initial=0.0)
+    return float((difference[moving] / size[moving]).max(initial=0.0))

@@ -1,0 +1,41 @@
+"""Predicted seconds of the skin's work on one core: what the choice between solvers rests on, in scenes and in `solve`.
+
+Fitted to the layers of five shipped scenes, 1.5 k to 28 k unknowns, on one core of the 2-core machine: factorised in
+0.05 to 2.8 s, stepped in 0.4 to 35 ms a substep (docs/bench/skin_c0.md has discs). Known to a factor of 1.5 or so.
+"""
+
+
+def assembly_s(dofs: float) -> float:
+    """Mesh and matrices."""
+    return 3e-5 * dofs
+
+
+def factor_s(dofs: float) -> float:
+    """One real factorisation; a complex one takes twice as long."""
+    return 2.2e-8 * dofs**1.82
+
+
+def wedge_step_s(dofs: float) -> float:
+    """One substep of the whole layer: two triangular solves, whose factors fill like dofs^1.5."""
+    return 6e-9 * dofs**1.52
+
+
+def vector_s(dofs: float) -> float:
+    """One vector of a reduced model: a solve, and products with all matrices."""
+    return 1.5 * wedge_step_s(dofs)
+
+
+def reduced_step_s(vectors: float) -> float:
+    """One substep of a reduced model, a dense product of three times its vectors."""
+    return 2e-5 + 3e-9 * vectors**2
+
+
+def wedges_s(dofs: float, steps: float) -> float:
+    """Factorise and step the whole layer."""
+    return factor_s(dofs) + steps * wedge_step_s(dofs)
+
+
+def reduced_s(dofs: float, steps: float, vectors: float) -> float:
+    """Make and step a reduced model of a layer; its matrix exponential is of five times its vectors."""
+    exponential = 7.5e-10 * (5.0 * vectors) ** 3
+    return factor_s(dofs) + vectors * vector_s(dofs) + exponential + steps * reduced_step_s(vectors)

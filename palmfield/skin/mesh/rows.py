@@ -1,0 +1,29 @@
+"""Rows of elements through the sheets of a layer."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from palmfield.skin.materials.material import Material
+from palmfield.skin.materials.sheet import Sheet
+from palmfield.types import Float
+
+
+def rows_of(sheets: Sequence[Sheet], fractions: Float) -> tuple[Float, list[Material]]:
+    """Depth fractions of rows of elements such that none crosses two sheets, (L+1,), and the material of each row.
+
+    sheets: the first at the surface; their thicknesses count as shares of their sum
+    fractions: of a layer of one sheet, 0 first, 1 last. A sheet gets as many rows as they have in it, at least one.
+    """
+    index = np.arange(len(fractions), dtype=float)
+    total = sum(sheet.thickness_m for sheet in sheets)
+    result, materials = [0.0], []
+    for sheet in sheets:
+        top, bottom = result[-1], result[-1] + sheet.thickness_m / total
+        first, last = np.interp([top, bottom], fractions, index)
+        count = max(1, round(last - first))
+        inner = np.interp(np.linspace(first, last, count + 1)[1:-1], index, fractions)
+        result += [*inner.tolist(), bottom]
+        materials += [sheet.material] * count
+    result[-1] = 1.0
+    return np.array(result), materials

@@ -1,0 +1,114 @@
+"""README.md: its Python runs, its commands and options are the command line's, its scenes are those that ship."""
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from palmfield.cli.app import app
+
+ROOT = Path(__file__).parents[2]
+README = (ROOT / "README.md").read_text()
+PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
+BARE = CliRunner()
+
+QUICK = {
+    'palmfield.plan("mjcf/scenes/palm_am200.xml")': 'palmfield.plan("mjcf/scenes/phantom_step.xml")',
+    'palmfield.run("mjcf/scenes/palm_am200.xml", "out/palm")': (
+        'palmfield.run(palmfield.load("mjcf/scenes/phantom_step.xml", accuracy=0.3), "out/palm", duration_s=0.004)'
+    ),
+    '"mjcf/scenes/two_hands_both_feel.xml")\nhands.run(0.01)': (
+        '"mjcf/scenes/two_hands_both_feel.xml", accuracy=0.5)\nhands.run(0.002)'
+    ),
+    '"skin.accuracy": 0.2': '"skin.accuracy": 0.5, "skin.patch_radius_m": 0.02',
+    "sim.run(0.02)": "sim.run(0.002)",
+}
+"""What a snippet says, and what is run in its place so that the test is quick. Everything else runs as it stands."""
+
+
+def blocks(text: str, language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", text, flags=re.DOTALL)
+
+
+# -- Python --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_python_snippets_run_one_after_the_other(tmp_path):
+    code = "\n".join(blocks(README, "python"))
+    assert code.count("import palmfield") >= 1
+    for words, quick in QUICK.items():
+        assert words in code, f"README says '{words}' no longer: mend QUICK"
+        code = code.replace(words, quick)
+    (tmp_path / "mjcf").symlink_to(ROOT / "mjcf")
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300
+    )
+    assert done.returncode == 0, done.stderr[-3000:]
+    assert "um" in done.stdout and "Pa" in done.stdout and (tmp_path / "out" / "palm" / "result.nc").exists()
+
+
+# -- the command line ----------------------------------------------------------------------------------------------
+
+
+def commands() -> list[list[str]]:
+    """Words of each `palmfield ...` that the pages show, in blocks and in the running text."""
+    lines = []
+    for page in PAGES:
+        text = page.read_text()
+        in_blocks = [
+            line for block in re.findall(r"```\w*\n(.*?)```", text, flags=re.DOTALL) for line in block.split("\n")
+        ]
+        indented = re.findall(r"^    (palmfield .*)$", text, flags=re.MULTILINE)
+        spans = re.findall(r"`(palmfield [^`]*)`", re.sub(r"```.*?```", "", text, flags=re.DOTALL).replace("\n", " "))
+        for line in (*in_blocks, *indented, *spans):
+            if re.match(r"\s*palmfield [a-z]", line):
+                lines.append(shlex.split(line, comments=True)[1:])
+    return lines
+
+
+def help_of(*words: str) -> str:
+    done = BARE.invoke(app, [*words, "--help"], env={"COLUMNS": "200"})
+    assert done.exit_code == 0, f"palmfield {' '.join(words)}: {done.output}"
+    return done.output
+
+
+def test_every_command_that_the_pages_show_is_one_with_these_options():
+    shown = commands()
+    assert len(shown) > 15
+    for words in shown:
+        command = words[:2] if words[0] == "bench" else words[:1]
+        known = help_of(*command)
+        for option in (word.split("=")[0] for word in words if word.startswith("--")):
+            assert re.search(rf"{option}\b", known), f"palmfield {' '.join(words)}: no option {option}"
+
+
+def test_the_readme_shows_every_command():
+    shown = {words[0] for block in blocks(README, "sh") for line in block.split("\n")
+             if (words := shlex.split(line, comments=True)[1:]) and line.startswith("palmfield ")}  # fmt: skip
+    listed = re.findall(r"^  ([a-z]+)  ", help_of().split("Commands:")[1], flags=re.MULTILINE)
+    assert shown == set(listed)
+
+
+# -- files ---------------------------------------------------------------------------------------------------------
+
+
+def test_scenes_in_the_readme_are_those_that_ship():
+    table = README.split("## Scenes in mjcf/scenes/")[1].split("\n## ")[0]
+    named = set(
+        re.findall(r"`([a-z0-9_*]+)`", "".join(line.split("|")[1] for line in table.split("\n") if "|" in line))
+    )
+    shipped = {path.stem for path in (ROOT / "mjcf" / "scenes").glob("*.xml")}
+    plain = {name for name in shipped if name.startswith("plain_")}
+    assert named - {"plain_*"} == shipped - plain
+
+
+def test_files_that_the_readme_names_exist():
+    for name in re.findall(r"\b(?:mjcf|scripts|docs)/[\w/]+\.\w+", README):
+        assert (ROOT / name).exists(), name

@@ -1,0 +1,186 @@
+"""What a plan says against what a run does, and against the benchmark pages that it names."""
+
+import re
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+import palmfield
+from palmfield.acoustics import body_scattering
+from palmfield.session.plan import SCATTER_ELEMENT_S, SCATTER_PAIR_S, warnings
+from palmfield.session.summary import skin_numbers
+
+STEADY = {"modulation": "none", "am_of": None, "am_frequency_Hz": None, "am_depth": None}
+SCATTERED = {
+    "stimulus": STEADY,
+    "array": {"response": "off"},
+    "skin": {"body_sound": "scattering", "radius_m": 0.007, "thickness_m": 0.003, "element_m": 0.004},
+}
+JOINT = '<joint name="slide" type="slide" axis="1 0 0" stiffness="400" damping="10"/>'
+PAGE = Path(__file__).parents[2] / "docs" / "bench" / "scattering.md"
+SCENES = Path(__file__).parents[2] / "mjcf" / "scenes"
+
+
+def flat(plan):
+    """A plan's text without its tables' lines."""
+    return " ".join(re.sub("[^ -~]", " ", str(plan)).split())
+
+
+def row(rows, what):
+    return next(r for r in rows if r.what == what)
+
+
+def with_joint(path, joint, attribute=""):
+    plain = path.parent / "plain.xml"
+    text = plain.read_text().replace(JOINT, joint)
+    plain.write_text(text.replace('<body name="pad"', f'<body name="pad"{attribute}'))
+    return path
+
+
+@pytest.fixture
+def solutions(monkeypatch):
+    """A list that grows by one for each solution by boundary elements."""
+    made = []
+    solve = body_scattering.scatter
+
+    def counting(*args, **keys):
+        made.append(1)
+        return solve(*args, **keys)
+
+    monkeypatch.setattr(body_scattering, "scatter", counting)
+    return made
+
+
+@pytest.mark.parametrize(("joint", "moves"), [(JOINT, True), ("", False)], ids=["sliding", "fixed"])
+def test_plan_counts_the_solutions_that_a_run_makes(small_scene, moment, solutions, joint, moves):
+    steps = 4
+    none = SCATTERED | {"skin": SCATTERED["skin"] | {"body_sound": "none"}}
+    bare = palmfield.load(with_joint(small_scene(**none), joint))
+    bare.duration_s = steps * 1e-3
+    bare_s = palmfield.plan(bare).seconds
+    scene = palmfield.load(with_joint(small_scene(**SCATTERED), joint))
+    scene.duration_s = steps * 1e-3
+    scene.data.qvel[:] = 0.01
+    body = scene.runtime.work.reference.bodies[0]
+    wavelength_m = 343.2 / 40e3
+    elements = len(body_scattering.boundary_mesh(body.vertices, body.faces, wavelength_m)[1])
+    one = SCATTER_PAIR_S * elements**2 + SCATTER_ELEMENT_S * elements
+    planned = (palmfield.plan(scene).seconds - bare_s) / one
+    # Poses of the steps, and one with another mesh of the disc; a body that moves also goes back to its loudest pose
+    assert planned == pytest.approx(steps + 2 if moves else 2)
+    solutions.clear()
+    scene.step(steps // 2)
+    loudest = moment(scene)
+    scene.step(steps - steps // 2)
+    skin_numbers(scene, "skin", loudest, np.arange(2.0), np.zeros(2), 1e-6)
+    assert len(solutions) <= round(planned) and len(solutions) >= (steps if moves else 1)
+    said = [text for text in warnings(scene) if "which can move: each pose takes about" in text]
+    assert len(said) == moves
+
+
+def test_mocap_bodies_and_bodies_on_moving_ones_can_move(small_scene):
+    path = with_joint(small_scene(**SCATTERED), "", ' mocap="true"')
+    assert any("can move" in text for text in warnings(path))
+
+
+def test_a_still_body_is_solved_for_once(small_scene, solutions):
+    scene = palmfield.load(with_joint(small_scene(**SCATTERED), ""))
+    for _ in range(5):
+        mujoco.mj_step(scene.model, scene.data)
+    assert len(solutions) == 1
+
+
+def test_figures_of_scattering_are_those_of_the_page(small_scene):
+    size = row(palmfield.plan(small_scene(stimulus=STEADY)).left_out, "scattered sound").size
+    by_face = {
+        name: int(value)
+        for name, value in re.findall(r"^\| (\w+) \| no shadow \| [\d.]+ \| (\d+) % \|", PAGE.read_text(), re.MULTILINE)
+    }
+    for name, words in (("hand", "on an open hand"), ("finger", "on a finger"), ("cupped", "in a cup")):
+        assert f"{by_face[name]} %" in size.split(words)[0].split(",")[-1]
+    assert "more than half on skin turned away" in size and by_face["turned"] > 50
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ({}, "pistons of 4.5 mm radius"),
+        ({"directivity": "point"}, "point sources"),
+        ({"directivity": "t4010a1"}, "measured directivity"),
+    ],
+)
+def test_plan_names_the_directivity(small_scene, keys, words):
+    said = row(palmfield.plan(small_scene(stimulus=STEADY, array=keys)).modelled, "sound field").why
+    assert words in said
+    assert [kind in said for kind in ("pistons", "point sources", "measured")].count(True) == 1
+
+
+def test_plan_says_what_was_measured_of_the_drive(small_scene):
+    scene = palmfield.load(small_scene(stimulus={"am_frequency_Hz": 5, "start_s": 0.001, "ramp_s": 0.1}))
+    response = scene.runtime.model.stimuli[0].response
+    assert not response.on
+    said = row(palmfield.plan(scene).left_out, "transducers' ring-up")
+    assert f"{100 * response.ring_up.rms:.2g} % rms, {100 * response.ring_up.peak:.2g} % at worst" in said.size
+    assert "measured on samples of the drive" in said.why
+    ringing = palmfield.load(small_scene())
+    said = row(palmfield.plan(ringing).modelled, "transducers' ring-up").why
+    assert f"{ringing.runtime.model.stimuli[0].response.ring_up}" in said
+
+
+def test_plan_names_every_arrays_quality(small_scene, add_array):
+    path = add_array(small_scene(stimulus=STEADY), '<config key="quality" value="40"/>')
+    assert "Q 25 and 40" in flat(palmfield.plan(path))
+
+
+def test_plan_names_board_device_and_stepper_with_the_reason(small_scene):
+    plan = palmfield.plan(small_scene(), device="cpu", keys={"skin.solver": "wedges"})
+    assert "board ideal" in row(plan.modelled, "drive").why
+    assert "on cpu (palmfield_device)" in row(plan.modelled, "sound field").why
+    assert "'wedges' is asked for" in row(plan.modelled, "skin solver wedges").why
+    reduced = row(palmfield.plan(small_scene(), keys={"skin.solver": "reduced"}).modelled, "skin solver reduced")
+    assert "asked for" in reduced.why and "wedges about" in reduced.size
+
+
+def test_a_scene_with_one_of_each_needs_no_names(small_scene):
+    plan = palmfield.plan(small_scene())
+    assert "stimulus" not in {name.strip() for name in re.split("[^ -~]", str(plan))}
+    assert row(plan.modelled, "elements").instance == "skin"
+
+
+def test_rows_say_whose_they_are(small_scene, add_skin):
+    path = add_skin(small_scene(), "0.2 0 0.12")
+    plan = palmfield.plan(path, keys={"second.element_m": 0.005})
+    elements = [r for r in plan.modelled if r.what == "elements"]
+    assert [r.instance for r in elements] == ["skin", "second"] and elements[0].size != elements[1].size
+    assert row(plan.modelled, "sound at the body").instance == "skin, second"
+    assert [r.instance for r in plan.modelled if r.what == "drive"] == ["stimulus"]
+    assert "skin, second" in flat(plan)
+
+
+def test_a_skin_without_a_focus_is_warned_of_by_name(small_scene, add_skin):
+    text = next(text for text in warnings(add_skin(small_scene(), "0.2 0 0.12")) if "no focus comes near" in text)
+    assert "skin 'second'" in text and "stimulus 'stimulus'" in text and "180 mm" in text
+    near = {"stimulus": {**STEADY, "path": "line", "path_width_m": 0.42, "path_rate_Hz": 5}}
+    assert not any("no focus comes near" in text for text in warnings(add_skin(small_scene(**near), "0.2 0 0.12")))
+
+
+def test_a_plan_of_a_simulation_takes_its_keys_and_moment(small_scene):
+    scene = palmfield.load(small_scene(), accuracy=0.3)
+    assert row(palmfield.plan(scene).error, "mesh and time step").size == "30 % wanted"
+    with pytest.raises(palmfield.SceneError, match=r"give them to Simulation"):
+        palmfield.plan(scene, accuracy=0.2)
+
+
+def test_planning_makes_no_matrices(small_scene):
+    view = palmfield.session.preview.preview(small_scene())
+    palmfield.plan(small_scene())
+    model = view.runtime.model
+    assert not any(lazy.made for lazy in (*model.begin, *model.whole))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scene", sorted(SCENES.glob("[!p]*.xml")), ids=lambda path: path.stem)
+def test_no_shipped_scene_of_moving_hands_is_warned_of_a_far_focus(scene):
+    assert not any("no focus comes near" in text for text in warnings(scene))

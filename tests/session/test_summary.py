@@ -1,0 +1,83 @@
+"""Numbers that a summary has beyond the result's arrays."""
+
+import numpy as np
+import pytest
+
+import palmfield
+from palmfield.perception.observers import OBSERVERS
+from palmfield.session import summary
+from palmfield.session.summary import felt_levels, scene_numbers, skin_numbers, stimulus_numbers
+
+TIMES = np.arange(0.0, 0.05, 5e-4)
+MOTION = 2e-6 * np.sin(2 * np.pi * 200.0 * TIMES)
+
+
+def numbers(scene, loudest, skin="skin", peak=2e-6):
+    return skin_numbers(scene, skin, loudest, TIMES, MOTION, peak)
+
+
+def test_numbers_of_a_run(small_scene, moment):
+    keys = {"array.p0_low_Pa_m": 2.0, "array.p0_high_Pa_m": 4.0, "skin.solver": "wedges"}
+    scene = palmfield.load(small_scene(), keys=keys)
+    scene.step(6)
+    loudest = moment(scene)
+    result = numbers(scene, loudest)
+    assert result["solver"] == "wedges" and result["dofs"] > 1000 and "asked for" in result["solver_why"]
+    assert result["displacement_error_m"] == pytest.approx(2e-6 * result["displacement_error_relative"])
+    assert result["peak_displacement_low_m"] < 2e-6 < result["peak_displacement_high_m"]
+    # Of the present moment, where MuJoCo's is the mean over the last step of a modulated sound
+    assert 0.3 < result["total_force_peak_N"] / np.linalg.norm(scene.forces[0]) < 3.0
+    assert result["main_frequency_Hz"] == 200.0 and result["main_line_amplitude_m"] == pytest.approx(2e-6)
+    assert stimulus_numbers(scene, [loudest]) == {"stimulus": {"drive_level": pytest.approx(1.0)}}
+    whole = scene_numbers(scene, [loudest])
+    assert whole["palmfield_device"] == "cpu" and whole["board"] == "ideal"
+
+
+def test_what_stepped_is_named_with_its_size(small_scene, moment):
+    scene = palmfield.load(small_scene(), keys={"skin.solver": "reduced"})
+    scene.step(2)
+    small = scene.runtime.model.begin[0].value
+    assert numbers(scene, moment(scene))["solver"] == f"reduced, {small.order} vectors"
+    leaving = palmfield.load(small_scene(), keys={"stimulus.arp_peak_Pa": 2.0, "skin.accuracy": 0.02})
+    if leaving.runtime.model.skins[0].choice.name == "reduced":
+        leaving.data.qvel[:] = 0.1
+        leaving.step(10)
+        assert numbers(leaving, moment(leaving))["solver"].endswith("; then wedges")
+
+
+def test_a_silent_run_has_no_error(small_scene):
+    scene = palmfield.load(small_scene(stimulus={"drive_amplitude": 0}))
+    scene.step(2)
+    result = skin_numbers(scene, "skin", None, TIMES, 0.0 * MOTION, 0.0)
+    assert "displacement_error_relative" not in result and "total_force_peak_N" not in result
+    assert result["level_afferent_human_dB_SL"] is None
+    assert stimulus_numbers(scene, [None]) == {"stimulus": {"drive_level": 0.0}}
+
+
+def test_an_estimate_that_fails_leaves_its_reason(small_scene, moment, monkeypatch):
+    def refuse(*args, **keys):
+        raise palmfield.SceneError("no coarser mesh")
+
+    scene = palmfield.load(small_scene())
+    scene.step(2)
+    monkeypatch.setattr(summary, "error_estimate", refuse)
+    assert numbers(scene, moment(scene))["displacement_error_missing"] == "no coarser mesh"
+
+
+def test_each_skin_has_its_own_numbers(small_scene, add_skin, moment):
+    scene = palmfield.load(add_skin(small_scene(), "0.05 0 0.12"))
+    scene.step(4)
+    first, second = (numbers(scene, moment(scene), name) for name in scene.skins)
+    assert first["total_force_peak_N"] > 3.0 * second["total_force_peak_N"] > 0.0
+    assert "displacement_error_relative" in first and "displacement_error_relative" in second
+
+
+def test_levels_need_two_periods_and_three_samples_a_period():
+    assert felt_levels(TIMES[:15], MOTION[:15], [200.0]) == {}
+    assert felt_levels(TIMES, MOTION, []) == {} and felt_levels(TIMES, MOTION, [900.0]) == {}
+    levels = felt_levels(TIMES, MOTION, [200.0, 900.0])
+    for name in OBSERVERS:
+        assert levels[f"level_{name}_dB_SL"] == levels[f"level_all_lines_{name}_dB_SL"] > 0.0
+    assert (
+        felt_levels(np.arange(0.0, 0.05, 1e-4), np.sin(np.arange(500.0)), [600.0])["level_afferent_human_dB_SL"] is None
+    )
