@@ -1,5 +1,8 @@
 #!/usr/bin/env python3
-"""Runs what CI runs, from a bare Python: ruff, mypy, the contract of imports, then pytest three times, whose closing line is the last line."""
+"""Runs what CI runs, from a bare Python: ruff, mypy, the contract of imports, then pytest three times.
+
+Pytest's closing line is the last line.
+"""
 
 import argparse
 import json
@@ -26,9 +29,9 @@ TELL_CORES = (
 def main() -> int:
     parser = argparse.ArgumentParser(
         description="Make .venv, install palmfield and its test tools in it, and run ruff check, ruff format --check, "
-        "mypy, import-linter and pytest. Before that, pytest's smoke tests run in .venv-lowest, with the lowest versions of "
-        "dependencies that pyproject.toml allows (made and run on Python 3.11 alone); after it, its numerics tests "
-        "run once more with OpenBLAS's kernels for another processor. Stops at the first that fails.",
+        "mypy, import-linter and pytest. Before that, pytest's smoke tests run in .venv-lowest, with the lowest "
+        "versions of dependencies that pyproject.toml allows (made and run on Python 3.11 alone); after it, its "
+        "numerics tests run once more with OpenBLAS's kernels for another processor. Stops at the first that fails.",
         epilog="Tests run on all cores, those of a file one after the other. Anything else is passed "
         "on to pytest, for instance -k NAME, -m 'not slow', or a path from the "
         "repository's root; then it runs once, in .venv.",

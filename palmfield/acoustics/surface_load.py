@@ -61,7 +61,8 @@ class Parts:
         if rows.shape[1] == 0:
             return np.zeros((6, self.count))
         runs = np.add.reduceat(rows, self._starts, axis=1)
-        return np.bincount(self._owners, runs.ravel(), 6 * self.count).reshape(6, self.count)
+        sums: Float = np.bincount(self._owners, runs.ravel(), 6 * self.count)
+        return sums.reshape(6, self.count)
 
 
 def resultants(
