@@ -56,6 +56,12 @@ def test_links_lead_somewhere(page):
             assert (page.parent / target).exists(), target
 
 
+@pytest.mark.parametrize("page", [*PAGES, *sorted((DOCS / "bench").glob("*.md"))], ids=name_of)
+def test_scripts_that_a_page_names_exist(page):
+    for path in re.findall(r"\bscripts/[\w/]+\.py", page.read_text()):
+        assert (ROOT / path).exists(), path
+
+
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_modules_that_a_page_names_exist(page):
     text = page.read_text()
