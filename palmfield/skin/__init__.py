@@ -7,8 +7,9 @@ motion = solve(body, load, times=[0.01, 0.05], at=[[0.0, 0.0]])
 print(motion.displacement_m[:, 0, 2], motion.error)
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from palmfield.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from palmfield.skin.materials.catalogue import preset
@@ -17,10 +18,10 @@ if TYPE_CHECKING:
     from palmfield.skin.solver_choice import choices, solve, static
 
 _WHERE = {
+    "preset": "materials.catalogue",
     **dict.fromkeys(("Branch", "Material"), "materials.material"),
     **dict.fromkeys(("Foundation", "Layer", "Motion", "Sheet", "Slab", "Spot", "Springs", "Traction"), "problem"),
     **dict.fromkeys(("choices", "solve", "static"), "solver_choice"),
-    "preset": "materials.catalogue",
 }
 __all__ = [
     "Branch",
@@ -38,9 +39,4 @@ __all__ = [
     "solve",
     "static",
 ]
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _WHERE:
-        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-    return getattr(import_module(f"{__name__}.{_WHERE[name]}"), name)
+__getattr__, __dir__ = lazy_names(__name__, _WHERE)
