@@ -55,7 +55,8 @@ BAD = {
     "whole history": ({"skin": {"solver": "axisymmetric"}}, "palmfield.skin.solve(..., solver='axisymmetric')"),
     "unit": ({"stimulus": {"focus_m": "0 0 120mm"}}, "key 'focus_m' has value '0 0 120mm'; allowed: three finite"),
     "choice": ({"skin": {"base": "glued"}}, "key 'base' has value 'glued'; allowed: bonded | free_slip"),
-    "behind": ({"stimulus": {"focus_m": "0 0 -0.1"}}, "plugin 'palmfield.stimulus' instance 'stimulus': key 'focus_m': focus"),
+    "behind": ({"stimulus": {"focus_m": "0 0 -0.1"}}, "plugin 'palmfield.stimulus' instance 'stimulus': key "
+    "'focus_m': focus"),
     "too loud": ({"stimulus": {"arp_peak_Pa": 1e6}}, "'stimulus': arp_peak_Pa 1e+06 is more than the array gives"),
     "missing am": ({"stimulus": {"am_depth": None}}, "modulation 'am' needs am_depth"),
     "unknown key": ({"skin": {"radius_mm": 20}}, "'palmfield.skin' has no key 'radius_mm'; allowed: body, shape, hand"),
