@@ -1,6 +1,8 @@
 """What each scripted scenario shows: its panels over time, and one physical check with its figure."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,13 +12,16 @@ import trimesh
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.tri import Triangulation
-from palmfield.outputs.v1_frames import body_pose_at, posed, to_local, to_world
 from scipy.ndimage import uniform_filter1d
 
-import palmfield
 from palmfield.acoustics.reference import pressure64
-from palmfield.engine.host import raise_errors
+from palmfield.outputs.frames import in_world, pose_at, to_local
+from palmfield.outputs.motion import normal_component
+from palmfield.outputs.schema import instances
 from palmfield.outputs.style import COLOURS
+from palmfield.session.simulation import Simulation
+from palmfield.simulation.emission import array_drives
+from palmfield.simulation.step import StepTrace
 from palmfield.skin.materials.dispersion import describe
 from palmfield.types import Float
 
@@ -31,12 +36,57 @@ EQUAL = (1.0, 1.0, 1.0)
 MAP_FIRST = (1.8, 1.0, 1.0)
 
 
-class Run(NamedTuple):
-    """A finished run. ds: its result; scene: as loaded; wakes: `stroke_velocities` by speed [m/s], for the stroke"""
+@dataclass(frozen=True)
+class Run:
+    """A finished run of a scene with one array, one stimulus and one skin.
 
-    ds: xr.Dataset
-    scene: palmfield.Scene
+    tree: its result; sim: as loaded; wakes: `stroke_velocities` by speed [m/s], for the stroke
+    """
+
+    tree: xr.DataTree
+    sim: Simulation
     wakes: dict[float, dict[str, Float]]
+
+    def only(self, kind: str) -> xr.Dataset:
+        """The one group of a kind, with the run's times."""
+        [one] = instances(self.tree, kind).values()
+        return one
+
+    @cached_property
+    def skin(self) -> xr.Dataset:
+        """Of the skin, with the run's times."""
+        return self.only("skin")
+
+    @cached_property
+    def body(self) -> xr.Dataset:
+        """Where the skin's body and its bones are."""
+        return self.only("body")
+
+    @cached_property
+    def focus(self) -> Float:
+        """The focus in the world [m], shape (time, 3); nan while it does not sound."""
+        stimulus = self.only("stimulus")
+        return np.where(stimulus["sounding"].values[:, None], stimulus["foci"].values[:, 0], np.nan)
+
+    @cached_property
+    def arp(self) -> Float:
+        """ARP on the skin [Pa], shape (time, vertex)."""
+        return self.skin["arp"].values
+
+    @cached_property
+    def normal_displacement(self) -> Float:
+        """Displacement of the skin along its outward normal [m], shape (time, vertex)."""
+        return normal_component(self.skin).values
+
+    @property
+    def times(self) -> Float:
+        """Ends of the skin's steps [s]."""
+        return self.skin["time"].values
+
+    @property
+    def step_times(self) -> Float:
+        """Starts of the MuJoCo steps [s]."""
+        return self.body["step_time"].values
 
 
 class Story(NamedTuple):
@@ -49,12 +99,13 @@ class Story(NamedTuple):
 
 def approach(run: Run, axes: list[Axes]) -> str:
     """ARP at the palm against |p|^2 of the free field where the palm is, each a mean over an AM period."""
-    times, places = _middle_of_skin(run.ds)
-    felt = _at_middle(run.ds, times, 200.0)
-    rig = run.scene.skin.rig
-    drive, _ = rig.unit_drive(rig.reference_focus)
-    at = to_local(places, run.ds["array_pose"].values)
-    free = np.abs(pressure64(at, rig.array, drive, rig.air)[0]) ** 2
+    times, places = _middle_of_skin(run)
+    felt = _at_middle(run, times, 200.0)
+    model = run.sim.runtime.model
+    arrays = model.arrays
+    drive = array_drives(model, arrays)[0].unit_drive(model.stimuli[0].first_focus).amplitudes
+    at = to_local(places, pose_at(run.only("array"), 0.0))
+    free = np.abs(pressure64(at, arrays.array, drive, arrays.air)[0]) ** 2
     inner = _whole_periods(times, 200.0)
     expected = free * felt[inner].max() / free[inner].max()
     off = float(np.abs(felt - expected)[inner].max() / felt[inner].max())
@@ -66,7 +117,7 @@ def approach(run: Run, axes: list[Axes]) -> str:
     axes[1].plot(1e3 * times[inner], expected[inner], "--", color=COLOURS[1], label="|p|² of the free field, scaled")
     axes[1].set(ylabel="ARP [Pa]", title="ARP there, mean over a period of 5 ms")
     axes[1].legend(loc="lower center")
-    _displacement(axes[2], run.ds)
+    _displacement(axes[2], run)
     return (
         f"ARP at the palm's middle follows |p|² of the free field at its place (float64 sum over the transducers, "
         f"scaled to the same maximum) within {100 * off:.1f} % of the maximum, over heights of "
@@ -76,8 +127,8 @@ def approach(run: Run, axes: list[Axes]) -> str:
 
 def hover(run: Run, axes: list[Axes]) -> str:
     """Where the palm is when it feels most, against the circle's middle."""
-    times, places = _middle_of_skin(run.ds)
-    felt = _at_middle(run.ds, times, 100.0)
+    times, places = _middle_of_skin(run)
+    felt = _at_middle(run, times, 100.0)
     inner = _whole_periods(times, 100.0)
     over = inner & (times < 0.3)
     x, weight = places[over, 0], felt[over] * np.gradient(places[over, 0])
@@ -88,7 +139,7 @@ def hover(run: Run, axes: list[Axes]) -> str:
     axes[0].legend(loc="lower right")
     axes[1].plot(1e3 * times[inner], felt[inner], color=COLOURS[0])
     axes[1].set(ylabel="ARP [Pa]", title="ARP there, mean over a turn of 10 ms")
-    _displacement(axes[2], run.ds)
+    _displacement(axes[2], run)
     return (
         f"On the first way over, the mean ARP at the palm's middle, as a function of its x, has its centroid at "
         f"{1e3 * middle:.1f} mm; the circle's middle is at 30 mm. It is largest where the palm's middle is near the "
@@ -98,31 +149,29 @@ def hover(run: Run, axes: list[Axes]) -> str:
 
 def tap(run: Run, axes: list[Axes]) -> str:
     """Height of the pulp, which carries the focus, at the first burst."""
-    ds = run.ds
-    times, places = _middle_of_skin(ds)
-    focus = ds["focus"].values
-    sounds = np.flatnonzero(ds["arp"].values.max(axis=1) > 0.0)
+    times, places = _middle_of_skin(run)
+    focus = run.focus
+    loud = run.arp.max(axis=1)
+    sounds = np.flatnonzero(loud > 0.0)
     at = sounds[0] if len(sounds) else 0
-    loud = ds["arp"].values.max(axis=1)
     axes[0].plot(1e3 * times, 1e3 * places[:, 2], color=COLOURS[2])
     axes[0].axhline(200.0, color="#888888", lw=0.8, ls="--", label="height of the button")
     axes[0].set(ylabel="pulp height [mm]", title="Height of the index finger's pulp")
     axes[0].legend(loc="lower left")
-    axes[1].plot(1e3 * ds["time"].values, loud, color=COLOURS[0])
+    axes[1].plot(1e3 * run.times, loud, color=COLOURS[0])
     axes[1].set(ylabel="ARP [Pa]", title="Largest ARP on the pulp")
-    _displacement(axes[2], ds)
+    _displacement(axes[2], run)
     return (
-        f"At the first burst, {1e3 * ds['time'].values[at]:.2f} ms, the pulp is at {1e3 * focus[at, 2]:.2f} mm "
+        f"At the first burst, {1e3 * run.times[at]:.2f} ms, the pulp is at {1e3 * focus[at, 2]:.2f} mm "
         "(button: 200 mm)."
     )
 
 
 def follow(run: Run, axes: list[Axes]) -> str:
     """Distance of the focus from the skin that the bones carry."""
-    ds = run.ds
-    times, places = _middle_of_skin(ds)
-    focus = _focus_at(ds, times)
-    gap = _gap(ds, times, focus)
+    times, places = _middle_of_skin(run)
+    focus = _focus_at(run, times)
+    gap = _gap(run, times, focus)
     axes[0].plot(*(1e3 * places[:, :2].T), color=COLOURS[1], lw=4, alpha=0.5, label="middle of the pulp's skin")
     axes[0].plot(*(1e3 * focus[:, :2].T), color=COLOURS[0], label="focus")
     axes[0].set(xlabel="x [mm]", ylabel="y [mm]", title="Paths seen from above", aspect="equal", anchor="W")
@@ -130,7 +179,7 @@ def follow(run: Run, axes: list[Axes]) -> str:
     axes[1].plot(1e3 * times, 1e3 * gap, color=COLOURS[2])
     axes[1].set(ylabel="distance [mm]", title="Focus to the nearest skin", ylim=(0.0, 1.0))
     inner = _whole_periods(times, 200.0)
-    axes[2].plot(1e3 * times[inner], _at_middle(ds, times, 200.0)[inner], color=COLOURS[0])
+    axes[2].plot(1e3 * times[inner], _at_middle(run, times, 200.0)[inner], color=COLOURS[0])
     axes[2].set(
         xlabel="time [ms]", ylabel="ARP [Pa]", title="ARP at the pulp, mean over a period of 5 ms", ylim=(0.0, None)
     )
@@ -143,26 +192,24 @@ def follow(run: Run, axes: list[Axes]) -> str:
 
 def trace(run: Run, axes: list[Axes]) -> str:
     """The path on the turned palm: its speed along the skin, and how far the focus is from it."""
-    ds = run.ds
-    times = ds["time"].values[1:]
-    focus = np.array([to_local(f[None], _pose(ds, t))[0] for t, f in zip(times, ds["focus"].values[1:], strict=True)])
+    times = run.times[1:]
+    focus = np.array([to_local(f[None], pose_at(run.body, t))[0] for t, f in zip(times, run.focus[1:], strict=True)])
     speed = np.linalg.norm(np.diff(focus, axis=0), axis=1) / np.diff(times)
-    gap = _gap(ds, times[::5], ds["focus"].values[1::5])
-    rest, faces = ds["skin_position"].values, ds["skin_faces"].values
-    most = 1e6 * np.abs(ds["normal_displacement"].values).max(axis=0)
+    gap = _gap(run, times[::5], run.focus[1::5])
+    rest, faces = run.skin["rest_position"].values, run.skin["face"].values
+    most = 1e6 * np.abs(run.normal_displacement).max(axis=0)
     drawn = axes[0].tripcolor(
         Triangulation(1e3 * rest[:, 0], 1e3 * rest[:, 1], faces), most, shading="gouraud", cmap="magma_r"
     )
-    beside = axes[0].inset_axes((1.06, 0.0, 0.05, 1.0))
-    axes[0].figure.colorbar(drawn, cax=beside, label="largest |u| [µm]")
+    bar = axes[0].inset_axes((1.06, 0.0, 0.05, 1.0))
+    axes[0].figure.colorbar(drawn, cax=bar, label="largest |u| [µm]")
     axes[0].plot(*(1e3 * focus[:, :2].T), color="#0ea5e9", lw=1.0)
     axes[0].set(xlabel="hand x [mm]", ylabel="hand y [mm]", aspect="equal", title="Path on the palm", anchor="W")
     axes[0].grid(visible=False)
-    steps = ds["step_time"].values
-    roll = np.degrees([2.0 * np.arctan2(p[5], p[3]) for p in ds["body_pose"].values])
-    axes[1].plot(1e3 * steps, roll, color=COLOURS[2])
+    roll = np.degrees([2.0 * np.arctan2(p[5], p[3]) for p in run.body["pose"].values])
+    axes[1].plot(1e3 * run.step_times, roll, color=COLOURS[2])
     axes[1].set(ylabel="roll [°]", title="Turn of the hand about its fingers' direction", xlabel="time [ms]")
-    _displacement(axes[2], ds)
+    _displacement(axes[2], run)
     return (
         f"In the hand's frame the focus runs at {np.median(speed):.2f} m/s (median; asked: 4 m/s) and stays within "
         f"{1e3 * np.nanmax(gap):.2f} mm of the skin (linear triangles) while the hand rolls by {np.ptp(roll):.1f}°."
@@ -171,14 +218,13 @@ def trace(run: Run, axes: list[Axes]) -> str:
 
 def two_hands(run: Run, axes: list[Axes]) -> str:
     """ARP in the shadow against ARP before and after it."""
-    ds = run.ds
-    times, _ = _middle_of_skin(ds)
-    felt = _at_middle(ds, times, 200.0)
+    times, _ = _middle_of_skin(run)
+    felt = _at_middle(run, times, 200.0)
     inner = _whole_periods(times, 200.0)
     free, least = felt[inner][0], felt[inner].min()
     axes[0].plot(1e3 * times[inner], felt[inner], color=COLOURS[0])
     axes[0].set(ylabel="ARP [Pa]", title="ARP at the right palm, mean over a period of 5 ms")
-    _displacement(axes[1], ds)
+    _displacement(axes[1], run)
     return (
         f"ARP at the palm's middle: {free:.2f} Pa free, {least:.2g} Pa at the least in the shadow (rays: nothing bends "
         f"round the hand), ratio {least / free:.1e}; {felt[inner][-1]:.2f} Pa when the hand has passed "
@@ -188,8 +234,8 @@ def two_hands(run: Run, axes: list[Axes]) -> str:
 
 def grasp(run: Run, axes: list[Axes]) -> str:
     """Vertical contact force on the ball against its weight, in the same motion stepped once more without sound."""
-    times, ball, hand, force = _carried(run.scene, len(run.ds["step_time"]))
-    model = run.scene.model
+    times, ball, hand, force = _carried(run.sim, len(run.step_times))
+    model = run.sim.model
     weight = float(model.body_mass[model.body("ball").id] * -model.opt.gravity[2])
     axes[0].plot(1e3 * times, 1e3 * ball, color=COLOURS[1], label="ball")
     axes[0].plot(1e3 * times, 1e3 * hand, color=COLOURS[2], label="hand")
@@ -199,9 +245,9 @@ def grasp(run: Run, axes: list[Axes]) -> str:
     axes[1].axhline(1e3 * weight, color="#888888", lw=0.8, ls="--", label="weight of the ball")
     axes[1].set(ylabel="force [mN]", title="Vertical contact force on the ball")
     axes[1].legend(loc="upper right")
-    of_run, _ = _middle_of_skin(run.ds)
+    of_run, _ = _middle_of_skin(run)
     inner = _whole_periods(of_run, 200.0)
-    axes[2].plot(1e3 * of_run[inner], _at_middle(run.ds, of_run, 200.0)[inner], color=COLOURS[0])
+    axes[2].plot(1e3 * of_run[inner], _at_middle(run, of_run, 200.0)[inner], color=COLOURS[0])
     axes[2].set(xlabel="time [ms]", ylabel="ARP [Pa]", title="ARP at the palm, mean over a period of 5 ms")
     held = times > GRIP_FROM_S
     if not held.any():
@@ -234,8 +280,8 @@ def stroke(run: Run, axes: list[Axes]) -> str:
     axes[1].set(
         xlabel="speed of the focus [m/s]", ylabel="wake [mm]", title="Wake length: median and range", ylim=(0.0, None)
     )
-    _displacement(axes[2], run.ds)
-    material = run.scene.skin.rig.material
+    _displacement(axes[2], run)
+    material = run.sim.runtime.model.skins[0].layer.sheets[0].material
     slow, fast = (describe(material, f).shear_speed_m_s for f in (50.0, 500.0))
     figures = "; ".join(f"{1e3 * m:.0f} mm ({1e3 * a:.0f} to {1e3 * b:.0f}) at {v:g} m/s" for v, m, a, b in found)
     return (
@@ -254,24 +300,29 @@ def stroke_velocities(speed_m_s: float) -> dict[str, Float]:
     skin's nodes along their normals [m/s], shape (n, s); places: arc lengths of points on the path [m], shape (k,);
     near: which nodes lie within PATH_NEIGHBOURHOOD_M of each, shape (k, s); unknowns: of the skin, shape ()
     """
-    scene = palmfield.load(SCENES / "stroke_palm.xml", keys={"stimulus.path_speed_m_s": speed_m_s, **WAKE_KEYS})
-    rig, chain = scene.skin.rig, scene.skin.chain
-    way = rig.skin_path.length_m
+    sim = Simulation(SCENES / "stroke_palm.xml", keys={"stimulus.path_speed_m_s": speed_m_s, **WAKE_KEYS})
+    work, model = sim.runtime.work, sim.runtime.model
+    path, surface, layer = model.stimuli[0].path, model.bodies[0].surface, model.skins[0].layer
+    assert path is not None and surface is not None
+    way = path.length_m
     places = np.arange(0.0, way, 0.001)
-    path, _ = rig.skin_path.at(places, rig.surface.vertices, rig.surface.faces)
-    nodes, _ = chain.surface_nodes()
+    on_skin, _ = path.at(places, surface.vertices, surface.faces)
     rows: list[tuple[float, Float]] = []
-    chain.observer = lambda t, motion, *_: rows.append((t * speed_m_s, motion[1].copy()))
-    while scene.data.time * speed_m_s < 0.9 * way:
-        mujoco.mj_step(scene.model, scene.data)
-        raise_errors(scene.data)
+
+    def note(trace: StepTrace) -> None:
+        assert trace.motion[0] is not None
+        rows.extend((t * speed_m_s, motion[1].copy()) for t, motion in zip(trace.times, trace.motion[0], strict=True))
+
+    work.observe, work.observer = (layer.surface_operator,), note
+    while sim.time * speed_m_s < 0.9 * way:
+        sim.step()
     rows = [row for row in rows if 0.6 * way <= row[0] <= 0.9 * way]
     return {
         "arc": np.array([row[0] for row in rows]),
         "velocity": np.array([row[1] for row in rows]),
         "places": places,
-        "near": np.linalg.norm(path[:, None] - nodes[None], axis=2) < PATH_NEIGHBOURHOOD_M,
-        "unknowns": np.array(rig.system.ndof),
+        "near": np.linalg.norm(on_skin[:, None] - sim.skin().rest_position[None], axis=2) < PATH_NEIGHBOURHOOD_M,
+        "unknowns": np.array(layer.system.ndof),
     }
 
 
@@ -294,24 +345,23 @@ def wake_lengths(seen: dict[str, Float]) -> tuple[Float, Float, Float]:
     return np.array(lengths), *curves[middle]
 
 
-def _middle_of_skin(ds: xr.Dataset) -> tuple[Float, Float]:
+def _middle_of_skin(run: Run) -> tuple[Float, Float]:
     """Times of the MuJoCo steps [s], and the skin's middle vertex in the world then [m], shape (n, 3)."""
-    times = ds["step_time"].values
-    vertex = _middle(ds)
-    return times, np.array([to_world(posed(ds, "skin", t)[vertex : vertex + 1], _pose(ds, t))[0] for t in times])
+    vertex = _middle(run)
+    return run.step_times, np.array([in_world(run.skin, run.body, t)[vertex] for t in run.step_times])
 
 
-def _middle(ds: xr.Dataset) -> int:
+def _middle(run: Run) -> int:
     """The surface vertex nearest to the middle of the skin layer."""
-    rest = ds["skin_position"].values
+    rest = run.skin["rest_position"].values
     return int(np.linalg.norm(rest - 0.5 * (rest.min(axis=0) + rest.max(axis=0)), axis=1).argmin())
 
 
-def _at_middle(ds: xr.Dataset, times: Float, rate_Hz: float) -> Float:
+def _at_middle(run: Run, times: Float, rate_Hz: float) -> Float:
     """ARP at the skin's middle [Pa] at times [s], mean over a period about each."""
-    own = ds["time"].values
+    own = run.times
     count = round(1.0 / (rate_Hz * (own[1] - own[0])))
-    return np.interp(times, own, uniform_filter1d(ds["arp"].values[:, _middle(ds)].astype(np.float64), count))
+    return np.interp(times, own, uniform_filter1d(run.arp[:, _middle(run)].astype(np.float64), count))
 
 
 def _whole_periods(times: Float, rate_Hz: float) -> Any:
@@ -319,43 +369,37 @@ def _whole_periods(times: Float, rate_Hz: float) -> Any:
     return (times - times[0] >= 0.5 / rate_Hz) & (times[-1] - times >= 0.5 / rate_Hz)
 
 
-def _focus_at(ds: xr.Dataset, times: Float) -> Float:
-    indices = [int(np.abs(ds["time"].values - t).argmin()) for t in times]
-    return ds["focus"].values[indices]
+def _focus_at(run: Run, times: Float) -> Float:
+    return run.focus[[int(np.abs(run.times - t).argmin()) for t in times]]
 
 
-def _gap(ds: xr.Dataset, times: Float, focus: Float) -> Float:
+def _gap(run: Run, times: Float, focus: Float) -> Float:
     """Distance [m] of foci in the world, shape (n, 3), from the skin at those times; nan where there is none."""
     gaps = np.full(len(times), np.nan)
     for i in np.flatnonzero(np.isfinite(focus[:, 0])):
-        skin = to_world(posed(ds, "skin", times[i]), _pose(ds, times[i]))
-        mesh = trimesh.Trimesh(skin, ds["skin_faces"].values, process=False)
+        mesh = trimesh.Trimesh(in_world(run.skin, run.body, times[i]), run.skin["face"].values, process=False)
         gaps[i] = trimesh.proximity.closest_point_naive(mesh, focus[i : i + 1])[1][0]
     return gaps
 
 
-def _pose(ds: xr.Dataset, time_s: float) -> Float:
-    return body_pose_at(ds, time_s)
-
-
-def _displacement(axes: Axes, ds: xr.Dataset) -> None:
+def _displacement(axes: Axes, run: Run) -> None:
     """Displacement of the vertex that moves most."""
-    motion = ds["normal_displacement"].values
+    motion = run.normal_displacement
     vertex = int(np.abs(motion).max(axis=0).argmax())
-    axes.plot(1e3 * ds["time"].values, 1e6 * motion[:, vertex], color=COLOURS[1], lw=0.9)
+    axes.plot(1e3 * run.times, 1e6 * motion[:, vertex], color=COLOURS[1], lw=0.9)
     axes.set(xlabel="time [ms]", ylabel="u [µm]", title="Normal displacement where the skin moves most (-: in)")
 
 
-def _carried(scene: palmfield.Scene, count: int) -> tuple[Float, Float, Float, Float]:
+def _carried(sim: Simulation, count: int) -> tuple[Float, Float, Float, Float]:
     """Times [s], heights of ball and hand [m], and vertical contact force on the ball [N], of a silent run."""
-    silent = palmfield.load(scene.path, keys={"stimulus.drive_amplitude": 0})
+    assert sim.path is not None
+    silent = Simulation(sim.path, keys={"stimulus.drive_amplitude": 0})
     model, data = silent.model, silent.data
     ball = model.body("ball").id
     rows = []
     wrench = np.zeros(6)
     for _ in range(count):
-        mujoco.mj_step(model, data)
-        raise_errors(data)
+        silent.step()
         force = 0.0
         for number, contact in enumerate(data.contact):
             bodies = model.geom_bodyid[[contact.geom1, contact.geom2]]

@@ -10,12 +10,10 @@ import os
 import time
 from pathlib import Path
 
-import mujoco
 import numpy as np
 
 import palmfield
 from palmfield.data import folder
-from palmfield.engine.host import raise_errors
 from palmfield.hand.patch import surface_patch
 from palmfield.hand.preset import load_preset
 from palmfield.hand.surface import hand_surface
@@ -35,7 +33,7 @@ KEYS = {
     "stimulus.path_sites": None,
     "stimulus.path_width_m": LENGTH_m,
     "stimulus.frame": "palm_centre",
-    "stimulus.focus_m": "0 0 0",
+    "stimulus.focus_m": (0, 0, 0),
     "stimulus.path_speed_m_s": SPEED_m_s,
 }
 
@@ -43,22 +41,17 @@ KEYS = {
 def in_scene(seconds: float) -> str:
     """The scene stroke_palm on that layer: sound of 256 transducers, their ring-up, forces on the hand, skin."""
     began, busy = time.perf_counter(), time.process_time()
-    scene = palmfield.load(folder("mjcf") / "scenes" / "stroke_palm.xml", keys=KEYS)
-    rig = scene.skin.rig
-    mujoco.mj_forward(scene.model, scene.data)
-    mujoco.mj_step(scene.model, scene.data)
-    raise_errors(scene.data)
+    sim = palmfield.Simulation(folder("mjcf") / "scenes" / "stroke_palm.xml", keys=KEYS)
+    sim.step()
     ready = time.perf_counter() - began
-    while scene.data.time < seconds - 1e-9:
-        mujoco.mj_step(scene.model, scene.data)
-        raise_errors(scene.data)
+    while sim.time < seconds - 1e-9:
+        sim.step()
     wall, processor_s = time.perf_counter() - began, time.process_time() - busy
-    made = getattr(rig.stepper, "error", None)
+    skin, stepper = sim.runtime.model.skins[0], sim.runtime.model.begin[0].value
+    made = f"model within {100 * stepper.error:.2g} % of the layer" if stepper.error else ""
     return (
-        f"| scene, `{rig.choice.name}` | {len(rig.mesh.elements)} | {rig.dofs} | {wall:.1f} | {processor_s:.1f} | "
-        f"{ready:.1f} | {wall / seconds:.0f} | "
-        + (f"model within {100 * made:.2g} % of the layer" if made is not None else "")
-        + " |"
+        f"| scene, `{sim.skin().solver}` | {len(skin.layer.mesh.elements)} | {skin.layer.dofs} | {wall:.1f} | "
+        f"{processor_s:.1f} | {ready:.1f} | {wall / seconds:.0f} | {made} |"
     )
 
 

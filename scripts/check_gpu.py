@@ -159,14 +159,14 @@ def kernel_rows(device: str, rate: float) -> list[str]:
 
 
 def sensor(device: str, steps: int = 20) -> tuple[np.ndarray, float]:
-    scene = palmfield.load(SCENE, device=device)
-    mujoco.mj_step(scene.model, scene.data)
+    sim = palmfield.Simulation(SCENE, device=device)
+    sim.step()
     start = time.perf_counter()
-    for _ in range(steps - 1):
-        mujoco.mj_step(scene.model, scene.data)
+    sim.step(steps - 1)
     seconds = (time.perf_counter() - start) / (steps - 1)
-    mujoco.mj_forward(scene.model, scene.data)
-    return scene.data.sensordata.copy(), seconds
+    mujoco.mj_forward(sim.model, sim.data)
+    palmfield.raise_errors(sim.data)
+    return sim.data.sensordata.copy(), seconds
 
 
 def main() -> None:

@@ -14,9 +14,9 @@ import matplotlib.image
 import numpy as np
 from _scenario_stories import SCENES, SPEEDS_M_S, STORIES, Run, stroke_velocities
 from matplotlib.figure import Figure
-from palmfield.outputs.v1_store import load
 
 import palmfield
+from palmfield.outputs.store import open_result
 from palmfield.outputs.style import save, style
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -109,17 +109,18 @@ def main() -> None:
 def simulate(name: str, out: Path, duration_s: float | None) -> None:
     """Run a scenario; beside its results, facts.json says what it took."""
     processor, wall = time.process_time(), time.perf_counter()
-    scene = palmfield.load(SCENES / f"{name}.xml")
-    result = palmfield.run(scene, out, duration_s=duration_s or DURATIONS_S.get(name))
+    sim = palmfield.Simulation(SCENES / f"{name}.xml")
+    result = palmfield.run(sim, out, duration_s=duration_s or DURATIONS_S.get(name), overwrite=True)
+    [skin] = result.summary["skins"]
     facts = {
         "commit": commit(),
         "processor_s": time.process_time() - processor,
         "wall_s": time.perf_counter() - wall,
-        "unknowns": result.summary["dofs"],
+        "unknowns": skin["dofs"],
         "skin_steps": result.summary["skin_steps"],
-        "steps": round(result.summary["simulated_time_s"] / scene.model.opt.timestep),
+        "steps": round(result.summary["simulated_time_s"] / sim.model.opt.timestep),
         "simulated_s": result.summary["simulated_time_s"],
-        "solver": result.summary["skin_solver"],
+        "solver": skin["solver"],
     }
     if name == "stroke_palm":
         for speed in SPEEDS_M_S:
@@ -133,7 +134,7 @@ def draw(name: str, out: Path) -> str:
     wakes = {}
     if name == "stroke_palm":
         wakes = {speed: dict(np.load(out / f"wake_{speed:g}.npz")) for speed in SPEEDS_M_S}
-    run = Run(load(out / "result.nc"), palmfield.load(SCENES / f"{name}.xml"), wakes)
+    run = Run(open_result(out), palmfield.Simulation(SCENES / f"{name}.xml"), wakes)
     with style():
         figure = Figure(figsize=(14.0, 6.0), dpi=100, layout="constrained")
         left, right = figure.subfigures(1, 2, width_ratios=(8.0, 6.0), squeeze=False)[0]
@@ -172,19 +173,19 @@ def write_page(results: Path) -> None:
             f"{1e3 * facts['simulated_s']:.0f} ms in {facts['steps']} MuJoCo steps and {facts['skin_steps'] - 1} "
             f"of the skin; {facts['unknowns']} unknowns, solver {facts['solver']}; {facts['processor_s']:.0f} s of "
             f"processor, {facts['wall_s']:.0f} s by the clock, loading, error estimate and drawing included; "
-            f"commit {facts['commit']}. {error_in_words(summary)}\n"
+            f"commit {facts['commit']}. {error_in_words(summary['skins'][0])}\n"
         )
     PAGE.write_text("\n".join(parts), encoding="utf-8")
 
 
-def error_in_words(summary: dict[str, Any]) -> str:
-    """What a run's estimate says of its largest displacement."""
-    if "displacement_error_relative" not in summary:
-        return f"No error estimate: {summary.get('displacement_error_missing', 'the skin did not move')}."
-    error, wanted = summary["displacement_error_relative"], summary["accuracy_wanted_relative"]
+def error_in_words(skin: dict[str, Any]) -> str:
+    """What a run's estimate says of its largest displacement. skin: its entry in the summary"""
+    if "displacement_error_relative" not in skin:
+        return f"No error estimate: {skin.get('displacement_error_missing', 'the skin did not move')}."
+    error, wanted = skin["displacement_error_relative"], skin["accuracy_wanted_relative"]
     return (
         f"Estimated error of the displacement {100 * error:.0f} % ({100 * wanted:.0f} % wanted): mesh "
-        f"{100 * summary['mesh_error_relative']:.0f} %, cut edge {100 * summary['edge_error_relative']:.0f} %."
+        f"{100 * skin['mesh_error_relative']:.0f} %, cut edge {100 * skin['edge_error_relative']:.0f} %."
     )
 
 
