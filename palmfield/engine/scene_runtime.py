@@ -49,6 +49,7 @@ class SceneRuntime:
         count = len(self._sites) + len(self._bodies)
         self._positions, self._matrices = np.zeros((count, 3)), np.zeros((count, 9))
         self._posed: PosedScene = self.work.reference
+        self._numbers = b""
         self._places: dict[str, SensorPlace] = {}
         self.applied: list[Float] = [np.zeros(3) for _ in self.bodies]
         self.applied_parts = [(np.zeros((len(parts), 3)), np.zeros((len(parts), 3))) for parts in self.parts]
@@ -74,14 +75,14 @@ class SceneRuntime:
             positions, matrices = self.view.frames[kind]
             positions.take(numbers, 0, self._positions[part])
             matrices.take(numbers, 0, self._matrices[part])
-        last = self._posed
-        if self._positions.tobytes() + self._matrices.tobytes() == last.numbers:
+        last, numbers = self._posed, self._positions.tobytes() + self._matrices.tobytes()
+        if numbers == self._numbers:
             return last
         rows = PoseRows(self._positions, self._matrices.reshape(-1, 3, 3))
         posed = posed_scene(self.model, self.layout, rows, last, self.work.reference)
         if posed.bodies != last.bodies or posed.arrays is not last.arrays:
             check_clear(posed)
-        self._posed = posed
+        self._posed, self._numbers = posed, numbers
         return posed
 
     @property

@@ -4,6 +4,7 @@ A Radiation belongs to one state and is used by one thread at a time: it holds b
 the last answers, which hold as long as pose and drive are the same objects or equal.
 """
 
+from operator import is_
 from typing import Literal
 
 import numpy as np
@@ -83,7 +84,7 @@ class Radiation:
             return False
         if self.model.skins[skin].spec.config.body_sound == "none":
             return known.skins[skin] is posed.skins[skin]
-        return all(a is b for a, b in zip(known.skins, posed.skins, strict=True))
+        return all(map(is_, known.skins, posed.skins))
 
     def _evaluator(self, arrays: PhasedArray, skin: int, role: str, count: int) -> SurfaceArp:
         key = skin, role, count

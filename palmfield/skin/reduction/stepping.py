@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from palmfield.skin.blas import one_blas_thread
+from palmfield.blas import one_blas_thread
 from palmfield.skin.fem.assembly import SkinSystem
 from palmfield.skin.fem.solver import SkinSolver
 from palmfield.skin.materials.material import stiffening
