@@ -10,16 +10,17 @@ import os
 import sys
 import time
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from scipy.sparse import csr_matrix
 
 from palmfield.skin.analytic.layer_oracle import centre_response
 from palmfield.skin.fem.assembly import assemble
 from palmfield.skin.fem.load import SurfaceQuadrature
 from palmfield.skin.fem.probe import SurfaceProbe
-from palmfield.skin.fem.solver import SkinSolver, harmonic, static
+from palmfield.skin.fem.solver import harmonic, static
+from palmfield.skin.fem.wedge_stepper import WedgeStepper
 from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.mesh.disc import disc_patch
 from palmfield.skin.mesh.wedges import extrude
@@ -27,6 +28,7 @@ from palmfield.skin.problem import Motion, Sheet, Slab, Spot
 from palmfield.skin.reduction.reduced import Reduced
 from palmfield.skin.reduction.reducer import reduce
 from palmfield.skin.solvers.axisymmetric.solve import cost_axisymmetric, solve_axisymmetric
+from palmfield.skin.stepper import SurfaceLoads
 from palmfield.studies.bench.field import git_commit
 from palmfield.studies.bench.table import processor
 
@@ -108,16 +110,15 @@ def wedge_rows() -> list[str]:
     times = np.linspace(0.0, 0.02, 201)
     for side in SIDES:
         system, force, read = wedge(side, 0.006, 3)
-        solver = SkinSolver(system, 1e-4)
-        state = solver.new_state()
-        amplitude = np.interp(times, load.times_s, load.peak_Pa)
-        seen = [np.zeros(2)]
-        for a, b in pairwise(amplitude):
-            solver.step(state, a * force, b * force)
-            seen.append(read @ state[0])
+        stepper = WedgeStepper(system, csr_matrix(force[:, None]), 1e-4)
+        state = np.zeros((1, stepper.state_size))
+        amplitude = np.interp(times, load.times_s, load.peak_Pa)[None, :, None]
+        ramp = SurfaceLoads(np.ones((1, 1, 1)), amplitude[:, :-1], amplitude[:, 1:])
+        after = stepper.step(state, ramp, times[0], times[-1], stepper.reader(read))
+        seen = np.concatenate([np.zeros((1, 2)), after[0, :, 0]])
         motion = solve_axisymmetric(disc(side), load, times, POINTS, accuracy=0.002)
         ours = -motion.displacement_m[..., 2]
-        gap = np.linalg.norm(np.array(seen) - ours, axis=0) / np.linalg.norm(ours, axis=0)
+        gap = np.linalg.norm(seen - ours, axis=0) / np.linalg.norm(ours, axis=0)
         late = -solve_axisymmetric(
             disc(side), loads()["step (to static)"], np.ones(1), POINTS, accuracy=0.002
         ).displacement_m
@@ -135,9 +136,9 @@ def reduced_rows() -> list[str]:
     rows = []
     for fine, layers, tolerances in ((0.008, 2, (1e-2, 1e-3, 1e-4)), (0.006, 3, (1e-3,))):
         system, force, read = wedge("fixed", fine, layers)
-        solver = SkinSolver(system, 1e-4)
-        state = solver.new_state()
-        full = seconds(partial(solver.step, state, force, force), 20)
+        stepper = WedgeStepper(system, csr_matrix(force[:, None]), 1e-4)
+        state = np.zeros((1, stepper.state_size))
+        full = seconds(partial(stepper.step, state, SurfaceLoads(*np.ones((3, 1, 1, 1))), 0.0, 1e-4), 20)
         for tolerance in tolerances:
             begin = time.perf_counter()
             model = reduce(system, force[:, None], read, (0.0, 600.0), tolerance, order=system.elimination_order())

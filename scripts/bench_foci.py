@@ -180,7 +180,7 @@ def draw(array: Array, air: Air, field: FieldEvaluator, shown: dict[Method, list
             image = axis.imshow(
                 loud.reshape(side, side),
                 origin="lower",
-                trim_absorbing_rim=(-80, 80, -80, 80),
+                extent=(-80, 80, -80, 80),
                 vmin=0,
                 vmax=0.4,
                 cmap="magma",

@@ -16,10 +16,10 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+from palmfield.skin.reduction.stepping import ReducedSkin
 
 import palmfield
 from palmfield.engine.host import raise_errors
-from palmfield.skin.reduction.stepping import ReducedSkin
 from palmfield.studies.bench.field import git_commit
 from palmfield.studies.bench.table import processor
 

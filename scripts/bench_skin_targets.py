@@ -13,9 +13,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from bench_disc import SIDES, disc, loads
-from bench_explicit import gap
-from bench_spectral import SURFACE, passage, plate
+from bench_axisymmetric import SIDES, disc, loads
+from bench_lateral_waves import SURFACE, passage, plate
+from bench_spectral_elements import gap
 
 from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.problem import Motion, Sheet, Slab

@@ -1,5 +1,8 @@
 #!/usr/bin/env python3
-"""Runs what CI runs, from a bare Python: ruff, mypy, then pytest three times, whose closing line is the last line."""
+"""Runs what CI runs, from a bare Python: ruff, mypy, the contract of imports, then pytest three times.
+
+Pytest's closing line is the last line.
+"""
 
 import argparse
 import json
@@ -13,7 +16,7 @@ sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 
 import _setup
 
-CHECKS = (("ruff", "check", "."), ("ruff", "format", "--check", "."), ("mypy",))
+CHECKS = (("ruff", "check", "."), ("ruff", "format", "--check", "."), ("mypy",), ("lint-imports",))
 PYTEST = ("pytest", "-n", "auto", "--dist", "loadfile")
 CORES = {"SkylakeX": "Haswell", "Cooperlake": "Haswell", "SapphireRapids": "Haswell", "Nehalem": "Prescott"}
 """OpenBLAS's names of kernels: which others to test with where it takes these; on other x86 processors "Nehalem"."""
@@ -26,9 +29,9 @@ TELL_CORES = (
 def main() -> int:
     parser = argparse.ArgumentParser(
         description="Make .venv, install palmfield and its test tools in it, and run ruff check, ruff format --check, "
-        "mypy and pytest. Before that, pytest's smoke tests run in .venv-lowest, with the lowest versions of "
-        "dependencies that pyproject.toml allows (made and run on Python 3.11 alone); after it, its numerics tests "
-        "run once more with OpenBLAS's kernels for another processor. Stops at the first that fails.",
+        "mypy, import-linter and pytest. Before that, pytest's smoke tests run in .venv-lowest, with the lowest "
+        "versions of dependencies that pyproject.toml allows (made and run on Python 3.11 alone); after it, its "
+        "numerics tests run once more with OpenBLAS's kernels for another processor. Stops at the first that fails.",
         epilog="Tests run on all cores, those of a file one after the other. Anything else is passed "
         "on to pytest, for instance -k NAME, -m 'not slow', or a path from the "
         "repository's root; then it runs once, in .venv.",
@@ -78,7 +81,8 @@ def run(python: Path, tool: str, *options: str, **variables: str) -> int:
     """Exit status of a tool in the environment of `python`, run with more environment variables."""
     where = [] if python == _setup.python_of(_setup.VENV) else [f"{_setup.LOWEST_VENV.name}:"]
     _setup.say(" ".join([*where, *(f"{name}={value}" for name, value in variables.items()), tool, *options]))
-    command = [python, "-m", tool, *options]
+    # import-linter has a command only, and no module to run.
+    command = [python.parent / tool, *options] if tool == "lint-imports" else [python, "-m", tool, *options]
     return subprocess.run(command, cwd=_setup.ROOT, env={**os.environ, **variables}, check=False).returncode
 
 

@@ -1,6 +1,9 @@
 """What the sound does to a surface as a whole, and where the surface is to the arrays."""
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from palmfield.acoustics.phased_array import Board, PhasedArray
 from palmfield.acoustics.shadow import REACH_m
@@ -57,12 +60,13 @@ class Parts:
         # One list for the six rows of a force and a torque
         self._owners = (owners[self._starts].astype(np.intp) + count * np.arange(6)[:, None]).ravel()
 
-    def sums(self, rows: Float) -> Float:
+    def sums(self, rows: Float) -> NDArray[Any]:
         """Six rows of numbers by face, shape (6, n), added up by part, shape (6, count)."""
         if rows.shape[1] == 0:
             return np.zeros((6, self.count))
         runs = np.add.reduceat(rows, self._starts, axis=1)
-        return np.bincount(self._owners, runs.ravel(), 6 * self.count).reshape(6, self.count)
+        sums = np.bincount(self._owners, runs.ravel(), 6 * self.count)
+        return sums.reshape(6, self.count)
 
 
 def resultants(

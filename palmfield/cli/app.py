@@ -18,15 +18,23 @@ app = typer.Typer(
     "Start with `palmfield new first` and `palmfield run first.xml`.",
 )
 SceneFile = Annotated[Path, typer.Argument(help="MJCF scene with palmfield plugins", metavar="SCENE.xml")]
-Device = Annotated[str | None, typer.Option(help="where the field kernels run: auto, cpu or cuda:0", metavar="DEVICE")]
+Device = Annotated[
+    str | None,
+    typer.Option(
+        help="where fields are computed: auto, cpu or cuda:N [default: the scene's palmfield_device, or auto]",
+        metavar="DEVICE",
+    ),
+]
 Accuracy = Annotated[
     float | None, typer.Option(help="wanted relative error of the skin displacement, e.g. 0.05", metavar="REL")
 ]
-
 Keys = Annotated[
     list[str] | None,
     typer.Option(
-        "--set", help="another value for one key, e.g. stimulus.path_speed_m_s=11", metavar="PLUGIN.KEY=VALUE"
+        "--set",
+        help="another value for a key of one instance, or of all instances of a plugin, e.g. "
+        "stimulus.path_speed_m_s=11 (see `palmfield keys`); give it several times for several keys",
+        metavar="INSTANCE.KEY=VALUE",
     ),
 ]
 
@@ -39,40 +47,47 @@ def run(
     duration: Annotated[float | None, typer.Option(help="simulated time [s] [default: the scene's]")] = None,
     accuracy: Accuracy = None,
     keys: Keys = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="replace another run's results in the folder")] = False,
 ) -> None:
     """Simulate a scene and write result.nc, summary.json, pictures and scene.usdc.
 
     Interrupting with Ctrl-C keeps what was computed (marked incomplete). After a crash of the machine,
-    `palmfield recover DIR` assembles what had reached the disk.
+    `palmfield recover DIR` assembles what had reached the disk. A folder that holds results is refused, unless you ask
+    for --overwrite.
 
     Example: palmfield run mjcf/scenes/palm_am200.xml --out out/palm --set stimulus.am_frequency_Hz=100
     """
     import palmfield
-    from palmfield.planning import warnings
-    from palmfield.report import format_report
+    from palmfield.outputs.summary_table import format_summary
+    from palmfield.session.plan import warnings
 
-    if duration is not None and not 0 < duration < 3600:
-        raise SceneError(f"--duration has value {duration:g}; allowed: seconds > 0 and < 3600")
-    loaded = palmfield.load(scene, device=device, accuracy=accuracy, keys=_given(keys))
+    _check_duration(duration)
+    with Console(stderr=True).status(f"loading {scene}"):
+        simulation = palmfield.Simulation(scene, device=device, accuracy=accuracy, keys=_given(keys))
     target = out or Path("out") / scene.stem
-    for warning in warnings(loaded):
+    for warning in warnings(simulation):
         complain(f"warning: {warning}")
     try:
-        result = palmfield.run(loaded, target, duration_s=duration)
+        result = palmfield.run(simulation, target, duration_s=duration, overwrite=overwrite)
     except KeyboardInterrupt:
         complain(f"interrupted; what was computed is in {target}; `palmfield recover {target}` draws its pictures")
         raise typer.Exit(130) from None
-    print(format_report(result.summary), end="")
+    print(format_summary(result.summary), end="")
     for path in result.files.values():
         print(f"wrote {path}")
 
 
 def _given(keys: list[str] | None) -> dict[str, str]:
-    """Overrides as `palmfield.load` takes them. Raises SceneError for one without a value."""
+    """Keys as `palmfield.load` takes them. Raises SceneError for one without a value."""
     for text in keys or ():
         if "=" not in text:
-            raise SceneError(f"--set {text} has no value; write PLUGIN.KEY=VALUE, e.g. stimulus.path_speed_m_s=11")
+            raise SceneError(f"--set {text} has no value; write INSTANCE.KEY=VALUE, e.g. stimulus.path_speed_m_s=11")
     return dict(text.split("=", 1) for text in keys or ())
+
+
+def _check_duration(duration: float | None) -> None:
+    if duration is not None and not 0 < duration < 3600:
+        raise SceneError(f"--duration has value {duration:g}; allowed: seconds > 0 and < 3600")
 
 
 @app.command()
@@ -83,19 +98,19 @@ def plan(scene: SceneFile, device: Device = None, accuracy: Accuracy = None, key
     """
     import palmfield
 
-    print(palmfield.plan(palmfield.load(scene, device=device, accuracy=accuracy, keys=_given(keys))), end="")
+    print(palmfield.plan(scene, device=device, accuracy=accuracy, keys=_given(keys)), end="")
 
 
 @app.command()
-def info(scene: SceneFile) -> None:
-    """Show what a scene contains: array, air, stimulus, surface, skin layer, material, laws and conventions.
+def info(scene: SceneFile, device: Device = None, accuracy: Accuracy = None, keys: Keys = None) -> None:
+    """Show what a scene contains: arrays, air, stimuli, surfaces, skins, materials, laws and conventions.
 
     Example: palmfield info mjcf/scenes/phantom_step.xml
     """
-    import palmfield
     from palmfield.cli.describe import describe
+    from palmfield.session.preview import preview
 
-    print(describe(palmfield.load(scene)), end="")
+    print(describe(preview(scene, device=device, accuracy=accuracy, keys=_given(keys))), end="")
 
 
 @app.command()
@@ -120,14 +135,13 @@ def drive(
     Examples: palmfield drive --focus 0 0 0.15 --port /dev/ttyUSB0 --duration 5
     palmfield drive mjcf/scenes/palm_circle_sonicsurface.xml --record circle.bin
     """
-    from palmfield.play import play_focus, play_scene
+    from palmfield.session.play import play_focus, play_scene
 
     if (scene is None) == (focus is None):
         raise SceneError("`palmfield drive` plays either a SCENE.xml or --focus X Y Z; give one of them")
     if (port is None) == (record is None):
         raise SceneError("`palmfield drive` needs either --port (a board) or --record (a file); give one of them")
-    if duration is not None and not 0 < duration < 3600:
-        raise SceneError(f"--duration has value {duration:g}; allowed: seconds > 0 and < 3600")
+    _check_duration(duration)
     if focus is not None:
         print(play_focus(focus, board, port, record, 10.0 if duration is None else duration))
     elif scene is not None:
@@ -190,7 +204,7 @@ def recover(out: Annotated[Path, typer.Argument(help="folder of a run that was c
 
     Example: palmfield recover out/palm
     """
-    from palmfield.runner import recover as finish
+    from palmfield.session.run import recover as finish
 
     for path in finish(out).values():
         print(f"wrote {path}")

@@ -7,46 +7,87 @@ from rich.table import Table
 
 from palmfield.acoustics.air import absorption_Np_m, density, sound_speed
 from palmfield.acoustics.arp import LAWS
-from palmfield.scene import Scene
+from palmfield.session.preview import Preview
+from palmfield.simulation.emission import array_drives
+from palmfield.simulation.model import HapticModel, SkinModel
 from palmfield.skin.materials.material import complex_shear
 
+Rows = list[tuple[str, str]]
+SOFTNESS_Hz = 200.0
+"""At which a material's modulus is told."""
 
-def describe(scene: Scene) -> str:
-    """What `palmfield info` prints."""
-    rig = scene.skin.rig
-    c = sound_speed(rig.air)
-    modulus = complex_shear(rig.material, 200.0)
-    drive = rig.unit_drive(rig.reference_focus)[1]
-    array, material = rig.array, rig.material
-    rows = [
-        ("scene", f"{scene.path}, {scene.duration_s:g} s in steps of {1e3 * rig.timestep_s:g} ms"),
-        (
-            "array",
-            f"{array.name}: {len(array)} transducers, {array.frequency_Hz / 1e3:g} kHz, p0 {array.p0_Pa_m:g} Pa m",
-        ),
-        (
-            "air",
-            f"{rig.air.temperature_C:g} C, {rig.air.humidity_percent:g} %, {rig.air.pressure_Pa:g} Pa: c {c:.1f} m/s, "
-            f"rho {density(rig.air):.3f} kg/m3, absorption {absorption_Np_m(rig.air, rig.array.frequency_Hz):.3f} Np/m",
-        ),
-        ("stimulus", ", ".join(f"{k} {v}" for k, v in rig.stimulus.model_dump(exclude_none=True).items())),
-        ("drive", f"{rig.device.name}; amplitude {drive:.4f} of full at the first focus"),
-        ("surface", f"{rig.skin.shape} on body '{rig.skin.body}'"),
-        (
-            "material",
-            f"{material.name}: rho {material.density_kg_m3:g} kg/m3, "
-            f"G*(200 Hz) {modulus.real:.0f}{modulus.imag:+.0f}i Pa",
-        ),
-        ("material source", material.source),
-        ("ARP law", LAWS[rig.skin.arp_law].about),
+
+def describe(scene: Preview) -> str:
+    """Arrays, air, stimuli, skins, materials, laws and conventions of a scene, as a table."""
+    model = scene.runtime.model
+    spec = model.spec
+    rows = [("scene", f"{scene.name}, {scene.duration_s:g} s in steps of {1e3 * spec.timestep_s:g} ms")]
+    rows += _arrays(model)
+    for number, stimulus in enumerate(model.stimuli):
+        rows += _named(stimulus.spec.name, len(model.stimuli), _drive(model, number))
+    for skin in model.skins:
+        rows += _named(skin.spec.name, len(model.skins), _skin(skin))
+    rows.append(
         (
             "conventions",
             "e^{-i w t}, pressure as complex peak; ARP positive into the surface; displacement positive outward",
-        ),
-    ]  # fmt: skip
-    stream = io.StringIO()
+        )
+    )
     grid = Table(show_header=False)
     for name, text in rows:
         grid.add_row(name, text)
+    stream = io.StringIO()
     Console(file=stream, width=130).print(grid)
     return stream.getvalue()
+
+
+def _named(name: str, count: int, rows: Rows) -> Rows:
+    """The rows with the instance's name, where there are several of its kind."""
+    return rows if count == 1 else [(f"{what} ({name})", text) for what, text in rows]
+
+
+def _arrays(model: HapticModel) -> Rows:
+    rows: Rows = []
+    for array, part in zip(model.spec.arrays, model.arrays.parts, strict=True):
+        about = f"{part.name}: {len(part)} transducers, {part.frequency_Hz / 1e3:g} kHz, p0 {part.p0_Pa_m:g} Pa m"
+        rows += _named(array.name, len(model.spec.arrays), [("array", about)])
+    air, carrier_Hz = model.arrays.air, model.arrays.array.frequency_Hz
+    rows.append(
+        (
+            "air",
+            f"{air.temperature_C:g} C, {air.humidity_percent:g} %, {air.pressure_Pa:g} Pa: c {sound_speed(air):.1f} "
+            f"m/s, rho {density(air):.3f} kg/m3, absorption {absorption_Np_m(air, carrier_Hz):.3f} Np/m",
+        )
+    )
+    return [*rows, ("device", f"{model.spec.device} (palmfield_device) computes the fields")]
+
+
+def _drive(model: HapticModel, number: int) -> Rows:
+    stimulus = model.stimuli[number]
+    keys = stimulus.spec.config.model_dump(exclude_none=True).items()
+    rows = [("stimulus", ", ".join(f"{key} {value}" for key, value in keys if value != ()))]
+    if len(model.spec.arrays) > 1:
+        rows.append(("arrays driven", ", ".join(model.spec.arrays[i].name for i in stimulus.spec.arrays)))
+    level = array_drives(model, model.arrays)[number].unit_drive(stimulus.first_focus).level
+    return [*rows, ("drive", f"board {model.board.name}; amplitude {level:.4f} of full at the first focus")]
+
+
+def _skin(skin: SkinModel) -> Rows:
+    config = skin.spec.config
+    rows = [("surface", f"{config.shape} on body '{config.body}'")]
+    for sheet in skin.layer.sheets:
+        material, modulus = sheet.material, complex_shear(sheet.material, SOFTNESS_Hz)
+        share = "" if len(skin.layer.sheets) == 1 else f", {100 * sheet.thickness_m:.3g} % of the layer"
+        rows += [
+            (
+                "material",
+                f"{material.name}: rho {material.density_kg_m3:g} kg/m3, "
+                f"G*({SOFTNESS_Hz:g} Hz) {modulus.real:.0f}{modulus.imag:+.0f}i Pa{share}",
+            ),
+            ("material source", material.source),
+        ]
+    return [
+        *rows,
+        ("solver", f"{skin.choice.name}: {skin.choice.why}"),
+        ("ARP law", f"{config.arp_law}: {LAWS[config.arp_law].about}"),
+    ]

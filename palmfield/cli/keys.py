@@ -1,6 +1,7 @@
 """The scene's keys as text and as the page docs/keys.md, from the configuration models."""
 
 import io
+from collections.abc import Sequence
 
 from rich.console import Console
 from rich.table import Table
@@ -9,6 +10,12 @@ from palmfield.config import CONFIGS, renamed_table, table
 from palmfield.errors import SceneError
 
 HEADINGS = ("key", "unit", "allowed", "default", "meaning")
+SCENE = "Of the whole scene, as elements of MJCF's <custom>: numeric name=KEY data=VALUE, or text name=KEY data=VALUE."
+SCENE_KEYS = (
+    ("palmfield_duration_s", "s", "numeric, finite number > 0", "0.1", "how long `palmfield run` simulates"),
+    ("palmfield_device", "", "text, auto | cpu | cuda:N", "auto", "where fields are computed; auto: the first GPU"),
+)
+"""What a scene says outside its plugins; read by palmfield.simulation.scene_reader."""
 
 
 def as_text(plugin: str | None = None) -> str:
@@ -23,22 +30,31 @@ def as_text(plugin: str | None = None) -> str:
         for row in table(config):
             grid.add_row(*row)
         console.print(grid)
+    if plugin is None:
+        grid = Table(*HEADINGS, title=SCENE, title_justify="left")
+        for row in SCENE_KEYS:
+            grid.add_row(*row)
+        console.print(grid)
     return stream.getvalue()
 
 
 def as_markdown() -> str:
     """The page docs/keys.md."""
     lines = ["# Keys of a scene", "", "Made by `palmfield keys --markdown`; do not edit.", ""]
+    lines += ["A key is named INSTANCE.key, or PLUGIN.key for all instances of a plugin, in `--set` and `keys=`.", ""]
     for config in CONFIGS:
-        lines += [f"## {config.plugin}", "", config.about, ""]
-        lines += ["| " + " | ".join(HEADINGS) + " |", "|" + "---|" * len(HEADINGS)]
-        lines += [_line(row) for row in table(config)]
-        lines.append("")
+        lines += _section(config.plugin, config.about, table(config))
+    lines += _section("The scene", SCENE.replace("<custom>", "`<custom>`"), SCENE_KEYS)
     renamed = [(f"`{c.plugin}` {old}", use) for c in CONFIGS for old, use in renamed_table(c)]
     if renamed:
         lines += ["## Renamed", "", "Since the last version; a scene that has these is told what to use.", ""]
         lines += ["| was | use |", "|---|---|", *(_line(row) for row in renamed), ""]
     return "\n".join(lines)
+
+
+def _section(title: str, about: str, rows: Sequence[tuple[str, ...]]) -> list[str]:
+    lines = [f"## {title}", "", about, "", _line(HEADINGS), "|" + "---|" * len(HEADINGS)]
+    return [*lines, *(_line(row) for row in rows), ""]
 
 
 def _line(row: tuple[str, ...]) -> str:

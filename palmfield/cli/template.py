@@ -24,6 +24,8 @@ HAPTIC = """<!-- {name}: run with `palmfield run {name}.xml`, or watch with `pyt
   <option timestep="0.001"/>
   <custom>
     <numeric name="palmfield_duration_s" data="0.1"/>
+    <!-- Where fields are computed: auto, cpu or cuda:N. -->
+    <text name="palmfield_device" data="auto"/>
   </custom>
   <extension>
     <plugin plugin="palmfield.array">
@@ -34,7 +36,8 @@ HAPTIC = """<!-- {name}: run with `palmfield run {name}.xml`, or watch with `pyt
     </plugin>
     <plugin plugin="palmfield.stimulus">
       <instance name="stimulus">
-        <!-- The focus, in the array frame: z points out of the emitting face. -->
+        <!-- The focus, in the array frame: z points out of the emitting face. A scene may hold several arrays, stimuli
+             and skins: each is one more instance, and results go by its name. -->
         <config key="focus_m" value="0 0 0.2"/>
         <!-- Amplitude modulation of the sound pressure; with am_of arp, of the radiation pressure. -->
         <config key="modulation" value="am"/>

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from palmfield.config import StimulusConfig
 from palmfield.drive.boards import BOARDS, Board, board_named
-from palmfield.drive.link import FrameSink, RecordLink, line_time_s, open_link
+from palmfield.drive.link import FrameSink, RecordLink, line_time_s
 from palmfield.errors import DeviceError
 from palmfield.stimulus.schedule import frame_rates, jumps
 from palmfield.types import Complex
@@ -70,25 +70,12 @@ def _others(board: Board) -> str:
 
 
 def record(frames: Iterable[TimedFrame], path: str | Path) -> "Played":
-    """Write the bytes that the line would have carried into a file. Raises OutputError where it can't be written."""
+    """Write the bytes that the line would have carried into a file. Raises OutputError where it can't be written.
+
+    `play_frames` plays them on an open link.
+    """
     with closing(RecordLink(path)) as link:
         return play_frames(link, frames)
-
-
-def send(frames: Iterable[TimedFrame], port: str, on_progress: Callable[[float], None] | None = None) -> "Played":
-    """Play on the board at a port (see `open_link`); it is silent afterwards, however this ends.
-
-    on_progress: told the time since the start [s] after each frame that got through
-    Raises DeviceError where the port can't be opened or the board is lost.
-    """
-    with closing(open_link(port)) as link:
-        begin = link.now()
-
-        def tell(played: Played) -> None:
-            if on_progress is not None:
-                on_progress(link.now() - begin)
-
-        return play_frames(link, frames, on_progress=tell)
 
 
 @dataclass(frozen=True)

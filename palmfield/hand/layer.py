@@ -1,6 +1,7 @@
 """Inward directions and thickness of a skin layer, so that its wedges are not inverted."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import sparse
 
 from palmfield.errors import SceneError
@@ -29,6 +30,19 @@ MOST_MOVES = 20
 LEAST_DISTANCE = 1e-3
 # Full height of an equilateral corner gives 1.
 CORNER_SCALE = 2.0 / np.sqrt(3.0)
+
+
+def depth_by_vertex(depth: ArrayLike | float, count: int) -> Float:
+    """Thickness [m], shape (count,). Raises SceneError for another shape, and for values not finite and above 0."""
+    value = np.asarray(depth, dtype=np.float64)
+    if value.ndim == 0:
+        value = np.full(count, float(value))
+    if value.shape != (count,):
+        raise SceneError(f"skin depth has shape {value.shape}; give one number, or one for each of {count} vertices")
+    wrong = ~(np.isfinite(value) & (value > 0.0))
+    if wrong.any():
+        raise SceneError(f"skin depth is {value[wrong][0]:g} m at vertex {np.argmax(wrong)}; give finite ones above 0")
+    return value
 
 
 def most_visible_normals(vertices: Float, faces: Int) -> tuple[Float, Float]:

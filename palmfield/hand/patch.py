@@ -5,7 +5,7 @@ from numpy.typing import ArrayLike
 
 from palmfield.errors import SceneError
 from palmfield.hand.grading import graded_size, triangulate
-from palmfield.hand.layer import fit_thickness, inward_directions
+from palmfield.hand.layer import depth_by_vertex, fit_thickness, inward_directions
 from palmfield.hand.meshquery import barycentric, build_mesh, closest_faces, exit_distances, over_plane
 from palmfield.hand.region import Region, facing_region, trace_shape
 from palmfield.hand.triangles import corner_angles, face_normals, unique_edges
@@ -49,7 +49,7 @@ def surface_patch(
     """
     middle = np.asarray(centre, dtype=np.float64)
     _check_numbers(middle, radius_m, fine_m, coarse_m, fine_radius_m, max_depth_m, max_fraction)
-    thickness = _depth_by_vertex(surface, depth)
+    thickness = depth_by_vertex(depth, len(surface.vertices))
     origin, seed = _closest(surface, middle)
     outward = _outward(surface, seed, origin, facing)
 
@@ -99,22 +99,6 @@ def _check_numbers(
         raise SceneError(f"patch radius {radius_m:g} m is below two fine edges of {fine_m:g} m; enlarge it or refine")
     if not 0.0 < max_fraction <= 1.0:
         raise SceneError(f"patch max_fraction {max_fraction:g} is out of range; use more than 0 and at most 1")
-
-
-def _depth_by_vertex(surface: Surface, depth: ArrayLike | float) -> Float:
-    value = np.asarray(depth, dtype=np.float64)
-    if value.ndim == 0:
-        value = np.full(len(surface.vertices), float(value))
-    if value.shape != (len(surface.vertices),):
-        raise SceneError(
-            f"skin depth has shape {value.shape}; give one number, or one for each "
-            f"of the {len(surface.vertices)} vertices"
-        )
-    if not (np.isfinite(value) & (value > 0.0)).all():
-        raise SceneError(
-            f"skin depth {value[~(np.isfinite(value) & (value > 0.0))][0]:g} m must be positive and finite"
-        )
-    return value
 
 
 def _closest(surface: Surface, centre: Float) -> tuple[Float, int]:

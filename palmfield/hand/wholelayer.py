@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 
 from palmfield.errors import SceneError
 from palmfield.hand.layer import (
+    depth_by_vertex,
     fit_thickness,
     inward_directions,
     layer_volume,
@@ -123,19 +124,6 @@ def facing_faces(surface: Surface, direction: ArrayLike = PALMAR, least_cosine: 
             largest = np.argmax(np.bincount(label, weights=area[numbers]))
             seen[numbers[label != largest]] = not wanted
     return np.flatnonzero(seen).astype(np.int32)
-
-
-def depth_by_vertex(depth: ArrayLike | float, count: int) -> Float:
-    """Thickness [m], shape (count,). Raises SceneError for another shape, and for values not finite and above 0."""
-    value = np.asarray(depth, dtype=np.float64)
-    if value.ndim == 0:
-        value = np.full(count, float(value))
-    if value.shape != (count,):
-        raise SceneError(f"skin depth has shape {value.shape}; give one number, or one for each of {count} vertices")
-    wrong = ~(np.isfinite(value) & (value > 0.0))
-    if wrong.any():
-        raise SceneError(f"skin depth is {value[wrong][0]:g} m at vertex {np.argmax(wrong)}; give finite ones above 0")
-    return value
 
 
 def _face_numbers(faces: ArrayLike | None, count: int) -> Int:

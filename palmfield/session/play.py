@@ -1,6 +1,7 @@
 """Play a scene or a focus on a real board, or record the bytes."""
 
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,16 @@ from rich.progress import Progress
 from palmfield.acoustics.arrays import layout
 from palmfield.acoustics.focus import focus
 from palmfield.drive.boards import Board
-from palmfield.drive.playback import TimedFrame, frame_times, playable_board, record, send, timed_frames
+from palmfield.drive.link import open_link
+from palmfield.drive.playback import (
+    Played,
+    TimedFrame,
+    frame_times,
+    play_frames,
+    playable_board,
+    record,
+    timed_frames,
+)
 from palmfield.errors import DeviceError
 from palmfield.session.load import Source
 from palmfield.session.preview import Preview, preview
@@ -64,9 +74,14 @@ def _play(
         return f"wrote {record_to}: {played.frames} frames for {duration_s:g} s"
     if port is None:
         raise DeviceError("neither a port nor a file is given; give the port of a board, or a file for the bytes")
-    with Progress(console=Console(stderr=True), transient=True) as bar:
+    with closing(open_link(port)) as link, Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(f"playing {duration_s:g} s on {port}", total=duration_s)
-        played = send(frames, port, lambda time_s: bar.update(task, completed=time_s))
+        begin = link.now()
+
+        def show(played: Played) -> None:
+            bar.update(task, completed=link.now() - begin)
+
+        played = play_frames(link, frames, on_progress=show)
     return (
         f"played {played.frames} frames on {port} (skipped {played.skipped}, worst delay {1e3 * played.late_s:.0f} ms, "
         f"limit {board.max_frame_rate_Hz:.1f} frames/s); the board is off"

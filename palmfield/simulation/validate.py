@@ -129,10 +129,10 @@ def check_board(stimulus: StimulusSpec, board: Board, arrays: Sequence[ArraySpec
             f"{board.name} gives on or off: drop ramp_s, arp_peak_Pa and drive_amplitude, or use board ideal"
         )
     layout = arrays[0].config.layout
-    if layout != board.name:
+    if layout != board.layout:
         raise SceneError(
-            f"plugin 'palmfield.driver': board '{board.name}' drives the layout '{board.name}' only; "
-            f"plugin 'palmfield.array' instance '{arrays[0].name}' has layout '{layout}': set it to '{board.name}'"
+            f"plugin 'palmfield.driver': board '{board.name}' drives the layout '{board.layout}' only; "
+            f"plugin 'palmfield.array' instance '{arrays[0].name}' has layout '{layout}': set it to '{board.layout}'"
         )
 
 

@@ -5,42 +5,72 @@ body = Slab((Sheet(preset("ecoflex_00-10"), 0.02),))
 load = Spot(fwhm_m=0.0103, times_s=[0.0, 1e-3], peak_Pa=[0.0, 12.0])
 motion = solve(body, load, times=[0.01, 0.05], at=[[0.0, 0.0]])
 print(motion.displacement_m[:, 0, 2], motion.error)
+
+`solve` takes a whole history; what scenes step are the same SkinSteppers, on a SceneLayer.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from palmfield.skin.fem.wedge_stepper import WedgeStepper
     from palmfield.skin.materials.catalogue import preset
     from palmfield.skin.materials.material import Branch, Material
-    from palmfield.skin.problem import Foundation, Layer, Motion, Sheet, Slab, Spot, Springs, Traction
-    from palmfield.skin.solver_choice import choices, solve, static
+    from palmfield.skin.materials.sheet import Sheet
+    from palmfield.skin.problem import Foundation, Layer, Motion, Slab, Spot, Springs, Traction
+    from palmfield.skin.reduction.reduced_stepper import KnownLoad, ReducedStepper, reduced_stepper
+    from palmfield.skin.scene_layer import LayerDemand, LayerSizes, SceneLayer, layer_sizes
+    from palmfield.skin.solver_choice import Choice, choices, scene_choices, solve, static
+    from palmfield.skin.stepper import Reader, SkinStepper, SurfaceLoads
 
 _WHERE = {
-    **dict.fromkeys(("Branch", "Material"), "materials.material"),
-    **dict.fromkeys(("Foundation", "Layer", "Motion", "Sheet", "Slab", "Spot", "Springs", "Traction"), "problem"),
-    **dict.fromkeys(("choices", "solve", "static"), "solver_choice"),
+    "WedgeStepper": "fem.wedge_stepper",
     "preset": "materials.catalogue",
+    **dict.fromkeys(("Branch", "Material"), "materials.material"),
+    "Sheet": "materials.sheet",
+    **dict.fromkeys(("Foundation", "Layer", "Motion", "Slab", "Spot", "Springs", "Traction"), "problem"),
+    **dict.fromkeys(("KnownLoad", "ReducedStepper", "reduced_stepper"), "reduction.reduced_stepper"),
+    **dict.fromkeys(("LayerDemand", "LayerSizes", "SceneLayer", "layer_sizes"), "scene_layer"),
+    **dict.fromkeys(("Choice", "choices", "scene_choices", "solve", "static"), "solver_choice"),
+    **dict.fromkeys(("Reader", "SkinStepper", "SurfaceLoads"), "stepper"),
 }
 __all__ = [
     "Branch",
+    "Choice",
     "Foundation",
+    "KnownLoad",
     "Layer",
+    "LayerDemand",
+    "LayerSizes",
     "Material",
     "Motion",
+    "Reader",
+    "ReducedStepper",
+    "SceneLayer",
     "Sheet",
+    "SkinStepper",
     "Slab",
     "Spot",
     "Springs",
+    "SurfaceLoads",
     "Traction",
+    "WedgeStepper",
     "choices",
+    "layer_sizes",
     "preset",
+    "reduced_stepper",
+    "scene_choices",
     "solve",
     "static",
 ]
 
 
 def __getattr__(name: str) -> Any:
+    # Loaded when asked for: Warp and SciPy take half a second.
     if name not in _WHERE:
         raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
     return getattr(import_module(f"{__name__}.{_WHERE[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -1,6 +1,6 @@
 """Are the skin solvers' error estimates true? Random cases against converged answers; writes a table.
 
-    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python scripts/coverage_skin.py --cases 40 --seed 1 --processes 2 \
+    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python scripts/verification/coverage.py --cases 40 --seed 1 --processes 2 \
         [--device cpu] [--out docs/bench/skin_coverage.md] [--commit NAME] [--longest 60] [--limit 600] [--duration 0.1]
 
 The table is written anew whenever a case is done, so that Ctrl-C keeps what there is.
@@ -15,7 +15,7 @@ from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
 import numpy as np
-from coverage_cases import Row, relative_change, summary
+from coverage_cases import Row, judge, summary
 from random_cases import random_case
 
 from palmfield.skin.materials.catalogue import preset
@@ -46,7 +46,7 @@ def warm(device: str) -> None:
 
 def one(seed: int, number: int, settings: argparse.Namespace) -> list[Row]:
     case = random_case(seed, number, settings.duration)
-    return relative_change(case, settings.device, settings.longest, settings.limit)
+    return judge(case, settings.device, settings.longest, settings.limit)
 
 
 def line(row: Row) -> str:
@@ -71,8 +71,8 @@ def report(rows: list[Row], settings: argparse.Namespace, begun_load: float) -> 
     lines = [
         "# Are the error estimates of the skin solvers true?",
         "",
-        f"    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python scripts/coverage_skin.py --cases {settings.cases} "
-        f"--seed {settings.seed} --processes {settings.processes} --device {settings.device}",
+        f"    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python scripts/verification/coverage.py "
+        f"--cases {settings.cases} --seed {settings.seed} --processes {settings.processes} --device {settings.device}",
         "",
         f"{processor()}, {os.cpu_count()} cores, load {begun_load:.1f} at the start; commit {settings.commit}.",
         "",

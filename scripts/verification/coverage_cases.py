@@ -72,7 +72,7 @@ def relative_error(found: Float, known: Float) -> float:
     return float((apart[moving] / size[moving]).max(initial=0.0))
 
 
-def relative_change(case: Case, device: str = "cpu", longest_s: float = 60.0, limit_s: float = 600.0) -> list[Row]:
+def judge(case: Case, device: str = "cpu", longest_s: float = 60.0, limit_s: float = 600.0) -> list[Row]:
     """Rows of a case: by `auto`, then by each other solver that doesn't refuse and is predicted below longest_s [s].
 
     limit_s: of one run, and of the reference [s]; what takes longer is given up, and its row says so

@@ -8,11 +8,17 @@ from collections.abc import Callable, Iterator
 from functools import cache
 from importlib import import_module
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
-from palmfield.config import CONFIGS
+from palmfield.acoustics.arp import LAWS
+from palmfield.acoustics.layouts import LAYOUTS
+from palmfield.config import CONFIGS, ArpLaw, DriverConfig, SkinConfig
+from palmfield.config.array import Layout
+from palmfield.drive.boards import BOARDS
 from palmfield.session.simulation import Simulation
+from palmfield.skin.solver_choice import IN_SCENES
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "architecture.md").read_text()
@@ -165,6 +171,13 @@ def test_what_is_imported_in_one_place_only(row: list[str]):
     assert by
     assert {m for m in by if not any(inside(m, place) for place in only)} == set()
     assert all(any(inside(m, place) for m in by) for place in only), f"not all of {only} import {what}"
+
+
+def test_keys_allow_what_the_registries_of_the_seams_hold():
+    assert set(get_args(Layout)) == {*LAYOUTS, "sites"}
+    assert set(get_args(ArpLaw)) == set(LAWS)
+    assert set(get_args(DriverConfig.model_fields["board"].annotation)) == set(BOARDS)
+    assert set(get_args(SkinConfig.model_fields["solver"].annotation)) == {"auto", *IN_SCENES}
 
 
 # -- the two ways through the code ---------------------------------------------------------------------------------

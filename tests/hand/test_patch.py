@@ -200,7 +200,7 @@ def test_inward_directions_at_a_sharp_ridge_see_both_sides():
         ({"fine_radius_m": -1.0}, "must not be negative"),
         ({"max_fraction": 1.5}, "max_fraction 1.5"),
         ({"depth": np.ones(3)}, "skin depth has shape"),
-        ({"depth": -0.001}, "skin depth -0.001 m must be positive"),
+        ({"depth": -0.001}, r"skin depth is -0\.001 m at vertex 0"),
         ({"facing": (0, 0, 0)}, "facing .* not all zero"),
         ({"facing": (0, 0, 1)}, "steeper than 75 degrees"),
     ],

@@ -3,15 +3,13 @@
 import mujoco
 import numpy as np
 import pytest
-from palmfield.engine.motion import place
 
-import palmfield
 from palmfield.acoustics.reference import pressure64
 from palmfield.data import folder
-from palmfield.engine.host import raise_errors
 from palmfield.hand.meshquery import barycentric, build_mesh, closest_faces
+from palmfield.session.simulation import load
+from palmfield.simulation.emission import array_drives
 from palmfield.skin.fem.probe import SurfaceProbe
-from palmfield.stimulus.schedule import frame_at
 
 COARSE = {"skin.accuracy": 0.5, "skin.max_frequency_Hz": 250.0, "skin.element_m": None}
 PERIOD_STEPS = 5
@@ -19,50 +17,40 @@ PERIOD_STEPS = 5
 
 
 def opened(name, **keys):
-    scenes = folder("mjcf") / "scenes"
-    return palmfield.load(scenes / f"{name}.xml", device="cpu", keys=keys)
+    return load(folder("mjcf") / "scenes" / f"{name}.xml", device="cpu", keys=keys)
 
 
-def begin(scene, time_s):
-    """Start at a later time, with the hands where their motions have them then."""
-    mujoco.mj_resetData(scene.model, scene.data)
-    scene.data.time = time_s
-    place(scene.data)
-    mujoco.mj_forward(scene.model, scene.data)
-    raise_errors(scene.data)
-
-
-def steps(scene, count):
+def steps(sim, count):
     """Sensor rows of the next steps, shape (count, channels)."""
     rows = []
     for _ in range(count):
-        mujoco.mj_step(scene.model, scene.data)
-        raise_errors(scene.data)
-        rows.append(scene.data.sensordata.copy())
+        sim.step()
+        rows.append(sim.data.sensordata.copy())
     return np.array(rows)
 
 
-def focus_in_world(scene):
-    skin = scene.skin
-    position, turn = skin.world.pose("site", skin.sites[0])
-    return position + turn @ skin.to_array(frame_at(skin.rig.stimulus, scene.data.time).focus)
+def foci_of(sim, times):
+    """Where the one stimulus's focus would be at some times [s], were all to keep still, array frame [m], (k, 3)."""
+    runtime = sim.runtime
+    [foci] = runtime.work.emission.foci(runtime.posed, np.asarray(times, dtype=float))
+    return foci[:, 0]
 
 
 def test_approach_and_withdraw():
     """While the palm passes the focus its ARP goes as the free field's |p|^2 at its height, in float64."""
     scene = opened("approach_withdraw")
-    rig = scene.skin.rig
-    drive, _ = rig.unit_drive(rig.reference_focus)
-    found, expected = [], []
+    model = scene.runtime.model
+    drive = array_drives(model, model.arrays)[0].unit_drive(model.stimuli[0].first_focus).amplitudes
+    felt, expected = [], []
     for time in (0.05, 0.12, 0.3):
-        begin(scene, time)
+        scene.start_at(time)
         rows = steps(scene, PERIOD_STEPS)
-        found.append(rows[:, 5].mean())
+        felt.append(rows[:, 5].mean())
         at = scene.data.site("palm_centre").xpos - scene.data.site("array").xpos
-        expected.append(abs(pressure64(at[None], rig.array, drive, rig.air)[0][0]) ** 2)
-    found, expected = (np.array(x) / x[1] for x in (found, expected))
-    assert found == pytest.approx(expected, rel=0.05)
-    assert found[0] < 0.5
+        expected.append(abs(pressure64(at[None], model.arrays.array, drive, model.arrays.air)[0][0]) ** 2)
+    felt, expected = (np.array(x) / x[1] for x in (felt, expected))
+    assert felt == pytest.approx(expected, rel=0.05)
+    assert felt[0] < 0.5
 
 
 def test_hover_and_explore():
@@ -70,10 +58,10 @@ def test_hover_and_explore():
     scene = opened("hover_explore", **{"skin.patch_radius_m": 0.012, "skin.accuracy": 0.4})
     felt = []
     for time in (0.1, 0.2, 0.3):
-        begin(scene, time)
+        scene.start_at(time)
         felt.append(steps(scene, 10)[:, 5].mean())
-    beside = [abs(x - 0.03) for x in (-0.006, 0.032, 0.059)]
-    assert np.argsort(felt)[-1] == np.argmin(beside) == 1
+    offsets = [abs(x - 0.03) for x in (-0.006, 0.032, 0.059)]
+    assert np.argsort(felt)[-1] == np.argmin(offsets) == 1
     assert felt[1] > 4.0 * max(felt[0], felt[2])
 
 
@@ -95,10 +83,11 @@ def test_follow_a_moving_fingertip():
     scene = opened("follow_fingertip")
     places, felt = [], []
     for time in (0.05, 0.25, 0.45):
-        begin(scene, time)
+        scene.start_at(time)
         felt.append(steps(scene, PERIOD_STEPS)[:, 5].mean())
         pulp = scene.data.site("index_pad").xpos
-        assert focus_in_world(scene) == pytest.approx(pulp, abs=1e-6)
+        focus = scene.runtime.posed.array_frame.points(foci_of(scene, [scene.time])[0])
+        assert focus == pytest.approx(pulp, abs=1e-6)
         places.append(pulp.copy())
     assert np.linalg.norm(places[2] - places[0]) > 0.04
     assert np.ptp(felt) < 0.3 * np.mean(felt)
@@ -107,17 +96,16 @@ def test_follow_a_moving_fingertip():
 def test_trace_a_shape():
     """The focus slides on the turned hand's skin, as fast along it as asked."""
     scene = opened("trace_shape", **{"skin.patch_radius_m": 0.012, "skin.accuracy": 0.4})
-    rig, stimulus = scene.skin.rig, scene.skin.rig.stimulus
-    begin(scene, 0.15)
+    scene.start_at(0.15)
     roll = scene.data.body("hand").xmat.reshape(3, 3)[0, 2]
     assert abs(roll) > 0.2
     times = 0.15 + np.linspace(0.0, 0.02, 401)
-    pose = scene.skin.pose()
-    surface = rig.posed(pose).vertices
-    foci = np.array([scene.skin.to_array(frame_at(stimulus, t).focus) for t in times])
-    on_body = (foci - pose.shift) @ pose.turn
+    body = scene.runtime.posed.bodies[0]
+    surface, faces = body.vertices, body.model.surface.faces
+    foci = foci_of(scene, times)
+    on_body = body.frame.inverse_points(foci)
     some = on_body[::20]
-    corners = surface[rig.surface.faces[closest_faces(build_mesh(surface, rig.surface.faces), some, 0.01)]]
+    corners = surface[faces[closest_faces(build_mesh(surface, faces), some, 0.01)]]
     nearest = np.einsum("nk,nkj->nj", barycentric(corners, some), corners)
     assert nearest == pytest.approx(some, abs=1e-6)
     assert np.ptp(foci[:, 2]) > 2e-3
@@ -130,7 +118,7 @@ def test_two_hands():
     scene = opened("two_hands")
     felt = []
     for time in (0.05, 0.25, 0.36):
-        begin(scene, time)
+        scene.start_at(time)
         felt.append(steps(scene, PERIOD_STEPS)[:, 5].mean())
     assert felt[0] > 5.0
     assert felt[1] < 0.1 * felt[0]
@@ -164,13 +152,15 @@ def test_stroke_the_palm():
     wakes = []
     for speed in (1.0, 4.0, 11.0):
         scene = opened("stroke_palm", **{"stimulus.path_speed_m_s": speed, **COARSE})
-        skin, rig = scene.skin, scene.skin.rig
-        length = rig.stimulus.sites_length_m
+        model = scene.runtime.model
+        stimulus, body, layer = model.stimuli[0], model.bodies[0], model.skins[0].layer
+        length = stimulus.config.sites_length_m
         arcs = np.linspace(0.0, length, 280)
-        places, _ = rig.skin_path.at(arcs, rig.surface.vertices, rig.surface.faces)
-        steps(scene, round(0.55 * length / speed / scene.model.opt.timestep))
-        operator = SurfaceProbe(rig.mesh, places, rig.system).operator
-        velocity = np.abs(skin.chain.skin.read(skin.world.state(skin.instance), operator)[1])
+        places, _ = stimulus.path.at(arcs, body.surface.vertices, body.surface.faces)
+        scene.step(round(0.55 * length / speed / scene.model.opt.timestep))
+        [(stepper, numbers)] = scene.runtime.skin_states()
+        reader = stepper.reader(SurfaceProbe(layer.mesh, places, layer.system).operator)
+        velocity = np.abs(stepper.read(numbers, reader)[0, 1])
         envelope = np.array([velocity[np.abs(arcs - arc) < 0.006].max() for arc in arcs])
         behind = arcs < speed * scene.data.time
         still = np.flatnonzero(behind & (envelope < 0.1 * envelope.max()))

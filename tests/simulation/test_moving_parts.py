@@ -3,12 +3,13 @@
 import mujoco
 import numpy as np
 import pytest
-from palmfield.engine.motion import place
 
-import palmfield
 from palmfield.data import folder
-from palmfield.engine.host import raise_errors
+from palmfield.engine.host import raise_errors, world_of
+from palmfield.engine.motion_plugin import place
+from palmfield.engine.skin_plugin import SkinModule
 from palmfield.errors import DeviceError, SceneError
+from palmfield.session.simulation import load
 
 SCENES = folder("mjcf") / "scenes"
 STEADY = {"modulation": "none", "am_of": None, "am_frequency_Hz": None, "am_depth": None}
@@ -22,14 +23,12 @@ def with_ball(small_scene, where, **skin):
     path = small_scene(stimulus=STEADY, skin={"body_sound": "shadows", "obstacles": "ball"} | skin)
     plain = path.parent / "plain.xml"
     plain.write_text(plain.read_text().replace("<worldbody>", "<worldbody>" + BALL.format(place=where), 1))
-    return palmfield.load(path)
+    return load(path)
 
 
-def felt(scene, steps=3):
-    for _ in range(steps):
-        mujoco.mj_step(scene.model, scene.data)
-        raise_errors(scene.data)
-    return scene.data.sensordata.copy()
+def felt(sim, steps=3):
+    sim.step(steps)
+    return sim.data.sensordata.copy()
 
 
 @pytest.mark.parametrize("solver", ["auto", "wedges"])
@@ -62,7 +61,7 @@ def unscripted(tmp_path, **keys):
     )
     text = (text[:begin] + text[end:]).replace('file="plain', f'file="{SCENES}/plain')
     (tmp_path / "still.xml").write_text(text)
-    return palmfield.load(tmp_path / "still.xml", device="cpu", keys={"skin.accuracy": 0.5} | keys)
+    return load(tmp_path / "still.xml", device="cpu", keys={"skin.accuracy": 0.5} | keys)
 
 
 @pytest.mark.parametrize("solver", ["auto", "wedges"])
@@ -74,35 +73,45 @@ def test_a_finger_that_bends_by_itself_is_seen(tmp_path, solver):
     scene = unscripted(
         tmp_path, **{"skin.solver": solver, "stimulus.focus_m": focus, "stimulus.modulation": None} | NO_AM
     )
-    skin = scene.skin
+    [skin] = [module for module in world_of(scene.data).modules.values() if isinstance(module, SkinModule)]
     felt(scene, 3)
     before = skin.body_force()[0]
     scene.data.joint("index_mcp_flexion").qpos[0] = np.deg2rad(60.0)
     mujoco.mj_forward(scene.model, scene.data)
     raise_errors(scene.data)
-    surface = skin.rig.posed(skin.pose()).vertices
-    assert np.linalg.norm(surface - skin.rig.surface.vertices, axis=1).max() > 0.03
+    body = scene.runtime.posed.bodies[0]
+    assert np.linalg.norm(body.vertices - body.model.surface.vertices, axis=1).max() > 0.03
     assert np.linalg.norm(skin.body_force()[0] - before) > 0.5 * np.linalg.norm(before)
 
 
 def test_after_a_reset_the_hand_is_placed_and_all_begins_again():
     keys = {"skin.accuracy": 0.5, "motion.start_s": -0.1}
-    scene = palmfield.load(SCENES / "follow_fingertip.xml", device="cpu", keys=keys)
+    scene = load(SCENES / "follow_fingertip.xml", device="cpu", keys=keys)
     first = [felt(scene, 1) for _ in range(4)]
-    mujoco.mj_resetData(scene.model, scene.data)
-    place(scene.data)
+    scene.reset()
     again = [felt(scene, 1) for _ in range(4)]
     assert np.array_equal(first, again) and np.abs(first).max() > 1.0
+    mujoco.mj_resetData(scene.model, scene.data)
+    place(scene.data)
+    by_hand = [felt(scene, 1) for _ in range(4)]
+    assert np.array_equal(first, by_hand)
+
+
+def focus_now(scene):
+    """Where the stimulus's origin is, as the transducers were told last, array frame [m]."""
+    runtime = scene.runtime
+    [points] = runtime.work.emission.focal_points(runtime.posed, scene.time)
+    return points.at(np.zeros(3))
 
 
 def test_a_tick_holds_the_aim_of_a_moving_frame():
     keys = {"skin.accuracy": 0.5, "stimulus.control_rate_Hz": 200, "motion.start_s": -0.2}
-    scene = palmfield.load(SCENES / "follow_fingertip.xml", device="cpu", keys=keys)
+    scene = load(SCENES / "follow_fingertip.xml", device="cpu", keys=keys)
     foci = []
     for _ in range(15):
         felt(scene, 1)
         mujoco.mj_forward(scene.model, scene.data)
-        foci.append(scene.skin.to_array(np.zeros(3)))
+        foci.append(focus_now(scene))
     assert len({tuple(focus) for focus in foci}) == 4
     assert np.linalg.norm(foci[-1] - foci[0]) > 1e-3
 
@@ -114,7 +123,7 @@ def test_a_board_of_limited_rate_refuses_a_frame_that_moves(small_scene):
         stimulus=STEADY | {"frame": "centre", "focus_m": "0 0 0"},
     )
     with pytest.raises(DeviceError, match="a frame that moves"):
-        palmfield.load(path)
+        load(path)
 
 
 @pytest.mark.parametrize(
@@ -128,14 +137,12 @@ def test_a_board_of_limited_rate_refuses_a_frame_that_moves(small_scene):
 )
 def test_hands_that_do_not_fit_their_bodies_are_refused(keys, words):
     with pytest.raises(SceneError, match=words):
-        palmfield.load(SCENES / "approach_withdraw.xml", device="cpu", keys=keys)
+        load(SCENES / "approach_withdraw.xml", device="cpu", keys=keys)
 
 
 def test_a_sensor_far_from_the_layer_is_refused(tmp_path):
     text = (SCENES / "approach_withdraw.xml").read_text().replace('objname="palm_centre"', 'objname="little_pad"')
     text = text.replace('file="plain', f'file="{SCENES}/plain').replace("../motions", f"{SCENES}/../motions")
     (tmp_path / "far.xml").write_text(text)
-    scene = palmfield.load(tmp_path / "far.xml", device="cpu", keys={"skin.accuracy": 0.5})
-    mujoco.mj_forward(scene.model, scene.data)
-    with pytest.raises(SceneError, match="mm from the skin layer"):
-        raise_errors(scene.data)
+    with pytest.raises(SceneError, match=r"instance 'skin': sensor 'skin': its site is .* mm from the skin layer"):
+        load(tmp_path / "far.xml", device="cpu", keys={"skin.accuracy": 0.5})

@@ -11,13 +11,13 @@ import pytest
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-import palmfield
 from palmfield.cli.app import main
-from palmfield.engine.host import raise_errors
+from palmfield.engine.scene_runtime import present_drive
 from palmfield.errors import SceneError
 from palmfield.hand.preset import load_preset
 from palmfield.hand.rigged_mjcf import rigged_mjcf
 from palmfield.hand.skinning import SkinnedHand, rigged_file
+from palmfield.session.simulation import load
 
 ARRAYS = Path(__file__).parent.parent.parent / "mjcf" / "arrays"
 HANDS = ARRAYS.parent / "hands"
@@ -126,7 +126,7 @@ RIGGED = dict(shape="rigged", body="hand", mesh="hand.glb", mesh_unit="m", patch
 def loaded(folder, name, focus="0 0 0.2", hand="hand.xml", **keys):
     path = folder / f"{name}.xml"
     path.write_text(SCENE.format(arrays=ARRAYS, hand=hand, focus=focus, keys=config(**keys)))
-    return palmfield.load(path)
+    return load(path)
 
 
 @pytest.fixture(scope="module")
@@ -146,23 +146,30 @@ def pair(rest, hand):
     return articulated, rigged
 
 
+def body_of(scene):
+    """The hand's body as it is posed, and the frame of the first array in the world."""
+    posed = scene.runtime.posed
+    return posed.bodies[0], posed.array_frame
+
+
 def world_skin(scene):
     """Posed vertices of a scene's surface [m], shape (n, 3), in world axes."""
-    position, turn = scene.skin.world.pose("body", scene.skin.body)
-    return scene.skin.rig.posed(scene.skin.pose()).vertices @ turn.T + position
+    position, turn = scene.data.body("hand").xpos, scene.data.body("hand").xmat.reshape(3, 3)
+    return body_of(scene)[0].vertices @ turn.T + position
 
 
 def sound_on(scene, points, normals):
     """ARP [Pa] at world points."""
-    skin = scene.skin
-    position, turn = skin.world.pose("body", skin.body)
-    sound, factor = skin.now()
-    return factor * skin.chain.arp_at((points - position) @ turn, normals @ turn, sound.pose, sound.drive)[0]
+    posed, course = scene.runtime.now()
+    drive, factor = present_drive(course)
+    frame = posed.array_frame
+    places, outward = frame.inverse_points(points), frame.inverse_vectors(normals)
+    return factor * scene.runtime.work.radiation.at(posed, 0, "vertices", places, outward, drive).arp
 
 
 def samples(scene):
     """Middles [m] of the posed skin's faces, normals and areas [m^2], world axes, and each one's first vertex."""
-    vertices, faces = world_skin(scene), scene.skin.rig.surface.faces
+    vertices, faces = world_skin(scene), body_of(scene)[0].model.surface.faces
     corners = vertices[faces]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     areas = 0.5 * np.linalg.norm(cross, axis=1)
@@ -181,7 +188,7 @@ def test_posed_skin_is_the_linear_blend_of_the_bodies(pair, hand):
         moved = (rest - origins[bone]) @ turns[bone].T + places[bone]
         expected += hand.weights[:, bone, None] * moved
     # Reading merges and mends, which may change the order, and halves long edges, which adds vertices.
-    surface = rigged.skin.rig.surface.vertices
+    surface = body_of(rigged)[0].model.surface.vertices
     gap, same = cKDTree(surface).query(rest)
     assert gap.max() < 2e-7 and len(np.unique(same)) == len(rest)
     found = world_skin(rigged)
@@ -208,12 +215,12 @@ def test_sound_on_a_bent_fingertip_is_that_of_the_articulated_hand(pair):
 def test_sound_pushes_the_bones(pair, hand):
     articulated, rigged = pair
     distal = hand.hand.bone("index_distal")
-    expected, found = articulated.skin.body_forces()[0], rigged.skin.body_forces()[0]
+    expected, found = articulated.runtime.body_forces()[0][0], rigged.runtime.body_forces()[0][0]
     assert np.linalg.norm(expected[distal]) > 1e-3
     assert np.abs(found - expected).max() < 0.02 * np.linalg.norm(expected[distal])
     # The torque that reaches the ball joint, by hand, in the bone's axes.
     points, normals, areas, first = samples(rigged)
-    of_bone = rigged.skin.rig.hand.dominant_bone()[first] == distal
+    of_bone = body_of(rigged)[0].model.hand.dominant_bone()[first] == distal
     push = -(sound_on(rigged, points, normals) * areas)[:, None] * normals
     data = rigged.data
     arm = points - data.body("index_distal").xpos
@@ -232,9 +239,7 @@ def test_sound_bends_the_finger_that_it_is_on(rest):
         pad, tip = f"{digit}_distal_pad", f"{digit}_distal_tip"
         focus = " ".join(f"{x:.6f}" for x in before.site(pad).xpos)
         scene = loaded(rest, digit, focus, **(RIGGED | {"patch_site": pad}))
-        for _ in range(20):
-            mujoco.mj_step(scene.model, scene.data)
-            raise_errors(scene.data)
+        scene.step(20)
         turned = {d: np.linalg.norm(scene.data.joint(f"{d}_distal").qpos[1:]) for d in ("index", "middle", "little")}
         assert max(turned, key=lambda d: turned[d]) == digit
         assert scene.data.site(tip).xpos[2] > before.site(tip).xpos[2] + 1e-6
@@ -255,7 +260,7 @@ def test_bodies_that_are_missing_or_misplaced_are_named(rest):
     prefixed = re.sub('(name|body1|body2)="', r'\1="left_', text)
     (rest / "left_hand.xml").write_text(prefixed)
     left = dict(hand="left_hand.xml", body="left_hand", patch_site="left_index_distal_pad")
-    assert len(loaded(rest, "left", **(RIGGED | left)).skin.bones) == 17
+    assert len(loaded(rest, "left", **(RIGGED | left)).runtime.parts[0]) == 17
     (rest / "left_hand.xml").write_text(prefixed.replace('"left_forearm"', '"forearm"'))
     refused(rest, "the scene has no body 'left_forearm'", **left)
     refused(rest, "shape 'rigged' needs mesh and mesh_unit", mesh_unit="")

@@ -6,7 +6,7 @@ import time
 import coverage_cases as module
 import numpy as np
 import pytest
-from coverage_cases import Row, TooLongError, at_most, equivalent, relative_change, relative_error, summary
+from coverage_cases import Row, TooLongError, at_most, equivalent, judge, relative_error, summary
 from random_cases import COURSES, KINDS, curved_patch, random_case
 
 from palmfield.skin import Layer, Slab, Spot
@@ -17,7 +17,7 @@ CHEAP = (5, 16, 21, 25, 26, 29, 30, 36)
 
 def test_estimates_of_random_cases_are_true() -> None:
     """Issue: true <= estimate in 90 % of the cases, median of estimate / true at most 4."""
-    rows = [row for number in CHEAP for row in relative_change(random_case(6, number, 0.02), longest_s=0.5)]
+    rows = [row for number in CHEAP for row in judge(random_case(6, number, 0.02), longest_s=0.5)]
     for row in rows:
         print(row.number, row.asked, row.solver, row.wanted, row.estimate, row.true, row.processor_s, row.missing)
     found = summary(rows)
@@ -97,7 +97,7 @@ def test_a_run_that_takes_too_long_is_given_up_and_said() -> None:
 
 def test_a_case_without_a_converged_answer_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "TENTH", 1e-12)
-    rows = relative_change(random_case(5, 5, 0.02))
+    rows = judge(random_case(5, 5, 0.02))
     assert [row.asked for row in rows] == ["auto"]
     assert rows[0].missing.startswith("dropped: lateral_waves: its own error of")
     assert isinstance(random_case(5, 5, 0.02).load, Spot)

@@ -9,7 +9,7 @@ import trimesh
 
 from palmfield.errors import SceneError
 from palmfield.skin.analytic.layer_oracle import centre_response
-from palmfield.skin.approximation.estimate import load_centre, load_frequency, load_width
+from palmfield.skin.approximation.load_scales import load_centre, load_frequency, load_width
 from palmfield.skin.fem.absorbing import match_speed, sponge
 from palmfield.skin.fem.assembly import assemble
 from palmfield.skin.fem.body import build

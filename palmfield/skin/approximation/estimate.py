@@ -26,7 +26,6 @@ import numpy as np
 from palmfield.errors import SceneError
 from palmfield.skin.approximation.richardson import error_of_finer
 from palmfield.skin.materials.material import Material, shear_wave
-from palmfield.skin.problem import GAUSSIAN, Load, Spot
 from palmfield.types import Complex, Float
 
 # Observed on the disc between the meshes of the table; the element's own rate on smooth loads is higher.
@@ -80,56 +79,3 @@ def mesh_error(coarse: Complex | Float, fine: Complex | Float, size_ratio: float
     if not size_ratio > 1.0 or not np.all(size > 0.0):
         raise SceneError(f"size ratio {size_ratio}, answers {fine}: the ratio must be above 1 and the answers not 0")
     return error_of_finer(float(np.max(np.abs(coarse - fine) / size)), size_ratio, order)
-
-
-def load_width(load: Load) -> float:
-    """Full width at half maximum [m] of a load's pressure.
-
-    Of given pressures, that of the Gaussian with the same (int p)^2 / int p^2, the smallest over the times. Raises
-    SceneError where there is no pressure at all.
-    """
-    if isinstance(load, Spot):
-        return load.fwhm_m
-    pressure = np.asarray(load.pressure_Pa, dtype=float)
-    square = (pressure**2) @ load.weights_m2
-    acting = square > 1e-12 * square.max(initial=0.0)
-    if not acting.any():
-        raise SceneError("traction: pressure_Pa is 0 everywhere; give one that acts")
-    area = (np.abs(pressure[acting]) @ load.weights_m2) ** 2 / square[acting]
-    return float(math.sqrt(GAUSSIAN * area.min() / (2.0 * math.pi)))
-
-
-def load_centre(load: Load) -> tuple[Float, float]:
-    """Middle (2,) of where a load acts and the distance from it to the farthest place of its centre [m]."""
-    if isinstance(load, Spot):
-        centres = load.centres()
-    else:
-        strength = np.abs(np.asarray(load.pressure_Pa, dtype=float)) * load.weights_m2
-        acting = strength.sum(axis=1) > 0.0
-        centres = strength[acting] @ load.points[:, :2] / strength[acting].sum(axis=1, keepdims=True)
-    middle = 0.5 * (centres.min(axis=0) + centres.max(axis=0))
-    return middle, float(np.hypot(*(centres - middle).T).max())
-
-
-def load_frequency(load: Load, speed_m_s: float, width_m: float) -> float:
-    """Highest frequency that a step must resolve [Hz].
-
-    The largest of: c_s / (pi width), at which a spot let go rings; v / (2 width) of a spot that moves at v, which is
-    where a Gaussian passing by has fallen to a third; and the rate above which a twentieth of the power of a
-    piecewise-linear amplitude about its mean lies, at least 0.1 s before and after it included.
-    """
-    rates = [speed_m_s / (math.pi * width_m)]
-    times = np.asarray(load.times_s, dtype=float)
-    if len(times) > 1 and isinstance(load, Spot):
-        moves = np.linalg.norm(np.diff(load.centres(), axis=0), axis=1) / np.diff(times)
-        rates.append(float(moves.max()) / (2.0 * width_m))
-    amplitude = np.asarray(load.peak_Pa) if isinstance(load, Spot) else np.abs(load.pressure_Pa) @ load.weights_m2
-    if len(times) > 3 and load.law == "linear":
-        margin = max(times[-1] - times[0], 0.1)
-        even = np.linspace(times[0] - margin, times[-1] + margin, 1 << 14)
-        values = np.interp(even, times, amplitude, left=0.0)
-        power = np.abs(np.fft.rfft(values - values.mean())) ** 2
-        if power.sum() > 0.0:
-            place = int(np.searchsorted(np.cumsum(power), 0.95 * power.sum()))
-            rates.append(float(np.fft.rfftfreq(len(even), even[1] - even[0])[place]))
-    return max(rates)

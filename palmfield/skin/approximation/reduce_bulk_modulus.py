@@ -8,7 +8,7 @@ import numpy as np
 from palmfield.errors import SceneError
 from palmfield.skin.analytic.layer_oracle import centre_responses
 from palmfield.skin.approximation.bands import bands, course_moves, resonance
-from palmfield.skin.approximation.estimate import load_width
+from palmfield.skin.approximation.load_scales import load_width
 from palmfield.skin.materials.material import Material, bulk_from_poisson
 from palmfield.skin.problem import BASES, Body, Foundation, Layer, Load, Spot, Springs
 from palmfield.types import Float

@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 
 from palmfield.hand.remesh import outward
 from palmfield.hand.triangles import face_components
-from palmfield.skin.approximation.estimate import load_centre
+from palmfield.skin.approximation.load_scales import load_centre
 from palmfield.skin.approximation.truncate_domain import part_of
 from palmfield.skin.problem import Body, Layer, Load, Spot
 from palmfield.types import Float

@@ -14,7 +14,7 @@ from palmfield.errors import SceneError
 from palmfield.hand.triangles import face_components
 from palmfield.skin.analytic.layer_oracle import centre_responses
 from palmfield.skin.approximation.bands import bands, course_moves, resonance
-from palmfield.skin.approximation.estimate import load_width
+from palmfield.skin.approximation.load_scales import load_width
 from palmfield.skin.materials.material import shear_wave
 from palmfield.skin.problem import Body, Layer, Load, Spot
 from palmfield.types import Float, Int, Patch

@@ -8,44 +8,9 @@ import numpy as np
 from palmfield.errors import SceneError
 from palmfield.skin.fem.assembly import SkinSystem
 from palmfield.skin.fem.factor import factorise
-from palmfield.skin.fem.generalised_alpha import Scheme, alpha_weights, branch_weights
+from palmfield.skin.fem.generalised_alpha import alpha_weights, branch_weights
 from palmfield.skin.materials.material import stiffening
 from palmfield.types import Complex, Float
-
-
-class SkinSolver:
-    """The middle's older form of WedgeStepper: one step a call, under nodal forces. To go with its last caller.
-
-    step_s, rho_inf: as for WedgeStepper; a state is described at Scheme
-    """
-
-    def __init__(self, system: SkinSystem, step_s: float, rho_inf: float = 0.8) -> None:
-        self.scheme = Scheme(system, step_s, rho_inf)
-        self.system, self.step_s, self.rho_inf = system, step_s, rho_inf
-        self.factor = factorise(self.scheme.effective(), system.elimination_order())
-
-    @property
-    def state_rows(self) -> int:
-        """Rows of a state: three, and one for each branch of each part."""
-        return self.scheme.state_rows
-
-    @property
-    def state_size(self) -> int:
-        """Numbers in a state."""
-        return self.state_rows * self.system.ndof
-
-    def new_state(self) -> Float:
-        """A layer at rest, shape (state_rows, ndof)."""
-        return np.zeros((self.state_rows, self.system.ndof))
-
-    def step(self, state: Float, force_start: Float, force_end: Float) -> None:
-        """Advance a state by one step, in place, under a force [N], (ndof,), linear between its two values."""
-        scheme = self.scheme
-        right = (1.0 - scheme.alpha_f) * force_end + scheme.alpha_f * force_start
-        for term in scheme.terms:
-            right += term.matrix @ (term.row @ state)
-        moved = self.factor.solve(right)
-        state[:] = scheme.advance @ state + np.multiply.outer(scheme.follow, moved)
 
 
 def static(system: SkinSystem, force: Float) -> Float:

@@ -1,0 +1,45 @@
+"""Quadratic wedges below a surface, the rows and patches that they are made from, and an order to eliminate them in."""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from palmfield.skin.mesh.body_mesh import Sizes, box_patch, graded_fractions, quartered
+    from palmfield.skin.mesh.disc import disc_patch
+    from palmfield.skin.mesh.ordering import dissection_order
+    from palmfield.skin.mesh.rows import rows_of
+    from palmfield.skin.mesh.surface import closed_boundary, output_triangles
+    from palmfield.skin.mesh.wedges import WedgeMesh, extrude
+
+_WHERE = {
+    **dict.fromkeys(("Sizes", "box_patch", "graded_fractions", "quartered"), "body_mesh"),
+    "disc_patch": "disc",
+    "dissection_order": "ordering",
+    "rows_of": "rows",
+    **dict.fromkeys(("closed_boundary", "output_triangles"), "surface"),
+    **dict.fromkeys(("WedgeMesh", "extrude"), "wedges"),
+}
+__all__ = [
+    "Sizes",
+    "WedgeMesh",
+    "box_patch",
+    "closed_boundary",
+    "disc_patch",
+    "dissection_order",
+    "extrude",
+    "graded_fractions",
+    "output_triangles",
+    "quartered",
+    "rows_of",
+]
+
+
+def __getattr__(name: str) -> Any:
+    # Loaded when asked for: Warp and SciPy take half a second.
+    if name not in _WHERE:
+        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+    return getattr(import_module(f"{__name__}.{_WHERE[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return __all__

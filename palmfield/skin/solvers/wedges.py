@@ -13,7 +13,7 @@ import numpy as np
 
 from palmfield.errors import SceneError
 from palmfield.hand.remesh import is_height_field
-from palmfield.skin.approximation.estimate import load_centre, load_frequency, load_width
+from palmfield.skin.approximation.load_scales import load_centre, load_frequency, load_width
 from palmfield.skin.approximation.refine import (
     MOST_DOFS,
     Discretisation,

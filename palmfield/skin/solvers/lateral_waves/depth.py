@@ -15,7 +15,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from palmfield.skin.material import Material
+from palmfield.skin.materials.material import Material
 from palmfield.skin.problem import Slab, Springs
 from palmfield.types import Float
 

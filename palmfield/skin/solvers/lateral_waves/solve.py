@@ -30,7 +30,7 @@ PART = 0.5
 
 
 @dataclass(frozen=True)
-class Choice:
+class Settings:
     """How to solve: as the arguments of solve_lateral_waves; still: at rest."""
 
     accuracy: float
@@ -76,7 +76,7 @@ def solve_lateral_waves(
     """
     slab = accepted(body, load)
     requested, points = check_points(slab, times, at, accuracy)
-    return _solve(slab, load, requested, points, chosen_by(accuracy, tolerance, device, threads))
+    return _solve(slab, load, requested, points, settings_of(accuracy, tolerance, device, threads))
 
 
 def static_lateral_waves(
@@ -101,8 +101,8 @@ def static_lateral_waves(
             "solver 'lateral_waves': a slab on nothing has no state of rest under a load; give a base that holds"
         )
     requested, points = check_points(slab, load.times_s[-1:], at, accuracy)
-    choice = chosen_by(accuracy, tolerance, device, threads, still=True)
-    motion = _solve(slab, last_of(load), np.ones(1), points, choice)
+    settings = settings_of(accuracy, tolerance, device, threads, still=True)
+    motion = _solve(slab, last_of(load), np.ones(1), points, settings)
     return replace(motion, times_s=requested)
 
 
@@ -126,22 +126,22 @@ def accepted(body: Body, load: Load) -> Slab:
     return body
 
 
-def chosen_by(
+def settings_of(
     accuracy: float, tolerance: float | None, device: str, threads: int | None, still: bool = False
-) -> Choice:
+) -> Settings:
     """Raises SceneError for a tolerance out of range."""
     if tolerance is not None and not FINEST <= tolerance <= 0.25:
         raise SceneError(f"tolerance is {tolerance}; give {FINEST} to 0.25, or leave it out")
-    return Choice(accuracy, tolerance, resolve(device), threads, still)
+    return Settings(accuracy, tolerance, resolve(device), threads, still)
 
 
-def _solve(body: Slab, load: Load, requested: Float, points: Float, choice: Choice) -> Motion:
+def _solve(body: Slab, load: Load, requested: Float, points: Float, settings: Settings) -> Motion:
     begun = time.perf_counter()
     if timeline(load, requested) is None or not np.any(load.peak_Pa if isinstance(load, Spot) else load.pressure_Pa):
         still = np.zeros((len(requested), len(points), 3))
         return Motion(requested, points, still, still.copy(), 0.0, "no load yet: all is at rest", "lateral_waves", 0.0)
-    part = PART * choice.accuracy if choice.tolerance is None else choice.tolerance
-    result = run(body, load, requested, points, part, choice)
+    part = PART * settings.accuracy if settings.tolerance is None else settings.tolerance
+    result = run(body, load, requested, points, part, settings)
     picture = is_picture(len(requested), len(points))
     share, safety = (PICTURE_FINER, PICTURE_SAFETY) if picture else (FINER, SAFETY)
     if not picture and len(requested) < SERIES_FROM:
@@ -149,13 +149,13 @@ def _solve(body: Slab, load: Load, requested: Float, points: Float, choice: Choi
     for left in reversed(range(RETRIES)):
         chosen = pick(result.displacement)
         finer = max(share * part, FINEST)
-        check = run(body, load, requested, points[chosen], finer, choice, result.panels)
+        check = run(body, load, requested, points[chosen], finer, settings, result.panels)
         error = safety * relative_error(result.displacement[:, chosen], check.displacement)
         speed_error = safety * relative_error(result.velocity[:, chosen], check.velocity)
-        if error <= choice.accuracy or choice.tolerance is not None or part <= FINEST or left == 0:
+        if error <= settings.accuracy or settings.tolerance is not None or part <= FINEST or left == 0:
             break
         part = finer
-        result = run(body, load, requested, points, part, choice, check.panels)
+        result = run(body, load, requested, points, part, settings, check.panels)
     return Motion(
         requested,
         points,
@@ -176,7 +176,7 @@ def run(
     requested: Float,
     points: Float,
     tolerance: float,
-    choice: Choice,
+    settings: Settings,
     panels: Float | None = None,
 ) -> Run:
     """One solution at one tolerance; panels: of a coarser run, to begin with."""
@@ -185,13 +185,13 @@ def run(
     horizon = float(requested[-1] - load.times_s[0])
     resolution = choose(load, tolerance)
     waves, panels = build_waves(
-        body, load, points[:, :2], horizon, resolution, still=choice.still, panels=panels, threads=choice.threads
+        body, load, points[:, :2], horizon, resolution, still=settings.still, panels=panels, threads=settings.threads
     )
     images = box_images(body, points[:, :2])
 
     def to_points(part: slice, amplitude: Complex) -> Float:
         return np.sum([sign * at_points(waves, part, amplitude, image) for image, sign in images], axis=0)
 
-    moved = march(load, line, waves, len(requested), to_points, choice.device, choice.threads)
+    moved = march(load, line, waves, len(requested), to_points, settings.device, settings.threads)
     poles = float(np.mean([len(m.poles) for m in waves.modes]))
     return Run(moved[:, 0], moved[:, 1], len(waves), len(waves.modes), poles, panels)

@@ -7,8 +7,9 @@ import numpy as np
 from scipy.optimize import brentq
 
 from palmfield.errors import SceneError
+from palmfield.skin.approximation.load_scales import load_width, mean_frequency, passing_frequency
 from palmfield.skin.materials.material import shear_wave
-from palmfield.skin.problem import ONLY_WEDGES, Body, Foundation, Layer, Load, Slab, Spot, Springs, Traction, depth_of
+from palmfield.skin.problem import ONLY_WEDGES, Body, Foundation, Layer, Load, Slab, Springs, depth_of
 from palmfield.skin.solvers.particles.columns import FEWEST_CELLS
 from palmfield.types import Float
 
@@ -64,10 +65,10 @@ def law_error(body: Body, load: Load, spacing_m: float) -> float:
     H, h_z the spacing in depth, the shear wavelength at the load's mean frequency in its slowest sheet.
     """
     depth = depth_of(body)
-    width = _width(load)
+    width = load_width(load)
     length = min(width, math.sqrt(width * depth))
     below = min(spacing_m, depth / FEWEST_CELLS)
-    frequency = _frequency(load, width)
+    frequency = max(mean_frequency(load), passing_frequency(load, width))
     waves = 0.0
     if frequency > 0.0:
         wavelength = min(shear_wave(sheet.material, frequency)[0] for sheet in body.sheets) / frequency
@@ -84,7 +85,7 @@ def choose_spacing(body: Body, load: Load, accuracy: float) -> float:
         raise SceneError(f"particles: accuracy is {accuracy}; give 0.002 to 1 (5 % is what they are good for)")
     accuracy = max(accuracy, FINEST)
     # Below two particles a width in the run that shows the error, it shows nothing.
-    high = min(length_of(body) / 4.0, _width(load) / 3.0)
+    high = min(length_of(body) / 4.0, load_width(load) / 3.0)
     low = 1e-3 * high
     if law_error(body, load, high) <= accuracy:
         return high
@@ -129,36 +130,3 @@ def _area(body: Body) -> float:
         a, b, c = (body.patch.vertices[body.patch.faces[:, i]] for i in range(3))
         return float(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
     return math.prod(body.size_m) if body.size_m is not None else math.pi * (body.radius_m or 0.0) ** 2
-
-
-def _width(load: Load) -> float:
-    return load.fwhm_m if isinstance(load, Spot) else _traction_width(load)
-
-
-def _traction_width(load: Traction) -> float:
-    """Full width at half maximum of the Gaussian with the spread of the greatest frame's pressure [m]."""
-    frame = np.abs(load.pressure_Pa[np.argmax(np.abs(load.pressure_Pa).sum(axis=1))]) * load.weights_m2
-    if not frame.sum() > 0.0:
-        return math.inf
-    middle = frame @ load.points / frame.sum()
-    square = frame @ ((load.points - middle) ** 2).sum(axis=1) / frame.sum()
-    # A Gaussian's mean square distance is 2 s^2 and its width s sqrt(8 ln 2).
-    return math.sqrt(0.5 * square * 8.0 * math.log(2.0)) or math.inf
-
-
-def _frequency(load: Load, width: float) -> float:
-    """Mean frequency of the load [Hz], its constant part included: rms rate over 2 pi rms; of a moving spot at least
-    half its speed over its width."""
-    times = np.asarray(load.times_s, dtype=float)
-    if len(times) < 3:
-        return 0.0
-    values = np.asarray(load.peak_Pa if isinstance(load, Spot) else load.pressure_Pa, dtype=float)
-    values = values.reshape(len(times), -1)
-    gaps = np.diff(times)[:, None]
-    size = (0.5 * (values[1:] ** 2 + values[:-1] ** 2) * gaps).sum()
-    rate = (np.diff(values, axis=0) ** 2 / gaps).sum()
-    changing = math.sqrt(rate / size) / (2.0 * math.pi) if size > 0.0 else 0.0
-    if not isinstance(load, Spot):
-        return changing
-    speed = np.linalg.norm(np.diff(load.centres(), axis=0), axis=1) / gaps[:, 0]
-    return max(changing, 0.5 * float(speed.max()) / width)

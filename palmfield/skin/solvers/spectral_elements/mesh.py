@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from palmfield.skin.approximation.load_scales import course_frequency, load_width
 from palmfield.skin.materials.material import Material, shear_wave
 from palmfield.skin.problem import Body, Layer, Load, Spot
 from palmfield.skin.solvers.spectral_elements.quads import box_quads, disc_quads, patch_quads
@@ -38,6 +39,9 @@ SPONGE_LEFT = 1e-3
 MARGIN = 3.0
 """Clear way before a sponge, in widths of the load or thicknesses: a sponge holds back slow motion too."""
 
+MOST = 0.995
+"""Share of the power of a load's course below the frequency whose shear waves elements must resolve."""
+
 CORE = 0.45
 """Half width of a disc's inner square as a share of the radius."""
 
@@ -55,36 +59,6 @@ class Plan:
     watched_m: Float
     margin_m: float
     sponge_m: float
-
-
-def load_width(load: Load) -> float:
-    """Width of the load [m]: that of the spot, or of the Gaussian spot with the same ratio of integral^2 to energy."""
-    if isinstance(load, Spot):
-        return load.fwhm_m
-    weights, pressure = np.asarray(load.weights_m2), np.abs(load.pressure_Pa)
-    energy = (pressure**2) @ weights
-    frame = int(np.argmax(energy))
-    if energy[frame] == 0.0:
-        return 2.0 * float(np.ptp(load.points, axis=0).max())
-    # integral^2 / energy of exp(-r^2 / 2 s^2) is 4 pi s^2
-    spread = math.sqrt((pressure[frame] @ weights) ** 2 / energy[frame] / (4.0 * math.pi))
-    return spread * math.sqrt(8.0 * math.log(2.0))
-
-
-def load_frequency(load: Load) -> float:
-    """Frequency below which 99.5 % of the energy of the load's course in time lies [Hz]; 0 for one time."""
-    times = np.asarray(load.times_s, dtype=float)
-    course = np.asarray(load.peak_Pa, dtype=float) if isinstance(load, Spot) else np.abs(load.pressure_Pa).sum(axis=1)
-    if len(times) < 3 or not course.any():
-        return 0.0
-    count = min(2**15, max(2, math.ceil(2.0 * (times[-1] - times[0]) / np.diff(times).min())))
-    even = np.linspace(times[0], times[-1], count)
-    # There and back again: a course that ends elsewhere than it began must not look like a jump
-    sampled = np.interp(even, times, course)
-    energy = np.abs(np.fft.rfft(np.concatenate([sampled, sampled[::-1]]))) ** 2
-    energy[1:] *= 2.0
-    share = np.cumsum(energy) / energy.sum()
-    return float(np.fft.rfftfreq(2 * count, even[1] - even[0])[int(np.searchsorted(share, 0.995))])
 
 
 def fast_speed(material: Material) -> float:
@@ -106,7 +80,7 @@ def plan(
     """Elements for an accuracy; what is given stays."""
     materials = [sheet.material for sheet in body.sheets]
     width = load_width(load)
-    top = load_frequency(load)
+    top = course_frequency(load, MOST)
     if top > 0.0:
         width = min(width, 0.7 * min(shear_wave(m, top)[0] for m in materials) / top)
     chosen = SIZE * width * (accuracy / 0.01) ** SIZE_POWER

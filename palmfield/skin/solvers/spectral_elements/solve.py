@@ -10,12 +10,13 @@ import warp as wp
 
 from palmfield.device import resolve
 from palmfield.errors import SceneError
+from palmfield.skin.approximation.load_scales import course_frequency, load_width
 from palmfield.skin.approximation.reduce_bulk_modulus import reduce_bulk_modulus
 from palmfield.skin.approximation.richardson import relative_difference
 from palmfield.skin.approximation.trim_absorbing_rim import refusal_of_spot
 from palmfield.skin.problem import ONLY_WEDGES, Body, Foundation, Layer, Load, Motion, Spot, rising
 from palmfield.skin.solvers.spectral_elements.loads import table_of
-from palmfield.skin.solvers.spectral_elements.mesh import Plan, build, fast_speed, load_frequency, load_width, plan
+from palmfield.skin.solvers.spectral_elements.mesh import MOST, Plan, build, fast_speed, plan
 from palmfield.skin.solvers.spectral_elements.model import SAFETY, Model, hold
 from palmfield.skin.solvers.spectral_elements.places import find
 from palmfield.skin.solvers.spectral_elements.run import Points, Stepper
@@ -312,6 +313,6 @@ def lag(body: Body, load: Load, step_s: float) -> float:
         material = sheet.material
         if material.viscosity_Pa_s > 0.0:
             speed = math.sqrt(material.shear_relaxed_Pa / material.density_kg_m3)
-            omega = 2.0 * math.pi * max(load_frequency(load), 0.5 * speed / load_width(load))
+            omega = 2.0 * math.pi * max(course_frequency(load, MOST), 0.5 * speed / load_width(load))
             worst = max(worst, 0.5 * step_s * omega * min(1.0, omega * material.viscous_time_s))
     return worst

@@ -10,15 +10,15 @@ import mujoco
 import numpy as np
 import pytest
 import typer.main
-import xarray as xr
 
 from palmfield.acoustics.arrays import layout
 from palmfield.acoustics.focus import focus
 from palmfield.cli.app import app, main
 from palmfield.drive.boards.sonicsurface import FRAME_BYTES, OFF_FRAME, decode
+from palmfield.outputs import instances, open_result
 from palmfield.types import Air
 
-SCENES = Path(__file__).parent.parent / "mjcf" / "scenes"
+SCENES = Path(__file__).parents[2] / "mjcf" / "scenes"
 
 COMMANDS = ("run", "plan", "info", "drive", "keys", "new", "recover", "hand")
 
@@ -51,17 +51,24 @@ def test_every_command_has_help(line, monkeypatch, capsys):
 
 
 def test_help_is_quick_to_import():
-    code = "import sys; sys.argv = ['palmfield', '--help']\nfrom palmfield import cli\nprint('warp' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "False\n"
+    slow = ("warp", "mujoco", "numpy", "scipy", "xarray", "pydantic")
+    code = f"import sys\nfrom palmfield.cli.app import app\nprint([name for name in {slow} if name in sys.modules])"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
 
 
 def test_new_scene_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert call(monkeypatch, capsys, "new", "first")[0] == 0
     assert mujoco.MjModel.from_xml_path("first_plain.xml").nplugin == 0
-    code, out = call(monkeypatch, capsys, "run", "first.xml", "--duration", "0.011", "--out", "o", "--device", "cpu")
+    quick = ("--duration", "0.011", "--device", "cpu", "--accuracy", 0.3)
+    code, out = call(monkeypatch, capsys, "run", "first.xml", "--out", "o", *quick)
     assert code == 0
     assert "peak ARP" in out.out and "observer 1" in out.out and "observer 2" in out.out and "o/scene.usdc" in out.out
+    again = ("run", "first.xml", "--duration", "0.005", "--out", "o")
+    code, out = call(monkeypatch, capsys, *again)
+    assert code == 2 and "holds another run's result.nc" in out.err and "--overwrite" in out.err
+    code, out = call(monkeypatch, capsys, *again, "--overwrite", "--set", "skin.accuracy=0.3")
+    assert code == 0 and json.loads(Path("o/summary.json").read_text())["steps"] == 5
     code, out = call(monkeypatch, capsys, "new", "first")
     assert code == 2 and "exists already" in out.err
 
@@ -88,9 +95,12 @@ def test_simulated_drive_is_decoded_from_the_recorded_bytes(tmp_path, monkeypatc
     scene = SCENES / "palm_circle_sonicsurface.xml"
     file, out = tmp_path / "circle.bin", tmp_path / "out"
     assert call(monkeypatch, capsys, "drive", scene, "--record", file, "--duration", 0.03)[0] == 0
-    assert call(monkeypatch, capsys, "run", scene, "--out", out, "--duration", 0.03, "--device", "cpu")[0] == 0
+    # What the skin makes of it matters nothing here.
+    quick = ("--duration", 0.03, "--device", "cpu", "--accuracy", 0.5)
+    assert call(monkeypatch, capsys, "run", scene, "--out", out, *quick)[0] == 0
     emitted = [frame for frame in decode(file.read_bytes()) if np.abs(frame).max() > 0]
-    with xr.open_dataset(out / "result.nc", engine="h5netcdf") as ds:
+    with open_result(out) as result:
+        (ds,) = instances(result, "array").values()
         simulated = ds["drive_amplitude"].values * np.exp(1j * ds["drive_phase"].values)
     distinct = [simulated[0]] + [b for a, b in pairwise(simulated) if not np.allclose(a, b, atol=1e-6)]
     assert len(distinct) == len(emitted) == 3
@@ -121,8 +131,36 @@ def test_bad_arguments_end_in_one_line_and_exit_code_2(arguments, tmp_path, monk
 
 @pytest.mark.smoke
 def test_info_names_array_material_and_law(small_scene, monkeypatch, capsys):
-    code, out = call(monkeypatch, capsys, "info", small_scene())
+    code, out = call(monkeypatch, capsys, "info", small_scene(), "--device", "cpu", "--set", "skin.arp_law=alpha")
     assert code == 0 and "uhev1" in out.out and "ecoflex" in out.out and "ARP law" in out.out
+    assert "cpu (palmfield_device)" in out.out and "alpha" in out.out.lower()
+    assert "(skin)" not in out.out
+
+
+def test_info_names_every_instance_of_several(small_scene, monkeypatch, capsys):
+    path = small_scene()
+    plain = path.with_name("plain.xml")
+    plain.write_text(plain.read_text().replace("<worldbody>", '<worldbody><site name="right" pos="0.3 0 0"/>', 1))
+    right = '<instance name="right"><config key="site" value="right"/><config key="layout" value="autd3"/></instance>'
+    path.write_text(
+        path.read_text().replace('<plugin plugin="palmfield.array">', f'<plugin plugin="palmfield.array">{right}', 1)
+    )
+    code, out = call(monkeypatch, capsys, "info", path)
+    assert code == 0 and "array (right)" in out.out and "array (array)" in out.out and "arrays driven" in out.out
+
+
+def test_a_device_that_is_not_there_is_refused_with_those_that_are(small_scene, monkeypatch, capsys):
+    for command in ("run", "plan", "info"):
+        code, out = call(monkeypatch, capsys, command, small_scene(), "--device", "cuda:9")
+        assert code == 2 and "'cuda:9' is not on this machine; use one of auto, cpu" in out.err
+        code, out = call(monkeypatch, capsys, command, small_scene(), "--device", "toaster")
+        assert code == 2 and "auto, cpu or cuda:N" in out.err
+
+
+def test_a_skin_without_a_focus_is_warned_of_before_the_run(small_scene, tmp_path, monkeypatch, capsys):
+    scene = small_scene(stimulus={"focus_m": "0.15 0 0.12"})
+    code, out = call(monkeypatch, capsys, "run", scene, "--out", tmp_path / "out", "--duration", "0.002")
+    assert code == 0 and "warning: no focus comes near skin 'skin'" in out.err
 
 
 def test_keys_are_set_for_one_plan_and_checked(monkeypatch, capsys):
@@ -133,6 +171,7 @@ def test_keys_are_set_for_one_plan_and_checked(monkeypatch, capsys):
         ("skin.accuracy", "has no value"),
         ("skin.nose=1", "unknown key 'nose'"),
         ("motion.body=x", "it has"),
+        ("driver.device=ideal", "renamed: use board"),
     ):
         code, out = call(monkeypatch, capsys, "plan", scene, "--set", text)
         assert code == 2 and words in out.err

@@ -11,15 +11,15 @@ import palmfield
 from palmfield.cli.app import main
 from palmfield.errors import PalmfieldError
 
-SCENES = Path(__file__).parent.parent / "mjcf" / "scenes"
+SCENES = Path(__file__).parents[2] / "mjcf" / "scenes"
 HAPTIC = sorted(p for p in SCENES.glob("*.xml") if not p.name.startswith("plain_"))
 PLAIN = sorted(SCENES.glob("plain_*.xml"))
 
 
 @pytest.mark.parametrize("path", HAPTIC, ids=lambda p: p.stem)
 def test_shipped_scene_loads_and_can_be_planned(path):
-    scene = palmfield.load(path, device="cpu")
-    text = str(palmfield.plan(scene))
+    sim = palmfield.load(path, device="cpu")
+    text = str(palmfield.plan(sim))
     assert "Left out" in text and path.name in text
 
 
@@ -36,7 +36,7 @@ def test_plain_scene_opens_without_palmfield(path):
 
 
 def test_sonicsurface_circle_is_within_the_boards_reach():
-    stimulus = palmfield.load(SCENES / "palm_circle_sonicsurface.xml").skin.rig.stimulus
+    stimulus = palmfield.load(SCENES / "palm_circle_sonicsurface.xml").runtime.model.stimuli[0].config
     assert stimulus.path_rate_Hz <= 11 and stimulus.path_points >= 8
 
 
@@ -55,8 +55,9 @@ BAD = {
     "whole history": ({"skin": {"solver": "axisymmetric"}}, "palmfield.skin.solve(..., solver='axisymmetric')"),
     "unit": ({"stimulus": {"focus_m": "0 0 120mm"}}, "key 'focus_m' has value '0 0 120mm'; allowed: three finite"),
     "choice": ({"skin": {"base": "glued"}}, "key 'base' has value 'glued'; allowed: bonded | free_slip"),
-    "behind": ({"stimulus": {"focus_m": "0 0 -0.1"}}, "plugin 'palmfield.stimulus': key 'focus_m': focus"),
-    "too loud": ({"stimulus": {"arp_peak_Pa": 1e6}}, "arp_peak_Pa 1e+06 is more than the array gives"),
+    "behind": ({"stimulus": {"focus_m": "0 0 -0.1"}}, "plugin 'palmfield.stimulus' instance 'stimulus': key "
+    "'focus_m': focus"),
+    "too loud": ({"stimulus": {"arp_peak_Pa": 1e6}}, "'stimulus': arp_peak_Pa 1e+06 is more than the array gives"),
     "missing am": ({"stimulus": {"am_depth": None}}, "modulation 'am' needs am_depth"),
     "unknown key": ({"skin": {"radius_mm": 20}}, "'palmfield.skin' has no key 'radius_mm'; allowed: body, shape, hand"),
     "no body": ({"skin": {"body": "paw"}}, "the scene has no body 'paw'; it has: world"),
@@ -138,12 +139,24 @@ def test_driving_what_the_board_cannot_play(capsys, monkeypatch, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_two_skins_are_refused(small_scene):
+def test_two_stimuli_that_name_no_array_are_refused(small_scene):
     path = small_scene()
     text = path.read_text()
     start, end = text.index('<plugin plugin="palmfield.stimulus">'), text.index('<plugin plugin="palmfield.skin">')
     path.write_text(text[:end] + text[start:end].replace('name="stimulus"', 'name="again"') + text[end:])
-    refuse(path, "the scene has 2 of 'palmfield.stimulus'; exactly one is needed")
+    refuse(
+        path,
+        "plugin 'palmfield.stimulus' instance 'again': it names no arrays, and neither does instance 'stimulus'; name "
+        "the arrays that each drives by key 'arrays'",
+    )
+
+
+def test_two_drivers_are_refused(small_scene):
+    path = small_scene()
+    text = path.read_text()
+    start, end = text.index('<plugin plugin="palmfield.driver">'), text.index("</extension>")
+    path.write_text(text[:end] + text[start:end].replace('name="driver"', 'name="again"') + text[end:])
+    refuse(path, "the scene has 2 of 'palmfield.driver'; allowed: one")
 
 
 def test_mujoco_itself_reports_the_error(small_scene):

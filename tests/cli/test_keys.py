@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from palmfield.cli.keys import as_markdown, as_text
+from palmfield.cli.keys import SCENE_KEYS, as_markdown, as_text
 from palmfield.config import (
     CONFIGS,
     Config,
@@ -22,11 +22,23 @@ from palmfield.config import (
 )
 from palmfield.errors import SceneError
 
-PAGE = Path(__file__).parent.parent / "docs" / "keys.md"
+PAGE = Path(__file__).parents[2] / "docs" / "keys.md"
 
 
 def test_page_is_up_to_date():
     assert PAGE.read_text() == as_markdown(), "run: palmfield keys --markdown > docs/keys.md"
+
+
+def test_keys_of_the_whole_scene_are_those_that_are_read():
+    from palmfield.simulation.scene_reader import DEFAULT_DURATION_S, DEVICE, DURATION
+
+    assert {row[0]: row[3] for row in SCENE_KEYS} == {DURATION: f"{DEFAULT_DURATION_S:g}", DEVICE: "auto"}
+    assert all(row[0] in as_text() for row in SCENE_KEYS) and DEVICE not in as_text("palmfield.skin")
+
+
+def test_renamed_keys_are_told_on_the_page():
+    page = as_markdown()
+    assert "| `palmfield.driver` device | board |" in page and "| `palmfield.skin` solver full | wedges |" in page
 
 
 def test_every_key_has_a_meaning_and_every_quantity_a_unit():

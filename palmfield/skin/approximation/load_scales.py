@@ -1,0 +1,96 @@
+"""How wide a load is, where it acts, and how fast it changes: what meshes and steps are chosen by."""
+
+import math
+
+import numpy as np
+
+from palmfield.errors import SceneError
+from palmfield.skin.problem import GAUSSIAN, Load, Spot
+from palmfield.types import Float
+
+SAMPLES = 1 << 14
+"""Even samples of a load's course in time."""
+MARGIN_S = 0.1
+"""Least time before and after a load that counts as part of its course [s]."""
+MOST = 0.95
+"""Share of the power of a load's course below the frequency that a step must resolve."""
+
+
+def load_width(load: Load) -> float:
+    """Full width at half maximum [m] of a load's pressure.
+
+    Of given pressures, that of the Gaussian with the same (int p)^2 / int p^2, the smallest over the times. Raises
+    SceneError where there is no pressure at all.
+    """
+    if isinstance(load, Spot):
+        return load.fwhm_m
+    pressure = np.asarray(load.pressure_Pa, dtype=float)
+    square = (pressure**2) @ load.weights_m2
+    acting = square > 1e-12 * square.max(initial=0.0)
+    if not acting.any():
+        raise SceneError("traction: pressure_Pa is 0 everywhere; give one that acts")
+    area = (np.abs(pressure[acting]) @ load.weights_m2) ** 2 / square[acting]
+    return float(math.sqrt(GAUSSIAN * area.min() / (2.0 * math.pi)))
+
+
+def load_centre(load: Load) -> tuple[Float, float]:
+    """Middle (2,) of where a load acts and the distance from it to the farthest place of its centre [m]."""
+    if isinstance(load, Spot):
+        centres = load.centres()
+    else:
+        strength = np.abs(np.asarray(load.pressure_Pa, dtype=float)) * load.weights_m2
+        acting = strength.sum(axis=1) > 0.0
+        centres = strength[acting] @ load.points[:, :2] / strength[acting].sum(axis=1, keepdims=True)
+    middle = 0.5 * (centres.min(axis=0) + centres.max(axis=0))
+    return middle, float(np.hypot(*(centres - middle).T).max())
+
+
+def course_frequency(load: Load, share: float = MOST) -> float:
+    """Frequency below which a share of the power of a load's course in time about its mean lies [Hz]; 0 for few times.
+
+    The course is the peak of a spot or the whole force of pressures, piecewise linear, 0 before the first time and
+    steady after the last. As long before and after the load counts as it lasts, at least MARGIN_S.
+    """
+    times = np.asarray(load.times_s, dtype=float)
+    if len(times) < 3:
+        return 0.0
+    course = np.asarray(load.peak_Pa) if isinstance(load, Spot) else np.abs(load.pressure_Pa) @ load.weights_m2
+    margin = max(times[-1] - times[0], MARGIN_S)
+    even = np.linspace(times[0] - margin, times[-1] + margin, SAMPLES)
+    values = np.interp(even, times, course, left=0.0)
+    power = np.abs(np.fft.rfft(values - values.mean())) ** 2
+    if not power.sum() > 0.0:
+        return 0.0
+    place = int(np.searchsorted(np.cumsum(power), share * power.sum()))
+    return float(np.fft.rfftfreq(len(even), even[1] - even[0])[place])
+
+
+def mean_frequency(load: Load) -> float:
+    """Mean frequency of the load [Hz], its constant part included: rms rate over 2 pi rms; 0 for few times."""
+    times = np.asarray(load.times_s, dtype=float)
+    if len(times) < 3:
+        return 0.0
+    values = np.asarray(load.peak_Pa if isinstance(load, Spot) else load.pressure_Pa, dtype=float)
+    values = values.reshape(len(times), -1)
+    lengths = np.diff(times)[:, None]
+    size = (0.5 * (values[1:] ** 2 + values[:-1] ** 2) * lengths).sum()
+    rate = (np.diff(values, axis=0) ** 2 / lengths).sum()
+    return math.sqrt(rate / size) / (2.0 * math.pi) if size > 0.0 else 0.0
+
+
+def passing_frequency(load: Load, width_m: float) -> float:
+    """v / (2 width) of a spot that moves at up to v [Hz]: there a Gaussian passing by has fallen to a third; else 0."""
+    if not isinstance(load, Spot) or len(load.times_s) < 2:
+        return 0.0
+    speeds = np.linalg.norm(np.diff(load.centres(), axis=0), axis=1) / np.diff(load.times_s)
+    return float(speeds.max()) / (2.0 * width_m)
+
+
+def load_frequency(load: Load, speed_m_s: float, width_m: float) -> float:
+    """Highest frequency that a step must resolve [Hz].
+
+    The largest of c_s / (pi width), at which a spot let go rings, of passing_frequency, and, where the load is linear
+    between more than three times, of course_frequency.
+    """
+    course = course_frequency(load) if len(load.times_s) > 3 and load.law == "linear" else 0.0
+    return max(speed_m_s / (math.pi * width_m), passing_frequency(load, width_m), course)
