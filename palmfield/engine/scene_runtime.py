@@ -107,8 +107,11 @@ class SceneRuntime:
         posed, time_s = self.posed, self.view.time
         self.work.emission.begin(posed, time_s)
         turn = posed.array_frame.rotation.T
-        forces = self.work.forces.over(self.work.emission, posed, gather(self.state, self.work), time_s)
-        return [(force @ turn, torque @ turn) for force, torque in forces]
+        forces = []
+        amplitudes = gather(self.state, self.work)
+        for force, torque in self.work.forces.over(self.work.emission, posed, amplitudes, time_s):
+            forces.append((force @ turn, torque @ turn))
+        return forces
 
     def push(self) -> None:
         """Add the sound's forces to MuJoCo's passive ones."""

@@ -162,15 +162,13 @@ class PosedSkin:
         """Vertices [m] and faces of the obstacles that key `obstacles` names; None without any."""
         if not self.skin.obstacles:
             return None
-        vertices: list[Float] = []
-        faces: list[Int] = []
-        count = 0
-        places = zip(self.skin.obstacles, self.obstacle_positions, self.obstacle_rotations, strict=True)
-        for (points, corners), position, rotation in places:
-            faces.append((corners + count).astype(np.int32))
-            vertices.append(points @ rotation.T + position)
-            count += len(points)
-        return self.body.frame.points(np.concatenate(vertices)), np.concatenate(faces)
+        shapes, slices, faces = self.skin.obstacles_in_one
+        vertices = np.empty((slices[-1].stop, 3))
+        for points, own, position, rotation in zip(
+            shapes, slices, self.obstacle_positions, self.obstacle_rotations, strict=True
+        ):
+            np.add(points @ rotation.T, position, out=vertices[own])
+        return self.body.frame.points(vertices), faces
 
     @cached_property
     def extent(self) -> Float:
@@ -249,7 +247,9 @@ def posed_scene(
     origin, turn = rows.positions[0], rows.rotations[0]
     positions, rotations = (rows.positions - origin) @ turn, turn.T @ rows.rotations
     arrays = _arrays(model, layout, positions, rotations, previous)
-    frames = [Transform(positions[row], rotations[row]) for row in range(layout.frames.start, layout.frames.stop)]
+    frames = []
+    for row in range(layout.frames.start, layout.frames.stop):
+        frames.append(Transform(positions[row], rotations[row]))
     bodies = []
     for number, (row, bones) in enumerate(layout.bodies):
         first = reference.bodies[number].skin
