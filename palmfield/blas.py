@@ -1,4 +1,4 @@
-"""One BLAS thread while the skin's small dense products and its triangular solves run.
+"""One BLAS thread while small dense products and triangular solves run.
 
 SuperLU asks BLAS for blocks so small that its threads wait for each other: up to 200 times slower than one thread.
 """
@@ -47,8 +47,9 @@ class OneBlasThread:
     def __enter__(self) -> None:
         with self._lock:
             if self._inside == 0:
-                self._before = [read() for read, _ in self._libraries]
-                for _, write in self._libraries:
+                self._before.clear()
+                for read, write in self._libraries:
+                    self._before.append(read())
                     write(1)
             self._inside += 1
 
