@@ -45,14 +45,14 @@ def plot_pressure(result: xr.DataTree, path: Path) -> None:
     if not instances(result, "array"):
         raise OutputError("the result holds no array, from which the skin is seen; keep the groups /array")
     views = {name: _seen_from_array(result, name, skin) for name, skin in skins.items()}
-    owners = _skin_of_stimuli(result)
+    owners = _foci_of_skins(result)
     columns = max(len(_pressures(skin, views[name].loudest)) for name, skin in skins.items())
     with style():
         figure = Figure(figsize=(0.6 + 4.4 * columns, 4.4 * len(skins)), dpi=DPI, layout="constrained")
         rows: list[Any] = [figure] if len(skins) == 1 else list(figure.subfigures(len(skins), 1, squeeze=False)[:, 0])
         for row, (name, skin) in zip(rows, skins.items(), strict=True):
-            stimuli = [s for key, s in instances(result, "stimulus").items() if owners.get(key) == name]
-            _draw_skin(row, skin, views[name], stimuli)
+            stimuli = instances(result, "stimulus")
+            _draw_skin(row, skin, views[name], [(stimuli[key], own) for key, own in owners[name].items()])
             height = float(np.median(views[name].vertices[:, 2])) * 1e3
             whose = f" '{name}'" if len(skins) > 1 else ""
             seer = f"array '{views[name].array}'" if len(instances(result, "array")) > 1 else "the array"
@@ -107,27 +107,31 @@ def _seen_from_array(result: xr.DataTree, name: str, skin: xr.Dataset) -> _View:
     return _View(best, poses[best], to_local(vertices, poses[best]), when)
 
 
-def _skin_of_stimuli(result: xr.DataTree) -> dict[str, str]:
-    """For each stimulus, the skin that is nearest to its focal points when the sound on that skin is loudest."""
-    distances: dict[str, dict[str, float]] = {}
-    for name, skin in instances(result, "skin").items():
-        when = loudest(skin)
-        vertices = in_world(skin, instances(result, "body").get(name), when.time_s)
-        for key, stimulus in instances(result, "stimulus").items():
-            if has_records(stimulus, "foci"):
-                middle = stimulus["foci"].isel(time=when.place).values.mean(axis=0)
-                distance = float(np.linalg.norm(vertices - middle, axis=1).min())
-                distances.setdefault(key, {})[name] = distance
-    return {key: min(found, key=lambda name: found[name]) for key, found in distances.items()}
+def _foci_of_skins(result: xr.DataTree) -> dict[str, dict[str, list[int]]]:
+    """For each skin and stimulus, the numbers of the focal points that are nearer to it than to any other skin."""
+    owners: dict[str, dict[str, list[int]]] = {name: {} for name in instances(result, "skin")}
+    for key, stimulus in instances(result, "stimulus").items():
+        if not has_records(stimulus, "foci"):
+            continue
+        distances = []
+        for name, skin in instances(result, "skin").items():
+            when = loudest(skin)
+            vertices = in_world(skin, instances(result, "body").get(name), when.time_s)
+            foci = stimulus["foci"].isel(time=when.place).values
+            distances.append(np.linalg.norm(vertices[:, None] - foci, axis=2).min(axis=0))
+        for number, nearest_skin in enumerate(np.argmin(distances, axis=0)):
+            owners[list(owners)[int(nearest_skin)]].setdefault(key, []).append(number)
+    return owners
 
 
-def _draw_skin(figure: Any, skin: xr.Dataset, view: _View, stimuli: list[xr.Dataset]) -> None:
+def _draw_skin(figure: Any, skin: xr.Dataset, view: _View, stimuli: list[tuple[xr.Dataset, list[int]]]) -> None:
+    """stimuli: with the numbers of their focal points that are drawn here"""
     panels = _pressures(skin, view.loudest)
     columns = figure.subplots(1, len(panels), squeeze=False)[0]
     for axes, (title, colours, values) in zip(columns, panels, strict=True):
         _draw_patch(figure, axes, skin["face"].values, view.vertices, values, colours)
-        for stimulus in stimuli:
-            _draw_foci(axes, stimulus, view)
+        for stimulus, numbers in stimuli:
+            _draw_foci(axes, stimulus, view, numbers)
         if axes.get_legend_handles_labels()[0]:
             axes.legend(loc="upper right", labelcolor="white", facecolor="#333333", frameon=True, framealpha=0.6)
         span = np.ptp(view.vertices[:, :2], axis=0)
@@ -136,15 +140,16 @@ def _draw_skin(figure: Any, skin: xr.Dataset, view: _View, stimuli: list[xr.Data
         axes.set_title(f"{title}{gap}max {_number(np.nanmax(values))} Pa")
 
 
-def _draw_foci(axes: Any, stimulus: xr.Dataset, view: _View) -> None:
-    """The way of each focal point while it sounds, and where it is when loudest."""
-    foci = stimulus["foci"].values
+def _draw_foci(axes: Any, stimulus: xr.Dataset, view: _View, numbers: list[int]) -> None:
+    """The way of some focal points while they sound, and where they are when loudest."""
+    foci = stimulus["foci"].values[:, numbers]
     way: Float = to_local(foci.reshape(-1, 3), view.pose).reshape(foci.shape)
     way[~stimulus["sounding"].values.astype(bool)] = np.nan
     for number in range(way.shape[1]):
         axes.plot(*(way[:, number, :2].T * 1e3), color="white", lw=0.6, alpha=0.5)
     now = foci_at(stimulus, view.loudest.place)
     if len(now):
+        now = now[numbers]
         label = None if "focus" in axes.get_legend_handles_labels()[1] else "focus"
         axes.plot(*(to_local(now, view.pose)[:, :2].T * 1e3), "+", color="white", ms=12, mew=1.6, label=label)
 

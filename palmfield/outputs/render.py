@@ -184,7 +184,7 @@ def _caption(result: xr.DataTree, scene: Scene) -> str:
 
 
 def _draw_guides(picture: Axes, camera: Camera, scene: Scene, stimulus: xr.Dataset) -> None:
-    """Dashed lines from the corners of each array that a stimulus drives to the middle of its focal points."""
+    """Dashed lines from the corners of each array that a stimulus drives to each of its focal points."""
     if not has_records(stimulus, "foci"):
         return
     foci = foci_at(stimulus, nearest(stimulus["time"].values, scene.time_s))
@@ -194,9 +194,10 @@ def _draw_guides(picture: Axes, camera: Camera, scene: Scene, stimulus: xr.Datas
         pose, positions = scene.arrays[name]
         low, high = positions.min(axis=0), positions.max(axis=0)
         corners = np.array([[x, y, high[2]] for x in (low[0], high[0]) for y in (low[1], high[1])])
-        ends = camera.project(np.vstack([to_world(corners, pose), foci.mean(axis=0)]))
-        for corner in ends[:-1]:
-            picture.plot(*np.array([corner, ends[-1]]).T, "--", color="#4338ca", lw=0.7, alpha=0.45)
+        ends = camera.project(np.vstack([to_world(corners, pose), foci]))
+        for corner in ends[: len(corners)]:
+            for focus in ends[len(corners) :]:
+                picture.plot(*np.array([corner, focus]).T, "--", color="#4338ca", lw=0.7, alpha=0.45)
 
 
 def _array_parts(positions: Float, pose: Float) -> list[Part]:

@@ -203,7 +203,7 @@ def _under_focus(model: HapticModel, skin: int, loudest: LoudestMoment) -> Float
     for number, stimulus in enumerate(model.stimuli):
         if not stimulus.silent:
             places = loudest.posed.focal_points(stimulus, number)
-            foci.append(np.atleast_2d(places.at(frame_at(stimulus.config, loudest.time_s).focus))[0])
+            foci += list(np.atleast_2d(places.at(frame_at(stimulus.config, loudest.time_s).focus)))
     focus = min(foci, key=lambda place: float(np.linalg.norm(nodes - place, axis=1).min()))
     if posed.body.model.hand is None:
         return posed.body.frame.inverse_points(focus)
