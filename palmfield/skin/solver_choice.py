@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from importlib import import_module
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -61,6 +61,17 @@ IN_SCENES = ("wedges", "reduced")
 
 FINER = 3
 """How often a solution is made finer when its estimate misses the target accuracy."""
+
+
+class HistorySolver(Protocol):
+    """What solves for a load that is known from beginning to end: solve_NAME of every solver.
+
+    Arguments as for `solve`, and the solver's own resolution. Raises SceneError where it can't.
+    """
+
+    def __call__(
+        self, body: Body, load: Load, times: Float, at: Float, *, accuracy: float, device: str, **resolution: Any
+    ) -> Motion: ...
 
 
 @dataclass(frozen=True)
@@ -177,25 +188,17 @@ def solve(
         if not able:
             raise SceneError("no solver can do this: " + "; ".join(f"{c.name}: {c.refusal}" for c in options))
         name, motion, why = _first_that_can(able, body, load, moments, points, accuracy, where)
-        run = function(name, "solve")
     else:
         name, why = solver, "asked for"
-        refusal = None if resolution else function(name, "refusal")(body, load)
-        if refusal is not None:
-            raise SceneError(f"solver '{name}': {refusal}")
-        run = function(name, "solve")
-        known = inspect.signature(run).parameters
-        for key in resolution:
-            if key not in known:
-                raise SceneError(f"solver '{name}' has no '{key}'; it takes {', '.join(list(known)[4:])}")
-        motion = run(body, load, moments, points, accuracy=accuracy, device=where, **resolution)
+        motion = _by_name(name, body, load, moments, points, accuracy, where, resolution)
+    finer: HistorySolver = function(name, "solve")
     target = accuracy
     for _ in range(FINER):
         if motion.error + cut <= accuracy or resolution:
             break
         target *= 0.7 * accuracy / (motion.error + cut)
         try:
-            motion = run(body, load, moments, points, accuracy=target, device=where)
+            motion = finer(body, load, moments, points, accuracy=target, device=where)
         except SceneError as reason:
             why += f"; not solved finer: {reason}"
             break
@@ -216,7 +219,8 @@ def _first_that_can(
     refused: list[str] = []
     for place, choice in enumerate(able):
         try:
-            motion: Motion = function(choice.name, "solve")(body, load, times, at, accuracy=accuracy, device=device)
+            run: HistorySolver = function(choice.name, "solve")
+            motion = run(body, load, times, at, accuracy=accuracy, device=device)
         except (SceneError, MemoryError) as reason:
             refused.append(f"{choice.name} refused: {reason}")
             continue
@@ -224,6 +228,28 @@ def _first_that_can(
         words = [f"auto: predicted {choice.seconds:.2g} s", *([others] if others else []), *refused]
         return choice.name, motion, "; ".join(words)
     raise SceneError("no solver can do this: " + "; ".join(refused))
+
+
+def _by_name(
+    name: str,
+    body: Body,
+    load: Load,
+    times: Float,
+    at: Float,
+    accuracy: float,
+    device: str,
+    resolution: dict[str, Any],
+) -> Motion:
+    """What one solver finds, with a resolution of the caller's. Raises SceneError where it can't."""
+    refusal = None if resolution else function(name, "refusal")(body, load)
+    if refusal is not None:
+        raise SceneError(f"solver '{name}': {refusal}")
+    run: HistorySolver = function(name, "solve")
+    known = inspect.signature(run).parameters
+    for key in resolution:
+        if key not in known:
+            raise SceneError(f"solver '{name}' has no '{key}'; it takes {', '.join(list(known)[4:])}")
+    return run(body, load, times, at, accuracy=accuracy, device=device, **resolution)
 
 
 def static(body: Body, load: Load, at: ArrayLike, *, accuracy: float = 0.05) -> Motion:

@@ -189,7 +189,7 @@ def test_degree_is_the_lowest_that_holds():
     found = fit_foundation(*sheets)
     assert found.frequencies_Hz[0] == 50.0 and found.frequencies_Hz[-1] == 400.0
     assert max(found.misfit) <= 0.05
-    coarser = fit_foundation(*sheets, wanted=0.5)
+    coarser = fit_foundation(*sheets, target=0.5)
     assert coarser.degree < found.degree and max(coarser.misfit) > 0.05
 
 

@@ -19,6 +19,9 @@ def test_names_are_there_and_nothing_else_is_listed(name: str) -> None:
     package = import_module(name)
     assert package.__doc__
     assert sorted(package.__all__) == dir(package)
+    modules = {module.name for module in pkgutil.iter_modules(package.__path__)}
+    # The import of such a module would take the name's place.
+    assert not modules & set(package.__all__)
     for public in package.__all__:
         assert getattr(package, public) is not None
     with pytest.raises(AttributeError, match="no attribute 'nonsense'"):

@@ -1,12 +1,13 @@
 """What may be left out or made coarser, and the error that it costs."""
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from palmfield.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from palmfield.skin.approximation.estimate import choose_sizes, mesh_error
     from palmfield.skin.approximation.load_scales import course_frequency, load_centre, load_frequency, load_width
-    from palmfield.skin.approximation.reduce_bulk_modulus import reduce_bulk_modulus, relative_change
+    from palmfield.skin.approximation.reduce_bulk_modulus import relative_change
     from palmfield.skin.approximation.refine import (
         ConvergedSolution,
         Discretisation,
@@ -15,19 +16,19 @@ if TYPE_CHECKING:
         refine_until_converged,
     )
     from palmfield.skin.approximation.richardson import error_of_coarser, error_of_finer, relative_difference
-    from palmfield.skin.approximation.trim_absorbing_rim import trim_absorbing_rim
-    from palmfield.skin.approximation.truncate_domain import truncate_domain
+    from palmfield.skin.approximation.trim_absorbing_rim import refusal_of_spot
+    from palmfield.skin.approximation.truncate_domain import part_of, reach
 
 _WHERE = {
     **dict.fromkeys(("choose_sizes", "mesh_error"), "estimate"),
     **dict.fromkeys(("course_frequency", "load_centre", "load_frequency", "load_width"), "load_scales"),
-    **dict.fromkeys(("reduce_bulk_modulus", "relative_change"), "reduce_bulk_modulus"),
+    "relative_change": "reduce_bulk_modulus",
     **dict.fromkeys(
         ("ConvergedSolution", "Discretisation", "MeshSolution", "refine_in_depth", "refine_until_converged"), "refine"
     ),
     **dict.fromkeys(("error_of_coarser", "error_of_finer", "relative_difference"), "richardson"),
-    "trim_absorbing_rim": "trim_absorbing_rim",
-    "truncate_domain": "truncate_domain",
+    "refusal_of_spot": "trim_absorbing_rim",
+    **dict.fromkeys(("part_of", "reach"), "truncate_domain"),
 }
 __all__ = [
     "ConvergedSolution",
@@ -41,22 +42,12 @@ __all__ = [
     "load_frequency",
     "load_width",
     "mesh_error",
-    "reduce_bulk_modulus",
+    "part_of",
+    "reach",
     "refine_in_depth",
     "refine_until_converged",
+    "refusal_of_spot",
     "relative_change",
     "relative_difference",
-    "trim_absorbing_rim",
-    "truncate_domain",
 ]
-
-
-def __getattr__(name: str) -> Any:
-    # Loaded when asked for: Warp and SciPy take half a second.
-    if name not in _WHERE:
-        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-    return getattr(import_module(f"{__name__}.{_WHERE[name]}"), name)
-
-
-def __dir__() -> list[str]:
-    return __all__
+__getattr__, __dir__ = lazy_names(__name__, _WHERE)

@@ -1,7 +1,8 @@
 """Finite elements of a skin layer: its matrices, loads and readers, and what steps the whole layer in time."""
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from palmfield.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from palmfield.skin.fem.assembly import SkinSystem, assemble
@@ -40,14 +41,4 @@ __all__ = [
     "surface_motion",
     "surface_vectors",
 ]
-
-
-def __getattr__(name: str) -> Any:
-    # Loaded when asked for: Warp and SciPy take half a second.
-    if name not in _WHERE:
-        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-    return getattr(import_module(f"{__name__}.{_WHERE[name]}"), name)
-
-
-def __dir__() -> list[str]:
-    return __all__
+__getattr__, __dir__ = lazy_names(__name__, _WHERE)

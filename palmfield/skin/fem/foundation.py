@@ -153,7 +153,7 @@ def fit_foundation(
     """The foundation of lowest degree that replaces the sheets `below` under the meshed sheets `above`.
 
     fwhm_m: full widths of the Gaussian spots for which it must hold [m]; base: below the lowest sheet
-    frequencies_Hz: where it must hold [Hz], > 0; wanted: largest misfit allowed
+    frequencies_Hz: where it must hold [Hz], > 0; target: largest misfit allowed
     Its misfit at a frequency is the relative error of the complex normal displacement of the surface, the largest over
     the widths and over PLACES from a spot's centre; the reference are the same sheets by polynomials of degree 12.
     Elements above it add their own error.

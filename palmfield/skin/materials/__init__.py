@@ -1,7 +1,8 @@
 """Linear viscoelastic materials: named ones, fits to measurements, and the waves that they carry."""
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from palmfield.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from palmfield.skin.materials.catalogue import CATALOGUE, PRESETS, hand_skin, preset
@@ -64,14 +65,4 @@ __all__ = [
     "shear_wave",
     "standard_linear",
 ]
-
-
-def __getattr__(name: str) -> Any:
-    # Loaded when asked for: Warp and SciPy take half a second.
-    if name not in _WHERE:
-        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-    return getattr(import_module(f"{__name__}.{_WHERE[name]}"), name)
-
-
-def __dir__() -> list[str]:
-    return __all__
+__getattr__, __dir__ = lazy_names(__name__, _WHERE)

@@ -1,7 +1,8 @@
 """The solvers behind `palmfield.skin.solve`, by their names there."""
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from palmfield.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from palmfield.skin.solvers.axisymmetric.solve import solve_axisymmetric
@@ -29,14 +30,4 @@ __all__ = [
     "static_lateral_waves",
     "static_wedges",
 ]
-
-
-def __getattr__(name: str) -> Any:
-    # Loaded when asked for: Warp and SciPy take half a second.
-    if name not in _WHERE:
-        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-    return getattr(import_module(f"{__name__}.{_WHERE[name]}"), name)
-
-
-def __dir__() -> list[str]:
-    return __all__
+__getattr__, __dir__ = lazy_names(__name__, _WHERE)

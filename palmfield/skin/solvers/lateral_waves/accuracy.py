@@ -1,4 +1,4 @@
-"""What is asked for, and how far two answers are apart."""
+"""What is requested, and how far two solutions differ."""
 
 import numpy as np
 from numpy.typing import ArrayLike

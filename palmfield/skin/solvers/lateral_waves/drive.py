@@ -15,7 +15,7 @@ SAME = 1e-9
 @dataclass(frozen=True)
 class Timeline:
     """edges: ends of the segments [s], shape (s + 1,); kind: which of the durations [s] each segment has, shape (s,)
-    rows: place of the asked time at each segment's end among those asked, or -1, shape (s,)
+    rows: place of each segment's end among the requested times, or -1, shape (s,)
     """
 
     edges: Float

@@ -1,4 +1,4 @@
-"""Motion of a body by particles: one run at a spacing, and the asked accuracy."""
+"""Motion of a body by particles: one run at a spacing, and the target accuracy."""
 
 import time
 
@@ -167,7 +167,7 @@ def _history(
     reader = Reader(probe[0], probe[1], body.device)
     pressure = Pressure(body.cloud, load, body.device)
     table = wp.zeros((BLOCK, len(body.cloud.face_area)), dtype=wp.float32, device=body.device)
-    # Displacement is kept at the steps round each asked time: two before and two after.
+    # Displacement is kept at the steps round each requested time: two before and two after.
     late = requested > begin
     first = np.floor((requested - begin) / step).astype(np.int64) - 1
     target = np.unique(np.concatenate([first[late] + shift for shift in range(4)])) if late.any() else np.zeros(0, int)

@@ -77,7 +77,7 @@ class Stepper:
     sums of two neighbouring v and y: it never grows. It is positive where
     M - h^2 / 4 [K + sum g tanh(x / 2) / (x / 2) K_d] - h t K_d / 2 is, x = h / tau; that gives the stable step.
 
-    step_s: [s]; table: the load at each step; points: where to read; wanted: steps after which to, rising
+    step_s: [s]; table: the load at each step; points: where to read; target: steps after which to, rising
     Raises SceneError for a step above the stable one.
     """
 
