@@ -140,53 +140,48 @@ class Occlusion:
             if len(self._rays) >= SIZES_KEPT:
                 self._rays.clear()
             rays = self._rays[count] = _Rays(self.mesh, count, self.device, self._threads)
-        return rays.trace(points, flux, reach_m)
+        rays.points.host[...] = points
+        rays.flux.host[...] = flux
+        rays.reach.host[...] = reach_m
+        for name, values in (("points", points), ("flux", flux)):
+            if not math.isfinite(np.add.reduce(values, axis=None)):
+                raise PalmfieldError(f"{name}[{check.first_bad(values)}] is not finite: mend what makes the {name}")
+        if self.device != "cpu":
+            rays.points.upload()
+            rays.flux.upload()
+            rays.reach.upload()
+        if rays.threads > 1:
+            share(rays.blocks, rays.threads)
+        else:
+            for calls in rays.blocks:
+                for call in calls:
+                    call()
+        if self.device != "cpu":
+            rays.lit.download()
+            wp.synchronize_stream(self.device)
+        return rays.result
 
 
 class _Rays:
-    """Buffers and recorded launches for `count` rays."""
+    """Buffers and recorded launches for `count` rays, in blocks that threads share out."""
 
     def __init__(self, mesh: wp.Mesh, count: int, device: str, threads: int):
-        self._gpu = device != "cpu"
-        self._device = device
-        self._points, self._flux = SharedArray(count, wp.vec3, device), SharedArray(count, wp.vec3, device)
-        self._reach, self._lit = SharedArray(count, wp.float32, device), SharedArray(count, wp.uint8, device)
-        self._result = self._lit.host.view(np.bool_)
-        self._threads = 1 if self._gpu else max(1, min(threads, count // RAYS_PER_THREAD))
-        blocks = min(4 * self._threads, count // RAYS_PER_THREAD) if self._threads > 1 else 1
+        self.points, self.flux = SharedArray(count, wp.vec3, device), SharedArray(count, wp.vec3, device)
+        self.reach, self.lit = SharedArray(count, wp.float32, device), SharedArray(count, wp.uint8, device)
+        self.result = self.lit.host.view(np.bool_)
+        self.threads = 1 if device != "cpu" else max(1, min(threads, count // RAYS_PER_THREAD))
+        blocks = min(4 * self.threads, count // RAYS_PER_THREAD) if self.threads > 1 else 1
         size = -(-count // blocks)
-        self._blocks: list[Calls] = []
+        self.blocks: list[Calls] = []
         for start in range(0, count, size or 1):
             own = slice(start, min(start + size, count))
             rays = filled(
                 kernels.Rays(),
                 mesh=mesh.id,
-                points=self._points.array[own],
-                flux=self._flux.array[own],
-                reach=self._reach.array[own],
+                points=self.points.array[own],
+                flux=self.flux.array[own],
+                reach=self.reach.array[own],
                 clearance=CLEARANCE_m,
-                lit=self._lit.array[own],
+                lit=self.lit.array[own],
             )
-            self._blocks.append((recorded(kernels.lit_by_flux, own.stop - own.start, [rays], device),))
-
-    def trace(self, points: Float, flux: Float | Float32, reach_m: Float | Float32 | float) -> NDArray[np.bool_]:
-        self._points.host[...] = points
-        self._flux.host[...] = flux
-        self._reach.host[...] = reach_m
-        for name, values in (("points", points), ("flux", flux)):
-            if not math.isfinite(np.add.reduce(values, axis=None)):
-                raise PalmfieldError(f"{name}[{check.first_bad(values)}] is not finite: mend what makes the {name}")
-        if self._gpu:
-            self._points.upload()
-            self._flux.upload()
-            self._reach.upload()
-        if self._threads > 1:
-            share(self._blocks, self._threads)
-        else:
-            for calls in self._blocks:
-                for call in calls:
-                    call()
-        if self._gpu:
-            self._lit.download()
-            wp.synchronize_stream(self._device)
-        return self._result
+            self.blocks.append((recorded(kernels.lit_by_flux, own.stop - own.start, [rays], device),))

@@ -207,7 +207,7 @@ def ring(
     Where all are alike and emit so much of one drive, a number and shape (m,) do.
     """
     at_moments = np.empty(commanded.shape, np.complex128)
-    decay, before, after = stepper.weights(moments.step_s)
+    decay, before, after = stepper.weights(moments.step_s) if True in moments.linear else (0.0, 0.0, 0.0)
     half_s = -1.0
     for j, (linear, held_s) in enumerate(zip(moments.linear, moments.held_s, strict=True)):
         if linear:
@@ -266,7 +266,11 @@ def emitted_over(
     lags, group = NO_LAG, None
     if response.on and response.delayed:
         lags, group = _delays_now(stimulus, drive, focal_points)
-    points, levels = _points_and_levels(stimulus, moments.times, lags)
+    if group is None:
+        points, factors = frames_at(stimulus, moments.times)
+        points, levels = points[:, None], np.sqrt(factors, out=factors)[:, None]
+    else:
+        points, levels = _points_and_levels(stimulus, moments.times, lags)
     silent = not np.logical_or.reduce(levels, axis=None)
     if silent and (not response.on or np.maximum.reduce(np.abs(emitted)) < SILENT):
         nothing = np.zeros(len(levels))
@@ -303,14 +307,16 @@ def _of_one_unit(
         level = _level_of(unit, emitted)
         if level is not None:
             rung, end = ring(level, levels[:, 0], moments, response.stepper)
-            return EmittedCourse(unit.amplitudes, _audible(rung, unit), None, end * unit.amplitudes)
+            rung *= np.abs(rung) * unit.peak >= SILENT
+            return EmittedCourse(unit.amplitudes, rung, None, end * unit.amplitudes)
     commanded = (levels if group is None else levels[:, group]) * unit.amplitudes
     at_moments, last = ring(emitted, commanded, moments, response.stepper)
     end = np.asarray(last)
     if unit.power > 0.0 and _level_of(unit, at_moments[-1]) is not None:
         rung = at_moments @ unit.conjugate / unit.power
         if np.maximum.reduce(np.abs(at_moments - rung[:, None] * unit.amplitudes), axis=None) < SILENT:
-            return EmittedCourse(unit.amplitudes, _audible(rung, unit), None, end)
+            rung *= np.abs(rung) * unit.peak >= SILENT
+            return EmittedCourse(unit.amplitudes, rung, None, end)
     return EmittedCourse(None, None, at_moments, end)
 
 
@@ -319,12 +325,6 @@ def _level_of(unit: UnitDrive, emitted: Complex) -> complex | None:
     level = complex(unit.conjugate @ emitted) / unit.power if unit.power > 0.0 else 0j
     rest = np.abs(emitted - level * unit.amplitudes)
     return level if np.maximum.reduce(rest) < SILENT else None
-
-
-def _audible(levels: Complex, unit: UnitDrive) -> Complex:
-    """The levels, 0 where less than SILENT is emitted."""
-    levels *= np.abs(levels) * unit.peak >= SILENT
-    return levels
 
 
 def emitted_now(

@@ -86,7 +86,7 @@ def world_of(data: mujoco.MjData) -> World | None:
 
 def raise_errors(data: mujoco.MjData) -> None:
     """Raise, once, what a module could not raise through MuJoCo's C frames."""
-    world = world_of(data)
+    world = _worlds.get(data._address)
     if world is not None and world.error is not None:
         error, world.error = world.error, None
         raise error

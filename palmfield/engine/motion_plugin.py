@@ -70,7 +70,7 @@ class MotionModule(Module):
 
     def advance(self) -> None:
         """Give what is due at the step's end."""
-        time_s = self.world.time
+        time_s = self.world.raw.time
         pose = self._lead(time_s)
         if time_s < self._first_s or self.settings.follow == "exact":
             self._put(pose, time_s)
@@ -80,7 +80,8 @@ class MotionModule(Module):
         pose = self.motion.at(time_s)
         self.world.put_mocap(self.mocap, pose.position, pose.quaternion)
         if self.servos:
-            self.world.controls[self.servos] = self._angles(pose.angles_deg)
+            degrees = list(map(pose.angles_deg.get, self._names, self._rest_deg))
+            self.world.controls[self.servos] = np.deg2rad(degrees)
         return pose
 
     def _put(self, now: "HandPose", time_s: float) -> None:

@@ -8,7 +8,7 @@ from palmfield.drive.transducer_response import EmittedCourse
 from palmfield.errors import SceneError
 from palmfield.mujoco_host.mujoco_view import DataView, ForceOutlet, PluginSensor
 from palmfield.simulation.build import model_of
-from palmfield.simulation.posed_scene import PosedScene, PoseLayout, PoseRows, posed_scene
+from palmfield.simulation.posed_scene import PosedScene, PoseLayout, posed_scene
 from palmfield.simulation.scene_reader import read_scene
 from palmfield.simulation.sensors import SensorPlace, SkinReading, fill, sensor_place
 from palmfield.simulation.state import HapticState, at_rest, check_arrays, stepper_of
@@ -78,8 +78,8 @@ class SceneRuntime:
         last, numbers = self._posed, self._positions.tobytes() + self._matrices.tobytes()
         if numbers == self._numbers:
             return last
-        rows = PoseRows(self._positions, self._matrices.reshape(-1, 3, 3))
-        posed = posed_scene(self.model, self.layout, rows, last, self.work.reference)
+        rotations = self._matrices.reshape(-1, 3, 3)
+        posed = posed_scene(self.model, self.layout, self._positions, rotations, last, self.work.reference)
         if posed.bodies != last.bodies or posed.arrays is not last.arrays:
             check_clear(posed)
         self._posed, self._numbers = posed, numbers
@@ -97,15 +97,16 @@ class SceneRuntime:
     def now(self) -> tuple[PosedScene, EmittedCourse]:
         """Pose and emission at MuJoCo's present time."""
         posed = self.posed
-        return posed, self.work.emission.now(posed, gather(self.state, self.work), self.view.time)
+        return posed, self.work.emission.now(posed, gather(self.state, self.work), self.view.raw.time)
 
     def body_forces(self) -> list[tuple[Float, Float]]:
         """Forces [N] on the parts of each body and torques about their origins [N m], world axes, shapes (b, 3).
 
         The mean over the MuJoCo step that begins now.
         """
-        posed, time_s = self.posed, self.view.time
-        self.work.emission.begin(posed, time_s)
+        posed, time_s = self.posed, self.view.raw.time
+        if self.work.emission.holds:
+            self.work.emission.begin(posed, time_s)
         turn = posed.array_frame.rotation.T
         forces = []
         amplitudes = gather(self.state, self.work)
@@ -124,7 +125,7 @@ class SceneRuntime:
 
     def advance(self) -> None:
         """Carry transducers and skins over MuJoCo's last step, with the pose at its beginning."""
-        end = self.view.time
+        end = self.view.raw.time
         check_arrays(self.model, self.state)
         step(self.model, self.state, self.posed, end - self.spec.timestep_s, end, self.work)
 
@@ -132,15 +133,15 @@ class SceneRuntime:
         """Fill a skin's sensors from the state at the present time."""
         posed, course = self.now()
         part = self.model.skins[skin]
+        drive, factor = present_drive(course)
         resting = at_rest(self.state, skin)
         for sensor in sensors:
-            place = self._place(skin, sensor)
+            place = self._places.get(sensor.name) or self._place(skin, sensor)
             motion = AT_REST
             if not resting:
                 stepper, numbers = stepper_of(self.model, self.state, skin)
                 motion = stepper.read(numbers, place.reader(stepper))[0, :, 0]
             arp = 0.0
-            drive, factor = present_drive(course)
             if drive is not None:
                 points, normals = posed.bodies[part.body].moved(place.probe.closest, place.probe.normals, place.binding)
                 arp = factor * float(self.work.radiation.at(posed, skin, "probe", points, normals, drive).arp[0])
@@ -148,9 +149,7 @@ class SceneRuntime:
             fill(sensor.data, SkinReading(x, y, z, motion[0], motion[1], arp))
 
     def _place(self, skin: int, sensor: PluginSensor) -> SensorPlace:
-        known = self._places.get(sensor.name)
-        if known is not None:
-            return known
+        """Where a sensor reads, kept. Raises SceneError for one that is not on the skin's body or far from the skin."""
         bound, part = self.binding.skins[skin], self.model.skins[skin]
         element = f"plugin 'palmfield.skin' instance '{part.spec.name}': sensor '{sensor.name}'"
         owners = (bound.body, *bound.bones)

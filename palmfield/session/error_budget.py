@@ -133,7 +133,6 @@ class _Sound:
         obstacles = place.obstacle_positions, place.obstacle_rotations
         varied_model = replace(model, skins=_exchanged(model.skins, skin, other))
         varied = PosedScene(
-            posed.rows,
             posed.array_frame,
             posed.arrays,
             posed.frames,

@@ -49,7 +49,7 @@ class HeldPoints(NamedTuple):
 class Emission:
     """Drives and emission of a model's transducers.
 
-    held: of each stimulus with a control rate, None before its first step
+    held: of each stimulus with a control rate, None before its first step; holds: whether there is such a stimulus
     """
 
     def __init__(self, model: HapticModel):
@@ -57,18 +57,10 @@ class Emission:
         self.held: list[HeldPoints | None] = [None] * len(model.stimuli)
         self._drives: tuple[PhasedArray, list[ArrayDrive]] = (model.arrays, array_drives(model, model.arrays))
         self._placed: tuple[PosedScene | None, list[PlacedStimulus]] = (None, [])
-        self._held = any(config.control_rate_Hz > 0.0 for config in model.configs)
-
-    def drives(self, arrays: PhasedArray) -> list[ArrayDrive]:
-        """How each stimulus drives its transducers, with the arrays as they stand."""
-        if self._drives[0] is not arrays:
-            self._drives = arrays, array_drives(self.model, arrays)
-        return self._drives[1]
+        self.holds = any(config.control_rate_Hz > 0.0 for config in model.configs)
 
     def begin(self, posed: PosedScene, time_s: float) -> None:
         """Take the stimuli's points where a step begins, for those whose control tick is due."""
-        if not self._held:
-            return
         for number, stimulus in enumerate(self.model.stimuli):
             if stimulus.config.control_rate_Hz > 0.0:
                 held = self.held[number]
@@ -83,12 +75,14 @@ class Emission:
     def placed(self, posed: PosedScene, time_s: float) -> list[PlacedStimulus]:
         """The stimuli with their drives and points; between control ticks, points are where they were at the last."""
         if self._placed[0] is not posed:
-            drives, placed = self.drives(posed.arrays), []
+            if self._drives[0] is not posed.arrays:
+                self._drives = posed.arrays, array_drives(self.model, posed.arrays)
+            drives, placed = self._drives[1], []
             for number, stimulus in enumerate(self.model.stimuli):
                 placed.append(PlacedStimulus(stimulus, drives[number], posed.focal_points(stimulus, number)))
             self._placed = posed, placed
         placed = self._placed[1]
-        if not self._held:
+        if not self.holds:
             return placed
         return [self._at_tick(one, held, time_s) for one, held in zip(placed, self.held, strict=True)]
 

@@ -18,7 +18,7 @@ from palmfield.config import StimulusConfig
 from palmfield.drive.boards import Board
 from palmfield.drive.response import Pole
 from palmfield.drive.transducer_response import TransducerResponse
-from palmfield.hand.posed_surface import FaceSampler, SkinBinding, blend, face_samples
+from palmfield.hand.posed_surface import FaceSampler, SkinBinding, face_samples
 from palmfield.hand.skinning import SkinnedSurface
 from palmfield.hand.subdivide import EDGE_m
 from palmfield.locked import Lazy, locked_cached_property
@@ -105,22 +105,6 @@ class BodyModel:
     def bind(self, points: Float) -> SkinBinding | None:
         """The bones that carry points of the resting skin [m], shape (n, 3); None for a body in one piece."""
         return None if self.hand is None else SkinBinding.to(self.hand, points)
-
-    def posed_vertices(self, bone_positions: Float, bone_rotations: Float) -> Float:
-        """Vertices of the surface [m], shape (v, 3), where the bones have taken it."""
-        assert self.surface is not None
-        if self.hand is None:
-            return self.surface.vertices
-        with self.lock:
-            return self.hand.posed(bone_positions, bone_rotations)
-
-    def moved(
-        self, points: Float, normals: Float, binding: SkinBinding | None, bone_positions: Float, bone_rotations: Float
-    ) -> tuple[Float, Float]:
-        """Points of the resting surface [m] and their unit normals, shapes (n, 3), where the bones have taken them."""
-        if binding is None or self.hand is None:
-            return points, normals
-        return blend(binding, self.hand, bone_positions, bone_rotations, points, normals)
 
 
 class StepperChoice(NamedTuple):

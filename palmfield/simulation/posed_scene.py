@@ -8,12 +8,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from operator import is_
-from typing import NamedTuple
 
 import numpy as np
 
 from palmfield.acoustics.phased_array import PhasedArray
-from palmfield.hand.posed_surface import SkinBinding
+from palmfield.hand.posed_surface import SkinBinding, blend
 from palmfield.simulation.model import BodyModel, HapticModel, SkinModel, StimulusModel, array_instances
 from palmfield.stimulus.focal_points import FocalPoints, SurfaceCourse
 from palmfield.transforms import IDENTITY, Placement, Transform
@@ -24,27 +23,21 @@ STILL = 0.05
 by less than a tenth of the accuracy (displacement over standard deviation, over sqrt 2)."""
 
 
-class PoseRows(NamedTuple):
-    """World frames of all that a scene's sound and skins depend on.
-
-    positions: [m], shape (m, 3); rotations: shape (m, 3, 3). Rows are the arrays, the stimuli's frames, the transducers
-    that are sites, then for each skin its body, its bones and its obstacles.
-    """
-
-    positions: Float
-    rotations: Float
-
-
 @dataclass(frozen=True)
 class PoseLayout:
-    """Which rows of PoseRows are what. transducers: one slice an array; bodies: row and bones; obstacles: by skin"""
+    """Which rows are what in a list of the world frames of all that a scene's sound and skins depend on.
+
+    Rows are the arrays, the stimuli's frames, the transducers that are sites, each body with its bones, and each skin's
+    obstacles. transducers: one slice an array; bodies: row and bones; obstacles: by skin
+    movable: whether transducers may move against one another: those of several arrays, or sites
+    """
 
     arrays: int
     frames: slice
     transducers: tuple[slice, ...]
     bodies: tuple[tuple[int, slice], ...]
     obstacles: tuple[slice, ...]
-    rows: int
+    movable: bool
 
     @staticmethod
     def of(model: HapticModel) -> "PoseLayout":
@@ -63,7 +56,9 @@ class PoseLayout:
         for skin in model.skins:
             obstacles.append(slice(row, row + len(skin.spec.obstacles)))
             row = obstacles[-1].stop
-        return PoseLayout(len(spec.arrays), frames, tuple(transducers), tuple(bodies), tuple(obstacles), row)
+        movable = len(spec.arrays) > 1 or transducers[0].start < transducers[0].stop
+        parts = tuple(transducers), tuple(bodies), tuple(obstacles)
+        return PoseLayout(len(spec.arrays), frames, *parts, movable)
 
 
 class PosedSurface:
@@ -88,7 +83,9 @@ class PosedSurface:
         """Of the closed surface, in the body's frame [m], shape (v, 3)."""
         if self.model.surface is None:
             return self.skin.closed_surface[0]
-        return self.model.posed_vertices(self.bone_positions, self.bone_rotations)
+        if self.model.hand is None:
+            return self.model.surface.vertices
+        return self.model.hand.posed(self.bone_positions, self.bone_rotations)
 
     @cached_property
     def vertices_in_array(self) -> Float:
@@ -126,7 +123,9 @@ class PosedSurface:
 
     def moved(self, points: Float, normals: Float, binding: SkinBinding | None) -> tuple[Float, Float]:
         """Points of the resting surface [m] and their normals, body frame, now in the array frame, shapes (n, 3)."""
-        points, normals = self.model.moved(points, normals, binding, self.bone_positions, self.bone_rotations)
+        if binding is not None and self.model.hand is not None:
+            turns = self.bone_rotations
+            points, normals = blend(binding, self.model.hand, self.bone_positions, turns, points, normals)
         return self.frame.points(points), self.frame.vectors(normals)
 
 
@@ -181,20 +180,19 @@ class PosedSkin:
 class PosedScene:
     """Arrays, stimuli's frames, bodies and skins in one pose.
 
-    rows: the world frames it was made from; array_frame: frame of the first array in the world
+    array_frame: frame of the first array in the world
     arrays: all arrays as they stand to one another; frames: each stimulus's frame, seen from the first array
     """
 
     def __init__(
         self,
-        rows: PoseRows,
         array_frame: Transform,
         arrays: PhasedArray,
         frames: Sequence[Transform],
         bodies: Sequence[PosedSurface],
         skins: Sequence[PosedSkin],
     ):
-        self.rows, self.array_frame, self.arrays = rows, array_frame, arrays
+        self.array_frame, self.arrays = array_frame, arrays
         self.frames, self.bodies, self.skins = tuple(frames), tuple(bodies), tuple(skins)
         self.numbers = b""
         for position, rotation in (array_frame, *self.frames):
@@ -230,23 +228,27 @@ def reference_scene(model: HapticModel) -> PosedScene:
         )
         skins.append(PosedSkin(skin, bodies[skin.body], obstacles))
     stimuli = [stimulus.frame.transform for stimulus in model.spec.stimuli]
-    none = PoseRows(np.zeros((0, 3)), np.zeros((0, 3, 3)))
-    return PosedScene(none, IDENTITY, model.arrays, stimuli, bodies, skins)
+    return PosedScene(IDENTITY, model.arrays, stimuli, bodies, skins)
 
 
 def posed_scene(
-    model: HapticModel, layout: PoseLayout, rows: PoseRows, previous: PosedScene, reference: PosedScene
+    model: HapticModel,
+    layout: PoseLayout,
+    world_positions: Float,
+    world_rotations: Float,
+    previous: PosedScene,
+    reference: PosedScene,
 ) -> PosedScene:
     """The scene in a pose.
 
+    world_positions [m], shape (m, 3), world_rotations, shape (m, 3, 3): of the layout's rows
     previous: the last one, or the reference: it lends the parts that have not moved, and is returned if none has
     reference: as `reference_scene`; a skin whose small model was made for that pose is taken to be there as long as
         it, the arrays and obstacles are within STILL of it
     """
-    rows = PoseRows(rows.positions.copy(), rows.rotations.copy())
-    origin, turn = rows.positions[0], rows.rotations[0]
-    positions, rotations = (rows.positions - origin) @ turn, turn.T @ rows.rotations
-    arrays = _arrays(model, layout, positions, rotations, previous)
+    origin, turn = world_positions[0].copy(), world_rotations[0].copy()
+    positions, rotations = (world_positions - origin) @ turn, turn.T @ world_rotations
+    arrays = _arrays(model, layout, positions, rotations, previous) if layout.movable else model.arrays
     frames = []
     for row in range(layout.frames.start, layout.frames.stop):
         frames.append(Transform(positions[row], rotations[row]))
@@ -254,12 +256,14 @@ def posed_scene(
     for number, (row, bones) in enumerate(layout.bodies):
         first = reference.bodies[number].skin
         frame = Transform(positions[row], rotations[row])
-        body = PosedSurface(model.bodies[number], first, frame, _seen_from(rows, row, bones))
+        of_bones = _seen_from(world_positions, world_rotations, row, bones)
+        body = PosedSurface(model.bodies[number], first, frame, of_bones)
         bodies.append(previous.bodies[number] if previous.bodies[number].same(body) else body)
     skins = []
     for number, skin in enumerate(model.skins):
         body = bodies[skin.body]
-        posed_skin = PosedSkin(skin, body, _seen_from(rows, layout.bodies[skin.body][0], layout.obstacles[number]))
+        row, obstacles = layout.bodies[skin.body][0], layout.obstacles[number]
+        posed_skin = PosedSkin(skin, body, _seen_from(world_positions, world_rotations, row, obstacles))
         last, first_pose = previous.skins[number], reference.skins[number]
         if last.body is body and last.same_obstacles(posed_skin):
             posed_skin = last
@@ -267,7 +271,7 @@ def posed_scene(
             posed_skin = first_pose
             bodies[skin.body] = first_pose.body
         skins.append(posed_skin)
-    posed = PosedScene(rows, Transform(origin, turn), arrays, frames, bodies, skins)
+    posed = PosedScene(Transform(origin, turn), arrays, frames, bodies, skins)
     return previous if posed.same(previous) else posed
 
 
@@ -276,17 +280,15 @@ def _settled(posed: PosedSkin, reference: PosedSkin) -> bool:
     return bool(np.maximum.reduce(np.abs(posed.extent - reference.extent), axis=None) < posed.skin.still_m)
 
 
-def _seen_from(rows: PoseRows, body: int, others: slice) -> tuple[Float, Float]:
-    turn = rows.rotations[body]
-    return (rows.positions[others] - rows.positions[body]) @ turn, turn.T @ rows.rotations[others]
+def _seen_from(positions: Float, rotations: Float, body: int, others: slice) -> tuple[Float, Float]:
+    turn = rotations[body]
+    return (positions[others] - positions[body]) @ turn, turn.T @ rotations[others]
 
 
 def _arrays(
     model: HapticModel, layout: PoseLayout, positions: Float, rotations: Float, previous: PosedScene
 ) -> PhasedArray:
     """The arrays in this relative pose; the reference one, or the last, while they stand to one another as there."""
-    if layout.arrays == 1 and layout.transducers[0].start == layout.transducers[0].stop:
-        return model.arrays
     placements = []
     for number, sites in enumerate(layout.transducers):
         frame = Transform(positions[number], rotations[number])

@@ -36,7 +36,8 @@ class Radiation:
     def on(self, posed: PosedScene, skin: int, role: Role, drive: Complex) -> SurfaceSound:
         """ARP at a skin's quadrature points, force samples or surface nodes, for what the transducers emit, (N,)."""
         known = self._last.get((skin, role))
-        if known is not None and _equal(known[1], drive) and (known[0] is posed or self._holds(known[0], posed, skin)):
+        here = known is not None and (known[0] is posed or self._holds(known[0], posed, skin))
+        if known is not None and here and (known[1] is drive or _equal(known[1], drive)):
             return known[2]
         part = posed.skins[skin]
         points, normals = part.body.samples[:2] if role == "samples" else getattr(part, role)
@@ -66,7 +67,9 @@ class Radiation:
         if kind == "shadows":
             assert sound.flux is not None
             reach = distance_to_arrays(points, sound.flux, posed.arrays)
-            arp[~self._occlusion(posed, skin).lit(points, sound.flux, reach)] = 0.0
+            last = self._occlusions.get(skin)
+            occlusion = last[1] if last and last[0] is posed else self._occlusion(posed, skin)
+            arp[~occlusion.lit(points, sound.flux, reach)] = 0.0
         return SurfaceSound(arp, sound.amplitude.copy())
 
     def scattered_fields(self) -> dict[int, tuple[PosedScene, Complex, RigidScatteredField]]:
@@ -96,7 +99,7 @@ class Radiation:
     def _occlusion(self, posed: PosedScene, skin: int) -> Occlusion:
         """What casts shadows on a skin: its own body, the bodies of the other skins, and its obstacles."""
         known = self._occlusions.get(skin)
-        if known is not None and (known[0] is posed or self._holds(known[0], posed, skin)):
+        if known is not None and self._holds(known[0], posed, skin):
             return known[1]
         vertices = occluding_vertices(posed, skin)
         if known is None:
@@ -156,4 +159,4 @@ def occluding_faces(posed: PosedScene, skin: int) -> Int:
 
 def _equal(one: Complex, other: Complex) -> bool:
     """Whether two drives, both of shape (N,), are the same to the bit."""
-    return one is other or not np.logical_or.reduce(one != other)
+    return not np.logical_or.reduce(one != other)

@@ -145,7 +145,7 @@ def check_clear(posed: PosedScene) -> None:
             points = points[: len(points) // 2]
         _check_clear(posed, f"body '{body.model.name}'", points, behind=False)
     for skin in posed.skins:
-        if skin.obstacles is not None:
+        if skin.skin.obstacles and skin.obstacles is not None:
             _check_clear(posed, "one of the obstacles", skin.obstacles[0], behind=True)
 
 

@@ -52,5 +52,6 @@ class FocalPoints(NamedTuple):
     def along(self, points: Float) -> Float:
         """The focus, or the middle of several, for many of the stimulus's points, shapes (k, 3) [m]."""
         if self.on_surface is not None:
-            return self.on_surface.positions(points[:, 0])
+            path, vertices, faces, body = self.on_surface
+            return body.points(path.positions(points[:, 0], vertices, faces))
         return self.frame.points(points)

@@ -135,14 +135,11 @@ class SonicSurfaceTwin:
             elif self._selected and byte == START:
                 self._counter = 0
             elif self._selected:
-                self._store(byte)
+                if self._counter == EMITTERS:
+                    raise DeviceError(f"more than {EMITTERS} data bytes in one frame; start each frame with {START}")
+                self._back[self._counter] = byte if byte == OFF else byte % STEPS
+                self._counter += 1
         return frames
-
-    def _store(self, byte: int) -> None:
-        if self._counter == EMITTERS:
-            raise DeviceError(f"more than {EMITTERS} data bytes in one frame; start each frame with {START}")
-        self._back[self._counter] = byte if byte == OFF else byte % STEPS
-        self._counter += 1
 
 
 def decode(data: bytes, calibration: Calibration | None = None) -> list[Complex]:
