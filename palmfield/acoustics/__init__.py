@@ -8,8 +8,9 @@ field = FieldEvaluator(array, air).pressure(points, focus(array, air, [0.0, 0.0,
 load_Pa = arp(field, normals, air, array.frequency_Hz)
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from palmfield.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from palmfield.acoustics.arp import SurfaceSound
@@ -53,10 +54,4 @@ __all__ = [
     "pressure",
     "resultants",
 ]
-
-
-def __getattr__(name: str) -> Any:
-    # Loaded when asked for: Warp takes half a second, and air and types need neither it nor SciPy
-    if name not in _WHERE:
-        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-    return getattr(import_module(f"{__name__}.{_WHERE[name]}"), name)
+__getattr__, __dir__ = lazy_names(__name__, _WHERE)

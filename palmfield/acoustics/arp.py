@@ -4,6 +4,7 @@
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -113,6 +114,7 @@ def arp(
     return result.numpy()
 
 
+@lru_cache(maxsize=64)
 def law_weights(law: str, air: Air) -> tuple[float, float, float]:
     """Weights of |p|^2, of -|grad p/k|^2 along the surface and of |grad p/k|^2 across it [1/Pa].
 

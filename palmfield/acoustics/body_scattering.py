@@ -180,7 +180,12 @@ class _Rays:
             self._points.upload()
             self._flux.upload()
             self._reach.upload()
-        share(self._blocks, self._threads)
+        if self._threads > 1:
+            share(self._blocks, self._threads)
+        else:
+            for calls in self._blocks:
+                for call in calls:
+                    call()
         if self._gpu:
             self._lit.download()
             wp.synchronize_stream(self._device)

@@ -27,10 +27,9 @@ def fit(function: Callable[[Float], Float], degree: int, high: float) -> Float:
 
 def piston(x: Float) -> Float:
     """2 J1(x)/x, and its limit 1 at x = 0 (far-field directivity of a baffled piston, x = k b sin(angle))."""
-    x = np.asarray(x, dtype=float)
-    small = np.abs(x) < 1e-8
-    safe = np.where(small, 1.0, x)
-    return np.where(small, 1.0, 2.0 * j1(safe) / safe)
+    # Below 1e-8 it is 1 to the last digit
+    safe = np.maximum(np.abs(x), 1e-8)
+    return 2.0 * j1(safe) / safe
 
 
 @functools.cache

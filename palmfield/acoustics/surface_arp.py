@@ -9,7 +9,7 @@ import warp as wp
 import warp_kernels.arp as kernels
 from palmfield.acoustics import check
 from palmfield.acoustics.air import sound_speed
-from palmfield.acoustics.arp import SurfaceSound, law_weights, unit_normals
+from palmfield.acoustics.arp import SurfaceSound, law_weights
 from palmfield.acoustics.field import FieldEvaluator, falling, filled, in_unit
 from palmfield.acoustics.phased_array import DirectivityGroup, MultiArrayField
 from palmfield.acoustics.threads import Calls, cores, share
@@ -153,28 +153,30 @@ class SurfaceArp:
         alike = len(self._emitters) == 1 and self.field.mode == "fast"
         if frames == 0 or self.count == 0:
             return result
-        if frames < MATRIX_FROM or not alike or too_steep(evaluator, points):
+        transfer = self._known_matrix(points, normals) if alike and frames >= MATRIX_FROM else None
+        if transfer is None and (frames < MATRIX_FROM or not alike or too_steep(evaluator, points)):
             if points.shape != (self.count, 3) or drives.shape[1:] != (self.field.count,):
                 self.evaluate(points, normals, drives[0])  # says what is expected
             self._run(points, normals, drives.astype(np.complex128, copy=False), result)
             return result
-        size = matrix_bytes(self.field.count, self.count)
-        if size > min(MATRIX_KEPT_BYTES, memory_limit(self.field.device)):
-            result[:] = arp_frames(evaluator, points, normals, drives, self.law)
-            return result
-        transfer = self._matrix(evaluator, points, normals)
+        if transfer is None:
+            size = matrix_bytes(self.field.count, self.count)
+            if size > min(MATRIX_KEPT_BYTES, memory_limit(self.field.device)):
+                result[:] = arp_frames(evaluator, points, normals, drives, self.law)
+                return result
+            transfer = self._transfer = Transfer(evaluator, points, normals)
         if self._gpu:
             result[:] = transfer.arp_on_gpu(drives, self.law).numpy()
             return result
         return transfer.arp(drives, self.law, out=result)
 
-    def _matrix(self, evaluator: FieldEvaluator, points: Float | Float32, normals: Float | Float32) -> Transfer:
-        """The transfer matrix for these points; the last one is kept."""
-        where, outward = check.points(points, np.float32), unit_normals(normals, self.count)
+    def _known_matrix(self, points: Float | Float32, normals: Float | Float32) -> Transfer | None:
+        """The last transfer matrix, if it is for these points."""
         last = self._transfer
-        if last is None or not (np.array_equal(last.where, where) and np.array_equal(last.normals, outward)):
-            self._transfer = last = Transfer(evaluator, where, outward)
-        return last
+        if last is None or points.shape != last.where.shape or normals.shape != last.where.shape:
+            return None
+        here = np.logical_and.reduce(last.where == points.astype(np.float32), axis=None)
+        return last if here and np.logical_and.reduce(last.normals == normals.astype(np.float32), axis=None) else None
 
     def _shared_out(self, threads: int) -> tuple[int, list[slice]]:
         """How many threads are worth their while, and the blocks of points that they share out."""

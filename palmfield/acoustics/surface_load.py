@@ -38,7 +38,8 @@ def distance_to_arrays(points: Float, flux: Float | Float32, phased_array: Phase
         leaving = facing @ along  # how fast the way back nears the board
         above = points @ facing
         above -= height
-        way = np.full(len(points), REACH_m)
+        way = np.empty(len(points))
+        way.fill(REACH_m)
         np.divide(above, leaving, out=way, where=leaving > GRAZING)
         np.maximum(farthest, way, out=farthest)
     return np.minimum(farthest, REACH_m, out=farthest)

@@ -1,6 +1,7 @@
 """Many drive frames on the same points: the field of each transducer once, then a matrix product a frame."""
 
 import functools
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -8,13 +9,14 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import qr
-from threadpoolctl import ThreadpoolController
 
 from palmfield.acoustics import check
 from palmfield.acoustics.arp import arp, check_law, law_weights, unit_normals
 from palmfield.acoustics.field import CUBIC_REACH_Np, FieldEvaluator, distances, polynomial_fall
 from palmfield.acoustics.groups import axes
 from palmfield.acoustics.threads import pool, share
+from palmfield.blas import one_blas_thread
+from palmfield.device import SharedArray, recorded
 from palmfield.errors import PalmfieldError
 from palmfield.types import Complex, Float, Float32
 from warp_kernels import transfer as kernels
@@ -67,7 +69,7 @@ class Transfer:
             )
         self._matrix = self._compute(where, outward)
         self._on_gpu: Any = None
-        self._rooms: list[Float32] = []
+        self._rooms: list[_Room] = []
 
     def _compute(self, points: Float32, normals: Float32) -> Float32:
         """Pressure and gradient over k, real parts first, shape (transducers, 8, points)."""
@@ -116,10 +118,10 @@ class Transfer:
         Raises SceneError for an unknown law, PalmfieldError for drives that are not finite or of another shape, and for
         an `out` of another shape or type.
         """
-        weights = wp.vec3(*law_weights(law, self.evaluator.air))
+        weights = law_weights(law, self.evaluator.air)
         # One BLAS thread in each of ours: its own would share out products that fit one core's cache, and where other
         # programs run its waiting threads took up to twenty times as long for the reduction
-        with _blas().limit(limits=1, user_api="blas"):
+        with one_blas_thread:
             left, basis = self.reduced(drives)
             result = np.empty((len(left), self.points), np.float32) if out is None else out
             if result.shape != (len(left), self.points) or result.dtype != np.float32 or not result.flags.c_contiguous:
@@ -132,16 +134,20 @@ class Transfer:
         return result
 
     def _fill(
-        self, result: Float32, left: NDArray[np.complex64], basis: NDArray[np.complex64] | None, weights: Any
+        self,
+        result: Float32,
+        left: NDArray[np.complex64],
+        basis: NDArray[np.complex64] | None,
+        weights: tuple[float, float, float],
     ) -> None:
         """Write the ARP of frames with coordinates `left` in `basis`, blocks of points shared among the threads.
 
         weights: of the law, see `palmfield.acoustics.arp.law_weights`
         """
-        wp.load_module(kernels, device="cpu")
-        target: Any = wp.array(result, dtype=wp.float32, device="cpu", copy=False)
-        chunks = [left[start : start + FRAMES_A_BLOCK] for start in range(0, len(left), FRAMES_A_BLOCK)]
-        stacked = [np.concatenate([chunk.real, chunk.imag]) for chunk in chunks]
+        chunks: list[tuple[slice, Float32]] = []
+        for start in range(0, len(left), FRAMES_A_BLOCK):
+            chunk = slice(start, min(start + FRAMES_A_BLOCK, len(left)))
+            chunks.append((chunk, np.concatenate((left[chunk].real, left[chunk].imag))))
 
         def fill(first: int) -> None:
             matrix = self._matrix[:, :, first : first + POINTS_A_BLOCK]
@@ -151,15 +157,15 @@ class Transfer:
             try:
                 room = self._rooms.pop()
             except IndexError:
-                room = np.empty((8, 2 * FRAMES_A_BLOCK, POINTS_A_BLOCK), np.float32)
-            parts: Any = wp.array(room, dtype=wp.float32, device="cpu", copy=False)
-            for i, rows in enumerate(stacked):
+                room = _Room()
+            for chunk, rows in chunks:
                 for k in range(8):
                     # BLAS takes rows that lie apart: nothing is copied
-                    np.matmul(rows, matrix[:, k], out=room[k, : len(rows), :width])
+                    np.matmul(rows, matrix[:, k], out=room.products.host[k, : len(rows), :width])
                 count = len(rows) // 2
-                inputs = [parts, count, width, weights, i * FRAMES_A_BLOCK, first, target]
-                wp.launch(kernels.arp_rows, dim=count, inputs=inputs, device="cpu")
+                launch = room.launches.get((count, width, weights)) or room.record(count, width, weights)
+                launch()
+                result[chunk, first : first + width] = room.arp.host[:count, :width]
             self._rooms.append(room)
 
         blocks = [(functools.partial(fill, first),) for first in range(0, self.points, POINTS_A_BLOCK)]
@@ -221,6 +227,24 @@ class Transfer:
         return coordinates.astype(np.complex64), basis.astype(np.complex64)
 
 
+class _Room:
+    """Work arrays of one thread: products of a block, and their ARP.
+
+    launches: by numbers of frames and points, and the law's weights
+    """
+
+    def __init__(self) -> None:
+        self.products = SharedArray((8, 2 * FRAMES_A_BLOCK, POINTS_A_BLOCK), wp.float32, "cpu")
+        self.arp = SharedArray((FRAMES_A_BLOCK, POINTS_A_BLOCK), wp.float32, "cpu")
+        self.launches: dict[tuple[int, int, tuple[float, float, float]], Callable[[], object]] = {}
+
+    def record(self, count: int, width: int, weights: tuple[float, float, float]) -> Callable[[], object]:
+        """The launch that takes a block's products to ARP."""
+        inputs = [self.products.array, count, width, wp.vec3(*weights), 0, 0, self.arp.array]
+        launch = self.launches[count, width, weights] = recorded(kernels.arp_rows, count, inputs, "cpu")
+        return launch
+
+
 def span(frames: Complex) -> tuple[Complex, Complex] | None:
     """Coordinates C and orthonormal basis V, shape (transducers, r), with frames = C V^H.
 
@@ -275,12 +299,6 @@ def real_form(matrix: Float32) -> Float32:
     """
     real, imag = (matrix[:, half].reshape(len(matrix), -1) for half in (slice(0, 4), slice(4, 8)))
     return np.block([[real, imag], [-imag, real]])
-
-
-@functools.cache
-def _blas() -> ThreadpoolController:
-    """The BLAS libraries of this process: to look for them takes 2 ms."""
-    return ThreadpoolController()
 
 
 def matrix_bytes(elements: int, points: int) -> int:

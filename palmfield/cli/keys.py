@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from rich.console import Console
 from rich.table import Table
 
-from palmfield.config import CONFIGS, renamed_table, table
+from palmfield.config import CONFIGS, Config, renamed_table, table
 from palmfield.errors import SceneError
 
 HEADINGS = ("key", "unit", "allowed", "default", "meaning")
+RENAMED = "Since the last version; a scene that has these is told what to use."
 SCENE = "Of the whole scene, as elements of MJCF's <custom>: numeric name=KEY data=VALUE, or text name=KEY data=VALUE."
 SCENE_KEYS = (
     ("palmfield_duration_s", "s", "numeric, finite number > 0", "0.1", "how long `palmfield run` simulates"),
@@ -35,6 +36,12 @@ def as_text(plugin: str | None = None) -> str:
         for row in SCENE_KEYS:
             grid.add_row(*row)
         console.print(grid)
+    renamed = _renamed(chosen)
+    if renamed:
+        grid = Table("was", "use", title="Renamed since the last version", title_justify="left", min_width=40)
+        for old, use in renamed:
+            grid.add_row(old, use)
+        console.print(grid)
     return stream.getvalue()
 
 
@@ -45,11 +52,15 @@ def as_markdown() -> str:
     for config in CONFIGS:
         lines += _section(config.plugin, config.about, table(config))
     lines += _section("The scene", SCENE.replace("<custom>", "`<custom>`"), SCENE_KEYS)
-    renamed = [(f"`{c.plugin}` {old}", use) for c in CONFIGS for old, use in renamed_table(c)]
+    renamed = _renamed(CONFIGS)
     if renamed:
-        lines += ["## Renamed", "", "Since the last version; a scene that has these is told what to use.", ""]
-        lines += ["| was | use |", "|---|---|", *(_line(row) for row in renamed), ""]
+        lines += ["## Renamed", "", RENAMED, ""]
+        lines += ["| was | use |", "|---|---|", *(_line((f"`{old}`", use)) for old, use in renamed), ""]
     return "\n".join(lines)
+
+
+def _renamed(configs: Sequence[type[Config]]) -> list[tuple[str, str]]:
+    return [(f"{config.plugin} {old}", use) for config in configs for old, use in renamed_table(config)]
 
 
 def _section(title: str, about: str, rows: Sequence[tuple[str, ...]]) -> list[str]:

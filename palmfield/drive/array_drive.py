@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -85,6 +86,8 @@ class ArrayDrive:
         self.normals: Float = np.ascontiguousarray(whole.normals[chosen].T)
         self._known: dict[bytes, UnitDrive] = {}
         self._last: tuple[FocalPoints, bytes, UnitDrive] | None = None
+        # What palmfield.drive.transducer_response keeps for points that don't move
+        self.delays: tuple[FocalPoints, tuple[Float, Int | None]] | None = None
 
     def unit_drive(self, point: Float) -> UnitDrive:
         """The drive for a focus at `point` (frame of the first array [m], shape (3,)) at the loudest moment.
@@ -224,22 +227,29 @@ class ArrayDrive:
         """
         distances, heights = self._rays(*foci.T[:, :, None])
         cosines = heights / np.maximum(distances, 1e-9)
-        strength = np.exp(-self._absorption() * distances) * (cosines > 0.0) / np.maximum(distances, 1e-9)
+        strength = np.exp(-self._absorption_Np_m * distances) * (cosines > 0.0) / np.maximum(distances, 1e-9)
         pressure = np.zeros(len(foci), np.complex128)
-        start = 0
-        for part in self.array.parts:
-            low, high = np.searchsorted(self.chosen, [start, start + len(part)])
-            start += len(part)
-            if low == high:
-                continue
-            shape = directivity(part, self.wavenumber, cosines[:, low:high])
-            gain = np.ones(len(part)) if part.gain is None else part.gain
-            gain = gain[self.chosen[low:high] - (start - len(part))]
-            pressure += part.p0_Pa_m * ((strength[:, low:high] * shape) @ gain)
+        for part, own, gain in self._parts:
+            shape = directivity(part, self.wavenumber, cosines[:, own])
+            pressure += part.p0_Pa_m * ((strength[:, own] * shape) @ gain)
         return self._reached(np.abs(pressure) ** 2 / self.array.impedance, foci)
 
-    def _absorption(self) -> float:
+    @cached_property
+    def _absorption_Np_m(self) -> float:
         return absorption_Np_m(self.array.air, self.array.array.frequency_Hz)
+
+    @cached_property
+    def _parts(self) -> list[tuple[Array, slice, Float | Complex]]:
+        """Arrays with transducers that are chosen, which of the chosen these are, and their gains."""
+        result = []
+        start = 0
+        for part in self.array.parts:
+            low, high = np.searchsorted(self.chosen, [start, start + len(part)]).tolist()
+            if low < high:
+                gain = np.ones(len(part)) if part.gain is None else part.gain
+                result.append((part, slice(low, high), gain[self.chosen[low:high] - start]))
+            start += len(part)
+        return result
 
     def _reached(self, full_Pa: Float, foci: Float) -> Float:
         """Levels for the ARP that is asked for, from that at full drive [Pa], shapes (q,); foci: (q, 3) or (q, m, 3)"""

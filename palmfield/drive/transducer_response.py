@@ -28,6 +28,7 @@ SILENT = 1e-9
 GRAIN_S = 1e-15
 """Lengths of steps are rounded to this, so that those which differ by the rounding of clocks share their weights."""
 KEPT = 64
+WHOLE: Float = np.ones((1, 1))
 
 Weights = tuple[complex | Complex, complex | Complex, complex | Complex]
 
@@ -178,6 +179,15 @@ def _commanded(
 NO_LAG: Float = np.zeros(1)
 
 
+def _delays_now(stimulus: StimulusConfig, drive: ArrayDrive, focal_points: FocalPoints) -> tuple[Float, Int | None]:
+    """`_delay_groups` with the arrays and the stimulus's points where they are now; the last answer is kept."""
+    known = drive.delays
+    if known is None or known[0] is not focal_points:
+        delays_s = flight_delays(drive, focal_points.at(first_point(stimulus)))
+        drive.delays = known = focal_points, _delay_groups(delays_s)
+    return known[1]
+
+
 def _delay_groups(delays_s: Float | None) -> tuple[Float, Int | None]:
     """The delays that there are [s], shape (d,), and which of them each transducer has, shape (N,); None for one."""
     if delays_s is None or not np.logical_or.reduce(delays_s):
@@ -255,7 +265,7 @@ def emitted_over(
         emitted = _own(emitted, drive)
     lags, group = NO_LAG, None
     if response.on and response.delayed:
-        lags, group = _delay_groups(flight_delays(drive, focal_points.at(first_point(stimulus))))
+        lags, group = _delays_now(stimulus, drive, focal_points)
     points, levels = _points_and_levels(stimulus, moments.times, lags)
     silent = not np.logical_or.reduce(levels, axis=None)
     if silent and (not response.on or np.maximum.reduce(np.abs(emitted)) < SILENT):
@@ -346,7 +356,7 @@ def emitted_now(
 
 def instant(time_s: float) -> Moments:
     """A single time [s] as moments without a step."""
-    return Moments(np.array([time_s]), np.ones((1, 1)), np.ones((1, 1)), (False,), (0.0,), 0.0)
+    return Moments(np.array([time_s]), WHOLE, WHOLE, (False,), (0.0,), 0.0)
 
 
 def combined(courses: Sequence[EmittedCourse]) -> EmittedCourse:

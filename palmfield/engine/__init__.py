@@ -8,24 +8,26 @@ mujoco.mj_step(model, data)
 raise_errors(data)
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 # First of all: on import MuJoCo registers palmfield's plugins, which import this package's modules.
 import mujoco as mujoco
 
+from palmfield.lazy_names import lazy_names
+
 if TYPE_CHECKING:
     from palmfield.engine.host import Module, World, raise_errors, world_of
+    from palmfield.engine.motion_plugin import place
 
-_WHERE = dict.fromkeys(("Module", "World", "raise_errors", "world_of"), "host")
-__all__ = ["Module", "World", "raise_errors", "world_of"]
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _WHERE:
-        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-    return getattr(import_module(f"{__name__}.{_WHERE[name]}"), name)
-
-
-def __dir__() -> list[str]:
-    return sorted(__all__)
+_WHERE = {
+    **dict.fromkeys(("Module", "World", "raise_errors", "world_of"), "host"),
+    "place": "motion_plugin",
+}
+__all__ = [
+    "Module",
+    "World",
+    "place",
+    "raise_errors",
+    "world_of",
+]
+__getattr__, __dir__ = lazy_names(__name__, _WHERE)

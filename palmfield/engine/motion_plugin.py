@@ -1,6 +1,6 @@
 """The module that moves a hand by script."""
 
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import mujoco
 import numpy as np
@@ -8,9 +8,11 @@ import numpy as np
 from palmfield.config import Config, MotionConfig
 from palmfield.engine.host import Module, World, world_of
 from palmfield.errors import SceneError
-from palmfield.motion.pose import HandPose
 from palmfield.transforms import rotation_matrix
 from palmfield.types import Float
+
+if TYPE_CHECKING:
+    from palmfield.motion.pose import HandPose
 
 
 class MotionModule(Module):
@@ -73,7 +75,7 @@ class MotionModule(Module):
         if time_s < self._first_s or self.settings.follow == "exact":
             self._put(pose, time_s)
 
-    def _lead(self, time_s: float) -> HandPose:
+    def _lead(self, time_s: float) -> "HandPose":
         """Tell the mocap body and the servos where to be at a time [s]; returns that."""
         pose = self.motion.at(time_s)
         self.world.put_mocap(self.mocap, pose.position, pose.quaternion)
@@ -81,7 +83,7 @@ class MotionModule(Module):
             self.world.controls[self.servos] = self._angles(pose.angles_deg)
         return pose
 
-    def _put(self, now: HandPose, time_s: float) -> None:
+    def _put(self, now: "HandPose", time_s: float) -> None:
         """Put the hand itself into its pose at a time [s], with the speed that it has there."""
         if self.root is None:
             return

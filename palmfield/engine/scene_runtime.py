@@ -49,6 +49,7 @@ class SceneRuntime:
         count = len(self._sites) + len(self._bodies)
         self._positions, self._matrices = np.zeros((count, 3)), np.zeros((count, 9))
         self._posed: PosedScene = self.work.reference
+        self._numbers = b""
         self._places: dict[str, SensorPlace] = {}
         self.applied: list[Float] = [np.zeros(3) for _ in self.bodies]
         self.applied_parts = [(np.zeros((len(parts), 3)), np.zeros((len(parts), 3))) for parts in self.parts]
@@ -70,18 +71,18 @@ class SceneRuntime:
         Raises SceneError where a body reaches into an array.
         """
         sites, bodies = len(self._sites), self._bodies
-        for kind, numbers, part in (("site", self._sites, slice(0, sites)), ("body", bodies, slice(sites, None))):
+        for kind, chosen, part in (("site", self._sites, slice(0, sites)), ("body", bodies, slice(sites, None))):
             positions, matrices = self.view.frames[kind]
-            positions.take(numbers, 0, self._positions[part])
-            matrices.take(numbers, 0, self._matrices[part])
-        last = self._posed
-        if self._positions.tobytes() + self._matrices.tobytes() == last.numbers:
+            positions.take(chosen, 0, self._positions[part])
+            matrices.take(chosen, 0, self._matrices[part])
+        last, numbers = self._posed, self._positions.tobytes() + self._matrices.tobytes()
+        if numbers == self._numbers:
             return last
         rows = PoseRows(self._positions, self._matrices.reshape(-1, 3, 3))
         posed = posed_scene(self.model, self.layout, rows, last, self.work.reference)
         if posed.bodies != last.bodies or posed.arrays is not last.arrays:
             check_clear(posed)
-        self._posed = posed
+        self._posed, self._numbers = posed, numbers
         return posed
 
     @property
@@ -106,8 +107,11 @@ class SceneRuntime:
         posed, time_s = self.posed, self.view.time
         self.work.emission.begin(posed, time_s)
         turn = posed.array_frame.rotation.T
-        forces = self.work.forces.over(self.work.emission, posed, gather(self.state, self.work), time_s)
-        return [(force @ turn, torque @ turn) for force, torque in forces]
+        forces = []
+        amplitudes = gather(self.state, self.work)
+        for force, torque in self.work.forces.over(self.work.emission, posed, amplitudes, time_s):
+            forces.append((force @ turn, torque @ turn))
+        return forces
 
     def push(self) -> None:
         """Add the sound's forces to MuJoCo's passive ones."""

@@ -8,7 +8,7 @@ from scipy import sparse
 from scipy.spatial.transform import Rotation
 
 from palmfield.errors import SceneError
-from palmfield.hand.rigged import Joints, Rig
+from palmfield.hand.rigged import Joints, SkinRig
 from palmfield.types import Float, Int
 
 TYPES = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
@@ -16,7 +16,7 @@ COLUMNS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 TRIANGLES = 4
 
 
-def read_gltf(file: Path) -> tuple[Float, Int, Rig | None]:
+def read_gltf(file: Path) -> tuple[Float, Int, SkinRig | None]:
     """Vertices in the scene's frame [m], shape (n, 3), faces, and the rig where the file has a skin.
 
     All meshes of the scene are joined. Skinned vertices are placed by their joints, as section 3.7.3.3 asks: where the
@@ -47,7 +47,7 @@ class _Reader:
         }
         self.world: dict[int, Float] = {}
 
-    def read(self) -> tuple[Float, Int, Rig | None]:
+    def read(self) -> tuple[Float, Int, SkinRig | None]:
         nodes = [i for i in self._in_scene() if self.scene.nodes[i].mesh is not None]
         skins = sorted({skin for i in nodes if (skin := self.scene.nodes[i].skin) is not None})
         if len(skins) > 1:
@@ -72,7 +72,7 @@ class _Reader:
             raise SceneError(f"mesh {self.file} is empty (no mesh in its scene); export it with its faces")
         rig = None
         if skins:
-            rig = Rig(self._joints(self.scene.skins[skins[0]].joints), sparse.csr_array(np.concatenate(weights)))
+            rig = SkinRig(self._joints(self.scene.skins[skins[0]].joints), sparse.csr_array(np.concatenate(weights)))
         return np.concatenate(parts), np.concatenate(faces).astype(np.int32), rig
 
     def _primitive(

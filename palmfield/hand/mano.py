@@ -8,7 +8,7 @@ import numpy as np
 from scipy import sparse
 
 from palmfield.errors import SceneError
-from palmfield.hand.rigged import Joints, Rig
+from palmfield.hand.rigged import Joints, SkinRig
 from palmfield.types import Float, Int
 
 # Romero et al. 2017, "Embodied Hands": 16 joints in this order.
@@ -27,7 +27,7 @@ class SparseRecord(Record):
     """Stands for a scipy.sparse.csc_matrix."""
 
 
-def read_mano(file: Path) -> tuple[Float, Int, Rig]:
+def read_mano(file: Path) -> tuple[Float, Int, SkinRig]:
     """Template vertices [m], shape (n, 3), faces and rig (16 joints) of a MANO .pkl file.
 
     Raises SceneError for a file that is no such pickle, that names anything but NumPy arrays, a SciPy sparse matrix and
@@ -56,7 +56,7 @@ def read_mano(file: Path) -> tuple[Float, Int, Rig]:
         raise SceneError(f"mesh {file}: its arrays do not fit together ({reason}); download it again") from error
 
 
-def _model(model: dict[str, Any]) -> tuple[Float, Int, Rig]:
+def _model(model: dict[str, Any]) -> tuple[Float, Int, SkinRig]:
     vertices = _array(model["v_template"]).astype(np.float64)
     faces = _array(model["f"]).astype(np.int32)
     weights = _array(model["weights"]).astype(np.float64)
@@ -74,7 +74,7 @@ def _model(model: dict[str, Any]) -> tuple[Float, Int, Rig]:
     # The root's parent is -1 written as an unsigned number.
     parents[(parents < 0) | (parents >= number)] = -1
     names = JOINT_NAMES if number == len(JOINT_NAMES) else tuple(f"joint_{i}" for i in range(number))
-    return vertices, faces, Rig(Joints(names, parents.astype(np.int32), rest), sparse.csr_array(weights))
+    return vertices, faces, SkinRig(Joints(names, parents.astype(np.int32), rest), sparse.csr_array(weights))
 
 
 def _array(value: Any) -> np.ndarray:

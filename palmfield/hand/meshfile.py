@@ -11,7 +11,7 @@ from palmfield.hand.gltf import read_gltf
 from palmfield.hand.holes import plane_axes
 from palmfield.hand.mano import read_mano
 from palmfield.hand.repair import Finding, repair
-from palmfield.hand.rigged import Rig, RiggedMesh, scaled, strongest
+from palmfield.hand.rigged import RiggedMesh, SkinRig, scaled, strongest
 from palmfield.hand.subdivide import split_long_edges
 from palmfield.hand.triangles import unique_edges, vertex_normals
 from palmfield.hand.units import Unit, choose_unit
@@ -34,7 +34,7 @@ class Examined:
     faces: Int
     unit: Unit
     findings: list[Finding]
-    rig: Rig | None
+    rig: SkinRig | None
     file_vertices: int
     file_faces: int
 
@@ -93,7 +93,7 @@ def examine(path: str | Path, unit: str = "auto", longest_edge_m: float | None =
             findings.append(Finding("long edges", int(long.sum()), "repaired", np.zeros((0, 3)), text))
             points, carry = finer @ points, finer @ carry
     if rig is not None:
-        rig = Rig(scaled(rig.joints, scale.metres), carry @ rig.weights)
+        rig = SkinRig(scaled(rig.joints, scale.metres), carry @ rig.weights)
     return Examined(points, corners, scale, findings, rig, len(vertices), len(faces))
 
 
@@ -116,7 +116,7 @@ def _surface(found: Examined) -> Surface:
     return Surface(found.vertices, found.faces, vertex_normals(found.vertices, found.faces))
 
 
-def _read(file: Path) -> tuple[Float, Int, str | None, Rig | None]:
+def _read(file: Path) -> tuple[Float, Int, str | None, SkinRig | None]:
     """Vertices, faces, the unit that the format prescribes, and the rig."""
     suffix = file.suffix.lower()
     if suffix not in SUFFIXES:
@@ -125,7 +125,7 @@ def _read(file: Path) -> tuple[Float, Int, str | None, Rig | None]:
         )
     if not file.is_file():
         raise SceneError(f"mesh {file} does not exist; give the path of a {', '.join(SUFFIXES)} file")
-    rig: Rig | None = None
+    rig: SkinRig | None = None
     if suffix in GLTF:
         vertices, faces, rig = read_gltf(file)
     elif suffix in MANO:

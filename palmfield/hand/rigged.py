@@ -35,7 +35,7 @@ class RiggedMesh:
 
 
 @dataclass(frozen=True)
-class Rig:
+class SkinRig:
     """Joints in the file's unit and the weight of each joint at each vertex, shape (n, j)."""
 
     joints: Joints

@@ -6,8 +6,9 @@ with open_result("out/palm") as result:
         print(name, float(abs(normal_component(skin)).max()), "m")
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from palmfield.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from palmfield.outputs.motion import normal_component
@@ -15,9 +16,9 @@ if TYPE_CHECKING:
     from palmfield.outputs.store import MemoryStore, Store, open_result, recover
 
 _WHERE = {
+    "normal_component": "motion",
     **dict.fromkeys(("SCHEMA_VERSION", "group", "has_records", "instances", "tree"), "schema"),
     **dict.fromkeys(("MemoryStore", "Store", "open_result", "recover"), "store"),
-    "normal_component": "motion",
 }
 __all__ = [
     "SCHEMA_VERSION",
@@ -31,10 +32,4 @@ __all__ = [
     "recover",
     "tree",
 ]
-
-
-def __getattr__(name: str) -> Any:
-    # Loaded when asked for: xarray, Matplotlib and USD take a second between them.
-    if name not in _WHERE:
-        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-    return getattr(import_module(f"{__name__}.{_WHERE[name]}"), name)
+__getattr__, __dir__ = lazy_names(__name__, _WHERE)

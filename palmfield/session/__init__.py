@@ -1,1 +1,58 @@
-"""What a user does with a scene: load and step it, run it, plan it, play it on a board."""
+"""What a user does with a scene: load and step it, run it, plan it, play it on a board.
+
+import palmfield
+sim = palmfield.Simulation("mjcf/scenes/palm_am200.xml")
+sim.run(0.01)
+print(sim.skin().displacement, palmfield.plan(sim))
+
+`palmfield.load`, `plan`, `run` and `recover` are public there; here are the objects that they give and take.
+"""
+
+from typing import TYPE_CHECKING
+
+from palmfield.lazy_names import lazy_names
+
+if TYPE_CHECKING:
+    from palmfield.session.error_budget import LoudestMoment, error_estimate, p0_band
+    from palmfield.session.load import compiled
+    from palmfield.session.plan import Plan, Row, warnings
+    from palmfield.session.play import play_focus, play_scene, scene_frames
+    from palmfield.session.preview import Preview
+    from palmfield.session.recorder import Recorder
+    from palmfield.session.run import Result
+    from palmfield.session.simulation import Simulation, Skin
+    from palmfield.session.summary import felt_levels, scene_numbers, skin_numbers, stimulus_numbers
+
+_WHERE = {
+    **dict.fromkeys(("LoudestMoment", "error_estimate", "p0_band"), "error_budget"),
+    "compiled": "load",
+    **dict.fromkeys(("Plan", "Row", "warnings"), "plan"),
+    **dict.fromkeys(("play_focus", "play_scene", "scene_frames"), "play"),
+    "Preview": "preview",
+    "Recorder": "recorder",
+    "Result": "run",
+    **dict.fromkeys(("Simulation", "Skin"), "simulation"),
+    **dict.fromkeys(("felt_levels", "scene_numbers", "skin_numbers", "stimulus_numbers"), "summary"),
+}
+__all__ = [
+    "LoudestMoment",
+    "Plan",
+    "Preview",
+    "Recorder",
+    "Result",
+    "Row",
+    "Simulation",
+    "Skin",
+    "compiled",
+    "error_estimate",
+    "felt_levels",
+    "p0_band",
+    "play_focus",
+    "play_scene",
+    "scene_frames",
+    "scene_numbers",
+    "skin_numbers",
+    "stimulus_numbers",
+    "warnings",
+]
+__getattr__, __dir__ = lazy_names(__name__, _WHERE)

@@ -74,7 +74,9 @@ def _play(
         return f"wrote {record_to}: {played.frames} frames for {duration_s:g} s"
     if port is None:
         raise DeviceError("neither a port nor a file is given; give the port of a board, or a file for the bytes")
-    with closing(open_link(port)) as link, Progress(console=Console(stderr=True), transient=True) as bar:
+    console = Console(stderr=True)
+    hidden = not console.is_terminal
+    with closing(open_link(port)) as link, Progress(console=console, disable=hidden, transient=True) as bar:
         task = bar.add_task(f"playing {duration_s:g} s on {port}", total=duration_s)
         begin = link.now()
 

@@ -13,6 +13,7 @@ from palmfield.outputs.schema import Arrays, group, sensor_channels
 from palmfield.session.error_budget import LoudestMoment
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene
+from palmfield.simulation.radiation import Role
 from palmfield.simulation.sensors import CHANNELS, UNITS
 from palmfield.simulation.step import StepTrace
 from palmfield.stimulus.schedule import frames_at
@@ -196,13 +197,15 @@ class Recorder:
             posed = self.runtime.work.reference if moment is None else moment.posed
             body = posed.bodies[skin.body]
             normals = body.frame.vectors(vertex_normals(body.vertices, body.faces))
-            for kind, role, points, outward in (
-                ("skin", "nodes", *posed.skins[number].nodes),
+            nodes, outwards = posed.skins[number].nodes
+            places: tuple[tuple[str, Role, Float, Float], ...] = (
+                ("skin", "nodes", nodes, outwards),
                 ("surface", "vertices", body.vertices_in_array, normals),
-            ):
+            )
+            for kind, role, points, outward in places:
                 arp, amplitude = np.zeros(len(points), np.float32), np.zeros(len(points), np.float32)
                 if moment is not None:
-                    sound = radiation.at(posed, number, role, points, outward, moment.drive)  # type: ignore[arg-type]
+                    sound = radiation.at(posed, number, role, points, outward, moment.drive)
                     arp = np.float32(moment.factor) * sound.arp
                     amplitude = np.float32(np.sqrt(moment.factor)) * sound.amplitude
                 block[group(kind, skin.spec.name)] = {

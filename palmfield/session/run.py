@@ -227,7 +227,9 @@ def _spent(started: float) -> dict[str, Any]:
 def _progress(show: bool) -> Progress:
     """Bars on standard error, with the time left."""
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    return Progress(*columns, console=Console(stderr=True), disable=not show, transient=True)
+    console = Console(stderr=True)
+    # Where nobody watches, bars would leave an empty line before an error.
+    return Progress(*columns, console=console, disable=not (show and console.is_terminal), transient=True)
 
 
 def _attributes(sim: Simulation) -> dict[str, dict[str, Any]]:

@@ -44,7 +44,7 @@ def skin_numbers(
     result: dict[str, Any] = {
         "dofs": skin.layer.system.ndof,
         "solver": _solver_in_words(model, number, left_small_model),
-        "solver_why": skin.choice.why,
+        "solver_why": _why(model, number),
         "accuracy_wanted_relative": skin.spec.config.accuracy,
     }
     stimulus = stimulus_of(model, number)
@@ -124,6 +124,14 @@ def _solver_in_words(model: HapticModel, skin: int, left_small_model: bool) -> s
         return stepper.name
     words = f"{stepper.name}, {stepper.order} vectors"
     return f"{words}; then wedges" if left_small_model else words
+
+
+def _why(model: HapticModel, skin: int) -> str:
+    """Why that stepped it."""
+    choice = model.skins[skin].choice
+    if choice.name == "reduced" and not isinstance(model.begin[skin].value, ReducedStepper):
+        return f"{choice.why}; but no small model reached its accuracy, so that the whole layer stepped"
+    return choice.why
 
 
 def _force_N(model: HapticModel, skin: int, loudest: LoudestMoment, radiation: Radiation) -> float:

@@ -31,7 +31,7 @@ LEAST_MEANS = 4
 """Parts of a MuJoCo step over which the force on bodies is averaged, at least."""
 
 
-class Aim(NamedTuple):
+class PlacedStimulus(NamedTuple):
     """A stimulus, how it drives its transducers with the arrays as they stand, and where its points are."""
 
     stimulus: StimulusModel
@@ -56,7 +56,7 @@ class Emission:
         self.model = model
         self.held: list[HeldPoints | None] = [None] * len(model.stimuli)
         self._drives: tuple[PhasedArray, list[ArrayDrive]] = (model.arrays, array_drives(model, model.arrays))
-        self._aims: tuple[PosedScene | None, list[Aim]] = (None, [])
+        self._placed: tuple[PosedScene | None, list[PlacedStimulus]] = (None, [])
         self._held = any(config.control_rate_Hz > 0.0 for config in model.configs)
 
     def drives(self, arrays: PhasedArray) -> list[ArrayDrive]:
@@ -75,57 +75,57 @@ class Emission:
                 if held is not None and time_s <= held.time_s:
                     # The same moment again, or an earlier one after a reset: what was held may lie elsewhere now.
                     self.held[number] = None
-                points = self.aims(posed, time_s)[number].points
+                points = self.placed(posed, time_s)[number].points
                 held = self.held[number]
                 if held is None or held.points is not points:
                     self.held[number] = HeldPoints(time_s, points)
 
-    def aims(self, posed: PosedScene, time_s: float) -> list[Aim]:
+    def placed(self, posed: PosedScene, time_s: float) -> list[PlacedStimulus]:
         """The stimuli with their drives and points; between control ticks, points are where they were at the last."""
-        if self._aims[0] is not posed:
-            drives, aims = self.drives(posed.arrays), []
+        if self._placed[0] is not posed:
+            drives, placed = self.drives(posed.arrays), []
             for number, stimulus in enumerate(self.model.stimuli):
-                aims.append(Aim(stimulus, drives[number], posed.focal_points(stimulus, number)))
-            self._aims = posed, aims
-        aims = self._aims[1]
+                placed.append(PlacedStimulus(stimulus, drives[number], posed.focal_points(stimulus, number)))
+            self._placed = posed, placed
+        placed = self._placed[1]
         if not self._held:
-            return aims
-        return [self._at_tick(aim, held, time_s) for aim, held in zip(aims, self.held, strict=True)]
+            return placed
+        return [self._at_tick(one, held, time_s) for one, held in zip(placed, self.held, strict=True)]
 
-    def _at_tick(self, aim: Aim, held: HeldPoints | None, time_s: float) -> Aim:
+    def _at_tick(self, one: PlacedStimulus, held: HeldPoints | None, time_s: float) -> PlacedStimulus:
         if held is None or time_s < held.time_s:
-            return aim
-        rate = aim.stimulus.config.control_rate_Hz
+            return one
+        rate = one.stimulus.config.control_rate_Hz
         ticks = int((time_s + TICK_S) * rate), int((held.time_s + TICK_S) * rate)
-        return aim._replace(points=held.points) if ticks[0] == ticks[1] else aim
+        return one._replace(points=held.points) if ticks[0] == ticks[1] else one
 
     def over(self, posed: PosedScene, emitted: Complex, t0: float, count: int) -> tuple[Moments, EmittedCourse]:
         """What is emitted at the moments of `count` substeps from t0 [s] on; emitted: at t0, shape (N,)."""
         model = self.model
         moments = substep_moments(model.configs, t0, model.step_s, count)
         courses = []
-        for part, drive, place in self.aims(posed, t0):
+        for part, drive, place in self.placed(posed, t0):
             courses.append(emitted_over(part.config, drive, part.response, emitted, place, moments))
         return moments, courses[0] if len(courses) == 1 else combined(courses)
 
     def now(self, posed: PosedScene, emitted: Complex, time_s: float) -> EmittedCourse:
         """What is emitted at the present time [s], as a course of one moment; emitted: shape (N,)."""
         courses = []
-        for part, drive, place in self.aims(posed, time_s):
+        for part, drive, place in self.placed(posed, time_s):
             courses.append(emitted_now(part.config, drive, part.response, emitted, place, time_s))
         return courses[0] if len(courses) == 1 else combined(courses)
 
     def commanded(self, posed: PosedScene, times: Float) -> Complex:
         """What the transducers are told at some times [s], shape (k, N); what they make of it comes later."""
         total = np.zeros((len(times), len(posed.arrays)), np.complex128)
-        for part, drive, place in self.aims(posed, float(times[0])):
+        for part, drive, place in self.placed(posed, float(times[0])):
             total += commanded_drive(part.config, drive, None, times, place)
         return total
 
     def foci(self, posed: PosedScene, times: Float) -> list[Float]:
         """Where each stimulus's foci are at some times [s], array frame [m], shapes (k, foci, 3)."""
         result = []
-        for part, _, place in self.aims(posed, float(times[0])):
+        for part, _, place in self.placed(posed, float(times[0])):
             points, _ = frames_at(part.config, times)
             if len(part.offsets):
                 result.append(np.array([place.at(point) for point in points]))
@@ -156,7 +156,7 @@ class Emission:
         part = model.stimuli[0]
         if part.silent:
             return []
-        _, drive, place = self.aims(posed, t0)[0]
+        _, drive, place = self.placed(posed, t0)[0]
         count = max(LEAST_MEANS, model.substeps)
         level = mean_level(part.config, drive, part.response, emitted, place, t0, timestep_s / count, count)
         if level == 0.0:

@@ -177,6 +177,20 @@ class SkinModel:
         return [obstacle.shape.mesh() for obstacle in self.spec.obstacles]
 
     @locked_cached_property
+    def obstacles_in_one(self) -> tuple[list[Float], list[slice], Int]:
+        """Vertices of each obstacle, where they lie among those of all, and the faces of all, shape (f, 3)."""
+        shapes: list[Float] = []
+        slices: list[slice] = []
+        faces: list[Int] = []
+        start = 0
+        for points, corners in self.obstacles:
+            shapes.append(points)
+            slices.append(slice(start, start + len(points)))
+            faces.append(corners + start)
+            start += len(points)
+        return shapes, slices, np.concatenate(faces).astype(np.int32)
+
+    @locked_cached_property
     def corners(self) -> Float:
         """Of a box round the layer's surface, body frame [m], shape (8, 3)."""
         nodes = self.nodes[0]

@@ -7,6 +7,7 @@ asked for, so that "the same pose" is the same object: fields kept for it can't 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from operator import is_
 from typing import NamedTuple
 
 import numpy as np
@@ -161,15 +162,13 @@ class PosedSkin:
         """Vertices [m] and faces of the obstacles that key `obstacles` names; None without any."""
         if not self.skin.obstacles:
             return None
-        vertices: list[Float] = []
-        faces: list[Int] = []
-        count = 0
-        places = zip(self.skin.obstacles, self.obstacle_positions, self.obstacle_rotations, strict=True)
-        for (points, corners), position, rotation in places:
-            faces.append((corners + count).astype(np.int32))
-            vertices.append(points @ rotation.T + position)
-            count += len(points)
-        return self.body.frame.points(np.concatenate(vertices)), np.concatenate(faces)
+        shapes, slices, faces = self.skin.obstacles_in_one
+        vertices = np.empty((slices[-1].stop, 3))
+        for points, own, position, rotation in zip(
+            shapes, slices, self.obstacle_positions, self.obstacle_rotations, strict=True
+        ):
+            np.add(points @ rotation.T, position, out=vertices[own])
+        return self.body.frame.points(vertices), faces
 
     @cached_property
     def extent(self) -> Float:
@@ -196,8 +195,15 @@ class PosedScene:
         skins: Sequence[PosedSkin],
     ):
         self.rows, self.array_frame, self.arrays = rows, array_frame, arrays
-        self.numbers = rows.positions.tobytes() + rows.rotations.tobytes()
         self.frames, self.bodies, self.skins = tuple(frames), tuple(bodies), tuple(skins)
+        self.numbers = b""
+        for position, rotation in (array_frame, *self.frames):
+            self.numbers += position.tobytes() + rotation.tobytes()
+
+    def same(self, other: "PosedScene") -> bool:
+        """Whether all that sound and skins depend on is the same: parts that keep still are the same objects."""
+        mine, its = (self.arrays, *self.bodies, *self.skins), (other.arrays, *other.bodies, *other.skins)
+        return self.numbers == other.numbers and all(map(is_, mine, its))
 
     def focal_points(self, stimulus: StimulusModel, number: int) -> FocalPoints:
         """Where the points of a stimulus, by its number, are in this pose."""
@@ -233,7 +239,7 @@ def posed_scene(
 ) -> PosedScene:
     """The scene in a pose.
 
-    previous: the last one, or the reference: it lends the parts that have not moved
+    previous: the last one, or the reference: it lends the parts that have not moved, and is returned if none has
     reference: as `reference_scene`; a skin whose small model was made for that pose is taken to be there as long as
         it, the arrays and obstacles are within STILL of it
     """
@@ -241,7 +247,9 @@ def posed_scene(
     origin, turn = rows.positions[0], rows.rotations[0]
     positions, rotations = (rows.positions - origin) @ turn, turn.T @ rows.rotations
     arrays = _arrays(model, layout, positions, rotations, previous)
-    frames = [Transform(positions[row], rotations[row]) for row in range(layout.frames.start, layout.frames.stop)]
+    frames = []
+    for row in range(layout.frames.start, layout.frames.stop):
+        frames.append(Transform(positions[row], rotations[row]))
     bodies = []
     for number, (row, bones) in enumerate(layout.bodies):
         first = reference.bodies[number].skin
@@ -251,15 +259,16 @@ def posed_scene(
     skins = []
     for number, skin in enumerate(model.skins):
         body = bodies[skin.body]
-        posed = PosedSkin(skin, body, _seen_from(rows, layout.bodies[skin.body][0], layout.obstacles[number]))
+        posed_skin = PosedSkin(skin, body, _seen_from(rows, layout.bodies[skin.body][0], layout.obstacles[number]))
         last, first_pose = previous.skins[number], reference.skins[number]
-        if last.body is body and last.same_obstacles(posed):
-            posed = last
-        elif skin.choice.name == "reduced" and arrays is model.arrays and _settled(posed, first_pose):
-            posed = first_pose
+        if last.body is body and last.same_obstacles(posed_skin):
+            posed_skin = last
+        elif skin.choice.name == "reduced" and arrays is model.arrays and _settled(posed_skin, first_pose):
+            posed_skin = first_pose
             bodies[skin.body] = first_pose.body
-        skins.append(posed)
-    return PosedScene(rows, Transform(origin, turn), arrays, frames, bodies, skins)
+        skins.append(posed_skin)
+    posed = PosedScene(rows, Transform(origin, turn), arrays, frames, bodies, skins)
+    return previous if posed.same(previous) else posed
 
 
 def _settled(posed: PosedSkin, reference: PosedSkin) -> bool:

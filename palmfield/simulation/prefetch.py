@@ -5,6 +5,7 @@ many drives are one matrix product: see `palmfield.acoustics.transfer`.
 """
 
 import math
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,7 +53,7 @@ class LoadPrefetch:
         self._loads.clear()
         drives = self._drives[:0] if course.emitted is None else course.emitted
         # A focus that rests at a few points is a few drives: each of them costs less by itself.
-        worthwhile = len(drives) >= MATRIX_FROM and np.count_nonzero(_changes(drives)) + 1 >= MATRIX_FROM
+        worthwhile = len(drives) >= MATRIX_FROM and np.add.reduce(_changes(drives)) + 1 >= MATRIX_FROM
         self._drives = drives if worthwhile else drives[:0]
 
     def pressures(self, posed: PosedScene, skin: int, drives: Complex) -> Float32:
@@ -70,7 +71,7 @@ class LoadPrefetch:
             known = self._loads[skin] = posed.skins[skin], self.radiation.many(posed, skin, self._drives)
         return known[1][rows]
 
-    @property
+    @cached_property
     def _worthwhile(self) -> bool:
         """Whether the coming drives differ, and a transfer matrix gives their load."""
         model = self.model
@@ -83,10 +84,10 @@ class LoadPrefetch:
         """Which of the predicted drives these are; None where they were not predicted."""
         if len(self._drives) < len(drives):
             return None
-        first = int(np.abs(self._drives - drives[0]).max(axis=1).argmin())
+        first = int(np.maximum.reduce(np.abs(self._drives - drives[0]), axis=1).argmin())
         rows = slice(first, first + len(drives))
         there = self._drives[rows]
-        if len(there) < len(drives) or np.abs(there - drives).max() >= SAME_DRIVE:
+        if len(there) < len(drives) or np.maximum.reduce(np.abs(there - drives), axis=None) >= SAME_DRIVE:
             return None
         return rows
 

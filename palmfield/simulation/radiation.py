@@ -4,6 +4,7 @@ A Radiation belongs to one state and is used by one thread at a time: it holds b
 the last answers, which hold as long as pose and drive are the same objects or equal.
 """
 
+from operator import is_
 from typing import Literal
 
 import numpy as np
@@ -35,7 +36,7 @@ class Radiation:
     def on(self, posed: PosedScene, skin: int, role: Role, drive: Complex) -> SurfaceSound:
         """ARP at a skin's quadrature points, force samples or surface nodes, for what the transducers emit, (N,)."""
         known = self._last.get((skin, role))
-        if known is not None and self._holds(known[0], posed, skin) and _equal(known[1], drive):
+        if known is not None and _equal(known[1], drive) and (known[0] is posed or self._holds(known[0], posed, skin)):
             return known[2]
         part = posed.skins[skin]
         points, normals = part.body.samples[:2] if role == "samples" else getattr(part, role)
@@ -48,7 +49,7 @@ class Radiation:
         if self.model.skins[skin].spec.config.body_sound != "none":
             return np.stack([self.on(posed, skin, role, drive).arp for drive in drives])
         points, normals = getattr(posed.skins[skin], role)
-        return self._evaluator(posed.arrays, skin, role, len(points)).evaluate_many(points, normals, drives)
+        return self._evaluator(posed, skin, role, len(points)).evaluate_many(points, normals, drives)
 
     def at(
         self, posed: PosedScene, skin: int, role: Role, points: Float, normals: Float, drive: Complex
@@ -58,7 +59,8 @@ class Radiation:
         if kind == "scattering":
             own = posed.skins[skin].body.frame.inverse_points(points)
             return self._scattered_field(posed, skin, drive).at(own)
-        evaluator = self._evaluator(posed.arrays, skin, role, len(points))
+        known = self._evaluators.get((skin, role, len(points)))
+        evaluator = known[1] if known and known[0] is posed.arrays else self._evaluator(posed, skin, role, len(points))
         sound = evaluator.evaluate(points, normals, drive, flux=kind == "shadows")
         arp = sound.arp.copy()
         if kind == "shadows":
@@ -77,26 +79,24 @@ class Radiation:
 
     def _holds(self, known: PosedScene, posed: PosedScene, skin: int) -> bool:
         """Whether the sound on a skin is the same in both poses."""
-        if known is posed:
-            return True
         if known.arrays is not posed.arrays:
             return False
         if self.model.skins[skin].spec.config.body_sound == "none":
             return known.skins[skin] is posed.skins[skin]
-        return all(a is b for a, b in zip(known.skins, posed.skins, strict=True))
+        return all(map(is_, known.skins, posed.skins))
 
-    def _evaluator(self, arrays: PhasedArray, skin: int, role: str, count: int) -> SurfaceArp:
+    def _evaluator(self, posed: PosedScene, skin: int, role: str, count: int) -> SurfaceArp:
         key = skin, role, count
         known = self._evaluators.get(key)
-        if known is None or known[0] is not arrays:
+        if known is None or known[0] is not posed.arrays:
             law = self.model.skins[skin].spec.config.arp_law
-            known = self._evaluators[key] = arrays, SurfaceArp(arrays.field, count, law)
+            known = self._evaluators[key] = posed.arrays, SurfaceArp(posed.arrays.field, count, law)
         return known[1]
 
     def _occlusion(self, posed: PosedScene, skin: int) -> Occlusion:
         """What casts shadows on a skin: its own body, the bodies of the other skins, and its obstacles."""
         known = self._occlusions.get(skin)
-        if known is not None and self._holds(known[0], posed, skin):
+        if known is not None and (known[0] is posed or self._holds(known[0], posed, skin)):
             return known[1]
         vertices = occluding_vertices(posed, skin)
         if known is None:
@@ -128,7 +128,9 @@ class Radiation:
 
 def occluding_vertices(posed: PosedScene, skin: int) -> Float:
     """Vertices of all that casts shadows on a skin, array frame [m], shape (v, 3)."""
-    parts = [body.vertices_in_array for body in posed.bodies]
+    parts = []
+    for body in posed.bodies:
+        parts.append(body.vertices_in_array)
     obstacles = posed.skins[skin].obstacles
     if obstacles is not None:
         parts.append(obstacles[0])

@@ -36,7 +36,7 @@ def leaves_small_model(
     start_s = model.stimuli[model.sounding].config.start_s
     moved = posed.skins[skin] is not reference.skins[skin] or posed.arrays is not model.arrays
     if not moved:
-        stimulus, _, points = emission.aims(posed, t0)[model.sounding]
+        stimulus, _, points = emission.placed(posed, t0)[model.sounding]
         difference = np.abs(points.at(first_point(stimulus.config)) - stimulus.reference_foci)
         moved = bool(np.maximum.reduce(difference, axis=None) > part.still_m)
     late = start_s < t0 - 1e-9 and not stepper.any_course and not np.logical_or.reduce(state.skins[skin][0, HEADER:])

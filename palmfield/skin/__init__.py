@@ -9,8 +9,9 @@ print(motion.displacement_m[:, 0, 2], motion.error)
 `solve` takes a whole history; what scenes step are the same SkinSteppers, on a SceneLayer.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from palmfield.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from palmfield.skin.fem.wedge_stepper import WedgeStepper
@@ -63,14 +64,4 @@ __all__ = [
     "solve",
     "static",
 ]
-
-
-def __getattr__(name: str) -> Any:
-    # Loaded when asked for: Warp and SciPy take half a second.
-    if name not in _WHERE:
-        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-    return getattr(import_module(f"{__name__}.{_WHERE[name]}"), name)
-
-
-def __dir__() -> list[str]:
-    return __all__
+__getattr__, __dir__ = lazy_names(__name__, _WHERE)

@@ -22,6 +22,8 @@ SPOT_M = 0.0103
 MOST_HARMONICS = 8
 TICK_S = 1e-12
 """Times nearer to each other than this are one and the same."""
+KEPT = 64
+"""Configurations."""
 HIGHEST_HZ = 1000.0
 """Above this skin hardly answers, nor does anybody feel it: faster passages are resolved to here."""
 
@@ -154,7 +156,7 @@ def first_point(config: StimulusConfig) -> Float:
 
 def frames_at(config: StimulusConfig, times: Float) -> tuple[Float, Float]:
     """Foci [m], shape (n, 3), and ARP factors, shape (n,), at times [s], shape (n,); see `frame_at`."""
-    timing = _timing(config)
+    _, timing = _timings.get(id(config)) or _timed(config)
     if timing.control_rate > 0.0:
         times = _floor(times, timing.control_rate, 0.0)
     foci = np.empty((len(times), 3))
@@ -184,7 +186,7 @@ def factors_at(config: StimulusConfig, times: Float) -> Float:
     """The ARP factors of `frames_at` alone, shape (n,)."""
     if config.path == "letters":
         return frames_at(config, times)[1]
-    timing = _timing(config)
+    _, timing = _timings.get(id(config)) or _timed(config)
     if timing.control_rate > 0.0:
         times = _floor(times, timing.control_rate, 0.0)
     return _arp_factors(config, timing, times)
@@ -224,7 +226,7 @@ def substep_moments(
     grids: list[tuple[float, float]] = []
     changes: list[float] = []
     for config in stimuli:
-        timing = _timing(config)
+        _, timing = _timings.get(id(config)) or _timed(config)
         grids += timing.grids
         for t in timing.edges if timing.smooth else _jumps(config, timing, t0, end):
             if t0 + TICK_S < t <= end + TICK_S:
@@ -318,7 +320,7 @@ def held_frames(config: StimulusConfig, start: float, end: float) -> list[tuple[
 
 def jumps(config: StimulusConfig, start: float, end: float) -> set[float]:
     """Times about an interval [s] at which the sound begins or ends, or an open path jumps to its start."""
-    return set(_jumps(config, _timing(config), start, end))
+    return set(_jumps(config, _timed(config)[1], start, end))
 
 
 def _jumps(config: StimulusConfig, timing: "_Timing", start: float, end: float) -> Sequence[float]:
@@ -346,6 +348,9 @@ def _jumps(config: StimulusConfig, timing: "_Timing", start: float, end: float) 
 
 def mean_arp_factor(config: StimulusConfig, start: float, end: float, count: int) -> float:
     """Mean of the ARP factor over an interval [s], from `count` midpoints between jumps."""
+    _, timing = _timings.get(id(config)) or _timed(config)
+    if timing.steady and config.start_s + config.ramp_s <= start and end <= min(timing.ends, default=math.inf):
+        return 1.0
     moments = substep_moments((config,), start, (end - start) / count, count, hold=True)
     return float(np.add.reduce(moments.first @ factors_at(config, moments.times))) / count
 
@@ -361,7 +366,7 @@ class _Timing:
     length_m, turn_rate: of the path, 0 for a point; radius_m: of a circle
     runs: how the arc goes on: once, round (again from the start), or back and forth
     jump_rate: how often a second an open path jumps to its start, 0 for never; smooth: whether nothing jumps but at
-        the edges
+        the edges; steady: whether the level is 1 from the end of the ramp to the first end
     """
 
     focus: Float
@@ -379,23 +384,28 @@ class _Timing:
     runs: Literal["once", "round", "back"]
     jump_rate: float
     smooth: bool
+    steady: bool
 
 
-@lru_cache(maxsize=64)
-def _timing(config: StimulusConfig) -> _Timing:
+_timings: dict[int, tuple[StimulusConfig, _Timing]] = {}
+"""By the configuration's id, as one of 40 keys takes longer to hash than its moments to compute. It is held here, so
+that no other gets its id."""
+
+
+def _timed(config: StimulusConfig) -> tuple[StimulusConfig, _Timing]:
+    """The configuration and what of it does not change with time, kept."""
     rate = turn_rate_Hz(config) or 0.0
     closed = is_closed(config)
     ends = tuple(t for t in (config.stop_s, path_end_s(config)) if t is not None)
-    grids = _grids(config)
     jump_rate = rate if config.path_end == "jump" and not closed else 0.0
-    return _Timing(
+    timing = _Timing(
         focus=_locked(np.array(config.focus_m, dtype=np.float64)),
         start_s=config.start_s,
         ends=ends,
         edges=(config.start_s, *ends),
         control_rate=config.control_rate_Hz,
         point_rate=_point_rate(config),
-        grids=tuple(grids),
+        grids=tuple(_grids(config)),
         path=plane_path(config),
         on_skin=config.path_on == "skin",
         length_m=length_m(config),
@@ -404,7 +414,14 @@ def _timing(config: StimulusConfig) -> _Timing:
         runs="once" if config.path_end == "stop" else "round" if closed or config.path_end == "jump" else "back",
         jump_rate=jump_rate,
         smooth=config.burst_window != "rectangular" and jump_rate == 0.0,
+        steady=config.modulation == config.burst_window == "none"
+        and config.path != "letters"
+        and config.control_rate_Hz == 0.0,
     )
+    if len(_timings) >= KEPT:
+        _timings.clear()
+    known = _timings[id(config)] = config, timing
+    return known
 
 
 def _point_rate(config: StimulusConfig) -> float:

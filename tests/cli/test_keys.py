@@ -38,7 +38,8 @@ def test_keys_of_the_whole_scene_are_those_that_are_read():
 
 def test_renamed_keys_are_told_on_the_page():
     page = as_markdown()
-    assert "| `palmfield.driver` device | board |" in page and "| `palmfield.skin` solver full | wedges |" in page
+    assert "| `palmfield.driver device` | board |" in page and "| `palmfield.skin solver full` | wedges |" in page
+    assert "solver full" in as_text("palmfield.skin") and "Renamed" not in as_text("palmfield.stimulus")
 
 
 def test_every_key_has_a_meaning_and_every_quantity_a_unit():

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 import palmfield
-from palmfield.session.error_budget import RATIO, error_estimate, p0_band, p0_given, stimulus_of
+from palmfield.session.error_budget import RATIO, error_estimate, p0_band, p0_given
 from palmfield.simulation.emission import array_drives
 from palmfield.simulation.forces import BodyForces
 from palmfield.simulation.radiation import Radiation
@@ -129,23 +129,6 @@ def test_force_on_a_mesh_of_large_faces(small_scene):
     assert 1.0 < force.sum(axis=0)[2] / on_patch < 1.08
 
 
-def test_the_range_of_p0_is_that_of_all_arrays(small_scene, add_array):
-    keys = (
-        '<config key="p0_Pa_m" value="4"/><config key="p0_low_Pa_m" value="2"/><config key="p0_high_Pa_m" value="6"/>'
-    )
-    model = palmfield.load(add_array(small_scene(stimulus=STEADY), keys)).runtime.model
-    focus = model.stimuli[0].first_focus
-    drive = array_drives(model, model.arrays)[0].unit_drive(focus).amplitudes
-    halves = [np.where(np.arange(512) // 256 == i, drive, 0) for i in (0, 1)]
-    strengths = [abs(model.arrays.pressure64(focus[None], half)[0]) for half in halves]
-    ranged = [array.config.p0_low_Pa_m is not None for array in model.spec.arrays]
-    low = sum(p * (0.5 if has else 1.27 / 2.53) for p, has in zip(strengths, ranged, strict=True)) / sum(strengths)
-    high = sum(p * (1.5 if has else 8.02 / 2.53) for p, has in zip(strengths, ranged, strict=True)) / sum(strengths)
-    # Both sound in phase at the focus, so that magnitudes add up
-    assert p0_band(model, 0) == pytest.approx((low**2, high**2), rel=1e-6)
-    assert not p0_given(model, 0)
-
-
 def test_the_band_is_that_of_the_arrays_that_a_stimulus_drives(small_scene, add_array):
     """Each stimulus with an array of its own: the one with a range has its range, whatever the other."""
     keys = (
@@ -162,11 +145,6 @@ def test_the_band_is_that_of_the_arrays_that_a_stimulus_drives(small_scene, add_
     other = next(i for i, stimulus in enumerate(model.stimuli) if stimulus.spec.name == "other")
     assert p0_given(model, other) and p0_band(model, other) == pytest.approx((0.25, 4.0))
     assert not p0_given(model, 1 - other)
-
-
-def test_no_range_of_p0_where_the_stimulus_sets_the_level(small_scene):
-    model = palmfield.load(small_scene(stimulus={"arp_peak_Pa": 1})).runtime.model
-    assert p0_band(model, stimulus_of(model, 0)) is None
 
 
 def test_a_silent_moment_never_gets_here(small_scene, moment):

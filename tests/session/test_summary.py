@@ -45,6 +45,20 @@ def test_what_stepped_is_named_with_its_size(small_scene, moment):
         assert numbers(leaving, moment(leaving))["solver"].endswith("; then wedges")
 
 
+def test_a_choice_that_refuses_is_told(small_scene, moment, monkeypatch):
+    def refuse(*args):
+        raise palmfield.SceneError("more vectors than MOST_VECTORS")
+
+    monkeypatch.setattr("palmfield.simulation.known_load.reduced_stepper", refuse)
+    path = small_scene(skin={"element_m": 0.005})
+    path.write_text(path.read_text().replace('data="0.015"', 'data="60"'))
+    scene = palmfield.load(path)
+    assert scene.runtime.model.skins[0].choice.name == "reduced"
+    scene.step(2)
+    result = numbers(scene, moment(scene))
+    assert result["solver"] == "wedges" and "no small model reached its accuracy" in result["solver_why"]
+
+
 def test_a_silent_run_has_no_error(small_scene):
     scene = palmfield.load(small_scene(stimulus={"drive_amplitude": 0}))
     scene.step(2)

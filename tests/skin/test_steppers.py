@@ -9,8 +9,8 @@ import pytest
 from scipy import sparse
 from threadpoolctl import threadpool_info
 
+from palmfield.blas import one_blas_thread
 from palmfield.errors import SceneError
-from palmfield.skin.blas import one_blas_thread
 from palmfield.skin.fem.factor import factorise
 from palmfield.skin.fem.generalised_alpha import Scheme, alpha_weights, branch_weights
 from palmfield.skin.fem.load import SurfaceQuadrature

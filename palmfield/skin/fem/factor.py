@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from scipy.sparse.linalg import SuperLU, splu
 
-from palmfield.skin.blas import one_blas_thread
+from palmfield.blas import one_blas_thread
 from palmfield.types import Int
 
 
@@ -45,7 +45,7 @@ class Factor:
 
     def solve_vector(self, right: Any, out: Any) -> Any:
         """The solution for one real vector, (n,), into `out`, (n,), another one; for a caller that holds BLAS to one
-        thread (palmfield.skin.blas), and in as few calls as can be."""
+        thread (palmfield.blas), and in as few calls as can be."""
         order = self._order
         with self._lock:
             if order is None:

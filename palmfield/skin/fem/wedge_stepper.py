@@ -17,7 +17,7 @@ from scipy import sparse
 # SciPy's products take ten Python calls around these, which add to what is there: y += A x.
 from scipy.sparse._sparsetools import csr_matvec
 
-from palmfield.skin.blas import one_blas_thread
+from palmfield.blas import one_blas_thread
 from palmfield.skin.fem.assembly import SkinSystem
 from palmfield.skin.fem.factor import factorise
 from palmfield.skin.fem.generalised_alpha import Scheme

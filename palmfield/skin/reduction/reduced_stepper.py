@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from palmfield.skin.blas import one_blas_thread
+from palmfield.blas import one_blas_thread
 from palmfield.skin.fem.assembly import SkinSystem
 from palmfield.skin.materials.material import stiffening
 from palmfield.skin.reduction.dynamic_stiffness import DynamicStiffness

@@ -12,12 +12,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from palmfield.blas import one_blas_thread
 from palmfield.errors import SceneError
 from palmfield.skin.approximation.load_scales import load_frequency, load_width
 from palmfield.skin.approximation.refine import Discretisation, MeshSolution, ratio_of, refine_until_converged, resized
 from palmfield.skin.approximation.richardson import relative_difference
 from palmfield.skin.approximation.trim_absorbing_rim import trim_absorbing_rim
-from palmfield.skin.blas import one_blas_thread
 from palmfield.skin.costs import assembly_s, reduced_s
 from palmfield.skin.fem.body import build
 from palmfield.skin.fem.load import SurfaceQuadrature, bell, sampled

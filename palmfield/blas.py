@@ -1,4 +1,4 @@
-"""One BLAS thread while the skin's small dense products and its triangular solves run.
+"""One BLAS thread while small dense products and triangular solves run.
 
 SuperLU asks BLAS for blocks so small that its threads wait for each other: up to 200 times slower than one thread.
 """
@@ -6,9 +6,9 @@ SuperLU asks BLAS for blocks so small that its threads wait for each other: up t
 import threading
 from collections.abc import Callable
 from functools import cached_property
+from importlib import import_module
 from typing import Any
 
-import scipy.linalg  # noqa: F401  SciPy brings a BLAS of its own, which must be loaded before it can be found
 from threadpoolctl import ThreadpoolController
 
 
@@ -28,6 +28,8 @@ class OneBlasThread:
     @cached_property
     def _libraries(self) -> list[tuple[Callable[[], int], Callable[[int], Any]]]:
         """How to read and to set the number of threads of each BLAS."""
+        # SciPy brings a BLAS of its own, which can be found once it is loaded.
+        import_module("scipy.linalg")
         result = []
         for library in ThreadpoolController().lib_controllers:
             if library.user_api != "blas":
@@ -47,8 +49,9 @@ class OneBlasThread:
     def __enter__(self) -> None:
         with self._lock:
             if self._inside == 0:
-                self._before = [read() for read, _ in self._libraries]
-                for _, write in self._libraries:
+                self._before.clear()
+                for read, write in self._libraries:
+                    self._before.append(read())
                     write(1)
             self._inside += 1
 

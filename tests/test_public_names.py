@@ -1,0 +1,70 @@
+"""What `import palmfield` gives, and what every package exports."""
+
+import subprocess
+import sys
+from importlib import import_module
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+
+import palmfield
+
+FOLDER = Path(palmfield.__file__).parent
+PACKAGES = (
+    "session", "engine", "simulation", "outputs", "drive", "perception", "stimulus", "acoustics", "skin", "motion",
+    "hand", "mujoco_host", "config",
+)  # fmt: skip
+
+
+def fresh(code: str) -> str:
+    """What a Python of its own prints."""
+    return subprocess.run(
+        [sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=True
+    ).stdout
+
+
+def test_dir_lists_what_is_public_and_nothing_else():
+    assert dir(palmfield) == [
+        "DeviceError", "OutputError", "PalmfieldError", "Plan", "Result", "SceneError", "Simulation", "__version__",
+        "load", "plan", "raise_errors", "recover", "run",
+    ]  # fmt: skip
+    assert all(getattr(palmfield, name) is not None for name in dir(palmfield))
+    assert palmfield.__version__ == version("palmfield")
+    with pytest.raises(AttributeError, match="no attribute 'nose'"):
+        _ = palmfield.nose
+
+
+@pytest.mark.parametrize("name", PACKAGES)
+def test_a_package_exports_names_that_no_module_hides(name):
+    package = import_module(f"palmfield.{name}")
+    assert package.__all__ and package.__doc__
+    modules = {path.stem for path in (FOLDER / name).iterdir()}
+    assert not modules & set(package.__all__)
+    for public in package.__all__:
+        assert getattr(package, public) is not None
+    if name != "config":
+        assert dir(package) == sorted(package.__all__)
+        with pytest.raises(AttributeError, match=f"module 'palmfield.{name}' has no attribute 'nose'"):
+            _ = package.nose
+
+
+def test_every_package_with_names_is_in_the_list():
+    found = {path.parent.name for path in FOLDER.glob("*/__init__.py") if "__all__" in path.read_text()}
+    assert found == set(PACKAGES)
+
+
+@pytest.mark.parametrize("name", ["", *PACKAGES])
+def test_importing_a_package_does_not_load_warp(name):
+    imported = ".".join(["palmfield", *filter(None, [name])])
+    assert fresh(f"import {imported}, sys; print('warp' in sys.modules)") == "False\n"
+
+
+@pytest.mark.parametrize(
+    "module", ["engine.host", "engine.scene_runtime", "mujoco_host.mujoco_view", "simulation.scene_reader"]
+)
+def test_any_module_may_be_the_first_import(module):
+    """MuJoCo imports palmfield's plugins while it is imported itself: whoever comes first, they are registered."""
+    code = f"import palmfield.{module}, mujoco; print(mujoco.MjSpec.from_string('''{{}}''').compile().nplugin)"
+    mjcf = '<mujoco><extension><plugin plugin="palmfield.driver"><instance name="d"/></plugin></extension></mujoco>'
+    assert fresh(code.format(mjcf)) == "1\n"
