@@ -25,9 +25,12 @@ def main() -> int:
     )
     _, passed_on = parser.parse_known_args()
     python = _setup.environment()
-    command = [python.with_name("palmfield" + python.suffix), "run", SCENE, "--out", OUT, *passed_on]
-    shown = ["palmfield", "run", os.path.relpath(SCENE), "--out", os.path.relpath(OUT), *passed_on]
-    _setup.say(shlex.join(shown))
+    # The demo's own folder may be written again; one that the user names is theirs.
+    own = not any(argument.split("=")[0] == "--out" for argument in passed_on)
+    out = ["--out", OUT, "--overwrite"] if own else []
+    command = [python.with_name("palmfield" + python.suffix), "run", SCENE, *out, *passed_on]
+    shown = [os.path.relpath(part) if part in (SCENE, OUT) else part for part in command[1:]]
+    _setup.say(shlex.join(["palmfield", *shown]))
     began = time.monotonic()
     status, peak_bytes = run_measured(command)
     memory = f", peak memory {peak_bytes / 2**20:.0f} MiB" if peak_bytes else ""

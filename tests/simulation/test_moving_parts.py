@@ -98,10 +98,10 @@ def test_after_a_reset_the_hand_is_placed_and_all_begins_again():
 
 
 def focus_now(scene):
-    """Where the stimulus's origin is, as the transducers were told last, array frame [m]."""
+    """Where the focus is, as the transducers were told last, array frame [m]."""
     runtime = scene.runtime
-    [points] = runtime.work.emission.focal_points(runtime.posed, scene.time)
-    return points.at(np.zeros(3))
+    [foci] = runtime.work.emission.foci(runtime.posed, np.array([scene.time]))
+    return foci[0, 0]
 
 
 def test_a_tick_holds_the_aim_of_a_moving_frame():
