@@ -29,7 +29,7 @@ def name_of(page: Path) -> str:
 
 def words(text: str) -> list[str]:
     """What stands between backticks in the running text."""
-    return re.findall(r"`([^`\n]+)`", re.sub(r"```.*?```", "", text, flags=re.DOTALL))
+    return re.findall(r"`([^`]+)`", re.sub(r"```.*?```", "", text, flags=re.DOTALL).replace("\n", " "))
 
 
 def resolves(dotted: str) -> bool:
