@@ -25,3 +25,24 @@ def folder(name: Literal["mjcf", "hand_models"]) -> Path:
         f"data folder {name!r} is missing: looked for {places[0]} and {places[1]}; "
         "reinstall palmfield, or restore the folder in the clone"
     )
+
+
+def find_file(name: str) -> Path:
+    """The file that a scene's key names, whatever the working directory.
+
+    name: absolute, or relative to the working directory or else to the folder of palmfield's own scenes: a compiled
+        model doesn't say where its file lies
+    Returns an absolute path; one given so is not looked for.
+    Raises SceneError for a relative name that is in neither folder.
+    """
+    path = Path(name)
+    if path.is_absolute():
+        return path
+    for place in (Path.cwd(), folder("mjcf") / "scenes"):
+        if (place / path).is_file():
+            return (place / path).resolve()
+    raise SceneError(
+        f"file '{name}' is neither in the working directory {Path.cwd()} nor among palmfield's own scenes: load the "
+        "scene by palmfield.load, which takes names relative to the scene, run from the scene's folder, or give an "
+        "absolute path"
+    )

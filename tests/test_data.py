@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 import palmfield.data
-from palmfield.data import folder
+from palmfield.data import find_file, folder
 from palmfield.errors import SceneError
 
 
@@ -44,3 +44,25 @@ def test_a_missing_folder_names_both_places(package):
 def test_another_name_is_refused():
     with pytest.raises(SceneError, match="'meshes' does not exist"):
         folder("meshes")
+
+
+def test_an_absolute_name_is_itself(tmp_path):
+    assert find_file(str(tmp_path / "none.toml")) == tmp_path / "none.toml"
+
+
+def test_the_working_directory_comes_before_the_scenes(tmp_path, monkeypatch):
+    here = tmp_path / "here"
+    here.mkdir()
+    monkeypatch.chdir(here)
+    name = "../motions/tap_button.toml"
+    assert find_file(name) == folder("mjcf") / "motions" / "tap_button.toml"
+    own = tmp_path / "motions" / "tap_button.toml"
+    own.parent.mkdir()
+    own.write_text("")
+    assert find_file(name) == own
+
+
+def test_a_file_that_is_nowhere_is_named_with_the_ways_out(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SceneError, match=r"file 'none\.toml' .*palmfield\.load.*scene's folder.*absolute path"):
+        find_file("none.toml")

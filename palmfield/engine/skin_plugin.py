@@ -42,11 +42,12 @@ class SkinModule(Module):
     def state_size(cls, settings: Any, model: ModelView) -> int:
         """Room for the whole layer's motion, of which a small model of it takes a part."""
         from palmfield.simulation.build import model_of
-        from palmfield.simulation.scene_reader import read_scene
+        from palmfield.simulation.scene_reader import read_scene, with_files_found
         from palmfield.simulation.state import skin_room
 
         spec, _ = read_scene(model)
-        number = next(i for i, skin in enumerate(spec.skins) if skin.config == settings)
+        own = with_files_found(settings, ("mesh",), f"plugin '{cls.name}'")
+        number = next(i for i, skin in enumerate(spec.skins) if skin.config == own)
         return skin_room(model_of(spec), number)
 
     @classmethod

@@ -88,7 +88,6 @@ def build(spec: SceneSpec, alike: HapticModel | None = None) -> HapticModel:
     known = None if alike is None else [skin.layer for skin in alike.skins]
     skins = _skins(spec, tuple(stimuli), arrays, board, bodies, names, pole, response_on, known)
     check_overlaps(skins)
-    check_cost(spec, skins)
     whole = tuple(Lazy(partial(_whole, skin.layer)) for skin in skins)
     model = HapticModel(spec, arrays, board, tuple(stimuli), bodies, skins, pole, response_on, (), whole)
     return replace(model, begin=tuple(Lazy(partial(first_stepper, model, number)) for number in range(len(skins))))
@@ -251,6 +250,8 @@ def _layers(
         )
         demands.append(demand)
         layers.append(_layer(skin, body, demand))
+        # Before anything asks a layer for its mesh, which is slow itself where the elements are too small.
+        check_cost(skin, layers[-1], spec.timestep_s)
     if len(layers) == 1:
         return layers
     step_s = _common_step([layer.sizes.step_s for layer in layers], spec)

@@ -4,8 +4,9 @@ Beside the spec, which physics is made from, it gives the numbers of the bodies 
 to, with which poses are read later.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from palmfield.config import (
     known_keys,
     parse,
 )
+from palmfield.data import find_file
 from palmfield.device import resolve
 from palmfield.errors import PalmfieldError, SceneError
 from palmfield.hand.articulated import articulate
@@ -39,6 +41,8 @@ REST_M, REST_RAD = 1e-4, 1e-3
 """So far a body may stand from the joint whose skin it carries: a tenth of a layer's element, and rounding."""
 SAME_AIR = ("temperature_C", "humidity_percent", "pressure_Pa", "precision")
 """Keys that all arrays of a scene share."""
+
+AnyConfig = TypeVar("AnyConfig", bound=Config)
 
 
 @dataclass(frozen=True)
@@ -78,7 +82,11 @@ def read_scene(model: ModelView) -> tuple[SceneSpec, SceneBinding]:
         ]
         for config in (ArrayConfig, StimulusConfig, SkinConfig, DriverConfig)
     }
-    arrays, stimuli, skins = (named[config] for config in (ArrayConfig, StimulusConfig, SkinConfig))
+    arrays, stimuli = named[ArrayConfig], named[StimulusConfig]
+    skins = [
+        (i, name, with_files_found(config, ("mesh",), element_of(SkinConfig, name)))
+        for i, name, config in named[SkinConfig]
+    ]
     if not skins:
         raise SceneError("the scene has no plugin 'palmfield.skin'; at least one is needed")
     if not arrays:
@@ -124,6 +132,23 @@ def keys_of(config: type[Config], model: ModelView, instance: int) -> Any:
 def element_of(config: type[Config], name: str) -> str:
     """How messages name a plugin instance."""
     return f"plugin '{config.plugin}' instance '{name}'"
+
+
+def with_files_found(config: AnyConfig, keys: Sequence[str], element: str) -> AnyConfig:
+    """A module's keys with absolute paths of the files that some of them name.
+
+    Raises SceneError as `palmfield.data.find_file`, with element and key.
+    """
+    paths = {}
+    for key in keys:
+        name = getattr(config, key)
+        if name is None:
+            continue
+        try:
+            paths[key] = str(find_file(name))
+        except SceneError as error:
+            raise SceneError(f"{element}: key '{key}': {error}") from None
+    return config.model_copy(update=paths) if paths else config
 
 
 # -- the parts of a scene ------------------------------------------------------------------------------------------

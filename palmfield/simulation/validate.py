@@ -13,6 +13,7 @@ from palmfield.errors import DeviceError, SceneError
 from palmfield.simulation.model import SkinModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.spec import ArraySpec, SceneSpec, SkinSpec, StimulusSpec
+from palmfield.skin.scene_layer import SceneLayer
 from palmfield.stimulus.schedule import frame_rates, turn_rate_Hz
 from palmfield.types import Float
 
@@ -63,23 +64,22 @@ def check_overlaps(skins: Sequence[SkinModel]) -> None:
                 )
 
 
-def check_cost(spec: SceneSpec, skins: Sequence[SkinModel]) -> None:
-    """Refuse elements and steps so small that the run can't end."""
-    for skin in skins:
-        element = f"plugin 'palmfield.skin' instance '{skin.spec.name}'"
-        substeps = round(spec.timestep_s / skin.layer.sizes.step_s)
-        if substeps > MOST_SUBSTEPS:
-            raise SceneError(
-                f"{element}: steps of {skin.layer.sizes.step_s:.2g} s are {substeps} in each of MuJoCo's, so that the "
-                f"run would not end; allowed: at most {MOST_SUBSTEPS}; set step_s larger, or timestep smaller"
-            )
-        unknowns = skin.layer.expected_dofs
-        if unknowns > MOST_UNKNOWNS:
-            raise SceneError(
-                f"{element}: elements of {1e3 * skin.layer.sizes.edge_fine_m:.3g} mm make about {unknowns:.2g} "
-                f"unknowns, whose factors take more memory than there is; allowed: at most {MOST_UNKNOWNS:.2g}; set "
-                "element_m or accuracy larger, or patch_radius_m smaller"
-            )
+def check_cost(skin: SkinSpec, layer: SceneLayer, timestep_s: float) -> None:
+    """Refuse elements and steps so small that the run can't end, by the layer's sizes alone: nothing is meshed."""
+    element = f"plugin 'palmfield.skin' instance '{skin.name}'"
+    substeps = timestep_s / layer.sizes.step_s
+    if substeps > MOST_SUBSTEPS:
+        raise SceneError(
+            f"{element}: steps of {layer.sizes.step_s:.2g} s are {substeps:.2g} in each of MuJoCo's, so that the "
+            f"run would not end; allowed: at most {MOST_SUBSTEPS:,}; set step_s larger, or timestep smaller"
+        )
+    unknowns = layer.expected_dofs
+    if unknowns > MOST_UNKNOWNS:
+        raise SceneError(
+            f"{element}: elements of {1e3 * layer.sizes.edge_fine_m:.3g} mm make about {unknowns:.2g} "
+            f"unknowns, whose factors take more memory than there is; allowed: at most {MOST_UNKNOWNS:.2g}; set "
+            "element_m or accuracy larger, or patch_radius_m smaller"
+        )
 
 
 def check_body_sound(skin: SkinSpec, stimuli: Sequence[StimulusSpec], pole: Pole, response_on: bool) -> None:

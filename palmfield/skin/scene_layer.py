@@ -233,7 +233,8 @@ class SceneLayer:
         inner = min(sizes.fine_radius_m, sizes.radius_m)
         middle = 0.5 * (sizes.edge_fine_m + sizes.edge_coarse_m)
         # An equilateral triangle of edge a has the area 0.43 a^2; quadratic wedges have two nodes a triangle and level.
-        triangles = math.pi / 0.43 * ((inner / sizes.edge_fine_m) ** 2 + (sizes.radius_m**2 - inner**2) / middle**2)
+        fine = inner / sizes.edge_fine_m
+        triangles = math.pi / 0.43 * (fine * fine + (sizes.radius_m**2 - inner**2) / middle / middle)
         return 3.0 * 2.0 * triangles * 2.0 * (len(sizes.depth_fractions) - 1)
 
     @property
