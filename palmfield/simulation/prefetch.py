@@ -65,7 +65,8 @@ class LoadPrefetch:
                 return self.radiation.many(posed, skin, drives)
             # What sounds on unchanged is computed once.
             first = np.concatenate((ALWAYS, changes))
-            return self.radiation.many(posed, skin, drives[first])[np.add.accumulate(first, dtype=np.intp) - 1]
+            once = self.radiation.many(posed, skin, drives[first])
+            return np.asarray(once[np.add.accumulate(first, dtype=np.intp) - 1])
         known = self._loads.get(skin)
         if known is None or known[0] is not posed.skins[skin]:
             known = self._loads[skin] = posed.skins[skin], self.radiation.many(posed, skin, self._drives)
