@@ -4,7 +4,11 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import mujoco
 import pytest
+
+from palmfield.acoustics import surface_arp
+from palmfield.engine.host import world_of
 
 ARRAYS = Path(__file__).parent.parent / "mjcf" / "arrays"
 
@@ -102,3 +106,19 @@ def python_calls() -> Callable[[Callable[[], object]], int]:
         return seen - 1
 
     return count
+
+
+@pytest.fixture
+def many_threads(monkeypatch: pytest.MonkeyPatch) -> Callable[[mujoco.MjData], int]:
+    """Even small fields are shared out among four threads; tells into how many blocks those of a scene were."""
+    monkeypatch.setattr(surface_arp, "PAIRS_PER_THREAD", 1)
+    monkeypatch.setattr(surface_arp, "SMALL_BLOCK_PAIRS", 1)
+    monkeypatch.setattr(surface_arp, "cores", lambda: 4)
+
+    def blocks(data: mujoco.MjData) -> int:
+        world = world_of(data)
+        assert world is not None
+        kept = world.scene.work.radiation._evaluators.values()
+        return max(len(evaluator._blocks) if evaluator._threads > 1 else 1 for _, evaluator in kept)
+
+    return blocks

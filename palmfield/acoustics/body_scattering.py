@@ -8,7 +8,6 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
-from trimesh.remesh import subdivide_to_size
 
 from palmfield.acoustics import check
 from palmfield.acoustics.arp import SurfaceSound, wall_pressure
@@ -18,6 +17,7 @@ from palmfield.acoustics.shadow import CLEARANCE_m, REACH_m
 from palmfield.acoustics.threads import Calls, cores, share
 from palmfield.device import SharedArray, recorded, resolve
 from palmfield.errors import PalmfieldError
+from palmfield.hand.subdivide import with_short_edges
 from palmfield.types import Air, Complex, Float, Float32, Int
 from warp_kernels import shadow as kernels
 
@@ -40,7 +40,7 @@ def boundary_mesh(vertices: Float, faces: Int, wavelength_m: float) -> tuple[Flo
 
     vertices: [m], shape (v, 3); faces: shape (m, 3)
     """
-    fine, triangles = subdivide_to_size(vertices, faces, wavelength_m / EDGES_PER_WAVELENGTH, max_iter=20)
+    fine, triangles = with_short_edges(vertices, faces, wavelength_m / EDGES_PER_WAVELENGTH)
     merged, inverse = np.unique(np.round(fine, 12), axis=0, return_inverse=True)
     return merged, inverse.reshape(-1)[triangles].astype(np.int32)
 

@@ -126,8 +126,20 @@ class SceneRuntime:
     def advance(self) -> None:
         """Carry transducers and skins over MuJoCo's last step, with the pose at its beginning."""
         end = self.view.raw.time
-        check_arrays(self.model, self.state)
+        if check_arrays(self.model, self.state):
+            self.work.prefetch.forget()
         step(self.model, self.state, self.posed, end - self.spec.timestep_s, end, self.work)
+
+    def adopt(self, other: "SceneRuntime") -> None:
+        """Take over, in a copy of another mjData, what its coming steps depend on and MuJoCo's state doesn't hold.
+
+        That is where the stimuli's points were at the last control tick, and which loads were computed ahead.
+        """
+        self.work.emission.held = list(other.work.emission.held)
+        if other.model is self.model:
+            # Poses are told apart as objects, and nothing in them changes: the copy goes on with the same ones.
+            self.work.reference, self._posed, self._numbers = other.work.reference, other._posed, other._numbers
+            self.work.prefetch.adopt(other.work.prefetch)
 
     def sense(self, skin: int, sensors: list[PluginSensor]) -> None:
         """Fill a skin's sensors from the state at the present time."""

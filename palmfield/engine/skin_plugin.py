@@ -91,6 +91,6 @@ class SkinModule(Module):
             self.scene.advance()
 
     def copy_from(self, other: "SkinModule") -> None:
-        """Take over where the stimuli's points were at the last control tick, which MuJoCo's state doesn't hold."""
+        """Go on as the other would."""
         if self.leads:
-            self.scene.work.emission.held = list(other.scene.work.emission.held)
+            self.scene.adopt(other.scene)

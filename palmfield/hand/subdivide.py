@@ -2,6 +2,7 @@
 
 import numpy as np
 from scipy import sparse
+from trimesh.remesh import subdivide_to_size
 
 from palmfield.hand.triangles import directed_edges
 from palmfield.types import Float, Int
@@ -10,6 +11,12 @@ MOST_ROUNDS = 6
 EDGE_m = 4.3e-3
 """Longest edge on which sound is looked at once a face: half of the wavelength of 40 kHz in air at 20 C, so that ARP,
 which goes with the pressure squared, is seen; on longer ones its phase turns by more than pi."""
+
+
+def with_short_edges(vertices: Float, faces: Int, longest_m: float) -> tuple[Float, Int]:
+    """Vertices [m] and faces of a surface cut until no edge is longer; vertices are no longer shared among faces."""
+    points, corners = subdivide_to_size(vertices, faces, longest_m, max_iter=20)
+    return points, corners
 
 
 def split_long_edges(vertices: Float, faces: Int, longest_m: float) -> tuple[sparse.csr_array, Int]:

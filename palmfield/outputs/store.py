@@ -96,6 +96,21 @@ class _Blocks:
         return {path: {n: np.array(a) for n, a in variables.items()} for path, variables in checked.items()}
 
 
+def refuse_occupied(out: Path, overwrite: bool) -> None:
+    """Raise OutputError for a folder with an unfinished run or, without `overwrite`, with another run's results."""
+    if (out / ".partial").is_dir():
+        raise OutputError(
+            f"{out} holds an unfinished run (or one that still writes); "
+            f"`palmfield recover {out}` first or choose another folder"
+        )
+    held = [name for name in (RESULT, *DERIVED) if (out / name).exists()]
+    if held and not overwrite:
+        raise OutputError(
+            f"{out} holds another run's {', '.join(held)}; choose another folder, or replace them with "
+            "--overwrite (overwrite=True)"
+        )
+
+
 class Store:
     """Files of one run: `static` at once, blocks along `time`, `step_time` and `frame_time` as they come.
 
@@ -117,21 +132,12 @@ class Store:
         self._waiting_bytes = 0
         self._lost = ""
         self._flushed_at = time.monotonic()
-        held = [name for name in (RESULT, *DERIVED) if (self.out / name).exists()]
-        if held and not overwrite and not self.partial.is_dir():
-            raise OutputError(
-                f"{self.out} holds another run's {', '.join(held)}; choose another folder, or replace them with "
-                "--overwrite (overwrite=True)"
-            )
+        refuse_occupied(self.out, overwrite)
         try:
             self.partial.mkdir(parents=True)
         except FileExistsError as error:
-            if not self.partial.is_dir():
-                raise _unwritable(self.out, error) from error
-            raise OutputError(
-                f"{self.out} holds an unfinished run (or one that still writes); "
-                f"`palmfield recover {self.out}` first or choose another folder"
-            ) from error
+            refuse_occupied(self.out, overwrite)
+            raise _unwritable(self.out, error) from error
         except OSError as error:
             raise _unwritable(self.out, error) from error
         own = dict(attributes or {})

@@ -1,7 +1,9 @@
 """From a scene file, an MjSpec or a compiled model to MuJoCo's model and data, with other values for its keys."""
 
 import re
-from collections.abc import Mapping
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -49,11 +51,27 @@ def compiled(
             )
         return "model", source, _data(source, "model")
     name, spec, folder = _opened(source)
+    with _kept(spec):
+        model = _compiled_with(spec, name, folder, device=device, accuracy=accuracy, board=board, keys=keys or {})
+    return name, model, _data(model, name)
+
+
+def _compiled_with(
+    spec: mujoco.MjSpec,
+    name: str,
+    folder: Path | None,
+    *,
+    device: str | None,
+    accuracy: float | None,
+    board: str | None,
+    keys: Mapping[str, object],
+) -> mujoco.MjModel:
+    """The model of a spec, which is left with these keys; see `compiled`."""
     _check_plugins(spec, name)
     _check_sensors(spec, name)
     if device is not None:
         _set_text(spec, DEVICE, device)
-    changes = _changes(spec, keys or {})
+    changes = _changes(spec, keys)
     for plugin in spec.plugins:
         config: dict[str, Any] = dict(plugin.config)
         if plugin.plugin_name == SKIN and accuracy is not None:
@@ -73,10 +91,29 @@ def compiled(
         raise SceneError(f"{name} has no plugin '{DRIVER}', so there is no board to replace by '{board}'")
     try:
         with compiling():
-            model = spec.compile()
+            return spec.compile()
     except (ValueError, mujoco.FatalError) as error:
         raise _explained(error, name) from None
-    return name, model, _data(model, name)
+
+
+@contextmanager
+def _kept(spec: mujoco.MjSpec) -> Iterator[None]:
+    """Give a spec its keys and device back at the end.
+
+    A copy won't do: MuJoCo 4.0 leaves out of it each plugin that no element refers to, which most of palmfield's are.
+    """
+    configs = [(plugin, dict(plugin.config)) for plugin in spec.plugins]
+    devices = [text.data for text in spec.texts if text.name == DEVICE]
+    try:
+        yield
+    finally:
+        for plugin, config in configs:
+            plugin.config = config
+        for text in list(spec.texts):
+            if text.name == DEVICE and devices:
+                text.data = devices[0]
+            elif text.name == DEVICE:
+                spec.delete(text)
 
 
 def as_text(value: object) -> str:
@@ -97,13 +134,14 @@ def as_text(value: object) -> str:
 
 
 def _opened(source: str | Path | mujoco.MjSpec) -> tuple[str, mujoco.MjSpec, Path | None]:
-    """The scene's name for messages, its spec to be changed, and the folder that its files are relative to."""
+    """The scene's name for messages, its spec, and the folder that its files are relative to."""
     if isinstance(source, mujoco.MjSpec):
         folder = Path(source.modelfiledir).resolve() if source.modelfiledir else None
-        return source.modelname or "the spec", source.copy(), folder
+        return source.modelname or "the spec", source, folder
     path = Path(source)
     if not path.is_file():
         raise SceneError(f"scene {path} does not exist; `palmfield new NAME` writes one to start from")
+    _check_sensors_of_file(path)
     take_compile_error()
     try:
         return str(path), mujoco.MjSpec.from_file(str(path)), path.resolve().parent
@@ -121,10 +159,34 @@ def _check_sensors(spec: mujoco.MjSpec, name: str) -> None:
     for sensor in spec.sensors:
         plugged = sensor.type == mujoco.mjtSensor.mjSENS_PLUGIN
         if plugged and sensor.objtype == mujoco.mjtObj.mjOBJ_UNKNOWN:
-            raise SceneError(
-                f"{name}: sensor '{sensor.name}' of plugin '{sensor.plugin.plugin_name}' has no objtype; give "
-                "objtype='site' and objname, a site of the skin's body"
-            )
+            raise _without_objtype(name, sensor.name, sensor.plugin.plugin_name)
+
+
+def _check_sensors_of_file(path: Path) -> None:
+    """As `_check_sensors`, for a file and those that it includes: MuJoCo 4.0 crashes even while it reads them."""
+    waiting, seen = [path.resolve()], set()
+    while waiting:
+        file = waiting.pop()
+        if file in seen or not file.is_file():
+            continue
+        seen.add(file)
+        try:
+            root = ElementTree.parse(file).getroot()
+        except (ElementTree.ParseError, LookupError, ValueError, OSError):
+            continue  # MuJoCo says what is wrong with it
+        for sensor in root.iterfind(".//sensor/plugin"):
+            if not sensor.get("objtype"):
+                raise _without_objtype(str(path), sensor.get("name", ""), sensor.get("plugin", ""))
+        # MuJoCo takes names relative to the first file, or else to the one that includes.
+        includes = [include.get("file", "") for include in root.iter("include")]
+        waiting += [folder / name for name in includes for folder in (path.resolve().parent, file.parent)]
+
+
+def _without_objtype(scene: str, sensor: str, plugin: str) -> SceneError:
+    return SceneError(
+        f"{scene}: sensor '{sensor}' of plugin '{plugin}' has no objtype; give objtype='site' and objname, a site of "
+        "the skin's body"
+    )
 
 
 def _changes(spec: mujoco.MjSpec, keys: Mapping[str, object]) -> dict[str, dict[str, object]]:

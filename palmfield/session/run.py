@@ -22,7 +22,7 @@ from palmfield.outputs.motion import normal_component
 from palmfield.outputs.plots import plot_displacement, plot_pressure
 from palmfield.outputs.render import render_scene
 from palmfield.outputs.schema import group, instances
-from palmfield.outputs.store import MemoryStore, Store, open_result, write_json
+from palmfield.outputs.store import MemoryStore, Store, open_result, refuse_occupied, write_json
 from palmfield.outputs.store import recover as assemble
 from palmfield.outputs.summary import summary
 from palmfield.outputs.usd import write_usd
@@ -89,6 +89,9 @@ def run(
     Raises OutputError where `out` cannot be written, or holds an unfinished run or, without `overwrite`, another one.
     """
     started = time.perf_counter()
+    if out is not None:
+        # Before anything is computed; the store looks again.
+        refuse_occupied(Path(out), overwrite)
     sim = scene if isinstance(scene, Simulation) else Simulation(scene)
     duration = sim.duration_s if duration_s is None else duration_s
     with _progress(progress) as bar:

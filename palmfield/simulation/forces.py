@@ -2,11 +2,12 @@
 
 import numpy as np
 
+from palmfield.acoustics.arp import SurfaceSound
 from palmfield.acoustics.surface_load import Parts, resultants
 from palmfield.simulation.emission import Emission
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene
-from palmfield.simulation.radiation import Radiation, SurfaceSound
+from palmfield.simulation.radiation import Radiation
 from palmfield.types import Complex, Float
 
 

@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
-from trimesh.remesh import subdivide_to_size
 
 from palmfield.acoustics.phased_array import ArrayInstance, PhasedArray
 from palmfield.config import StimulusConfig
@@ -20,7 +19,7 @@ from palmfield.drive.response import Pole
 from palmfield.drive.transducer_response import TransducerResponse
 from palmfield.hand.posed_surface import FaceSampler, SkinBinding, face_samples
 from palmfield.hand.skinning import SkinnedSurface
-from palmfield.hand.subdivide import EDGE_m
+from palmfield.hand.subdivide import EDGE_m, with_short_edges
 from palmfield.locked import Lazy, locked_cached_property
 from palmfield.simulation.spec import SceneSpec, SkinSpec, StimulusSpec
 from palmfield.skin.fem.probe import surface_vectors
@@ -56,7 +55,8 @@ class StimulusModel:
     @property
     def first_focus(self) -> Float:
         """The focus, or the first of several, in the reference pose, array frame [m], shape (3,)."""
-        return np.atleast_2d(self.reference_foci)[0]
+        first: Float = np.atleast_2d(self.reference_foci)[0]
+        return first
 
 
 class BodyModel:
@@ -89,7 +89,7 @@ class BodyModel:
     def rest_samples(self) -> tuple[Float, Float, Float]:
         """Points [m], outward normals, shapes (n, 3), and areas [m^2], (n,), of a surface in one piece."""
         assert self.surface is not None
-        return face_samples(*subdivide_to_size(self.surface.vertices, self.surface.faces, EDGE_m, max_iter=20))
+        return face_samples(*with_short_edges(self.surface.vertices, self.surface.faces, EDGE_m))
 
     def posed_samples(self, vertices: Float, frame: Transform) -> tuple[Float, Float, Float]:
         """Points [m], outward normals, shapes (n, 3), in the outer frame, and areas [m^2], (n,), of moved vertices."""
@@ -190,7 +190,7 @@ class SkinModel:
     def depth(self) -> Float:
         """Thickness of the layer under each surface node [m], shape (S,)."""
         nodes = self.nodes[0]
-        return np.linalg.norm(nodes - self.layer.mesh.nodes[-len(nodes) :], axis=1)
+        return np.asarray(np.linalg.norm(nodes - self.layer.mesh.nodes[-len(nodes) :], axis=1))
 
     @locked_cached_property
     def surface_vectors(self) -> sparse.csr_matrix:

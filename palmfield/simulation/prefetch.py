@@ -34,6 +34,16 @@ class LoadPrefetch:
         self._drives: Complex = np.zeros((0, len(model.arrays)), np.complex128)
         self._loads: dict[int, tuple[PosedSkin, Float32]] = {}
 
+    def forget(self) -> None:
+        """Begin again, as at the start of a run: whether a scene has kept still is asked of steps of one run."""
+        self._posed, self._until, self._drives = None, -math.inf, self._drives[:0]
+        self._loads.clear()
+
+    def adopt(self, other: "LoadPrefetch") -> None:
+        """Go on from another's predictions, in a copy of its state in the same PosedScene."""
+        self._posed, self._until, self._drives = other._posed, other._until, other._drives
+        self._loads = dict(other._loads)
+
     def predict_drives(self, posed: PosedScene, emitted: Complex, t0: float) -> None:
         """Predict what will be emitted from t0 [s] on, where the scene has kept still since the last step.
 
@@ -65,7 +75,8 @@ class LoadPrefetch:
                 return self.radiation.many(posed, skin, drives)
             # What sounds on unchanged is computed once.
             first = np.concatenate((ALWAYS, changes))
-            return self.radiation.many(posed, skin, drives[first])[np.add.accumulate(first, dtype=np.intp) - 1]
+            once = self.radiation.many(posed, skin, drives[first])
+            return np.asarray(once[np.add.accumulate(first, dtype=np.intp) - 1])
         known = self._loads.get(skin)
         if known is None or known[0] is not posed.skins[skin]:
             known = self._loads[skin] = posed.skins[skin], self.radiation.many(posed, skin, self._drives)

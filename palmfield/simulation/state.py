@@ -60,8 +60,12 @@ def at_rest(state: HapticState, skin: int) -> bool:
     return bool(state.skins[skin][0, 0] == 0.0)
 
 
-def check_arrays(model: HapticModel, state: HapticState) -> None:
-    """Mark the arrays' states as this model's. Raises SceneError for one that another scene or version wrote."""
+def check_arrays(model: HapticModel, state: HapticState) -> bool:
+    """Mark the arrays' states as this model's; whether they were nobody's, so that a run begins here.
+
+    Raises SceneError for one that another scene or version wrote.
+    """
+    new = False
     for number, (array, part) in enumerate(zip(model.spec.arrays, state.arrays, strict=True)):
         mark = model.marks.get(("array", number, "pole")) or _mark(model, "array", number, "pole")
         if part[0, 0] == BEGUN and part[0, 1] == mark:
@@ -69,6 +73,8 @@ def check_arrays(model: HapticModel, state: HapticState) -> None:
         if np.logical_or.reduce(part[0]):
             raise SceneError(_foreign(f"plugin 'palmfield.array' instance '{array.name}'"))
         part[0, 0], part[0, 1] = BEGUN, mark
+        new = True
+    return new
 
 
 def stepper_of(model: HapticModel, state: HapticState, skin: int) -> tuple[SkinStepper, Float]:

@@ -1,0 +1,56 @@
+"""What one stage of a step hands to the next is a type of its own, whose parts are typed as well."""
+
+import dataclasses
+from typing import Any, get_args, get_type_hints
+
+import pytest
+
+from palmfield.acoustics.arp import SurfaceSound
+from palmfield.drive.array_drive import ArrayDrive
+from palmfield.drive.transducer_response import EmittedCourse
+from palmfield.motion.pose import HandPose
+from palmfield.simulation.emission import Emission
+from palmfield.simulation.posed_scene import PosedScene, posed_scene
+from palmfield.simulation.radiation import Radiation
+from palmfield.simulation.sensors import SkinReading, fill
+from palmfield.simulation.step import StepTrace, skin_loads, step
+from palmfield.skin.stepper import Reader, SkinStepper, SurfaceLoads
+from palmfield.stimulus.focal_points import FocalPoints
+from palmfield.stimulus.schedule import Moments
+
+
+@pytest.mark.parametrize(
+    ("stage", "takes", "gives"),
+    [
+        (posed_scene, {PosedScene}, {PosedScene}),
+        (ArrayDrive.unit_drives, {FocalPoints}, set()),
+        (Emission.over, {PosedScene}, {Moments, EmittedCourse}),
+        (Radiation.on, {PosedScene}, {SurfaceSound}),
+        (skin_loads, {PosedScene, Moments, EmittedCourse}, {SurfaceLoads}),
+        (SkinStepper.step, {SurfaceLoads, Reader}, set()),
+        (fill, {SkinReading}, set()),
+        (step, {PosedScene}, set()),
+    ],
+)
+def test_stages_meet_in_types_of_their_own(stage, takes, gives):
+    hints = get_type_hints(stage)
+    given = hints.pop("return")
+    taken = {part for hint in hints.values() for part in (hint, *get_args(hint))}
+    assert takes <= taken
+    assert gives <= {given, *get_args(given)}
+    assert Any not in taken | {given, *get_args(given)}
+
+
+@pytest.mark.parametrize(
+    "handed", [EmittedCourse, FocalPoints, HandPose, Moments, SkinReading, StepTrace, SurfaceLoads, SurfaceSound]
+)
+def test_what_is_handed_on_is_immutable_with_typed_parts(handed):
+    fields = get_type_hints(handed)
+    if dataclasses.is_dataclass(handed):
+        assert handed.__dataclass_params__.frozen
+        names = [field.name for field in dataclasses.fields(handed)]
+    else:
+        assert issubclass(handed, tuple)
+        names = handed._fields
+    assert names and set(names) <= set(fields)
+    assert not [name for name in names if fields[name] is Any]
