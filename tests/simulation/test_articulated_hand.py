@@ -16,6 +16,7 @@ from palmfield.outputs.schema import instances
 from palmfield.outputs.usd import validate_usd
 from palmfield.session.run import run
 from palmfield.session.simulation import load
+from palmfield.simulation.emission import array_drives
 
 SCENES = folder("mjcf") / "scenes"
 
@@ -46,7 +47,7 @@ def test_forces_on_the_bones_add_up_to_the_force_on_the_whole(sim):
     assert len(forces) == len(sim.runtime.parts[0]) == 17
     assert np.count_nonzero(np.linalg.norm(forces, axis=1)) > 5
     scene = sim.runtime.posed
-    [drive] = sim.runtime.work.emission.drives(scene.arrays)
+    [drive] = array_drives(sim.runtime.model, scene.arrays)
     unit = drive.unit_drive(scene.focal_points(sim.runtime.model.stimuli[0], 0).at(np.array([0.0, 0.0, 0.2])))
     points, normals, areas = scene.bodies[0].samples
     load = sim.runtime.work.radiation.at(scene, 0, "samples", points, normals, unit.amplitudes).arp
