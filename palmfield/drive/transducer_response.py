@@ -351,7 +351,8 @@ def emitted_now(
         level = _level_of(unit, emitted)
         if level is not None:
             return EmittedCourse(unit.amplitudes, np.array([level]), None, emitted)
-    return EmittedCourse(None, None, emitted[None], emitted)
+    # A copy, as what is emitted may be gathered in one array again and again, and fields are kept for their drive
+    return EmittedCourse(None, None, emitted[None].copy(), emitted)
 
 
 def instant(time_s: float) -> Moments:

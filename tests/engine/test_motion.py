@@ -136,7 +136,7 @@ def test_copies_and_resets_follow_the_script_too(hand, wave, tmp_path):
         ({"motion.function": "math:sin", "motion.ahead_s": 0.01}, "ahead_s belongs to tracking"),
         ({"motion.trajectory": "missing.csv"}, "missing.csv"),
         ({"motion.nose": 1}, "unknown key 'nose'"),
-        ({"nose.length_m": 1}, "'nose.length_m' is not of a plugin"),
+        ({"nose.length_m": 1}, "'nose.length_m' is not of an instance or plugin"),
     ],
 )
 def test_bad_motions_are_named(keys, words):
