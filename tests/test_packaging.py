@@ -202,7 +202,7 @@ def test_numerics_run_on_kernels_that_are_not_this_machines_own(machine, own, ot
     assert ("numerics run once only" in capsys.readouterr().out) == (other is None)
 
 
-@pytest.mark.parametrize("failing", [None, "ruff", "mypy", "smoke", "whole", "numerics"])
+@pytest.mark.parametrize("failing", [None, "ruff", "mypy", "lint-imports", "smoke", "whole", "numerics"])
 def test_any_stage_that_fails_is_the_exit_status_and_the_last(failing, monkeypatch):
     test = script("test", monkeypatch)
     ran = []
@@ -219,11 +219,11 @@ def test_any_stage_that_fails_is_the_exit_status_and_the_last(failing, monkeypat
     monkeypatch.setattr(test._setup, "OLDEST", sys.version_info[:2])
     monkeypatch.setattr(sys, "argv", ["test.py"])
     assert test.main() == (0 if failing is None else 3)
-    stages = ["ruff", "ruff", "mypy", "smoke", "whole", "numerics"]
+    stages = ["ruff", "ruff", "mypy", "lint-imports", "smoke", "whole", "numerics"]
     assert ran == stages[: stages.index(failing) + 1 if failing else None]
     monkeypatch.setattr(sys, "argv", ["test.py", "-k", "name"])
     ran.clear()
-    assert test.main() == (3 if failing in ("ruff", "mypy", "whole") else 0)
+    assert test.main() == (3 if failing in ("ruff", "mypy", "lint-imports", "whole") else 0)
     assert "smoke" not in ran and "numerics" not in ran
 
 
