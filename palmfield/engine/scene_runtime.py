@@ -50,6 +50,8 @@ class SceneRuntime:
         self._positions, self._matrices = np.zeros((count, 3)), np.zeros((count, 9))
         self._posed: PosedScene = self.work.reference
         self._numbers = b""
+        # What sounds at a moment, for the sensors of several skins
+        self._now: tuple[PosedScene, float, bytes, EmittedCourse] | None = None
         self._places: dict[str, SensorPlace] = {}
         self.applied: list[Float] = [np.zeros(3) for _ in self.bodies]
         self.applied_parts = [(np.zeros((len(parts), 3)), np.zeros((len(parts), 3))) for parts in self.parts]
@@ -96,8 +98,12 @@ class SceneRuntime:
 
     def now(self) -> tuple[PosedScene, EmittedCourse]:
         """Pose and emission at MuJoCo's present time."""
-        posed = self.posed
-        return posed, self.work.emission.now(posed, gather(self.state, self.work), self.view.raw.time)
+        posed, time_s, amplitudes = self.posed, self.view.raw.time, gather(self.state, self.work)
+        known = self._now
+        emission, numbers = self.work.emission, amplitudes.tobytes()
+        if known is None or known[0] is not posed or known[1:3] != (time_s, numbers) or emission.holds:
+            self._now = known = posed, time_s, numbers, emission.now(posed, amplitudes, time_s)
+        return posed, known[3]
 
     def body_forces(self) -> list[tuple[Float, Float]]:
         """Forces [N] on the parts of each body and torques about their origins [N m], world axes, shapes (b, 3).
@@ -125,7 +131,12 @@ class SceneRuntime:
 
     def advance(self) -> None:
         """Carry transducers and skins over MuJoCo's last step, with the pose at its beginning."""
-        end = self.view.raw.time
+        end, now_s = self.view.raw.time, self.view.model.raw.opt.timestep
+        if now_s != self.spec.timestep_s:
+            raise SceneError(
+                f"option 'timestep' has value {now_s:g}, and {self.spec.timestep_s:g} when the scene was loaded, for "
+                "which its skins are made: load the scene with the new one"
+            )
         if check_arrays(self.model, self.state):
             self.work.prefetch.forget()
         step(self.model, self.state, self.posed, end - self.spec.timestep_s, end, self.work)

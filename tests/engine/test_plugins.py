@@ -103,6 +103,14 @@ def test_state_can_be_saved_and_set_back(model):
     np.testing.assert_array_equal(data.plugin_state, stepped(model, 4).plugin_state)
 
 
+def test_another_timestep_after_loading_is_refused(model):
+    data = stepped(model, 2)
+    model.opt.timestep = 0.002
+    mujoco.mj_step(model, data)
+    with pytest.raises(palmfield.SceneError, match=r"'timestep' has value 0.002, and 0.001 when the scene was loaded"):
+        raise_errors(data)
+
+
 def test_two_models_at_once(small_scene):
     strong = mujoco.MjModel.from_xml_path(str(small_scene()))
     weak = mujoco.MjModel.from_xml_path(str(small_scene(stimulus={"drive_amplitude": 0.5})))
