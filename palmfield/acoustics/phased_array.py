@@ -174,7 +174,7 @@ class PhasedArray:
     array: all transducers in one, for positions, directions and gains. Where directivities differ it has the widest
         piston of them and no table: take `pressure64` or `field` for the sound
     impedance: rho c^2 of the air [Pa]
-    boards: of each part, in its own frame
+    frames: of each part, seen from the first; boards: of each part, in its own frame
     facing: mean direction of each part's transducers, array frame, by column, shape (3, parts)
     heights: of the middle of each part along that direction [m], shape (parts,)
     """
@@ -186,6 +186,7 @@ class PhasedArray:
         self.precision: Mode = first.precision
         self.device = device
         self.placements = tuple(placements)
+        self.frames = tuple(placement.transform for placement in self.placements)
         self._lock = threading.Lock()
         self._field: MultiArrayField | None = None
         try:

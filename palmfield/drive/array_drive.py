@@ -13,7 +13,7 @@ from palmfield.acoustics.air import absorption_Np_m, sound_speed
 from palmfield.acoustics.focus import focus
 from palmfield.acoustics.reference import directivity
 from palmfield.drive.boards import Board, play
-from palmfield.drive.foci import solve_foci
+from palmfield.drive.foci import equally_loud, solve_foci
 from palmfield.errors import SceneError
 from palmfield.stimulus.focal_points import FocalPoints
 from palmfield.types import Air, Array, Complex, Float, Int
@@ -85,6 +85,7 @@ class ArrayDrive:
         self.places: Float = np.ascontiguousarray(whole.positions[chosen].T)
         self.normals: Float = np.ascontiguousarray(whole.normals[chosen].T)
         self._known: dict[bytes, UnitDrive] = {}
+        self._unchecked = True
         self._last: tuple[FocalPoints, bytes, UnitDrive] | None = None
         # What palmfield.drive.transducer_response keeps for points that don't move
         self.delays: tuple[FocalPoints, tuple[Float, Int | None]] | None = None
@@ -273,16 +274,33 @@ class ArrayDrive:
 
     def _several(self, foci: Float) -> Complex:
         """Phases for foci at once [m], shape (m, 3), of the chosen transducers, shape (n,)."""
+        distances, heights = self._rays(*foci.T[:, :, None])
+        facing = np.logical_and.reduce(heights > 0.0, axis=0)
+        if self._unchecked or np.add.reduce(facing) <= len(foci):
+            self._check_several(foci, facing)
+            self._unchecked = False
+        phases = np.zeros(len(self.chosen), np.complex128)
+        phases[facing] = equally_loud(self._transfer(distances, heights)[:, facing])
+        return phases
+
+    def _check_several(self, foci: Float, facing: Bool) -> None:
+        """Raises SceneError for foci at once that can't be: none faces them all, they are too many or coincide."""
         array = only(self.array.array, self.chosen)
-        facing = (np.einsum("mij,ij->mi", foci[:, None] - array.positions, array.normals) > 0.0).all(axis=0)
-        # Where none faces all points, `solve_foci` says so
-        some = facing if facing.any() else np.ones(len(array), dtype=bool)
-        phases = np.zeros(len(array), complex)
         try:
-            phases[some] = solve_foci(foci, only(array, some), self.array.air).drive
+            solve_foci(foci, only(array, facing) if np.any(facing) else array, self.array.air, iterations=0)
         except SceneError as error:
             raise SceneError(f"plugin 'palmfield.stimulus': key 'focus_m': {error}") from None
-        return phases
+
+    def _transfer(self, distances: Float, heights: Float) -> Complex:
+        """Pressure at points [Pa] of each chosen transducer alone at full drive; all of shape (m, n)."""
+        far = np.maximum(distances, 1e-9)
+        cosines = heights / far
+        waves = self._waves(distances).conj()
+        waves *= np.exp(-self._absorption_Np_m * distances) / far
+        for part, own, gain in self._parts:
+            strength = directivity(part, self.wavenumber, cosines[:, own]) * (part.p0_Pa_m * gain)
+            waves[:, own] = waves[:, own] * strength
+        return waves
 
     def _level_of_several(self, foci: Float, phases: Complex) -> float:
         pressure = self.array.pressure64(foci, self._over_all(phases))

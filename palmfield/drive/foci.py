@@ -195,6 +195,20 @@ def solve_transfer(
     return Foci(drive, matrix @ drive, targets, np.abs(matrix).sum(axis=1), len(residual) - 1, np.array(residual))
 
 
+def equally_loud(transfer: Complex) -> Complex:
+    """Drive by "gsw" for foci as loud as one another, shape (n,), as `solve_transfer` without its checks.
+
+    transfer: complex pressure from each transducer at full drive [Pa], shape (m, n), known to be good
+    """
+    targets = np.ones(len(transfer))
+    live = np.logical_or.reduce(transfer != 0.0, axis=0)
+    matrix = transfer[:, live]
+    drive = np.zeros(transfer.shape[1], np.complex128)
+    phases = reinforcing_phases(matrix, targets)
+    drive[live], _ = _gerchberg_saxon(matrix, targets, phases, ITERATIONS["gsw"], weighted=True)
+    return drive
+
+
 def _targets(amplitudes: ArrayLike | None, count: int) -> Float:
     targets = np.ones(count) if amplitudes is None else np.asarray(amplitudes, np.float64)
     if targets.shape != (count,):
@@ -208,12 +222,14 @@ def _targets(amplitudes: ArrayLike | None, count: int) -> Float:
 def misfit(pressure: Complex, targets: Float) -> float:
     """Rms over the foci of |p|/target about its mean, relative to that mean."""
     ratio = np.abs(pressure) / targets
-    return float(ratio.std() / ratio.mean())
+    mean = np.add.reduce(ratio) / len(ratio)
+    deviation = ratio - mean
+    return float(np.sqrt(np.add.reduce(deviation * deviation) / len(ratio)) / mean)
 
 
 def unit(values: Complex) -> Complex:
     """Phase factors of complex values; 1 for 0."""
-    return np.exp(1j * np.angle(values))
+    return np.exp(1j * np.arctan2(values.imag, values.real))
 
 
 def reinforcing_phases(matrix: Complex, targets: Float) -> Complex:
@@ -223,14 +239,15 @@ def reinforcing_phases(matrix: Complex, targets: Float) -> Complex:
     G = H H* and W = diag(target_k/G_kk); its dominant eigenvector is found from the Hermitian form of the same problem.
     From here "gsw" ends about as loud as from the best of ten random starts (docs/bench/foci.md).
     """
-    half = np.sqrt(targets) / np.linalg.norm(matrix, axis=1)
+    half = np.sqrt(targets / np.add.reduce(np.abs(matrix) ** 2, axis=1))
     scaled = matrix * half[:, None]
-    return unit(np.linalg.eigh(scaled @ scaled.conj().T)[1][:, -1])
+    leading = np.linalg.eigh(scaled @ scaled.conj().T)[1][:, -1]
+    return np.exp(1j * np.arctan2(leading.imag, leading.real))
 
 
 def superposed(matrix: Complex, targets: Float, phases: Complex) -> tuple[Complex, Float]:
     """Sum of the single foci with amplitude set to 1, shape (n,), and their weights, shape (m,)."""
-    weights = targets / np.sum(np.abs(matrix) ** 2, axis=1)
+    weights = targets / np.add.reduce(np.abs(matrix) ** 2, axis=1)
     return unit(matrix.conj().T @ (weights * phases)), weights
 
 
@@ -254,13 +271,20 @@ def _gerchberg_saxon(
     drive, weights = superposed(matrix, targets, phases)
     pressure = matrix @ drive
     residual = [misfit(pressure, targets)]
+    number = len(targets)
+    # `unit` and `misfit` written out: a scene whose foci move solves this in each of its steps
+    ratio = np.abs(pressure) / targets
     for _ in range(count):
         if weighted:
-            ratio = np.abs(pressure) / targets
-            weights = weights * (ratio.mean() / np.maximum(ratio, 1e-3 * ratio.mean())) ** RELAXATION
-        drive = unit(adjoint @ (weights * unit(pressure)))
+            mean = np.add.reduce(ratio) / number
+            weights = weights * (mean / np.maximum(ratio, 1e-3 * mean)) ** RELAXATION
+        wave = adjoint @ (weights * np.exp(1j * np.arctan2(pressure.imag, pressure.real)))
+        drive = np.exp(1j * np.arctan2(wave.imag, wave.real))
         pressure = matrix @ drive
-        residual.append(misfit(pressure, targets))
+        ratio = np.abs(pressure) / targets
+        mean = np.add.reduce(ratio) / number
+        deviation = ratio - mean
+        residual.append(float(np.sqrt(np.add.reduce(deviation * deviation) / number) / mean))
     return drive, residual
 
 

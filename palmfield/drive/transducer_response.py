@@ -287,7 +287,7 @@ def emitted_over(
 
 def _own(emitted: Complex, drive: ArrayDrive) -> Complex:
     """What is emitted by the chosen transducers, 0 for all others."""
-    own = np.zeros_like(emitted)
+    own = np.zeros(emitted.shape, np.complex128)
     own[drive.chosen] = emitted[drive.chosen]
     return own
 

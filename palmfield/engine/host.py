@@ -41,11 +41,13 @@ class Module:
     name: plugin name in the scene, e.g. `palmfield.skin`
     config: keys of the module, a `palmfield.config.Config`
     sensor: whether `<sensor><plugin>` may refer to it
+    only_senses: whether this instance leaves forces and advance to another one
     """
 
     name: ClassVar[str]
     config: ClassVar[type[Config]]
     sensor: ClassVar[bool] = False
+    only_senses: bool = False
 
     def __init__(self, settings: Any, world: World, instance: int):
         self.settings, self.world, self.instance = settings, world, instance
@@ -194,13 +196,18 @@ def register(module: type[Module]) -> None:
             view = (ctypes.c_double * count).from_address(state)
             ctypes.memset(view, 0, ctypes.sizeof(view))
 
+    sensing = int(mujoco.mjtPluginCapabilityBit.mjPLUGIN_SENSOR)
+
     def compute(model: int, data: int, instance: int, capability: int) -> None:
         if getattr(_compiling, "active", False):
             return
         world = _worlds[data]
         try:
             target = world.modules[instance]
-            target.sense() if capability == int(mujoco.mjtPluginCapabilityBit.mjPLUGIN_SENSOR) else target.forces()
+            if capability == sensing:
+                target.sense()
+            elif not target.only_senses:
+                target.forces()
         except KeyboardInterrupt:
             _thread.start_new_thread(_thread.interrupt_main, ())
         except Exception as error:
@@ -211,7 +218,9 @@ def register(module: type[Module]) -> None:
             return
         world = _worlds[data]
         try:
-            world.modules[instance].advance()
+            target = world.modules[instance]
+            if not target.only_senses:
+                target.advance()
         except KeyboardInterrupt:
             # It can't pass through MuJoCo's C frames: raised again as soon as this thread is back in Python.
             _thread.start_new_thread(_thread.interrupt_main, ())
@@ -221,7 +230,7 @@ def register(module: type[Module]) -> None:
     void, integer = ctypes.c_void_p, ctypes.c_int
     flags = 0 if module.forces is Module.forces else int(mujoco.mjtPluginCapabilityBit.mjPLUGIN_PASSIVE)
     if module.sensor:
-        flags |= int(mujoco.mjtPluginCapabilityBit.mjPLUGIN_SENSOR)
+        flags |= sensing
     keys = [key.encode() for key in known_keys(module.config)]
     attributes = (ctypes.c_char_p * max(len(keys), 1))(*keys)
     plugin = Plugin()

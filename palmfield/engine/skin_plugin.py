@@ -36,6 +36,7 @@ class SkinModule(Module):
         self.scene = world.scene
         self.number = [skin.instance for skin in self.scene.binding.skins].index(instance)
         self.leads = self.number == 0
+        self.only_senses = not self.leads
         self._sensors: list[Any] | None = None
 
     @classmethod
@@ -76,8 +77,7 @@ class SkinModule(Module):
 
     def forces(self) -> None:
         """Push all bodies of the scene."""
-        if self.leads:
-            self.scene.push()
+        self.scene.push()
 
     def sense(self) -> None:
         """Fill the sensors from the state at the present time."""
@@ -87,8 +87,7 @@ class SkinModule(Module):
 
     def advance(self) -> None:
         """Carry the scene over MuJoCo's last step."""
-        if self.leads:
-            self.scene.advance()
+        self.scene.advance()
 
     def copy_from(self, other: "SkinModule") -> None:
         """Go on as the other would."""

@@ -8,7 +8,7 @@ from palmfield.simulation.emission import Emission
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.radiation import Radiation
-from palmfield.types import Complex, Float
+from palmfield.types import Complex, Float, Float32
 
 
 class BodyForces:
@@ -27,26 +27,31 @@ class BodyForces:
         The mean over the MuJoCo step that begins at t0 [s], with the focus at its beginning: a modulation faster than
         the step gives the right impulse. emitted: by all transducers at t0, shape (N,)
         """
-        parts = []
-        for shape in self._shapes:
-            parts.append((np.zeros(shape), np.zeros(shape)))
-        for drive, weight in emission.mean_drives(posed, emitted, t0):
-            for number, (force, torque) in enumerate(parts):
-                unit_force, unit_torque = self.under(posed, number, drive)
-                force += weight * unit_force
-                torque += weight * unit_torque
-        return parts
+        drives, weights = emission.mean_drives(posed, emitted, t0)
+        forces = []
+        for body, shape in enumerate(self._shapes):
+            if len(drives) == 0:
+                forces.append((np.zeros(shape), np.zeros(shape)))
+            elif len(drives) == 1:
+                force, torque = self.under(posed, body, drives[0])
+                forces.append((weights[0] * force, weights[0] * torque))
+            else:
+                arp = weights @ self.radiation.many(posed, self._skins[body], np.asarray(drives), "samples")
+                forces.append(self._resultants(posed, body, arp))
+        return forces
 
     def under(self, posed: PosedScene, body: int, drive: Complex) -> tuple[Float, Float]:
         """The same for one body under what the transducers emit, shape (N,)."""
         sound = self.radiation.on(posed, self._skins[body], "samples", drive)
         known = self._last.get(body)
         if known is None or known[0] is not sound:
-            part = posed.bodies[body]
-            points, normals, areas = part.samples
-            parts = self._parts.get(body)
-            if parts is None:
-                parts = self._parts[body] = Parts(part.sample_parts, len(part.origins))
-            result = resultants(sound.arp, areas, normals, points, part.origins, parts)
-            known = self._last[body] = sound, result
+            known = self._last[body] = sound, self._resultants(posed, body, sound.arp)
         return known[1]
+
+    def _resultants(self, posed: PosedScene, body: int, arp: Float | Float32) -> tuple[Float, Float]:
+        part = posed.bodies[body]
+        points, normals, areas = part.samples
+        parts = self._parts.get(body)
+        if parts is None:
+            parts = self._parts[body] = Parts(part.sample_parts, len(part.origins))
+        return resultants(arp, areas, normals, points, part.origins, parts)

@@ -182,6 +182,7 @@ class PosedScene:
 
     array_frame: frame of the first array in the world
     arrays: all arrays as they stand to one another; frames: each stimulus's frame, seen from the first array
+    sources: the numbers of which `arrays` was made, where arrays or transducers may move
     """
 
     def __init__(
@@ -191,8 +192,9 @@ class PosedScene:
         frames: Sequence[Transform],
         bodies: Sequence[PosedSurface],
         skins: Sequence[PosedSkin],
+        sources: bytes = b"",
     ):
-        self.array_frame, self.arrays = array_frame, arrays
+        self.array_frame, self.arrays, self.sources = array_frame, arrays, sources
         self.frames, self.bodies, self.skins = tuple(frames), tuple(bodies), tuple(skins)
         self.numbers = b""
         for position, rotation in (array_frame, *self.frames):
@@ -248,7 +250,13 @@ def posed_scene(
     """
     origin, turn = world_positions[0].copy(), world_rotations[0].copy()
     positions, rotations = (world_positions - origin) @ turn, turn.T @ world_rotations
-    arrays = _arrays(model, layout, positions, rotations, previous) if layout.movable else model.arrays
+    arrays, sources = model.arrays, b""
+    if layout.movable:
+        among = slice(layout.transducers[0].start, layout.transducers[-1].stop)
+        for rows in (slice(0, layout.arrays), among):
+            sources += positions[rows].tobytes() + rotations[rows].tobytes()
+        same = sources == previous.sources
+        arrays = previous.arrays if same else _arrays(model, layout, positions, rotations, previous)
     frames = []
     for row in range(layout.frames.start, layout.frames.stop):
         frames.append(Transform(positions[row], rotations[row]))
@@ -271,7 +279,7 @@ def posed_scene(
             posed_skin = first_pose
             bodies[skin.body] = first_pose.body
         skins.append(posed_skin)
-    posed = PosedScene(Transform(origin, turn), arrays, frames, bodies, skins)
+    posed = PosedScene(Transform(origin, turn), arrays, frames, bodies, skins, sources)
     return previous if posed.same(previous) else posed
 
 

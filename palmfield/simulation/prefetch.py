@@ -68,7 +68,7 @@ class LoadPrefetch:
 
     def pressures(self, posed: PosedScene, skin: int, drives: Complex) -> Float32:
         """ARP [Pa] at a skin's quadrature points for drives (m, N), shape (m, q)."""
-        rows = self._found(drives)
+        rows = self._found(drives) if len(self._drives) >= len(drives) else None
         if rows is None:
             changes = _changes(drives)
             if np.logical_and.reduce(changes):
@@ -93,8 +93,6 @@ class LoadPrefetch:
 
     def _found(self, drives: Complex) -> slice | None:
         """Which of the predicted drives these are; None where they were not predicted."""
-        if len(self._drives) < len(drives):
-            return None
         first = int(np.maximum.reduce(np.abs(self._drives - drives[0]), axis=1).argmin())
         rows = slice(first, first + len(drives))
         there = self._drives[rows]

@@ -39,18 +39,19 @@ class Radiation:
         here = known is not None and (known[0] is posed or self._holds(known[0], posed, skin))
         if known is not None and here and (known[1] is drive or _equal(known[1], drive)):
             return known[2]
-        part = posed.skins[skin]
-        points, normals = part.body.samples[:2] if role == "samples" else getattr(part, role)
+        points, normals = points_of(posed, skin, role)
         sound = self.at(posed, skin, role, points, normals, drive)
         self._last[skin, role] = posed, drive, sound
         return sound
 
     def many(self, posed: PosedScene, skin: int, drives: Complex, role: Role = "quadrature") -> Float32:
-        """ARP at a skin's quadrature points, or its surface nodes, for several drives, shape (m, N): shape (m, q)."""
+        """ARP as `on` gives it for several drives, shape (m, N): shape (m, n)."""
         if self.model.skins[skin].spec.config.body_sound != "none":
             return np.stack([self.on(posed, skin, role, drive).arp for drive in drives])
-        points, normals = getattr(posed.skins[skin], role)
-        return self._evaluator(posed, skin, role, len(points)).evaluate_many(points, normals, drives)
+        points, normals = points_of(posed, skin, role)
+        known = self._evaluators.get((skin, role, len(points)))
+        evaluator = known[1] if known and known[0] is posed.arrays else self._evaluator(posed, skin, role, len(points))
+        return evaluator.evaluate_many(points, normals, drives)
 
     def at(
         self, posed: PosedScene, skin: int, role: Role, points: Float, normals: Float, drive: Complex
@@ -127,6 +128,14 @@ class Radiation:
         solved = RigidScatteredField.of(mesh, incident, wavenumber, arrays.air, self.model.spec.device)
         self._scattered[skin] = posed, drive, solved
         return solved
+
+
+def points_of(posed: PosedScene, skin: int, role: Role) -> tuple[Float, Float]:
+    """Points [m] and outward normals, array frame, shapes (n, 3), of a skin or its body."""
+    part = posed.skins[skin]
+    if role == "samples":
+        return part.body.samples[:2]
+    return part.nodes if role == "nodes" else part.quadrature
 
 
 def occluding_vertices(posed: PosedScene, skin: int) -> Float:

@@ -88,7 +88,8 @@ def step(model: HapticModel, state: HapticState, posed: PosedScene, t0: float, t
                 model, state, number, posed, work.emission, work.radiation, begun, t0
             )
         loads = skin_loads(work, posed, number, moments, course)
-        motions.append(stepper.step(numbers, loads, t0, t1, work.reader(number, stepper)))
+        reader = None if work.observe[number] is None else work.reader(number, stepper)
+        motions.append(stepper.step(numbers, loads, t0, t1, reader))
         claim(model, state, number, stepper)
     if model.response_on:
         scatter(state, course.end)

@@ -152,8 +152,8 @@ def check_clear(posed: PosedScene) -> None:
 def _check_clear(posed: PosedScene, what: str, points: Float, *, behind: bool) -> None:
     """behind: whether it may lie wholly behind the board."""
     arrays = posed.arrays
-    for board, placement in zip(arrays.boards, arrays.placements, strict=True):
-        own = points if placement is arrays.placements[0] else placement.transform.inverse_points(points)
+    for board, frame in zip(arrays.boards, arrays.frames, strict=True):
+        own = points if frame is arrays.frames[0] else frame.inverse_points(points)
         above = board.clearance(own)
         if above >= CLEARANCE_M:
             continue

@@ -49,6 +49,15 @@ def test_a_step_of_a_shipped_scene_runs_few_python_functions(name, python_calls)
     assert max(calls_of_steps(sim, python_calls)) <= MOST
 
 
+@pytest.mark.parametrize(("name", "further"), [("two_hands_both_feel", 2), ("palm_and_fingertip", 1)])
+def test_a_step_of_a_shipped_scene_with_several_skins_runs_few(name, further, python_calls):
+    """further: skins and arrays beyond the first of each"""
+    sim = Simulation(folder("mjcf") / "scenes" / f"{name}.xml", device="cpu")
+    assert len(sim.skins) + len(sim.runtime.model.spec.arrays) == 2 + further
+    sim.step(8)
+    assert max(calls_of_steps(sim, python_calls, 8)) <= MOST + further * MORE
+
+
 @pytest.mark.parametrize("path", [{}, {"path": "circle", "path_diameter_m": 0.01, "path_rate_Hz": 100}])
 def test_a_further_skin_or_array_adds_few(small_scene, python_calls, path):
     stimulus = {} if not path else path | dict.fromkeys(("modulation", "am_of", "am_frequency_Hz", "am_depth"))

@@ -170,3 +170,17 @@ def test_the_scenes_scattering_is_the_solution_for_its_body(small_scene):
     near = np.abs(there) ** 2 - (np.abs(solved.gradient[nearest]) ** 2).sum() / k**2
     expected = near / (4 * density(air) * sound_speed(air) ** 2)
     assert felt[1] == pytest.approx(expected, rel=1e-3)
+
+
+def test_arp_asked_for_after_each_step_is_that_of_the_present_sound(small_scene):
+    """A focus on a circle, transducers that ring up: each answer is that of a copy, which has asked for none before."""
+    circle = {"path": "circle", "path_diameter_m": 0.02, "path_rate_Hz": 100, "modulation": None}
+    stimulus = circle | dict.fromkeys(("am_of", "am_frequency_Hz", "am_depth"))
+    sim = load(small_scene(stimulus=stimulus, array={"response": "on"}))
+    last = None
+    for _ in range(4):
+        sim.step()
+        arp = sim.skin().arp
+        np.testing.assert_array_equal(arp, sim.copy().skin().arp)
+        assert last is None or np.abs(arp - last).max() > 0.1 * arp.max()
+        last = arp
