@@ -88,7 +88,18 @@ def board():
 
 
 def schedule(count: int, interval_s: float):
-    return [(n * interval_s, encode(turned(n % 32))) for n in range(count)]
+    return [(n * interval_s, encode(numbered(n))) for n in range(count)]
+
+
+def numbered(number: int) -> np.ndarray:
+    """A drive that tells its number, below 1024: the last transducer has the 32s, the others the rest."""
+    drive = turned(number % 32)
+    drive[-1] = turned(number // 32)[-1]
+    return drive
+
+
+def number_of(emitted: np.ndarray) -> int:
+    return step_of(emitted) + 32 * step_of(emitted[::-1])
 
 
 def test_frames_come_in_order_and_on_time_and_the_board_ends_silent(board):
@@ -112,8 +123,7 @@ def test_frames_faster_than_the_line_are_thinned_to_its_rate(board):
     # 0.8 s of line is 71.4 frames, less what a busy machine loses; never more.
     assert 50 <= played.frames <= 0.8 * FRAME_RATE_HZ + 1
     # The newest frame that was due is what went out, so each is newer than the one before.
-    steps = np.unwrap([2 * np.pi * step_of(frame) / 32 for frame in board.emitted[: played.frames]])
-    assert np.all(np.diff(steps) > 0)
+    assert np.all(np.diff([number_of(frame) for frame in board.emitted[: played.frames]]) > 0)
     assert played.late_s < 0.2
     assert len(board.received) == (played.frames + 2) * 258
 
@@ -252,7 +262,7 @@ def test_socket_port():
         link = open_link(f"socket://127.0.0.1:{server.getsockname()[1]}")
         peer, _ = server.accept()
         with peer:
-            assert play_frames(link, schedule(3, 0.012)).frames == 3
+            assert play_frames(link, schedule(3, 0.2)).frames == 3
             link.close()
             received = b"".join(iter(lambda: peer.recv(65536), b""))
     emitted = decode(received)
