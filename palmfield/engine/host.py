@@ -107,6 +107,7 @@ def compiling() -> Iterator[None]:
 def take_compile_error() -> Exception | None:
     """What a module's construction raised since the last call, in this thread; MuJoCo's own error only quotes it."""
     error, _compiling.error = getattr(_compiling, "error", None), None
+    _compiling.sizing = None
     return error
 
 
@@ -138,11 +139,16 @@ def register(module: type[Module]) -> None:
         return
 
     def nstate(model: int, instance: int) -> int:
+        # MuJoCo asks for one instance after the other: an earlier one, or another model, is another compilation.
+        last_model, last_instance = getattr(_compiling, "sized", (0, -1))
+        if model != last_model or instance <= last_instance:
+            _compiling.sizing = None
+        _compiling.sized = model, instance
         try:
             view = ModelView(model, complete=False)
             return module.state_size(settings_of(module, view, instance), view)
         except Exception as error:
-            _compiling.sizing = getattr(_compiling, "sizing", None) or error
+            _compiling.sizing = getattr(_compiling, "sizing", None) or (model, error)
             return 0  # init reports it
 
     def nsensordata(model: int, instance: int, sensor: int) -> int:
@@ -150,14 +156,14 @@ def register(module: type[Module]) -> None:
             view = ModelView(model, complete=False)
             return module.sensor_size(settings_of(module, view, instance), view, sensor)
         except Exception as error:
-            _compiling.sizing = getattr(_compiling, "sizing", None) or error
+            _compiling.sizing = getattr(_compiling, "sizing", None) or (model, error)
             return 1  # as above
 
     def init(model: int, data: int, instance: int) -> int:
         try:
             sizing, _compiling.sizing = getattr(_compiling, "sizing", None), None
-            if sizing is not None:
-                raise sizing
+            if sizing is not None and sizing[0] == model:
+                raise sizing[1]
             with _lock:
                 world = _worlds.get(data)
                 if world is None or instance in world.modules or world.model.address != model:

@@ -11,7 +11,7 @@ from palmfield.simulation.build import model_of
 from palmfield.simulation.posed_scene import PosedScene, PoseLayout, posed_scene
 from palmfield.simulation.scene_reader import read_scene
 from palmfield.simulation.sensors import SensorPlace, SkinReading, fill, sensor_place
-from palmfield.simulation.state import HapticState, at_rest, check_arrays, stepper_of
+from palmfield.simulation.state import HapticState, at_rest, check_arrays, stepper_of, untouched
 from palmfield.simulation.step import Workspace, gather, step
 from palmfield.simulation.validate import check_clear
 from palmfield.skin.stepper import SkinStepper
@@ -112,6 +112,8 @@ class SceneRuntime:
         """
         posed, time_s = self.posed, self.view.raw.time
         if self.work.emission.holds:
+            if untouched(self.state):
+                self.work.emission.forget()
             self.work.emission.begin(posed, time_s)
         turn = posed.array_frame.rotation.T
         forces = []
@@ -147,6 +149,7 @@ class SceneRuntime:
         That is where the stimuli's points were at the last control tick, and which loads were computed ahead.
         """
         self.work.emission.held = list(other.work.emission.held)
+        self.applied, self.applied_parts = list(other.applied), list(other.applied_parts)
         if other.model is self.model:
             # Poses are told apart as objects, and nothing in them changes: the copy goes on with the same ones.
             self.work.reference, self._posed, self._numbers = other.work.reference, other._posed, other._numbers

@@ -43,6 +43,7 @@ def compiled(
     """
     if device is not None and not re.fullmatch(r"auto|cpu|cuda:\d+", device):
         raise SceneError(f"device '{device}' is not known; allowed: auto, cpu or cuda:N")
+    take_compile_error()
     if isinstance(source, mujoco.MjModel):
         if keys or any(value is not None for value in (device, accuracy, board)):
             raise SceneError(
@@ -142,7 +143,6 @@ def _opened(source: str | Path | mujoco.MjSpec) -> tuple[str, mujoco.MjSpec, Pat
     if not path.is_file():
         raise SceneError(f"scene {path} does not exist; `palmfield new NAME` writes one to start from")
     _check_sensors_of_file(path)
-    take_compile_error()
     try:
         return str(path), mujoco.MjSpec.from_file(str(path)), path.resolve().parent
     except (ValueError, mujoco.FatalError) as error:
@@ -193,7 +193,9 @@ def _changes(spec: mujoco.MjSpec, keys: Mapping[str, object]) -> dict[str, dict[
     """Values by instance name. Raises SceneError for an instance or plugin that the scene has not, and unknown keys."""
     configs = {module.name: module.config for module in MODULES}
     result: dict[str, dict[str, object]] = {}
-    for given, value in keys.items():
+    instances = {plugin.name for plugin in spec.plugins}
+    # What is said of one instance counts before what is said of all of its plugin
+    for given, value in sorted(keys.items(), key=lambda item: item[0].rpartition(".")[0] in instances):
         owner, _, key = given.rpartition(".")
         own = [plugin for plugin in spec.plugins if plugin.name == owner]
         if not own:

@@ -28,7 +28,7 @@ from palmfield.outputs.summary import summary
 from palmfield.outputs.usd import write_usd
 from palmfield.session.load import Source
 from palmfield.session.recorder import Recorder, static_arrays
-from palmfield.session.simulation import Simulation
+from palmfield.session.simulation import Simulation, check_duration
 from palmfield.session.summary import scene_numbers, skin_numbers, stimulus_numbers
 from palmfield.types import Float
 
@@ -89,6 +89,8 @@ def run(
     Raises OutputError where `out` cannot be written, or holds an unfinished run or, without `overwrite`, another one.
     """
     started = time.perf_counter()
+    if duration_s is not None:
+        check_duration(duration_s)
     if out is not None:
         # Before anything is computed; the store looks again.
         refuse_occupied(Path(out), overwrite)

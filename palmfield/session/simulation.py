@@ -7,6 +7,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from palmfield.drive.transducer_response import rows
 from palmfield.engine.host import raise_errors, world_of
 from palmfield.engine.motion_plugin import place
 from palmfield.engine.scene_runtime import SceneRuntime, present_drive
@@ -44,6 +45,8 @@ class Simulation:
         self.name, self.model, self.data = compiled(scene, device=device, accuracy=accuracy, board=board, keys=keys)
         self.path = Path(scene) if isinstance(scene, str | Path) else None
         self._attach()
+        mujoco.mj_forward(self.model, self.data)
+        raise_errors(self.data)
 
     def _attach(self) -> None:
         world = world_of(self.data)
@@ -53,8 +56,6 @@ class Simulation:
         self.runtime: SceneRuntime = world.scene
         self.duration_s = self.runtime.spec.duration_s
         self._skins: dict[str, Skin] = {}
-        mujoco.mj_forward(self.model, self.data)
-        raise_errors(self.data)
 
     # -- stepping ------------------------------------------------------------------------------------------------
 
@@ -71,8 +72,7 @@ class Simulation:
 
     def run(self, duration_s: float) -> None:
         """As many steps as come nearest to a duration [s], at least one. Raises SceneError for one that is not > 0."""
-        if not 0.0 < duration_s < np.inf:
-            raise SceneError(f"duration_s is {duration_s}; allowed: seconds > 0")
+        check_duration(duration_s)
         self.step(max(1, round(duration_s / self.model.opt.timestep)))
 
     def reset(self) -> None:
@@ -134,14 +134,16 @@ class Simulation:
     def emitted(self) -> Complex:
         """What the transducers emit now, after their ring-up, shape (N,)."""
         _, course = self.runtime.now()
-        drive, factor = present_drive(course)
-        if drive is None:
+        if course.emitted is None and course.unit is None:
             return np.zeros(len(self.runtime.model.arrays), np.complex128)
-        return np.asarray(np.sqrt(factor) * drive)
+        return np.array(rows(course)[0])
 
     @property
     def forces(self) -> Float:
-        """Mean force of the sound on each of `bodies` over the last step [N], world axes, shape (bodies, 3)."""
+        """Mean force of the sound on each of `bodies` over the last step [N], world axes, shape (bodies, 3).
+
+        Before the first step, that over the step to come.
+        """
         return np.array(self.runtime.applied)
 
 
@@ -222,6 +224,12 @@ class Skin:
             return np.zeros(len(self.rest_position), np.float32)
         sound = self._runtime.work.radiation.on(posed, self._number, "nodes", drive)
         return np.float32(factor) * sound.arp
+
+
+def check_duration(duration_s: float) -> None:
+    """Raises SceneError for a duration that is not a number of seconds > 0."""
+    if not 0.0 < duration_s < np.inf:
+        raise SceneError(f"duration_s is {duration_s}; allowed: seconds > 0")
 
 
 def load(

@@ -74,7 +74,9 @@ def stimulus_numbers(simulation: Simulation, loudest: Iterable[LoudestMoment | N
     moments = [moment for moment in loudest if moment is not None]
     result = {}
     for stimulus in simulation.runtime.model.stimuli:
-        levels = [float(np.abs(moment.drive[stimulus.transducers]).max()) for moment in moments]
+        levels = [
+            math.sqrt(moment.factor) * float(np.abs(moment.drive[stimulus.transducers]).max()) for moment in moments
+        ]
         result[stimulus.spec.name] = {"drive_level": max(levels, default=0.0)}
     return result
 

@@ -63,6 +63,10 @@ class Emission:
         self._over: tuple[PosedScene, tuple[float, int, bytes], tuple[Moments, EmittedCourse]] | None = None
         self.holds = any(config.control_rate_Hz > 0.0 for config in model.configs)
 
+    def forget(self) -> None:
+        """Begin again, as at the start of a run: nothing is held."""
+        self.held = [None] * len(self.model.stimuli)
+
     def begin(self, posed: PosedScene, time_s: float) -> None:
         """Take the stimuli's points where a step begins, for those whose control tick is due."""
         for number, stimulus in enumerate(self.model.stimuli):

@@ -7,6 +7,7 @@ leave the small model. A header says whose numbers they are; all zeros is rest, 
 
 import hashlib
 import json
+from dataclasses import replace
 from importlib.metadata import version
 
 import numpy as np
@@ -60,6 +61,11 @@ def at_rest(state: HapticState, skin: int) -> bool:
     return bool(state.skins[skin][0, 0] == 0.0)
 
 
+def untouched(state: HapticState) -> bool:
+    """Whether no step has been taken from this state: it is that after a reset."""
+    return not any(np.logical_or.reduce(part[0]) for part in state.arrays)
+
+
 def check_arrays(model: HapticModel, state: HapticState) -> bool:
     """Mark the arrays' states as this model's; whether they were nobody's, so that a run begins here.
 
@@ -111,6 +117,10 @@ def _mark(model: HapticModel, kind: str, number: int, name: str) -> float:
         skin = model.skins[number]
         stepper = (model.begin[number] if model.begin[number].value.name == name else model.whole[number]).value
         parts = [skin.spec.config.model_dump_json(), skin.layer.state_room, stepper.state_size, stepper.step_s]
+        parts += [skin.spec.patch_centre, len(skin.nodes[0])]
+        if stepper is not model.whole[number].value:
+            # A small model's numbers belong to its basis, which comes from all that the scene is going to do.
+            parts.append(repr(replace(model.spec, device="", duration_s=0.0)))
     digest = hashlib.sha256(json.dumps([VERSION, version("palmfield"), kind, name, *parts]).encode()).digest()
     mark = float(int.from_bytes(digest[:6], "big") + 1)
     model.marks[kind, number, name] = mark

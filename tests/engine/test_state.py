@@ -375,6 +375,18 @@ def test_a_state_of_another_scene_is_refused(small_scene):
     stepped(first, data, 1)
 
 
+def test_a_state_of_another_basis_is_refused(small_scene):
+    first = mujoco.MjModel.from_xml_path(str(small_scene(skin={"solver": "reduced"})))
+    vector = full_state(first, stepped(first, mujoco.MjData(first), 3))
+    second = mujoco.MjModel.from_xml_path(
+        str(small_scene(skin={"solver": "reduced"}, stimulus={"focus_m": "0.006 0.003 0.12"}))
+    )
+    assert second.npluginstate == first.npluginstate
+    data = mujoco.MjData(second)
+    set_state(second, data, vector)
+    refused(second, data)
+
+
 def test_a_state_of_another_array_is_refused(small_scene):
     first = mujoco.MjModel.from_xml_path(str(small_scene()))
     vector = full_state(first, stepped(first, mujoco.MjData(first), 3))

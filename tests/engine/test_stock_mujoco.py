@@ -10,6 +10,7 @@ import pytest
 SCENES = Path(__file__).parents[2] / "mjcf" / "scenes"
 MOVED = (
     "approach_withdraw", "hover_explore", "tap_button", "follow_fingertip", "trace_shape", "two_hands", "grasp_object",
+    "two_hands_both_feel", "palm_and_fingertip",
 )  # fmt: skip
 COMPILE = """
 import sys

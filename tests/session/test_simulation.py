@@ -1,0 +1,92 @@
+"""A Simulation: its copies, what it says of the present moment, and keys of instances and plugins."""
+
+import mujoco
+import numpy as np
+import pytest
+
+import palmfield
+from palmfield.simulation.step import gather
+
+BAD_AND_NOT_COMPILED = '<keyframe><key qpos="0 0 0 0 0"/></keyframe>'
+"""MuJoCo refuses it after the plugins were asked for their sizes, and before they are made."""
+
+
+def test_a_copy_shows_what_the_simulation_shows_and_goes_on_as_it(small_scene):
+    first = palmfield.Simulation(small_scene())
+    first.step(5)
+    second = first.copy()
+    assert np.abs(first.forces).max() > 0.0
+    assert np.array_equal(first.forces, second.forces)
+    assert np.array_equal(first.data.sensordata, second.data.sensordata)
+    for one in (first, second):
+        one.step(3)
+    assert np.array_equal(first.skin().displacement, second.skin().displacement)
+    assert np.array_equal(first.forces, second.forces)
+
+
+def test_emitted_has_the_phase_that_the_state_has(small_scene):
+    sim = palmfield.Simulation(small_scene(array={"response": "on", "resonance_Hz": 40500}))
+    sim.step(4)
+    amplitudes = gather(sim.runtime.state, sim.runtime.work)
+    assert np.abs(amplitudes).max() > 0.01
+    assert sim.emitted == pytest.approx(amplitudes, rel=1e-6, abs=1e-9)
+    silent = palmfield.Simulation(small_scene(stimulus={"drive_amplitude": 0, "arp_peak_Pa": None}))
+    assert not silent.emitted.any()
+
+
+def test_a_key_of_an_instance_counts_before_one_of_its_plugin(small_scene):
+    # The plugin's own name would do for this instance, which is called "skin"
+    for keys in (
+        {"skin.accuracy": 0.3, "palmfield.skin.accuracy": 0.5},
+        {"palmfield.skin.accuracy": 0.5, "skin.accuracy": 0.3},
+    ):
+        sim = palmfield.Simulation(small_scene(), keys=keys)
+        assert sim.runtime.spec.skins[0].config.accuracy == 0.3
+
+
+def test_a_start_elsewhere_forgets_what_was_held_at_a_control_tick(small_scene):
+    keys = {"stimulus": {"control_rate_Hz": 10, "path": "circle", "path_diameter_m": 0.01, "path_rate_Hz": 140}}
+    path = small_scene(**keys)
+    used, fresh = palmfield.Simulation(path), palmfield.Simulation(path)
+    used.data.qpos[0] = 0.01
+    used.start_at(0.01)
+    used.step(2)
+    held = used.runtime.work.emission.held[0]
+    used.start_at(0.03)
+    fresh.start_at(0.03)
+    assert used.runtime.work.emission.held[0] is not held
+    assert used.runtime.work.emission.held[0].time_s == 0.03
+    assert np.array_equal(used.drive, fresh.drive)
+    assert np.array_equal(used.forces, fresh.forces)
+
+
+@pytest.mark.parametrize("duration_s", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_run_of_no_duration_is_refused_before_its_folder_is_made(duration_s, small_scene, tmp_path):
+    with pytest.raises(palmfield.SceneError, match=r"duration_s is .*; allowed: seconds > 0"):
+        palmfield.run(small_scene(), tmp_path / "out", duration_s=duration_s)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("again", ["file", "spec"])
+def test_an_earlier_failure_in_stock_mujoco_is_not_told_of_another_scene(again, small_scene):
+    bad = small_scene(skin={"accuracy": -3})
+    text = bad.read_text()
+    bad.write_text(text.replace("</mujoco>", BAD_AND_NOT_COMPILED + "</mujoco>"))
+    with pytest.raises(ValueError, match="keyframe"):
+        mujoco.MjModel.from_xml_path(str(bad))
+    good = small_scene()
+    palmfield.Simulation(good if again == "file" else mujoco.MjSpec.from_file(str(good))).step()
+
+
+def test_the_drive_level_is_that_of_the_moment(small_scene, moment):
+    from palmfield.session.summary import stimulus_numbers
+
+    sim = palmfield.Simulation(
+        small_scene(
+            stimulus={"modulation": "none", "am_of": None, "am_frequency_Hz": None, "am_depth": None, "ramp_s": 0.05}
+        )
+    )
+    sim.step(3)
+    level = stimulus_numbers(sim, [moment(sim)])["stimulus"]["drive_level"]
+    assert 0.0 < level < 0.2
+    assert level == pytest.approx(np.abs(sim.emitted).max(), rel=1e-9)
