@@ -39,6 +39,10 @@ MATRIX_FROM = 16
 """Frames from which the matrix is cheaper: it takes as long as 10 to 15 frames, docs/bench/frames.md."""
 
 
+Weights = tuple[float, float, float]
+"""Of the ARP's law, see `palmfield.acoustics.arp.law_weights`."""
+
+
 class Transfer:
     """What every transducer of an array does at fixed points: pressure, and gradient along the surface and its normal.
 
@@ -138,7 +142,7 @@ class Transfer:
         result: Float32,
         left: NDArray[np.complex64],
         basis: NDArray[np.complex64] | None,
-        weights: tuple[float, float, float],
+        weights: Weights,
     ) -> None:
         """Write the ARP of frames with coordinates `left` in `basis`, blocks of points shared among the threads.
 
@@ -148,6 +152,7 @@ class Transfer:
         for start in range(0, len(left), FRAMES_A_BLOCK):
             chunk = slice(start, min(start + FRAMES_A_BLOCK, len(left)))
             chunks.append((chunk, np.concatenate((left[chunk].real, left[chunk].imag))))
+        self._make_rooms(len(left), weights)
 
         def fill(first: int) -> None:
             matrix = self._matrix[:, :, first : first + POINTS_A_BLOCK]
@@ -170,6 +175,17 @@ class Transfer:
 
         blocks = [(functools.partial(fill, first),) for first in range(0, self.points, POINTS_A_BLOCK)]
         share(blocks, self.evaluator.threads)
+
+    def _make_rooms(self, frames: int, weights: Weights) -> None:
+        """Work arrays for all threads, with their launches: which thread comes to need them first is chance."""
+        blocks = -(-self.points // POINTS_A_BLOCK)
+        while len(self._rooms) < min(self.evaluator.threads, blocks):
+            self._rooms.append(_Room())
+        for room in self._rooms:
+            for count in (min(frames, FRAMES_A_BLOCK), frames % FRAMES_A_BLOCK):
+                for width in (min(self.points, POINTS_A_BLOCK), self.points % POINTS_A_BLOCK):
+                    if count > 0 and width > 0 and (count, width, weights) not in room.launches:
+                        room.record(count, width, weights)
 
     def arp_on_gpu(self, drives: ArrayLike, law: str = "default") -> Any:
         """As `arp`, but computed and left on the evaluator's GPU: a Warp array of shape (frames, points)."""
@@ -236,9 +252,9 @@ class _Room:
     def __init__(self) -> None:
         self.products = SharedArray((8, 2 * FRAMES_A_BLOCK, POINTS_A_BLOCK), wp.float32, "cpu")
         self.arp = SharedArray((FRAMES_A_BLOCK, POINTS_A_BLOCK), wp.float32, "cpu")
-        self.launches: dict[tuple[int, int, tuple[float, float, float]], Callable[[], object]] = {}
+        self.launches: dict[tuple[int, int, Weights], Callable[[], object]] = {}
 
-    def record(self, count: int, width: int, weights: tuple[float, float, float]) -> Callable[[], object]:
+    def record(self, count: int, width: int, weights: Weights) -> Callable[[], object]:
         """The launch that takes a block's products to ARP."""
         inputs = [self.products.array, count, width, wp.vec3(*weights), 0, 0, self.arp.array]
         launch = self.launches[count, width, weights] = recorded(kernels.arp_rows, count, inputs, "cpu")
