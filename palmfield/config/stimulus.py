@@ -94,7 +94,7 @@ class StimulusConfig(Config):
     stop_s: Positive | None = Field(None, description="the sound stops at this time (default: never)")
     ramp_s: NonNegative = Field(0.0, description="raised-cosine ramp of the ARP after start_s")
     control_rate_Hz: Annotated[float, Field(ge=0, le=40e3)] = Field(
-        0.0, description="rate at which the device gets new frames, held in between; 0 follows the skin's steps"
+        0.0, description="rate at which the board gets new frames, held in between; 0 follows the skin's steps"
     )
 
     @model_validator(mode="after")
