@@ -69,14 +69,13 @@ def skin_numbers(
 def stimulus_numbers(simulation: Simulation, loudest: Iterable[LoudestMoment | None]) -> dict[str, dict[str, Any]]:
     """Of each stimulus, by name: `drive_level`, the largest amplitude of its transducers at the skins' loudest moments.
 
-    Relative to full drive; 0 in silence.
+    Relative to full drive; 0 in silence. It is the level at full modulation, without ramp and bursts, where all
+    transducers follow one course; where they don't (several stimuli, a moving focus with ring-up), what is emitted.
     """
     moments = [moment for moment in loudest if moment is not None]
     result = {}
     for stimulus in simulation.runtime.model.stimuli:
-        levels = [
-            math.sqrt(moment.factor) * float(np.abs(moment.drive[stimulus.transducers]).max()) for moment in moments
-        ]
+        levels = [float(np.abs(moment.drive[stimulus.transducers]).max()) for moment in moments]
         result[stimulus.spec.name] = {"drive_level": max(levels, default=0.0)}
     return result
 

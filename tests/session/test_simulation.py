@@ -76,17 +76,3 @@ def test_an_earlier_failure_in_stock_mujoco_is_not_told_of_another_scene(again, 
         mujoco.MjModel.from_xml_path(str(bad))
     good = small_scene()
     palmfield.Simulation(good if again == "file" else mujoco.MjSpec.from_file(str(good))).step()
-
-
-def test_the_drive_level_is_that_of_the_moment(small_scene, moment):
-    from palmfield.session.summary import stimulus_numbers
-
-    sim = palmfield.Simulation(
-        small_scene(
-            stimulus={"modulation": "none", "am_of": None, "am_frequency_Hz": None, "am_depth": None, "ramp_s": 0.05}
-        )
-    )
-    sim.step(3)
-    level = stimulus_numbers(sim, [moment(sim)])["stimulus"]["drive_level"]
-    assert 0.0 < level < 0.2
-    assert level == pytest.approx(np.abs(sim.emitted).max(), rel=1e-9)
