@@ -5,8 +5,8 @@ import warp as wp
 from numpy.typing import NDArray
 
 from palmfield.acoustics.polynomials import sine_cosine
-from palmfield.acoustics.threads import cores, pool
 from palmfield.hand.triangles import face_normals
+from palmfield.threads import cores, pool
 from palmfield.types import Complex, Float, Int
 from warp_kernels import bem as kernels
 

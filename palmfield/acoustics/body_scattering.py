@@ -14,10 +14,10 @@ from palmfield.acoustics.arp import SurfaceSound, wall_pressure
 from palmfield.acoustics.field import filled
 from palmfield.acoustics.scattering import Incident, Scattering, scatter
 from palmfield.acoustics.shadow import CLEARANCE_m, REACH_m
-from palmfield.acoustics.threads import Calls, cores, share
 from palmfield.device import SharedArray, recorded, resolve
 from palmfield.errors import PalmfieldError
 from palmfield.hand.subdivide import with_short_edges
+from palmfield.threads import Calls, cores, share
 from palmfield.types import Air, Complex, Float, Float32, Int
 from warp_kernels import shadow as kernels
 

@@ -15,10 +15,10 @@ from palmfield.acoustics import check, polynomials, validity
 from palmfield.acoustics.air import absorption_Np_m as air_absorption
 from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.groups import groups
-from palmfield.acoustics.threads import cores, pool
 from palmfield.acoustics.transducer import directivity_coefficients
 from palmfield.device import resolve
 from palmfield.errors import PalmfieldError
+from palmfield.threads import cores, pool
 from palmfield.types import Air, Array, Field, Float, Int
 from warp_kernels import gradient as with_gradient
 from warp_kernels import pressure as kernels

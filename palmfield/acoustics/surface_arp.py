@@ -12,10 +12,10 @@ from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.arp import SurfaceSound, law_weights
 from palmfield.acoustics.field import FieldEvaluator, falling, filled, in_unit
 from palmfield.acoustics.phased_array import DirectivityGroup, MultiArrayField
-from palmfield.acoustics.threads import Calls, cores, share
 from palmfield.acoustics.transfer import Transfer, arp_frames, matrix_bytes, memory_limit, too_steep
 from palmfield.device import SharedArray, recorded
 from palmfield.errors import PalmfieldError
+from palmfield.threads import Calls, cores, share
 from palmfield.types import Complex, Float, Float32
 
 PAIRS_PER_THREAD = 100_000

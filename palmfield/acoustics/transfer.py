@@ -14,10 +14,10 @@ from palmfield.acoustics import check
 from palmfield.acoustics.arp import arp, check_law, law_weights, unit_normals
 from palmfield.acoustics.field import CUBIC_REACH_Np, FieldEvaluator, distances, polynomial_fall
 from palmfield.acoustics.groups import axes
-from palmfield.acoustics.threads import pool, share
 from palmfield.blas import one_blas_thread
 from palmfield.device import SharedArray, recorded
 from palmfield.errors import PalmfieldError
+from palmfield.threads import pool, share
 from palmfield.types import Complex, Float, Float32
 from warp_kernels import transfer as kernels
 

@@ -15,9 +15,9 @@ from palmfield.acoustics.focus import focus
 from palmfield.acoustics.phased_array import ArrayInstance, PhasedArray
 from palmfield.acoustics.reference import pressure64
 from palmfield.acoustics.surface_arp import MATRIX_FROM, RANGE_STEP_M, SurfaceArp
-from palmfield.acoustics.threads import share
 from palmfield.config import ArrayConfig
 from palmfield.errors import PalmfieldError, SceneError
+from palmfield.threads import share
 from palmfield.transforms import IDENTITY, Placement, Transform
 from palmfield.types import Complex, Float
 

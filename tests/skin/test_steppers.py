@@ -11,6 +11,7 @@ from threadpoolctl import threadpool_info
 
 from palmfield.blas import one_blas_thread
 from palmfield.errors import SceneError
+from palmfield.skin.fem import wedge_stepper
 from palmfield.skin.fem.factor import factorise
 from palmfield.skin.fem.generalised_alpha import Scheme, alpha_weights, branch_weights
 from palmfield.skin.fem.load import SurfaceQuadrature
@@ -113,6 +114,17 @@ def test_leaving_one_matrix_out_of_a_substep_changes_nothing(disc, whole):
     for mine, theirs in zip(state[0].reshape(plain.shape), plain, strict=True):
         # The matrices' condition makes 1e-11 of round-off: as much as another elimination order does.
         np.testing.assert_allclose(mine, theirs, atol=1e-10 * abs(theirs).max())
+
+
+def test_a_substep_of_wedges_is_the_same_on_any_number_of_threads(disc, monkeypatch):
+    loads, states = bells(disc, patterns=1), []
+    for stored in (1, 10**9):
+        monkeypatch.setattr(wedge_stepper, "STORED_PER_THREAD", stored)
+        stepper = WedgeStepper(disc[0], disc[1].operator, STEP)
+        states.append(rest(stepper))
+        stepper.step(states[-1], loads, 0.0, SUBSTEPS * STEP)
+    np.testing.assert_array_equal(*states)
+    assert np.abs(states[0]).max() > 0.0
 
 
 def test_the_small_model_is_exact_in_time(disc, small):

@@ -4,6 +4,7 @@ import threading
 from typing import Any
 
 import numpy as np
+from scipy import sparse
 from scipy.sparse.linalg import SuperLU, splu
 
 from palmfield.blas import one_blas_thread
@@ -43,16 +44,16 @@ class Factor:
         result[order] = moved
         return result
 
-    def solve_vector(self, right: Any, out: Any) -> Any:
-        """The solution for one real vector, (n,), into `out`, (n,), another one; for a caller that holds BLAS to one
-        thread (palmfield.blas), and in as few calls as can be."""
-        order = self._order
-        with self._lock:
-            if order is None:
-                return self._lu.solve(right)
-            moved = self._lu.solve(right[order])
-        out[order] = moved
-        return out
+    def triangle(self) -> tuple[sparse.csc_matrix, Any, Int]:
+        """L and D of L D L^T, csc (n, n) with a unit diagonal and (n,), and the order in which they are eliminated:
+        old index by new place, shape (n,). Raises RuntimeError where SuperLU has pivoted."""
+        lu = self._lu
+        if not np.array_equal(lu.perm_r, lu.perm_c):
+            raise RuntimeError("a pivot was exchanged: the matrix is not symmetric positive definite")
+        place = np.argsort(lu.perm_c).astype(np.int32)
+        lower = lu.L.tocsc()
+        lower.sort_indices()
+        return lower, lu.U.diagonal(), place if self._order is None else self._order[place]
 
     def _common(self, right: Any) -> Any:
         return complex if right.dtype.kind == "c" or self._diagonal.dtype.kind == "c" else float

@@ -8,34 +8,49 @@ sums of rows of the old state. One of the K_i need not be multiplied: with z_0 =
 The matrix with the most numbers is left out in this way, which is a third of all that a substep of a small layer reads.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import warp as wp
 from scipy import sparse
 
 # SciPy's products take ten Python calls around these, which add to what is there: y += A x.
 from scipy.sparse._sparsetools import csr_matvec
 
-from palmfield.blas import one_blas_thread
+from palmfield.device import recorded
 from palmfield.skin.fem.assembly import SkinSystem
-from palmfield.skin.fem.factor import factorise
+from palmfield.skin.fem.block_factor import BlockFactor, Part, block_factor
 from palmfield.skin.fem.generalised_alpha import Scheme
+from palmfield.skin.fem.grouped_rows import grouped_rows
 from palmfield.skin.stepper import Reader, SurfaceLoads, check_step, checked_operator
+from palmfield.threads import Calls, cores, share
 from palmfield.types import Float
+from warp_kernels import supernodes as kernels
+
+STORED_PER_THREAD = 150_000
+"""Fewest numbers of the blocks worth a thread of its own."""
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Room:
-    """Work arrays of a call: right-hand side and solution (n,), sums of state rows (i, n), two states, forces of
-    patterns (k, n)."""
+    """What a call works in, and the launches that work there. All is numbered by the places of the factor.
 
-    right: Float
-    moved: Float
-    sums: Float
-    next: Float
-    change: Float
+    rows: the state, (r, size); forces: of patterns, (k, size); weights: of the patterns in the coming substep, (k,)
+    add_up: makes the sums of rows that the first substep takes
+    begin: each branch's way down to the trunk; trunk: what is between; turn: each branch's way up, and down again; end:
+    the way up
+    """
+
+    rows: Float
     forces: Float
+    weights: Float
+    add_up: Callable[[], object]
+    begin: list[Calls]
+    trunk: Calls
+    turn: list[Calls]
+    end: list[Calls]
 
 
 class WedgeStepper:
@@ -56,14 +71,16 @@ class WedgeStepper:
         scheme = Scheme(system, step_s, rho_inf)
         self.step_s, self.ndof, self.state_rows = step_s, system.ndof, scheme.state_rows
         self.state_size = self.state_rows * self.ndof
-        self.inputs = sparse.csr_matrix(inputs, dtype=np.float64)
-        self.factor = factorise(scheme.effective(), system.elimination_order())
+        factor = self._factor = block_factor(scheme.effective(), system.elimination_order())
+        self._threads = min(cores(), max(1, factor.stored // STORED_PER_THREAD))
         self._alpha_f = scheme.alpha_f
         left_out, *others = sorted(scheme.terms, key=lambda term: -term.matrix.nnz)
         offset = left_out.row / left_out.coefficient
-        self._sums = np.array([*(term.row - term.coefficient * offset for term in others), offset])
-        self._others = sparse.hstack([term.matrix for term in others], format="csr")
-        self._advance, self._follow = scheme.advance, scheme.follow[:, None]
+        self._into_sums = np.array([*(term.row - term.coefficient * offset for term in others), offset])
+        parts = [(part.first, part.last) for part in (*factor.branches, factor.trunk)]
+        self._others = grouped_rows([_placed(term.matrix, factor, rows=True) for term in others], parts)
+        self._inputs = _placed(sparse.csr_matrix(inputs, dtype=np.float64), factor, rows=True, columns=False)
+        self._advance, self._follow = scheme.advance, scheme.follow
         self._rooms: list[_Room] = []
 
     def step(
@@ -71,64 +88,142 @@ class WedgeStepper:
     ) -> Float | None:
         """See SkinStepper."""
         check_step(self, state, loads, t0, t1)
-        rows = state[0].reshape(self.state_rows, self.ndof)
+        rows, place = state[0].reshape(self.state_rows, self.ndof), self._factor.place
         first, last = loads.first[0], loads.last[0]
         mix = self._alpha_f * first + (1.0 - self._alpha_f) * last
-        substeps = len(mix)
+        substeps, patterns = mix.shape
         seen = None if observe is None else np.zeros((1, substeps, 2, observe.count))
-        room = self._room(mix.shape[1])
-        matrix, size, solve = self._others, self.ndof, self.factor.solve_vector
-        others = room.sums[:-1].reshape(-1)
-        with one_blas_thread:
-            forces = self._forces(room, loads.pressure_Pa[0])
-            for i in range(substeps):
-                np.matmul(self._sums, rows, out=room.sums)
-                np.matmul(mix[i], forces, out=room.right)
-                csr_matvec(size, len(others), matrix.indptr, matrix.indices, matrix.data, others, room.right)
-                moved = solve(room.right, room.moved)
-                np.add(moved, room.sums[-1], out=moved)
-                np.matmul(self._advance, rows, out=room.next)
-                np.multiply(self._follow, moved, out=room.change)
-                np.add(room.next, room.change, out=rows)
-                if seen is not None:
-                    self._read(rows, observe, seen[0, i])
+        room, threads = self._room(patterns), self._threads
+        room.rows[:, place] = rows
+        room.add_up()
+        self._fill_forces(room, loads.pressure_Pa[0])
+        room.weights[patterns:] = 0.0
+        room.weights[:patterns] = mix[0]
+        share(room.begin, threads)
+        for i in range(substeps):
+            for call in room.trunk:
+                call()
+            if i + 1 < substeps:
+                room.weights[:patterns] = mix[i + 1]
+                share(room.turn, threads)
+            else:
+                share(room.end, threads)
+            if seen is not None and observe is not None:
+                _read(observe.matrix[1], room.rows, seen[0, i])
+        rows[...] = room.rows[:, place]
         self._rooms.append(room)
         return seen
 
     def reader(self, operator: sparse.csr_matrix) -> Reader:
         """See SkinStepper."""
         matrix = checked_operator(operator, self.ndof)
-        return Reader(matrix.shape[0], matrix)
+        return Reader(matrix.shape[0], (matrix, _placed(matrix, self._factor)))
 
     def read(self, state: Float, reader: Reader) -> Float:
         """See SkinStepper."""
         result = np.zeros((len(state), 2, reader.count))
         for one, out in zip(state, result, strict=True):
-            self._read(one.reshape(self.state_rows, self.ndof), reader, out)
+            _read(reader.matrix[0], one.reshape(self.state_rows, self.ndof), out)
         return result
 
-    def _read(self, rows: Float, reader: Any, out: Float) -> None:
-        matrix = reader.matrix
-        for row, result in zip(rows, out, strict=False):
-            csr_matvec(reader.count, self.ndof, matrix.indptr, matrix.indices, matrix.data, row, result)
-
-    def _forces(self, room: _Room, pressure: Float) -> Float:
-        """Nodal forces [N] of each pattern, shape (k, n)."""
-        forces, inputs = room.forces[: len(pressure)], self.inputs
+    def _fill_forces(self, room: _Room, pressure: Float) -> None:
+        """Nodal forces [N] of each pattern, from its pressure [Pa] (k, q)."""
+        inputs = self._inputs
         pressure = pressure.astype(np.float64, copy=False)
-        forces[:] = 0.0
-        for pattern, force in zip(pressure, forces, strict=True):
-            csr_matvec(self.ndof, len(pattern), inputs.indptr, inputs.indices, inputs.data, pattern, force)
-        return forces
+        room.forces[: len(pressure)] = 0.0
+        for pattern, force in zip(pressure, room.forces, strict=False):
+            csr_matvec(len(force), len(pattern), inputs.indptr, inputs.indices, inputs.data, pattern, force)
 
     def _room(self, patterns: int) -> _Room:
         """Work arrays: those of an earlier call if no other thread has them. Appended to and taken from atomically."""
         try:
             room = self._rooms.pop()
         except IndexError:
-            state = np.empty((self.state_rows, self.ndof))
-            sums = np.empty((len(self._sums), self.ndof))
-            room = _Room(np.empty(self.ndof), np.empty(self.ndof), sums, state, state.copy(), np.empty((0, self.ndof)))
-        if len(room.forces) < patterns:
-            room.forces = np.empty((patterns, self.ndof))
-        return room
+            return self._new_room(patterns)
+        return room if len(room.weights) >= patterns else self._new_room(patterns)
+
+    def _new_room(self, patterns: int) -> _Room:
+        factor, size = self._factor, self._factor.size
+        rows, sums = _Numbers((self.state_rows, size)), _Numbers((len(self._into_sums), size))
+        forces, weights = _Numbers((patterns, size)), _Numbers((patterns,))
+        # Padding of the rows below a supernode is the place after the last: written by a sum of zeros, read as 0
+        solved, solution = _Numbers((size,)), _Numbers((size + kernels.WIDTH,))
+        carry, follow, into_sums = (_Numbers.of(part) for part in (self._advance, self._follow, self._into_sums))
+        right = [_Numbers((size + kernels.WIDTH,)) for _ in (*factor.branches, factor.trunk)]
+
+        matrix, groups = self._others
+
+        def down(
+            part: Part, groups: tuple[int, int], right: _Numbers, others: list[_Numbers]
+        ) -> list[Callable[[], object]]:
+            weighed = [part.first, part.last, weights.plain, forces.plain, right.plain]
+            multiplied = [matrix, *groups, sums.flat, right.plain]
+            calls = [recorded(kernels.weigh, 1, weighed, "cpu"), recorded(kernels.multiply, 1, multiplied, "cpu")]
+            for other in others:
+                inputs = [part.first, part.last, other.plain, right.plain]
+                calls.append(recorded(kernels.collect, 1, inputs, "cpu"))
+            inputs = [factor.nodes, part.first_node, part.last_node, right.plain, solved.plain]
+            calls.append(recorded(kernels.forward, 1, inputs, "cpu"))
+            return calls
+
+        def up(part: Part) -> list[Callable[[], object]]:
+            work = wp.zeros(factor.widest, dtype=kernels.lanes, device="cpu")
+            old = wp.zeros(self.state_rows, dtype=kernels.lanes, device="cpu")
+            inputs = [factor.nodes, part.first_node, part.last_node, solved.plain, work, solution.plain]
+            wide = [part.first // kernels.WIDTH, part.last // kernels.WIDTH]
+            given = [solution.lanes, carry.plain, follow.plain, into_sums.plain, old, rows.lanes, sums.lanes]
+            return [
+                recorded(kernels.backward, 1, inputs, "cpu"),
+                recorded(kernels.advance, 1, [*wide, *given], "cpu"),
+            ]
+
+        downs: list[Calls] = [down(*each, []) for each in zip(factor.branches, groups, right, strict=False)]
+        ups: list[Calls] = [up(part) for part in factor.branches]
+        trunk = [*down(factor.trunk, groups[-1], right[-1], right[:-1]), *up(factor.trunk)]
+        turns: list[Calls] = [[*one, *other] for one, other in zip(ups, downs, strict=True)]
+        add_up = recorded(kernels.add_up, 1, [into_sums.plain, rows.lanes, sums.lanes], "cpu")
+        return _Room(rows.host, forces.host, weights.host, add_up, downs, trunk, turns, ups)
+
+
+class _Numbers:
+    """Float64 or int32 numbers that NumPy, and kernels one by one or WIDTH by WIDTH, see in one memory."""
+
+    def __init__(self, shape: tuple[int, ...]) -> None:
+        self.host: Any = np.zeros(shape)
+
+    @classmethod
+    def of(cls, values: Any) -> "_Numbers":
+        """Those that are given."""
+        result = cls(())
+        result.host = np.ascontiguousarray(values)
+        return result
+
+    @property
+    def plain(self) -> Any:
+        kind = wp.float64 if self.host.dtype == np.float64 else wp.int32
+        return wp.array(self.host, dtype=kind, device="cpu", copy=False)
+
+    @property
+    def flat(self) -> Any:
+        return wp.array(self.host.reshape(-1), dtype=wp.float64, device="cpu", copy=False)
+
+    @property
+    def lanes(self) -> Any:
+        wide = self.host.reshape(*self.host.shape[:-1], -1, kernels.WIDTH)
+        return wp.array(wide, dtype=kernels.lanes, device="cpu", copy=False)
+
+
+def _placed(
+    matrix: sparse.csr_matrix, factor: BlockFactor, *, rows: bool = False, columns: bool = True
+) -> sparse.csr_matrix:
+    """The matrix with its columns, or rows, or both, numbered by the places of the factor."""
+    parts, place = sparse.coo_matrix(matrix), factor.place
+    row, count = (place[parts.row], factor.size) if rows else (parts.row, matrix.shape[0])
+    column, width = (place[parts.col], factor.size) if columns else (parts.col, matrix.shape[1])
+    return sparse.csr_matrix((parts.data, (row, column)), shape=(count, width))
+
+
+def _read(matrix: sparse.csr_matrix, rows: Float, out: Float) -> None:
+    """Displacement and velocity, added to `out` (2, m)."""
+    for row, result in zip(rows, out, strict=False):
+        csr_matvec(len(result), len(row), matrix.indptr, matrix.indices, matrix.data, row, result)

@@ -1,0 +1,64 @@
+"""Sparse matrices by groups of rows with numbers in the same columns, as `warp_kernels.supernodes` multiplies them.
+
+A product number by number waits for each number's column; by groups of eight rows a column is looked up once for eight.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import warp as wp
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+
+from palmfield.types import Int
+from warp_kernels.supernodes import ROWS, GroupedRows, rows_of_group
+
+
+def grouped_rows(
+    matrices: Sequence[sparse.csr_matrix], ranges: Sequence[tuple[int, int]]
+) -> tuple[GroupedRows, list[tuple[int, int]]]:
+    """The matrices side by side, shape (n, m n), with the groups of each range of rows together.
+
+    matrices: m of them, csr (n, n); ranges: first row of each, and the one after its last; together all rows that hold
+        numbers, and none twice
+    Returns, beside them, the first group of each range and the one after its last.
+    """
+    n = matrices[0].shape[0]
+    rows, starts, columns, values, groups = [], [np.zeros(1, np.int64)], [], [], []
+    count = 0
+    for first, last in ranges:
+        begin = count
+        for number, matrix in enumerate(matrices):
+            part = matrix[first:last].tocoo()
+            order = _alike(matrix, first, last)
+            members = -(-len(order) // ROWS)
+            padded = np.full(members * ROWS, n, np.int32)
+            padded[: len(order)] = order
+            place = np.empty(last - first, np.int64)
+            place[order - first] = np.arange(len(order))
+            row = place[part.row]
+            pairs, where = np.unique((row // ROWS) * n + part.col, return_inverse=True)
+            block = np.zeros((len(pairs), ROWS))
+            block[where, row % ROWS] = part.data
+            ends = np.searchsorted(pairs, n * np.arange(1, members + 1))
+            rows.append(padded)
+            starts.append(starts[-1][-1] + ends)
+            columns.append(pairs % n + number * n)
+            values.append(block)
+            count += members
+        groups.append((begin, count))
+    result = GroupedRows()
+    result.rows, result.start, result.columns = (_ints(np.concatenate(parts)) for parts in (rows, starts, columns))
+    result.values = wp.array(np.concatenate(values), dtype=rows_of_group, device="cpu")
+    return result, groups
+
+
+def _alike(matrix: sparse.csr_matrix, first: int, last: int) -> Int:
+    """Rows first..last - 1 with those together that may share columns: a mass couples no x with a y."""
+    _, part = connected_components(matrix, directed=False)
+    return (first + np.argsort(part[first:last], kind="stable")).astype(np.int32)
+
+
+def _ints(numbers: Any) -> Any:
+    return wp.array(np.asarray(numbers, dtype=np.int32), dtype=wp.int32, device="cpu")

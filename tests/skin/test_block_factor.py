@@ -1,0 +1,100 @@
+"""Factors as dense blocks, and sparse matrices by groups of rows, against SciPy."""
+
+import numpy as np
+import pytest
+import warp as wp
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import sparse
+
+from palmfield.skin.fem.block_factor import BRANCHES, block_factor
+from palmfield.skin.fem.grouped_rows import grouped_rows
+from warp_kernels import supernodes as kernels
+
+
+def numbers(values):
+    return wp.array(values, dtype=wp.float64, device="cpu", copy=False)
+
+
+def solve(factor, right):
+    """Down the branches and the trunk, and up again."""
+    rights = [np.zeros(factor.size + kernels.WIDTH) for _ in (*factor.branches, factor.trunk)]
+    solved, solution = np.zeros(factor.size), np.zeros(factor.size + kernels.WIDTH)
+    placed = np.zeros(factor.size)
+    placed[factor.place] = right
+    work = wp.zeros(factor.widest, dtype=kernels.lanes, device="cpu")
+    for part, mine in zip((*factor.branches, factor.trunk), rights, strict=True):
+        mine[part.first : part.last] = placed[part.first : part.last]
+        if part is factor.trunk:
+            for other in rights[:-1]:
+                inputs = [part.first, part.last, numbers(other), numbers(mine)]
+                wp.launch(kernels.collect, 1, inputs=inputs, device="cpu")
+        inputs = [factor.nodes, part.first_node, part.last_node, numbers(mine), numbers(solved)]
+        wp.launch(kernels.forward, 1, inputs=inputs, device="cpu")
+    for part in (factor.trunk, *factor.branches):
+        inputs = [factor.nodes, part.first_node, part.last_node, numbers(solved), work, numbers(solution)]
+        wp.launch(kernels.backward, 1, inputs=inputs, device="cpu")
+    return solution[factor.place]
+
+
+def spd(n, edges, rng):
+    """A symmetric positive definite matrix with numbers at the edges of a graph, shape (e, 2)."""
+    values = rng.standard_normal(len(edges))
+    half = sparse.coo_matrix((values, (edges[:, 0], edges[:, 1])), shape=(n, n)).tocsr()
+    both = half + half.T
+    return (both + sparse.diags(1.0 + np.abs(both).sum(axis=1).A1)).tocsr()
+
+
+@settings(max_examples=60, deadline=None)
+@given(n=st.integers(1, 90), per_node=st.floats(0.0, 3.0), seed=st.integers(0, 2**31))
+def test_any_graph_in_any_order_is_solved(n, per_node, seed):
+    """Sparse ones fall into trees of their own, dense ones are one supernode."""
+    rng = np.random.default_rng(seed)
+    edges = rng.integers(0, n, (round(per_node * n), 2))
+    matrix = spd(n, edges[edges[:, 0] != edges[:, 1]], rng)
+    factor = block_factor(matrix, rng.permutation(n).astype(np.int32))
+    parts = (*factor.branches, factor.trunk)
+    assert len(factor.branches) == BRANCHES and len(np.unique(factor.place)) == n
+    assert sum(part.last_node - part.first_node for part in parts) == len(factor.nodes.size.numpy())
+    right = rng.standard_normal(n)
+    np.testing.assert_allclose(matrix @ solve(factor, right), right, atol=1e-12 * np.abs(right).max())
+
+
+@pytest.mark.numerics
+def test_a_layer_is_solved_and_its_branches_share_the_work(make_spot):
+    system = make_spot(0.006, 2, radius_m=0.04).system
+    matrix = system.mass / 1e-8 + system.elastic + system.parts[0].stiffness
+    factor = block_factor(matrix, system.elimination_order())
+    right = np.random.default_rng(0).standard_normal(system.ndof)
+    np.testing.assert_allclose(matrix @ solve(factor, right), right, atol=1e-10)
+    sizes, below = factor.nodes.size.numpy(), kernels.WIDTH * factor.nodes.below.numpy()
+    work = [(sizes * (sizes + below))[part.first_node : part.last_node].sum() for part in factor.branches]
+    assert max(work) < 1.5 * min(work)
+    assert sum(work) > 0.5 * (sizes * (sizes + below)).sum()
+
+
+def test_a_matrix_that_is_not_definite_is_refused():
+    swapped = sparse.csr_matrix(np.array([[0.0, 1.0], [1.0, 0.0]]))
+    with pytest.raises(RuntimeError):
+        block_factor(swapped, np.arange(2, dtype=np.int32))
+
+
+@settings(max_examples=40, deadline=None)
+@given(n=st.integers(2, 70), density=st.floats(0.0, 0.5), seed=st.integers(0, 2**31))
+def test_grouped_rows_multiply_as_the_matrices_do(n, density, seed):
+    rng = np.random.default_rng(seed)
+    matrices = [sparse.random(n, n, density, format="csr", random_state=rng) for _ in range(2)]
+    # One that couples even with even rows only, as a mass does components
+    odd = np.arange(n) % 2
+    matrices.append(matrices[0].multiply(odd[:, None] == odd).tocsr())
+    cut = int(rng.integers(1, n))
+    grouped, groups = grouped_rows(matrices, [(0, cut), (cut, n)])
+    sums = rng.standard_normal((3, n))
+    for (first, last), rows in zip(groups, (slice(0, cut), slice(cut, n)), strict=True):
+        right = np.zeros(n + 1)
+        inputs = [grouped, first, last, numbers(sums.ravel()), numbers(right)]
+        wp.launch(kernels.multiply, 1, inputs=inputs, device="cpu")
+        expected = np.zeros(n)
+        expected[rows] = sum(matrix @ part for matrix, part in zip(matrices, sums, strict=True))[rows]
+        np.testing.assert_allclose(right[:n], expected, atol=1e-13)
+        assert right[n] == 0.0
