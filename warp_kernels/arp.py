@@ -93,3 +93,54 @@ def surface_sound(at: SurfacePoints):
     at.pressure[i] = wp.vec2()
     for j in range(3):
         at.gradient[i, j] = wp.vec2()
+
+
+@wp.kernel
+def keep(
+    number: wp.array(dtype=wp.int32),
+    pressure: wp.array(dtype=wp.vec2),
+    gradient: wp.array2d(dtype=wp.vec2),
+    kept_pressure: wp.array2d(dtype=wp.vec2),
+    kept_gradient: wp.array3d(dtype=wp.vec2),
+):
+    """Put pressure and gradient (n, 3) away as those of a number, and leave zeros, as `surface_sound` does."""
+    i = wp.tid()
+    kept_pressure[number[0], i] = pressure[i]
+    pressure[i] = wp.vec2()
+    for j in range(3):
+        kept_gradient[number[0], i, j] = gradient[i, j]
+        gradient[i, j] = wp.vec2()
+
+
+@wp.func
+def times(a: wp.vec2, b: wp.vec2):
+    """The product of two complex numbers."""
+    return wp.vec2(a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0])
+
+
+@wp.kernel
+def arp_of_sums(
+    levels: wp.array2d(dtype=wp.vec2),
+    pressure: wp.array2d(dtype=wp.vec2),
+    gradient: wp.array3d(dtype=wp.vec2),
+    normals: wp.array(dtype=wp.vec3),
+    per_wavenumber: float,
+    weights: wp.vec3,
+    result: wp.array2d(dtype=wp.float32),
+):
+    """ARP [Pa] of levels (m, k) @ fields that were kept, pressure (k, n) and gradient (k, n, 3), shape (m, n)."""
+    i = wp.tid()
+    for m in range(levels.shape[0]):
+        p = wp.vec2()
+        gx = wp.vec2()
+        gy = wp.vec2()
+        gz = wp.vec2()
+        for k in range(levels.shape[1]):
+            level = levels[m, k]
+            p += times(level, pressure[k, i])
+            gx += times(level, gradient[k, i, 0])
+            gy += times(level, gradient[k, i, 1])
+            gz += times(level, gradient[k, i, 2])
+        g_re = wp.vec3(gx[0], gy[0], gz[0])
+        g_im = wp.vec3(gx[1], gy[1], gz[1])
+        result[m, i] = pressure_on_surface(p, g_re, g_im, normals[i], per_wavenumber, weights)

@@ -157,21 +157,15 @@ def multiply(
             right[row] = right[row] + even[i]
 
 
-@wp.func
-def weighted_sum(weights: wp.array2d(dtype=wp.float64), i: wp.int32, rows: wp.array2d(dtype=lanes), group: wp.int32):
-    """Row i of weights @ rows, in a group."""
-    total = lanes()
-    for b in range(rows.shape[0]):
-        total += rows[b, group] * weights[i, b]
-    return total
-
-
 @wp.kernel
 def add_up(into_sums: wp.array2d(dtype=wp.float64), rows: wp.array2d(dtype=lanes), sums: wp.array2d(dtype=lanes)):
     """sums = into_sums @ rows."""
     for i in range(sums.shape[0]):
         for group in range(rows.shape[1]):
-            sums[i, group] = weighted_sum(into_sums, i, rows, group)
+            total = lanes()
+            for b in range(rows.shape[0]):
+                total += rows[b, group] * into_sums[i, b]
+            sums[i, group] = total
 
 
 @wp.kernel
@@ -200,7 +194,10 @@ def advance(
                 total += old[b] * carry[a, b]
             rows[a, group] = total
         for i in range(offset + 1):
-            sums[i, group] = weighted_sum(into_sums, i, rows, group)
+            total = lanes()
+            for b in range(count):
+                total += rows[b, group] * into_sums[i, b]
+            sums[i, group] = total
 
 
 @wp.kernel

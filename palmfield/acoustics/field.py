@@ -154,13 +154,22 @@ class FieldEvaluator:
         """How many points each thread of a kernel takes."""
         return kernels.WIDTH["gpu" if self._gpu else "cpu"]
 
-    def inputs(self, elements: Any, strengths: Any, gradient: bool) -> list[Any]:
-        """What a kernel takes between points and results; elements, strengths: see `elements`, on the device."""
+    @property
+    def ranges(self) -> Int:
+        """First transducer of each group, and one past the last, counted in `order`, shape (g, 2)."""
+        return self._groups.ranges
+
+    def inputs(self, elements: Any, strengths: Any, gradient: bool, ranges: Any = None) -> list[Any]:
+        """What a kernel takes between points and results.
+
+        elements, strengths: see `elements`, on the device; ranges: others than all transducers of each group
+        """
         if gradient:
             turns, sound, shapes = self._turns_radians, self._radians, [self._shapes]
         else:
             turns, sound, shapes = self._turns, self.sound, []
-        return [self._origins, turns, self._ranges, elements, strengths, sound, *shapes]
+        ranges = self._ranges if ranges is None else ranges
+        return [self._origins, turns, ranges, elements, strengths, sound, *shapes]
 
     def elements(self, gradient: bool) -> NDArray[Any]:
         """x, y, phase and z of each transducer in the order of its groups, shape (n, 4), the phase still 0.

@@ -2,6 +2,7 @@
 
 import cmath
 import math
+from typing import NamedTuple
 
 import numpy as np
 import warp as wp
@@ -16,7 +17,7 @@ from palmfield.acoustics.transfer import Transfer, arp_frames, matrix_bytes, mem
 from palmfield.device import SharedArray, recorded
 from palmfield.errors import PalmfieldError
 from palmfield.threads import Calls, cores, share
-from palmfield.types import Complex, Float, Float32
+from palmfield.types import Complex, Float, Float32, Int
 
 PAIRS_PER_THREAD = 100_000
 """Fewest pairs of point and transducer worth a thread of its own: 0.13 ms of work against 0.02 ms to hand it over."""
@@ -65,6 +66,7 @@ class SurfaceArp:
         self._emitters = [_Emitter(*pair) for pair in zip(field.groups, field.evaluators, strict=True)]
         self._threads, self._blocks = self._shared_out(cores() if threads is None else threads)
         self._recorded: dict[tuple[str, ...], list[Calls]] = {}
+        self._sums: dict[tuple[tuple[str, ...], tuple[int, int]], _Sums] = {}
         self._transfer: Transfer | None = None
         self._weights = law_weights(law, field.air)
         self._per_wavenumber = sound_speed(field.air) / (2.0 * np.pi * field.groups[0].array.frequency_Hz)
@@ -79,9 +81,9 @@ class SurfaceArp:
         flux: whether the result has the energy flux
         Raises PalmfieldError for other shapes and numbers that are not finite. Normals are taken to be unit vectors.
         """
-        count = self.count
         if drive.dtype != np.complex128:
             drive = drive.astype(np.complex128)
+        count = self.count
         if points.shape != (count, 3) or normals.shape != (count, 3) or drive.shape != (self.field.count,):
             raise PalmfieldError(
                 f"points {points.shape}, normals {normals.shape} and drive {drive.shape}: this SurfaceArp takes "
@@ -91,10 +93,44 @@ class SurfaceArp:
             self._run(points, normals, drive[None])
         return self._sound_and_flux if flux else self._sound
 
+    def evaluate_sums(
+        self, points: Float | Float32, normals: Float | Float32, units: Complex, levels: Complex
+    ) -> Float32:
+        """ARP [Pa] of sums of a few drives, levels @ units, shape (m, count): each drive's field is computed once.
+
+        units: drives, shape (k, field.count), of which zeros cost nothing; levels: how much of each, shape (m, k)
+        Raises PalmfieldError as `evaluate`.
+        """
+        if points.shape != (self.count, 3) or units.shape[1:] != (self.field.count,):
+            self.evaluate(points, normals, units[0])  # says what is expected
+        if self.count == 0 or len(levels) == 0:
+            return np.zeros((len(levels), self.count), np.float32)
+        sums = self._run(points, normals, units, of=levels.shape)
+        assert sums is not None
+        sums.levels.host[..., 0] = levels.real
+        sums.levels.host[..., 1] = levels.imag
+        if self._gpu:
+            sums.levels.upload()
+            share(sums.sounds, 1)
+            sums.arp.download()
+            wp.synchronize_stream(self.field.device)
+        else:
+            share(sums.sounds, self._threads)
+        return sums.arp.host.copy()
+
     def _run(
-        self, points: Float | Float32, normals: Float | Float32, drives: Complex, out: Float32 | None = None
-    ) -> None:
-        """Fill the buffers for one drive after another, complex128, shape (m, N); out: takes their ARP, (m, count)."""
+        self,
+        points: Float | Float32,
+        normals: Float | Float32,
+        drives: Complex,
+        out: Float32 | None = None,
+        of: tuple[int, int] | None = None,
+    ) -> "_Sums | None":
+        """Fill the buffers for one drive after another, complex128, shape (m, N).
+
+        out: takes their ARP, shape (m, count)
+        of: shape of the levels of sums: the drives' fields are kept for them, in what is returned
+        """
         self._points.host[...] = points
         self._normals.host[...] = normals
         # By column: NumPy's reduction along short rows takes ten times as long
@@ -108,7 +144,8 @@ class SurfaceArp:
         falls: tuple[str, ...] = ()
         for emitter in self._emitters:
             falls = (*falls, emitter.prepare(low, high, drives))
-        blocks = self._recorded.get(falls)
+        sums = None if of is None else self._sums.get((falls, of)) or self._record_sums(falls, of)
+        blocks = self._recorded.get(falls) if sums is None else sums.fields
         if blocks is None:
             blocks = self._recorded[falls] = self._record(falls)
         arp, amplitude = self._sound.arp, self._sound.amplitude
@@ -116,12 +153,15 @@ class SurfaceArp:
             for emitter in self._emitters:
                 emitter.strengths.host[...] = emitter.amplitudes[i]
                 emitter.rows.host[:, 2] = emitter.phases[i]
+                emitter.ranges.host[...] = emitter.sounding[i]
+            if sums is not None:
+                sums.number.host[0] = i
             if self._interrupted:
                 self._pressure.zero_()
                 self._gradient.zero_()
             self._interrupted = True
             if self._gpu:
-                self._run_on_gpu(blocks)
+                self._run_on_gpu(blocks, sums)
             elif self._threads > 1:
                 share(blocks, self._threads)
             else:
@@ -129,6 +169,8 @@ class SurfaceArp:
                     for call in calls:
                         call()
             self._interrupted = False
+            if sums is not None:
+                continue
             # A NaN makes a point dark: it would not show in the ARP
             if not math.isfinite(np.add.reduce(amplitude)):
                 raise _not_finite("normals", self._normals.host)
@@ -136,6 +178,7 @@ class SurfaceArp:
                 out[i] = arp
         if not math.isfinite(np.add.reduce(self._flat_normals)):
             raise _not_finite("normals", self._normals.host)
+        return sums
 
     def evaluate_many(
         self, points: Float | Float32, normals: Float | Float32, drives: Complex, out: Float32 | None = None
@@ -191,46 +234,77 @@ class SurfaceArp:
 
     def _record(self, falls: tuple[str, ...]) -> list[Calls]:
         """The launches of each block: every directivity adds its field, then comes the ARP."""
-        device = self.field.device
         blocks: list[Calls] = []
         for block in self._blocks:
-            points, normals, pressure, gradient, *results = (
-                array[block.start : block.stop]
-                for array in (
-                    self._points.array, self._normals.array, self._pressure, self._gradient,
-                    *(result.array for result in self._results),
-                )
-            )  # fmt: skip
-            count = block.stop - block.start
-            calls = []
-            for emitter, fall in zip(self._emitters, falls, strict=True):
-                kernel = emitter.evaluator.kernel(fall, gradient=True)
-                inputs = [points, *emitter.inputs, pressure, gradient]
-                calls.append(recorded(kernel, -(-count // emitter.evaluator.points_per_thread), inputs, device))
+            arp, amplitude, flux = (result.array[block] for result in self._results)
             at = filled(
                 kernels.SurfacePoints(),
-                pressure=pressure,
-                gradient=gradient,
-                normals=normals,
+                pressure=self._pressure[block],
+                gradient=self._gradient[block],
+                normals=self._normals.array[block],
                 per_wavenumber=self._per_wavenumber,
                 weights=wp.vec3(*self._weights),
-                arp=results[0],
-                amplitude=results[1],
-                flux=results[2],
+                arp=arp,
+                amplitude=amplitude,
+                flux=flux,
             )
-            calls.append(recorded(kernels.surface_sound, count, [at], device))
-            blocks.append(calls)
+            sound = recorded(kernels.surface_sound, block.stop - block.start, [at], self.field.device)
+            blocks.append([*self._record_fields(falls, block), sound])
         return blocks
 
-    def _run_on_gpu(self, blocks: list[Calls]) -> None:
+    def _record_sums(self, falls: tuple[str, ...], shape: tuple[int, int]) -> "_Sums":
+        """The launches of each block for sums: of fields, which are kept, and of the ARP of m sums over k of them."""
+        (frames, units), device = shape, self.field.device
+        number = SharedArray(1, wp.int32, device)
+        levels = SharedArray(shape, wp.vec2, device)
+        arp = SharedArray((frames, self.count), wp.float32, device)
+        pressure: wp.array = wp.zeros((units, self.count), dtype=wp.vec2, device=device)
+        gradient: wp.array = wp.zeros((units, self.count, 3), dtype=wp.vec2, device=device)
+        fields: list[Calls] = []
+        sounds: list[Calls] = []
+        for block in self._blocks:
+            count = block.stop - block.start
+            now = [self._pressure[block], self._gradient[block]]
+            kept = [pressure[:, block], gradient[:, block]]
+            keep = recorded(kernels.keep, count, [number.array, *now, *kept], device)
+            fields.append([*self._record_fields(falls, block), keep])
+            inputs = [levels.array, *kept, self._normals.array[block], self._per_wavenumber, wp.vec3(*self._weights)]
+            sounds.append([recorded(kernels.arp_of_sums, count, [*inputs, arp.array[:, block]], device)])
+        self._sums[falls, shape] = result = _Sums(number, levels, arp, fields, sounds)
+        return result
+
+    def _run_on_gpu(self, blocks: list[Calls], sums: "_Sums | None") -> None:
         self._points.upload()
         self._normals.upload()
         for emitter in self._emitters:
             emitter.upload()
+        if sums is not None:
+            sums.number.upload()
         share(blocks, 1)
         for result in self._results:
             result.download()
         wp.synchronize_stream(self.field.device)
+
+    def _record_fields(self, falls: tuple[str, ...], block: slice) -> Calls:
+        """Launches that add the field of each directivity at a block's points."""
+        calls = []
+        for emitter, fall in zip(self._emitters, falls, strict=True):
+            kernel = emitter.evaluator.kernel(fall, gradient=True)
+            threads = -(-(block.stop - block.start) // emitter.evaluator.points_per_thread)
+            outputs = [self._pressure[block], self._gradient[block]]
+            inputs = [self._points.array[block], *emitter.inputs, *outputs]
+            calls.append(recorded(kernel, threads, inputs, self.field.device))
+        return calls
+
+
+class _Sums(NamedTuple):
+    """What `evaluate_sums` works with: which unit's field comes, how much of each unit sounds, and the launches."""
+
+    number: SharedArray
+    levels: SharedArray
+    arp: SharedArray
+    fields: list[Calls]
+    sounds: list[Calls]
 
 
 def _not_finite(name: str, values: Complex | Float | Float32) -> PalmfieldError:
@@ -241,7 +315,9 @@ def _not_finite(name: str, values: Complex | Float | Float32) -> PalmfieldError:
 class _Emitter:
     """The transducers of one directivity as the kernels take them, for one drive after another.
 
-    rows, strengths: what the kernels read
+    rows, strengths: what the kernels read; ranges: of each group the first transducer that sounds, and the one after
+        the last
+    sounding: the ranges of each drive
     phases: of each drive, shape (m, n); amplitudes: times the coefficients of the sound's fall, shape (m, n, 4)
     """
 
@@ -256,7 +332,11 @@ class _Emitter:
         self.strengths = SharedArray(len(array), wp.vec4, device)
         self.phases: Float = np.zeros((0, len(array)))
         self.amplitudes: Float = np.zeros((0, len(array), 4))
-        self.inputs = evaluator.inputs(self.rows.array, self.strengths.array, gradient=True)
+        self._whole = evaluator.ranges
+        self.ranges = SharedArray(len(self._whole), wp.vec2i, device)
+        self.sounding: list[Int] = []
+        self._narrowed: dict[bytes, Int] = {}
+        self.inputs = evaluator.inputs(self.rows.array, self.strengths.array, True, self.ranges.array)
         self._per_turn = 1.0 / evaluator.phase_unit
         box = array.positions.min(axis=0).tolist(), array.positions.max(axis=0).tolist()
         self._box = list(zip(*box, strict=True))
@@ -275,14 +355,32 @@ class _Emitter:
         emitted = drives.take(self._chosen, axis=1)
         if self._gain is not None:
             emitted *= self._gain
-        self.amplitudes = np.abs(emitted)[:, :, None] * fall
+        strengths = np.abs(emitted)
+        self.sounding = [self._whole] * len(strengths)
+        if not np.logical_and.reduce(strengths, axis=None):
+            for i, strength in enumerate(strengths):
+                silent = (strength == 0.0).tobytes()
+                known = self._narrowed.get(silent)
+                self.sounding[i] = self._narrow(silent) if known is None else known
+        self.amplitudes = strengths[:, :, None] * fall
         self.phases = np.arctan2(emitted.imag, emitted.real)
         self.phases *= self._per_turn
         return kind
 
+    def _narrow(self, silent: bytes) -> Int:
+        """Ranges of transducers (g, 2) without those at either end that are silent; which are, as bytes of bools."""
+        if len(self._narrowed) >= FITS_KEPT:
+            self._narrowed.clear()
+        self._narrowed[silent] = result = self._whole.copy()
+        for group, (first, last) in enumerate(self._whole.tolist()):
+            loud = np.flatnonzero(np.frombuffer(silent[first:last], np.uint8) == 0)
+            result[group] = (first + loud[0], first + loud[-1] + 1) if len(loud) else (first, first)
+        return result
+
     def upload(self) -> None:
         self.rows.upload()
         self.strengths.upload()
+        self.ranges.upload()
 
     def _fit(self, ends: tuple[int, int]) -> tuple[str, Float]:
         if len(self._fits) >= FITS_KEPT:

@@ -228,19 +228,29 @@ def ring(
     return at_moments, emitted
 
 
+class Superposition(NamedTuple):
+    """A few drives that get louder and softer each by itself. units: amplitudes, shape (k, N); levels: how much of each
+    is emitted at each moment, shape (m, k)."""
+
+    units: Complex
+    levels: Complex
+
+
 class EmittedCourse(NamedTuple):
-    """What one stimulus makes the transducers emit at some moments: one drive that gets louder and softer, or any.
+    """What stimuli make the transducers emit at some moments: one drive that gets louder and softer, or any.
 
     unit, levels: the amplitudes, shape (N,), and by how much of them is emitted at each moment, complex, shape (m,):
         ARP goes with |level|^2. Both None where each moment has a drive of its own; the unit alone where all is silent
     emitted: complex amplitudes at each moment, shape (m, N), where levels don't tell them, else None
     end: complex amplitudes at the end of the last step, shape (N,); where the response is off those at the beginning
+    parts: what `emitted` is the sum of, where several stimuli each have one unit drive
     """
 
     unit: Complex | None
     levels: Complex | Float | None
     emitted: Complex | None
     end: Complex
+    parts: Superposition | None = None
 
 
 def emitted_over(
@@ -380,7 +390,10 @@ def combined(courses: Sequence[EmittedCourse]) -> EmittedCourse:
     total = rows(sounding[0]).copy()
     for course in sounding[1:]:
         total += rows(course)
-    return EmittedCourse(None, None, total, end)
+    if len(sounding) >= len(total) or any(course.unit is None for course in sounding):
+        return EmittedCourse(None, None, total, end)
+    units, levels = np.array([course.unit for course in sounding]), np.array([course.levels for course in sounding])
+    return EmittedCourse(None, None, total, end, Superposition(units, levels.T.astype(np.complex128)))
 
 
 def rows(course: EmittedCourse) -> Complex:

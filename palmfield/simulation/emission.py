@@ -31,7 +31,19 @@ LEAST_MEANS = 4
 """Parts of a MuJoCo step over which the force on bodies is averaged, at least."""
 
 
-NO_WEIGHTS: Float = np.zeros(0)
+class MeanDrives(NamedTuple):
+    """Drives of ARPs whose weighted sum is a mean ARP; none in silence.
+
+    drives: shape (m, N), and weights: shape (m,); or, with levels (m, k), drives (k, N) of which levels @ drives are
+        those that are weighed
+    """
+
+    drives: Complex
+    weights: Float
+    levels: Complex | None = None
+
+
+SILENCE = MeanDrives(np.zeros((0, 0), np.complex128), np.zeros(0))
 
 
 class PlacedStimulus(NamedTuple):
@@ -140,8 +152,8 @@ class Emission:
                 result.append(place.along(points)[:, None])
         return result
 
-    def mean_drives(self, posed: PosedScene, emitted: Complex, t0: float) -> tuple[list[Complex] | Complex, Float]:
-        """Drives (m, N) and weights (m,) of ARPs whose sum is the mean over the MuJoCo step that begins at t0 [s].
+    def mean_drives(self, posed: PosedScene, emitted: Complex, t0: float) -> MeanDrives:
+        """What gives the mean ARP over the MuJoCo step that begins at t0 [s].
 
         Of one stimulus it is that for its focus at the step's beginning; of several, what they emit together at
         LEAST_MEANS moments. None in silence.
@@ -153,22 +165,25 @@ class Emission:
             weights = 0.5 * np.add.reduce(moments.first + moments.last, axis=0) / model.substeps
             if course.levels is not None:
                 if course.unit is None:
-                    return [], NO_WEIGHTS
-                return [course.unit], np.array([weights @ np.abs(course.levels) ** 2])
+                    return SILENCE
+                return MeanDrives(course.unit[None], np.array([weights @ np.abs(course.levels) ** 2]))
             chosen = slice(0, len(weights), max(1, len(weights) // LEAST_MEANS))
-            return rows(course)[chosen], weights[chosen] / np.add.reduce(weights[chosen])
+            shares = weights[chosen] / np.add.reduce(weights[chosen])
+            if course.parts is not None:
+                return MeanDrives(course.parts.units, shares, course.parts.levels[chosen])
+            return MeanDrives(rows(course)[chosen], shares)
         part = model.stimuli[0]
         if part.silent:
-            return [], NO_WEIGHTS
+            return SILENCE
         _, drive, place = self.placed(posed, t0)[0]
         count = max(LEAST_MEANS, model.substeps)
         level = mean_level(part.config, drive, part.response, emitted, place, t0, timestep_s / count, count)
         if level == 0.0:
-            return [], NO_WEIGHTS
+            return SILENCE
         point = first_point(part.config)
         if part.config.path != "point":
             point = frames_at(part.config, np.array([t0]))[0][0]
-        return [drive.unit_drive_at(place, point).amplitudes], np.array([level])
+        return MeanDrives(drive.unit_drive_at(place, point).amplitudes[None], np.array([level]))
 
 
 def array_drives(model: HapticModel, arrays: PhasedArray) -> list[ArrayDrive]:

@@ -27,17 +27,21 @@ class BodyForces:
         The mean over the MuJoCo step that begins at t0 [s], with the focus at its beginning: a modulation faster than
         the step gives the right impulse. emitted: by all transducers at t0, shape (N,)
         """
-        drives, weights = emission.mean_drives(posed, emitted, t0)
+        drives, weights, levels = emission.mean_drives(posed, emitted, t0)
         forces = []
         for body, shape in enumerate(self._shapes):
             if len(drives) == 0:
                 forces.append((np.zeros(shape), np.zeros(shape)))
-            elif len(drives) == 1:
+            elif levels is None and len(drives) == 1:
                 force, torque = self.under(posed, body, drives[0])
                 forces.append((weights[0] * force, weights[0] * torque))
             else:
-                arp = weights @ self.radiation.many(posed, self._skins[body], np.asarray(drives), "samples")
-                forces.append(self._resultants(posed, body, arp))
+                skin, radiation = self._skins[body], self.radiation
+                if levels is None:
+                    arp = radiation.many(posed, skin, drives, "samples")
+                else:
+                    arp = radiation.sums(posed, skin, drives, levels, "samples")
+                forces.append(self._resultants(posed, body, weights @ arp))
         return forces
 
     def under(self, posed: PosedScene, body: int, drive: Complex) -> tuple[Float, Float]:

@@ -109,6 +109,9 @@ def skin_loads(work: Workspace, posed: PosedScene, skin: int, moments: Moments, 
         factors = (np.abs(course.levels) ** 2)[:, None]
         return SurfaceLoads(pressure, (moments.first @ factors)[None], (moments.last @ factors)[None])
     assert course.emitted is not None
+    if course.parts is not None:
+        sums = work.radiation.sums(posed, skin, *course.parts)
+        return SurfaceLoads(sums[None], moments.first[None], moments.last[None])
     pressures = work.prefetch.pressures(posed, skin, course.emitted)
     return SurfaceLoads(pressures[None], moments.first[None], moments.last[None])
 

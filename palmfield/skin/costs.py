@@ -1,7 +1,8 @@
 """Predicted seconds of the skin's work on one core: what the choice between solvers rests on, in scenes and in `solve`.
 
-Fitted to the layers of five shipped scenes, 1.5 k to 28 k unknowns, on one core of the 2-core machine: factorised in
-0.05 to 2.8 s, stepped in 0.4 to 35 ms a substep (docs/bench/skin_c0.md has discs). Known to a factor of 1.5 or so.
+Fitted to the layers of shipped scenes on one core of the 2-core machine: factorised in 0.05 to 2.8 s for 1.5 k to 28 k
+unknowns, stepped in 0.27 to 4.9 ms a substep for 1.5 k to 13 k (docs/bench/skin_c0.md has discs). Known to a factor of
+1.5 or so.
 """
 
 
@@ -16,13 +17,13 @@ def factor_s(dofs: float) -> float:
 
 
 def wedge_step_s(dofs: float) -> float:
-    """One substep of the whole layer: two triangular solves, whose factors fill like dofs^1.5."""
-    return 6e-9 * dofs**1.52
+    """One substep of the whole layer: both passes over its blocks, and products with its matrices."""
+    return 7.5e-9 * dofs**1.4
 
 
 def vector_s(dofs: float) -> float:
-    """One vector of a reduced model: a solve, and products with all matrices."""
-    return 1.5 * wedge_step_s(dofs)
+    """One vector of a reduced model: a solve by factors that fill like dofs^1.5, and products with all matrices."""
+    return 9e-9 * dofs**1.52
 
 
 def reduced_step_s(vectors: float) -> float:

@@ -108,6 +108,45 @@ def test_equals_the_field_kernels_to_rounding(name: str) -> None:
     assert sound.flux is None
 
 
+@pytest.mark.parametrize("name", ARRAYS)
+def test_silent_transducers_may_be_left_out(name: str) -> None:
+    """At the ends of a board, in its middle, all of an array, or all of all."""
+    array = phased(name)
+    points, normals = surface(50)
+    at = SurfaceArp(array.field, 50)
+    whole = driven(array)
+    ends = slice(0, 60), slice(len(array) - 5, None)
+    for silent in (*ends, slice(70, 90), array.slices[-1], slice(None), slice(0, 0)):
+        drive = whole.copy()
+        drive[silent] = 0.0
+        narrowed = at.evaluate(points, normals, drive).arp.copy()
+        np.testing.assert_allclose(narrowed, at.evaluate(points, normals, drive + 1e-30).arp, rtol=1e-5, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ARRAYS)
+def test_sums_of_few_drives_are_what_they_are_drive_by_drive(name: str) -> None:
+    array = phased(name)
+    points, normals = surface(300)
+    rng = np.random.default_rng(1)
+    units = np.array([driven(array, seed) for seed in range(3)])
+    units[0, array.slices[0]] = 0.0
+    levels = rng.standard_normal((6, 3)) + 1j * rng.standard_normal((6, 3))
+    levels[2] = 0.0
+    at = SurfaceArp(array.field, 300, threads=2)
+    for first in (0, 100):
+        normals = np.roll(normals, first, axis=0)
+        sums = at.evaluate_sums(points, normals, units, levels)
+        one_by_one = at.evaluate_many(points, normals, levels @ units)
+        unsure = np.abs(one_by_one - sums) > 1e-4 * one_by_one.max()
+        # Where hardly any sound flows through the surface, rounding may make it lit or dark
+        assert unsure.mean() < 0.01
+        assert sums.shape == (6, 300) and not sums[2].any()
+    with pytest.raises(PalmfieldError, match="not finite"):
+        at.evaluate_sums(points, normals, units * np.nan, levels)
+    with pytest.raises(PalmfieldError, match="this SurfaceArp takes"):
+        at.evaluate_sums(points, normals, units[:, 1:], levels)
+
+
 def test_a_surface_that_moves_far() -> None:
     """The fall of sound is fitted anew, by quadratic, cubic and exponential, and comes back to the same bits."""
     array = phased()

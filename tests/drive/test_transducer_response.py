@@ -294,6 +294,22 @@ def test_two_stimuli_with_arrays_of_their_own_add_up(mixed):
     assert combined(courses[:1]) is courses[0]
 
 
+def test_stimuli_of_one_unit_drive_each_are_told_as_a_superposition(mixed):
+    stimuli = of(**AM), of(**AM | {"am_frequency_Hz": 70.0})
+    moments = substep_moments(stimuli, 0.0, 1e-4, 8)
+    courses = []
+    for stimulus, chosen in zip(stimuli, (np.arange(256), np.arange(256, 512)), strict=True):
+        drive = drive_of(mixed, stimulus, chosen.astype(np.int32))
+        response = response_of(drive, delayed=False)
+        courses.append(emitted_over(stimulus, drive, response, np.zeros(512, complex), STILL, moments))
+    total = combined(courses)
+    assert total.parts.levels.shape == (len(total.emitted), 2) and total.parts.units.shape == (2, 512)
+    np.testing.assert_allclose(total.parts.levels @ total.parts.units, total.emitted, atol=1e-15)
+    # Of as many drives as moments nothing is gained
+    short = [course._replace(levels=course.levels[:2]) for course in courses]
+    assert combined(short).parts is None
+
+
 def test_one_stimulus_beside_a_silent_one_keeps_its_levels(mixed):
     first, silent = of(**AM), of(start_s=1.0)
     moments = substep_moments((first, silent), 0.0, 1e-4, 8)

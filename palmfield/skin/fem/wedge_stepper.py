@@ -96,7 +96,10 @@ class WedgeStepper:
         room, threads = self._room(patterns), self._threads
         room.rows[:, place] = rows
         room.add_up()
-        self._fill_forces(room, loads.pressure_Pa[0])
+        inputs, pressure = self._inputs, loads.pressure_Pa[0].astype(np.float64, copy=False)
+        room.forces[:patterns] = 0.0
+        for pattern, force in zip(pressure, room.forces, strict=False):
+            csr_matvec(len(force), len(pattern), inputs.indptr, inputs.indices, inputs.data, pattern, force)
         room.weights[patterns:] = 0.0
         room.weights[:patterns] = mix[0]
         share(room.begin, threads)
@@ -125,14 +128,6 @@ class WedgeStepper:
         for one, out in zip(state, result, strict=True):
             _read(reader.matrix[0], one.reshape(self.state_rows, self.ndof), out)
         return result
-
-    def _fill_forces(self, room: _Room, pressure: Float) -> None:
-        """Nodal forces [N] of each pattern, from its pressure [Pa] (k, q)."""
-        inputs = self._inputs
-        pressure = pressure.astype(np.float64, copy=False)
-        room.forces[: len(pressure)] = 0.0
-        for pattern, force in zip(pressure, room.forces, strict=False):
-            csr_matvec(len(force), len(pattern), inputs.indptr, inputs.indices, inputs.data, pattern, force)
 
     def _room(self, patterns: int) -> _Room:
         """Work arrays: those of an earlier call if no other thread has them. Appended to and taken from atomically."""

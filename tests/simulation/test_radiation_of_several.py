@@ -1,0 +1,46 @@
+"""Several stimuli at once: fields computed once for each and added up, against the drive of each moment by itself."""
+
+import numpy as np
+import pytest
+
+import palmfield
+from palmfield.data import folder
+from palmfield.simulation.radiation import Radiation
+from palmfield.simulation.step import gather
+
+SCENES = folder("mjcf") / "scenes"
+
+
+@pytest.fixture(scope="module")
+def hands():
+    """Two hands that both feel a stimulus of their own; what sounds over the next step."""
+    sim = palmfield.Simulation(SCENES / "two_hands_both_feel.xml", device="cpu", accuracy=0.5)
+    sim.run(0.003)
+    runtime = sim.runtime
+    posed, emitted = runtime.posed, gather(runtime.state, runtime.work)
+    _, course = runtime.work.emission.over(posed, emitted, sim.data.time, runtime.model.substeps)
+    yield runtime, posed, course
+    del sim  # MuJoCo's data hold the state
+
+
+@pytest.mark.parametrize("role", ["quadrature", "samples"])
+@pytest.mark.parametrize("skin", [0, 1])
+def test_sums_are_what_each_moments_drive_gives(hands, skin, role):
+    runtime, posed, course = hands
+    assert course.parts is not None and len(course.emitted) > 2
+    sums = Radiation(runtime.model).sums(posed, skin, *course.parts, role)
+    moment_by_moment = Radiation(runtime.model).many(posed, skin, course.emitted, role)
+    np.testing.assert_allclose(sums, moment_by_moment, atol=3e-6 * moment_by_moment.max())
+    assert np.ptp(moment_by_moment, axis=0).max() > 1.0
+
+
+def test_the_mean_force_is_that_of_each_moments_drive(hands):
+    runtime, posed, _ = hands
+    emission, emitted = runtime.work.emission, gather(runtime.state, runtime.work)
+    mean = emission.mean_drives(posed, emitted, runtime.view.raw.time)
+    assert mean.levels is not None and mean.weights.sum() == pytest.approx(1.0)
+    for body, (force, _) in enumerate(runtime.work.forces.over(emission, posed, emitted, runtime.view.raw.time)):
+        arp = mean.weights @ Radiation(runtime.model).many(posed, body, mean.levels @ mean.drives, "samples")
+        _, normals, areas = posed.bodies[body].samples
+        whole = -(arp * areas) @ normals
+        np.testing.assert_allclose(force.sum(axis=0), whole, atol=1e-5 * np.linalg.norm(whole))
