@@ -44,6 +44,20 @@ def test_surface_arp(keys: list[dict[str, object]]) -> None:
     assert (np.abs(other - one) < 1e-4 * one.max()).mean() > 0.998
 
 
+def test_sums_of_few_drives() -> None:
+    places = [HERE, BESIDE]
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-0.03, 0.03, (1000, 3)) - [0.0, 0.0, -0.2]
+    normals = np.tile([0.0, 0.0, -1.0], (1000, 1))
+    instances = [ArrayInstance(ArrayConfig(), place) for place in places]
+    here, there = (SurfaceArp(PhasedArray(instances, places, device).field, 1000) for device in ("cpu", GPU))
+    units = np.exp(2j * np.pi * rng.uniform(size=(2, here.field.count)))
+    units[0, :256], units[1, 256:] = 0.0, 0.0
+    levels = rng.standard_normal((7, 2)) + 1j * rng.standard_normal((7, 2))
+    one, other = (at.evaluate_sums(points, normals, units, levels) for at in (here, there))
+    assert one.max() > 0.0 and (np.abs(other - one) < 1e-4 * one.max()).mean() > 0.998
+
+
 def test_occlusion_follows_its_vertices() -> None:
     vertices, faces = geodesic(0.02, 20)
     rng = np.random.default_rng(0)

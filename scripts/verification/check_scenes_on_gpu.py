@@ -1,0 +1,89 @@
+#!/usr/bin/env python3
+"""Small forms of the shipped scenes on a GPU against the CPU: sensors, forces, displacement and ARP over some steps.
+
+python scripts/verification/check_scenes_on_gpu.py [SCENE ...] [--steps 20] [--write docs/bench/gpu_scenes.md]
+
+SCENE is a name in tests/data/scene_reference/small; all of them by default. Differences are relative to the largest of
+the quantity over the run; of a force, to the largest length of the vector. "flipped" is the share of nodes and steps at
+which ARP differs by more than 1e-4: there a shadow's ray grazes an edge, and rounding decides on which side.
+"""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from palmfield import Simulation
+from palmfield.studies.bench.field import git_commit
+
+ROOT = Path(__file__).resolve().parents[2]
+REFERENCE = ROOT / "tests" / "data" / "scene_reference" / "small"
+LIMIT = 1e-4
+HEAD = "| scene | sensors | force | displacement | ARP, all but flipped | flipped |\n|---|---|---|---|---|---|"
+
+
+def steps_of(name: str, device: str, steps: int) -> dict[str, Any]:
+    """Sensors, force of each skin's body, normal displacement and ARP of the first skin, after each step."""
+    facts = json.loads(str(np.load(REFERENCE / f"{name}.npz")["facts"]))
+    keys = facts["keys"] | {"skin.solver": "wedges" if facts["began"] == "wedges" else "auto"}
+    sim = Simulation(ROOT / "mjcf" / "scenes" / f"{name}.xml", device=device, keys=keys)
+    if facts["start_s"]:
+        sim.start_at(facts["start_s"])
+    result: dict[str, list[Any]] = {"sensors": [], "force": [], "displacement": [], "arp": []}
+    for _ in range(steps):
+        sim.step()
+        skin = sim.skin(sim.skins[0])
+        result["sensors"].append(sim.data.sensordata.copy())
+        result["force"].append([np.asarray(force) for force in sim.runtime.applied])
+        result["displacement"].append(skin.normal_displacement.copy())
+        result["arp"].append(skin.arp.copy())
+    return {quantity: np.array(values) for quantity, values in result.items()}
+
+
+def row(name: str, device: str, steps: int) -> tuple[str, bool]:
+    """A line of the table, and whether all is within LIMIT but for flipped nodes."""
+    here, there = steps_of(name, "cpu", steps), steps_of(name, device, steps)
+    apart = {key: np.abs(there[key] - here[key]) for key in here}
+    sensors = (apart["sensors"].max(axis=0) / np.maximum(np.abs(here["sensors"]).max(axis=0), 1e-300)).max()
+    lengths = np.linalg.norm(here["force"], axis=-1)
+    force = np.linalg.norm(there["force"] - here["force"], axis=-1).max() / max(lengths.max(), 1e-300)
+    displacement = apart["displacement"].max() / max(np.abs(here["displacement"]).max(), 1e-300)
+    arp = apart["arp"] / max(np.abs(here["arp"]).max(), 1e-300)
+    flipped = arp > LIMIT
+    rest = arp[~flipped].max(initial=0.0)
+    line = f"| {name} | {sensors:.1e} | {force:.1e} | {displacement:.1e} | {rest:.1e} | {flipped.mean():.1e} |"
+    return line, max(sensors, force, displacement) <= LIMIT and flipped.mean() < 1e-3
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scenes", nargs="*", default=sorted(path.stem for path in REFERENCE.glob("*.npz")))
+    parser.add_argument("--steps", type=int, default=20)
+    parser.add_argument("--device", default="cuda:0")
+    parser.add_argument("--write", type=Path)
+    options = parser.parse_args()
+    print(HEAD, flush=True)
+    rows, good = [], True
+    for name in options.scenes:
+        line, within = row(name, options.device, options.steps)
+        rows.append(line)
+        good = good and within
+        print(line, flush=True)
+    if options.write is not None:
+        title = (
+            "# Scenes on a GPU\n\n"
+            f"`python scripts/verification/{Path(__file__).name}`, {wp.get_device(options.device).name}, commit "
+            f"{git_commit()}.\n{options.steps} steps of the small forms that the reference arrays are of, against the "
+            'CPU. Differences are relative to the largest of the run, of a force to its length; "flipped" is the '
+            "share of nodes and steps at which ARP differs by more\nthan 1e-4: a shadow's ray grazes an edge there.\n\n"
+        )
+        options.write.write_text(title + "\n".join([HEAD, *rows]) + "\n")
+    return 0 if good else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
