@@ -5,7 +5,8 @@ python scripts/verification/check_scenes_on_gpu.py [SCENE ...] [--steps 20] [--w
 
 SCENE is a name in tests/data/scene_reference/small; all of them by default. Differences are relative to the largest of
 the quantity over the run; of a force's components, to the largest length of the vector. "flipped" is the share of nodes
-and steps at which ARP differs by more than 1e-4: there a shadow's ray grazes an edge, and rounding decides on which side.
+and steps at which ARP differs by more than 1e-4: there a shadow's ray grazes an edge, and rounding decides
+which side.
 """
 
 import argparse
