@@ -341,7 +341,7 @@ def _modelled(model: HapticModel, duration_s: float) -> list[Row]:
             "the sound or the pose changes, so a static answer will not do",
         )
     )
-    return rows + [_solver(skin) for skin in model.skins]
+    return rows + [_solver(skin, model.still_m[skin.body]) for skin in model.skins]
 
 
 def _layer(skin: SkinModel) -> list[Row]:
@@ -377,8 +377,8 @@ def _layer(skin: SkinModel) -> list[Row]:
     ]
 
 
-def _solver(skin: SkinModel) -> Row:
-    """Which stepper steps a skin, and why."""
+def _solver(skin: SkinModel, still_m: float) -> Row:
+    """Which stepper steps a skin, and why; still_m: how far its body may move and count as still [m]."""
     choice, config, name = skin.choice, skin.spec.config, skin.spec.name
     if choice.name == "wedges":
         why = f"implicit on the whole layer, factorised once; {choice.why}"
@@ -387,7 +387,7 @@ def _solver(skin: SkinModel) -> Row:
         "skin solver reduced",
         f"about {choice.seconds:.0f} s, wedges about {choice.wedges_s:.0f} s",
         f"{choice.why}; made for this stimulus, to {100 * SHARE * config.accuracy:.2g} %, while body, arrays and "
-        f"focus move by less than {1e6 * skin.still_m:.0f} um; beyond, "
+        f"focus move by less than {1e6 * still_m:.0f} um; beyond, "
         + ("the run ends" if config.solver == "reduced" else "the whole layer goes on by wedges"),
         name,
     )
