@@ -173,11 +173,6 @@ class DataView:
         """MuJoCo's time [s]."""
         return float(self.raw.time)
 
-    def pose(self, kind: Literal["body", "site"], number: int) -> Transform:
-        """Frame of a body or site in the world, copied."""
-        position, matrix = self.frames[kind]
-        return Transform(position[number].copy(), matrix[number].reshape(3, 3).copy())
-
     def put_mocap(self, mocap: int, position: Float, quaternion: Float) -> None:
         """Pose a mocap body in the world: position [m], quaternion (w, x, y, z)."""
         self._mocap[0][mocap], self._mocap[1][mocap] = position, quaternion

@@ -59,14 +59,13 @@ class SkinBodies:
 class SceneBinding:
     """MuJoCo's numbers of what a SceneSpec names, in the same order.
 
-    array_instances, stimulus_instances: plugin instances; array_sites: each array's frame
+    array_instances: plugin instances; array_sites: each array's frame
     transducer_sites: of each array, empty but for layout `sites`; frame_sites: each stimulus's frame
     """
 
     array_instances: tuple[int, ...]
     array_sites: tuple[int, ...]
     transducer_sites: tuple[tuple[int, ...], ...]
-    stimulus_instances: tuple[int, ...]
     frame_sites: tuple[int, ...]
     skins: tuple[SkinBodies, ...]
 
@@ -115,7 +114,6 @@ def read_scene(model: ModelView) -> tuple[SceneSpec, SceneBinding]:
         array_instances=tuple(i for i, _, _ in arrays),
         array_sites=array_sites,
         transducer_sites=transducers,
-        stimulus_instances=tuple(i for i, _, _ in stimuli),
         frame_sites=frame_sites,
         skins=skin_bindings,
     )

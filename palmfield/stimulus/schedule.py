@@ -306,18 +306,6 @@ def _locked(values: Float) -> Float:
     return values
 
 
-def held_frames(config: StimulusConfig, start: float, end: float) -> list[tuple[float, float]]:
-    """Moments that stand for the parts of an interval of time [s] as (time, share of the interval).
-
-    The parts lie between ticks, path points, start and end of the sound. The shares add up to 1, so that the load's
-    impulse is right over any step. Empty where nothing jumps or is held: the load is then smooth over the interval.
-    """
-    moments = substep_moments((config,), start, end - start, 1)
-    if moments.linear[-1]:
-        return []
-    return list(zip(moments.times.tolist(), moments.first[0].tolist(), strict=True))
-
-
 def jumps(config: StimulusConfig, start: float, end: float) -> set[float]:
     """Times about an interval [s] at which the sound begins or ends, or an open path jumps to its start."""
     return set(_jumps(config, _timed(config)[1], start, end))
