@@ -268,7 +268,7 @@ def _attributes(sim: Simulation) -> dict[str, dict[str, Any]]:
     """Every setting, convention and version, as attributes of the result and its groups."""
     model = sim.runtime.model
     packages = ("palmfield", "warp-lang", "mujoco", "numpy", "scipy", "trimesh", "usd-core", "xarray")
-    found: dict[str, dict[str, Any]] = {
+    attributes: dict[str, dict[str, Any]] = {
         "/": {
             "scene": sim.name,
             "driver": model.spec.driver.model_dump_json(),
@@ -280,20 +280,20 @@ def _attributes(sim: Simulation) -> dict[str, dict[str, Any]]:
         }
     }
     for array in model.spec.arrays:
-        found[group("array", array.name)] = {"config": array.config.model_dump_json()}
+        attributes[group("array", array.name)] = {"config": array.config.model_dump_json()}
     for part in model.stimuli:
         arrays = [model.spec.arrays[number].name for number in part.spec.arrays]
-        found[group("stimulus", part.spec.name)] = {"config": part.config.model_dump_json(), "arrays": arrays}
+        attributes[group("stimulus", part.spec.name)] = {"config": part.config.model_dump_json(), "arrays": arrays}
     for skin in model.skins:
         layer, name = skin.layer, skin.spec.name
         sizes = {key: np.asarray(value).tolist() for key, value in asdict(layer.sizes).items()}
         mesh = sizes | {"dofs": layer.system.ndof, "elements": len(layer.mesh.elements), **layer.patch.report}
-        found[group("skin", name)] = {
+        attributes[group("skin", name)] = {
             "config": skin.spec.config.model_dump_json(),
             "material": json.dumps([asdict(sheet.material) for sheet in layer.sheets]),
             "mesh": json.dumps(mesh),
             "arp_law": skin.spec.config.arp_law,
         }
-        found[group("body", name)] = {"body": skin.carrier.name}
-        found[group("surface", name)] = {"body": skin.carrier.name}
-    return found
+        attributes[group("body", name)] = {"body": skin.carrier.name}
+        attributes[group("surface", name)] = {"body": skin.carrier.name}
+    return attributes
