@@ -233,12 +233,12 @@ def row(one: Measured, text: str, problem: Problem) -> Row:
     if one.missing:
         return result
     every = stride(problem)
-    found, slope_error = one.result[::every], None
+    computed, slope_error = one.result[::every], None
     pressure, gradient = reference(problem)
-    if found.ndim == 2:
-        slope_error = relative(found[:, 1:], gradient)
-        found = found[:, 0]
-    magnitude = not np.iscomplexobj(found)
+    if computed.ndim == 2:
+        slope_error = relative(computed[:, 1:], gradient)
+        computed = computed[:, 0]
+    magnitude = not np.iscomplexobj(computed)
     pairs = float(np.prod(problem.steps)) * len(problem.positions)
     on_cores = one.module != OWN or problem.device == "cpu"
     return replace(
@@ -248,7 +248,7 @@ def row(one: Measured, text: str, problem: Problem) -> Row:
         clock_s=one.median_clock_s,
         pairs_per_s=pairs / one.median_clock_s,
         pairs_per_core_s=pairs / one.median_core_s if on_cores else None,
-        error=relative(found, np.abs(pressure) if magnitude else pressure),
+        error=relative(computed, np.abs(pressure) if magnitude else pressure),
         gradient_error=slope_error,
         magnitude=magnitude,
         memory_MiB=one.memory_MiB,
@@ -269,9 +269,9 @@ def reference(problem: Problem) -> tuple[Complex, Complex]:
     return pressure, gradient
 
 
-def relative(found: Any, expected: Any) -> float:
+def relative(computed: Any, expected: Any) -> float:
     """Relative difference in the L2 norm."""
-    return float(np.linalg.norm(found - expected) / np.linalg.norm(expected))
+    return float(np.linalg.norm(computed - expected) / np.linalg.norm(expected))
 
 
 def device_name(device: str) -> str:
