@@ -58,23 +58,23 @@ def mean_edge_m(vertices: Float, faces: Int) -> float:
 
 def elements_per_wavelength(vertices: Float, faces: Int, wavenumber: float) -> float:
     """Wavelength over mean edge; warns (UserWarning) below LEAST_ELEMENTS_PER_WAVELENGTH."""
-    found = 2.0 * np.pi / wavenumber / mean_edge_m(vertices, faces)
-    if found < LEAST_ELEMENTS_PER_WAVELENGTH:
+    elements = 2.0 * np.pi / wavenumber / mean_edge_m(vertices, faces)
+    if elements < LEAST_ELEMENTS_PER_WAVELENGTH:
         warnings.warn(
-            f"mesh has {found:.1f} elements a wavelength and {LEAST_ELEMENTS_PER_WAVELENGTH:g} or more are needed: "
+            f"mesh has {elements:.1f} elements a wavelength and {LEAST_ELEMENTS_PER_WAVELENGTH:g} or more are needed: "
             f"use edges under {2e3 * np.pi / wavenumber / LEAST_ELEMENTS_PER_WAVELENGTH:.2g} mm",
             stacklevel=3,
         )
-    return found
+    return elements
 
 
 def inner_points(vertices: Float, faces: Int, wavenumber: float) -> Float:
     """One point under each face's centroid [m], shape (m, 3): an eighth of a wavelength deep, less where it is thin."""
     normals, _ = face_normals(vertices, faces)
     centroids = vertices[faces].mean(axis=1)
-    wanted = DEPTH_PER_WAVELENGTH * 2.0 * np.pi / wavenumber
-    thickness = exit_distances(vertices, faces, centroids, -normals, wanted / DEPTH_PER_THICKNESS)
-    return centroids - np.minimum(wanted, DEPTH_PER_THICKNESS * thickness)[:, None] * normals
+    depth = DEPTH_PER_WAVELENGTH * 2.0 * np.pi / wavenumber
+    thickness = exit_distances(vertices, faces, centroids, -normals, depth / DEPTH_PER_THICKNESS)
+    return centroids - np.minimum(depth, DEPTH_PER_THICKNESS * thickness)[:, None] * normals
 
 
 def closed(vertices: Float, faces: Int, thickness_m: float) -> tuple[Float, Int, NDArray[np.bool_]]:

@@ -15,12 +15,12 @@ FARTHEST_m = 1e4
 def numbers(values: ArrayLike, name: str) -> NDArray[Any]:
     """The values as an array. Raises PalmfieldError for text, objects and rows of unequal length."""
     try:
-        found = np.asarray(values)
+        result = np.asarray(values)
     except ValueError as error:
         raise PalmfieldError(f"{name} have rows of unequal length: give a rectangular array of numbers") from error
-    if found.dtype.kind not in "biufc":
-        raise PalmfieldError(f"{name} are of type {found.dtype}: give numbers")
-    return found
+    if result.dtype.kind not in "biufc":
+        raise PalmfieldError(f"{name} are of type {result.dtype}: give numbers")
+    return result
 
 
 def first_bad(values: NDArray[np.inexact]) -> int:
@@ -50,16 +50,16 @@ def points(values: ArrayLike, dtype: type[np.floating]) -> NDArray[np.floating]:
 
 def drive(values: ArrayLike, array: Array) -> NDArray[np.complex128]:
     """Complex amplitudes, shape (len(array),). Raises PalmfieldError for another shape, text, NaN or infinity."""
-    found = numbers(values, "drive").astype(np.complex128)
-    if found.shape != (len(array),):
+    amplitudes = numbers(values, "drive").astype(np.complex128)
+    if amplitudes.shape != (len(array),):
         raise PalmfieldError(
-            f"drive has shape {found.shape} but array '{array.name}' has {len(array)} transducers: "
+            f"drive has shape {amplitudes.shape} but array '{array.name}' has {len(array)} transducers: "
             f"give shape ({len(array)},)"
         )
-    if not np.isfinite(found).all():
-        i = first_bad(found)
-        raise PalmfieldError(f"drive[{i}] = {found[i]} is not finite: remove or mend it")
-    return found
+    if not np.isfinite(amplitudes).all():
+        i = first_bad(amplitudes)
+        raise PalmfieldError(f"drive[{i}] = {amplitudes[i]} is not finite: remove or mend it")
+    return amplitudes
 
 
 def frames(values: ArrayLike, array: Array) -> NDArray[np.complex128]:
@@ -67,15 +67,15 @@ def frames(values: ArrayLike, array: Array) -> NDArray[np.complex128]:
 
     Raises PalmfieldError for another shape, text, NaN or infinity.
     """
-    found = np.ascontiguousarray(numbers(values, "drives"), dtype=np.complex128)
-    if found.ndim != 2 or found.shape[1] != len(array):
+    drives = np.ascontiguousarray(numbers(values, "drives"), dtype=np.complex128)
+    if drives.ndim != 2 or drives.shape[1] != len(array):
         raise PalmfieldError(
-            f"drives have shape {found.shape} but array '{array.name}' has {len(array)} transducers: "
+            f"drives have shape {drives.shape} but array '{array.name}' has {len(array)} transducers: "
             f"give shape (frames, {len(array)})"
         )
-    if not np.isfinite(found).all():
-        raise PalmfieldError(f"drives[{first_bad(found)}] are not finite: remove or mend the frame")
-    return found
+    if not np.isfinite(drives).all():
+        raise PalmfieldError(f"drives[{first_bad(drives)}] are not finite: remove or mend the frame")
+    return drives
 
 
 def array(value: Array) -> None:

@@ -393,7 +393,7 @@ def pressure(
     """
     field = FieldEvaluator(array, air, device, mode=mode).pressure(points, drive, gradient)
     if warn:
-        found = validity.warnings(array, points, field.pressure, air)
-        if found:
-            warnings.warn("; ".join(found), validity.PalmfieldWarning, stacklevel=2)
+        messages = validity.warnings(array, points, field.pressure, air)
+        if messages:
+            warnings.warn("; ".join(messages), validity.PalmfieldWarning, stacklevel=2)
     return field

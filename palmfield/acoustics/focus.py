@@ -36,7 +36,7 @@ def compensate(array: Array, drive: ArrayLike) -> Complex:
     Raises PalmfieldError for a drive of another shape or not finite, SceneError for a bad array.
     """
     check.array(array)
-    asked = check.drive(drive, array)
+    requested = check.drive(drive, array)
     if array.gain is None:
-        return asked
-    return np.where(array.gain == 0.0, 0.0, asked * np.exp(-1j * np.angle(array.gain)))
+        return requested
+    return np.where(array.gain == 0.0, 0.0, requested * np.exp(-1j * np.angle(array.gain)))

@@ -138,11 +138,11 @@ def with_faults(
 
 def indices(array: Array, chosen: Iterable[int] | Iterable[bool], name: str) -> list[int]:
     """Transducers by number, from numbers or a mask. Raises SceneError for a mask of another length, and fractions."""
-    found = np.asarray(chosen if isinstance(chosen, np.ndarray) else list(chosen))
-    if found.dtype == bool:
-        if found.shape != (len(array),):
-            raise SceneError(f"mask {name} has shape {found.shape}: give ({len(array)},), one for each transducer")
-        return np.flatnonzero(found).tolist()
-    if found.ndim != 1 or (len(found) and not np.issubdtype(found.dtype, np.integer)):
-        raise SceneError(f"{name} = {found.tolist()} are no indices of transducers: give whole numbers, or a mask")
-    return found.tolist()
+    values = np.asarray(chosen if isinstance(chosen, np.ndarray) else list(chosen))
+    if values.dtype == bool:
+        if values.shape != (len(array),):
+            raise SceneError(f"mask {name} has shape {values.shape}: give ({len(array)},), one for each transducer")
+        return np.flatnonzero(values).tolist()
+    if values.ndim != 1 or (len(values) and not np.issubdtype(values.dtype, np.integer)):
+        raise SceneError(f"{name} = {values.tolist()} are no indices of transducers: give whole numbers, or a mask")
+    return values.tolist()

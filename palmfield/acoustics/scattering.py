@@ -117,11 +117,11 @@ def scatter(
         doubled = layer.apply(pressure)
         return 0.5 * pressure - doubled[:count] + 1j * doubled[count:]
 
-    wanted = sound[:count] - 1j * sound[count:]
+    right_side = sound[:count] - 1j * sound[count:]
     steps: list[float] = []
     pressure, failed = gmres(
         LinearOperator((count, count), matvec=equation, dtype=np.complex128),
-        wanted,
+        right_side,
         rtol=tolerance,
         atol=0.0,
         restart=RESTART,
@@ -129,8 +129,8 @@ def scatter(
         callback=steps.append,
         callback_type="pr_norm",
     )
-    scale = float(np.linalg.norm(wanted))
-    residual = float(np.linalg.norm(wanted - equation(pressure))) / scale if scale > 0.0 else 0.0
+    scale = float(np.linalg.norm(right_side))
+    residual = float(np.linalg.norm(right_side - equation(pressure))) / scale if scale > 0.0 else 0.0
     if failed:
         raise PalmfieldError(
             f"scattering did not converge: residual {residual:.2g} after {len(steps)} iterations and {tolerance:g} "
@@ -152,25 +152,27 @@ def scatter(
     )
 
 
-def wall_arp(found: Scattering, air: Air) -> Float:
+def wall_arp(scattering: Scattering, air: Air) -> Float:
     """Radiation pressure on the rigid wall [Pa], shape (m,), positive when it pushes inwards.
 
     The law is `palmfield.acoustics.arp.TOTAL_FIELD`.
     """
-    return wall_pressure(found.pressure, found.gradient, found.wavenumber, air)
+    return wall_pressure(scattering.pressure, scattering.gradient, scattering.wavenumber, air)
 
 
-def wall_force(found: Scattering, air: Air) -> Float:
+def wall_force(scattering: Scattering, air: Air) -> Float:
     """Radiation force on the whole body [N], shape (3,), from the pressure on its wall.
 
     Right to 1 % on smooth bodies at 8 elements a wavelength. A sharp rim in full sound has a suction that faces cannot
     resolve (23 % of the force on the benchmark's turned sheet): there take `langevin.radiation_force` on a surface
     around the body, with `scattered_field` added to the incident sound.
     """
-    return -(found.areas * wall_arp(found, air)) @ found.normals
+    return -(scattering.areas * wall_arp(scattering, air)) @ scattering.normals
 
 
-def scattered_field(found: Scattering, points: ArrayLike, *, gradient: bool = False, device: str = "auto") -> Field:
+def scattered_field(
+    scattering: Scattering, points: ArrayLike, *, gradient: bool = False, device: str = "auto"
+) -> Field:
     """Sound that the body adds at points outside it, in the mesh's frame; the incident sound is not in it.
 
     points: [m], shape (n, 3); one nearer to the wall than a thousandth of an edge, on either side, gets the limit from
@@ -180,8 +182,10 @@ def scattered_field(found: Scattering, points: ArrayLike, *, gradient: bool = Fa
     Raises PalmfieldError for NaN, infinity or a wrong shape in points, and for a gradient wanted too near the body.
     """
     where = np.asarray(check.points(points, np.float64))
-    layer = DoubleLayer(off_wall(found, where), found.vertices, found.faces, found.wavenumber, resolve(device))
-    pressure = layer.apply(found.pressure).astype(np.complex64)
+    layer = DoubleLayer(
+        off_wall(scattering, where), scattering.vertices, scattering.faces, scattering.wavenumber, resolve(device)
+    )
+    pressure = layer.apply(scattering.pressure).astype(np.complex64)
     if not gradient:
         return Field(pressure)
     close = layer.near_pairs() > 0
@@ -191,17 +195,17 @@ def scattered_field(found: Scattering, points: ArrayLike, *, gradient: bool = Fa
             f"points[{i}] = {where[i].tolist()} is within {NEAR_EDGES:g} edges of the body, where the gradient is not "
             "accurate: move it away or do without the gradient"
         )
-    return Field(pressure, layer.gradient(found.pressure).astype(np.complex64))
+    return Field(pressure, layer.gradient(scattering.pressure).astype(np.complex64))
 
 
-def off_wall(found: Scattering, points: Float) -> Float:
+def off_wall(scattering: Scattering, points: Float) -> Float:
     """The points, those nearer to the wall than WALL_EDGES moved out to there, where float32 knows the side."""
-    least = WALL_EDGES * mean_edge_m(found.vertices, found.faces)
-    face = closest_faces(build_mesh(found.vertices, found.faces), points, 2.0 * least)
+    least = WALL_EDGES * mean_edge_m(scattering.vertices, scattering.faces)
+    face = closest_faces(build_mesh(scattering.vertices, scattering.faces), points, 2.0 * least)
     near = np.flatnonzero(face >= 0)
-    corners = found.vertices[found.faces[face[near]]]
+    corners = scattering.vertices[scattering.faces[face[near]]]
     feet = np.einsum("ij,ijk->ik", barycentric(corners, points[near]), corners)
     close = np.linalg.norm(points[near] - feet, axis=1) < least
     moved = points.copy()
-    moved[near[close]] = feet[close] + least * found.normals[face[near[close]]]
+    moved[near[close]] = feet[close] + least * scattering.normals[face[near[close]]]
     return moved

@@ -41,18 +41,18 @@ def surface_gradient(vertices: Float, faces: Int, values: Complex) -> Complex:
         size = np.diff(around.indptr)[rows]
         slot = np.arange(size.max())
         there = slot < size[:, None]
-        found = around.indices[np.where(there, around.indptr[rows][:, None] + slot, around.indptr[rows][:, None])]
-        offset = centroids[found] - centroids[rows, None]
+        neighbours = around.indices[np.where(there, around.indptr[rows][:, None] + slot, around.indptr[rows][:, None])]
+        offset = centroids[neighbours] - centroids[rows, None]
         x, y = (np.einsum("nsk,nk->ns", offset, axis[rows]) for axis in (right, up))
         scale = np.sqrt(np.where(there, x**2 + y**2, 0.0).max(axis=1))
         x, y = x / scale[:, None], y / scale[:, None]
-        facing = np.einsum("nsk,nk->ns", normals[found], normals[rows])
+        facing = np.einsum("nsk,nk->ns", normals[neighbours], normals[rows])
         weight = np.where(there, np.maximum(facing - LEAST_COSINE, 0.0) / (NEARNESS + x**2 + y**2) ** 2, 0.0)
         terms = np.stack([x**a * y**b for a, b in POWERS], axis=2)
         weighted = terms * weight[..., None]
         left = weighted.transpose(0, 2, 1) @ terms
         left += RIDGE * np.einsum("naa->n", left)[:, None, None] * np.eye(len(POWERS))
-        wanted = weighted.transpose(0, 2, 1) @ np.stack([values[found].real, values[found].imag], axis=2)
-        fitted = (np.linalg.solve(left, wanted) @ np.array([1.0, 1j])) / scale[:, None]
+        moments = weighted.transpose(0, 2, 1) @ np.stack([values[neighbours].real, values[neighbours].imag], axis=2)
+        fitted = (np.linalg.solve(left, moments) @ np.array([1.0, 1j])) / scale[:, None]
         result[rows] = fitted[:, 2, None] * right[rows] + fitted[:, 1, None] * up[rows]
     return result

@@ -236,10 +236,10 @@ class Transfer:
         frames = check.frames(drives, self.evaluator.array)
         if self.evaluator.array.gain is not None:
             frames = frames * self.evaluator.array.gain
-        found = span(frames) if len(frames) > 2 * frames.shape[1] else None
-        if found is None:
+        spanned = span(frames) if len(frames) > 2 * frames.shape[1] else None
+        if spanned is None:
             return frames.astype(np.complex64), None
-        coordinates, basis = found
+        coordinates, basis = spanned
         return coordinates.astype(np.complex64), basis.astype(np.complex64)
 
 

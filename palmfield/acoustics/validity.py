@@ -97,10 +97,10 @@ def warnings(array: Array, points: ArrayLike, pressure: ArrayLike, air: Air) -> 
 def _too_near(array: Array, points: np.ndarray) -> list[str]:
     limit = far_field_m(array)
     gaps = np.maximum(array.positions.min(axis=0) - points, points - array.positions.max(axis=0))
-    beside = points[(gaps < limit).all(axis=1)]  # few of many: the tree takes longer than the field itself
-    if len(beside) == 0:
+    close = points[(gaps < limit).all(axis=1)]  # few of many: the tree takes longer than the field itself
+    if len(close) == 0:
         return []
-    distance = float(KDTree(array.positions).query(beside)[0].min())
+    distance = float(KDTree(array.positions).query(close)[0].min())
     if distance >= limit:
         return []
     return [
@@ -111,16 +111,16 @@ def _too_near(array: Array, points: np.ndarray) -> list[str]:
 
 def _too_loud(array: Array, point: np.ndarray, peak: float, air: Air) -> list[str]:
     distance = np.linalg.norm(array.positions - point, axis=1)
-    found = []
+    messages = []
     share = float(distance.mean()) / shock_distance_m(peak, air, array.frequency_Hz)
     if share > SHOCK_SHARE:
-        found.append(
+        messages.append(
             f"focal distance / shock distance is {share:.2f} at {peak:.0f} Pa: beyond {SHOCK_SHARE:g} sound turns into "
             "harmonics and heat, expect less than this linear field gives"
         )
     load = radiation_pressure_Pa(peak, air)
     if load > SATURATION_Pa:
-        found.append(
+        messages.append(
             f"{peak:.0f} Pa makes a radiation pressure of {load:.0f} Pa, but devices saturate near "
             f"{SATURATION_Pa:g} Pa: lower the drive"
         )
@@ -128,12 +128,12 @@ def _too_loud(array: Array, point: np.ndarray, peak: float, air: Air) -> list[st
     shape = 1.0 if array.directivity_table is None else float(array.directivity_table[:, 1].max())
     most = float((array.p0_Pa_m * shape * gain / np.maximum(distance, 1e-9)).sum())
     if peak > most * (1.0 + 1e-3):
-        found.append(
+        messages.append(
             f"{peak:.0f} Pa is more than array '{array.name}' can give there at full drive ({most:.0f} Pa): look at "
             "the units of points (m) and drive (1 is full)"
         )
     if peak > air.pressure_Pa:
-        found.append(
+        messages.append(
             f"{peak:.0f} Pa is more than the air's own pressure of {air.pressure_Pa:.0f} Pa: no sound wave can have it"
         )
-    return found
+    return messages

@@ -213,8 +213,7 @@ def recover(out: Annotated[Path, typer.Argument(help="folder of a run that was c
 bench = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode=None,
-    help="Measure how fast palmfield is on this machine, how exact, and how other programs do beside it.\n\n"
-    "Example: palmfield bench field",
+    help="Measure how fast palmfield is on this machine, and how exact.\n\nExample: palmfield bench field",
 )
 app.add_typer(bench, name="bench")
 
@@ -223,11 +222,7 @@ app.add_typer(bench, name="bench")
 def bench_field(
     out: Annotated[Path | None, typer.Option(help="markdown file to write the table to")] = None,
     picture: Annotated[Path | None, typer.Option(help="PNG to draw speed against error in")] = None,
-    peers_python: Annotated[
-        Path | None,
-        typer.Option(help="interpreter that has other programs, made by scripts/peers/setup.py [default: this one]"),
-    ] = None,
-    device: Annotated[str, typer.Option(help="where palmfield's own methods run: cpu or cuda:0")] = "cpu",
+    device: Annotated[str, typer.Option(help="where it is computed: cpu or cuda:0")] = "cpu",
     points: Annotated[int, typer.Option(help="roughly how many points a range of distances has")] = 20_000,
     runs: Annotated[int, typer.Option(help="how often each method runs; medians are printed")] = 5,
     only: Annotated[str, typer.Option(help="leave out methods whose names lack this text")] = "",
@@ -236,44 +231,40 @@ def bench_field(
     """Speed and error of the pressure field, as a markdown table.
 
     996 transducers, two ranges of distances. Every method computes the same problem in a process of its own, in turns
-    with the others, so that what else the machine does meets all alike. Errors are against float64. A program that is
-    not installed is named as such. A yardstick in the head says how fast the machine was: compare speeds within one
-    table, not between tables.
+    with the others, so that what else the machine does meets all alike. Errors are against float64. A yardstick in the
+    head says how fast the machine was: compare speeds within one table, not between tables. In a clone of palmfield
+    scripts/bench/compare_field.py puts other programs beside it.
 
-    Examples: palmfield bench field --only palmfield
+    Examples: palmfield bench field --only gradient
 
-    palmfield bench field --peers-python ~/.cache/palmfield-peers/bin/python --out field.md --picture field.png
+    palmfield bench field --out field.md --picture field.png
     """
     from palmfield.studies.bench.field import main as measure
 
-    print(measure(out, picture, peers_python, device, points, runs, only, commit), end="")
+    print(measure(out, picture, device, points, runs, only, commit), end="")
 
 
 @bench.command("skin")
 def bench_skin(
     out: Annotated[Path | None, typer.Option(help="markdown file to write the table to")] = None,
     picture: Annotated[Path | None, typer.Option(help="PNG to draw time against error in")] = None,
-    peers_python: Annotated[
-        Path | None,
-        typer.Option(help="interpreter that has other programs, made by scripts/peers/setup.py [default: this one]"),
-    ] = None,
-    device: Annotated[str, typer.Option(help="where palmfield's own methods run: cpu or cuda:0")] = "cpu",
+    device: Annotated[str, typer.Option(help="where it is computed: cpu or cuda:0")] = "cpu",
     runs: Annotated[int, typer.Option(help="how often each method runs; medians are printed")] = 3,
     only: Annotated[str, typer.Option(help="leave out methods whose names lack this text")] = "",
     commit: Annotated[str, typer.Option(help="for the head, where no git is [default: git's]")] = "",
 ) -> None:
     """Time and error of the skin solvers on one slab, as a markdown table.
 
-    Ours at several wanted accuracies; scikit-fem, warp.fem and MuJoCo's flexes on several meshes. Errors are against
-    plane waves in depth, which are exact. It takes some minutes.
+    Each at several wanted accuracies. Errors are against plane waves in depth, which are exact. It takes some minutes.
+    In a clone of palmfield scripts/bench/compare_skin.py puts scikit-fem, warp.fem and MuJoCo's flexes beside them.
 
     Examples: palmfield bench skin --only lateral_waves
 
-    palmfield bench skin --peers-python ~/.cache/palmfield-peers/bin/python --out skin.md --picture skin.png
+    palmfield bench skin --out skin.md --picture skin.png
     """
     from palmfield.studies.bench.skin import main as measure
 
-    print(measure(out, picture, peers_python, device, runs, only, commit), end="")
+    print(measure(out, picture, device, runs, only, commit), end="")
 
 
 def main() -> None:

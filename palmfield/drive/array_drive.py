@@ -129,19 +129,19 @@ class ArrayDrive:
         return UnitDrive(self._over_all(play(self.board, level * phases)), level)
 
     def unit_drives(
-        self, points: Float, focal_points: FocalPoints, group: Int | None = None, heard: Bool | None = None
+        self, points: Float, focal_points: FocalPoints, group: Int | None = None, audible: Bool | None = None
     ) -> Complex:
         """Amplitudes of `unit_drive` for many of the stimulus's points at once, shape (k, N).
 
         points: for each row one of the stimulus's points, shape (k, 3), or several, shape (k, d, 3), of which each
             transducer takes the one that `group`, shape (N,), names
         focal_points: where these points are
-        heard: which of the points will sound at all, shape (k, d): only these need be ones that the array can make
+        audible: which of the points will sound at all, shape (k, d): only these need be ones that the array can make
         Errors as unit_drive.
         """
         points = points.reshape(len(points), -1, 3)
         if len(focal_points.offsets) or not self.board.exact:
-            return self._one_by_one(points, focal_points, group, heard)
+            return self._one_by_one(points, focal_points, group, audible)
         foci = focal_points.along(points.reshape(-1, 3)).reshape(points.shape)
         mine = group if group is None or self.everything else group[self.chosen]
         x, y, z = (foci if mine is None else foci[:, mine]).transpose(2, 0, 1)
@@ -149,15 +149,15 @@ class ArrayDrive:
         facing = heights > 0.0
         sounds = np.logical_or.reduce(facing, axis=1)
         if not np.logical_and.reduce(sounds):
-            needed = ~sounds if heard is None else ~sounds & np.logical_or.reduce(heard, axis=1)
+            needed = ~sounds if audible is None else ~sounds & np.logical_or.reduce(audible, axis=1)
             if np.logical_or.reduce(needed):
                 row = int(needed.argmax())
-                self._refuse(foci[row, 0 if heard is None else int(heard[row].argmax())])
+                self._refuse(foci[row, 0 if audible is None else int(audible[row].argmax())])
         drives = self._waves(distances)
         if self.arp_peak_Pa is None:
             drives *= facing if self.amplitude == 1.0 else self.amplitude * facing
         else:
-            levels = self._levels_at(foci, heard)
+            levels = self._levels_at(foci, audible)
             drives *= facing * (levels if mine is None else levels[:, mine])
         return self._over_all(drives)
 
@@ -213,12 +213,12 @@ class ArrayDrive:
 
     # -- its level ---------------------------------------------------------------------------------------------------
 
-    def _levels_at(self, foci: Float, heard: Bool | None) -> Float:
+    def _levels_at(self, foci: Float, audible: Bool | None) -> Float:
         """`_levels` for foci of shape (k, d, 3); those that won't sound get 0. Shape (k, d)."""
-        if heard is None:
+        if audible is None:
             return self._levels(foci.reshape(-1, 3)).reshape(foci.shape[:2])
         levels = np.zeros(foci.shape[:2])
-        levels[heard] = self._levels(foci[heard])
+        levels[audible] = self._levels(foci[audible])
         return levels
 
     def _levels(self, foci: Float) -> Float:
@@ -307,7 +307,7 @@ class ArrayDrive:
         full = float((np.abs(pressure) ** 2).max()) / self.array.impedance
         return float(self._reached(np.array([full]), foci[None])[0])
 
-    def _one_by_one(self, points: Float, focal_points: FocalPoints, group: Int | None, heard: Bool | None) -> Complex:
+    def _one_by_one(self, points: Float, focal_points: FocalPoints, group: Int | None, audible: Bool | None) -> Complex:
         """`unit_drives` for what can't be computed for many points together; equal points are computed once."""
         rows, columns = points.shape[:2]
         drives = np.zeros((rows, self.count), np.complex128)
@@ -315,7 +315,7 @@ class ArrayDrive:
         known: dict[bytes, Complex] = {}
         for i in range(rows):
             for j, taken in enumerate(takes):
-                if heard is not None and not heard[i, j]:
+                if audible is not None and not audible[i, j]:
                     continue
                 key = points[i, j].tobytes()
                 unit = known.get(key)

@@ -307,14 +307,14 @@ def lbfgs(matrix: Complex, targets: Float, phases: Complex, count: int) -> tuple
     scaled = matrix / targets[:, None]
     scaled = scaled / np.abs(scaled).sum(axis=1).mean()
 
-    def note(found: Float) -> None:
-        residual.append(misfit(matrix @ np.exp(1j * found), targets))
+    def note(angles: Float) -> None:
+        residual.append(misfit(matrix @ np.exp(1j * angles), targets))
 
     with threadpool_limits(1, user_api="blas"):  # threads of the BLAS made these small products 40 times slower
         for stage, sharpness in enumerate(SHARPNESS):
             left = (count - (len(residual) - 1)) // (len(SHARPNESS) - stage)
             if left > 0:
-                found = minimize(
+                solution = minimize(
                     soft_minimum,
                     angles,
                     (scaled, sharpness),
@@ -323,7 +323,7 @@ def lbfgs(matrix: Complex, targets: Float, phases: Complex, count: int) -> tuple
                     callback=note,
                     options={"maxiter": left, "ftol": 1e-12, "gtol": 1e-9},
                 )
-                angles = found.x
+                angles = solution.x
     return np.exp(1j * angles), residual
 
 

@@ -70,9 +70,9 @@ def pulses(drive: ArrayLike, ticks: int, *, held: Edge = "centre", exponent: flo
     Returns start in 0..ticks-1 and width in 0..ticks/2, shapes (n,), int32.
     Raises DeviceError for |a| > 1 or not finite, an odd or too small number of ticks, a bad exponent.
     """
-    wanted = np.asarray(drive, np.complex128)
-    width = widths(np.abs(wanted), ticks, exponent)
-    middle = ticks * np.angle(wanted) / (2.0 * np.pi)
+    amplitude = np.asarray(drive, np.complex128)
+    width = widths(np.abs(amplitude), ticks, exponent)
+    middle = ticks * np.angle(amplitude) / (2.0 * np.pi)
     half = 0.25 * ticks  # half the width of the fullest pulse
     slack = half - 0.5 * width
     start = middle - 0.5 * width + {"leading": -slack, "trailing": slack, "centre": 0.0}[held]
@@ -132,11 +132,11 @@ def resample(
 
 
 def _within(values: ArrayLike, high: float, name: str) -> Float:
-    found = np.asarray(values, float)
-    if not np.all((found >= 0.0) & (found <= high * (1.0 + 1e-9))):
-        bad = found[~((found >= 0.0) & (found <= high * (1.0 + 1e-9)))].flat[0]
+    checked = np.asarray(values, float)
+    if not np.all((checked >= 0.0) & (checked <= high * (1.0 + 1e-9))):
+        bad = checked[~((checked >= 0.0) & (checked <= high * (1.0 + 1e-9)))].flat[0]
         raise DeviceError(f"{name} {bad:.4g} is outside 0 to {high:g}: scale it into that range")
-    return found
+    return checked
 
 
 def _positive(exponent: float) -> float:

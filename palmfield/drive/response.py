@@ -80,16 +80,16 @@ def filter_frames(
     Returns emitted amplitudes at 0, dt, 2 dt, ..., shape (frames + 1, n) for held frames, (frames, n) for linear ones.
     Raises DeviceError for another shape, values that are not finite, and dt not above 0.
     """
-    wanted, start = _frames(drives, dt, pole, initial)
+    commanded, start = _frames(drives, dt, pole, initial)
     decay, held, slope = pole_weights(pole.rate * dt)
     gain = pole.damping / pole.rate
-    count = len(wanted) - 1 if linear else len(wanted)
-    emitted = np.empty((count + 1, wanted.shape[1]), np.complex128)
+    count = len(commanded) - 1 if linear else len(commanded)
+    emitted = np.empty((count + 1, commanded.shape[1]), np.complex128)
     emitted[0] = start
     for k in range(count):
-        emitted[k + 1] = decay * emitted[k] + gain * held * wanted[k]
+        emitted[k + 1] = decay * emitted[k] + gain * held * commanded[k]
         if linear:
-            emitted[k + 1] += gain * slope * (wanted[k + 1] - wanted[k])
+            emitted[k + 1] += gain * slope * (commanded[k + 1] - commanded[k])
     return emitted
 
 
@@ -112,14 +112,14 @@ def emitted_at(
     drives, dt, initial: as filter_frames
     Returns shape (q, n). Raises DeviceError as filter_frames.
     """
-    wanted, _ = _frames(drives, dt, pole, initial)
-    states = filter_frames(wanted, dt, pole, initial=initial)[:-1]
+    commanded, _ = _frames(drives, dt, pole, initial)
+    states = filter_frames(commanded, dt, pole, initial=initial)[:-1]
     moment = np.asarray(times, float)
     moment = moment[:, None] if moment.ndim == 1 else moment
-    moment = np.broadcast_to(np.maximum(moment, 0.0), (len(moment), wanted.shape[1]))
-    frame = np.minimum(moment // dt, len(wanted) - 1).astype(int)
-    column = np.arange(wanted.shape[1])
-    settled = pole.damping / pole.rate * wanted[frame, column]
+    moment = np.broadcast_to(np.maximum(moment, 0.0), (len(moment), commanded.shape[1]))
+    frame = np.minimum(moment // dt, len(commanded) - 1).astype(int)
+    column = np.arange(commanded.shape[1])
+    settled = pole.damping / pole.rate * commanded[frame, column]
     return settled + (states[frame, column] - settled) * np.exp(-pole.rate * (moment - frame * dt))
 
 
@@ -193,21 +193,21 @@ def pole_weights(z: Complex) -> tuple[Complex, Complex, Complex]:
 
 
 def _frames(drives: ArrayLike, dt: float, pole: Pole, initial: ArrayLike | None) -> tuple[Complex, Complex]:
-    wanted = np.asarray(drives, np.complex128)
-    if wanted.ndim != 2 or len(wanted) == 0:
-        raise DeviceError(f"drives have shape {wanted.shape}: give (frames, transducers), at least one frame")
-    if not np.isfinite(wanted).all():
-        raise DeviceError(f"drives[{check.first_bad(wanted)}] is not finite: remove or mend it")
+    commanded = np.asarray(drives, np.complex128)
+    if commanded.ndim != 2 or len(commanded) == 0:
+        raise DeviceError(f"drives have shape {commanded.shape}: give (frames, transducers), at least one frame")
+    if not np.isfinite(commanded).all():
+        raise DeviceError(f"drives[{check.first_bad(commanded)}] is not finite: remove or mend it")
     if not 0.0 < dt < np.inf:
         raise DeviceError(f"dt = {dt} is not positive and finite: give the length of a frame in seconds")
-    if len(pole.rate) not in (1, wanted.shape[1]):
+    if len(pole.rate) not in (1, commanded.shape[1]):
         raise DeviceError(
-            f"the pole has {len(pole.rate)} transducers and the drives {wanted.shape[1]}: give one for each"
+            f"the pole has {len(pole.rate)} transducers and the drives {commanded.shape[1]}: give one for each"
         )
-    start = np.zeros(wanted.shape[1], np.complex128) if initial is None else np.asarray(initial, np.complex128)
-    if start.shape != wanted.shape[1:]:
-        raise DeviceError(f"initial has shape {start.shape} for {wanted.shape[1]} transducers: give one value each")
-    return wanted, start
+    start = np.zeros(commanded.shape[1], np.complex128) if initial is None else np.asarray(initial, np.complex128)
+    if start.shape != commanded.shape[1:]:
+        raise DeviceError(f"initial has shape {start.shape} for {commanded.shape[1]} transducers: give one value each")
+    return commanded, start
 
 
 def _frequency(value: float) -> float:

@@ -94,9 +94,9 @@ def response_errors(
     delay = float((1.0 / rates).real.mean())
     step = max(delay / SAMPLES_A_DELAY, SHORTEST_S)
     lag = max(1, round(delay / step))
-    late = (times_s - weights @ times_s) / step
+    delays = (times_s - weights @ times_s) / step
     # Sound that is early takes samples from after the window
-    reach = math.ceil(np.abs(late).max()) + 2
+    reach = math.ceil(np.abs(delays).max()) + 2
     inside = slice(SETTLED * lag, -reach)
     errors = []
     for begin, end in windows(stimulus, delay):
@@ -104,12 +104,12 @@ def response_errors(
         points, factors = frames_at(stimulus, np.asarray(begin + (cells + 0.5) * step))
         levels = np.sqrt(factors)
         if stimulus.path == "point":
-            pair = _still(levels, weights, rates * step, late, lag)
+            pair = _still(levels, weights, rates * step, delays, lag)
         else:
-            chosen = _some(late, max(FEWEST, VALUES // len(cells)))
+            chosen = _some(delays, max(FEWEST, VALUES // len(cells)))
             drives = levels[:, None] * focusing(along(points), chosen)
             part = weights[chosen] / max(weights[chosen].sum(), 1e-300)
-            pair = _moving(drives, part, (rates * step)[chosen], late[chosen], lag)
+            pair = _moving(drives, part, (rates * step)[chosen], delays[chosen], lag)
         sound = levels[inside]
         if weights.any() and sound.any():
             errors.append([_relative(error[inside], sound) for error in pair])
@@ -117,21 +117,21 @@ def response_errors(
     return _worst(ring_up), _worst(flight_time)
 
 
-def _still(levels: Float, weights: Float, z: Complex, late: Float, lag: int) -> tuple[Float, Float]:
+def _still(levels: Float, weights: Float, z: Complex, delays: Float, lag: int) -> tuple[Float, Float]:
     """Errors of the pressure at a still focus over time, shapes (k,), relative to full level.
 
     There the transducers differ by their poles only, and their sounds add up.
-    levels: of the drive, shape (k,); weights, z (rate times step), late (in steps), shapes (n,)
+    levels: of the drive, shape (k,); weights, z (rate times step), delays (in steps), shapes (n,)
     """
     ring_up, flight_time = np.zeros(len(levels)), np.zeros(len(levels), complex)
-    reach = math.ceil(np.abs(late).max()) + 2
+    reach = math.ceil(np.abs(delays).max()) + 2
     for one in np.unique(z):
         same = z == one
         emitted = _rung(levels.astype(complex), one)
         ring_up += weights[same].sum() * np.abs(emitted - _later(levels, lag)) ** 2
         # Shares of the pressure by flight time, each on the three nearest samples: a parabola through them
-        whole = np.round(late[same]).astype(int)
-        rest = late[same] - whole
+        whole = np.round(delays[same]).astype(int)
+        rest = delays[same] - whole
         kernel = np.zeros(2 * reach + 1)
         for offset, part in ((-1, 0.5 * rest * (rest - 1.0)), (0, 1.0 - rest**2), (1, 0.5 * rest * (rest + 1.0))):
             np.add.at(kernel, whole + reach + offset, weights[same] * part)
@@ -140,7 +140,7 @@ def _still(levels: Float, weights: Float, z: Complex, late: Float, lag: int) -> 
     return np.sqrt(ring_up), np.abs(flight_time)
 
 
-def _moving(drives: Complex, weights: Float, z: Complex, late: Float, lag: int) -> tuple[Float, Float]:
+def _moving(drives: Complex, weights: Float, z: Complex, delays: Float, lag: int) -> tuple[Float, Float]:
     """As `_still`, the rms over the transducers, weighted by their shares: by Cauchy and Schwarz at least the error of
     the pressure at the focus.
 
@@ -151,7 +151,7 @@ def _moving(drives: Complex, weights: Float, z: Complex, late: Float, lag: int) 
     for j, weight in enumerate(weights):
         emitted = _rung(drives[:, j], z[j])
         ring_up += weight * np.abs(emitted - _later(drives[:, j], lag)) ** 2
-        flight_time += weight * np.abs(emitted - np.interp(moments - late[j], moments, emitted)) ** 2
+        flight_time += weight * np.abs(emitted - np.interp(moments - delays[j], moments, emitted)) ** 2
     return np.sqrt(ring_up), np.sqrt(flight_time)
 
 
@@ -167,9 +167,9 @@ def _later(drive: Complex | Float, lag: int) -> Complex | Float:
     return np.concatenate([np.repeat(drive[:1], lag), drive[:-lag]])
 
 
-def _some(late: Float, most: int) -> Int:
+def _some(delays: Float, most: int) -> Int:
     """Numbers of all transducers, or of some of them, evenly from the nearest to the farthest."""
-    order = np.argsort(late)
+    order = np.argsort(delays)
     return order[np.linspace(0, len(order) - 1, min(most, len(order))).round().astype(int)].astype(np.int32)
 
 

@@ -89,16 +89,16 @@ def plane_wave(array: Array, air: Air, direction: ArrayLike) -> Complex:
     Raises SceneError for another direction.
     """
     check.array(array)
-    wanted = np.asarray(direction, float)
-    if wanted.shape != (3,) or not np.isfinite(wanted).all() or not wanted.any():
+    vector = np.asarray(direction, float)
+    if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
         raise SceneError(
-            f"direction {wanted.tolist()} is not a finite vector (x, y, z) other than 0: give three numbers"
+            f"direction {vector.tolist()} is not a finite vector (x, y, z) other than 0: give three numbers"
         )
-    along = wanted / np.linalg.norm(wanted)
+    along = vector / np.linalg.norm(vector)
     if np.any(array.normals @ along <= 0.0):
         i = int(np.argmin(array.normals @ along))
         raise SceneError(
-            f"direction {wanted.tolist()} does not lead out of the array '{array.name}', whose transducer {i} looks "
+            f"direction {vector.tolist()} does not lead out of the array '{array.name}', whose transducer {i} looks "
             f"along {array.normals[i].tolist()}: give one that goes out in front of the array"
         )
     k = 2.0 * np.pi * array.frequency_Hz / sound_speed(air)

@@ -113,8 +113,8 @@ def take_compile_error() -> Exception | None:
 
 def _fail(world: World | None, module: str, error: Exception) -> None:
     """Keep the first error for `raise_errors`, show it through MuJoCo, and put NaN where a result would stand."""
-    heard = getattr(_compiling, "active", False) if world is None else world.quiet or world.error is not None
-    if not heard:
+    silent = getattr(_compiling, "active", False) if world is None else world.quiet or world.error is not None
+    if not silent:
         known = isinstance(error, PalmfieldError)
         text = str(error) if known else "".join(traceback.format_exception(error))
         library().mju_warning(b"%s", f"{module}: {text}".encode())

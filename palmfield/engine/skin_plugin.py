@@ -2,8 +2,6 @@
 
 from typing import Any, ClassVar
 
-import numpy as np
-
 from palmfield.config import Config, SkinConfig
 from palmfield.engine.host import Module, World
 from palmfield.mujoco_host.mujoco_view import ModelView
@@ -63,17 +61,6 @@ class SkinModule(Module):
         """Mean force of the sound on this skin's body over the present step [N], world axes, shape (3,)."""
         force: Float = self.scene.applied[self.scene.model.skins[self.number].body]
         return force
-
-    def body_force(self) -> tuple[Float, Float]:
-        """Force [N] of the sound on the whole body and torque about its origin [N m], world axes, shapes (3,).
-
-        The mean over the MuJoCo step that begins now.
-        """
-        body = self.scene.model.skins[self.number].body
-        forces, torques = self.scene.body_forces()[body]
-        frames = self.world.frames["body"][0]
-        arms = frames[list(self.scene.parts[body])] - frames[self.scene.bodies[body]]
-        return forces.sum(axis=0), (torques + np.cross(arms, forces)).sum(axis=0)
 
     def forces(self) -> None:
         """Push all bodies of the scene."""

@@ -73,16 +73,16 @@ def chirality(vertices: Float, faces: Int) -> Chirality:
     of_tips = float(((vertices[tips[fingers]] - middle) @ normal).mean()) / length
     bent = np.sign(of_tips) * max(0.0, abs(of_tips) - STRAIGHT)
     evidence = float(np.clip(of_thumb / CLEAR_LIFT, -1.0, 1.0) + np.clip(bent / CLEAR_LIFT, -1.0, 1.0))
-    apart = float(web[fingers].min() - web[thumb]) / length
+    web_offset = float(web[fingers].min() - web[thumb]) / length
     nearer = float(way[tips[fingers]].min() - way[tips[thumb]]) / length
-    sureness = min(1.0, abs(evidence)) * float(np.clip(min(apart / CLEAR_WEB, nearer / CLEAR_TIP), 0.0, 1.0))
+    sureness = min(1.0, abs(evidence)) * float(np.clip(min(web_offset / CLEAR_WEB, nearer / CLEAR_TIP), 0.0, 1.0))
     palm = normal if evidence > 0.0 else -normal
     from_thumb = fingers[np.argsort([-(vertices[digits[i]].mean(axis=0) @ across) for i in fingers])]
     ordered = vertices[tips[[thumb, *from_thumb]]]
     reason = (
-        f"in shares of the fingers' length, one digit leaves {apart:.2f} nearer to the wrist than the others and ends "
-        f"{nearer:.2f} nearer; to the palm's side it lies {np.sign(evidence) * of_thumb:+.2f} and the fingers' tips "
-        f"{np.sign(evidence) * of_tips:+.2f}"
+        f"in shares of the fingers' length, one digit leaves {web_offset:.2f} nearer to the wrist than the others and "
+        f"ends {nearer:.2f} nearer; to the palm's side it lies {np.sign(evidence) * of_thumb:+.2f} and the fingers' "
+        f"tips {np.sign(evidence) * of_tips:+.2f}"
     )
     if sureness < LEAST_SURENESS:
         return Chirality("unknown", sureness, palm, ordered, f"not sure: {reason}")

@@ -97,10 +97,10 @@ def _crossings(
     while way[-1] != first:
         way.append(int(before[way[-1]]))
     crossed = np.array(way[-2::-1]) // count
-    found = [start[0]]
+    passed = [start[0]]
     for one, other in pairwise(crossed):
-        found.append(int(nearby[np.flatnonzero((sides == one).any(axis=1) & (sides == other).any(axis=1))[0]]))
-    return edges[crossed], [*found, end[0]]
+        passed.append(int(nearby[np.flatnonzero((sides == one).any(axis=1) & (sides == other).any(axis=1))[0]]))
+    return edges[crossed], [*passed, end[0]]
 
 
 def _sides(surface: Surface, edges: Int, first: int) -> tuple[list[int], list[int]]:

@@ -69,8 +69,8 @@ def _resample(loop: Float, size: Size) -> Float:
     length = np.linalg.norm(np.diff(closed, axis=0), axis=1)
     count = np.concatenate([[0.0], np.cumsum(length / size(0.5 * (closed[1:] + closed[:-1])))])
     number = max(8, round(count[-1]))
-    wanted = count[-1] * np.arange(number) / number
-    return np.stack([np.interp(wanted, count, closed[:, k]) for k in (0, 1)], axis=1)
+    along = count[-1] * np.arange(number) / number
+    return np.stack([np.interp(along, count, closed[:, k]) for k in (0, 1)], axis=1)
 
 
 def _inside(points: Float, shape: Shape) -> Int:

@@ -70,13 +70,13 @@ def cap(points: Float) -> tuple[Float, Int] | None:
     gap = np.linalg.norm(grid[:, None] - flat, axis=2).min(axis=1)
     inner = grid[(gap > 0.7 * step) & _inside(grid, flat)]
     plane = np.concatenate([flat, inner])
-    found = Delaunay(plane).simplices
-    found = found[_inside(plane[found].mean(axis=1), flat)].astype(np.int32)
-    edges, count = unique_edges(found)
+    triangles = Delaunay(plane).simplices
+    triangles = triangles[_inside(plane[triangles].mean(axis=1), flat)].astype(np.int32)
+    edges, count = unique_edges(triangles)
     border = np.sort(np.stack([np.arange(number), np.roll(np.arange(number), -1)], axis=1), axis=1)
     if not np.array_equal(np.unique(border, axis=0), edges[count == 1]):
         return None
-    return _spanned(points, len(inner), edges), found
+    return _spanned(points, len(inner), edges), triangles
 
 
 def _spanned(points: Float, inner: int, edges: Int) -> Float:

@@ -84,11 +84,11 @@ def region_labels(hand: ArticulatedHand, surface: Surface) -> tuple[tuple[str, .
 def depth_by_region(hand: ArticulatedHand, skin: HandSurface) -> dict[str, tuple[float, float, float]]:
     """Depth from skin to bone by region [m]: least, 10th percentile and median over the region's vertices."""
     names, labels = region_labels(hand, skin.surface)
-    found = {}
+    result = {}
     for n, name in enumerate(names):
         least, low, middle = np.percentile(skin.depth_to_bone[labels == n], [0.0, 10.0, 50.0])
-        found[name] = float(least), float(low), float(middle)
-    return found
+        result[name] = float(least), float(low), float(middle)
+    return result
 
 
 def _outline(part: SkinSegment, points: Float) -> Float:

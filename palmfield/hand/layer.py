@@ -135,8 +135,8 @@ def wedge_quality(vertices: Float, faces: Int, inward: Float, depth: Float) -> F
     return quality
 
 
-def fit_thickness(vertices: Float, faces: Int, inward: Float, asked: Float, limit: Float) -> tuple[Float, Float]:
-    """Thickness [m], shape (n,), no more than `asked` and `limit`, and the wedges' quality, shape (m,).
+def fit_thickness(vertices: Float, faces: Int, inward: Float, requested: Float, limit: Float) -> tuple[Float, Float]:
+    """Thickness [m], shape (n,), no more than `requested` and `limit`, and the wedges' quality, shape (m,).
 
     The share that the limit leaves is min-filtered over neighbours. Where a wedge is inverted or poor it is cut by 0.9
     again and again, and around it the thickness rises by at most STEEPEST_RISE of the way along the surface. A wedge is
@@ -148,7 +148,7 @@ def fit_thickness(vertices: Float, faces: Int, inward: Float, asked: Float, limi
     length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
     flat = wedge_quality(vertices, faces, inward, np.zeros(len(vertices)))
     floor = LEAST_QUALITY * np.minimum(1.0, flat / SOUND_TRIANGLE)
-    got = asked * _neighbour_min(np.minimum(1.0, limit / asked), faces)
+    got = requested * _neighbour_min(np.minimum(1.0, limit / requested), faces)
     while True:
         got = _rising_gently(got, edges, STEEPEST_RISE * length)
         quality = wedge_quality(vertices, faces, inward, got)
@@ -157,7 +157,7 @@ def fit_thickness(vertices: Float, faces: Int, inward: Float, asked: Float, limi
             return got, quality
         touched = np.unique(faces[poor])
         got[touched] *= 0.9
-        if (got[touched] / asked[touched]).min() < LEAST_RATIO:
+        if (got[touched] / requested[touched]).min() < LEAST_RATIO:
             worst = int(np.argmin(np.where(poor, quality - floor, np.inf)))
             place = vertices[faces[worst]].mean(axis=0) * 1e3
             raise SceneError(

@@ -58,11 +58,11 @@ def load_rigged(path: str | Path, unit: str = "auto", longest_edge_m: float | No
     Edges longer than longest_edge_m [m] are halved, weights with them.
     Raises SceneError as well for a file without joints.
     """
-    found = _accepted(path, unit, longest_edge_m)
-    if found.rig is None:
+    examined = _accepted(path, unit, longest_edge_m)
+    if examined.rig is None:
         raise SceneError(f"mesh {path} has no joints and weights; give a glTF, GLB or MANO file with a skin")
-    weights, indices = strongest(found.rig.weights)
-    return RiggedMesh(_surface(found), found.rig.joints, weights, indices)
+    weights, indices = strongest(examined.rig.weights)
+    return RiggedMesh(_surface(examined), examined.rig.joints, weights, indices)
 
 
 def examine(path: str | Path, unit: str = "auto", longest_edge_m: float | None = None) -> Examined:
@@ -106,14 +106,14 @@ def refusal(path: str | Path, findings: list[Finding]) -> str:
 
 
 def _accepted(path: str | Path, unit: str, longest_edge_m: float | None = None) -> Examined:
-    found = examine(path, unit, longest_edge_m)
-    if any(finding.outcome == "refused" for finding in found.findings):
-        raise SceneError(refusal(path, found.findings))
-    return found
+    examined = examine(path, unit, longest_edge_m)
+    if any(finding.outcome == "refused" for finding in examined.findings):
+        raise SceneError(refusal(path, examined.findings))
+    return examined
 
 
-def _surface(found: Examined) -> Surface:
-    return Surface(found.vertices, found.faces, vertex_normals(found.vertices, found.faces))
+def _surface(examined: Examined) -> Surface:
+    return Surface(examined.vertices, examined.faces, vertex_normals(examined.vertices, examined.faces))
 
 
 def _read(file: Path) -> tuple[Float, Int, str | None, SkinRig | None]:

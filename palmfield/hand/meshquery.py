@@ -44,9 +44,9 @@ def over_plane(plane: Float, faces: Int, places: Float) -> tuple[Int, Float]:
     plane: positions of the vertices in that plane [m], shape (v, 2); places: shape (n, 2)
     A place outside all triangles gets the nearest one.
     """
-    flat, asked = (np.column_stack([xy, np.zeros(len(xy))]) for xy in (plane, places))
-    reach = 4.0 * float(np.abs(flat).max() + np.abs(asked).max()) + 1e-6
-    corners = faces[closest_faces(build_mesh(flat, faces), asked, reach)]
+    flat, queries = (np.column_stack([xy, np.zeros(len(xy))]) for xy in (plane, places))
+    reach = 4.0 * float(np.abs(flat).max() + np.abs(queries).max()) + 1e-6
+    corners = faces[closest_faces(build_mesh(flat, faces), queries, reach)]
     return corners, barycentric(plane[corners], places)
 
 

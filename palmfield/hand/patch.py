@@ -56,18 +56,18 @@ def surface_patch(
     region = facing_region(surface, origin, seed, outward, radius_m)
     shape = trace_shape(region, step_m=max(0.5 * fine_m, radius_m / 80.0), spike_m=0.75 * coarse_m)
     plane, faces = triangulate(shape, graded_size(fine_m, coarse_m, fine_radius_m, radius_m), radius_m)
-    vertices, asked = _lift(region, plane, thickness)
+    vertices, requested = _lift(region, plane, thickness)
 
-    asked = np.minimum(asked, max_depth_m)
+    requested = np.minimum(requested, max_depth_m)
     inward = inward_directions(vertices, faces)
     span = float(np.ptp(surface.vertices, axis=0).sum())
     way = exit_distances(surface.vertices, surface.faces, vertices, inward, span)
-    got, quality = fit_thickness(vertices, faces, inward, asked, max_fraction * way)
+    got, quality = fit_thickness(vertices, faces, inward, requested, max_fraction * way)
 
     edges, count = unique_edges(faces)
     rim = np.zeros(len(vertices), dtype=np.bool_)
     rim[edges[count == 1]] = True
-    report = _report(vertices, faces, edges, asked, got, quality)
+    report = _report(vertices, faces, edges, requested, got, quality)
     symmetry = None if axis is None else _unit_vector(axis, "axis")
     return Patch(vertices, faces, inward, got, rim, symmetry, report)
 
@@ -140,7 +140,7 @@ def _lift(region: Region, plane: Float, thickness: Float) -> tuple[Float, Float]
     return lifted, np.einsum("ij,ij->i", weights, thickness[region.index][corners])
 
 
-def _report(vertices: Float, faces: Int, edges: Int, asked: Float, got: Float, quality: Float) -> dict[str, float]:
+def _report(vertices: Float, faces: Int, edges: Int, requested: Float, got: Float, quality: Float) -> dict[str, float]:
     report = {
         "vertices": float(len(vertices)),
         "triangles": float(len(faces)),
@@ -148,9 +148,9 @@ def _report(vertices: Float, faces: Int, edges: Int, asked: Float, got: Float, q
         "angle_min_deg": float(np.rad2deg(corner_angles(vertices, faces).min())),
         "edge_mean_m": float(np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1).mean()),
         "quality_min": float(quality.min()),
-        "share_thinned": float(np.mean(got < 0.999 * asked)),
+        "share_thinned": float(np.mean(got < 0.999 * requested)),
     }
-    for name, value in (("asked", asked), ("got", got)):
+    for name, value in (("asked", requested), ("got", got)):
         report[f"depth_{name}_min_m"] = float(value.min())
         report[f"depth_{name}_p10_m"] = float(np.percentile(value, 10.0))
         report[f"depth_{name}_mean_m"] = float(value.mean())

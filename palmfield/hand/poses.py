@@ -95,8 +95,8 @@ def _pinch(hand: ArticulatedHand, rest: dict[str, float]) -> dict[str, float]:
         )
 
     # Half-way in is off the bounds, as the method needs.
-    found = least_squares(misses, 0.7 * start + 0.15 * (low + high), bounds=(low, high)).x
-    return rest | {hand.joints[n].name: float(a) for n, a in zip(moving, found, strict=True)}
+    solution = least_squares(misses, 0.7 * start + 0.15 * (low + high), bounds=(low, high)).x
+    return rest | {hand.joints[n].name: float(a) for n, a in zip(moving, solution, strict=True)}
 
 
 def _line(hand: ArticulatedHand, bone: int, part: SkinSegment, positions: Float, rotations: Float) -> Float:
@@ -190,12 +190,12 @@ def _places(hand: SkinnedHand, pairs: Int) -> Counter[str]:
 def _described(hand: SkinnedHand, surface: Surface, pairs: Int) -> str:
     owner = hand.dominant_bone()[surface.faces[:, 0]]
     names = [bone.name for bone in hand.hand.bones]
-    told = []
+    descriptions = []
     places = _places(hand, pairs)
     for parts, count in places.most_common(3):
-        wanted = set(parts.split(" and "))
-        here = np.array([{names[owner[a]], names[owner[b]]} == wanted for a, b in pairs])
+        pair = set(parts.split(" and "))
+        here = np.array([{names[owner[a]], names[owner[b]]} == pair for a, b in pairs])
         x, y, z = 1e3 * surface.vertices[surface.faces[pairs[here]]].mean(axis=(0, 1, 2))
-        told.append(f"{parts} in {count} places about ({x:.0f}, {y:.0f}, {z:.0f}) mm")
+        descriptions.append(f"{parts} in {count} places about ({x:.0f}, {y:.0f}, {z:.0f}) mm")
     more = f" and {len(places) - 3} more pairs of parts" if len(places) > 3 else ""
-    return "; ".join(told) + more
+    return "; ".join(descriptions) + more

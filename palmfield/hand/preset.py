@@ -92,9 +92,9 @@ def sized(
     hardly follow each other between people (correlation 0.57 in ANSUR II). A palm or wrist stays as given.
     Raises SceneError for a length outside LENGTHS_m and a breadth outside BREADTHS_m.
     """
-    asked = {"length_m": (length_m, LENGTHS_m), "breadth_m": (breadth_m, BREADTHS_m)}
+    requested = {"length_m": (length_m, LENGTHS_m), "breadth_m": (breadth_m, BREADTHS_m)}
     ratios = []
-    for name, (value, (least, most)) in asked.items():
+    for name, (value, (least, most)) in requested.items():
         if value is not None and not least <= value <= most:
             raise SceneError(f"hand: {name} is {value}; give {least} to {most} m")
         own: float = getattr(preset, name)
@@ -176,13 +176,13 @@ def load_preset(name_or_path: str | Path) -> HandPreset:
 
 
 def _resized(data: dict[str, Any]) -> HandPreset:
-    asked = _Resized.model_validate(data)
-    if asked.based_on not in preset_names() or asked.based_on == asked.name:
-        others = ", ".join(name for name in preset_names() if name != asked.name)
-        raise SceneError(f"hand preset '{asked.name}': based_on is '{asked.based_on}'; use one of: {others}")
-    base = load_preset(asked.based_on)
-    measures = asked.model_dump(exclude={"name", "based_on", "side"}, exclude_none=True)
-    return sized(base, **measures).model_copy(update={"name": asked.name, "side": asked.side or base.side})
+    resized = _Resized.model_validate(data)
+    if resized.based_on not in preset_names() or resized.based_on == resized.name:
+        others = ", ".join(name for name in preset_names() if name != resized.name)
+        raise SceneError(f"hand preset '{resized.name}': based_on is '{resized.based_on}'; use one of: {others}")
+    base = load_preset(resized.based_on)
+    measures = resized.model_dump(exclude={"name", "based_on", "side"}, exclude_none=True)
+    return sized(base, **measures).model_copy(update={"name": resized.name, "side": resized.side or base.side})
 
 
 def _brief(value: object) -> str:

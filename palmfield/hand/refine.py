@@ -13,48 +13,48 @@ from palmfield.types import Float, Int, Surface
 MOST_VERTICES = 2_000_000
 ACOUSTIC_m = 0.0086
 """Wavelength of 40 kHz in air at 20 C."""
-Wanted = ArrayLike | Callable[[Float], Float]
+EdgeLength = ArrayLike | Callable[[Float], Float]
 
 
-def refine(surface: Surface, wanted_edge_m: Wanted) -> Surface:
-    """The same surface with no edge longer than wanted there, and no triangle cut where none was too long nearby.
+def refine(surface: Surface, target_edge_m: EdgeLength) -> Surface:
+    """The same surface with no edge longer than its target there, and no triangle cut where none was too long nearby.
 
-    wanted_edge_m: longest edge [m], one number or by vertex, shape (n,), linear on the triangles; or a function of
+    target_edge_m: longest edge [m], one number or by vertex, shape (n,), linear on the triangles; or a function of
         points, (k, 3) -> (k,). It is taken at the middle of each edge, so it should not fall faster than one to one
     No angle gets below half of the smallest of the given triangles (Rivara 1984, doi 10.1002/nme.1620200412).
     `bisected` gives the matrix that carries values at the vertices over as well.
 
-    Raises SceneError for wanted lengths that are not finite and above 0, or so small that the mesh would have more than
+    Raises SceneError for target lengths that are not finite and above 0, or so small that the mesh would have more than
     MOST_VERTICES vertices.
     """
-    carry, faces = bisected(surface.vertices, surface.faces, wanted_edge_m)
+    carry, faces = bisected(surface.vertices, surface.faces, target_edge_m)
     vertices = carry @ surface.vertices
     return Surface(vertices, faces, vertex_normals(vertices, faces))
 
 
-def bisected(vertices: Float, faces: Int, wanted_edge_m: Wanted) -> tuple[sparse.csr_array, Int]:
+def bisected(vertices: Float, faces: Int, target_edge_m: EdgeLength) -> tuple[sparse.csr_array, Int]:
     """As `refine`: matrix that makes the new vertices, and any value at them, from the old, shape (n_new, n); faces."""
     carry = sparse.csr_array(sparse.eye_array(len(vertices)))
-    given = None if callable(wanted_edge_m) else _by_vertex(wanted_edge_m, len(vertices))
+    given = None if callable(target_edge_m) else _by_vertex(target_edge_m, len(vertices))
     while True:
         points = carry @ vertices
         edges, inverse = np.unique(np.sort(directed_edges(faces), axis=1), axis=0, return_inverse=True)
         # Edge i of a face runs from its corner i to the next
         of_face = inverse.reshape(3, len(faces)).T.astype(np.int32)
         length = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
-        if callable(wanted_edge_m):
-            wanted = np.asarray(wanted_edge_m(points[edges].mean(axis=1)), dtype=np.float64)
-            _check(wanted, len(edges))
+        if callable(target_edge_m):
+            target = np.asarray(target_edge_m(points[edges].mean(axis=1)), dtype=np.float64)
+            _check(target, len(edges))
         else:
-            wanted = (carry @ given)[edges].mean(axis=1)
-        cut = length > wanted
+            target = (carry @ given)[edges].mean(axis=1)
+        cut = length > target
         if not cut.any():
             return carry, faces
         # A triangle whose edges are not longer than w is not larger than sqrt(3) / 4 w^2
-        least = (face_normals(points, faces)[1] / (0.433 * wanted[of_face].max(axis=1) ** 2)).sum()
+        least = (face_normals(points, faces)[1] / (0.433 * target[of_face].max(axis=1) ** 2)).sum()
         if 0.5 * least > MOST_VERTICES:
             raise SceneError(
-                f"edges of {1e3 * wanted.min():.2g} mm are wanted: the mesh would have more than {MOST_VERTICES} "
+                f"edges of {1e3 * target.min():.2g} mm are wanted: the mesh would have more than {MOST_VERTICES} "
                 "vertices; ask for longer ones"
             )
         longest = _longest(of_face, length)
@@ -69,7 +69,7 @@ def bisected(vertices: Float, faces: Int, wanted_edge_m: Wanted) -> tuple[sparse
         carry = sparse.csr_array(sparse.vstack([carry, halves @ carry]))
 
 
-def wanted_edges(
+def target_edges(
     distance_m: Float,
     shear_wavelength_m: float,
     *,
@@ -106,20 +106,20 @@ def wanted_edges(
     return np.minimum(fine + growth * np.maximum(distance - near_m, 0.0), wave)
 
 
-def _by_vertex(wanted: ArrayLike, count: int) -> Float:
-    value = np.asarray(wanted, dtype=np.float64)
+def _by_vertex(target: ArrayLike, count: int) -> Float:
+    value = np.asarray(target, dtype=np.float64)
     if value.ndim == 0:
         value = np.full(count, float(value))
     _check(value, count)
     return value
 
 
-def _check(wanted: Float, count: int) -> None:
-    if wanted.shape != (count,):
-        raise SceneError(f"wanted edges have shape {wanted.shape}; give one length for each of {count} places")
-    wrong = ~(np.isfinite(wanted) & (wanted > 0.0))
+def _check(target: Float, count: int) -> None:
+    if target.shape != (count,):
+        raise SceneError(f"wanted edges have shape {target.shape}; give one length for each of {count} places")
+    wrong = ~(np.isfinite(target) & (target > 0.0))
     if wrong.any():
-        raise SceneError(f"wanted edge {wanted[wrong][0]:g} m must be finite and above 0")
+        raise SceneError(f"wanted edge {target[wrong][0]:g} m must be finite and above 0")
 
 
 def _longest(of_face: Int, length: Float) -> Int:

@@ -151,13 +151,13 @@ def _drop_degenerate(mesh: Repair) -> None:
     for needle in np.flatnonzero(flat):
         i = int(np.argmax(sides[:, needle]))
         a, b, tip = (int(faces[needle, (i + k) % 3]) for k in range(3))
-        beside = np.flatnonzero(((faces == a).any(axis=1) & (faces == b).any(axis=1)) & ~dropped)
-        beside = beside[beside != needle]
-        if len(beside) != 1 or tip in faces[beside[0]]:
+        neighbour = np.flatnonzero(((faces == a).any(axis=1) & (faces == b).any(axis=1)) & ~dropped)
+        neighbour = neighbour[neighbour != needle]
+        if len(neighbour) != 1 or tip in faces[neighbour[0]]:
             dropped[needle] = True
             continue
-        other = faces[beside[0]].copy()
-        faces[needle], faces[beside[0]] = np.where(other == a, tip, other), np.where(other == b, tip, other)
+        other = faces[neighbour[0]].copy()
+        faces[needle], faces[neighbour[0]] = np.where(other == a, tip, other), np.where(other == b, tip, other)
     mesh.faces = faces[~dropped]
     where = np.concatenate(places)
     mesh.note("degenerate faces", len(where), "repaired", where, "faces without area were taken out")

@@ -72,7 +72,7 @@ def report_card(path: str | Path, unit: str = "auto") -> ReportCard:
         hand = chirality(mesh.vertices, mesh.faces)
         facts |= {"side": hand.side, "side_sureness": round(hand.sureness, 2), "side_reason": hand.reason}
         facts["layers"] = palmar_layers(mesh.vertices, mesh.faces, hand)
-    facts["findings"] = [_told(finding) for finding in findings]
+    facts["findings"] = [_finding_facts(finding) for finding in findings]
     return ReportCard(facts, mesh, no)
 
 
@@ -87,7 +87,7 @@ def refused_facts(path: str | Path, unit: str, error: SceneError) -> dict[str, A
         "accepted": False,
         "refusal": str(error),
         "unit_asked": unit,
-        "findings": [_told(finding)],
+        "findings": [_finding_facts(finding)],
     }
 
 
@@ -111,15 +111,15 @@ def palmar_layers(vertices: Float, faces: Int, hand: Chirality) -> list[dict[str
     surface, inward = Surface(vertices, faces, vertex_normals(vertices, faces)), inward_directions(vertices, faces)
     chosen = palmar_faces(vertices, faces, hand.palm)
     out: list[dict[str, Any]] = []
-    for asked in LAYERS_m:
+    for thickness_m in LAYERS_m:
         try:
-            report = hand_layer(surface, asked, chosen, inward=inward).report
+            report = hand_layer(surface, thickness_m, chosen, inward=inward).report
         except SceneError as error:
-            out.append({"asked_mm": 1e3 * asked, "error": str(error)})
+            out.append({"asked_mm": 1e3 * thickness_m, "error": str(error)})
             continue
         out.append(
             {
-                "asked_mm": 1e3 * asked,
+                "asked_mm": 1e3 * thickness_m,
                 "p10_share": round(report["p10_share"], 4),
                 "thinned_share": round(report["area_thinned"], 4),
                 "least_quality": round(report["quality_min"], 4),
@@ -132,10 +132,10 @@ def palmar_layers(vertices: Float, faces: Int, hand: Chirality) -> list[dict[str
 def as_text(facts: dict[str, Any]) -> str:
     """The card as lines of plain text; facts: of `report_card` or `refused_facts`."""
     rows = _shape_rows(facts) if "size_mm" in facts else [("file", facts["file"]), ("unit", facts["unit_asked"])]
-    for found in facts["findings"]:
-        at = "".join(f" ({x:.1f}, {y:.1f}, {z:.1f})" for x, y, z in found["places_mm"][:3])
-        where = f"; at{at}{' ...' if len(found['places_mm']) > 3 else ''} mm" if at else ""
-        rows.append((found["outcome"], f"{found['count']} x {found['name']}: {found['text']}{where}"))
+    for finding in facts["findings"]:
+        at = "".join(f" ({x:.1f}, {y:.1f}, {z:.1f})" for x, y, z in finding["places_mm"][:3])
+        where = f"; at{at}{' ...' if len(finding['places_mm']) > 3 else ''} mm" if at else ""
+        rows.append((finding["outcome"], f"{finding['count']} x {finding['name']}: {finding['text']}{where}"))
     rows.append(("verdict", "accepted" if facts["accepted"] else "refused"))
     return "".join(f"{name:<12}{text}\n" for name, text in rows)
 
@@ -173,7 +173,7 @@ def fault_faces(vertices: Float, faces: Int, places: Float, reach_m: float) -> n
     return marked
 
 
-def _told(finding: Finding) -> dict[str, Any]:
+def _finding_facts(finding: Finding) -> dict[str, Any]:
     return {
         "name": finding.name,
         "count": finding.count,

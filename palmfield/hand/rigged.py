@@ -67,11 +67,11 @@ def joint_of_body(body: str, joints: Joints) -> tuple[int, str]:
 
     Raises SceneError where the name ends with no joint's.
     """
-    found = [name for name in joints.names if body.endswith(name)]
-    if not found:
+    matches = [name for name in joints.names if body.endswith(name)]
+    if not matches:
         raise SceneError(
             f"plugin 'palmfield.skin': key 'body' has value '{body}'; allowed with shape 'rigged': [prefix] and a "
             f"joint of the mesh: {', '.join(joints.names)}"
         )
-    name = max(found, key=len)
+    name = max(matches, key=len)
     return joints.names.index(name), body.removesuffix(name)

@@ -120,11 +120,11 @@ def _one_root(parents: Int) -> Int:
 
 
 def _above(joint: int, parents: Int) -> list[int]:
-    found: list[int] = []
+    ancestors: list[int] = []
     while parents[joint] >= 0:
         joint = int(parents[joint])
-        found.append(joint)
-    return found
+        ancestors.append(joint)
+    return ancestors
 
 
 def _parents_first(parents: Int) -> list[int]:
@@ -133,10 +133,10 @@ def _parents_first(parents: Int) -> list[int]:
 
 def _next_carrying(joint: int, parents: Int, carries: np.ndarray) -> list[int]:
     """The nearest joints beyond one that carry skin."""
-    found: list[int] = []
+    carrying: list[int] = []
     for child in np.flatnonzero(parents == joint):
-        found += [int(child)] if carries[child] else _next_carrying(int(child), parents, carries)
-    return found
+        carrying += [int(child)] if carries[child] else _next_carrying(int(child), parents, carries)
+    return carrying
 
 
 def _turn(mesh: RiggedMesh, side: Chirality) -> Float:
@@ -170,7 +170,7 @@ def _capsules(skin: Float, whole: cKDTree, origin: Float, beyond: Float) -> list
     along = (skin - origin) @ axes.T
     off = (skin - origin)[:, None] - np.clip(along, 0.0, lengths)[..., None] * axes
     nearest = np.argmin(np.linalg.norm(off, axis=2), axis=1)
-    found = []
+    capsules = []
     for k in np.unique(nearest):
         held = along[nearest == k, k]
         # Between the joints, as far as the skin reaches; then on, where it reaches farther by more than the radius.
@@ -181,8 +181,8 @@ def _capsules(skin: Float, whole: cKDTree, origin: Float, beyond: Float) -> list
         high = held.max() - radius if last else max(high, held.max() - radius)
         if high - low < 1e-3:
             low, high = 0.5 * (low + high) - 5e-4, 0.5 * (low + high) + 5e-4
-        found.append(_Capsule(origin + low * axes[k], origin + high * axes[k], radius))
-    return found
+        capsules.append(_Capsule(origin + low * axes[k], origin + high * axes[k], radius))
+    return capsules
 
 
 def _add_geoms(body: ET.Element, origin: Float, capsules: list[_Capsule], density: str) -> None:
@@ -195,17 +195,17 @@ def _add_geoms(body: ET.Element, origin: Float, capsules: list[_Capsule], densit
 
 def _sites(skin: Float, origin: Float, capsules: list[_Capsule], side: Chirality, last: bool) -> dict[str, Float]:
     """Points of the skin [m], shape (n, 3), that a joint carries."""
-    found = {}
+    sites = {}
     middle = np.mean([0.5 * (capsule.start + capsule.end) for capsule in capsules], axis=0)
     if last:
-        found["tip"] = skin[np.argmax(np.linalg.norm(skin - origin, axis=1))]
-        middle = 0.5 * (origin + found["tip"])
+        sites["tip"] = skin[np.argmax(np.linalg.norm(skin - origin, axis=1))]
+        middle = 0.5 * (origin + sites["tip"])
     if side.side != "unknown":
         away = skin - middle
         out = away @ side.palm
-        beside = np.linalg.norm(away - out[:, None] * side.palm, axis=1)
-        found["pad"] = skin[np.argmin(np.where(out > 0.0, beside, np.inf))]
-    return found
+        off_axis = np.linalg.norm(away - out[:, None] * side.palm, axis=1)
+        sites["pad"] = skin[np.argmin(np.where(out > 0.0, off_axis, np.inf))]
+    return sites
 
 
 def _add_springs_and_excludes(root: ET.Element) -> None:

@@ -34,8 +34,8 @@ def crossings(vertices: Float, faces: Int) -> Int:
         wp.launch(
             kernels.crossing_faces, dim=len(faces), inputs=[mesh.id, at, corners, margin, count, pairs], device=device
         )
-        found = int(count.numpy()[0])
-        if found <= room:
-            kept = pairs.numpy()[:found]
+        needed = int(count.numpy()[0])
+        if needed <= room:
+            kept = pairs.numpy()[:needed]
             return kept[np.lexsort((kept[:, 1], kept[:, 0]))].astype(np.int32)
-        room = found
+        room = needed

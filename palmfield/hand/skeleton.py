@@ -106,8 +106,8 @@ def build_skeleton(preset: HandPreset) -> Skeleton:
     _web_of_thumb(skin, palm, bases, knuckles, mm)
     _carpal_bones(from_wrist, wide, bones)
     skin.sort(key=lambda s: s.group)
-    found = Skeleton(skin, bones, landmarks)
-    return found if preset.side == "right" else _reflected(found)
+    skeleton = Skeleton(skin, bones, landmarks)
+    return skeleton if preset.side == "right" else _reflected(skeleton)
 
 
 def _reflected(skeleton: Skeleton) -> Skeleton:

@@ -69,7 +69,7 @@ def hand_surface(preset: HandPreset, edge_m: float = 0.003) -> HandSurface:
     if not 0.001 <= edge_m <= 0.004:
         raise SceneError(f"hand surface edge length {edge_m:g} m is out of range; use 0.001 to 0.004 m")
     skeleton = centred_skeleton(preset)
-    _check_apart(skeleton)
+    _check_gaps(skeleton)
     # A left hand's mesh is the right one's mirror image, vertex by vertex
     right = preset.model_copy(update={"side": "right"})
     path = _cache_path(right, edge_m)
@@ -142,16 +142,16 @@ def _distance_and_gradient(segments: wp.array, points: Float) -> tuple[Float, Fl
     return distance.numpy().astype(np.float64), gradient.numpy().astype(np.float64)
 
 
-def _check_apart(skeleton: Skeleton) -> None:
+def _check_gaps(skeleton: Skeleton) -> None:
     """Beyond the webs, the skin of no digit may reach into another's: the smooth union would fuse them."""
     free = [s for s in skeleton.skin if s.name.endswith(("_middle", "_distal"))]
     share = np.linspace(0.0, 1.0, 21)[:, None]
     for a, b in combinations(free, 2):
         if a.group == b.group:
             continue
-        apart = (a.start + share * (a.end - a.start))[:, None] - (b.start + share * (b.end - b.start))[None]
+        difference = (a.start + share * (a.end - a.start))[:, None] - (b.start + share * (b.end - b.start))[None]
         across = [s.semi_start[0] + share * (s.semi_end[0] - s.semi_start[0]) for s in (a, b)]
-        gap = float((np.linalg.norm(apart, axis=2) - across[0] - across[1].T).min())
+        gap = float((np.linalg.norm(difference, axis=2) - across[0] - across[1].T).min())
         if gap < BETWEEN_FINGERS_BLEND_m:
             raise SceneError(
                 f"hand preset: digits touch, {a.name} and {b.name} have a gap of {1e3 * gap:.1f} mm and "
@@ -178,8 +178,8 @@ def _generate(skeleton: Skeleton, edge_m: float) -> bytes:
         device="cpu",
     )
     upper = lower + step * (shape - 1)
-    found, indices = IsoSurfaceMarchingCubes.extract(field, 0.0, lower=wp.vec3(*lower), upper=wp.vec3(*upper))
-    vertices = found.numpy().astype(np.float64)
+    points, indices = IsoSurfaceMarchingCubes.extract(field, 0.0, lower=wp.vec3(*lower), upper=wp.vec3(*upper))
+    vertices = points.numpy().astype(np.float64)
     faces = indices.numpy().reshape(-1, 3).astype(np.int32)
     vertices = _relax(segments, vertices, faces, rounds=12)
     mesh = trimesh.Trimesh(vertices, faces, process=False)

@@ -21,19 +21,19 @@ class Unit:
     source: str
 
 
-def choose_unit(asked: str, by_format: str | None, length: float, breadth: float, what: str) -> Unit:
+def choose_unit(requested: str, by_format: str | None, length: float, breadth: float, what: str) -> Unit:
     """Unit of a file.
 
-    asked: a key of METRES, or "auto"; by_format: what the file's format prescribes, or None
+    requested: a key of METRES, or "auto"; by_format: what the file's format prescribes, or None
     length, breadth: longest and middle extent, in the file's unit; what: the file, for messages
     With "auto" the format's unit is taken, and otherwise the only one with which these are a hand (0.13 to 0.26 m long,
     broader than 0.3 of that) or a forearm with its hand (0.36 to 0.56 m, narrower than 0.4).
     Raises SceneError for an unknown unit, where none or several fit, and for a size outside 20 to 600 mm.
     """
-    if asked != "auto" and asked not in METRES:
-        raise SceneError(f"{what}: unit {asked!r} is unknown; use one of {', '.join(METRES)} or auto")
-    if asked != "auto":
-        unit = Unit(asked, METRES[asked], "given by the user")
+    if requested != "auto" and requested not in METRES:
+        raise SceneError(f"{what}: unit {requested!r} is unknown; use one of {', '.join(METRES)} or auto")
+    if requested != "auto":
+        unit = Unit(requested, METRES[requested], "given by the user")
     elif by_format is not None:
         unit = Unit(by_format, METRES[by_format], "set by the file's format")
     else:
@@ -45,23 +45,25 @@ def choose_unit(asked: str, by_format: str | None, length: float, breadth: float
             for name, metres in METRES.items()
             if LEAST_EXTENT_m <= length * metres <= GREATEST_EXTENT_m
         ]
-        mend = f"it would be {' or '.join(others)}" if others else "no unit makes it a hand; scale it"
-        raise SceneError(f"{what} is {size * 1e3:.4g} mm long with unit {unit.name}; 20 to 600 mm are allowed; {mend}")
+        advice = f"it would be {' or '.join(others)}" if others else "no unit makes it a hand; scale it"
+        raise SceneError(
+            f"{what} is {size * 1e3:.4g} mm long with unit {unit.name}; 20 to 600 mm are allowed; {advice}"
+        )
     return unit
 
 
 def _inferred(length: float, breadth: float, what: str) -> Unit:
     slender = breadth / length
-    found = []
+    candidates = []
     for name, metres in METRES.items():
         size = length * metres
         if HAND_m[0] <= size <= HAND_m[1] and slender >= LEAST_HAND_BREADTH:
-            found.append((name, metres, "hand"))
+            candidates.append((name, metres, "hand"))
         elif FOREARM_m[0] <= size <= FOREARM_m[1] and slender <= GREATEST_FOREARM_BREADTH:
-            found.append((name, metres, "forearm with hand"))
-    if len(found) == 1:
-        name, metres, part = found[0]
+            candidates.append((name, metres, "forearm with hand"))
+    if len(candidates) == 1:
+        name, metres, part = candidates[0]
         return Unit(name, metres, f"inferred: a {part} of {length * metres * 1e3:.4g} mm")
     choices = ", ".join(f"{length * metres * 1e3:.4g} mm with {name}" for name, metres in METRES.items())
-    number = "no unit makes it" if not found else f"{' and '.join(f[0] for f in found)} both make it"
+    number = "no unit makes it" if not candidates else f"{' and '.join(f[0] for f in candidates)} both make it"
     raise SceneError(f"{what} carries no unit and {number} a hand or forearm: {choices}; give the unit")

@@ -65,7 +65,7 @@ def hand_layer(
     """
     vertices = np.asarray(surface.vertices, dtype=np.float64)
     everything = np.asarray(surface.faces, dtype=np.int32)
-    asked = depth_by_vertex(depth, len(vertices))
+    requested = depth_by_vertex(depth, len(vertices))
     chosen = _face_numbers(faces, len(everything))
     shares = _shares(sheets)
     if inward is not None and np.shape(inward) != vertices.shape:
@@ -87,7 +87,7 @@ def hand_layer(
     points, corners, down = vertices[used], local.reshape(-1, 3).astype(np.int32), inward[used]
     way = exit_distances(vertices, everything, points, down, float(np.ptp(vertices, axis=0).sum()))
     upright = upright_cosine(points, corners, down)
-    along = asked[used] / upright
+    along = requested[used] / upright
     got, quality = fit_thickness(points, corners, down, along, max_fraction * way)
 
     edges, uses = unique_edges(corners)
@@ -95,9 +95,9 @@ def hand_layer(
     rim[edges[uses == 1]] = True
     full = np.zeros(len(vertices))
     full[used] = got * upright
-    wanted = thickness_integral(vertices, everything, full, chosen)
+    integral = thickness_integral(vertices, everything, full, chosen)
     patch = Patch(points, corners, down, got, rim)
-    report = _report(patch, edges, asked[used], max_fraction * way, quality, wanted)
+    report = _report(patch, edges, requested[used], max_fraction * way, quality, integral)
     report |= _sheet_report(patch, shares)
     report |= {"vertices_moved": float((moved > 0.0).sum()), "moved_most_m": float(moved.max())}
     return replace(patch, report=report)
@@ -117,12 +117,12 @@ def facing_faces(surface: Surface, direction: ArrayLike = PALMAR, least_cosine: 
             f"no face looks along {np.asarray(direction).tolist()} by {least_cosine:g}; lower least_cosine"
         )
     area = face_normals(surface.vertices, surface.faces)[1]
-    for wanted in (True, False):
-        numbers = np.flatnonzero(seen == wanted)
+    for facing in (True, False):
+        numbers = np.flatnonzero(seen == facing)
         if len(numbers):
             label = face_components(surface.faces[numbers])
             largest = np.argmax(np.bincount(label, weights=area[numbers]))
-            seen[numbers[label != largest]] = not wanted
+            seen[numbers[label != largest]] = not facing
     return np.flatnonzero(seen).astype(np.int32)
 
 
@@ -170,7 +170,9 @@ def _percentile(values: Float, weights: Float, percent: float) -> float:
     return float(values[order][np.searchsorted(heaped, 0.01 * percent * heaped[-1])])
 
 
-def _report(patch: Patch, edges: Int, asked: Float, limit: Float, quality: Float, wanted: float) -> dict[str, float]:
+def _report(
+    patch: Patch, edges: Int, requested: Float, limit: Float, quality: Float, integral: float
+) -> dict[str, float]:
     points, upright = patch.vertices, upright_cosine(patch.vertices, patch.faces, patch.inward)
     got, limit = patch.depth * upright, limit * upright
     area = vertex_areas(points, patch.faces)
@@ -183,14 +185,14 @@ def _report(patch: Patch, edges: Int, asked: Float, limit: Float, quality: Float
         "angle_min_deg": float(np.rad2deg(corner_angles(points, patch.faces).min())),
         "edge_mean_m": float(np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1).mean()),
         "quality_min": float(quality.min()),
-        "p10_share": _percentile(got / asked, area, 10.0),
-        "area_thinned": float(share[got < THINNED * asked].sum()),
-        "area_limited": float(share[limit < THINNED * asked].sum()),
+        "p10_share": _percentile(got / requested, area, 10.0),
+        "area_thinned": float(share[got < THINNED * requested].sum()),
+        "area_limited": float(share[limit < THINNED * requested].sum()),
         "volume_m3": volume,
-        "thickness_integral_m3": wanted,
-        "volume_share": volume / wanted,
+        "thickness_integral_m3": integral,
+        "volume_share": volume / integral,
     }
-    for name, value in (("asked", asked), ("got", got)):
+    for name, value in (("asked", requested), ("got", got)):
         report[f"depth_{name}_min_m"] = float(value.min())
         report[f"depth_{name}_p10_m"] = _percentile(value, area, 10.0)
         report[f"depth_{name}_mean_m"] = float(share @ value)

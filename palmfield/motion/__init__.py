@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from palmfield.motion.prediction import Noise, Predictor, Resampled, resample
     from palmfield.motion.retarget import Retargeted, RetargetReport
     from palmfield.motion.source import Motion, motion_of
-    from palmfield.motion.tracking import Stream, StreamReport, judge, read_stream, stream_of, write_stream
+    from palmfield.motion.tracking import Stream, StreamReport, read_stream, stream_of, stream_report, write_stream
     from palmfield.motion.trajectory import from_callable, read_trajectory, write_trajectory
 
 _WHERE = {
@@ -27,7 +27,9 @@ _WHERE = {
     **dict.fromkeys(("Noise", "Predictor", "Resampled", "resample"), "prediction"),
     **dict.fromkeys(("RetargetReport", "Retargeted"), "retarget"),
     **dict.fromkeys(("Motion", "motion_of"), "source"),
-    **dict.fromkeys(("Stream", "StreamReport", "judge", "read_stream", "stream_of", "write_stream"), "tracking"),
+    **dict.fromkeys(
+        ("Stream", "StreamReport", "read_stream", "stream_of", "stream_report", "write_stream"), "tracking"
+    ),
     **dict.fromkeys(("from_callable", "read_trajectory", "write_trajectory"), "trajectory"),
 }
 __all__ = [
@@ -45,12 +47,12 @@ __all__ = [
     "from_callable",
     "hand_joints",
     "joints_at",
-    "judge",
     "motion_of",
     "read_stream",
     "read_trajectory",
     "resample",
     "stream_of",
+    "stream_report",
     "write_stream",
     "write_trajectory",
 ]

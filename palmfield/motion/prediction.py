@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from palmfield.errors import SceneError
 from palmfield.motion.joints import JOINTS, ORIENTATION_TRACKED, ORIENTATION_VALID, POSITION_TRACKED, POSITION_VALID
 from palmfield.motion.keyframes import rising
-from palmfield.motion.tracking import Stream, StreamReport, checked_stream, judge
+from palmfield.motion.tracking import Stream, StreamReport, checked_stream, stream_report
 from palmfield.types import Float, Int
 
 Bool = NDArray[np.bool_]
@@ -151,25 +151,25 @@ def resample(
     it is not valid.
     Raises SceneError for a wrong stream, a clock that does not rise, and negative times.
     """
-    found = checked_stream(stream, "tracking stream")
+    checked = checked_stream(stream, "tracking stream")
     clock = rising(clock_s, "tracking clock")
     for name, value in (("ahead_s", ahead_s), ("predict_s", predict_s)):
         if not 0.0 <= value < np.inf:
             raise SceneError(f"tracking: {name} is {value}; give 0 or more seconds")
-    arrival = np.maximum.accumulate(found.times_s)
-    in_time = np.concatenate([[True], found.times_s[1:] > arrival[:-1]])
+    arrival = np.maximum.accumulate(checked.times_s)
+    in_time = np.concatenate([[True], checked.times_s[1:] > arrival[:-1]])
     filtered = Predictor(noise or Noise(), predict_s)
     rows = []
     n = 0
     for now in clock:
-        while n < len(found) and arrival[n] <= now:
+        while n < len(checked) and arrival[n] <= now:
             if in_time[n]:
-                packet = found.positions[n], found.quaternions[n], found.radii[n], found.flags[n]
-                filtered.add(float(found.times_s[n]), *packet)
+                packet = checked.positions[n], checked.quaternions[n], checked.radii[n], checked.flags[n]
+                filtered.add(float(checked.times_s[n]), *packet)
             n += 1
         rows.append(filtered.at(float(now) + ahead_s))
     positions, quaternions, radii, flags, age = (np.array(part) for part in zip(*rows, strict=True))
     known = np.isfinite(age)
     held = float(np.mean(age[known] > predict_s)) if known.any() else 0.0
     on_clock = Stream(clock + ahead_s, positions, quaternions, radii, flags.astype(np.int32))
-    return Resampled(on_clock, judge(found), age, held, int(np.count_nonzero(~in_time)))
+    return Resampled(on_clock, stream_report(checked), age, held, int(np.count_nonzero(~in_time)))

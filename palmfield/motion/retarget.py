@@ -81,29 +81,29 @@ def retarget(hand: ArticulatedHand, stream: Stream) -> Retargeted:
     Orientations and radii are not used. Packets are put in order; between them, as `Curve`.
     Raises SceneError for a wrong stream, one of the other side's hand, and one with fewer than two frames to fit.
     """
-    found = ordered(checked_stream(stream, "tracking stream"))
-    valid = (found.flags & POSITION_VALID) != 0
+    packets = ordered(checked_stream(stream, "tracking stream"))
+    valid = (packets.flags & POSITION_VALID) != 0
     rigid, chains = np.array(RIGID), np.array(CHAINS)
-    usable = [n for n in range(len(found)) if _fixes_palm(found.positions[n, rigid][valid[n, rigid]])]
+    usable = [n for n in range(len(packets)) if _fixes_palm(packets.positions[n, rigid][valid[n, rigid]])]
     if len(usable) < 2:
         raise SceneError(
-            f"hand retargeting: {len(usable)} of {len(found)} packets have {FEWEST_PALM_JOINTS} valid joints in the "
+            f"hand retargeting: {len(usable)} of {len(packets)} packets have {FEWEST_PALM_JOINTS} valid joints in the "
             "palm that are not in a line; give two or more"
         )
     ours = hand_joints(hand)
-    theirs = _palm_of(found.positions[usable][:, rigid], valid[usable][:, rigid])
+    theirs = _palm_of(packets.positions[usable][:, rigid], valid[usable][:, rigid])
     palm, scales = _palm_in_our_frame(ours.positions[rigid], theirs)
     fit = _Fit(hand, ours)
     wrist = JOINTS.index("wrist")
-    times, places, turns, angles = found.times_s[usable], [], [], []
+    times, places, turns, angles = packets.times_s[usable], [], [], []
     misses, palm_misses = [], []
     before = fit.rest
     for n in usable:
         seen = valid[n, rigid]
-        turn, shift = _rigid(palm[seen], found.positions[n, rigid][seen])
-        palm_misses.append(palm[seen] @ turn.T + shift - found.positions[n, rigid][seen])
+        turn, shift = _rigid(palm[seen], packets.positions[n, rigid][seen])
+        palm_misses.append(palm[seen] @ turn.T + shift - packets.positions[n, rigid][seen])
         # Digits begin at the fitted palm: less noise than at knuckles by themselves, and there where one is lost.
-        joints, known = found.positions[n].copy(), valid[n].copy()
+        joints, known = packets.positions[n].copy(), valid[n].copy()
         joints[rigid], known[rigid] = palm @ turn.T + shift, True
         steps = np.diff(joints[chains], axis=1) @ turn
         both = known[chains[:, 1:]] & known[chains[:, :-1]]
@@ -116,7 +116,7 @@ def retarget(hand: ArticulatedHand, stream: Stream) -> Retargeted:
     table = np.array(angles)
     report = RetargetReport(
         frames=len(usable),
-        skipped=len(found) - len(usable),
+        skipped=len(packets) - len(usable),
         scale_across=float(scales[0]),
         scale_along=float(scales[1]),
         tip_rms_m=float(np.sqrt(np.mean(tips**2))) if len(tips) else 0.0,
@@ -186,10 +186,10 @@ def _turned_and_scaled(target: Float, centred: Float) -> tuple[Float, Float, flo
         # Turn theirs to ours made as small or large as theirs, then see which scales are left.
         turned = Rotation.align_vectors(target / scales[[0, 1, 0]], centred)[0].apply(centred)
         across, along = turned[:, [0, 2]], turned[:, 1]
-        found = np.array(
+        ratios = np.array(
             [np.sum(across * target[:, [0, 2]]) / np.sum(across**2), along @ target[:, 1] / (along @ along)]
         )
-        scales = np.clip(found, 0.2, 5.0)
+        scales = np.clip(ratios, 0.2, 5.0)
     miss = turned * scales[[0, 1, 0]] - target
     return turned, scales, float(np.sqrt(np.mean(np.sum(miss**2, axis=1))))
 
@@ -244,10 +244,10 @@ class _Fit:
             )
 
         scale = np.full(len(start), 10.0)
-        found = least_squares(
+        solution = least_squares(
             misses, start, slopes, bounds=(self._low, self._high), x_scale=scale, xtol=1e-6, ftol=1e-6
         )
-        x = np.clip(found.x, self._low, self._high)
+        x = np.clip(solution.x, self._low, self._high)
         tips = np.linalg.norm(self._places(x)[:, -1] - targets[:, -1], axis=1)[known[:, -1]]
         return self._all(x), tips
 

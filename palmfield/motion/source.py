@@ -29,14 +29,10 @@ DEFAULT_HAND = "open_men_p50"
 
 @dataclass(frozen=True)
 class Motion:
-    """Where a hand is asked to be. hand: its joints, None for a hand in one piece; at: pose at a time of the scene [s]
-
-    last_s: time [s] after which it stands still
-    """
+    """Where a hand is to be. hand: its joints, None for a hand in one piece; at: pose at a time of the scene [s]"""
 
     hand: ArticulatedHand | None
     at: Callable[[float], HandPose]
-    last_s: float
 
 
 def motion_of(config: MotionConfig) -> Motion:
@@ -54,7 +50,7 @@ def motion_of(config: MotionConfig) -> Motion:
         source = from_callable(config.function, joints)
     start = config.start_s
     at = source if start == 0.0 else lambda t: source(t - start)
-    return Motion(hand, at, start + source.span_s[1])
+    return Motion(hand, at)
 
 
 def _tracked(config: MotionConfig) -> Stream:

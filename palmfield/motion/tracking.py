@@ -73,7 +73,7 @@ class StreamReport:
     invalid: float
 
 
-def judge(stream: Stream) -> StreamReport:
+def stream_report(stream: Stream) -> StreamReport:
     """Dropouts, jitter and order of a stream."""
     late = stream.times_s[1:] < np.maximum.accumulate(stream.times_s)[:-1]
     in_order = ordered(stream)
@@ -135,10 +135,11 @@ def checked_stream(stream: Stream, what: str, places: Sequence[str] | None = Non
         "radius is not positive": placed & ~(stream.radii > 0.0),
         "quaternion has no length": turned & ~((lengths > 1e-6) & np.isfinite(lengths)),
     }
-    for told, bad in faults.items():
+    for fault, bad in faults.items():
         if bad.any():
             k, joint = (int(i) for i in np.argwhere(bad)[0])
-            raise SceneError(f"{what}: {names[k]}, {JOINTS[joint]}: {told}, yet flagged as valid; mend it or its flags")
+            place = f"{what}: {names[k]}, {JOINTS[joint]}"
+            raise SceneError(f"{place}: {fault}, yet flagged as valid; mend it or its flags")
     unit = np.where(
         turned[:, :, None], stream.quaternions / np.where(turned, lengths, 1.0)[:, :, None], [1.0, 0.0, 0.0, 0.0]
     )
@@ -161,8 +162,8 @@ def read_stream(path: str | Path) -> Stream:
     missing = [name for name in names if name not in columns]
     unknown = [name for name in columns if name not in names]
     if missing or unknown:
-        told = f"column '{missing[0]}' is missing" if missing else f"column '{unknown[0]}' is unknown"
-        raise SceneError(f"{file}: {told}; use time_s and JOINT_PART with JOINT palm, wrist, ... and PART {PARTS}")
+        fault = f"column '{missing[0]}' is missing" if missing else f"column '{unknown[0]}' is unknown"
+        raise SceneError(f"{file}: {fault}; use time_s and JOINT_PART with JOINT palm, wrist, ... and PART {PARTS}")
     table = np.stack([columns[name] for name in names[1:]], axis=1).reshape(len(places), len(JOINTS), len(PARTS))
     flags = table[:, :, 8]
     bad = np.argwhere((flags != np.round(flags)) | (flags < 0.0) | (flags > ALL_FLAGS))
@@ -181,11 +182,11 @@ def write_stream(path: str | Path, stream: Stream) -> None:
 
     Raises SceneError as `checked_stream`, OutputError for a file that cannot be written.
     """
-    found = checked_stream(stream, "tracking stream")
+    checked = checked_stream(stream, "tracking stream")
     table = np.concatenate(
-        [found.positions, found.quaternions, found.radii[:, :, None], found.flags[:, :, None]], axis=2
+        [checked.positions, checked.quaternions, checked.radii[:, :, None], checked.flags[:, :, None]], axis=2
     )
-    rows = np.column_stack([found.times_s, table.reshape(len(found), -1)])
+    rows = np.column_stack([checked.times_s, table.reshape(len(checked), -1)])
     write_table(Path(path), column_names(), rows)
 
 

@@ -131,16 +131,16 @@ def _npz(file: Path) -> tuple[dict[str, Float], list[str]]:
     with file.open("rb") as data:
         if not is_zipfile(data):
             raise SceneError(f"{file}: is not an NPZ archive; write it by write_trajectory or numpy.savez")
-    with np.load(file, allow_pickle=False) as found:
-        for name in found.files:
+    with np.load(file, allow_pickle=False) as archive:
+        for name in archive.files:
             try:
-                columns[name] = np.asarray(found[name], dtype=np.float64)
+                columns[name] = np.asarray(archive[name], dtype=np.float64)
             except ValueError:
                 raise SceneError(f"{file}: column {name} is not of numbers; give numbers") from None
     shapes = {values.shape for values in columns.values()}
     if len(shapes) != 1 or len(next(iter(shapes))) != 1:
-        told = ", ".join(f"{name} {values.shape}" for name, values in columns.items())
-        raise SceneError(f"{file}: arrays have shapes {told or 'none'}; give arrays of one length, shape (rows,)")
+        listed = ", ".join(f"{name} {values.shape}" for name, values in columns.items())
+        raise SceneError(f"{file}: arrays have shapes {listed or 'none'}; give arrays of one length, shape (rows,)")
     rows = next(iter(shapes))[0]
     return columns, [f"row {n + 1}" for n in range(rows)]
 
@@ -151,8 +151,8 @@ def _csv(file: Path) -> tuple[dict[str, Float], list[str]]:
         header = [name.strip() for name in next(reader, [])]
         twice = [name for name in header if header.count(name) > 1]
         if not header or twice:
-            found = f"column '{twice[0]}' is there twice" if twice else "the file is empty"
-            raise SceneError(f"{file}: {found}; begin with one line of different column names")
+            fault = f"column '{twice[0]}' is there twice" if twice else "the file is empty"
+            raise SceneError(f"{file}: {fault}; begin with one line of different column names")
         rows, places = [], []
         for row in reader:
             if not any(cell.strip() for cell in row):
@@ -253,9 +253,9 @@ def from_callable(function: str | Callable[[float], HandPose], hand: Articulated
     if not module or not name:
         raise SceneError(f"hand motion '{function}' is not of the form package.module:function")
     try:
-        found = getattr(importlib.import_module(module), name)
+        imported = getattr(importlib.import_module(module), name)
     except (ImportError, AttributeError) as error:
         raise SceneError(f"hand motion '{function}' is not found: {error}; name one that Python can import") from None
-    if not callable(found):
-        raise SceneError(f"hand motion '{function}' is {type(found).__name__}; name a function of time [s]")
-    return Scripted(found, function, hand)
+    if not callable(imported):
+        raise SceneError(f"hand motion '{function}' is {type(imported).__name__}; name a function of time [s]")
+    return Scripted(imported, function, hand)

@@ -51,8 +51,8 @@ class ModelView:
     def names(self, kind: Kind) -> list[str]:
         """Names of all objects of a kind."""
         count = getattr(self.raw, _COUNT.get(kind, f"n{kind}"))
-        found = (library().mj_id2name(self.address, int(_OBJECT[kind]), i) for i in range(count))
-        return [name.decode() for name in found if name]
+        texts = (library().mj_id2name(self.address, int(_OBJECT[kind]), i) for i in range(count))
+        return [name.decode() for name in texts if name]
 
     def numeric(self, name: str, default: float) -> float:
         """First number of a custom numeric, or the default where the scene has none of that name."""
@@ -70,11 +70,11 @@ class ModelView:
 
     def ancestors(self, body: int) -> set[int]:
         """A body and all those that carry it, the world left out."""
-        found = set()
+        result = set()
         while body > 0:
-            found.add(body)
+            result.add(body)
             body = int(self.raw.body_parentid[body])
-        return found
+        return result
 
     def can_move(self, body: int) -> bool:
         """Whether a body has joints of its own or is a mocap body."""
@@ -85,7 +85,7 @@ class ModelView:
 
         Raises SceneError, naming the asking `element`, for kinds of geom that are no solids.
         """
-        raw, found = self.raw, []
+        raw, geoms = self.raw, []
         for geom in range(raw.body_geomadr[body], raw.body_geomadr[body] + raw.body_geomnum[body]):
             kind = mujoco.mjtGeom(raw.geom_type[geom]).name.removeprefix("mjGEOM_").lower()
             size: tuple[Any, ...] = tuple(raw.geom_size[3 * geom : 3 * geom + 3])
@@ -100,8 +100,8 @@ class ModelView:
             elif kind not in SOLIDS:
                 raise SceneError(f"{element}: a geom of kind '{kind}' is no solid; allowed: mesh, {', '.join(SOLIDS)}")
             position = tuple(raw.geom_pos[3 * geom : 3 * geom + 3])
-            found.append((kind, size, position, tuple(raw.geom_quat[4 * geom : 4 * geom + 4])))
-        return tuple(found)
+            geoms.append((kind, size, position, tuple(raw.geom_quat[4 * geom : 4 * geom + 4])))
+        return tuple(geoms)
 
     def site_body(self, site: int) -> int:
         """Body that carries a site."""
@@ -129,12 +129,12 @@ class ModelView:
         """All plugin instances as (number, plugin name, instance name)."""
         lib = library()
         lib.mjp_getPluginAtSlot.restype = ctypes.c_void_p
-        found = []
+        result = []
         for i in range(self.raw.nplugin):
             plugin = Plugin.from_address(lib.mjp_getPluginAtSlot(self.raw.plugin[i]))
             name = lib.mj_id2name(self.address, int(mujoco.mjtObj.mjOBJ_PLUGIN), i)
-            found.append((i, plugin.name.decode(), name.decode() if name else ""))
-        return found
+            result.append((i, plugin.name.decode(), name.decode() if name else ""))
+        return result
 
     def values(self, instance: int, keys: list[str]) -> dict[str, str]:
         """Texts of the keys that the scene sets for a plugin instance."""
@@ -172,11 +172,6 @@ class DataView:
     def time(self) -> float:
         """MuJoCo's time [s]."""
         return float(self.raw.time)
-
-    def pose(self, kind: Literal["body", "site"], number: int) -> Transform:
-        """Frame of a body or site in the world, copied."""
-        position, matrix = self.frames[kind]
-        return Transform(position[number].copy(), matrix[number].reshape(3, 3).copy())
 
     def put_mocap(self, mocap: int, position: Float, quaternion: Float) -> None:
         """Pose a mocap body in the world: position [m], quaternion (w, x, y, z)."""

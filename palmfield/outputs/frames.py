@@ -103,12 +103,12 @@ def bodies(result: xr.DataTree) -> dict[str, list[str]]:
 
     A body is named by the attribute `body` of its skins' groups /body; a skin without one has a body of its own.
     """
-    found: dict[str, list[str]] = {}
+    skins: dict[str, list[str]] = {}
     groups = instances(result, "body")
     for name in instances(result, "skin"):
         group = groups.get(name)
-        found.setdefault(name if group is None else str(group.attrs.get("body", name)), []).append(name)
-    return found
+        skins.setdefault(name if group is None else str(group.attrs.get("body", name)), []).append(name)
+    return skins
 
 
 def arrays_of(stimulus: xr.Dataset, arrays: list[str]) -> list[str]:

@@ -55,8 +55,8 @@ class SpillingFile(io.RawIOBase):
     def readinto(self, buffer: Any) -> int:
         view = memoryview(buffer).cast("B")
         count = min(len(view), max(0, self._length - self._at))
-        found = os.pread(self._file, count, self._at)
-        view[:count] = found + bytes(count - len(found))
+        content = os.pread(self._file, count, self._at)
+        view[:count] = content + bytes(count - len(content))
         for start, data in self._spilled:
             low, high = max(start, self._at), min(start + len(data), self._at + count)
             if low < high:

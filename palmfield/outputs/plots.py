@@ -45,14 +45,14 @@ def plot_pressure(result: xr.DataTree, path: Path) -> None:
     if not instances(result, "array"):
         raise OutputError("the result holds no array, from which the skin is seen; keep the groups /array")
     views = {name: _seen_from_array(result, name, skin) for name, skin in skins.items()}
-    owners = _foci_of_skins(result)
+    foci = _foci_of_skins(result)
     columns = max(len(_pressures(skin, views[name].loudest)) for name, skin in skins.items())
     with style():
         figure = Figure(figsize=(0.6 + 4.4 * columns, 4.4 * len(skins)), dpi=DPI, layout="constrained")
         rows: list[Any] = [figure] if len(skins) == 1 else list(figure.subfigures(len(skins), 1, squeeze=False)[:, 0])
         for row, (name, skin) in zip(rows, skins.items(), strict=True):
             stimuli = instances(result, "stimulus")
-            _draw_skin(row, skin, views[name], [(stimuli[key], own) for key, own in owners[name].items()])
+            _draw_skin(row, skin, views[name], [(stimuli[key], own) for key, own in foci[name].items()])
             height = float(np.median(views[name].vertices[:, 2])) * 1e3
             whose = f" '{name}'" if len(skins) > 1 else ""
             seer = f"array '{views[name].array}'" if len(instances(result, "array")) > 1 else "the array"
@@ -109,7 +109,7 @@ def _seen_from_array(result: xr.DataTree, name: str, skin: xr.Dataset) -> _View:
 
 def _foci_of_skins(result: xr.DataTree) -> dict[str, dict[str, list[int]]]:
     """For each skin and stimulus, the numbers of the focal points that are nearer to it than to any other skin."""
-    owners: dict[str, dict[str, list[int]]] = {name: {} for name in instances(result, "skin")}
+    by_skin: dict[str, dict[str, list[int]]] = {name: {} for name in instances(result, "skin")}
     for key, stimulus in instances(result, "stimulus").items():
         if not has_records(stimulus, "foci"):
             continue
@@ -120,8 +120,8 @@ def _foci_of_skins(result: xr.DataTree) -> dict[str, dict[str, list[int]]]:
             foci = stimulus["foci"].isel(time=when.place).values
             distances.append(np.linalg.norm(vertices[:, None] - foci, axis=2).min(axis=0))
         for number, nearest_skin in enumerate(np.argmin(distances, axis=0)):
-            owners[list(owners)[int(nearest_skin)]].setdefault(key, []).append(number)
-    return owners
+            by_skin[list(by_skin)[int(nearest_skin)]].setdefault(key, []).append(number)
+    return by_skin
 
 
 def _draw_skin(figure: Any, skin: xr.Dataset, view: _View, stimuli: list[tuple[xr.Dataset, list[int]]]) -> None:

@@ -33,7 +33,7 @@ def draw_card(card: ReportCard, path: Path) -> Path:
         left, right = figure.subplots(1, 2)
         draw_view(left, card, up, palm, "palm" if _known(card) else "one side")
         draw_view(right, card, up, -palm, "back" if _known(card) else "other side")
-        swatches = [_swatch(found) for found in card.facts["findings"]]
+        swatches = [_swatch(finding) for finding in card.facts["findings"]]
         if swatches:
             figure.legend(handles=swatches, loc="outside lower center", ncols=2)
         verdict = "accepted" if card.facts["accepted"] else "refused"
@@ -44,13 +44,13 @@ def draw_card(card: ReportCard, path: Path) -> Path:
     return path
 
 
-def _swatch(found: dict[str, Any]) -> Swatch:
+def _swatch(finding: dict[str, Any]) -> Swatch:
     """Key of a finding: filled where it is marked in the picture, with how many are where not all have a place."""
-    marked = len(found["places_mm"])
-    text = f"{found['count']} x {found['name']}, {found['outcome']}"
-    if marked == MOST_PLACES < found["count"]:
+    marked = len(finding["places_mm"])
+    text = f"{finding['count']} x {finding['name']}, {finding['outcome']}"
+    if marked == MOST_PLACES < finding["count"]:
         text += f" (first {marked} marked)"
-    colour = COLOURS[found["outcome"]]
+    colour = COLOURS[finding["outcome"]]
     return Swatch(facecolor=colour if marked else "none", edgecolor=colour, label=text)
 
 
@@ -78,11 +78,11 @@ def draw_view(axes: Axes, card: ReportCard, up: Float, to_eye: Float, title: str
     light = to_eye + 0.4 * up - 0.4 * right
     shade = 0.35 + 0.65 * np.abs(unit @ light) / np.linalg.norm(light)
     colour = shade[:, None] * SKIN
-    for found in card.facts["findings"]:
-        if found["places_mm"]:
-            places = 1e-3 * np.array(found["places_mm"])
+    for finding in card.facts["findings"]:
+        if finding["places_mm"]:
+            places = 1e-3 * np.array(finding["places_mm"])
             marked = fault_faces(vertices, faces, places, MARK_REACH_m)
-            tint = np.array([int(COLOURS[found["outcome"]][i : i + 2], 16) / 255 for i in (1, 3, 5)])
+            tint = np.array([int(COLOURS[finding["outcome"]][i : i + 2], 16) / 255 for i in (1, 3, 5)])
             colour[marked] = (0.5 + 0.5 * shade[marked, None]) * tint
     flat = 1e3 * vertices @ np.stack([right, up], axis=1)
     back_to_front = np.argsort(vertices[faces].mean(axis=1) @ to_eye)
@@ -94,13 +94,13 @@ def draw_view(axes: Axes, card: ReportCard, up: Float, to_eye: Float, title: str
     # The rim of a hole shows where its own faces do, not through the body.
     rim = edges[(count == 1) & np.isin(edges, faces[unit @ to_eye > -GRAZING]).all(axis=1)]
     axes.add_collection(LineCollection(flat[rim], colors=COLOURS["refused"], linewidths=1.5))
-    for found in card.facts["findings"]:
-        places = 1e-3 * np.array(found["places_mm"]).reshape(-1, 3)
+    for finding in card.facts["findings"]:
+        places = 1e-3 * np.array(finding["places_mm"]).reshape(-1, 3)
         if 0 < len(places) <= FEW:
             near = cKDTree(vertices[faces].mean(axis=1)).query(places)[1]
             seen = places[unit[near] @ to_eye > -GRAZING]
             at = 1e3 * seen @ np.stack([right, up], axis=1)
-            axes.plot(*at.T, "o", ms=16, mfc="none", mec=COLOURS[found["outcome"]], mew=1.5)
+            axes.plot(*at.T, "o", ms=16, mfc="none", mec=COLOURS[finding["outcome"]], mew=1.5)
     axes.set_aspect("equal")
     axes.autoscale_view()
     axes.set_title(title)

@@ -43,9 +43,9 @@ class Variable(NamedTuple):
     def attributes(self) -> dict[str, str]:
         """Those of the netCDF variable."""
         pairs = {"units": self.units, "long_name": self.long_name, "frame": self.frame, "sign": self.sign}
-        found = {name: text for name, text in pairs.items() if text}
+        filled = {name: text for name, text in pairs.items() if text}
         # No unit holds for positions and quaternions at once, so generic readers get none that they could convert.
-        return found | ({"component_units": "m m m 1 1 1 1"} if self.dims[-1:] == ("pose7",) else {})
+        return filled | ({"component_units": "m m m 1 1 1 1"} if self.dims[-1:] == ("pose7",) else {})
 
 
 _BODY = "body frame at rest (before bones move)"

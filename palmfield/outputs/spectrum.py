@@ -47,10 +47,10 @@ def spectral_peaks(frequency_Hz: Float, amplitude: Float, most: int = 4) -> list
     if top == 0.0:
         return []
     level = 20.0 * np.log10(np.maximum(amplitude, 1e-12 * top) / top)
-    found, _ = find_peaks(level, height=-FLOOR_DB, prominence=PROMINENCE_DB)
+    numbers, _ = find_peaks(level, height=-FLOOR_DB, prominence=PROMINENCE_DB)
     spacing = frequency_Hz[1] - frequency_Hz[0]
     peaks = []
-    for k in sorted(found, key=lambda k: -amplitude[k])[:most]:
+    for k in sorted(numbers, key=lambda k: -amplitude[k])[:most]:
         side = 1 if amplitude[k + 1] >= amplitude[k - 1] else -1
         ratio = amplitude[k + side] / amplitude[k]
         shift = (2.0 * ratio - 1.0) / (1.0 + ratio)

@@ -330,17 +330,17 @@ def _static(partial: Path) -> tuple[Checked, dict[str, dict[str, Any]]]:
 def _assemble(out: Path, attributes: dict[str, Any], complete: bool) -> Path:
     partial = out / ".partial"
     head, own = _static(partial)
-    found = sorted(partial.glob("chunk_*.nc"))
+    paths = sorted(partial.glob("chunk_*.nc"))
     chunks: list[Path] = []
     lengths = dict.fromkeys(RECORDS, 0)
-    for path in found:
+    for path in paths:
         content = _sealed(path)
         if content is None:
             continue
         chunks.append(path)
         lengths = {dim: lengths[dim] + length for dim, length in read_lengths(content).items()}
         head = joined([head, read_image(content, records=False)[0]])
-    bad = len(found) - len(chunks) + len(list(partial.glob("chunk_*.nc.tmp")))
+    bad = len(paths) - len(chunks) + len(list(partial.glob("chunk_*.nc.tmp")))
     reason = str(attributes.get("reason", ""))
     if bad:
         reason = f"{reason}; {bad} of {len(chunks) + bad} chunks could not be read".strip("; ")

@@ -55,9 +55,9 @@ def summary(
         times = result.coords["time"].values
         out["simulated_time_s"] = float(times[-1] - times[0])
     for key in PEAKS:
-        found = [skin[key] for skin in listed if key in skin]
-        if found:
-            out[key] = max(found)
+        values = [skin[key] for skin in listed if key in skin]
+        if values:
+            out[key] = max(values)
     if "peak_pressure_Pa" in out:
         out["peak_pressure_dB_SPL"] = level_dB_SPL(out["peak_pressure_Pa"])
     return out | dict(extra)

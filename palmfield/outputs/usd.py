@@ -75,11 +75,11 @@ def validate_usd(path: Path) -> list[str]:
     except Exception as error:
         raise OutputError(f"{path} cannot be opened as USD: {str(error).splitlines()[0]}; write it again") from error
     validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
-    found = [e.GetErrorAsString() for e in UsdValidation.ValidationContext(validators).Validate(stage)]
+    problems = [e.GetErrorAsString() for e in UsdValidation.ValidationContext(validators).Validate(stage)]
     for prim in stage.TraverseAll():
         if prim.IsA(UsdGeom.Mesh):
-            found += _mesh_errors(UsdGeom.Mesh(prim))
-    return found
+            problems += _mesh_errors(UsdGeom.Mesh(prim))
+    return problems
 
 
 def quantise(values: NDArray[np.floating]) -> tuple[np.ndarray, float, float]:
@@ -125,9 +125,9 @@ def _write(result: xr.DataTree, path: Path, fps: float) -> None:
     arrays = instances(result, "array")
     for name, prim in identifiers(arrays).items():
         _add_array(stage, f"/Scene/Arrays/{prim}", arrays[name], clock)
-    found = bodies(result)
-    for name, prim in identifiers(found).items():
-        _add_body(stage, f"/Scene/Bodies/{prim}", result, found[name], clock)
+    skins = bodies(result)
+    for name, prim in identifiers(skins).items():
+        _add_body(stage, f"/Scene/Bodies/{prim}", result, skins[name], clock)
     stage.Save()
 
 
@@ -262,17 +262,17 @@ def _mesh_errors(mesh: UsdGeom.Mesh) -> list[str]:
     indices, counts = mesh.GetFaceVertexIndicesAttr().Get(), mesh.GetFaceVertexCountsAttr().Get()
     points = len(mesh.GetPointsAttr().Get())
     valid, reason = UsdGeom.Mesh.ValidateTopology(indices, counts, points)
-    found = [] if valid else [f"{where}: {reason}"]
+    problems = [] if valid else [f"{where}: {reason}"]
     numbers = np.array(indices)
     if numbers.size and (numbers.min() < 0 or numbers.max() >= points):
-        found.append(f"{where}: face index {numbers.min()}..{numbers.max()} outside 0..{points - 1}")
-    wanted = {"constant": 1, "uniform": len(counts), "varying": points, "vertex": points, "faceVarying": len(indices)}
+        problems.append(f"{where}: face index {numbers.min()}..{numbers.max()} outside 0..{points - 1}")
+    lengths = {"constant": 1, "uniform": len(counts), "varying": points, "vertex": points, "faceVarying": len(indices)}
     for primvar in UsdGeom.PrimvarsAPI(mesh).GetPrimvarsWithValues():
-        length = wanted[primvar.GetInterpolation()] * primvar.GetElementSize()
+        length = lengths[primvar.GetInterpolation()] * primvar.GetElementSize()
         for code in primvar.GetTimeSamples() or [Usd.TimeCode.Default()]:
             value = primvar.ComputeFlattened(code)
             has = 1 if isinstance(value, Gf.Matrix4d) else len(value)
             if has != length:
-                found.append(f"{where}: primvar {primvar.GetPrimvarName()} has {has} values at {code}, not {length}")
+                problems.append(f"{where}: primvar {primvar.GetPrimvarName()} has {has} values at {code}, not {length}")
                 break
-    return found
+    return problems

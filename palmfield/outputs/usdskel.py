@@ -12,13 +12,13 @@ from palmfield.types import Float, Float32, Int
 
 def identifiers(names: Iterable[str]) -> dict[str, str]:
     """Names that USD allows for prims and joints, by the name that each stands for; no two are alike."""
-    found: dict[str, str] = {}
+    result: dict[str, str] = {}
     for name in names:
         # Left to itself, USD takes a digit at the beginning away
         base = Tf.MakeValidIdentifier(f"_{name}" if name[:1].isdigit() else name)
-        taken = set(found.values())
-        found[name] = next(n for k in range(len(taken) + 1) if (n := f"{base}_{k}" if k else base) not in taken)
-    return found
+        taken = set(result.values())
+        result[name] = next(n for k in range(len(taken) + 1) if (n := f"{base}_{k}" if k else base) not in taken)
+    return result
 
 
 def add_skeleton(stage: Usd.Stage, root: str, body: xr.Dataset, times_s: Float) -> UsdSkel.Skeleton:

@@ -15,7 +15,8 @@ from palmfield.lazy_names import lazy_names
 if TYPE_CHECKING:
     from palmfield.session.error_budget import LoudestMoment, error_estimate, p0_band
     from palmfield.session.load import compiled
-    from palmfield.session.plan import Plan, Row, warnings
+    from palmfield.session.plan import Plan, warnings
+    from palmfield.session.planning.rows import Row
     from palmfield.session.play import play_focus, play_scene, scene_frames
     from palmfield.session.preview import Preview
     from palmfield.session.recorder import Recorder
@@ -26,7 +27,8 @@ if TYPE_CHECKING:
 _WHERE = {
     **dict.fromkeys(("LoudestMoment", "error_estimate", "p0_band"), "error_budget"),
     "compiled": "load",
-    **dict.fromkeys(("Plan", "Row", "warnings"), "plan"),
+    **dict.fromkeys(("Plan", "warnings"), "plan"),
+    "Row": "planning.rows",
     **dict.fromkeys(("play_focus", "play_scene", "scene_frames"), "play"),
     "Preview": "preview",
     "Recorder": "recorder",

@@ -175,11 +175,11 @@ def _estimate(
     reduction = 0.0
     if small is not None:
         own = coarse if low is layer else fine
-        answers = (coarse_static, coarse_wave) if low is layer else (fine_static, fine_wave)
+        references = (coarse_static, coarse_wave) if low is layer else (fine_static, fine_wave)
         reduction = small.error
         if small.any_course:
             reduced = [small.harmonic(own.pressure, f, own.read)[0] for f in (0.0, frequency)]
-            reduction = max(reduction, *(abs(a - b) / abs(b) for a, b in zip(reduced, answers, strict=True)))
+            reduction = max(reduction, *(abs(a - b) / abs(b) for a, b in zip(reduced, references, strict=True)))
     edge = 0.0
     if layer.config.shape != "disc":
         other = low.resized(low.resizing, side="free" if layer.config.side == "fixed" else "fixed")

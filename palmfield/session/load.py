@@ -19,7 +19,7 @@ from palmfield.simulation.scene_reader import DEVICE
 
 FILES = {"palmfield.skin": ("mesh",), "palmfield.motion": ("keyframes", "trajectory", "tracking")}
 """Keys that name files, relative to the scene."""
-SKIN, ARRAY, DRIVER = "palmfield.skin", "palmfield.array", "palmfield.driver"
+SKIN, DRIVER = "palmfield.skin", "palmfield.driver"
 
 Source: TypeAlias = str | Path | mujoco.MjSpec | mujoco.MjModel
 

@@ -4,8 +4,9 @@ import json
 import platform
 import resource
 import time
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from palmfield.engine.host import World, world_of
-from palmfield.errors import OutputError, PalmfieldError
+from palmfield.errors import OutputError
 from palmfield.outputs.interrupts import interrupts_held
 from palmfield.outputs.motion import normal_component
 from palmfield.outputs.plots import plot_displacement, plot_pressure
@@ -85,7 +86,8 @@ def run(
     duration_s: simulated time [s], the scene's own by default; overwrite: whether the folder may hold another run's
         results
     Ctrl-C, a full disk or an error in a module end the run early: what was computed by then is assembled and marked
-    incomplete, and the error is raised afterwards (KeyboardInterrupt as such).
+    incomplete, and the error is raised afterwards (KeyboardInterrupt as such). It carries that Result as its attribute
+    `result`, so that a run kept in memory is not lost either (in an interactive session: `sys.last_value.result`).
     Raises OutputError where `out` cannot be written, or holds an unfinished run or, without `overwrite`, another one.
     """
     started = time.perf_counter()
@@ -99,35 +101,50 @@ def run(
     with _progress(progress) as bar:
         store, recorder = _prepare(sim, None if out is None else Path(out), overwrite, bar)
         stopped = _simulate(sim, recorder, duration, bar)
-        reason = "ran to its end" if stopped is None else f"{type(stopped).__name__}: {stopped}".rstrip(": ")
         try:
             store.append(recorder.surfaces())
-        except OutputError as error:
+        except (KeyboardInterrupt, Exception) as error:
             stopped = stopped or error
-        finished = store.finish({"reason": reason}, complete=stopped is None)
-        extra: dict[str, Any] = {"complete": stopped is None, "reason": reason}
+        complete = stopped is None
+        reason = "ran to its end" if stopped is None else f"{type(stopped).__name__}: {stopped}".rstrip(": ")
+        try:
+            with interrupts_held():
+                finished = store.finish({"reason": reason}, complete=complete)
+        except KeyboardInterrupt as error:
+            stopped = stopped or error
+        extra: dict[str, Any] = {"complete": complete, "reason": reason}
         if isinstance(finished, xr.DataTree):
-            if stopped is not None:
-                raise stopped
-            task = bar.add_task("estimating the error", total=None)
-            whole, skins, stimuli = _numbers(sim, recorder, finished)
-            written = summary(finished, extra | whole | _spent(started), skins, stimuli)
-            bar.remove_task(task)
-            return Result(None, {}, written, finished)
+            result = Result(None, {}, summary(finished, extra), finished)
+            with _carried_by_errors(result):
+                if stopped is not None:
+                    raise stopped
+                return replace(result, summary=_whole_summary(sim, recorder, finished, extra, started, bar))
         assert out is not None
         files = {"result.nc": finished, "summary.json": Path(out) / "summary.json"}
         with open_result(finished) as tree:
             # Written before what may take long or be interrupted, and again at the end.
-            write_json(files["summary.json"], summary(tree, extra))
-            if stopped is not None:
-                raise stopped
-            task = bar.add_task("estimating the error", total=None)
-            whole, skins, stimuli = _numbers(sim, recorder, tree)
-            bar.remove_task(task)
-            files |= draw(tree, Path(out), bar)
-            written = summary(tree, extra | whole | _spent(started), skins, stimuli)
-        write_json(files["summary.json"], written)
-    return Result(Path(out), files, written)
+            result = Result(Path(out), files, summary(tree, extra))
+            write_json(files["summary.json"], result.summary)
+            with _carried_by_errors(result):
+                if stopped is not None:
+                    raise stopped
+                whole = _whole_summary(sim, recorder, tree, extra, started, bar)
+                files |= draw(tree, Path(out), bar)
+                whole |= _spent(started)
+        write_json(files["summary.json"], whole)
+    return replace(result, summary=whole)
+
+
+@contextmanager
+def _carried_by_errors(result: Result) -> Iterator[None]:
+    """Errors raised in the block, and Ctrl-C, get what a run has so far as their attribute `result`."""
+    try:
+        yield
+    except (KeyboardInterrupt, Exception) as error:
+        error.result = result  # type: ignore[union-attr]
+        where = "this error's attribute `result`" if result.out is None else str(result.out)
+        error.add_note(f"What was computed until then is in {where}.")
+        raise
 
 
 def recover(out: str | Path) -> dict[str, Path]:
@@ -194,7 +211,7 @@ def _simulate(sim: Simulation, recorder: Recorder, duration_s: float, bar: Progr
                 recorder.step()
                 bar.advance(task)
                 check()
-    except (KeyboardInterrupt, PalmfieldError, MemoryError) as error:
+    except (KeyboardInterrupt, Exception) as error:
         return error
     finally:
         recorder.stop()
@@ -223,6 +240,16 @@ def _numbers(
     return scene_numbers(sim, recorder.loudest), skins, stimulus_numbers(sim, recorder.loudest)
 
 
+def _whole_summary(
+    sim: Simulation, recorder: Recorder, tree: xr.DataTree, extra: dict[str, Any], started: float, bar: Progress
+) -> dict[str, Any]:
+    """The numbers of a run that went to its end, with the estimate of its error."""
+    task = bar.add_task("estimating the error", total=None)
+    whole, skins, stimuli = _numbers(sim, recorder, tree)
+    bar.remove_task(task)
+    return summary(tree, extra | whole | _spent(started), skins, stimuli)
+
+
 def _spent(started: float) -> dict[str, Any]:
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     memory = peak / 2**20 if platform.system() == "Darwin" else peak / 2**10
@@ -241,7 +268,7 @@ def _attributes(sim: Simulation) -> dict[str, dict[str, Any]]:
     """Every setting, convention and version, as attributes of the result and its groups."""
     model = sim.runtime.model
     packages = ("palmfield", "warp-lang", "mujoco", "numpy", "scipy", "trimesh", "usd-core", "xarray")
-    found: dict[str, dict[str, Any]] = {
+    attributes: dict[str, dict[str, Any]] = {
         "/": {
             "scene": sim.name,
             "driver": model.spec.driver.model_dump_json(),
@@ -253,20 +280,20 @@ def _attributes(sim: Simulation) -> dict[str, dict[str, Any]]:
         }
     }
     for array in model.spec.arrays:
-        found[group("array", array.name)] = {"config": array.config.model_dump_json()}
+        attributes[group("array", array.name)] = {"config": array.config.model_dump_json()}
     for part in model.stimuli:
         arrays = [model.spec.arrays[number].name for number in part.spec.arrays]
-        found[group("stimulus", part.spec.name)] = {"config": part.config.model_dump_json(), "arrays": arrays}
+        attributes[group("stimulus", part.spec.name)] = {"config": part.config.model_dump_json(), "arrays": arrays}
     for skin in model.skins:
         layer, name = skin.layer, skin.spec.name
         sizes = {key: np.asarray(value).tolist() for key, value in asdict(layer.sizes).items()}
         mesh = sizes | {"dofs": layer.system.ndof, "elements": len(layer.mesh.elements), **layer.patch.report}
-        found[group("skin", name)] = {
+        attributes[group("skin", name)] = {
             "config": skin.spec.config.model_dump_json(),
             "material": json.dumps([asdict(sheet.material) for sheet in layer.sheets]),
             "mesh": json.dumps(mesh),
             "arp_law": skin.spec.config.arp_law,
         }
-        found[group("body", name)] = {"body": skin.carrier.name}
-        found[group("surface", name)] = {"body": skin.carrier.name}
-    return found
+        attributes[group("body", name)] = {"body": skin.carrier.name}
+        attributes[group("surface", name)] = {"body": skin.carrier.name}
+    return attributes

@@ -86,21 +86,21 @@ def refusal(
         return "solver 'wedges' is asked for"
     if skin.moves:
         return "a hand is moved by script"
-    heard = [stimulus for stimulus in stimuli if not stimulus.silent]
-    if not heard:
+    sounding = [stimulus for stimulus in stimuli if not stimulus.silent]
+    if not sounding:
         return "the stimulus is silent"
-    if len(heard) > 1:
-        return f"{len(heard)} stimuli sound together"
-    if one_shape(heard[0], pole, response_on):
+    if len(sounding) > 1:
+        return f"{len(sounding)} stimuli sound together"
+    if one_shape(sounding[0], pole, response_on):
         return None
-    config = heard[0].config
+    config = sounding[0].config
     if not repeats(config):
         return "bursts, or a path that runs once, don't come round"
     if config.path == "letters" or (config.path_end == "jump" and not is_closed(config)):
         return "the focus jumps from one end of its path to the other"
     if config.path != "point" and config.control_rate_Hz > 0.0:
         return "control_rate_Hz holds the focus at moments that don't come round with the path"
-    expected = expected_vectors(heard[0], pole, response_on)
+    expected = expected_vectors(sounding[0], pole, response_on)
     if expected > MOST_VECTORS:
         return f"the focus rests at {config.path_points} points in turn, which takes about {expected} vectors"
     turn = period_s(config)
@@ -195,7 +195,7 @@ def known_load(model: HapticModel, skin: int, posed: PosedScene) -> KnownLoad:
         return KnownLoad(shape, shape, [frames_at(config, start + trial)[1][:, None]], spectrum)
     count = samples(config, turn, layer.demand.max_frequency_Hz)
     skip = math.ceil(_settling_s(stimulus, model) * count / turn)
-    drives = rehearse(model, number, posed, turn / count, skip, count)
+    drives = steady_drives(model, number, posed, turn / count, skip, count)
     loads = _forces(model, skin, posed, radiation, drives)
     waves = np.conj(np.fft.rfft(loads, axis=0)[: count // 4 + 1].T) / count
     waves[:, 1:] *= 2.0
@@ -203,8 +203,8 @@ def known_load(model: HapticModel, skin: int, posed: PosedScene) -> KnownLoad:
     size = np.linalg.norm(waves, axis=0)
     kept = size > SMALLEST * size.max()
     # Sampled from `skip` on, wanted from the start of the sound
-    late = np.exp(2j * np.pi * frequencies * skip * turn / count)
-    frequencies, waves = frequencies[kept], (waves * late)[:, kept]
+    shift = np.exp(2j * np.pi * frequencies * skip * turn / count)
+    frequencies, waves = frequencies[kept], (waves * shift)[:, kept]
     # The ARP goes with the square of what the transducers emit.
     g = float(model.pole.damping.min()) if model.response_on else math.inf
     begin: Fade = ((0.0, 1.0), (g, -2.0), (2.0 * g, 1.0)) if model.response_on else ((0.0, 1.0),)
@@ -220,7 +220,7 @@ def known_load(model: HapticModel, skin: int, posed: PosedScene) -> KnownLoad:
     impulse = np.zeros(len(course.shapes))
     if model.response_on:
         width = _settling_s(stimulus, model) / BEGINNING
-        drives = rehearse(model, number, posed, width, 0, BEGINNING)
+        drives = steady_drives(model, number, posed, width, 0, BEGINNING)
         difference = _forces(model, skin, posed, radiation, drives)
         moments: Float = width * np.arange(BEGINNING, dtype=np.float64)
         difference -= (level(begin, moments)[:, None] * harmonics(frequencies, moments)) @ course.shapes.T
@@ -237,7 +237,7 @@ def _settling_s(stimulus: StimulusModel, model: HapticModel) -> float:
     return float(SETTLED / model.pole.damping.min() + 2.0 * np.abs(stimulus.response.delays_s).max())
 
 
-def rehearse(model: HapticModel, number: int, posed: PosedScene, step_s: float, skip: int, count: int) -> Complex:
+def steady_drives(model: HapticModel, number: int, posed: PosedScene, step_s: float, skip: int, count: int) -> Complex:
     """What is emitted at `count` times after the first `skip`, from the start of the sound on, (count, N).
 
     The stimulus is that without ramp and end: what comes round.

@@ -246,6 +246,26 @@ class HapticModel:
         """The skins' time step [s]."""
         return self.skins[0].layer.sizes.step_s
 
+    @cached_property
+    def still_m(self) -> tuple[float, ...]:
+        """By body: moves by less than this leave it where it was for all of its skins [m].
+
+        The least of the skins' own; 0 for a body without a small model, as nothing else gains by it.
+        """
+        carried = [[self.skins[number] for number in self.carried(body)] for body in range(len(self.bodies))]
+        return tuple(
+            min(skin.still_m for skin in skins) if any(skin.choice.name == "reduced" for skin in skins) else 0.0
+            for skins in carried
+        )
+
+    @cached_property
+    def corners(self) -> tuple[Float, ...]:
+        """By body: of boxes round its skins, body frame [m], shape (8 k, 3)."""
+        return tuple(
+            np.concatenate([self.skins[number].corners for number in self.carried(body)])
+            for body in range(len(self.bodies))
+        )
+
     def carried(self, body: int) -> list[int]:
         """Numbers of the skins on a body; the first one's keys count for the force on the body."""
         return [number for number, skin in enumerate(self.skins) if skin.body == body]

@@ -169,13 +169,6 @@ class PosedSkin:
             np.add(points @ rotation.T, position, out=vertices[own])
         return self.body.frame.points(vertices), faces
 
-    @cached_property
-    def extent(self) -> Float:
-        """Points that tell how far anything moves: a box round the skin, with bones all of the hand; and obstacles."""
-        points = self.skin.corners if self.body.model.hand is None else self.body.vertices
-        placed = self.body.frame.points(points)
-        return placed if self.obstacles is None else np.concatenate([placed, self.obstacles[0]])
-
 
 class PosedScene:
     """Arrays, stimuli's frames, bodies and skins in one pose.
@@ -245,8 +238,8 @@ def posed_scene(
 
     world_positions [m], shape (m, 3), world_rotations, shape (m, 3, 3): of the layout's rows
     previous: the last one, or the reference: it lends the parts that have not moved, and is returned if none has
-    reference: as `reference_scene`; a skin whose small model was made for that pose is taken to be there as long as
-        it, the arrays and obstacles are within STILL of it
+    reference: as `reference_scene`; where small models were made for that pose, a body is taken to be there as long as
+        it is within STILL of it by the strictest of its skins, and the arrays stand as there; so are a skin's obstacles
     """
     origin, turn = world_positions[0].copy(), world_rotations[0].copy()
     positions, rotations = (world_positions - origin) @ turn, turn.T @ world_rotations
@@ -260,32 +253,62 @@ def posed_scene(
     frames = []
     for row in range(layout.frames.start, layout.frames.stop):
         frames.append(Transform(positions[row], rotations[row]))
-    bodies = []
+    # Where each body is, and where it is taken to be: all skins of a body stand in one pose.
+    placed, bodies = [], []
     for number, (row, bones) in enumerate(layout.bodies):
-        first = reference.bodies[number].skin
+        first = reference.bodies[number]
         frame = Transform(positions[row], rotations[row])
         of_bones = _seen_from(world_positions, world_rotations, row, bones)
-        body = PosedSurface(model.bodies[number], first, frame, of_bones)
-        bodies.append(previous.bodies[number] if previous.bodies[number].same(body) else body)
+        body = PosedSurface(model.bodies[number], first.skin, frame, of_bones)
+        placed.append(body)
+        if previous.bodies[number].same(body):
+            bodies.append(previous.bodies[number])
+        elif (
+            model.still_m[number] > 0.0
+            and arrays is model.arrays
+            and _settled(body, first, model.corners[number], model.still_m[number])
+        ):
+            bodies.append(first)
+        else:
+            bodies.append(body)
     skins = []
     for number, skin in enumerate(model.skins):
-        body = bodies[skin.body]
-        row, obstacles = layout.bodies[skin.body][0], layout.obstacles[number]
-        posed_skin = PosedSkin(skin, body, _seen_from(world_positions, world_rotations, row, obstacles))
+        body, row = bodies[skin.body], layout.bodies[skin.body][0]
+        obstacles = _seen_from(world_positions, world_rotations, row, layout.obstacles[number])
+        posed_skin = PosedSkin(skin, body, obstacles)
         last, first_pose = previous.skins[number], reference.skins[number]
         if last.body is body and last.same_obstacles(posed_skin):
             posed_skin = last
-        elif skin.choice.name == "reduced" and arrays is model.arrays and _settled(posed_skin, first_pose):
+        elif (
+            skin.choice.name == "reduced"
+            and arrays is model.arrays
+            and body is first_pose.body
+            and _obstacles_settled(PosedSkin(skin, placed[skin.body], obstacles), first_pose)
+        ):
             posed_skin = first_pose
-            bodies[skin.body] = first_pose.body
         skins.append(posed_skin)
     posed = PosedScene(Transform(origin, turn), arrays, frames, bodies, skins, sources)
     return previous if posed.same(previous) else posed
 
 
-def _settled(posed: PosedSkin, reference: PosedSkin) -> bool:
-    """Whether a skin is as good as in the reference pose."""
-    return bool(np.maximum.reduce(np.abs(posed.extent - reference.extent), axis=None) < posed.skin.still_m)
+def _settled(body: PosedSurface, reference: PosedSurface, corners: Float, still_m: float) -> bool:
+    """Whether a body is as good as in the reference pose: boxes round its skins, or with bones all of its surface."""
+    if body.model.hand is None:
+        now, then = body.frame.points(corners), reference.frame.points(corners)
+    else:
+        now, then = body.vertices_in_array, reference.vertices_in_array
+    return _within(now, then, still_m)
+
+
+def _obstacles_settled(posed: PosedSkin, reference: PosedSkin) -> bool:
+    """Whether the obstacles are as good as in the reference pose."""
+    if posed.obstacles is None or reference.obstacles is None:
+        return True
+    return _within(posed.obstacles[0], reference.obstacles[0], posed.skin.still_m)
+
+
+def _within(points: Float, others: Float, distance_m: float) -> bool:
+    return bool(np.maximum.reduce(np.abs(points - others), axis=None) < distance_m)
 
 
 def _seen_from(positions: Float, rotations: Float, body: int, others: slice) -> tuple[Float, Float]:

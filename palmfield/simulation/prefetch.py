@@ -68,15 +68,15 @@ class LoadPrefetch:
 
     def pressures(self, posed: PosedScene, skin: int, drives: Complex) -> Float32:
         """ARP [Pa] at a skin's quadrature points for drives (m, N), shape (m, q)."""
-        rows = self._found(drives) if len(self._drives) >= len(drives) else None
+        rows = self._predicted_rows(drives) if len(self._drives) >= len(drives) else None
         if rows is None:
             changes = _changes(drives)
             if np.logical_and.reduce(changes):
                 return self.radiation.many(posed, skin, drives)
             # What sounds on unchanged is computed once.
             first = np.concatenate((ALWAYS, changes))
-            once = self.radiation.many(posed, skin, drives[first])
-            return np.asarray(once[np.add.accumulate(first, dtype=np.intp) - 1])
+            computed = self.radiation.many(posed, skin, drives[first])
+            return np.asarray(computed[np.add.accumulate(first, dtype=np.intp) - 1])
         known = self._loads.get(skin)
         if known is None or known[0] is not posed.skins[skin]:
             known = self._loads[skin] = posed.skins[skin], self.radiation.many(posed, skin, self._drives)
@@ -91,7 +91,7 @@ class LoadPrefetch:
         matrix = len(model.arrays.groups) == 1 and model.arrays.precision == "fast"
         return changing and free and matrix
 
-    def _found(self, drives: Complex) -> slice | None:
+    def _predicted_rows(self, drives: Complex) -> slice | None:
         """Which of the predicted drives these are; None where they were not predicted."""
         first = int(np.maximum.reduce(np.abs(self._drives - drives[0]), axis=1).argmin())
         rows = slice(first, first + len(drives))

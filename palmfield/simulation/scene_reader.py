@@ -59,14 +59,13 @@ class SkinBodies:
 class SceneBinding:
     """MuJoCo's numbers of what a SceneSpec names, in the same order.
 
-    array_instances, stimulus_instances: plugin instances; array_sites: each array's frame
+    array_instances: plugin instances; array_sites: each array's frame
     transducer_sites: of each array, empty but for layout `sites`; frame_sites: each stimulus's frame
     """
 
     array_instances: tuple[int, ...]
     array_sites: tuple[int, ...]
     transducer_sites: tuple[tuple[int, ...], ...]
-    stimulus_instances: tuple[int, ...]
     frame_sites: tuple[int, ...]
     skins: tuple[SkinBodies, ...]
 
@@ -115,7 +114,6 @@ def read_scene(model: ModelView) -> tuple[SceneSpec, SceneBinding]:
         array_instances=tuple(i for i, _, _ in arrays),
         array_sites=array_sites,
         transducer_sites=transducers,
-        stimulus_instances=tuple(i for i, _, _ in stimuli),
         frame_sites=frame_sites,
         skins=skin_bindings,
     )
@@ -155,11 +153,11 @@ def with_files_found(config: AnyConfig, keys: Sequence[str], element: str) -> An
 
 
 def _arrays(
-    found: list[tuple[int, str, Any]], model: ModelView
+    instances: list[tuple[int, str, Any]], model: ModelView
 ) -> tuple[tuple[ArraySpec, ...], tuple[int, ...], tuple[tuple[int, ...], ...]]:
     """Specs, frame sites and transducer sites of the arrays; each array has a frame site of its own."""
-    first_name, first = found[0][1:]
-    for _, name, config in found[1:]:
+    first_name, first = instances[0][1:]
+    for _, name, config in instances[1:]:
         for key in SAME_AIR:
             if getattr(config, key) != getattr(first, key):
                 raise SceneError(
@@ -167,12 +165,12 @@ def _arrays(
                     f"{getattr(first, key)} at instance '{first_name}'; allowed: the same for all arrays"
                 )
     sites = tuple(
-        model.find("site", config.site, f"{element_of(ArrayConfig, name)}: key 'site'") for _, name, config in found
+        model.find("site", config.site, f"{element_of(ArrayConfig, name)}: key 'site'") for _, name, config in instances
     )
-    transducers = tuple(transducer_sites(config, name, model) for _, name, config in found)
+    transducers = tuple(transducer_sites(config, name, model) for _, name, config in instances)
     origin = model.reference_pose("site", sites[0])
     specs = []
-    for (_, name, config), site, numbers in zip(found, sites, transducers, strict=True):
+    for (_, name, config), site, numbers in zip(instances, sites, transducers, strict=True):
         pose = model.reference_pose("site", site)
         own = []
         for number in numbers:
@@ -202,12 +200,12 @@ def transducer_sites(config: ArrayConfig, name: str, model: ModelView) -> tuple[
 
 
 def _skins(
-    found: list[tuple[int, str, Any]], model: ModelView, array_site: int
+    instances: list[tuple[int, str, Any]], model: ModelView, array_site: int
 ) -> tuple[tuple[SkinSpec, ...], tuple[SkinBodies, ...]]:
     origin = model.reference_pose("site", array_site)
     moves = any(plugin == MotionConfig.plugin for _, plugin, _ in model.instances())
     specs, bindings = [], []
-    for instance, name, config in found:
+    for instance, name, config in instances:
         element = element_of(SkinConfig, name)
         body = model.find("body", config.body, f"{element}: key 'body'")
         frame = model.reference_pose("body", body)
@@ -226,17 +224,17 @@ def _skins(
 
 
 def _stimuli(
-    found: list[tuple[int, str, Any]],
+    instances: list[tuple[int, str, Any]],
     model: ModelView,
     arrays: tuple[ArraySpec, ...],
     array_sites: tuple[int, ...],
     skins: tuple[SkinSpec, ...],
     bindings: tuple[SkinBodies, ...],
 ) -> tuple[tuple[StimulusSpec, ...], tuple[int, ...]]:
-    driven = _driven_arrays(found, [array.name for array in arrays])
+    driven = _driven_arrays(instances, [array.name for array in arrays])
     origin = model.reference_pose("site", array_sites[0])
     specs, frames = [], []
-    for (_, name, config), own in zip(found, driven, strict=True):
+    for (_, name, config), own in zip(instances, driven, strict=True):
         element = element_of(StimulusConfig, name)
         frame_site = array_sites[own[0]]
         if config.frame != "array":
@@ -258,10 +256,10 @@ def _stimuli(
     return tuple(specs), tuple(frames)
 
 
-def _driven_arrays(found: list[tuple[int, str, Any]], names: list[str]) -> list[tuple[int, ...]]:
+def _driven_arrays(instances: list[tuple[int, str, Any]], names: list[str]) -> list[tuple[int, ...]]:
     """Numbers of the arrays that each stimulus drives: those it names, or all that no other one names."""
     owner: dict[str, str] = {}
-    for _, stimulus, config in found:
+    for _, stimulus, config in instances:
         element = f"{element_of(StimulusConfig, stimulus)}: key 'arrays'"
         for array in config.arrays:
             if array not in names:
@@ -272,7 +270,7 @@ def _driven_arrays(found: list[tuple[int, str, Any]], names: list[str]) -> list[
                 )
             owner[array] = stimulus
     free = tuple(i for i, name in enumerate(names) if name not in owner)
-    rest = [stimulus for _, stimulus, config in found if not config.arrays]
+    rest = [stimulus for _, stimulus, config in instances if not config.arrays]
     if len(rest) > 1:
         raise SceneError(
             f"{element_of(StimulusConfig, rest[1])}: it names no arrays, and neither does instance '{rest[0]}'; name "
@@ -285,7 +283,7 @@ def _driven_arrays(found: list[tuple[int, str, Any]], names: list[str]) -> list[
         )
     return [
         tuple(sorted(names.index(array) for array in config.arrays)) if config.arrays else free
-        for _, _, config in found
+        for _, _, config in instances
     ]
 
 
@@ -312,11 +310,11 @@ def _on_body(model: ModelView, frame: Transform, site: str, element: str) -> Tri
 
 
 def _device(model: ModelView) -> str:
-    asked = model.text(DEVICE, "auto") if model.complete else "cpu"
+    requested = model.text(DEVICE, "auto") if model.complete else "cpu"
     try:
-        return resolve(asked)
+        return resolve(requested)
     except PalmfieldError as error:
-        raise SceneError(f"text '{DEVICE}' has value '{asked}': {error}") from None
+        raise SceneError(f"text '{DEVICE}' has value '{requested}': {error}") from None
 
 
 def _timestep(model: ModelView) -> float:
@@ -349,13 +347,13 @@ def bones_of(skin: SkinConfig, element: str, model: ModelView) -> list[int]:
     element = f"{element}: key 'shape' has value '{skin.shape}'"
     prefix, bones = _bones(skin, element)
     numbers = [model.find("body", prefix + bone.name, element) for bone in bones]
-    mend = "write its MJCF by `palmfield hand MESH --mjcf FILE.xml`"
+    advice = "write its MJCF by `palmfield hand MESH --mjcf FILE.xml`"
     if skin.shape == "articulated":
-        mend = f"name the preset of that hand by key 'hand' ('{skin.hand}' now)"
+        advice = f"name the preset of that hand by key 'hand' ('{skin.hand}' now)"
     frame = model.reference_pose("body", model.find("body", skin.body, element))
     for bone, number in zip(bones, numbers, strict=True):
         pose = model.reference_pose("body", number)
-        check_rest(bone, frame, pose, f"{element}: body '{prefix}{bone.name}'", mend)
+        check_rest(bone, frame, pose, f"{element}: body '{prefix}{bone.name}'", advice)
     return numbers
 
 
@@ -371,14 +369,15 @@ def _bones(skin: SkinConfig, element: str) -> tuple[str, list[Any]]:
     return skin.body.removesuffix("hand"), articulate(load_preset(skin.hand)).bones
 
 
-def check_rest(bone: Any, frame: Transform, pose: Transform, element: str, mend: str) -> None:
+def check_rest(bone: Any, frame: Transform, pose: Transform, element: str, advice: str) -> None:
     """Raises SceneError, with what mends it, where a body isn't at its joint's place, parallel to the hand's axes."""
     place = relative(frame, pose)
     distance = float(np.linalg.norm(place.position - bone.origin))
     angle = float(np.arccos(np.clip(0.5 * (np.trace(place.rotation) - 1.0), -1.0, 1.0)))
     if distance > REST_M or angle > REST_RAD:
         raise SceneError(
-            f"{element} stands {1e3 * distance:.3g} mm and {np.rad2deg(angle):.3g} degrees off the mesh's joint; {mend}"
+            f"{element} stands {1e3 * distance:.3g} mm and {np.rad2deg(angle):.3g} degrees off the mesh's joint; "
+            f"{advice}"
         )
 
 

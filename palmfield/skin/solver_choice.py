@@ -56,9 +56,6 @@ FORMER = {
 PREVIEW = ("particles",)
 """Solvers for large deformation and previews: never chosen by `auto`."""
 
-IN_SCENES = ("wedges", "reduced")
-"""Solvers that step in time, under loads that come as a scene goes on."""
-
 FINER = 3
 """How often a solution is made finer when its estimate misses the target accuracy."""
 
@@ -98,21 +95,6 @@ def scene_choices(dofs: float, substeps: float, vectors: float, refusal: str | N
     if refusal is None:
         reduced = Choice("reduced", reduced_s(dofs, substeps, vectors))
     return ranked([reduced, Choice("wedges", wedges_s(dofs, substeps))])
-
-
-def refusal_in_scenes(name: str) -> str | None:
-    """Why a scene can't name this solver, in a sentence, or None for "auto" and those of IN_SCENES."""
-    if name == "auto" or name in IN_SCENES:
-        return None
-    if name in FORMER:
-        return f"solver '{name}' is now '{FORMER[name]}': use {FORMER[name]}"
-    if name in WHERE:
-        return (
-            f"solver '{name}' solves for a load that is known from beginning to end, and a scene's load comes as it "
-            f"goes on: use {', '.join(('auto', *IN_SCENES))} here, or palmfield.skin.solve(body, load, times, at, "
-            f"solver='{name}') for a body and a load of your own"
-        )
-    return f"solver '{name}' is not known; use {', '.join(('auto', *IN_SCENES))}"
 
 
 def choices(

@@ -56,7 +56,7 @@ def strokes(text: str) -> list[Float]:
 
     Raises SceneError for a text without letters, and for characters other than A-Z, 0-9 and the blank.
     """
-    found: list[Float] = []
+    polylines: list[Float] = []
     for place, letter in enumerate(text.upper()):
         if letter == " ":
             continue
@@ -64,7 +64,7 @@ def strokes(text: str) -> list[Float]:
             raise SceneError(f"letters: no stroke for {letter!r} in {text!r}; use A-Z, 0-9 and blanks")
         for stroke in GLYPHS[letter].split():
             grid = np.array([int(digit) for digit in stroke], dtype=np.float64).reshape(-1, 2)
-            found.append((grid + np.array([ADVANCE * place, 0.0])) / GRID_HEIGHT)
-    if not found:
+            polylines.append((grid + np.array([ADVANCE * place, 0.0])) / GRID_HEIGHT)
+    if not polylines:
         raise SceneError(f"letters: nothing to draw in {text!r}; give at least one of A-Z and 0-9")
-    return found
+    return polylines

@@ -306,18 +306,6 @@ def _locked(values: Float) -> Float:
     return values
 
 
-def held_frames(config: StimulusConfig, start: float, end: float) -> list[tuple[float, float]]:
-    """Moments that stand for the parts of an interval of time [s] as (time, share of the interval).
-
-    The parts lie between ticks, path points, start and end of the sound. The shares add up to 1, so that the load's
-    impulse is right over any step. Empty where nothing jumps or is held: the load is then smooth over the interval.
-    """
-    moments = substep_moments((config,), start, end - start, 1)
-    if moments.linear[-1]:
-        return []
-    return list(zip(moments.times.tolist(), moments.first[0].tolist(), strict=True))
-
-
 def jumps(config: StimulusConfig, start: float, end: float) -> set[float]:
     """Times about an interval [s] at which the sound begins or ends, or an open path jumps to its start."""
     return set(_jumps(config, _timed(config)[1], start, end))
@@ -326,7 +314,7 @@ def jumps(config: StimulusConfig, start: float, end: float) -> set[float]:
 def _jumps(config: StimulusConfig, timing: "_Timing", start: float, end: float) -> Sequence[float]:
     if timing.smooth:
         return timing.edges
-    found = [*timing.edges]
+    times = [*timing.edges]
     if config.burst_window == "rectangular":
         assert config.burst_length_s and config.burst_period_s
         edge = 1e-9
@@ -337,13 +325,13 @@ def _jumps(config: StimulusConfig, timing: "_Timing", start: float, end: float) 
             period_s=config.burst_period_s,
             count=config.burst_count,
         )
-        found += (config.start_s + train).tolist()
+        times += (config.start_s + train).tolist()
     if timing.jump_rate > 0.0:
         rate = timing.jump_rate
         first, last = math.floor((start - config.start_s) * rate), math.ceil((end - config.start_s) * rate)
         for n in range(max(1, first), last + 1):
-            found.append(config.start_s + n / rate)
-    return found
+            times.append(config.start_s + n / rate)
+    return times
 
 
 def mean_arp_factor(config: StimulusConfig, start: float, end: float, count: int) -> float:
@@ -478,13 +466,13 @@ def main_frequencies(config: StimulusConfig) -> list[float]:
 
     Empty for a load that does not repeat.
     """
-    found = []
+    frequencies = []
     if config.modulation == "am" and config.am_frequency_Hz:
-        found.append(config.am_frequency_Hz)
+        frequencies.append(config.am_frequency_Hz)
         if config.am_of == "pressure":
-            found.append(2 * config.am_frequency_Hz)
+            frequencies.append(2 * config.am_frequency_Hz)
     if config.burst_window != "none" and config.burst_period_s and config.burst_count != 1:
-        found.append(1.0 / config.burst_period_s)
+        frequencies.append(1.0 / config.burst_period_s)
     rate = turn_rate_Hz(config)
     if rate is not None:
         # A focus of width w on a turn of length L gives a pulse train with about L / w harmonics of weight.
@@ -495,5 +483,5 @@ def main_frequencies(config: StimulusConfig) -> list[float]:
         elif count > MOST_HARMONICS:
             # Of a long path each place of the skin feels single passages, of w / v.
             chosen = range(count // 4, count + 1, count // 4)
-        found += [rate * n for n in chosen if rate * n <= HIGHEST_HZ] or [HIGHEST_HZ]
-    return sorted(set(found))
+        frequencies += [rate * n for n in chosen if rate * n <= HIGHEST_HZ] or [HIGHEST_HZ]
+    return sorted(set(frequencies))

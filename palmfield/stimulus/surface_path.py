@@ -149,8 +149,8 @@ def drawn(surface: Surface, start_point: ArrayLike, direction: ArrayLike, path: 
             "here; make it smaller or draw it elsewhere"
         )
     shut = shortest_way(surface, (end.face, end.position), (place.face, place.position), 0)
-    found = _skin_path(surface, _joined([piece, shut]), True)
-    return replace(found, arc_m=found.arc_m * (path.length_m / found.length_m))
+    closed = _skin_path(surface, _joined([piece, shut]), True)
+    return replace(closed, arc_m=closed.arc_m * (path.length_m / closed.length_m))
 
 
 def through(surface: Surface, waypoints: ArrayLike) -> SurfacePath:

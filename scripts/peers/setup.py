@@ -3,7 +3,7 @@
     python3 scripts/peers/setup.py --dir ~/.cache/palmfield-peers
 
 They need older libraries than palmfield, so they live apart. Prints the interpreter's path, for
-`palmfield bench field --peers-python PATH`.
+`scripts/bench/compare_field.py --peers-python PATH`, and `compare_skin.py` likewise.
 """
 
 import argparse

@@ -1,6 +1,6 @@
 """Runs the peers and writes what they give as reference arrays, which tests/acoustics/test_peers.py reads.
 
-    PYTHONPATH=. PEERS/bin/python scripts/peers/write_reference.py
+    PYTHONPATH=.:scripts/bench PEERS/bin/python scripts/peers/write_reference.py
 
 where PEERS is the folder that scripts/peers/setup.py made. Every file holds inputs, outputs, versions and seconds.
 """
@@ -10,10 +10,10 @@ import platform
 import time
 from pathlib import Path
 
+import field_peers as peers
 import numpy as np
 
 from palmfield.acoustics.arrays import layout
-from palmfield.studies.bench import peers
 
 TARGET = Path(__file__).resolve().parents[2] / "tests" / "data" / "peers"
 SPEED_M_S = 340.0

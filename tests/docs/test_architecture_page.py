@@ -18,7 +18,7 @@ from palmfield.config import CONFIGS, ArpLaw, DriverConfig, SkinConfig
 from palmfield.config.array import Layout
 from palmfield.drive.boards import BOARDS
 from palmfield.session.simulation import Simulation
-from palmfield.skin.solver_choice import IN_SCENES
+from palmfield.skin.solver_choice import scene_choices
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "architecture.md").read_text()
@@ -177,7 +177,8 @@ def test_keys_allow_what_the_registries_of_the_seams_hold():
     assert set(get_args(Layout)) == {*LAYOUTS, "sites"}
     assert set(get_args(ArpLaw)) == set(LAWS)
     assert set(get_args(DriverConfig.model_fields["board"].annotation)) == set(BOARDS)
-    assert set(get_args(SkinConfig.model_fields["solver"].annotation)) == {"auto", *IN_SCENES}
+    steppers = {choice.name for choice in scene_choices(1000.0, 100.0, 10.0, None)}
+    assert set(get_args(SkinConfig.model_fields["solver"].annotation)) == {"auto", *steppers}
 
 
 # -- the two ways through the code ---------------------------------------------------------------------------------

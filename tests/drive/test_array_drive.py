@@ -133,7 +133,7 @@ def test_foci_that_cannot_be_made_are_refused(source, place, keys, words, many):
 
 def test_a_place_that_does_not_sound_need_not_be_one_that_the_array_can_make(source):
     points = np.array([[0.0, 0.0, 0.2], [0.0, 0.0, -0.2]])
-    drives = drive_of(source).unit_drives(points, STILL, heard=np.array([[True], [False]]))
+    drives = drive_of(source).unit_drives(points, STILL, audible=np.array([[True], [False]]))
     assert np.abs(drives[0]).min() == pytest.approx(1.0)
 
 

@@ -27,7 +27,7 @@ from palmfield.drive.transducer_response import (
     transducer_response,
 )
 from palmfield.stimulus.focal_points import FocalPoints
-from palmfield.stimulus.schedule import first_point, frame_at, held_frames, substep_moments
+from palmfield.stimulus.schedule import first_point, frame_at, substep_moments
 from palmfield.transforms import IDENTITY
 
 STILL = FocalPoints(IDENTITY)
@@ -72,6 +72,12 @@ def asked(stimulus, drive, delays, t):
             unit = drive.unit_drive(STILL.at(frame.focus)).amplitudes
             found[delays == delay] = np.sqrt(frame.arp_factor) * unit[delays == delay]
     return found
+
+
+def held_frames(stimulus, begin, end):
+    """Moments that stand for the parts of a step with their shares of it; none where nothing jumps or is held in it."""
+    moments = substep_moments((stimulus,), begin, end - begin, 1)
+    return [] if moments.linear[-1] else list(zip(moments.times, moments.first[0], strict=True))
 
 
 def step_by_step(stimulus, drive, response, emitted, t0, step, count):

@@ -32,8 +32,7 @@ class Meter(Module):
 
     def advance(self):
         skin = next(m for m in self.world.modules.values() if m.name == "palmfield.skin")
-        force, _ = skin.body_force()
-        if (force @ force) ** 0.5 > self.settings.threshold_N:
+        if (skin.applied @ skin.applied) ** 0.5 > self.settings.threshold_N:
             self.world.state(self.instance)[0] += self.world.model.timestep
 
     def sense(self):

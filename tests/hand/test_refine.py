@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from palmfield.errors import SceneError
 from palmfield.hand.preset import load_preset
-from palmfield.hand.refine import bisected, refine, wanted_edges
+from palmfield.hand.refine import bisected, refine, target_edges
 from palmfield.hand.surface import hand_surface
 from palmfield.hand.triangles import corner_angles, unique_edges, vertex_normals
 from palmfield.hand.wholelayer import hand_layer
@@ -30,7 +30,7 @@ def test_a_hand_refined_at_a_fingertip():
     surface, pad = hand.surface, hand.landmarks["index_pad"]
 
     def wanted(points):
-        return wanted_edges(np.linalg.norm(points - pad, axis=1), 0.028, per_acoustic=8.0)
+        return target_edges(np.linalg.norm(points - pad, axis=1), 0.028, per_acoustic=8.0)
 
     fine = refine(surface, wanted)
     length, middle, uses = lengths(fine)
@@ -97,9 +97,9 @@ def test_an_open_surface_and_lengths_by_vertex():
 
 def test_wanted_edges_are_the_wavelengths_over_their_numbers():
     distance = np.array([0.0, 0.0086, 0.0186, 1.0])
-    edges = wanted_edges(distance, 0.02, per_acoustic=8.6, per_shear=4.0, growth=0.3)
+    edges = target_edges(distance, 0.02, per_acoustic=8.6, per_shear=4.0, growth=0.3)
     assert edges == pytest.approx([0.001, 0.001, 0.004, 0.005])
-    assert wanted_edges(distance, 0.002, per_acoustic=4.0, per_shear=4.0) == pytest.approx(np.full(4, 0.0005))
+    assert target_edges(distance, 0.002, per_acoustic=4.0, per_shear=4.0) == pytest.approx(np.full(4, 0.0005))
 
 
 @pytest.mark.parametrize(
@@ -131,4 +131,4 @@ def test_errors(wanted, says):
 )
 def test_errors_of_wanted_edges(change, says):
     with pytest.raises(SceneError, match=says):
-        wanted_edges(**({"distance_m": np.zeros(1), "shear_wavelength_m": 0.02} | change))
+        target_edges(**({"distance_m": np.zeros(1), "shear_wavelength_m": 0.02} | change))

@@ -7,7 +7,15 @@ from scipy.spatial.transform import Rotation
 from palmfield.errors import SceneError
 from palmfield.hand.articulated import bone_poses, posed_landmark
 from palmfield.motion.joints import JOINTS, POSITION_VALID, hand_joints
-from palmfield.motion.tracking import ALL_FLAGS, Stream, column_names, judge, read_stream, stream_of, write_stream
+from palmfield.motion.tracking import (
+    ALL_FLAGS,
+    Stream,
+    column_names,
+    read_stream,
+    stream_of,
+    stream_report,
+    write_stream,
+)
 
 
 @pytest.fixture(scope="module")
@@ -109,7 +117,7 @@ def test_lost_joints_may_be_nan_in_a_file_and_others_not(tmp_path, stream):
 
 
 def test_report_names_what_was_done_to_the_stream(stream, times):
-    clean = judge(stream)
+    clean = stream_report(stream)
     assert (clean.dropouts, clean.reordered, clean.repeated, clean.lost, clean.invalid) == (0, 0, 0, 0.0, 0.0)
     assert clean.period_s == pytest.approx(1.0 / 90.0)
     assert clean.jitter_s < 1e-9
@@ -119,7 +127,7 @@ def test_report_names_what_was_done_to_the_stream(stream, times):
     order.insert(31, order[30])
     broken = taken(replace(stream, times_s=times + shifts), order)
     broken.flags[60:63] = 0
-    report = judge(broken)
+    report = stream_report(broken)
     assert (report.packets, report.dropouts, report.reordered, report.repeated) == (len(order), 3, 1, 1)
     assert report.longest_s == pytest.approx(times[24] - times[19] + shifts[24] - shifts[19])
     # Four packets, one, and three without a hand are away.
@@ -131,7 +139,7 @@ def test_report_names_what_was_done_to_the_stream(stream, times):
 
 def test_lost_joints_are_not_looked_at(stream):
     stream.flags[:, 9] = ALL_FLAGS - POSITION_VALID
-    assert judge(stream).invalid == pytest.approx(1.0 / 26.0)
+    assert stream_report(stream).invalid == pytest.approx(1.0 / 26.0)
 
 
 def test_wrong_shapes_are_refused(tmp_path, stream):

@@ -9,7 +9,8 @@ import pytest
 
 import palmfield
 from palmfield.acoustics import body_scattering
-from palmfield.session.plan import SCATTER_ELEMENT_S, SCATTER_PAIR_S, warnings
+from palmfield.session.plan import warnings
+from palmfield.session.planning.costs import SCATTER_ELEMENT_S, SCATTER_PAIR_S
 from palmfield.session.summary import skin_numbers
 
 STEADY = {"modulation": "none", "am_of": None, "am_frequency_Hz": None, "am_depth": None}

@@ -5,8 +5,6 @@ import pytest
 from pxr import Usd, UsdGeom, UsdSkel
 
 from palmfield.data import folder
-from palmfield.engine.host import world_of
-from palmfield.engine.skin_plugin import SkinModule
 from palmfield.hand.articulated import bone_poses
 from palmfield.hand.poses import named_pose
 from palmfield.hand.preset import load_preset
@@ -41,10 +39,11 @@ def test_surface_is_the_posed_skin_of_the_library(sim):
 
 def test_forces_on_the_bones_add_up_to_the_force_on_the_whole(sim):
     """Of a posed hand, from its closed surface in one piece: no part of it is lost between the bones."""
-    [module] = [m for m in world_of(sim.data).modules.values() if isinstance(m, SkinModule)]
-    [(forces, _)] = sim.runtime.body_forces()
-    force, torque = module.body_force()
-    assert len(forces) == len(sim.runtime.parts[0]) == 17
+    [(forces, torques)] = sim.runtime.body_forces()
+    [parts] = sim.runtime.parts
+    offsets = sim.data.xpos[list(parts)] - sim.data.body("hand").xpos
+    force, torque = forces.sum(axis=0), (torques + np.cross(offsets, forces)).sum(axis=0)
+    assert len(forces) == len(parts) == 17
     assert np.count_nonzero(np.linalg.norm(forces, axis=1)) > 5
     scene = sim.runtime.posed
     [drive] = array_drives(sim.runtime.model, scene.arrays)

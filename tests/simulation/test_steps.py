@@ -1,6 +1,7 @@
 """Steps of a scene: nothing piles up, substeps in one call, the same numbers again, and in every way of stepping."""
 
 import gc
+import re
 import subprocess
 import sys
 import tracemalloc
@@ -10,6 +11,9 @@ import pytest
 
 import palmfield
 from palmfield.acoustics import surface_arp
+from palmfield.simulation.state import HEADER, new_state
+from palmfield.simulation.step import Workspace
+from palmfield.simulation.step import step as model_step
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
 from palmfield.skin.reduction.reduced_stepper import ReducedStepper
 
@@ -50,6 +54,35 @@ def test_memory_after_1000_steps_is_that_after_100(small_scene, changes, speed):
         tracemalloc.stop()
     assert after_1000 - after_100 < MOST_GROWTH_BYTES
     assert (len(places) > 1) == bool(speed)
+
+
+# -- without MuJoCo ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("solver", ["wedges", "reduced"])
+def test_a_state_of_its_own_steps_as_mujocos_does(small_scene, solver):
+    """Plain arrays and a pose are all that a step needs; a copy of a state goes on by itself."""
+    path = small_scene(stimulus=STEADY, skin={"solver": solver}, array={"response": "on"})
+    plain = path.with_name("plain.xml")
+    plain.write_text(re.sub('<joint name="slide".*/>', "", plain.read_text()))
+    sim = palmfield.Simulation(path)
+    model, timestep_s = sim.runtime.model, sim.model.opt.timestep
+
+    def on(state, first, last):
+        work = Workspace(model)
+        for number in range(first, last):
+            model_step(model, state, work.reference, number * timestep_s, (number + 1) * timestep_s, work)
+
+    state = new_state(model)
+    on(state, 0, 4)
+    copy = state.copy()
+    on(copy, 4, 5)
+    for mine, steps in ((state, 4), (copy, 1)):
+        sim.step(steps)
+        for own, mujocos in zip(mine.skins, sim.runtime.state.skins, strict=True):
+            np.testing.assert_allclose(own, mujocos, rtol=1e-6, atol=1e-9 * np.abs(mujocos[:, HEADER:]).max())
+        np.testing.assert_allclose(mine.emitted, sim.runtime.state.emitted, rtol=1e-9)
+    assert np.abs(copy.emitted[0]).min() > 0.5 and not np.array_equal(copy.skins[0], state.skins[0])
 
 
 # -- substeps ------------------------------------------------------------------------------------------------------

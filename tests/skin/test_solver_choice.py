@@ -171,8 +171,3 @@ def test_scenes_choose_between_what_steps_in_time() -> None:
     assert brief.name == "wedges"
     only, never = module.scene_choices(30_000, 1600, 60, "the hand moves")
     assert only.name == "wedges" and never.refusal == "the hand moves" and never.seconds == np.inf
-    for name in ("auto", "wedges", "reduced"):
-        assert module.refusal_in_scenes(name) is None
-    assert "palmfield.skin.solve" in (module.refusal_in_scenes("lateral_waves") or "")
-    assert "use wedges" in (module.refusal_in_scenes("full") or "")
-    assert "not known" in (module.refusal_in_scenes("magic") or "")

@@ -13,11 +13,11 @@ from palmfield.stimulus.schedule import (
     frame_at,
     frame_rates,
     frames_at,
-    held_frames,
     main_frequencies,
     mean_arp_factor,
     plane_path,
     silent_after_s,
+    substep_moments,
     turn_rate_Hz,
 )
 
@@ -69,9 +69,9 @@ def test_stepped_circle_holds_its_points():
 
 
 @given(start=st.floats(0, 0.5), length=st.floats(1e-4, 0.05), rate=st.floats(5, 5000))
-def test_held_frames_share_out_the_whole_step(start, length, rate):
-    shares = held_frames(am("arp", control_rate_Hz=rate), start, start + length)
-    assert sum(share for _, share in shares) == pytest.approx(1, abs=1e-6)
+def test_held_moments_share_out_the_whole_step(start, length, rate):
+    moments = substep_moments((am("arp", control_rate_Hz=rate),), start, length, 1)
+    assert not moments.linear[-1] and moments.first.sum() == pytest.approx(1, abs=1e-6)
 
 
 @pytest.mark.parametrize(("control", "start"), [(0, 0), (1000, 0), (0, 0.005), (1000, 0.005)])
@@ -149,9 +149,9 @@ def test_an_open_path_may_jump_or_stop_at_its_end():
     assert frame_at(jump, 0.0149).focus[0] == pytest.approx(0.0196)
     assert frame_at(jump, 0.015).focus[0] == pytest.approx(-0.02, abs=1e-9)
     # A step over the jump is held in two parts; an impulse never counts the way back.
-    parts = held_frames(jump, 0.0148, 0.0152)
-    assert [share for _, share in parts] == pytest.approx([0.5, 0.5])
-    assert [frame_at(jump, t).focus[0] for t, _ in parts] == pytest.approx([0.0196, -0.0196], abs=1e-9)
+    moments = substep_moments((jump,), 0.0148, 0.0004, 1)
+    assert moments.first[0] == pytest.approx([0.5, 0.5])
+    assert [frame_at(jump, t).focus[0] for t in moments.times] == pytest.approx([0.0196, -0.0196], abs=1e-9)
     assert frame_at(stop, 0.0149).arp_factor == 1.0
     assert frame_at(stop, 0.0151).arp_factor == 0.0
     assert frame_at(stop, 0.0151).focus[0] == pytest.approx(0.02)

@@ -71,10 +71,10 @@ def encode(amplitude: ArrayLike, calibration: Calibration | None = None) -> byte
     that lag; 32 for off.
     Raises DeviceError for another shape or magnitude.
     """
-    wanted = np.asarray(amplitude, dtype=np.complex128)
-    if wanted.shape != (EMITTERS,):
-        raise DeviceError(f"a SonicSurface frame has shape {wanted.shape}; give ({EMITTERS},)")
-    magnitude = np.abs(wanted)
+    commanded = np.asarray(amplitude, dtype=np.complex128)
+    if commanded.shape != (EMITTERS,):
+        raise DeviceError(f"a SonicSurface frame has shape {commanded.shape}; give ({EMITTERS},)")
+    magnitude = np.abs(commanded)
     on = magnitude != 0
     bad = on & ~(np.abs(magnitude - 1) <= UNIT_TOLERANCE)
     if bad.any():
@@ -84,8 +84,8 @@ def encode(amplitude: ArrayLike, calibration: Calibration | None = None) -> byte
             "duty, so only 0 (off) and 1 (full) can be sent: use drive amplitude 1, or board ideal"
         )
     if calibration is not None:
-        wanted = wanted / calibration.response()
-    step = np.rint(STEPS * np.angle(wanted) / (2 * np.pi)).astype(np.int64)
+        commanded = commanded / calibration.response()
+    step = np.rint(STEPS * np.angle(commanded) / (2 * np.pi)).astype(np.int64)
     data = np.where(on, (step - LAG) % STEPS, OFF).astype(np.uint8)
     return bytes([START]) + data.tobytes() + bytes([SWAP])
 

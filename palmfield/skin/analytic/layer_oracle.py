@@ -167,7 +167,7 @@ def _hankel(f_Hz: Float, material: Material, h: float, spread: float, r: Float, 
     """u(r) = integral of C(k) s^2 exp(-k^2 s^2 / 2) J0(k r) k dk, by Gauss panels, doubled until they agree."""
     nodes, weights = np.polynomial.legendre.leggauss(8)
     end = 9.0 / spread
-    found = np.zeros((len(f_Hz), len(r)), dtype=complex)
+    response = np.zeros((len(f_Hz), len(r)), dtype=complex)
     left, previous = np.arange(len(f_Hz)), None
     for panels in (5, 10, 20, 50, 100, 200, 400, 800, 1600, 3200, 6400):
         edges = np.linspace(0.0, end, panels + 1)
@@ -179,10 +179,10 @@ def _hankel(f_Hz: Float, material: Material, h: float, spread: float, r: Float, 
         value = (compliance * load) @ j0(np.outer(k, r))
         if previous is not None:
             moving = np.abs(value - previous).max(axis=1) > settled * np.abs(value).max(axis=1)
-            found[left[~moving]] = value[~moving]
+            response[left[~moving]] = value[~moving]
             left, value = left[moving], value[moving]
             if len(left) == 0:
-                return found
+                return response
         previous = value
     raise SceneError(f"the layer's wave integral at {f_Hz[left[0]]} Hz does not settle; give it a damping branch")
 

@@ -101,9 +101,9 @@ def part_of(patch: Patch, kept: NDArray[np.bool_]) -> Patch:
     numbers, faces = np.unique(patch.faces[kept], return_inverse=True)
     corners: Int = faces.reshape(-1, 3).astype(np.int32)
     edges = np.sort(np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]]), axis=1)
-    once, count = np.unique(edges, axis=0, return_counts=True)
+    distinct, count = np.unique(edges, axis=0, return_counts=True)
     rim = np.zeros(len(numbers), dtype=bool)
-    rim[once[count == 1]] = True
+    rim[distinct[count == 1]] = True
     return replace(
         patch,
         vertices=patch.vertices[numbers],

@@ -223,18 +223,18 @@ class _Trial:
 
 def _defect(krylov: Krylov, load: KnownLoad, surface: Any) -> float:
     """Displacement of the residual over the displacement, of the steady motion, L2 over frequencies and surface."""
-    answers, residuals = [], []
+    responses, residuals = [], []
     for f_Hz, shares in load.spectrum:
         force = load.shapes @ np.column_stack([shares.real, shares.imag])
         weights = krylov.dynamics.weights(np.array([-2j * np.pi * f_Hz]))[0]
         small = sum(w * matrix for w, matrix in zip(weights, krylov.projected, strict=True))
         pushed = krylov.vectors.T @ force
-        answer = np.linalg.solve(small, pushed[:, 0] + 1j * pushed[:, 1])
-        answers.append(answer)
+        response = np.linalg.solve(small, pushed[:, 0] + 1j * pushed[:, 1])
+        responses.append(response)
         for w, product in zip(weights, krylov.products, strict=True):
-            moved = w * answer
+            moved = w * response
             force = force - product @ np.column_stack([moved.real, moved.imag])
         residuals.append(force)
     missed = surface @ krylov.factored.solve(np.hstack(residuals))
-    seen = (surface @ krylov.vectors) @ np.array(answers).T
+    seen = (surface @ krylov.vectors) @ np.array(responses).T
     return float(np.linalg.norm(missed) / np.linalg.norm(seen))

@@ -105,7 +105,7 @@ def reduce(
     omega = 2.0 * np.pi * (low + (high - low) * np.linspace(0.0, 1.0, points) ** 3)
     weights = dynamics.weights(0.5 * np.gradient(omega) + 1j * omega)
 
-    def answers() -> Complex:
+    def responses() -> Complex:
         """Y Z(s)^-1 B of the model along the line, shape (points, k, j)."""
         small = np.tensordot(weights, np.array(krylov.projected), axes=1)
         pushed = (krylov.vectors.T @ forces).astype(complex)
@@ -118,6 +118,6 @@ def reduce(
             raise SceneError("reduced model: the outputs do not move under the inputs: check B and Y")
         return float((np.linalg.norm(now - before, axis=(1, 2)) / scale).max())
 
-    _, error = grow_until(krylov, answers, change, tolerance, most_vectors)
+    _, error = grow_until(krylov, responses, change, tolerance, most_vectors)
     vectors = krylov.vectors
     return Reduced(Projection(krylov.projected, dynamics.materials, vectors.T @ forces, read @ vectors), error)

@@ -1,13 +1,12 @@
-"""`palmfield bench field`: speed and error of palmfield's field and of other programs, side by side."""
+"""`palmfield bench field`: speed and error of palmfield's field; a caller may put other programs beside it."""
 
 import functools
 import os
-import shutil
 import statistics
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,10 +23,10 @@ from palmfield.acoustics.focus import focus
 from palmfield.acoustics.reference import pressure64
 from palmfield.device import resolve
 from palmfield.errors import OutputError, PalmfieldError
-from palmfield.studies.bench import own, peers
+from palmfield.studies.bench import own
 from palmfield.studies.bench.chart import draw
-from palmfield.studies.bench.problem import Problem
-from palmfield.studies.bench.processes import ROOT, Measured, measure
+from palmfield.studies.bench.problem import MOST_RUNS, Problem
+from palmfield.studies.bench.processes import ROOT, Measured, PeerMethods, measure
 from palmfield.studies.bench.table import Head, Row, as_markdown, processor
 from palmfield.types import Air, Complex
 
@@ -53,41 +52,43 @@ POINTS, RUNS = 20_000, 5
 CHECKED = 20_000
 """Most points compared with float64, evenly taken from all."""
 
-OWN, PEERS = "palmfield.studies.bench.own", "palmfield.studies.bench.peers"
-METHODS = [(OWN, method) for method in own.METHODS] + [(PEERS, method) for method in peers.METHODS]
+OWN = "palmfield.studies.bench.own"
+COMMAND = "palmfield bench field"
 
 
 def main(
     out: Path | None = None,
     picture: Path | None = None,
-    peers_python: Path | None = None,
     device: str = "cpu",
     points: int = POINTS,
     runs: int = RUNS,
     only: str = "",
     commit: str = "",
+    *,
+    peers: PeerMethods | None = None,
 ) -> str:
     """Measure, draw and return the report; options of `palmfield bench field`.
 
     out: markdown file to write [default: none]; picture: PNG [default: none]
-    peers_python: interpreter with the peers, made by scripts/peers/setup.py [default: this one]
     device: where palmfield's own methods run: cpu or cuda:N
     points: roughly how many points a range has
     runs: how often each method runs, in turns with the others; medians are reported
     only: leave out methods whose names do not contain this text
     commit: for the report's head, where no git is [default: git's]
+    peers: other programs to be measured too [default: none]
     Raises PalmfieldError for options that can't be, and where a method fails; OutputError where a file can't be
     written: before anything is measured, or, if it comes to that afterwards only, once the report is printed.
     """
-    if not 1 <= runs < peers.PERIODS:
-        raise PalmfieldError(f"--runs has value {runs}; allowed: 1 to {peers.PERIODS - 1}")
+    if not 1 <= runs <= MOST_RUNS:
+        raise PalmfieldError(f"--runs has value {runs}; allowed: 1 to {MOST_RUNS}")
     if not 64 <= points <= 10_000_000:
         raise PalmfieldError(f"--points has value {points}; allowed: 64 to 10000000")
-    if peers_python is not None:
-        peers_python = interpreter(peers_python)
-    chosen = [(module, method) for module, method in METHODS if only in method.name]
+    methods = [(OWN, method) for method in own.METHODS]
+    if peers is not None:
+        methods += [(peers.module, method) for method in peers.methods]
+    chosen = [(module, method) for module, method in methods if only in method.name]
     if not chosen:
-        names = ", ".join(method.name for _, method in METHODS)
+        names = ", ".join(method.name for _, method in methods)
         raise PalmfieldError(f"--only '{only}' is in no method's name: use part of {names}")
     device = resolve(device)
     for option, path in (("--out", out), ("--picture", picture)):
@@ -108,19 +109,19 @@ def main(
 
             measured = [Measured(method, module) for module, method in chosen]
             with tempfile.TemporaryDirectory() as folder:
-                yard += run_range(measured, low, high, points, device, peers_python, runs, Path(folder), tick)
+                yard += run_range(measured, low, high, points, device, peers, runs, Path(folder), tick)
             rows += [row(one, text, problem_of(one.method.model, low, high, points, device)) for one in measured]
     options = {
         "--device": "" if device == "cpu" else device,
         "--points": "" if points == POINTS else str(points),
         "--runs": "" if runs == RUNS else str(runs),
         "--only": only and f"'{only}'",
-        "--peers-python": "PATH" if peers_python else "",
         "--out": "FILE" if out else "",
         "--picture": "FILE" if picture else "",
     }
+    command = COMMAND if peers is None else peers.command
     head = Head(
-        command=" ".join(["palmfield bench field", *(f"{key} {value}" for key, value in options.items() if value)]),
+        command=" ".join([command, *(f"{key} {value}" for key, value in options.items() if value)]),
         commit=commit or git_commit(),
         processor=processor(),
         device=device_name(device),
@@ -143,27 +144,6 @@ def main(
     return report
 
 
-def interpreter(python: Path) -> Path:
-    """The program that `python` names, in a folder of PATH if it is a bare name.
-
-    Raises PalmfieldError where it doesn't run or has no NumPy, which every method needs.
-    """
-    program = shutil.which(python)
-    if program is None:
-        raise PalmfieldError(f"--peers-python {python} is no program: make one with scripts/peers/setup.py")
-    try:
-        alone = {**os.environ, "PYTHONPATH": ""}
-        found = subprocess.run([program, "-c", "import numpy"], capture_output=True, text=True, env=alone)
-    except OSError as error:
-        raise PalmfieldError(f"--peers-python {python} does not run: {error.strerror}; give an interpreter") from error
-    if found.returncode != 0:
-        words = (found.stderr.strip().splitlines() or ["no message"])[-1]
-        raise PalmfieldError(
-            f"--peers-python {python} can't import NumPy ({words}): make one with scripts/peers/setup.py"
-        )
-    return Path(program)
-
-
 def check_writable(option: str, path: Path) -> None:
     """Make the file's folder. Raises OutputError where the file can't be written."""
     try:
@@ -184,7 +164,7 @@ def run_range(
     high_m: float,
     points: int,
     device: str,
-    peers_python: Path | None,
+    peers: PeerMethods | None,
     runs: int,
     folder: Path,
     tick: Callable[[str], None],
@@ -194,12 +174,14 @@ def run_range(
     for model, path in files.items():
         problem_of(model, low_m, high_m, points, device).save(path)
 
-    here = (Path(sys.executable), ROOT)
-    # The peers' environment sees palmfield alone, not the libraries that may be installed beside it
-    alone = folder / "alone"
-    alone.mkdir()
-    (alone / "palmfield").symlink_to(ROOT / "palmfield")
-    places = {OWN: here, PEERS: here if peers_python is None else (peers_python, alone)}
+    here = Path(sys.executable)
+    places: dict[str, tuple[Path, Sequence[Path]]] = {OWN: (here, [ROOT])}
+    if peers is not None:
+        # Another environment sees palmfield alone, not the libraries that may be installed beside it
+        alone = folder / "alone"
+        alone.mkdir()
+        (alone / "palmfield").symlink_to(ROOT / "palmfield")
+        places[peers.module] = (peers.python, [ROOT if peers.python == here else alone, peers.folder])
     return measure(measured, files, places, runs, folder, tick)
 
 
@@ -251,12 +233,12 @@ def row(one: Measured, text: str, problem: Problem) -> Row:
     if one.missing:
         return result
     every = stride(problem)
-    found, slope_error = one.result[::every], None
+    computed, slope_error = one.result[::every], None
     pressure, gradient = reference(problem)
-    if found.ndim == 2:
-        slope_error = relative(found[:, 1:], gradient)
-        found = found[:, 0]
-    magnitude = not np.iscomplexobj(found)
+    if computed.ndim == 2:
+        slope_error = relative(computed[:, 1:], gradient)
+        computed = computed[:, 0]
+    magnitude = not np.iscomplexobj(computed)
     pairs = float(np.prod(problem.steps)) * len(problem.positions)
     on_cores = one.module != OWN or problem.device == "cpu"
     return replace(
@@ -266,7 +248,7 @@ def row(one: Measured, text: str, problem: Problem) -> Row:
         clock_s=one.median_clock_s,
         pairs_per_s=pairs / one.median_clock_s,
         pairs_per_core_s=pairs / one.median_core_s if on_cores else None,
-        error=relative(found, np.abs(pressure) if magnitude else pressure),
+        error=relative(computed, np.abs(pressure) if magnitude else pressure),
         gradient_error=slope_error,
         magnitude=magnitude,
         memory_MiB=one.memory_MiB,
@@ -287,9 +269,9 @@ def reference(problem: Problem) -> tuple[Complex, Complex]:
     return pressure, gradient
 
 
-def relative(found: Any, expected: Any) -> float:
+def relative(computed: Any, expected: Any) -> float:
     """Relative difference in the L2 norm."""
-    return float(np.linalg.norm(found - expected) / np.linalg.norm(expected))
+    return float(np.linalg.norm(computed - expected) / np.linalg.norm(expected))
 
 
 def device_name(device: str) -> str:

@@ -31,9 +31,9 @@ def pressure(state: State) -> NDArray[np.complex64]:
 
 def pressure_gradient(state: State) -> NDArray[np.complex64]:
     field, points, drive = state
-    found = field.pressure(points, drive, gradient=True)
-    assert found.gradient is not None
-    return np.column_stack([found.pressure, found.gradient])
+    result = field.pressure(points, drive, gradient=True)
+    assert result.gradient is not None
+    return np.column_stack([result.pressure, result.gradient])
 
 
 ALL_CORES = "palmfield, all cores"

@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 from palmfield.types import Array, Complex, Float, Float32
 
+MOST_RUNS = 63
+"""Most runs of a benchmark: programs that record a signal ahead need to know how much of it will be asked for."""
+
 
 @dataclass(frozen=True, eq=False)
 class Problem:

@@ -7,7 +7,7 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -52,17 +52,32 @@ class Measured:
         return statistics.median(self.core_s)
 
 
+@dataclass(frozen=True)
+class PeerMethods:
+    """Methods of other programs, to be measured beside palmfield's own.
+
+    methods: as the METHODS of `module`, a Python module in `folder` that needs palmfield for problem and types only
+    python: interpreter that has the programs; command: what makes this comparison, for the report's head
+    """
+
+    methods: Sequence[Method]
+    module: str
+    folder: Path
+    python: Path
+    command: str
+
+
 class Process:
     """A worker, asked by lines and answering by lines of JSON. A context, at whose end it is stopped.
 
-    python, path: interpreter, and the folder on its path that holds palmfield
+    python, folders: interpreter, and the folders on its path that hold palmfield and the method's module
     words: file for what it writes to standard error
     """
 
-    def __init__(self, python: Path, path: Path, one: Measured, problem: Path, words: Path) -> None:
+    def __init__(self, python: Path, folders: Sequence[Path], one: Measured, problem: Path, words: Path) -> None:
         self.name = one.method.name
         self.words = words
-        paths = [str(path)]
+        paths = [str(folder) for folder in folders]
         if python == Path(sys.executable) and os.environ.get("PYTHONPATH"):
             paths.append(os.environ["PYTHONPATH"])
         with words.open("w") as stream:
@@ -127,7 +142,7 @@ def cores() -> float:
 def measure(
     methods: list[Measured],
     problems: dict[str, Path],
-    places: dict[str, tuple[Path, Path]],
+    places: dict[str, tuple[Path, Sequence[Path]]],
     runs: int,
     folder: Path,
     tick: Callable[[str], None],
@@ -135,7 +150,7 @@ def measure(
     """Prepare and run every method `runs` times in turns, and fill `methods`; returns `yardstick` and `cores` by turn.
 
     problems: file of the Problem by model
-    places: interpreter and folder on its path by module of the method
+    places: interpreter and folders on its path by module of the method
     folder: where the results pass through
     tick: called after each step with the method's name; runs + 1 steps a method
     """

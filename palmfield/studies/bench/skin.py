@@ -1,13 +1,9 @@
-"""Skin solvers side by side on one slab and load: ours at several accuracies, other programs on several meshes."""
+"""Skin solvers side by side on one slab and load, at several accuracies; a caller may put other programs with them."""
 
-import importlib.util
-import json
 import os
 import statistics
-import subprocess
-import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -24,8 +20,8 @@ from palmfield.errors import OutputError, PalmfieldError
 from palmfield.outputs.style import save, style
 from palmfield.skin.problem import Motion, Sheet, Slab, Spot
 from palmfield.skin.solver_choice import Name, solve
-from palmfield.studies.bench.field import check_writable, device_name, git_commit, interpreter
-from palmfield.studies.bench.processes import ONE_THREAD, ROOT, yardstick
+from palmfield.studies.bench.field import check_writable, device_name, git_commit
+from palmfield.studies.bench.processes import yardstick
 from palmfield.studies.bench.skin_case import CASE, Case, F_Hz
 from palmfield.studies.bench.table import processor
 
@@ -39,13 +35,7 @@ ACCURACIES = {
 }
 """What each of our solvers is asked for."""
 
-PEERS = {
-    "scikit_fem": ("scikit-fem, quadratic", "skfem", ((4, 2), (6, 3), (8, 4))),
-    "warp_fem": ("warp.fem, quadratic", "warp", ((4, 2), (6, 3), (8, 4))),
-    "mujoco_flex": ("MuJoCo flex, trilinear", "mujoco", ((4, 2), (8, 3), (12, 4))),
-}
-"""Of each other program: its name here, the module that it needs, cells along a side and layers."""
-
+COMMAND = "palmfield bench skin"
 MARKERS = "o^sDvP*X"
 END_s, LAST_s = 0.1, 0.02
 RADIUS_M = 0.06
@@ -70,6 +60,19 @@ class Row:
     @property
     def worst(self) -> float:
         return max(error for error in (self.static, self.moving, 0.0) if error is not None)
+
+
+@dataclass(frozen=True)
+class PeerSolutions:
+    """Other programs on the same case, to be put beside our solvers.
+
+    jobs: what solves, by name in the table; about: what the head of the report says of them
+    command: what makes this comparison, for the head too
+    """
+
+    jobs: Sequence[tuple[str, Callable[[], Row]]]
+    about: str
+    command: str
 
 
 def own(case: Case, name: str, accuracy: float, device: str, runs: int) -> Row:
@@ -100,31 +103,15 @@ def own(case: Case, name: str, accuracy: float, device: str, runs: int) -> Row:
     )  # fmt: skip
 
 
-def peer(case: Case, function: str, cells: int, layers: int, python: Path) -> Row:
-    """Another program, in a process of its own under `python`; its second run counts, with all compiled."""
-    name, module, _ = PEERS[function]
-    size = f"{cells} cells, {layers} layers"
-    command: list[str | Path] = [python, "-m", "palmfield.studies.bench.skin_peers", function, str(cells), str(layers)]
-    environment = {**os.environ, **ONE_THREAD, "PYTHONPATH": str(ROOT)}
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False, cwd=ROOT)
-    if done.returncode != 0:
-        words = (done.stderr.strip().splitlines() or ["no message"])[-1]
-        return Row(name, size, missing=f"{words} (needs {module})")
-    answer = json.loads(done.stdout.strip().splitlines()[-1])
-    still, exact = case.exact()
-    moving = None if answer["moving"] is None else abs(complex(*answer["moving"]) / exact - 1.0)
-    static = None if answer["static"] is None else abs(answer["static"] / still - 1.0)
-    return Row(name, f"{size}, {answer['unknowns']} unknowns", answer["seconds"], static, moving)
-
-
 def main(
     out: Path | None = None,
     picture: Path | None = None,
-    peers_python: Path | None = None,
     device: str = "cpu",
     runs: int = 3,
     only: str = "",
     commit: str = "",
+    *,
+    peers: PeerSolutions | None = None,
 ) -> str:
     """Measure, draw and return the report; options of `palmfield bench skin`, as for
     `palmfield.studies.bench.field.main`.
@@ -136,19 +123,15 @@ def main(
     for option, path in (("--out", out), ("--picture", picture)):
         if path is not None:
             check_writable(option, path)
-    elsewhere = interpreter(peers_python) if peers_python is not None else None
     device = resolve(device)
     jobs: list[tuple[str, Callable[[], Row]]] = []
     for name, accuracies in ACCURACIES.items():
         jobs += [(f"palmfield {name}", partial(own, CASE, name, accuracy, device, runs)) for accuracy in accuracies]
-    for function, (name, module, meshes) in PEERS.items():
-        here = importlib.util.find_spec(module) is not None
-        python = Path(sys.executable) if here or elsewhere is None else elsewhere
-        jobs += [(name, partial(peer, CASE, function, *mesh, python)) for mesh in meshes]
+    jobs += peers.jobs if peers is not None else []
+    names = list(dict.fromkeys(name for name, _ in jobs))
     jobs = [job for job in jobs if only in job[0]]
     if not jobs:
-        names = ", ".join([*(f"palmfield {name}" for name in ACCURACIES), *(name for name, _, _ in PEERS.values())])
-        raise PalmfieldError(f"--only '{only}' is in no method's name: use part of {names}")
+        raise PalmfieldError(f"--only '{only}' is in no method's name: use part of {', '.join(names)}")
     rows = []
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress, threadpool_limits(1):
@@ -158,7 +141,7 @@ def main(
             progress.update(task, description=name)
             rows.append(job())
             progress.update(task, advance=1)
-    report = as_markdown(rows, device, yard_s, commit or git_commit(), picture, out)
+    report = as_markdown(rows, device, yard_s, commit or git_commit(), picture, out, peers)
     try:
         if out is not None:
             out.write_text(report)
@@ -171,12 +154,18 @@ def main(
 
 
 def as_markdown(
-    rows: list[Row], device: str, yard_s: float, commit: str, picture: Path | None, out: Path | None
+    rows: list[Row],
+    device: str,
+    yard_s: float,
+    commit: str,
+    picture: Path | None,
+    out: Path | None,
+    peers: PeerSolutions | None = None,
 ) -> str:
     lines = [
         "# Skin solvers side by side",
         "",
-        "    palmfield bench skin --peers-python PATH --out FILE --picture FILE",
+        f"    {COMMAND if peers is None else peers.command} --out FILE --picture FILE",
         "",
         f"{processor()}, one thread; palmfield on {device_name(device)}; commit {commit}. Yardstick: one float64 "
         f"product of 1000 x 1000 matrices took {1e3 * yard_s:.1f} ms.",
@@ -186,9 +175,7 @@ def as_markdown(
         f"waves in depth. Ours run {END_s:g} s of amplitude modulation from rest, with their own estimate (which takes "
         "a second solution) and, where it misses, a finer one; answers come from the last "
         f"{1e3 * LAST_s:g} ms. disc and particles take a disc of {1e3 * RADIUS_M:g} mm radius, the others a piece of "
-        f"their own choice. Other programs solve once at rest and once at {F_Hz:g} Hz on a quarter of "
-        f"{1e3 * RADIUS_M:g} mm; MuJoCo's flex settles on a whole one, with the moduli of the solid at rest, and has "
-        "no answer in time. Times without compiling.",
+        "their own choice. " + (f"{peers.about} " if peers is not None else "") + "Times without compiling.",
         "",
         "| method | size | seconds | error at rest | error at 200 Hz | stated |",
         "|---|---|---|---|---|---|",

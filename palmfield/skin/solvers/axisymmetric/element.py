@@ -107,7 +107,7 @@ class DiscGrid:
     def __init__(self, body: Slab, radial: Line, depth: Line, sheet: Int) -> None:
         self.body, self.radial, self.depth = body, radial, depth
         r, weight, _ = radial.rule(radial.degree + 2)
-        self._r, self._weight = r, weight * r
+        self._weight = weight * r
         self._shape = {"N": radial.values(r), "D": radial.values(r, 1), "T": radial.values(r) / r[:, None]}
         z, across, element = depth.rule(depth.degree + 1)
         shapes = depth.values(z), depth.values(z, 1)

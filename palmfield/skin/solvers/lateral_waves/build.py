@@ -95,8 +95,8 @@ def build_waves(
             return np.interp(k, rings, sizes)
 
     def modes_at(k: float) -> FaceModes:
-        heard = float(profile(np.array([k]))[0] / profile(np.zeros(1))[0])
-        tolerance = MODES * min(resolution.tolerance / max(heard, 1e-12), LOOSEST)
+        share = float(profile(np.array([k]))[0] / profile(np.zeros(1))[0])
+        tolerance = MODES * min(resolution.tolerance / max(share, 1e-12), LOOSEST)
         problem = depth_problem(body, k, resolution.degrees(body, k))
         return still_modes(problem) if still else face_modes(problem, horizon_s, tolerance)
 

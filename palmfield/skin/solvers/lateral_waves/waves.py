@@ -130,12 +130,12 @@ def plane_sum(vectors: Float, values: Complex, points: Float) -> Float:
         x, y, place_x, place_y = grid
         along, turned = np.exp(1j * np.outer(x, vectors[:, 0])), np.outer(vectors[:, 1], y)
         across = np.concatenate([np.cos(turned), np.sin(turned)])
-        found = np.empty((len(values), len(points)))
+        sums = np.empty((len(values), len(points)))
         for number, row in enumerate(values):
             left = along * row
             # A real product of twice the length: half the work of a complex one whose imaginary part nobody wants
-            found[number] = (np.concatenate([left.real, -left.imag], axis=1) @ across)[place_x, place_y]
-        return found
+            sums[number] = (np.concatenate([left.real, -left.imag], axis=1) @ across)[place_x, place_y]
+        return sums
     result = np.empty((len(values), len(points)))
     step = max(1, BLOCK // len(vectors))
     for start in range(0, len(points), step):

@@ -14,8 +14,9 @@ import numpy as np
 from scipy.sparse.linalg import splu
 from threadpoolctl import threadpool_limits
 
+from palmfield.skin.materials.material import complex_bulk, complex_shear
 from palmfield.skin.problem import GAUSSIAN
-from palmfield.studies.bench.skin_case import CASE, Case, F_Hz, graded, pressure
+from palmfield.studies.bench.skin_case import CASE, Case, F_Hz
 
 MeshSolution = tuple[float | None, complex | None, int]
 HALF_M = 0.06
@@ -23,6 +24,32 @@ HALF_M = 0.06
 PUSH_Pa = 1.0
 """Small against the moduli: flexes are non-linear."""
 SETTLE_STEPS = 200
+
+
+def graded(half_m: float, cells: int, depth_m: float, layers: int) -> tuple[list[float], list[float]]:
+    """Coordinates [m] of a graded quarter box: from the spot's centre outwards, and from the base up to the face at 0.
+
+    Cells grow in geometric series, to eight times along the face and to three times through the depth.
+    """
+
+    def series(length: float, count: int, growth: float) -> list[float]:
+        ratio = growth ** (1.0 / max(count - 1, 1))
+        edges = np.concatenate([[0.0], np.cumsum(ratio ** np.arange(count))])
+        return (length * edges / edges[-1]).tolist()
+
+    along = series(half_m, cells, 8.0)
+    down = [-z for z in series(depth_m, layers, 3.0)][::-1]
+    return along, down
+
+
+def pressure(case: Case, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """The spot of 1 Pa, centred on the z axis."""
+    return np.exp(-GAUSSIAN * (x**2 + y**2) / case.fwhm_m**2)
+
+
+def moduli(case: Case, f_Hz: float) -> tuple[complex, complex]:
+    """Shear and bulk modulus [Pa] under e^{-i w t}."""
+    return complex_shear(case.material, f_Hz), complex_bulk(case.material, f_Hz)
 
 
 def scikit_fem(case: Case, cells: int, layers: int) -> MeshSolution:
@@ -69,10 +96,9 @@ def scikit_fem(case: Case, cells: int, layers: int) -> MeshSolution:
 
 def warp_fem(case: Case, cells: int, layers: int) -> MeshSolution:
     """warp.fem: quadratic hexahedra (27 nodes) on the same graded quarter, in float32, solved by SciPy."""
+    import skin_warp_forms as forms
     import warp as wp
     from warp import fem
-
-    from palmfield.studies.bench import skin_warp_forms as forms
 
     along, down = (np.array(values) for values in graded(HALF_M, cells, case.depth_m, layers))
     points = np.stack(np.meshgrid(along, along, down, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -117,7 +143,7 @@ def mujoco_flex(case: Case, cells: int, layers: int) -> MeshSolution:
     """
     import mujoco
 
-    shear, bulk = (modulus.real for modulus in case.moduli(0.0))
+    shear, bulk = (modulus.real for modulus in moduli(case, 0.0))
     young = 9.0 * bulk * shear / (3.0 * bulk + shear)
     poisson = (3.0 * bulk - 2.0 * shear) / (2.0 * (3.0 * bulk + shear))
     count = 2 * cells + 1
@@ -166,7 +192,7 @@ def _solve(case: Case, matrices: list[Any], force: np.ndarray, read: int) -> tup
     deviatoric, volumetric, inertia = matrices
     answers = []
     for f_Hz in (0.0, F_Hz):
-        shear, bulk = case.moduli(f_Hz)
+        shear, bulk = moduli(case, f_Hz)
         mass = case.material.density_kg_m3 * (2.0 * math.pi * f_Hz) ** 2
         matrix = shear * deviatoric + bulk * volumetric - mass * inertia
         if f_Hz == 0.0:

@@ -1,4 +1,4 @@
-"""Other programs that compute the same field, for the benchmark and for reference arrays. Nothing of palmfield's
+"""Other programs that compute the same field, for the comparison and for reference arrays. Nothing of palmfield's
 acoustics is used here; autd3-emulator, levitate and numba may be missing or live in an environment of their own
 (scripts/peers/setup.py makes one).
 """
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from palmfield.studies.bench.problem import Method, Problem
+from palmfield.studies.bench.problem import MOST_RUNS, Method, Problem
 from palmfield.types import Float
 
 CHUNK = 256
@@ -22,8 +22,8 @@ UNIT = 249
 EMULATOR_P0_PA_M = 275.574246625 * 0.2 / (4.0 * math.pi)
 """Peak pressure at 1 m that autd3-emulator 0.12 gives a transducer: its T4010A1 amplitude over 4 pi [Pa m]."""
 
-PERIODS = 64
-"""Periods of ultrasound recorded by the emulator: more than the runs of a benchmark."""
+PERIODS = MOST_RUNS + 1
+"""Periods of ultrasound recorded by the emulator: one a run, and one before anything is measured."""
 
 
 def numpy_prepare(problem: Problem) -> tuple[Problem, NDArray[np.float32], NDArray[np.float32]]:
@@ -157,7 +157,7 @@ def numba_prepare(polynomial: bool) -> Callable[[Problem], Any]:
     """A `prepare` with numba kernels: sine, cosine and exponential of the C library, or short polynomials."""
 
     def prepare(problem: Problem) -> Any:
-        from palmfield.studies.bench.numba_kernels import libm, polynomials
+        from numba_kernels import libm, polynomials
 
         single = np.float32
         strength = problem.p0_Pa_m * problem.drive

@@ -1,0 +1,109 @@
+"""What a user should know before the run, in words."""
+
+import math
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from palmfield.acoustics import validity
+from palmfield.session.error_budget import stimulus_of
+from palmfield.session.planning.costs import scatterings
+from palmfield.session.planning.facts import first_drive
+from palmfield.session.preview import Preview
+from palmfield.simulation.model import HapticModel, StimulusModel
+from palmfield.skin.from_config import cutoff_Hz
+from palmfield.stimulus.schedule import frames_at, main_frequencies, turn_rate_Hz
+from palmfield.types import Float
+
+COURSE, POSES = 64, 16
+"""Points of a path, and poses of hands that scripts move, in which its distance from a skin is looked at."""
+
+
+def advice(view: Preview) -> list[str]:
+    """Warnings, each once."""
+    model = view.runtime.model
+    result = [text for number in range(len(model.skins)) for text in _far_focus(view, number)]
+    for stimulus in model.stimuli:
+        result += _path_off_the_skin(model, stimulus)
+    for scattering in scatterings(view):
+        if scattering.moves:
+            total_s = scattering.solutions * scattering.solution_s
+            result.append(
+                f"body_sound scattering on body '{scattering.body}', which can move: each pose takes about "
+                f"{scattering.solution_s:.2g} s, {scattering.solutions} poses {total_s:.0f} s"
+            )
+    for number in range(len(model.skins)):
+        result += _below_cutoff(model, number)
+    for number, stimulus in enumerate(model.stimuli):
+        focus = stimulus.first_focus
+        pressure = model.arrays.pressure64(focus[None], first_drive(model, number))
+        result += validity.warnings(model.arrays.array, focus, pressure, model.arrays.air)
+    return list(dict.fromkeys(result))
+
+
+def _far_focus(view: Preview, number: int) -> list[str]:
+    """Whether no focus comes near a skin, now or where scripts take it."""
+    model = view.runtime.model
+    skin = model.skins[number]
+    numbers = range(len(model.stimuli))
+    active = [i for i in numbers if not model.stimuli[i].silent] or list(numbers)
+    limit = max(skin.layer.demand.spot_fwhm_m, 2 * skin.layer.sizes.edge_coarse_m)
+    least, name = math.inf, ""
+    for posed in view.poses(POSES):
+        nodes = cKDTree(posed.skins[number].nodes[0])
+        for i in active:
+            places = posed.focal_points(model.stimuli[i], i)
+            foci = [np.atleast_2d(places.at(point)) for point in _course(model.stimuli[i])]
+            distance = float(nodes.query(np.concatenate(foci))[0].min())
+            if distance <= limit:
+                return []
+            if distance < least:
+                least, name = distance, model.stimuli[i].spec.name
+    return [
+        f"no focus comes near skin '{skin.spec.name}': that of stimulus '{name}' stays {1e3 * least:.0f} mm away from "
+        "the skin layer, which then hardly moves"
+    ]
+
+
+def _course(stimulus: StimulusModel) -> Float:
+    """Some of a stimulus's points over one turn of its path, shape (k, 3)."""
+    config = stimulus.config
+    rate = turn_rate_Hz(config)
+    count = COURSE if rate else 1
+    times: Float = config.start_s + np.arange(count) / (count * (rate or 1.0))
+    return frames_at(config, times)[0]
+
+
+def _path_off_the_skin(model: HapticModel, stimulus: StimulusModel) -> list[str]:
+    """Whether a path on the skin leaves the layers on its body."""
+    if stimulus.path is None or stimulus.spec.on_skin is None:
+        return []
+    body = model.skins[stimulus.spec.on_skin].body
+    carrier = model.bodies[body]
+    assert carrier.surface is not None
+    layers = [model.skins[number] for number in model.carried(body)]
+    path = stimulus.path.positions(stimulus.path.arc_m, carrier.surface.vertices, carrier.surface.faces)
+    distances = np.array([cKDTree(skin.nodes[0]).query(path)[0] / skin.layer.sizes.edge_coarse_m for skin in layers])
+    beyond = distances.min(axis=0) > 2.0
+    if not beyond.any():
+        return []
+    first = 1e3 * stimulus.path.arc_m[beyond.argmax()]
+    whose = f" of stimulus '{stimulus.spec.name}'" if len(model.stimuli) > 1 else ""
+    return [
+        f"{100 * beyond.mean():.0f} % of the path's points{whose}, from {first:.0f} mm on, have no skin layer under "
+        "them: necks narrower than its coarse edges are left out; set element_m smaller, or another patch_site"
+    ]
+
+
+def _below_cutoff(model: HapticModel, number: int) -> list[str]:
+    skin = model.skins[number]
+    cutoff = cutoff_Hz(skin.spec.config, skin.layer.sheets, float(np.median(skin.layer.patch.depth)))
+    frequencies = main_frequencies(model.stimuli[stimulus_of(model, number)].config)
+    low = [f for f in frequencies if cutoff is not None and f < cutoff]
+    if not low:
+        return []
+    layer = "the skin layer" if len(model.skins) == 1 else f"the skin layer of '{skin.spec.name}'"
+    return [
+        f"no waves are promised at {', '.join(f'{f:g}' for f in low)} Hz: {layer} carries none below its "
+        f"cut-off c_s/4h = {cutoff:.0f} Hz, so that the motion stays near the focus"
+    ]

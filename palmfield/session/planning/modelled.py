@@ -1,0 +1,130 @@
+"""What a plan says is modelled, and how."""
+
+from palmfield.acoustics.arp import LAWS
+from palmfield.acoustics.body_scattering import BODY_SOUNDS
+from palmfield.session.error_budget import RATIO
+from palmfield.session.planning.costs import estimate_s
+from palmfield.session.planning.facts import pushed_faces, qualities
+from palmfield.session.planning.rows import Row
+from palmfield.simulation.emission import array_drives
+from palmfield.simulation.known_load import SHARE
+from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
+from palmfield.skin.from_config import sheets_in_words
+from palmfield.skin.materials.material import shear_wave
+
+
+def modelled(model: HapticModel, duration_s: float) -> list[Row]:
+    """Rows of what is modelled in a run of this length [s], in the order of the pipeline."""
+    skin_points = sum(6 * len(skin.layer.mesh.surface_triangles6) for skin in model.skins)
+    surface = f"{skin_points} skin points"
+    if pushed_faces(model):
+        surface += f", {pushed_faces(model)} faces of the surface for the force"
+    rows = [
+        Row(
+            "sound field",
+            f"{len(model.arrays)} transducers, {surface}",
+            f"pressure and gradient where the surface is, no volume; {_directivity(model)}; air absorption; on "
+            f"{model.spec.device} (palmfield_device)",
+        )
+    ]
+    for number, stimulus in enumerate(model.stimuli):
+        level = array_drives(model, model.arrays)[number].unit_drive(stimulus.first_focus).level
+        about = f"board {model.board.name}: {model.board.description}"
+        rows.append(Row("drive", f"amplitude {level:.3f} of full", about, stimulus.spec.name))
+    for skin in model.skins:
+        law = skin.spec.config.arp_law
+        rows.append(Row("ARP", f"law {law}", LAWS[law].about, skin.spec.name))
+    for skin in model.skins:
+        sound = skin.spec.config.body_sound
+        rows.append(Row("sound at the body", f"body_sound {sound}", BODY_SOUNDS[sound], skin.spec.name))
+    for stimulus in model.stimuli:
+        rows += _ring_up(model, stimulus)
+    for skin in model.skins:
+        rows += _layer(skin)
+    substeps = round(duration_s / model.step_s)
+    rows.append(
+        Row(
+            "time",
+            f"{substeps} steps of {1e3 * model.step_s:.3g} ms in MuJoCo steps of {1e3 * model.spec.timestep_s:.3g} ms",
+            "the sound or the pose changes, so a static answer will not do",
+        )
+    )
+    return rows + [_solver(skin, model.still_m[skin.body]) for skin in model.skins]
+
+
+def _layer(skin: SkinModel) -> list[Row]:
+    layer, name = skin.layer, skin.spec.name
+    sizes, demand, depth = layer.sizes, layer.demand, layer.patch.depth
+    speed, _ = shear_wave(layer.sheets[0].material, demand.max_frequency_Hz)
+    share = layer.patch.report.get("share_thinned", 0.0)
+    thinned = f", thinner than asked at {100 * share:.0f} % of its vertices (curved rims and webs)" if share else ""
+    base = "on a foundation" if skin.spec.config.foundation else skin.spec.config.base
+    return [
+        Row(
+            "skin layer",
+            f"radius {1e3 * sizes.radius_m:.0f} mm, {1e3 * depth.min():.1f}-{1e3 * depth.max():.1f} mm deep",
+            f"the part of the surface where waves matter at this accuracy{thinned}; sides "
+            f"{skin.spec.config.side}, base {base}; of " + sheets_in_words(layer.sheets),
+            name,
+        ),
+        Row(
+            "elements",
+            f"{len(layer.mesh.elements)} quadratic wedges, {layer.dofs} unknowns, edge "
+            f"{1e3 * sizes.edge_fine_m:.1f}-{1e3 * sizes.edge_coarse_m:.1f} mm, "
+            f"{len(sizes.depth_fractions) - 1} through the depth",
+            f"spot {1e3 * demand.spot_fwhm_m:.1f} mm wide, shear wave {1e3 * speed / demand.max_frequency_Hz:.0f} mm "
+            f"long at {demand.max_frequency_Hz:.0f} Hz",
+            name,
+        ),
+        Row(
+            "error estimate",
+            f"about {estimate_s(skin):.0f} s",
+            f"the same load on elements {RATIO} x smaller or larger, static and harmonic",
+            name,
+        ),
+    ]
+
+
+def _solver(skin: SkinModel, still_m: float) -> Row:
+    """Which stepper steps a skin, and why; still_m: how far its body may move and count as still [m]."""
+    choice, config, name = skin.choice, skin.spec.config, skin.spec.name
+    if choice.name == "wedges":
+        why = f"implicit on the whole layer, factorised once; {choice.why}"
+        return Row("skin solver wedges", f"about {choice.seconds:.0f} s", why, name)
+    return Row(
+        "skin solver reduced",
+        f"about {choice.seconds:.0f} s, wedges about {choice.wedges_s:.0f} s",
+        f"{choice.why}; made for this stimulus, to {100 * SHARE * config.accuracy:.2g} %, while body, arrays and "
+        f"focus move by less than {1e6 * still_m:.0f} um; beyond, "
+        + ("the run ends" if config.solver == "reduced" else "the whole layer goes on by wedges"),
+        name,
+    )
+
+
+def _directivity(model: HapticModel) -> str:
+    """What the transducers are off their axes, in words."""
+    words = []
+    for group in model.arrays.groups:
+        if group.array.directivity_table is not None:
+            words.append("measured directivity")
+        elif group.array.piston_radius_m == 0.0:
+            words.append("point sources")
+        else:
+            words.append(f"pistons of {1e3 * group.array.piston_radius_m:g} mm radius")
+    return " and ".join(words)
+
+
+def _ring_up(model: HapticModel, stimulus: StimulusModel) -> list[Row]:
+    response = stimulus.response
+    if not response.on:
+        return []
+    spread = f", flight times spread over {1e3 * response.spread_s:.2f} ms" if response.delayed else ""
+    return [
+        Row(
+            "transducers' ring-up",
+            f"one pole each, {qualities(model, stimulus)}{spread}",
+            f"without, the pressure would be off by {response.ring_up}, measured on samples of the drive"
+            + (f"; without the flight times by {response.flight_time}" if spread else ""),
+            stimulus.spec.name,
+        )
+    ]

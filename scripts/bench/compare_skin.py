@@ -1,0 +1,79 @@
+r"""Skin solvers and other programs side by side on one slab: `palmfield bench skin` with peers. Takes some minutes.
+
+    python scripts/bench/compare_skin.py --peers-python PEERS/bin/python \
+        --out docs/bench/skin.md --picture docs/images/bench_skin.png
+
+scripts/peers/setup.py makes PEERS; a program that is not installed is named as such.
+"""
+
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import peers_python
+
+from palmfield.studies.bench import skin
+from palmfield.studies.bench.processes import ONE_THREAD, ROOT
+from palmfield.studies.bench.skin import PeerSolutions, Row
+from palmfield.studies.bench.skin_case import CASE, Case, F_Hz
+
+PEERS = {
+    "scikit_fem": ("scikit-fem, quadratic", "skfem", ((4, 2), (6, 3), (8, 4))),
+    "warp_fem": ("warp.fem, quadratic", "warp", ((4, 2), (6, 3), (8, 4))),
+    "mujoco_flex": ("MuJoCo flex, trilinear", "mujoco", ((4, 2), (8, 3), (12, 4))),
+}
+"""Of each other program: its name here, the module that it needs, cells along a side and layers."""
+ABOUT = (
+    f"Other programs solve once at rest and once at {F_Hz:g} Hz on a quarter of {1e3 * skin.RADIUS_M:g} mm; MuJoCo's "
+    "flex settles on a whole one, with the moduli of the solid at rest, and has no answer in time."
+)
+COMMAND = "python scripts/bench/compare_skin.py"
+PROGRAM = Path(__file__).resolve().parent / "skin_peers.py"
+
+
+def peer(case: Case, function: str, cells: int, layers: int, python: Path) -> Row:
+    """Another program, in a process of its own under `python`; its second run counts, with all compiled."""
+    name, module, _ = PEERS[function]
+    size = f"{cells} cells, {layers} layers"
+    environment = {**os.environ, **ONE_THREAD, "PYTHONPATH": str(ROOT)}
+    command: list[str | Path] = [python, PROGRAM, function, str(cells), str(layers)]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False, cwd=ROOT)
+    if done.returncode != 0:
+        words = (done.stderr.strip().splitlines() or ["no message"])[-1]
+        return Row(name, size, missing=f"{words} (needs {module})")
+    answer = json.loads(done.stdout.strip().splitlines()[-1])
+    still, exact = case.exact()
+    moving = None if answer["moving"] is None else abs(complex(*answer["moving"]) / exact - 1.0)
+    static = None if answer["static"] is None else abs(answer["static"] / still - 1.0)
+    return Row(name, f"{size}, {answer['unknowns']} unknowns", answer["seconds"], static, moving)
+
+
+def report(python: Path | None = None, **options: Any) -> str:
+    """Measure, draw and return the report; options and errors as `palmfield.studies.bench.skin.main`.
+
+    python: interpreter for programs that this one lacks [default: none]
+    Raises PalmfieldError also for an interpreter that doesn't run or has no NumPy.
+    """
+    elsewhere = None if python is None else peers_python.interpreter(python)
+    jobs = []
+    for function, (name, module, meshes) in PEERS.items():
+        here = importlib.util.find_spec(module) is not None
+        program = Path(sys.executable) if here or elsewhere is None else elsewhere
+        jobs += [(name, partial(peer, CASE, function, *mesh, program)) for mesh in meshes]
+    command = COMMAND if python is None else f"{COMMAND} --peers-python PATH"
+    return skin.main(**options, peers=PeerSolutions(jobs, ABOUT, command))
+
+
+def main() -> None:
+    options = vars(peers_python.parser(__doc__, 3).parse_args())
+    python = options.pop("peers_python")
+    peers_python.print_report(lambda: report(python, **options))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,111 @@
+"""Runs that are cut off carry what they had computed on the error, with a folder and without."""
+
+import os
+import signal
+import traceback
+
+import numpy as np
+import pytest
+
+import palmfield
+from palmfield.session import run as session_run
+from palmfield.session.recorder import Recorder
+
+
+@pytest.fixture(params=["memory", "folder"])
+def out(request, tmp_path):
+    return None if request.param == "memory" else tmp_path / "out"
+
+
+def stopped_at(sim, step, stop, monkeypatch):
+    """The simulation, whose steps are as before until `stop` is called after one of them."""
+    plain, done = sim.step, []
+
+    def one():
+        plain()
+        done.append(1)
+        if len(done) == step:
+            stop()
+
+    monkeypatch.setattr(sim, "step", one)
+    return sim
+
+
+def ctrl_c():
+    os.kill(os.getpid(), signal.SIGINT)
+
+
+def fail():
+    raise ValueError("a module's own words")
+
+
+def displacement(result):
+    return result.dataset["skin/skin"]["displacement"].values
+
+
+@pytest.mark.parametrize(("stop", "kind"), [(ctrl_c, KeyboardInterrupt), (fail, ValueError)])
+def test_what_was_computed_comes_with_the_error(small_scene, out, stop, kind, monkeypatch):
+    path = small_scene()
+    whole = palmfield.run(path, progress=False)
+    sim = stopped_at(palmfield.load(path), 6, stop, monkeypatch)
+    with pytest.raises(kind) as caught:
+        palmfield.run(sim, out, progress=False)
+    result = caught.value.result
+    assert isinstance(result, session_run.Result) and result.out == out
+    assert result.dataset.attrs["complete"] == 0 and result.summary["complete"] is False
+    assert kind.__name__ in result.dataset.attrs["reason"] == result.summary["reason"]
+    # An error of the sixth step comes before that is recorded; Ctrl-C waits for its end.
+    steps = 6 if stop is ctrl_c else 5
+    assert result.summary["steps"] == steps
+    np.testing.assert_array_equal(displacement(result), displacement(whole)[: 1 + 2 * steps])
+    assert result.summary["peak_arp_Pa"] > 0.0
+    said = "".join(traceback.format_exception(caught.value))
+    assert ("attribute `result`" if out is None else str(out)) in said
+    assert (out is None) == (not result.files)
+
+
+def test_a_body_in_the_array_ends_a_run_in_memory_with_what_came_before(small_scene):
+    path = small_scene()
+    plain = path.with_name("plain.xml")
+    text = plain.read_text().replace('axis="1 0 0" stiffness="400" damping="10"', 'axis="0 0 1"')
+    plain.write_text(text.replace('gravcomp="1"', "").replace('pos="0 0 0.12"', 'pos="0 0 0.02"'))
+    with pytest.raises(palmfield.SceneError, match="reaches into the array") as caught:
+        palmfield.run(path, duration_s=1.0, progress=False)
+    assert 10 < caught.value.result.summary["steps"] < 100
+
+
+def test_ctrl_c_while_the_error_is_estimated_leaves_a_complete_result(small_scene, out, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(session_run, "skin_numbers", interrupted)
+    with pytest.raises(KeyboardInterrupt) as caught:
+        palmfield.run(small_scene(), out, progress=False)
+    result = caught.value.result
+    assert result.dataset.attrs["complete"] == 1 and result.summary["complete"] is True
+    assert len(displacement(result)) == 31 and "displacement_error_relative" not in result.summary["skins"][0]
+
+
+def test_ctrl_c_after_the_last_step_loses_the_loudest_moment_only(small_scene, out, monkeypatch):
+    def interrupted(_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Recorder, "surfaces", interrupted)
+    with pytest.raises(KeyboardInterrupt) as caught:
+        palmfield.run(small_scene(), out, progress=False)
+    result = caught.value.result
+    assert result.dataset.attrs["complete"] == 0 and len(displacement(result)) == 31
+    assert "loudest_arp" not in result.dataset["skin/skin"]
+
+
+def test_ctrl_c_while_the_result_is_assembled_waits_for_it(small_scene, monkeypatch):
+    plain = session_run.MemoryStore.finish
+
+    def finish(*arguments, **options):
+        ctrl_c()
+        return plain(*arguments, **options)
+
+    monkeypatch.setattr(session_run.MemoryStore, "finish", finish)
+    with pytest.raises(KeyboardInterrupt) as caught:
+        palmfield.run(small_scene(), progress=False)
+    assert caught.value.result.dataset.attrs["complete"] == 1
