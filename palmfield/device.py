@@ -77,6 +77,13 @@ class SharedArray:
             wp.copy(self._pinned, self.array)
 
 
+def filled(struct: Any, **values: Any) -> Any:
+    """The Warp struct with its members set."""
+    for name, value in values.items():
+        setattr(struct, name, value)
+    return struct
+
+
 DIRECT_LAUNCH = ("1.19",)
 """Versions of Warp whose compiled kernels on the CPU are known to take a launch's bounds and its packed arguments."""
 

@@ -16,7 +16,7 @@ wp.set_module_options(
 
 WIDTH = 16
 lanes = wp.types.vector(length=WIDTH, dtype=wp.float64)
-ROWS = 8
+ROWS = 12
 rows_of_group = wp.types.vector(length=ROWS, dtype=wp.float64)
 
 
@@ -34,73 +34,6 @@ class Supernodes:
     values: wp.array(dtype=lanes)
 
 
-@wp.kernel
-def forward(
-    nodes: Supernodes,
-    first: wp.int32,
-    last: wp.int32,
-    right: wp.array(dtype=wp.float64),
-    solved: wp.array(dtype=wp.float64),
-):
-    """Supernodes first..last - 1 of the forward pass: takes from `right` of what lies below, and fills `solved`."""
-    for k in range(first, last):
-        size = nodes.size[k]
-        begin = nodes.column[k]
-        at = nodes.value[k]
-        for group in range((size + WIDTH - 1) // WIDTH):
-            total = lanes()
-            for j in range(size):
-                total += nodes.values[at + j] * right[begin + j]
-            at += size
-            for i in range(WIDTH):
-                if group * WIDTH + i < size:
-                    solved[begin + group * WIDTH + i] = total[i]
-        row = nodes.row[k]
-        for _group in range(nodes.below[k]):
-            total = lanes()
-            for j in range(size):
-                total += nodes.values[at + j] * right[begin + j]
-            at += size
-            for i in range(WIDTH):
-                where = nodes.rows[row + i]
-                right[where] = right[where] - total[i]
-            row += WIDTH
-
-
-@wp.kernel
-def backward(
-    nodes: Supernodes,
-    first: wp.int32,
-    last: wp.int32,
-    solved: wp.array(dtype=wp.float64),
-    sums: wp.array(dtype=lanes),
-    solution: wp.array(dtype=wp.float64),
-):
-    """Supernodes last - 1..first of the backward pass, whose rows below are in `solution`; sums: work array."""
-    for back in range(last - first):
-        k = last - 1 - back
-        size = nodes.size[k]
-        begin = nodes.column[k]
-        at = nodes.value[k] + size * ((size + WIDTH - 1) // WIDTH)
-        row = nodes.row[k]
-        for j in range(size):
-            sums[j] = lanes()
-        for _group in range(nodes.below[k]):
-            moved = lanes()
-            for i in range(WIDTH):
-                moved[i] = solution[nodes.rows[row + i]]
-            for j in range(size):
-                sums[j] = sums[j] + wp.cw_mul(nodes.values[at + j], moved)
-            at += size
-            row += WIDTH
-        for j in range(size):
-            parts = sums[j]
-            total = wp.float64(0.0)
-            for i in range(WIDTH):
-                total += parts[i]
-            solution[begin + j] = solved[begin + j] - total
-
-
 @wp.struct
 class GroupedRows:
     """A sparse matrix by groups of ROWS rows, each with the columns in which one of them holds a number. rows: their
@@ -112,97 +45,212 @@ class GroupedRows:
     values: wp.array(dtype=rows_of_group)
 
 
-@wp.kernel
-def weigh(
-    first: wp.int32,
-    last: wp.int32,
-    weights: wp.array(dtype=wp.float64),
-    forces: wp.array2d(dtype=wp.float64),
-    right: wp.array(dtype=wp.float64),
-):
-    """Rows first..last - 1 of weights @ forces."""
-    for row in range(first, last):
-        right[row] = wp.float64(0.0)
-    for k in range(weights.shape[0]):
-        weight = weights[k]
+@wp.struct
+class Substep:
+    """What all parts of a layer share in a substep. Places are numbered as the factor numbers them.
+
+    weights, forces: of patterns of the load, (k,) and (k, n); matrix @ sums: what the old state adds to the right side
+    solved: between the passes, (n,); solution, in_lanes: after them, the same memory twice
+    rows: the state; carry, follow: it becomes carry @ rows + follow (solution + the last of the sums)
+    into_sums: sums are into_sums @ rows; sums, flat_sums: the same memory twice
+    """
+
+    weights: wp.array(dtype=wp.float64)
+    forces: wp.array2d(dtype=wp.float64)
+    matrix: GroupedRows
+    nodes: Supernodes
+    solved: wp.array(dtype=wp.float64)
+    solution: wp.array(dtype=wp.float64)
+    in_lanes: wp.array(dtype=lanes)
+    rows: wp.array2d(dtype=lanes)
+    carry: wp.array2d(dtype=wp.float64)
+    follow: wp.array(dtype=wp.float64)
+    into_sums: wp.array2d(dtype=wp.float64)
+    sums: wp.array2d(dtype=lanes)
+    flat_sums: wp.array(dtype=wp.float64)
+
+
+@wp.struct
+class Part:
+    """Places, supernodes and groups of rows of a part, each from the first to the one after the last.
+
+    right: its right side, and what it takes from that of the trunk, (n + 1,)
+    work, old: as long as the widest supernode has unknowns, and as a state has rows
+    """
+
+    first: wp.int32
+    last: wp.int32
+    first_node: wp.int32
+    last_node: wp.int32
+    first_group: wp.int32
+    last_group: wp.int32
+    right: wp.array(dtype=wp.float64)
+    work: wp.array(dtype=lanes)
+    old: wp.array(dtype=lanes)
+
+
+@wp.func
+def weigh(part: Part, step: Substep):
+    """Begin the right side with the load's forces: weights @ forces."""
+    for row in range(part.first, part.last):
+        part.right[row] = wp.float64(0.0)
+    for k in range(step.weights.shape[0]):
+        weight = step.weights[k]
         if weight != wp.float64(0.0):
-            for row in range(first, last):
-                right[row] = right[row] + weight * forces[k, row]
+            for row in range(part.first, part.last):
+                part.right[row] = part.right[row] + weight * step.forces[k, row]
 
 
-@wp.kernel
-def multiply(
-    matrix: GroupedRows,
-    first: wp.int32,
-    last: wp.int32,
-    sums: wp.array(dtype=wp.float64),
-    right: wp.array(dtype=wp.float64),
-):
-    """Add groups first..last - 1 of matrix @ sums to `right`."""
-    for group in range(first, last):
-        begin = matrix.start[group]
-        end = matrix.start[group + 1]
+@wp.func
+def multiply(part: Part, step: Substep):
+    """Add matrix @ sums to the right side."""
+    for group in range(part.first_group, part.last_group):
+        begin = step.matrix.start[group]
+        end = step.matrix.start[group + 1]
         # Two sums, so that one product need not wait for the other
         even = rows_of_group()
         odd = rows_of_group()
         for pair in range((end - begin) // 2):
             j = begin + 2 * pair
-            even += matrix.values[j] * sums[matrix.columns[j]]
-            odd += matrix.values[j + 1] * sums[matrix.columns[j + 1]]
+            even += step.matrix.values[j] * step.flat_sums[step.matrix.columns[j]]
+            odd += step.matrix.values[j + 1] * step.flat_sums[step.matrix.columns[j + 1]]
         if (end - begin) % 2 == 1:
-            even += matrix.values[end - 1] * sums[matrix.columns[end - 1]]
+            even += step.matrix.values[end - 1] * step.flat_sums[step.matrix.columns[end - 1]]
         even += odd
         for i in range(ROWS):
-            row = matrix.rows[group * ROWS + i]
-            right[row] = right[row] + even[i]
+            row = step.matrix.rows[group * ROWS + i]
+            part.right[row] = part.right[row] + even[i]
 
 
-@wp.kernel
-def add_up(into_sums: wp.array2d(dtype=wp.float64), rows: wp.array2d(dtype=lanes), sums: wp.array2d(dtype=lanes)):
-    """sums = into_sums @ rows."""
-    for i in range(sums.shape[0]):
-        for group in range(rows.shape[1]):
+@wp.func
+def forward(part: Part, step: Substep):
+    """Forward pass: takes from the right side of what lies below, and fills `solved`."""
+    for k in range(part.first_node, part.last_node):
+        size = step.nodes.size[k]
+        begin = step.nodes.column[k]
+        at = step.nodes.value[k]
+        for group in range((size + WIDTH - 1) // WIDTH):
             total = lanes()
-            for b in range(rows.shape[0]):
-                total += rows[b, group] * into_sums[i, b]
-            sums[i, group] = total
+            for j in range(size):
+                total += step.nodes.values[at + j] * part.right[begin + j]
+            at += size
+            for i in range(WIDTH):
+                if group * WIDTH + i < size:
+                    step.solved[begin + group * WIDTH + i] = total[i]
+        row = step.nodes.row[k]
+        for _group in range(step.nodes.below[k]):
+            total = lanes()
+            for j in range(size):
+                total += step.nodes.values[at + j] * part.right[begin + j]
+            at += size
+            for i in range(WIDTH):
+                where = step.nodes.rows[row + i]
+                part.right[where] = part.right[where] - total[i]
+            row += WIDTH
 
 
-@wp.kernel
-def advance(
-    first: wp.int32,
-    last: wp.int32,
-    solution: wp.array(dtype=lanes),
-    carry: wp.array2d(dtype=wp.float64),
-    follow: wp.array(dtype=wp.float64),
-    into_sums: wp.array2d(dtype=wp.float64),
-    old: wp.array(dtype=lanes),
-    rows: wp.array2d(dtype=lanes),
-    sums: wp.array2d(dtype=lanes),
-):
-    """Groups first..last - 1 of unknowns: rows of the state become carry @ rows + follow (solution + last of `sums`),
-    and sums = into_sums @ rows. old: work array, as long as a state has rows."""
-    count = rows.shape[0]
-    offset = sums.shape[0] - 1
-    for group in range(first, last):
-        moved = solution[group] + sums[offset, group]
+@wp.func
+def collect(parts: wp.array(dtype=wp.float64), part: Part):
+    """Add to the right side what another part takes from it, and leave 0 there."""
+    for row in range(part.first, part.last):
+        part.right[row] = part.right[row] + parts[row]
+        parts[row] = wp.float64(0.0)
+
+
+@wp.func
+def backward(part: Part, step: Substep):
+    """Backward pass, when the solution of what lies below is known."""
+    for back in range(part.last_node - part.first_node):
+        k = part.last_node - 1 - back
+        size = step.nodes.size[k]
+        begin = step.nodes.column[k]
+        at = step.nodes.value[k] + size * ((size + WIDTH - 1) // WIDTH)
+        row = step.nodes.row[k]
+        for j in range(size):
+            part.work[j] = lanes()
+        for _group in range(step.nodes.below[k]):
+            moved = lanes()
+            for i in range(WIDTH):
+                moved[i] = step.solution[step.nodes.rows[row + i]]
+            for j in range(size):
+                part.work[j] = part.work[j] + wp.cw_mul(step.nodes.values[at + j], moved)
+            at += size
+            row += WIDTH
+        for j in range(size):
+            parts = part.work[j]
+            total = wp.float64(0.0)
+            for i in range(WIDTH):
+                total += parts[i]
+            step.solution[begin + j] = step.solved[begin + j] - total
+
+
+@wp.func
+def advance(part: Part, step: Substep):
+    """The new state, and its sums."""
+    count = step.rows.shape[0]
+    offset = step.sums.shape[0] - 1
+    for group in range(part.first // WIDTH, part.last // WIDTH):
+        moved = step.in_lanes[group] + step.sums[offset, group]
         for a in range(count):
-            old[a] = rows[a, group]
+            part.old[a] = step.rows[a, group]
         for a in range(count):
-            total = moved * follow[a]
+            total = moved * step.follow[a]
             for b in range(count):
-                total += old[b] * carry[a, b]
-            rows[a, group] = total
+                total += part.old[b] * step.carry[a, b]
+            step.rows[a, group] = total
         for i in range(offset + 1):
             total = lanes()
             for b in range(count):
-                total += rows[b, group] * into_sums[i, b]
-            sums[i, group] = total
+                total += step.rows[b, group] * step.into_sums[i, b]
+            step.sums[i, group] = total
 
 
 @wp.kernel
-def collect(first: wp.int32, last: wp.int32, parts: wp.array(dtype=wp.float64), total: wp.array(dtype=wp.float64)):
-    """Add rows first..last - 1 of `parts` to `total`, and leave 0 there."""
-    for row in range(first, last):
-        total[row] = total[row] + parts[row]
-        parts[row] = wp.float64(0.0)
+def begin_substeps(step: Substep):
+    """The sums of the state that the first substep takes."""
+    for i in range(step.sums.shape[0]):
+        for group in range(step.rows.shape[1]):
+            total = lanes()
+            for b in range(step.rows.shape[0]):
+                total += step.rows[b, group] * step.into_sums[i, b]
+            step.sums[i, group] = total
+
+
+# A branch's way in one launch: two threads that come back from a launch wait for one another
+
+
+@wp.kernel
+def go_down(part: Part, step: Substep):
+    """A branch's way to the trunk."""
+    weigh(part, step)
+    multiply(part, step)
+    forward(part, step)
+
+
+@wp.kernel
+def turn_round(part: Part, step: Substep):
+    """A branch's way up, and down again in the next substep, for which the weights are by now."""
+    backward(part, step)
+    advance(part, step)
+    weigh(part, step)
+    multiply(part, step)
+    forward(part, step)
+
+
+@wp.kernel
+def go_up(part: Part, step: Substep):
+    """A branch's way up at the end."""
+    backward(part, step)
+    advance(part, step)
+
+
+@wp.kernel
+def pass_trunk(part: Part, one: wp.array(dtype=wp.float64), other: wp.array(dtype=wp.float64), step: Substep):
+    """All of the trunk's way; one, other: right sides of the branches."""
+    weigh(part, step)
+    multiply(part, step)
+    collect(one, part)
+    collect(other, part)
+    forward(part, step)
+    backward(part, step)
+    advance(part, step)

@@ -11,10 +11,9 @@ from scipy.spatial import cKDTree
 
 from palmfield.acoustics import check
 from palmfield.acoustics.arp import SurfaceSound, wall_pressure
-from palmfield.acoustics.field import filled
 from palmfield.acoustics.scattering import Incident, Scattering, scatter
 from palmfield.acoustics.shadow import CLEARANCE_m, REACH_m
-from palmfield.device import SharedArray, recorded, resolve
+from palmfield.device import SharedArray, filled, recorded, resolve
 from palmfield.errors import PalmfieldError
 from palmfield.hand.subdivide import with_short_edges
 from palmfield.threads import Calls, cores, share

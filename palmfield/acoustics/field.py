@@ -16,7 +16,7 @@ from palmfield.acoustics.air import absorption_Np_m as air_absorption
 from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.groups import groups
 from palmfield.acoustics.transducer import directivity_coefficients
-from palmfield.device import resolve
+from palmfield.device import filled, resolve
 from palmfield.errors import PalmfieldError
 from palmfield.threads import cores, pool
 from palmfield.types import Air, Array, Field, Float, Int
@@ -266,13 +266,6 @@ class Points:
 
     array: Any
     distances_m: tuple[float, float]
-
-
-def filled(struct: Any, **values: Any) -> Any:
-    """The Warp struct with its members set."""
-    for name, value in values.items():
-        setattr(struct, name, value)
-    return struct
 
 
 def shared(values: NDArray[np.complex64]) -> Any:

@@ -11,10 +11,10 @@ import warp_kernels.arp as kernels
 from palmfield.acoustics import check
 from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.arp import SurfaceSound, law_weights
-from palmfield.acoustics.field import FieldEvaluator, falling, filled, in_unit
+from palmfield.acoustics.field import FieldEvaluator, falling, in_unit
 from palmfield.acoustics.phased_array import DirectivityGroup, MultiArrayField
 from palmfield.acoustics.transfer import Transfer, arp_frames, matrix_bytes, memory_limit, too_steep
-from palmfield.device import SharedArray, recorded
+from palmfield.device import SharedArray, filled, recorded
 from palmfield.errors import PalmfieldError
 from palmfield.threads import Calls, cores, share
 from palmfield.types import Complex, Float, Float32, Int

@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import sparse
 
+from palmfield.device import filled
 from palmfield.skin.fem.block_factor import BRANCHES, block_factor
 from palmfield.skin.fem.grouped_rows import grouped_rows
 from warp_kernels import supernodes as kernels
@@ -16,25 +17,38 @@ def numbers(values):
     return wp.array(values, dtype=wp.float64, device="cpu", copy=False)
 
 
+def in_lanes(values):
+    wide = values.reshape(*values.shape[:-1], -1, kernels.WIDTH)
+    return wp.array(wide, dtype=kernels.lanes, device="cpu", copy=False)
+
+
+NOTHING = sparse.csr_matrix((4, 4))
+
+
 def solve(factor, right):
-    """Down the branches and the trunk, and up again."""
-    rights = [np.zeros(factor.size + kernels.WIDTH) for _ in (*factor.branches, factor.trunk)]
-    solved, solution = np.zeros(factor.size), np.zeros(factor.size + kernels.WIDTH)
-    placed = np.zeros(factor.size)
-    placed[factor.place] = right
-    work = wp.zeros(factor.widest, dtype=kernels.lanes, device="cpu")
-    for part, mine in zip((*factor.branches, factor.trunk), rights, strict=True):
-        mine[part.first : part.last] = placed[part.first : part.last]
-        if part is factor.trunk:
-            for other in rights[:-1]:
-                inputs = [part.first, part.last, numbers(other), numbers(mine)]
-                wp.launch(kernels.collect, 1, inputs=inputs, device="cpu")
-        inputs = [factor.nodes, part.first_node, part.last_node, numbers(mine), numbers(solved)]
-        wp.launch(kernels.forward, 1, inputs=inputs, device="cpu")
-    for part in (factor.trunk, *factor.branches):
-        inputs = [factor.nodes, part.first_node, part.last_node, numbers(solved), work, numbers(solution)]
-        wp.launch(kernels.backward, 1, inputs=inputs, device="cpu")
-    return solution[factor.place]
+    """A substep of a state of one row that becomes the solution, under a force."""
+    size = factor.size
+    forces, rows, sums = (np.zeros((1, size)) for _ in range(3))
+    forces[0, factor.place] = right
+    solution = np.zeros(size + kernels.WIDTH)
+    step = filled(
+        kernels.Substep(),
+        weights=numbers(np.ones(1)), forces=numbers(forces), matrix=grouped_rows([NOTHING], [(0, 4)])[0],
+        nodes=factor.nodes, solved=numbers(np.zeros(size)), solution=numbers(solution), in_lanes=in_lanes(solution),
+        rows=in_lanes(rows), carry=numbers(np.zeros((1, 1))), follow=numbers(np.ones(1)),
+        into_sums=numbers(np.zeros((1, 1))), sums=in_lanes(sums), flat_sums=numbers(sums.ravel()),
+    )  # fmt: skip
+    work, old = (wp.zeros(count, dtype=kernels.lanes, device="cpu") for count in (factor.widest, 1))
+    *branches, trunk = (
+        filled(kernels.Part(), right=numbers(np.zeros(size + 1)), work=work, old=old, **part._asdict())
+        for part in (*factor.branches, factor.trunk)
+    )
+    for branch in branches:
+        wp.launch(kernels.go_down, 1, inputs=[branch, step], device="cpu")
+    wp.launch(kernels.pass_trunk, 1, inputs=[trunk, *(branch.right for branch in branches), step], device="cpu")
+    for branch in branches:
+        wp.launch(kernels.go_up, 1, inputs=[branch, step], device="cpu")
+    return rows[0, factor.place]
 
 
 def spd(n, edges, rng):
@@ -79,6 +93,11 @@ def test_a_matrix_that_is_not_definite_is_refused():
         block_factor(swapped, np.arange(2, dtype=np.int32))
 
 
+@wp.kernel
+def multiply(part: kernels.Part, step: kernels.Substep):
+    kernels.multiply(part, step)
+
+
 @settings(max_examples=40, deadline=None)
 @given(n=st.integers(2, 70), density=st.floats(0.0, 0.5), seed=st.integers(0, 2**31))
 def test_grouped_rows_multiply_as_the_matrices_do(n, density, seed):
@@ -92,8 +111,9 @@ def test_grouped_rows_multiply_as_the_matrices_do(n, density, seed):
     sums = rng.standard_normal((3, n))
     for (first, last), rows in zip(groups, (slice(0, cut), slice(cut, n)), strict=True):
         right = np.zeros(n + 1)
-        inputs = [grouped, first, last, numbers(sums.ravel()), numbers(right)]
-        wp.launch(kernels.multiply, 1, inputs=inputs, device="cpu")
+        part = filled(kernels.Part(), first_group=first, last_group=last, right=numbers(right))
+        step = filled(kernels.Substep(), matrix=grouped, flat_sums=numbers(sums.ravel()))
+        wp.launch(multiply, 1, inputs=[part, step], device="cpu")
         expected = np.zeros(n)
         expected[rows] = sum(matrix @ part for matrix, part in zip(matrices, sums, strict=True))[rows]
         np.testing.assert_allclose(right[:n], expected, atol=1e-13)

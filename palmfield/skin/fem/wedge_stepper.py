@@ -19,9 +19,9 @@ from scipy import sparse
 # SciPy's products take ten Python calls around these, which add to what is there: y += A x.
 from scipy.sparse._sparsetools import csr_matvec
 
-from palmfield.device import recorded
+from palmfield.device import filled, recorded
 from palmfield.skin.fem.assembly import SkinSystem
-from palmfield.skin.fem.block_factor import BlockFactor, Part, block_factor
+from palmfield.skin.fem.block_factor import BlockFactor, block_factor
 from palmfield.skin.fem.generalised_alpha import Scheme
 from palmfield.skin.fem.grouped_rows import grouped_rows
 from palmfield.skin.stepper import Reader, SurfaceLoads, check_step, checked_operator
@@ -29,7 +29,7 @@ from palmfield.threads import Calls, cores, share
 from palmfield.types import Float
 from warp_kernels import supernodes as kernels
 
-STORED_PER_THREAD = 150_000
+STORED_PER_THREAD = 250_000
 """Fewest numbers of the blocks worth a thread of its own."""
 
 
@@ -48,7 +48,7 @@ class _Room:
     weights: Float
     add_up: Callable[[], object]
     begin: list[Calls]
-    trunk: Calls
+    trunk: Callable[[], object]
     turn: list[Calls]
     end: list[Calls]
 
@@ -104,8 +104,7 @@ class WedgeStepper:
         room.weights[:patterns] = mix[0]
         share(room.begin, threads)
         for i in range(substeps):
-            for call in room.trunk:
-                call()
+            room.trunk()
             if i + 1 < substeps:
                 room.weights[:patterns] = mix[i + 1]
                 share(room.turn, threads)
@@ -139,45 +138,42 @@ class WedgeStepper:
 
     def _new_room(self, patterns: int) -> _Room:
         factor, size = self._factor, self._factor.size
+        matrix, groups = self._others
         rows, sums = _Numbers((self.state_rows, size)), _Numbers((len(self._into_sums), size))
         forces, weights = _Numbers((patterns, size)), _Numbers((patterns,))
-        # Padding of the rows below a supernode is the place after the last: written by a sum of zeros, read as 0
-        solved, solution = _Numbers((size,)), _Numbers((size + kernels.WIDTH,))
-        carry, follow, into_sums = (_Numbers.of(part) for part in (self._advance, self._follow, self._into_sums))
-        right = [_Numbers((size + kernels.WIDTH,)) for _ in (*factor.branches, factor.trunk)]
-
-        matrix, groups = self._others
-
-        def down(
-            part: Part, groups: tuple[int, int], right: _Numbers, others: list[_Numbers]
-        ) -> list[Callable[[], object]]:
-            weighed = [part.first, part.last, weights.plain, forces.plain, right.plain]
-            multiplied = [matrix, *groups, sums.flat, right.plain]
-            calls = [recorded(kernels.weigh, 1, weighed, "cpu"), recorded(kernels.multiply, 1, multiplied, "cpu")]
-            for other in others:
-                inputs = [part.first, part.last, other.plain, right.plain]
-                calls.append(recorded(kernels.collect, 1, inputs, "cpu"))
-            inputs = [factor.nodes, part.first_node, part.last_node, right.plain, solved.plain]
-            calls.append(recorded(kernels.forward, 1, inputs, "cpu"))
-            return calls
-
-        def up(part: Part) -> list[Callable[[], object]]:
+        # Padding of rows below a supernode is the place after the last: written by a sum of zeros, read as 0
+        padded = size + kernels.WIDTH
+        solution = _Numbers((padded,))
+        step = filled(
+            kernels.Substep(),
+            weights=weights.plain,
+            forces=forces.plain,
+            matrix=matrix,
+            nodes=factor.nodes,
+            solved=_Numbers((size,)).plain,
+            solution=solution.plain,
+            in_lanes=solution.lanes,
+            rows=rows.lanes,
+            carry=_Numbers.of(self._advance).plain,
+            follow=_Numbers.of(self._follow).plain,
+            into_sums=_Numbers.of(self._into_sums).plain,
+            sums=sums.lanes,
+            flat_sums=sums.flat,
+        )
+        parts = []
+        for part, (first_group, last_group) in zip((*factor.branches, factor.trunk), groups, strict=True):
+            members = {"first_group": first_group, "last_group": last_group, **part._asdict()}
             work = wp.zeros(factor.widest, dtype=kernels.lanes, device="cpu")
             old = wp.zeros(self.state_rows, dtype=kernels.lanes, device="cpu")
-            inputs = [factor.nodes, part.first_node, part.last_node, solved.plain, work, solution.plain]
-            wide = [part.first // kernels.WIDTH, part.last // kernels.WIDTH]
-            given = [solution.lanes, carry.plain, follow.plain, into_sums.plain, old, rows.lanes, sums.lanes]
-            return [
-                recorded(kernels.backward, 1, inputs, "cpu"),
-                recorded(kernels.advance, 1, [*wide, *given], "cpu"),
-            ]
-
-        downs: list[Calls] = [down(*each, []) for each in zip(factor.branches, groups, right, strict=False)]
-        ups: list[Calls] = [up(part) for part in factor.branches]
-        trunk = [*down(factor.trunk, groups[-1], right[-1], right[:-1]), *up(factor.trunk)]
-        turns: list[Calls] = [[*one, *other] for one, other in zip(ups, downs, strict=True)]
-        add_up = recorded(kernels.add_up, 1, [into_sums.plain, rows.lanes, sums.lanes], "cpu")
-        return _Room(rows.host, forces.host, weights.host, add_up, downs, trunk, turns, ups)
+            parts.append(filled(kernels.Part(), right=_Numbers((padded,)).plain, work=work, old=old, **members))
+        *branches, trunk = parts
+        begin, turn, end = (
+            [[recorded(kernel, 1, [branch, step], "cpu")] for branch in branches]
+            for kernel in (kernels.go_down, kernels.turn_round, kernels.go_up)
+        )
+        add_up = recorded(kernels.begin_substeps, 1, [step], "cpu")
+        pass_trunk = recorded(kernels.pass_trunk, 1, [trunk, *(branch.right for branch in branches), step], "cpu")
+        return _Room(rows.host, forces.host, weights.host, add_up, list(begin), pass_trunk, list(turn), list(end))
 
 
 class _Numbers:
