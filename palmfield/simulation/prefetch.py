@@ -33,6 +33,7 @@ class LoadPrefetch:
         self._until = -math.inf
         self._drives: Complex = np.zeros((0, len(model.arrays)), np.complex128)
         self._loads: dict[int, tuple[PosedSkin, Float32]] = {}
+        self._row = 0
 
     def forget(self) -> None:
         """Begin again, as at the start of a run: whether a scene has kept still is asked of steps of one run."""
@@ -41,7 +42,7 @@ class LoadPrefetch:
 
     def adopt(self, other: "LoadPrefetch") -> None:
         """Go on from another's predictions, in a copy of its state in the same PosedScene."""
-        self._posed, self._until, self._drives = other._posed, other._until, other._drives
+        self._posed, self._until, self._drives, self._row = other._posed, other._until, other._drives, other._row
         self._loads = dict(other._loads)
 
     def predict_drives(self, posed: PosedScene, emitted: Complex, t0: float) -> None:
@@ -65,6 +66,7 @@ class LoadPrefetch:
         # A focus that rests at a few points is a few drives: each of them costs less by itself.
         worthwhile = len(drives) >= MATRIX_FROM and np.add.reduce(_changes(drives)) + 1 >= MATRIX_FROM
         self._drives = drives if worthwhile else drives[:0]
+        self._row = -self.model.substeps
 
     def pressures(self, posed: PosedScene, skin: int, drives: Complex) -> Float32:
         """ARP [Pa] at a skin's quadrature points for drives (m, N), shape (m, q)."""
@@ -93,11 +95,20 @@ class LoadPrefetch:
 
     def _predicted_rows(self, drives: Complex) -> slice | None:
         """Which of the predicted drives these are; None where they were not predicted."""
-        first = int(np.maximum.reduce(np.abs(self._drives - drives[0]), axis=1).argmin())
+        # As a rule it is the step after the last one, or this step for another skin
+        for first in (self._row + self.model.substeps, self._row):
+            if (
+                0 <= first < len(self._drives)
+                and np.maximum.reduce(np.abs(self._drives[first] - drives[0])) < SAME_DRIVE
+            ):
+                break
+        else:
+            first = int(np.maximum.reduce(np.abs(self._drives - drives[0]), axis=1).argmin())
         rows = slice(first, first + len(drives))
         there = self._drives[rows]
         if len(there) < len(drives) or np.maximum.reduce(np.abs(there - drives), axis=None) >= SAME_DRIVE:
             return None
+        self._row = first
         return rows
 
 
