@@ -71,6 +71,13 @@ CASES = {
 }
 
 
+def test_the_whole_layer_is_not_factorised_while_a_small_model_steps(small_scene):
+    sim = load(small_scene())
+    sim.step(3)
+    sim.copy().step()
+    assert sim.skin().solver == "reduced" and not sim.runtime.model.whole[0].made
+
+
 @pytest.mark.parametrize("changes", CASES.values(), ids=CASES)
 def test_motion_is_the_whole_layers(small_scene, changes):
     """To the two solvers' own errors: (w h)^2 / 10 of the whole layer's step is 0.6 % at 400 Hz, and the reduction."""
