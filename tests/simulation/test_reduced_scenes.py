@@ -72,7 +72,7 @@ CASES = {
 
 
 def test_the_whole_layer_is_not_factorised_while_a_small_model_steps(small_scene):
-    sim = load(small_scene())
+    sim = load(fixed(small_scene(skin=SKIN)))
     sim.step(3)
     sim.copy().step()
     assert sim.skin().solver == "reduced" and not sim.runtime.model.whole[0].made
