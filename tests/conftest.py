@@ -1,5 +1,6 @@
 """Scenes small enough to step in a test."""
 
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -9,6 +10,9 @@ import pytest
 
 from palmfield.acoustics import surface_arp
 from palmfield.engine.host import world_of
+
+# A test computes what it tests, and leaves nothing behind
+os.environ["PALMFIELD_CACHE"] = "off"
 
 ARRAYS = Path(__file__).parent.parent / "mjcf" / "arrays"
 

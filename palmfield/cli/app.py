@@ -210,6 +210,38 @@ def recover(out: Annotated[Path, typer.Argument(help="folder of a run that was c
         print(f"wrote {path}")
 
 
+cache = typer.Typer(
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    help="What earlier runs have left for later ones: small models of the skin and error estimates, in the user's "
+    "cache folder or where PALMFIELD_CACHE says (off: nothing is kept), up to PALMFIELD_CACHE_MB [2048].\n\n"
+    "Example: palmfield cache list",
+)
+app.add_typer(cache, name="cache")
+
+
+@cache.command("list")
+def cache_list() -> None:
+    """Say what is kept, how large it is and when it was last used.
+
+    Example: palmfield cache list
+    """
+    from palmfield.cli.cache import show_cache
+
+    show_cache()
+
+
+@cache.command("clear")
+def cache_clear() -> None:
+    """Remove all that is kept: the next runs compute it again.
+
+    Example: palmfield cache clear
+    """
+    from palmfield.cli.cache import clear_cache
+
+    clear_cache()
+
+
 bench = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode=None,

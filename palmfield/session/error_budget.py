@@ -11,6 +11,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from palmfield import cache
 from palmfield.errors import SceneError
 from palmfield.simulation.build import nearest_stimulus
 from palmfield.simulation.emission import array_drives
@@ -77,16 +78,32 @@ def error_estimate(
     edge: half the difference that fixed or free cut faces make to the harmonic response, also there: a layer on a hand
         ends where the body goes on; 0 for a disc, whose side is its own
 
-    Raises SceneError where neither a finer nor a coarser mesh of the layer can be made.
+    Kept in the cache (`palmfield.cache`). Raises SceneError where neither a finer nor a coarser mesh of the layer can
+    be made.
     """
     layer, stepper = model.skins[skin].layer, model.begin[skin].value
     small = stepper if isinstance(stepper, ReducedStepper) else None
     sound, point = _Sound(model, skin, loudest, radiation), _under_focus(model, skin, loudest)
     finer = compares_with_finer(layer, layer.system.ndof)
-    try:
-        return _estimate(layer, small, sound, point, finer, left_small_model)
-    except SceneError:
-        return _estimate(layer, small, sound, point, not finer, left_small_model)
+
+    def make() -> cache.Arrays:
+        try:
+            result = _estimate(layer, small, sound, point, finer, left_small_model)
+        except SceneError:
+            result = _estimate(layer, small, sound, point, not finer, left_small_model)
+        return {name: np.array(value) for name, value in result.items()}
+
+    posed, system = loudest.posed, layer.system
+    place = posed.skins[skin]
+    depends_on = (
+        *(model.spec.skins[skin], model.spec.device, posed.arrays.array, posed.arrays.air, posed.arrays.placements),
+        *(system.mass, system.damping, system.elastic, [part.stiffness for part in system.parts]),
+        [(body.vertices_in_array, body.faces) for body in posed.bodies],
+        *(place.obstacle_positions, place.obstacle_rotations),
+        *(loudest.drive, loudest.factor, sound.on_own, point, layer.demand, layer.sizes, left_small_model),
+        None if small is None else (small.small.matrices, small.vectors, small.error, small.any_course),
+    )
+    return {name: float(value) for name, value in cache.kept("error-estimate", depends_on, make).items()}
 
 
 class _Response:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
+from palmfield import cache
 from palmfield.blas import one_blas_thread
 from palmfield.skin.fem.assembly import SkinSystem
 from palmfield.skin.materials.material import stiffening
@@ -176,7 +177,37 @@ def known_model(
     highest_Hz: float,
     tolerance: float,
 ) -> tuple[Projection, Float, float, bool]:
-    """The body in its vectors V, V (n, r), the error, and whether any course of the load will do."""
+    """The body in its vectors V, V (n, r), the error, and whether any course of the load will do.
+
+    Kept in the cache (`palmfield.cache`).
+    """
+    parts = system.parts
+    depends_on = (
+        (system.mass, system.damping, system.elastic, [part.stiffness for part in parts]),
+        [part.material for part in parts],
+        *(load, surface, point, step_s, highest_Hz, tolerance),
+    )
+
+    def make() -> dict[str, Any]:
+        small, vectors, error, any_course = _known_model(system, load, surface, point, step_s, highest_Hz, tolerance)
+        return {"matrices": np.array(small.matrices), "vectors": vectors, "facts": np.array([error, any_course])}
+
+    known = cache.kept("small-model", depends_on, make)
+    unit = np.eye(known["vectors"].shape[1])
+    small = Projection(list(known["matrices"]), [part.material for part in parts], unit, unit)
+    error, any_course = known["facts"].tolist()
+    return small, known["vectors"], error, bool(any_course)
+
+
+def _known_model(
+    system: SkinSystem,
+    load: KnownLoad,
+    surface: Any,
+    point: Any,
+    step_s: float,
+    highest_Hz: float,
+    tolerance: float,
+) -> tuple[Projection, Float, float, bool]:
     # Small products only, which several threads of BLAS slow down where other programs run.
     with one_blas_thread:
         dynamics = DynamicStiffness(system, system.elimination_order())

@@ -1,0 +1,245 @@
+"""What took long to compute, kept on disk for the next run that asks for the same.
+
+A folder of NumPy archives, one for each answer, named by a digest of all that it depends on and of the code that makes
+it. The folder is the user's cache folder, or what the environment's PALMFIELD_CACHE names (`off`: nothing is kept).
+When it grows beyond its limit, 2 GB or PALMFIELD_CACHE_MB, what was used least lately goes. An answer is written beside
+its place and renamed, so that no reader sees half of it; a damaged one is made anew, and said.
+"""
+
+import dataclasses
+import functools
+import hashlib
+import os
+import secrets
+import time
+import warnings
+import zipfile
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import filelock
+import numpy as np
+import platformdirs
+from numpy.typing import NDArray
+from pydantic import BaseModel
+from scipy import sparse
+
+from palmfield.errors import PalmfieldError
+
+LIMIT_MB = 2048
+WAIT_S = 600.0
+"""Longest wait for another process that makes the same answer [s]; then it is made here as well."""
+OFF = ("off", "0", "none")
+Arrays = dict[str, NDArray[Any]]
+
+_said: set[str] = set()
+
+
+class Entry(NamedTuple):
+    """An answer on disk. kind: what it is; used: when it was last used [s since the epoch]"""
+
+    path: Path
+    kind: str
+    size_bytes: int
+    used: float
+
+
+def folder() -> Path | None:
+    """Where answers are kept, or None where nothing is."""
+    named = os.environ.get("PALMFIELD_CACHE")
+    if named is None:
+        return platformdirs.user_cache_path("palmfield")
+    return None if named.strip().lower() in OFF or not named.strip() else Path(named).expanduser()
+
+
+def limit_bytes() -> int:
+    """How much the folder may hold. Raises PalmfieldError for a PALMFIELD_CACHE_MB that is no number above 0."""
+    named = os.environ.get("PALMFIELD_CACHE_MB", str(LIMIT_MB))
+    try:
+        megabytes = float(named)
+    except ValueError:
+        megabytes = -1.0
+    if not 0.0 < megabytes < 1e9:
+        raise PalmfieldError(f"environment variable PALMFIELD_CACHE_MB is '{named}': give megabytes, a number above 0")
+    return round(megabytes * 1e6)
+
+
+def kept(kind: str, depends_on: Sequence[Any], make: Callable[[], Arrays]) -> Arrays:
+    """The answer that `make` gives, from the cache where an earlier run has left it there.
+
+    kind: what it is, a word for a file's name; depends_on: everything that the answer depends on, see `digest`
+    make: gives the answer as arrays by name, without objects. Raises what it raises, and keeps nothing then.
+    """
+    where = folder()
+    if where is None:
+        return make()
+    path = where / f"{kind}-{digest(code_mark(), kind, *depends_on)}.npz"
+    try:
+        where.mkdir(parents=True, exist_ok=True)
+        lock = filelock.FileLock(path.with_suffix(".lock"), timeout=WAIT_S)
+        lock.acquire()
+    except (OSError, filelock.Timeout) as error:
+        _say(f"cache folder {where}: {_reason(error)}; going on without")
+        return make()
+    try:
+        found = _read(path)
+        if found is not None:
+            return found
+        answer = make()
+        _write(path, answer)
+        return answer
+    finally:
+        lock.release()
+
+
+def entries() -> list[Entry]:
+    """What the cache holds, last used first."""
+    where = folder()
+    if where is None or not where.is_dir():
+        return []
+    result = []
+    for path in where.glob("*.npz"):
+        try:
+            facts = path.stat()
+        except OSError:
+            continue  # another process has just removed it
+        result.append(Entry(path, path.stem.rpartition("-")[0], facts.st_size, facts.st_mtime))
+    return sorted(result, key=lambda entry: -entry.used)
+
+
+def clear() -> int:
+    """Remove all that is kept; returns how many answers there were."""
+    removed = entries()
+    where = folder()
+    for entry in removed:
+        entry.path.unlink(missing_ok=True)
+    if where is not None and where.is_dir():
+        for pattern in ("*.lock", "*.part"):
+            for path in where.glob(pattern):
+                path.unlink(missing_ok=True)
+    return len(removed)
+
+
+def digest(*parts: Any) -> str:
+    """A hash of numbers, texts, arrays, sparse matrices, dataclasses, models, and lists and dicts of them.
+
+    Raises TypeError for anything else: what can't be told apart by its content must not name an answer.
+    """
+    result = hashlib.blake2b(digest_size=20)
+    for part in parts:
+        _add(result, part)
+    return result.hexdigest()
+
+
+@functools.cache
+def code_mark() -> str:
+    """A digest of this package's code and of the libraries that compute: other code may give other answers."""
+    result = hashlib.blake2b(digest_size=20)
+    package = Path(__file__).parent
+    for root in (package, package.parent / "warp_kernels"):
+        for path in sorted(root.rglob("*.py")):
+            result.update(path.relative_to(root).as_posix().encode())
+            result.update(path.read_bytes())
+    import scipy
+    import warp
+
+    for version in (np.__version__, scipy.__version__, warp.__version__):
+        result.update(version.encode())
+    return result.hexdigest()
+
+
+def _add(result: Any, part: Any) -> None:
+    if part is None or isinstance(part, bool | int | float | complex | str | bytes | np.generic | Path):
+        _put(result, type(part).__name__, repr(part).encode())
+    elif isinstance(part, np.ndarray):
+        if part.dtype.hasobject:
+            raise TypeError("an array of objects has no digest")
+        _put(result, f"array {part.dtype.str} {part.shape}", np.ascontiguousarray(part).tobytes())
+    elif sparse.issparse(part):
+        rows = sparse.csr_matrix(part)
+        rows.sort_indices()
+        _put(result, f"sparse {rows.shape}", b"")
+        for numbers in (rows.indptr.astype(np.int64), rows.indices.astype(np.int64), rows.data):
+            _add(result, numbers)
+    elif isinstance(part, BaseModel):
+        _put(result, type(part).__qualname__, part.model_dump_json().encode())
+    elif dataclasses.is_dataclass(part) and not isinstance(part, type):
+        _put(result, type(part).__qualname__, b"")
+        for field in dataclasses.fields(part):
+            _add(result, field.name)
+            _add(result, getattr(part, field.name))
+    elif isinstance(part, Mapping):
+        _put(result, f"mapping {len(part)}", b"")
+        for key in sorted(part, key=repr):
+            _add(result, key)
+            _add(result, part[key])
+    elif isinstance(part, list | tuple):
+        _put(result, f"{type(part).__name__} {len(part)}", b"")
+        for item in part:
+            _add(result, item)
+    else:
+        raise TypeError(f"{type(part).__qualname__} has no digest")
+
+
+def _put(result: Any, kind: str, content: bytes) -> None:
+    """Kinds and lengths keep parts apart: ("ab", "c") is not ("a", "bc")."""
+    result.update(f"{kind} {len(content)}\n".encode())
+    result.update(content)
+
+
+def _read(path: Path) -> Arrays | None:
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            answer = {name: archive[name] for name in archive.files}
+        os.utime(path)
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
+        _say(f"cache file {path} is damaged ({_reason(error)}): its content is computed again")
+        return None
+    return answer
+
+
+def _write(path: Path, answer: Arrays) -> None:
+    aside = path.with_name(f"{path.stem}.{os.getpid()}.{secrets.token_hex(4)}.part")
+    try:
+        try:
+            with open(aside, "wb") as file:
+                np.savez(file, allow_pickle=False, **answer)
+            os.replace(aside, path)
+        finally:
+            aside.unlink(missing_ok=True)
+        _make_room(path)
+    except OSError as error:
+        _say(f"cache folder {path.parent}: {_reason(error)}; going on without")
+
+
+def _make_room(newest: Path) -> None:
+    """Remove what was used least lately, until the rest is within the limit; and parts that a killed process left."""
+    total, limit = 0, limit_bytes()
+    for entry in sorted(entries(), key=lambda entry: (entry.path != newest, -entry.used)):
+        total += entry.size_bytes
+        if total > limit:
+            if entry.path == newest:
+                _say(f"cache: {newest.name} takes {entry.size_bytes / 1e6:.0f} MB, more than PALMFIELD_CACHE_MB allows")
+            entry.path.unlink(missing_ok=True)
+            entry.path.with_suffix(".lock").unlink(missing_ok=True)
+    for part in newest.parent.glob("*.part"):
+        try:
+            if time.time() - part.stat().st_mtime > WAIT_S:
+                part.unlink(missing_ok=True)
+        except OSError:
+            continue  # another process has just removed it
+
+
+def _reason(error: BaseException) -> str:
+    strerror = getattr(error, "strerror", None)
+    return str(strerror or error or type(error).__name__).strip()
+
+
+def _say(text: str) -> None:
+    """A warning, once a process."""
+    if text not in _said:
+        _said.add(text)
+        warnings.warn(text, RuntimeWarning, stacklevel=3)
