@@ -94,7 +94,7 @@ def directivity_groups(parts: Sequence[Array]) -> tuple[DirectivityGroup, ...]:
 
 
 @dataclass(frozen=True)
-class Board:
+class BoardOutline:
     """What of an array a body must not reach into, in the array's own frame.
 
     low, high: corners of the rectangle around transducers that lie in one plane and face along z, with its housing, x
@@ -108,12 +108,12 @@ class Board:
     nearest: cKDTree | None = None
 
     @staticmethod
-    def of(array: Array) -> "Board":
+    def of(array: Array) -> "BoardOutline":
         """The board of an array in its own frame."""
         positions = array.positions
         (low_x, low_y, low), (high_x, high_y, high) = positions.min(axis=0).tolist(), positions.max(axis=0).tolist()
         flat = high - low <= FLAT_M and array.normals[:, 2].min() >= 0.5
-        return Board(
+        return BoardOutline(
             (low_x - HOUSING_M, low_y - HOUSING_M),
             (high_x + HOUSING_M, high_y + HOUSING_M),
             float(positions[:, 2].mean()),
@@ -198,7 +198,7 @@ class PhasedArray:
                 for i, (part, place) in enumerate(zip(self.parts, placements, strict=True))
             ]
             self.groups = directivity_groups(moved)
-            self.boards = tuple(Board.of(part) for part in self.parts)
+            self.boards = tuple(BoardOutline.of(part) for part in self.parts)
             facing = np.array([part.normals.mean(axis=0) for part in moved])
             middles = np.array([part.positions.mean(axis=0) for part in moved])
             self.facing, self.heights = np.ascontiguousarray(facing.T), (middles * facing).sum(axis=1)

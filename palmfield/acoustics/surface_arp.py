@@ -63,7 +63,7 @@ class SurfaceArp:
         self._interrupted = False  # between adding fields up and taking them out again, by Ctrl-C for example
         self._flat_normals = self._normals.host.reshape(-1)
         self._columns = np.empty((3, count), np.float64 if accurate else np.float32)
-        self._emitters = [_Emitter(*pair) for pair in zip(field.groups, field.evaluators, strict=True)]
+        self._group_drives = [_GroupDrive(*pair) for pair in zip(field.groups, field.evaluators, strict=True)]
         self._threads, self._blocks = self._shared_out(cores() if threads is None else threads)
         self._recorded: dict[tuple[str, ...], list[Calls]] = {}
         self._sums: dict[tuple[tuple[str, ...], tuple[int, int]], _Sums] = {}
@@ -99,10 +99,17 @@ class SurfaceArp:
         """ARP [Pa] of sums of a few drives, levels @ units, shape (m, count): each drive's field is computed once.
 
         units: drives, shape (k, field.count), of which zeros cost nothing; levels: how much of each, shape (m, k)
-        Raises PalmfieldError as `evaluate`.
+        Raises PalmfieldError as `evaluate`, and for levels of another number of units or that are not finite.
         """
-        if points.shape != (self.count, 3) or units.shape[1:] != (self.field.count,):
+        shape = self.count, 3
+        if points.shape != shape or normals.shape != shape or units.shape[1:] != (self.field.count,):
             self.evaluate(points, normals, units[0])  # says what is expected
+        if levels.ndim != 2 or levels.shape[1] != len(units) or len(units) == 0:
+            raise PalmfieldError(
+                f"levels {levels.shape} of units {units.shape}: give (m, k) and (k, {self.field.count}), k >= 1"
+            )
+        if not cmath.isfinite(np.add.reduce(levels, axis=None)):
+            raise _not_finite("levels", levels)
         if self.count == 0 or len(levels) == 0:
             return np.zeros((len(levels), self.count), np.float32)
         sums = self._run(points, normals, units, of=levels.shape)
@@ -142,18 +149,18 @@ class SurfaceArp:
         if not cmath.isfinite(np.add.reduce(drives, axis=None)):
             raise _not_finite("drive", drives[int(check.first_bad(drives))])
         falls: tuple[str, ...] = ()
-        for emitter in self._emitters:
-            falls = (*falls, emitter.prepare(low, high, drives))
+        for group in self._group_drives:
+            falls = (*falls, group.prepare(low, high, drives))
         sums = None if of is None else self._sums.get((falls, of)) or self._record_sums(falls, of)
         blocks = self._recorded.get(falls) if sums is None else sums.fields
         if blocks is None:
             blocks = self._recorded[falls] = self._record(falls)
         arp, amplitude = self._sound.arp, self._sound.amplitude
         for i in range(len(drives)):
-            for emitter in self._emitters:
-                emitter.strengths.host[...] = emitter.amplitudes[i]
-                emitter.rows.host[:, 2] = emitter.phases[i]
-                emitter.ranges.host[...] = emitter.sounding[i]
+            for group in self._group_drives:
+                group.strengths.host[...] = group.amplitudes[i]
+                group.rows.host[:, 2] = group.phases[i]
+                group.ranges.host[...] = group.sounding[i]
             if sums is not None:
                 sums.number.host[0] = i
             if self._interrupted:
@@ -193,12 +200,13 @@ class SurfaceArp:
         """
         evaluator, frames = self.field.evaluators[0], len(drives)
         result = np.empty((frames, self.count), np.float32) if out is None else out
-        alike = len(self._emitters) == 1 and self.field.mode == "fast"
+        alike = len(self._group_drives) == 1 and self.field.mode == "fast"
         if frames == 0 or self.count == 0:
             return result
         transfer = self._known_matrix(points, normals) if alike and frames >= MATRIX_FROM else None
         if transfer is None and (frames < MATRIX_FROM or not alike or too_steep(evaluator, points)):
-            if points.shape != (self.count, 3) or drives.shape[1:] != (self.field.count,):
+            shape = self.count, 3
+            if points.shape != shape or normals.shape != shape or drives.shape[1:] != (self.field.count,):
                 self.evaluate(points, normals, drives[0])  # says what is expected
             self._run(points, normals, drives.astype(np.complex128, copy=False), result)
             return result
@@ -276,8 +284,8 @@ class SurfaceArp:
     def _run_on_gpu(self, blocks: list[Calls], sums: "_Sums | None") -> None:
         self._points.upload()
         self._normals.upload()
-        for emitter in self._emitters:
-            emitter.upload()
+        for group in self._group_drives:
+            group.upload()
         if sums is not None:
             sums.number.upload()
         share(blocks, 1)
@@ -288,11 +296,11 @@ class SurfaceArp:
     def _record_fields(self, falls: tuple[str, ...], block: slice) -> Calls:
         """Launches that add the field of each directivity at a block's points."""
         calls = []
-        for emitter, fall in zip(self._emitters, falls, strict=True):
-            kernel = emitter.evaluator.kernel(fall, gradient=True)
-            threads = -(-(block.stop - block.start) // emitter.evaluator.points_per_thread)
+        for group, fall in zip(self._group_drives, falls, strict=True):
+            kernel = group.evaluator.kernel(fall, gradient=True)
+            threads = -(-(block.stop - block.start) // group.evaluator.points_per_thread)
             outputs = [self._pressure[block], self._gradient[block]]
-            inputs = [self._points.array[block], *emitter.inputs, *outputs]
+            inputs = [self._points.array[block], *group.inputs, *outputs]
             calls.append(recorded(kernel, threads, inputs, self.field.device))
         return calls
 
@@ -312,7 +320,7 @@ def _not_finite(name: str, values: Complex | Float | Float32) -> PalmfieldError:
     return PalmfieldError(f"{name}[{bad}] = {values[bad].tolist()} is not finite: mend what makes the {name}")
 
 
-class _Emitter:
+class _GroupDrive:
     """The transducers of one directivity as the kernels take them, for one drive after another.
 
     rows, strengths: what the kernels read; ranges: of each group the first transducer that sounds, and the one after

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from palmfield.acoustics.phased_array import Board, PhasedArray
+from palmfield.acoustics.phased_array import BoardOutline, PhasedArray
 from palmfield.acoustics.shadow import REACH_m
 from palmfield.types import Array, Float, Float32, Int
 
@@ -22,7 +22,7 @@ def clearance(array: Array, points: Float) -> float:
     The board is the rectangle around transducers that lie in one plane of constant z and face along z. Any other array
     has none: there it is the distance from the face of the nearest transducer. `PhasedArray.boards` has them made.
     """
-    return Board.of(array).clearance(points)
+    return BoardOutline.of(array).clearance(points)
 
 
 def distance_to_arrays(points: Float, flux: Float | Float32, phased_array: PhasedArray) -> Float:

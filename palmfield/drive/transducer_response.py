@@ -168,10 +168,10 @@ def _commanded(
     drive: ArrayDrive, points: Float, levels: Float, group: Int | None, focal_points: FocalPoints
 ) -> Complex:
     """Unit drives times levels, each transducer by its group, shape (k, N)."""
-    heard = levels > 0.0
-    if not np.logical_or.reduce(heard, axis=None):
+    audible = levels > 0.0
+    if not np.logical_or.reduce(audible, axis=None):
         return np.zeros((len(points), drive.count), np.complex128)
-    drives = drive.unit_drives(points, focal_points, group, heard)
+    drives = drive.unit_drives(points, focal_points, group, audible)
     drives *= levels if group is None else levels[:, group]
     return drives
 

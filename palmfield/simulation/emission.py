@@ -155,8 +155,8 @@ class Emission:
     def mean_drives(self, posed: PosedScene, emitted: Complex, t0: float) -> MeanDrives:
         """What gives the mean ARP over the MuJoCo step that begins at t0 [s].
 
-        Of one stimulus it is that for its focus at the step's beginning; of several, what they emit together at
-        LEAST_MEANS moments. None in silence.
+        Of one stimulus it is that for its focus at the step's beginning; of several, what they emit together at all
+        moments. None in silence.
         """
         model = self.model
         timestep_s = model.spec.timestep_s
@@ -167,11 +167,9 @@ class Emission:
                 if course.unit is None:
                     return SILENCE
                 return MeanDrives(course.unit[None], np.array([weights @ np.abs(course.levels) ** 2]))
-            chosen = slice(0, len(weights), max(1, len(weights) // LEAST_MEANS))
-            shares = weights[chosen] / np.add.reduce(weights[chosen])
             if course.parts is not None:
-                return MeanDrives(course.parts.units, shares, course.parts.levels[chosen])
-            return MeanDrives(rows(course)[chosen], shares)
+                return MeanDrives(course.parts.units, weights, course.parts.levels)
+            return MeanDrives(rows(course), weights)
         part = model.stimuli[0]
         if part.silent:
             return SILENCE

@@ -4,6 +4,7 @@ Beside the spec, which physics is made from, it gives the numbers of the bodies 
 to, with which poses are read later.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -35,6 +36,8 @@ from palmfield.transforms import Placement, Transform, relative
 DURATION = "palmfield_duration_s"
 """Custom numeric of a scene: how long `palmfield run` runs it [s]."""
 DEFAULT_DURATION_S = 0.1
+MOST_STEPS = 1e9
+"""Of MuJoCo in a run."""
 DEVICE = "palmfield_device"
 """Custom text of a scene: where fields are computed, auto, cpu or cuda:N."""
 REST_M, REST_RAD = 1e-4, 1e-3
@@ -319,17 +322,22 @@ def _device(model: ModelView) -> str:
 
 def _timestep(model: ModelView) -> float:
     step = model.timestep
-    if not step > 0.0:
+    if not 0.0 < step < math.inf:
         raise SceneError(f"option 'timestep' has value {step:g}; allowed: seconds > 0")
     return step
 
 
 def _duration(model: ModelView) -> float:
-    value = model.numeric(DURATION, DEFAULT_DURATION_S)
-    if not model.complete:
-        return DEFAULT_DURATION_S
-    if not value > 0.0:
+    # Before MuJoCo has filled numerics it is not known yet
+    value = model.numeric(DURATION, DEFAULT_DURATION_S) if model.complete else DEFAULT_DURATION_S
+    if not 0.0 < value < math.inf:
         raise SceneError(f"numeric '{DURATION}' has value {value:g}; allowed: seconds > 0")
+    steps = value / model.timestep
+    if steps > MOST_STEPS:
+        raise SceneError(
+            f"option 'timestep' has value {model.timestep:g}: a run of {value:g} s takes {steps:.2g} steps and would "
+            f"not end; allowed: at most {MOST_STEPS:.2g}; set timestep larger, or numeric '{DURATION}' smaller"
+        )
     return value
 
 

@@ -7,6 +7,7 @@ from scipy.spatial import cKDTree
 
 from palmfield.acoustics.phased_array import HOUSING_M
 from palmfield.acoustics.surface_load import CLEARANCE_M
+from palmfield.acoustics.transfer import available_bytes
 from palmfield.drive.boards import Board, check
 from palmfield.drive.response import Pole
 from palmfield.errors import DeviceError, SceneError
@@ -19,6 +20,8 @@ from palmfield.types import Float
 
 MOST_UNKNOWNS = 2_000_000
 """Factors of the matrix of so large a layer take more than 100 GB."""
+FACTOR_BYTES = 180.0
+"""Of the factors of a layer of n unknowns, over n^1.4: SuperLU's two and the blocks, as seen for 1.5 k to 13 k."""
 MOST_SUBSTEPS = 10_000
 """Steps of a skin in one of MuJoCo's."""
 SURFACE_KEYS = ("shape", "hand", "mesh", "mesh_unit")
@@ -79,6 +82,13 @@ def check_cost(skin: SkinSpec, layer: SceneLayer, timestep_s: float) -> None:
             f"{element}: elements of {1e3 * layer.sizes.edge_fine_m:.3g} mm make about {unknowns:.2g} "
             f"unknowns, whose factors take more memory than there is; allowed: at most {MOST_UNKNOWNS:.2g}; set "
             "element_m or accuracy larger, or patch_radius_m smaller"
+        )
+    needed, there = FACTOR_BYTES * unknowns**1.4, available_bytes()
+    if needed > there:
+        raise SceneError(
+            f"{element}: elements of {1e3 * layer.sizes.edge_fine_m:.3g} mm make about {unknowns:.2g} unknowns, whose "
+            f"factors take about {needed / 1e9:.3g} GB; there are {there / 1e9:.3g} GB free; set element_m or accuracy "
+            "larger, or patch_radius_m smaller"
         )
 
 

@@ -77,9 +77,17 @@ class SkinStepper(Protocol):
 
 
 def check_step(
-    stepper: SkinStepper, state: Float, loads: SurfaceLoads, t0: float, t1: float, any_length: bool = False
+    stepper: SkinStepper,
+    state: Float,
+    loads: SurfaceLoads,
+    points: int,
+    t0: float,
+    t1: float,
+    any_length: bool = False,
 ) -> bool:
     """Raise SceneError for several worlds, other shapes, and substeps of another length unless that may be any.
+
+    points: at which a layer takes pressure, q
 
     Returns whether the substeps have the stepper's own length.
     """
@@ -89,10 +97,10 @@ def check_step(
             f"skin state {state.shape} under loads of {worlds} worlds: solver '{stepper.name}' steps one world, state "
             f"(1, {stepper.state_size}), in this version; make a simulation for each world"
         )
-    if loads.last.shape != loads.first.shape or loads.pressure_Pa.shape[:2] != (1, patterns):
+    if loads.last.shape != loads.first.shape or loads.pressure_Pa.shape != (1, patterns, points) or substeps == 0:
         raise SceneError(
             f"skin loads: pressure {loads.pressure_Pa.shape}, first {loads.first.shape}, last {loads.last.shape}; give "
-            "(1, k, q), (1, s, k) and (1, s, k)"
+            f"(1, k, {points}), (1, s, k) and (1, s, k), s >= 1"
         )
     own = abs(t1 - t0 - substeps * stepper.step_s) <= CLOCK * stepper.step_s
     if not own and not (any_length and t1 > t0):

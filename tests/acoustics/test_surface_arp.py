@@ -145,6 +145,18 @@ def test_sums_of_few_drives_are_what_they_are_drive_by_drive(name: str) -> None:
         at.evaluate_sums(points, normals, units * np.nan, levels)
     with pytest.raises(PalmfieldError, match="this SurfaceArp takes"):
         at.evaluate_sums(points, normals, units[:, 1:], levels)
+    with pytest.raises(PalmfieldError, match=r"levels\[2\] .* is not finite"):
+        at.evaluate_sums(points, normals, units, np.where(np.arange(6)[:, None] == 2, np.nan, levels))
+    for bad in (levels[:, :1], np.hstack([levels, levels]), levels[0]):
+        with pytest.raises(PalmfieldError, match="give \\(m, k\\)"):
+            at.evaluate_sums(points, normals, units, bad)
+    for bad in (normals[0], normals[:, :1]):
+        for call in (
+            lambda n: at.evaluate_sums(points, n, units, levels),
+            lambda n: at.evaluate_many(points, n, units),
+        ):
+            with pytest.raises(PalmfieldError, match="this SurfaceArp takes"):
+                call(bad)
 
 
 def test_a_surface_that_moves_far() -> None:
@@ -170,7 +182,7 @@ def test_many_poses_keep_few_fits() -> None:
     drive = driven(array)
     for i in range(200):
         at.evaluate(points - [0.0, 0.0, -i * RANGE_STEP_M], normals, drive)
-    assert len(at._emitters[0]._fits) <= 64 and len(at._recorded) <= 3
+    assert len(at._group_drives[0]._fits) <= 64 and len(at._recorded) <= 3
 
 
 @pytest.mark.parametrize("count", [1, 15, 16, 17, 3000])

@@ -135,6 +135,25 @@ def test_steps_so_small_that_the_run_cannot_end(step_s, small_scene, meshing_fai
     )  # fmt: skip
 
 
+def test_a_layer_for_which_memory_is_short(small_scene, meshing_fails, monkeypatch):
+    monkeypatch.setattr("palmfield.simulation.validate.available_bytes", lambda: 10**5)
+    quickly_refused(
+        small_scene(), f"{SKIN}elements of", "factors take about", "there are 0.0001 GB free; set element_m"
+    )
+
+
+@pytest.mark.parametrize("timestep", [1e-12, 1e-300])
+def test_timesteps_so_small_that_the_run_cannot_end(timestep, small_scene, meshing_fails):
+    path = small_scene()
+    path.write_text(path.read_text().replace('timestep="0.001"', f'timestep="{timestep}"'))
+    quickly_refused(path, f"option 'timestep' has value {timestep:g}: a run of", "would not end", "set timestep larger")
+
+
+def test_a_duration_so_long_that_the_run_cannot_end(small_scene):
+    path = small_scene(duration_s="1e9")
+    refused(path, "a run of 1e+09 s takes 1e+12 steps", "or numeric 'palmfield_duration_s' smaller")
+
+
 def test_the_second_skin_alone_costs_too_much(small_scene, add_skin, meshing_fails):
     path = add_skin(small_scene(), "0.05 0 0.12")
     refusal = "plugin 'palmfield.skin' instance 'second': elements of 0.001 mm make about"

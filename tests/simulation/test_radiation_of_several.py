@@ -44,3 +44,23 @@ def test_the_mean_force_is_that_of_each_moments_drive(hands):
         _, normals, areas = posed.bodies[body].samples
         whole = -(arp * areas) @ normals
         np.testing.assert_allclose(force.sum(axis=0), whole, atol=1e-5 * np.linalg.norm(whole))
+
+
+@pytest.mark.parametrize("frequency_Hz", [1000.0, 250.0])
+def test_the_mean_force_is_that_over_all_moments(frequency_Hz):
+    """Of a modulation as fast as the moments at which the load is known: some of them alone would be off by a third."""
+    keys = {f"{side}_focus.am_frequency_Hz": frequency_Hz for side in ("right", "left")}
+    keys |= {f"{side}_focus.am_of": "pressure" for side in ("right", "left")}
+    keys |= {f"{side}_palm.step_s": 1e-4 for side in ("right", "left")}
+    sim = palmfield.Simulation(SCENES / "two_hands_both_feel.xml", device="cpu", accuracy=0.5, keys=keys)
+    sim.run(0.004)
+    runtime, work = sim.runtime, sim.runtime.work
+    posed, emitted, now = runtime.posed, gather(runtime.state, work), sim.data.time
+    moments, course = work.emission.over(posed, emitted, now, runtime.model.substeps)
+    weights = 0.5 * (moments.first + moments.last).sum(axis=0) / runtime.model.substeps
+    [(force, _), _] = work.forces.over(work.emission, posed, emitted, now)
+    arp = weights @ Radiation(runtime.model).many(posed, 0, course.emitted, "samples")
+    _, normals, areas = posed.bodies[0].samples
+    whole = -(arp * areas) @ normals
+    assert np.linalg.norm(whole) > 1e-3
+    np.testing.assert_allclose(force.sum(axis=0), whole, atol=1e-5 * np.linalg.norm(whole))

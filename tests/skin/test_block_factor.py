@@ -74,6 +74,43 @@ def test_any_graph_in_any_order_is_solved(n, per_node, seed):
     np.testing.assert_allclose(matrix @ solve(factor, right), right, atol=1e-12 * np.abs(right).max())
 
 
+def test_what_cancels_to_nothing_in_the_factor_is_no_gap_in_its_structure():
+    """Column 19 has as many rows as the one before, but others: SuperLU has left out what came out as 0."""
+    n, rng = 101, np.random.default_rng(0)
+    lower = np.eye(n)
+
+    def put(rows, column):
+        for row in rows:
+            lower[row, column] = rng.integers(1, 3) / 16
+
+    for column in range(20):
+        put(range(column + 1, 20), column)
+    for column in range(19):
+        put([*range(20, 30), 90], column)
+    put([*range(21, 30), 60, 90], 19)
+    for column in range(20, 40):
+        put([*range(column + 1, 40), *range(40, 101)], column)
+    for column in range(40, 101):
+        put(range(column + 1, 101), column)
+    matrix = sparse.csr_matrix(lower @ lower.T)
+    right = np.arange(1.0, n + 1)
+    solved = solve(block_factor(matrix, np.arange(n, dtype=np.int32)), right)
+    np.testing.assert_allclose(matrix @ solved, right, atol=1e-9)
+
+
+def test_islands_and_matrices_of_one_supernode_are_solved():
+    rng = np.random.default_rng(0)
+    full = rng.standard_normal((40, 40))
+    full = full @ full.T + 40.0 * np.eye(40)
+    for blocks in ([full], [full, full], [full, full, full], [np.eye(1)], [np.eye(7)]):
+        matrix = sparse.block_diag(blocks, format="csr")
+        n = matrix.shape[0]
+        factor = block_factor(matrix, np.arange(n, dtype=np.int32))
+        right = rng.standard_normal(n)
+        np.testing.assert_allclose(matrix @ solve(factor, right), right, atol=1e-10)
+        grouped_rows([matrix], [(part.first, part.last) for part in (*factor.branches, factor.trunk)])
+
+
 @pytest.mark.numerics
 def test_a_layer_is_solved_and_its_branches_share_the_work(make_spot):
     system = make_spot(0.006, 2, radius_m=0.04).system

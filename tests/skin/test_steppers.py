@@ -270,6 +270,11 @@ def test_what_is_refused(disc, stepper):
         stepper.step(rest(stepper), loads, 0.0, 0.0 if stepper.name == "reduced" else 2 * SUBSTEPS * STEP)
     with pytest.raises(SceneError, match="skin loads"):
         stepper.step(rest(stepper), SurfaceLoads(loads.pressure_Pa[:, 1:], loads.first, loads.last), 0.0, 6 * STEP)
+    for pressure in (loads.pressure_Pa[..., 1:], np.zeros((1, loads.pressure_Pa.shape[1], 10_000))):
+        with pytest.raises(SceneError, match="skin loads"):
+            stepper.step(rest(stepper), SurfaceLoads(pressure, loads.first, loads.last), 0.0, SUBSTEPS * STEP)
+    with pytest.raises(SceneError, match="s >= 1"):
+        stepper.step(rest(stepper), part_of(loads, slice(0, 0)), 0.0, 0.0)
     with pytest.raises(SceneError, match="unknowns"):
         stepper.reader(sparse.csr_matrix((2, 5)))
 

@@ -6,6 +6,7 @@ keeps apart is solved at the same time. For layers of 4000 to 7000 unknowns that
 three times on two.
 """
 
+import itertools
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -96,28 +97,41 @@ def block_factor(matrix: Any, order: Int) -> BlockFactor:
 
 
 def _merged(lower: sparse.csc_matrix) -> list[_Supernode]:
-    """Runs of columns with the same rows below, and of such runs where that adds few numbers."""
+    """Runs of columns with the same rows below, and of such runs where that adds few numbers.
+
+    SuperLU leaves out what has come out as exactly 0, so that the structure is closed here: what a run has below its
+    parent, the run of its first row, the parent has too. Then all rows below a run lie on its way to the root.
+    """
     starts, rows = lower.indptr, lower.indices
-    counts = np.diff(starts)
-    # What a column leads to, its parent, has its other rows; a parent with one row less has no more than those
-    parents = np.append(rows, len(counts))[np.where(counts > 1, starts[:-1] + 1, len(rows))]
-    goes_on = (parents[:-1] == np.arange(1, len(counts))) & (counts[1:] == counts[:-1] - 1)
-    begins = np.flatnonzero(np.concatenate(([True], ~goes_on)))
+    columns = [rows[start + 1 : end] for start, end in itertools.pairwise(starts)]
+    runs, first = [], 0
+    for last in range(1, len(columns) + 1):
+        before = columns[last - 1]
+        if last == len(columns) or len(before) == 0 or before[0] != last or not _equal(before[1:], columns[last]):
+            runs.append(_Supernode(first, last, before))
+            first = last
+    run_of = np.repeat(np.arange(len(runs)), [run.last - run.first for run in runs])
+    for run in runs:
+        if len(run.rows):
+            parent = runs[run_of[run.rows[0]]]
+            parent.rows = np.union1d(parent.rows, run.rows[run.rows >= parent.last])
     result: list[_Supernode] = []
-    for first, last in zip(begins, [*begins[1:], len(counts)], strict=True):
-        own = rows[starts[first] : starts[first + 1]]
-        result.append(_Supernode(int(first), int(last), own[own >= last]))
+    for run in runs:
+        result.append(run)
         while len(result) > 1:
             child, parent = result[-2:]
             if len(child.rows) == 0 or child.rows[0] >= parent.last:
                 break
-            both = np.union1d(child.rows[child.rows >= parent.last], parent.rows)
-            merged = _Supernode(child.first, parent.last, both)
+            merged = _Supernode(child.first, parent.last, parent.rows)
             few = merged.stored <= (1.0 + MOST_ADDED) * (child.stored + parent.stored)
             if not few and merged.last - merged.first > SMALLEST:
                 break
             result[-2:] = [merged]
     return result
+
+
+def _equal(one: Int, other: Int) -> bool:
+    return len(one) == len(other) and bool((one == other).all())
 
 
 def _branches(supernodes: list[_Supernode]) -> list[list[int]]:
@@ -182,8 +196,9 @@ def _packed(nodes: list[_Supernode], lower: sparse.csc_matrix, diagonal: Float, 
             begin, end = lower.indptr[node.first], lower.indptr[node.last]
             where = np.concatenate((np.arange(node.first, node.last), node.rows))
             columns = np.repeat(np.arange(width), np.diff(lower.indptr[node.first : node.last + 1]))
-            block = np.zeros((len(where), width))
-            block[np.searchsorted(where, lower.indices[begin:end]), columns] = lower.data[begin:end]
+            block, row_of = np.zeros((len(where), width)), np.searchsorted(where, lower.indices[begin:end])
+            assert np.array_equal(where[np.minimum(row_of, len(where) - 1)], lower.indices[begin:end])
+            block[row_of, columns] = lower.data[begin:end]
             inverse = solve_triangular(block[:width], np.eye(width), lower=True, unit_diagonal=True)
             padded = np.zeros(((own + below) * WIDTH, width))
             padded[:width] = inverse.T @ (inverse / diagonal[node.first : node.last, None])

@@ -26,7 +26,7 @@ def grouped_rows(
     """
     n = matrices[0].shape[0]
     rows, starts, columns, values, groups = [], [np.zeros(1, np.int64)], [], [], []
-    count = 0
+    count, ended = 0, 0
     for first, last in ranges:
         begin = count
         for number, matrix in enumerate(matrices):
@@ -43,7 +43,8 @@ def grouped_rows(
             block[where, row % ROWS] = part.data
             ends = np.searchsorted(pairs, n * np.arange(1, members + 1))
             rows.append(padded)
-            starts.append(starts[-1][-1] + ends)
+            starts.append(ended + ends)
+            ended += len(pairs)
             columns.append(pairs % n + number * n)
             values.append(block)
             count += members

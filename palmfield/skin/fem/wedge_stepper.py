@@ -78,7 +78,10 @@ class WedgeStepper:
         offset = left_out.row / left_out.coefficient
         self._into_sums = np.array([*(term.row - term.coefficient * offset for term in others), offset])
         parts = [(part.first, part.last) for part in (*factor.branches, factor.trunk)]
-        self._others = grouped_rows([_placed(term.matrix, factor, rows=True) for term in others], parts)
+        matrices = [_placed(term.matrix, factor, rows=True) for term in others]
+        # Threads take a branch each: one must not read what another is changing
+        assert not any(_coupled(matrix, parts[:-1]) for matrix in matrices)
+        self._others = grouped_rows(matrices, parts)
         self._inputs = _placed(sparse.csr_matrix(inputs, dtype=np.float64), factor, rows=True, columns=False)
         self._advance, self._follow = scheme.advance, scheme.follow
         self._rooms: list[_Room] = []
@@ -87,7 +90,7 @@ class WedgeStepper:
         self, state: Float, loads: SurfaceLoads, t0: float, t1: float, observe: Reader | None = None
     ) -> Float | None:
         """See SkinStepper."""
-        check_step(self, state, loads, t0, t1)
+        check_step(self, state, loads, self._inputs.shape[1], t0, t1)
         rows, place = state[0].reshape(self.state_rows, self.ndof), self._factor.place
         first, last = loads.first[0], loads.last[0]
         mix = self._alpha_f * first + (1.0 - self._alpha_f) * last
@@ -212,6 +215,16 @@ def _placed(
     row, count = (place[parts.row], factor.size) if rows else (parts.row, matrix.shape[0])
     column, width = (place[parts.col], factor.size) if columns else (parts.col, matrix.shape[1])
     return sparse.csr_matrix((parts.data, (row, column)), shape=(count, width))
+
+
+def _coupled(matrix: sparse.csr_matrix, ranges: list[tuple[int, int]]) -> bool:
+    """Whether a matrix couples unknowns of two ranges, each from the first to the one after the last."""
+    parts = sparse.coo_matrix(matrix)
+    of_row, of_column = np.zeros((2, parts.nnz), np.int8)
+    for number, (first, last) in enumerate(ranges, 1):
+        of_row[(parts.row >= first) & (parts.row < last)] = number
+        of_column[(parts.col >= first) & (parts.col < last)] = number
+    return bool(((of_row != of_column) & (of_row > 0) & (of_column > 0)).any())
 
 
 def _read(matrix: sparse.csr_matrix, rows: Float, out: Float) -> None:

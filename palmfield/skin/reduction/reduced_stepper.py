@@ -82,7 +82,7 @@ class ReducedStepper:
         self, state: Float, loads: SurfaceLoads, t0: float, t1: float, observe: Reader | None = None
     ) -> Float | None:
         """See SkinStepper."""
-        own = check_step(self, state, loads, t0, t1, any_length=True)
+        own = check_step(self, state, loads, len(self._shares), t0, t1, any_length=True)
         advance, one = self._advance, state[0]
         with one_blas_thread:
             pressure = loads.pressure_Pa[0]
