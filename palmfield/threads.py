@@ -5,6 +5,7 @@ import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from itertools import repeat, starmap
 from queue import SimpleQueue
 
 Calls = Sequence[Callable[[], object]]
@@ -32,6 +33,7 @@ def share(blocks: Sequence[Calls], threads: int) -> None:
 
     It takes 20 us where an executor takes 100: this thread works too, and what passes between threads is in C. The
     threads share one iterator, so that a slow core does fewer blocks, and a helper that comes late does none.
+    Raises the first error of a block, when no helper works any more.
     """
     helpers = min(threads, len(blocks)) - 1
     if helpers < 1:
@@ -46,17 +48,31 @@ def share(blocks: Sequence[Calls], threads: int) -> None:
         offer = threading.Lock()
         offers.append(offer)
         waiting.put((offer, todo, done))
+    errors: list[BaseException | None] = []
     try:
         for calls in todo:
             for call in calls:
                 call()
+    except BaseException as error:
+        errors.append(error)
+    # An offer that no helper has taken yet is taken back; the others still work on the caller's arrays
+    waited = len(errors)
+    for offer in offers:
+        waited += not offer.acquire(blocking=False)
+    while len(errors) < waited:
+        try:
+            # In C from the queue into the list, so that Ctrl-C can't fall in between and one be waited for for ever
+            errors.extend(starmap(done.get, repeat((), waited - len(errors))))
+        except KeyboardInterrupt as error:
+            errors.append(error)
+            waited += 1
+    try:
+        for found in errors:
+            if found is not None:
+                raise found
     finally:
-        for offer in offers:
-            # An offer that no helper has taken yet is taken back
-            if not offer.acquire(blocking=False):
-                error = done.get()
-                if error is not None:
-                    raise error
+        found = None
+        errors.clear()  # an error holds this frame, which would hold the error
 
 
 @functools.cache

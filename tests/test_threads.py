@@ -1,0 +1,65 @@
+"""Work shared out among threads."""
+
+import signal
+import threading
+import time
+
+import pytest
+
+from palmfield.threads import share
+
+
+def test_the_first_error_of_a_helper_is_raised_when_none_works_any_more():
+    """The caller's own block lasts until two helpers have begun theirs; one of them fails, and the other goes on."""
+    caller, begun, failing, finished = threading.current_thread(), threading.Barrier(3), threading.Lock(), []
+
+    def block():
+        begun.wait(10.0)
+        if threading.current_thread() is caller:
+            time.sleep(0.05)
+        elif failing.acquire(blocking=False):
+            raise ValueError("a helper's own words")
+        else:
+            time.sleep(0.3)
+            finished.append(True)
+
+    for _ in range(3):
+        failing, finished[:] = threading.Lock(), []
+        with pytest.raises(ValueError, match="own words"):
+            share([[block]] * 3, 3)
+        assert finished == [True]
+
+
+def test_the_callers_own_error_waits_for_the_helpers():
+    caller, begun, finished = threading.current_thread(), threading.Barrier(2), []
+
+    def block():
+        begun.wait(10.0)
+        if threading.current_thread() is caller:
+            raise ValueError("the caller's own words")
+        time.sleep(0.2)
+        finished.append(True)
+
+    with pytest.raises(ValueError, match="the caller's own words"):
+        share([[block]] * 2, 2)
+    assert finished == [True]
+
+
+def test_ctrl_c_waits_for_the_helpers():
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    caller, begun, finished = threading.current_thread(), threading.Barrier(2), []
+
+    def block():
+        begun.wait(10.0)
+        if threading.current_thread() is not caller:
+            time.sleep(0.1)
+            signal.pthread_kill(caller.ident, signal.SIGINT)
+            time.sleep(0.2)
+            finished.append(True)
+
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            share([[block]] * 2, 2)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert finished == [True]
