@@ -31,7 +31,7 @@ class World(DataView):
         super().__init__(model, data)
         self.modules: dict[int, Module] = {}
         self.scene: Any = None
-        self.error: Exception | None = None
+        self.error: Exception | KeyboardInterrupt | None = None
         self.quiet = False
 
 
@@ -87,7 +87,10 @@ def world_of(data: mujoco.MjData) -> World | None:
 
 
 def raise_errors(data: mujoco.MjData) -> None:
-    """Raise, once, what a module could not raise through MuJoCo's C frames."""
+    """Raise, once, what a module could not raise through MuJoCo's C frames.
+
+    KeyboardInterrupt where Ctrl-C cut a module off: a part of the step is missing from the state then.
+    """
     world = _worlds.get(data._address)
     if world is not None and world.error is not None:
         error, world.error = world.error, None
@@ -104,18 +107,18 @@ def compiling() -> Iterator[None]:
         _compiling.active = False
 
 
-def take_compile_error() -> Exception | None:
+def take_compile_error() -> Exception | KeyboardInterrupt | None:
     """What a module's construction raised since the last call, in this thread; MuJoCo's own error only quotes it."""
     error, _compiling.error = getattr(_compiling, "error", None), None
     _compiling.sizing = None
     return error
 
 
-def _fail(world: World | None, module: str, error: Exception) -> None:
+def _fail(world: World | None, module: str, error: Exception | KeyboardInterrupt) -> None:
     """Keep the first error for `raise_errors`, show it through MuJoCo, and put NaN where a result would stand."""
     silent = getattr(_compiling, "active", False) if world is None else world.quiet or world.error is not None
     if not silent:
-        known = isinstance(error, PalmfieldError)
+        known = isinstance(error, PalmfieldError | KeyboardInterrupt)
         text = str(error) if known else "".join(traceback.format_exception(error))
         library().mju_warning(b"%s", f"{module}: {text}".encode())
     if world is not None:
@@ -123,6 +126,16 @@ def _fail(world: World | None, module: str, error: Exception) -> None:
         for instance in world.modules:
             for sensor in world.sensors(instance):
                 sensor.data[:] = float("nan")
+
+
+def _cut_off(world: World, module: str) -> None:
+    """Keep Ctrl-C, which cannot pass through MuJoCo's C frames, for `raise_errors`."""
+    if world.error is not None:
+        # Nobody has raised the last error. A program that never asks must end nevertheless: this raises Ctrl-C again
+        # until it meets this thread in Python
+        _thread.start_new_thread(_thread.interrupt_main, ())
+    text = "Ctrl-C cut a step off; the state is incomplete: reset it, or go back to a copy"
+    _fail(world, module, KeyboardInterrupt(text))
 
 
 def settings_of(module: type[Module], model: ModelView, instance: int) -> Config:
@@ -147,7 +160,7 @@ def register(module: type[Module]) -> None:
         try:
             view = ModelView(model, complete=False)
             return module.state_size(settings_of(module, view, instance), view)
-        except Exception as error:
+        except (KeyboardInterrupt, Exception) as error:
             _compiling.sizing = getattr(_compiling, "sizing", None) or (model, error)
             return 0  # init reports it
 
@@ -155,7 +168,7 @@ def register(module: type[Module]) -> None:
         try:
             view = ModelView(model, complete=False)
             return module.sensor_size(settings_of(module, view, instance), view, sensor)
-        except Exception as error:
+        except (KeyboardInterrupt, Exception) as error:
             _compiling.sizing = getattr(_compiling, "sizing", None) or (model, error)
             return 1  # as above
 
@@ -170,7 +183,7 @@ def register(module: type[Module]) -> None:
                     world = _worlds[data] = World(model, data)
             world.modules[instance] = module(settings_of(module, world.model, instance), world, instance)
             return 0
-        except Exception as error:
+        except (KeyboardInterrupt, Exception) as error:
             _compiling.error = error
             _fail(None, module.name, error)
             return -1
@@ -215,7 +228,7 @@ def register(module: type[Module]) -> None:
             elif not target.only_senses:
                 target.forces()
         except KeyboardInterrupt:
-            _thread.start_new_thread(_thread.interrupt_main, ())
+            _cut_off(world, module.name)
         except Exception as error:
             _fail(world, module.name, error)
 
@@ -228,8 +241,7 @@ def register(module: type[Module]) -> None:
             if not target.only_senses:
                 target.advance()
         except KeyboardInterrupt:
-            # It can't pass through MuJoCo's C frames: raised again as soon as this thread is back in Python.
-            _thread.start_new_thread(_thread.interrupt_main, ())
+            _cut_off(world, module.name)
         except Exception as error:
             _fail(world, module.name, error)
 

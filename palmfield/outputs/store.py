@@ -19,7 +19,7 @@ import numpy as np
 import xarray as xr
 
 from palmfield.errors import OutputError
-from palmfield.outputs.interrupts import interrupts_held
+from palmfield.interrupts import interrupts_held
 from palmfield.outputs.netcdf import (
     UNREADABLE,
     image,

@@ -18,7 +18,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 
 from palmfield.engine.host import World, world_of
 from palmfield.errors import OutputError
-from palmfield.outputs.interrupts import interrupts_held
+from palmfield.interrupts import interrupts_held
 from palmfield.outputs.motion import normal_component
 from palmfield.outputs.plots import plot_displacement, plot_pressure
 from palmfield.outputs.render import render_scene

@@ -12,6 +12,7 @@ from palmfield.engine.host import raise_errors, world_of
 from palmfield.engine.motion_plugin import place
 from palmfield.engine.scene_runtime import SceneRuntime, present_drive
 from palmfield.errors import SceneError
+from palmfield.interrupts import interrupts_held
 from palmfield.session.load import Source, compiled
 from palmfield.simulation.model import SkinModel
 from palmfield.simulation.state import at_rest, stepper_of
@@ -45,8 +46,9 @@ class Simulation:
         self.name, self.model, self.data = compiled(scene, device=device, accuracy=accuracy, board=board, keys=keys)
         self.path = Path(scene) if isinstance(scene, str | Path) else None
         self._attach()
-        mujoco.mj_forward(self.model, self.data)
-        raise_errors(self.data)
+        with interrupts_held():
+            mujoco.mj_forward(self.model, self.data)
+            raise_errors(self.data)
 
     def _attach(self) -> None:
         world = world_of(self.data)
@@ -65,36 +67,51 @@ class Simulation:
         return float(self.data.time)
 
     def step(self, count: int = 1) -> None:
-        """`count` of MuJoCo's steps. Raises what a plugin raised in them (SceneError, DeviceError)."""
-        for _ in range(count):
-            mujoco.mj_step(self.model, self.data)
-            raise_errors(self.data)
+        """`count` of MuJoCo's steps. Raises what a plugin raised in them (SceneError, DeviceError).
+
+        Ctrl-C waits for the end of the step in which it comes: after the KeyboardInterrupt the state is whole, that of
+        an earlier time, and the simulation can go on.
+        """
+        # Made here, and not in the first step: it can take a minute, and Ctrl-C needn't wait for it
+        for lazy in self.runtime.model.begin:
+            _ = lazy.value
+        with interrupts_held() as check:
+            for _ in range(count):
+                mujoco.mj_step(self.model, self.data)
+                raise_errors(self.data)
+                check()
 
     def run(self, duration_s: float) -> None:
-        """As many steps as come nearest to a duration [s], at least one. Raises SceneError for one that is not > 0."""
+        """As many steps as come nearest to a duration [s], at least one; see `step`.
+
+        Raises SceneError for one that is not > 0.
+        """
         check_duration(duration_s)
         self.step(max(1, round(duration_s / self.model.opt.timestep)))
 
     def reset(self) -> None:
         """Back to time 0, with everything at rest and hands where their motions begin."""
-        mujoco.mj_resetData(self.model, self.data)
-        place(self.data)
-        mujoco.mj_forward(self.model, self.data)
-        raise_errors(self.data)
+        self._restart(None)
 
     def start_at(self, time_s: float) -> None:
         """As `reset`, but at another time [s], with hands where their motions have them then; the skin is at rest."""
-        mujoco.mj_resetData(self.model, self.data)
-        self.data.time = time_s
-        place(self.data)
-        mujoco.mj_forward(self.model, self.data)
-        raise_errors(self.data)
+        self._restart(time_s)
+
+    def _restart(self, time_s: float | None) -> None:
+        with interrupts_held():
+            mujoco.mj_resetData(self.model, self.data)
+            if time_s is not None:
+                self.data.time = time_s
+            place(self.data)
+            mujoco.mj_forward(self.model, self.data)
+            raise_errors(self.data)
 
     def copy(self) -> "Simulation":
         """A second simulation in the same state, which goes on by itself; model and matrices are shared."""
         twin = object.__new__(Simulation)
         twin.name, twin.path, twin.model = self.name, self.path, self.model
-        twin.data = copy.copy(self.data)
+        with interrupts_held():
+            twin.data = copy.copy(self.data)
         twin._attach()
         return twin
 

@@ -132,7 +132,12 @@ def test_silence_and_a_coarse_step_end_well(changes, small_scene, tmp_path):
     assert "peak ARP" in format_summary(result.summary)
 
 
-START = "import palmfield, sys; palmfield.run(palmfield.load(sys.argv[1]), sys.argv[2], duration_s=30, progress=False)"
+START = """
+import palmfield, signal, sys
+# A shell that runs tests in the background has its children ignore Ctrl-C.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+palmfield.run(palmfield.load(sys.argv[1]), sys.argv[2], duration_s=30, progress=False)
+"""
 
 
 @pytest.fixture
