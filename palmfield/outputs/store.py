@@ -118,6 +118,7 @@ class Store:
     static: arrays by group and variable that are known before the first step (outputs/schema.py)
     attributes: of groups; those of "/" are the result's own: settings, versions
     overwrite: whether a folder may hold another run's results; they are replaced by `finish`, not before
+    lost: why blocks are missing from what `finish` wrote, or None
     Raises OutputError where `out` cannot be written, and where it holds an unfinished run or, without `overwrite`,
     another run's results.
     """
@@ -130,7 +131,7 @@ class Store:
         self._blocks = _Blocks(static)
         self._waiting = _Waiting(0, [])
         self._waiting_bytes = 0
-        self._lost = ""
+        self.lost: OutputError | None = None
         self._flushed_at = time.monotonic()
         refuse_occupied(self.out, overwrite)
         try:
@@ -166,17 +167,24 @@ class Store:
         """Join what was appended into out/result.nc and remove .partial; returns the result's path.
 
         attributes: more of the result; `reason` says why the run ended; `complete` becomes 1 or 0
+        Where the last blocks can't be flushed they are left out: the result says so, is incomplete, and `lost` is set.
         Files that an earlier run made of its own result go with it. Raises OutputError where there is no room for the
         result; .partial then stays for `palmfield recover`.
         """
         try:
             self._flush()
         except OutputError as error:
-            self._lost = str(error)
+            said = error.__cause__ or error
+            self.lost = OutputError(
+                f"the last blocks of {self.out} are lost: {getattr(said, 'strerror', None) or said}; free some space "
+                "and run the scene again"
+            )
+            self.lost.__cause__ = error
         attributes = dict(attributes)
-        if self._lost:
+        if self.lost is not None:
             complete = False
-            attributes["reason"] = f"{attributes.get('reason', '')} {self._lost}".strip()
+            reason = str(attributes.get("reason", ""))
+            attributes["reason"] = f"{reason}; {self.lost}".strip("; ")
         return _assemble(self.out, attributes, complete)
 
     def _flush(self) -> None:
@@ -198,7 +206,9 @@ class Store:
 
 
 class MemoryStore:
-    """As `Store`, for a run whose results stay in memory."""
+    """As `Store`, for a run whose results stay in memory: nothing is ever `lost`."""
+
+    lost: OutputError | None = None
 
     def __init__(self, static: Arrays, attributes: Attributes | None = None) -> None:
         self._blocks = _Blocks(static)

@@ -5,7 +5,7 @@ import platform
 import resource
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -105,34 +105,43 @@ def run(
             store.append(recorder.surfaces())
         except (KeyboardInterrupt, Exception) as error:
             stopped = stopped or error
-        complete = stopped is None
         reason = "ran to its end" if stopped is None else f"{type(stopped).__name__}: {stopped}".rstrip(": ")
-        try:
-            with interrupts_held():
-                finished = store.finish({"reason": reason}, complete=complete)
-        except KeyboardInterrupt as error:
-            stopped = stopped or error
-        extra: dict[str, Any] = {"complete": complete, "reason": reason}
-        if isinstance(finished, xr.DataTree):
-            result = Result(None, {}, summary(finished, extra), finished)
+        with ExitStack() as opened:
+            # Ctrl-C waits until there is a result that it can carry
+            held = opened.enter_context(ExitStack())
+            held.enter_context(interrupts_held())
+            finished = store.finish({"reason": reason}, complete=stopped is None)
+            if isinstance(finished, xr.DataTree):
+                tree, files = finished, dict[str, Path]()
+                result = Result(None, files, summary(tree, _ending(tree)), tree)
+            else:
+                assert out is not None
+                tree, files = opened.enter_context(open_result(finished)), {"result.nc": finished}
+                files["summary.json"] = Path(out) / "summary.json"
+                result = Result(Path(out), files, summary(tree, _ending(tree)))
             with _carried_by_errors(result):
+                if stopped is None and not tree.attrs["complete"]:
+                    stopped = store.lost or OutputError(f"{out} is incomplete: {tree.attrs['reason']}")
+                try:
+                    if out is not None:
+                        # Before what may take long or be interrupted, and again at the end.
+                        write_json(files["summary.json"], result.summary)
+                except OutputError as error:
+                    stopped = stopped or error
+                held.close()
                 if stopped is not None:
                     raise stopped
-                return replace(result, summary=_whole_summary(sim, recorder, finished, extra, started, bar))
-        assert out is not None
-        files = {"result.nc": finished, "summary.json": Path(out) / "summary.json"}
-        with open_result(finished) as tree:
-            # Written before what may take long or be interrupted, and again at the end.
-            result = Result(Path(out), files, summary(tree, extra))
-            write_json(files["summary.json"], result.summary)
-            with _carried_by_errors(result):
-                if stopped is not None:
-                    raise stopped
-                whole = _whole_summary(sim, recorder, tree, extra, started, bar)
-                files |= draw(tree, Path(out), bar)
-                whole |= _spent(started)
-        write_json(files["summary.json"], whole)
+                whole = _whole_summary(sim, recorder, tree, _ending(tree), started, bar)
+                if out is not None:
+                    files |= draw(tree, Path(out), bar)
+                    whole |= _spent(started)
+                    write_json(files["summary.json"], whole)
     return replace(result, summary=whole)
+
+
+def _ending(tree: xr.DataTree) -> dict[str, Any]:
+    """Whether all of a run was written, and why it ended, as its result says."""
+    return {"complete": bool(tree.attrs["complete"]), "reason": str(tree.attrs["reason"])}
 
 
 @contextmanager

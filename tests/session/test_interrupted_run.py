@@ -1,5 +1,7 @@
 """Runs that are cut off carry what they had computed on the error, with a folder and without."""
 
+import errno
+import json
 import os
 import signal
 import traceback
@@ -8,8 +10,17 @@ import numpy as np
 import pytest
 
 import palmfield
+from palmfield.outputs import store
 from palmfield.session import run as session_run
 from palmfield.session.recorder import Recorder
+
+
+@pytest.fixture(autouse=True)
+def python_raises():
+    """A shell that runs tests in the background has them ignore Ctrl-C."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 @pytest.fixture(params=["memory", "folder"])
@@ -109,3 +120,52 @@ def test_ctrl_c_while_the_result_is_assembled_waits_for_it(small_scene, monkeypa
     with pytest.raises(KeyboardInterrupt) as caught:
         palmfield.run(small_scene(), progress=False)
     assert caught.value.result.dataset.attrs["complete"] == 1
+
+
+def test_ctrl_c_while_the_result_is_assembled_on_disk_waits_for_it(small_scene, tmp_path, monkeypatch):
+    plain = store.read_image
+
+    def read_image(*arguments, **options):
+        if options == {"static": False}:  # the records of a chunk
+            monkeypatch.setattr(store, "read_image", plain)
+            ctrl_c()
+        return plain(*arguments, **options)
+
+    monkeypatch.setattr(store, "read_image", read_image)
+    with pytest.raises(KeyboardInterrupt) as caught:
+        palmfield.run(small_scene(), tmp_path / "out", progress=False)
+    result = caught.value.result
+    assert result.dataset.attrs["complete"] == 1 and result.summary["complete"] is True
+    assert len(displacement(result)) == 31 and not (tmp_path / "out" / ".partial").exists()
+
+
+def full_at_the_last_flush(monkeypatch):
+    plain = store._write_sealed
+
+    def write(path, data):
+        if path.name.startswith("chunk_"):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        plain(path, data)
+
+    monkeypatch.setattr(store, "_write_sealed", write)
+    monkeypatch.setattr(store, "FLUSH_SECONDS", 1000.0)  # so that there is one flush, that of the end
+
+
+def test_a_disk_that_is_full_at_the_last_flush_makes_the_run_fail(small_scene, tmp_path, monkeypatch):
+    full_at_the_last_flush(monkeypatch)
+    with pytest.raises(palmfield.OutputError, match="are lost: No space left on device; free some space") as caught:
+        palmfield.run(small_scene(), tmp_path / "out", progress=False)
+    result = caught.value.result
+    for said in (result.summary, json.loads((tmp_path / "out" / "summary.json").read_text()), result.dataset.attrs):
+        assert said["complete"] == 0 and "last blocks" in said["reason"] and "ran to its end" in said["reason"]
+    assert "time" not in result.dataset.sizes or result.dataset.sizes["time"] == 0
+
+
+def test_a_disk_that_is_full_for_the_summary_too_leaves_the_result_on_the_error(small_scene, tmp_path, monkeypatch):
+    def write_json(path, numbers):
+        raise palmfield.OutputError(f"cannot write {path}")
+
+    monkeypatch.setattr(session_run, "write_json", write_json)
+    with pytest.raises(palmfield.OutputError, match="cannot write") as caught:
+        palmfield.run(small_scene(), tmp_path / "out", progress=False)
+    assert len(displacement(caught.value.result)) == 31
