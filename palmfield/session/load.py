@@ -4,6 +4,7 @@ import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from os import PathLike
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -139,6 +140,8 @@ def _opened(source: str | Path | mujoco.MjSpec) -> tuple[str, mujoco.MjSpec, Pat
     if isinstance(source, mujoco.MjSpec):
         folder = Path(source.modelfiledir).resolve() if source.modelfiledir else None
         return source.modelname or "the spec", source, folder
+    if not isinstance(source, str | PathLike):
+        raise SceneError(f"scene is {source!r}; allowed: the path of a file, an MjSpec or an MjModel")
     path = Path(source)
     if not path.is_file():
         raise SceneError(f"scene {path} does not exist; `palmfield new NAME` writes one to start from")
@@ -232,7 +235,7 @@ def _data(model: mujoco.MjModel, name: str) -> mujoco.MjData:
     return data
 
 
-def _explained(error: Exception, name: str) -> Exception:
+def _explained(error: Exception, name: str) -> BaseException:
     """What a module's own error says, or MuJoCo's in one line."""
     cause = take_compile_error()
     if isinstance(cause, PalmfieldError):

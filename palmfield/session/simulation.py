@@ -115,6 +115,14 @@ class Simulation:
         twin._attach()
         return twin
 
+    def __copy__(self) -> "Simulation":
+        """As `copy`: two simulations can't share MuJoCo's data."""
+        return self.copy()
+
+    def __deepcopy__(self, memo: dict[int, object]) -> "Simulation":
+        """As `copy`; models never change."""
+        return self.copy()
+
     # -- what there is to see ------------------------------------------------------------------------------------
 
     @property
@@ -245,7 +253,11 @@ class Skin:
 
 def check_duration(duration_s: float) -> None:
     """Raises SceneError for a duration that is not a number of seconds > 0."""
-    if not 0.0 < duration_s < np.inf:
+    try:
+        allowed = 0.0 < duration_s < np.inf
+    except TypeError:
+        raise SceneError(f"duration_s is {duration_s!r}; allowed: a number of seconds > 0") from None
+    if not allowed:
         raise SceneError(f"duration_s is {duration_s}; allowed: seconds > 0")
 
 

@@ -1,5 +1,7 @@
 """A Simulation: its copies, what it says of the present moment, and keys of instances and plugins."""
 
+import copy
+
 import mujoco
 import numpy as np
 import pytest
@@ -76,3 +78,32 @@ def test_an_earlier_failure_in_stock_mujoco_is_not_told_of_another_scene(again, 
         mujoco.MjModel.from_xml_path(str(bad))
     good = small_scene()
     palmfield.Simulation(good if again == "file" else mujoco.MjSpec.from_file(str(good))).step()
+
+
+@pytest.mark.parametrize("another", [copy.copy, copy.deepcopy])
+def test_pythons_own_copies_go_on_by_themselves(another, small_scene):
+    first = palmfield.Simulation(small_scene())
+    first.step(3)
+    second = another(first)
+    assert second.model is first.model and second.data is not first.data and second.name == first.name
+    second.step(2)
+    assert first.time == pytest.approx(0.003) and second.time == pytest.approx(0.005)
+    first.step(2)
+    np.testing.assert_array_equal(first.skin().displacement, second.skin().displacement)
+
+
+@pytest.mark.parametrize("scene", [None, 5, ["scene.xml"]])
+@pytest.mark.parametrize("call", [palmfield.Simulation, palmfield.run, palmfield.plan])
+def test_what_is_no_scene_is_refused_by_name(call, scene):
+    with pytest.raises(palmfield.SceneError) as caught:
+        call(scene)
+    assert str(caught.value) == f"scene is {scene!r}; allowed: the path of a file, an MjSpec or an MjModel"
+
+
+@pytest.mark.parametrize("duration_s", ["x", None, [0.1]])
+def test_a_duration_that_is_no_number_is_refused_by_name(duration_s, small_scene):
+    sim = palmfield.Simulation(small_scene())
+    with pytest.raises(palmfield.SceneError) as caught:
+        sim.run(duration_s)
+    assert str(caught.value) == f"duration_s is {duration_s!r}; allowed: a number of seconds > 0"
+    assert sim.time == 0.0
