@@ -89,15 +89,20 @@ def _help(waiting: "SimpleQueue[_Offer]") -> None:
         offer, todo, done = waiting.get()
         if not offer.acquire(blocking=False):
             continue
-        error = None
-        try:
-            for calls in todo:
-                for call in calls:
-                    call()
-        except BaseException as caught:
-            error = caught
+        error = _do_all(todo)
         done.put(error)
         del offer, todo, done, error  # else it would keep the last caller's arrays until the next call
+
+
+def _do_all(todo: Iterator[Calls]) -> BaseException | None:
+    """Do what is left; returns what it raised. A function of its own, so that none of the calls outlives it."""
+    try:
+        for calls in todo:
+            for call in calls:
+                call()
+    except BaseException as error:
+        return error
+    return None
 
 
 def _forget() -> None:
