@@ -131,8 +131,8 @@ def _fail(world: World | None, module: str, error: Exception | KeyboardInterrupt
 def _cut_off(world: World, module: str) -> None:
     """Keep Ctrl-C, which cannot pass through MuJoCo's C frames, for `raise_errors`."""
     if world.error is not None:
-        # Nobody has raised the last error. A program that never asks must end nevertheless: this raises Ctrl-C again
-        # until it meets this thread in Python
+        # Nobody has raised the last error. Further ones must end a program that never asks: each is raised again, and
+        # ends it where that meets this thread in Python
         _thread.start_new_thread(_thread.interrupt_main, ())
     text = "Ctrl-C cut a step off; the state is incomplete: reset it, or go back to a copy"
     _fail(world, module, KeyboardInterrupt(text))
