@@ -137,9 +137,9 @@ def test_steps_so_small_that_the_run_cannot_end(step_s, small_scene, meshing_fai
 
 def test_a_layer_for_which_memory_is_short(small_scene, meshing_fails, monkeypatch):
     monkeypatch.setattr("palmfield.simulation.validate.available_bytes", lambda: 10**5)
-    quickly_refused(
-        small_scene(), f"{SKIN}elements of", "factors take about", "there are 0.0001 GB free; set element_m"
-    )
+    # Of a size of its own: equal scenes share a model
+    path = small_scene(skin={"element_m": 0.00347})
+    quickly_refused(path, f"{SKIN}elements of 3.47 mm", "factors take about", "there are 0.0001 GB free; set element_m")
 
 
 @pytest.mark.parametrize("timestep", [1e-12, 1e-300])
