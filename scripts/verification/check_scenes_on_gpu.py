@@ -70,7 +70,8 @@ def main() -> int:
     parser.add_argument("scenes", nargs="*", default=sorted(path.stem for path in REFERENCE.glob("*.npz")))
     parser.add_argument("--steps", type=int, default=20)
     parser.add_argument("--device", default="cuda:0")
-    parser.add_argument("--write", type=Path)
+    parser.add_argument("--write", type=Path, help="also write the page to this file")
+    parser.add_argument("--commit", default="", help="for the head, where no git is [default: git's]")
     options = parser.parse_args()
     print(HEAD, flush=True)
     rows, good = [], True
@@ -83,7 +84,7 @@ def main() -> int:
         title = (
             "# Scenes on a GPU\n\n"
             f"`python scripts/verification/{Path(__file__).name}`, {wp.get_device(options.device).name}, commit "
-            f"{git_commit()}.\n{options.steps} steps of the small forms that the reference arrays are of, against the "
+            f"{options.commit or git_commit()}.\n{options.steps} steps of the small forms that the reference arrays are of, against the "
             "CPU. Differences are relative to the largest\nof the run, of a force's components to its length. Flipped "
             "is the share of nodes and steps at which ARP differs by more\nthan 1e-4: there a shadow's ray grazes an "
             "edge, and rounding decides on which side.\n\n"
