@@ -81,15 +81,16 @@ def main() -> int:
         good = good and within
         print(line, flush=True)
     if options.write is not None:
-        commit = options.commit or git_commit()
-        title = (
-            "# Scenes on a GPU\n\n"
-            f"`python scripts/verification/{Path(__file__).name}`, {wp.get_device(options.device).name}, commit {commit}.\n"
-            f"{options.steps} steps of the small forms that the reference arrays are of, against the CPU. Differences "
-            "are relative to the largest\nof the run, of a force's components to its length. Flipped is the share of "
-            "nodes and steps at which ARP differs by more\nthan 1e-4: there a shadow's ray grazes an edge, and rounding "
-            "decides on which side.\n\n"
-        )
+        commit, device = options.commit or git_commit(), wp.get_device(options.device).name
+        title = f"""\
+# Scenes on a GPU
+
+`python scripts/verification/{Path(__file__).name}`, {device}, commit {commit}.
+{options.steps} steps of the small forms that the reference arrays are of, against the CPU. Differences are relative to
+the largest of the run, of a force's components to its length. Flipped is the share of nodes and steps at which ARP
+differs by more than 1e-4: there a shadow's ray grazes an edge, and rounding decides on which side.
+
+"""
         options.write.write_text(title + "\n".join([HEAD, *rows]) + "\n")
     return 0 if good else 1
 
