@@ -83,11 +83,10 @@ def kept(kind: str, depends_on: Sequence[Any], make: Callable[[], Arrays]) -> Ar
         _say(f"cache folder {where}: {_reason(error)}; going on without")
         return make()
     try:
-        found = _read(path)
-        if found is not None:
-            return found
-        answer = make()
-        _write(path, answer)
+        answer = _read(path)
+        if answer is None:
+            answer = make()
+            _write(path, answer)
         return answer
     finally:
         lock.release()
@@ -158,7 +157,8 @@ def _add(result: Any, part: Any) -> None:
         _put(result, f"array {part.dtype.str} {part.shape}", np.ascontiguousarray(part).tobytes())
     elif sparse.issparse(part):
         rows = sparse.csr_matrix(part)
-        rows.sort_indices()
+        if not rows.has_sorted_indices:
+            rows = rows.sorted_indices()  # a copy: the caller's numbers keep their order
         _put(result, f"sparse {rows.shape}", b"")
         for numbers in (rows.indptr.astype(np.int64), rows.indices.astype(np.int64), rows.data):
             _add(result, numbers)

@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
@@ -82,6 +83,11 @@ def filled(struct: Any, **values: Any) -> Any:
     for name, value in values.items():
         setattr(struct, name, value)
     return struct
+
+
+def whole_numbers(values: ArrayLike, device: str = "cpu") -> Any:
+    """A Warp array of int32, with a copy of these values."""
+    return wp.array(np.asarray(values, dtype=np.int32), dtype=wp.int32, device=device)
 
 
 DIRECT_LAUNCH = ("1.19",)

@@ -67,11 +67,11 @@ def share(blocks: Sequence[Calls], threads: int) -> None:
             errors.append(error)
             waited += 1
     try:
-        for found in errors:
-            if found is not None:
-                raise found
+        for failure in errors:
+            if failure is not None:
+                raise failure
     finally:
-        found = None
+        failure = None
         errors.clear()  # an error holds this frame, which would hold the error
 
 

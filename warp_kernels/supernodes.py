@@ -185,6 +185,17 @@ def backward(part: Part, step: Substep):
 
 
 @wp.func
+def add_up(first: wp.int32, last: wp.int32, step: Substep):
+    """Sums of the state in groups first..last - 1 of places."""
+    for group in range(first, last):
+        for i in range(step.sums.shape[0]):
+            total = lanes()
+            for b in range(step.rows.shape[0]):
+                total += step.rows[b, group] * step.into_sums[i, b]
+            step.sums[i, group] = total
+
+
+@wp.func
 def advance(part: Part, step: Substep):
     """The new state, and its sums."""
     count = step.rows.shape[0]
@@ -198,22 +209,13 @@ def advance(part: Part, step: Substep):
             for b in range(count):
                 total += part.old[b] * step.carry[a, b]
             step.rows[a, group] = total
-        for i in range(offset + 1):
-            total = lanes()
-            for b in range(count):
-                total += step.rows[b, group] * step.into_sums[i, b]
-            step.sums[i, group] = total
+    add_up(part.first // WIDTH, part.last // WIDTH, step)
 
 
 @wp.kernel
 def begin_substeps(step: Substep):
     """The sums of the state that the first substep takes."""
-    for i in range(step.sums.shape[0]):
-        for group in range(step.rows.shape[1]):
-            total = lanes()
-            for b in range(step.rows.shape[0]):
-                total += step.rows[b, group] * step.into_sums[i, b]
-            step.sums[i, group] = total
+    add_up(0, step.rows.shape[1], step)
 
 
 # A branch's way in one launch: two threads that come back from a launch wait for one another

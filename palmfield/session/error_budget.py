@@ -97,7 +97,7 @@ def error_estimate(
     place = posed.skins[skin]
     depends_on = (
         *(model.spec.skins[skin], model.spec.device, posed.arrays.array, posed.arrays.air, posed.arrays.placements),
-        *(system.mass, system.damping, system.elastic, [part.stiffness for part in system.parts]),
+        *(system.mass, system.damping, system.elastic, system.parts),
         [(body.vertices_in_array, body.faces) for body in posed.bodies],
         *(place.obstacle_positions, place.obstacle_rotations),
         *(loudest.drive, loudest.factor, sound.on_own, point, layer.demand, layer.sizes, left_small_model),

@@ -58,9 +58,7 @@ class Radiation:
         if self.model.skins[skin].spec.config.body_sound != "none":
             return self.many(posed, skin, levels @ units, role)
         points, normals = points_of(posed, skin, role)
-        known = self._evaluators.get((skin, role, len(points)))
-        evaluator = known[1] if known and known[0] is posed.arrays else self._evaluator(posed, skin, role, len(points))
-        return evaluator.evaluate_sums(points, normals, units, levels)
+        return self._evaluator(posed, skin, role, len(points)).evaluate_sums(points, normals, units, levels)
 
     def at(
         self, posed: PosedScene, skin: int, role: Role, points: Float, normals: Float, drive: Complex

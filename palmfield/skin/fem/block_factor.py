@@ -16,6 +16,7 @@ from scipy import sparse
 from scipy.linalg import solve_triangular
 
 from palmfield.blas import one_blas_thread
+from palmfield.device import whole_numbers
 from palmfield.skin.fem.factor import factorise
 from palmfield.types import Float, Int
 from warp_kernels.supernodes import WIDTH, Supernodes, lanes
@@ -77,7 +78,7 @@ def block_factor(matrix: Any, order: Int) -> BlockFactor:
     lower, diagonal, order = factorise(matrix, order).triangle()
     supernodes = _merged(lower)
     groups = _branches(supernodes)
-    place, ends, kept = np.empty(len(order), np.int32), [], []
+    place, ends = np.empty(len(order), np.int32), []
     at = 0
     for group in groups:
         first = at
@@ -87,10 +88,9 @@ def block_factor(matrix: Any, order: Int) -> BlockFactor:
             at += node.last - node.first
         ends.append((first, -(-at // WIDTH) * WIDTH))
         at = ends[-1][1]
-        kept.append(group)
-    starts = np.cumsum([0, *(len(group) for group in kept)])
-    parts = [Part(*ends[i], int(starts[i]), int(starts[i + 1])) for i in range(len(kept))]
-    nodes = [supernodes[number] for group in kept for number in group]
+    starts = np.cumsum([0, *(len(group) for group in groups)])
+    parts = [Part(*ends[i], int(starts[i]), int(starts[i + 1])) for i in range(len(groups))]
+    nodes = [supernodes[number] for group in groups for number in group]
     packed = _packed(nodes, lower, diagonal, place[order], at)
     widest = max(node.last - node.first for node in nodes)
     return BlockFactor(at, place, tuple(parts[:-1]), parts[-1], packed, widest, sum(node.stored for node in nodes))
@@ -107,7 +107,8 @@ def _merged(lower: sparse.csc_matrix) -> list[_Supernode]:
     runs, first = [], 0
     for last in range(1, len(columns) + 1):
         before = columns[last - 1]
-        if last == len(columns) or len(before) == 0 or before[0] != last or not _equal(before[1:], columns[last]):
+        leads_on = last < len(columns) and len(before) > 0 and before[0] == last
+        if not (leads_on and np.array_equal(before[1:], columns[last])):
             runs.append(_Supernode(first, last, before))
             first = last
     run_of = np.repeat(np.arange(len(runs)), [run.last - run.first for run in runs])
@@ -128,10 +129,6 @@ def _merged(lower: sparse.csc_matrix) -> list[_Supernode]:
                 break
             result[-2:] = [merged]
     return result
-
-
-def _equal(one: Int, other: Int) -> bool:
-    return len(one) == len(other) and bool((one == other).all())
 
 
 def _branches(supernodes: list[_Supernode]) -> list[list[int]]:
@@ -207,13 +204,10 @@ def _packed(nodes: list[_Supernode], lower: sparse.csc_matrix, diagonal: Float, 
             values[value : value + (own + below) * width] = by_column.reshape(-1, WIDTH)
             rows[row : row + len(node.rows)] = place[node.rows]
     result = Supernodes()
-    result.column = _ints([place[node.first] for node in nodes])
-    result.size = _ints([node.last - node.first for node in nodes])
-    result.below = _ints([below for _, below in groups])
-    result.value, result.row, result.rows = _ints(value_starts[:-1]), _ints(row_starts[:-1]), _ints(rows)
+    result.column = whole_numbers([place[node.first] for node in nodes])
+    result.size = whole_numbers([node.last - node.first for node in nodes])
+    result.below = whole_numbers([below for _, below in groups])
+    result.value, result.row = whole_numbers(value_starts[:-1]), whole_numbers(row_starts[:-1])
+    result.rows = whole_numbers(rows)
     result.values = wp.array(values, dtype=lanes, device="cpu", copy=False)
     return result
-
-
-def _ints(numbers: Any) -> Any:
-    return wp.array(np.asarray(numbers, dtype=np.int32), dtype=wp.int32, device="cpu")

@@ -1,16 +1,16 @@
 """Sparse matrices by groups of rows with numbers in the same columns, as `warp_kernels.supernodes` multiplies them.
 
-A product number by number waits for each number's column; by groups of eight rows a column is looked up once for eight.
+A product number by number waits for each number's column; by groups of ROWS rows a column is looked up once for all.
 """
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import warp as wp
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
+from palmfield.device import whole_numbers
 from palmfield.types import Int
 from warp_kernels.supernodes import ROWS, GroupedRows, rows_of_group
 
@@ -50,7 +50,8 @@ def grouped_rows(
             count += members
         groups.append((begin, count))
     result = GroupedRows()
-    result.rows, result.start, result.columns = (_ints(np.concatenate(parts)) for parts in (rows, starts, columns))
+    result.rows, result.start = whole_numbers(np.concatenate(rows)), whole_numbers(np.concatenate(starts))
+    result.columns = whole_numbers(np.concatenate(columns))
     result.values = wp.array(np.concatenate(values), dtype=rows_of_group, device="cpu")
     return result, groups
 
@@ -59,7 +60,3 @@ def _alike(matrix: sparse.csr_matrix, first: int, last: int) -> Int:
     """Rows first..last - 1 with those together that may share columns: a mass couples no x with a y."""
     _, part = connected_components(matrix, directed=False)
     return (first + np.argsort(part[first:last], kind="stable")).astype(np.int32)
-
-
-def _ints(numbers: Any) -> Any:
-    return wp.array(np.asarray(numbers, dtype=np.int32), dtype=wp.int32, device="cpu")

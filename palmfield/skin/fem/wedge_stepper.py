@@ -180,7 +180,7 @@ class WedgeStepper:
 
 
 class _Numbers:
-    """Float64 or int32 numbers that NumPy, and kernels one by one or WIDTH by WIDTH, see in one memory."""
+    """Float64 numbers that NumPy, and kernels one by one or WIDTH by WIDTH, see in one memory."""
 
     def __init__(self, shape: tuple[int, ...]) -> None:
         self.host: Any = np.zeros(shape)
@@ -194,8 +194,7 @@ class _Numbers:
 
     @property
     def plain(self) -> Any:
-        kind = wp.float64 if self.host.dtype == np.float64 else wp.int32
-        return wp.array(self.host, dtype=kind, device="cpu", copy=False)
+        return wp.array(self.host, dtype=wp.float64, device="cpu", copy=False)
 
     @property
     def flat(self) -> Any:

@@ -181,48 +181,30 @@ def known_model(
 
     Kept in the cache (`palmfield.cache`).
     """
-    parts = system.parts
-    depends_on = (
-        (system.mass, system.damping, system.elastic, [part.stiffness for part in parts]),
-        [part.material for part in parts],
-        *(load, surface, point, step_s, highest_Hz, tolerance),
-    )
 
-    def make() -> dict[str, Any]:
-        small, vectors, error, any_course = _known_model(system, load, surface, point, step_s, highest_Hz, tolerance)
-        return {"matrices": np.array(small.matrices), "vectors": vectors, "facts": np.array([error, any_course])}
+    def make() -> cache.Arrays:
+        # Small products only, which several threads of BLAS slow down where other programs run.
+        with one_blas_thread:
+            dynamics = DynamicStiffness(system, system.elimination_order())
+            krylov = Krylov(dynamics, SHIFT * 2.0 * np.pi * highest_Hz, load.basis)
+            _, error = grow_until(
+                krylov,
+                lambda: _Trial(krylov, load, step_s),
+                lambda now, before: now.change(before, krylov, surface, point),
+                tolerance,
+                MOST_VECTORS,
+                lambda: _defect(krylov, load, surface),
+            )
+            facts = np.array([error, krylov.course is None])
+            return {"matrices": np.array(krylov.projected), "vectors": krylov.vectors, "facts": facts}
 
+    body = system.mass, system.damping, system.elastic, system.parts
+    depends_on = (*body, load, surface, point, step_s, highest_Hz, tolerance)
     known = cache.kept("small-model", depends_on, make)
-    unit = np.eye(known["vectors"].shape[1])
-    small = Projection(list(known["matrices"]), [part.material for part in parts], unit, unit)
     error, any_course = known["facts"].tolist()
+    unit = np.eye(known["vectors"].shape[1])
+    small = Projection(list(known["matrices"]), [part.material for part in system.parts], unit, unit)
     return small, known["vectors"], error, bool(any_course)
-
-
-def _known_model(
-    system: SkinSystem,
-    load: KnownLoad,
-    surface: Any,
-    point: Any,
-    step_s: float,
-    highest_Hz: float,
-    tolerance: float,
-) -> tuple[Projection, Float, float, bool]:
-    # Small products only, which several threads of BLAS slow down where other programs run.
-    with one_blas_thread:
-        dynamics = DynamicStiffness(system, system.elimination_order())
-        krylov = Krylov(dynamics, SHIFT * 2.0 * np.pi * highest_Hz, load.basis)
-        last, error = grow_until(
-            krylov,
-            lambda: _Trial(krylov, load, step_s),
-            lambda now, before: now.change(before, krylov, surface, point),
-            tolerance,
-            MOST_VECTORS,
-            lambda: _defect(krylov, load, surface),
-        )
-        unit = np.eye(last.order)
-        small = Projection(krylov.projected, dynamics.materials, unit, unit)
-        return small, krylov.vectors, error, krylov.course is None
 
 
 class _Trial:
