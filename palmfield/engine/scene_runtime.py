@@ -140,7 +140,7 @@ class SceneRuntime:
                 "which its skins are made: load the scene with the new one"
             )
         if check_arrays(self.model, self.state):
-            self.work.prefetch.forget()
+            self.work.begin_run()
         step(self.model, self.state, self.posed, end - self.spec.timestep_s, end, self.work)
 
     def adopt(self, other: "SceneRuntime") -> None:
@@ -154,6 +154,7 @@ class SceneRuntime:
             # Poses are told apart as objects, and nothing in them changes: the copy goes on with the same ones.
             self.work.reference, self._posed, self._numbers = other.work.reference, other._posed, other._numbers
             self.work.prefetch.adopt(other.work.prefetch)
+            self.work.outside = [part.copy() for part in other.work.outside]
 
     def sense(self, skin: int, sensors: list[PluginSensor]) -> None:
         """Fill a skin's sensors from the state at the present time."""

@@ -55,6 +55,7 @@ class ReducedStepper:
     """
 
     name = "reduced"
+    points = None
 
     def __init__(
         self,
