@@ -8,6 +8,7 @@ from palmfield.drive.transducer_response import EmittedCourse
 from palmfield.errors import SceneError
 from palmfield.mujoco_host.mujoco_view import DataView, ForceOutlet, PluginSensor
 from palmfield.simulation.build import model_of
+from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene, PoseLayout, posed_scene
 from palmfield.simulation.scene_reader import read_scene
 from palmfield.simulation.sensors import SensorPlace, SkinReading, fill, sensor_place
@@ -155,6 +156,14 @@ class SceneRuntime:
             self.work.reference, self._posed, self._numbers = other.work.reference, other._posed, other._numbers
             self.work.prefetch.adopt(other.work.prefetch)
             self.work.outside = [part.copy() for part in other.work.outside]
+
+    def exchange(self, model: HapticModel) -> None:
+        """Go on with another model of the same arrays, bodies and skins; the state must be reset.
+
+        What stepped the skins goes on as well, so that it must serve the loads of the other model's stimuli.
+        """
+        self.model, self.spec, self.work = model, model.spec, Workspace(model)
+        self._posed, self._numbers, self._now = self.work.reference, b"", None
 
     def sense(self, skin: int, sensors: list[PluginSensor]) -> None:
         """Fill a skin's sensors from the state at the present time."""
