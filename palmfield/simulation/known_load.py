@@ -10,6 +10,7 @@ from fractions import Fraction
 import numpy as np
 
 from palmfield.config import StimulusConfig
+from palmfield.config.skin import EXPLICIT
 from palmfield.drive.response import Pole
 from palmfield.drive.transducer_response import commanded_drive
 from palmfield.errors import SceneError
@@ -18,6 +19,7 @@ from palmfield.simulation.model import HapticModel, StepperChoice, StimulusModel
 from palmfield.simulation.posed_scene import PosedScene, reference_scene
 from palmfield.simulation.radiation import Radiation
 from palmfield.simulation.spec import SceneSpec, SkinSpec
+from palmfield.skin.explicit_layer import explicit_layer, refuse_explicit
 from palmfield.skin.reduction.krylov import Fade, harmonics, level, periodic
 from palmfield.skin.reduction.reduced_stepper import MOST_VECTORS, KnownLoad, reduced_stepper
 from palmfield.skin.scene_layer import SceneLayer
@@ -59,6 +61,10 @@ def choose_stepper(
 
     Raises SceneError where a small model is asked for and can't be.
     """
+    if skin.config.solver in EXPLICIT:
+        refuse_explicit(layer)
+        seconds_own = explicit_layer(layer).seconds(spec.duration_s, spec.device)
+        return StepperChoice(skin.config.solver, "asked for", math.nan, None, seconds_own)
     substeps = spec.duration_s / layer.sizes.step_s
     reason = refusal(skin, layer, stimuli, pole, response_on)
     requested = skin.config.solver
@@ -153,13 +159,16 @@ def samples(config: StimulusConfig, turn_s: float, max_frequency_Hz: float) -> i
 
 
 def first_stepper(model: HapticModel, skin: int) -> SkinStepper:
-    """What a skin begins with: a small model for the known load in the reference pose, or its whole layer.
+    """What a skin begins with: a small model for the known load in the reference pose, its whole layer, or what its key
+    `solver` names.
 
     Raises SceneError for a small model that is asked for but fails.
     """
     part = model.skins[skin]
     if part.choice.name == "wedges":
         return model.whole[skin].value
+    if part.choice.name in EXPLICIT:
+        return explicit_layer(part.layer).stepper(model.spec.device)
     layer, posed = part.layer, reference_scene(model)
     focus = posed.skins[skin].body.frame.inverse_points(model.stimuli[model.sounding].first_focus)
     try:

@@ -48,7 +48,7 @@ def array_room(transducers: int) -> int:
 
 def skin_room(model: HapticModel, skin: int) -> int:
     """Numbers of a skin's state, known without its matrices."""
-    return HEADER + model.skins[skin].layer.state_room
+    return HEADER + model.skins[skin].state_room
 
 
 def new_state(model: HapticModel) -> HapticState:

@@ -88,12 +88,16 @@ def cost_spectral_elements(
     requested, start = np.asarray(times, dtype=float), float(load.times_s[0])
     ends = float(np.max(requested)), window(body, chosen, load, requested)
     for each, end in zip((chosen, comparison_plan(body, chosen)), ends, strict=True):
-        nodes, step = size_of(body, each)
-        rates = CPU_COST if device == "cpu" else GPU_COST
-        steps = max(0.0, end - start) / step
-        repeated = nodes * ((each.order + 1) / each.order) ** 3
-        total += steps * (repeated * rates[0] + nodes * rates[1] + rates[2])
+        total += march_seconds(body, each, max(0.0, end - start), device)
     return total
+
+
+def march_seconds(body: Body, chosen: Plan, span_s: float, device: str) -> float:
+    """Predicted seconds of one run over a time [s] on a mesh that is not built."""
+    nodes, step = size_of(body, chosen)
+    rates = CPU_COST if device == "cpu" else GPU_COST
+    repeated = nodes * ((chosen.order + 1) / chosen.order) ** 3
+    return span_s / step * (repeated * rates[0] + nodes * rates[1] + rates[2])
 
 
 def size_of(body: Body, chosen: Plan) -> tuple[float, float]:
