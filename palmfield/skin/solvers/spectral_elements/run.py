@@ -163,6 +163,8 @@ class Stepper:
         self.u, self.v = (wp.zeros(threads * lanes, dtype=model.vec3, device=device) for _ in range(2))
         self.w = wp.zeros(copies, dtype=model.vec3, device=device)
         self.strain = wp.zeros((max(1, self.most), copies), dtype=model.vec3, device=device)
+        # Of its own, as several may step one model at once
+        self.force = wp.zeros_like(model.force)
         self.clock, self.finished = (wp.zeros(1, dtype=wp.int32, device=device) for _ in range(2))
         self.done = 0
         self.graph_steps = graph_steps
@@ -203,13 +205,14 @@ class Stepper:
             model.launch(
                 *(self.u, self.w, model.conn, self.w_conn, model.moduli, self.clock),
                 reading=reading,
+                force=self.force,
                 record_cmd=True,
             ),
             wp.launch(
                 hexa_steps.node_step(model.real, self.table.moving, len(self.law_ends) == 1, model.layout.gpu),
                 dim=self.threads,
                 inputs=[
-                    *(self.starts, self.sources, model.force),
+                    *(self.starts, self.sources, self.force),
                     *(self.areas, self.places, self.spot, self.table.spread, self.frames, self.frame, self.share),
                     *(self.pace, self.held, *self.matrices),
                     *(self.copy_starts, self.copy_laws, self.laws, self.branches, self.viscous, self.step_s),
