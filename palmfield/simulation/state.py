@@ -2,7 +2,8 @@
 
 In a plain mj_step the arrays are views of MuJoCo's plugin state, so that mj_copyData, mj_getState and mj_resetData
 treat it as their own. A skin's array has room for its whole layer, of which a small model takes the front: a run may
-leave the small model. A header says whose numbers they are; all zeros is rest, and nobody's yet.
+leave the small model. A solver with a mesh of its own has room for that instead. A header says whose numbers they are;
+all zeros is rest, and nobody's yet.
 """
 
 import hashlib

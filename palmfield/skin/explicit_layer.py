@@ -46,6 +46,8 @@ TRIAL, LONGEST_TRIAL_s = 2, 0.02
 """Periods of the main frequency under which a solver estimates its error, and at most that long [s]."""
 SAMPLES = 32
 """Times in each period."""
+MOST_STEPS = 20_000
+"""Of a scheme in one of MuJoCo's steps."""
 
 
 class ExplicitLayer(Protocol):
@@ -163,6 +165,17 @@ def _trial(layer: SceneLayer, body: Body, points: Float, areas_m2: Float) -> tup
     return load, spot.times_s[1:], np.stack([points[np.argmin(away)], beside])
 
 
+def _check_steps(layer: SceneLayer, steps: int) -> None:
+    """Raise SceneError where a substep of the scene takes so many steps of the scheme that a run would not end."""
+    in_one = steps * round(layer.demand.timestep_s / layer.step_s)
+    if in_one > MOST_STEPS:
+        raise SceneError(
+            f"{layer.element}: key 'solver' has value '{layer.config.solver}', which takes {in_one:,} steps in each of "
+            f"MuJoCo's, of {layer.demand.timestep_s:g} s, so that the run would not end; allowed: at most "
+            f"{MOST_STEPS:,}; set accuracy or depth_m larger, bulk_Pa or timestep smaller, or solver to wedges"
+        )
+
+
 class ElementLayer:
     """Spectral elements; see ExplicitLayer."""
 
@@ -192,7 +205,7 @@ class ElementLayer:
     @locked_cached_property
     def solid(self) -> Solid:
         """The elements."""
-        return build(self.body, self.chosen)[0]
+        return self.layer.with_keys(lambda: build(self.body, self.chosen)[0])
 
     @property
     def unknowns(self) -> int:
@@ -230,7 +243,11 @@ class ElementLayer:
         face, nodes = solid.nodes[: solid.surface_nodes], system.mesh.nodes[: system.mesh.surface_nodes]
         transfer = FaceTransfer(system, face, element_weights(solid, nodes))
         estimate = functools.partial(self._error, device)
-        return SpectralElementStepper(solid, self.body, transfer, self.layer.step_s, device, estimate)
+        stepper = self.layer.with_keys(
+            lambda: SpectralElementStepper(solid, self.body, transfer, self.layer.step_s, device, estimate)
+        )
+        _check_steps(self.layer, stepper.steps)
+        return stepper
 
     def _error(self, device: str) -> float:
         """What `palmfield.skin.solve` states for these elements under the trial load, and the bulk modulus's share."""
@@ -263,7 +280,7 @@ class ParticleLayer:
     @locked_cached_property
     def cloud(self) -> Cloud:
         """The particles."""
-        return build_cloud(self.body, self.spacing_m)
+        return self.layer.with_keys(lambda: build_cloud(self.body, self.spacing_m))
 
     @property
     def unknowns(self) -> int:
@@ -295,7 +312,9 @@ class ParticleLayer:
         system, cloud = self.layer.system, self.cloud
         nodes = system.mesh.nodes[: system.mesh.surface_nodes]
         transfer = FaceTransfer(system, cloud.columns.face, particle_weights(cloud, nodes))
-        return ParticleStepper(cloud, transfer, self.layer.step_s, device, functools.partial(self._error, device))
+        stepper = ParticleStepper(cloud, transfer, self.layer.step_s, device, functools.partial(self._error, device))
+        _check_steps(self.layer, stepper.steps)
+        return stepper
 
     def _error(self, device: str) -> float:
         """What `palmfield.skin.solve` states for particles so far apart under the trial load."""

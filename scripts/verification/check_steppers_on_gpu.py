@@ -6,8 +6,8 @@ python scripts/verification/check_steppers_on_gpu.py [SCENE ...] [--device cuda:
 SCENE is one of SCENES, both by default, at the sizes there. "surface" and "focus" are differences of the
 displacement from that of wedges, relative, L2 over the times, over the surface and at the node that moves most.
 "stated" is what both runs state of their mesh and step (summary.json), the solver's and then that of wedges: they share
-the cut edge. A difference at the focus above the sum fails. "again" says whether a copy made in the middle of a run went
-on with the same bits.
+the cut edge. A difference at the focus above the sum fails. "again" says whether a copy made in the middle of a run has
+gone on with the same bits.
 """
 
 import argparse

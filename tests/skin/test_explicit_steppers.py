@@ -11,9 +11,11 @@ from palmfield.config import SkinConfig
 from palmfield.errors import SceneError
 from palmfield.hand.preset import load_preset
 from palmfield.hand.surface import hand_surface
+from palmfield.skin import explicit_layer as explicit_layer_module
 from palmfield.skin import solve
 from palmfield.skin.explicit_layer import explicit_layer, refuse_explicit
 from palmfield.skin.fem.face_transfer import ends_of_substeps
+from palmfield.skin.fem.probe import surface_vectors
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
 from palmfield.skin.problem import GAUSSIAN, Sheet, Slab, Spot
 from palmfield.skin.scene_layer import LayerDemand, SceneLayer
@@ -282,6 +284,30 @@ def test_what_a_solver_refuses_before_anything_is_meshed(case):
         text = str(refusal.value)
         assert text.startswith(f"plugin 'palmfield.skin': key 'solver' has value '{solver}'") and expected in text
         assert "patch" not in vars(layer) and "mesh" not in vars(layer)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_roller_sides_move_as_those_of_wedges(solver):
+    """Unknowns of the wedges are turned along such a side, and what is read there is."""
+    layer = layer_of(solver, side="roller", radius_m=0.015, accuracy=0.1)
+    own, whole = explicit_layer(layer).stepper("cpu"), WedgeStepper(layer.system, layer.quadrature.operator, STEP)
+    course = np.sin(np.pi * 200.0 * STEP * np.arange(9)) ** 2
+    away = (layer.quadrature.points[:, :2] ** 2).sum(axis=1)
+    pressure = np.exp(-GAUSSIAN * away / WIDTH**2)[None, None]
+    loads = SurfaceLoads(pressure, course[None, :-1, None], course[None, 1:, None])
+    operator = surface_vectors(layer.mesh, layer.system)
+    seen = [each.step(rest(each), loads, 0.0, 8 * STEP, each.reader(operator))[0, :, 0] for each in (own, whole)]
+    rim = np.hypot(*layer.mesh.nodes[: layer.mesh.surface_nodes, :2].T) > 0.0149
+    there = [np.linalg.norm(one.reshape(8, -1, 3)[:, rim]) for one in seen]
+    assert there[0] == pytest.approx(there[1], rel=own.error + 0.05) and there[1] > 0.0
+    assert np.linalg.norm(seen[0] - seen[1]) < (own.error + 0.05) * np.linalg.norm(seen[1])
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_steps_so_many_that_a_run_would_not_end_are_refused(solver, monkeypatch):
+    monkeypatch.setattr(explicit_layer_module, "MOST_STEPS", 10)
+    with pytest.raises(SceneError, match=r"which takes \d+ steps in each of MuJoCo's, of 0\.001 s, .* at most 10; set"):
+        explicit_layer(layer_of(solver)).stepper("cpu")
 
 
 @pytest.mark.parametrize("base", ["springs", "free_slip"])
