@@ -19,6 +19,7 @@ from palmfield.simulation.model import HapticModel, StepperChoice, StimulusModel
 from palmfield.simulation.posed_scene import PosedScene, reference_scene
 from palmfield.simulation.radiation import Radiation
 from palmfield.simulation.spec import SceneSpec, SkinSpec
+from palmfield.skin.costs import wedges_s
 from palmfield.skin.explicit_layer import explicit_layer, refuse_explicit
 from palmfield.skin.reduction.krylov import Fade, harmonics, level, periodic
 from palmfield.skin.reduction.reduced_stepper import MOST_VECTORS, KnownLoad, reduced_stepper
@@ -61,11 +62,11 @@ def choose_stepper(
 
     Raises SceneError where a small model is asked for and can't be.
     """
+    substeps = spec.duration_s / layer.sizes.step_s
     if skin.config.solver in EXPLICIT:
         refuse_explicit(layer)
-        seconds_own = explicit_layer(layer).seconds(spec.duration_s, spec.device)
-        return StepperChoice(skin.config.solver, "asked for", math.nan, None, seconds_own)
-    substeps = spec.duration_s / layer.sizes.step_s
+        own_s = explicit_layer(layer).seconds(spec.duration_s, spec.device)
+        return StepperChoice(skin.config.solver, "asked for", wedges_s(layer.dofs, substeps), None, own_s)
     reason = refusal(skin, layer, stimuli, pole, response_on)
     requested = skin.config.solver
     if reason is not None and requested == "reduced":

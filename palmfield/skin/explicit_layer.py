@@ -21,7 +21,8 @@ from palmfield.skin.from_config import base_of
 from palmfield.skin.problem import GAUSSIAN, Body, Layer, Load, Sheet, Slab, Spot, Traction
 from palmfield.skin.scene_layer import SceneLayer
 from palmfield.skin.solvers.particles.cloud import Cloud, build_cloud
-from palmfield.skin.solvers.particles.resolution import choose_spacing, law_error, refusal_particles, run_seconds
+from palmfield.skin.solvers.particles.resolution import SECONDS_A_STEP, choose_spacing, law_error, refusal_particles
+from palmfield.skin.solvers.particles.run import likely_step as likely_particle_step
 from palmfield.skin.solvers.particles.run import state_size as particle_state_size
 from palmfield.skin.solvers.particles.solve import solve_particles
 from palmfield.skin.solvers.particles.stepper import ParticleStepper
@@ -31,9 +32,10 @@ from palmfield.skin.solvers.spectral_elements.run import state_size as element_s
 from palmfield.skin.solvers.spectral_elements.solid import Solid, face_areas
 from palmfield.skin.solvers.spectral_elements.solve import (
     STIFFEST,
-    march_seconds,
+    likely_step,
     refusal_spectral_elements,
     solve_spectral_elements,
+    step_seconds,
 )
 from palmfield.skin.solvers.spectral_elements.stepper import SpectralElementStepper
 from palmfield.skin.solvers.spectral_elements.stepper import face_weights as element_weights
@@ -106,8 +108,9 @@ def refuse_explicit(layer: SceneLayer) -> None:
                 f"allowed with it, as it steps with the pressure wave: at most {STIFFEST:g} (keys material, materials, "
                 "bulk_Pa); or solver wedges"
             )
-    # A thick slab of the same sheets: what is asked of it here are base and materials
-    slab = Slab(layer.sheets, "disc", base_of(config), "fixed", 1.0)
+    # A slab of the same sheets: what is asked of it here are base and materials
+    sheets = tuple(Sheet(sheet.material, 0.01 * sheet.thickness_m) for sheet in layer.sheets)
+    slab = Slab(sheets, "disc", base_of(config), "fixed", 0.1)
     load = Spot(layer.demand.spot_fwhm_m, np.zeros(1), np.ones(1))
     ask = refusal_spectral_elements if solver == "spectral_elements" else refusal_particles
     reason = ask(slab, load)
@@ -148,13 +151,18 @@ def _middle(layer: SceneLayer) -> Float:
     return vertices[cKDTree(vertices).query(layer.centre_m)[1]]
 
 
+def _trial_s(layer: SceneLayer) -> float:
+    """Time under the load by which a solver estimates its error [s]."""
+    return min(TRIAL / layer.demand.main_frequency_Hz, LONGEST_TRIAL_s)
+
+
 def _trial(layer: SceneLayer, body: Body, points: Float, areas_m2: Float) -> tuple[Load, Float, Float]:
     """The load under which a solver estimates its error, the times at which it looks, and two points of the face.
 
     points, areas_m2: of the face [m], (f, 3) and (f,), for a face on which a spot can't be given by its x and y
     """
     f_Hz, middle = layer.demand.main_frequency_Hz, _middle(layer)
-    spot = _spot(layer, min(TRIAL, LONGEST_TRIAL_s * f_Hz), f_Hz)
+    spot = _spot(layer, _trial_s(layer) * f_Hz, f_Hz)
     load: Load = spot
     if refusal_of_spot(body, spot) is not None:
         away = np.linalg.norm(points - middle, axis=1)
@@ -233,9 +241,9 @@ class ElementLayer:
 
     def seconds(self, duration_s: float, device: str) -> float:
         """See ExplicitLayer."""
-        trial = min(TRIAL / self.layer.demand.main_frequency_Hz, LONGEST_TRIAL_s)
         # The second run of an estimate is the coarser one
-        return march_seconds(self.body, self.chosen, duration_s + 2.0 * trial, device)
+        steps = (duration_s + 2.0 * _trial_s(self.layer)) / likely_step(self.solid, self.body.sheets)
+        return steps * step_seconds(self.solid, device != "cpu")
 
     def stepper(self, device: str) -> SkinStepper:
         """See ExplicitLayer."""
@@ -304,8 +312,10 @@ class ParticleLayer:
 
     def seconds(self, duration_s: float, device: str) -> float:
         """See ExplicitLayer."""
-        times = np.array([duration_s])
-        return run_seconds(self.body, planned_load(self.layer), times, self.spacing_m, device)
+        # A disc's own error takes two runs more
+        more = 2.0 * _trial_s(self.layer) if isinstance(self.body, Slab) else 0.0
+        each = len(self.cloud.points) * SECONDS_A_STEP["cpu" if device == "cpu" else "cuda"]
+        return (duration_s + more) / likely_particle_step(self.cloud) * each
 
     def stepper(self, device: str) -> SkinStepper:
         """See ExplicitLayer."""

@@ -19,6 +19,8 @@ from palmfield.skin.fem.probe import surface_vectors
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
 from palmfield.skin.problem import GAUSSIAN, Sheet, Slab, Spot
 from palmfield.skin.scene_layer import LayerDemand, SceneLayer
+from palmfield.skin.solvers.particles.run import likely_step as likely_particle_step
+from palmfield.skin.solvers.spectral_elements.solve import likely_step
 from palmfield.skin.stepper import SurfaceLoads
 
 SOLVERS = ("spectral_elements", "particles")
@@ -26,11 +28,12 @@ STEP = 5e-4
 SUBSTEPS = 4
 WIDTH = 0.0105
 DEMAND = LayerDemand(WIDTH, 250.0, 200.0, (0.0, 0.0), 2.0 * STEP)
-DISC = {"shape": "disc", "radius_m": 0.025, "thickness_m": 0.008, "material": "ecoflex_00-10", "side": "free"}
+DISC = {"shape": "disc", "radius_m": 0.025, "thickness_m": 0.008, "side": "free"}
 
 
 def layer_of(solver, **keys):
-    config = SkinConfig(**(DISC | {"accuracy": 0.2, "step_s": STEP, "solver": solver} | keys))
+    material = {} if "materials" in keys else {"material": "ecoflex_00-10"}
+    config = SkinConfig(**(DISC | material | {"accuracy": 0.2, "step_s": STEP, "solver": solver} | keys))
     return SceneLayer(config, None, config.depth_m, np.zeros(3), DEMAND, element="plugin 'palmfield.skin'")
 
 
@@ -287,9 +290,12 @@ def test_what_a_solver_refuses_before_anything_is_meshed(case):
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-def test_roller_sides_move_as_those_of_wedges(solver):
-    """Unknowns of the wedges are turned along such a side, and what is read there is."""
-    layer = layer_of(solver, side="roller", radius_m=0.015, accuracy=0.1)
+@pytest.mark.parametrize("sheets", [False, True])
+def test_roller_sides_and_sheets_move_as_by_wedges(solver, sheets):
+    """Unknowns of the wedges are turned along such a side, and what is read there is; each sheet relaxes by its law."""
+    keys = {"materials": ("ecoflex_00-10", "gelatin_2"), "shares": (0.4, 0.6)} if sheets else {}
+    layer = layer_of(solver, side="roller", radius_m=0.015, accuracy=0.1, **keys)
+    refuse_explicit(layer)
     own, whole = explicit_layer(layer).stepper("cpu"), WedgeStepper(layer.system, layer.quadrature.operator, STEP)
     course = np.sin(np.pi * 200.0 * STEP * np.arange(9)) ** 2
     away = (layer.quadrature.points[:, :2] ** 2).sum(axis=1)
@@ -301,6 +307,13 @@ def test_roller_sides_move_as_those_of_wedges(solver):
     there = [np.linalg.norm(one.reshape(8, -1, 3)[:, rim]) for one in seen]
     assert there[0] == pytest.approx(there[1], rel=own.error + 0.05) and there[1] > 0.0
     assert np.linalg.norm(seen[0] - seen[1]) < (own.error + 0.05) * np.linalg.norm(seen[1])
+
+
+def test_the_predicted_steps_are_about_those_that_are_taken(layer, stepper):
+    own = explicit_layer(layer)
+    likely = likely_step(own.solid, own.body.sheets) if stepper.name != "particles" else likely_particle_step(own.cloud)
+    assert 0.5 < likely * stepper.steps / STEP < 1.5
+    assert own.seconds(1.0, "cpu") > own.seconds(0.5, "cpu") > own.seconds(0.5, "cuda:0") > 0.0
 
 
 @pytest.mark.parametrize("solver", SOLVERS)

@@ -96,7 +96,8 @@ def _solver(skin: SkinModel, still_m: float) -> Row:
     if choice.name in EXPLICIT:
         preview = ", a preview" if choice.name in PREVIEW else ""
         why = f"explicit steps, in each of which a pressure wave crosses an element or less; {choice.why}"
-        return Row(f"skin solver {choice.name}{preview}", f"about {choice.seconds:.0f} s", why, name)
+        size = f"about {choice.seconds:.0f} s, wedges about {choice.wedges_s:.0f} s on the CPU"
+        return Row(f"skin solver {choice.name}{preview}", size, why, name)
     if choice.name == "wedges":
         why = f"implicit on the whole layer, factorised once; {choice.why}"
         return Row("skin solver wedges", f"about {choice.seconds:.0f} s", why, name)

@@ -95,11 +95,10 @@ def choose_spacing(body: Body, load: Load, accuracy: float) -> float:
 def cost_particles(body: Body, load: Load, times: Float, at: Float, accuracy: float, device: str = "cpu") -> float:
     """Predicted seconds: particles x steps x what one takes."""
     spacing = choose_spacing(body, load, accuracy)
-    return sum(run_seconds(body, load, times, h, device) for h in (spacing, COARSER * spacing))
+    return sum(_run_seconds(body, load, times, h, device) for h in (spacing, COARSER * spacing))
 
 
-def run_seconds(body: Body, load: Load, times: Float, spacing: float, device: str) -> float:
-    """Predicted seconds of one run from the load's first time to the last of `times`, particles `spacing` [m] apart."""
+def _run_seconds(body: Body, load: Load, times: Float, spacing: float, device: str) -> float:
     depth = depth_of(body)
     below = min(spacing, depth / FEWEST_CELLS)
     total = sum(sheet.thickness_m for sheet in body.sheets)

@@ -20,6 +20,8 @@ shear waves in every direction: in place of k^2 sites alone give k^2 (1 - 4 X / 
 and pairs alone k^2 (1 - X / 3), X = (k h / 2)^2."""
 SAFETY = 0.9
 """Step over the stable one: room for stiffening by strain until a run is begun anew."""
+COURANT = 1.24
+"""Stable step of a cube times the speed of sound over the spacing."""
 BLOCK = 256
 """Steps between looks at the state."""
 SMALL_STRAIN = 0.1
@@ -260,6 +262,21 @@ def stable_step(cloud: Cloud, hourglass: float = HOURGLASS) -> float:
     stiff = _largest(cloud, hourglass, dashpots=False)
     damping = _largest(cloud, hourglass, dashpots=True) if any(m.viscosity_Pa_s > 0.0 for m in cloud.materials) else 0.0
     return (math.sqrt(damping**2 + 4.0 * stiff) - damping) / stiff
+
+
+def likely_step(cloud: Cloud) -> float:
+    """About the step that will be taken [s], from the cells' heights at a corner: 0.6 to 0.9 of it."""
+    columns = cloud.columns
+    levels = columns.points().reshape(len(columns.shares), -1, 3)
+    steepest = 0.0
+    for faces in (columns.triangles, columns.squares):
+        if len(faces):
+            upper, lower = levels[:-1][:, faces], levels[1:][:, faces]
+            along = upper[:, :, [1, -1]] - upper[:, :, :1]
+            edges = np.concatenate([along, (lower - upper).mean(axis=2, keepdims=True)], axis=2)
+            steepest = max(steepest, float((np.linalg.inv(edges) ** 2).sum(axis=(2, 3)).max()))
+    moduli = [(m.bulk_Pa + 4.0 / 3.0 * m.shear_instant_Pa) / m.density_kg_m3 for m in cloud.materials]
+    return SAFETY * COURANT * math.sqrt(3.0 / steepest / max(moduli))
 
 
 def _largest(cloud: Cloud, hourglass: float, dashpots: bool) -> float:
