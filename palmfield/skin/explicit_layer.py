@@ -249,7 +249,7 @@ class ElementLayer:
         """See ExplicitLayer."""
         system, solid = self.layer.system, self.solid
         face, nodes = solid.nodes[: solid.surface_nodes], system.mesh.nodes[: system.mesh.surface_nodes]
-        transfer = FaceTransfer(system, face, element_weights(solid, nodes))
+        transfer = self.layer.with_keys(lambda: FaceTransfer(system, face, element_weights(solid, nodes)))
         estimate = functools.partial(self._error, device)
         stepper = self.layer.with_keys(
             lambda: SpectralElementStepper(solid, self.body, transfer, self.layer.step_s, device, estimate)
@@ -321,7 +321,9 @@ class ParticleLayer:
         """See ExplicitLayer."""
         system, cloud = self.layer.system, self.cloud
         nodes = system.mesh.nodes[: system.mesh.surface_nodes]
-        transfer = FaceTransfer(system, cloud.columns.face, particle_weights(cloud, nodes))
+        transfer = self.layer.with_keys(
+            lambda: FaceTransfer(system, cloud.columns.face, particle_weights(cloud, nodes))
+        )
         stepper = ParticleStepper(cloud, transfer, self.layer.step_s, device, functools.partial(self._error, device))
         _check_steps(self.layer, stepper.steps)
         return stepper
