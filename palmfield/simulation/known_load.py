@@ -10,6 +10,7 @@ from fractions import Fraction
 import numpy as np
 
 from palmfield.config import StimulusConfig
+from palmfield.config.skin import EXPLICIT
 from palmfield.drive.response import Pole
 from palmfield.drive.transducer_response import commanded_drive
 from palmfield.errors import SceneError
@@ -19,6 +20,8 @@ from palmfield.simulation.model import HapticModel, StepperChoice, StimulusModel
 from palmfield.simulation.posed_scene import PosedScene, reference_scene
 from palmfield.simulation.radiation import Radiation
 from palmfield.simulation.spec import SceneSpec, SkinSpec
+from palmfield.skin.costs import wedges_s
+from palmfield.skin.explicit_layer import explicit_layer, refuse_explicit
 from palmfield.skin.reduction.krylov import Fade, harmonics, level, periodic
 from palmfield.skin.reduction.load_shapes import load_shapes
 from palmfield.skin.reduction.reduced_stepper import MOST_VECTORS, KnownLoad, reduced_stepper
@@ -64,6 +67,10 @@ def choose_stepper(
     Raises SceneError where a small model or modes are asked for and can't be.
     """
     substeps = spec.duration_s / layer.sizes.step_s
+    if skin.config.solver in EXPLICIT:
+        refuse_explicit(layer)
+        own_s = explicit_layer(layer).seconds(spec.duration_s, spec.device)
+        return StepperChoice(skin.config.solver, "asked for", own_s, wedges_s(layer.dofs, substeps))
     reason = refusal(skin, layer, stimuli, pole, response_on)
     requested = skin.config.solver
     modal_reason = load_class.refusal(skin, layer)
@@ -170,7 +177,8 @@ def samples(config: StimulusConfig, turn_s: float, max_frequency_Hz: float) -> i
 
 
 def first_stepper(model: HapticModel, skin: int) -> SkinStepper:
-    """What a skin begins with: a small model for the known load in the reference pose, or its whole layer.
+    """What a skin begins with: a small model for the known load in the reference pose, its whole layer, or what its key
+    `solver` names.
 
     Raises SceneError for a small model that is asked for but fails.
     """
@@ -184,6 +192,8 @@ def first_stepper(model: HapticModel, skin: int) -> SkinStepper:
             if part.spec.config.solver == "modal":
                 raise SceneError(f"plugin 'palmfield.skin' instance '{part.spec.name}': {error}") from None
             return model.whole[skin].value
+    if part.choice.name in EXPLICIT:
+        return explicit_layer(part.layer).stepper(model.spec.device)
     layer, posed = part.layer, reference_scene(model)
     focus = posed.skins[skin].body.frame.inverse_points(model.stimuli[model.sounding].first_focus)
     load, examples = known_load(model, skin, posed)

@@ -198,8 +198,8 @@ def write(page: Path, lines: list[str], curves: dict, commit: str) -> None:
         "# Modes for every load of a class",
         "",
         "A skin whose load is not known ahead moves by modes that serve every sound of the scene's arrays on a",
-        "region (`palmfield/skin/reduction/modal_stepper.py`, `palmfield/simulation/load_class.py`). Here they are held",
-        "against the whole layer on the same mesh with the same time step, under loads for which no basis was made.",
+        "region (`palmfield/skin/reduction/modal_stepper.py`, `palmfield/simulation/load_class.py`). Here they are",
+        "held against the whole layer on the same mesh with the same time step, under loads that no basis was made for.",
         "",
         "Written by `python scripts/verification/check_modes.py --write docs/bench/modes.md`, commit "
         f"{commit}, {processor()}, Python {platform.python_version()}.",
