@@ -46,7 +46,8 @@ class SkinStepper(Protocol):
 
     name: the solver; step_s: length of a substep [s]; state_size: numbers of a state, all 0 at rest
     points: numbers of the layer's quadrature points at which it takes pressure, shape (p,), None for all of them
-    error: what the stepper itself adds to the displacement's relative error by its own estimate; 0 where it adds none
+    error: what the stepper itself adds to the displacement's relative error by its own estimate; 0 where it adds none.
+        One with a mesh of its own counts all that this mesh does, and may take as long as a short run to tell
     """
 
     @property
