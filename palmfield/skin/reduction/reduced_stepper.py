@@ -207,12 +207,11 @@ def known_model(
             facts = np.array([error, krylov.course is None])
             return {"matrices": np.array(krylov.projected), "vectors": krylov.vectors, "facts": facts}
 
-    body = system.mass, system.damping, system.elastic, system.parts
-    depends_on = (*body, load, surface, point, step_s, highest_Hz, tolerance)
+    depends_on = (system.made_of, load, surface, point, step_s, highest_Hz, tolerance)
     known = cache.kept("small-model", depends_on, make)
     error, any_course = known["facts"].tolist()
     unit = np.eye(known["vectors"].shape[1])
-    small = Projection(list(known["matrices"]), [part.material for part in system.parts], unit, unit)
+    small = Projection(list(known["matrices"]), list(system.materials), unit, unit)
     return small, known["vectors"], error, bool(any_course)
 
 
