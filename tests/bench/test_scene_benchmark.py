@@ -108,7 +108,7 @@ def test_a_prediction_counts_pairs_and_has_none_for_sparse_solves(small_scene):
     pairs_only = Card("pairs", 1e6, 1e30, 1e30)
     seconds = predicted_s(sim.runtime.model, pairs_only)
     body = sim.runtime.work.reference.bodies[0]
-    points = len(sim.runtime.model.skins[0].layer.quadrature.weights)
+    points = len(sim.runtime.model.begin[0].value.points)
     frames = sim.runtime.model.substeps + 1 if sim.runtime.model.response_on else 1
     pairs = 256 * (points * frames + len(body.samples[0]))
     assert seconds is not None and SHARE * 1e6 * (seconds - BEGIN_s) == pytest.approx(44.75 * pairs, rel=0.05)
