@@ -50,10 +50,11 @@ class Workspace:
     observe: what is watched of each skin, an operator (m, unknowns) or None; observer: told of each step
     """
 
-    def __init__(self, model: HapticModel):
-        self.reference = reference_scene(model)
+    def __init__(self, model: HapticModel, beside: "Workspace | None" = None):
+        """beside: of another world with the same bodies, stepped by the same thread: buffers are shared with it."""
+        self.reference = reference_scene(model) if beside is None else beside.reference
         self.emission = Emission(model)
-        self.radiation = Radiation(model)
+        self.radiation = Radiation(model, None if beside is None else beside.radiation)
         self.forces = BodyForces(model, self.radiation)
         self.prefetch = LoadPrefetch(model, self.emission, self.radiation)
         self.amplitudes: Complex = np.zeros(len(model.arrays), np.complex128)

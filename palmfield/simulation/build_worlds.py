@@ -1,0 +1,107 @@
+"""Models of worlds that differ in what their stimuli do: one set of arrays, bodies, layers and whole steppers for all.
+
+The model of each world is a HapticModel, so that whatever steps one scene steps one world; worlds alike share one.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+
+from palmfield.locked import Lazy
+from palmfield.simulation.build import demands_of, layers_for, model_of, stimuli_of, whole_stepper
+from palmfield.simulation.known_load import choose_stepper, first_stepper
+from palmfield.simulation.model import HapticModel, SkinModel, StepperChoice, StimulusModel
+from palmfield.simulation.posed_scene import STILL
+from palmfield.simulation.spec import SceneSpec
+from palmfield.skin.scene_layer import LayerDemand
+
+MOST_SMALL_MODELS = 8
+"""Loads known ahead for which a skin gets a small model each. More take longer to make than the whole layer to step for
+a while, and a small model of a palm holds 14 MB."""
+
+
+def build_worlds(specs: Sequence[SceneSpec]) -> tuple[HapticModel, ...]:
+    """The model of each world, for specs that differ in the keys of their stimuli only.
+
+    The layers are made for the strictest of the worlds: where all ask for the same, each world has the layer that it
+    would have by itself. A skin gets small models if every world that sounds would have one, and if there are at most
+    MOST_SMALL_MODELS different ones: loads that differ in their level alone share theirs.
+    Raises SceneError or DeviceError as `palmfield.simulation.build.build`.
+    """
+    first = model_of(specs[0])
+    carriers = [first.bodies[skin.body] for skin in first.skins]
+    stimuli: dict[SceneSpec, tuple[tuple[StimulusModel, ...], bool]] = {specs[0]: (first.stimuli, first.response_on)}
+    for spec in specs:
+        if spec not in stimuli:
+            made, _, response_on = stimuli_of(spec, first.arrays, first.board, carriers)
+            stimuli[spec] = made, response_on
+    demands = [demands_of(spec, made, first.arrays, first.board, carriers) for spec, (made, _) in stimuli.items()]
+    asked = [strictest(of_skin) for of_skin in zip(*demands, strict=True)]
+    same = asked == demands[0]
+    layers = [skin.layer for skin in first.skins] if same else layers_for(specs[0], asked, carriers)
+    loads = {spec: load_key(made, first.board.exact) for spec, (made, _) in stimuli.items()}
+    sounding = {spec: made for spec, made in stimuli.items() if loads[spec] is not None}
+    different = len({loads[spec] for spec in sounding})
+    skins = []
+    for known, layer in zip(first.skins, layers, strict=True):
+        choices = [
+            choose_stepper(spec, known.spec, layer, made, first.pole, response_on)
+            for spec, (made, response_on) in sounding.items()
+        ]
+        choice = common_choice(choices, different, known.spec.config.solver) if choices else known.choice
+        if layer is known.layer and choice == known.choice:
+            skins.append(known)
+        else:
+            still_m = STILL * known.spec.config.accuracy * layer.demand.spot_fwhm_m
+            skins.append(SkinModel(known.spec, known.body, known.carrier, layer, choice, still_m))
+    whole = first.whole if same else tuple(Lazy(partial(whole_stepper, layer)) for layer in layers)
+    models, begins = {}, {}
+    for spec, (made, response_on) in stimuli.items():
+        model = models[spec] = replace(
+            first, spec=spec, stimuli=made, response_on=response_on, skins=tuple(skins), whole=whole
+        )
+        if loads[spec] not in begins:
+            begins[loads[spec]] = tuple(Lazy(partial(first_stepper, model, number)) for number in range(len(skins)))
+    if None in begins and len(begins) > 1:
+        # For silence any stepper will do
+        begins[None] = next(begin for load, begin in begins.items() if load is not None)
+    models = {spec: replace(model, begin=begins[loads[spec]], marks={}) for spec, model in models.items()}
+    return tuple(models[spec] for spec in specs)
+
+
+def strictest(demands: Sequence[LayerDemand]) -> LayerDemand:
+    """What serves all of some demands on a layer: absorbing sides are for the first one's main frequency."""
+    near, far = zip(*(demand.path_reach_m for demand in demands), strict=True)
+    return replace(
+        demands[0],
+        spot_fwhm_m=min(demand.spot_fwhm_m for demand in demands),
+        max_frequency_Hz=max(demand.max_frequency_Hz for demand in demands),
+        path_reach_m=(max(near), max(far)),
+    )
+
+
+def load_key(stimuli: Sequence[StimulusModel], exact: bool) -> tuple[object, ...] | None:
+    """Equal for stimuli whose loads differ in their level alone; None for silence.
+
+    exact: whether the board plays any level as it is: what it makes of another level may be another field
+    """
+    if all(stimulus.silent for stimulus in stimuli):
+        return None
+    parts = []
+    for stimulus in stimuli:
+        config = stimulus.config
+        by_pressure = config.arp_peak_Pa is not None
+        level = {"arp_peak_Pa": 1.0 if by_pressure else None, "drive_amplitude": None}
+        parts.append((config.model_copy(update=level) if exact else config, stimulus.silent))
+    return tuple(parts)
+
+
+def common_choice(choices: Sequence[StepperChoice], loads: int, requested: str) -> StepperChoice:
+    """What steps a skin in all worlds; loads: how many different ones there are; requested: key `solver`."""
+    for choice in choices:
+        if choice.name == "wedges":
+            return choice
+    if loads > MOST_SMALL_MODELS and requested == "auto":
+        why = f"no small model: {loads} different loads, at most {MOST_SMALL_MODELS} get one each"
+        return StepperChoice("wedges", why, choices[0].wedges_s, None)
+    return choices[0]
