@@ -1,5 +1,6 @@
 """A scene in one mjData: reads poses, keeps the state where MuJoCo keeps its own, and calls the simulation."""
 
+from collections.abc import Iterable, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -8,6 +9,7 @@ from palmfield.drive.transducer_response import EmittedCourse
 from palmfield.errors import SceneError
 from palmfield.mujoco_host.mujoco_view import DataView, ForceOutlet, PluginSensor
 from palmfield.simulation.build import model_of
+from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene, PoseLayout, posed_scene
 from palmfield.simulation.scene_reader import read_scene
 from palmfield.simulation.sensors import SensorPlace, SkinReading, fill, sensor_place
@@ -56,6 +58,19 @@ class SceneRuntime:
         self.applied: list[Float] = [np.zeros(3) for _ in self.bodies]
         self.applied_parts = [(np.zeros((len(parts), 3)), np.zeros((len(parts), 3))) for parts in self.parts]
         check_clear(self.work.reference)
+
+    def join(self, model: HapticModel, state: HapticState, work: Workspace) -> None:
+        """Be one of several worlds, whose state lies outside of mjData; what was kept so far is forgotten.
+
+        model: of the same bodies and arrays, with the world's own stimuli; state: the world's part, as views
+        """
+        self.model, self.work = model, work
+        self.__dict__["state"] = state
+        self.forget()
+
+    def forget(self) -> None:
+        """Know nothing of the last pose and what sounded in it."""
+        self._posed, self._numbers, self._now = self.work.reference, b"", None
 
     @cached_property
     def state(self) -> HapticState:
@@ -124,7 +139,11 @@ class SceneRuntime:
 
     def push(self) -> None:
         """Add the sound's forces to MuJoCo's passive ones."""
-        for number, (force, torque) in enumerate(self.body_forces()):
+        self.apply(self.body_forces())
+
+    def apply(self, forces: Iterable[tuple[Float, Float]]) -> None:
+        """Add forces and torques, as `body_forces` gives them, to MuJoCo's passive ones."""
+        for number, (force, torque) in enumerate(forces):
             outlet = self._outlets[number]
             outlet.forces[:], outlet.torques[:] = force, torque
             outlet.apply()
@@ -133,15 +152,20 @@ class SceneRuntime:
 
     def advance(self) -> None:
         """Carry transducers and skins over MuJoCo's last step, with the pose at its beginning."""
-        end, now_s = self.view.raw.time, self.view.model.raw.opt.timestep
+        end = self.view.raw.time
+        self.check_timestep()
+        if check_arrays(self.model, self.state):
+            self.work.prefetch.forget()
+        step(self.model, self.state, self.posed, end - self.spec.timestep_s, end, self.work)
+
+    def check_timestep(self) -> None:
+        """Raises SceneError for a time step of MuJoCo's that is no longer the one for which the skins are made."""
+        now_s = self.view.model.raw.opt.timestep
         if now_s != self.spec.timestep_s:
             raise SceneError(
                 f"option 'timestep' has value {now_s:g}, and {self.spec.timestep_s:g} when the scene was loaded, for "
                 "which its skins are made: load the scene with the new one"
             )
-        if check_arrays(self.model, self.state):
-            self.work.prefetch.forget()
-        step(self.model, self.state, self.posed, end - self.spec.timestep_s, end, self.work)
 
     def adopt(self, other: "SceneRuntime") -> None:
         """Take over, in a copy of another mjData, what its coming steps depend on and MuJoCo's state doesn't hold.
@@ -155,14 +179,14 @@ class SceneRuntime:
             self.work.reference, self._posed, self._numbers = other.work.reference, other._posed, other._numbers
             self.work.prefetch.adopt(other.work.prefetch)
 
-    def sense(self, skin: int, sensors: list[PluginSensor]) -> None:
+    def sense(self, skin: int, sensors: Sequence[PluginSensor]) -> None:
         """Fill a skin's sensors from the state at the present time."""
         posed, course = self.now()
         part = self.model.skins[skin]
         drive, factor = present_drive(course)
         resting = at_rest(self.state, skin)
         for sensor in sensors:
-            place = self._places.get(sensor.name) or self._place(skin, sensor)
+            place = self.place(skin, sensor)
             motion = AT_REST
             if not resting:
                 stepper, numbers = stepper_of(self.model, self.state, skin)
@@ -174,8 +198,11 @@ class SceneRuntime:
             x, y, z = self.applied[part.body]
             fill(sensor.data, SkinReading(x, y, z, motion[0], motion[1], arp))
 
-    def _place(self, skin: int, sensor: PluginSensor) -> SensorPlace:
+    def place(self, skin: int, sensor: PluginSensor) -> SensorPlace:
         """Where a sensor reads, kept. Raises SceneError for one that is not on the skin's body or far from the skin."""
+        known = self._places.get(sensor.name)
+        if known is not None:
+            return known
         bound, part = self.binding.skins[skin], self.model.skins[skin]
         element = f"plugin 'palmfield.skin' instance '{part.spec.name}': sensor '{sensor.name}'"
         owners = (bound.body, *bound.bones)
