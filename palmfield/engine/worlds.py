@@ -187,8 +187,8 @@ class SceneWorlds:
             for which in range(len(sensors)):
                 motion = self._motion_at(skin, which, rows)
                 arp = factors * [self._probe(world, skin, which, posed[world]) for world in rows.tolist()]
-                reading = SkinReading(*self.forces[rows, body].T, *motion.T, arp)  # type: ignore[arg-type]
-                channels = np.array([channel(reading) for channel in CHANNELS.values()]).T
+                known: Any = (*self.forces[rows, body].T, *motion.T, arp)
+                channels = np.array([channel(SkinReading(*known)) for channel in CHANNELS.values()]).T
                 for world, values in zip(rows.tolist(), channels, strict=True):
                     self._sensors[world][skin][which].data[:] = values
 

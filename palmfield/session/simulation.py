@@ -202,4 +202,5 @@ def load(
     poses: Mapping[str, ArrayLike] | None = None,
 ) -> Any:
     """Read and check a scene; see Simulation, whose arguments these are."""
-    return Simulation(path, device=device, accuracy=accuracy, board=board, keys=keys, worlds=worlds, poses=poses)
+    others: dict[str, Any] = {"worlds": worlds, "poses": poses}
+    return Simulation(path, device=device, accuracy=accuracy, board=board, keys=keys, **others)

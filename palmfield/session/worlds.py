@@ -56,9 +56,7 @@ class Worlds:
         check_count(worlds)
         plugins = _plugins(scene)
         split = split_keys(keys or {}, worlds, plugins)
-        self.name, self.model, first = compiled(
-            scene, device=device, accuracy=accuracy, board=board, keys=split.common
-        )
+        self.name, self.model, first = compiled(scene, device=device, accuracy=accuracy, board=board, keys=split.common)
         refuse_integrator(self.model)
         self.path = Path(scene) if isinstance(scene, str | Path) else None
         world = world_of(first)

@@ -52,9 +52,9 @@ class Workspace:
 
     def __init__(self, model: HapticModel, beside: "Workspace | None" = None):
         """beside: of another world with the same bodies, stepped by the same thread: buffers are shared with it."""
-        self.reference = reference_scene(model) if beside is None else beside.reference
+        self.reference: PosedScene = reference_scene(model) if beside is None else beside.reference
         self.emission = Emission(model)
-        self.radiation = Radiation(model, None if beside is None else beside.radiation)
+        self.radiation: Radiation = Radiation(model, None if beside is None else beside.radiation)
         self.forces = BodyForces(model, self.radiation)
         self.prefetch = LoadPrefetch(model, self.emission, self.radiation)
         self.amplitudes: Complex = np.zeros(len(model.arrays), np.complex128)
@@ -105,7 +105,8 @@ def skin_loads(work: Workspace, posed: PosedScene, skin: int, moments: Moments, 
     if course.levels is not None:
         if course.unit is None:
             count = len(posed.skins[skin].quadrature[0])
-            return SurfaceLoads(np.zeros((1, 1, count)), *(np.zeros((1, len(moments.first), 1)) for _ in range(2)))
+            nothing = np.zeros((1, len(moments.first), 1))
+            return SurfaceLoads(np.zeros((1, 1, count)), nothing, nothing)
         pressure = work.radiation.on(posed, skin, "quadrature", course.unit).arp[None, None]
         factors = (np.abs(course.levels) ** 2)[:, None]
         return SurfaceLoads(pressure, (moments.first @ factors)[None], (moments.last @ factors)[None])

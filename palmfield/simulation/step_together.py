@@ -195,9 +195,7 @@ class TogetherStep:
                 continue
             model, work, state = self.models[world], self.works[world], self.state.world(world)
             if leaves_small_model(model, state, skin, posed, work.reference, work.emission, t0):
-                continue_on_whole_layer(
-                    model, state, skin, posed, work.emission, work.radiation, self._emitted[g], t0
-                )
+                continue_on_whole_layer(model, state, skin, posed, work.emission, work.radiation, self._emitted[g], t0)
                 continue
             stepper = model.begin[skin].value
             # One that serves only from the beginning of the sound on must be asked again
@@ -214,9 +212,7 @@ class TogetherStep:
             steppers.setdefault(id(stepper), (stepper, []))[1].append(world)
         return [(stepper, np.array(own, dtype=np.intp)) for stepper, own in steppers.values()]
 
-    def _step(
-        self, skin: int, stepper: SkinStepper, rows: Rows, loads: SurfaceLoads, t0: float, t1: float
-    ) -> None:
+    def _step(self, skin: int, stepper: SkinStepper, rows: Rows, loads: SurfaceLoads, t0: float, t1: float) -> None:
         """Step a skin in some worlds by one stepper."""
         part = self.state.skins[skin]
         for world in rows[part[rows, 0] == 0.0]:

@@ -1,6 +1,7 @@
 """Levels of many stimuli at the same moments, for worlds that are stepped together."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,7 +50,7 @@ def _stacked(envelopes: Sequence[Envelope]) -> Envelope:
     """Envelopes of one kind as one, in columns."""
     first = envelopes[0]
 
-    def column(values: Sequence[float]) -> Float:
+    def column(values: Sequence[Any]) -> Float:
         return np.array(values, dtype=np.float64)[:, None]
 
     return first._replace(
