@@ -26,6 +26,7 @@ AT_REST: Float = np.zeros(2)
 class SceneRuntime:
     """Model, state and workspace of one mjData.
 
+    outlets: what takes the force on each body's parts
     applied: mean force on each body over the present step [N], world axes, shape (3,) each
     applied_parts: the same on the bones of each body, and torques about their origins [N m], shapes (b, 3)
     """
@@ -41,7 +42,7 @@ class SceneRuntime:
         firsts = [bound[carried(number)[0]] for number in range(len(self.model.bodies))]
         self.bodies = [first.body for first in firsts]
         self.parts = [first.bones or (first.body,) for first in firsts]
-        self._outlets = [ForceOutlet(view, parts) for parts in self.parts]
+        self.outlets = [ForceOutlet(view, parts) for parts in self.parts]
         binding = self.binding
         transducers = [site for sites in binding.transducer_sites for site in sites]
         self._sites = np.array([*binding.array_sites, *binding.frame_sites, *transducers], dtype=np.int64)
@@ -59,12 +60,19 @@ class SceneRuntime:
         self.applied_parts = [(np.zeros((len(parts), 3)), np.zeros((len(parts), 3))) for parts in self.parts]
         check_clear(self.work.reference)
 
-    def join(self, model: HapticModel, state: HapticState, work: Workspace) -> None:
+    @property
+    def frames(self) -> int:
+        """How many world frames sound and skins depend on."""
+        return len(self._positions)
+
+    def join(self, model: HapticModel, state: HapticState, work: Workspace, frames: tuple[Float, Float]) -> None:
         """Be one of several worlds, whose state lies outside of mjData; what was kept so far is forgotten.
 
         model: of the same bodies and arrays, with the world's own stimuli; state: the world's part, as views
+        frames: where world frames are put, positions [m] and matrices by row, shapes (frames, 3) and (frames, 9)
         """
         self.model, self.work = model, work
+        self._positions, self._matrices = frames
         self.__dict__["state"] = state
         self.forget()
 
@@ -81,17 +89,26 @@ class SceneRuntime:
             tuple(view.state(skin.instance).reshape(1, -1) for skin in binding.skins),
         )
 
+    def take_frames(self) -> None:
+        """Copy the world frames of all that sound and skins depend on out of mjData."""
+        sites, bodies = len(self._sites), self._bodies
+        for kind, chosen, part in (("site", self._sites, slice(0, sites)), ("body", bodies, slice(sites, None))):
+            positions, matrices = self.view.frames[kind]
+            # Mode "clip", as the others go through a buffer
+            positions.take(chosen, 0, self._positions[part], "clip")
+            matrices.take(chosen, 0, self._matrices[part], "clip")
+
     @property
     def posed(self) -> PosedScene:
         """What MuJoCo's present poses mean; the same object while nothing moves.
 
         Raises SceneError where a body reaches into an array.
         """
-        sites, bodies = len(self._sites), self._bodies
-        for kind, chosen, part in (("site", self._sites, slice(0, sites)), ("body", bodies, slice(sites, None))):
-            positions, matrices = self.view.frames[kind]
-            positions.take(chosen, 0, self._positions[part])
-            matrices.take(chosen, 0, self._matrices[part])
+        self.take_frames()
+        return self.posed_as_taken()
+
+    def posed_as_taken(self) -> PosedScene:
+        """What the frames mean that were taken last; as `posed`."""
         last, numbers = self._posed, self._positions.tobytes() + self._matrices.tobytes()
         if numbers == self._numbers:
             return last
@@ -144,7 +161,7 @@ class SceneRuntime:
     def apply(self, forces: Iterable[tuple[Float, Float]]) -> None:
         """Add forces and torques, as `body_forces` gives them, to MuJoCo's passive ones."""
         for number, (force, torque) in enumerate(forces):
-            outlet = self._outlets[number]
+            outlet = self.outlets[number]
             outlet.forces[:], outlet.torques[:] = force, torque
             outlet.apply()
             self.applied_parts[number] = force, torque

@@ -6,16 +6,20 @@ passive ones before mj_step2 integrates, so that nothing lags behind what a plai
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from operator import is_
 from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
-from palmfield.engine.host import raise_errors, world_of
+from palmfield.engine.host import World, raise_errors, world_of
 from palmfield.engine.motion_plugin import place
 from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.engine.skin_plugin import SkinModule
-from palmfield.errors import PalmfieldError, SceneError
+from palmfield.engine.world_poses import WorldPoses
+from palmfield.errors import SceneError, naming_world
+from palmfield.mujoco_host.mujoco_view import PluginSensor
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.sensors import CHANNELS, SkinReading
@@ -51,22 +55,27 @@ class SceneWorlds:
         count = len(self.data)
         self.state = new_state(models[0], count) if state is None else state
         self.forces: Float = np.zeros((count, len(models[0].bodies), 3))
-        self.runtimes: list[SceneRuntime] = []
-        self._sensors: list[list[list[Any]]] = []
-        for number, (one, model) in enumerate(zip(self.data, models, strict=True)):
+        self._worlds: list[World] = []
+        for one in self.data:
             world = world_of(one)
             assert world is not None
             world.quiet = True
-            runtime: SceneRuntime = world.scene
-            beside = self.runtimes[0].work if self.runtimes else None
-            runtime.join(model, self.state.world(number), Workspace(model, beside))
-            self.runtimes.append(runtime)
+            self._worlds.append(world)
+        self.runtimes: list[SceneRuntime] = [world.scene for world in self._worlds]
+        frames = self.runtimes[0].frames
+        positions, matrices = np.zeros((count, frames, 3)), np.zeros((count, frames, 9))
+        works: list[Workspace] = []
+        self._sensors: list[list[list[PluginSensor]]] = []
+        for number, (world, runtime, model) in enumerate(zip(self._worlds, self.runtimes, models, strict=True)):
+            works.append(Workspace(model, works[0] if works else None))
+            runtime.join(model, self.state.world(number), works[-1], (positions[number], matrices[number]))
             skins = [module for module in world.modules.values() if isinstance(module, SkinModule)]
             self._sensors.append([module.hand_over() for module in sorted(skins, key=lambda skin: skin.number)])
-        self.together = TogetherStep(models, [runtime.work for runtime in self.runtimes], self.state)
+        self.together = TogetherStep(models, works, self.state)
+        self._poses = WorldPoses(self.runtimes, positions, matrices)
         self._threads = min(cores(), max(1, count * self.mujoco_model.nv // FREEDOMS_PER_THREAD))
-        # The ARP of a unit drive at a sensor, by world, skin and number, in the pose for which it holds
-        self._probed: dict[tuple[int, int, int], tuple[PosedScene, float]] = {}
+        # The ARP of the unit drives at a sensor, by skin and number, with the poses for which it holds
+        self._probed: dict[tuple[int, int], tuple[bytes, list[PosedScene], Float]] = {}
 
     # -- stepping ------------------------------------------------------------------------------------------------------
 
@@ -83,7 +92,7 @@ class SceneWorlds:
         posed = self._push(t0)
         self._sense(posed, t0)
         self._each(mujoco.mj_step2)
-        self._advance(posed, t0, self._common_time())
+        self._advance(self._common_time())
 
     def restart(self, time_s: float | None = None) -> None:
         """All worlds at rest at a time [s], at 0 without, with hands where their motions have them then."""
@@ -98,6 +107,7 @@ class SceneWorlds:
             runtime.forget()
             runtime.work.emission.forget()
             runtime.work.prefetch.forget()
+        self._poses.forget()
         self.together.forget()
         self.look()
 
@@ -122,12 +132,15 @@ class SceneWorlds:
     def _each(self, call: Callable[[mujoco.MjModel, mujoco.MjData], Any]) -> None:
         """Let MuJoCo do something in every world."""
         model = self.mujoco_model
-        share([(partial(call, model, one),) for one in self.data], self._threads)
-        for number, one in enumerate(self.data):
-            try:
-                raise_errors(one)
-            except PalmfieldError as error:
-                raise in_world(error, number) from None
+        if self._threads == 1:
+            for one in self.data:
+                call(model, one)
+        else:
+            share([(partial(call, model, one),) for one in self.data], self._threads)
+        for number, world in enumerate(self._worlds):
+            if world.error is not None:
+                with naming_world(number):
+                    raise_errors(self.data[number])
 
     def _common_time(self) -> float:
         """MuJoCo's time [s]. Raises SceneError for worlds at different times."""
@@ -135,8 +148,9 @@ class SceneWorlds:
         for number, time_s in enumerate(times):
             if time_s != times[0]:
                 raise SceneError(
-                    f"world {number} is at {time_s:g} s and world 0 at {times[0]:g} s: MuJoCo resets a body that has "
-                    "become unstable, which ends the common run; make option 'timestep' smaller"
+                    f"world {number} is at {time_s:g} s and world 0 at {times[0]:g} s, but worlds share their time: "
+                    "nobody else may set or step one, and MuJoCo resets a world that has become unstable (then make "
+                    "option 'timestep' smaller)"
                 )
         return float(times[0])
 
@@ -149,99 +163,79 @@ class SceneWorlds:
 
     def _push(self, t0: float) -> list[PosedScene]:
         """Poses of all worlds; the sound's forces are added to MuJoCo's passive ones."""
-        posed = []
-        for number, runtime in enumerate(self.runtimes):
-            with naming(number):
-                posed.append(runtime.posed)
-        together = self.together
+        posed, together = self._poses.now(), self.together
         together.begin(posed, t0)
-        joined = set(together.rows[together.joined].tolist())
-        factors = dict(zip(together.rows.tolist(), together.mean_factors(t0).tolist(), strict=True)) if joined else {}
-        for number, runtime in enumerate(self.runtimes):
-            if number in joined:
-                factor = factors[number]
-                runtime.apply([(factor * push, factor * turn) for push, turn in together.sound(number).forces])
-            else:
-                with naming(number):
-                    runtime.push()
-            for body, force in enumerate(runtime.applied):
-                self.forces[number, body] = force
+        if together.apart:
+            for number in together.apart:
+                with naming_world(number):
+                    self.runtimes[number].push()
+                self.forces[number] = self.runtimes[number].applied
+        worlds = together.joined.tolist()
+        for body, (pushes, turns) in enumerate(together.mean_forces(t0)):
+            self.forces[together.joined, body] = np.add.reduce(pushes, axis=1)
+            for number, push, turn in zip(worlds, pushes, turns, strict=True):
+                runtime = self.runtimes[number]
+                outlet = runtime.outlets[body]
+                outlet.forces[:], outlet.torques[:] = push, turn
+                outlet.apply()
+                runtime.applied_parts[body], runtime.applied[body] = (push, turn), self.forces[number, body]
         return posed
 
     def _sense(self, posed: Sequence[PosedScene], t0: float) -> None:
         """Fill the sensors of all worlds."""
-        if not any(any(of_skin) for of_skin in self._sensors[0]):
-            return
         together = self.together
-        rows = together.rows[together.joined]
-        apart = sorted(set(range(len(self.data))) - set(rows.tolist()))
-        for number in apart:
+        for number in together.apart:
             for skin, sensors in enumerate(self._sensors[number]):
-                with naming(number):
-                    self.runtimes[number].sense(skin, sensors)
-        if len(rows) == 0:
+                if sensors:
+                    with naming_world(number):
+                        self.runtimes[number].sense(skin, sensors)
+        worlds = together.joined
+        if len(worlds) == 0 or not any(self._sensors[0]):
             return
-        factors = together.present_factors(t0)[together.joined]
+        factors = together.present_factors(t0)
+        where = [posed[world] for world in worlds.tolist()]
         for skin, sensors in enumerate(self._sensors[0]):
             body = self.models[0].skins[skin].body
             for which in range(len(sensors)):
-                motion = self._motion_at(skin, which, rows)
-                arp = factors * [self._probe(world, skin, which, posed[world]) for world in rows.tolist()]
-                known: Any = (*self.forces[rows, body].T, *motion.T, arp)
+                motion = self._motion_at(skin, which, worlds)
+                arp = factors * self._probe(skin, which, worlds, where)
+                known: Any = (*self.forces[worlds, body].T, *motion.T, arp)
                 channels = np.array([channel(SkinReading(*known)) for channel in CHANNELS.values()]).T
-                for world, values in zip(rows.tolist(), channels, strict=True):
+                for world, values in zip(worlds.tolist(), channels, strict=True):
                     self._sensors[world][skin][which].data[:] = values
 
-    def _motion_at(self, skin: int, which: int, rows: Any) -> Float:
+    def _motion_at(self, skin: int, which: int, worlds: NDArray[np.intp]) -> Float:
         """Displacement [m] and velocity [m/s] of the skin at a sensor in some worlds, shape (g, 2)."""
         part, result = self.state.skins[skin], np.zeros((len(self.data), 2))
-        for stepper, own in self.together.groups(skin, rows[part[rows, 0] != 0.0]):
+        begun = part[worlds, 0] != 0.0
+        for stepper, own in self.together.groups(skin, worlds[begun]):
             reader = self.runtimes[own[0]].place(skin, self._sensors[own[0]][skin][which]).reader(stepper)
             numbers = part[own, HEADER : HEADER + stepper.state_size]
             result[own] = stepper.read(numbers, reader)[..., 0]
-        return result[rows]
+        return result[worlds]
 
-    def _probe(self, world: int, skin: int, which: int, posed: PosedScene) -> float:
-        """The ARP of a world's unit drive at a sensor [Pa]."""
-        known = self._probed.get((world, skin, which))
-        if known is not None and known[0] is posed:
-            return known[1]
-        runtime = self.runtimes[world]
-        probe, binding = (found := runtime.place(skin, self._sensors[world][skin][which])).probe, found.binding
-        body = posed.bodies[self.models[world].skins[skin].body]
-        points, normals = body.moved(probe.closest, probe.normals, binding)
-        unit = self.together.sound(world).unit.amplitudes
-        arp = float(runtime.work.radiation.at(posed, skin, "probe", points, normals, unit).arp[0])
-        self._probed[world, skin, which] = posed, arp
-        return arp
+    def _probe(self, skin: int, which: int, worlds: NDArray[np.intp], where: list[PosedScene]) -> Float:
+        """The ARP of the unit drives at a sensor in some worlds [Pa], shape (g,); where: their poses."""
+        known = self._probed.get((skin, which))
+        if known is not None and known[0] == worlds.tobytes() and all(map(is_, known[1], where)):
+            return known[2]
+        result = np.zeros(len(worlds))
+        for i, (world, posed) in enumerate(zip(worlds.tolist(), where, strict=True)):
+            runtime = self.runtimes[world]
+            place = runtime.place(skin, self._sensors[world][skin][which])
+            body = posed.bodies[self.models[world].skins[skin].body]
+            points, normals = body.moved(place.probe.closest, place.probe.normals, place.binding)
+            unit = self.together.unit(world)
+            result[i] = runtime.work.radiation.at(posed, skin, "probe", points, normals, unit).arp[0]
+        self._probed[skin, which] = worlds.tobytes(), where, result
+        return result
 
-    def _advance(self, posed: Sequence[PosedScene], t0: float, t1: float) -> None:
+    def _advance(self, t1: float) -> None:
         """Carry transducers and skins of all worlds over MuJoCo's last step, with the poses at its beginning."""
         self.together.advance(t1 - self.models[0].spec.timestep_s, t1)
-        joined = set(self.together.rows[self.together.joined].tolist())
-        for number, runtime in enumerate(self.runtimes):
-            if number not in joined:
-                with naming(number):
-                    runtime.advance()
-
-
-class naming:
-    """Errors raised inside say in which world."""
-
-    def __init__(self, number: int):
-        self.number = number
-
-    def __enter__(self) -> None:
-        return None
-
-    def __exit__(self, kind: object, error: BaseException | None, at: object) -> None:
-        if isinstance(error, PalmfieldError):
-            raise in_world(error, self.number) from None
-
-
-def in_world(error: PalmfieldError, number: int) -> PalmfieldError:
-    """The error with the number of its world."""
-    return type(error)(f"world {number}: {error}")
+        for number in self.together.apart:
+            with naming_world(number):
+                self.runtimes[number].advance()
 
 
 def refuse_integrator(model: mujoco.MjModel) -> None:

@@ -123,6 +123,6 @@ def _by_world(given: str, value: Any, worlds: int, config: type[Config], key: st
     shape = value.shape if isinstance(value, np.ndarray) else (len(value), *(longs if len(longs) == 1 else "?" * axes))
     own = f"{length or 'n'}," if axes else ""
     raise SceneError(
-        f"key '{given}' has shape ({', '.join(map(str, shape))}{',' * (len(shape) == 1)}); allowed with {worlds} worlds: "
-        f"({own}), the same for all, or ({worlds}, {own.rstrip(',')}) with a value for each"
+        f"key '{given}' has shape ({', '.join(map(str, shape))}{',' * (len(shape) == 1)}); allowed with {worlds} "
+        f"worlds: ({own}), the same for all, or ({worlds}, {own.rstrip(',')}) with a value for each"
     )

@@ -50,8 +50,8 @@ class Worlds:
             of length `worlds`, with a value for each
         poses: by name of a mocap body, its position [m] and quaternion (w, x, y, z) in each step of MuJoCo's, shape
             (worlds, steps, 7); after the last step it stays
-        The other arguments are those of `compiled`, as are the errors; SceneError too for another number of worlds, keys
-        or poses of another shape, keys that can't differ, and MuJoCo's integrator RK4.
+        The other arguments are those of `compiled`, as are the errors. SceneError too for another number of worlds,
+        keys or poses of another shape, keys that can't differ, and MuJoCo's integrator RK4.
         """
         check_count(worlds)
         plugins = _plugins(scene)
@@ -98,8 +98,8 @@ class Worlds:
     def step(self, count: int = 1) -> None:
         """`count` of MuJoCo's steps in all worlds. Raises what a plugin raised in them, with the world's number.
 
-        Ctrl-C waits for the end of the step in which it comes: after the KeyboardInterrupt the states are whole, those of
-        an earlier time, and the simulation can go on.
+        Ctrl-C waits for the end of the step in which it comes: after the KeyboardInterrupt the states are whole, those
+        of an earlier time, and the simulation can go on.
         """
         # Made here, and not in the first step: it can take minutes, and Ctrl-C needn't wait for it
         for lazies in dict.fromkeys(model.begin for model in self._scenes.models):
@@ -295,7 +295,7 @@ def _mocap(model: mujoco.MjModel, body: str) -> int:
 
 
 def _poses(body: str, given: ArrayLike, worlds: int) -> Float:
-    """Poses as float64, their quaternions of length 1. Raises SceneError for another shape, and numbers that are none."""
+    """Poses as float64. Raises SceneError for another shape, numbers that are not finite, and no unit quaternion."""
     poses = np.array(given, dtype=np.float64)
     if poses.ndim != 3 or poses.shape[0] != worlds or poses.shape[2] != 7 or poses.shape[1] == 0:
         raise SceneError(
@@ -307,7 +307,7 @@ def _poses(body: str, given: ArrayLike, worlds: int) -> Float:
     if len(wrong):
         world, step = wrong[0].tolist()
         raise SceneError(
-            f"pose of '{body}' in world {world}, step {step}, is {poses[world, step].tolist()}; allowed: finite numbers "
-            "and a quaternion of length 1"
+            f"pose of '{body}' in world {world}, step {step}, is {poses[world, step].tolist()}; allowed: finite "
+            "numbers and a quaternion of length 1"
         )
     return poses

@@ -7,12 +7,10 @@ world, and kept while pose and drive stay. Any other world is stepped by `palmfi
 
 from collections.abc import Sequence
 from operator import is_
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from palmfield.drive.array_drive import UnitDrive
 from palmfield.drive.transducer_response import SILENT, ring
 from palmfield.simulation.emission import LEAST_MEANS
 from palmfield.simulation.model import HapticModel
@@ -28,132 +26,142 @@ from palmfield.types import Complex, Float, Float32
 
 Bool = NDArray[np.bool_]
 Rows = NDArray[np.intp]
-
-
-class _Sound(NamedTuple):
-    """What the unit drive of a world does in a pose.
-
-    pressures: on each skin's quadrature points [Pa], (q,)
-    forces: on the parts of each body [N], and torques about their origins [N m], world axes, shapes (b, 3)
-    """
-
-    unit: UnitDrive
-    pressures: list[Float32]
-    forces: list[tuple[Float, Float]]
+KEPT = 64
+"""Ways in which worlds were shared out among steppers."""
 
 
 class TogetherStep:
     """The steps of several worlds, with what they keep from one to the next. Belongs to one state.
 
     models, works: of each world; state: of all
-    rows: numbers of the worlds that may be stepped together, shape (g,); all arrays by world here are in this order
+    joined: numbers of the worlds that take the present step together, rising, shape (g,); apart: of all others
     """
 
     def __init__(self, models: Sequence[HapticModel], works: Sequence[Workspace], state: HapticState):
         self.models, self.works, self.state = models, works, state
-        rows = [number for number, model in enumerate(models) if _may_join(model)]
-        self.rows: Rows = np.array(rows, dtype=np.intp)
-        self._place = {world: g for g, world in enumerate(rows)}
-        self._ringing: Bool = np.array([models[world].response_on for world in rows], dtype=bool)
-        self._levels = Levels([models[world].stimuli[0].config for world in rows]) if rows else None
-        transducers = len(models[0].arrays)
-        self._units: Complex = np.zeros((len(rows), transducers), np.complex128)
-        self._conjugates: Complex = self._units.copy()
-        self._powers: Float = np.zeros(len(rows))
-        self._peaks: Float = np.zeros(len(rows))
-        self._posed: list[PosedScene | None] = [None] * len(rows)
-        self._sounds: list[_Sound | None] = [None] * len(rows)
+        self._may_join: Bool = np.array([_may_join(model) for model in models])
+        self._some = bool(self._may_join.any())
+        self._ringing: Bool = self._may_join & [model.response_on for model in models]
+        self._levels = Levels([model.stimuli[0].config for model in models])
+        worlds, first = len(models), models[0]
+        self._posed: list[PosedScene | None] = [None] * worlds
+        # Of the unit drives: amplitudes, sums of their squares, and the largest
+        self._units: Complex = np.zeros((worlds, len(first.arrays)), np.complex128)
+        self._powers, self._peaks = np.zeros(worlds), np.zeros(worlds)
+        # How much of them is emitted, where nothing but this has changed what is emitted
+        self._now: Complex = np.zeros(worlds, np.complex128)
+        self._known: Bool = np.zeros(worlds, dtype=bool)
+        # Forces of the unit drives on each body's parts and torques about their origins, world axes, (worlds, b, 3)
+        shapes = [(worlds, body.parts, 3) for body in first.bodies]
+        self._forces = [(np.zeros(shape), np.zeros(shape)) for shape in shapes]
+        # Their pressures on each skin's quadrature points, by skin and world, and arrays of those in one call
+        self._pressures: list[list[Float32]] = [[np.zeros(0, np.float32)] * worlds for _ in first.skins]
+        self._stacks: dict[int, tuple[list[Float32], Float32]] = {}
         # The pose in which a small model was last found to serve, by skin and world
-        self._serves: list[list[PosedScene | None]] = [[None] * len(rows) for _ in models[0].skins]
-        self._stacks: dict[tuple[int, bytes], tuple[list[Float32], Float32]] = {}
-        self._emitted: Complex = np.zeros((len(rows), transducers), np.complex128)
-        self._now: Complex = np.zeros(len(rows), np.complex128)
-        self.joined: Bool = np.zeros(len(rows), dtype=bool)
-        """Which of `rows` take the present step together."""
+        self._serves: list[list[PosedScene | None]] = [[None] * worlds for _ in first.skins]
+        self._groups: dict[tuple[int, bytes, bytes], list[tuple[SkinStepper, Rows]]] = {}
+        self.joined: Rows = np.zeros(0, dtype=np.intp)
+        self.apart: list[int] = list(range(worlds))
 
     def forget(self) -> None:
         """Begin again: after a reset nothing is known of any pose."""
-        self._posed = [None] * len(self.rows)
-        self._serves = [[None] * len(self.rows) for _ in self._serves]
+        worlds = len(self.models)
+        self._posed, self._known = [None] * worlds, np.zeros(worlds, dtype=bool)
+        self._serves = [[None] * worlds for _ in self._serves]
 
     def adopt(self, other: "TogetherStep") -> None:
         """Take over what is known of the poses, for a copy of the other's state in the same PosedScenes."""
-        self._posed, self._sounds = list(other._posed), list(other._sounds)
+        self._posed = list(other._posed)
+        self._units, self._powers, self._peaks = other._units.copy(), other._powers.copy(), other._peaks.copy()
+        self._now, self._known = other._now.copy(), other._known.copy()
+        self._forces = [(force.copy(), torque.copy()) for force, torque in other._forces]
+        self._pressures = [list(of_skin) for of_skin in other._pressures]
         self._serves = [list(of_skin) for of_skin in other._serves]
-        self._units, self._conjugates = other._units.copy(), other._conjugates.copy()
-        self._powers, self._peaks = other._powers.copy(), other._peaks.copy()
-
-    def sound(self, world: int) -> _Sound:
-        """What the unit drive of a world among `rows` does in its present pose."""
-        sound = self._sounds[self._place[world]]
-        assert sound is not None
-        return sound
 
     # -- the beginning of a step ---------------------------------------------------------------------------------------
 
     def begin(self, posed: Sequence[PosedScene], t0: float) -> None:
         """Take the poses of all worlds where a step begins at t0 [s], and find out who takes it together."""
-        if self._levels is None:
+        if not self._some:
             return
-        for g, world in enumerate(self.rows):
-            if self._posed[g] is not posed[world]:
-                self._meet(g, posed[world], t0)
-        start = 0
-        for part in self.state.emitted:
-            self._emitted[:, start : start + part.shape[1]] = part[self.rows]
-            start += part.shape[1]
-        products = np.einsum("gn,gn->g", self._conjugates, self._emitted)
-        self._now = np.divide(products, self._powers, out=np.zeros_like(products), where=self._powers > 0.0)
-        rest = self._emitted - self._now[:, None] * self._units
-        largest = np.maximum.reduce(rest.real**2 + rest.imag**2, axis=1)
-        alike = ~self._ringing | (largest < SILENT**2)
-        self.joined = alike & ~self._levels.jump(t0, t0 + self.models[0].spec.timestep_s)
+        for world, now in enumerate(posed):
+            if self._posed[world] is not now and self._may_join[world]:
+                self._meet(world, now, t0)
+        alike = self._levels_alike()
+        jump = self._levels.jump(t0, t0 + self.models[0].spec.timestep_s)
+        joins = self._may_join & alike & ~jump
+        self.joined, self.apart = joins.nonzero()[0], (~joins).nonzero()[0].tolist()
+        self._known = joins
 
-    def _meet(self, g: int, posed: PosedScene, t0: float) -> None:
+    def _meet(self, world: int, posed: PosedScene, t0: float) -> None:
         """What the unit drive of one world does in a new pose."""
-        world = self.rows[g]
         model, work = self.models[world], self.works[world]
         part, drive, points = work.emission.placed(posed, t0)[0]
         unit = drive.unit_drive_at(points, first_point(part.config))
         turn = posed.array_frame.rotation.T
-        forces = []
-        for body in range(len(model.bodies)):
+        for body, (forces, torques) in enumerate(self._forces):
             force, torque = work.forces.under(posed, body, unit.amplitudes)
-            forces.append((force @ turn, torque @ turn))
-        skins = range(len(model.skins))
-        pressures = [work.radiation.on(posed, skin, "quadrature", unit.amplitudes).arp for skin in skins]
-        self._sounds[g], self._posed[g] = _Sound(unit, pressures, forces), posed
-        self._units[g], self._conjugates[g] = unit.amplitudes, unit.conjugate
-        self._powers[g], self._peaks[g] = unit.power, unit.peak
+            forces[world], torques[world] = force @ turn, torque @ turn
+        for skin, pressures in enumerate(self._pressures):
+            pressures[world] = work.radiation.on(posed, skin, "quadrature", unit.amplitudes).arp
+        self._units[world], self._powers[world], self._peaks[world] = unit.amplitudes, unit.power, unit.peak
+        self._posed[world], self._known[world] = posed, False
+
+    def _levels_alike(self) -> Bool:
+        """In which worlds a number times the unit drive is emitted, shape (worlds,); finds these numbers."""
+        alike = np.ones(len(self.models), dtype=bool)
+        asked = (self._may_join & self._ringing & ~self._known).nonzero()[0]
+        if len(asked) == 0:
+            return alike
+        emitted = np.concatenate([part[asked] for part in self.state.emitted], axis=1)
+        units, powers = self._units[asked], self._powers[asked]
+        products = np.einsum("gn,gn->g", units.conj(), emitted)
+        levels = np.divide(products, powers, out=np.zeros_like(products), where=powers > 0.0)
+        self._now[asked] = levels
+        rest = emitted - levels[:, None] * units
+        alike[asked] = np.maximum.reduce(rest.real**2 + rest.imag**2, axis=1) < SILENT**2
+        return alike
+
+    def unit(self, world: int) -> Complex:
+        """The unit drive of a world that has joined, shape (N,)."""
+        unit: Complex = self._units[world]
+        return unit
 
     def present_factors(self, t0: float) -> Float:
-        """ARP at t0 [s] relative to that of the unit drives, shape (g,)."""
-        assert self._levels is not None
-        sounding = np.abs(self._now) * self._peaks >= SILENT
-        return np.where(self._ringing, np.abs(self._now) ** 2 * sounding, self._levels.at(np.array([t0]))[:, 0])
+        """ARP at t0 [s] relative to that of the unit drives, in the worlds that have joined, shape (g,)."""
+        level = np.abs(self._now)
+        emitted = level**2 * (level * self._peaks >= SILENT)
+        commanded = self._levels.at(np.array([t0]))[:, 0]
+        return np.where(self._ringing, emitted, commanded)[self.joined]
 
-    def mean_factors(self, t0: float) -> Float:
-        """The mean ARP over the step that begins at t0 [s], relative to that of the unit drives, shape (g,)."""
+    def mean_forces(self, t0: float) -> list[tuple[Float, Float]]:
+        """Forces [N] on the parts of each body and torques about their origins [N m], world axes, shapes (g, b, 3).
+
+        In the worlds that have joined: the mean over the step that begins at t0 [s].
+        """
+        if len(self.joined) == 0:
+            return []
         model = self.models[0]
         count = max(LEAST_MEANS, model.substeps)
         moments = substep_moments((), t0, model.spec.timestep_s / count, count, hold=True)
         factors, _ = self._over(moments)
-        return np.asarray(np.add.reduce(moments.first @ factors.T, axis=0) / count)
+        means = (np.add.reduce(factors @ moments.first.T, axis=1) / count)[self.joined, None, None]
+        return [(means * force[self.joined], means * torque[self.joined]) for force, torque in self._forces]
 
     def _over(self, moments: Moments) -> tuple[Float, Complex]:
-        """ARP relative to the unit drives at some moments, (g, m), and the level that is emitted at their end, (g,)."""
-        assert self._levels is not None
+        """ARP relative to the unit drives at some moments, (worlds, m), and how much is emitted at the end, (worlds,)."""
         commanded = self._levels.at(moments.times)
-        if not np.logical_or.reduce(self._ringing):
+        ringing = self._ringing.nonzero()[0]
+        if len(ringing) == 0:
             return commanded, self._now
         levels = np.sqrt(commanded)
-        stepper = self.models[self.rows[int(self._ringing.argmax())]].stimuli[0].response.stepper
+        # The arrays, and so their transducers, are those of all worlds
+        stepper = self.models[ringing[0]].stimuli[0].response.stepper
         rung, end = ring(self._now, levels.T.astype(np.complex128), moments, stepper)
         factors = rung.real**2 + rung.imag**2
         factors *= factors * self._peaks**2 >= SILENT**2
         silent = ~np.logical_or.reduce(levels, axis=1) & (np.abs(self._now) * self._peaks < SILENT)
-        end = np.where(silent, 0.0, end)
-        return np.where(self._ringing[:, None], factors.T, commanded), end
+        return np.where(self._ringing[:, None], factors.T, commanded), np.where(silent, 0.0, end)
 
     # -- its end -------------------------------------------------------------------------------------------------------
 
@@ -162,81 +170,84 @@ class TogetherStep:
 
         Raises SceneError as `palmfield.simulation.step.step`.
         """
-        rows = self.rows[self.joined]
-        if len(rows) == 0:
+        worlds = self.joined
+        if len(worlds) == 0:
             return
-        for world in rows[self.state.arrays[0][rows, 0] != BEGUN]:
+        for world in worlds[self.state.arrays[0][worlds, 0] != BEGUN].tolist():
             check_arrays(self.models[world], self.state.world(world))
         model = self.models[0]
         moments = substep_moments((), t0, model.step_s, model.substeps)
         factors, end = self._over(moments)
-        first, last = (factors @ weights.T for weights in (moments.first, moments.last))
+        first, last = factors @ moments.first.T, factors @ moments.last.T
         for skin in range(len(model.skins)):
-            self._leave_small_models(skin, rows, t0)
-            for stepper, own in self.groups(skin, rows):
-                at = [self._place[world] for world in own]
-                loads = SurfaceLoads(self._stack(skin, own), first[at][..., None], last[at][..., None], fixed=True)
+            self._leave_small_models(skin, t0)
+            for stepper, own in self.groups(skin, worlds):
+                loads = SurfaceLoads(self._stack(skin, own), first[own][..., None], last[own][..., None], fixed=True)
                 self._step(skin, stepper, own, loads, t0, t1)
-        ringing = self.joined & self._ringing
+        ringing = worlds[self._ringing[worlds]]
+        self._now[ringing] = end[ringing]
         start = 0
         for part in self.state.emitted:
-            units = self._units[:, start : start + part.shape[1]]
-            part[self.rows[ringing]] = (end[:, None] * units)[ringing]
+            part[ringing] = end[ringing, None] * self._units[ringing, start : start + part.shape[1]]
             start += part.shape[1]
 
-    def _leave_small_models(self, skin: int, rows: Rows, t0: float) -> None:
+    def _leave_small_models(self, skin: int, t0: float) -> None:
         """Turn small models into whole layers where something has moved."""
         serves = self._serves[skin]
-        for world in rows[self.state.skins[skin][rows, 0] != WHOLE]:
-            g = self._place[world]
-            posed = self._posed[g]
+        for world in self.joined[self.state.skins[skin][self.joined, 0] != WHOLE].tolist():
+            posed = self._posed[world]
             assert posed is not None
-            if serves[g] is posed:
+            if serves[world] is posed:
                 continue
             model, work, state = self.models[world], self.works[world], self.state.world(world)
             if leaves_small_model(model, state, skin, posed, work.reference, work.emission, t0):
-                continue_on_whole_layer(model, state, skin, posed, work.emission, work.radiation, self._emitted[g], t0)
+                begun = self._now[world] * self._units[world]
+                continue_on_whole_layer(model, state, skin, posed, work.emission, work.radiation, begun, t0)
                 continue
             stepper = model.begin[skin].value
             # One that serves only from the beginning of the sound on must be asked again
             if not isinstance(stepper, ReducedStepper) or stepper.any_course:
-                serves[g] = posed
+                serves[world] = posed
 
-    def groups(self, skin: int, rows: Rows) -> list[tuple[SkinStepper, Rows]]:
+    def groups(self, skin: int, worlds: Rows) -> list[tuple[SkinStepper, Rows]]:
         """Some worlds by what steps a skin in them."""
+        whole = self.state.skins[skin][worlds, 0] == WHOLE
+        key = skin, worlds.tobytes(), whole.tobytes()
+        known = self._groups.get(key)
+        if known is not None:
+            return known
         steppers: dict[int, tuple[SkinStepper, list[int]]] = {}
-        whole = self.state.skins[skin][rows, 0] == WHOLE
-        for world, left in zip(rows.tolist(), whole.tolist(), strict=True):
+        for world, left in zip(worlds.tolist(), whole.tolist(), strict=True):
             model = self.models[world]
             stepper: SkinStepper = (model.whole if left else model.begin)[skin].value
             steppers.setdefault(id(stepper), (stepper, []))[1].append(world)
-        return [(stepper, np.array(own, dtype=np.intp)) for stepper, own in steppers.values()]
+        if len(self._groups) >= KEPT:
+            self._groups.clear()
+        found = self._groups[key] = [(one, np.array(own, dtype=np.intp)) for one, own in steppers.values()]
+        return found
 
-    def _step(self, skin: int, stepper: SkinStepper, rows: Rows, loads: SurfaceLoads, t0: float, t1: float) -> None:
+    def _step(self, skin: int, stepper: SkinStepper, worlds: Rows, loads: SurfaceLoads, t0: float, t1: float) -> None:
         """Step a skin in some worlds by one stepper."""
         part = self.state.skins[skin]
-        for world in rows[part[rows, 0] == 0.0]:
+        for world in worlds[part[worlds, 0] == 0.0].tolist():
             # Refuses a state that is not at rest though nobody has written it
             model, own = self.models[world], self.state.world(world)
             stepper_of(model, own, skin)
             claim(model, own, skin, stepper)
         numbers = slice(HEADER, HEADER + stepper.state_size)
-        if len(rows) == len(part):
+        if len(worlds) == len(part):
             stepper.step(part[:, numbers], loads, t0, t1)
             return
-        states = part[rows, numbers]
+        states = part[worlds, numbers]
         stepper.step(states, loads, t0, t1)
-        part[rows, numbers] = states
+        part[worlds, numbers] = states
 
-    def _stack(self, skin: int, rows: Rows) -> Float32:
+    def _stack(self, skin: int, worlds: Rows) -> Float32:
         """Pressures of the unit drives on a skin in some worlds, shape (w, 1, q): the same array while all stay."""
-        pressures = [self.sound(world).pressures[skin] for world in rows]
-        known = self._stacks.get((skin, rows.tobytes()))
-        if known is None or not all(map(is_, known[0], pressures)):
-            known = pressures, np.stack(pressures)[:, None]
-            if len(self._stacks) > 4 * len(self.models[0].skins):
-                self._stacks.clear()
-            self._stacks[skin, rows.tobytes()] = known
+        pressures = [self._pressures[skin][world] for world in worlds.tolist()]
+        known = self._stacks.get(skin)
+        if known is None or len(known[0]) != len(pressures) or not all(map(is_, known[0], pressures)):
+            known = self._stacks[skin] = pressures, np.stack(pressures)[:, None]
         return known[1]
 
 

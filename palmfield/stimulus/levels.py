@@ -17,7 +17,7 @@ def goes_smoothly(config: StimulusConfig) -> bool:
 
 
 class Levels:
-    """The levels of stimuli that all go smoothly, n in number; those of one kind are computed in one go."""
+    """The levels of n stimuli; those of one kind are computed in one go. Paths, ticks and bursts are left out."""
 
     def __init__(self, configs: Sequence[StimulusConfig]):
         envelopes = [envelope_of(config) for config in configs]
@@ -53,10 +53,12 @@ def _stacked(envelopes: Sequence[Envelope]) -> Envelope:
     def column(values: Sequence[Any]) -> Float:
         return np.array(values, dtype=np.float64)[:, None]
 
-    return first._replace(
+    return Envelope(
         start_s=column([one.start_s for one in envelopes]),
         ends=tuple(column([one.ends[i] for one in envelopes]) for i in range(len(first.ends))),
         ramp_s=None if first.ramp_s is None else column([one.ramp_s for one in envelopes]),
+        am_of=first.am_of,
         am_depth=column([one.am_depth for one in envelopes]),
         am_frequency_Hz=column([one.am_frequency_Hz for one in envelopes]),
+        burst=None,
     )

@@ -77,7 +77,9 @@ def main() -> None:
     together_ms = ms_per_step(together, given.steps) / timestep_ms
     each_ms = together_ms / given.worlds
     print(f"{processor()}, {cores()} cores, device {given.device}, scene {scene.stem}, {given.vary} differs")
-    print(f"steppers: {sorted(set(together.skin(together.skins[0]).solver))}; alone: {single.skin(single.skins[0]).solver}")
+    print(
+        f"steppers: {sorted(set(together.skin(together.skins[0]).solver))}; alone: {single.skin(single.skins[0]).solver}"
+    )
     print(f"one simulation: {alone_ms:.3f} ms a simulated ms")
     print(f"{given.worlds} worlds: {together_ms:.3f} ms a simulated ms, {each_ms:.4f} ms a world, after {made_s:.1f} s")
     print(f"{given.worlds} worlds take {given.worlds * alone_ms / together_ms:.1f} x less than as many simulations")
@@ -93,7 +95,10 @@ def main() -> None:
             worst["displacement"] = max(worst["displacement"], difference)
         worst["forces"] = max(worst["forces"], apart(together.forces[world], sim.forces))
         worst["sensors"] = max(worst["sensors"], apart(together.sensors[world], sim.data.sensordata))
-    print(f"worlds {chosen.tolist()} against simulations by themselves: " + ", ".join(f"{k} {v:.1e}" for k, v in worst.items()))
+    print(
+        f"worlds {chosen.tolist()} against simulations by themselves: "
+        + ", ".join(f"{k} {v:.1e}" for k, v in worst.items())
+    )
 
 
 if __name__ == "__main__":

@@ -71,7 +71,8 @@ def worlds_of(loads):
     """The loads of several bodies, stepped together; those of none have no rows."""
     if not loads:
         return SurfaceLoads(np.zeros((0, 1, 1)), np.zeros((0, SUBSTEPS, 1)), np.zeros((0, SUBSTEPS, 1)))
-    return SurfaceLoads(*(np.concatenate(x) for x in zip(*((o.pressure_Pa, o.first, o.last) for o in loads))))
+    parts = zip(*((one.pressure_Pa, one.first, one.last) for one in loads), strict=True)
+    return SurfaceLoads(*(np.concatenate(part) for part in parts))
 
 
 def part_of(loads, which):
