@@ -14,8 +14,8 @@ from palmfield.types import Float
 class WorldPoses:
     """What the poses of some worlds mean, with what was found last.
 
-    In most steps bodies only tremble about the reference pose, which small models take for standing still. This is found
-    out for all worlds in one go; only those where more has happened are looked at by themselves.
+    In most steps bodies only tremble about the reference pose, which small models take for standing still. This is
+    found out for all worlds in one go; only those where more has happened are looked at by themselves.
 
     positions, matrices: where the runtimes put the world frames that they take, shapes (worlds, m, 3), (worlds, m, 9)
     """

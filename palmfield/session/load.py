@@ -227,7 +227,7 @@ def _set_text(spec: mujoco.MjSpec, name: str, value: str) -> None:
 
 
 def fresh_data(model: mujoco.MjModel, name: str) -> mujoco.MjData:
-    """Data at time 0 with hands where their motions have them; name: of the scene, for messages. Errors as `compiled`."""
+    """Data at time 0 with hands where their motions have them; name: of the scene, for errors as `compiled` raises."""
     try:
         data = mujoco.MjData(model)
     except (ValueError, mujoco.FatalError) as error:

@@ -86,9 +86,12 @@ def world_specs(
     for world in range(worlds):
         stimuli = []
         for stimulus in spec.stimuli:
-            own = {key: as_text(values[world]) for key, values in keys.differing.get(stimulus.name, {}).items()}
-            element = f"world {world}: {element_of(StimulusConfig, stimulus.name)}"
-            config: Any = parse(StimulusConfig, {**texts[stimulus.name], **own}, element)
+            own = dict(texts[stimulus.name])
+            for key, values in keys.differing.get(stimulus.name, {}).items():
+                own.pop(key, None)
+                if values[world] is not None:
+                    own[key] = as_text(values[world])
+            config: Any = parse(StimulusConfig, own, f"world {world}: {element_of(StimulusConfig, stimulus.name)}")
             stimuli.append(replace(stimulus, config=config))
         specs.append(replace(spec, stimuli=tuple(stimuli)))
     return specs
@@ -121,8 +124,13 @@ def _by_world(given: str, value: Any, worlds: int, config: type[Config], key: st
     if len(value) == worlds and _depth(value) == axes + 1 and (length is None or longs == {length}):
         return tuple(value)
     shape = value.shape if isinstance(value, np.ndarray) else (len(value), *(longs if len(longs) == 1 else "?" * axes))
-    own = f"{length or 'n'}," if axes else ""
+    own = (length or "n",) * axes
     raise SceneError(
-        f"key '{given}' has shape ({', '.join(map(str, shape))}{',' * (len(shape) == 1)}); allowed with {worlds} "
-        f"worlds: ({own}), the same for all, or ({worlds}, {own.rstrip(',')}) with a value for each"
+        f"key '{given}' has shape {_told(shape)}; allowed with {worlds} worlds: {_told(own)}, the same for all, or "
+        f"{_told((worlds, *own))} with a value for each"
     )
+
+
+def _told(shape: tuple[object, ...]) -> str:
+    """A shape as text, also with letters for any number."""
+    return f"({', '.join(map(str, shape))}{',' * (len(shape) == 1)})"

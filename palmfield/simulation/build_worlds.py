@@ -23,8 +23,8 @@ a while, and a small model of a palm holds 14 MB."""
 def build_worlds(specs: Sequence[SceneSpec]) -> tuple[HapticModel, ...]:
     """The model of each world, for specs that differ in the keys of their stimuli only.
 
-    The layers are made for the strictest of the worlds: where all ask for the same, each world has the layer that it
-    would have by itself. A skin gets small models if every world that sounds would have one, and if there are at most
+    The layers are made for the strictest of the worlds that sound: where all ask for the same, each has the layer that
+    it would have by itself. A skin gets small models if every world that sounds would have one, and if there are at most
     MOST_SMALL_MODELS different ones: loads that differ in their level alone share theirs.
     Raises SceneError or DeviceError as `palmfield.simulation.build.build`.
     """
@@ -35,13 +35,16 @@ def build_worlds(specs: Sequence[SceneSpec]) -> tuple[HapticModel, ...]:
         if spec not in stimuli:
             made, _, response_on = stimuli_of(spec, first.arrays, first.board, carriers)
             stimuli[spec] = made, response_on
-    demands = [demands_of(spec, made, first.arrays, first.board, carriers) for spec, (made, _) in stimuli.items()]
-    asked = [strictest(of_skin) for of_skin in zip(*demands, strict=True)]
-    same = asked == demands[0]
-    layers = [skin.layer for skin in first.skins] if same else layers_for(specs[0], asked, carriers)
     loads = {spec: load_key(made, first.board.exact) for spec, (made, _) in stimuli.items()}
     sounding = {spec: made for spec, made in stimuli.items() if loads[spec] is not None}
     different = len({loads[spec] for spec in sounding})
+    demands = {
+        spec: demands_of(spec, made, first.arrays, first.board, carriers)
+        for spec, (made, _) in (sounding or stimuli).items()
+    }
+    asked = [strictest(of_skin) for of_skin in zip(*demands.values(), strict=True)]
+    same = asked == demands.get(specs[0])
+    layers = [skin.layer for skin in first.skins] if same else layers_for(specs[0], asked, carriers)
     skins = []
     for known, layer in zip(first.skins, layers, strict=True):
         choices = [

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palmfield.drive.transducer_response import SILENT, ring
+from palmfield.errors import PalmfieldError, naming_world
 from palmfield.simulation.emission import LEAST_MEANS
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene
@@ -84,18 +85,22 @@ class TogetherStep:
         """Take the poses of all worlds where a step begins at t0 [s], and find out who takes it together."""
         if not self._some:
             return
+        joins = self._may_join.copy()
         for world, now in enumerate(posed):
-            if self._posed[world] is not now and self._may_join[world]:
-                self._meet(world, now, t0)
-        alike = self._levels_alike()
-        jump = self._levels.jump(t0, t0 + self.models[0].spec.timestep_s)
-        joins = self._may_join & alike & ~jump
+            if self._posed[world] is not now and joins[world]:
+                try:
+                    self._meet(world, now, t0)
+                except PalmfieldError:
+                    # It may be silent now; if not, its own step raises this again
+                    self._posed[world], joins[world] = None, False
+        joins &= self._levels_alike()
+        joins &= ~self._levels.jump(t0, t0 + self.models[0].spec.timestep_s)
         self.joined, self.apart = joins.nonzero()[0], (~joins).nonzero()[0].tolist()
         self._known = joins
 
     def _meet(self, world: int, posed: PosedScene, t0: float) -> None:
         """What the unit drive of one world does in a new pose."""
-        model, work = self.models[world], self.works[world]
+        work = self.works[world]
         part, drive, points = work.emission.placed(posed, t0)[0]
         unit = drive.unit_drive_at(points, first_point(part.config))
         turn = posed.array_frame.rotation.T
@@ -149,7 +154,7 @@ class TogetherStep:
         return [(means * force[self.joined], means * torque[self.joined]) for force, torque in self._forces]
 
     def _over(self, moments: Moments) -> tuple[Float, Complex]:
-        """ARP relative to the unit drives at some moments, (worlds, m), and how much is emitted at the end, (worlds,)."""
+        """ARP relative to the unit drives at some moments, (worlds, m), and how much is emitted at the end."""
         commanded = self._levels.at(moments.times)
         ringing = self._ringing.nonzero()[0]
         if len(ringing) == 0:
@@ -200,7 +205,9 @@ class TogetherStep:
             if serves[world] is posed:
                 continue
             model, work, state = self.models[world], self.works[world], self.state.world(world)
-            if leaves_small_model(model, state, skin, posed, work.reference, work.emission, t0):
+            with naming_world(world):
+                leaves = leaves_small_model(model, state, skin, posed, work.reference, work.emission, t0)
+            if leaves:
                 begun = self._now[world] * self._units[world]
                 continue_on_whole_layer(model, state, skin, posed, work.emission, work.radiation, begun, t0)
                 continue

@@ -77,11 +77,11 @@ def main() -> None:
     together_ms = ms_per_step(together, given.steps) / timestep_ms
     each_ms = together_ms / given.worlds
     print(f"{processor()}, {cores()} cores, device {given.device}, scene {scene.stem}, {given.vary} differs")
-    print(
-        f"steppers: {sorted(set(together.skin(together.skins[0]).solver))}; alone: {single.skin(single.skins[0]).solver}"
-    )
+    steppers = {solver for name in together.skins for solver in together.skin(name).solver}
+    print(f"steppers: {sorted(steppers)}; alone: {single.skin(single.skins[0]).solver}")
     print(f"one simulation: {alone_ms:.3f} ms a simulated ms")
-    print(f"{given.worlds} worlds: {together_ms:.3f} ms a simulated ms, {each_ms:.4f} ms a world, after {made_s:.1f} s")
+    print(f"{given.worlds} worlds, ready after {made_s:.1f} s:")
+    print(f"    {together_ms:.3f} ms a simulated ms, {each_ms:.4f} ms a world and simulated ms")
     print(f"{given.worlds} worlds take {given.worlds * alone_ms / together_ms:.1f} x less than as many simulations")
     steps = 1 + FIRST + given.steps
     chosen = np.unique(np.linspace(0, given.worlds - 1, min(given.compare, given.worlds)).astype(int))
@@ -95,10 +95,8 @@ def main() -> None:
             worst["displacement"] = max(worst["displacement"], difference)
         worst["forces"] = max(worst["forces"], apart(together.forces[world], sim.forces))
         worst["sensors"] = max(worst["sensors"], apart(together.sensors[world], sim.data.sensordata))
-    print(
-        f"worlds {chosen.tolist()} against simulations by themselves: "
-        + ", ".join(f"{k} {v:.1e}" for k, v in worst.items())
-    )
+    told = ", ".join(f"{name} {difference:.1e}" for name, difference in worst.items())
+    print(f"worlds {chosen.tolist()} against simulations by themselves: {told}")
 
 
 if __name__ == "__main__":
