@@ -6,23 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from palmfield.config import (
-    ArrayConfig,
-    Config,
-    DriverConfig,
-    MotionConfig,
-    SkinConfig,
-    StimulusConfig,
-    parse,
-)
+from palmfield.config import CONFIGS, Config, StimulusConfig, parse
 from palmfield.errors import SceneError
 from palmfield.session.load import as_text
 from palmfield.simulation.scene_reader import element_of
 from palmfield.simulation.spec import SceneSpec
 
-CONFIGS: dict[str, type[Config]] = {
-    config.plugin: config for config in (ArrayConfig, StimulusConfig, SkinConfig, DriverConfig, MotionConfig)
-}
+BY_PLUGIN: dict[str, type[Config]] = {config.plugin: config for config in CONFIGS}
 BOUND = ("arrays", "frame", "path_on", "on_skin", "path_sites")
 """Keys of a stimulus that name parts of the scene."""
 SHARED = {
@@ -54,7 +44,7 @@ def split_keys(keys: Mapping[str, object], worlds: int, plugins: Mapping[str, st
     for given, value in keys.items():
         owner, _, key = given.rpartition(".")
         plugin = plugins.get(owner, f"palmfield.{owner.removeprefix('palmfield.')}")
-        config = CONFIGS.get(plugin)
+        config = BY_PLUGIN.get(plugin)
         if config is None or key not in config.model_fields or _depth(value) <= _axes(config, key):
             continue  # one value for all worlds, or what `compiled` says is unknown
         values = _by_world(given, value, worlds, config, key)

@@ -23,9 +23,9 @@ a while, and a small model of a palm holds 14 MB."""
 def build_worlds(specs: Sequence[SceneSpec]) -> tuple[HapticModel, ...]:
     """The model of each world, for specs that differ in the keys of their stimuli only.
 
-    The layers are made for the strictest of the worlds that sound: where all ask for the same, each has the layer that
-    it would have by itself. A skin gets small models if every world that sounds would have one, and if there are at most
-    MOST_SMALL_MODELS different ones: loads that differ in their level alone share theirs.
+    The layers are made for the strictest of the worlds that sound: where all ask for the same, each has the layer
+    that it would have by itself. A skin gets small models if every world that sounds would have one, and if there are
+    at most MOST_SMALL_MODELS different ones: loads that differ in their level alone share theirs.
     Raises SceneError or DeviceError as `palmfield.simulation.build.build`.
     """
     first = model_of(specs[0])

@@ -447,7 +447,7 @@ def test_keys_that_do_not_fit_are_refused(keys, told, small_scene):
 
 @pytest.mark.parametrize("worlds", [0, -2, 1.5, "3", True, np.array([2])])
 def test_a_number_of_worlds_that_is_none_is_refused(worlds, small_scene):
-    with pytest.raises(SceneError, match="worlds is .*; allowed: a whole number of 1 or more"):
+    with pytest.raises(SceneError, match=r"worlds is .*; allowed: a whole number of 1 or more"):
         palmfield.Simulation(small_scene(), worlds=worlds)
 
 
@@ -467,7 +467,7 @@ def test_poses_that_do_not_fit_are_refused(poses, told, small_scene):
 
 
 def test_poses_need_worlds(small_scene):
-    with pytest.raises(SceneError, match="poses are given without worlds"):
+    with pytest.raises(SceneError, match=r"poses are given without worlds"):
         palmfield.Simulation(led(small_scene()), poses={"pad": wandering(1, 5)})
 
 
@@ -475,10 +475,10 @@ def test_an_integrator_that_asks_for_forces_within_a_step_is_refused(small_scene
     path = small_scene()
     sim = palmfield.Simulation(path, worlds=2)
     sim.model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
-    with pytest.raises(SceneError, match="'integrator' has value 'RK4'.*allowed: Euler"):
+    with pytest.raises(SceneError, match=r"'integrator' has value 'RK4'.*allowed: Euler"):
         sim.step()
     path.write_text(path.read_text().replace("<option ", '<option integrator="RK4" '))
-    with pytest.raises(SceneError, match="RK4"):
+    with pytest.raises(SceneError, match=r"RK4"):
         palmfield.Simulation(path, worlds=2)
 
 
@@ -501,19 +501,19 @@ def test_errors_name_their_world(small_scene):
     poses[1, 1, :3] = 0.0
     sim = palmfield.Simulation(path, worlds=3, poses={"pad": poses})
     sim.step()
-    with pytest.raises(SceneError, match="world 1: .*pad"):
+    with pytest.raises(SceneError, match=r"world 1: .*pad"):
         sim.step()
 
 
 def test_a_world_that_somebody_else_has_stepped_is_refused(small_scene):
     sim = palmfield.Simulation(small_scene(), worlds=2)
     mujoco.mj_step(sim.model, sim.data[1])
-    with pytest.raises(SceneError, match="world 1 is at 0.001 s and world 0 at 0 s"):
+    with pytest.raises(SceneError, match=r"world 1 is at 0.001 s and world 0 at 0 s"):
         sim.step()
 
 
 def test_other_calls_take_one_world(small_scene, tmp_path):
     sim = palmfield.Simulation(small_scene(), worlds=2)
     for call in (palmfield.plan, lambda scene: palmfield.run(scene, tmp_path / "out", progress=False)):
-        with pytest.raises(SceneError, match="2 worlds"):
+        with pytest.raises(SceneError, match=r"2 worlds"):
             call(sim)
