@@ -3,7 +3,7 @@
 The model of each world is a HapticModel, so that whatever steps one scene steps one world; worlds alike share one.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -13,8 +13,11 @@ from palmfield.simulation.known_load import choose_stepper, first_stepper
 from palmfield.simulation.model import HapticModel, SkinModel, StepperChoice, StimulusModel
 from palmfield.simulation.posed_scene import STILL
 from palmfield.simulation.spec import SceneSpec
-from palmfield.skin.scene_layer import LayerDemand
+from palmfield.skin.scene_layer import LayerDemand, SceneLayer
+from palmfield.skin.stepper import SkinStepper
 
+Stimuli = tuple[tuple[StimulusModel, ...], bool]
+"""Of a world, and whether its transducers' ring-up is modelled."""
 MOST_SMALL_MODELS = 8
 """Loads known ahead for which a skin gets a small model each. More take longer to make than the whole layer to step for
 a while, and a small model of a palm holds 14 MB."""
@@ -30,14 +33,13 @@ def build_worlds(specs: Sequence[SceneSpec]) -> tuple[HapticModel, ...]:
     """
     first = model_of(specs[0])
     carriers = [first.bodies[skin.body] for skin in first.skins]
-    stimuli: dict[SceneSpec, tuple[tuple[StimulusModel, ...], bool]] = {specs[0]: (first.stimuli, first.response_on)}
+    stimuli: dict[SceneSpec, Stimuli] = {specs[0]: (first.stimuli, first.response_on)}
     for spec in specs:
         if spec not in stimuli:
             made, _, response_on = stimuli_of(spec, first.arrays, first.board, carriers)
             stimuli[spec] = made, response_on
     loads = {spec: load_key(made, first.board.exact) for spec, (made, _) in stimuli.items()}
-    sounding = {spec: made for spec, made in stimuli.items() if loads[spec] is not None}
-    different = len({loads[spec] for spec in sounding})
+    sounding = {spec: parts for spec, parts in stimuli.items() if loads[spec] is not None}
     demands = {
         spec: demands_of(spec, made, first.arrays, first.board, carriers)
         for spec, (made, _) in (sounding or stimuli).items()
@@ -45,31 +47,43 @@ def build_worlds(specs: Sequence[SceneSpec]) -> tuple[HapticModel, ...]:
     asked = [strictest(of_skin) for of_skin in zip(*demands.values(), strict=True)]
     same = asked == demands.get(specs[0])
     layers = [skin.layer for skin in first.skins] if same else layers_for(specs[0], asked, carriers)
+    skins = _skins(first, layers, sounding, len(set(loads.values()) - {None}))
+    whole = first.whole if same else tuple(Lazy(partial(whole_stepper, layer)) for layer in layers)
+    begins: dict[tuple[int, object], Lazy[SkinStepper]] = {}
+    models: dict[SceneSpec, HapticModel] = {}
+    # Those that sound come first: for silence any of their steppers will do
+    fallback = next((load for load in loads.values() if load is not None), None)
+    for spec in sorted(stimuli, key=lambda spec: loads[spec] is None):
+        made, response_on = stimuli[spec]
+        model = replace(first, spec=spec, stimuli=made, response_on=response_on, skins=skins, whole=whole)
+        begin = []
+        for number, skin in enumerate(skins):
+            # A small model is made for its load, whatever else steps a skin serves all loads
+            key = number, (loads[spec] or fallback) if skin.choice.name == "reduced" else None
+            if key not in begins:
+                begins[key] = Lazy(partial(first_stepper, model, number))
+            begin.append(begins[key])
+        models[spec] = replace(model, begin=tuple(begin), marks={})
+    return tuple(models[spec] for spec in specs)
+
+
+def _skins(
+    first: HapticModel, layers: Sequence[SceneLayer], sounding: Mapping[SceneSpec, Stimuli], loads: int
+) -> tuple[SkinModel, ...]:
+    """The skins that all worlds share; sounding: the stimuli of worlds that sound; loads: how many different ones."""
     skins = []
     for known, layer in zip(first.skins, layers, strict=True):
         choices = [
             choose_stepper(spec, known.spec, layer, made, first.pole, response_on)
             for spec, (made, response_on) in sounding.items()
         ]
-        choice = common_choice(choices, different, known.spec.config.solver) if choices else known.choice
+        choice = common_choice(choices, loads, known.spec.config.solver) if choices else known.choice
         if layer is known.layer and choice == known.choice:
             skins.append(known)
         else:
             still_m = STILL * known.spec.config.accuracy * layer.demand.spot_fwhm_m
             skins.append(SkinModel(known.spec, known.body, known.carrier, layer, choice, still_m))
-    whole = first.whole if same else tuple(Lazy(partial(whole_stepper, layer)) for layer in layers)
-    models, begins = {}, {}
-    for spec, (made, response_on) in stimuli.items():
-        model = models[spec] = replace(
-            first, spec=spec, stimuli=made, response_on=response_on, skins=tuple(skins), whole=whole
-        )
-        if loads[spec] not in begins:
-            begins[loads[spec]] = tuple(Lazy(partial(first_stepper, model, number)) for number in range(len(skins)))
-    if None in begins and len(begins) > 1:
-        # For silence any stepper will do
-        begins[None] = next(begin for load, begin in begins.items() if load is not None)
-    models = {spec: replace(model, begin=begins[loads[spec]], marks={}) for spec, model in models.items()}
-    return tuple(models[spec] for spec in specs)
+    return tuple(skins)
 
 
 def strictest(demands: Sequence[LayerDemand]) -> LayerDemand:

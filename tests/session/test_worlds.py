@@ -132,7 +132,7 @@ def test_small_models_of_worlds_are_those_of_single_runs(sound, small_scene):
     together = palmfield.Simulation(path, worlds=3, keys=keys)
     together.step(STEPS)
     assert set(together.skin().solver) == {"reduced"}
-    loads = {id(model.begin) for model in together._scenes.models}
+    loads = {id(model.begin[0]) for model in together._scenes.models}
     assert len(loads) == (3 if sound == "levels" else 1)
     singles = singles_of(path, keys, 3)
     for single in singles:
