@@ -23,7 +23,7 @@ class WorldPoses:
     def __init__(self, runtimes: Sequence[SceneRuntime], positions: Float, matrices: Float):
         self.runtimes, self._positions, self._matrices = runtimes, positions, matrices
         first = runtimes[0]
-        self._model, self._layout, self._reference = first.model, first.layout, first.work.reference
+        self._model, self._layout = first.model, first.layout
         # Rows of arrays, stimuli's frames and transducers: a pose is another one as soon as any of them moves at all
         self._fixed = max([self._layout.frames.stop, *(rows.stop for rows in self._layout.transducers)])
         self._posed: list[PosedScene] = [runtime.work.reference for runtime in runtimes]
@@ -39,18 +39,20 @@ class WorldPoses:
         """The pose of each world. Raises SceneError where a body reaches into an array, with the world's number."""
         for runtime in self.runtimes:
             runtime.take_frames()
+        # All worlds have the same one, in a copy that of the origin
+        reference = self.runtimes[0].work.reference
         fixed = np.concatenate((self._positions[:, : self._fixed], self._matrices[:, : self._fixed]), axis=2)
         same = self._resting & np.logical_and.reduce(fixed == self._where, axis=(1, 2))
         if np.logical_or.reduce(same):
             turns = self._matrices.reshape(*self._positions.shape, 3)
-            same &= settled_worlds(self._model, self._layout, self._positions, turns, self._reference)
+            same &= settled_worlds(self._model, self._layout, self._positions, turns, reference)
         for world in (~same).nonzero()[0].tolist():
             with naming_world(world):
                 posed = self._posed[world] = self.runtimes[world].posed_as_taken()
             self._where[world] = fixed[world]
             self._resting[world] = (
-                posed.bodies == self._reference.bodies
-                and posed.skins == self._reference.skins
+                posed.bodies == reference.bodies
+                and posed.skins == reference.skins
                 and posed.arrays is self._model.arrays
             )
         return list(self._posed)

@@ -29,6 +29,9 @@ class Simulation:
     sim.run(0.1)
     print(sim.skin("palm").displacement)
 
+    With `worlds` it is many of them, stepped together, whose results have a leading axis: see
+    `palmfield.session.worlds.Worlds`.
+
     model, data: MuJoCo's, for those who call mj_step themselves (then `palmfield.raise_errors(data)` raises what went
         wrong inside a plugin)
     name: of the scene, for messages; path: its file, or None
@@ -198,9 +201,6 @@ def load(
     accuracy: float | None = None,
     board: str | None = None,
     keys: Mapping[str, object] | None = None,
-    worlds: int | None = None,
-    poses: Mapping[str, ArrayLike] | None = None,
-) -> Any:
+) -> Simulation:
     """Read and check a scene; see Simulation, whose arguments these are."""
-    others: dict[str, Any] = {"worlds": worlds, "poses": poses}
-    return Simulation(path, device=device, accuracy=accuracy, board=board, keys=keys, **others)
+    return Simulation(path, device=device, accuracy=accuracy, board=board, keys=keys)

@@ -40,12 +40,12 @@ def build_worlds(specs: Sequence[SceneSpec]) -> tuple[HapticModel, ...]:
             stimuli[spec] = made, response_on
     loads = {spec: load_key(made, first.board.exact) for spec, (made, _) in stimuli.items()}
     sounding = {spec: parts for spec, parts in stimuli.items() if loads[spec] is not None}
-    demands = {
-        spec: demands_of(spec, made, first.arrays, first.board, carriers)
-        for spec, (made, _) in (sounding or stimuli).items()
-    }
+    demands: dict[object, list[LayerDemand]] = {}
+    for spec, (made, _) in (sounding or stimuli).items():
+        if loads[spec] not in demands:
+            demands[loads[spec]] = demands_of(spec, made, first.arrays, first.board, carriers)
     asked = [strictest(of_skin) for of_skin in zip(*demands.values(), strict=True)]
-    same = asked == demands.get(specs[0])
+    same = asked == demands.get(loads[specs[0]])
     layers = [skin.layer for skin in first.skins] if same else layers_for(specs[0], asked, carriers)
     skins = _skins(first, layers, sounding, len(set(loads.values()) - {None}))
     whole = first.whole if same else tuple(Lazy(partial(whole_stepper, layer)) for layer in layers)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import palmfield
+from palmfield.engine import worlds as worlds_engine
 from palmfield.engine.worlds import SceneWorlds
 from palmfield.errors import SceneError
 from palmfield.session.worlds import Worlds
@@ -182,7 +183,10 @@ def test_layers_serve_the_strictest_world(small_scene):
     assert differ(together.skin().displacement[1], fast.skin().displacement) < SAME
 
 
-def test_two_skins_in_each_world(small_scene, add_skin):
+def test_two_skins_in_each_world(small_scene, add_skin, monkeypatch):
+    """MuJoCo steps the bodies of several worlds at once, in threads."""
+    monkeypatch.setattr(worlds_engine, "FREEDOMS_PER_THREAD", 1)
+    monkeypatch.setattr(worlds_engine, "cores", lambda: 3)
     path = add_skin(small_scene(skin=SHARED | {"solver": "wedges"}), "0.01 0 0.15")
     together = palmfield.Simulation(path, worlds=3, keys=LEVELS)
     singles = singles_of(path, LEVELS, 3)
@@ -307,8 +311,11 @@ def test_shadows_and_scattering_belong_to_their_world(body_sound, small_scene):
 
 
 def test_a_further_world_costs_few_python_functions(small_scene, python_calls):
-    """Of a single simulation's step, which runs some hundred, hardly any is repeated for each world."""
-    path = small_scene()
+    """Of a single simulation's step, which runs some hundred, hardly any is repeated for each world.
+
+    The body trembles about its place, and a copy finds that as quickly.
+    """
+    path = yielding(small_scene(duration_s=LONG_S))
     counts = {}
     for worlds in (2, 12):
         sim = palmfield.Simulation(
@@ -316,6 +323,10 @@ def test_a_further_world_costs_few_python_functions(small_scene, python_calls):
         )
         sim.step(6)
         counts[worlds] = min(python_calls(sim.step) for _ in range(4))
+    assert set(sim.skin().solver) == {"reduced"} and sim.data[0].qpos[0] != 0.0
+    twin = sim.copy()
+    twin.step(2)
+    assert min(python_calls(twin.step) for _ in range(4)) <= counts[12] + 5
     alone = palmfield.Simulation(path)
     alone.step(6)
     single = min(python_calls(alone.step) for _ in range(4))
