@@ -87,9 +87,10 @@ class SkinConfig(Config):
     max_frequency_Hz: Annotated[float, Field(gt=0, le=2000)] | None = Field(
         None, description="highest frequency to resolve (default: from the stimulus)"
     )
-    solver: Literal["auto", "wedges", "reduced"] = Field(
+    solver: Literal["auto", "wedges", "reduced", "modal"] = Field(
         "auto",
-        description="wedges: steps the whole layer; reduced: a small model of it for the stimulus; auto: the cheaper",
+        description="wedges: steps the whole layer; reduced: a small model of it for this stimulus; modal: modes for "
+        "every stimulus and pose; auto: the cheapest",
     )
     obstacles: Names = Field(
         (), description="bodies whose geoms, and those of what hangs on them, cast shadows too: body_sound shadows"

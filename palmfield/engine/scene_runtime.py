@@ -172,7 +172,7 @@ class SceneRuntime:
         end = self.view.raw.time
         self.check_timestep()
         if check_arrays(self.model, self.state):
-            self.work.prefetch.forget()
+            self.work.begin_run()
         step(self.model, self.state, self.posed, end - self.spec.timestep_s, end, self.work)
 
     def check_timestep(self) -> None:
@@ -195,6 +195,7 @@ class SceneRuntime:
             # Poses are told apart as objects, and nothing in them changes: the copy goes on with the same ones.
             self.work.reference, self._posed, self._numbers = other.work.reference, other._posed, other._numbers
             self.work.prefetch.adopt(other.work.prefetch)
+            self.work.outside = [part.copy() for part in other.work.outside]
 
     def sense(self, skin: int, sensors: Sequence[PluginSensor]) -> None:
         """Fill a skin's sensors from the state at the present time."""

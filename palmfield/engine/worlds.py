@@ -106,7 +106,7 @@ class SceneWorlds:
         for runtime in self.runtimes:
             runtime.forget()
             runtime.work.emission.forget()
-            runtime.work.prefetch.forget()
+            runtime.work.begin_run()
         self._poses.forget()
         self.together.forget()
         self.look()

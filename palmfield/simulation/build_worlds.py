@@ -8,12 +8,14 @@ from dataclasses import replace
 from functools import partial
 
 from palmfield.locked import Lazy
+from palmfield.simulation import load_class
 from palmfield.simulation.build import demands_of, layers_for, model_of, stimuli_of, whole_stepper
 from palmfield.simulation.known_load import choose_stepper, first_stepper
 from palmfield.simulation.model import HapticModel, SkinModel, StepperChoice, StimulusModel
 from palmfield.simulation.posed_scene import STILL
-from palmfield.simulation.spec import SceneSpec
+from palmfield.simulation.spec import SceneSpec, SkinSpec
 from palmfield.skin.scene_layer import LayerDemand, SceneLayer
+from palmfield.skin.solver_choice import scene_choices
 from palmfield.skin.stepper import SkinStepper
 
 Stimuli = tuple[tuple[StimulusModel, ...], bool]
@@ -28,7 +30,8 @@ def build_worlds(specs: Sequence[SceneSpec]) -> tuple[HapticModel, ...]:
 
     The layers are made for the strictest of the worlds that sound: where all ask for the same, each has the layer
     that it would have by itself. A skin gets small models if every world that sounds would have one, and if there are
-    at most MOST_SMALL_MODELS different ones: loads that differ in their level alone share theirs.
+    at most MOST_SMALL_MODELS different ones: loads that differ in their level alone share theirs. Else one stepper
+    serves all loads: modes, or the whole layer.
     Raises SceneError or DeviceError as `palmfield.simulation.build.build`.
     """
     first = model_of(specs[0])
@@ -77,7 +80,7 @@ def _skins(
             choose_stepper(spec, known.spec, layer, made, first.pole, response_on)
             for spec, (made, response_on) in sounding.items()
         ]
-        choice = common_choice(choices, loads, known.spec.config.solver) if choices else known.choice
+        choice = common_choice(first.spec, known.spec, layer, choices, loads) if choices else known.choice
         if layer is known.layer and choice == known.choice:
             skins.append(known)
         else:
@@ -113,12 +116,19 @@ def load_key(stimuli: Sequence[StimulusModel], exact: bool) -> tuple[object, ...
     return tuple(parts)
 
 
-def common_choice(choices: Sequence[StepperChoice], loads: int, requested: str) -> StepperChoice:
-    """What steps a skin in all worlds; loads: how many different ones there are; requested: key `solver`."""
-    for choice in choices:
-        if choice.name == "wedges":
-            return choice
-    if loads > MOST_SMALL_MODELS and requested == "auto":
-        why = f"no small model: {loads} different loads, at most {MOST_SMALL_MODELS} get one each"
-        return StepperChoice("wedges", why, choices[0].wedges_s, None)
-    return choices[0]
+def common_choice(
+    spec: SceneSpec, skin: SkinSpec, layer: SceneLayer, choices: Sequence[StepperChoice], loads: int
+) -> StepperChoice:
+    """What steps a skin in all worlds.
+
+    choices: what would step it in each that sounds, by itself; loads: how many of their loads are different
+    """
+    names = {choice.name for choice in choices}
+    if len(names) == 1 and (names != {"reduced"} or loads <= MOST_SMALL_MODELS or skin.config.solver != "auto"):
+        return choices[0]
+    why = f"{loads} different loads, at most {MOST_SMALL_MODELS} of which get a small model each"
+    substeps = len(choices) * spec.duration_s / layer.sizes.step_s
+    modes, refusal = load_class.expected_modes(skin, layer), load_class.refusal(skin, layer)
+    ranked = scene_choices(layer.dofs, substeps, 0.0, why, modes, refusal)
+    seconds = {choice.name: choice.seconds for choice in ranked}
+    return StepperChoice(ranked[0].name, why, ranked[0].seconds, seconds["wedges"])

@@ -13,6 +13,7 @@ from palmfield.config import StimulusConfig
 from palmfield.drive.response import Pole
 from palmfield.drive.transducer_response import commanded_drive
 from palmfield.errors import SceneError
+from palmfield.simulation import load_class
 from palmfield.simulation.emission import array_drives
 from palmfield.simulation.model import HapticModel, StepperChoice, StimulusModel
 from palmfield.simulation.posed_scene import PosedScene, reference_scene
@@ -57,25 +58,38 @@ def choose_stepper(
 ) -> StepperChoice:
     """Choose by key `solver`, by what can be reduced, and by predicted time.
 
-    Raises SceneError where a small model is asked for and can't be.
+    Raises SceneError where a small model or modes are asked for and can't be.
     """
     substeps = spec.duration_s / layer.sizes.step_s
     reason = refusal(skin, layer, stimuli, pole, response_on)
     requested = skin.config.solver
+    modal_reason = load_class.refusal(skin, layer)
+    if modal_reason is not None and requested == "modal":
+        raise SceneError(
+            f"plugin 'palmfield.skin' instance '{skin.name}': key 'solver' has value 'modal', but no modes for every "
+            f"load: {modal_reason}: set it to auto"
+        )
     if reason is not None and requested == "reduced":
         raise SceneError(
             f"plugin 'palmfield.skin' instance '{skin.name}': key 'solver' has value 'reduced', but no small "
             f"model: {reason}: set it to auto"
         )
     vectors = 0 if reason is not None else expected_vectors(_sounding(stimuli), pole, response_on)
-    choices = scene_choices(layer.dofs, substeps, vectors, reason)
+    modes = load_class.expected_modes(skin, layer)
+    choices = scene_choices(layer.dofs, substeps, vectors, reason, modes, modal_reason)
     seconds = {choice.name: choice.seconds for choice in choices}
-    if reason is not None:
-        return StepperChoice("wedges", f"no small model: {reason}", seconds["wedges"], None)
+    name: str = requested
     if requested != "auto":
-        return StepperChoice(requested, "asked for", seconds["wedges"], seconds["reduced"])
-    why = f"the load is known ahead; about {seconds['reduced']:.1f} s against {seconds['wedges']:.1f} s"
-    return StepperChoice(choices[0].name, why, seconds["wedges"], seconds["reduced"])
+        why = "asked for" if reason is None or requested != "wedges" else f"no small model: {reason}"
+    elif reason is None:
+        # Where the load is known ahead, what is made for it alone is smaller than what serves every load
+        name = "reduced" if seconds["reduced"] < seconds["wedges"] else "wedges"
+        why = f"the load is known ahead; about {seconds['reduced']:.1f} s against {seconds['wedges']:.1f} s"
+    else:
+        name, why = choices[0].name, f"no small model: {reason}"
+        if name == "modal":
+            why = f"{reason}, so that no load is known ahead"
+    return StepperChoice(name, why, seconds[name], seconds["wedges"])
 
 
 def refusal(
@@ -160,6 +174,13 @@ def first_stepper(model: HapticModel, skin: int) -> SkinStepper:
     part = model.skins[skin]
     if part.choice.name == "wedges":
         return model.whole[skin].value
+    if part.choice.name == "modal":
+        try:
+            return load_class.class_stepper(model, skin)
+        except SceneError as error:
+            if part.spec.config.solver == "modal":
+                raise SceneError(f"plugin 'palmfield.skin' instance '{part.spec.name}': {error}") from None
+            return model.whole[skin].value
     layer, posed = part.layer, reference_scene(model)
     focus = posed.skins[skin].body.frame.inverse_points(model.stimuli[model.sounding].first_focus)
     try:

@@ -110,19 +110,14 @@ class BodyModel:
 class StepperChoice(NamedTuple):
     """Which stepper a skin begins with.
 
-    name: "wedges" or "reduced"; why: in words
-    wedges_s, reduced_s: predicted seconds of making and stepping, the latter None where it can't
+    name: "wedges", "reduced" or "modal"; why: in words
+    seconds, wedges_s: predicted of making and stepping it, and the whole layer
     """
 
     name: str
     why: str
+    seconds: float
     wedges_s: float
-    reduced_s: float | None
-
-    @property
-    def seconds(self) -> float:
-        """Predicted for the stepper that was chosen."""
-        return self.wedges_s if self.name == "wedges" or self.reduced_s is None else self.reduced_s
 
 
 class SkinModel:

@@ -15,14 +15,16 @@ from palmfield.drive.transducer_response import EmittedCourse
 from palmfield.simulation.emission import Emission
 from palmfield.simulation.forces import BodyForces
 from palmfield.simulation.model import HapticModel
+from palmfield.simulation.outside_class import OutsideClass, leaves_class, loudest_load
 from palmfield.simulation.posed_scene import PosedScene, reference_scene
 from palmfield.simulation.prefetch import LoadPrefetch
-from palmfield.simulation.radiation import Radiation
+from palmfield.simulation.radiation import Radiation, Role
 from palmfield.simulation.state import HapticState, claim, stepper_of
 from palmfield.simulation.whole_layer import continue_on_whole_layer, leaves_small_model
+from palmfield.skin.reduction.modal_stepper import ModalStepper
 from palmfield.skin.stepper import Reader, SkinStepper, SurfaceLoads
 from palmfield.stimulus.schedule import Moments
-from palmfield.types import Complex, Float
+from palmfield.types import Complex, Float, Int
 
 
 @dataclass(frozen=True)
@@ -47,6 +49,7 @@ class StepTrace:
 class Workspace:
     """What one state's steps keep: emission, radiation, forces and prefetched loads, and who watches.
 
+    outside: of each skin what of its load has been outside the class that its modes serve
     observe: what is watched of each skin, an operator (m, unknowns) or None; observer: told of each step
     """
 
@@ -57,10 +60,16 @@ class Workspace:
         self.radiation: Radiation = Radiation(model, None if beside is None else beside.radiation)
         self.forces = BodyForces(model, self.radiation)
         self.prefetch = LoadPrefetch(model, self.emission, self.radiation)
+        self.outside = [OutsideClass() for _ in model.skins]
         self.amplitudes: Complex = np.zeros(len(model.arrays), np.complex128)
         self.observe: tuple[sparse.csr_matrix | None, ...] = (None,) * len(model.skins)
         self.observer: Callable[[StepTrace], None] | None = None
         self._readers: dict[tuple[int, str], tuple[sparse.csr_matrix, Reader]] = {}
+
+    def begin_run(self) -> None:
+        """Forget what was of another run."""
+        self.prefetch.forget()
+        self.outside = [OutsideClass() for _ in self.outside]
 
     def reader(self, skin: int, stepper: SkinStepper) -> Reader | None:
         """Reads what is watched of a skin off this stepper's states; a run may leave a small model in any step."""
@@ -88,7 +97,17 @@ def step(model: HapticModel, state: HapticState, posed: PosedScene, t0: float, t
             stepper, numbers = continue_on_whole_layer(
                 model, state, number, posed, work.emission, work.radiation, begun, t0
             )
-        loads = skin_loads(work, posed, number, moments, course)
+        loads = skin_loads(work, posed, number, stepper.points, moments, course)
+        if isinstance(stepper, ModalStepper):
+            outside = work.outside[number]
+            if outside.loudest is None:
+                outside.loudest = loudest_load(model, number, stepper, work.reference, work.radiation)
+            share = outside.add(stepper.outside(loads))
+            if leaves_class(model, number, share):
+                stepper, numbers = continue_on_whole_layer(
+                    model, state, number, posed, work.emission, work.radiation, begun, t0
+                )
+                loads = skin_loads(work, posed, number, stepper.points, moments, course)
         reader = None if work.observe[number] is None else work.reader(number, stepper)
         motions.append(stepper.step(numbers, loads, t0, t1, reader))
         claim(model, state, number, stepper)
@@ -100,21 +119,27 @@ def step(model: HapticModel, state: HapticState, posed: PosedScene, t0: float, t
         work.observer(StepTrace(times, posed, moments, course, begun, course.end, seen))
 
 
-def skin_loads(work: Workspace, posed: PosedScene, skin: int, moments: Moments, course: EmittedCourse) -> SurfaceLoads:
-    """The ARP on a skin's quadrature points over a step's substeps."""
+def skin_loads(
+    work: Workspace, posed: PosedScene, skin: int, points: Int | None, moments: Moments, course: EmittedCourse
+) -> SurfaceLoads:
+    """The ARP over a step's substeps at a skin's quadrature points, or at some of them, by their numbers (p,)."""
+    role: Role = "quadrature"
+    if points is not None:
+        work.radiation.choose(skin, points)
+        role = "load"
     if course.levels is not None:
         if course.unit is None:
-            count = len(posed.skins[skin].quadrature[0])
+            count = len(posed.skins[skin].quadrature[0]) if points is None else len(points)
             nothing = np.zeros((1, len(moments.first), 1))
             return SurfaceLoads(np.zeros((1, 1, count)), nothing, nothing)
-        pressure = work.radiation.on(posed, skin, "quadrature", course.unit).arp[None, None]
+        pressure = work.radiation.on(posed, skin, role, course.unit).arp[None, None]
         factors = (np.abs(course.levels) ** 2)[:, None]
         return SurfaceLoads(pressure, (moments.first @ factors)[None], (moments.last @ factors)[None])
     assert course.emitted is not None
     if course.parts is not None:
-        sums = work.radiation.sums(posed, skin, *course.parts)
+        sums = work.radiation.sums(posed, skin, *course.parts, role)
         return SurfaceLoads(sums[None], moments.first[None], moments.last[None])
-    pressures = work.prefetch.pressures(posed, skin, course.emitted)
+    pressures = work.prefetch.pressures(posed, skin, course.emitted, role)
     return SurfaceLoads(pressures[None], moments.first[None], moments.last[None])
 
 

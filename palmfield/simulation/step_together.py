@@ -7,6 +7,7 @@ world, and kept while pose and drive stay. Any other world is stepped by `palmfi
 
 from collections.abc import Sequence
 from operator import is_
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,20 +16,33 @@ from palmfield.drive.transducer_response import SILENT, ring
 from palmfield.errors import PalmfieldError, naming_world
 from palmfield.simulation.emission import LEAST_MEANS
 from palmfield.simulation.model import HapticModel
+from palmfield.simulation.outside_class import leaves_class, loudest_load
 from palmfield.simulation.posed_scene import PosedScene
+from palmfield.simulation.radiation import Role
 from palmfield.simulation.state import BEGUN, HEADER, WHOLE, HapticState, check_arrays, claim, stepper_of
 from palmfield.simulation.step import Workspace
 from palmfield.simulation.whole_layer import continue_on_whole_layer, leaves_small_model
+from palmfield.skin.reduction.modal_stepper import ModalStepper, Outside
 from palmfield.skin.reduction.reduced_stepper import ReducedStepper
 from palmfield.skin.stepper import SkinStepper, SurfaceLoads
 from palmfield.stimulus.levels import Levels, goes_smoothly
 from palmfield.stimulus.schedule import Moments, first_point, substep_moments
-from palmfield.types import Complex, Float, Float32
+from palmfield.types import Complex, Float, Float32, Int
 
 Bool = NDArray[np.bool_]
 Rows = NDArray[np.intp]
 KEPT = 64
 """Ways in which worlds were shared out among steppers."""
+
+
+class _Pressure(NamedTuple):
+    """The ARP of a unit drive on a skin in a pose [Pa], shape (p,), at all quadrature points or at those of numbers
+    `points`; outside: of it at the level 1 in one substep, the class of modes, where modes step the skin"""
+
+    posed: PosedScene
+    points: Int | None
+    arp: Float32
+    outside: Outside | None
 
 
 class TogetherStep:
@@ -55,8 +69,8 @@ class TogetherStep:
         # Forces of the unit drives on each body's parts and torques about their origins, world axes, (worlds, b, 3)
         shapes = [(worlds, body.parts, 3) for body in first.bodies]
         self._forces = [(np.zeros(shape), np.zeros(shape)) for shape in shapes]
-        # Their pressures on each skin's quadrature points, by skin and world, and arrays of those in one call
-        self._pressures: list[list[Float32]] = [[np.zeros(0, np.float32)] * worlds for _ in first.skins]
+        # Their pressures on each skin, by skin and world, and arrays of those that are stepped in one call
+        self._pressures: list[list[_Pressure | None]] = [[None] * worlds for _ in first.skins]
         self._stacks: dict[int, tuple[list[Float32], Float32]] = {}
         # The pose in which a small model was last found to serve, by skin and world
         self._serves: list[list[PosedScene | None]] = [[None] * worlds for _ in first.skins]
@@ -107,8 +121,6 @@ class TogetherStep:
         for body, (forces, torques) in enumerate(self._forces):
             force, torque = work.forces.under(posed, body, unit.amplitudes)
             forces[world], torques[world] = force @ turn, torque @ turn
-        for skin, pressures in enumerate(self._pressures):
-            pressures[world] = work.radiation.on(posed, skin, "quadrature", unit.amplitudes).arp
         self._units[world], self._powers[world], self._peaks[world] = unit.amplitudes, unit.power, unit.peak
         self._posed[world], self._known[world] = posed, False
 
@@ -179,15 +191,18 @@ class TogetherStep:
         if len(worlds) == 0:
             return
         for world in worlds[self.state.arrays[0][worlds, 0] != BEGUN].tolist():
-            check_arrays(self.models[world], self.state.world(world))
+            if check_arrays(self.models[world], self.state.world(world)):
+                self.works[world].begin_run()
         model = self.models[0]
         moments = substep_moments((), t0, model.step_s, model.substeps)
         factors, end = self._over(moments)
         first, last = factors @ moments.first.T, factors @ moments.last.T
         for skin in range(len(model.skins)):
             self._leave_small_models(skin, t0)
+            self._leave_class(skin, first, last, t0)
             for stepper, own in self.groups(skin, worlds):
-                loads = SurfaceLoads(self._stack(skin, own), first[own][..., None], last[own][..., None], fixed=True)
+                pressure = self._stack(skin, stepper, own)
+                loads = SurfaceLoads(pressure, first[own][..., None], last[own][..., None], fixed=True)
                 self._step(skin, stepper, own, loads, t0, t1)
         ringing = worlds[self._ringing[worlds]]
         self._now[ringing] = end[ringing]
@@ -208,13 +223,41 @@ class TogetherStep:
             with naming_world(world):
                 leaves = leaves_small_model(model, state, skin, posed, work.reference, work.emission, t0)
             if leaves:
-                begun = self._now[world] * self._units[world]
-                continue_on_whole_layer(model, state, skin, posed, work.emission, work.radiation, begun, t0)
+                self._continue_whole(skin, world, t0)
                 continue
             stepper = model.begin[skin].value
             # One that serves only from the beginning of the sound on must be asked again
             if not isinstance(stepper, ReducedStepper) or stepper.any_course:
                 serves[world] = posed
+
+    def _leave_class(self, skin: int, first: Float, last: Float, t0: float) -> None:
+        """Measure what of the loads lies outside the class of a skin's modes; the whole layer goes on where it is much.
+
+        first, last: ARP relative to the unit drives at the ends of the substeps, shape (worlds, s)
+        """
+        for stepper, own in self.groups(skin, self.joined):
+            if not isinstance(stepper, ModalStepper):
+                continue
+            ends = first[own][..., None], last[own][..., None]
+            mixed = stepper.mixed(SurfaceLoads(np.zeros(0), *ends))
+            squares = np.add.reduce(mixed**2, axis=(1, 2)).tolist()
+            for world, square in zip(own.tolist(), squares, strict=True):
+                model, work = self.models[world], self.works[world]
+                outside = work.outside[skin]
+                if outside.loudest is None:
+                    outside.loudest = loudest_load(model, skin, stepper, work.reference, work.radiation)
+                unit = self._pressure(skin, stepper, world).outside
+                assert unit is not None
+                if leaves_class(model, skin, outside.add(Outside(*(square * part for part in unit)))):
+                    self._continue_whole(skin, world, t0)
+
+    def _continue_whole(self, skin: int, world: int, t0: float) -> None:
+        """Let the whole layer go on with the motion of a skin in one world."""
+        model, work, posed = self.models[world], self.works[world], self._posed[world]
+        assert posed is not None
+        begun = self._now[world] * self._units[world]
+        state = self.state.world(world)
+        continue_on_whole_layer(model, state, skin, posed, work.emission, work.radiation, begun, t0)
 
     def groups(self, skin: int, worlds: Rows) -> list[tuple[SkinStepper, Rows]]:
         """Some worlds by what steps a skin in them."""
@@ -249,9 +292,29 @@ class TogetherStep:
         stepper.step(states, loads, t0, t1)
         part[worlds, numbers] = states
 
-    def _stack(self, skin: int, worlds: Rows) -> Float32:
-        """Pressures of the unit drives on a skin in some worlds, shape (w, 1, q): the same array while all stay."""
-        pressures = [self._pressures[skin][world] for world in worlds.tolist()]
+    def _pressure(self, skin: int, stepper: SkinStepper, world: int) -> "_Pressure":
+        """The pressure of a world's unit drive on a skin, at the points where a stepper takes it; the last is kept."""
+        posed, known = self._posed[world], self._pressures[skin][world]
+        if known is not None and known.posed is posed and known.points is stepper.points:
+            return known
+        assert posed is not None
+        radiation = self.works[world].radiation
+        role: Role = "quadrature"
+        if stepper.points is not None:
+            radiation.choose(skin, stepper.points)
+            role = "load"
+        # A copy, as the drive that fields are kept for must not change
+        arp = radiation.on(posed, skin, role, self._units[world].copy()).arp
+        outside = None
+        if isinstance(stepper, ModalStepper):
+            one = np.ones((1, 1, 1))
+            outside = stepper.outside(SurfaceLoads(arp[None, None], one, one))
+        found = self._pressures[skin][world] = _Pressure(posed, stepper.points, arp, outside)
+        return found
+
+    def _stack(self, skin: int, stepper: SkinStepper, worlds: Rows) -> Float32:
+        """Pressures of the unit drives on a skin in some worlds, shape (w, 1, p): the same array while all stay."""
+        pressures = [self._pressure(skin, stepper, world).arp for world in worlds.tolist()]
         known = self._stacks.get(skin)
         if known is None or len(known[0]) != len(pressures) or not all(map(is_, known[0], pressures)):
             known = self._stacks[skin] = pressures, np.stack(pressures)[:, None]

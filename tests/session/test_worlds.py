@@ -12,12 +12,16 @@ from palmfield.engine import worlds as worlds_engine
 from palmfield.engine.worlds import SceneWorlds
 from palmfield.errors import SceneError
 from palmfield.session.worlds import Worlds
+from palmfield.simulation import build_worlds, step_together
+from palmfield.simulation.model import StepperChoice
 
 STEPS = 14
 SAME = 1e-9
 """What sums in another order may differ by, of the largest number."""
 SHARED = {"max_frequency_Hz": 400, "element_m": 0.01}
 """Keys of the skin by which all worlds, and single runs of them, have the same layer."""
+COARSE = SHARED | {"accuracy": 0.5}
+"""So that a small disc has fewer modes than unknowns."""
 LONG_S = 5.0
 """Scenes that run so long are worth a small model."""
 FOCI = [(0.0, 0.0, 0.12), (0.004, 0.0, 0.12), (0.0, -0.003, 0.12)]
@@ -157,15 +161,54 @@ def test_small_models_are_left_where_a_body_moves(small_scene):
     assert_alike(together, singles)
 
 
-def test_many_different_loads_share_the_whole_layer(small_scene):
+@pytest.mark.parametrize("sound", ["levels", "beginnings and ends", "a path beside points"])
+def test_modes_serve_the_loads_of_all_worlds(sound, small_scene):
+    keys = SOUNDS[sound]
+    path = yielding(small_scene(skin=COARSE | {"solver": "modal"}))
+    together = palmfield.Simulation(path, worlds=3, keys=keys)
+    singles = singles_of(path, keys, 3)
+    together.step(STEPS)
+    for single in singles:
+        single.step(STEPS)
+    assert len({id(model.begin[0].value) for model in together._scenes.models}) == 1
+    assert set(together.skin().solver) == {"modal"}
+    assert_alike(together, singles)
+    for runtime, single in zip(together._scenes.runtimes, singles, strict=True):
+        own, alone = runtime.work.outside[0], single.runtime.work.outside[0]
+        assert own.energy_share == pytest.approx(alone.energy_share, rel=1e-3) and alone.energy_share > 0.0
+
+
+def test_a_world_whose_load_leaves_the_class_goes_on_with_the_whole_layer(small_scene, monkeypatch):
+    """Here every load but the first world's does."""
+    path = small_scene(skin=COARSE, duration_s=LONG_S)
+    foci = [(0.0005 * i, 0.0, 0.12) for i in range(9)]
+    monkeypatch.setattr(build_worlds, "common_choice", lambda *_: StepperChoice("modal", "for this test", 1.0, 1.0))
+    together = palmfield.Simulation(path, worlds=9, keys={"stimulus.focus_m": foci})
+    asked = []
+
+    def leaves(model, skin, share):
+        asked.append(share)
+        return model is not together._scenes.models[0]
+
+    together.step(2)
+    monkeypatch.setattr(step_together, "leaves_class", leaves)
+    together.step(2)
+    assert together.skin().solver == ("modal", *["wedges"] * 8) and len(asked) == 10 and max(asked) < 0.05
+    whole = palmfield.Simulation(path, keys={"stimulus.focus_m": foci[5], "skin.solver": "wedges"})
+    whole.step(4)
+    assert differ(together.skin().displacement[5], whole.skin().displacement) < 0.05
+
+
+def test_many_different_loads_share_a_stepper(small_scene):
     foci = [(0.0005 * i, 0.0, 0.12) for i in range(9)]
     path = small_scene(skin=SHARED, duration_s=LONG_S)
     together = palmfield.Simulation(path, worlds=9, keys={"stimulus.focus_m": foci})
-    assert set(together.skin().solver) == {"wedges"}
+    (solver,) = set(together.skin().solver)
+    assert solver in ("modal", "wedges")
     assert "9 different loads" in together._scenes.models[0].skins[0].choice.why
     together.step(3)
     assert palmfield.Simulation(path).skin().solver == "reduced"
-    alone = palmfield.Simulation(path, keys={"stimulus.focus_m": foci[7], "skin.solver": "wedges"})
+    alone = palmfield.Simulation(path, keys={"stimulus.focus_m": foci[7], "skin.solver": solver})
     alone.step(3)
     assert differ(together.skin().displacement[7], alone.skin().displacement) < SAME
 

@@ -70,7 +70,7 @@ def estimate_s(skin: SkinModel) -> float:
     low, high = (dofs, more * dofs) if compares_with_finer(skin.layer, dofs) else (dofs / more, dofs)
     # A complex factorisation counts twice; the time step's own is left out where a small model steps.
     edge = 0 if skin.spec.config.shape == "disc" else 2
-    step = 2 if skin.choice.name == "wedges" else 0
+    step = 0 if skin.choice.name == "reduced" else 2
     return (3 + step + edge) * factor_s(low) + 3 * factor_s(high)
 
 

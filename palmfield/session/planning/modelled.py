@@ -91,6 +91,15 @@ def _solver(skin: SkinModel, still_m: float) -> Row:
     if choice.name == "wedges":
         why = f"implicit on the whole layer, factorised once; {choice.why}"
         return Row("skin solver wedges", f"about {choice.seconds:.0f} s", why, name)
+    if choice.name == "modal":
+        beyond = "the run's error says so" if config.solver == "modal" else "the whole layer goes on by wedges"
+        return Row(
+            "skin solver modal",
+            f"about {choice.seconds:.0f} s, wedges about {choice.wedges_s:.0f} s",
+            f"{choice.why}; modes for every sound of these arrays on this region, made once, kept in the cache; what "
+            f"of a load lies outside is measured in every step; beyond {100 * config.accuracy:g} % {beyond}",
+            name,
+        )
     return Row(
         "skin solver reduced",
         f"about {choice.seconds:.0f} s, wedges about {choice.wedges_s:.0f} s",

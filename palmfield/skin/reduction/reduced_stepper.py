@@ -59,6 +59,7 @@ class ReducedStepper:
     """
 
     name = "reduced"
+    points = None
 
     def __init__(
         self,
