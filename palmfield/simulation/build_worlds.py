@@ -21,8 +21,7 @@ from palmfield.skin.stepper import SkinStepper
 Stimuli = tuple[tuple[StimulusModel, ...], bool]
 """Of a world, and whether its transducers' ring-up is modelled."""
 MOST_SMALL_MODELS = 8
-"""Loads known ahead for which a skin gets a small model each. More take longer to make than the whole layer to step for
-a while, and a small model of a palm holds 14 MB."""
+"""Loads known ahead for which a skin gets a small model each: each of a palm takes some 5 s to make and holds 14 MB."""
 
 
 def build_worlds(specs: Sequence[SceneSpec]) -> tuple[HapticModel, ...]:
