@@ -84,7 +84,9 @@ def _skins(
             skins.append(known)
         else:
             still_m = STILL * known.spec.config.accuracy * layer.demand.spot_fwhm_m
-            skins.append(SkinModel(known.spec, known.body, known.carrier, layer, choice, still_m))
+            # As in each world by itself, where the load is known ahead: while nothing moves its field is kept
+            settles = choice.name != "wedges" and all(own.name == "reduced" for own in choices)
+            skins.append(SkinModel(known.spec, known.body, known.carrier, layer, choice, still_m, settles))
     return tuple(skins)
 
 

@@ -281,7 +281,7 @@ def posed_scene(
         if last.body is body and last.same_obstacles(posed_skin):
             posed_skin = last
         elif (
-            skin.choice.name == "reduced"
+            skin.settles
             and arrays is model.arrays
             and body is first_pose.body
             and _obstacles_settled(PosedSkin(skin, placed[skin.body], obstacles), first_pose)

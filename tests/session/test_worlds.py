@@ -179,8 +179,8 @@ def test_modes_serve_the_loads_of_all_worlds(sound, small_scene):
 
 
 def test_a_world_whose_load_leaves_the_class_goes_on_with_the_whole_layer(small_scene, monkeypatch):
-    """Here every load but the first world's does."""
-    path = small_scene(skin=COARSE, duration_s=LONG_S)
+    """Here every load but the first world's does. Their bodies tremble, and count as still as they would alone."""
+    path = yielding(small_scene(skin=COARSE, duration_s=LONG_S))
     foci = [(0.0005 * i, 0.0, 0.12) for i in range(9)]
     monkeypatch.setattr(build_worlds, "common_choice", lambda *_: StepperChoice("modal", "for this test", 1.0, 1.0))
     together = palmfield.Simulation(path, worlds=9, keys={"stimulus.focus_m": foci})
@@ -191,6 +191,7 @@ def test_a_world_whose_load_leaves_the_class_goes_on_with_the_whole_layer(small_
         return model is not together._scenes.models[0]
 
     together.step(2)
+    assert together._scenes._poses._resting.all() and all(one.qpos[0] != 0.0 for one in together.data)
     monkeypatch.setattr(step_together, "leaves_class", leaves)
     together.step(2)
     assert together.skin().solver == ("modal", *["wedges"] * 8) and len(asked) == 10 and max(asked) < 0.05
