@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from palmfield import cache
+from palmfield.config.skin import EXPLICIT
 from palmfield.errors import SceneError
 from palmfield.simulation.build import nearest_stimulus
 from palmfield.simulation.emission import array_drives
@@ -23,6 +24,7 @@ from palmfield.skin.fem.solver import harmonic, harmonic_discrete, static
 from palmfield.skin.reduction.modal_stepper import ModalStepper
 from palmfield.skin.reduction.reduced_stepper import ReducedStepper
 from palmfield.skin.scene_layer import SceneLayer
+from palmfield.skin.stepper import SkinStepper
 from palmfield.stimulus.schedule import frame_at
 from palmfield.types import Complex, Float
 
@@ -75,12 +77,14 @@ def error_estimate(
     left_small_model: whether the run went on from a small model or modes to the whole layer
     outside_class: what of the loads lay outside the class that the modes serve, in the energy norm
 
-    mesh: static and harmonic response on the scene's mesh and on one RATIO finer (or coarser, for more than
+    mesh: of a solver of EXPLICIT its own estimate, of its elements or particles, and of its steps. Else the static and
+        harmonic response on the scene's mesh and on one RATIO finer (or coarser, for more than
         FINER_BELOW unknowns and at least LAYERS rows of elements), by Richardson's rule; the larger of the two. The
         frequency is the stimulus's main one; half of the highest that mesh and step are made for where there is none,
         as the spectrum of a load that only starts and stops falls with frequency
     step: the discrete scheme's exact steady state against the continuous one, on the coarser mesh, where it costs less.
-        A small model is exact in time; what it is given is the load's chords, of which a sine has sinc^2 of itself
+        A small model is exact in time, and the steps of an explicit solver are far shorter; what they are given is the
+        load's chords, of which a sine has sinc^2 of itself
     reduction: of a small model: its own estimate, or, where it is made for any course of the load, the difference from
         the whole layer's static and harmonic response on the scene's mesh, if that is larger; of modes the same, and
         what of the run's loads lay outside their class; 0 without either
@@ -96,6 +100,8 @@ def error_estimate(
     finer = compares_with_finer(layer, layer.system.ndof)
 
     def make() -> cache.Arrays:
+        if stepper.name in EXPLICIT:
+            return {name: np.array(value) for name, value in _explicit_estimate(layer, stepper, sound, point).items()}
         try:
             result = _estimate(layer, small, sound, point, finer, left_small_model)
         except SceneError:
@@ -217,13 +223,34 @@ def _estimate(
             pressure = own.pressure if small.points is None else own.pressure[small.points]
             reduced = [small.harmonic(pressure, f, own.read)[0] for f in (0.0, frequency)]
             reduction = max(reduction, *(abs(a - b) / abs(b) for a, b in zip(reduced, references, strict=True)))
-    edge = 0.0
-    if layer.config.shape != "disc":
-        other = low.resized(low.resizing, side="free" if layer.config.side == "fixed" else "fixed")
-        wave = _Response(other, sound.on(other), point).harmonic(frequency)
-        edge = 0.5 * abs(wave - coarse_wave) / abs(coarse_wave)
+    edge = _edge_error(low, sound, point, coarse_wave)
+    return _as_numbers(mesh, step, reduction, edge)
+
+
+def _explicit_estimate(layer: SceneLayer, stepper: SkinStepper, sound: _Sound, point: Float) -> dict[str, float]:
+    """Of a solver with a mesh of its own: the cut edge is that of the scene's layer, by its wedges."""
+    frequency = layer.demand.main_frequency_Hz
+    step = 1.0 - float(np.sinc(frequency * layer.sizes.step_s)) ** 2
+    return _as_numbers(stepper.error, step, 0.0, _edge_error(layer, sound, point))
+
+
+def _edge_error(layer: SceneLayer, sound: _Sound, point: Float, wave: complex | None = None) -> float:
+    """Half of what other cut faces change of a layer's harmonic displacement `wave` [m] at the main frequency.
+
+    wave: None where it is not known; 0 for a disc, whose side is its own
+    """
+    if layer.config.shape == "disc":
+        return 0.0
+    frequency = layer.demand.main_frequency_Hz
+    if wave is None:
+        wave = _Response(layer, sound.on(layer), point).harmonic(frequency)
+    other = layer.resized(layer.resizing, side="free" if layer.config.side == "fixed" else "fixed")
+    return 0.5 * abs(_Response(other, sound.on(other), point).harmonic(frequency) - wave) / abs(wave)
+
+
+def _as_numbers(mesh: float, step: float, reduction: float, edge: float) -> dict[str, float]:
     return {
-        "mesh_error_relative": mesh,
+        "mesh_error_relative": float(mesh),
         "step_error_relative": float(step),
         "reduction_error_relative": float(reduction),
         "edge_error_relative": float(edge),

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from palmfield.config.skin import EXPLICIT
 from palmfield.errors import PalmfieldError
 from palmfield.perception.observers import OBSERVERS, level_dB_SL, line_amplitude
 from palmfield.session.error_budget import LoudestMoment, error_estimate, p0_band, p0_given, stimulus_of
@@ -17,8 +18,10 @@ from palmfield.simulation.forces import BodyForces
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.radiation import Radiation
 from palmfield.simulation.state import WHOLE
+from palmfield.skin.explicit_layer import explicit_layer
 from palmfield.skin.reduction.modal_stepper import ModalStepper
 from palmfield.skin.reduction.reduced_stepper import ReducedStepper
+from palmfield.skin.solver_choice import PREVIEW
 from palmfield.stimulus.schedule import main_frequencies
 from palmfield.types import Float
 
@@ -43,7 +46,7 @@ def skin_numbers(
     skin = model.skins[number]
     left_small_model = _left_small_model(simulation, number)
     result: dict[str, Any] = {
-        "dofs": skin.layer.system.ndof,
+        "dofs": explicit_layer(skin.layer).unknowns if skin.choice.name in EXPLICIT else skin.layer.system.ndof,
         "solver": _solver_in_words(model, number, left_small_model),
         "solver_why": _why(model, number),
         "accuracy_wanted_relative": skin.spec.config.accuracy,
@@ -125,6 +128,9 @@ def _left_small_model(simulation: Simulation, skin: int) -> bool:
 def _solver_in_words(model: HapticModel, skin: int, left_small_model: bool) -> str:
     """What stepped a skin."""
     stepper = model.begin[skin].value
+    if stepper.name in EXPLICIT:
+        preview = ", a preview" if stepper.name in PREVIEW else ""
+        return f"{stepper.name}{preview}: {explicit_layer(model.skins[skin].layer).resolution}"
     if not isinstance(stepper, ReducedStepper | ModalStepper):
         return stepper.name
     words = f"{stepper.name}, {stepper.order} {'modes' if isinstance(stepper, ModalStepper) else 'vectors'}"

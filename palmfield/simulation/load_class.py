@@ -38,7 +38,7 @@ BLOCKS, BLOCKS_AT, BLOCKS_POWER = 11, 0.05, 0.44
 """Blocks of modes at one accuracy, and the power of the accuracy with which they become fewer."""
 SHAPES = 15.0
 """Load shapes at accuracy 0.2 on a region as wide as a spot, about."""
-LEAST_CORNER_Hz = 50.0
+LEAST_CORNER_Hz = 75.0
 """Corner of a load's spectrum that only comes and goes: the sound of a start or stop falls as 1/f."""
 
 
@@ -47,6 +47,8 @@ def refusal(skin: SkinSpec, layer: SceneLayer) -> str | None:
     config = skin.config
     if config.body_sound == "scattering":
         return "boundary elements for every example of its loads cost more than a run"
+    if config.body_sound == "shadows":
+        return "shadows have sharp edges, which no class of smooth loads holds"
     if config.side == "absorbing":
         return "absorbing sides couple the modes"
     laws = {relaxation_law(sheet.material) for sheet in layer.sheets}
@@ -77,21 +79,23 @@ def _region_m(layer: SceneLayer) -> float:
     return max(sizes.fine_radius_m, 2.0 * spot_m)
 
 
-def class_stepper(model: HapticModel, skin: int) -> ModalStepper:
-    """Modes of a skin's layer for the class of its loads. Raises SceneError where there can be none."""
+def class_stepper(model: HapticModel, skin: int, blocks: int | None = None) -> ModalStepper:
+    """Modes of a skin's layer for the class of its loads.
+
+    blocks: of the space of the modes, by default as many as the skin's accuracy asks for
+    Raises SceneError where there can be none.
+    """
     part = model.skins[skin]
     layer, accuracy = part.layer, part.spec.config.accuracy
     posed = reference_scene(model)
-    arrays, body = posed.arrays, posed.skins[skin].body
+    arrays, law = posed.arrays, part.spec.config.arp_law
     depends_on = (
-        *(arrays.array, arrays.air, arrays.placements, model.board.name, part.spec),
-        *(body.vertices_in_array, body.faces, layer.sizes, layer.demand.spot_fwhm_m),
-        [(other.vertices_in_array, other.faces) for other in posed.bodies],
+        *(arrays.array, arrays.air, arrays.placements, arrays.precision, model.board.name, law),
+        *(*posed.skins[skin].quadrature, part.spec.patch_centre, _region_m(layer)),
     )
-    sharp = part.spec.config.body_sound != "none"
     made = modal_body(
         layer.system, layer.quadrature, layer.surface_operator, lambda: examples(model, skin, posed), depends_on,
-        SPAN * accuracy, _blocks(accuracy), everywhere=sharp,
+        SPAN * accuracy, blocks or _blocks(accuracy),
     )  # fmt: skip
     corner = max(corner_Hz(stimulus, layer.demand.spot_fwhm_m) for stimulus in model.stimuli)
     return ModalStepper(made, layer.system, layer.sizes.step_s, corner)
@@ -162,9 +166,9 @@ def corner_Hz(stimulus: StimulusModel, spot_m: float) -> float:
     one that moves on by then; AM has its own frequency. spot_m: width of the spot [m]
     """
     config = stimulus.config
-    corners = [LEAST_CORNER_Hz, *(0.25 * f for f in frame_rates(config))]
+    corners = [LEAST_CORNER_Hz, *(0.5 * f for f in frame_rates(config))]
     corners += [0.5 * f for f in main_frequencies(config)[:1]]
     rate = turn_rate_Hz(config)
     if rate is not None:
-        corners.append(rate * turn_m(config) / (2.0 * math.pi * spot_m))
+        corners.append(rate * turn_m(config) / (math.pi * spot_m))
     return max(corners)

@@ -76,11 +76,13 @@ def continue_on_whole_layer(
         return whole, numbers[:, : whole.state_size]
     assert isinstance(small, ReducedStepper)
     course = emission.now(posed, amplitudes, t0)
-    pressure = np.zeros(len(posed.skins[skin].quadrature[0]))
+    assert small.points is not None
+    radiation.choose(skin, small.points)
+    pressure = np.zeros(len(small.points))
     if course.unit is not None and course.levels is not None:
-        pressure = abs(course.levels[0]) ** 2 * radiation.on(posed, skin, "quadrature", course.unit).arp
+        pressure = abs(course.levels[0]) ** 2 * radiation.on(posed, skin, "load", course.unit).arp
     elif course.emitted is not None:
-        pressure = radiation.on(posed, skin, "quadrature", course.emitted[0]).arp.astype(np.float64)
+        pressure = radiation.on(posed, skin, "load", course.emitted[0]).arp.astype(np.float64)
     lifted = small.lifted(numbers[:, : small.state_size], pressure)
     numbers[:, : whole.state_size] = lifted
     claim(model, state, skin, whole)

@@ -48,7 +48,8 @@ class SkinStepper(Protocol):
 
     name: the solver; step_s: length of a substep [s]; state_size: numbers of a state, all 0 at rest
     points: numbers of the layer's quadrature points at which it takes pressure, shape (p,), None for all of them
-    error: what the stepper itself adds to the displacement's relative error by its own estimate; 0 where it adds none
+    error: what the stepper itself adds to the displacement's relative error by its own estimate; 0 where it adds none.
+        One with a mesh of its own counts all that this mesh does, and may take as long as a short run to tell
     """
 
     @property
@@ -114,6 +115,18 @@ def check_step(
             f"skin step from {t0:g} to {t1:g} s: loads for {substeps} substeps of {stepper.step_s:g} s are given"
         )
     return own
+
+
+def world_by_world(
+    stepper: SkinStepper, state: Float, loads: SurfaceLoads, t0: float, t1: float, observe: Reader | None
+) -> Float | None:
+    """`SkinStepper.step` of several worlds, one after the other, for a stepper whose arrays are those of one."""
+    seen = []
+    for world in range(len(state)):
+        one = slice(world, world + 1)
+        own = SurfaceLoads(loads.pressure_Pa[one], loads.first[one], loads.last[one])
+        seen.append(stepper.step(state[one], own, t0, t1, observe))
+    return None if observe is None else np.concatenate([part for part in seen if part is not None])
 
 
 def checked_operator(operator: sparse.csr_matrix, unknowns: int) -> sparse.csr_matrix:

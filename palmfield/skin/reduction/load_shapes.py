@@ -34,11 +34,10 @@ class LoadShapes:
     fit: Float
 
 
-def load_shapes(examples: Float, weights: Float, tolerance: float, *, everywhere: bool = False) -> LoadShapes:
+def load_shapes(examples: Float, weights: Float, tolerance: float) -> LoadShapes:
     """Shapes whose sums come within a tolerance of examples, rms over all of them.
 
     examples: pressures [Pa], shape (t, q); weights: areas for which the points stand [m^2], shape (q,)
-    everywhere: look at a pressure at all points, for loads with sharp edges
     Raises SceneError where nothing sounds in the examples, or a number is not finite.
     """
     if not np.isfinite(examples).all():
@@ -50,15 +49,21 @@ def load_shapes(examples: Float, weights: Float, tolerance: float, *, everywhere
     left, values = _left_vectors(examples * root)
     left_out = np.sqrt(np.maximum(1.0 - np.cumsum(values) / values.sum(), 0.0))
     count = min(int(np.searchsorted(-left_out, -tolerance)) + 1, int((values > 1e-12 * values[0]).sum()))
-    most = min(POINTS * count, len(values), len(weights))
-    found = (left[:, :most].T @ (examples * root)) / np.sqrt(values[:most, None])
-    shapes = found[:count] / root
-    points = np.arange(len(weights))
-    if not everywhere and most < len(weights):
-        points = np.sort(linalg.qr(found, mode="r", pivoting=True)[1][:most])
-    weight = np.ones(len(points)) if len(points) < len(weights) else root
-    fit = np.linalg.pinv((shapes[:, points] * weight).T) * weight
-    return LoadShapes(shapes, np.sqrt(values[:count] / len(examples)), points.astype(np.int32), fit)
+    shapes = (left[:, :count].T @ (examples * root)) / np.sqrt(values[:count, None]) / root
+    points = _telling_points(shapes * root)
+    fit = np.asarray(np.linalg.pinv(shapes[:, points].T), dtype=np.float64)
+    return LoadShapes(shapes, np.sqrt(values[:count] / len(examples)), points, fit)
+
+
+def _telling_points(shapes: Float) -> Int:
+    """Columns that tell shapes (m, q) apart, rising: POINTS times those of pivoted QR, each time of what is left."""
+    left = np.arange(shapes.shape[1])
+    chosen: list[Int] = []
+    for _ in range(POINTS):
+        pivots = linalg.qr(shapes[:, left], mode="r", pivoting=True)[1][: len(shapes)]
+        chosen.append(left[pivots].astype(np.int32))
+        left = np.delete(left, pivots)
+    return np.sort(np.concatenate(chosen))
 
 
 def _left_vectors(rows: Float) -> tuple[Float, Float]:

@@ -71,15 +71,12 @@ def modal_body(
     depends_on: Sequence[Any],
     tolerance: float,
     blocks: int,
-    *,
-    everywhere: bool = False,
 ) -> ModalBody:
     """Modes of a layer for the class of loads that examples are of, from one real factorisation.
 
     surface: reads the displacement that must be right, csr, (S, n)
     examples: pressures at the quadrature's points [Pa], shape (t, q); depends_on: all that they depend on
     tolerance: what the shapes may leave out of the examples, relative; blocks: of the space of the modes, at least 2
-    everywhere: take the pressure at all points, for loads with sharp edges
     Kept in the cache (`palmfield.cache`). Raises SceneError where the layer's modes are coupled, or would be too many.
     """
     reason = refusal(system)
@@ -88,7 +85,7 @@ def modal_body(
 
     def make() -> cache.Arrays:
         with one_blas_thread:
-            shapes = load_shapes(examples(), quadrature.weights, tolerance, everywhere=everywhere)
+            shapes = load_shapes(examples(), quadrature.weights, tolerance)
             most = MOST_SHARE * system.ndof
             if blocks * len(shapes.sizes) > most:
                 raise SceneError(
@@ -109,7 +106,7 @@ def modal_body(
         return arrays | {"compliance": compliance}
 
     body = system.mass, system.elastic, system.parts
-    known = cache.kept("modes", (*body, quadrature.operator, surface, *depends_on, tolerance, blocks, everywhere), make)
+    known = cache.kept("modes", (*body, quadrature.operator, surface, *depends_on, tolerance, blocks), make)
     names = "vectors", "elastic", "stiffness", "motion", "change"
     modes = RitzModes(*(known[name] for name in names))
     shapes = LoadShapes(*(known[name] for name in ("shapes", "sizes", "points", "fit")))
