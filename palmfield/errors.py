@@ -15,3 +15,17 @@ class DeviceError(PalmfieldError):
 
 class OutputError(PalmfieldError):
     """Results cannot be written or read back."""
+
+
+class naming_world:
+    """An error of palmfield's that leaves the block says in which of several worlds it was."""
+
+    def __init__(self, world: int):
+        self.world = world
+
+    def __enter__(self) -> None:
+        return None
+
+    def __exit__(self, kind: object, error: BaseException | None, at: object) -> None:
+        if isinstance(error, PalmfieldError):
+            raise type(error)(f"world {self.world}: {error}") from None

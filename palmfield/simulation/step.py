@@ -53,10 +53,11 @@ class Workspace:
     observe: what is watched of each skin, an operator (m, unknowns) or None; observer: told of each step
     """
 
-    def __init__(self, model: HapticModel):
-        self.reference = reference_scene(model)
+    def __init__(self, model: HapticModel, beside: "Workspace | None" = None):
+        """beside: of another world with the same bodies, stepped by the same thread: buffers are shared with it."""
+        self.reference: PosedScene = reference_scene(model) if beside is None else beside.reference
         self.emission = Emission(model)
-        self.radiation = Radiation(model)
+        self.radiation: Radiation = Radiation(model, None if beside is None else beside.radiation)
         self.forces = BodyForces(model, self.radiation)
         self.prefetch = LoadPrefetch(model, self.emission, self.radiation)
         self.outside = [OutsideClass() for _ in model.skins]
@@ -129,7 +130,8 @@ def skin_loads(
     if course.levels is not None:
         if course.unit is None:
             count = len(posed.skins[skin].quadrature[0]) if points is None else len(points)
-            return SurfaceLoads(np.zeros((1, 1, count)), *(np.zeros((1, len(moments.first), 1)) for _ in range(2)))
+            nothing = np.zeros((1, len(moments.first), 1))
+            return SurfaceLoads(np.zeros((1, 1, count)), nothing, nothing)
         pressure = work.radiation.on(posed, skin, role, course.unit).arp[None, None]
         factors = (np.abs(course.levels) ** 2)[:, None]
         return SurfaceLoads(pressure, (moments.first @ factors)[None], (moments.last @ factors)[None])
