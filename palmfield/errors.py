@@ -10,7 +10,7 @@ class SceneError(PalmfieldError):
 
 
 class DeviceError(PalmfieldError):
-    """A board cannot play what is asked of it, or cannot be reached."""
+    """A board or a GPU cannot do what is asked of it, or a board cannot be reached."""
 
 
 class OutputError(PalmfieldError):

@@ -7,10 +7,10 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from palmfield.drive.transducer_response import rows
+from palmfield.drive.transducer_response import present_drive, rows
 from palmfield.engine.host import raise_errors, world_of
 from palmfield.engine.motion_plugin import place
-from palmfield.engine.scene_runtime import SceneRuntime, present_drive
+from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.errors import SceneError
 from palmfield.interrupts import interrupts_held
 from palmfield.session.load import Source, compiled

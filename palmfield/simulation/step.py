@@ -12,6 +12,7 @@ import numpy as np
 from scipy import sparse
 
 from palmfield.drive.transducer_response import EmittedCourse
+from palmfield.simulation.device_sound import DeviceSound, serves
 from palmfield.simulation.emission import Emission
 from palmfield.simulation.forces import BodyForces
 from palmfield.simulation.model import HapticModel
@@ -54,7 +55,8 @@ class Workspace:
         self.reference = reference_scene(model)
         self.emission = Emission(model)
         self.radiation = Radiation(model)
-        self.forces = BodyForces(model, self.radiation)
+        self.device_sound = DeviceSound(model, self.reference) if serves(model) else None
+        self.forces = self.device_sound or BodyForces(model, self.radiation)
         self.prefetch = LoadPrefetch(model, self.emission, self.radiation)
         self.amplitudes: Complex = np.zeros(len(model.arrays), np.complex128)
         self.observe: tuple[sparse.csr_matrix | None, ...] = (None,) * len(model.skins)
@@ -78,7 +80,8 @@ def step(model: HapticModel, state: HapticState, posed: PosedScene, t0: float, t
     Raises SceneError for a state of another solver and where a small model that is asked for can't go on.
     """
     begun = gather(state, work)
-    work.prefetch.predict_drives(posed, begun, t0)
+    if work.device_sound is None:
+        work.prefetch.predict_drives(posed, begun, t0)
     moments, course = work.emission.over(posed, begun, t0, model.substeps)
     motions = []
     for number in range(len(model.skins)):
@@ -101,14 +104,20 @@ def step(model: HapticModel, state: HapticState, posed: PosedScene, t0: float, t
 
 def skin_loads(work: Workspace, posed: PosedScene, skin: int, moments: Moments, course: EmittedCourse) -> SurfaceLoads:
     """The ARP on a skin's quadrature points over a step's substeps."""
+    device = work.device_sound
     if course.levels is not None:
         if course.unit is None:
-            count = len(posed.skins[skin].quadrature[0])
+            count = len(posed.skins[skin].skin.layer.quadrature.points)
             return SurfaceLoads(np.zeros((1, 1, count)), *(np.zeros((1, len(moments.first), 1)) for _ in range(2)))
-        pressure = work.radiation.on(posed, skin, "quadrature", course.unit).arp[None, None]
+        if device is not None:
+            arp = device.patterns(posed, skin, course)
+        else:
+            arp = work.radiation.on(posed, skin, "quadrature", course.unit).arp[None]
         factors = (np.abs(course.levels) ** 2)[:, None]
-        return SurfaceLoads(pressure, (moments.first @ factors)[None], (moments.last @ factors)[None])
+        return SurfaceLoads(arp[None], (moments.first @ factors)[None], (moments.last @ factors)[None])
     assert course.emitted is not None
+    if device is not None:
+        return SurfaceLoads(device.patterns(posed, skin, course)[None], moments.first[None], moments.last[None])
     if course.parts is not None:
         sums = work.radiation.sums(posed, skin, *course.parts)
         return SurfaceLoads(sums[None], moments.first[None], moments.last[None])
