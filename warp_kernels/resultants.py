@@ -1,4 +1,4 @@
-"""Force and moment of a pressure on the parts of bodies, added up in float64 in a fixed order."""
+"""Force and torque of a pressure on the parts of bodies, added up in float64 in a fixed order."""
 
 import warp as wp
 
@@ -28,23 +28,27 @@ def sums_of_runs(
     points: wp.array(dtype=wp.vec3),
     order: wp.array(dtype=wp.int32),
     starts: wp.array(dtype=wp.int32),
+    parts: wp.array(dtype=wp.int32),
+    origins: wp.array(dtype=wp.vec3d),
     result: wp.array2d(dtype=wp.float64),
 ):
-    """Force [N] and moment about the origin [N m] of each run of points, shape (runs, 6).
+    """Force [N] and torque about its part's origin [N m] of each run of points, shape (runs, 6).
 
     load: inward [N]; order: the points in runs, run i is order[starts[i]:starts[i + 1]]
+    parts: the part that each run pushes; origins: of the parts [m]
     """
     run = wp.tid()
+    origin = origins[parts[run]]
     force = wp.vec3d()
-    moment = wp.vec3d()
+    torque = wp.vec3d()
     for j in range(starts[run], starts[run + 1]):
         i = order[j]
         push = -load[i] * wp.vec3d(normals[i])
         force += push
-        moment += wp.cross(wp.vec3d(points[i]), push)
+        torque += wp.cross(wp.vec3d(points[i]) - origin, push)
     for axis in range(3):
         result[run, axis] = force[axis]
-        result[run, 3 + axis] = moment[axis]
+        result[run, 3 + axis] = torque[axis]
 
 
 @wp.kernel

@@ -106,18 +106,18 @@ class DeviceSound:
 
     def forces(self, posed: PosedScene) -> list[tuple[Float, Float]]:
         """Mean forces [N] on each body's parts and torques about their origins [N m], array frame, shapes (b, 3)."""
-        forces = []
-        rows = None if self._work is None or self._sounding[FORCE] is None else self._work.forces.hosts["forces"]
-        start = 0
+        work = self._work
+        silent = work is None or self._sounding[FORCE] is None
+        forces, start = [], 0
         for body in posed.bodies:
-            count = body.model.parts
-            if rows is None:
-                forces.append((np.zeros((count, 3)), np.zeros((count, 3))))
-                continue
-            own = self._force_scale * rows[start : start + count]
-            force = np.ascontiguousarray(own[:, :3])
-            forces.append((force, own[:, 3:] - np.cross(body.origins, force)))
-            start += count
+            own = slice(start, start + body.model.parts)
+            start = own.stop
+            rows = (
+                np.zeros((body.model.parts, 6))
+                if work is None or silent
+                else self._force_scale * work.forces.hosts["forces"][own]
+            )
+            forces.append((rows[:, :3].copy(), rows[:, 3:].copy()))
         return forces
 
     def patterns(self, posed: PosedScene, skin: int, course: EmittedCourse) -> Float32:
@@ -213,6 +213,7 @@ class _DeviceWork:
         parts: dict[str, tuple[tuple[int, ...], Any]] = {
             "turns": ((self._rows.total,), wp.mat33d),
             "shifts": ((self._rows.total,), wp.vec3d),
+            "origins": ((self._rows.parts,), wp.vec3d),
             "weights": ((sizes[FORCE][1],), wp.float64),
         }
         for name, (drives, sums) in sizes.items():
@@ -224,11 +225,12 @@ class _DeviceWork:
         meshes = self._meshes(reference)
         points = _ScenePoints(model, reference, self._rows, probes, self.device)
         self.quadrature = points.quadrature
-        owners = _Owners(reference, points.samples)
+        owners = _Owners(reference, self._rows, points.samples)
         counts = {LOAD: points.loaded.stop, NOW: len(probes), FORCE: points.count - points.sampled.start}
         self.load = SharedArray((sizes[LOAD][1], counts[LOAD]), wp.float32, self.device)
         self.forces = SharedBlock(
-            {"forces": ((owners.parts, 6), wp.float64), "probes": ((1, max(counts[NOW], 1)), wp.float32)}, self.device
+            {"forces": ((self._rows.parts, 6), wp.float64), "probes": ((1, max(counts[NOW], 1)), wp.float32)},
+            self.device,
         )
         pressed: Any = wp.zeros((sizes[FORCE][1], counts[FORCE]), dtype=wp.float32, device=self.device)
         results = {LOAD: self.load.array, NOW: self.forces.arrays["probes"], FORCE: pressed}
@@ -252,7 +254,7 @@ class _DeviceWork:
         weighed = [arrays[f"{FORCE}_counts"], arrays["weights"], pressed, points.areas, loads]
         self._sound += [
             launch(summing.mean_load, counts[FORCE], weighed, self.device),
-            *owners.calls(loads, *sampled, self.forces.arrays["forces"], self.device),
+            *owners.calls(loads, *sampled, arrays["origins"], self.forces.arrays["forces"], self.device),
         ]
         self._pose = points.calls(motions)
         for skin, mesh in meshes.items():
@@ -270,15 +272,16 @@ class _DeviceWork:
 
     def place(self, posed: PosedScene) -> None:
         """Take a pose."""
-        turns, shifts = self.inputs.hosts["turns"], self.inputs.hosts["shifts"]
+        turns, shifts, origins = (self.inputs.hosts[name] for name in ("turns", "shifts", "origins"))
         for body, own in zip(posed.bodies, self._rows.bodies, strict=True):
             place, turn = body.frame
             if body.model.hand is None:
-                turns[own], shifts[own] = turn, place
+                turns[own], shifts[own], origins[own] = turn, place, place
                 continue
             of_bones = turn @ body.bone_rotations
             turns[own] = of_bones
-            shifts[own] = body.frame.points(body.bone_positions)
+            origins[own] = body.origins
+            shifts[own] = body.origins
             shifts[own] -= np.matmul(of_bones, body.model.rest_origins[:, :, None])[:, :, 0]
         for skin, own in zip(posed.skins, self._rows.obstacles, strict=True):
             if own.stop > own.start:
@@ -324,6 +327,11 @@ class _MotionRows(NamedTuple):
     bodies: list[slice]
     obstacles: list[slice]
     total: int
+
+    @property
+    def parts(self) -> int:
+        """How many of them push: those of the bodies come first."""
+        return self.bodies[-1].stop
 
 
 def _motion_rows(model: HapticModel) -> _MotionRows:
@@ -465,34 +473,36 @@ def _rest_samples(reference: PosedScene, number: int) -> tuple[Float, Float, Flo
 
 
 class _Owners:
-    """Force samples by the part of a body that they push. parts: of all bodies"""
+    """Force samples by the part of a body that they push."""
 
-    def __init__(self, reference: PosedScene, samples: Sequence[tuple[int, slice]]):
+    def __init__(self, reference: PosedScene, rows: _MotionRows, samples: Sequence[tuple[int, slice]]):
         owners: Int = np.zeros(samples[-1][1].stop, np.int32)
-        firsts = np.cumsum([0, *(body.model.parts for body in reference.bodies)])
-        self.parts = int(firsts[-1])
+        self._parts = rows.parts
         for number, own in samples:
-            owners[own] = firsts[number] + reference.bodies[number].sample_parts
+            owners[own] = rows.bodies[number].start + reference.bodies[number].sample_parts
         self._order = np.argsort(owners, kind="stable").astype(np.int32)
-        counts = np.bincount(owners, minlength=self.parts)
+        counts = np.bincount(owners, minlength=self._parts)
         starts: list[int] = []
         of_parts, at = [0], 0
         for count in counts.tolist():
             starts += range(at, at + count, RUN)
             of_parts.append(len(starts))
             at += count
+        self._run_parts = np.repeat(np.arange(self._parts), np.diff(of_parts))
         self._starts, self._of_parts = np.array([*starts, at], np.int32), np.array(of_parts, np.int32)
 
-    def calls(self, loads: Any, normals: Any, points: Any, result: Any, device: str) -> list[Callable[[], object]]:
+    def calls(
+        self, loads: Any, normals: Any, points: Any, origins: Any, result: Any, device: str
+    ) -> list[Callable[[], object]]:
         """Launches that add loads up by part."""
-        order, starts, of_parts = (
-            whole_numbers(values, device) for values in (self._order, self._starts, self._of_parts)
+        order, starts, parts, of_parts = (
+            whole_numbers(values, device) for values in (self._order, self._starts, self._run_parts, self._of_parts)
         )
         runs = len(self._starts) - 1
         sums: Any = wp.zeros((runs, 6), dtype=wp.float64, device=device)
         return [
-            launch(summing.sums_of_runs, runs, [loads, normals, points, order, starts, sums], device),
-            launch(summing.sums_of_parts, (self.parts, 6), [sums, of_parts, result], device),
+            launch(summing.sums_of_runs, runs, [loads, normals, points, order, starts, parts, origins, sums], device),
+            launch(summing.sums_of_parts, (self._parts, 6), [sums, of_parts, result], device),
         ]
 
 
