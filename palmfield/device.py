@@ -87,14 +87,15 @@ PAGE = 256
 class SharedBlock:
     """Several arrays of fixed size in one memory, which one copy takes to the device or back.
 
-    hosts, arrays: by name, as `host` and `array` of a SharedArray
+    hosts, arrays: by name, as `host` and `array` of a SharedArray; nbytes: of the memory
     parts: shape and Warp type by name; device: of `resolve`
     """
 
     def __init__(self, parts: Mapping[str, tuple[tuple[int, ...], Any]], device: str) -> None:
         sizes = [int(np.prod(shape)) * wp.types.type_size_in_bytes(dtype) for shape, dtype in parts.values()]
         starts = np.cumsum([0, *(-(-size // PAGE) * PAGE for size in sizes)]).tolist()
-        self._whole = SharedArray(max(starts[-1], 1), wp.uint8, device)
+        self.nbytes = max(starts[-1], 1)
+        self._whole = SharedArray(self.nbytes, wp.uint8, device)
         self.arrays: dict[str, Any] = {}
         self.hosts: dict[str, NDArray[Any]] = {}
         for (name, (shape, dtype)), start in zip(parts.items(), starts, strict=False):

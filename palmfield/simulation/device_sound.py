@@ -62,7 +62,7 @@ class DeviceSound:
     """ARP on skins, forces on bodies and what sensors read, for one step after another.
 
     model: of the scene; reference: its scene in the reference configuration
-    launches: how many graphs have been launched
+    work: memory and graphs, None before the first step; launches: how many graphs have been launched
     """
 
     def __init__(self, model: HapticModel, reference: PosedScene):
@@ -73,7 +73,7 @@ class DeviceSound:
         self._transducers = Transducers(model.arrays, self.device)
         self._probes: list[tuple[int, SensorPlace]] = []
         self._sizes = {LOAD: (1, 1), FORCE: (1, 1), NOW: (1, 1)}
-        self._work: _DeviceWork | None = None
+        self.work: DeviceWork | None = None
         self._posed: PosedScene | None = None
         self._sounding: dict[str, Sounding | None] = {}
         self._force_scale = 0.0
@@ -83,7 +83,7 @@ class DeviceSound:
         """Compute the ARP at a sensor's place as well, from the next step on."""
         if (skin, place) not in self._probes:
             self._probes.append((skin, place))
-            self._work = None
+            self.work = None
 
     def over(self, emission: Emission, posed: PosedScene, emitted: Complex, t0: float) -> list[tuple[Float, Float]]:
         """As `palmfield.simulation.forces.BodyForces.over`; the load on the skins is computed with it.
@@ -106,7 +106,7 @@ class DeviceSound:
 
     def forces(self, posed: PosedScene) -> list[tuple[Float, Float]]:
         """Mean forces [N] on each body's parts and torques about their origins [N m], array frame, shapes (b, 3)."""
-        work = self._work
+        work = self.work
         silent = work is None or self._sounding[FORCE] is None
         forces, start = [], 0
         for body in posed.bodies:
@@ -129,7 +129,7 @@ class DeviceSound:
         assert wanted is not None
         if self._posed is not posed or not wanted.same(self._sounding.get(LOAD)):
             self._launch(posed, self._sounding | {LOAD: wanted})
-        work = self._work
+        work = self.work
         assert work is not None
         if not self._fetched:
             work.load.download()
@@ -145,18 +145,18 @@ class DeviceSound:
         Both are Warp arrays that keep their place until a step asks for more drives; the second is int32, drives and
         sums, of which the sums are the rows.
         """
-        work = self._work
+        work = self.work
         assert work is not None
         return work.load.array[:, work.quadrature[skin]], work.inputs.arrays["load_counts"]
 
     def probed(self, skin: int, place: SensorPlace, posed: PosedScene, drive: Complex) -> float | None:
         """ARP [Pa] at a sensor's place for a drive, shape (N,); None where the last step wasn't for that."""
         known = self._sounding.get(NOW)
-        if self._work is None or self._posed is not posed or known is None or (skin, place) not in self._probes:
+        if self.work is None or self._posed is not posed or known is None or (skin, place) not in self._probes:
             return None
         if known.units[0] is not drive and not np.array_equal(known.units[0], drive):
             return None
-        return float(self._work.forces.hosts["probes"][0, self._probes.index((skin, place))])
+        return float(self.work.forces.hosts["probes"][0, self._probes.index((skin, place))])
 
     def _launch(self, posed: PosedScene, sounding: dict[str, Sounding | None]) -> None:
         """Compute all that has changed since the last launch."""
@@ -166,14 +166,14 @@ class DeviceSound:
             if one is not None and (len(one.units) > drives or one.sums > sums):
                 self._sizes[name] = max(drives, len(one.units)), max(sums, one.sums)
                 fitting = False
-        work = self._work
+        work = self.work
         moved = work is None or not fitting or self._posed is not posed
         if moved and posed.arrays is not self._arrays:
             self._transducers.move(posed.arrays)
             self._arrays = posed.arrays
         if work is None or not fitting:
-            self._work = None  # its memory is free for the next one
-            work = self._work = _DeviceWork(self.model, self._reference, self._transducers, self._probes, self._sizes)
+            self.work = None  # its memory is free for the next one
+            work = self.work = DeviceWork(self.model, self._reference, self._transducers, self._probes, self._sizes)
         changed = [
             name
             for name, one in sounding.items()
@@ -193,10 +193,10 @@ class DeviceSound:
         self.launches += 1
 
 
-class _DeviceWork:
+class DeviceWork:
     """Memory and launches for tables of fixed sizes.
 
-    inputs: what goes in; forces: what comes out, sums by part and the sensors' ARP; load: ARP on the skins
+    inputs: what goes in; forces: what comes out, sums by part and the sensors' ARP; load: ARP on the skins, (m, q)
     quadrature: which of the load's columns are a skin's
     """
 
@@ -289,16 +289,23 @@ class _DeviceWork:
                 turns[own] = frame.rotation @ skin.obstacle_rotations
                 shifts[own] = frame.points(skin.obstacle_positions)
 
-    def run(self, moved: bool) -> None:
-        """Launch everything, or what doesn't depend on poses alone, and wait for forces and sensors."""
+    def calls(self, moved: bool) -> list[Callable[[], object]]:
+        """What is done for a step, in order; what only poses decide is left out where nothing has moved."""
+        return [self.inputs.upload, *(self._pose if moved else []), *self._sound, self.forces.download]
+
+    def replay(self, moved: bool) -> Callable[[], object]:
+        """All of these calls in one: on a GPU a captured graph, made when it is first asked for."""
         replay = self._captured.get(moved)
         if replay is None:
-            calls = [self.inputs.upload, *(self._pose if moved else []), *self._sound, self.forces.download]
+            calls = self.calls(moved)
             # On the CPU Warp doesn't record the refitting of a mesh
             captures = self.device != "cpu" or not (moved and self._kept)
-            replay = replayed(calls, self.device) if captures else partial(_do, calls)
-            self._captured[moved] = replay
-        replay()
+            replay = self._captured[moved] = replayed(calls, self.device) if captures else partial(_do, calls)
+        return replay
+
+    def run(self, moved: bool) -> None:
+        """Compute a step and wait for forces and sensors."""
+        self.replay(moved)()
         if self.device != "cpu":
             wp.synchronize_stream(self.device)
 
@@ -331,7 +338,8 @@ class _MotionRows(NamedTuple):
     @property
     def parts(self) -> int:
         """How many of them push: those of the bodies come first."""
-        return self.bodies[-1].stop
+        last: int = self.bodies[-1].stop
+        return last
 
 
 def _motion_rows(model: HapticModel) -> _MotionRows:
