@@ -83,7 +83,6 @@ class DeviceSound:
         """Compute the ARP at a sensor's place as well, from the next step on."""
         if (skin, place) not in self._probes:
             self._probes.append((skin, place))
-            self.work = None
 
     def over(self, emission: Emission, posed: PosedScene, emitted: Complex, t0: float) -> list[tuple[Float, Float]]:
         """As `palmfield.simulation.forces.BodyForces.over`; the load on the skins is computed with it.
@@ -151,23 +150,23 @@ class DeviceSound:
 
     def probed(self, skin: int, place: SensorPlace, posed: PosedScene, drive: Complex) -> float | None:
         """ARP [Pa] at a sensor's place for a drive, shape (N,); None where the last step wasn't for that."""
-        known = self._sounding.get(NOW)
-        if self.work is None or self._posed is not posed or known is None or (skin, place) not in self._probes:
+        known, work = self._sounding.get(NOW), self.work
+        if work is None or self._posed is not posed or known is None or (skin, place) not in work.probes:
             return None
-        if known.units[0] is not drive and not np.array_equal(known.units[0], drive):
+        if not _same(known.units[0], drive):
             return None
-        return float(self.work.forces.hosts["probes"][0, self._probes.index((skin, place))])
+        return float(work.forces.hosts["probes"][0, work.probes.index((skin, place))])
 
     def _launch(self, posed: PosedScene, sounding: dict[str, Sounding | None]) -> None:
         """Compute all that has changed since the last launch."""
-        fitting = True
+        work = self.work
+        fitting = work is not None and len(work.probes) == len(self._probes)
         for name, one in sounding.items():
             drives, sums = self._sizes[name]
             if one is not None and (len(one.units) > drives or one.sums > sums):
                 self._sizes[name] = max(drives, len(one.units)), max(sums, one.sums)
                 fitting = False
-        work = self.work
-        moved = work is None or not fitting or self._posed is not posed
+        moved = not fitting or self._posed is not posed
         if moved and posed.arrays is not self._arrays:
             self._transducers.move(posed.arrays)
             self._arrays = posed.arrays
@@ -177,19 +176,20 @@ class DeviceSound:
         changed = [
             name
             for name, one in sounding.items()
-            if one is not None and (not fitting or moved or not one.same(self._sounding.get(name)))
+            if one is not None and (moved or not one.same(self._sounding.get(name)))
         ]
-        self._sounding = sounding
         if not changed:
+            self._sounding = sounding
             return
+        self._sounding = {}  # should the launch fail, nothing is known
         for name in changed:
             one = sounding[name]
             assert one is not None
             work.tell(name, one, self._transducers)
         if moved:
             work.place(posed)
-        self._posed, self._fetched = posed, False
         work.run(moved)
+        self._posed, self._sounding, self._fetched = posed, sounding, False
         self.launches += 1
 
 
@@ -197,7 +197,7 @@ class DeviceWork:
     """Memory and launches for tables of fixed sizes.
 
     inputs: what goes in; forces: what comes out, sums by part and the sensors' ARP; load: ARP on the skins, (m, q)
-    quadrature: which of the load's columns are a skin's
+    quadrature: which of the load's columns are a skin's; probes: sensors' places, each with its skin's number
     """
 
     def __init__(
@@ -208,7 +208,7 @@ class DeviceWork:
         probes: Sequence[tuple[int, SensorPlace]],
         sizes: dict[str, tuple[int, int]],
     ):
-        self.model, self.device = model, transducers.device
+        self.model, self.device, self.probes = model, transducers.device, tuple(probes)
         self._rows = _motion_rows(model)
         parts: dict[str, tuple[tuple[int, ...], Any]] = {
             "turns": ((self._rows.total,), wp.mat33d),

@@ -134,6 +134,14 @@ class Emission:
         last, key = self._now, (time_s, emitted.tobytes())
         if last is not None and last[0] is posed and last[1] == key and not self.holds:
             return last[2]
+        over = self._over
+        if over is not None and over[0] is posed and not (self.holds or self.model.response_on):
+            (t0, _, before), (moments, course) = over[1:]
+            if course.emitted is not None and (t0, before) == (round(time_s, 12), key[1]) and moments.held_s[0] == 0.0:
+                # What sounds at once was asked for with the step that begins now
+                result = EmittedCourse(None, None, course.emitted[:1], emitted)
+                self._now = posed, key, result
+                return result
         courses = []
         for part, drive, place in self.placed(posed, time_s):
             courses.append(emitted_now(part.config, drive, part.response, emitted, place, time_s))
