@@ -4,15 +4,14 @@ import ctypes
 import functools
 import os
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from palmfield.errors import DeviceError, PalmfieldError
+from palmfield.errors import PalmfieldError
 
 
 def _start() -> None:
@@ -136,28 +135,6 @@ def replayed(calls: Sequence[Callable[[], object]], device: str) -> Callable[[],
     replay: Any = functools.partial(wp.capture_launch, capture.graph)
     replay.calls = calls  # a graph knows addresses only: with its calls their arrays live as long
     return replay
-
-
-MEMORY_SIGNS = ("Failed to allocate", "out of memory", "CUDA error 2:")
-"""In Warp's messages where memory has run out."""
-
-
-@contextmanager
-def memory_of(device: str) -> Iterator[None]:
-    """Raise DeviceError, which says what to change, where the memory of a GPU runs out inside.
-
-    device: "cpu", "auto" or "cuda:N"
-    """
-    try:
-        yield
-    except RuntimeError as error:
-        if device == "cpu" or not any(sign in str(error) for sign in MEMORY_SIGNS):
-            raise
-        raise DeviceError(
-            f"device '{device}' has no memory left for this scene ({' '.join(str(error).split())}): end other programs "
-            "there, set accuracy larger or patch_radius_m smaller, run fewer worlds, or take another device, for "
-            "example cpu"
-        ) from None
 
 
 def filled(struct: Any, **values: Any) -> Any:

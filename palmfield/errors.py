@@ -15,3 +15,18 @@ class DeviceError(PalmfieldError):
 
 class OutputError(PalmfieldError):
     """Results cannot be written or read back."""
+
+
+MEMORY_SIGNS = ("Failed to allocate", "out of memory", "CUDA error 2:")
+"""In messages of Warp, where memory has run out."""
+
+
+def explained(error: Exception) -> Exception:
+    """The error, or a DeviceError that says what to change where it is Warp's that a GPU has no memory left."""
+    text = " ".join(str(error).split())
+    if not isinstance(error, RuntimeError) or not any(sign in text for sign in MEMORY_SIGNS):
+        return error
+    return DeviceError(
+        f"the memory of the scene's device has run out ({text}): end other programs there, set accuracy larger or "
+        "patch_radius_m smaller, take fewer worlds, or another device, for example cpu"
+    )

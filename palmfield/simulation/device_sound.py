@@ -4,6 +4,8 @@ Poses and drives go in by one copy, forces and the sensors' ARP come out by anot
 device for what steps them there. A DeviceSound belongs to one state and is used by one thread at a time.
 """
 
+import cmath
+import math
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
@@ -12,10 +14,12 @@ import numpy as np
 import warp as wp
 from scipy import sparse
 
+from palmfield.acoustics import check
 from palmfield.acoustics.body_scattering import Occlusion
 from palmfield.acoustics.point_sound import DriveTable, Surface, Transducers, fill_table, sound_calls
 from palmfield.device import SharedArray, SharedBlock, filled, launch, replayed, resolve, whole_numbers
 from palmfield.drive.transducer_response import EmittedCourse, present_drive
+from palmfield.errors import PalmfieldError
 from palmfield.hand.posed_surface import SkinBinding
 from palmfield.hand.rigged import strongest
 from palmfield.simulation.emission import Emission, MeanDrives
@@ -85,10 +89,7 @@ class DeviceSound:
             self._probes.append((skin, place))
 
     def over(self, emission: Emission, posed: PosedScene, emitted: Complex, t0: float) -> list[tuple[Float, Float]]:
-        """As `palmfield.simulation.forces.BodyForces.over`; the load on the skins is computed with it.
-
-        Raises DeviceError where the device has no memory left.
-        """
+        """As `palmfield.simulation.forces.BodyForces.over`; the load on the skins is computed with it."""
         mean = emission.mean_drives(posed, emitted, t0)
         _, course = emission.over(posed, emitted, t0, self.model.substeps)
         self.update(posed, mean, course, present_drive(emission.now(posed, emitted, t0))[0])
@@ -263,7 +264,11 @@ class DeviceWork:
         self._captured: dict[bool, Callable[[], object]] = {}
 
     def tell(self, name: str, sounding: Sounding, transducers: Transducers) -> None:
-        """Take what sounds for one purpose."""
+        """Take what sounds for one purpose. Raises PalmfieldError for drives that are not finite."""
+        if not cmath.isfinite(np.add.reduce(sounding.units, axis=None)):
+            bad = check.first_bad(sounding.units.T)
+            values = sounding.units[:, bad].tolist()
+            raise PalmfieldError(f"drive of transducer {bad} = {values} is not finite: mend what makes the drive")
         hosts = self.inputs.hosts
         table = hosts[f"{name}_counts"], hosts[f"{name}_drives"], hosts[f"{name}_levels"]
         fill_table(table, transducers.strengths(sounding.units), sounding.levels)
@@ -271,7 +276,7 @@ class DeviceWork:
             hosts["weights"][: sounding.sums] = sounding.weights
 
     def place(self, posed: PosedScene) -> None:
-        """Take a pose."""
+        """Take a pose. Raises PalmfieldError for one that is not finite."""
         turns, shifts, origins = (self.inputs.hosts[name] for name in ("turns", "shifts", "origins"))
         for body, own in zip(posed.bodies, self._rows.bodies, strict=True):
             place, turn = body.frame
@@ -288,6 +293,13 @@ class DeviceWork:
                 frame = skin.body.frame
                 turns[own] = frame.rotation @ skin.obstacle_rotations
                 shifts[own] = frame.points(skin.obstacle_positions)
+        if not math.isfinite(np.add.reduce(shifts, axis=None) + np.add.reduce(turns, axis=None)):
+            names = [body.model.name for body in posed.bodies] + [skin.skin.spec.name for skin in posed.skins]
+            for name, own in zip(names, [*self._rows.bodies, *self._rows.obstacles], strict=True):
+                if not (np.isfinite(shifts[own]).all() and np.isfinite(turns[own]).all()):
+                    raise PalmfieldError(
+                        f"pose of '{name}' at {shifts[own].tolist()} is not finite: mend what moves it"
+                    )
 
     def calls(self, moved: bool) -> list[Callable[[], object]]:
         """What is done for a step, in order; what only poses decide is left out where nothing has moved."""
