@@ -117,19 +117,19 @@ def launch(kernel: Any, dim: int | tuple[int, ...], inputs: Sequence[Any], devic
     return command.launch
 
 
-_capturing = threading.Lock()
-"""Warp captures one graph at a time."""
+launching = threading.Lock()
+"""Held while a graph is captured: what another thread launches meanwhile on the device would become part of it."""
 
 
 def replayed(calls: Sequence[Callable[[], object]], device: str) -> Callable[[], object]:
     """A call that does all of these launches and copies, in order, as one captured graph; they are done once here.
 
-    No other thread may launch on the device meanwhile.
+    Other threads launch theirs under `launching`.
     """
     # Done before they are captured: kernels are loaded then, and memory that Warp needs beside ours is there
     for call in calls:
         call()
-    with _capturing, wp.ScopedCapture(device=device) as capture:
+    with launching, wp.ScopedCapture(device=device) as capture:
         for call in calls:
             call()
     replay: Any = functools.partial(wp.capture_launch, capture.graph)

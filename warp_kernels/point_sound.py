@@ -66,6 +66,12 @@ def fields(rows: int, gpu: bool) -> Any:
             point = points[i]
             in_directivity = shapes[0]
             in_slope = shapes[1]
+            # From a struct they would be loaded again for each transducer
+            turns_per_m = waves.turns_per_m
+            loss = waves.absorption_Np_m
+            per_wavenumber = waves.per_wavenumber
+            a_re = lanes()
+            a_im = lanes()
             p_re = lanes()
             p_im = lanes()
             x_re = lanes()
@@ -77,7 +83,10 @@ def fields(rows: int, gpu: bool) -> Any:
             for e in range(first + j * size, wp.min(first + (j + 1) * size, stop)):
                 loudest = wp.float32(0.0)
                 for r in range(rows):
-                    loudest += wp.abs(drives[row + r, e][0]) + wp.abs(drives[row + r, e][1])
+                    a = drives[row + r, e]
+                    a_re[r] = a[0]
+                    a_im[r] = a[1]
+                    loudest += wp.abs(a[0]) + wp.abs(a[1])
                 if loudest > 0.0:
                     place = row32(places, e)
                     axis = row32(facing, e)
@@ -89,16 +98,16 @@ def fields(rows: int, gpu: bool) -> Any:
                     d = square * inverse
                     cosine = (x * axis[0] + y * axis[1] + z * axis[2]) * inverse
                     if cosine > 0.0:
-                        turns = d * waves.turns_per_m
+                        turns = d * turns_per_m
                         angle = TURN * (turns - wp.floor(turns + 0.5))
-                        gain = inverse * wp.exp(-waves.absorption_Np_m * d)
+                        gain = inverse * wp.exp(-loss * d)
                         wave_re = gain * wp.cos(angle)
                         wave_im = gain * wp.sin(angle)
                         q = cosine * cosine
                         direct = quintic(in_directivity, q)
                         bend = quartic(in_slope, q) * inverse
                         swing = direct * inverse
-                        decay = -(waves.absorption_Np_m + inverse) * waves.per_wavenumber * swing - q * bend * inverse
+                        decay = -(loss + inverse) * per_wavenumber * swing - q * bend * inverse
                         along_re = decay * wave_re - swing * wave_im
                         along_im = decay * wave_im + swing * wave_re
                         axial_re = cosine * bend * wave_re
@@ -108,15 +117,14 @@ def fields(rows: int, gpu: bool) -> Any:
                         gy = wp.vec2(along_re * y + axial_re * axis[1], along_im * y + axial_im * axis[1])
                         gz = wp.vec2(along_re * z + axial_re * axis[2], along_im * z + axial_im * axis[2])
                         for r in range(rows):
-                            a = drives[row + r, e]
-                            p_re[r] += a[0] * p[0] - a[1] * p[1]
-                            p_im[r] += a[0] * p[1] + a[1] * p[0]
-                            x_re[r] += a[0] * gx[0] - a[1] * gx[1]
-                            x_im[r] += a[0] * gx[1] + a[1] * gx[0]
-                            y_re[r] += a[0] * gy[0] - a[1] * gy[1]
-                            y_im[r] += a[0] * gy[1] + a[1] * gy[0]
-                            z_re[r] += a[0] * gz[0] - a[1] * gz[1]
-                            z_im[r] += a[0] * gz[1] + a[1] * gz[0]
+                            p_re[r] += a_re[r] * p[0] - a_im[r] * p[1]
+                            p_im[r] += a_re[r] * p[1] + a_im[r] * p[0]
+                            x_re[r] += a_re[r] * gx[0] - a_im[r] * gx[1]
+                            x_im[r] += a_re[r] * gx[1] + a_im[r] * gx[0]
+                            y_re[r] += a_re[r] * gy[0] - a_im[r] * gy[1]
+                            y_im[r] += a_re[r] * gy[1] + a_im[r] * gy[0]
+                            z_re[r] += a_re[r] * gz[0] - a_im[r] * gz[1]
+                            z_im[r] += a_re[r] * gz[1] + a_im[r] * gz[0]
             for r in range(rows):
                 result[row + r, run + j, 0, i] = p_re[r]
                 result[row + r, run + j, 1, i] = p_im[r]

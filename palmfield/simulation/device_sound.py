@@ -17,7 +17,7 @@ from scipy import sparse
 from palmfield.acoustics import check
 from palmfield.acoustics.body_scattering import Occlusion
 from palmfield.acoustics.point_sound import DriveTable, Surface, Transducers, fill_table, sound_calls
-from palmfield.device import SharedArray, SharedBlock, filled, launch, replayed, resolve, whole_numbers
+from palmfield.device import SharedArray, SharedBlock, filled, launch, launching, replayed, resolve, whole_numbers
 from palmfield.drive.transducer_response import EmittedCourse, present_drive
 from palmfield.errors import PalmfieldError
 from palmfield.hand.posed_surface import SkinBinding
@@ -310,14 +310,17 @@ class DeviceWork:
         replay = self._captured.get(moved)
         if replay is None:
             calls = self.calls(moved)
-            # On the CPU Warp doesn't record the refitting of a mesh
-            captures = self.device != "cpu" or not (moved and self._kept)
+            # Refitting a mesh is not recorded on the CPU, and takes memory from the pool on a GPU
+            refits = moved and len(self._kept) > 0
+            captures = not refits or (self.device != "cpu" and wp.get_device(self.device).is_mempool_supported)
             replay = self._captured[moved] = replayed(calls, self.device) if captures else partial(_do, calls)
         return replay
 
     def run(self, moved: bool) -> None:
         """Compute a step and wait for forces and sensors."""
-        self.replay(moved)()
+        replay = self.replay(moved)
+        with launching:
+            replay()
         if self.device != "cpu":
             wp.synchronize_stream(self.device)
 
