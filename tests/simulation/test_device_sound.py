@@ -278,3 +278,18 @@ def test_boxes_hold_the_whole_surface_in_any_pose(by_graph: Any, monkeypatch: py
             with pytest.raises(PalmfieldError, match="reaches into the array"):
                 validate.check_clear(posed)
         posed.bodies[0].frame.position[:] = moved
+
+
+@pytest.mark.skipif(not wp.is_cuda_available(), reason="no GPU here")
+@pytest.mark.parametrize("body_sound", ["none", "shadows"])
+@pytest.mark.parametrize("path", [{}, CIRCLE | NO_WAVE], ids=["point", "circle"])
+def test_a_gpu_gives_what_the_cpu_gives(small_scene: Any, path: dict[str, object], body_sound: str) -> None:
+    keys: dict[str, Any] = {"stimulus": path, "skin": {"body_sound": body_sound, "solver": "wedges"}}
+    here, *there = (palmfield.Simulation(small_scene(**keys), device=device) for device in ("cpu", "cuda:0", "cuda:0"))
+    for _ in range(8):
+        for sim in (here, *there):
+            sim.step()
+        assert there[0].runtime.work.device_sound is not None
+        np.testing.assert_array_equal(there[0].data.sensordata, there[1].data.sensordata)
+        mine, its = (sim.data.sensordata for sim in (here, there[0]))
+        np.testing.assert_allclose(its[2:5], mine[2:5], rtol=1e-4, atol=1e-12)
