@@ -90,8 +90,10 @@ class DeviceSound:
 
     def over(self, emission: Emission, posed: PosedScene, emitted: Complex, t0: float) -> list[tuple[Float, Float]]:
         """As `palmfield.simulation.forces.BodyForces.over`; the load on the skins is computed with it."""
+        _, course = emission.over(
+            posed, emitted, t0, self.model.substeps
+        )  # first: the others take what they can from it
         mean = emission.mean_drives(posed, emitted, t0)
-        _, course = emission.over(posed, emitted, t0, self.model.substeps)
         self.update(posed, mean, course, present_drive(emission.now(posed, emitted, t0))[0])
         return self.forces(posed)
 

@@ -134,20 +134,30 @@ class Emission:
         last, key = self._now, (time_s, emitted.tobytes())
         if last is not None and last[0] is posed and last[1] == key and not self.holds:
             return last[2]
-        over = self._over
-        if over is not None and over[0] is posed and not (self.holds or self.model.response_on):
-            (t0, _, before), (moments, course) = over[1:]
-            if course.emitted is not None and (t0, before) == (round(time_s, 12), key[1]) and moments.held_s[0] == 0.0:
-                # What sounds at once was asked for with the step that begins now
-                result = EmittedCourse(None, None, course.emitted[:1], emitted)
-                self._now = posed, key, result
-                return result
+        first = self._first(posed, emitted, time_s)
+        if first is not None:
+            result = EmittedCourse(None, None, first, emitted)
+            self._now = posed, key, result
+            return result
         courses = []
         for part, drive, place in self.placed(posed, time_s):
             courses.append(emitted_now(part.config, drive, part.response, emitted, place, time_s))
         result = courses[0] if len(courses) == 1 else combined(courses)
         self._now = posed, key, result
         return result
+
+    def _first(self, posed: PosedScene, emitted: Complex, t0: float) -> Complex | None:
+        """What sounds at t0 [s], shape (1, N), if `over` was asked for the step from there on; None if not.
+
+        Only where what is commanded sounds at once, and goes along a straight line from there.
+        """
+        over = self._over
+        if over is None or over[0] is not posed or self.holds or self.model.response_on:
+            return None
+        (begin, _, before), (moments, course) = over[1:]
+        if course.emitted is None or moments.held_s[0] > 0.0 or (begin, before) != (round(t0, 12), emitted.tobytes()):
+            return None
+        return course.emitted[:1]
 
     def commanded(self, posed: PosedScene, times: Float) -> Complex:
         """What the transducers are told at some times [s], shape (k, N); what they make of it comes later."""
@@ -195,7 +205,11 @@ class Emission:
             return SILENCE
         point = first_point(part.config)
         if part.config.path != "point":
-            point = frames_at(part.config, np.array([t0]))[0][0]
+            points, factors = frames_at(part.config, np.array([t0]))
+            first = self._first(posed, emitted, t0)
+            if first is not None and factors[0] > 0.0:
+                return MeanDrives(first, np.array([level / factors[0]]))
+            point = points[0]
         return MeanDrives(drive.unit_drive_at(place, point).amplitudes[None], np.array([level]))
 
 
