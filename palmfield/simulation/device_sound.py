@@ -90,9 +90,8 @@ class DeviceSound:
 
     def over(self, emission: Emission, posed: PosedScene, emitted: Complex, t0: float) -> list[tuple[Float, Float]]:
         """As `palmfield.simulation.forces.BodyForces.over`; the load on the skins is computed with it."""
-        _, course = emission.over(
-            posed, emitted, t0, self.model.substeps
-        )  # first: the others take what they can from it
+        # First, as the others take from it what they can
+        _, course = emission.over(posed, emitted, t0, self.model.substeps)
         mean = emission.mean_drives(posed, emitted, t0)
         self.update(posed, mean, course, present_drive(emission.now(posed, emitted, t0))[0])
         return self.forces(posed)
@@ -108,18 +107,15 @@ class DeviceSound:
 
     def forces(self, posed: PosedScene) -> list[tuple[Float, Float]]:
         """Mean forces [N] on each body's parts and torques about their origins [N m], array frame, shapes (b, 3)."""
-        work = self.work
-        silent = work is None or self._sounding[FORCE] is None
+        counts = [body.model.parts for body in posed.bodies]
+        rows = np.zeros((sum(counts), 6))
+        if self.work is not None and self._sounding[FORCE] is not None:
+            np.multiply(self.work.forces.hosts["forces"], self._force_scale, out=rows)
         forces, start = [], 0
-        for body in posed.bodies:
-            own = slice(start, start + body.model.parts)
-            start = own.stop
-            rows = (
-                np.zeros((body.model.parts, 6))
-                if work is None or silent
-                else self._force_scale * work.forces.hosts["forces"][own]
-            )
-            forces.append((rows[:, :3].copy(), rows[:, 3:].copy()))
+        for count in counts:
+            own = rows[start : start + count]
+            forces.append((np.ascontiguousarray(own[:, :3]), np.ascontiguousarray(own[:, 3:])))
+            start += count
         return forces
 
     def patterns(self, posed: PosedScene, skin: int, course: EmittedCourse) -> Float32:
@@ -174,7 +170,7 @@ class DeviceSound:
             self._transducers.move(posed.arrays)
             self._arrays = posed.arrays
         if work is None or not fitting:
-            self.work = None  # its memory is free for the next one
+            work = self.work = None  # its memory is free for the next one
             work = self.work = DeviceWork(self.model, self._reference, self._transducers, self._probes, self._sizes)
         changed = [
             name
