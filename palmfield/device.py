@@ -84,7 +84,7 @@ PAGE = 256
 
 
 class SharedBlock:
-    """Several arrays of fixed size in one memory, which one copy takes to the device or back.
+    """Several arrays of fixed size in one memory, which one copy takes to the device or back, and which it owns.
 
     hosts, arrays: by name, as `host` and `array` of a SharedArray; nbytes: of the memory
     parts: shape and Warp type by name; device: of `resolve`

@@ -140,8 +140,8 @@ class DeviceSound:
     def on_device(self, skin: int) -> tuple[Any, Any]:
         """For what steps a skin on the device: ARP [Pa], float32, shape (m, q), and how many rows of it count.
 
-        Both are Warp arrays that keep their place until a step asks for more drives; the second is int32, drives and
-        sums, of which the sums are the rows.
+        Both are Warp arrays that keep their place as long as `work` is the same object, until a step asks for more
+        drives; the second is int32, drives and sums, of which the sums are the rows.
         """
         work = self.work
         assert work is not None

@@ -129,7 +129,7 @@ def label(work: DeviceWork, call: Any) -> str:
     kernel = getattr(owner, "kernel", None)
     if kernel is None:
         return "tree over what casts shadows, refit"
-    name = "fields" if kernel.key == "kernel" else kernel.key
+    name = kernel.key.partition("__")[0]
     return f"{name}, {owner.bounds.size} threads"
 
 

@@ -159,6 +159,13 @@ def test_one_launch_a_step_and_none_where_only_the_level_changes(small_scene: An
         assert sim.runtime.work.device_sound.launches - before == expected
 
 
+def test_a_step_runs_few_python_functions(by_graph: Any, python_calls: Any) -> None:
+    sim = by_graph(SCENES / "approach_withdraw.xml", accuracy=0.5)
+    sim.step(3)
+    assert python_calls(lambda: mujoco.mj_step(sim.model, sim.data)) <= 200
+    palmfield.raise_errors(sim.data)
+
+
 def test_runs_repeat_to_the_bit(small_scene: Any, by_graph: Any) -> None:
     sensors = []
     for _ in range(2):
