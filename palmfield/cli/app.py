@@ -379,4 +379,4 @@ def main() -> None:
 
 def complain(text: str) -> None:
     """One line on standard error."""
-    Console(stderr=True, soft_wrap=True, markup=False, highlight=False).print(f"palmfield: {text}")
+    Console(stderr=True, soft_wrap=True, markup=False, highlight=False, emoji=False).print(f"palmfield: {text}")

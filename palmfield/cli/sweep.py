@@ -42,7 +42,7 @@ def run_sweep(
             ask=typer.confirm if sys.stdin.isatty() else None,
         )  # fmt: skip
     except KeyboardInterrupt:
-        Console(stderr=True, soft_wrap=True, markup=False, highlight=False).print(
+        Console(stderr=True, soft_wrap=True, markup=False, highlight=False, emoji=False).print(
             f"palmfield: interrupted; the points that were done are in {out}; the same command goes on: "
             f"{shlex.join(['palmfield', *sys.argv[1:]])}"
         )

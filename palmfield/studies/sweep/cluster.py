@@ -2,6 +2,7 @@
 
 import logging
 import os
+import re
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -16,6 +17,9 @@ REACH_S = 5.0
 """Longest wait for a scheduler [s]."""
 WORKERS_S = 60.0
 """Longest wait for workers to start [s]."""
+
+ADDRESS = r"\w+://.+:\d+"
+EXAMPLE = "such as tcp://192.168.1.10:8786"
 
 
 class Slot(NamedTuple):
@@ -67,12 +71,14 @@ def remote_cluster(address: str) -> Iterator[Any]:
     """A Dask client of a scheduler that runs already. Raises PalmfieldError where it can't be reached."""
     from distributed import Client
 
+    if not re.fullmatch(ADDRESS, address):
+        raise PalmfieldError(f"--scheduler has value '{address}'; allowed: PROTOCOL://HOST:PORT, {EXAMPLE}")
     try:
         client = Client(address, timeout=REACH_S, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         raise PalmfieldError(
             f"--scheduler {address} can't be reached within {REACH_S:g} s ({_line(error)}); allowed: the address of a "
-            "running `dask scheduler`, such as tcp://192.168.1.10:8786"
+            f"running `dask scheduler`, {EXAMPLE}"
         ) from None
     try:
         _wait(client, 1, f"a worker of {address} (start some with `dask worker {address}`)", 2 * REACH_S)

@@ -102,21 +102,24 @@ def sweep(
     """
     design = design if isinstance(design, Design) else grid(design)
     _check_arguments(scene, workers, scheduler)
+    if scheduler is not None:
+        with remote_cluster(scheduler):
+            pass  # before anything is made
     path, out = Path(scene).resolve(), Path(out)
     known = scene_keys(scene, design, keys or {})
     view = overview(path, design, known, device=device, accuracy=accuracy, duration_s=duration_s)
     gpus = visible_gpus() if view.device.startswith("cuda") and workers != 0 and scheduler is None else []
     count = _worker_count(workers, gpus, design.count, view.memory_bytes)
-    console = Console(stderr=True, quiet=not progress)
+    console = Console(stderr=True, quiet=not progress, markup=False, highlight=False, emoji=False, soft_wrap=True)
     size = size_bytes(design, view.labels, errors)
     said = _in_words(view, design, size, None if scheduler else count)
-    console.print(said, highlight=False, markup=False, soft_wrap=True)
+    console.print(said)
     if size > LARGE_BYTES:
         _confirm(f"{size / 1e9:.1f} GB may be written to {out}", yes, ask)
     store = SweepStore(out, design, view.labels, _attributes(view, design, known, accuracy, errors), errors)
     missing = [int(number) for number in np.flatnonzero(store.status.ravel() != DONE)]
     if len(missing) < design.count:
-        console.print(f"going on: {design.count - len(missing)} points are there", highlight=False)
+        console.print(f"going on: {design.count - len(missing)} points are there")
     # A worker sees one GPU, whatever its number was
     where = "cuda:0" if gpus else device
     task = Task(path, where, accuracy, view.duration_s, view.times, errors)
@@ -135,7 +138,7 @@ def sweep(
             plot_sweep(open_dataset(store.path), out / PICTURE)
             files[PICTURE] = out / PICTURE
         except OutputError as error:
-            console.print(f"palmfield: no {PICTURE}: {error}", highlight=False, markup=False, soft_wrap=True)
+            console.print(f"palmfield: no {PICTURE}: {error}")
     failed = {int(number): store.failure(int(number)) for number in np.flatnonzero(store.status.ravel() == FAILED)}
     return Sweep(out, files, design.count, store.done, failed)
 

@@ -25,6 +25,8 @@ from palmfield.studies.sweep.point import Numbers
 from palmfield.studies.sweep.variables import COURSES, DONE, FAILED, variables
 
 DATASET = "sweep.zarr"
+BLOCK_BYTES, TEXT_BYTES = 4096, 64
+"""Of a file system; of a text."""
 CHUNK_POINTS = 4096
 """Points in one chunk of what is one number or a few of them a point."""
 
@@ -34,12 +36,14 @@ Labels = Mapping[str, NDArray[Any]]
 
 def size_bytes(design: Design, labels: Labels, errors: bool) -> int:
     """What the dataset takes on disk at most, before it is compressed."""
-    return sum(
-        design.count
-        * math.prod(_shape(variable, labels))
-        * (64 if variable.dtype == "str" else _type(variable).itemsize)
-        for variable in variables(errors).values()
-    )
+    total = 0
+    for variable in variables(errors).values():
+        one = math.prod(_shape(variable, labels)) * (
+            TEXT_BYTES if variable.dtype == "str" else _type(variable).itemsize
+        )
+        # Each point's course is a file
+        total += design.count * (math.ceil(one / BLOCK_BYTES) * BLOCK_BYTES if _is_course(variable) else one)
+    return total
 
 
 class SweepStore:
@@ -127,7 +131,8 @@ class SweepStore:
             dims, shape = (*self.design.dims, *variable.dims), (*self.design.shape, *_shape(variable, labels))
             chunks = self._chunks(variable, shape)
             empty: Any = "" if variable.dtype == "str" else 0 if variable.dtype == "int8" else np.nan
-            made = dask.array.full(shape, empty, dtype=_type(variable), chunks=chunks)
+            # Never computed: only shapes and attributes are written, whatever the number of points
+            made = dask.array.full(shape, empty, dtype=_type(variable), chunks=-1)
             arrays[name] = xr.Variable(dims, made, variable.attributes)
             encoding[name] = {"chunks": chunks}
         dataset = xr.Dataset(
@@ -136,14 +141,16 @@ class SweepStore:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         aside = self.path.with_name(f".{DATASET}.{uuid.uuid4().hex}")
         try:
-            dataset.to_zarr(aside, compute=False, encoding=encoding, zarr_format=3, consolidated=False)
+            dataset.to_zarr(
+                aside, compute=False, encoding=encoding, zarr_format=3, consolidated=False, safe_chunks=False
+            )
             os.replace(aside, self.path)
         finally:
             shutil.rmtree(aside, ignore_errors=True)
 
     def _chunks(self, variable: Variable, shape: tuple[int, ...]) -> tuple[int, ...]:
         points = len(self.design.shape)
-        if set(variable.dims) & set(COURSES):
+        if _is_course(variable):
             return (*(1,) * points, *shape[points:])
         return (_rows_a_chunk(self.design), *shape[1:])
 
@@ -183,7 +190,7 @@ class SweepStore:
         self._small: dict[str, NDArray[Any]] = {
             name: np.array(self._groups[name][...], dtype=object if variable.dtype == "str" else None)
             for name, variable in self._variables.items()
-            if not set(variable.dims) & set(COURSES)
+            if not _is_course(variable)
         }
         self.status: NDArray[np.int8] = self._small["status"]
 
@@ -206,6 +213,11 @@ def swept_keys(dataset: xr.Dataset) -> list[str]:
 def _rows_a_chunk(design: Design) -> int:
     """How many places of the first dimension are in one chunk."""
     return min(design.shape[0], max(1, CHUNK_POINTS // max(1, math.prod(design.shape[1:]))))
+
+
+def _is_course(variable: Variable) -> bool:
+    """Whether a variable has many numbers a point, over time."""
+    return bool(set(variable.dims) & set(COURSES))
 
 
 def _shape(variable: Variable, labels: Labels) -> tuple[int, ...]:
