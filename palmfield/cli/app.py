@@ -206,7 +206,7 @@ def sweep(
         typer.Option(
             "--set",
             help="values of a key: a:b:n for n numbers from a to b, a:b:n:log for each a fixed factor above the last, "
-            "v1,v2,... for these, or one value that all points share. A vector's numbers have spaces between, or are "
+            "v1,v2,... for these, or one value that all points share (none: the key is taken out). A vector's numbers have spaces between, or are "
             "swept one by one as KEY[0], KEY[1], ... Give it several times for several keys",
             metavar="INSTANCE.KEY=VALUES",
         ),
@@ -251,8 +251,8 @@ def sweep(
 
     Examples: palmfield sweep mjcf/scenes/palm_am200.xml --set stimulus.am_frequency_Hz=50:300:6 --out out/frequency
 
-    palmfield sweep mjcf/scenes/palm_circle.xml --set stimulus.path_speed_m_s=1:11:6 --set
-    stimulus.path_diameter_m=0.02,0.04 --accuracy 0.2
+    palmfield sweep mjcf/scenes/palm_circle.xml --set stimulus.path_rate_Hz= --set stimulus.path_speed_m_s=1:11:6
+    --set stimulus.path_diameter_m=0.02,0.04 --accuracy 0.2
 
     palmfield sweep mjcf/scenes/palm_am200.xml --sobol 64 --set "stimulus.focus_m[0]=-0.02:0.02" --set
     "stimulus.focus_m[1]=-0.02:0.02" --scheduler tcp://192.168.1.10:8786

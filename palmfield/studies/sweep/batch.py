@@ -53,7 +53,7 @@ class Batch(NamedTuple):
     points: tuple[int, ...]
 
 
-def run_batch(task: Task, points: Sequence[Mapping[str, Value]]) -> list[Numbers | Failed]:
+def run_batch(task: Task, points: Sequence[Mapping[str, Value | None]]) -> list[Numbers | Failed]:
     """Numbers of points that share a model, one after another; a point that fails leaves its error.
 
     points: keys of each, as `palmfield.Simulation` takes them
@@ -63,7 +63,7 @@ def run_batch(task: Task, points: Sequence[Mapping[str, Value]]) -> list[Numbers
     return [_run(task, keys) for keys in points]
 
 
-def _run(task: Task, keys: Mapping[str, Value]) -> Numbers | Failed:
+def _run(task: Task, keys: Mapping[str, Value | None]) -> Numbers | Failed:
     try:
         simulation = Simulation(task.scene, device=task.device, accuracy=task.accuracy, keys=keys)
         numbers = measured(simulation, task.duration_s, task.times, task.errors)

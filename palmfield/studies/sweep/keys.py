@@ -32,19 +32,19 @@ class SceneKeys:
     """Keys of a design and those that all its points share, held against one scene.
 
     instances: of the scene's plugins; places: by key, what it sets
-    fixed: values that all points share, by `INSTANCE.KEY`
+    fixed: values that all points share, by `INSTANCE.KEY`; None takes a key out
     """
 
     instances: tuple[Instance, ...]
     places: dict[str, tuple[_Place, ...]]
-    fixed: dict[str, Value]
+    fixed: dict[str, Value | None]
 
-    def of_point(self, point: Mapping[str, Value]) -> dict[str, Value]:
+    def of_point(self, point: Mapping[str, Value | None]) -> dict[str, Value | None]:
         """Keys as `palmfield.Simulation` takes them, of a point's values by key of the sweep.
 
         Raises SceneError for a component of a key that is no vector, or not so long.
         """
-        result = dict(self.fixed)
+        result: dict[str, Value | None] = dict(self.fixed)
         for key, value in point.items():
             for instance, name, component in self.places[key]:
                 full = f"{instance.name}.{name}"
@@ -66,7 +66,7 @@ class SceneKeys:
         return sorted({text for key, text in named if key in FILE_KEYS})
 
     def _replaced(
-        self, known: dict[str, Value], instance: Instance, name: str, component: int, value: Value
+        self, known: dict[str, Value | None], instance: Instance, name: str, component: int, value: Value | None
     ) -> tuple[float, ...]:
         """The vector of a key with one component replaced."""
         given = known.get(f"{instance.name}.{name}", instance.keys.get(name))
@@ -84,7 +84,7 @@ class SceneKeys:
         raise SceneError(f"{element}: the key has {len(vector)} numbers; allowed: 0 to {len(vector) - 1}")
 
 
-def scene_keys(scene: str | Path, design: Design, fixed: Mapping[str, Value]) -> SceneKeys:
+def scene_keys(scene: str | Path, design: Design, fixed: Mapping[str, Value | None]) -> SceneKeys:
     """Hold a design and the keys that all points share against a scene.
 
     Raises SceneError for a scene that can't be read, unknown instances and keys, two keys that set the same value, and
@@ -116,10 +116,10 @@ def scene_keys(scene: str | Path, design: Design, fixed: Mapping[str, Value]) ->
     return known
 
 
-def _check_value(place: _Place, value: Value) -> None:
+def _check_value(place: _Place, value: Value | None) -> None:
     """Raises SceneError for a value that a key can't have, whatever the other keys are."""
     config = _CONFIGS.get(place.instance.plugin)
-    if config is None or place.component is not None:
+    if config is None or value is None or place.component is not None:
         return
     try:
         config.model_validate({place.key: as_text(value)})

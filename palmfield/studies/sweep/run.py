@@ -71,7 +71,7 @@ def sweep(
     design: Design | Mapping[str, Sequence[Any] | np.ndarray],
     out: str | Path,
     *,
-    keys: Mapping[str, Value] | None = None,
+    keys: Mapping[str, Value | None] | None = None,
     workers: int | None = None,
     scheduler: str | None = None,
     device: str | None = None,
@@ -89,7 +89,7 @@ def sweep(
 
     scene: a file; design: values by key for every combination of them, or one of `palmfield.studies.sweep`: `grid`,
         `listed`, `random`, `sobol`. Keys are INSTANCE.KEY or PLUGIN.KEY, or one number of a vector, such as
-        "stimulus.focus_m[0]"; keys: values that all points share
+        "stimulus.focus_m[0]"; keys: values that all points share, None takes a key out of the scene
     out: folder, made where missing; the same sweep that was cut off there goes on, and failed points are tried again
     workers: processes on this machine, as many as cores or GPUs by default; 0 computes in this process, without Dask
     scheduler: address of a Dask cluster that runs already, in place of workers; it must see the scene's file

@@ -198,7 +198,7 @@ class SweepStore:
 def open_dataset(path: Path) -> xr.Dataset:
     """A sweep's dataset, read where it is used. Raises OutputError where there is none."""
     try:
-        dataset = xr.open_zarr(path, consolidated=False)
+        dataset = xr.open_zarr(path, consolidated=False, chunks=None)
         # Zarr has them in no order
         return dataset[[name for name in variables(True) if name in dataset]]
     except (OSError, KeyError, ValueError) as error:

@@ -10,10 +10,12 @@ from palmfield.errors import SceneError
 from palmfield.studies.sweep.design import Design, Range, Value, check_range, grid, listed, random, sobol
 
 FORMS = (
-    "KEY=a:b:n (n numbers from a to b), KEY=a:b:n:log (each a fixed factor above the last), KEY=v1,v2,... or KEY=value "
-    "(the same for all points)"
+    "KEY=a:b:n (n numbers from a to b), KEY=a:b:n:log (each a fixed factor above the last), KEY=v1,v2,..., KEY=value "
+    "(the same for all points) or KEY= (taken out)"
 )
-DRAWN_FORMS = "KEY=a:b, KEY=a:b:log, KEY=v1,v2,... (one of them) or KEY=value (the same for all points)"
+DRAWN_FORMS = (
+    "KEY=a:b, KEY=a:b:log, KEY=v1,v2,... (one of them), KEY=value (the same for all points) or KEY= (taken out)"
+)
 
 
 def read_design(
@@ -23,8 +25,8 @@ def read_design(
     sobol_points: int | None = None,
     table: Path | None = None,
     seed: int = 0,
-) -> tuple[Design, dict[str, Value]]:
-    """The design, and the keys that all points share, from texts such as `stimulus.am_frequency_Hz=50:300:6`.
+) -> tuple[Design, dict[str, Value | None]]:
+    """The design, and the keys that all points share (None: taken out of the scene), from texts such as `stimulus.am_frequency_Hz=50:300:6`.
 
     settings: KEY=VALUES, see FORMS, or DRAWN_FORMS with random_points or sobol_points
     table: CSV file whose head names keys, a row a point; settings then hold what all points share
@@ -35,15 +37,15 @@ def read_design(
         raise SceneError("--random, --sobol and --list each make the points of a sweep; give one of them")
     drawn = random_points is not None or sobol_points is not None
     swept: dict[str, Range | list[Value]] = {}
-    fixed: dict[str, Value] = {}
+    fixed: dict[str, Value | None] = {}
     for text in settings:
         key, given, values = text.partition("=")
         key, values = key.strip(), values.strip()
-        if not given or not values or not key:
+        if not given or not key:
             raise SceneError(f"--set {text} has no values; write {DRAWN_FORMS if drawn else FORMS}")
         if key in swept or key in fixed:
             raise SceneError(f"--set {text}: key '{key}' is given twice; give each key once")
-        wanted = _values(key, values, drawn)
+        wanted = _values(key, values, drawn) if values else None
         if isinstance(wanted, list | Range):
             swept[key] = wanted
         else:
@@ -107,7 +109,7 @@ def _number(word: str) -> Value:
     return parts[0] if len(parts) == 1 else parts
 
 
-def _read_table(path: Path, fixed: dict[str, Value]) -> Design:
+def _read_table(path: Path, fixed: dict[str, Value | None]) -> Design:
     """The points of a CSV file. Raises SceneError where it can't be read or isn't a table."""
     try:
         with open(path, newline="", encoding="utf-8-sig") as file:
