@@ -206,8 +206,9 @@ def sweep(
         typer.Option(
             "--set",
             help="values of a key: a:b:n for n numbers from a to b, a:b:n:log for each a fixed factor above the last, "
-            "v1,v2,... for these, or one value that all points share (none: the key is taken out). A vector's numbers have spaces between, or are "
-            "swept one by one as KEY[0], KEY[1], ... Give it several times for several keys",
+            "v1,v2,... for these, one value that all points share, or nothing to take the key out. A vector's numbers "
+            "have spaces between, or are swept one by one as KEY[0], KEY[1], ... Give it several times for several "
+            "keys",
             metavar="INSTANCE.KEY=VALUES",
         ),
     ] = None,

@@ -172,7 +172,7 @@ def _in_words(view: Overview, design: Design, size: int, workers: int | None) ->
     counts = " x ".join(str(length) for length in design.shape)
     several = f" ({counts})" if len(design.shape) > 1 else ""
     memory = f"{view.memory_bytes / 1e9:.1f} GB of memory"
-    who = "this process" if workers == 0 else f"each of {workers} workers" if workers else "each worker"
+    who = {0: "this process", 1: "one worker", None: "each worker"}.get(workers, f"each of {workers} workers")
     return (
         f"{view.name}: {design.count} points{several} of {view.duration_s:g} s over {', '.join(design.keys)}; about "
         f"{memory} in {who}, at most {_bytes(size)} on disk"

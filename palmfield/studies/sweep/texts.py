@@ -26,7 +26,9 @@ def read_design(
     table: Path | None = None,
     seed: int = 0,
 ) -> tuple[Design, dict[str, Value | None]]:
-    """The design, and the keys that all points share (None: taken out of the scene), from texts such as `stimulus.am_frequency_Hz=50:300:6`.
+    """The design and the keys that all points share, from texts such as `stimulus.am_frequency_Hz=50:300:6`.
+
+    A shared key that is None is taken out of the scene.
 
     settings: KEY=VALUES, see FORMS, or DRAWN_FORMS with random_points or sobol_points
     table: CSV file whose head names keys, a row a point; settings then hold what all points share
