@@ -23,7 +23,7 @@ SPACED = 3.0
 
 
 class _Quantity(NamedTuple):
-    """What is drawn. unit: on the axis; factor: from SI to it"""
+    """What is drawn. name: of the variable; unit: on the axis; factor: from SI to it"""
 
     name: str
     title: str
@@ -31,7 +31,7 @@ class _Quantity(NamedTuple):
     factor: float
 
 
-LEVEL = _Quantity("level", "Level above threshold", "dB SL", 1.0)
+LEVEL = _Quantity("level_all_lines", "Level above threshold", "dB SL", 1.0)
 QUANTITIES = (LEVEL, _Quantity("peak_displacement", "Peak normal displacement", "µm", 1e6))
 MORE = (_Quantity("peak_velocity", "Peak normal velocity", "mm/s", 1e3),)
 

@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from palmfield.engine.host import world_of
 from palmfield.outputs.schema import Arrays, group
 from palmfield.perception.observers import OBSERVERS
 from palmfield.session.error_budget import stimulus_of
 from palmfield.session.preview import Preview
-from palmfield.session.recorder import Recorder
+from palmfield.session.recorder import Recorder, world_with
 from palmfield.session.simulation import Simulation
 from palmfield.session.summary import felt_levels, skin_numbers, stimulus_numbers
 from palmfield.simulation.sensors import CHANNELS
@@ -66,8 +65,7 @@ class Kept:
 
 def sensor_names(scene: Simulation | Preview) -> list[str]:
     """Names of the sensors on all skins, in the order of their skins."""
-    world = world_of(scene.data)
-    assert world is not None
+    world = world_with(scene.data)
     return [sensor.name for skin in scene.runtime.binding.skins for sensor in world.sensors(skin.instance)]
 
 
@@ -79,11 +77,10 @@ def measured(simulation: Simulation, duration_s: float, times: Float, errors: bo
     Raises what the run raises (SceneError, DeviceError).
     """
     started = time.perf_counter()
-    world, model = world_of(simulation.data), simulation.runtime.model
-    assert world is not None
+    model = simulation.runtime.model
     steps = max(1, round(duration_s / model.spec.timestep_s))
     kept = Kept(simulation, 1 + steps * model.substeps)
-    recorder = Recorder(simulation.runtime, world, kept)
+    recorder = Recorder(simulation.runtime, world_with(simulation.data), kept)
     for lazy in model.begin:
         _ = lazy.value
     recorder.start()

@@ -25,7 +25,7 @@ def dataset(design, status=None):
     level = rising[..., None, None] + np.array([[0.0, 4.0], [10.0, 14.0]])
     size = 1e-6 * (1.0 + rising[..., None] + np.array([0.0, 0.5]))
     arrays = {
-        "level": ((*dims, "skin", "observer"), level),
+        "level_all_lines": ((*dims, "skin", "observer"), level),
         "peak_displacement": ((*dims, "skin"), size),
         "peak_velocity": ((*dims, "skin"), 1e3 * size),
         "status": (dims, state),
