@@ -46,6 +46,10 @@ class Failed:
     reason: str
 
 
+Results = Mapping[int, Numbers | Failed]
+"""By the points' numbers in the design."""
+
+
 class Batch(NamedTuple):
     """Points that share a model. worker: which of them it is meant for; points: their numbers in the design"""
 

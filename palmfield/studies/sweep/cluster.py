@@ -49,12 +49,14 @@ def local_cluster(workers: int, gpus: list[str]) -> Iterator[Any]:
             options["env"] = {"CUDA_VISIBLE_DEVICES": gpus[number % len(gpus)]}
         # A process that starts by itself doesn't run the user's script again, as Python's own spawned ones do
         specs[number] = {"cls": SubprocessWorker, "options": {"name": str(number), "worker_kwargs": options}}
-    scheduler = {
+    scheduler: dict[str, Any] = {
         "cls": Scheduler,
-        "options": {"host": "127.0.0.1", "port": 0, "dashboard": False, "dashboard_address": None},
+        "options": {"host": "127.0.0.1", "port": 0, "dashboard": False, "dashboard_address": "127.0.0.1:0"},
     }
+    # A batch whose worker died is not tried as it was: `palmfield.studies.sweep.dispatch` takes its points one by one
+    scheduler["options"]["allowed_failures"] = 0
     try:
-        cluster = SpecCluster(workers=specs, scheduler=scheduler, silence_logs=logging.ERROR)
+        cluster = SpecCluster(workers=specs, scheduler=scheduler, silence_logs=logging.CRITICAL)
     except Exception as error:
         raise PalmfieldError(f"the local workers do not start: {_line(error)}; --workers 0 does without") from error
     try:

@@ -5,7 +5,7 @@ import platform
 import time
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
@@ -18,13 +18,13 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from palmfield.errors import OutputError, PalmfieldError, SceneError
 from palmfield.session.run import CONVENTIONS
-from palmfield.studies.sweep.batch import Batch, Failed, Task, batches, run_batch
+from palmfield.studies.sweep.batch import Failed, Results, Task, batches, run_batch
 from palmfield.studies.sweep.cluster import local_cluster, remote_cluster, slots, visible_gpus
 from palmfield.studies.sweep.design import Design, Value, grid
+from palmfield.studies.sweep.dispatch import computed
 from palmfield.studies.sweep.keys import SceneKeys, scene_keys
 from palmfield.studies.sweep.overview import Overview, overview
 from palmfield.studies.sweep.picture import plot_sweep
-from palmfield.studies.sweep.point import Numbers
 from palmfield.studies.sweep.store import SweepStore, open_dataset, size_bytes
 from palmfield.studies.sweep.variables import DONE, FAILED
 from palmfield.threads import cores
@@ -39,7 +39,6 @@ SURE_S = 120.0
 PICTURE = "sweep.png"
 EXTRA = ("dask", "distributed", "zarr")
 
-Results = Mapping[int, Numbers | Failed]
 Ask = Callable[[str], bool]
 
 
@@ -232,55 +231,11 @@ def _model_keys(design: Design, keys: SceneKeys, missing: Sequence[int]) -> dict
 def _on_cluster(
     connect: Callable[[], Any], task: Task, design: Design, keys: SceneKeys, missing: Sequence[int]
 ) -> Generator[Results]:
-    """All points on Dask workers, batch by batch as they are done.
-
-    A batch whose workers were killed is tried again point by point; a point that kills its workers has failed.
-    """
-    from distributed import KilledWorker, as_completed
-
+    """All points on Dask workers, batch by batch as they are done."""
     with connect() as client:
         there = slots(client, task.scene)
-
-        def submit(batch: Batch) -> Any:
-            slot = there[batch.worker]
-            points = [keys.of_point(design.point(number)) for number in batch.points]
-            # Another worker may take it, so that none is idle and a lost one's points are computed
-            return client.submit(
-                run_batch, replace(task, threads=slot.threads), points,
-                workers=[slot.address], allow_other_workers=True, pure=False,
-            )  # fmt: skip
-
         cut = batches(missing, _model_keys(design, keys, missing), len(there))
-        waiting = {(future := submit(batch)).key: (future, batch) for batch in cut}
-        completed = as_completed([future for future, _ in waiting.values()], loop=client.loop)
-        for future in completed:
-            batch = waiting.pop(future.key)[1]
-            if future.status == "finished":
-                yield dict(zip(batch.points, future.result(), strict=True))
-            elif future.status == "error":
-                error = future.exception()
-                if isinstance(error, KilledWorker) and len(batch.points) > 1:
-                    for number in batch.points:
-                        single = Batch(batch.worker, (number,))
-                        again = submit(single)
-                        waiting[again.key] = again, single
-                        completed.add(again)
-                else:
-                    yield dict.fromkeys(batch.points, _failure(error))
-            else:
-                raise PalmfieldError(
-                    f"the scheduler is gone, with {len(batch.points)} points or more under way; the same command goes "
-                    "on with what is not done yet"
-                )
-            future.release()
-
-
-def _failure(error: BaseException) -> Failed:
-    from distributed import KilledWorker
-
-    if isinstance(error, KilledWorker):
-        return Failed("its workers were killed, each time that it was tried: is there enough memory?")
-    return Failed(f"{type(error).__name__}: {' '.join(str(error).split())}")
+        yield from computed(client, task, there, cut, lambda number: keys.of_point(design.point(number)))
 
 
 def _collect(
