@@ -80,7 +80,6 @@ def _lines(dataset: xr.Dataset, key: str, quantities: list[_Quantity]) -> Figure
         if any(label for label, _ in curves):
             axes.legend(loc="best", fontsize=8)
     _name_axis(panels[-1].xaxis, key, dataset, places, words)
-    panels[0].set_title(f"{' and '.join(q.title.lower() if n else q.title for n, q in enumerate(quantities[:2]))}")
     return figure
 
 
