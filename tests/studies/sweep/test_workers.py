@@ -61,7 +61,7 @@ def test_a_killed_worker_changes_nothing(small_scene, tmp_path):
 def test_each_worker_sees_its_own_gpu_and_knows_the_scene(small_scene):
     scene = small_scene()
     with local_cluster(2, ["3", "5"]) as client:
-        seen = client.run(os.environ.get, "CUDA_VISIBLE_DEVICES")
+        seen = client.run(os.getenv, "CUDA_VISIBLE_DEVICES")
         assert sorted(seen.values()) == ["3", "5"]
         there = slots(client, scene)
         assert [slot.threads for slot in there] == [max(1, cores() // 2)] * 2
