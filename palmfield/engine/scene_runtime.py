@@ -1,10 +1,11 @@
 """A scene in one mjData: reads poses, keeps the state where MuJoCo keeps its own, and calls the simulation."""
 
+from collections.abc import Iterable, Sequence
 from functools import cached_property
 
 import numpy as np
 
-from palmfield.drive.transducer_response import EmittedCourse
+from palmfield.drive.transducer_response import EmittedCourse, present_drive
 from palmfield.errors import SceneError
 from palmfield.mujoco_host.mujoco_view import DataView, ForceOutlet, PluginSensor
 from palmfield.simulation.build import model_of
@@ -25,6 +26,7 @@ AT_REST: Float = np.zeros(2)
 class SceneRuntime:
     """Model, state and workspace of one mjData.
 
+    outlets: what takes the force on each body's parts
     applied: mean force on each body over the present step [N], world axes, shape (3,) each
     applied_parts: the same on the bones of each body, and torques about their origins [N m], shapes (b, 3)
     """
@@ -40,7 +42,7 @@ class SceneRuntime:
         firsts = [bound[carried(number)[0]] for number in range(len(self.model.bodies))]
         self.bodies = [first.body for first in firsts]
         self.parts = [first.bones or (first.body,) for first in firsts]
-        self._outlets = [ForceOutlet(view, parts) for parts in self.parts]
+        self.outlets = [ForceOutlet(view, parts) for parts in self.parts]
         binding = self.binding
         transducers = [site for sites in binding.transducer_sites for site in sites]
         self._sites = np.array([*binding.array_sites, *binding.frame_sites, *transducers], dtype=np.int64)
@@ -51,12 +53,30 @@ class SceneRuntime:
         self._positions, self._matrices = np.zeros((count, 3)), np.zeros((count, 9))
         self._posed: PosedScene = self.work.reference
         self._numbers = b""
-        # What sounds at a moment, for the sensors of several skins
-        self._now: tuple[PosedScene, float, bytes, EmittedCourse] | None = None
         self._places: dict[str, SensorPlace] = {}
         self.applied: list[Float] = [np.zeros(3) for _ in self.bodies]
         self.applied_parts = [(np.zeros((len(parts), 3)), np.zeros((len(parts), 3))) for parts in self.parts]
         check_clear(self.work.reference)
+
+    @property
+    def frames(self) -> int:
+        """How many world frames sound and skins depend on."""
+        return len(self._positions)
+
+    def join(self, model: HapticModel, state: HapticState, work: Workspace, frames: tuple[Float, Float]) -> None:
+        """Be one of several worlds, whose state lies outside of mjData; what was kept so far is forgotten.
+
+        model: of the same bodies and arrays, with the world's own stimuli; state: the world's part, as views
+        frames: where world frames are put, positions [m] and matrices by row, shapes (frames, 3) and (frames, 9)
+        """
+        self.model, self.work = model, work
+        self._positions, self._matrices = frames
+        self.__dict__["state"] = state
+        self.forget()
+
+    def forget(self) -> None:
+        """Know nothing of the last pose and what sounded in it."""
+        self._posed, self._numbers, self._now = self.work.reference, b"", None
 
     @cached_property
     def state(self) -> HapticState:
@@ -67,17 +87,26 @@ class SceneRuntime:
             tuple(view.state(skin.instance).reshape(1, -1) for skin in binding.skins),
         )
 
+    def take_frames(self) -> None:
+        """Copy the world frames of all that sound and skins depend on out of mjData."""
+        sites, bodies = len(self._sites), self._bodies
+        for kind, chosen, part in (("site", self._sites, slice(0, sites)), ("body", bodies, slice(sites, None))):
+            positions, matrices = self.view.frames[kind]
+            # Mode "clip", as the others go through a buffer
+            positions.take(chosen, 0, self._positions[part], "clip")
+            matrices.take(chosen, 0, self._matrices[part], "clip")
+
     @property
     def posed(self) -> PosedScene:
         """What MuJoCo's present poses mean; the same object while nothing moves.
 
         Raises SceneError where a body reaches into an array.
         """
-        sites, bodies = len(self._sites), self._bodies
-        for kind, chosen, part in (("site", self._sites, slice(0, sites)), ("body", bodies, slice(sites, None))):
-            positions, matrices = self.view.frames[kind]
-            positions.take(chosen, 0, self._positions[part])
-            matrices.take(chosen, 0, self._matrices[part])
+        self.take_frames()
+        return self.posed_as_taken()
+
+    def posed_as_taken(self) -> PosedScene:
+        """What the frames mean that were taken last; as `posed`."""
         last, numbers = self._posed, self._positions.tobytes() + self._matrices.tobytes()
         if numbers == self._numbers:
             return last
@@ -99,12 +128,8 @@ class SceneRuntime:
 
     def now(self) -> tuple[PosedScene, EmittedCourse]:
         """Pose and emission at MuJoCo's present time."""
-        posed, time_s, amplitudes = self.posed, self.view.raw.time, gather(self.state, self.work)
-        known = self._now
-        emission, numbers = self.work.emission, amplitudes.tobytes()
-        if known is None or known[0] is not posed or known[1:3] != (time_s, numbers) or emission.holds:
-            self._now = known = posed, time_s, numbers, emission.now(posed, amplitudes, time_s)
-        return posed, known[3]
+        posed = self.posed
+        return posed, self.work.emission.now(posed, gather(self.state, self.work), self.view.raw.time)
 
     def body_forces(self) -> list[tuple[Float, Float]]:
         """Forces [N] on the parts of each body and torques about their origins [N m], world axes, shapes (b, 3).
@@ -125,8 +150,12 @@ class SceneRuntime:
 
     def push(self) -> None:
         """Add the sound's forces to MuJoCo's passive ones."""
-        for number, (force, torque) in enumerate(self.body_forces()):
-            outlet = self._outlets[number]
+        self.apply(self.body_forces())
+
+    def apply(self, forces: Iterable[tuple[Float, Float]]) -> None:
+        """Add forces and torques, as `body_forces` gives them, to MuJoCo's passive ones."""
+        for number, (force, torque) in enumerate(forces):
+            outlet = self.outlets[number]
             outlet.forces[:], outlet.torques[:] = force, torque
             outlet.apply()
             self.applied_parts[number] = force, torque
@@ -134,15 +163,20 @@ class SceneRuntime:
 
     def advance(self) -> None:
         """Carry transducers and skins over MuJoCo's last step, with the pose at its beginning."""
-        end, now_s = self.view.raw.time, self.view.model.raw.opt.timestep
+        end = self.view.raw.time
+        self.check_timestep()
+        if check_arrays(self.model, self.state):
+            self.work.begin_run()
+        step(self.model, self.state, self.posed, end - self.spec.timestep_s, end, self.work)
+
+    def check_timestep(self) -> None:
+        """Raises SceneError for a time step of MuJoCo's that is no longer the one for which the skins are made."""
+        now_s = self.view.model.raw.opt.timestep
         if now_s != self.spec.timestep_s:
             raise SceneError(
                 f"option 'timestep' has value {now_s:g}, and {self.spec.timestep_s:g} when the scene was loaded, for "
                 "which its skins are made: load the scene with the new one"
             )
-        if check_arrays(self.model, self.state):
-            self.work.begin_run()
-        step(self.model, self.state, self.posed, end - self.spec.timestep_s, end, self.work)
 
     def adopt(self, other: "SceneRuntime") -> None:
         """Take over, in a copy of another mjData, what its coming steps depend on and MuJoCo's state doesn't hold.
@@ -163,29 +197,43 @@ class SceneRuntime:
         What stepped the skins goes on as well, so that it must serve the loads of the other model's stimuli.
         """
         self.model, self.spec, self.work = model, model.spec, Workspace(model)
-        self._posed, self._numbers, self._now = self.work.reference, b"", None
+        self.forget()
 
-    def sense(self, skin: int, sensors: list[PluginSensor]) -> None:
+    def sense(self, skin: int, sensors: Sequence[PluginSensor]) -> None:
         """Fill a skin's sensors from the state at the present time."""
         posed, course = self.now()
         part = self.model.skins[skin]
         drive, factor = present_drive(course)
         resting = at_rest(self.state, skin)
         for sensor in sensors:
-            place = self._places.get(sensor.name) or self._place(skin, sensor)
+            place = self.place(skin, sensor)
             motion = AT_REST
             if not resting:
                 stepper, numbers = stepper_of(self.model, self.state, skin)
                 motion = stepper.read(numbers, place.reader(stepper))[0, :, 0]
             arp = 0.0
             if drive is not None:
-                points, normals = posed.bodies[part.body].moved(place.probe.closest, place.probe.normals, place.binding)
-                arp = factor * float(self.work.radiation.at(posed, skin, "probe", points, normals, drive).arp[0])
+                arp = factor * self._arp_at(place, skin, posed, drive)
             x, y, z = self.applied[part.body]
             fill(sensor.data, SkinReading(x, y, z, motion[0], motion[1], arp))
 
-    def _place(self, skin: int, sensor: PluginSensor) -> SensorPlace:
+    def _arp_at(self, place: SensorPlace, skin: int, posed: PosedScene, drive: Complex) -> float:
+        """ARP [Pa] at a sensor's place for a drive, shape (N,)."""
+        device = self.work.device_sound
+        if device is not None:
+            known = device.probed(skin, place, posed, drive)
+            if known is not None:
+                return known
+            device.watch(skin, place)
+        body = posed.bodies[self.model.skins[skin].body]
+        points, normals = body.moved(place.probe.closest, place.probe.normals, place.binding)
+        return float(self.work.radiation.at(posed, skin, "probe", points, normals, drive).arp[0])
+
+    def place(self, skin: int, sensor: PluginSensor) -> SensorPlace:
         """Where a sensor reads, kept. Raises SceneError for one that is not on the skin's body or far from the skin."""
+        known = self._places.get(sensor.name)
+        if known is not None:
+            return known
         bound, part = self.binding.skins[skin], self.model.skins[skin]
         element = f"plugin 'palmfield.skin' instance '{part.spec.name}': sensor '{sensor.name}'"
         owners = (bound.body, *bound.bones)
@@ -200,12 +248,3 @@ class SceneRuntime:
             site = site + part.carrier.rest_origins[bound.bones.index(model.site_body(sensor.target))]
         self._places[sensor.name] = place = sensor_place(part, site, element)
         return place
-
-
-def present_drive(course: EmittedCourse) -> tuple[Complex | None, float]:
-    """The drive that sounds at a course's first moment, shape (N,), and the factor of its ARP; None in silence."""
-    if course.emitted is not None:
-        return course.emitted[0], 1.0
-    if course.unit is None or course.levels is None or course.levels[0] == 0.0:
-        return None, 0.0
-    return course.unit, float(abs(course.levels[0]) ** 2)

@@ -1,9 +1,11 @@
 """From what a scene says to its model: the one place where parts are made and joined."""
 
 import threading
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from weakref import WeakValueDictionary
 
 import numpy as np
 
@@ -38,6 +40,9 @@ LEAST_FREQUENCY_Hz = 200.0
 MOST_MODELS = 8
 _lock = threading.RLock()
 _models: list[HapticModel] = []
+# As long as a model has them, others that need the same take them over: a mesh and its matrices take seconds
+_bodies: WeakValueDictionary[SkinConfig, BodyModel] = WeakValueDictionary()
+_known_layers: WeakValueDictionary[tuple[object, ...], SceneLayer] = WeakValueDictionary()
 
 
 def model_of(spec: SceneSpec) -> HapticModel:
@@ -50,6 +55,12 @@ def model_of(spec: SceneSpec) -> HapticModel:
         model = build(spec, alike)
         _models[:] = [*_models, model][-MOST_MODELS:]
         return model
+
+
+def keep_model(model: HapticModel) -> None:
+    """Forget all models but this one, whose layers serve later scenes that need the same."""
+    with _lock:
+        _models[:] = [known for known in _models if known is model]
 
 
 def _but_for_texts(spec: SceneSpec) -> SceneSpec:
@@ -72,28 +83,16 @@ def build(spec: SceneSpec, alike: HapticModel | None = None) -> HapticModel:
     else:
         bodies = tuple(_body(next(skin.config for skin in spec.skins if skin.config.body == name)) for name in names)
     carriers = [bodies[names.index(skin.config.body)] for skin in spec.skins]
-    strictest = min(skin.config.accuracy for skin in spec.skins)
-    scattering = any(skin.config.body_sound == "scattering" for skin in spec.skins)
-    stimuli = []
-    for stimulus in spec.stimuli:
-        check_board(stimulus, board, spec.arrays)
-        carrier = None if stimulus.on_skin is None else carriers[stimulus.on_skin]
-        stimuli.append(_stimulus(stimulus, spec, arrays, board, carrier, strictest, spread=not scattering))
-    pole = stimuli[0].response.pole
-    response_on = any(stimulus.response.on for stimulus in stimuli)
-    # Transducers of one scene ring up, or none do: their sounds add up in one state.
-    stimuli = [replace(stimulus, response=replace(stimulus.response, on=response_on)) for stimulus in stimuli]
-    for skin in spec.skins:
-        check_body_sound(skin, spec.stimuli, pole, response_on)
+    stimuli, pole, response_on = stimuli_of(spec, arrays, board, carriers)
     known = None if alike is None else [skin.layer for skin in alike.skins]
-    skins = _skins(spec, tuple(stimuli), arrays, board, bodies, names, pole, response_on, known)
+    skins = _skins(spec, stimuli, arrays, board, bodies, names, pole, response_on, known)
     check_overlaps(skins)
-    whole = tuple(Lazy(partial(_whole, skin.layer)) for skin in skins)
-    model = HapticModel(spec, arrays, board, tuple(stimuli), bodies, skins, pole, response_on, (), whole)
+    whole = tuple(Lazy(partial(whole_stepper, skin.layer)) for skin in skins)
+    model = HapticModel(spec, arrays, board, stimuli, bodies, skins, pole, response_on, (), whole)
     return replace(model, begin=tuple(Lazy(partial(first_stepper, model, number)) for number in range(len(skins))))
 
 
-def _whole(layer: SceneLayer) -> WedgeStepper:
+def whole_stepper(layer: SceneLayer) -> WedgeStepper:
     """What steps a whole layer, with its factorised matrix."""
     return WedgeStepper(layer.system, layer.quadrature.operator, layer.sizes.step_s)
 
@@ -113,7 +112,12 @@ def _arrays(spec: SceneSpec) -> PhasedArray:
 
 
 def _body(skin: SkinConfig) -> BodyModel:
-    """The surface of a skin's body, and its bones."""
+    """The surface of a skin's body, and its bones; the same one for the same keys, while a model has it."""
+    with _lock:
+        return _bodies.get(skin) or _bodies.setdefault(skin, _new_body(skin))
+
+
+def _new_body(skin: SkinConfig) -> BodyModel:
     if skin.shape == "disc":
         return BodyModel(skin.body, None, None, skin.depth_m)
     if skin.shape == "mesh":
@@ -129,6 +133,29 @@ def _body(skin: SkinConfig) -> BodyModel:
     hand = hand_surface(preset)
     bones = SkinnedHand(preset) if skin.shape == "articulated" else None
     return BodyModel(skin.body, hand.surface, bones, hand.depth_to_bone)
+
+
+def stimuli_of(
+    spec: SceneSpec, arrays: PhasedArray, board: Board, carriers: Sequence[BodyModel]
+) -> tuple[tuple[StimulusModel, ...], Pole, bool]:
+    """The stimuli, the pole of all transducers, and whether their ring-up is modelled.
+
+    carriers: the body of each skin
+    """
+    strictest = min(skin.config.accuracy for skin in spec.skins)
+    scattering = any(skin.config.body_sound == "scattering" for skin in spec.skins)
+    stimuli = []
+    for stimulus in spec.stimuli:
+        check_board(stimulus, board, spec.arrays)
+        carrier = None if stimulus.on_skin is None else carriers[stimulus.on_skin]
+        stimuli.append(_stimulus(stimulus, spec, arrays, board, carrier, strictest, spread=not scattering))
+    pole = stimuli[0].response.pole
+    response_on = any(stimulus.response.on for stimulus in stimuli)
+    # Transducers of one scene ring up, or none do: their sounds add up in one state.
+    stimuli = [replace(stimulus, response=replace(stimulus.response, on=response_on)) for stimulus in stimuli]
+    for skin in spec.skins:
+        check_body_sound(skin, spec.stimuli, pole, response_on)
+    return tuple(stimuli), pole, response_on
 
 
 def _stimulus(
@@ -214,7 +241,9 @@ def _skins(
     layers: list[SceneLayer] | None,
 ) -> tuple[SkinModel, ...]:
     """The skins with their layers, which are made here if they are not known."""
-    layers = layers or _layers(spec, stimuli, arrays, board, bodies, names)
+    if layers is None:
+        carriers = [bodies[names.index(skin.config.body)] for skin in spec.skins]
+        layers = layers_for(spec, demands_of(spec, stimuli, arrays, board, carriers), carriers)
     skins = []
     for skin, layer in zip(spec.skins, layers, strict=True):
         number = names.index(skin.config.body)
@@ -224,19 +253,17 @@ def _skins(
     return tuple(skins)
 
 
-def _layers(
+def demands_of(
     spec: SceneSpec,
     stimuli: tuple[StimulusModel, ...],
     arrays: PhasedArray,
     board: Board,
-    bodies: tuple[BodyModel, ...],
-    names: list[str],
-) -> list[SceneLayer]:
-    """The skins' layers; all have the time step of the one that needs the shortest."""
+    carriers: Sequence[BodyModel],
+) -> list[LayerDemand]:
+    """What the stimuli ask of each skin's layer; carriers: the body of each skin."""
     demands = []
-    layers = []
-    for skin in spec.skins:
-        body, stimulus = bodies[names.index(skin.config.body)], nearest_stimulus(skin, stimuli)
+    for skin, body in zip(spec.skins, carriers, strict=True):
+        stimulus = nearest_stimulus(skin, stimuli)
         frequencies = main_frequencies(stimulus.config)
         highest = skin.config.max_frequency_Hz
         if highest is None:
@@ -249,6 +276,13 @@ def _layers(
             timestep_s=spec.timestep_s,
         )
         demands.append(demand)
+    return demands
+
+
+def layers_for(spec: SceneSpec, demands: Sequence[LayerDemand], carriers: Sequence[BodyModel]) -> list[SceneLayer]:
+    """The skins' layers; all have the time step of the one that needs the shortest. carriers: the body of each skin"""
+    layers = []
+    for skin, body, demand in zip(spec.skins, carriers, demands, strict=True):
         layers.append(_layer(skin, body, demand))
         # Before anything asks a layer for its mesh, which is slow itself where the elements are too small.
         check_cost(skin, layers[-1], spec.timestep_s)
@@ -256,16 +290,22 @@ def _layers(
         return layers
     step_s = _common_step([layer.sizes.step_s for layer in layers], spec)
     return [
-        _layer(skin, bodies[names.index(skin.config.body)], replace(demand, longest_step_s=step_s))
-        for skin, demand in zip(spec.skins, demands, strict=True)
+        _layer(skin, body, replace(demand, longest_step_s=step_s))
+        for skin, body, demand in zip(spec.skins, carriers, demands, strict=True)
     ]
 
 
 def _layer(skin: SkinSpec, body: BodyModel, demand: LayerDemand) -> SceneLayer:
-    return SceneLayer(
-        skin.config, body.surface, body.depth_to_bone_m, np.array(skin.patch_centre), demand,
-        element=f"plugin 'palmfield.skin' instance '{skin.name}'",
-    )  # fmt: skip
+    """A skin's layer; the same one for the same keys, place and demand on one body, while a model has it."""
+    key = skin.name, skin.config, skin.patch_centre, body, demand
+    with _lock:
+        return _known_layers.get(key) or _known_layers.setdefault(
+            key,
+            SceneLayer(
+                skin.config, body.surface, body.depth_to_bone_m, np.array(skin.patch_centre), demand,
+                element=f"plugin 'palmfield.skin' instance '{skin.name}'",
+            ),
+        )  # fmt: skip
 
 
 def nearest_stimulus(skin: SkinSpec, stimuli: tuple[StimulusModel, ...]) -> StimulusModel:
