@@ -182,9 +182,10 @@ class Krylov:
         """Take new vectors, and the mass times them."""
         before, after = self.order, self.order + new.shape[1]
         if after > self._vectors.shape[1]:
-            more = np.zeros((self.dynamics.size, max(ROOM, new.shape[1])), order="F")
-            self._vectors = np.asfortranarray(np.hstack([self._vectors, more]))
-            self._products = [np.asfortranarray(np.hstack([product, more])) for product in self._products]
+            self._vectors = _wider(self._vectors, max(ROOM, new.shape[1]))
+            for number, product in enumerate(self._products):
+                # One after another: together they take half a gigabyte
+                self._products[number] = _wider(product, max(ROOM, new.shape[1]))
         self._vectors[:, before:after], self._products[0][:, before:after] = new, heavy
         for number, matrix in enumerate(self.dynamics.matrices[1:], start=1):
             if matrix.nnz:
@@ -223,6 +224,13 @@ class Krylov:
         self._known = np.concatenate([self._known, result], axis=2)
         self._known_load = np.concatenate([self._known_load, self._load], axis=1)
         self._block = result / self._scales[:, None, None]
+
+
+def _wider(columns: Float, more: int) -> Float:
+    """The same columns, shape (n, k), with room for more."""
+    result = np.zeros((columns.shape[0], columns.shape[1] + more), order="F")
+    result[:, : columns.shape[1]] = columns
+    return result
 
 
 def _padded(rows: Any, count: int) -> Any:

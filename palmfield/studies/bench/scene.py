@@ -172,7 +172,7 @@ def as_markdown(results: list[tuple[str, dict[str, Any]]], command: str, job: Jo
             "",
         ]
     remarks = dict.fromkeys(
-        f"{name}: stepped as a whole layer, as {answers['measure']['remark']}."
+        f"{name} is stepped as a whole layer: {answers['measure']['remark']}."
         for name, answers in results
         if answers["measure"]["remark"]
     )

@@ -101,7 +101,7 @@ def opened(job: Job) -> tuple[Simulation, str]:
     except SceneError as error:
         if job.solver != "modal":
             raise
-        known, remark = True, str(error)
+        known, remark = True, str(error).removeprefix(f"{job.scene}: ")
     if known:
         sim = Simulation(Path(job.scene), device=job.device, keys={f"{SKIN}.solver": "wedges"})
     return sim, remark
@@ -255,12 +255,12 @@ def reference(job: Job) -> tuple[Simulation, str]:
         # From sizes first: a mesh that is out of reach takes long itself
         if sum(layer.expected_dofs for layer in layers) > 2 * MOST_UNKNOWNS:
             continue
-        unknowns = sum(layer.dofs for layer in layers)
+        unknowns = sum(layer.system.ndof for layer in layers)
         if unknowns <= MOST_UNKNOWNS:
             return sim, f"accuracy / {factor:g}, {unknowns} unknowns"
     halved = {f"{skin.spec.name}.step_s": 0.5 * skin.layer.sizes.step_s for skin in skins}
     sim = Simulation(path, device=job.device, keys=whole | halved)
-    unknowns = sum(skin.layer.dofs for skin in sim.runtime.model.skins)
+    unknowns = sum(skin.layer.system.ndof for skin in sim.runtime.model.skins)
     return sim, f"same mesh, half the substep, {unknowns} unknowns"
 
 
