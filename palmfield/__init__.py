@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from palmfield.session.plan import Plan, plan
     from palmfield.session.run import Result, recover, run
     from palmfield.session.simulation import Simulation, load
+    from palmfield.studies.sweep.run import sweep
 
     __version__: str
 
@@ -33,6 +34,7 @@ _WHERE = {
     "raise_errors": "engine.host",
     "recover": "session.run",
     "run": "session.run",
+    "sweep": "studies.sweep.run",
 }
 __all__ = [
     "DeviceError",
@@ -48,6 +50,7 @@ __all__ = [
     "raise_errors",
     "recover",
     "run",
+    "sweep",
 ]
 
 

@@ -3,7 +3,8 @@
 import ctypes
 import functools
 import os
-from collections.abc import Callable, Sequence
+import threading
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -76,6 +77,64 @@ class SharedArray:
         """Fetch into `host` what kernels have written."""
         if self._pinned is not None:
             wp.copy(self._pinned, self.array)
+
+
+PAGE = 256
+"""Bytes to whose multiples arrays are aligned in a SharedBlock, as in memory that Warp allocates."""
+
+
+class SharedBlock:
+    """Several arrays of fixed size in one memory, which one copy takes to the device or back, and which it owns.
+
+    hosts, arrays: by name, as `host` and `array` of a SharedArray; nbytes: of the memory
+    parts: shape and Warp type by name; device: of `resolve`
+    """
+
+    def __init__(self, parts: Mapping[str, tuple[tuple[int, ...], Any]], device: str) -> None:
+        sizes = [int(np.prod(shape)) * wp.types.type_size_in_bytes(dtype) for shape, dtype in parts.values()]
+        starts = np.cumsum([0, *(-(-size // PAGE) * PAGE for size in sizes)]).tolist()
+        self.nbytes = max(starts[-1], 1)
+        self._whole = SharedArray(self.nbytes, wp.uint8, device)
+        self.arrays: dict[str, Any] = {}
+        self.hosts: dict[str, NDArray[Any]] = {}
+        for (name, (shape, dtype)), start in zip(parts.items(), starts, strict=False):
+            here = self._whole.host.ctypes.data + start
+            self.arrays[name] = wp.array(ptr=self._whole.array.ptr + start, dtype=dtype, shape=shape, device=device)
+            self.hosts[name] = wp.array(ptr=here, dtype=dtype, shape=shape, device="cpu").numpy()
+
+    def upload(self) -> None:
+        """As SharedArray.upload, for all arrays."""
+        self._whole.upload()
+
+    def download(self) -> None:
+        """As SharedArray.download, for all arrays."""
+        self._whole.download()
+
+
+def launch(kernel: Any, dim: int | tuple[int, ...], inputs: Sequence[Any], device: str) -> Callable[[], object]:
+    """A call that launches a kernel with these arguments, as `recorded`, but one that `wp.ScopedCapture` sees."""
+    command = wp.launch(kernel, dim=dim, inputs=inputs, device=device, block_dim=128, record_cmd=True)
+    return command.launch
+
+
+launching = threading.Lock()
+"""Held while a graph is captured: what another thread launches meanwhile on the device would become part of it."""
+
+
+def replayed(calls: Sequence[Callable[[], object]], device: str) -> Callable[[], object]:
+    """A call that does all of these launches and copies, in order, as one captured graph; they are done once here.
+
+    Other threads launch theirs under `launching`.
+    """
+    # Done before they are captured: kernels are loaded then, and memory that Warp needs beside ours is there
+    for call in calls:
+        call()
+    with launching, wp.ScopedCapture(device=device) as capture:
+        for call in calls:
+            call()
+    replay: Any = functools.partial(wp.capture_launch, capture.graph)
+    replay.calls = calls  # a graph knows addresses only: with its calls their arrays live as long
+    return replay
 
 
 def filled(struct: Any, **values: Any) -> Any:

@@ -10,7 +10,7 @@ class SceneError(PalmfieldError):
 
 
 class DeviceError(PalmfieldError):
-    """A board cannot play what is asked of it, or cannot be reached."""
+    """A board or a GPU cannot do what is asked of it, or a board cannot be reached."""
 
 
 class OutputError(PalmfieldError):
@@ -29,3 +29,18 @@ class naming_world:
     def __exit__(self, kind: object, error: BaseException | None, at: object) -> None:
         if isinstance(error, PalmfieldError):
             raise type(error)(f"world {self.world}: {error}") from None
+
+
+MEMORY_SIGNS = ("Failed to allocate", "out of memory", "CUDA error 2:")
+"""In messages of Warp, where memory has run out."""
+
+
+def explained(error: Exception) -> Exception:
+    """The error, or a DeviceError that says what to change where it is Warp's that a GPU has no memory left."""
+    text = " ".join(str(error).split())
+    if not isinstance(error, RuntimeError) or not any(sign in text for sign in MEMORY_SIGNS):
+        return error
+    return DeviceError(
+        f"the memory of the scene's device has run out ({text}): end other programs there, set accuracy larger or "
+        "patch_radius_m smaller, take fewer worlds, or another device, for example cpu"
+    )

@@ -15,11 +15,23 @@ _Offer = tuple[threading.Lock, Iterator[Calls], "SimpleQueue[BaseException | Non
 """Taken by whoever gets the lock; blocks that nobody has begun; where a helper says that it is done."""
 
 
+_most: list[int] = []
+
+
 def cores() -> int:
-    """Cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    """Cores that this process may use: all that the system gives it, or fewer by `limit`."""
+    there = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return min([there, *_most])
+
+
+def limit(count: int | None) -> None:
+    """Use at most `count` cores from now on, >= 1; None for all. What is already shared out among threads stays so.
+
+    For processes that share a machine: each would otherwise take all of its cores.
+    """
+    if count is not None and count < 1:
+        raise ValueError(f"a limit of {count} cores; allowed: at least 1, or None")
+    _most[:] = [] if count is None else [count]
 
 
 @functools.cache

@@ -27,7 +27,7 @@ def fresh(code: str) -> str:
 def test_dir_lists_what_is_public_and_nothing_else():
     assert dir(palmfield) == [
         "DeviceError", "OutputError", "PalmfieldError", "Plan", "Result", "SceneError", "Simulation", "__version__",
-        "load", "plan", "raise_errors", "recover", "run",
+        "load", "plan", "raise_errors", "recover", "run", "sweep",
     ]  # fmt: skip
     assert all(getattr(palmfield, name) is not None for name in dir(palmfield))
     assert palmfield.__version__ == version("palmfield")

@@ -6,6 +6,7 @@ import time
 
 import pytest
 
+from palmfield import threads
 from palmfield.threads import share
 
 
@@ -63,3 +64,17 @@ def test_ctrl_c_waits_for_the_helpers():
     finally:
         signal.signal(signal.SIGINT, before)
     assert finished == [True]
+
+
+def test_a_limit_of_cores_holds_until_it_is_lifted():
+    everything = threads.cores()
+    try:
+        threads.limit(1)
+        assert threads.cores() == 1
+        threads.limit(10 * everything)
+        assert threads.cores() == everything
+        with pytest.raises(ValueError, match="a limit of 0 cores; allowed: at least 1"):
+            threads.limit(0)
+    finally:
+        threads.limit(None)
+    assert threads.cores() == everything

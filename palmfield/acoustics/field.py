@@ -16,9 +16,9 @@ from palmfield.acoustics.air import absorption_Np_m as air_absorption
 from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.groups import groups
 from palmfield.acoustics.transducer import directivity_coefficients
-from palmfield.device import filled, resolve
+from palmfield.device import SharedArray, filled, recorded, resolve
 from palmfield.errors import PalmfieldError
-from palmfield.threads import cores, pool
+from palmfield.threads import Calls, cores, pool, share
 from palmfield.types import Air, Array, Field, Float, Int
 from warp_kernels import gradient as with_gradient
 from warp_kernels import pressure as kernels
@@ -26,6 +26,12 @@ from warp_kernels import pressure as kernels
 BLOCKS_PER_THREAD = 4
 PAIRS_PER_THREAD = 1_000_000
 """Fewest pairs of point and transducer worth a thread of its own: about 1 ms of work against 0.1 ms to hand it over."""
+
+SMALL_PAIRS = 4_000_000
+"""Up to so many pairs, 3 ms of work, buffers and launches are kept for the next call with as many points."""
+SMALL_PAIRS_PER_THREAD = 100_000
+"""PAIRS_PER_THREAD for these: what is recorded is handed over in 0.02 ms."""
+SIZES_KEPT = 8
 
 CUBIC_REACH_Np = 0.4
 """Absorption times range of distances up to which a cubic follows the exponential, with an error of 1e-5."""
@@ -106,6 +112,9 @@ class FieldEvaluator:
         self._turns = self._upload(self._groups.turns.astype(self.real), mat33)
         self._turns_radians = self._upload((wavenumber * self._groups.turns).astype(self.real), mat33)
         self._ranges = self._upload(self._groups.ranges, wp.vec2i)
+        self._box = array.positions.min(axis=0), array.positions.max(axis=0)
+        # Those that no call is using just now, by number of points, fall and gradient
+        self._small: dict[tuple[int, str, bool], list[_SmallCall]] = {}
 
     def pressure(self, points: ArrayLike, drive: ArrayLike, gradient: bool = False) -> Field:
         """Field at points; see `pressure` below for shapes, units and errors."""
@@ -116,12 +125,14 @@ class FieldEvaluator:
         slope = np.zeros((count, 3), np.complex64) if gradient else None
         if count == 0 or len(self.array) == 0:
             return Field(pressure, slope)
-        bounds = distances(where, self.array.positions)
+        bounds = box_distances(where, self._box)
         if self._gpu:
             outputs = self._launch(self._upload(where, self._vec3), bounds, amplitude, gradient)
             for target, output in zip((pressure, slope), outputs, strict=False):
                 assert target is not None
                 target[:] = output.numpy().view(np.complex64)[..., 0]
+        elif count * len(self.array) <= SMALL_PAIRS:
+            self._small_on_cpu(where, bounds, amplitude, pressure, slope)
         else:
             self._on_cpu(where, bounds, amplitude, pressure, slope)
         return Field(pressure, slope)
@@ -199,16 +210,52 @@ class FieldEvaluator:
         self, bounds: tuple[float, float], drive: NDArray[np.complex128], gradient: bool
     ) -> tuple[Any, int, list[Any]]:
         """Kernel for points within these distances [m], points a thread, and what it takes between them and results."""
-        emitted = drive if self.array.gain is None else drive * self.array.gain
-        emitted = emitted[self.order]
         kind, fall = falling(self.absorption_Np_m, *bounds)
-        fall = in_unit(fall, self.unit_m(gradient))
-        strengths = (self.array.p0_Pa_m * np.abs(emitted)[:, None] * fall).astype(np.float32)
         elements = self.elements(gradient)
-        elements[:, 2] = np.angle(emitted) / self.phase_unit
+        strengths = np.empty((len(elements), 4), np.float32)
+        self._put_drive(drive, fall, gradient, elements, strengths)
         _, vec4, _ = self._form(kind).vectors
         inputs = self.inputs(self._upload(elements, vec4), self._upload(strengths, wp.vec4), gradient)
         return self.kernel(kind, gradient), self.points_per_thread, inputs
+
+    def _put_drive(
+        self,
+        drive: NDArray[np.complex128],
+        fall: Float,
+        gradient: bool,
+        elements: NDArray[Any],
+        strengths: NDArray[np.float32],
+    ) -> None:
+        """Write phases into `elements` and amplitudes times the coefficients of the fall into `strengths`."""
+        emitted = drive if self.array.gain is None else drive * self.array.gain
+        emitted = emitted[self.order]
+        strengths[:] = self.array.p0_Pa_m * np.abs(emitted)[:, None] * in_unit(fall, self.unit_m(gradient))
+        elements[:, 2] = np.angle(emitted) / self.phase_unit
+
+    def _small_on_cpu(
+        self,
+        points: NDArray[Any],
+        bounds: tuple[float, float],
+        drive: NDArray[np.complex128],
+        pressure: NDArray[np.complex64],
+        slope: NDArray[np.complex64] | None,
+    ) -> None:
+        """As `_on_cpu`, by launches that are recorded for so many points: there is little work in between them."""
+        kind, fall = falling(self.absorption_Np_m, *bounds)
+        key = len(points), kind, slope is not None
+        known = self._small.get(key)
+        if known is None:
+            if len(self._small) >= SIZES_KEPT:
+                self._small.clear()
+            known = self._small[key] = []
+        try:
+            call = known.pop()
+        except IndexError:
+            call = _SmallCall(self, *key)
+        self._put_drive(drive, fall, slope is not None, call.elements.host, call.strengths.host)
+        call.run(points, pressure, slope)
+        if len(known) < self.threads:
+            known.append(call)
 
     def _upload(self, values: NDArray[Any], dtype: Any) -> Any:
         return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self.device)
@@ -260,6 +307,44 @@ class FieldEvaluator:
         return tuple(outputs)
 
 
+class _SmallCall:
+    """Buffers and recorded launches for a number of points on the CPU; one call at a time uses them.
+
+    elements, strengths: as kernels take them, to be filled before `run`
+    """
+
+    def __init__(self, evaluator: FieldEvaluator, count: int, kind: str, gradient: bool):
+        vec3, vec4, _ = evaluator._form(kind).vectors
+        size = len(evaluator.array)
+        self.elements = SharedArray(size, vec4, "cpu")
+        self.elements.host[...] = evaluator.elements(gradient)
+        self.strengths = SharedArray(size, wp.vec4, "cpu")
+        self._points = SharedArray(count, vec3, "cpu")
+        self._results = [SharedArray(count, wp.vec2, "cpu")]
+        if gradient:
+            self._results.append(SharedArray((count, 3), wp.vec2, "cpu"))
+        kernel, width = evaluator.kernel(kind, gradient), evaluator.points_per_thread
+        inputs = evaluator.inputs(self.elements.array, self.strengths.array, gradient)
+        self._threads = max(1, min(evaluator.threads, count * size // SMALL_PAIRS_PER_THREAD))
+        step = -(-count // (self._threads * width)) * width
+        self._blocks: list[Calls] = []
+        for start in range(0, count, step):
+            own = slice(start, min(start + step, count))
+            arrays = [self._points.array[own], *inputs, *(result.array[own] for result in self._results)]
+            self._blocks.append((recorded(kernel, -(-(own.stop - start) // width), arrays, "cpu"),))
+
+    def run(self, points: NDArray[Any], pressure: NDArray[np.complex64], slope: NDArray[np.complex64] | None) -> None:
+        """Fill pressure, and slope where there is one, for points [m], shape (count, 3)."""
+        self._points.host[...] = points
+        if slope is not None:
+            for result in self._results:
+                result.host.fill(0.0)  # the kernel adds to them
+        share(self._blocks, self._threads)
+        for target, result in zip((pressure, slope), self._results, strict=False):
+            assert target is not None
+            target[...] = result.host.view(np.complex64)[..., 0]
+
+
 @dataclass(frozen=True)
 class Points:
     """Points on a GPU; array: Warp's, shape (n,); distances_m: bounds of those to the transducers."""
@@ -275,13 +360,19 @@ def shared(values: NDArray[np.complex64]) -> Any:
 
 def distances(points: NDArray[Any], positions: Float) -> tuple[float, float]:
     """Bounds of the distance between any point and any position [m], from their boxes."""
+    return box_distances(points, (positions.min(axis=0), positions.max(axis=0)))
+
+
+def box_distances(points: NDArray[Any], box: tuple[Float, Float]) -> tuple[float, float]:
+    """The same for positions in a box, of which two corners are given [m]."""
     # By column: NumPy's reduction along the short rows takes 20 times as long
-    low = np.array([points[:, i].min() for i in range(3)])
-    high = np.array([points[:, i].max() for i in range(3)])
-    least, most = positions.min(axis=0), positions.max(axis=0)
-    gap = np.maximum(np.maximum(least - high, low - most), 0.0)
-    reach = np.maximum(high, most) - np.minimum(low, least)
-    return float(np.linalg.norm(gap)), float(np.linalg.norm(reach))
+    columns = np.ascontiguousarray(points.T)
+    low, high = np.minimum.reduce(columns, axis=1).tolist(), np.maximum.reduce(columns, axis=1).tolist()
+    gap, reach = 0.0, 0.0
+    for first, last, least, most in zip(low, high, box[0].tolist(), box[1].tolist(), strict=True):
+        gap += max(least - last, first - most, 0.0) ** 2
+        reach += (max(last, most) - min(first, least)) ** 2
+    return math.sqrt(gap), math.sqrt(reach)
 
 
 def falling(absorption_Np_m: float, low: float, high: float) -> tuple[str, Float]:

@@ -365,6 +365,15 @@ def emitted_now(
     return EmittedCourse(None, None, emitted[None].copy(), emitted)
 
 
+def present_drive(course: EmittedCourse) -> tuple[Complex | None, float]:
+    """The drive that sounds at a course's first moment, shape (N,), and the factor of its ARP; None in silence."""
+    if course.emitted is not None:
+        return course.emitted[0], 1.0
+    if course.unit is None or course.levels is None or course.levels[0] == 0.0:
+        return None, 0.0
+    return course.unit, float(abs(course.levels[0]) ** 2)
+
+
 def instant(time_s: float) -> Moments:
     """A single time [s] as moments without a step."""
     return Moments(np.array([time_s]), WHOLE, WHOLE, (False,), (0.0,), 0.0)

@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 import mujoco
 
 from palmfield.config import Config, known_keys, parse
-from palmfield.errors import PalmfieldError
+from palmfield.errors import PalmfieldError, explained
 from palmfield.mujoco_host.mujoco_view import DataView, ModelView
 from palmfield.mujoco_host.structs import Plugin, library
 
@@ -184,8 +184,8 @@ def register(module: type[Module]) -> None:
             world.modules[instance] = module(settings_of(module, world.model, instance), world, instance)
             return 0
         except (KeyboardInterrupt, Exception) as error:
-            _compiling.error = error
-            _fail(None, module.name, error)
+            _compiling.error = explained(error) if isinstance(error, Exception) else error
+            _fail(None, module.name, _compiling.error)
             return -1
 
     def copy(data: int, model: int, source: int, instance: int) -> None:
@@ -230,7 +230,7 @@ def register(module: type[Module]) -> None:
         except KeyboardInterrupt:
             _cut_off(world, module.name)
         except Exception as error:
-            _fail(world, module.name, error)
+            _fail(world, module.name, explained(error))
 
     def advance(model: int, data: int, instance: int) -> None:
         if getattr(_compiling, "active", False):
@@ -243,7 +243,7 @@ def register(module: type[Module]) -> None:
         except KeyboardInterrupt:
             _cut_off(world, module.name)
         except Exception as error:
-            _fail(world, module.name, error)
+            _fail(world, module.name, explained(error))
 
     void, integer = ctypes.c_void_p, ctypes.c_int
     flags = 0 if module.forces is Module.forces else int(mujoco.mjtPluginCapabilityBit.mjPLUGIN_PASSIVE)

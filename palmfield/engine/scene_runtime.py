@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from palmfield.drive.transducer_response import EmittedCourse
+from palmfield.drive.transducer_response import EmittedCourse, present_drive
 from palmfield.errors import SceneError
 from palmfield.mujoco_host.mujoco_view import DataView, ForceOutlet, PluginSensor
 from palmfield.simulation.build import model_of
@@ -53,8 +53,6 @@ class SceneRuntime:
         self._positions, self._matrices = np.zeros((count, 3)), np.zeros((count, 9))
         self._posed: PosedScene = self.work.reference
         self._numbers = b""
-        # What sounds at a moment, for the sensors of several skins
-        self._now: tuple[PosedScene, float, bytes, EmittedCourse] | None = None
         self._places: dict[str, SensorPlace] = {}
         self.applied: list[Float] = [np.zeros(3) for _ in self.bodies]
         self.applied_parts = [(np.zeros((len(parts), 3)), np.zeros((len(parts), 3))) for parts in self.parts]
@@ -130,12 +128,8 @@ class SceneRuntime:
 
     def now(self) -> tuple[PosedScene, EmittedCourse]:
         """Pose and emission at MuJoCo's present time."""
-        posed, time_s, amplitudes = self.posed, self.view.raw.time, gather(self.state, self.work)
-        known = self._now
-        emission, numbers = self.work.emission, amplitudes.tobytes()
-        if known is None or known[0] is not posed or known[1:3] != (time_s, numbers) or emission.holds:
-            self._now = known = posed, time_s, numbers, emission.now(posed, amplitudes, time_s)
-        return posed, known[3]
+        posed = self.posed
+        return posed, self.work.emission.now(posed, gather(self.state, self.work), self.view.raw.time)
 
     def body_forces(self) -> list[tuple[Float, Float]]:
         """Forces [N] on the parts of each body and torques about their origins [N m], world axes, shapes (b, 3).
@@ -211,10 +205,21 @@ class SceneRuntime:
                 motion = stepper.read(numbers, place.reader(stepper))[0, :, 0]
             arp = 0.0
             if drive is not None:
-                points, normals = posed.bodies[part.body].moved(place.probe.closest, place.probe.normals, place.binding)
-                arp = factor * float(self.work.radiation.at(posed, skin, "probe", points, normals, drive).arp[0])
+                arp = factor * self._arp_at(place, skin, posed, drive)
             x, y, z = self.applied[part.body]
             fill(sensor.data, SkinReading(x, y, z, motion[0], motion[1], arp))
+
+    def _arp_at(self, place: SensorPlace, skin: int, posed: PosedScene, drive: Complex) -> float:
+        """ARP [Pa] at a sensor's place for a drive, shape (N,)."""
+        device = self.work.device_sound
+        if device is not None:
+            known = device.probed(skin, place, posed, drive)
+            if known is not None:
+                return known
+            device.watch(skin, place)
+        body = posed.bodies[self.model.skins[skin].body]
+        points, normals = body.moved(place.probe.closest, place.probe.normals, place.binding)
+        return float(self.work.radiation.at(posed, skin, "probe", points, normals, drive).arp[0])
 
     def place(self, skin: int, sensor: PluginSensor) -> SensorPlace:
         """Where a sensor reads, kept. Raises SceneError for one that is not on the skin's body or far from the skin."""
@@ -235,12 +240,3 @@ class SceneRuntime:
             site = site + part.carrier.rest_origins[bound.bones.index(model.site_body(sensor.target))]
         self._places[sensor.name] = place = sensor_place(part, site, element)
         return place
-
-
-def present_drive(course: EmittedCourse) -> tuple[Complex | None, float]:
-    """The drive that sounds at a course's first moment, shape (N,), and the factor of its ARP; None in silence."""
-    if course.emitted is not None:
-        return course.emitted[0], 1.0
-    if course.unit is None or course.levels is None or course.levels[0] == 0.0:
-        return None, 0.0
-    return course.unit, float(abs(course.levels[0]) ** 2)

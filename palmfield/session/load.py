@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import mujoco
 import numpy as np
@@ -257,3 +257,22 @@ def _with_choices(message: str) -> str:
 
 def _one_line(error: Exception) -> str:
     return " ".join(str(error).split()).removeprefix("Error: ")
+
+
+class Instance(NamedTuple):
+    """A plugin instance of a scene. keys: those that the scene sets, as texts"""
+
+    name: str
+    plugin: str
+    keys: dict[str, str]
+
+
+def instances_of(source: str | Path, keys: Mapping[str, object]) -> tuple[list[Instance], dict[str, dict[str, object]]]:
+    """A scene's plugin instances, and values of keys by instance, as `compiled` would take them; compiles nothing.
+
+    Raises SceneError for a scene that can't be read, an instance or plugin that it has not, and unknown keys.
+    """
+    name, spec, _ = opened(source)
+    _check_plugins(spec, name)
+    listed = [Instance(plugin.name, plugin.plugin_name, dict(plugin.config)) for plugin in spec.plugins]
+    return listed, _changes(spec, keys)

@@ -2,11 +2,12 @@
 
 from typing import Any, NamedTuple, Protocol
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from palmfield.drive.transducer_response import EmittedCourse, rows
-from palmfield.engine.host import World
+from palmfield.engine.host import World, world_of
 from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.hand.triangles import vertex_normals
 from palmfield.outputs.schema import Arrays, group, sensor_channels
@@ -247,6 +248,13 @@ def static_arrays(model: HapticModel, world: World, runtime: SceneRuntime) -> Bl
         for sensor in world.sensors(bound.instance):
             block[group("sensors", sensor.name)] = sensor_channels(list(CHANNELS), list(UNITS))
     return block
+
+
+def world_with(data: mujoco.MjData) -> World:
+    """The plugin modules of MuJoCo's data that hold a scene."""
+    world = world_of(data)
+    assert world is not None
+    return world
 
 
 def pose7(position: Float, rotation: Float) -> Float:

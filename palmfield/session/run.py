@@ -16,7 +16,6 @@ import xarray as xr
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from palmfield.engine.host import World, world_of
 from palmfield.errors import OutputError
 from palmfield.interrupts import interrupts_held
 from palmfield.outputs.motion import normal_component
@@ -29,7 +28,7 @@ from palmfield.outputs.summary import summary
 from palmfield.outputs.usd import write_usd
 from palmfield.session.duration import check_duration
 from palmfield.session.load import Source
-from palmfield.session.recorder import Recorder, static_arrays
+from palmfield.session.recorder import Recorder, static_arrays, world_with
 from palmfield.session.simulation import Simulation
 from palmfield.session.summary import scene_numbers, skin_numbers, stimulus_numbers
 from palmfield.types import Float
@@ -190,23 +189,17 @@ def draw(tree: xr.DataTree, out: Path, bar: Progress) -> dict[str, Path]:
     return files
 
 
-def _world(sim: Simulation) -> World:
-    world = world_of(sim.data)
-    assert world is not None
-    return world
-
-
 def _prepare(sim: Simulation, out: Path | None, overwrite: bool, bar: Progress) -> tuple[Store | MemoryStore, Recorder]:
     """Everything that can fail before the first step."""
     task = bar.add_task("preparing the skin layers", total=None)
     model, runtime = sim.runtime.model, sim.runtime
     for lazy in model.begin:
         _ = lazy.value
-    static = static_arrays(model, _world(sim), runtime)
+    static = static_arrays(model, world_with(sim.data), runtime)
     attributes = _attributes(sim)
     store = MemoryStore(static, attributes) if out is None else Store(out, static, attributes, overwrite)
     bar.remove_task(task)
-    return store, Recorder(runtime, _world(sim), store)
+    return store, Recorder(runtime, world_with(sim.data), store)
 
 
 def _simulate(sim: Simulation, recorder: Recorder, duration_s: float, bar: Progress) -> BaseException | None:

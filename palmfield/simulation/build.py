@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from weakref import WeakValueDictionary
 
 import numpy as np
 
@@ -39,6 +40,9 @@ LEAST_FREQUENCY_Hz = 200.0
 MOST_MODELS = 8
 _lock = threading.RLock()
 _models: list[HapticModel] = []
+# As long as a model has them, others that need the same take them over: a mesh and its matrices take seconds
+_bodies: WeakValueDictionary[SkinConfig, BodyModel] = WeakValueDictionary()
+_known_layers: WeakValueDictionary[tuple[object, ...], SceneLayer] = WeakValueDictionary()
 
 
 def model_of(spec: SceneSpec) -> HapticModel:
@@ -51,6 +55,12 @@ def model_of(spec: SceneSpec) -> HapticModel:
         model = build(spec, alike)
         _models[:] = [*_models, model][-MOST_MODELS:]
         return model
+
+
+def keep_model(model: HapticModel) -> None:
+    """Forget all models but this one, whose layers serve later scenes that need the same."""
+    with _lock:
+        _models[:] = [known for known in _models if known is model]
 
 
 def _but_for_texts(spec: SceneSpec) -> SceneSpec:
@@ -102,7 +112,12 @@ def _arrays(spec: SceneSpec) -> PhasedArray:
 
 
 def _body(skin: SkinConfig) -> BodyModel:
-    """The surface of a skin's body, and its bones."""
+    """The surface of a skin's body, and its bones; the same one for the same keys, while a model has it."""
+    with _lock:
+        return _bodies.get(skin) or _bodies.setdefault(skin, _new_body(skin))
+
+
+def _new_body(skin: SkinConfig) -> BodyModel:
     if skin.shape == "disc":
         return BodyModel(skin.body, None, None, skin.depth_m)
     if skin.shape == "mesh":
@@ -281,10 +296,16 @@ def layers_for(spec: SceneSpec, demands: Sequence[LayerDemand], carriers: Sequen
 
 
 def _layer(skin: SkinSpec, body: BodyModel, demand: LayerDemand) -> SceneLayer:
-    return SceneLayer(
-        skin.config, body.surface, body.depth_to_bone_m, np.array(skin.patch_centre), demand,
-        element=f"plugin 'palmfield.skin' instance '{skin.name}'",
-    )  # fmt: skip
+    """A skin's layer; the same one for the same keys, place and demand on one body, while a model has it."""
+    key = skin.name, skin.config, skin.patch_centre, body, demand
+    with _lock:
+        return _known_layers.get(key) or _known_layers.setdefault(
+            key,
+            SceneLayer(
+                skin.config, body.surface, body.depth_to_bone_m, np.array(skin.patch_centre), demand,
+                element=f"plugin 'palmfield.skin' instance '{skin.name}'",
+            ),
+        )  # fmt: skip
 
 
 def nearest_stimulus(skin: SkinSpec, stimuli: tuple[StimulusModel, ...]) -> StimulusModel:

@@ -104,6 +104,23 @@ class BodyModel:
         assert self.surface is not None
         return FaceSampler(self.surface.faces, len(self.surface.vertices))
 
+    @locked_cached_property
+    def boxes(self) -> Float:
+        """Corners of a box round what each bone carries of the resting surface, from the bone's origin, (b, 8, 3) [m].
+
+        Of a body in one piece, round all of its surface, from its origin.
+        """
+        assert self.surface is not None
+        if self.hand is None:
+            return corners_of(self.surface.vertices)[None]
+        carried = [self.hand.surface.vertices[column > 0.0] for column in self.hand.weights.T]
+        return np.array(
+            [
+                corners_of(part - origin) if len(part) else np.zeros((8, 3))
+                for part, origin in zip(carried, self.rest_origins, strict=True)
+            ]
+        )
+
     def bind(self, points: Float) -> SkinBinding | None:
         """The bones that carry points of the resting skin [m], shape (n, 3); None for a body in one piece."""
         return None if self.hand is None else SkinBinding.to(self.hand, points)
@@ -188,9 +205,7 @@ class SkinModel:
     @locked_cached_property
     def corners(self) -> Float:
         """Of a box round the layer's surface, body frame [m], shape (8, 3)."""
-        nodes = self.nodes[0]
-        ends = np.array([nodes.min(axis=0), nodes.max(axis=0)])
-        return np.stack(np.meshgrid(*ends.T, indexing="ij"), axis=-1).reshape(-1, 3)
+        return corners_of(self.nodes[0])
 
     @locked_cached_property
     def faces(self) -> Int:
@@ -279,6 +294,12 @@ class HapticModel:
     def carried(self, body: int) -> list[int]:
         """Numbers of the skins on a body; the first one's keys count for the force on the body."""
         return [number for number, skin in enumerate(self.skins) if skin.body == body]
+
+
+def corners_of(points: Float) -> Float:
+    """Corners of the box round points, shape (8, 3)."""
+    ends = np.array([points.min(axis=0), points.max(axis=0)])
+    return np.stack(np.meshgrid(*ends.T, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def array_instances(spec: SceneSpec) -> tuple[ArrayInstance, ...]:

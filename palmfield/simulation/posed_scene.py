@@ -94,6 +94,16 @@ class PosedSurface:
         return self.frame.points(self.vertices)
 
     @property
+    def hull(self) -> Float:
+        """Corners of boxes whose convex hull has all of the surface in it, array frame [m], shape (8 b, 3)."""
+        place, turn = self.frame
+        boxes = self.model.boxes
+        if self.model.hand is not None:
+            # Skin is a mean of what each of its bones makes of it, and each is in that bone's box
+            boxes = boxes @ self.bone_rotations.transpose(0, 2, 1) + self.bone_positions[:, None]
+        return boxes.reshape(-1, 3) @ turn.T + place
+
+    @property
     def faces(self) -> Int:
         """Of the closed surface, shape (m, 3)."""
         return self.skin.closed_surface[1]

@@ -12,6 +12,7 @@ import numpy as np
 from scipy import sparse
 
 from palmfield.drive.transducer_response import EmittedCourse
+from palmfield.simulation.device_sound import DeviceSound, serves
 from palmfield.simulation.emission import Emission
 from palmfield.simulation.forces import BodyForces
 from palmfield.simulation.model import HapticModel
@@ -49,6 +50,7 @@ class StepTrace:
 class Workspace:
     """What one state's steps keep: emission, radiation, forces and prefetched loads, and who watches.
 
+    unit_forces: of one drive, on the CPU's way; forces: of steps, by a device's graph where there is one
     outside: of each skin what of its load has been outside the class that its modes serve
     observe: what is watched of each skin, an operator (m, unknowns) or None; observer: told of each step
     """
@@ -58,7 +60,9 @@ class Workspace:
         self.reference: PosedScene = reference_scene(model) if beside is None else beside.reference
         self.emission = Emission(model)
         self.radiation: Radiation = Radiation(model, None if beside is None else beside.radiation)
-        self.forces = BodyForces(model, self.radiation)
+        self.device_sound = DeviceSound(model, self.reference) if serves(model) else None
+        self.unit_forces = BodyForces(model, self.radiation)
+        self.forces = self.device_sound or self.unit_forces
         self.prefetch = LoadPrefetch(model, self.emission, self.radiation)
         self.outside = [OutsideClass() for _ in model.skins]
         self.amplitudes: Complex = np.zeros(len(model.arrays), np.complex128)
@@ -88,7 +92,8 @@ def step(model: HapticModel, state: HapticState, posed: PosedScene, t0: float, t
     Raises SceneError for a state of another solver and where a small model that is asked for can't go on.
     """
     begun = gather(state, work)
-    work.prefetch.predict_drives(posed, begun, t0)
+    if work.device_sound is None:
+        work.prefetch.predict_drives(posed, begun, t0)
     moments, course = work.emission.over(posed, begun, t0, model.substeps)
     motions = []
     for number in range(len(model.skins)):
@@ -123,19 +128,25 @@ def skin_loads(
     work: Workspace, posed: PosedScene, skin: int, points: Int | None, moments: Moments, course: EmittedCourse
 ) -> SurfaceLoads:
     """The ARP over a step's substeps at a skin's quadrature points, or at some of them, by their numbers (p,)."""
+    device = work.device_sound
     role: Role = "quadrature"
-    if points is not None:
+    if points is not None and device is None:
         work.radiation.choose(skin, points)
         role = "load"
     if course.levels is not None:
         if course.unit is None:
-            count = len(posed.skins[skin].quadrature[0]) if points is None else len(points)
+            count = len(posed.skins[skin].skin.layer.quadrature.points) if points is None else len(points)
             nothing = np.zeros((1, len(moments.first), 1))
             return SurfaceLoads(np.zeros((1, 1, count)), nothing, nothing)
-        pressure = work.radiation.on(posed, skin, role, course.unit).arp[None, None]
+        if device is not None:
+            arp = device.patterns(posed, skin, course, points)
+        else:
+            arp = work.radiation.on(posed, skin, role, course.unit).arp[None]
         factors = (np.abs(course.levels) ** 2)[:, None]
-        return SurfaceLoads(pressure, (moments.first @ factors)[None], (moments.last @ factors)[None])
+        return SurfaceLoads(arp[None], (moments.first @ factors)[None], (moments.last @ factors)[None])
     assert course.emitted is not None
+    if device is not None:
+        return SurfaceLoads(device.patterns(posed, skin, course, points)[None], moments.first[None], moments.last[None])
     if course.parts is not None:
         sums = work.radiation.sums(posed, skin, *course.parts, role)
         return SurfaceLoads(sums[None], moments.first[None], moments.last[None])

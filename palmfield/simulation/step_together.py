@@ -119,7 +119,7 @@ class TogetherStep:
         unit = drive.unit_drive_at(points, first_point(part.config))
         turn = posed.array_frame.rotation.T
         for body, (forces, torques) in enumerate(self._forces):
-            force, torque = work.forces.under(posed, body, unit.amplitudes)
+            force, torque = work.unit_forces.under(posed, body, unit.amplitudes)
             forces[world], torques[world] = force @ turn, torque @ turn
         self._units[world], self._powers[world], self._peaks[world] = unit.amplitudes, unit.power, unit.peak
         self._posed[world], self._known[world] = posed, False

@@ -1,9 +1,16 @@
 """Predicted seconds of the skin's work on one core: what the choice between solvers rests on, in scenes and in `solve`.
 
+And the memory of a process that steps a scene's skins.
+
 Fitted to the layers of shipped scenes on one core of the 2-core machine: factorised in 0.05 to 2.8 s for 1.5 k to 28 k
 unknowns, stepped in 0.27 to 4.9 ms a substep for 1.5 k to 13 k (docs/bench/skin_c0.md has discs). Known to a factor of
 1.5 or so.
 """
+
+from collections.abc import Sequence
+
+PROCESS_BYTES = 335e6
+"""Of a process that has loaded a scene without a skin."""
 
 
 def assembly_s(dofs: float) -> float:
@@ -50,3 +57,12 @@ def reduced_s(dofs: float, steps: float, vectors: float) -> float:
     """Make and step a reduced model of a layer; its matrix exponential is of five times its vectors."""
     exponential = 7.5e-10 * (5.0 * vectors) ** 3
     return factor_s(dofs) + vectors * vector_s(dofs) + exponential + steps * reduced_step_s(vectors)
+
+
+def memory_bytes(layers: Sequence[tuple[float, bool]]) -> int:
+    """What a process takes that steps a scene on the CPU, without what a run keeps of its course.
+
+    layers: unknowns of each skin, and whether its whole layer is stepped
+    Fitted to the largest memory of the demo's palm at 5 k, 9 k and 31 k unknowns and of a disc at 13 k, within 5 %.
+    """
+    return round(PROCESS_BYTES + sum(17.3e3 * dofs + (64.0 * dofs**1.5 if whole else 0.0) for dofs, whole in layers))

@@ -1,0 +1,179 @@
+"""ARP of several drives at once at points that are on the device, in launches for a captured graph.
+
+Where `palmfield.acoustics.surface_arp` takes points and drives from NumPy in each call, here kernels read them where
+other kernels have put them, and leave the ARP there.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from palmfield.acoustics.air import absorption_Np_m, sound_speed
+from palmfield.acoustics.arp import law_weights
+from palmfield.acoustics.field import off_axis
+from palmfield.acoustics.phased_array import PhasedArray
+from palmfield.acoustics.shadow import CLEARANCE_m, REACH_m
+from palmfield.device import SharedArray, filled, launch
+from palmfield.threads import Calls
+from palmfield.types import Complex
+from warp_kernels import point_sound as kernels
+from warp_kernels.pressure import vec6
+
+THREADS_ENOUGH = 2**18
+"""Threads that fill a GPU: fewer points and drives share out the transducers as well."""
+SHORTEST_RUN = 32
+"""Transducers that a thread takes at least."""
+ROWS = 4
+"""Drives that a thread takes where there are more than two: what a pair of transducer and point costs is shared."""
+
+
+class Transducers:
+    """The transducers of a scene's arrays on a device, sorted by directivity.
+
+    arrays: as they stand now; device: of `palmfield.device.resolve`
+    """
+
+    def __init__(self, arrays: PhasedArray, device: str):
+        self.device, self.count = device, len(arrays)
+        self._places = SharedArray(self.count, wp.vec4, device)
+        self._facing = SharedArray(self.count, wp.vec4, device)
+        self._boards = SharedArray(len(arrays.parts), wp.vec4, device)
+        self._order = np.concatenate([group.chosen for group in arrays.groups])
+        self._sorted = bool((self._order == np.arange(self.count)).all())
+        self._scale = np.ones(self.count, np.complex128)
+        self.groups: list[tuple[slice, Any, Any]] = []
+        start = 0
+        for group in arrays.groups:
+            array, own = group.array, slice(start, start + len(group.chosen))
+            wavenumber = 2.0 * np.pi * array.frequency_Hz / sound_speed(arrays.air)
+            waves = filled(
+                kernels.Waves(),
+                turns_per_m=wavenumber / (2.0 * np.pi),
+                absorption_Np_m=absorption_Np_m(arrays.air, array.frequency_Hz),
+                per_wavenumber=1.0 / wavenumber,
+            )
+            directivity, slope, _ = off_axis(array, wavenumber)
+            shapes = np.array([directivity, slope / wavenumber], np.float32)
+            self.groups.append((own, waves, wp.array(shapes, dtype=vec6, device=device)))
+            self._scale[own] = array.p0_Pa_m if array.gain is None else array.p0_Pa_m * array.gain
+            start = own.stop
+        self.move(arrays)
+
+    def move(self, arrays: PhasedArray) -> None:
+        """Take new places of the same transducers."""
+        rows = np.zeros((2, self.count, 4))
+        boards = np.column_stack([arrays.facing.T, arrays.heights])
+        for (own, _, _), group in zip(self.groups, arrays.groups, strict=True):
+            rows[0, own, :3], rows[1, own, :3] = group.array.positions, group.array.normals
+        for shared, values in ((self._places, rows[0]), (self._facing, rows[1]), (self._boards, boards)):
+            shared.put(values)
+
+    def strengths(self, amplitudes: Complex) -> Complex:
+        """Amplitudes relative to full drive as kernels take them [Pa m], both of shape (k, count)."""
+        return self._scale * (amplitudes if self._sorted else amplitudes[:, self._order])
+
+    @property
+    def places(self) -> tuple[Any, Any]:
+        """Positions [m] and directions on the device, shapes (count,), four numbers each."""
+        return self._places.array, self._facing.array
+
+    @property
+    def boards(self) -> Any:
+        """Mean direction of each array and the height of its middle along it [m], on the device, shape (parts,)."""
+        return self._boards.array
+
+
+class DriveTable(NamedTuple):
+    """What sounds, on the device: drives, and sums of them.
+
+    counts: drives and sums that there are, int32, shape (2,); drives: [Pa m], vec2, shape (k, transducers)
+    levels: how much of each drive is in each sum, vec2, shape (m, k)
+    """
+
+    counts: Any
+    drives: Any
+    levels: Any
+
+    @staticmethod
+    def parts(drives: int, sums: int, transducers: int) -> dict[str, tuple[tuple[int, ...], Any]]:
+        """Shapes and types for a `SharedBlock`; drives and sums: how many at most."""
+        rows = drives if drives <= 2 else -(-drives // ROWS) * ROWS
+        return {
+            "counts": ((2,), wp.int32),
+            "drives": ((rows, transducers), wp.vec2),
+            "levels": ((sums, rows), wp.vec2),
+        }
+
+
+def fill_table(
+    hosts: tuple[NDArray[Any], NDArray[Any], NDArray[Any]], strengths: Complex, levels: Complex | None
+) -> None:
+    """Write drives and sums into a table as NumPy sees it, counts, drives and levels.
+
+    strengths: of `Transducers.strengths`, shape (k, n); levels: shape (m, k), None for each drive by itself
+    """
+    counts, drives, weights = hosts
+    k = len(strengths)
+    counts[:] = k, k if levels is None else len(levels)
+    drives.view(np.complex64)[:k, :, 0] = strengths
+    # A thread takes several drives: those beside the last must not sound
+    drives[k : -(-k // ROWS) * ROWS] = 0.0
+    own = weights.view(np.complex64)[..., 0]
+    if levels is None:
+        own[:k, :k] = np.eye(k)
+    else:
+        own[: len(levels), :k] = levels
+
+
+class Surface(NamedTuple):
+    """Points of one body. points: which of all; law: a key of `palmfield.acoustics.arp.LAWS`; mesh: what casts shadows
+    on them, None for nothing"""
+
+    points: slice
+    law: str
+    mesh: wp.Mesh | None
+
+
+def sound_calls(
+    transducers: Transducers,
+    table: DriveTable,
+    points: Any,
+    normals: Any,
+    surfaces: Sequence[Surface],
+    arrays: PhasedArray,
+    result: Any,
+) -> Calls:
+    """Launches that compute the ARP [Pa] of a table's sums at points, into `result`, shape (m, n).
+
+    points [m], normals: unit, outward, on the device, vec3, shape (n,); arrays: for the air
+    """
+    device, count = transducers.device, len(points)
+    if count == 0:
+        return []
+    capacity = table.drives.shape[0]
+    rows = ROWS if capacity > 2 else 1
+    most = max(1, THREADS_ENOUGH * rows // (count * capacity))
+    sizes = []
+    for own, _, _ in transducers.groups:
+        length = own.stop - own.start
+        sizes.append(max(SHORTEST_RUN, -(-length // most)))
+    runs = [-(-(own.stop - own.start) // size) for (own, _, _), size in zip(transducers.groups, sizes, strict=True)]
+    fields: wp.array = wp.zeros((capacity, sum(runs), kernels.PARTS, count), dtype=wp.float32, device=device)
+    kernel = kernels.fields(rows, device != "cpu")
+    calls = []
+    run = 0
+    for (own, waves, shapes), size, own_runs in zip(transducers.groups, sizes, runs, strict=True):
+        inputs = [points, *transducers.places, shapes, waves, own.start, own.stop, size, run]
+        dim = (capacity // rows, own_runs, count)
+        calls.append(launch(kernel, dim, [*inputs, table.counts, table.drives, fields], device))
+        run += own_runs
+    for surface in surfaces:
+        own, sums = surface.points, table.levels.shape[0]
+        inputs = [points[own], normals[own], table.counts, table.levels, fields[:, :, :, own]]
+        inputs += [wp.vec3(*law_weights(surface.law, arrays.air)), wp.uint64(surface.mesh.id if surface.mesh else 0)]
+        inputs += [transducers.boards, CLEARANCE_m, REACH_m, result[:, own]]
+        calls.append(launch(kernels.arp_of_sums, (sums, own.stop - own.start), inputs, device))
+    return calls

@@ -1,0 +1,66 @@
+"""`palmfield sweep`: from options to a sweep, and what came of it in words."""
+
+import shlex
+import sys
+from pathlib import Path
+
+import typer
+from rich.console import Console
+
+from palmfield.studies.sweep.run import Sweep, sweep
+from palmfield.studies.sweep.texts import read_design
+
+MOST_REASONS = 3
+
+
+def run_sweep(
+    scene: Path,
+    out: Path,
+    settings: list[str],
+    *,
+    random_points: int | None,
+    sobol_points: int | None,
+    table: Path | None,
+    seed: int,
+    workers: int | None,
+    scheduler: str | None,
+    device: str | None,
+    accuracy: float | None,
+    duration_s: float | None,
+    errors: bool,
+    picture: bool,
+    yes: bool,
+) -> None:
+    """Sweep and say what was written; exit code 130 on Ctrl-C, 1 where no point is done."""
+    design, fixed = read_design(
+        settings, random_points=random_points, sobol_points=sobol_points, table=table, seed=seed
+    )
+    try:
+        result = sweep(
+            scene, design, out, keys=fixed, workers=workers, scheduler=scheduler, device=device, accuracy=accuracy,
+            duration_s=duration_s, errors=errors, picture=picture, yes=yes,
+            ask=typer.confirm if sys.stdin.isatty() else None,
+        )  # fmt: skip
+    except KeyboardInterrupt:
+        Console(stderr=True, soft_wrap=True, markup=False, highlight=False, emoji=False).print(
+            f"palmfield: interrupted; the points that were done are in {out}; the same command goes on: "
+            f"{shlex.join(['palmfield', *sys.argv[1:]])}"
+        )
+        raise typer.Exit(130) from None
+    print(in_words(result), end="")
+    if not result.done:
+        raise typer.Exit(1)
+
+
+def in_words(result: Sweep) -> str:
+    """How many points are done, why others have failed, and the files."""
+    lines = [f"{result.done} of {result.points} points are done"]
+    reasons: dict[str, list[int]] = {}
+    for number, reason in result.failed.items():
+        reasons.setdefault(reason, []).append(number)
+    for reason, numbers in list(reasons.items())[:MOST_REASONS]:
+        lines.append(f"{len(numbers)} failed, the first of them point {numbers[0]}: {reason}")
+    if len(reasons) > MOST_REASONS:
+        lines.append(f"{len(reasons) - MOST_REASONS} other reasons are in the dataset's `failure`")
+    lines += [f"wrote {path}" for path in result.files.values()]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,585 @@
+"""What a scene's sound does in one MuJoCo step, on a device: one captured graph from poses to ARP and forces.
+
+Poses and drives go in by one copy, forces and the sensors' ARP come out by another; the ARP on the skins stays on the
+device for what steps them there. A DeviceSound belongs to one state and is used by one thread at a time.
+"""
+
+import cmath
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+import warp as wp
+from scipy import sparse
+
+from palmfield.acoustics import check
+from palmfield.acoustics.body_scattering import Occlusion
+from palmfield.acoustics.point_sound import DriveTable, Surface, Transducers, fill_table, sound_calls
+from palmfield.device import SharedArray, SharedBlock, filled, launch, launching, replayed, resolve, whole_numbers
+from palmfield.drive.transducer_response import EmittedCourse, present_drive
+from palmfield.errors import PalmfieldError
+from palmfield.hand.posed_surface import SkinBinding
+from palmfield.hand.rigged import strongest
+from palmfield.simulation.emission import Emission, MeanDrives
+from palmfield.simulation.model import BodyModel, HapticModel
+from palmfield.simulation.posed_scene import PosedScene
+from palmfield.simulation.radiation import occluding_counts, occluding_faces, occluding_vertices
+from palmfield.simulation.sensors import SensorPlace
+from palmfield.types import Complex, Float, Float32, Int
+from warp_kernels import carried_points as carrying
+from warp_kernels import resultants as summing
+
+RUN = 32
+"""Force samples that one thread adds up."""
+LOAD, FORCE, NOW = "load", "force", "now"
+"""What drives are for: the skins' load over the step, the mean force over it, and the sensors at its beginning."""
+
+
+class Sounding(NamedTuple):
+    """Drives whose sums sound. units: shape (k, N); levels: of each sum, shape (m, k), None for each drive by itself;
+    weights: of the sums in a mean, shape (m,)"""
+
+    units: Complex
+    levels: Complex | None = None
+    weights: Float | None = None
+
+    @property
+    def sums(self) -> int:
+        """How many sums there are."""
+        return len(self.units if self.levels is None else self.levels)
+
+    def same(self, other: "Sounding | None") -> bool:
+        """Whether all numbers are equal."""
+        return other is not None and all(_same(one, its) for one, its in zip(self, other, strict=True))
+
+
+def serves(model: HapticModel) -> bool:
+    """Whether a model's sound is computed here: on a GPU, but for boundary elements and precision 'accurate'."""
+    fast = model.arrays.precision == "fast"
+    solved = any(skin.spec.config.body_sound == "scattering" for skin in model.skins)
+    return resolve(model.spec.device) != "cpu" and fast and not solved
+
+
+class DeviceSound:
+    """ARP on skins, forces on bodies and what sensors read, for one step after another.
+
+    model: of the scene; reference: its scene in the reference configuration
+    work: memory and graphs, None before the first step; launches: how many graphs have been launched
+    """
+
+    def __init__(self, model: HapticModel, reference: PosedScene):
+        self.model, self._reference = model, reference
+        self.device = resolve(model.spec.device)
+        self.launches = 0
+        self._arrays = model.arrays
+        self._transducers = Transducers(model.arrays, self.device)
+        self._probes: list[tuple[int, SensorPlace]] = []
+        self._sizes = {LOAD: (1, 1), FORCE: (1, 1), NOW: (1, 1)}
+        self.work: DeviceWork | None = None
+        self._posed: PosedScene | None = None
+        self._sounding: dict[str, Sounding | None] = {}
+        self._force_scale = 0.0
+        self._fetched = False
+
+    def watch(self, skin: int, place: SensorPlace) -> None:
+        """Compute the ARP at a sensor's place as well, from the next step on."""
+        if (skin, place) not in self._probes:
+            self._probes.append((skin, place))
+
+    def over(self, emission: Emission, posed: PosedScene, emitted: Complex, t0: float) -> list[tuple[Float, Float]]:
+        """As `palmfield.simulation.forces.BodyForces.over`; the load on the skins is computed with it."""
+        # First, as the others take from it what they can
+        _, course = emission.over(posed, emitted, t0, self.model.substeps)
+        mean = emission.mean_drives(posed, emitted, t0)
+        self.update(posed, mean, course, present_drive(emission.now(posed, emitted, t0))[0])
+        return self.forces(posed)
+
+    def update(self, posed: PosedScene, mean: MeanDrives, course: EmittedCourse, now: Complex | None) -> None:
+        """Compute the sound of a step.
+
+        mean: drives of the mean force over it; course: what is emitted over it; now: the drive that the sensors read,
+        shape (N,), None in silence
+        """
+        force, self._force_scale = _of_mean(mean)
+        self._launch(posed, {LOAD: _of_course(course), FORCE: force, NOW: None if now is None else Sounding(now[None])})
+
+    def forces(self, posed: PosedScene) -> list[tuple[Float, Float]]:
+        """Mean forces [N] on each body's parts and torques about their origins [N m], array frame, shapes (b, 3)."""
+        counts = [body.model.parts for body in posed.bodies]
+        rows = np.zeros((sum(counts), 6))
+        if self.work is not None and self._sounding[FORCE] is not None:
+            np.multiply(self.work.forces.hosts["forces"], self._force_scale, out=rows)
+        forces, start = [], 0
+        for count in counts:
+            own = rows[start : start + count]
+            forces.append((np.ascontiguousarray(own[:, :3]), np.ascontiguousarray(own[:, 3:])))
+            start += count
+        return forces
+
+    def patterns(self, posed: PosedScene, skin: int, course: EmittedCourse, points: Int | None = None) -> Float32:
+        """ARP [Pa] at a skin's quadrature points: of a course's unit drive, or at each of its moments, shape (m, q).
+
+        points: numbers of those that are wanted, shape (p,), None for all
+
+        It is computed again where the last step's was for another pose or course. A view that the next step overwrites.
+        """
+        wanted = _of_course(course)
+        assert wanted is not None
+        if self._posed is not posed or not wanted.same(self._sounding.get(LOAD)):
+            self._launch(posed, self._sounding | {LOAD: wanted})
+        work = self.work
+        assert work is not None
+        if not self._fetched:
+            work.load.download()
+            if self.device != "cpu":
+                wp.synchronize_stream(self.device)
+            self._fetched = True
+        result: Float32 = work.load.host[: wanted.sums, work.quadrature[skin]]
+        return result if points is None else result[:, points]
+
+    def on_device(self, skin: int) -> tuple[Any, Any]:
+        """For what steps a skin on the device: ARP [Pa], float32, shape (m, q), and how many rows of it count.
+
+        Both are Warp arrays that keep their place as long as `work` is the same object, until a step asks for more
+        drives; the second is int32, drives and sums, of which the sums are the rows.
+        """
+        work = self.work
+        assert work is not None
+        return work.load.array[:, work.quadrature[skin]], work.inputs.arrays["load_counts"]
+
+    def probed(self, skin: int, place: SensorPlace, posed: PosedScene, drive: Complex) -> float | None:
+        """ARP [Pa] at a sensor's place for a drive, shape (N,); None where the last step wasn't for that."""
+        known, work = self._sounding.get(NOW), self.work
+        if work is None or self._posed is not posed or known is None or (skin, place) not in work.probes:
+            return None
+        if not _same(known.units[0], drive):
+            return None
+        return float(work.forces.hosts["probes"][0, work.probes.index((skin, place))])
+
+    def _launch(self, posed: PosedScene, sounding: dict[str, Sounding | None]) -> None:
+        """Compute all that has changed since the last launch."""
+        work = self.work
+        fitting = work is not None and len(work.probes) == len(self._probes)
+        for name, one in sounding.items():
+            drives, sums = self._sizes[name]
+            if one is not None and (len(one.units) > drives or one.sums > sums):
+                self._sizes[name] = max(drives, len(one.units)), max(sums, one.sums)
+                fitting = False
+        moved = not fitting or self._posed is not posed
+        if moved and posed.arrays is not self._arrays:
+            self._transducers.move(posed.arrays)
+            self._arrays = posed.arrays
+        if work is None or not fitting:
+            work = self.work = None  # its memory is free for the next one
+            work = self.work = DeviceWork(self.model, self._reference, self._transducers, self._probes, self._sizes)
+        changed = [
+            name
+            for name, one in sounding.items()
+            if one is not None and (moved or not one.same(self._sounding.get(name)))
+        ]
+        if not changed:
+            self._sounding = sounding
+            return
+        self._sounding = {}  # should the launch fail, nothing is known
+        for name in changed:
+            one = sounding[name]
+            assert one is not None
+            work.tell(name, one, self._transducers)
+        if moved:
+            work.place(posed)
+        work.run(moved)
+        self._posed, self._sounding, self._fetched = posed, sounding, False
+        self.launches += 1
+
+
+class DeviceWork:
+    """Memory and launches for tables of fixed sizes.
+
+    inputs: what goes in; forces: what comes out, sums by part and the sensors' ARP; load: ARP on the skins, (m, q)
+    quadrature: which of the load's columns are a skin's; probes: sensors' places, each with its skin's number
+    """
+
+    def __init__(
+        self,
+        model: HapticModel,
+        reference: PosedScene,
+        transducers: Transducers,
+        probes: Sequence[tuple[int, SensorPlace]],
+        sizes: dict[str, tuple[int, int]],
+    ):
+        self.model, self.device, self.probes = model, transducers.device, tuple(probes)
+        self._rows = _motion_rows(model)
+        parts: dict[str, tuple[tuple[int, ...], Any]] = {
+            "turns": ((self._rows.total,), wp.mat33d),
+            "shifts": ((self._rows.total,), wp.vec3d),
+            "origins": ((self._rows.parts,), wp.vec3d),
+            "weights": ((sizes[FORCE][1],), wp.float64),
+        }
+        for name, (drives, sums) in sizes.items():
+            for part, what in DriveTable.parts(drives, sums, transducers.count).items():
+                parts[f"{name}_{part}"] = what
+        self.inputs = SharedBlock(parts, self.device)
+        arrays = self.inputs.arrays
+        motions = filled(carrying.Motions(), turns=arrays["turns"], shifts=arrays["shifts"])
+        meshes = self._meshes(reference)
+        points = _ScenePoints(model, reference, self._rows, probes, self.device)
+        self.quadrature = points.quadrature
+        owners = _Owners(reference, self._rows, points.samples)
+        counts = {LOAD: points.loaded.stop, NOW: len(probes), FORCE: points.count - points.sampled.start}
+        self.load = SharedArray((sizes[LOAD][1], counts[LOAD]), wp.float32, self.device)
+        self.forces = SharedBlock(
+            {"forces": ((self._rows.parts, 6), wp.float64), "probes": ((1, max(counts[NOW], 1)), wp.float32)},
+            self.device,
+        )
+        pressed: Any = wp.zeros((sizes[FORCE][1], counts[FORCE]), dtype=wp.float32, device=self.device)
+        results = {LOAD: self.load.array, NOW: self.forces.arrays["probes"], FORCE: pressed}
+        places = {LOAD: points.loaded, NOW: points.probed, FORCE: points.sampled}
+        surfaces: dict[str, list[Surface]] = {LOAD: [], NOW: [], FORCE: []}
+        for number, own in enumerate(points.quadrature):
+            surfaces[LOAD].append(self._surface(number, own, meshes))
+        for i, (number, _) in enumerate(probes):
+            surfaces[NOW].append(self._surface(number, slice(i, i + 1), meshes))
+        for body, own in points.samples:
+            surfaces[FORCE].append(self._surface(model.carried(body)[0], own, meshes))
+        self._sound: list[Callable[[], object]] = []
+        for name in (FORCE, LOAD, NOW):
+            table = DriveTable(*(arrays[f"{name}_{part}"] for part in ("counts", "drives", "levels")))
+            own = places[name]
+            here = points.points[own], points.normals[own]
+            calls = sound_calls(transducers, table, *here, surfaces[name], model.arrays, results[name])
+            self._sound += calls
+        sampled = points.normals[points.sampled], points.points[points.sampled]
+        loads: Any = wp.zeros(counts[FORCE], dtype=wp.float64, device=self.device)
+        weighed = [arrays[f"{FORCE}_counts"], arrays["weights"], pressed, points.areas, loads]
+        self._sound += [
+            launch(summing.mean_load, counts[FORCE], weighed, self.device),
+            *owners.calls(loads, *sampled, arrays["origins"], self.forces.arrays["forces"], self.device),
+        ]
+        self._pose = points.calls(motions)
+        for skin, mesh in meshes.items():
+            self._pose += [*_mesh_calls(model, reference, skin, self._rows, mesh.mesh, motions, self.device)]
+        self._kept = meshes
+        self._captured: dict[bool, Callable[[], object]] = {}
+
+    def tell(self, name: str, sounding: Sounding, transducers: Transducers) -> None:
+        """Take what sounds for one purpose. Raises PalmfieldError for drives that are not finite."""
+        if not cmath.isfinite(np.add.reduce(sounding.units, axis=None)):
+            bad = check.first_bad(sounding.units.T)
+            values = sounding.units[:, bad].tolist()
+            raise PalmfieldError(f"drive of transducer {bad} = {values} is not finite: mend what makes the drive")
+        hosts = self.inputs.hosts
+        table = hosts[f"{name}_counts"], hosts[f"{name}_drives"], hosts[f"{name}_levels"]
+        fill_table(table, transducers.strengths(sounding.units), sounding.levels)
+        if sounding.weights is not None:
+            hosts["weights"][: sounding.sums] = sounding.weights
+
+    def place(self, posed: PosedScene) -> None:
+        """Take a pose. Raises PalmfieldError for one that is not finite."""
+        turns, shifts, origins = (self.inputs.hosts[name] for name in ("turns", "shifts", "origins"))
+        for body, own in zip(posed.bodies, self._rows.bodies, strict=True):
+            place, turn = body.frame
+            if body.model.hand is None:
+                turns[own], shifts[own], origins[own] = turn, place, place
+                continue
+            of_bones = turn @ body.bone_rotations
+            turns[own] = of_bones
+            origins[own] = body.origins
+            shifts[own] = body.origins
+            shifts[own] -= np.matmul(of_bones, body.model.rest_origins[:, :, None])[:, :, 0]
+        for skin, own in zip(posed.skins, self._rows.obstacles, strict=True):
+            if own.stop > own.start:
+                frame = skin.body.frame
+                turns[own] = frame.rotation @ skin.obstacle_rotations
+                shifts[own] = frame.points(skin.obstacle_positions)
+        if not math.isfinite(np.add.reduce(shifts, axis=None) + np.add.reduce(turns, axis=None)):
+            names = [body.model.name for body in posed.bodies] + [skin.skin.spec.name for skin in posed.skins]
+            for name, own in zip(names, [*self._rows.bodies, *self._rows.obstacles], strict=True):
+                if not (np.isfinite(shifts[own]).all() and np.isfinite(turns[own]).all()):
+                    raise PalmfieldError(
+                        f"pose of '{name}' at {shifts[own].tolist()} is not finite: mend what moves it"
+                    )
+
+    def calls(self, moved: bool) -> list[Callable[[], object]]:
+        """What is done for a step, in order; what only poses decide is left out where nothing has moved."""
+        return [self.inputs.upload, *(self._pose if moved else []), *self._sound, self.forces.download]
+
+    def replay(self, moved: bool) -> Callable[[], object]:
+        """All of these calls in one: on a GPU a captured graph, made when it is first asked for."""
+        replay = self._captured.get(moved)
+        if replay is None:
+            calls = self.calls(moved)
+            # Refitting a mesh is not recorded on the CPU, and takes memory from the pool on a GPU
+            refits = moved and len(self._kept) > 0
+            captures = not refits or (self.device != "cpu" and wp.get_device(self.device).is_mempool_supported)
+            replay = self._captured[moved] = replayed(calls, self.device) if captures else partial(_do, calls)
+        return replay
+
+    def run(self, moved: bool) -> None:
+        """Compute a step and wait for forces and sensors."""
+        replay = self.replay(moved)
+        with launching:
+            replay()
+        if self.device != "cpu":
+            wp.synchronize_stream(self.device)
+
+    def _surface(self, skin: int, own: slice, meshes: dict[int, Occlusion]) -> Surface:
+        """A skin's surface as its sound is computed."""
+        config = self.model.skins[skin].spec.config
+        if config.body_sound != "shadows":
+            return Surface(own, config.arp_law, None)
+        return Surface(own, config.arp_law, meshes[_mesh_number(self.model, skin)].mesh)
+
+    def _meshes(self, reference: PosedScene) -> dict[int, Occlusion]:
+        """What casts shadows, by the number of a skin on which it does; skins without obstacles share one."""
+        meshes = {}
+        for number, skin in enumerate(self.model.skins):
+            key = _mesh_number(self.model, number)
+            if skin.spec.config.body_sound == "shadows" and key not in meshes:
+                counts = occluding_counts(reference, number)
+                faces = occluding_faces(reference, number)
+                meshes[key] = Occlusion(occluding_vertices(reference, number), faces, self.device, counts)
+        return meshes
+
+
+class _MotionRows(NamedTuple):
+    """Which motions are whose. bodies: by body, its bones or itself; obstacles: by skin; total: how many there are"""
+
+    bodies: list[slice]
+    obstacles: list[slice]
+    total: int
+
+    @property
+    def parts(self) -> int:
+        """How many of them push: those of the bodies come first."""
+        last: int = self.bodies[-1].stop
+        return last
+
+
+def _motion_rows(model: HapticModel) -> _MotionRows:
+    row = 0
+    bodies, obstacles = [], []
+    for body in model.bodies:
+        bodies.append(slice(row, row + body.parts))
+        row += body.parts
+    for skin in model.skins:
+        obstacles.append(slice(row, row + len(skin.spec.obstacles)))
+        row += len(skin.spec.obstacles)
+    return _MotionRows(bodies, obstacles, row)
+
+
+class _Bound(NamedTuple):
+    """Points at rest [m], shape (n, 3), and the motions that carry them with their shares, both of shape (n, 4)."""
+
+    points: Float
+    motions: Int
+    shares: Float
+
+
+def _bound(points: Float, binding: SkinBinding | None, first: int) -> _Bound:
+    """Points that go with a body whose motions begin at row `first`: with its bones, or with the body itself."""
+    if binding is not None:
+        return _Bound(points, (binding.bones + first).astype(np.int32), binding.shares)
+    motions = np.full((len(points), 4), first, np.int32)
+    return _Bound(points, motions, np.tile([1.0, 0.0, 0.0, 0.0], (len(points), 1)))
+
+
+def _bound_vertices(body: BodyModel, vertices: Float, first: int) -> _Bound:
+    """The vertices of a body's surface."""
+    if body.hand is None:
+        return _bound(vertices, None, first)
+    shares, bones = strongest(sparse.csr_array(body.hand.weights))
+    return _Bound(body.hand.surface.vertices, (bones + first).astype(np.int32), shares)
+
+
+def _joined(parts: Sequence[_Bound]) -> _Bound:
+    return _Bound(*(np.concatenate(values) for values in zip(*parts, strict=True)))
+
+
+def _carriers(bound: _Bound, device: str) -> Any:
+    """As kernels take them."""
+    return filled(
+        carrying.Carriers(),
+        motions=wp.array(bound.motions, dtype=wp.vec4i, device=device),
+        shares=wp.array(bound.shares, dtype=wp.vec4d, device=device),
+    )
+
+
+class _ScenePoints:
+    """All points of a scene on a device: of the skins' load, the sensors, and the force on bodies, in this order.
+
+    points, normals: vec3; areas: of the force samples [m2], float64
+    quadrature: where each skin's points are; samples: of each body its number and where its force samples are among
+        those of all; loaded, probed, sampled: all points of one kind; count: of all
+    """
+
+    def __init__(
+        self,
+        model: HapticModel,
+        reference: PosedScene,
+        rows: _MotionRows,
+        probes: Sequence[tuple[int, SensorPlace]],
+        device: str,
+    ):
+        self._device = device
+        bound: list[tuple[_Bound, Float]] = []
+        self.quadrature: list[slice] = []
+        count = 0
+        for skin in model.skins:
+            quadrature = skin.layer.quadrature
+            first = rows.bodies[skin.body].start
+            bound.append((_bound(quadrature.points, skin.quadrature_binding, first), quadrature.normals))
+            self.quadrature.append(slice(count, count + len(quadrature.points)))
+            count = self.quadrature[-1].stop
+        self.loaded = slice(0, count)
+        for number, place in probes:
+            first = rows.bodies[model.skins[number].body].start
+            bound.append((_bound(place.probe.closest, place.binding, first), place.probe.normals))
+            count += 1
+        self.probed = slice(self.loaded.stop, count)
+        self.samples: list[tuple[int, slice]] = []
+        areas: list[Float] = []
+        start = count
+        whole = [number for number, body in enumerate(model.bodies) if body.hand is None]
+        for number in whole:
+            points, normals, own = _rest_samples(reference, number)
+            bound.append((_bound(points, None, rows.bodies[number].start), normals))
+            self.samples.append((number, slice(count - start, count - start + len(points))))
+            areas.append(own)
+            count += len(points)
+        self._carried = count
+        vertices: list[_Bound] = []
+        faces: list[Int] = []
+        corners = 0
+        for number, body in enumerate(model.bodies):
+            if body.hand is None:
+                continue
+            own_faces = body.hand.surface.faces
+            vertices.append(_bound_vertices(body, body.hand.surface.vertices, rows.bodies[number].start))
+            faces.append(own_faces + corners)
+            corners += len(vertices[-1].points)
+            self.samples.append((number, slice(count - start, count - start + len(own_faces))))
+            areas.append(np.zeros(len(own_faces)))
+            count += len(own_faces)
+        self.sampled, self.count = slice(start, count), count
+        self.points: Any = wp.zeros(count, dtype=wp.vec3, device=device)
+        self.normals: Any = wp.zeros(count, dtype=wp.vec3, device=device)
+        self.areas: Any = wp.array(np.concatenate(areas), dtype=wp.float64, device=device)
+        self._rest = _joined([part for part, _ in bound])
+        self._directions = np.concatenate([normals for _, normals in bound])
+        self._vertices: _Bound | None = _joined(vertices) if vertices else None
+        self._faces: Int | None = np.concatenate(faces) if faces else None
+
+    def calls(self, motions: Any) -> list[Callable[[], object]]:
+        """Launches that bring all points where motions take them."""
+        device, carried = self._device, slice(0, self._carried)
+        inputs = [_vectors(self._rest.points, device), _vectors(self._directions, device)]
+        inputs += [_carriers(self._rest, device), motions, self.points[carried], self.normals[carried]]
+        calls = [launch(carrying.carry_points, self._carried, inputs, device)]
+        if self._vertices is not None and self._faces is not None:
+            faces: Any = wp.array(self._faces.astype(np.int32), dtype=wp.vec3i, device=device)
+            results = [self.points[self._carried :], self.normals[self._carried :]]
+            results += [self.areas[self._carried - self.sampled.start :]]
+            inputs = [_vectors(self._vertices.points, device), faces, _carriers(self._vertices, device), motions]
+            calls.append(launch(carrying.carry_faces, len(self._faces), [*inputs, *results], device))
+        return calls
+
+
+def _rest_samples(reference: PosedScene, number: int) -> tuple[Float, Float, Float]:
+    """Points [m], normals and areas [m2] for the force on a body in one piece, in its frame."""
+    body = reference.bodies[number]
+    if body.model.surface is None:
+        quadrature = body.skin.layer.quadrature
+        return quadrature.points, quadrature.normals, quadrature.weights
+    return body.model.rest_samples
+
+
+class _Owners:
+    """Force samples by the part of a body that they push."""
+
+    def __init__(self, reference: PosedScene, rows: _MotionRows, samples: Sequence[tuple[int, slice]]):
+        owners: Int = np.zeros(samples[-1][1].stop, np.int32)
+        self._parts = rows.parts
+        for number, own in samples:
+            owners[own] = rows.bodies[number].start + reference.bodies[number].sample_parts
+        self._order = np.argsort(owners, kind="stable").astype(np.int32)
+        counts = np.bincount(owners, minlength=self._parts)
+        starts: list[int] = []
+        of_parts, at = [0], 0
+        for count in counts.tolist():
+            starts += range(at, at + count, RUN)
+            of_parts.append(len(starts))
+            at += count
+        self._run_parts = np.repeat(np.arange(self._parts), np.diff(of_parts))
+        self._starts, self._of_parts = np.array([*starts, at], np.int32), np.array(of_parts, np.int32)
+
+    def calls(
+        self, loads: Any, normals: Any, points: Any, origins: Any, result: Any, device: str
+    ) -> list[Callable[[], object]]:
+        """Launches that add loads up by part."""
+        order, starts, parts, of_parts = (
+            whole_numbers(values, device) for values in (self._order, self._starts, self._run_parts, self._of_parts)
+        )
+        runs = len(self._starts) - 1
+        sums: Any = wp.zeros((runs, 6), dtype=wp.float64, device=device)
+        return [
+            launch(summing.sums_of_runs, runs, [loads, normals, points, order, starts, parts, origins, sums], device),
+            launch(summing.sums_of_parts, (self._parts, 6), [sums, of_parts, result], device),
+        ]
+
+
+def _mesh_number(model: HapticModel, skin: int) -> int:
+    """The first skin on which the same things cast shadows."""
+    if model.skins[skin].spec.obstacles:
+        return skin
+    return next(number for number, other in enumerate(model.skins) if not other.spec.obstacles)
+
+
+def _mesh_calls(
+    model: HapticModel, reference: PosedScene, skin: int, rows: _MotionRows, mesh: wp.Mesh, motions: Any, device: str
+) -> list[Callable[[], object]]:
+    """Launches that bring what casts shadows where motions take it."""
+    parts = []
+    for body, own in zip(reference.bodies, rows.bodies, strict=True):
+        parts.append(_bound_vertices(body.model, body.vertices, own.start))
+    if model.skins[skin].obstacles:
+        for number, shape in enumerate(model.skins[skin].obstacles_in_one[0]):
+            parts.append(_bound(shape, None, rows.obstacles[skin].start + number))
+    bound = _joined(parts)
+    inputs = [_vectors(bound.points, device), _carriers(bound, device), motions, mesh.points]
+    return [launch(carrying.carry_vertices, len(bound.points), inputs, device), mesh.refit]
+
+
+def _vectors(values: Float, device: str) -> Any:
+    return wp.array(np.ascontiguousarray(values, np.float64), dtype=wp.vec3d, device=device)
+
+
+def _do(calls: Sequence[Callable[[], object]]) -> None:
+    for call in calls:
+        call()
+
+
+def _same(one: Complex | Float | None, other: Complex | Float | None) -> bool:
+    if one is None or other is None or one is other:
+        return one is other
+    return one.shape == other.shape and not np.logical_or.reduce(one != other, axis=None)
+
+
+def _of_course(course: EmittedCourse) -> Sounding | None:
+    """What presses on the skins over a step; None in silence."""
+    if course.levels is not None:
+        return None if course.unit is None else Sounding(course.unit[None])
+    assert course.emitted is not None
+    if course.parts is not None:
+        return Sounding(course.parts.units, course.parts.levels)
+    return Sounding(course.emitted)
+
+
+def _of_mean(mean: MeanDrives) -> tuple[Sounding | None, float]:
+    """What presses on bodies over a step, and a factor of it; None in silence."""
+    if len(mean.drives) == 0:
+        return None, 0.0
+    if mean.levels is None and len(mean.drives) == 1:
+        return Sounding(mean.drives, None, np.ones(1)), float(mean.weights[0])
+    return Sounding(mean.drives, mean.levels, mean.weights), 1.0

@@ -1,0 +1,191 @@
+"""Which points a sweep has: every combination of values, a list, or points drawn from ranges."""
+
+import json
+import math
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from scipy.stats import qmc
+
+from palmfield.errors import SceneError
+
+Value = float | int | bool | str | tuple[float, ...]
+"""Of a key: a number, a text, or the numbers of a vector."""
+Kind = Literal["grid", "list", "random", "sobol"]
+MOST_POINTS = 10_000_000
+
+
+class Range(NamedTuple):
+    """All numbers from `low` to `high`; of a logarithmic one each octave is as likely as another."""
+
+    low: float
+    high: float
+    logarithmic: bool = False
+
+
+@dataclass(frozen=True)
+class Design:
+    """Points of a sweep.
+
+    kind: how they were made; keys: what is swept
+    values: by key; of a grid those along its dimension, else one for each point
+    """
+
+    kind: Kind
+    values: dict[str, tuple[Value, ...]]
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """What is swept, `INSTANCE.KEY` or `INSTANCE.KEY[i]`."""
+        return tuple(self.values)
+
+    @property
+    def dims(self) -> tuple[str, ...]:
+        """Dimensions of the dataset: the keys of a grid, else `point`."""
+        return self.keys if self.kind == "grid" else ("point",)
+
+    @cached_property
+    def shape(self) -> tuple[int, ...]:
+        """Points along each dimension."""
+        lengths = tuple(len(values) for values in self.values.values())
+        return lengths if self.kind == "grid" else lengths[:1]
+
+    @property
+    def count(self) -> int:
+        """How many points there are."""
+        return math.prod(self.shape)
+
+    def index(self, number: int) -> tuple[int, ...]:
+        """Where a point lies along the dimensions; the last one goes fastest."""
+        return tuple(int(place) for place in np.unravel_index(number, self.shape))
+
+    def point(self, number: int) -> dict[str, Value]:
+        """The values of a point, by key."""
+        places = self.index(number) if self.kind == "grid" else (number,) * len(self.values)
+        return {key: values[place] for (key, values), place in zip(self.values.items(), places, strict=True)}
+
+    def as_json(self) -> str:
+        """The whole design, the same text for the same points."""
+        return json.dumps({"kind": self.kind, "values": self.values})
+
+
+def grid(values: Mapping[str, Sequence[Any] | np.ndarray]) -> Design:
+    """Every combination of the keys' values, the last key fastest.
+
+    values: by key; of a vector's key a sequence of tuples or an array of shape (n, m)
+    Raises SceneError for no keys, a key without values or with one twice, and for more points than MOST_POINTS.
+    """
+    if not values:
+        raise SceneError("a grid has no keys; give at least one key with its values")
+    taken = {key: _plain(key, given) for key, given in values.items()}
+    for key, plain in taken.items():
+        if len(set(plain)) < len(plain):
+            twice = next(value for number, value in enumerate(plain) if value in plain[:number])
+            raise SceneError(f"key '{key}' has the value {twice!r} twice; give each value of a grid once")
+    _check_count(math.prod(len(plain) for plain in taken.values()))
+    return Design("grid", taken)
+
+
+def listed(values: Mapping[str, Sequence[Any] | np.ndarray]) -> Design:
+    """Points one by one: the first has the first value of each key, and so on.
+
+    Raises SceneError for keys without values or with different numbers of them.
+    """
+    taken = {key: _plain(key, given) for key, given in values.items()}
+    lengths = {key: len(plain) for key, plain in taken.items()}
+    if not lengths or len(set(lengths.values())) > 1:
+        said = ", ".join(f"{key}: {count}" for key, count in lengths.items()) or "no keys"
+        raise SceneError(f"a list has one value of each key for each point; it has {said}")
+    _check_count(next(iter(lengths.values())))
+    return Design("list", taken)
+
+
+def random(values: Mapping[str, Range | Sequence[Any]], count: int, seed: int = 0) -> Design:
+    """Points drawn at random; the same ones for the same seed.
+
+    values: by key, the Range from which numbers are drawn, or a sequence of which one is drawn
+    Raises SceneError for an empty range and for a count that is not above 0.
+    """
+    _check_drawn(values, count, "random")
+    return Design("random", _spread(values, np.random.default_rng(seed).random((count, len(values)))))
+
+
+def sobol(values: Mapping[str, Range | Sequence[Any]], count: int, seed: int = 0) -> Design:
+    """Scrambled Sobol points, which fill the ranges more evenly than random ones; best for a power of 2.
+
+    Arguments and errors as `random`.
+    """
+    _check_drawn(values, count, "Sobol")
+    with warnings.catch_warnings():
+        # Scipy's notice that other counts than powers of 2 are balanced less well; the docs say so
+        warnings.simplefilter("ignore", UserWarning)
+        unit = qmc.Sobol(len(values), scramble=True, rng=np.random.default_rng(seed)).random(count)
+    return Design("sobol", _spread(values, unit))
+
+
+def _check_drawn(values: Mapping[str, Any], count: int, kind: str) -> None:
+    if not values:
+        raise SceneError(f"a {kind} design has no key to draw; give at least one with a range, such as a:b")
+    if count < 1:
+        raise SceneError(f"a {kind} design of {count} points; allowed: at least 1")
+    _check_count(count)
+
+
+def _check_count(count: int) -> None:
+    if count > MOST_POINTS:
+        raise SceneError(f"the design has {count} points; allowed: at most {MOST_POINTS}; leave out keys or values")
+
+
+def _spread(values: Mapping[str, Range | Sequence[Any]], unit: np.ndarray) -> dict[str, tuple[Value, ...]]:
+    """Points of the unit cube, shape (points, keys), as values of the keys."""
+    result: dict[str, tuple[Value, ...]] = {}
+    for (key, wanted), shares in zip(values.items(), unit.T, strict=True):
+        if isinstance(wanted, Range):
+            low, high, logarithmic = wanted
+            check_range(key, wanted)
+            if logarithmic:
+                drawn = np.exp(math.log(low) + shares * (math.log(high) - math.log(low)))
+            else:
+                drawn = low + shares * (high - low)
+            result[key] = tuple(float(number) for number in drawn)
+        else:
+            plain = _plain(key, wanted)
+            result[key] = tuple(plain[int(share * len(plain))] for share in shares)
+    return result
+
+
+def check_range(key: str, wanted: Range) -> None:
+    """Raises SceneError for a range that holds nothing, or can't be logarithmic."""
+    low, high, logarithmic = wanted
+    if not (math.isfinite(low) and math.isfinite(high) and low != high):
+        raise SceneError(f"key '{key}' has the range {low:g}:{high:g}; allowed: two different finite numbers")
+    if logarithmic and min(low, high) <= 0.0:
+        raise SceneError(f"key '{key}' has the logarithmic range {low:g}:{high:g}; allowed: both ends above 0")
+
+
+def _plain(key: str, given: Iterable[Any]) -> tuple[Value, ...]:
+    """Values as plain Python, vectors as tuples. Raises SceneError where there are none, or something else."""
+    if isinstance(given, str) or not isinstance(given, Iterable):
+        raise SceneError(f"key '{key}' has values {given!r}; allowed: a sequence of values")
+    plain = tuple(_one(key, value) for value in given)
+    if not plain:
+        raise SceneError(f"key '{key}' has no values; give at least one")
+    return plain
+
+
+def _one(key: str, value: Any) -> Value:
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, bool | str):
+        return value
+    if isinstance(value, int | float) and math.isfinite(value):
+        return value
+    if isinstance(value, tuple | list | np.ndarray) and len(value):
+        numbers = [_one(key, part) for part in value]
+        if all(isinstance(number, int | float) and not isinstance(number, bool) for number in numbers):
+            return tuple(float(number) for number in numbers)  # type: ignore[arg-type]
+    raise SceneError(f"key '{key}' has the value {value!r}; allowed: a finite number, a text or a vector of numbers")

@@ -1,0 +1,268 @@
+"""A whole sweep: what is computed, by whom, and how it goes on after it was cut off."""
+
+import json
+import platform
+import time
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from palmfield.errors import OutputError, PalmfieldError, SceneError
+from palmfield.session.run import CONVENTIONS
+from palmfield.studies.sweep.batch import Failed, Results, Task, batches, run_batch
+from palmfield.studies.sweep.cluster import local_cluster, remote_cluster, slots, visible_gpus
+from palmfield.studies.sweep.design import Design, Value, grid
+from palmfield.studies.sweep.dispatch import computed
+from palmfield.studies.sweep.keys import SceneKeys, scene_keys
+from palmfield.studies.sweep.overview import Overview, overview
+from palmfield.studies.sweep.picture import plot_sweep
+from palmfield.studies.sweep.store import SweepStore, open_dataset, size_bytes
+from palmfield.studies.sweep.variables import DONE, FAILED
+from palmfield.threads import cores
+
+LARGE_BYTES = 2e9
+LONG_S = 3600.0
+"""A sweep beyond these asks before it goes on."""
+SURE_BATCHES = 2
+"""Batches of each worker after which the rest is predicted: the first one makes the model."""
+SURE_S = 120.0
+"""Or this time, with at least one point done [s]."""
+PICTURE = "sweep.png"
+EXTRA = ("dask", "distributed", "zarr")
+
+Ask = Callable[[str], bool]
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """What a sweep left behind.
+
+    out: its folder; files: paths by name; points, done: how many there are, and are there
+    failed: why points have failed, by their numbers in the design
+    """
+
+    out: Path
+    files: dict[str, Path]
+    points: int
+    done: int
+    failed: dict[int, str]
+    _opened: list[xr.Dataset] = field(default_factory=list, repr=False)
+
+    @property
+    def dataset(self) -> xr.Dataset:
+        """The numbers of all points, opened when first asked for and read where it is used."""
+        if not self._opened:
+            self._opened.append(open_dataset(self.files["sweep.zarr"]))
+        return self._opened[0]
+
+
+def sweep(
+    scene: str | Path,
+    design: Design | Mapping[str, Sequence[Any] | np.ndarray],
+    out: str | Path,
+    *,
+    keys: Mapping[str, Value | None] | None = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    device: str | None = None,
+    accuracy: float | None = None,
+    duration_s: float | None = None,
+    errors: bool = False,
+    picture: bool = True,
+    progress: bool = True,
+    yes: bool = False,
+    ask: Ask | None = None,
+) -> Sweep:
+    """Simulate a scene at all points of a design and write one labelled dataset, out/sweep.zarr, and a picture.
+
+    palmfield.sweep("palm.xml", {"stimulus.am_frequency_Hz": [50, 100, 200]}, "out/frequencies")
+
+    scene: a file; design: values by key for every combination of them, or one of `palmfield.studies.sweep`: `grid`,
+        `listed`, `random`, `sobol`. Keys are INSTANCE.KEY or PLUGIN.KEY, or one number of a vector, such as
+        "stimulus.focus_m[0]"; keys: values that all points share, None takes a key out of the scene
+    out: folder, made where missing; the same sweep that was cut off there goes on, and failed points are tried again
+    workers: processes on this machine, as many as cores or GPUs by default; 0 computes in this process, without Dask
+    scheduler: address of a Dask cluster that runs already, in place of workers; it must see the scene's file
+    device, accuracy: see `palmfield.load`; duration_s: of each point [s], the scene's own by default
+    errors: whether each point's error is estimated, which takes longer than most runs; picture: whether one is drawn
+    yes: whether a sweep goes on that takes more than 2 GB or an hour; without, `ask` is asked with a question
+    Ctrl-C, a full disk and lost workers leave what was done: the same call goes on. A point that fails is recorded.
+    Raises SceneError for keys and values that can't be, before anything runs; PalmfieldError for a cluster that can't
+    be reached; OutputError for a folder that can't be written or holds another sweep, and where `ask` says no.
+    """
+    design = design if isinstance(design, Design) else grid(design)
+    _check_arguments(scene, workers, scheduler)
+    if scheduler is not None:
+        with remote_cluster(scheduler):
+            pass  # before anything is made
+    path, out = Path(scene).resolve(), Path(out)
+    known = scene_keys(scene, design, keys or {})
+    view = overview(path, design, known, device=device, accuracy=accuracy, duration_s=duration_s)
+    gpus = visible_gpus() if view.device.startswith("cuda") and workers != 0 and scheduler is None else []
+    count = _worker_count(workers, gpus, design.count, view.memory_bytes)
+    console = Console(stderr=True, quiet=not progress, markup=False, highlight=False, emoji=False, soft_wrap=True)
+    size = size_bytes(design, view.labels, errors)
+    said = _in_words(view, design, size, None if scheduler else count)
+    console.print(said)
+    if size > LARGE_BYTES:
+        _confirm(f"{size / 1e9:.1f} GB may be written to {out}", yes, ask)
+    store = SweepStore(out, design, view.labels, _attributes(view, design, known, accuracy, errors), errors)
+    missing = [int(number) for number in np.flatnonzero(store.status.ravel() != DONE)]
+    if len(missing) < design.count:
+        console.print(f"going on: {design.count - len(missing)} points are there")
+    # A worker sees one GPU, whatever its number was
+    where = "cuda:0" if gpus else device
+    task = Task(path, where, accuracy, view.duration_s, view.times, errors)
+    if missing:
+        if scheduler is not None:
+            results = _on_cluster(lambda: remote_cluster(scheduler), task, design, known, missing)
+        elif count:
+            results = _on_cluster(lambda: local_cluster(count, gpus), task, design, known, missing)
+        else:
+            results = _here(task, design, known, missing)
+        with closing(results):
+            _collect(results, store, len(missing), max(count, 1), console, yes, ask)
+    files = {"sweep.zarr": store.path}
+    if picture:
+        try:
+            plot_sweep(open_dataset(store.path), out / PICTURE)
+            files[PICTURE] = out / PICTURE
+        except OutputError as error:
+            console.print(f"palmfield: no {PICTURE}: {error}")
+    failed = {int(number): store.failure(int(number)) for number in np.flatnonzero(store.status.ravel() == FAILED)}
+    return Sweep(out, files, design.count, store.done, failed)
+
+
+def _check_arguments(scene: str | Path, workers: int | None, scheduler: str | None) -> None:
+    missing = [name for name in EXTRA if find_spec(name) is None]
+    if missing:
+        raise PalmfieldError(f"sweeps need {', '.join(missing)}; install the extra: pip install 'palmfield[sweep]'")
+    if not isinstance(scene, str | Path):
+        raise SceneError(f"scene is {scene!r}; allowed: the path of a file, which workers read")
+    if workers is not None and scheduler is not None:
+        raise PalmfieldError("--workers starts workers here and --scheduler uses others; give one of them")
+    if workers is not None and workers < 0:
+        raise PalmfieldError(f"--workers has value {workers}; allowed: 0 (in this process) or more")
+
+
+def _worker_count(workers: int | None, gpus: list[str], points: int, memory: int) -> int:
+    """How many processes compute: as asked for, or as many as there are GPUs, or cores and memory for them."""
+    if workers is not None:
+        return workers
+    if gpus:
+        return min(len(gpus), points)
+    import psutil
+
+    room = int(0.8 * psutil.virtual_memory().available // memory)
+    return max(1, min(cores(), points, room))
+
+
+def _in_words(view: Overview, design: Design, size: int, workers: int | None) -> str:
+    """What a sweep is, before it begins."""
+    counts = " x ".join(str(length) for length in design.shape)
+    several = f" ({counts})" if len(design.shape) > 1 else ""
+    memory = f"{view.memory_bytes / 1e9:.1f} GB of memory"
+    who = {0: "this process", 1: "one worker", None: "each worker"}.get(workers, f"each of {workers} workers")
+    return (
+        f"{view.name}: {design.count} points{several} of {view.duration_s:g} s over {', '.join(design.keys)}; about "
+        f"{memory} in {who}, at most {_bytes(size)} on disk"
+    )
+
+
+def _bytes(size: int) -> str:
+    return f"{size / 1e9:.1f} GB" if size >= 1e9 else f"{max(size / 1e6, 0.1):.1f} MB"
+
+
+def _confirm(what: str, yes: bool, ask: Ask | None) -> None:
+    """Raises OutputError where something out of proportion is not wanted."""
+    if yes or (ask is not None and ask(f"{what}. Go on?")):
+        return
+    raise OutputError(f"{what}: not gone on with; give --yes (yes=True), or fewer points")
+
+
+def _attributes(
+    view: Overview, design: Design, keys: SceneKeys, accuracy: float | None, errors: bool
+) -> dict[str, Any]:
+    packages = ("palmfield", "warp-lang", "mujoco", "numpy", "scipy", "xarray", "zarr", "dask")
+    return {
+        "title": "palmfield: a sweep over keys of a scene",
+        "scene": view.name,
+        "keys": json.dumps(keys.fixed, sort_keys=True),
+        "conventions": json.dumps(CONVENTIONS),
+        "versions": json.dumps({name: version(name) for name in packages} | {"python": platform.python_version()}),
+        # What must be the same for a sweep to go on
+        "identity": {
+            "design": design.as_json(),
+            "scene (its file or one that it names)": view.scene_digest,
+            "keys that all points share": keys.fixed,
+            "duration": view.duration_s,
+            "accuracy": accuracy,
+            "errors": errors,
+            "time axis": [len(view.times), float(view.times[-1])],
+            "palmfield": version("palmfield"),
+        },
+    }
+
+
+# -- computing -------------------------------------------------------------------------------------------------------
+
+
+def _here(task: Task, design: Design, keys: SceneKeys, missing: Sequence[int]) -> Generator[Results]:
+    """All points in this process, one by one, those that share a model one after another."""
+    for batch in batches(missing, _model_keys(design, keys, missing), 1):
+        for number in batch.points:
+            (result,) = run_batch(task, [keys.of_point(design.point(number))])
+            yield {number: result}
+
+
+def _model_keys(design: Design, keys: SceneKeys, missing: Sequence[int]) -> dict[int, Any]:
+    return {number: keys.of_model(design.point(number)) for number in missing}
+
+
+def _on_cluster(
+    connect: Callable[[], Any], task: Task, design: Design, keys: SceneKeys, missing: Sequence[int]
+) -> Generator[Results]:
+    """All points on Dask workers, batch by batch as they are done."""
+    with connect() as client:
+        there = slots(client, task.scene)
+        cut = batches(missing, _model_keys(design, keys, missing), len(there))
+        yield from computed(client, task, there, cut, lambda number: keys.of_point(design.point(number)))
+
+
+def _collect(
+    results: Generator[Results],
+    store: SweepStore,
+    points: int,
+    workers: int,
+    console: Console,
+    yes: bool,
+    ask: Ask | None,
+) -> None:
+    """Write results as they come, with progress; asks once where the rest takes out of proportion long."""
+    columns = (
+        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn()
+    )  # fmt: skip
+    done, failed, written, asked, started = 0, 0, 0, yes, time.monotonic()
+    with Progress(*columns, console=console, disable=console.quiet or not console.is_terminal, transient=True) as bar:
+        row = bar.add_task("starting workers", total=points)
+        for some in results:
+            store.write(some)
+            done, written = done + len(some), written + 1
+            failed += sum(isinstance(result, Failed) for result in some.values())
+            bar.update(row, completed=done, description=f"{failed} failed" if failed else "computing")
+            spent = time.monotonic() - started
+            left = spent / done * (points - done)
+            if not asked and left > LONG_S and (written >= SURE_BATCHES * workers or spent > SURE_S):
+                bar.stop()
+                _confirm(f"{points - done} of {points} points are left, about {left / 3600:.1f} h", yes, ask)
+                asked = True
+                bar.start()

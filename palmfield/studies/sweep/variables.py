@@ -1,0 +1,95 @@
+"""What a sweep keeps of each point: variables with dimensions, units and descriptions.
+
+They are as in `palmfield.outputs.schema`. The dimensions here come after those of the design.
+"""
+
+from palmfield.outputs.schema import Variable
+
+NOT_DONE, DONE, FAILED = 0, 1, 2
+_NORMAL = "positive outward: a push is negative"
+_MOST = "at the vertex that moves most"
+
+VARIABLES: dict[str, Variable] = {
+    "peak_displacement": Variable(
+        ("skin",), "float64", "m", "largest size of the normal displacement, of all vertices and substeps"
+    ),
+    "peak_velocity": Variable(
+        ("skin",), "float64", "m s-1", "largest size of the normal velocity, of all vertices and substeps"
+    ),
+    "rms_displacement": Variable(
+        ("skin",), "float64", "m", f"root mean square of the normal displacement over the run, {_MOST}"
+    ),
+    "rms_displacement_without_mean": Variable(
+        ("skin",), "float64", "m", f"root mean square of the normal displacement about its mean over the run, {_MOST}"
+    ),
+    "rms_displacement_last_period": Variable(
+        ("skin",), "float64", "m",
+        f"root mean square of the normal displacement over the last period of main_frequency, {_MOST}",
+    ),
+    "rms_velocity": Variable(
+        ("skin",), "float64", "m s-1", f"root mean square of the normal velocity over the run, {_MOST}"
+    ),
+    "rms_velocity_last_period": Variable(
+        ("skin",), "float64", "m s-1",
+        f"root mean square of the normal velocity over the last period of main_frequency, {_MOST}",
+    ),
+    "peak_arp": Variable(
+        ("skin",), "float64", "Pa", "largest acoustic radiation pressure (ARP), of all vertices and substeps",
+        sign="positive pushes into the surface",
+    ),
+    "loudest_position": Variable(
+        ("skin", "xyz"), "float64", "m", "vertex whose normal displacement is largest", "body frame at rest",
+    ),
+    "normal_displacement": Variable(
+        ("skin", "time"), "float32", "m", "normal displacement at loudest_position", sign=_NORMAL
+    ),
+    "sensor_displacement": Variable(
+        ("sensor", "step_time"), "float32", "m", "normal displacement at the sensors, at the start of each step",
+        sign=_NORMAL,
+    ),
+    "peak_force": Variable(
+        ("skin",), "float64", "N", "largest size of the sound's force on the skin's body, mean over a step"
+    ),
+    "mean_force": Variable(
+        ("skin", "xyz"), "float64", "N", "force of the sound on the skin's body, mean over the run", "world",
+        "acts on the body",
+    ),
+    "drive_level": Variable(
+        ("stimulus",), "float64", "1", "largest amplitude of the stimulus's transducers when the skin is loudest, 1 is "
+        "full drive",
+    ),
+    "main_frequency": Variable(
+        ("skin",), "float64", "Hz", "frequency in which most of the skin's response lies; none for a load that does "
+        "not repeat",
+    ),
+    "level": Variable(
+        ("skin", "observer"), "float64", "dB",
+        f"level above the observer's threshold of the line at main_frequency (dB SL), {_MOST}",
+    ),
+    "level_all_lines": Variable(
+        ("skin", "observer"), "float64", "dB",
+        f"level above the observer's threshold of all main lines together (dB SL), {_MOST}",
+    ),
+}  # fmt: skip
+"""Of every sweep. NaN where a point has failed, is not there yet, or has no such number."""
+ERRORS: dict[str, Variable] = {
+    "displacement_error": Variable(
+        ("skin",), "float64", "1", "estimated relative error of the displacement: mesh, step, reduction, cut edges"
+    ),
+    "displacement_error_missing": Variable(("skin",), "str", "", "why there is no estimate"),
+}
+"""Of a sweep that was asked for errors."""
+RECORDS: dict[str, Variable] = {
+    "substep": Variable((), "float64", "s", "substep of the skins; normal_displacement is resampled where it differs"),
+    "wall_time": Variable((), "float64", "s", "time that the point took"),
+    "failure": Variable((), "str", "", "why a point has failed"),
+    "status": Variable((), "int8", "1", "0 not computed yet, 1 done, 2 failed"),
+}
+"""About the computing."""
+COURSES = ("time", "step_time")
+"""Dimensions along which there are many numbers a point."""
+
+
+def variables(errors: bool) -> dict[str, Variable]:
+    """All variables of a sweep, with estimates of errors or without."""
+    return VARIABLES | (ERRORS if errors else {}) | RECORDS

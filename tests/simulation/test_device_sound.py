@@ -1,0 +1,302 @@
+"""A scene's sound in one graph against the stages that the CPU computes it by, one by one; here both on the CPU."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+import warp as wp
+
+import palmfield
+from palmfield.acoustics.surface_load import CLEARANCE_M
+from palmfield.data import folder
+from palmfield.errors import DeviceError, PalmfieldError
+from palmfield.simulation import device_sound, validate
+from palmfield.simulation import step as step_module
+from palmfield.simulation.device_sound import DeviceSound, serves
+from palmfield.simulation.emission import MeanDrives
+from palmfield.simulation.forces import BodyForces
+from palmfield.simulation.radiation import Radiation
+from palmfield.simulation.step import gather
+
+SCENES = folder("mjcf") / "scenes"
+CIRCLE: dict[str, object] = {"path": "circle", "path_diameter_m": 0.01, "path_rate_Hz": 100}
+LEVER_M = 0.01
+"""About as long as bones are thick: forces at their surfaces turn them by this."""
+NO_WAVE: dict[str, object] = dict.fromkeys(("modulation", "am_of", "am_frequency_Hz", "am_depth"))
+
+
+@pytest.fixture
+def by_graph(monkeypatch: pytest.MonkeyPatch) -> Callable[..., palmfield.Simulation]:
+    """Opens a scene whose sound is computed by a graph, on the CPU."""
+
+    def opened(scene: Path, **keywords: Any) -> palmfield.Simulation:
+        with monkeypatch.context() as patch:
+            patch.setattr(step_module, "serves", lambda model: True)
+            return palmfield.Simulation(scene, device="cpu", **keywords)
+
+    return opened
+
+
+def stages(sim: palmfield.Simulation) -> dict[str, Any]:
+    """What the CPU's own stages give for the step that begins now, with the emission of the simulation itself."""
+    runtime, work = sim.runtime, sim.runtime.work
+    posed, emitted, now = runtime.posed, gather(runtime.state, work), sim.data.time
+    radiation = Radiation(runtime.model)
+    _, course = work.emission.over(posed, emitted, now, runtime.model.substeps)
+    loads = []
+    for skin in range(len(runtime.model.skins)):
+        drives = course.unit[None] if course.emitted is None else course.emitted
+        loads.append(radiation.many(posed, skin, drives))
+    forces = BodyForces(runtime.model, radiation).over(work.emission, posed, emitted, now)
+    return {"posed": posed, "course": course, "loads": loads, "forces": forces}
+
+
+def graphs(sim: palmfield.Simulation, seen: dict[str, Any]) -> dict[str, Any]:
+    """The same by the graph."""
+    runtime, work = sim.runtime, sim.runtime.work
+    sound = work.device_sound
+    emitted = gather(runtime.state, work)
+    forces = sound.over(work.emission, seen["posed"], emitted, sim.data.time)
+    loads = [sound.patterns(seen["posed"], skin, seen["course"]).copy() for skin in range(len(runtime.model.skins))]
+    return {"loads": loads, "forces": forces}
+
+
+def agree(sim: palmfield.Simulation, flipped: float = 0.0) -> None:
+    """Loads and forces agree; flipped: share of the points where a ray grazes an edge and rounding decides."""
+    one = stages(sim)
+    other = graphs(sim, one)
+    for mine, its in zip(one["loads"], other["loads"], strict=True):
+        assert mine.shape == its.shape and mine.max() > 0.0
+        assert (np.abs(its - mine) > 3e-5 * np.abs(mine).max()).mean() <= flipped
+    for (force, torque), (its_force, its_torque) in zip(one["forces"], other["forces"], strict=True):
+        largest = np.linalg.norm(force, axis=1).max()
+        assert largest > 0.0
+        np.testing.assert_allclose(its_force, force, rtol=0.0, atol=1e-5 * largest)
+        np.testing.assert_allclose(its_torque, torque, rtol=0.0, atol=1e-5 * largest * LEVER_M)
+
+
+def test_only_scenes_on_a_gpu_take_it(small_scene: Any) -> None:
+    assert not serves(palmfield.Simulation(small_scene()).runtime.model)
+
+
+def test_boundary_elements_and_float64_are_left_to_the_stages(
+    small_scene: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(device_sound, "resolve", lambda device: "cuda:0")
+    for keys, served in (
+        ({}, True),
+        ({"skin": {"body_sound": "shadows"}}, True),
+        ({"skin": {"body_sound": "scattering"}}, False),
+        ({"array": {"precision": "accurate"}}, False),
+    ):
+        with monkeypatch.context() as patch:
+            patch.setattr(step_module, "serves", lambda model: False)
+            sim = palmfield.Simulation(small_scene(**keys))
+        assert serves(sim.runtime.model) is served
+
+
+@pytest.mark.parametrize("response", ["on", "off"])
+@pytest.mark.parametrize("path", [{}, CIRCLE | NO_WAVE], ids=["point", "circle"])
+def test_a_pad_that_slides(small_scene: Any, by_graph: Any, path: dict[str, object], response: str) -> None:
+    scene = small_scene(stimulus=path, array={"response": response})
+    sim = by_graph(scene)
+    other = palmfield.Simulation(scene)
+    for _ in range(6):
+        sim.step()
+        other.step()
+        assert sim.data.sensordata[2] != 0.0
+        largest = np.abs(other.data.sensordata).max() * 1e-5
+        np.testing.assert_allclose(sim.data.sensordata[2:], other.data.sensordata[2:], rtol=2e-5, atol=1e-4 * largest)
+    agree(sim)
+
+
+def test_bones_carry_points_and_samples(by_graph: Any) -> None:
+    sim = by_graph(SCENES / "approach_withdraw.xml", accuracy=0.5)
+    sim.start_at(0.2)
+    bent = sim.data.ctrl
+    bent[6:] = 0.4  # fingers that bend, so that bones stand apart
+    sim.step(3)
+    agree(sim)
+
+
+def test_shadows_of_two_hands(by_graph: Any) -> None:
+    sim = by_graph(SCENES / "two_hands.xml", accuracy=0.5)
+    sim.start_at(0.3)
+    sim.step(2)
+    agree(sim, flipped=2e-3)
+
+
+def test_shadows_of_an_obstacle_and_of_the_hand(by_graph: Any) -> None:
+    sim = by_graph(SCENES / "grasp_object.xml", accuracy=0.5)
+    sim.start_at(0.2)
+    sim.step(2)
+    agree(sim, flipped=2e-3)
+
+
+def test_two_skins_two_arrays_two_stimuli(by_graph: Any) -> None:
+    sim = by_graph(SCENES / "two_hands_both_feel.xml", accuracy=0.5)
+    sim.step(3)
+    agree(sim)
+
+
+def test_one_launch_a_step_and_none_where_only_the_level_changes(small_scene: Any, by_graph: Any) -> None:
+    joint = '<joint name="slide" type="slide" axis="1 0 0" stiffness="400" damping="10"/>'
+    sims = []
+    for kept in (joint.replace("1 0 0", "0 0 1"), ""):
+        scene = small_scene(skin={"solver": "wedges"})
+        plain = scene.with_name("plain.xml")
+        plain.write_text(plain.read_text().replace(joint, kept))
+        sims.append(by_graph(scene))
+    for sim, expected in zip(sims, (10, 0), strict=True):
+        sim.step(3)
+        before = sim.runtime.work.device_sound.launches
+        for _ in range(10):
+            mujoco.mj_step(sim.model, sim.data)
+        palmfield.raise_errors(sim.data)
+        assert sim.runtime.work.device_sound.launches - before == expected
+
+
+def test_a_step_runs_few_python_functions(by_graph: Any, python_calls: Any) -> None:
+    sim = by_graph(SCENES / "approach_withdraw.xml", accuracy=0.5)
+    sim.step(3)
+    assert python_calls(lambda: mujoco.mj_step(sim.model, sim.data)) <= 200
+    palmfield.raise_errors(sim.data)
+
+
+def test_runs_repeat_to_the_bit(small_scene: Any, by_graph: Any) -> None:
+    sensors = []
+    for _ in range(2):
+        sim = by_graph(small_scene(stimulus=CIRCLE | NO_WAVE, array={"response": "on"}))
+        sim.step(5)
+        sensors.append(sim.data.sensordata.copy())
+    np.testing.assert_array_equal(*sensors)
+
+
+def test_a_copy_goes_on_by_itself(small_scene: Any, by_graph: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    sim = by_graph(small_scene())
+    sim.step(3)
+    monkeypatch.setattr(step_module, "serves", lambda model: True)
+    twin = sim.copy()
+    sim.step(4)
+    twin.step(4)
+    assert twin.runtime.work.device_sound is not sim.runtime.work.device_sound
+    np.testing.assert_array_equal(twin.data.sensordata, sim.data.sensordata)
+
+
+def test_more_drives_than_before_take_more_room(small_scene: Any, by_graph: Any) -> None:
+    sim = by_graph(small_scene())
+    sim.step(2)
+    runtime, sound = sim.runtime, sim.runtime.work.device_sound
+    posed = runtime.posed
+    rng = np.random.default_rng(0)
+    drives = np.exp(2j * np.pi * rng.uniform(size=(11, 256)))
+    course = runtime.work.emission.over(posed, gather(runtime.state, runtime.work), sim.data.time, 2)[1]
+    many = course._replace(unit=None, levels=None, emitted=drives)
+    for wanted in (many, course._replace(unit=drives[0], levels=np.ones(1), emitted=None), many):
+        given = drives if wanted.emitted is not None else drives[:1]
+        expected = Radiation(runtime.model).many(posed, 0, given)
+        found = sound.patterns(posed, 0, wanted)
+        assert np.abs(found - expected).max() < 3e-5 * expected.max()
+
+
+def test_the_load_stays_on_the_device(small_scene: Any, by_graph: Any) -> None:
+    """What a stepper of skins on the device reads: rows, and how many of them count."""
+    sim = by_graph(small_scene(stimulus=CIRCLE | NO_WAVE))
+    sim.step(2)
+    runtime = sim.runtime
+    seen = stages(sim)
+    found = graphs(sim, seen)
+    pressure, counts = runtime.work.device_sound.on_device(0)
+    assert isinstance(pressure, wp.array) and pressure.dtype == wp.float32
+    rows = int(counts.numpy()[1])
+    assert rows == len(seen["course"].emitted)
+    np.testing.assert_array_equal(pressure.numpy()[:rows], found["loads"][0])
+
+
+def test_silence_pushes_nothing(small_scene: Any, by_graph: Any) -> None:
+    sim = by_graph(small_scene(stimulus={"start_s": 0.004}))
+    sim.step(3)
+    assert sim.runtime.work.device_sound.launches == 0
+    assert not sim.forces.any() and not sim.data.sensordata.any()
+    sim.step(3)
+    assert sim.forces.any()
+
+
+def test_what_is_not_finite_is_named(small_scene: Any, by_graph: Any) -> None:
+    sim = by_graph(small_scene())
+    sim.step(2)
+    posed, sound = sim.runtime.posed, sim.runtime.work.device_sound
+    drive = np.ones(256, complex)
+    course = sim.runtime.work.emission.now(posed, drive, 0.0)
+    drive[7] = np.nan
+    with pytest.raises(PalmfieldError, match=r"drive of transducer 7 = .*nan.* is not finite"):
+        sound.update(posed, MeanDrives(drive[None], np.ones(1)), course, None)
+    posed.bodies[0].frame.position[1] = np.inf
+    with pytest.raises(PalmfieldError, match=r"pose of 'pad' at .*inf.* is not finite"):
+        DeviceSound(sim.runtime.model, sim.runtime.work.reference).update(
+            posed, MeanDrives(np.ones((1, 256), complex), np.ones(1)), course, None
+        )
+
+
+@pytest.mark.parametrize("at", ["build", "step"])
+def test_memory_that_runs_out_says_what_to_change(
+    small_scene: Any, by_graph: Any, monkeypatch: pytest.MonkeyPatch, at: str
+) -> None:
+    """What Warp raises there, word for word; here nothing runs out."""
+
+    def full(*_: object) -> None:
+        raise RuntimeError("Failed to allocate 68719476736 bytes on device 'cuda:0'")
+
+    sim = None
+    if at == "step":
+        sim = by_graph(small_scene(stimulus=CIRCLE | NO_WAVE))
+        sim.step()
+        monkeypatch.setattr(device_sound.DeviceWork, "run", full)
+    else:
+        monkeypatch.setattr(device_sound, "Transducers", full)
+    with pytest.raises(DeviceError, match=r"cuda:0.*accuracy.*patch_radius_m.*worlds.*device") as raised:
+        sim.step() if sim else by_graph(small_scene())
+    assert "\n" not in str(raised.value)
+
+
+def test_boxes_hold_the_whole_surface_in_any_pose(by_graph: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    sim = palmfield.Simulation(SCENES / "approach_withdraw.xml", device="cpu", accuracy=0.5)
+    rng = np.random.default_rng(0)
+    for _ in range(3):
+        sim.data.qpos[7:] = rng.uniform(-0.5, 1.0, len(sim.data.qpos) - 7)
+        mujoco.mj_forward(sim.model, sim.data)
+        palmfield.raise_errors(sim.data)
+        [body] = sim.runtime.posed.bodies
+        directions = rng.normal(size=(50, 3))
+        assert ((body.hull @ directions.T).max(axis=0) >= (body.vertices_in_array @ directions.T).max(axis=0)).all()
+    lowest = body.vertices_in_array[:, 2].min()
+    posed = sim.runtime.posed
+    height = posed.arrays.boards[0].height
+    for gap, clear in ((0.5 * CLEARANCE_M, False), (2.0 * CLEARANCE_M, True)):
+        moved = posed.bodies[0].frame.position.copy()
+        posed.bodies[0].frame.position[2] += height + gap - lowest
+        vars(posed.bodies[0]).pop("vertices_in_array", None)
+        if clear:
+            validate.check_clear(posed)
+        else:
+            with pytest.raises(PalmfieldError, match="reaches into the array"):
+                validate.check_clear(posed)
+        posed.bodies[0].frame.position[:] = moved
+
+
+@pytest.mark.skipif(not wp.is_cuda_available(), reason="no GPU here")
+@pytest.mark.parametrize("body_sound", ["none", "shadows"])
+@pytest.mark.parametrize("path", [{}, CIRCLE | NO_WAVE], ids=["point", "circle"])
+def test_a_gpu_gives_what_the_cpu_gives(small_scene: Any, path: dict[str, object], body_sound: str) -> None:
+    keys: dict[str, Any] = {"stimulus": path, "skin": {"body_sound": body_sound, "solver": "wedges"}}
+    here, *there = (palmfield.Simulation(small_scene(**keys), device=device) for device in ("cpu", "cuda:0", "cuda:0"))
+    for _ in range(8):
+        for sim in (here, *there):
+            sim.step()
+        assert there[0].runtime.work.device_sound is not None
+        np.testing.assert_array_equal(there[0].data.sensordata, there[1].data.sensordata)
+        mine, its = (sim.data.sensordata for sim in (here, there[0]))
+        np.testing.assert_allclose(its[2:5], mine[2:5], rtol=1e-4, atol=1e-12)

@@ -1,0 +1,220 @@
+"""Sound of several drives at once at points of a surface, for a device: fields in parts, then ARP with its shadow.
+
+One thread takes one point, a few drives and a run of the transducers. What it finds goes into a place of its own, and
+who needs the sum adds the runs up in their order: so there is work for all of a GPU where points are few, and equal
+input gives equal bits.
+"""
+
+import functools
+from typing import Any
+
+import warp as wp
+
+from warp_kernels.arp import radiation_pressure, times
+from warp_kernels.pressure import CPU, NEAREST_M2, TURN, inverse_root, quartic, quintic, row32, vec6
+
+wp.set_module_options({"enable_backward": False, "fast_math": True})
+
+PARTS = 8
+"""Numbers of a field: real and imaginary pressure, then those of its gradient over k along x, y and z."""
+GRAZING = 1.0e-6
+
+
+@wp.struct
+class Waves:
+    """Numbers shared by every pair of transducer and point.
+
+    turns_per_m: one over the wavelength [1/m]; absorption_Np_m: amplitude lost on the way [Np/m]
+    per_wavenumber: 1/k [m]
+    """
+
+    turns_per_m: wp.float32
+    absorption_Np_m: wp.float32
+    per_wavenumber: wp.float32
+
+
+@functools.cache
+def fields(rows: int, gpu: bool) -> Any:
+    """Kernel of pressure and gradient of `rows` drives a thread; dim: (drives / rows, runs of transducers, points)."""
+    lanes = wp.types.vector(length=rows, dtype=wp.float32)
+
+    @wp.kernel(module="unique", module_options={"fast_math": True} if gpu else CPU, enable_backward=False)
+    def kernel(
+        points: wp.array(dtype=wp.vec3),
+        places: wp.array(dtype=wp.vec4),
+        facing: wp.array(dtype=wp.vec4),
+        shapes: wp.array(dtype=vec6),
+        waves: Waves,
+        first: wp.int32,
+        stop: wp.int32,
+        size: wp.int32,
+        run: wp.int32,
+        counts: wp.array(dtype=wp.int32),
+        drives: wp.array2d(dtype=wp.vec2),
+        result: wp.array4d(dtype=wp.float32),
+    ):
+        """Of the transducers [first, stop) in runs of `size`; what the runs give begins at result[:, run].
+
+        places, facing: position [m] and unit direction of each transducer, the fourth number is unused
+        shapes: directivity and slope, see `pressure.Sound`
+        counts: how many drives there are; drives: complex amplitude of each transducer [Pa m], shape (rows, n)
+        result: the numbers of a field, shape (drives, runs, PARTS, points)
+        """
+        block, j, i = wp.tid()
+        row = block * rows
+        if row < counts[0]:
+            point = points[i]
+            in_directivity = shapes[0]
+            in_slope = shapes[1]
+            # From a struct they would be loaded again for each transducer
+            turns_per_m = waves.turns_per_m
+            loss = waves.absorption_Np_m
+            per_wavenumber = waves.per_wavenumber
+            a_re = lanes()
+            a_im = lanes()
+            p_re = lanes()
+            p_im = lanes()
+            x_re = lanes()
+            x_im = lanes()
+            y_re = lanes()
+            y_im = lanes()
+            z_re = lanes()
+            z_im = lanes()
+            for e in range(first + j * size, wp.min(first + (j + 1) * size, stop)):
+                loudest = wp.float32(0.0)
+                for r in range(rows):
+                    a = drives[row + r, e]
+                    a_re[r] = a[0]
+                    a_im[r] = a[1]
+                    loudest += wp.abs(a[0]) + wp.abs(a[1])
+                if loudest > 0.0:
+                    place = row32(places, e)
+                    axis = row32(facing, e)
+                    x = point[0] - place[0]
+                    y = point[1] - place[1]
+                    z = point[2] - place[2]
+                    square = x * x + y * y + z * z + wp.float32(NEAREST_M2)
+                    inverse = inverse_root(square)
+                    d = square * inverse
+                    cosine = (x * axis[0] + y * axis[1] + z * axis[2]) * inverse
+                    if cosine > 0.0:
+                        turns = d * turns_per_m
+                        angle = TURN * (turns - wp.floor(turns + 0.5))
+                        gain = inverse * wp.exp(-loss * d)
+                        wave_re = gain * wp.cos(angle)
+                        wave_im = gain * wp.sin(angle)
+                        q = cosine * cosine
+                        direct = quintic(in_directivity, q)
+                        bend = quartic(in_slope, q) * inverse
+                        swing = direct * inverse
+                        decay = -(loss + inverse) * per_wavenumber * swing - q * bend * inverse
+                        along_re = decay * wave_re - swing * wave_im
+                        along_im = decay * wave_im + swing * wave_re
+                        axial_re = cosine * bend * wave_re
+                        axial_im = cosine * bend * wave_im
+                        p = wp.vec2(direct * wave_re, direct * wave_im)
+                        gx = wp.vec2(along_re * x + axial_re * axis[0], along_im * x + axial_im * axis[0])
+                        gy = wp.vec2(along_re * y + axial_re * axis[1], along_im * y + axial_im * axis[1])
+                        gz = wp.vec2(along_re * z + axial_re * axis[2], along_im * z + axial_im * axis[2])
+                        for r in range(rows):
+                            p_re[r] += a_re[r] * p[0] - a_im[r] * p[1]
+                            p_im[r] += a_re[r] * p[1] + a_im[r] * p[0]
+                            x_re[r] += a_re[r] * gx[0] - a_im[r] * gx[1]
+                            x_im[r] += a_re[r] * gx[1] + a_im[r] * gx[0]
+                            y_re[r] += a_re[r] * gy[0] - a_im[r] * gy[1]
+                            y_im[r] += a_re[r] * gy[1] + a_im[r] * gy[0]
+                            z_re[r] += a_re[r] * gz[0] - a_im[r] * gz[1]
+                            z_im[r] += a_re[r] * gz[1] + a_im[r] * gz[0]
+            for r in range(rows):
+                result[row + r, run + j, 0, i] = p_re[r]
+                result[row + r, run + j, 1, i] = p_im[r]
+                result[row + r, run + j, 2, i] = x_re[r]
+                result[row + r, run + j, 3, i] = x_im[r]
+                result[row + r, run + j, 4, i] = y_re[r]
+                result[row + r, run + j, 5, i] = y_im[r]
+                result[row + r, run + j, 6, i] = z_re[r]
+                result[row + r, run + j, 7, i] = z_im[r]
+
+    return kernel
+
+
+@wp.func
+def reach_to_boards(point: wp.vec3, along: wp.vec3, boards: wp.array(dtype=wp.vec4), farthest_m: wp.float32):
+    """How far back along the sound a ray can meet something before the farthest board [m].
+
+    boards: mean direction of each and the height of its middle along it [m]
+    """
+    reach = wp.float32(0.0)
+    for b in range(boards.shape[0]):
+        facing = wp.vec3(boards[b][0], boards[b][1], boards[b][2])
+        leaving = wp.dot(facing, along)
+        way = farthest_m
+        if leaving > GRAZING:
+            way = (wp.dot(facing, point) - boards[b][3]) / leaving
+        reach = wp.max(reach, way)
+    return wp.min(reach, farthest_m)
+
+
+@wp.kernel
+def arp_of_sums(
+    points: wp.array(dtype=wp.vec3),
+    normals: wp.array(dtype=wp.vec3),
+    counts: wp.array(dtype=wp.int32),
+    levels: wp.array2d(dtype=wp.vec2),
+    fields: wp.array4d(dtype=wp.float32),
+    weights: wp.vec3,
+    mesh: wp.uint64,
+    boards: wp.array(dtype=wp.vec4),
+    clearance_m: wp.float32,
+    farthest_m: wp.float32,
+    result: wp.array2d(dtype=wp.float32),
+):
+    """ARP [Pa] of sums of drives, levels (m, k), at points with unit outward normals, shape (m, n); dim: (m, n).
+
+    counts: how many drives there are, and how many sums; fields: of `fields`
+    weights: as `arp.radiation_pressure`
+    mesh: what casts shadows, 0 for none: dark where the way back along the sound meets it before the boards, see
+        `reach_to_boards`; clearance_m: how far above the surface a ray starts
+    """
+    m, i = wp.tid()
+    if m < counts[1]:
+        p = wp.vec2()
+        gx = wp.vec2()
+        gy = wp.vec2()
+        gz = wp.vec2()
+        for k in range(counts[0]):
+            level = levels[m, k]
+            if level[0] != 0.0 or level[1] != 0.0:
+                q = wp.vec2()
+                hx = wp.vec2()
+                hy = wp.vec2()
+                hz = wp.vec2()
+                for j in range(fields.shape[1]):
+                    q += wp.vec2(fields[k, j, 0, i], fields[k, j, 1, i])
+                    hx += wp.vec2(fields[k, j, 2, i], fields[k, j, 3, i])
+                    hy += wp.vec2(fields[k, j, 4, i], fields[k, j, 5, i])
+                    hz += wp.vec2(fields[k, j, 6, i], fields[k, j, 7, i])
+                p += times(level, q)
+                gx += times(level, hx)
+                gy += times(level, hy)
+                gz += times(level, hz)
+        n = normals[i]
+        s_re = wp.vec3(gx[0], gy[0], gz[0])
+        s_im = wp.vec3(gx[1], gy[1], gz[1])
+        n_re = wp.dot(s_re, n)
+        n_im = wp.dot(s_im, n)
+        t_re = s_re - n_re * n
+        t_im = s_im - n_im * n
+        arp = radiation_pressure(p[0], p[1], n_re, n_im, wp.dot(t_re, t_re) + wp.dot(t_im, t_im), weights)
+        if mesh != wp.uint64(0) and arp != 0.0:
+            flux = p[0] * s_im - p[1] * s_re
+            # Divided by its largest part first: the squares of a faint sound's would be 0
+            largest = wp.max(wp.max(wp.abs(flux[0]), wp.abs(flux[1])), wp.abs(flux[2]))
+            along = wp.vec3()
+            if largest > 0.0:
+                along = wp.normalize(flux / largest)
+            start = points[i] - clearance_m * along
+            reach = reach_to_boards(points[i], along, boards, farthest_m)
+            if largest == 0.0 or wp.mesh_query_ray_anyhit(mesh, start, -along, reach):
+                arp = wp.float32(0.0)
+        result[m, i] = arp

@@ -1,0 +1,63 @@
+"""Force and torque of a pressure on the parts of bodies, added up in float64 in a fixed order."""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def mean_load(
+    counts: wp.array(dtype=wp.int32),
+    weights: wp.array(dtype=wp.float64),
+    arp: wp.array2d(dtype=wp.float32),
+    areas: wp.array(dtype=wp.float64),
+    result: wp.array(dtype=wp.float64),
+):
+    """Weighted sum of ARPs, shape (m, n) [Pa], times the area of each point [m2], shape (n,). counts[1] is m."""
+    i = wp.tid()
+    total = wp.float64(0.0)
+    for m in range(counts[1]):
+        total += weights[m] * wp.float64(arp[m, i])
+    result[i] = total * areas[i]
+
+
+@wp.kernel
+def sums_of_runs(
+    load: wp.array(dtype=wp.float64),
+    normals: wp.array(dtype=wp.vec3),
+    points: wp.array(dtype=wp.vec3),
+    order: wp.array(dtype=wp.int32),
+    starts: wp.array(dtype=wp.int32),
+    parts: wp.array(dtype=wp.int32),
+    origins: wp.array(dtype=wp.vec3d),
+    result: wp.array2d(dtype=wp.float64),
+):
+    """Force [N] and torque about its part's origin [N m] of each run of points, shape (runs, 6).
+
+    load: inward [N]; order: the points in runs, run i is order[starts[i]:starts[i + 1]]
+    parts: the part that each run pushes; origins: of the parts [m]
+    """
+    run = wp.tid()
+    origin = origins[parts[run]]
+    force = wp.vec3d()
+    torque = wp.vec3d()
+    for j in range(starts[run], starts[run + 1]):
+        i = order[j]
+        push = -load[i] * wp.vec3d(normals[i])
+        force += push
+        torque += wp.cross(wp.vec3d(points[i]) - origin, push)
+    for axis in range(3):
+        result[run, axis] = force[axis]
+        result[run, 3 + axis] = torque[axis]
+
+
+@wp.kernel
+def sums_of_parts(
+    runs: wp.array2d(dtype=wp.float64), starts: wp.array(dtype=wp.int32), result: wp.array2d(dtype=wp.float64)
+):
+    """The runs of each part, starts[i] to starts[i + 1], added up, shape (parts, 6); dim: (parts, 6)."""
+    part, axis = wp.tid()
+    total = wp.float64(0.0)
+    for run in range(starts[part], starts[part + 1]):
+        total += runs[run, axis]
+    result[part, axis] = total
