@@ -171,12 +171,16 @@ class ModalStepper:
         worlds, substeps, _ = loads.first.shape
         seen = None if observe is None else np.empty((worlds, substeps, 2, observe.count))
         mixed = self.mixed(loads)
+        # For the helpers too: the number of BLAS threads is the whole process's
         with one_blas_thread:
             pushes = self._pushes(loads)
-        threads = min(cores(), worlds)
-        size = -(-worlds // threads)
-        parts = [slice(first, first + size) for first in range(0, worlds, size)]
-        share([(partial(self._step_some, part, state, mixed, pushes, observe, seen),) for part in parts], threads)
+            if worlds == 1:
+                self._step_some(slice(0, 1), state, mixed, pushes, observe, seen)
+                return seen
+            threads = min(cores(), worlds)
+            size = -(-worlds // threads)
+            parts = [slice(first, first + size) for first in range(0, worlds, size)]
+            share([(partial(self._step_some, part, state, mixed, pushes, observe, seen),) for part in parts], threads)
         return seen
 
     def _step_some(
@@ -190,15 +194,13 @@ class ModalStepper:
         except IndexError:
             room = self._new_room(*mixed.shape[:2])
         rows = state.reshape(len(state), self.state_rows, self._padded)
-        with one_blas_thread:
-            forces = mixed @ pushes
-            room.forces[...] = forces if forces.shape[2] == self._padded else forces @ self._forces
+        forces = mixed @ pushes
+        room.forces[...] = forces if forces.shape[2] == self._padded else forces @ self._forces
         room.rows[...] = rows
         room.launch()
         rows[...] = room.rows
         if seen is not None and observe is not None:
-            with one_blas_thread:
-                seen[part] = room.seen @ observe.matrix
+            seen[part] = room.seen @ observe.matrix
         rooms.append(room)
 
     def _pushes(self, loads: SurfaceLoads) -> Float32:
