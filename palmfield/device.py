@@ -153,7 +153,7 @@ DIRECT_LAUNCH = ("1.19",)
 """Versions of Warp whose compiled kernels on the CPU are known to take a launch's bounds and its packed arguments."""
 
 
-def recorded(kernel: Any, dim: int, inputs: Sequence[Any], device: str) -> Callable[[], object]:
+def recorded(kernel: Any, dim: int | tuple[int, ...], inputs: Sequence[Any], device: str) -> Callable[[], object]:
     """A call that launches a kernel with these arguments: the same arrays, whatever they hold by then.
 
     A launch that Warp records packs its arguments again each time, in 5 us and 10 to 20 Python calls. On the CPU, with

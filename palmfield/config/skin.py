@@ -11,8 +11,10 @@ ArpLaw = Literal["default", "alpha"]
 Base = Literal["bonded", "free_slip", "free", "springs"]
 Side = Literal["fixed", "free", "roller", "absorbing"]
 SPRINGS = ("base_normal_Pa_m", "base_tangential_Pa_m", "base_normal_Pa_s_m", "base_tangential_Pa_s_m")
-WHOLE_HISTORY = ("axisymmetric", "lateral_waves", "spectral_elements", "particles")
+WHOLE_HISTORY = ("axisymmetric", "lateral_waves")
 """Solvers that no scene can step."""
+EXPLICIT = ("spectral_elements", "particles")
+"""Solvers that step a scene's layer on a mesh of their own."""
 OVERRIDES = ("density_kg_m3", "shear_relaxed_Pa", "shear_branch_Pa", "relaxation_time_s", "bulk_Pa")
 
 
@@ -87,9 +89,11 @@ class SkinConfig(Config):
     max_frequency_Hz: Annotated[float, Field(gt=0, le=2000)] | None = Field(
         None, description="highest frequency to resolve (default: from the stimulus)"
     )
-    solver: Literal["auto", "wedges", "reduced"] = Field(
+    solver: Literal["auto", "wedges", "reduced", "modal", "spectral_elements", "particles"] = Field(
         "auto",
-        description="wedges: steps the whole layer; reduced: a small model of it for the stimulus; auto: the cheaper",
+        description="wedges: steps the whole layer; reduced: a small model of it for this stimulus; modal: modes for "
+        "every stimulus and pose; auto: the cheapest of these; spectral_elements: explicit, for a GPU; particles: a "
+        "preview, with its error",
     )
     obstacles: Names = Field(
         (), description="bodies whose geoms, and those of what hangs on them, cast shadows too: body_sound shadows"

@@ -134,7 +134,7 @@ class SceneRuntime:
                 "which its skins are made: load the scene with the new one"
             )
         if check_arrays(self.model, self.state):
-            self.work.prefetch.forget()
+            self.work.begin_run()
         step(self.model, self.state, self.posed, end - self.spec.timestep_s, end, self.work)
 
     def adopt(self, other: "SceneRuntime") -> None:
@@ -148,11 +148,12 @@ class SceneRuntime:
             # Poses are told apart as objects, and nothing in them changes: the copy goes on with the same ones.
             self.work.reference, self._posed, self._numbers = other.work.reference, other._posed, other._numbers
             self.work.prefetch.adopt(other.work.prefetch)
+            self.work.outside = [part.copy() for part in other.work.outside]
 
     def sense(self, skin: int, sensors: list[PluginSensor]) -> None:
         """Fill a skin's sensors from the state at the present time."""
         posed, course = self.now()
-        part = self.model.skins[skin]
+        part, device = self.model.skins[skin], self.work.device_sound
         drive, factor = present_drive(course)
         resting = at_rest(self.state, skin)
         for sensor in sensors:
@@ -163,21 +164,16 @@ class SceneRuntime:
                 motion = stepper.read(numbers, place.reader(stepper))[0, :, 0]
             arp = 0.0
             if drive is not None:
-                arp = factor * self._arp_at(place, skin, posed, drive)
+                known = None if device is None else device.probed(skin, place, posed, drive)
+                if known is None:
+                    if device is not None:
+                        device.watch(skin, place)
+                    body = posed.bodies[part.body]
+                    points, normals = body.moved(place.probe.closest, place.probe.normals, place.binding)
+                    known = float(self.work.radiation.at(posed, skin, "probe", points, normals, drive).arp[0])
+                arp = factor * known
             x, y, z = self.applied[part.body]
             fill(sensor.data, SkinReading(x, y, z, motion[0], motion[1], arp))
-
-    def _arp_at(self, place: SensorPlace, skin: int, posed: PosedScene, drive: Complex) -> float:
-        """ARP [Pa] at a sensor's place for a drive, shape (N,)."""
-        device = self.work.device_sound
-        if device is not None:
-            known = device.probed(skin, place, posed, drive)
-            if known is not None:
-                return known
-            device.watch(skin, place)
-        body = posed.bodies[self.model.skins[skin].body]
-        points, normals = body.moved(place.probe.closest, place.probe.normals, place.binding)
-        return float(self.work.radiation.at(posed, skin, "probe", points, normals, drive).arp[0])
 
     def _place(self, skin: int, sensor: PluginSensor) -> SensorPlace:
         """Where a sensor reads, kept. Raises SceneError for one that is not on the skin's body or far from the skin."""

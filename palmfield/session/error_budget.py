@@ -7,11 +7,12 @@ not in these; the plan names them.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from palmfield import cache
+from palmfield.config.skin import EXPLICIT
 from palmfield.errors import SceneError
 from palmfield.simulation.build import nearest_stimulus
 from palmfield.simulation.emission import array_drives
@@ -20,8 +21,10 @@ from palmfield.simulation.posed_scene import PosedScene, PosedSkin, PosedSurface
 from palmfield.simulation.radiation import Radiation
 from palmfield.skin.approximation.estimate import ORDER, mesh_error
 from palmfield.skin.fem.solver import harmonic, harmonic_discrete, static
+from palmfield.skin.reduction.modal_stepper import ModalStepper
 from palmfield.skin.reduction.reduced_stepper import ReducedStepper
 from palmfield.skin.scene_layer import SceneLayer
+from palmfield.skin.stepper import SkinStepper
 from palmfield.stimulus.schedule import frame_at
 from palmfield.types import Complex, Float
 
@@ -60,21 +63,31 @@ def compares_with_finer(layer: SceneLayer, dofs: int) -> bool:
 
 
 def error_estimate(
-    model: HapticModel, skin: int, loudest: LoudestMoment, radiation: Radiation, *, left_small_model: bool
+    model: HapticModel,
+    skin: int,
+    loudest: LoudestMoment,
+    radiation: Radiation,
+    *,
+    left_small_model: bool,
+    outside_class: float = 0.0,
 ) -> dict[str, float]:
     """Relative error of a skin's displacement at its point nearest to the focus, by source.
 
     radiation: of the model; its solution by boundary elements for that moment serves again
-    left_small_model: whether the run went on from a small model to the whole layer
+    left_small_model: whether the run went on from a small model or modes to the whole layer
+    outside_class: what of the loads lay outside the class that the modes serve, in the energy norm
 
-    mesh: static and harmonic response on the scene's mesh and on one RATIO finer (or coarser, for more than
+    mesh: of a solver of EXPLICIT its own estimate, of its elements or particles, and of its steps. Else the static and
+        harmonic response on the scene's mesh and on one RATIO finer (or coarser, for more than
         FINER_BELOW unknowns and at least LAYERS rows of elements), by Richardson's rule; the larger of the two. The
         frequency is the stimulus's main one; half of the highest that mesh and step are made for where there is none,
         as the spectrum of a load that only starts and stops falls with frequency
     step: the discrete scheme's exact steady state against the continuous one, on the coarser mesh, where it costs less.
-        A small model is exact in time; what it is given is the load's chords, of which a sine has sinc^2 of itself
+        A small model is exact in time, and the steps of an explicit solver are far shorter; what they are given is the
+        load's chords, of which a sine has sinc^2 of itself
     reduction: of a small model: its own estimate, or, where it is made for any course of the load, the difference from
-        the whole layer's static and harmonic response on the scene's mesh, if that is larger; 0 without one
+        the whole layer's static and harmonic response on the scene's mesh, if that is larger; of modes the same, and
+        what of the run's loads lay outside their class; 0 without either
     edge: half the difference that fixed or free cut faces make to the harmonic response, also there: a layer on a hand
         ends where the body goes on; 0 for a disc, whose side is its own
 
@@ -82,11 +95,13 @@ def error_estimate(
     be made.
     """
     layer, stepper = model.skins[skin].layer, model.begin[skin].value
-    small = stepper if isinstance(stepper, ReducedStepper) else None
+    small = stepper if isinstance(stepper, ReducedStepper | ModalStepper) else None
     sound, point = _Sound(model, skin, loudest, radiation), _under_focus(model, skin, loudest)
     finer = compares_with_finer(layer, layer.system.ndof)
 
     def make() -> cache.Arrays:
+        if stepper.name in EXPLICIT:
+            return {name: np.array(value) for name, value in _explicit_estimate(layer, stepper, sound, point).items()}
         try:
             result = _estimate(layer, small, sound, point, finer, left_small_model)
         except SceneError:
@@ -101,9 +116,19 @@ def error_estimate(
         [(body.vertices_in_array, body.faces) for body in posed.bodies],
         *(place.obstacle_positions, place.obstacle_rotations),
         *(loudest.drive, loudest.factor, sound.on_own, point, layer.demand, layer.sizes, left_small_model),
-        None if small is None else (small.small.matrices, small.vectors, small.error, small.any_course),
+        None if small is None else _numbers_of(small),
     )
-    return {name: float(value) for name, value in cache.kept("error-estimate", depends_on, make).items()}
+    result = {name: float(value) for name, value in cache.kept("error-estimate", depends_on, make).items()}
+    result["reduction_error_relative"] = math.hypot(result["reduction_error_relative"], outside_class)
+    sources = [result[f"{name}_error_relative"] for name in ("mesh", "step", "reduction", "edge")]
+    return result | {"displacement_error_relative": math.hypot(*sources)}
+
+
+def _numbers_of(small: ReducedStepper | ModalStepper) -> tuple[Any, ...]:
+    """All that a small model's or modes' answers follow from."""
+    if isinstance(small, ModalStepper):
+        return small.body.modes.elastic, small.body.modes.stiffness, small.body.forces, small.error
+    return small.small.matrices, small.vectors, small.error, small.any_course
 
 
 class _Response:
@@ -172,7 +197,7 @@ def _exchanged(parts: Sequence[T], number: int, other: T) -> tuple[T, ...]:
 
 def _estimate(
     layer: SceneLayer,
-    small: ReducedStepper | None,
+    small: ReducedStepper | ModalStepper | None,
     sound: _Sound,
     point: Float,
     finer: bool,
@@ -187,27 +212,48 @@ def _estimate(
     if finer:
         mesh *= RATIO**ORDER
     step = 1.0 - float(np.sinc(frequency * step_s)) ** 2
-    if small is None or left_small_model:
+    if not isinstance(small, ReducedStepper) or left_small_model:
         step = abs(coarse.harmonic_discrete(frequency, step_s) - coarse_wave) / abs(coarse_wave)
     reduction = 0.0
     if small is not None:
         own = coarse if low is layer else fine
         references = (coarse_static, coarse_wave) if low is layer else (fine_static, fine_wave)
         reduction = small.error
-        if small.any_course:
-            reduced = [small.harmonic(own.pressure, f, own.read)[0] for f in (0.0, frequency)]
+        if isinstance(small, ModalStepper) or small.any_course:
+            pressure = own.pressure if small.points is None else own.pressure[small.points]
+            reduced = [small.harmonic(pressure, f, own.read)[0] for f in (0.0, frequency)]
             reduction = max(reduction, *(abs(a - b) / abs(b) for a, b in zip(reduced, references, strict=True)))
-    edge = 0.0
-    if layer.config.shape != "disc":
-        other = low.resized(low.resizing, side="free" if layer.config.side == "fixed" else "fixed")
-        wave = _Response(other, sound.on(other), point).harmonic(frequency)
-        edge = 0.5 * abs(wave - coarse_wave) / abs(coarse_wave)
+    edge = _edge_error(low, sound, point, coarse_wave)
+    return _as_numbers(mesh, step, reduction, edge)
+
+
+def _explicit_estimate(layer: SceneLayer, stepper: SkinStepper, sound: _Sound, point: Float) -> dict[str, float]:
+    """Of a solver with a mesh of its own: the cut edge is that of the scene's layer, by its wedges."""
+    frequency = layer.demand.main_frequency_Hz
+    step = 1.0 - float(np.sinc(frequency * layer.sizes.step_s)) ** 2
+    return _as_numbers(stepper.error, step, 0.0, _edge_error(layer, sound, point))
+
+
+def _edge_error(layer: SceneLayer, sound: _Sound, point: Float, wave: complex | None = None) -> float:
+    """Half of what other cut faces change of a layer's harmonic displacement `wave` [m] at the main frequency.
+
+    wave: None where it is not known; 0 for a disc, whose side is its own
+    """
+    if layer.config.shape == "disc":
+        return 0.0
+    frequency = layer.demand.main_frequency_Hz
+    if wave is None:
+        wave = _Response(layer, sound.on(layer), point).harmonic(frequency)
+    other = layer.resized(layer.resizing, side="free" if layer.config.side == "fixed" else "fixed")
+    return 0.5 * abs(_Response(other, sound.on(other), point).harmonic(frequency) - wave) / abs(wave)
+
+
+def _as_numbers(mesh: float, step: float, reduction: float, edge: float) -> dict[str, float]:
     return {
-        "mesh_error_relative": mesh,
+        "mesh_error_relative": float(mesh),
         "step_error_relative": float(step),
         "reduction_error_relative": float(reduction),
         "edge_error_relative": float(edge),
-        "displacement_error_relative": float(math.hypot(mesh, step, reduction, edge)),
     }
 
 

@@ -190,7 +190,7 @@ class Skin:
 
     @property
     def solver(self) -> str:
-        """What steps it now, or will: "wedges" or "reduced"."""
+        """What steps it now, or will: a value of key `solver` but for "auto"."""
         if at_rest(self._runtime.state, self._number):
             return self._part.choice.name
         return stepper_of(self._runtime.model, self._runtime.state, self._number)[0].name

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from palmfield.config.skin import EXPLICIT
 from palmfield.errors import PalmfieldError
 from palmfield.perception.observers import OBSERVERS, level_dB_SL, line_amplitude
 from palmfield.session.error_budget import LoudestMoment, error_estimate, p0_band, p0_given, stimulus_of
@@ -17,7 +18,10 @@ from palmfield.simulation.forces import BodyForces
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.radiation import Radiation
 from palmfield.simulation.state import WHOLE
+from palmfield.skin.explicit_layer import explicit_layer
+from palmfield.skin.reduction.modal_stepper import ModalStepper
 from palmfield.skin.reduction.reduced_stepper import ReducedStepper
+from palmfield.skin.solver_choice import PREVIEW
 from palmfield.stimulus.schedule import main_frequencies
 from palmfield.types import Float
 
@@ -42,7 +46,7 @@ def skin_numbers(
     skin = model.skins[number]
     left_small_model = _left_small_model(simulation, number)
     result: dict[str, Any] = {
-        "dofs": skin.layer.system.ndof,
+        "dofs": explicit_layer(skin.layer).unknowns if skin.choice.name in EXPLICIT else skin.layer.system.ndof,
         "solver": _solver_in_words(model, number, left_small_model),
         "solver_why": _why(model, number),
         "accuracy_wanted_relative": skin.spec.config.accuracy,
@@ -58,7 +62,10 @@ def skin_numbers(
             result |= {"peak_displacement_low_m": peak * band[0], "peak_displacement_high_m": peak * band[1]}
     if loudest is not None and peak > 0.0:
         try:
-            errors = error_estimate(model, number, loudest, radiation, left_small_model=left_small_model)
+            outside = runtime.work.outside[number].energy_share
+            errors = error_estimate(
+                model, number, loudest, radiation, left_small_model=left_small_model, outside_class=outside
+            )
             result |= errors | {"displacement_error_m": errors["displacement_error_relative"] * peak}
         except (PalmfieldError, MemoryError) as error:
             result["displacement_error_missing"] = f"{error}" or type(error).__name__
@@ -114,23 +121,26 @@ def felt_levels(times: Float, motion: Float, frequencies: list[float]) -> dict[s
 def _left_small_model(simulation: Simulation, skin: int) -> bool:
     """Whether a run that began with a small model of a skin went on with its whole layer."""
     runtime = simulation.runtime
-    begun = isinstance(runtime.model.begin[skin].value, ReducedStepper)
+    begun = isinstance(runtime.model.begin[skin].value, ReducedStepper | ModalStepper)
     return begun and bool(runtime.state.skins[skin][0, 0] == WHOLE)
 
 
 def _solver_in_words(model: HapticModel, skin: int, left_small_model: bool) -> str:
     """What stepped a skin."""
     stepper = model.begin[skin].value
-    if not isinstance(stepper, ReducedStepper):
+    if stepper.name in EXPLICIT:
+        preview = ", a preview" if stepper.name in PREVIEW else ""
+        return f"{stepper.name}{preview}: {explicit_layer(model.skins[skin].layer).resolution}"
+    if not isinstance(stepper, ReducedStepper | ModalStepper):
         return stepper.name
-    words = f"{stepper.name}, {stepper.order} vectors"
+    words = f"{stepper.name}, {stepper.order} {'modes' if isinstance(stepper, ModalStepper) else 'vectors'}"
     return f"{words}; then wedges" if left_small_model else words
 
 
 def _why(model: HapticModel, skin: int) -> str:
     """Why that stepped it."""
     choice = model.skins[skin].choice
-    if choice.name == "reduced" and not isinstance(model.begin[skin].value, ReducedStepper):
+    if choice.name != model.begin[skin].value.name:
         return f"{choice.why}; but no small model reached its accuracy, so that the whole layer stepped"
     return choice.why
 

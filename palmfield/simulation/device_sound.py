@@ -118,9 +118,10 @@ class DeviceSound:
             start += count
         return forces
 
-    def patterns(self, posed: PosedScene, skin: int, course: EmittedCourse) -> Float32:
+    def patterns(self, posed: PosedScene, skin: int, course: EmittedCourse, points: Int | None = None) -> Float32:
         """ARP [Pa] at a skin's quadrature points: of a course's unit drive, or at each of its moments, shape (m, q).
 
+        points: numbers of those that are wanted, shape (p,), None for all
         It is computed again where the last step's was for another pose or course. A view that the next step overwrites.
         """
         wanted = _of_course(course)
@@ -135,7 +136,7 @@ class DeviceSound:
                 wp.synchronize_stream(self.device)
             self._fetched = True
         result: Float32 = work.load.host[: wanted.sums, work.quadrature[skin]]
-        return result
+        return result if points is None else result[:, points]
 
     def on_device(self, skin: int) -> tuple[Any, Any]:
         """For what steps a skin on the device: ARP [Pa], float32, shape (m, q), and how many rows of it count.

@@ -10,15 +10,20 @@ from fractions import Fraction
 import numpy as np
 
 from palmfield.config import StimulusConfig
+from palmfield.config.skin import EXPLICIT
 from palmfield.drive.response import Pole
 from palmfield.drive.transducer_response import commanded_drive
 from palmfield.errors import SceneError
+from palmfield.simulation import load_class
 from palmfield.simulation.emission import array_drives
 from palmfield.simulation.model import HapticModel, StepperChoice, StimulusModel
 from palmfield.simulation.posed_scene import PosedScene, reference_scene
 from palmfield.simulation.radiation import Radiation
 from palmfield.simulation.spec import SceneSpec, SkinSpec
+from palmfield.skin.costs import wedges_s
+from palmfield.skin.explicit_layer import explicit_layer, refuse_explicit
 from palmfield.skin.reduction.krylov import Fade, harmonics, level, periodic
+from palmfield.skin.reduction.load_shapes import load_shapes
 from palmfield.skin.reduction.reduced_stepper import MOST_VECTORS, KnownLoad, reduced_stepper
 from palmfield.skin.scene_layer import SceneLayer
 from palmfield.skin.solver_choice import scene_choices
@@ -39,6 +44,8 @@ REST_S = 2.5e-3
 MOST_SAMPLES = 1024
 SMALLEST = 1e-4
 """Of the largest harmonic of a load: smaller ones are left out of what a model is made for."""
+LEFT_OUT = 1e-5
+"""Of a known load, what the shapes may leave out by which it is looked at in few points."""
 BEGINNING = 48
 """Moments at which the load is looked at while the transducers ring up."""
 SETTLED = 12.0
@@ -57,25 +64,42 @@ def choose_stepper(
 ) -> StepperChoice:
     """Choose by key `solver`, by what can be reduced, and by predicted time.
 
-    Raises SceneError where a small model is asked for and can't be.
+    Raises SceneError where a small model or modes are asked for and can't be.
     """
     substeps = spec.duration_s / layer.sizes.step_s
+    if skin.config.solver in EXPLICIT:
+        refuse_explicit(layer)
+        own_s = explicit_layer(layer).seconds(spec.duration_s, spec.device)
+        return StepperChoice(skin.config.solver, "asked for", own_s, wedges_s(layer.dofs, substeps))
     reason = refusal(skin, layer, stimuli, pole, response_on)
     requested = skin.config.solver
+    modal_reason = load_class.refusal(skin, layer)
+    if modal_reason is not None and requested == "modal":
+        raise SceneError(
+            f"plugin 'palmfield.skin' instance '{skin.name}': key 'solver' has value 'modal', but no modes for every "
+            f"load: {modal_reason}: set it to auto"
+        )
     if reason is not None and requested == "reduced":
         raise SceneError(
             f"plugin 'palmfield.skin' instance '{skin.name}': key 'solver' has value 'reduced', but no small "
             f"model: {reason}: set it to auto"
         )
     vectors = 0 if reason is not None else expected_vectors(_sounding(stimuli), pole, response_on)
-    choices = scene_choices(layer.dofs, substeps, vectors, reason)
+    modes = load_class.expected_modes(skin, layer)
+    choices = scene_choices(layer.dofs, substeps, vectors, reason, modes, modal_reason)
     seconds = {choice.name: choice.seconds for choice in choices}
-    if reason is not None:
-        return StepperChoice("wedges", f"no small model: {reason}", seconds["wedges"], None)
+    name: str = requested
     if requested != "auto":
-        return StepperChoice(requested, "asked for", seconds["wedges"], seconds["reduced"])
-    why = f"the load is known ahead; about {seconds['reduced']:.1f} s against {seconds['wedges']:.1f} s"
-    return StepperChoice(choices[0].name, why, seconds["wedges"], seconds["reduced"])
+        why = "asked for" if reason is None or requested != "wedges" else f"no small model: {reason}"
+    elif reason is None:
+        # Where the load is known ahead, what is made for it alone is smaller than what serves every load
+        name = "reduced" if seconds["reduced"] < seconds["wedges"] else "wedges"
+        why = f"the load is known ahead; about {seconds['reduced']:.1f} s against {seconds['wedges']:.1f} s"
+    else:
+        name, why = choices[0].name, f"no small model: {reason}"
+        if name == "modal":
+            why = f"{reason}, so that no load is known ahead"
+    return StepperChoice(name, why, seconds[name], seconds["wedges"])
 
 
 def refusal(
@@ -153,25 +177,37 @@ def samples(config: StimulusConfig, turn_s: float, max_frequency_Hz: float) -> i
 
 
 def first_stepper(model: HapticModel, skin: int) -> SkinStepper:
-    """What a skin begins with: a small model for the known load in the reference pose, or its whole layer.
+    """What a skin begins with: a small model for the known load in the reference pose, its whole layer, or what its key
+    `solver` names.
 
     Raises SceneError for a small model that is asked for but fails.
     """
     part = model.skins[skin]
     if part.choice.name == "wedges":
         return model.whole[skin].value
+    if part.choice.name == "modal":
+        try:
+            return load_class.class_stepper(model, skin)
+        except SceneError as error:
+            if part.spec.config.solver == "modal":
+                raise SceneError(f"plugin 'palmfield.skin' instance '{part.spec.name}': {error}") from None
+            return model.whole[skin].value
+    if part.choice.name in EXPLICIT:
+        return explicit_layer(part.layer).stepper(model.spec.device)
     layer, posed = part.layer, reference_scene(model)
     focus = posed.skins[skin].body.frame.inverse_points(model.stimuli[model.sounding].first_focus)
+    load, examples = known_load(model, skin, posed)
     try:
         return reduced_stepper(
             layer.system,
-            known_load(model, skin, posed),
+            load,
             layer.surface_operator,
             layer.probe(focus).operator,
             layer.quadrature.operator,
             layer.sizes.step_s,
             layer.demand.max_frequency_Hz,
             SHARE * part.spec.config.accuracy,
+            load_shapes(examples, layer.quadrature.weights, LEFT_OUT),
         )
     except SceneError:
         if part.spec.config.solver == "reduced":
@@ -179,24 +215,30 @@ def first_stepper(model: HapticModel, skin: int) -> SkinStepper:
         return model.whole[skin].value
 
 
-def known_load(model: HapticModel, skin: int, posed: PosedScene) -> KnownLoad:
-    """What the one sounding stimulus does to a skin in a pose that it keeps."""
+def known_load(model: HapticModel, skin: int, posed: PosedScene) -> tuple[KnownLoad, Float]:
+    """What the one sounding stimulus does to a skin in a pose that it keeps, and the pressures of which it is made.
+
+    The pressures are at the quadrature's points [Pa], shape (t, q).
+    """
     number = model.sounding
     stimulus, radiation = model.stimuli[number], Radiation(model)
     config, layer = stimulus.config, model.skins[skin].layer
+    operator = layer.quadrature.operator
     start, step = config.start_s, layer.sizes.step_s
     turn = period_s(config) or 0.0
     trial: Float = step * np.arange(round(min(max(TRIAL_S, turn), LONGEST_TRIAL_S) / step) + 1, dtype=np.float64)
     if one_shape(stimulus, model.pole, model.response_on):
         drive = array_drives(model, posed.arrays)[number].unit_drive(stimulus.reference_foci)
-        shape = _forces(model, skin, posed, radiation, drive.amplitudes[None]).T
+        pressures = _pressures(skin, posed, radiation, drive.amplitudes[None])
+        shape: Float = operator @ pressures.T
         lines = [0.0, layer.demand.main_frequency_Hz, *main_frequencies(config)]
         spectrum: list[tuple[float, Complex]] = [(f, np.ones(1, complex)) for f in dict.fromkeys(lines)]
-        return KnownLoad(shape, shape, [frames_at(config, start + trial)[1][:, None]], spectrum)
+        return KnownLoad(shape, shape, [frames_at(config, start + trial)[1][:, None]], spectrum), pressures
     count = samples(config, turn, layer.demand.max_frequency_Hz)
     skip = math.ceil(_settling_s(stimulus, model) * count / turn)
     drives = steady_drives(model, number, posed, turn / count, skip, count)
-    loads = _forces(model, skin, posed, radiation, drives)
+    pressures = _pressures(skin, posed, radiation, drives)
+    loads: Float = (operator @ pressures.T).T
     waves = np.conj(np.fft.rfft(loads, axis=0)[: count // 4 + 1].T) / count
     waves[:, 1:] *= 2.0
     frequencies = np.arange(waves.shape[1]) / turn
@@ -221,13 +263,16 @@ def known_load(model: HapticModel, skin: int, posed: PosedScene) -> KnownLoad:
     if model.response_on:
         width = _settling_s(stimulus, model) / BEGINNING
         drives = steady_drives(model, number, posed, width, 0, BEGINNING)
-        difference = _forces(model, skin, posed, radiation, drives)
+        beginning = _pressures(skin, posed, radiation, drives)
+        pressures = np.concatenate([pressures, beginning])
+        difference: Float = (operator @ beginning.T).T
         moments: Float = width * np.arange(BEGINNING, dtype=np.float64)
         difference -= (level(begin, moments)[:, None] * harmonics(frequencies, moments)) @ course.shapes.T
         impulse = width / trial[-1] * difference.sum(axis=0)
         spectrum += [(float(f), np.eye(2 * len(frequencies) + 1)[-1].astype(complex)) for f in frequencies]
     shapes = np.column_stack([course.shapes, impulse])
-    return KnownLoad(course, shapes, [np.column_stack([shares, np.zeros(len(trial))]) for shares in trials], spectrum)
+    shares = [np.column_stack([part, np.zeros(len(trial))]) for part in trials]
+    return KnownLoad(course, shapes, shares, spectrum), pressures
 
 
 def _settling_s(stimulus: StimulusModel, model: HapticModel) -> float:
@@ -257,7 +302,7 @@ def steady_drives(model: HapticModel, number: int, posed: PosedScene, step_s: fl
     return emitted[skip:]
 
 
-def _forces(model: HapticModel, skin: int, posed: PosedScene, radiation: Radiation, drives: Complex) -> Float:
-    """Consistent nodal forces on the skin [N] of drives (f, N), shape (f, ndof)."""
-    operator = model.skins[skin].layer.quadrature.operator
-    return np.array([operator @ row for row in radiation.many(posed, skin, drives).astype(np.float64)])
+def _pressures(skin: int, posed: PosedScene, radiation: Radiation, drives: Complex) -> Float:
+    """ARP at the skin's quadrature points [Pa] of drives (f, N), shape (f, q)."""
+    pressures: Float = radiation.many(posed, skin, drives).astype(np.float64)
+    return pressures

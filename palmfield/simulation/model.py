@@ -14,6 +14,7 @@ from scipy import sparse
 
 from palmfield.acoustics.phased_array import ArrayInstance, PhasedArray
 from palmfield.config import StimulusConfig
+from palmfield.config.skin import EXPLICIT
 from palmfield.drive.boards import Board
 from palmfield.drive.response import Pole
 from palmfield.drive.transducer_response import TransducerResponse
@@ -22,6 +23,7 @@ from palmfield.hand.skinning import SkinnedSurface
 from palmfield.hand.subdivide import EDGE_m, with_short_edges
 from palmfield.locked import Lazy, locked_cached_property
 from palmfield.simulation.spec import SceneSpec, SkinSpec, StimulusSpec
+from palmfield.skin.explicit_layer import explicit_layer
 from palmfield.skin.fem.probe import surface_vectors
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
 from palmfield.skin.mesh.surface import closed_boundary, output_triangles
@@ -127,19 +129,14 @@ class BodyModel:
 class StepperChoice(NamedTuple):
     """Which stepper a skin begins with.
 
-    name: "wedges" or "reduced"; why: in words
-    wedges_s, reduced_s: predicted seconds of making and stepping, the latter None where it can't
+    name: "wedges", "reduced", "modal" or one of `palmfield.config.skin.EXPLICIT`; why: in words
+    seconds, wedges_s: predicted of making and stepping it, and the whole layer
     """
 
     name: str
     why: str
+    seconds: float
     wedges_s: float
-    reduced_s: float | None
-
-    @property
-    def seconds(self) -> float:
-        """Predicted for the stepper that was chosen."""
-        return self.wedges_s if self.name == "wedges" or self.reduced_s is None else self.reduced_s
 
 
 class SkinModel:
@@ -155,6 +152,11 @@ class SkinModel:
         self.spec, self.body, self.carrier, self.layer = spec, body, carrier, layer
         self.choice, self.still_m = choice, still_m
         self.lock = threading.RLock()
+
+    @property
+    def state_room(self) -> int:
+        """Numbers of state that the skin can need, without its matrices."""
+        return explicit_layer(self.layer).state_size if self.choice.name in EXPLICIT else self.layer.state_room
 
     @locked_cached_property
     def nodes(self) -> tuple[Float, Float]:

@@ -14,7 +14,7 @@ from palmfield.acoustics.transfer import MATRIX_FROM
 from palmfield.simulation.emission import Emission
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene, PosedSkin
-from palmfield.simulation.radiation import Radiation
+from palmfield.simulation.radiation import Radiation, Role
 from palmfield.types import Complex, Float32
 
 AHEAD = 128
@@ -32,7 +32,7 @@ class LoadPrefetch:
         self._posed: PosedScene | None = None
         self._until = -math.inf
         self._drives: Complex = np.zeros((0, len(model.arrays)), np.complex128)
-        self._loads: dict[int, tuple[PosedSkin, Float32]] = {}
+        self._loads: dict[tuple[int, Role], tuple[PosedSkin, Float32]] = {}
         self._row = 0
 
     def forget(self) -> None:
@@ -68,20 +68,21 @@ class LoadPrefetch:
         self._drives = drives if worthwhile else drives[:0]
         self._row = -self.model.substeps
 
-    def pressures(self, posed: PosedScene, skin: int, drives: Complex) -> Float32:
-        """ARP [Pa] at a skin's quadrature points for drives (m, N), shape (m, q)."""
+    def pressures(self, posed: PosedScene, skin: int, drives: Complex, role: Role = "quadrature") -> Float32:
+        """ARP [Pa] at a skin's quadrature points, or those of its load, for drives (m, N), shape (m, q)."""
         rows = self._predicted_rows(drives) if len(self._drives) >= len(drives) else None
         if rows is None:
             changes = _changes(drives)
             if np.logical_and.reduce(changes):
-                return self.radiation.many(posed, skin, drives)
+                return self.radiation.many(posed, skin, drives, role)
             # What sounds on unchanged is computed once.
             first = np.concatenate((ALWAYS, changes))
-            computed = self.radiation.many(posed, skin, drives[first])
+            computed = self.radiation.many(posed, skin, drives[first], role)
             return np.asarray(computed[np.add.accumulate(first, dtype=np.intp) - 1])
-        known = self._loads.get(skin)
+        known = self._loads.get((skin, role))
         if known is None or known[0] is not posed.skins[skin]:
-            known = self._loads[skin] = posed.skins[skin], self.radiation.many(posed, skin, self._drives)
+            loads = self.radiation.many(posed, skin, self._drives, role)
+            known = self._loads[skin, role] = posed.skins[skin], loads
         return known[1][rows]
 
     @cached_property

@@ -15,11 +15,11 @@ from palmfield.acoustics.body_scattering import Occlusion, RigidScatteredField, 
 from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.acoustics.surface_arp import SurfaceArp
 from palmfield.acoustics.surface_load import distance_to_arrays
-from palmfield.simulation.model import HapticModel
-from palmfield.simulation.posed_scene import PosedScene
+from palmfield.simulation.model import HapticModel, SkinModel
+from palmfield.simulation.posed_scene import PosedScene, PosedSkin
 from palmfield.types import Complex, Float, Float32, Int
 
-Role = Literal["quadrature", "samples", "nodes", "vertices", "probe"]
+Role = Literal["quadrature", "load", "samples", "nodes", "vertices", "probe"]
 """What points are for: each role of a skin has buffers of its own."""
 
 
@@ -32,6 +32,13 @@ class Radiation:
         self._occlusions: dict[int, tuple[PosedScene, Occlusion]] = {}
         self._scattered: dict[int, tuple[PosedScene, Complex, RigidScatteredField]] = {}
         self._last: dict[tuple[int, str], tuple[PosedScene, Complex, SurfaceSound]] = {}
+        self._chosen: dict[int, _ChosenPoints] = {}
+
+    def choose(self, skin: int, points: Int) -> None:
+        """Take these of a skin's quadrature points, numbers of shape (p,), for the role "load"."""
+        known = self._chosen.get(skin)
+        if known is None or known.numbers is not points:
+            self._chosen[skin] = _ChosenPoints(self.model.skins[skin], points)
 
     def on(self, posed: PosedScene, skin: int, role: Role, drive: Complex) -> SurfaceSound:
         """ARP at a skin's quadrature points, force samples or surface nodes, for what the transducers emit, (N,)."""
@@ -39,7 +46,7 @@ class Radiation:
         here = known is not None and (known[0] is posed or self._holds(known[0], posed, skin))
         if known is not None and here and (known[1] is drive or _equal(known[1], drive)):
             return known[2]
-        points, normals = points_of(posed, skin, role)
+        points, normals = self._points(posed, skin, role)
         sound = self.at(posed, skin, role, points, normals, drive)
         self._last[skin, role] = posed, drive, sound
         return sound
@@ -48,7 +55,7 @@ class Radiation:
         """ARP as `on` gives it for several drives, shape (m, N): shape (m, n)."""
         if self.model.skins[skin].spec.config.body_sound != "none":
             return np.stack([self.on(posed, skin, role, drive).arp for drive in drives])
-        points, normals = points_of(posed, skin, role)
+        points, normals = self._points(posed, skin, role)
         known = self._evaluators.get((skin, role, len(points)))
         evaluator = known[1] if known and known[0] is posed.arrays else self._evaluator(posed, skin, role, len(points))
         return evaluator.evaluate_many(points, normals, drives)
@@ -57,7 +64,7 @@ class Radiation:
         """ARP as `many` gives it for levels (m, k) @ units (k, N), of which there are few, shape (m, n)."""
         if self.model.skins[skin].spec.config.body_sound != "none":
             return self.many(posed, skin, levels @ units, role)
-        points, normals = points_of(posed, skin, role)
+        points, normals = self._points(posed, skin, role)
         return self._evaluator(posed, skin, role, len(points)).evaluate_sums(points, normals, units, levels)
 
     def at(
@@ -87,6 +94,11 @@ class Radiation:
     def adopt(self, scattered: dict[int, tuple[PosedScene, Complex, RigidScatteredField]]) -> None:
         """Begin with solutions that another Radiation of the same bodies has found."""
         self._scattered = dict(scattered)
+
+    def _points(self, posed: PosedScene, skin: int, role: Role) -> tuple[Float, Float]:
+        if role == "load":
+            return self._chosen[skin].at(posed.skins[skin])
+        return points_of(posed, skin, role)
 
     def _holds(self, known: PosedScene, posed: PosedScene, skin: int) -> bool:
         """Whether the sound on a skin is the same in both poses."""
@@ -135,6 +147,23 @@ class Radiation:
         solved = RigidScatteredField.of(mesh, incident, wavenumber, arrays.air, self.model.spec.device)
         self._scattered[skin] = posed, drive, solved
         return solved
+
+
+class _ChosenPoints:
+    """Some of a skin's quadrature points. numbers: which, shape (p,)"""
+
+    def __init__(self, skin: SkinModel, numbers: Int):
+        quadrature = skin.layer.quadrature
+        self.numbers = numbers
+        self._points, self._normals = quadrature.points[numbers], quadrature.normals[numbers]
+        self._binding = skin.carrier.bind(self._points)
+        self._last: tuple[PosedSkin, tuple[Float, Float]] | None = None
+
+    def at(self, posed: PosedSkin) -> tuple[Float, Float]:
+        """Positions [m] and outward normals in a pose, array frame, shapes (p, 3)."""
+        if self._last is None or self._last[0] is not posed:
+            self._last = posed, posed.body.moved(self._points, self._normals, self._binding)
+        return self._last[1]
 
 
 def points_of(posed: PosedScene, skin: int, role: Role) -> tuple[Float, Float]:

@@ -2,7 +2,8 @@
 
 In a plain mj_step the arrays are views of MuJoCo's plugin state, so that mj_copyData, mj_getState and mj_resetData
 treat it as their own. A skin's array has room for its whole layer, of which a small model takes the front: a run may
-leave the small model. A header says whose numbers they are; all zeros is rest, and nobody's yet.
+leave the small model. A solver with a mesh of its own has room for that instead. A header says whose numbers they are;
+all zeros is rest, and nobody's yet.
 """
 
 import hashlib
@@ -48,7 +49,7 @@ def array_room(transducers: int) -> int:
 
 def skin_room(model: HapticModel, skin: int) -> int:
     """Numbers of a skin's state, known without its matrices."""
-    return HEADER + model.skins[skin].layer.state_room
+    return HEADER + model.skins[skin].state_room
 
 
 def new_state(model: HapticModel) -> HapticState:

@@ -16,14 +16,16 @@ from palmfield.simulation.device_sound import DeviceSound, serves
 from palmfield.simulation.emission import Emission
 from palmfield.simulation.forces import BodyForces
 from palmfield.simulation.model import HapticModel
+from palmfield.simulation.outside_class import OutsideClass, leaves_class, loudest_load
 from palmfield.simulation.posed_scene import PosedScene, reference_scene
 from palmfield.simulation.prefetch import LoadPrefetch
-from palmfield.simulation.radiation import Radiation
+from palmfield.simulation.radiation import Radiation, Role
 from palmfield.simulation.state import HapticState, claim, stepper_of
 from palmfield.simulation.whole_layer import continue_on_whole_layer, leaves_small_model
+from palmfield.skin.reduction.modal_stepper import ModalStepper
 from palmfield.skin.stepper import Reader, SkinStepper, SurfaceLoads
 from palmfield.stimulus.schedule import Moments
-from palmfield.types import Complex, Float
+from palmfield.types import Complex, Float, Int
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,7 @@ class StepTrace:
 class Workspace:
     """What one state's steps keep: emission, radiation, forces and prefetched loads, and who watches.
 
+    outside: of each skin what of its load has been outside the class that its modes serve
     observe: what is watched of each skin, an operator (m, unknowns) or None; observer: told of each step
     """
 
@@ -58,10 +61,16 @@ class Workspace:
         self.device_sound = DeviceSound(model, self.reference) if serves(model) else None
         self.forces = self.device_sound or BodyForces(model, self.radiation)
         self.prefetch = LoadPrefetch(model, self.emission, self.radiation)
+        self.outside = [OutsideClass() for _ in model.skins]
         self.amplitudes: Complex = np.zeros(len(model.arrays), np.complex128)
         self.observe: tuple[sparse.csr_matrix | None, ...] = (None,) * len(model.skins)
         self.observer: Callable[[StepTrace], None] | None = None
         self._readers: dict[tuple[int, str], tuple[sparse.csr_matrix, Reader]] = {}
+
+    def begin_run(self) -> None:
+        """Forget what was of another run."""
+        self.prefetch.forget()
+        self.outside = [OutsideClass() for _ in self.outside]
 
     def reader(self, skin: int, stepper: SkinStepper) -> Reader | None:
         """Reads what is watched of a skin off this stepper's states; a run may leave a small model in any step."""
@@ -90,7 +99,17 @@ def step(model: HapticModel, state: HapticState, posed: PosedScene, t0: float, t
             stepper, numbers = continue_on_whole_layer(
                 model, state, number, posed, work.emission, work.radiation, begun, t0
             )
-        loads = skin_loads(work, posed, number, moments, course)
+        loads = skin_loads(work, posed, number, stepper.points, moments, course)
+        if isinstance(stepper, ModalStepper):
+            outside = work.outside[number]
+            if outside.loudest is None:
+                outside.loudest = loudest_load(model, number, stepper, work.reference, work.radiation)
+            share = outside.add(stepper.outside(loads))
+            if leaves_class(model, number, share):
+                stepper, numbers = continue_on_whole_layer(
+                    model, state, number, posed, work.emission, work.radiation, begun, t0
+                )
+                loads = skin_loads(work, posed, number, stepper.points, moments, course)
         reader = None if work.observe[number] is None else work.reader(number, stepper)
         motions.append(stepper.step(numbers, loads, t0, t1, reader))
         claim(model, state, number, stepper)
@@ -102,26 +121,33 @@ def step(model: HapticModel, state: HapticState, posed: PosedScene, t0: float, t
         work.observer(StepTrace(times, posed, moments, course, begun, course.end, seen))
 
 
-def skin_loads(work: Workspace, posed: PosedScene, skin: int, moments: Moments, course: EmittedCourse) -> SurfaceLoads:
-    """The ARP on a skin's quadrature points over a step's substeps."""
+def skin_loads(
+    work: Workspace, posed: PosedScene, skin: int, points: Int | None, moments: Moments, course: EmittedCourse
+) -> SurfaceLoads:
+    """The ARP over a step's substeps at a skin's quadrature points, or at some of them, by their numbers (p,)."""
     device = work.device_sound
+    role: Role = "quadrature"
+    if points is not None:
+        work.radiation.choose(skin, points)
+        role = "load"
     if course.levels is not None:
         if course.unit is None:
-            count = len(posed.skins[skin].skin.layer.quadrature.points)
+            count = len(posed.skins[skin].skin.layer.quadrature.points if points is None else points)
             return SurfaceLoads(np.zeros((1, 1, count)), *(np.zeros((1, len(moments.first), 1)) for _ in range(2)))
         if device is not None:
-            arp = device.patterns(posed, skin, course)
+            arp = device.patterns(posed, skin, course, points)
         else:
-            arp = work.radiation.on(posed, skin, "quadrature", course.unit).arp[None]
+            arp = work.radiation.on(posed, skin, role, course.unit).arp[None]
         factors = (np.abs(course.levels) ** 2)[:, None]
         return SurfaceLoads(arp[None], (moments.first @ factors)[None], (moments.last @ factors)[None])
     assert course.emitted is not None
     if device is not None:
-        return SurfaceLoads(device.patterns(posed, skin, course)[None], moments.first[None], moments.last[None])
+        arp = device.patterns(posed, skin, course, points)
+        return SurfaceLoads(arp[None], moments.first[None], moments.last[None])
     if course.parts is not None:
-        sums = work.radiation.sums(posed, skin, *course.parts)
+        sums = work.radiation.sums(posed, skin, *course.parts, role)
         return SurfaceLoads(sums[None], moments.first[None], moments.last[None])
-    pressures = work.prefetch.pressures(posed, skin, course.emitted)
+    pressures = work.prefetch.pressures(posed, skin, course.emitted, role)
     return SurfaceLoads(pressures[None], moments.first[None], moments.last[None])
 
 

@@ -9,6 +9,7 @@ from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.radiation import Radiation
 from palmfield.simulation.state import HEADER, WHOLE, HapticState, claim
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
+from palmfield.skin.reduction.modal_stepper import ModalStepper
 from palmfield.skin.reduction.reduced_stepper import ReducedStepper
 from palmfield.stimulus.schedule import first_point
 from palmfield.types import Complex, Float
@@ -68,14 +69,20 @@ def continue_on_whole_layer(
     Returns the whole layer's stepper and its numbers, shape (1, state_size), a view of the state.
     """
     small, whole = model.begin[skin].value, model.whole[skin].value
+    numbers = state.skins[skin][:, HEADER:]
+    if isinstance(small, ModalStepper):
+        numbers[:, : whole.state_size] = small.lifted(numbers[:, : small.state_size])
+        claim(model, state, skin, whole)
+        return whole, numbers[:, : whole.state_size]
     assert isinstance(small, ReducedStepper)
     course = emission.now(posed, amplitudes, t0)
-    pressure = np.zeros(len(posed.skins[skin].quadrature[0]))
+    assert small.points is not None
+    radiation.choose(skin, small.points)
+    pressure = np.zeros(len(small.points))
     if course.unit is not None and course.levels is not None:
-        pressure = abs(course.levels[0]) ** 2 * radiation.on(posed, skin, "quadrature", course.unit).arp
+        pressure = abs(course.levels[0]) ** 2 * radiation.on(posed, skin, "load", course.unit).arp
     elif course.emitted is not None:
-        pressure = radiation.on(posed, skin, "quadrature", course.emitted[0]).arp.astype(np.float64)
-    numbers = state.skins[skin][:, HEADER:]
+        pressure = radiation.on(posed, skin, "load", course.emitted[0]).arp.astype(np.float64)
     lifted = small.lifted(numbers[:, : small.state_size], pressure)
     numbers[:, : whole.state_size] = lifted
     claim(model, state, skin, whole)

@@ -31,6 +31,16 @@ def reduced_step_s(vectors: float) -> float:
     return 2e-5 + 3e-9 * vectors**2
 
 
+def modes_s(dofs: float, modes: float) -> float:
+    """Make modes for every load: their vectors, each orthogonal to all before it, and two eigenproblems."""
+    return factor_s(dofs) + modes * vector_s(dofs) + 5e-10 * dofs * modes**2 + 2e-9 * modes**3
+
+
+def modal_step_s(modes: float) -> float:
+    """One substep of modes that move by themselves, with their share of the load's products."""
+    return 1e-5 + 7e-8 * modes
+
+
 def wedges_s(dofs: float, steps: float) -> float:
     """Factorise and step the whole layer."""
     return factor_s(dofs) + steps * wedge_step_s(dofs)

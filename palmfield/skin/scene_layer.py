@@ -170,7 +170,7 @@ class SceneLayer:
         surface = self.surface
         # A hand knows where its bones are, so the layer may reach past the middle; any other body is all there is.
         fraction = 0.45 if config.shape in ("mesh", "rigged") else 0.6
-        return self._with_keys(
+        return self.with_keys(
             lambda: surface_patch(
                 surface,
                 self.depth_m,
@@ -188,9 +188,10 @@ class SceneLayer:
     def mesh(self) -> WedgeMesh:
         """The layer's elements."""
         patch = self.patch
-        return self._with_keys(lambda: extrude(patch, self.sizes.depth_fractions))
+        return self.with_keys(lambda: extrude(patch, self.sizes.depth_fractions))
 
-    def _with_keys(self, make: Callable[[], T]) -> T:
+    def with_keys(self, make: Callable[[], T]) -> T:
+        """What `make` gives; where it raises SceneError, the error names the skin and the keys that its mesh has."""
         try:
             return make()
         except SceneError as error:

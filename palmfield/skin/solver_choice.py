@@ -15,10 +15,11 @@ from typing import Any, Literal, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
+from palmfield import cache
 from palmfield.device import resolve
 from palmfield.errors import SceneError
 from palmfield.skin.approximation.truncate_domain import truncate_domain
-from palmfield.skin.costs import reduced_s, wedges_s
+from palmfield.skin.costs import modal_step_s, modes_s, reduced_s, wedges_s
 from palmfield.skin.problem import Body, Load, Motion, Spot, points_on_face, requested_points, rising
 from palmfield.types import Float
 
@@ -53,6 +54,9 @@ FORMER = {
 }
 """Names that solvers had before, and those that they have."""
 
+RUNS = 20
+"""That share the making of what is kept in the cache."""
+
 PREVIEW = ("particles",)
 """Solvers for large deformation and previews: never chosen by `auto`."""
 
@@ -85,16 +89,22 @@ def ranked(options: Iterable[Choice]) -> list[Choice]:
     return sorted(options, key=lambda choice: (choice.seconds, choice.refusal is not None))
 
 
-def scene_choices(dofs: float, substeps: float, vectors: float, refusal: str | None) -> list[Choice]:
+def scene_choices(
+    dofs: float, substeps: float, vectors: float, refusal: str | None, modes: float, modal_refusal: str | None
+) -> list[Choice]:
     """The solvers that can step a scene's layer, the cheapest first.
 
     dofs: unknowns of the layer; substeps: of the whole run; vectors: of a reduced model for its load, about
-    refusal: why there can't be one, in a sentence, or None
+    refusal: why there can't be one, in a sentence, or None; modes, modal_refusal: the same for modes for every load
     """
-    reduced = Choice("reduced", math.inf, refusal)
+    reduced, modal = Choice("reduced", math.inf, refusal), Choice("modal", math.inf, modal_refusal)
     if refusal is None:
         reduced = Choice("reduced", reduced_s(dofs, substeps, vectors))
-    return ranked([reduced, Choice("wedges", wedges_s(dofs, substeps))])
+    if modal_refusal is None:
+        # Kept on disk, they serve the runs to come as well
+        share = 1.0 if cache.folder() is None else 1.0 / RUNS
+        modal = Choice("modal", share * modes_s(dofs, modes) + substeps * modal_step_s(modes))
+    return ranked([reduced, modal, Choice("wedges", wedges_s(dofs, substeps))])
 
 
 def choices(

@@ -11,7 +11,7 @@ import numpy as np
 from scipy import sparse
 
 from palmfield.errors import SceneError
-from palmfield.types import Float, Float32
+from palmfield.types import Float, Float32, Int
 
 CLOCK = 1e-6
 """Of a substep, by which t1 - t0 may differ from the substeps that the loads are for: MuJoCo adds up its time."""
@@ -45,7 +45,9 @@ class SkinStepper(Protocol):
     """Steps one skin in time. Immutable, and safe to use from several threads.
 
     name: the solver; step_s: length of a substep [s]; state_size: numbers of a state, all 0 at rest
-    error: what the stepper itself adds to the displacement's relative error by its own estimate; 0 where it adds none
+    points: numbers of the layer's quadrature points at which it takes pressure, shape (p,), None for all of them
+    error: what the stepper itself adds to the displacement's relative error by its own estimate; 0 where it adds none.
+        One with a mesh of its own counts all that this mesh does, and may take as long as a short run to tell
     """
 
     @property
@@ -56,6 +58,8 @@ class SkinStepper(Protocol):
     def state_size(self) -> int: ...
     @property
     def error(self) -> float: ...
+    @property
+    def points(self) -> Int | None: ...
 
     def step(
         self, state: Float, loads: SurfaceLoads, t0: float, t1: float, observe: Reader | None = None

@@ -16,9 +16,10 @@ from palmfield.acoustics.arp import LAWS
 from palmfield.acoustics.layouts import LAYOUTS
 from palmfield.config import CONFIGS, ArpLaw, DriverConfig, SkinConfig
 from palmfield.config.array import Layout
+from palmfield.config.skin import EXPLICIT
 from palmfield.drive.boards import BOARDS
 from palmfield.session.simulation import Simulation
-from palmfield.skin.solver_choice import scene_choices
+from palmfield.skin.solver_choice import WHERE, scene_choices
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "architecture.md").read_text()
@@ -178,7 +179,8 @@ def test_keys_allow_what_the_registries_of_the_seams_hold():
     assert set(get_args(ArpLaw)) == set(LAWS)
     assert set(get_args(DriverConfig.model_fields["board"].annotation)) == set(BOARDS)
     steppers = {choice.name for choice in scene_choices(1000.0, 100.0, 10.0, None)}
-    assert set(get_args(SkinConfig.model_fields["solver"].annotation)) == {"auto", *steppers}
+    assert set(get_args(SkinConfig.model_fields["solver"].annotation)) == {"auto", *steppers, *EXPLICIT}
+    assert set(EXPLICIT) <= set(WHERE) and not set(EXPLICIT) & steppers
 
 
 # -- the two ways through the code ---------------------------------------------------------------------------------

@@ -32,6 +32,8 @@ CASES = {
     "circle, still, small model": ({"stimulus": CIRCLE, "skin": {"solver": "reduced"}}, 0.0),
     "am, moving, shadows": ({"skin": {"body_sound": "shadows"}}, SPEED),
     "am, moving, held at control ticks": ({"stimulus": HELD}, SPEED),
+    "am, moving, spectral elements": ({"skin": {"solver": "spectral_elements", "accuracy": 0.5}}, SPEED),
+    "circle, moving, particles": ({"stimulus": CIRCLE, "skin": {"solver": "particles", "accuracy": 0.5}}, SPEED),
 }  # fmt: skip
 AHEAD = [name for name in CASES if name.startswith("circle, still")]
 """Loads of these are computed ahead, together, in single precision."""

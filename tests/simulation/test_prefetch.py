@@ -49,9 +49,9 @@ class Watch:
             computed.append(len(drives))
             return many(posed, skin, drives, *role)
 
-        def counting_pressures(posed, skin, drives):
+        def counting_pressures(posed, skin, drives, role):
             computed.clear()
-            result = pressures(posed, skin, drives)
+            result = pressures(posed, skin, drives, role)
             self.taken[all(count > 2 * SUBSTEPS for count in computed)] += SUBSTEPS
             return result
 

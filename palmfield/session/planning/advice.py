@@ -6,12 +6,15 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from palmfield.acoustics import validity
+from palmfield.config.skin import EXPLICIT
 from palmfield.session.error_budget import stimulus_of
 from palmfield.session.planning.costs import scatterings
 from palmfield.session.planning.facts import first_drive
 from palmfield.session.preview import Preview
-from palmfield.simulation.model import HapticModel, StimulusModel
+from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
+from palmfield.skin.explicit_layer import explicit_layer
 from palmfield.skin.from_config import cutoff_Hz
+from palmfield.skin.solver_choice import PREVIEW
 from palmfield.stimulus.schedule import frames_at, main_frequencies, turn_rate_Hz
 from palmfield.types import Float
 
@@ -32,6 +35,8 @@ def advice(view: Preview) -> list[str]:
                 f"body_sound scattering on body '{scattering.body}', which can move: each pose takes about "
                 f"{scattering.solution_s:.2g} s, {scattering.solutions} poses {total_s:.0f} s"
             )
+    for skin in model.skins:
+        result += _own_mesh(skin, view)
     for number in range(len(model.skins)):
         result += _below_cutoff(model, number)
     for number, stimulus in enumerate(model.stimuli):
@@ -93,6 +98,26 @@ def _path_off_the_skin(model: HapticModel, stimulus: StimulusModel) -> list[str]
         f"{100 * beyond.mean():.0f} % of the path's points{whose}, from {first:.0f} mm on, have no skin layer under "
         "them: necks narrower than its coarse edges are left out; set element_m smaller, or another patch_site"
     ]
+
+
+def _own_mesh(skin: SkinModel, view: Preview) -> list[str]:
+    """What a solver with a mesh of its own costs on a CPU, and what a preview is worth."""
+    solver, device = skin.choice.name, view.runtime.model.spec.device
+    if solver not in EXPLICIT:
+        return []
+    own, result = explicit_layer(skin.layer), []
+    if solver in PREVIEW and own.expected_error is not None:
+        result.append(
+            f"solver '{solver}' of skin '{skin.spec.name}' is a preview: expect its displacement to be off by about "
+            f"{100 * own.expected_error:.2g} %"
+        )
+    if solver not in PREVIEW and device == "cpu":
+        cpu_s, gpu_s = (own.seconds(view.duration_s, where) for where in (device, "cuda:0"))
+        result.append(
+            f"solver '{solver}' of skin '{skin.spec.name}' is made for a GPU: on the CPU it takes about {cpu_s:.2g} s, "
+            f"on a GPU (palmfield_device) {gpu_s:.2g} s"
+        )
+    return result
 
 
 def _below_cutoff(model: HapticModel, number: int) -> list[str]:

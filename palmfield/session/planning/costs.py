@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.body_scattering import boundary_mesh
+from palmfield.config.skin import EXPLICIT
 from palmfield.session.error_budget import RATIO, compares_with_finer
 from palmfield.session.planning.facts import pushed_faces
 from palmfield.session.preview import Preview
@@ -67,10 +68,13 @@ def _can_move(view: Preview, skin: int) -> bool:
 def estimate_s(skin: SkinModel) -> float:
     """Seconds of the run's error estimate (palmfield/session/error_budget.py)."""
     dofs, more = skin.layer.dofs, RATIO**3
+    if skin.choice.name in EXPLICIT:
+        # Its own estimate is among the solver's seconds.
+        return 0.0 if skin.spec.config.shape == "disc" else 4 * factor_s(dofs)
     low, high = (dofs, more * dofs) if compares_with_finer(skin.layer, dofs) else (dofs / more, dofs)
     # A complex factorisation counts twice; the time step's own is left out where a small model steps.
     edge = 0 if skin.spec.config.shape == "disc" else 2
-    step = 2 if skin.choice.name == "wedges" else 0
+    step = 0 if skin.choice.name == "reduced" else 2
     return (3 + step + edge) * factor_s(low) + 3 * factor_s(high)
 
 

@@ -35,7 +35,8 @@ def left_out(model: HapticModel) -> list[Row]:
             )
     for number, stimulus in enumerate(model.stimuli):
         rows += _flight_and_shock(model, number, stimulus)
-    rows.append(Row("large strain", "not estimated", "linear elasticity; micrometres on a layer of millimetres"))
+    if any(skin.choice.name != "particles" for skin in model.skins):
+        rows.append(Row("large strain", "not estimated", "linear elasticity; micrometres on a layer of millimetres"))
     for skin in model.skins:
         rows += _cutoff_row(skin)
     for skin in model.skins:

@@ -2,6 +2,7 @@
 
 from palmfield.acoustics.arp import LAWS
 from palmfield.acoustics.body_scattering import BODY_SOUNDS
+from palmfield.config.skin import EXPLICIT
 from palmfield.session.error_budget import RATIO
 from palmfield.session.planning.costs import estimate_s
 from palmfield.session.planning.facts import pushed_faces, qualities
@@ -9,8 +10,10 @@ from palmfield.session.planning.rows import Row
 from palmfield.simulation.emission import array_drives
 from palmfield.simulation.known_load import SHARE
 from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
+from palmfield.skin.explicit_layer import explicit_layer
 from palmfield.skin.from_config import sheets_in_words
 from palmfield.skin.materials.material import shear_wave
+from palmfield.skin.solver_choice import PREVIEW
 
 
 def modelled(model: HapticModel, duration_s: float) -> list[Row]:
@@ -59,6 +62,12 @@ def _layer(skin: SkinModel) -> list[Row]:
     share = layer.patch.report.get("share_thinned", 0.0)
     thinned = f", thinner than asked at {100 * share:.0f} % of its vertices (curved rims and webs)" if share else ""
     base = "on a foundation" if skin.spec.config.foundation else skin.spec.config.base
+    estimate = f"the same load on elements {RATIO} x smaller or larger, static and harmonic"
+    own = []
+    if skin.choice.name in EXPLICIT:
+        resolution, why = explicit_layer(layer).resolution, "below the same face; loads and results are on the wedges'"
+        own.append(Row(f"mesh of {skin.choice.name}", resolution, why, name))
+        estimate = "cut sides; the rest is the solver's own, and in its time"
     return [
         Row(
             "skin layer",
@@ -76,21 +85,31 @@ def _layer(skin: SkinModel) -> list[Row]:
             f"long at {demand.max_frequency_Hz:.0f} Hz",
             name,
         ),
-        Row(
-            "error estimate",
-            f"about {estimate_s(skin):.0f} s",
-            f"the same load on elements {RATIO} x smaller or larger, static and harmonic",
-            name,
-        ),
+        *own,
+        Row("error estimate", f"about {estimate_s(skin):.0f} s", estimate, name),
     ]
 
 
 def _solver(skin: SkinModel, still_m: float) -> Row:
     """Which stepper steps a skin, and why; still_m: how far its body may move and count as still [m]."""
     choice, config, name = skin.choice, skin.spec.config, skin.spec.name
+    if choice.name in EXPLICIT:
+        preview = ", a preview" if choice.name in PREVIEW else ""
+        why = f"explicit steps, in each of which a pressure wave crosses an element or less; {choice.why}"
+        size = f"about {choice.seconds:.0f} s, wedges about {choice.wedges_s:.0f} s on the CPU"
+        return Row(f"skin solver {choice.name}{preview}", size, why, name)
     if choice.name == "wedges":
         why = f"implicit on the whole layer, factorised once; {choice.why}"
         return Row("skin solver wedges", f"about {choice.seconds:.0f} s", why, name)
+    if choice.name == "modal":
+        beyond = "the run's error says so" if config.solver == "modal" else "the whole layer goes on by wedges"
+        return Row(
+            "skin solver modal",
+            f"about {choice.seconds:.0f} s, wedges about {choice.wedges_s:.0f} s",
+            f"{choice.why}; modes for every sound of these arrays on this region, made once, kept in the cache; what "
+            f"of a load lies outside is measured in every step; beyond {100 * config.accuracy:g} % {beyond}",
+            name,
+        )
     return Row(
         "skin solver reduced",
         f"about {choice.seconds:.0f} s, wedges about {choice.wedges_s:.0f} s",

@@ -12,7 +12,7 @@ import numpy as np
 from scipy import sparse
 
 from palmfield.errors import SceneError
-from palmfield.skin.fem.assembly import SkinSystem
+from palmfield.skin.fem.linear_body import LinearBody
 from palmfield.types import Float
 
 
@@ -58,7 +58,7 @@ class Scheme:
     Raises SceneError for a step <= 0 or rho_inf outside 0..1.
     """
 
-    def __init__(self, system: SkinSystem, step_s: float, rho_inf: float) -> None:
+    def __init__(self, system: LinearBody, step_s: float, rho_inf: float) -> None:
         if not (math.isfinite(step_s) and step_s > 0.0) or not 0.0 <= rho_inf <= 1.0:
             raise SceneError(f"step {step_s} s, rho_inf {rho_inf}: the step must be above 0 and rho_inf in 0..1")
         alpha_m, self.alpha_f, beta, gamma = alpha_weights(rho_inf)

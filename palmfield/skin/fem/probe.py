@@ -16,8 +16,8 @@ class SurfaceProbe:
     """Normal displacement at points of the skin.
 
     points: positions [m], shape (n, 3); each is moved to the closest point of the surface
-    closest: those points [m], (n, 3); triangles: what they lie in, (n,); distance: how far each moved [m], (n,)
-    normals: outward normals there, (n, 3)
+    closest: those points [m], (n, 3); triangles: what they lie in, (n,), and local: where, as xi and eta, (n, 2)
+    distance: how far each moved [m], (n,); normals: outward normals there, (n, 3)
     operator: csr, shape (n, free degrees of freedom): displacement along the outward normal = operator @ u
     vectors: csr, shape (3 n, free degrees of freedom): displacement, three components a point = vectors @ u
     Raises SceneError unless points is (n, 3) and finite.
@@ -31,9 +31,9 @@ class SurfaceProbe:
         triangle, self.closest = _closest(corners, points)
         self.triangles = triangle
         self.distance = np.linalg.norm(points - self.closest, axis=1)
-        barycentric = points_to_barycentric(corners[triangle], self.closest)
+        self.local: Float = points_to_barycentric(corners[triangle], self.closest)[:, 1:]
         nodes = mesh.surface_triangles6[triangle]
-        shape = triangle_shape(barycentric[:, 1:])
+        shape = triangle_shape(self.local)
         normals = np.einsum("pi,pic->pc", shape, mesh.surface_normals()[nodes])
         self.normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
         rows = np.broadcast_to(np.arange(len(points))[:, None, None], (len(points), 6, 3))

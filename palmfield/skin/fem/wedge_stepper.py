@@ -66,6 +66,7 @@ class WedgeStepper:
 
     name = "wedges"
     error = 0.0
+    points = None
 
     def __init__(self, system: SkinSystem, inputs: sparse.csr_matrix, step_s: float, rho_inf: float = 0.8) -> None:
         scheme = Scheme(system, step_s, rho_inf)

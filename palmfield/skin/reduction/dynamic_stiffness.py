@@ -1,34 +1,12 @@
 """Z(s) = s^2 M + s C + E + sum_p G_p(s)/G_r K_p of a viscoelastic body under e^{st}, and its factors."""
 
-from collections.abc import Sequence
-from typing import Any, Protocol
-
 import numpy as np
 from scipy import sparse
 
 from palmfield.skin.fem.factor import Factor, factorise
-from palmfield.skin.materials.material import Material, stiffening
+from palmfield.skin.fem.linear_body import LinearBody
+from palmfield.skin.materials.material import stiffening
 from palmfield.types import Complex, Int
-
-
-class RelaxingPart(Protocol):
-    @property
-    def stiffness(self) -> Any: ...
-    @property
-    def material(self) -> Material: ...
-
-
-class LinearBody(Protocol):
-    """mass [kg], damping [N s/m], elastic and parts' stiffness [N/m]: symmetric, sparse or dense, shape (n, n)."""
-
-    @property
-    def mass(self) -> Any: ...
-    @property
-    def damping(self) -> Any: ...
-    @property
-    def elastic(self) -> Any: ...
-    @property
-    def parts(self) -> Sequence[RelaxingPart]: ...
 
 
 class DynamicStiffness:

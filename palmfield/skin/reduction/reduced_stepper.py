@@ -16,10 +16,11 @@ from palmfield.skin.fem.assembly import SkinSystem
 from palmfield.skin.materials.material import stiffening
 from palmfield.skin.reduction.dynamic_stiffness import DynamicStiffness
 from palmfield.skin.reduction.krylov import Course, Krylov
+from palmfield.skin.reduction.load_shapes import LoadShapes
 from palmfield.skin.reduction.reduced import Projection, Reduced
 from palmfield.skin.reduction.reducer import SHIFT, grow_until
 from palmfield.skin.stepper import Reader, SurfaceLoads, check_step, checked_operator
-from palmfield.types import Complex, Float
+from palmfield.types import Complex, Float, Int
 
 MOST_VECTORS = 400
 
@@ -48,7 +49,8 @@ class ReducedStepper:
 
     small: the body in the vectors, under j shapes of force, with the coordinates in V as what it reads
     vectors: V, (n, r)
-    shares: shape (q, j): how much of each shape of force a pressure of 1 Pa at each point is
+    shares: shape (p, j): how much of each shape of force a pressure of 1 Pa at each point is
+    points: numbers of the quadrature's points at which it takes pressure, shape (p,), None for all
     step_s: length of a substep [s]
     error: relative, of the surface's displacement under the known load, see `reduced_stepper`
     any_course: whether the model is made for any course of its load in time, from any moment on
@@ -61,11 +63,13 @@ class ReducedStepper:
         small: Projection,
         vectors: Float,
         shares: Float,
+        points: Int | None,
         step_s: float,
         error: float,
         any_course: bool,
     ) -> None:
         self.small, self.vectors, self.model = small, vectors, Reduced(small, error)
+        self.points = points
         self.step_s, self.error, self.any_course = step_s, error, any_course
         self.state_size, self.order = self.model.state_size, vectors.shape[1]
         self._shares = np.ascontiguousarray(shares)
@@ -151,6 +155,7 @@ def reduced_stepper(
     step_s: float,
     highest_Hz: float,
     tolerance: float,
+    pressures: LoadShapes | None = None,
 ) -> ReducedStepper:
     """Small model of a layer for a load known ahead, from one real factorisation.
 
@@ -158,6 +163,7 @@ def reduced_stepper(
     inputs: csr, shape (n, q): consistent nodal force [N] = inputs @ inward pressure [Pa]
     step_s: length of a substep [s], also that of the known load's shares
     highest_Hz: highest frequency that matters [Hz]; tolerance: target relative error
+    pressures: of which the load is made, so that it is looked at in their points only; None for all points
     The error is the larger of two. First, SAFETY times what the last ROUND vectors or more change in the motion under
     the load from rest: L2 over times, the larger of over the surface and at the point. Second, of the steady motion
     at the load's frequencies, the residual's own displacement by the factors that are there, over the surface. Both
@@ -165,7 +171,10 @@ def reduced_stepper(
     Raises SceneError where MOST_VECTORS don't reach the tolerance.
     """
     small, vectors, error, any_course = known_model(system, load, surface, point, step_s, highest_Hz, tolerance)
-    return ReducedStepper(small, vectors, inputs.T @ vectors, step_s, error, any_course)
+    if pressures is None:
+        return ReducedStepper(small, vectors, inputs.T @ vectors, None, step_s, error, any_course)
+    shares: Float = pressures.fit.T @ ((inputs @ pressures.shapes.T).T @ vectors)
+    return ReducedStepper(small, vectors, shares, pressures.points, step_s, error, any_course)
 
 
 def known_model(

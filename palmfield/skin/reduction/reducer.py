@@ -12,7 +12,8 @@ import numpy as np
 from scipy import sparse
 
 from palmfield.errors import SceneError
-from palmfield.skin.reduction.dynamic_stiffness import DynamicStiffness, LinearBody
+from palmfield.skin.fem.linear_body import LinearBody
+from palmfield.skin.reduction.dynamic_stiffness import DynamicStiffness
 from palmfield.skin.reduction.krylov import Krylov
 from palmfield.skin.reduction.reduced import Projection, Reduced
 from palmfield.types import Complex, Int

@@ -147,7 +147,7 @@ def _run(
         """Displacement and velocity at the requested times, (2, t, n, 3)."""
         unit = np.eye(krylov.order)
         small = Projection(krylov.projected, krylov.dynamics.materials, krylov.vectors.T @ shapes, unit)
-        stepper = ReducedStepper(small, krylov.vectors, np.eye(shapes.shape[1]), common_length(clock), 0.0, True)
+        stepper = ReducedStepper(small, krylov.vectors, np.eye(shapes.shape[1]), None, common_length(clock), 0.0, True)
         seen = carried(stepper, read, clock, weights, load.law)[rows]
         begun = (requested >= clock[0])[:, None, None]
         return np.where(begun, seen, 0.0).swapaxes(0, 1).reshape(2, len(requested), -1, 3)

@@ -149,9 +149,13 @@ class Model:
         moduli: Any,
         clock: Any,
         reading: tuple[Any, ...] | None = None,
+        force: Any = None,
         record_cmd: bool = False,
     ) -> Any:
-        """Internal forces by position into `force`, now or as a recorded launch; `reading` as hexa.element_forces."""
+        """Internal forces by position into `force`, the model's own by default, now or as a recorded launch.
+
+        reading: as hexa.element_forces
+        """
         layout, order = self.layout, self.solid.order
         block = max(hexa.BLOCK, hexa.places(order, True))
         threads = layout.count if layout.gpu else layout.padded // hexa.LANES
@@ -159,7 +163,8 @@ class Model:
             self.kernel,
             dim=threads + READERS,
             inputs=[
-                *(u, w, conn, w_conn, self.metric, moduli, self.derivative, self.filter, self.force, clock, threads),
+                *(u, w, conn, w_conn, self.metric, moduli, self.derivative, self.filter),
+                *(self.force if force is None else force, clock, threads),
                 *(reading or self.no_reading),
             ],
             device=self.device,

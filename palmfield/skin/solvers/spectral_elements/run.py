@@ -11,7 +11,7 @@ from palmfield.errors import SceneError
 from palmfield.skin.materials.material import Material
 from palmfield.skin.solvers.spectral_elements.loads import Table
 from palmfield.skin.solvers.spectral_elements.model import Holds, Layout, Model
-from palmfield.skin.solvers.spectral_elements.solid import face_areas
+from palmfield.skin.solvers.spectral_elements.solid import Solid, face_areas
 from palmfield.types import Float, Int
 from warp_kernels import hexa, hexa_steps
 
@@ -61,8 +61,33 @@ def lane_rows(elements: Int, layout: Layout, lanes: int) -> tuple[Int, Int]:
     return starts, sources
 
 
-def law_of(material: Material) -> tuple[tuple[tuple[float, float], ...], float]:
+Law = tuple[tuple[tuple[float, float], ...], float]
+"""Ratio and time of each branch, and the dashpot's time."""
+
+
+def law_of(material: Material) -> Law:
     return tuple(zip(material.ratios, material.times_s, strict=True)), material.viscous_time_s
+
+
+def copies_of(solid: Solid, materials: list[Material]) -> tuple[list[Law], Int, Int, Int]:
+    """A node has a copy of what relaxes for every law that meets there; those of one node lie together.
+
+    Returns the laws, the law of each sheet, node * laws + law of each copy, rising, and the copies of each element.
+    """
+    laws = sorted({law_of(material) for material in materials})
+    law_of_sheet = np.array([laws.index(law_of(material)) for material in materials], dtype=np.int32)
+    if len(laws) == 1:
+        return laws, law_of_sheet, np.arange(len(solid.nodes), dtype=np.int32), solid.elements
+    pairs = solid.elements.astype(np.int64) * len(laws) + law_of_sheet[solid.sheet][:, None]
+    keys, result = np.unique(pairs, return_inverse=True)
+    return laws, law_of_sheet, keys, result.reshape(pairs.shape)
+
+
+def state_size(solid: Solid, materials: list[Material]) -> int:
+    """Numbers that carry a body through time, see `Stepper.numbers`."""
+    laws, _, keys, _ = copies_of(solid, materials)
+    rows = 1 + max(len(branches) for branches, _ in laws)
+    return 3 * (2 * len(solid.nodes) + rows * len(keys))
 
 
 class Stepper:
@@ -78,11 +103,20 @@ class Stepper:
     M - h^2 / 4 [K + sum g tanh(x / 2) / (x / 2) K_d] - h t K_d / 2 is, x = h / tau; that gives the stable step.
 
     step_s: [s]; table: the load at each step; points: where to read; target: steps after which to, rising
+    graph_steps: that one CUDA graph holds
     Raises SceneError for a step above the stable one.
     """
 
     def __init__(
-        self, model: Model, holds: Holds, step_s: float, table: Table, points: Points, target: Int, stable_s: float
+        self,
+        model: Model,
+        holds: Holds,
+        step_s: float,
+        table: Table,
+        points: Points,
+        target: Int,
+        stable_s: float,
+        graph_steps: int = GRAPH_STEPS,
     ) -> None:
         if not 0.0 < step_s <= stable_s:
             raise SceneError(
@@ -129,9 +163,12 @@ class Stepper:
         self.u, self.v = (wp.zeros(threads * lanes, dtype=model.vec3, device=device) for _ in range(2))
         self.w = wp.zeros(copies, dtype=model.vec3, device=device)
         self.strain = wp.zeros((max(1, self.most), copies), dtype=model.vec3, device=device)
+        # Of its own, as several may step one model at once
+        self.force = wp.zeros_like(model.force)
         self.clock, self.finished = (wp.zeros(1, dtype=wp.int32, device=device) for _ in range(2))
         self.done = 0
-        slots = np.full(table.steps + GRAPH_STEPS, -1)
+        self.graph_steps = graph_steps
+        slots = np.full(table.steps + graph_steps, -1)
         slots[target] = np.arange(len(target))
         self.slots = model.ints(slots)
         self.read_nodes, self.read_shares = model.ints(points.nodes), put(points.shares)
@@ -141,16 +178,9 @@ class Stepper:
         self.graph: Any = None
 
     def _copies(self) -> None:
-        """A node has a copy of what relaxes for every law that meets there; those of one node lie together."""
+        """What relaxes, by copy; see `copies_of`."""
         model, solid, layout = self.model, self.model.solid, self.model.layout
-        laws = sorted({law_of(m) for m in model.materials})
-        self.law_of_sheet = np.array([laws.index(law_of(m)) for m in model.materials])
-        pairs = solid.elements.astype(np.int64) * len(laws) + self.law_of_sheet[solid.sheet][:, None]
-        if len(laws) == 1:
-            keys, inverse = np.arange(len(solid.nodes)), solid.elements
-        else:
-            keys, result = np.unique(pairs, return_inverse=True)
-            inverse = result.reshape(pairs.shape)
+        laws, self.law_of_sheet, keys, inverse = copies_of(solid, model.materials)
         self.copy_node, self.copy_law = keys // len(laws), keys % len(laws)
         self.copy_count = len(keys)
         self.copy_starts = model.ints(np.searchsorted(self.copy_node, np.arange(len(solid.nodes) + hexa.LANES + 1)))
@@ -175,13 +205,14 @@ class Stepper:
             model.launch(
                 *(self.u, self.w, model.conn, self.w_conn, model.moduli, self.clock),
                 reading=reading,
+                force=self.force,
                 record_cmd=True,
             ),
             wp.launch(
                 hexa_steps.node_step(model.real, self.table.moving, len(self.law_ends) == 1, model.layout.gpu),
                 dim=self.threads,
                 inputs=[
-                    *(self.starts, self.sources, model.force),
+                    *(self.starts, self.sources, self.force),
                     *(self.areas, self.places, self.spot, self.table.spread, self.frames, self.frame, self.share),
                     *(self.pace, self.held, *self.matrices),
                     *(self.copy_starts, self.copy_laws, self.laws, self.branches, self.viscous, self.step_s),
@@ -205,15 +236,15 @@ class Stepper:
                 f"{self.table.steps}; table more"
             )
         left = steps
-        if self.model.layout.gpu and left >= GRAPH_STEPS:
+        if self.model.layout.gpu and left >= self.graph_steps:
             if self.graph is None:
                 with wp.ScopedCapture(device=self.model.device) as capture:
-                    for _ in range(GRAPH_STEPS):
+                    for _ in range(self.graph_steps):
                         self._step()
                 self.graph = capture.graph
-            while left >= GRAPH_STEPS:
+            while left >= self.graph_steps:
                 wp.capture_launch(self.graph)
-                left -= GRAPH_STEPS
+                left -= self.graph_steps
         for _ in range(left):
             self._step()
         self.done += steps
@@ -241,6 +272,31 @@ class Stepper:
         for array, values in ((self.u, u), (self.v, v), (self.w, u[self.copy_node])):
             array[: len(values)].assign(self.model.vectors(values))
         self.strain.zero_()
+
+    def _state_arrays(self) -> list[Any]:
+        """What a step changes, without the padding: u, v, w, and y of each branch."""
+        nodes, copies = len(self.model.solid.nodes), self.copy_count
+        strain = [self.strain[branch][:copies] for branch in range(self.most)]
+        return [self.u[:nodes], self.v[:nodes], self.w[:copies], *strain]
+
+    def numbers(self, out: Float) -> None:
+        """Write the state into `out`, shape (state_size,): u and v by node, w and y of each branch by copy."""
+        start = 0
+        for array in self._state_arrays():
+            out[start : start + 3 * len(array)] = array.numpy().ravel()
+            start += 3 * len(array)
+
+    def begin(self, numbers: Float, frames: Float) -> None:
+        """Go on from a state, shape (state_size,), at the table's beginning, under other frames [Pa]."""
+        start = 0
+        for array in self._state_arrays():
+            values = numbers[start : start + 3 * len(array)].reshape(-1, 3)
+            array.assign(self.model.vectors(values))
+            start += 3 * len(array)
+        self.frames[: len(frames)].assign(self.model.put(frames))
+        self.clock.zero_()
+        self.finished.zero_()
+        self.done = 0
 
     def momentum(self) -> Float:
         """Sum of mass times velocity [kg m/s], shape (3,)."""

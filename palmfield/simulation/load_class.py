@@ -1,0 +1,174 @@
+"""Loads that are not known before the run: the class of all sounds that a scene's arrays can make on a skin.
+
+The class is made of examples: foci on the region of the skin for which its layer is made, one or two at a time, from
+each array and from all, with the body where it stands in the reference pose and moved and tilted from there. Which
+stimulus comes does not matter, so that the modes made for a class serve all stimuli, and every moving hand.
+"""
+
+import math
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from palmfield.acoustics.phased_array import PhasedArray
+from palmfield.drive.array_drive import ArrayDrive
+from palmfield.errors import SceneError
+from palmfield.simulation.model import HapticModel, StimulusModel
+from palmfield.simulation.posed_scene import PosedScene, PosedSkin, PosedSurface, reference_scene
+from palmfield.simulation.radiation import Radiation
+from palmfield.simulation.spec import SkinSpec
+from palmfield.skin.fem.assembly import relaxation_law
+from palmfield.skin.reduction.modal_stepper import ModalStepper, modal_body
+from palmfield.skin.scene_layer import SceneLayer
+from palmfield.stimulus.schedule import frame_rates, main_frequencies, turn_m, turn_rate_Hz
+from palmfield.transforms import Transform
+from palmfield.types import Complex, Float
+
+PLACES = 5
+"""Poses of the body in the examples; the first is the reference."""
+SHIFT_m, TILT = (0.03, 0.03, 0.04), 0.2
+"""Of the others, at most: along the array's axes [m], and about each [rad]."""
+SINGLE, PAIRS = 150, 100
+"""Examples in each pose with one focus, and with two of any relative phase."""
+OFF_SKIN_m = 0.006
+"""By which a focus misses the skin in an example, at most, along each axis [m]."""
+SPAN = 0.1
+"""Of the wanted accuracy, what the class's shapes may leave out of its examples."""
+BLOCKS, BLOCKS_AT, BLOCKS_POWER = 11, 0.05, 0.44
+"""Blocks of modes at one accuracy, and the power of the accuracy with which they become fewer."""
+SHAPES = 15.0
+"""Load shapes at accuracy 0.2 on a region as wide as a spot, about."""
+LEAST_CORNER_Hz = 75.0
+"""Corner of a load's spectrum that only comes and goes: the sound of a start or stop falls as 1/f."""
+
+
+def refusal(skin: SkinSpec, layer: SceneLayer) -> str | None:
+    """Why a skin can't move by modes for every load, in words, or None; what only its matrices tell comes later."""
+    config = skin.config
+    if config.body_sound == "scattering":
+        return "boundary elements for every example of its loads cost more than a run"
+    if config.body_sound == "shadows":
+        return "shadows have sharp edges, which no class of smooth loads holds"
+    if config.side == "absorbing":
+        return "absorbing sides couple the modes"
+    laws = {relaxation_law(sheet.material) for sheet in layer.sheets}
+    if len(laws) > 1:
+        return f"its sheets relax by {len(laws)} laws, and modes move by themselves under one"
+    return None
+
+
+def expected_modes(skin: SkinSpec, layer: SceneLayer) -> float:
+    """About how many modes there will be, as seen on the shipped scenes."""
+    shapes = SHAPES * (_region_m(layer) / layer.demand.spot_fwhm_m) ** 2 * (0.2 / skin.config.accuracy) ** 0.35
+    return float(_blocks(skin.config.accuracy) * shapes)
+
+
+def _blocks(accuracy: float) -> int:
+    blocks: float = BLOCKS * (BLOCKS_AT / accuracy) ** BLOCKS_POWER
+    return max(round(blocks), 3)
+
+
+def _region_m(layer: SceneLayer) -> float:
+    """Radius of the region of a skin in which the foci of the class lie [m].
+
+    That is where its elements are fine, and all of a patch of given radius, with foci beside it that touch it.
+    """
+    sizes, spot_m = layer.sizes, layer.demand.spot_fwhm_m
+    if layer.config.patch_radius_m or layer.config.shape == "disc":
+        return sizes.radius_m + 0.5 * spot_m
+    return max(sizes.fine_radius_m, 2.0 * spot_m)
+
+
+def class_stepper(model: HapticModel, skin: int, blocks: int | None = None) -> ModalStepper:
+    """Modes of a skin's layer for the class of its loads.
+
+    blocks: of the space of the modes, by default as many as the skin's accuracy asks for
+    Raises SceneError where there can be none.
+    """
+    part = model.skins[skin]
+    layer, accuracy = part.layer, part.spec.config.accuracy
+    posed = reference_scene(model)
+    arrays, law = posed.arrays, part.spec.config.arp_law
+    depends_on = (
+        *(arrays.array, arrays.air, arrays.placements, arrays.precision, model.board.name, law),
+        *(*posed.skins[skin].quadrature, part.spec.patch_centre, _region_m(layer)),
+    )
+    made = modal_body(
+        layer.system, layer.quadrature, layer.surface_operator, lambda: examples(model, skin, posed), depends_on,
+        SPAN * accuracy, blocks or _blocks(accuracy),
+    )  # fmt: skip
+    corner = max(corner_Hz(stimulus, layer.demand.spot_fwhm_m) for stimulus in model.stimuli)
+    return ModalStepper(made, layer.system, layer.sizes.step_s, corner)
+
+
+def examples(model: HapticModel, skin: int, posed: PosedScene) -> Float:
+    """ARP of examples at a skin's quadrature points [Pa], shape (t, q); posed: the reference."""
+    rng = np.random.default_rng(0)
+    radiation, arrays, layer = Radiation(model), posed.arrays, model.skins[skin].layer
+    frame = posed.skins[skin].body.frame
+    centre = frame.points(np.array(model.skins[skin].spec.patch_centre))
+    gap = float(np.linalg.norm(arrays.array.positions - centre, axis=1).min())
+    most = np.minimum(SHIFT_m, 0.3 * gap)
+    region = _region_m(layer)
+    loads = []
+    for number in range(PLACES):
+        moved = posed
+        if number > 0:
+            turn = Rotation.from_rotvec(rng.uniform(-TILT, TILT, 3)).as_matrix()
+            moved = _moved(model, skin, posed, centre, turn, rng.uniform(-most, most))
+        points = moved.skins[skin].quadrature[0]
+        middle = moved.skins[skin].body.frame.points(np.array(model.skins[skin].spec.patch_centre))
+        near = points[np.linalg.norm(points - middle, axis=1) < region]
+        places = near[rng.integers(0, len(near), SINGLE)] + rng.uniform(-OFF_SKIN_m, OFF_SKIN_m, (SINGLE, 3))
+        drives = _drives(model, arrays, places, rng)
+        arp = radiation.many(moved, skin, drives).astype(np.float64)
+        loads.append(arp / np.sqrt((arp**2 @ layer.quadrature.weights).max()))
+    return np.concatenate(loads)
+
+
+def _moved(model: HapticModel, skin: int, posed: PosedScene, centre: Float, turn: Float, shift_m: Float) -> PosedScene:
+    """The scene with a skin's body turned about a point and moved, array frame."""
+    part = model.skins[skin]
+    before = posed.bodies[part.body]
+    frame = Transform(turn @ (before.frame.position - centre) + centre + shift_m, turn @ before.frame.rotation)
+    body = PosedSurface(before.model, before.skin, frame, (before.bone_positions, before.bone_rotations))
+    bodies = [body if number == part.body else other for number, other in enumerate(posed.bodies)]
+    skins = []
+    for place, other in zip(posed.skins, model.skins, strict=True):
+        obstacles = place.obstacle_positions, place.obstacle_rotations
+        skins.append(PosedSkin(other, body, obstacles) if other.body == part.body else place)
+    return PosedScene(posed.array_frame, posed.arrays, posed.frames, bodies, skins)
+
+
+def _drives(model: HapticModel, arrays: PhasedArray, foci: Float, rng: np.random.Generator) -> Complex:
+    """Drives for one focus and for pairs of foci, from each array in turn and from all at once, shape (d, N)."""
+    everything = np.arange(len(arrays), dtype=np.int32)
+    sources = [everything] if len(arrays.slices) == 1 else [everything, *(everything[own] for own in arrays.slices)]
+    drives = [ArrayDrive(arrays, chosen, None, None, model.board) for chosen in sources]
+    single = []
+    for number, focus in enumerate(foci):
+        try:
+            single.append(drives[number % len(drives)].unit_drive(focus).amplitudes)
+        except SceneError:
+            continue  # behind the array
+    if not single:
+        raise SceneError("no modes of this skin: none of the arrays' transducers faces it in the reference pose")
+    alone = np.array(single)
+    first, second = rng.integers(0, len(alone), (2, PAIRS))
+    phase = np.exp(2j * math.pi * rng.random(PAIRS))
+    return np.concatenate([alone, 0.5 * (alone[first] + phase[:, None] * alone[second])])
+
+
+def corner_Hz(stimulus: StimulusModel, spot_m: float) -> float:
+    """Frequency above which the spectrum of a stimulus's load falls, about [Hz].
+
+    A focus that moves at v over a spot of width w passes a point in w / v; one that jumps at some rate is as sudden as
+    one that moves on by then; AM has its own frequency. spot_m: width of the spot [m]
+    """
+    config = stimulus.config
+    corners = [LEAST_CORNER_Hz, *(0.5 * f for f in frame_rates(config))]
+    corners += [0.5 * f for f in main_frequencies(config)[:1]]
+    rate = turn_rate_Hz(config)
+    if rate is not None:
+        corners.append(rate * turn_m(config) / (math.pi * spot_m))
+    return max(corners)

@@ -1,0 +1,82 @@
+"""What of a skin's loads lies outside the class that its modes serve: measured in every step."""
+
+import math
+
+import numpy as np
+
+from palmfield.errors import SceneError
+from palmfield.simulation.emission import array_drives
+from palmfield.simulation.model import HapticModel
+from palmfield.simulation.posed_scene import PosedScene
+from palmfield.simulation.radiation import Radiation
+from palmfield.skin.reduction.modal_stepper import ModalStepper, Outside
+from palmfield.skin.stepper import SurfaceLoads
+
+
+class OutsideClass:
+    """What of a skin's loads in a run has been outside the class that its modes serve.
+
+    sums: squares over all substeps
+    loudest: most energy of the load in one step, that of a focus in the middle of the skin included; None before the
+        first step
+    """
+
+    def __init__(self) -> None:
+        self.sums = Outside(0.0, 0.0, 0.0, 0.0)
+        self.loudest: float | None = None
+
+    def add(self, step: Outside) -> float:
+        """Take a step's loads; what of them lies outside, in the energy norm, over the loudest step's.
+
+        `loudest` must be known.
+        """
+        assert self.loudest is not None
+        a, b, c, d = self.sums
+        self.sums = Outside(a + step.energy, b + step.energy_of_all, c + step.plain, d + step.plain_of_all)
+        self.loudest = max(self.loudest, step.energy_of_all)
+        return math.sqrt(step.energy / self.loudest) if self.loudest > 0.0 else 0.0
+
+    def copy(self) -> "OutsideClass":
+        """A copy that goes on by itself."""
+        result = OutsideClass()
+        result.sums, result.loudest = self.sums, self.loudest
+        return result
+
+    @property
+    def energy_share(self) -> float:
+        """Of the energy norm of all loads, what was outside: about what that adds to the displacement's error."""
+        return math.sqrt(self.sums.energy / self.sums.energy_of_all) if self.sums.energy_of_all > 0.0 else 0.0
+
+    @property
+    def pressure_share(self) -> float:
+        """Of the pressure's norm, what was outside."""
+        return math.sqrt(self.sums.plain / self.sums.plain_of_all) if self.sums.plain_of_all > 0.0 else 0.0
+
+
+def leaves_class(model: HapticModel, skin: int, share: float) -> bool:
+    """Whether a skin's modes end here: more of a step's load than the wanted accuracy lies outside their class.
+
+    share: see OutsideClass.add. Where key `solver` asks for modes they go on, and the run's error says it.
+    """
+    config = model.skins[skin].spec.config
+    return config.solver != "modal" and share > config.accuracy
+
+
+def loudest_load(
+    model: HapticModel, skin: int, stepper: ModalStepper, reference: PosedScene, radiation: Radiation
+) -> float:
+    """Energy over a step of a stimulus's steady focus in the middle of a skin, in the reference pose: what sound beside
+    the skin is little against."""
+    frame = reference.skins[skin].body.frame
+    centre = frame.points(np.array(model.skins[skin].spec.patch_centre))
+    radiation.choose(skin, stepper.points)
+    loudest = 0.0
+    for drive in array_drives(model, reference.arrays):
+        try:
+            amplitudes = drive.unit_drive(centre).amplitudes
+        except SceneError:
+            continue  # an array that doesn't face this skin
+        arp = radiation.on(reference, skin, "load", amplitudes).arp
+        steady = np.ones((1, model.substeps, 1))
+        loudest = max(loudest, stepper.outside(SurfaceLoads(arp[None, None], steady, steady)).energy_of_all)
+    return loudest

@@ -1,0 +1,292 @@
+"""Steps a skin by modes that serve every load of a class: any course in time of any sum of its shapes.
+
+The modes move by the scheme that steps the whole layer (palmfield.skin.fem.generalised_alpha), each by itself, so that
+a state can go over to the whole layer as it is. The pressure is looked at in few points of the skin.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import warp as wp
+from scipy import sparse
+
+from palmfield import cache
+from palmfield.blas import one_blas_thread
+from palmfield.device import filled, recorded
+from palmfield.errors import SceneError
+from palmfield.skin.fem.assembly import Part, SkinSystem
+from palmfield.skin.fem.factor import factorise
+from palmfield.skin.fem.generalised_alpha import Scheme
+from palmfield.skin.fem.load import SurfaceQuadrature
+from palmfield.skin.materials.material import stiffening
+from palmfield.skin.reduction.load_shapes import LoadShapes, load_shapes
+from palmfield.skin.reduction.ritz import RitzModes, refusal, ritz_modes, shifted
+from palmfield.skin.stepper import Reader, SurfaceLoads, check_step, checked_operator
+from palmfield.types import Complex, Float, Float32, Int
+from warp_kernels import modes as kernels
+
+MOST_SHARE = 0.4
+"""Of a layer's unknowns, above which modes save nothing."""
+COMPLIANCE_LEFT_OUT = 1e-4
+"""Share of the compliance of the points that its low rank leaves out: 1 % of a norm."""
+RHO_INF = 0.8
+"""Spectral radius at infinite frequency, as for the whole layer."""
+
+
+class Outside(NamedTuple):
+    """Squares of what of a load lies outside its class, and of the whole load, summed over substeps.
+
+    energy, energy_of_all: in the energy norm of the skin; plain, plain_of_all: of the pressures at the points [Pa^2]
+    """
+
+    energy: float
+    energy_of_all: float
+    plain: float
+    plain_of_all: float
+
+
+@dataclass(frozen=True)
+class ModalBody:
+    """What a ModalStepper is made of: all that takes long to compute.
+
+    modes: see RitzModes; shapes: of the class; forces: of each shape on each mode, shape (m, r)
+    compliance: the energy norm of a pressure at the shapes' points is that of pressure @ compliance, shape (p, k)
+    """
+
+    modes: RitzModes
+    shapes: LoadShapes
+    forces: Float
+    compliance: Float
+
+
+def modal_body(
+    system: SkinSystem,
+    quadrature: SurfaceQuadrature,
+    surface: sparse.csr_matrix,
+    examples: Callable[[], Float],
+    depends_on: Sequence[Any],
+    tolerance: float,
+    blocks: int,
+) -> ModalBody:
+    """Modes of a layer for the class of loads that examples are of, from one real factorisation.
+
+    surface: reads the displacement that must be right, csr, (S, n)
+    examples: pressures at the quadrature's points [Pa], shape (t, q); depends_on: all that they depend on
+    tolerance: what the shapes may leave out of the examples, relative; blocks: of the space of the modes, at least 2
+    Kept in the cache (`palmfield.cache`). Raises SceneError where the layer's modes are coupled, or would be too many.
+    """
+    reason = refusal(system)
+    if reason is not None:
+        raise SceneError(f"no modes of this skin: {reason}")
+
+    def make() -> cache.Arrays:
+        with one_blas_thread:
+            shapes = load_shapes(examples(), quadrature.weights, tolerance)
+            most = MOST_SHARE * system.ndof
+            if blocks * len(shapes.sizes) > most:
+                raise SceneError(
+                    f"no modes of this skin: {blocks} blocks of {len(shapes.sizes)} load shapes are more than "
+                    f"{most:.0f} modes, where its {system.ndof} unknowns cost no more"
+                )
+            factor = factorise(shifted(system), system.elimination_order())
+            nodal: Float = quadrature.operator @ shapes.shapes.T
+            modes = ritz_modes(system, factor, nodal, shapes.sizes, blocks, surface)
+            seen = quadrature.operator[:, shapes.points].toarray()
+            values, vectors = np.linalg.eigh(seen.T @ factor.solve(seen))
+            kept = np.cumsum(values) > COMPLIANCE_LEFT_OUT * values.sum()
+            compliance = vectors[:, kept] * np.sqrt(values[kept])
+        arrays: cache.Arrays = {"vectors": modes.vectors.astype(np.float32)}
+        arrays |= {"elastic": modes.elastic, "stiffness": modes.stiffness}
+        arrays |= {"motion": modes.motion, "change": modes.change, "shapes": shapes.shapes, "sizes": shapes.sizes}
+        arrays |= {"points": shapes.points, "fit": shapes.fit, "forces": nodal.T @ modes.vectors}
+        return arrays | {"compliance": compliance}
+
+    body = system.mass, system.elastic, system.parts
+    known = cache.kept("modes", (*body, quadrature.operator, surface, *depends_on, tolerance, blocks), make)
+    names = "vectors", "elastic", "stiffness", "motion", "change"
+    modes = RitzModes(*(known[name] for name in names))
+    shapes = LoadShapes(*(known[name] for name in ("shapes", "sizes", "points", "fit")))
+    return ModalBody(modes, shapes, known["forces"], known["compliance"])
+
+
+@dataclass(frozen=True)
+class _Room:
+    """What a call works in. forces: of each substep on the modes, (w, s, r); rows: the state, (w, rows, r); seen:
+    displacement and velocity after each substep, (w, s, 2, r); launch: does all substeps"""
+
+    forces: Float
+    rows: Float
+    seen: Float
+    launch: Callable[[], object]
+
+
+class ModalStepper:
+    """Modes of a layer whose material relaxes by one law; see SkinStepper.
+
+    body: see ModalBody; system: the layer; step_s: length of a substep [s]
+    corner_Hz: above which the load's spectrum falls as 1/f, for which the errors are stated
+    points: numbers of the quadrature's points at which it takes pressure, shape (p,)
+    error, velocity_error: relative, estimated, of what fewer modes than the layer's cost, for loads of the class
+    A state has a row of numbers of all modes each for displacement, velocity, acceleration and the internal
+    displacement of every branch. Several worlds may be stepped at once.
+    """
+
+    name = "modal"
+
+    def __init__(self, body: ModalBody, system: SkinSystem, step_s: float, corner_Hz: float) -> None:
+        modes, shapes = body.modes, body.shapes
+        self.body, self.step_s, self.order, self.ndof = body, step_s, len(modes.elastic), system.ndof
+        self.error, self.velocity_error = modes.errors(corner_Hz)
+        self.points: Int = shapes.points
+        (part,) = system.parts
+        self._material = part.material
+        uncoupled = DiagonalBody(modes, Part(sparse.diags(modes.stiffness).tocsr(), part.material))
+        scheme = Scheme(uncoupled, step_s, RHO_INF)
+        self.state_rows, self._alpha_f = scheme.state_rows, scheme.alpha_f
+        self._padded = -(-self.order // kernels.WIDTH) * kernels.WIDTH
+        self.state_size = self.state_rows * self._padded
+        advance, inputs = _propagators(scheme, self._padded)
+        self._modes = filled(kernels.Modes(), advance=_in_groups(advance), inputs=_in_groups(inputs))
+        self._fit: Float32 = np.ascontiguousarray(shapes.fit.T, dtype=np.float32)
+        self._back: Float32 = np.ascontiguousarray(shapes.shapes[:, shapes.points], dtype=np.float32)
+        self._forces: Float32 = np.zeros((len(body.forces), self._padded), np.float32)
+        self._forces[:, : self.order] = body.forces
+        self._compliance: Float32 = np.ascontiguousarray(body.compliance, dtype=np.float32)
+        # Least squares fit away a part of what lies outside: as many numbers as there are shapes
+        count = len(shapes.points)
+        self._hidden = count / max(count - len(shapes.sizes), 1)
+        self._rooms: dict[tuple[int, int], list[_Room]] = {}
+
+    def step(
+        self, state: Float, loads: SurfaceLoads, t0: float, t1: float, observe: Reader | None = None
+    ) -> Float | None:
+        """See SkinStepper."""
+        check_step(self, state, loads, len(self.points), t0, t1)
+        worlds, substeps, _ = loads.first.shape
+        rooms = self._rooms.setdefault((worlds, substeps), [])
+        try:
+            room = rooms.pop()
+        except IndexError:
+            room = self._new_room(worlds, substeps)
+        rows = state.reshape(worlds, self.state_rows, self._padded)
+        with one_blas_thread:
+            shares = loads.pressure_Pa.astype(np.float32, copy=False) @ self._fit
+            room.forces[...] = (self._mixed(loads) @ shares) @ self._forces
+        room.rows[...] = rows
+        room.launch()
+        rows[...] = room.rows
+        seen = None
+        if observe is not None:
+            with one_blas_thread:
+                seen = room.seen @ observe.matrix
+        rooms.append(room)
+        return seen
+
+    def outside(self, loads: SurfaceLoads) -> Outside:
+        """What of the loads lies outside the class."""
+        with one_blas_thread:
+            pressure = loads.pressure_Pa.astype(np.float32, copy=False)
+            residual = pressure - (pressure @ self._fit) @ self._back
+            mixed = self._mixed(loads)
+            sums = [
+                self._hidden * _square(mixed @ (residual @ self._compliance)),
+                _square(mixed @ (pressure @ self._compliance)),
+                self._hidden * _square(mixed @ residual),
+                _square(mixed @ pressure),
+            ]
+        return Outside(*sums)
+
+    def reader(self, operator: sparse.csr_matrix) -> Reader:
+        """See SkinStepper."""
+        matrix = checked_operator(operator, self.ndof)
+        seen = np.zeros((self._padded, matrix.shape[0]))
+        seen[: self.order] = (matrix @ self.body.modes.vectors).T
+        return Reader(matrix.shape[0], seen)
+
+    def read(self, state: Float, reader: Reader) -> Float:
+        """See SkinStepper."""
+        rows = state.reshape(len(state), self.state_rows, self._padded)
+        with one_blas_thread:
+            result: Float = rows[:, :2] @ reader.matrix
+        return result
+
+    def harmonic(self, pressure_Pa: Float, f_Hz: float, operator: sparse.csr_matrix) -> Complex:
+        """operator @ displacement [m], shape (m,), under a pressure at the points, (p,), times e^{-i w t}."""
+        modes, s = self.body.modes, -2j * np.pi * f_Hz
+        force = (self.body.shapes.fit @ pressure_Pa) @ self.body.forces
+        rigidity = s**2 + modes.elastic + stiffening(self._material, s) * modes.stiffness
+        return np.asarray((operator @ modes.vectors) @ (force / rigidity), dtype=complex)
+
+    def lifted(self, state: Float) -> Float:
+        """The same motion as a state of WedgeStepper, (w, its state_size)."""
+        rows = state.reshape(len(state), self.state_rows, self._padded)[..., : self.order]
+        with one_blas_thread:
+            whole = rows @ self.body.modes.vectors.T
+        return whole.reshape(len(state), -1)
+
+    def _mixed(self, loads: SurfaceLoads) -> Float32:
+        """Weight of each pattern where the scheme takes the force in a substep, shape (w, s, k)."""
+        alpha = self._alpha_f
+        return (alpha * loads.first + (1.0 - alpha) * loads.last).astype(np.float32)
+
+    def _new_room(self, worlds: int, substeps: int) -> _Room:
+        forces = np.zeros((worlds, substeps, self._padded))
+        rows, old = np.zeros((2, worlds, self.state_rows, self._padded))
+        seen = np.zeros((worlds, substeps, 2, self._padded))
+        inputs = [self._modes, *(_lanes(part) for part in (forces, rows, old, seen))]
+        dim = worlds, self._padded // kernels.WIDTH
+        return _Room(forces, rows, seen, recorded(kernels.step_modes, dim, inputs, "cpu"))
+
+
+@dataclass(frozen=True)
+class DiagonalBody:
+    """Modes as a body whose matrices are diagonal."""
+
+    modes: RitzModes
+    part: Part
+
+    @property
+    def mass(self) -> Any:
+        return sparse.identity(len(self.modes.elastic), format="csr")
+
+    @property
+    def damping(self) -> Any:
+        return sparse.csr_matrix(self.elastic.shape)
+
+    @property
+    def elastic(self) -> Any:
+        return sparse.diags(self.modes.elastic).tocsr()
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        return (self.part,)
+
+
+def _propagators(scheme: Scheme, padded: int) -> tuple[Float, Float]:
+    """Matrix of each mode's state over a substep, (padded, rows, rows), and what a force adds, (padded, rows)."""
+    diagonals = [term.matrix.diagonal() for term in scheme.terms]
+    count, rows = len(diagonals[0]), scheme.state_rows
+    rigidity = sum(term.coefficient * diagonal for term, diagonal in zip(scheme.terms, diagonals, strict=True))
+    of_state = sum(np.outer(diagonal, term.row) for term, diagonal in zip(scheme.terms, diagonals, strict=True))
+    advance, inputs = np.zeros((padded, rows, rows)), np.zeros((padded, rows))
+    advance[:count] = scheme.advance + scheme.follow[:, None] * (of_state / rigidity[:, None])[:, None, :]
+    inputs[:count] = scheme.follow / rigidity[:, None]
+    return advance, inputs
+
+
+def _in_groups(values: Float) -> Any:
+    """Numbers of modes (r, ...) as lanes, (r / WIDTH, ...)."""
+    grouped = values.reshape(-1, kernels.WIDTH, *values.shape[1:])
+    return wp.array(np.ascontiguousarray(np.moveaxis(grouped, 1, -1)), dtype=kernels.lanes, device="cpu")
+
+
+def _lanes(values: Float) -> Any:
+    """The same memory, (..., r), seen as lanes, (..., r / WIDTH)."""
+    wide = values.reshape(*values.shape[:-1], -1, kernels.WIDTH)
+    return wp.array(wide, dtype=kernels.lanes, device="cpu", copy=False)
+
+
+def _square(values: Float | Float32) -> float:
+    return float(np.vdot(values, values))

@@ -1,0 +1,224 @@
+#!/usr/bin/env python3
+"""Modes for every load of a class against the whole layer on the same mesh, under loads that no basis was made for.
+
+python scripts/verification/check_modes.py [SCENE ...] [--blocks 5 8 11] [--write docs/bench/modes.md] [--commit HASH]
+
+For each scene (a name in mjcf/scenes; palm_am200 by default) and number of blocks: modes, time to make them, memory of
+their numbers, and the relative error of displacement and velocity, L2 over the surface and 50 ms, for
+
+- a focus at 4 and at 11 m/s on a circle that no example lies on, from a sudden start; the same at 4 m/s that a control
+  rate of 1 kHz holds; AM 200 Hz; a focus that comes at 1 ms and goes at 25; a hand that moves 20 mm sideways and
+  12 mm up in 50 ms (0.5 m/s); two foci half a wavelength apart; a finger's shadow, 14 mm wide, that crosses the spot.
+
+Beside each stand the errors that the stepper states for such a load, and what it saw outside its class. A picture of
+the error against the number of modes lies beside the page.
+"""
+
+import argparse
+import platform
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+from scipy import sparse
+
+import palmfield
+from palmfield.acoustics.surface_arp import SurfaceArp
+from palmfield.simulation import load_class
+from palmfield.simulation.emission import array_drives
+from palmfield.simulation.model import HapticModel
+from palmfield.simulation.outside_class import OutsideClass
+from palmfield.simulation.posed_scene import reference_scene
+from palmfield.skin.reduction.modal_stepper import ModalStepper
+from palmfield.skin.stepper import SkinStepper, SurfaceLoads
+from palmfield.studies.bench.field import git_commit
+from palmfield.studies.bench.table import processor
+from palmfield.types import Float
+
+ROOT = Path(__file__).resolve().parents[2]
+LENGTH_S = 0.05
+HALF_WAVELENGTH_m = 0.0043
+OFF_GRID_m: Float = np.array([0.0023, 0.0017, 0.0])
+FINGER_m = 0.014
+STEPS_A_CALL = 8
+
+
+class Trials:
+    """Loads on one skin of a scene, each as pressure at the quadrature points at all substeps' ends, (s + 1, q)."""
+
+    def __init__(self, model: HapticModel) -> None:
+        posed, skin = reference_scene(model), model.skins[0]
+        self.points, self.normals = posed.skins[0].quadrature
+        self.centre = posed.skins[0].body.frame.points(np.array(skin.spec.patch_centre))
+        self.step_s = model.step_s
+        self.times: Float = self.step_s * np.arange(round(LENGTH_S / self.step_s) + 1, dtype=np.float64)
+        self._drive = array_drives(model, model.arrays)[0]
+        self._arp = SurfaceArp(model.arrays.field, len(self.points), skin.spec.config.arp_law)
+        self._one = self._amplitudes(self.centre + np.array([0.003, -0.002, 0.0]))
+        self._spot = self._many(self._one[None])[0]
+
+    def all(self) -> dict[str, tuple[float, Callable[[], Float]]]:
+        """By name: the corner of the load's spectrum [Hz], for the stated error, and the load."""
+        spot_m = 0.0105
+        moving = 1.0 / (np.pi * spot_m)
+        return {
+            "4 m/s": (4.0 * moving, lambda: self._many(self._circle(4.0))),
+            "11 m/s": (11.0 * moving, lambda: self._many(self._circle(11.0))),
+            "1 kHz control": (500.0, self._held),
+            "AM 200 Hz": (100.0, lambda: self._spot * np.sin(2 * np.pi * 100.0 * self.times[:, None]) ** 2),
+            "on and off": (load_class.LEAST_CORNER_Hz, self._on_and_off),
+            "hand 0.5 m/s": (load_class.LEAST_CORNER_Hz, self._moving_hand),
+            "two foci": (load_class.LEAST_CORNER_Hz, self._two),
+            "finger's shadow": (load_class.LEAST_CORNER_Hz, self._shadow),
+        }
+
+    def _amplitudes(self, focus: Float) -> Float:
+        return self._drive.unit_drive(focus).amplitudes
+
+    def _many(self, drives: Float) -> Float:
+        return self._arp.evaluate_many(self.points, self.normals, drives).astype(np.float64)
+
+    def _circle(self, speed: float, radius: float = 0.011) -> Float:
+        turn = speed / radius * self.times
+        ring = radius * np.column_stack([np.cos(turn), np.sin(turn), np.zeros_like(turn)])
+        return np.array([self._amplitudes(self.centre + OFF_GRID_m + offset) for offset in ring])
+
+    def _held(self) -> Float:
+        ticks = np.floor(self.times * 1000.0 + 1e-6) / 1000.0
+        return self._many(self._circle(4.0)[np.rint(ticks / self.step_s).astype(int)])
+
+    def _on_and_off(self) -> Float:
+        return self._spot * ((self.times >= 0.001) & (self.times < 0.025))[:, None]
+
+    def _moving_hand(self) -> Float:
+        shift = np.array([-0.02, 0.0, 0.012]) / LENGTH_S
+        rows = [self._arp.evaluate(self.points + shift * t, self.normals, self._one).arp.copy() for t in self.times]
+        return np.array(rows, dtype=np.float64)
+
+    def _two(self) -> Float:
+        aside = np.array([0.5 * HALF_WAVELENGTH_m, 0.0, 0.0])
+        pair = [self._amplitudes(self.centre + side * aside) for side in (-1.0, 1.0)]
+        return np.repeat(self._many(0.5 * sum(pair)[None]), len(self.times), axis=0)
+
+    def _shadow(self) -> Float:
+        across = self.points[None, :, 0] - self.centre[0] - (-0.02 + 0.04 * self.times[:, None] / LENGTH_S)
+        return self._spot * (np.abs(across) > 0.5 * FINGER_m)
+
+
+def march(stepper: SkinStepper, load: Float, surface: sparse.csr_matrix, outside: OutsideClass | None = None) -> Float:
+    """Motion of the surface after each substep, shape (s, 2, m)."""
+    state, reader, motion = np.zeros((1, stepper.state_size)), stepper.reader(surface), []
+    pressure = load if stepper.points is None else load[:, stepper.points]
+    for start in range(0, len(load) - 1, STEPS_A_CALL):
+        stop = min(start + STEPS_A_CALL, len(load) - 1)
+        unit = np.eye(stop - start + 1)[None]
+        loads = SurfaceLoads(pressure[None, start : stop + 1], unit[:, :-1], unit[:, 1:])
+        if outside is not None and isinstance(stepper, ModalStepper):
+            outside.add(stepper.outside(loads))
+        seen = stepper.step(state, loads, start * stepper.step_s, stop * stepper.step_s, reader)
+        assert seen is not None
+        motion.append(seen[0])
+    return np.concatenate(motion)
+
+
+def relative(motion: Float, truth: Float) -> tuple[float, float]:
+    """Relative differences of displacement and velocity."""
+    size = np.linalg.norm(truth, axis=(0, 2))
+    return tuple(np.linalg.norm(motion - truth, axis=(0, 2)) / size)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scenes", nargs="*", default=["palm_am200"], metavar="SCENE")
+    parser.add_argument("--blocks", nargs="+", type=int, default=[5, 8, 11])
+    parser.add_argument("--accuracy", type=float)
+    parser.add_argument("--write", type=Path)
+    parser.add_argument("--commit")
+    arguments = parser.parse_args()
+    lines, curves = [], {}
+    for scene in arguments.scenes:
+        sim = palmfield.Simulation(ROOT / "mjcf" / "scenes" / f"{scene}.xml", accuracy=arguments.accuracy)
+        model = sim.runtime.model
+        layer, surface = model.skins[0].layer, model.skins[0].surface_vectors
+        trials = Trials(model)
+        truths, loads = {}, {}
+        whole = model.whole[0].value
+        for name, (_, make) in trials.all().items():
+            loads[name] = make()
+            truths[name] = march(whole, loads[name], surface)
+        for blocks in arguments.blocks:
+            start = time.perf_counter()
+            stepper = load_class.class_stepper(model, 0, blocks=blocks)
+            seconds = time.perf_counter() - start
+            count, shapes = stepper.order, len(stepper.body.shapes.sizes)
+            megabytes = (stepper.body.modes.vectors.nbytes + stepper.body.shapes.shapes.nbytes) / 1e6
+            head = f"| {scene} | {layer.system.ndof} | {shapes} / {len(stepper.points)} | {count} | {seconds:.0f} "
+            head += f"| {megabytes:.0f} "
+            for name, (corner_Hz, _) in trials.all().items():
+                outside = OutsideClass()
+                outside.loudest = 0.0
+                error = relative(march(stepper, loads[name], surface, outside), truths[name])
+                stated = stepper.body.modes.errors(corner_Hz)
+                total = float(np.hypot(stated[0], outside.energy_share))
+                lines.append(
+                    f"{head}| {name} | {100 * error[0]:.2f} / {100 * error[1]:.1f} | {100 * stated[0]:.2f} / "
+                    f"{100 * stated[1]:.1f} | {100 * outside.energy_share:.2f} / {100 * outside.pressure_share:.2f} "
+                    f"| {100 * total:.2f} |"
+                )
+                print(lines[-1], flush=True)
+                curves.setdefault((scene, name), []).append((count, *error))
+    if arguments.write:
+        write(arguments.write, lines, curves, arguments.commit or git_commit())
+
+
+def write(page: Path, lines: list[str], curves: dict, commit: str) -> None:
+    """The page with its picture."""
+    picture = page.with_name("modes.png")
+    figure, axes = plt.subplots(1, 2, figsize=(9, 3.6), sharex=True, layout="constrained")
+    first = next(iter(curves))[0]
+    for (scene, name), points in curves.items():
+        if scene != first:
+            continue
+        counts, *errors = np.array(points).T
+        for axis, error in zip(axes, errors, strict=True):
+            axis.semilogy(counts, 100 * error, "o-", label=name)
+    for axis, what in zip(axes, ("displacement", "velocity"), strict=True):
+        axis.set(xlabel="modes", ylabel=f"error of the {what} [%]")
+        axis.grid(alpha=0.3)
+    axes[1].legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    figure.suptitle(f"{first}: modes for every load against the whole layer", fontsize=10)
+    figure.savefig(picture, dpi=130)
+    plt.close(figure)
+    text = [
+        "# Modes for every load of a class",
+        "",
+        "A skin whose load is not known ahead moves by modes that serve every sound of the scene's arrays on a",
+        "region (`palmfield/skin/reduction/modal_stepper.py`, `palmfield/simulation/load_class.py`). Here they are",
+        "held against the whole layer on the same mesh with the same time step, under loads that no basis was made for.",
+        "",
+        "Written by `python scripts/verification/check_modes.py --write docs/bench/modes.md`, commit "
+        f"{commit}, {processor()}, Python {platform.python_version()}.",
+        "",
+        "Errors in percent, displacement / velocity, L2 over the surface and 50 ms. *Stated*: what one block of",
+        "vectors less changes under loads with such a spectrum. *Outside*: what of the load the stepper saw outside",
+        "its class, in the energy norm / of the pressure. *Estimate*: stated error of the displacement and outside",
+        "share together. The finger's shadow has sharp edges, which no sum of sounds has.",
+        "",
+        f"![Error against the number of modes]({picture.name})",
+        "",
+        "| scene | unknowns | shapes / points | modes | made in [s] | memory [MB] | load | error | stated | outside "
+        "| estimate |",
+        "|---|---|---|---|---|---|---|---|---|---|---|",
+        *lines,
+        "",
+    ]
+    page.write_text("\n".join(text))
+
+
+if __name__ == "__main__":
+    main()
