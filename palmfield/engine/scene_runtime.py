@@ -1,5 +1,6 @@
 """A scene in one mjData: reads poses, keeps the state where MuJoCo keeps its own, and calls the simulation."""
 
+from collections.abc import Iterable, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -8,6 +9,7 @@ from palmfield.drive.transducer_response import EmittedCourse, present_drive
 from palmfield.errors import SceneError
 from palmfield.mujoco_host.mujoco_view import DataView, ForceOutlet, PluginSensor
 from palmfield.simulation.build import model_of
+from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene, PoseLayout, posed_scene
 from palmfield.simulation.scene_reader import read_scene
 from palmfield.simulation.sensors import SensorPlace, SkinReading, fill, sensor_place
@@ -24,6 +26,7 @@ AT_REST: Float = np.zeros(2)
 class SceneRuntime:
     """Model, state and workspace of one mjData.
 
+    outlets: what takes the force on each body's parts
     applied: mean force on each body over the present step [N], world axes, shape (3,) each
     applied_parts: the same on the bones of each body, and torques about their origins [N m], shapes (b, 3)
     """
@@ -39,7 +42,7 @@ class SceneRuntime:
         firsts = [bound[carried(number)[0]] for number in range(len(self.model.bodies))]
         self.bodies = [first.body for first in firsts]
         self.parts = [first.bones or (first.body,) for first in firsts]
-        self._outlets = [ForceOutlet(view, parts) for parts in self.parts]
+        self.outlets = [ForceOutlet(view, parts) for parts in self.parts]
         binding = self.binding
         transducers = [site for sites in binding.transducer_sites for site in sites]
         self._sites = np.array([*binding.array_sites, *binding.frame_sites, *transducers], dtype=np.int64)
@@ -55,6 +58,26 @@ class SceneRuntime:
         self.applied_parts = [(np.zeros((len(parts), 3)), np.zeros((len(parts), 3))) for parts in self.parts]
         check_clear(self.work.reference)
 
+    @property
+    def frames(self) -> int:
+        """How many world frames sound and skins depend on."""
+        return len(self._positions)
+
+    def join(self, model: HapticModel, state: HapticState, work: Workspace, frames: tuple[Float, Float]) -> None:
+        """Be one of several worlds, whose state lies outside of mjData; what was kept so far is forgotten.
+
+        model: of the same bodies and arrays, with the world's own stimuli; state: the world's part, as views
+        frames: where world frames are put, positions [m] and matrices by row, shapes (frames, 3) and (frames, 9)
+        """
+        self.model, self.work = model, work
+        self._positions, self._matrices = frames
+        self.__dict__["state"] = state
+        self.forget()
+
+    def forget(self) -> None:
+        """Know nothing of the last pose and what sounded in it."""
+        self._posed, self._numbers, self._now = self.work.reference, b"", None
+
     @cached_property
     def state(self) -> HapticState:
         """Views of MuJoCo's plugin state."""
@@ -64,17 +87,26 @@ class SceneRuntime:
             tuple(view.state(skin.instance).reshape(1, -1) for skin in binding.skins),
         )
 
+    def take_frames(self) -> None:
+        """Copy the world frames of all that sound and skins depend on out of mjData."""
+        sites, bodies = len(self._sites), self._bodies
+        for kind, chosen, part in (("site", self._sites, slice(0, sites)), ("body", bodies, slice(sites, None))):
+            positions, matrices = self.view.frames[kind]
+            # Mode "clip", as the others go through a buffer
+            positions.take(chosen, 0, self._positions[part], "clip")
+            matrices.take(chosen, 0, self._matrices[part], "clip")
+
     @property
     def posed(self) -> PosedScene:
         """What MuJoCo's present poses mean; the same object while nothing moves.
 
         Raises SceneError where a body reaches into an array.
         """
-        sites, bodies = len(self._sites), self._bodies
-        for kind, chosen, part in (("site", self._sites, slice(0, sites)), ("body", bodies, slice(sites, None))):
-            positions, matrices = self.view.frames[kind]
-            positions.take(chosen, 0, self._positions[part])
-            matrices.take(chosen, 0, self._matrices[part])
+        self.take_frames()
+        return self.posed_as_taken()
+
+    def posed_as_taken(self) -> PosedScene:
+        """What the frames mean that were taken last; as `posed`."""
         last, numbers = self._posed, self._positions.tobytes() + self._matrices.tobytes()
         if numbers == self._numbers:
             return last
@@ -118,8 +150,12 @@ class SceneRuntime:
 
     def push(self) -> None:
         """Add the sound's forces to MuJoCo's passive ones."""
-        for number, (force, torque) in enumerate(self.body_forces()):
-            outlet = self._outlets[number]
+        self.apply(self.body_forces())
+
+    def apply(self, forces: Iterable[tuple[Float, Float]]) -> None:
+        """Add forces and torques, as `body_forces` gives them, to MuJoCo's passive ones."""
+        for number, (force, torque) in enumerate(forces):
+            outlet = self.outlets[number]
             outlet.forces[:], outlet.torques[:] = force, torque
             outlet.apply()
             self.applied_parts[number] = force, torque
@@ -127,15 +163,20 @@ class SceneRuntime:
 
     def advance(self) -> None:
         """Carry transducers and skins over MuJoCo's last step, with the pose at its beginning."""
-        end, now_s = self.view.raw.time, self.view.model.raw.opt.timestep
+        end = self.view.raw.time
+        self.check_timestep()
+        if check_arrays(self.model, self.state):
+            self.work.begin_run()
+        step(self.model, self.state, self.posed, end - self.spec.timestep_s, end, self.work)
+
+    def check_timestep(self) -> None:
+        """Raises SceneError for a time step of MuJoCo's that is no longer the one for which the skins are made."""
+        now_s = self.view.model.raw.opt.timestep
         if now_s != self.spec.timestep_s:
             raise SceneError(
                 f"option 'timestep' has value {now_s:g}, and {self.spec.timestep_s:g} when the scene was loaded, for "
                 "which its skins are made: load the scene with the new one"
             )
-        if check_arrays(self.model, self.state):
-            self.work.begin_run()
-        step(self.model, self.state, self.posed, end - self.spec.timestep_s, end, self.work)
 
     def adopt(self, other: "SceneRuntime") -> None:
         """Take over, in a copy of another mjData, what its coming steps depend on and MuJoCo's state doesn't hold.
@@ -150,14 +191,14 @@ class SceneRuntime:
             self.work.prefetch.adopt(other.work.prefetch)
             self.work.outside = [part.copy() for part in other.work.outside]
 
-    def sense(self, skin: int, sensors: list[PluginSensor]) -> None:
+    def sense(self, skin: int, sensors: Sequence[PluginSensor]) -> None:
         """Fill a skin's sensors from the state at the present time."""
         posed, course = self.now()
         part, device = self.model.skins[skin], self.work.device_sound
         drive, factor = present_drive(course)
         resting = at_rest(self.state, skin)
         for sensor in sensors:
-            place = self._places.get(sensor.name) or self._place(skin, sensor)
+            place = self.place(skin, sensor)
             motion = AT_REST
             if not resting:
                 stepper, numbers = stepper_of(self.model, self.state, skin)
@@ -175,8 +216,11 @@ class SceneRuntime:
             x, y, z = self.applied[part.body]
             fill(sensor.data, SkinReading(x, y, z, motion[0], motion[1], arp))
 
-    def _place(self, skin: int, sensor: PluginSensor) -> SensorPlace:
+    def place(self, skin: int, sensor: PluginSensor) -> SensorPlace:
         """Where a sensor reads, kept. Raises SceneError for one that is not on the skin's body or far from the skin."""
+        known = self._places.get(sensor.name)
+        if known is not None:
+            return known
         bound, part = self.binding.skins[skin], self.model.skins[skin]
         element = f"plugin 'palmfield.skin' instance '{part.spec.name}': sensor '{sensor.name}'"
         owners = (bound.body, *bound.bones)

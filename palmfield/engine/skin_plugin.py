@@ -4,7 +4,7 @@ from typing import Any, ClassVar
 
 from palmfield.config import Config, SkinConfig
 from palmfield.engine.host import Module, World
-from palmfield.mujoco_host.mujoco_view import ModelView
+from palmfield.mujoco_host.mujoco_view import ModelView, PluginSensor
 from palmfield.types import Float
 
 
@@ -70,11 +70,17 @@ class SkinModule(Module):
         """Fill the sensors from the state at the present time."""
         if self._sensors is None:
             self._sensors = self.world.sensors(self.instance)
-        self.scene.sense(self.number, self._sensors)
+        if self._sensors:
+            self.scene.sense(self.number, self._sensors)
 
     def advance(self) -> None:
         """Carry the scene over MuJoCo's last step."""
         self.scene.advance()
+
+    def hand_over(self) -> list[PluginSensor]:
+        """Leave forces, sensors and state to who steps several worlds together; returns the sensors."""
+        self.only_senses, self._sensors = True, []
+        return self.world.sensors(self.instance)
 
     def copy_from(self, other: "SkinModule") -> None:
         """Go on as the other would."""

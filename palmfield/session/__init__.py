@@ -21,8 +21,10 @@ if TYPE_CHECKING:
     from palmfield.session.preview import Preview
     from palmfield.session.recorder import Recorder
     from palmfield.session.run import Result
-    from palmfield.session.simulation import Simulation, Skin
+    from palmfield.session.simulation import Simulation
+    from palmfield.session.skin import Skin
     from palmfield.session.summary import felt_levels, scene_numbers, skin_numbers, stimulus_numbers
+    from palmfield.session.worlds import Worlds, WorldsSkin
 
 _WHERE = {
     **dict.fromkeys(("LoudestMoment", "error_estimate", "p0_band"), "error_budget"),
@@ -33,8 +35,10 @@ _WHERE = {
     "Preview": "preview",
     "Recorder": "recorder",
     "Result": "run",
-    **dict.fromkeys(("Simulation", "Skin"), "simulation"),
+    "Simulation": "simulation",
+    "Skin": "skin",
     **dict.fromkeys(("felt_levels", "scene_numbers", "skin_numbers", "stimulus_numbers"), "summary"),
+    **dict.fromkeys(("Worlds", "WorldsSkin"), "worlds"),
 }
 __all__ = [
     "LoudestMoment",
@@ -45,6 +49,8 @@ __all__ = [
     "Row",
     "Simulation",
     "Skin",
+    "Worlds",
+    "WorldsSkin",
     "compiled",
     "error_estimate",
     "felt_levels",

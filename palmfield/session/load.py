@@ -51,11 +51,11 @@ def compiled(
                 "the scene is compiled (MjModel), so its keys can't be changed any more: give its file or its MjSpec "
                 "with the keys, or the model without"
             )
-        return "model", source, _data(source, "model")
-    name, spec, folder = _opened(source)
+        return "model", source, fresh_data(source, "model")
+    name, spec, folder = opened(source)
     with _kept(spec):
         model = _compiled_with(spec, name, folder, device=device, accuracy=accuracy, board=board, keys=keys or {})
-    return name, model, _data(model, name)
+    return name, model, fresh_data(model, name)
 
 
 def _compiled_with(
@@ -135,7 +135,7 @@ def as_text(value: object) -> str:
     return str(value)
 
 
-def _opened(source: str | Path | mujoco.MjSpec) -> tuple[str, mujoco.MjSpec, Path | None]:
+def opened(source: str | Path | mujoco.MjSpec) -> tuple[str, mujoco.MjSpec, Path | None]:
     """The scene's name for messages, its spec, and the folder that its files are relative to."""
     if isinstance(source, mujoco.MjSpec):
         folder = Path(source.modelfiledir).resolve() if source.modelfiledir else None
@@ -226,7 +226,8 @@ def _set_text(spec: mujoco.MjSpec, name: str, value: str) -> None:
     spec.add_text(name=name, data=value)
 
 
-def _data(model: mujoco.MjModel, name: str) -> mujoco.MjData:
+def fresh_data(model: mujoco.MjModel, name: str) -> mujoco.MjData:
+    """Data at time 0 with hands where their motions have them; name: of the scene, for errors as `compiled` raises."""
     try:
         data = mujoco.MjData(model)
     except (ValueError, mujoco.FatalError) as error:

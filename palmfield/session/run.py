@@ -27,9 +27,10 @@ from palmfield.outputs.store import MemoryStore, Store, open_result, refuse_occu
 from palmfield.outputs.store import recover as assemble
 from palmfield.outputs.summary import summary
 from palmfield.outputs.usd import write_usd
+from palmfield.session.duration import check_duration
 from palmfield.session.load import Source
 from palmfield.session.recorder import Recorder, static_arrays
-from palmfield.session.simulation import Simulation, check_duration
+from palmfield.session.simulation import Simulation
 from palmfield.session.summary import scene_numbers, skin_numbers, stimulus_numbers
 from palmfield.types import Float
 

@@ -3,21 +3,23 @@
 import copy
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 
-from palmfield.drive.transducer_response import present_drive, rows
+from palmfield.drive.transducer_response import rows
 from palmfield.engine.host import raise_errors, world_of
 from palmfield.engine.motion_plugin import place
 from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.errors import SceneError
 from palmfield.interrupts import interrupts_held
+from palmfield.session.duration import check_duration
 from palmfield.session.load import Source, compiled
-from palmfield.simulation.model import SkinModel
-from palmfield.simulation.state import at_rest, stepper_of
-from palmfield.skin.stepper import Reader
-from palmfield.types import Complex, Float, Float32, Int
+from palmfield.session.skin import Skin
+from palmfield.session.worlds import Worlds
+from palmfield.types import Complex, Float
 
 
 class Simulation:
@@ -27,11 +29,29 @@ class Simulation:
     sim.run(0.1)
     print(sim.skin("palm").displacement)
 
+    With `worlds` it is many of them, stepped together, whose results have a leading axis: see
+    `palmfield.session.worlds.Worlds`.
+
     model, data: MuJoCo's, for those who call mj_step themselves (then `palmfield.raise_errors(data)` raises what went
         wrong inside a plugin)
     name: of the scene, for messages; path: its file, or None
     duration_s: how long `palmfield.run` runs it by default [s]
     """
+
+    def __new__(
+        cls,
+        scene: Source,
+        *,
+        worlds: int | None = None,
+        poses: Mapping[str, ArrayLike] | None = None,
+        **others: Any,
+    ) -> Any:
+        """worlds: a number of them, which are stepped together: `palmfield.session.worlds.Worlds`, also for `poses`."""
+        if worlds is not None:
+            return Worlds(scene, worlds, poses=poses, **others)
+        if poses is not None:
+            raise SceneError("poses are given without worlds; allowed: both, or poses of a scene by `palmfield.motion`")
+        return object.__new__(cls)
 
     def __init__(
         self,
@@ -41,6 +61,8 @@ class Simulation:
         accuracy: float | None = None,
         board: str | None = None,
         keys: Mapping[str, object] | None = None,
+        worlds: None = None,
+        poses: None = None,
     ):
         """See `palmfield.session.load.compiled` for the arguments and what is raised."""
         self.name, self.model, self.data = compiled(scene, device=device, accuracy=accuracy, board=board, keys=keys)
@@ -170,95 +192,6 @@ class Simulation:
         Before the first step, that over the step to come.
         """
         return np.array(self.runtime.applied)
-
-
-class Skin:
-    """One skin of a simulation, at the simulation's present time. Each array is computed when it is asked for."""
-
-    def __init__(self, runtime: SceneRuntime, number: int):
-        self._runtime, self._number = runtime, number
-        self._readers: dict[str, Reader] = {}
-
-    @property
-    def _part(self) -> SkinModel:
-        return self._runtime.model.skins[self._number]
-
-    @property
-    def name(self) -> str:
-        """Of its plugin instance."""
-        return self._part.spec.name
-
-    @property
-    def solver(self) -> str:
-        """What steps it now, or will: a value of key `solver` but for "auto"."""
-        if at_rest(self._runtime.state, self._number):
-            return self._part.choice.name
-        return stepper_of(self._runtime.model, self._runtime.state, self._number)[0].name
-
-    @property
-    def rest_position(self) -> Float:
-        """Surface nodes at rest, body frame [m], shape (S, 3)."""
-        return self._part.nodes[0]
-
-    @property
-    def rest_normal(self) -> Float:
-        """Their unit outward normals at rest, shape (S, 3)."""
-        return self._part.nodes[1]
-
-    @property
-    def faces(self) -> Int:
-        """Triangles over the surface nodes, shape (f, 3)."""
-        return self._part.faces
-
-    @property
-    def position(self) -> Float:
-        """Where the body and its bones have taken the surface nodes, world [m], shape (S, 3); without displacement."""
-        posed = self._runtime.posed
-        return posed.array_frame.points(posed.skins[self._number].nodes[0])
-
-    def _motion(self) -> Float:
-        if at_rest(self._runtime.state, self._number):
-            return np.zeros((2, len(self.rest_position), 3))
-        stepper, numbers = stepper_of(self._runtime.model, self._runtime.state, self._number)
-        if stepper.name not in self._readers:
-            self._readers[stepper.name] = stepper.reader(self._part.surface_vectors)
-        motion: Float = stepper.read(numbers, self._readers[stepper.name])[0]
-        return motion.reshape(2, -1, 3)
-
-    @property
-    def displacement(self) -> Float:
-        """Of the surface nodes, in the resting body's axes [m], shape (S, 3)."""
-        return self._motion()[0]
-
-    @property
-    def velocity(self) -> Float:
-        """Of the surface nodes, in the resting body's axes [m/s], shape (S, 3)."""
-        return self._motion()[1]
-
-    @property
-    def normal_displacement(self) -> Float:
-        """Along the outward normal [m], shape (S,): a push is negative."""
-        return np.einsum("si,si->s", self.displacement, self.rest_normal)
-
-    @property
-    def arp(self) -> Float32:
-        """Acoustic radiation pressure at the surface nodes [Pa], positive inwards, shape (S,)."""
-        posed, course = self._runtime.now()
-        drive, factor = present_drive(course)
-        if drive is None:
-            return np.zeros(len(self.rest_position), np.float32)
-        sound = self._runtime.work.radiation.on(posed, self._number, "nodes", drive)
-        return np.float32(factor) * sound.arp
-
-
-def check_duration(duration_s: float) -> None:
-    """Raises SceneError for a duration that is not a number of seconds > 0."""
-    try:
-        allowed = 0.0 < duration_s < np.inf
-    except TypeError:
-        raise SceneError(f"duration_s is {duration_s!r}; allowed: a number of seconds > 0") from None
-    if not allowed:
-        raise SceneError(f"duration_s is {duration_s}; allowed: seconds > 0")
 
 
 def load(

@@ -1,6 +1,7 @@
 """From what a scene says to its model: the one place where parts are made and joined."""
 
 import threading
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -72,28 +73,16 @@ def build(spec: SceneSpec, alike: HapticModel | None = None) -> HapticModel:
     else:
         bodies = tuple(_body(next(skin.config for skin in spec.skins if skin.config.body == name)) for name in names)
     carriers = [bodies[names.index(skin.config.body)] for skin in spec.skins]
-    strictest = min(skin.config.accuracy for skin in spec.skins)
-    scattering = any(skin.config.body_sound == "scattering" for skin in spec.skins)
-    stimuli = []
-    for stimulus in spec.stimuli:
-        check_board(stimulus, board, spec.arrays)
-        carrier = None if stimulus.on_skin is None else carriers[stimulus.on_skin]
-        stimuli.append(_stimulus(stimulus, spec, arrays, board, carrier, strictest, spread=not scattering))
-    pole = stimuli[0].response.pole
-    response_on = any(stimulus.response.on for stimulus in stimuli)
-    # Transducers of one scene ring up, or none do: their sounds add up in one state.
-    stimuli = [replace(stimulus, response=replace(stimulus.response, on=response_on)) for stimulus in stimuli]
-    for skin in spec.skins:
-        check_body_sound(skin, spec.stimuli, pole, response_on)
+    stimuli, pole, response_on = stimuli_of(spec, arrays, board, carriers)
     known = None if alike is None else [skin.layer for skin in alike.skins]
-    skins = _skins(spec, tuple(stimuli), arrays, board, bodies, names, pole, response_on, known)
+    skins = _skins(spec, stimuli, arrays, board, bodies, names, pole, response_on, known)
     check_overlaps(skins)
-    whole = tuple(Lazy(partial(_whole, skin.layer)) for skin in skins)
-    model = HapticModel(spec, arrays, board, tuple(stimuli), bodies, skins, pole, response_on, (), whole)
+    whole = tuple(Lazy(partial(whole_stepper, skin.layer)) for skin in skins)
+    model = HapticModel(spec, arrays, board, stimuli, bodies, skins, pole, response_on, (), whole)
     return replace(model, begin=tuple(Lazy(partial(first_stepper, model, number)) for number in range(len(skins))))
 
 
-def _whole(layer: SceneLayer) -> WedgeStepper:
+def whole_stepper(layer: SceneLayer) -> WedgeStepper:
     """What steps a whole layer, with its factorised matrix."""
     return WedgeStepper(layer.system, layer.quadrature.operator, layer.sizes.step_s)
 
@@ -129,6 +118,29 @@ def _body(skin: SkinConfig) -> BodyModel:
     hand = hand_surface(preset)
     bones = SkinnedHand(preset) if skin.shape == "articulated" else None
     return BodyModel(skin.body, hand.surface, bones, hand.depth_to_bone)
+
+
+def stimuli_of(
+    spec: SceneSpec, arrays: PhasedArray, board: Board, carriers: Sequence[BodyModel]
+) -> tuple[tuple[StimulusModel, ...], Pole, bool]:
+    """The stimuli, the pole of all transducers, and whether their ring-up is modelled.
+
+    carriers: the body of each skin
+    """
+    strictest = min(skin.config.accuracy for skin in spec.skins)
+    scattering = any(skin.config.body_sound == "scattering" for skin in spec.skins)
+    stimuli = []
+    for stimulus in spec.stimuli:
+        check_board(stimulus, board, spec.arrays)
+        carrier = None if stimulus.on_skin is None else carriers[stimulus.on_skin]
+        stimuli.append(_stimulus(stimulus, spec, arrays, board, carrier, strictest, spread=not scattering))
+    pole = stimuli[0].response.pole
+    response_on = any(stimulus.response.on for stimulus in stimuli)
+    # Transducers of one scene ring up, or none do: their sounds add up in one state.
+    stimuli = [replace(stimulus, response=replace(stimulus.response, on=response_on)) for stimulus in stimuli]
+    for skin in spec.skins:
+        check_body_sound(skin, spec.stimuli, pole, response_on)
+    return tuple(stimuli), pole, response_on
 
 
 def _stimulus(
@@ -214,7 +226,9 @@ def _skins(
     layers: list[SceneLayer] | None,
 ) -> tuple[SkinModel, ...]:
     """The skins with their layers, which are made here if they are not known."""
-    layers = layers or _layers(spec, stimuli, arrays, board, bodies, names)
+    if layers is None:
+        carriers = [bodies[names.index(skin.config.body)] for skin in spec.skins]
+        layers = layers_for(spec, demands_of(spec, stimuli, arrays, board, carriers), carriers)
     skins = []
     for skin, layer in zip(spec.skins, layers, strict=True):
         number = names.index(skin.config.body)
@@ -224,19 +238,17 @@ def _skins(
     return tuple(skins)
 
 
-def _layers(
+def demands_of(
     spec: SceneSpec,
     stimuli: tuple[StimulusModel, ...],
     arrays: PhasedArray,
     board: Board,
-    bodies: tuple[BodyModel, ...],
-    names: list[str],
-) -> list[SceneLayer]:
-    """The skins' layers; all have the time step of the one that needs the shortest."""
+    carriers: Sequence[BodyModel],
+) -> list[LayerDemand]:
+    """What the stimuli ask of each skin's layer; carriers: the body of each skin."""
     demands = []
-    layers = []
-    for skin in spec.skins:
-        body, stimulus = bodies[names.index(skin.config.body)], nearest_stimulus(skin, stimuli)
+    for skin, body in zip(spec.skins, carriers, strict=True):
+        stimulus = nearest_stimulus(skin, stimuli)
         frequencies = main_frequencies(stimulus.config)
         highest = skin.config.max_frequency_Hz
         if highest is None:
@@ -249,6 +261,13 @@ def _layers(
             timestep_s=spec.timestep_s,
         )
         demands.append(demand)
+    return demands
+
+
+def layers_for(spec: SceneSpec, demands: Sequence[LayerDemand], carriers: Sequence[BodyModel]) -> list[SceneLayer]:
+    """The skins' layers; all have the time step of the one that needs the shortest. carriers: the body of each skin"""
+    layers = []
+    for skin, body, demand in zip(spec.skins, carriers, demands, strict=True):
         layers.append(_layer(skin, body, demand))
         # Before anything asks a layer for its mesh, which is slow itself where the elements are too small.
         check_cost(skin, layers[-1], spec.timestep_s)
@@ -256,8 +275,8 @@ def _layers(
         return layers
     step_s = _common_step([layer.sizes.step_s for layer in layers], spec)
     return [
-        _layer(skin, bodies[names.index(skin.config.body)], replace(demand, longest_step_s=step_s))
-        for skin, demand in zip(spec.skins, demands, strict=True)
+        _layer(skin, body, replace(demand, longest_step_s=step_s))
+        for skin, body, demand in zip(spec.skins, carriers, demands, strict=True)
     ]
 
 

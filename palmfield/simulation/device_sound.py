@@ -109,7 +109,7 @@ class DeviceSound:
         """Mean forces [N] on each body's parts and torques about their origins [N m], array frame, shapes (b, 3)."""
         counts = [body.model.parts for body in posed.bodies]
         rows = np.zeros((sum(counts), 6))
-        if self.work is not None and self._sounding[FORCE] is not None:
+        if self.work is not None and self._sounding.get(FORCE) is not None:
             np.multiply(self.work.forces.hosts["forces"], self._force_scale, out=rows)
         forces, start = [], 0
         for count in counts:
@@ -117,6 +117,14 @@ class DeviceSound:
             forces.append((np.ascontiguousarray(own[:, :3]), np.ascontiguousarray(own[:, 3:])))
             start += count
         return forces
+
+    def under(self, posed: PosedScene, body: int, drive: Complex) -> tuple[Float, Float]:
+        """As `palmfield.simulation.forces.BodyForces.under`."""
+        wanted = Sounding(drive[None], None, np.ones(1))
+        if self._posed is not posed or not wanted.same(self._sounding.get(FORCE)):
+            self._launch(posed, self._sounding | {FORCE: wanted})
+        self._force_scale = 1.0
+        return self.forces(posed)[body]
 
     def patterns(self, posed: PosedScene, skin: int, course: EmittedCourse, points: Int | None = None) -> Float32:
         """ARP [Pa] at a skin's quadrature points: of a course's unit drive, or at each of its moments, shape (m, q).

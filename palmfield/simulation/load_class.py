@@ -34,7 +34,9 @@ OFF_SKIN_m = 0.006
 """By which a focus misses the skin in an example, at most, along each axis [m]."""
 SPAN = 0.1
 """Of the wanted accuracy, what the class's shapes may leave out of its examples."""
-BLOCKS, BLOCKS_AT, BLOCKS_POWER = 11, 0.05, 0.44
+LEAST_LEFT_OUT = 0.0075
+"""Below it each shape more gains less than a block of modes more does."""
+BLOCKS, BLOCKS_AT, BLOCKS_POWER = 14, 0.05, 0.61
 """Blocks of modes at one accuracy, and the power of the accuracy with which they become fewer."""
 SHAPES = 15.0
 """Load shapes at accuracy 0.2 on a region as wide as a spot, about."""
@@ -95,7 +97,7 @@ def class_stepper(model: HapticModel, skin: int, blocks: int | None = None) -> M
     )
     made = modal_body(
         layer.system, layer.quadrature, layer.surface_operator, lambda: examples(model, skin, posed), depends_on,
-        SPAN * accuracy, blocks or _blocks(accuracy),
+        max(SPAN * accuracy, LEAST_LEFT_OUT), blocks or _blocks(accuracy),
     )  # fmt: skip
     corner = max(corner_Hz(stimulus, layer.demand.spot_fwhm_m) for stimulus in model.stimuli)
     return ModalStepper(made, layer.system, layer.sizes.step_s, corner)

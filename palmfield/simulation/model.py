@@ -144,13 +144,22 @@ class SkinModel:
 
     body: number of the body that carries it, carrier: that body; layer: mesh and matrices
     choice: of what steps it; still_m: what moves by less than this counts as still [m]
+    settles: whether the body is put at its reference pose while it is still; by default where a small model steps it
     """
 
     def __init__(
-        self, spec: SkinSpec, body: int, carrier: BodyModel, layer: SceneLayer, choice: StepperChoice, still_m: float
+        self,
+        spec: SkinSpec,
+        body: int,
+        carrier: BodyModel,
+        layer: SceneLayer,
+        choice: StepperChoice,
+        still_m: float,
+        settles: bool | None = None,
     ):
         self.spec, self.body, self.carrier, self.layer = spec, body, carrier, layer
         self.choice, self.still_m = choice, still_m
+        self.settles = choice.name == "reduced" if settles is None else settles
         self.lock = threading.RLock()
 
     @property
@@ -271,8 +280,7 @@ class HapticModel:
         """
         carried = [[self.skins[number] for number in self.carried(body)] for body in range(len(self.bodies))]
         return tuple(
-            min(skin.still_m for skin in skins) if any(skin.choice.name == "reduced" for skin in skins) else 0.0
-            for skins in carried
+            min(skin.still_m for skin in skins) if any(skin.settles for skin in skins) else 0.0 for skins in carried
         )
 
     @cached_property

@@ -10,6 +10,7 @@ from functools import cached_property
 from operator import is_
 
 import numpy as np
+from numpy.typing import NDArray
 
 from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.hand.posed_surface import SkinBinding, blend
@@ -290,7 +291,7 @@ def posed_scene(
         if last.body is body and last.same_obstacles(posed_skin):
             posed_skin = last
         elif (
-            skin.choice.name == "reduced"
+            skin.settles
             and arrays is model.arrays
             and body is first_pose.body
             and _obstacles_settled(PosedSkin(skin, placed[skin.body], obstacles), first_pose)
@@ -299,6 +300,29 @@ def posed_scene(
         skins.append(posed_skin)
     posed = PosedScene(Transform(origin, turn), arrays, frames, bodies, skins, sources)
     return previous if posed.same(previous) else posed
+
+
+def settled_worlds(
+    model: HapticModel, layout: PoseLayout, world_positions: Float, world_rotations: Float, reference: PosedScene
+) -> NDArray[np.bool_]:
+    """In which of several worlds `posed_scene` takes all bodies to be in the reference pose, shape (w,).
+
+    As its arguments, with a leading axis for worlds. False in all where it would have to look at bones or obstacles.
+    """
+    worlds = len(world_positions)
+    for number, skin in enumerate(model.skins):
+        obstacles = layout.obstacles[number]
+        if obstacles.start < obstacles.stop or model.bodies[skin.body].hand is not None:
+            return np.zeros(worlds, dtype=bool)
+    origin, turn = world_positions[:, :1], world_rotations[:, 0]
+    result = np.ones(worlds, dtype=bool)
+    for number, (row, _) in enumerate(layout.bodies):
+        position = (world_positions[:, row : row + 1] - origin) @ turn
+        rotation = turn.swapaxes(1, 2) @ world_rotations[:, row]
+        now = model.corners[number] @ rotation.swapaxes(1, 2) + position
+        then = reference.bodies[number].frame.points(model.corners[number])
+        result &= np.maximum.reduce(np.abs(now - then), axis=(1, 2)) < model.still_m[number]
+    return result
 
 
 def _settled(body: PosedSurface, reference: PosedSurface, corners: Float, still_m: float) -> bool:

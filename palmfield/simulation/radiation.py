@@ -26,13 +26,17 @@ Role = Literal["quadrature", "load", "samples", "nodes", "vertices", "probe"]
 class Radiation:
     """ARP at the points of a model's skins."""
 
-    def __init__(self, model: HapticModel):
+    def __init__(self, model: HapticModel, beside: "Radiation | None" = None):
+        """beside: of another world, stepped by the same thread: it lends its buffers and trees, not its answers."""
         self.model = model
         self._evaluators: dict[tuple[int, str, int], tuple[PhasedArray, SurfaceArp]] = {}
         self._occlusions: dict[int, tuple[PosedScene, Occlusion]] = {}
         self._scattered: dict[int, tuple[PosedScene, Complex, RigidScatteredField]] = {}
         self._last: dict[tuple[int, str], tuple[PosedScene, Complex, SurfaceSound]] = {}
         self._chosen: dict[int, _ChosenPoints] = {}
+        if beside is not None:
+            self._evaluators, self._occlusions = beside._evaluators, beside._occlusions
+            self._chosen = beside._chosen
 
     def choose(self, skin: int, points: Int) -> None:
         """Take these of a skin's quadrature points, numbers of shape (p,), for the role "load"."""

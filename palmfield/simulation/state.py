@@ -27,10 +27,10 @@ VERSION = 1
 
 
 class HapticState:
-    """arrays: of each array header and what its transducers emit, shape (1, HEADER + 2 n); skins: of each skin header
-    and numbers, shape (1, HEADER + room). float64
+    """arrays: of each array header and what its transducers emit, shape (w, HEADER + 2 n); skins: of each skin header
+    and numbers, shape (w, HEADER + room). float64; w: worlds, 1 in a plain mj_step
 
-    emitted: complex amplitude that each transducer emits, by array, shape (1, n), views
+    emitted: complex amplitude that each transducer emits, by array, shape (w, n), views
     """
 
     def __init__(self, arrays: tuple[Float, ...], skins: tuple[Float, ...]):
@@ -40,6 +40,11 @@ class HapticState:
     def copy(self) -> "HapticState":
         """The same, in memory of its own."""
         return HapticState(tuple(part.copy() for part in self.arrays), tuple(part.copy() for part in self.skins))
+
+    def world(self, number: int) -> "HapticState":
+        """One world's part, as views."""
+        one = slice(number, number + 1)
+        return HapticState(tuple(part[one] for part in self.arrays), tuple(part[one] for part in self.skins))
 
 
 def array_room(transducers: int) -> int:
@@ -52,10 +57,10 @@ def skin_room(model: HapticModel, skin: int) -> int:
     return HEADER + model.skins[skin].state_room
 
 
-def new_state(model: HapticModel) -> HapticState:
+def new_state(model: HapticModel, worlds: int = 1) -> HapticState:
     """Everything at rest."""
-    arrays = tuple(np.zeros((1, array_room(len(part)))) for part in model.arrays.parts)
-    return HapticState(arrays, tuple(np.zeros((1, skin_room(model, i))) for i in range(len(model.skins))))
+    arrays = tuple(np.zeros((worlds, array_room(len(part)))) for part in model.arrays.parts)
+    return HapticState(arrays, tuple(np.zeros((worlds, skin_room(model, i))) for i in range(len(model.skins))))
 
 
 def at_rest(state: HapticState, skin: int) -> bool:

@@ -54,10 +54,11 @@ class Workspace:
     observe: what is watched of each skin, an operator (m, unknowns) or None; observer: told of each step
     """
 
-    def __init__(self, model: HapticModel):
-        self.reference = reference_scene(model)
+    def __init__(self, model: HapticModel, beside: "Workspace | None" = None):
+        """beside: of another world with the same bodies, stepped by the same thread: buffers are shared with it."""
+        self.reference: PosedScene = reference_scene(model) if beside is None else beside.reference
         self.emission = Emission(model)
-        self.radiation = Radiation(model)
+        self.radiation: Radiation = Radiation(model, None if beside is None else beside.radiation)
         self.device_sound = DeviceSound(model, self.reference) if serves(model) else None
         self.forces = self.device_sound or BodyForces(model, self.radiation)
         self.prefetch = LoadPrefetch(model, self.emission, self.radiation)
@@ -133,7 +134,8 @@ def skin_loads(
     if course.levels is not None:
         if course.unit is None:
             count = len(posed.skins[skin].skin.layer.quadrature.points if points is None else points)
-            return SurfaceLoads(np.zeros((1, 1, count)), *(np.zeros((1, len(moments.first), 1)) for _ in range(2)))
+            nothing = np.zeros((1, len(moments.first), 1))
+            return SurfaceLoads(np.zeros((1, 1, count)), nothing, nothing)
         if device is not None:
             arp = device.patterns(posed, skin, course, points)
         else:

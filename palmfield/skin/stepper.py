@@ -1,7 +1,7 @@
 """What carries a skin through simulated time: one protocol for scenes and for `palmfield.skin.solve`.
 
 A stepper is made once for a layer and never changes, so that threads share it; the state is the caller's. All arrays
-have a leading axis for worlds, of length 1 today.
+have a leading axis for worlds: several bodies alike, each with its own state and loads, are stepped in one call.
 """
 
 from dataclasses import dataclass
@@ -23,11 +23,13 @@ class SurfaceLoads:
 
     pressure_Pa: the patterns at the layer's quadrature points [Pa], shape (w, k, q)
     first, last: weight of each pattern at the start and at the end of each substep, shape (w, s, k)
+    fixed: whether `pressure_Pa` is never written again, so that a stepper may keep what it has made of it
     """
 
     pressure_Pa: Float | Float32
     first: Float
     last: Float
+    fixed: bool = False
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,7 @@ class SkinStepper(Protocol):
         """Carry a state (w, state_size), in place, from t0 to t1 [s]: all substeps of `loads`.
 
         Returns displacement [m] and velocity [m/s] after each substep as `observe` reads them, shape (w, s, 2, m), or
-        None without it. Raises SceneError for more than one world and where t1 - t0 is not s substeps.
+        None without it. Raises SceneError for other shapes and where t1 - t0 is not s substeps.
         """
         ...
 
@@ -89,22 +91,23 @@ def check_step(
     t1: float,
     any_length: bool = False,
 ) -> bool:
-    """Raise SceneError for several worlds, other shapes, and substeps of another length unless that may be any.
+    """Raise SceneError for other shapes, and for substeps of another length unless that may be any.
 
     points: at which a layer takes pressure, q
 
     Returns whether the substeps have the stepper's own length.
     """
     worlds, substeps, patterns = loads.first.shape
-    if state.shape != (1, stepper.state_size) or worlds != 1 or not state.flags.c_contiguous:
+    if state.shape != (worlds, stepper.state_size) or worlds == 0 or state.strides[1] != state.itemsize:
         raise SceneError(
-            f"skin state {state.shape} under loads of {worlds} worlds: solver '{stepper.name}' steps one world, state "
-            f"(1, {stepper.state_size}), in this version; make a simulation for each world"
+            f"skin state {state.shape} under loads of {worlds} worlds: solver '{stepper.name}' takes a state of "
+            f"({worlds or 'w'}, {stepper.state_size}), w >= 1, each world's numbers side by side"
         )
-    if loads.last.shape != loads.first.shape or loads.pressure_Pa.shape != (1, patterns, points) or substeps == 0:
+    shape = worlds, patterns, points
+    if loads.last.shape != loads.first.shape or loads.pressure_Pa.shape != shape or substeps == 0:
         raise SceneError(
             f"skin loads: pressure {loads.pressure_Pa.shape}, first {loads.first.shape}, last {loads.last.shape}; give "
-            f"(1, k, {points}), (1, s, k) and (1, s, k), s >= 1"
+            f"({worlds}, k, {points}), ({worlds}, s, k) and ({worlds}, s, k), s >= 1"
         )
     own = abs(t1 - t0 - substeps * stepper.step_s) <= CLOCK * stepper.step_s
     if not own and not (any_length and t1 > t0):
@@ -112,6 +115,18 @@ def check_step(
             f"skin step from {t0:g} to {t1:g} s: loads for {substeps} substeps of {stepper.step_s:g} s are given"
         )
     return own
+
+
+def world_by_world(
+    stepper: SkinStepper, state: Float, loads: SurfaceLoads, t0: float, t1: float, observe: Reader | None
+) -> Float | None:
+    """`SkinStepper.step` of several worlds, one after the other, for a stepper whose arrays are those of one."""
+    seen = []
+    for world in range(len(state)):
+        one = slice(world, world + 1)
+        own = SurfaceLoads(loads.pressure_Pa[one], loads.first[one], loads.last[one])
+        seen.append(stepper.step(state[one], own, t0, t1, observe))
+    return None if observe is None else np.concatenate([part for part in seen if part is not None])
 
 
 def checked_operator(operator: sparse.csr_matrix, unknowns: int) -> sparse.csr_matrix:

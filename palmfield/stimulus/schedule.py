@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -22,8 +22,8 @@ SPOT_M = 0.0103
 MOST_HARMONICS = 8
 TICK_S = 1e-12
 """Times nearer to each other than this are one and the same."""
-KEPT = 64
-"""Configurations."""
+KEPT = 4096
+"""Configurations: as many worlds, each with its own, don't drive one another out."""
 HIGHEST_HZ = 1000.0
 """Above this skin hardly answers, nor does anybody feel it: faster passages are resolved to here."""
 
@@ -148,7 +148,7 @@ def frame_at(config: StimulusConfig, t: float) -> Frame:
     return Frame(focus[0], float(factor[0]))
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=KEPT)
 def first_point(config: StimulusConfig) -> Float:
     """The stimulus's point where its sound begins, `Frame.focus` at start_s, shape (3,)."""
     return _locked(frame_at(config, config.start_s).focus)
@@ -161,7 +161,7 @@ def frames_at(config: StimulusConfig, times: Float) -> tuple[Float, Float]:
         times = _floor(times, timing.control_rate, 0.0)
     foci = np.empty((len(times), 3))
     foci[:] = timing.focus
-    factors = _arp_factors(config, timing, times)
+    factors = arp_factors(timing.envelope, times)
     if config.path == "point":
         return foci, factors
     arcs = _arcs(timing, _floor(times, timing.point_rate, timing.start_s) if timing.point_rate > 0.0 else times)
@@ -189,7 +189,7 @@ def factors_at(config: StimulusConfig, times: Float) -> Float:
     _, timing = _timings.get(id(config)) or _timed(config)
     if timing.control_rate > 0.0:
         times = _floor(times, timing.control_rate, 0.0)
-    return _arp_factors(config, timing, times)
+    return arp_factors(timing.envelope, times)
 
 
 class Moments(NamedTuple):
@@ -343,11 +343,50 @@ def mean_arp_factor(config: StimulusConfig, start: float, end: float, count: int
     return float(np.add.reduce(moments.first @ factors_at(config, moments.times))) / count
 
 
+class Envelope(NamedTuple):
+    """What makes the level of a stimulus over time: numbers, or columns of shape (n, 1) for n stimuli at once.
+
+    start_s; ends: times after which there is no sound [s]; ramp_s: None without a ramp
+    am_of: None without modulation, with am_depth and am_frequency_Hz; burst: keys of `burst`, None without bursts
+    """
+
+    start_s: float | Float
+    ends: tuple[float | Float, ...]
+    ramp_s: float | Float | None
+    am_of: str | None
+    am_depth: float | Float
+    am_frequency_Hz: float | Float
+    burst: dict[str, Any] | None
+
+
+def envelope_of(config: StimulusConfig) -> Envelope:
+    """The level over time that a stimulus's keys ask for."""
+    bursts = None
+    if config.burst_window != "none":
+        assert config.burst_length_s and config.burst_period_s
+        bursts = {
+            "window": config.burst_window,
+            "length_s": config.burst_length_s,
+            "period_s": config.burst_period_s,
+            "count": config.burst_count,
+        }
+    modulated = config.modulation == "am"
+    return Envelope(
+        start_s=config.start_s,
+        ends=tuple(t for t in (config.stop_s, path_end_s(config)) if t is not None),
+        ramp_s=config.ramp_s if config.ramp_s > 0 else None,
+        am_of=config.am_of if modulated else None,
+        am_depth=config.am_depth or 0.0,
+        am_frequency_Hz=config.am_frequency_Hz or 0.0,
+        burst=bursts,
+    )
+
+
 @dataclass(frozen=True)
 class _Timing:
     """What of a stimulus does not change with time.
 
-    focus: [m], shape (3,); start_s; ends: times after which there is no sound [s]; edges: start and ends
+    focus: [m], shape (3,); start_s; ends: times after which there is no sound [s]; edges: start and ends; envelope
     control_rate, point_rate: rates at which all is held, and at which the focus is [1/s]; 0 for none
     grids: (rate, time of the first tick) of what is held
     path: its shape in the plane, None for a point and for sites; on_skin: whether it is drawn on the surface
@@ -361,6 +400,7 @@ class _Timing:
     start_s: float
     ends: tuple[float, ...]
     edges: tuple[float, ...]
+    envelope: Envelope
     control_rate: float
     point_rate: float
     grids: tuple[tuple[float, float], ...]
@@ -384,6 +424,7 @@ def _timed(config: StimulusConfig) -> tuple[StimulusConfig, _Timing]:
     """The configuration and what of it does not change with time, kept."""
     rate = turn_rate_Hz(config) or 0.0
     closed = is_closed(config)
+    envelope = envelope_of(config)
     ends = tuple(t for t in (config.stop_s, path_end_s(config)) if t is not None)
     jump_rate = rate if config.path_end == "jump" and not closed else 0.0
     timing = _Timing(
@@ -391,6 +432,7 @@ def _timed(config: StimulusConfig) -> tuple[StimulusConfig, _Timing]:
         start_s=config.start_s,
         ends=ends,
         edges=(config.start_s, *ends),
+        envelope=envelope,
         control_rate=config.control_rate_Hz,
         point_rate=_point_rate(config),
         grids=tuple(_grids(config)),
@@ -438,26 +480,20 @@ def _arcs(timing: _Timing, times: Float) -> Float:
     return folded(2.0 * timing.length_m * turns, timing.length_m, closed=False)
 
 
-def _arp_factors(config: StimulusConfig, timing: _Timing, times: Float) -> Float:
-    since: Float = times - timing.start_s
+def arp_factors(envelope: Envelope, times: Float) -> Float:
+    """ARP relative to the loudest moment, 0..1, at times [s], shape (m,); of n stimuli at once (n, m)."""
+    since: Float = times - envelope.start_s
     level = (since >= -1e-9).astype(np.float64)
-    for end in timing.ends:
+    for end in envelope.ends:
         level *= times < end - 1e-9
-    if config.ramp_s > 0:
-        level *= 0.5 - 0.5 * np.cos(math.pi * np.minimum(np.maximum(since / config.ramp_s, 0.0), 1.0))
-    if config.modulation == "am":
-        assert config.am_depth is not None and config.am_frequency_Hz
-        wave = (1 + config.am_depth * np.sin(2 * math.pi * config.am_frequency_Hz * since)) / (1 + config.am_depth)
-        level *= wave**2 if config.am_of == "pressure" else wave
-    if config.burst_window != "none":
-        assert config.burst_length_s and config.burst_period_s
-        level *= burst(
-            since,
-            window=config.burst_window,
-            length_s=config.burst_length_s,
-            period_s=config.burst_period_s,
-            count=config.burst_count,
-        )
+    if envelope.ramp_s is not None:
+        level *= 0.5 - 0.5 * np.cos(math.pi * np.minimum(np.maximum(since / envelope.ramp_s, 0.0), 1.0))
+    if envelope.am_of is not None:
+        depth = envelope.am_depth
+        wave = (1 + depth * np.sin(2 * math.pi * envelope.am_frequency_Hz * since)) / (1 + depth)
+        level *= wave**2 if envelope.am_of == "pressure" else wave
+    if envelope.burst is not None:
+        level *= burst(since, **envelope.burst)
     return level
 
 

@@ -199,7 +199,7 @@ def write(page: Path, lines: list[str], curves: dict, commit: str) -> None:
         "",
         "A skin whose load is not known ahead moves by modes that serve every sound of the scene's arrays on a",
         "region (`palmfield/skin/reduction/modal_stepper.py`, `palmfield/simulation/load_class.py`). Here they are",
-        "held against the whole layer on the same mesh with the same time step, under loads that no basis was made for.",
+        "held against the whole layer on the same mesh, with the same step, under loads that no basis was made for.",
         "",
         "Written by `python scripts/verification/check_modes.py --write docs/bench/modes.md`, commit "
         f"{commit}, {processor()}, Python {platform.python_version()}.",

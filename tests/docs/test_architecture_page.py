@@ -178,7 +178,7 @@ def test_keys_allow_what_the_registries_of_the_seams_hold():
     assert set(get_args(Layout)) == {*LAYOUTS, "sites"}
     assert set(get_args(ArpLaw)) == set(LAWS)
     assert set(get_args(DriverConfig.model_fields["board"].annotation)) == set(BOARDS)
-    steppers = {choice.name for choice in scene_choices(1000.0, 100.0, 10.0, None)}
+    steppers = {choice.name for choice in scene_choices(1000.0, 100.0, 10.0, None, 100.0, None)}
     assert set(get_args(SkinConfig.model_fields["solver"].annotation)) == {"auto", *steppers, *EXPLICIT}
     assert set(EXPLICIT) <= set(WHERE) and not set(EXPLICIT) & steppers
 

@@ -185,11 +185,27 @@ def test_a_disc_under_a_spot_moves_as_axisymmetric_elements_say(solver):
     assert 0.0 < stepper.error < 0.4
 
 
+def test_each_of_several_worlds_moves_as_if_alone(layer, stepper):
+    """States are rows of a wider array, as scenes keep them."""
+    loads = bells(layer)
+    pressure = np.concatenate([loads.pressure_Pa, 0.5 * loads.pressure_Pa])
+    two = SurfaceLoads(pressure, *(np.concatenate([x, x]) for x in (loads.first, loads.last)))
+    reader = stepper.reader(layer.probe(np.zeros(3)).operator)
+    states = np.zeros((2, stepper.state_size + 5))[:, 2:-3]
+    seen = stepper.step(states, two, 0.0, SUBSTEPS * STEP, reader)
+    for world in range(2):
+        state, one = rest(stepper), slice(world, world + 1)
+        own = SurfaceLoads(two.pressure_Pa[one], two.first[one], two.last[one])
+        alone = stepper.step(state, own, 0.0, SUBSTEPS * STEP, reader)
+        assert np.linalg.norm(alone) > 0.0
+        assert np.linalg.norm(seen[world] - alone[0]) < 1e-6 * np.linalg.norm(alone)
+        assert np.linalg.norm(states[world] - state[0]) < 1e-6 * np.linalg.norm(state)
+
+
 def test_what_a_step_and_a_reader_refuse(layer, stepper):
     loads = bells(layer)
-    two = SurfaceLoads(*(np.concatenate([x, x]) for x in (loads.pressure_Pa, loads.first, loads.last)))
-    with pytest.raises(SceneError, match="steps one world"):
-        stepper.step(np.zeros((2, stepper.state_size)), two, 0.0, SUBSTEPS * STEP)
+    with pytest.raises(SceneError, match="takes a state of"):
+        stepper.step(np.zeros((2, stepper.state_size)), loads, 0.0, SUBSTEPS * STEP)
     with pytest.raises(SceneError, match="loads for 4 substeps"):
         stepper.step(rest(stepper), loads, 0.0, 5 * STEP)
     with pytest.raises(SceneError, match="unknowns"):

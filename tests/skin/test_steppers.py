@@ -18,6 +18,7 @@ from palmfield.skin.fem.load import SurfaceQuadrature
 from palmfield.skin.fem.probe import surface_motion
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
 from palmfield.skin.materials.material import Branch, Material
+from palmfield.skin.reduction import reduced_stepper as reduced
 from palmfield.skin.reduction.reduced_stepper import KnownLoad, reduced_stepper
 from palmfield.skin.stepper import SurfaceLoads
 
@@ -64,6 +65,14 @@ def bells(disc, patterns=3, substeps=SUBSTEPS, seed=0):
     centres = rng.uniform(-0.005, 0.005, (patterns, 1, 2))
     pressure = np.exp(-(((points[:, :2] - centres) / 0.006) ** 2).sum(axis=2))[None]
     return SurfaceLoads(pressure, *rng.uniform(0.0, 10.0, (2, 1, substeps, patterns)))
+
+
+def worlds_of(loads):
+    """The loads of several bodies, stepped together; those of none have no rows."""
+    if not loads:
+        return SurfaceLoads(np.zeros((0, 1, 1)), np.zeros((0, SUBSTEPS, 1)), np.zeros((0, SUBSTEPS, 1)))
+    parts = zip(*((one.pressure_Pa, one.first, one.last) for one in loads), strict=True)
+    return SurfaceLoads(*(np.concatenate(part) for part in parts))
 
 
 def part_of(loads, which):
@@ -259,13 +268,59 @@ def test_threads_share_a_stepper(disc, stepper):
     np.testing.assert_array_equal(together, alone)
 
 
+@pytest.mark.parametrize("per_thread", [1, 1000])
+def test_each_of_several_worlds_moves_as_if_alone(disc, stepper, per_thread, monkeypatch):
+    """Other loads in each, in states that are rows of a wider array, as scenes keep them; any number of threads."""
+    monkeypatch.setattr(reduced, "ROWS_PER_THREAD", per_thread)
+    monkeypatch.setattr(reduced, "cores", lambda: 2)
+    loads = [bells(disc, seed=seed) for seed in range(3)]
+    reader = stepper.reader(disc[2])
+    room = np.full((3, stepper.state_size + 7), np.nan)
+    states = room[:, 4:-3]
+    states[:] = 0.0
+    for _ in range(2):
+        seen = stepper.step(states, worlds_of(loads), 0.0, SUBSTEPS * STEP, reader)
+    assert np.isnan(room[:, [0, 3, -3, -1]]).all()
+    together = stepper.read(states, reader)
+    for i, load in enumerate(loads):
+        state = rest(stepper)
+        for _ in range(2):
+            alone = stepper.step(state, load, 0.0, SUBSTEPS * STEP, reader)
+        assert np.linalg.norm(seen[i] - alone[0]) < 1e-12 * np.linalg.norm(alone)
+        now = stepper.read(state, reader)[0]
+        assert np.linalg.norm(together[i] - now) < 1e-12 * np.linalg.norm(now)
+    assert np.linalg.norm(together[0] - together[1]) > 0.01 * np.linalg.norm(together[0])
+
+
+def test_pressures_that_do_not_change_give_the_same_motion(disc, stepper):
+    """What a stepper keeps of them is not taken for other pressures, and pressures that may change are read anew."""
+    loads = bells(disc), bells(disc, seed=1)
+    fixed = [SurfaceLoads(one.pressure_Pa, one.first, one.last, fixed=True) for one in loads]
+    plain, kept = rest(stepper), rest(stepper)
+    for number in (0, 0, 1, 0):
+        stepper.step(plain, loads[number], 0.0, SUBSTEPS * STEP)
+        stepper.step(kept, fixed[number], 0.0, SUBSTEPS * STEP)
+    np.testing.assert_array_equal(kept, plain)
+    loads[0].pressure_Pa[:] *= 2.0
+    changed = rest(stepper)
+    for _ in range(2):
+        stepper.step(changed, loads[0], 0.0, SUBSTEPS * STEP)
+    half = rest(stepper)
+    for _ in range(2):
+        stepper.step(half, bells(disc), 0.0, SUBSTEPS * STEP)
+    assert np.linalg.norm(changed - 2.0 * half) < 1e-12 * np.linalg.norm(changed)
+
+
 def test_what_is_refused(disc, stepper):
     loads = bells(disc)
-    two = SurfaceLoads(*(np.concatenate([x, x]) for x in (loads.pressure_Pa, loads.first, loads.last)))
-    with pytest.raises(SceneError, match="steps one world"):
-        stepper.step(np.zeros((2, stepper.state_size)), two, 0.0, SUBSTEPS * STEP)
-    with pytest.raises(SceneError, match="steps one world"):
+    with pytest.raises(SceneError, match=r"state \(2, .* of 1 worlds: .* takes a state of \(1, "):
+        stepper.step(np.zeros((2, stepper.state_size)), loads, 0.0, SUBSTEPS * STEP)
+    with pytest.raises(SceneError, match="takes a state of"):
         stepper.step(np.zeros((1, stepper.state_size + 1)), loads, 0.0, SUBSTEPS * STEP)
+    with pytest.raises(SceneError, match="w >= 1"):
+        stepper.step(np.zeros((0, stepper.state_size)), worlds_of([]), 0.0, SUBSTEPS * STEP)
+    with pytest.raises(SceneError, match="side by side"):
+        stepper.step(np.zeros((stepper.state_size, 1)).T.repeat(2, axis=1)[:, ::2], loads, 0.0, SUBSTEPS * STEP)
     with pytest.raises(SceneError, match="loads for 6 substeps"):
         stepper.step(rest(stepper), loads, 0.0, 0.0 if stepper.name == "reduced" else 2 * SUBSTEPS * STEP)
     with pytest.raises(SceneError, match="skin loads"):

@@ -26,7 +26,7 @@ from palmfield.skin.fem.generalised_alpha import Scheme
 from palmfield.skin.fem.grouped_rows import grouped_rows
 from palmfield.skin.stepper import Reader, SurfaceLoads, check_step, checked_operator
 from palmfield.threads import Calls, cores, share
-from palmfield.types import Float
+from palmfield.types import Float, Float32
 from warp_kernels import supernodes as kernels
 
 STORED_PER_THREAD = 250_000
@@ -92,15 +92,24 @@ class WedgeStepper:
     ) -> Float | None:
         """See SkinStepper."""
         check_step(self, state, loads, self._inputs.shape[1], t0, t1)
-        rows, place = state[0].reshape(self.state_rows, self.ndof), self._factor.place
-        first, last = loads.first[0], loads.last[0]
-        mix = self._alpha_f * first + (1.0 - self._alpha_f) * last
+        mix = self._alpha_f * loads.first + (1.0 - self._alpha_f) * loads.last
+        worlds, substeps, _ = mix.shape
+        seen = None if observe is None else np.zeros((worlds, substeps, 2, observe.count))
+        # One after the other: a world's matrices come through the cache once a substep, whoever else is stepped
+        for i in range(worlds):
+            self._step_one(state[i], loads.pressure_Pa[i], mix[i], observe, None if seen is None else seen[i])
+        return seen
+
+    def _step_one(
+        self, state: Float, patterns_Pa: Float | Float32, mix: Float, observe: Reader | None, seen: Float | None
+    ) -> None:
+        """All substeps of one world; mix: weight of each pattern in each substep, (s, k); seen: (s, 2, m) to fill."""
+        rows, place = state.reshape(self.state_rows, self.ndof), self._factor.place
         substeps, patterns = mix.shape
-        seen = None if observe is None else np.zeros((1, substeps, 2, observe.count))
         room, threads = self._room(patterns), self._threads
         room.rows[:, place] = rows
         room.add_up()
-        inputs, pressure = self._inputs, loads.pressure_Pa[0].astype(np.float64, copy=False)
+        inputs, pressure = self._inputs, patterns_Pa.astype(np.float64, copy=False)
         room.forces[:patterns] = 0.0
         for pattern, force in zip(pressure, room.forces, strict=False):
             csr_matvec(len(force), len(pattern), inputs.indptr, inputs.indices, inputs.data, pattern, force)
@@ -115,10 +124,9 @@ class WedgeStepper:
             else:
                 share(room.end, threads)
             if seen is not None and observe is not None:
-                _read(observe.matrix[1], room.rows, seen[0, i])
+                _read(observe.matrix[1], room.rows, seen[i])
         rows[...] = room.rows[:, place]
         self._rooms.append(room)
-        return seen
 
     def reader(self, operator: sparse.csr_matrix) -> Reader:
         """See SkinStepper."""

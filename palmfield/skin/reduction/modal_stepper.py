@@ -6,6 +6,7 @@ a state can go over to the whole layer as it is. The pressure is looked at in fe
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,6 +25,7 @@ from palmfield.skin.materials.material import stiffening
 from palmfield.skin.reduction.load_shapes import LoadShapes, load_shapes
 from palmfield.skin.reduction.ritz import RitzModes, refusal, ritz_modes, shifted
 from palmfield.skin.stepper import Reader, SurfaceLoads, check_step, checked_operator
+from palmfield.threads import cores, share
 from palmfield.types import Complex, Float, Float32, Int
 from warp_kernels import modes as kernels
 
@@ -158,6 +160,8 @@ class ModalStepper:
         count = len(shapes.points)
         self._hidden = count / max(count - len(shapes.sizes), 1)
         self._rooms: dict[tuple[int, int], list[_Room]] = {}
+        # What was made of the last pressures that don't change
+        self._pushed: tuple[Float | Float32, Float32] | None = None
 
     def step(
         self, state: Float, loads: SurfaceLoads, t0: float, t1: float, observe: Reader | None = None
@@ -165,31 +169,57 @@ class ModalStepper:
         """See SkinStepper."""
         check_step(self, state, loads, len(self.points), t0, t1)
         worlds, substeps, _ = loads.first.shape
-        rooms = self._rooms.setdefault((worlds, substeps), [])
+        seen = None if observe is None else np.empty((worlds, substeps, 2, observe.count))
+        mixed = self.mixed(loads)
+        with one_blas_thread:
+            pushes = self._pushes(loads)
+        threads = min(cores(), worlds)
+        size = -(-worlds // threads)
+        parts = [slice(first, first + size) for first in range(0, worlds, size)]
+        share([(partial(self._step_some, part, state, mixed, pushes, observe, seen),) for part in parts], threads)
+        return seen
+
+    def _step_some(
+        self, part: slice, states: Float, mixed: Float32, pushes: Float32, observe: Reader | None, seen: Float | None
+    ) -> None:
+        """All substeps of some worlds; pushes: of each pattern on the modes, (w, k, r), or on the shapes, (w, k, m)"""
+        state, mixed, pushes = states[part], mixed[part], pushes[part]
+        rooms = self._rooms.setdefault(mixed.shape[:2], [])
         try:
             room = rooms.pop()
         except IndexError:
-            room = self._new_room(worlds, substeps)
-        rows = state.reshape(worlds, self.state_rows, self._padded)
+            room = self._new_room(*mixed.shape[:2])
+        rows = state.reshape(len(state), self.state_rows, self._padded)
         with one_blas_thread:
-            shares = loads.pressure_Pa.astype(np.float32, copy=False) @ self._fit
-            room.forces[...] = (self._mixed(loads) @ shares) @ self._forces
+            forces = mixed @ pushes
+            room.forces[...] = forces if forces.shape[2] == self._padded else forces @ self._forces
         room.rows[...] = rows
         room.launch()
         rows[...] = room.rows
-        seen = None
-        if observe is not None:
+        if seen is not None and observe is not None:
             with one_blas_thread:
-                seen = room.seen @ observe.matrix
+                seen[part] = room.seen @ observe.matrix
         rooms.append(room)
-        return seen
+
+    def _pushes(self, loads: SurfaceLoads) -> Float32:
+        """What each pattern does to the modes, (w, k, r), or, where there are several, to the shapes, (w, k, m)."""
+        known = self._pushed
+        if loads.fixed and known is not None and known[0] is loads.pressure_Pa:
+            return known[1]
+        shares: Float32 = loads.pressure_Pa.astype(np.float32, copy=False) @ self._fit
+        if loads.first.shape[2] > 1:
+            return shares
+        pushes: Float32 = shares @ self._forces
+        if loads.fixed:
+            self._pushed = loads.pressure_Pa, pushes
+        return pushes
 
     def outside(self, loads: SurfaceLoads) -> Outside:
         """What of the loads lies outside the class."""
         with one_blas_thread:
             pressure = loads.pressure_Pa.astype(np.float32, copy=False)
             residual = pressure - (pressure @ self._fit) @ self._back
-            mixed = self._mixed(loads)
+            mixed = self.mixed(loads)
             sums = [
                 self._hidden * _square(mixed @ (residual @ self._compliance)),
                 _square(mixed @ (pressure @ self._compliance)),
@@ -226,7 +256,7 @@ class ModalStepper:
             whole = rows @ self.body.modes.vectors.T
         return whole.reshape(len(state), -1)
 
-    def _mixed(self, loads: SurfaceLoads) -> Float32:
+    def mixed(self, loads: SurfaceLoads) -> Float32:
         """Weight of each pattern where the scheme takes the force in a substep, shape (w, s, k)."""
         alpha = self._alpha_f
         return (alpha * loads.first + (1.0 - alpha) * loads.last).astype(np.float32)

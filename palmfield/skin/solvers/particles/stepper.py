@@ -21,7 +21,7 @@ from palmfield.skin.solvers.particles.run import (
     stable_step,
     state_size,
 )
-from palmfield.skin.stepper import Reader, SurfaceLoads, check_step
+from palmfield.skin.stepper import Reader, SurfaceLoads, check_step, world_by_world
 from palmfield.types import Float
 
 HALVINGS = 3
@@ -69,6 +69,8 @@ class ParticleStepper:
     ) -> Float | None:
         """See SkinStepper."""
         check_step(self, state, loads, self._transfer.pressure.shape[1], t0, t1)
+        if len(state) > 1:
+            return world_by_world(self, state, loads, t0, t1, observe)
         with one_blas_thread:
             ends = ends_of_substeps(self._transfer.pressure, loads.pressure_Pa[0], loads.first[0], loads.last[0])
         try:

@@ -15,7 +15,7 @@ from palmfield.skin.solvers.spectral_elements.model import SAFETY, Model, hold
 from palmfield.skin.solvers.spectral_elements.places import find
 from palmfield.skin.solvers.spectral_elements.run import Points, Stepper, state_size
 from palmfield.skin.solvers.spectral_elements.solid import Solid
-from palmfield.skin.stepper import Reader, SurfaceLoads, check_step
+from palmfield.skin.stepper import Reader, SurfaceLoads, check_step, world_by_world
 from palmfield.types import Float
 
 LONGEST_GRAPH = 2000
@@ -73,6 +73,8 @@ class SpectralElementStepper:
     ) -> Float | None:
         """See SkinStepper."""
         check_step(self, state, loads, self._transfer.pressure.shape[1], t0, t1)
+        if len(state) > 1:
+            return world_by_world(self, state, loads, t0, t1, observe)
         substeps = loads.first.shape[1]
         with one_blas_thread:
             frames = ends_of_substeps(self._transfer.pressure, loads.pressure_Pa[0], loads.first[0], loads.last[0])

@@ -1,0 +1,58 @@
+"""The poses of several worlds, taken out of their mjData together."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palmfield.engine.scene_runtime import SceneRuntime
+from palmfield.errors import naming_world
+from palmfield.simulation.posed_scene import PosedScene, settled_worlds
+from palmfield.types import Float
+
+
+class WorldPoses:
+    """What the poses of some worlds mean, with what was found last.
+
+    In most steps bodies only tremble about the reference pose, which small models take for standing still. This is
+    found out for all worlds in one go; only those where more has happened are looked at by themselves.
+
+    positions, matrices: where the runtimes put the world frames that they take, shapes (worlds, m, 3), (worlds, m, 9)
+    """
+
+    def __init__(self, runtimes: Sequence[SceneRuntime], positions: Float, matrices: Float):
+        self.runtimes, self._positions, self._matrices = runtimes, positions, matrices
+        first = runtimes[0]
+        self._model, self._layout = first.model, first.layout
+        # Rows of arrays, stimuli's frames and transducers: a pose is another one as soon as any of them moves at all
+        self._fixed = max([self._layout.frames.stop, *(rows.stop for rows in self._layout.transducers)])
+        self._posed: list[PosedScene] = [runtime.work.reference for runtime in runtimes]
+        self.forget()
+
+    def forget(self) -> None:
+        """Know nothing of the last poses."""
+        count = len(self.runtimes)
+        self._resting: NDArray[np.bool_] = np.zeros(count, dtype=bool)
+        self._where: Float = np.zeros((count, self._fixed, 12))
+
+    def now(self) -> list[PosedScene]:
+        """The pose of each world. Raises SceneError where a body reaches into an array, with the world's number."""
+        for runtime in self.runtimes:
+            runtime.take_frames()
+        # All worlds have the same one, in a copy that of the origin
+        reference = self.runtimes[0].work.reference
+        fixed = np.concatenate((self._positions[:, : self._fixed], self._matrices[:, : self._fixed]), axis=2)
+        same = self._resting & np.logical_and.reduce(fixed == self._where, axis=(1, 2))
+        if np.logical_or.reduce(same):
+            turns = self._matrices.reshape(*self._positions.shape, 3)
+            same &= settled_worlds(self._model, self._layout, self._positions, turns, reference)
+        for world in (~same).nonzero()[0].tolist():
+            with naming_world(world):
+                posed = self._posed[world] = self.runtimes[world].posed_as_taken()
+            self._where[world] = fixed[world]
+            self._resting[world] = (
+                posed.bodies == reference.bodies
+                and posed.skins == reference.skins
+                and posed.arrays is self._model.arrays
+            )
+        return list(self._posed)

@@ -1,0 +1,247 @@
+"""Several mjData of one model that are stepped together: bodies each by itself, sound and skins in one go.
+
+A step is mj_step in two halves. After mj_step1 all poses are known; the forces that follow from them are added to the
+passive ones before mj_step2 integrates, so that nothing lags behind what a plain mj_step does.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from operator import is_
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from palmfield.engine.host import World, raise_errors, world_of
+from palmfield.engine.motion_plugin import place
+from palmfield.engine.scene_runtime import SceneRuntime
+from palmfield.engine.skin_plugin import SkinModule
+from palmfield.engine.world_poses import WorldPoses
+from palmfield.errors import SceneError, naming_world
+from palmfield.mujoco_host.mujoco_view import PluginSensor
+from palmfield.simulation.model import HapticModel
+from palmfield.simulation.posed_scene import PosedScene
+from palmfield.simulation.sensors import CHANNELS, SkinReading
+from palmfield.simulation.state import HEADER, HapticState, new_state
+from palmfield.simulation.step import Workspace
+from palmfield.simulation.step_together import TogetherStep
+from palmfield.threads import cores, share
+from palmfield.types import Float
+
+FREEDOMS_PER_THREAD = 200
+"""Fewest degrees of freedom, over all worlds, worth a thread of their own: smaller bodies take less time in MuJoCo than
+threads take from one another where plugins call Python."""
+
+
+class SceneWorlds:
+    """Several worlds of one scene.
+
+    data: MuJoCo's, one for each world; models: of the same bodies, with each world's own stimuli; state: of all worlds
+    poses: by number of a mocap body, where it is in each world in each step, position [m] and quaternion (w, x, y, z),
+        shape (worlds, steps, 7); it stays at the last
+    forces: mean force of the sound over the present step [N], world axes, shape (worlds, bodies, 3)
+    """
+
+    def __init__(
+        self,
+        data: Sequence[mujoco.MjData],
+        models: Sequence[HapticModel],
+        poses: Mapping[int, Float],
+        state: HapticState | None = None,
+    ):
+        self.data, self.models, self.poses = tuple(data), tuple(models), dict(poses)
+        self.mujoco_model: mujoco.MjModel = data[0].model
+        count = len(self.data)
+        self.state = new_state(models[0], count) if state is None else state
+        self.forces: Float = np.zeros((count, len(models[0].bodies), 3))
+        self._worlds: list[World] = []
+        for one in self.data:
+            world = world_of(one)
+            assert world is not None
+            world.quiet = True
+            self._worlds.append(world)
+        self.runtimes: list[SceneRuntime] = [world.scene for world in self._worlds]
+        frames = self.runtimes[0].frames
+        positions, matrices = np.zeros((count, frames, 3)), np.zeros((count, frames, 9))
+        works: list[Workspace] = []
+        self._sensors: list[list[list[PluginSensor]]] = []
+        for number, (world, runtime, model) in enumerate(zip(self._worlds, self.runtimes, models, strict=True)):
+            works.append(Workspace(model, works[0] if works else None))
+            runtime.join(model, self.state.world(number), works[-1], (positions[number], matrices[number]))
+            skins = [module for module in world.modules.values() if isinstance(module, SkinModule)]
+            self._sensors.append([module.hand_over() for module in sorted(skins, key=lambda skin: skin.number)])
+        self.together = TogetherStep(models, works, self.state)
+        self._poses = WorldPoses(self.runtimes, positions, matrices)
+        self._threads = min(cores(), max(1, count * self.mujoco_model.nv // FREEDOMS_PER_THREAD))
+        # The ARP of the unit drives at a sensor, by skin and number, with the poses for which it holds
+        self._probed: dict[tuple[int, int], tuple[bytes, list[PosedScene], Float]] = {}
+
+    # -- stepping ------------------------------------------------------------------------------------------------------
+
+    def step(self) -> None:
+        """One step of MuJoCo's in all worlds. Raises what a plugin or the haptic step raised, with the world's number.
+
+        Raises SceneError too for MuJoCo's integrator RK4, which asks for forces within a step.
+        """
+        refuse_integrator(self.mujoco_model)
+        self.runtimes[0].check_timestep()
+        t0 = self._common_time()
+        self._lead(t0)
+        self._each(mujoco.mj_step1)
+        posed = self._push(t0)
+        self._sense(posed, t0)
+        self._each(mujoco.mj_step2)
+        self._advance(self._common_time())
+
+    def restart(self, time_s: float | None = None) -> None:
+        """All worlds at rest at a time [s], at 0 without, with hands where their motions have them then."""
+        for one in self.data:
+            mujoco.mj_resetData(self.mujoco_model, one)
+            if time_s is not None:
+                one.time = time_s
+            place(one)
+        for part in (*self.state.arrays, *self.state.skins):
+            part[:] = 0.0
+        for runtime in self.runtimes:
+            runtime.forget()
+            runtime.work.emission.forget()
+            runtime.work.begin_run()
+        self._poses.forget()
+        self.together.forget()
+        self.look()
+
+    def look(self) -> None:
+        """Forces and sensors at the present time, without a step."""
+        t0 = self._common_time()
+        self._lead(t0)
+        self._each(mujoco.mj_step1)
+        self._sense(self._push(t0), t0)
+        velocity = int(mujoco.mjtStage.mjSTAGE_VEL)
+        self._each(lambda model, one: mujoco.mj_forwardSkip(model, one, velocity, 0))
+
+    def adopt(self, other: "SceneWorlds") -> None:
+        """Go on as the other would, whose data and state are copied already."""
+        self.forces[:] = other.forces
+        for runtime, origin in zip(self.runtimes, other.runtimes, strict=True):
+            runtime.adopt(origin)
+        self.together.adopt(other.together)
+
+    # -- the parts of a step -------------------------------------------------------------------------------------------
+
+    def _each(self, call: Callable[[mujoco.MjModel, mujoco.MjData], Any]) -> None:
+        """Let MuJoCo do something in every world."""
+        model = self.mujoco_model
+        if self._threads == 1:
+            for one in self.data:
+                call(model, one)
+        else:
+            share([(partial(call, model, one),) for one in self.data], self._threads)
+        for number, world in enumerate(self._worlds):
+            if world.error is not None:
+                with naming_world(number):
+                    raise_errors(self.data[number])
+
+    def _common_time(self) -> float:
+        """MuJoCo's time [s]. Raises SceneError for worlds at different times."""
+        times = [runtime.view.raw.time for runtime in self.runtimes]
+        for number, time_s in enumerate(times):
+            if time_s != times[0]:
+                raise SceneError(
+                    f"world {number} is at {time_s:g} s and world 0 at {times[0]:g} s, but worlds share their time: "
+                    "nobody else may set or step one, and MuJoCo resets a world that has become unstable (then make "
+                    "option 'timestep' smaller)"
+                )
+        return float(times[0])
+
+    def _lead(self, t0: float) -> None:
+        """Put the bodies that `poses` lead where they are in the step that begins at t0 [s]."""
+        for mocap, poses in self.poses.items():
+            row = min(max(round(t0 / self.mujoco_model.opt.timestep), 0), poses.shape[1] - 1)
+            for runtime, pose in zip(self.runtimes, poses[:, row], strict=True):
+                runtime.view.put_mocap(mocap, pose[:3], pose[3:])
+
+    def _push(self, t0: float) -> list[PosedScene]:
+        """Poses of all worlds; the sound's forces are added to MuJoCo's passive ones."""
+        posed, together = self._poses.now(), self.together
+        together.begin(posed, t0)
+        if together.apart:
+            for number in together.apart:
+                with naming_world(number):
+                    self.runtimes[number].push()
+                self.forces[number] = self.runtimes[number].applied
+        worlds = together.joined.tolist()
+        for body, (pushes, turns) in enumerate(together.mean_forces(t0)):
+            self.forces[together.joined, body] = np.add.reduce(pushes, axis=1)
+            for number, push, turn in zip(worlds, pushes, turns, strict=True):
+                runtime = self.runtimes[number]
+                outlet = runtime.outlets[body]
+                outlet.forces[:], outlet.torques[:] = push, turn
+                outlet.apply()
+                runtime.applied_parts[body], runtime.applied[body] = (push, turn), self.forces[number, body]
+        return posed
+
+    def _sense(self, posed: Sequence[PosedScene], t0: float) -> None:
+        """Fill the sensors of all worlds."""
+        together = self.together
+        for number in together.apart:
+            for skin, sensors in enumerate(self._sensors[number]):
+                if sensors:
+                    with naming_world(number):
+                        self.runtimes[number].sense(skin, sensors)
+        worlds = together.joined
+        if len(worlds) == 0 or not any(self._sensors[0]):
+            return
+        factors = together.present_factors(t0)
+        where = [posed[world] for world in worlds.tolist()]
+        for skin, sensors in enumerate(self._sensors[0]):
+            body = self.models[0].skins[skin].body
+            for which in range(len(sensors)):
+                motion = self._motion_at(skin, which, worlds)
+                arp = factors * self._probe(skin, which, worlds, where)
+                known: Any = (*self.forces[worlds, body].T, *motion.T, arp)
+                channels = np.array([channel(SkinReading(*known)) for channel in CHANNELS.values()]).T
+                for world, values in zip(worlds.tolist(), channels, strict=True):
+                    self._sensors[world][skin][which].data[:] = values
+
+    def _motion_at(self, skin: int, which: int, worlds: NDArray[np.intp]) -> Float:
+        """Displacement [m] and velocity [m/s] of the skin at a sensor in some worlds, shape (g, 2)."""
+        part, result = self.state.skins[skin], np.zeros((len(self.data), 2))
+        begun = part[worlds, 0] != 0.0
+        for stepper, own in self.together.groups(skin, worlds[begun]):
+            reader = self.runtimes[own[0]].place(skin, self._sensors[own[0]][skin][which]).reader(stepper)
+            numbers = part[own, HEADER : HEADER + stepper.state_size]
+            result[own] = stepper.read(numbers, reader)[..., 0]
+        return result[worlds]
+
+    def _probe(self, skin: int, which: int, worlds: NDArray[np.intp], where: list[PosedScene]) -> Float:
+        """The ARP of the unit drives at a sensor in some worlds [Pa], shape (g,); where: their poses."""
+        known = self._probed.get((skin, which))
+        if known is not None and known[0] == worlds.tobytes() and all(map(is_, known[1], where)):
+            return known[2]
+        result = np.zeros(len(worlds))
+        for i, (world, posed) in enumerate(zip(worlds.tolist(), where, strict=True)):
+            runtime = self.runtimes[world]
+            place = runtime.place(skin, self._sensors[world][skin][which])
+            body = posed.bodies[self.models[world].skins[skin].body]
+            points, normals = body.moved(place.probe.closest, place.probe.normals, place.binding)
+            unit = self.together.unit(world)
+            result[i] = runtime.work.radiation.at(posed, skin, "probe", points, normals, unit).arp[0]
+        self._probed[skin, which] = worlds.tobytes(), where, result
+        return result
+
+    def _advance(self, t1: float) -> None:
+        """Carry transducers and skins of all worlds over MuJoCo's last step, with the poses at its beginning."""
+        self.together.advance(t1 - self.models[0].spec.timestep_s, t1)
+        for number in self.together.apart:
+            with naming_world(number):
+                self.runtimes[number].advance()
+
+
+def refuse_integrator(model: mujoco.MjModel) -> None:
+    """Raises SceneError for an integrator that evaluates forces more than once in a step."""
+    if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+        raise SceneError(
+            "option 'integrator' has value 'RK4', which asks for forces four times in a step: worlds are given them "
+            "once; allowed: Euler | implicit | implicitfast"
+        )

@@ -1,0 +1,88 @@
+"""One skin of a scene that is stepped, as a user sees it."""
+
+import numpy as np
+
+from palmfield.engine.scene_runtime import SceneRuntime, present_drive
+from palmfield.simulation.model import SkinModel
+from palmfield.simulation.state import at_rest, stepper_of
+from palmfield.skin.stepper import Reader
+from palmfield.types import Float, Float32, Int
+
+
+class Skin:
+    """One skin of a simulation, at the simulation's present time. Each array is computed when it is asked for."""
+
+    def __init__(self, runtime: SceneRuntime, number: int):
+        self._runtime, self._number = runtime, number
+        self._readers: dict[str, Reader] = {}
+
+    @property
+    def _part(self) -> SkinModel:
+        return self._runtime.model.skins[self._number]
+
+    @property
+    def name(self) -> str:
+        """Of its plugin instance."""
+        return self._part.spec.name
+
+    @property
+    def solver(self) -> str:
+        """What steps it now, or will: a value of key `solver` but for "auto"."""
+        if at_rest(self._runtime.state, self._number):
+            return self._part.choice.name
+        return stepper_of(self._runtime.model, self._runtime.state, self._number)[0].name
+
+    @property
+    def rest_position(self) -> Float:
+        """Surface nodes at rest, body frame [m], shape (S, 3)."""
+        return self._part.nodes[0]
+
+    @property
+    def rest_normal(self) -> Float:
+        """Their unit outward normals at rest, shape (S, 3)."""
+        return self._part.nodes[1]
+
+    @property
+    def faces(self) -> Int:
+        """Triangles over the surface nodes, shape (f, 3)."""
+        return self._part.faces
+
+    @property
+    def position(self) -> Float:
+        """Where the body and its bones have taken the surface nodes, world [m], shape (S, 3); without displacement."""
+        posed = self._runtime.posed
+        return posed.array_frame.points(posed.skins[self._number].nodes[0])
+
+    def _motion(self) -> Float:
+        if at_rest(self._runtime.state, self._number):
+            return np.zeros((2, len(self.rest_position), 3))
+        stepper, numbers = stepper_of(self._runtime.model, self._runtime.state, self._number)
+        if stepper.name not in self._readers:
+            self._readers[stepper.name] = stepper.reader(self._part.surface_vectors)
+        motion: Float = stepper.read(numbers, self._readers[stepper.name])[0]
+        return motion.reshape(2, -1, 3)
+
+    @property
+    def displacement(self) -> Float:
+        """Of the surface nodes, in the resting body's axes [m], shape (S, 3)."""
+        return self._motion()[0]
+
+    @property
+    def velocity(self) -> Float:
+        """Of the surface nodes, in the resting body's axes [m/s], shape (S, 3)."""
+        return self._motion()[1]
+
+    @property
+    def normal_displacement(self) -> Float:
+        """Along the outward normal [m], shape (S,): a push is negative."""
+        return np.einsum("si,si->s", self.displacement, self.rest_normal)
+
+    @property
+    def arp(self) -> Float32:
+        """Acoustic radiation pressure at the surface nodes [Pa], positive inwards, shape (S,)."""
+        posed, course = self._runtime.now()
+        drive, factor = present_drive(course)
+        if drive is None:
+            return np.zeros(len(self.rest_position), np.float32)
+        sound = self._runtime.work.radiation.on(posed, self._number, "nodes", drive)
+        return np.float32(factor) * sound.arp

@@ -1,0 +1,126 @@
+"""Keys whose values differ between the worlds of a simulation: which they are, and each world's own."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from palmfield.config import CONFIGS, Config, StimulusConfig, parse
+from palmfield.errors import SceneError
+from palmfield.session.load import as_text
+from palmfield.simulation.scene_reader import element_of
+from palmfield.simulation.spec import SceneSpec
+
+BY_PLUGIN: dict[str, type[Config]] = {config.plugin: config for config in CONFIGS}
+BOUND = ("arrays", "frame", "path_on", "on_skin", "path_sites")
+"""Keys of a stimulus that name parts of the scene."""
+SHARED = {
+    "palmfield.array": "all worlds share the arrays",
+    "palmfield.skin": "all worlds share the skin's mesh and matrices",
+    "palmfield.driver": "all worlds share the board",
+    "palmfield.motion": "poses that differ are given by `poses`",
+}
+"""Why a plugin's keys can't differ."""
+
+
+@dataclass(frozen=True)
+class WorldKeys:
+    """A simulation's keys. common: what the model is made with, of keys that differ the first world's values
+    differing: by instance and key, a value for each world"""
+
+    common: dict[str, object]
+    differing: dict[str, dict[str, tuple[object, ...]]]
+
+
+def split_keys(keys: Mapping[str, object], worlds: int, plugins: Mapping[str, str]) -> WorldKeys:
+    """Tell keys with one value from those with one for each world, by one axis more than the key itself has.
+
+    keys: as `palmfield.session.load.compiled`; plugins: name of the plugin, by instance of the scene
+    Raises SceneError for another number of values than worlds, another shape, and a key that can't differ.
+    """
+    common: dict[str, object] = dict(keys)
+    differing: dict[str, dict[str, tuple[object, ...]]] = {}
+    for given, value in keys.items():
+        owner, _, key = given.rpartition(".")
+        plugin = plugins.get(owner, f"palmfield.{owner.removeprefix('palmfield.')}")
+        config = BY_PLUGIN.get(plugin)
+        if config is None or key not in config.model_fields or _depth(value) <= _axes(config, key):
+            continue  # one value for all worlds, or what `compiled` says is unknown
+        values = _by_world(given, value, worlds, config, key)
+        if plugin != StimulusConfig.plugin:
+            raise SceneError(
+                f"key '{given}' has a value for each world, but {SHARED[plugin]}; allowed: one value for all"
+            )
+        if key in BOUND:
+            raise SceneError(
+                f"key '{given}' has a value for each world, but it names parts of the scene, which all worlds share; "
+                f"allowed to differ: all keys of a stimulus but {', '.join(BOUND)}"
+            )
+        common[given] = values[0]
+        for instance in [owner] if owner in plugins else [name for name, one in plugins.items() if one == plugin]:
+            # What is said of one instance counts before what is said of all of its plugin
+            if instance == owner or f"{instance}.{key}" not in keys:
+                differing.setdefault(instance, {})[key] = values
+    return WorldKeys(common, differing)
+
+
+def world_specs(
+    spec: SceneSpec, texts: Mapping[str, Mapping[str, str]], keys: WorldKeys, worlds: int
+) -> list[SceneSpec]:
+    """What the scene says in each world; spec, and texts of its stimuli's keys by instance: those of the first world.
+
+    Raises SceneError, naming the world, for a value that a key can't have.
+    """
+    specs = []
+    for world in range(worlds):
+        stimuli = []
+        for stimulus in spec.stimuli:
+            own = dict(texts[stimulus.name])
+            for key, values in keys.differing.get(stimulus.name, {}).items():
+                own.pop(key, None)
+                if values[world] is not None:
+                    own[key] = as_text(values[world])
+            config: Any = parse(StimulusConfig, own, f"world {world}: {element_of(StimulusConfig, stimulus.name)}")
+            stimuli.append(replace(stimulus, config=config))
+        specs.append(replace(spec, stimuli=tuple(stimuli)))
+    return specs
+
+
+def _axes(config: type[Config], key: str) -> int:
+    """Axes of a key's own value: 1 for lists and vectors, 0 for numbers and texts."""
+    return int(_schema(config, key).get("type") == "array")
+
+
+def _schema(config: type[Config], key: str) -> dict[str, Any]:
+    schema = config.model_json_schema()["properties"][key]
+    option: dict[str, Any] = next(o for o in schema.get("anyOf", [schema]) if o.get("type") != "null")
+    return option
+
+
+def _depth(value: object) -> int:
+    """Axes of a value: of an array, or of sequences within each other."""
+    if isinstance(value, np.ndarray):
+        return value.ndim
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return 1 + max((_depth(part) for part in value), default=0)
+    return 0
+
+
+def _by_world(given: str, value: Any, worlds: int, config: type[Config], key: str) -> tuple[object, ...]:
+    """One value for each world. Raises SceneError for another shape."""
+    axes, length = _axes(config, key), _schema(config, key).get("maxItems")
+    longs = {len(part) for part in value} if axes and _depth(value) > 1 else set()
+    if len(value) == worlds and _depth(value) == axes + 1 and (length is None or longs == {length}):
+        return tuple(value)
+    shape = value.shape if isinstance(value, np.ndarray) else (len(value), *(longs if len(longs) == 1 else "?" * axes))
+    own = (length or "n",) * axes
+    raise SceneError(
+        f"key '{given}' has shape {_told(shape)}; allowed with {worlds} worlds: {_told(own)}, the same for all, or "
+        f"{_told((worlds, *own))} with a value for each"
+    )
+
+
+def _told(shape: tuple[object, ...]) -> str:
+    """A shape as text, also with letters for any number."""
+    return f"({', '.join(map(str, shape))}{',' * (len(shape) == 1)})"

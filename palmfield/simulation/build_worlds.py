@@ -1,0 +1,135 @@
+"""Models of worlds that differ in what their stimuli do: one set of arrays, bodies, layers and whole steppers for all.
+
+The model of each world is a HapticModel, so that whatever steps one scene steps one world; worlds alike share one.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+
+from palmfield.locked import Lazy
+from palmfield.simulation import load_class
+from palmfield.simulation.build import demands_of, layers_for, model_of, stimuli_of, whole_stepper
+from palmfield.simulation.known_load import choose_stepper, first_stepper
+from palmfield.simulation.model import HapticModel, SkinModel, StepperChoice, StimulusModel
+from palmfield.simulation.posed_scene import STILL
+from palmfield.simulation.spec import SceneSpec, SkinSpec
+from palmfield.skin.scene_layer import LayerDemand, SceneLayer
+from palmfield.skin.solver_choice import scene_choices
+from palmfield.skin.stepper import SkinStepper
+
+Stimuli = tuple[tuple[StimulusModel, ...], bool]
+"""Of a world, and whether its transducers' ring-up is modelled."""
+MOST_SMALL_MODELS = 8
+"""Loads known ahead for which a skin gets a small model each: each of a palm takes some 5 s to make and holds 14 MB."""
+
+
+def build_worlds(specs: Sequence[SceneSpec]) -> tuple[HapticModel, ...]:
+    """The model of each world, for specs that differ in the keys of their stimuli only.
+
+    The layers are made for the strictest of the worlds that sound: where all ask for the same, each has the layer
+    that it would have by itself. A skin gets small models if every world that sounds would have one, and if there are
+    at most MOST_SMALL_MODELS different ones: loads that differ in their level alone share theirs. Else one stepper
+    serves all loads: modes, or the whole layer.
+    Raises SceneError or DeviceError as `palmfield.simulation.build.build`.
+    """
+    first = model_of(specs[0])
+    carriers = [first.bodies[skin.body] for skin in first.skins]
+    stimuli: dict[SceneSpec, Stimuli] = {specs[0]: (first.stimuli, first.response_on)}
+    for spec in specs:
+        if spec not in stimuli:
+            made, _, response_on = stimuli_of(spec, first.arrays, first.board, carriers)
+            stimuli[spec] = made, response_on
+    loads = {spec: load_key(made, first.board.exact) for spec, (made, _) in stimuli.items()}
+    sounding = {spec: parts for spec, parts in stimuli.items() if loads[spec] is not None}
+    demands: dict[object, list[LayerDemand]] = {}
+    for spec, (made, _) in (sounding or stimuli).items():
+        if loads[spec] not in demands:
+            demands[loads[spec]] = demands_of(spec, made, first.arrays, first.board, carriers)
+    asked = [strictest(of_skin) for of_skin in zip(*demands.values(), strict=True)]
+    same = asked == demands.get(loads[specs[0]])
+    layers = [skin.layer for skin in first.skins] if same else layers_for(specs[0], asked, carriers)
+    skins = _skins(first, layers, sounding, len(set(loads.values()) - {None}))
+    whole = first.whole if same else tuple(Lazy(partial(whole_stepper, layer)) for layer in layers)
+    begins: dict[tuple[int, object], Lazy[SkinStepper]] = {}
+    models: dict[SceneSpec, HapticModel] = {}
+    # Those that sound come first: for silence any of their steppers will do
+    fallback = next((load for load in loads.values() if load is not None), None)
+    for spec in sorted(stimuli, key=lambda spec: loads[spec] is None):
+        made, response_on = stimuli[spec]
+        model = replace(first, spec=spec, stimuli=made, response_on=response_on, skins=skins, whole=whole)
+        begin = []
+        for number, skin in enumerate(skins):
+            # A small model is made for its load, whatever else steps a skin serves all loads
+            key = number, (loads[spec] or fallback) if skin.choice.name == "reduced" else None
+            if key not in begins:
+                begins[key] = Lazy(partial(first_stepper, model, number))
+            begin.append(begins[key])
+        models[spec] = replace(model, begin=tuple(begin), marks={})
+    return tuple(models[spec] for spec in specs)
+
+
+def _skins(
+    first: HapticModel, layers: Sequence[SceneLayer], sounding: Mapping[SceneSpec, Stimuli], loads: int
+) -> tuple[SkinModel, ...]:
+    """The skins that all worlds share; sounding: the stimuli of worlds that sound; loads: how many different ones."""
+    skins = []
+    for known, layer in zip(first.skins, layers, strict=True):
+        choices = [
+            choose_stepper(spec, known.spec, layer, made, first.pole, response_on)
+            for spec, (made, response_on) in sounding.items()
+        ]
+        choice = common_choice(first.spec, known.spec, layer, choices, loads) if choices else known.choice
+        if layer is known.layer and choice == known.choice:
+            skins.append(known)
+        else:
+            still_m = STILL * known.spec.config.accuracy * layer.demand.spot_fwhm_m
+            # As in each world by itself, where the load is known ahead: while nothing moves its field is kept
+            settles = choice.name != "wedges" and all(own.name == "reduced" for own in choices)
+            skins.append(SkinModel(known.spec, known.body, known.carrier, layer, choice, still_m, settles))
+    return tuple(skins)
+
+
+def strictest(demands: Sequence[LayerDemand]) -> LayerDemand:
+    """What serves all of some demands on a layer: absorbing sides are for the first one's main frequency."""
+    near, far = zip(*(demand.path_reach_m for demand in demands), strict=True)
+    return replace(
+        demands[0],
+        spot_fwhm_m=min(demand.spot_fwhm_m for demand in demands),
+        max_frequency_Hz=max(demand.max_frequency_Hz for demand in demands),
+        path_reach_m=(max(near), max(far)),
+    )
+
+
+def load_key(stimuli: Sequence[StimulusModel], exact: bool) -> tuple[object, ...] | None:
+    """Equal for stimuli whose loads differ in their level alone; None for silence.
+
+    exact: whether the board plays any level as it is: what it makes of another level may be another field
+    """
+    if all(stimulus.silent for stimulus in stimuli):
+        return None
+    parts = []
+    for stimulus in stimuli:
+        config = stimulus.config
+        by_pressure = config.arp_peak_Pa is not None
+        level = {"arp_peak_Pa": 1.0 if by_pressure else None, "drive_amplitude": None}
+        parts.append((config.model_copy(update=level) if exact else config, stimulus.silent))
+    return tuple(parts)
+
+
+def common_choice(
+    spec: SceneSpec, skin: SkinSpec, layer: SceneLayer, choices: Sequence[StepperChoice], loads: int
+) -> StepperChoice:
+    """What steps a skin in all worlds.
+
+    choices: what would step it in each that sounds, by itself; loads: how many of their loads are different
+    """
+    names = {choice.name for choice in choices}
+    if len(names) == 1 and (names != {"reduced"} or loads <= MOST_SMALL_MODELS or skin.config.solver != "auto"):
+        return choices[0]
+    why = f"{loads} different loads, at most {MOST_SMALL_MODELS} of which get a small model each"
+    substeps = len(choices) * spec.duration_s / layer.sizes.step_s
+    modes, refusal = load_class.expected_modes(skin, layer), load_class.refusal(skin, layer)
+    ranked = scene_choices(layer.dofs, substeps, 0.0, why, modes, refusal)
+    seconds = {choice.name: choice.seconds for choice in ranked}
+    return StepperChoice(ranked[0].name, why, ranked[0].seconds, seconds["wedges"])

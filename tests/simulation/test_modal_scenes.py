@@ -1,0 +1,137 @@
+"""Modes for every load inside MuJoCo: same motion as the whole layer, errors that are told, and when they end."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from palmfield.engine.host import raise_errors
+from palmfield.errors import SceneError
+from palmfield.session.plan import plan
+from palmfield.session.run import run
+from palmfield.session.simulation import Simulation, load
+from palmfield.simulation.load_class import corner_Hz
+from palmfield.simulation.state import BEGUN, WHOLE
+from palmfield.skin.reduction import modal_stepper
+from palmfield.skin.reduction.modal_stepper import ModalStepper
+
+STEADY = {"modulation": "none", "am_of": None, "am_frequency_Hz": None, "am_depth": None}
+LETTER = STEADY | {"path": "circle", "path_diameter_m": 0.01, "path_rate_Hz": 90, "control_rate_Hz": 1000}
+SKIN = {"accuracy": 0.2}
+
+
+def motion(sim, steps=30, push=0.0):
+    """Displacement of the surface after each step, (t, S, 3)."""
+    seen = []
+    for _ in range(steps):
+        sim.data.qvel[:] = push
+        sim.step()
+        seen.append(sim.skin().displacement.copy())
+    return np.array(seen)
+
+
+def relative(a, b):
+    return np.linalg.norm(a - b) / np.linalg.norm(b)
+
+
+def both(path, **keys):
+    return [Simulation(path, keys={"skin.solver": solver, **keys}) for solver in ("modal", "wedges")]
+
+
+@pytest.mark.parametrize("push", [0.0, 0.4])
+def test_a_hand_that_keeps_still_or_moves_moves_its_skin_as_the_whole_layer(small_scene, push):
+    modal, wedges = both(small_scene(skin=SKIN))
+    mine, truth = motion(modal, push=push), motion(wedges, push=push)
+    assert modal.skin().solver == "modal"
+    outside = modal.runtime.work.outside[0].energy_share
+    assert relative(mine, truth) < np.hypot(modal.runtime.model.begin[0].value.error, outside) < 0.2
+
+
+def test_a_control_rate_moves_by_modes(small_scene):
+    modal, wedges = both(small_scene(stimulus=LETTER, skin=SKIN))
+    assert relative(motion(modal), motion(wedges)) < 0.2
+
+
+def test_a_run_states_the_modes_error_and_that_covers(small_scene):
+    path = small_scene(stimulus=LETTER, skin=SKIN | {"solver": "modal"})
+    result = run(path, progress=False)
+    (numbers,) = result.summary["skins"]
+    wedges = motion(Simulation(path, keys={"skin.solver": "wedges"}))
+    assert numbers["solver"].startswith("modal, ") and numbers["solver"].endswith(" modes")
+    assert relative(motion(load(path)), wedges) < numbers["reduction_error_relative"] < 0.3
+
+
+def test_the_plan_says_what_modes_are_for(small_scene):
+    text = str(plan(small_scene(skin=SKIN | {"solver": "modal"})))
+    assert "skin solver modal" in text and "every sound of these arrays" in " ".join(text.split())
+
+
+def test_another_stimulus_finds_the_modes_in_the_cache(small_scene, tmp_path, monkeypatch):
+    monkeypatch.setenv("PALMFIELD_CACHE", str(tmp_path / "cache"))
+    # Of no other test: equal scenes share their model, with its modes
+    path = small_scene(skin={"accuracy": 0.19, "solver": "modal"})
+    motion(load(path), 2)
+    monkeypatch.setattr(modal_stepper, "factorise", lambda *arguments: pytest.fail("factorised again"))
+    other = Simulation(path, keys={"stimulus.focus_m": (0.001, 0.0, 0.12), "stimulus.drive_amplitude": 0.5})
+    assert np.abs(motion(other, 2)).max() > 0.0
+
+
+def test_copies_and_resets_are_whole(small_scene):
+    sim = Simulation(small_scene(skin=SKIN | {"solver": "modal"}))
+    first = motion(sim, 4)
+    twin = sim.copy()
+    np.testing.assert_array_equal(motion(sim, 4), motion(twin, 4))
+    sim.reset()
+    np.testing.assert_array_equal(motion(sim, 4), first)
+
+
+def test_a_saved_state_goes_on(small_scene):
+    sim = Simulation(small_scene(skin=SKIN | {"solver": "modal"}))
+    motion(sim, 4)
+    kind = mujoco.mjtState.mjSTATE_INTEGRATION
+    saved = np.zeros(mujoco.mj_stateSize(sim.model, kind))
+    mujoco.mj_getState(sim.model, sim.data, saved, kind)
+    then = motion(sim, 3)
+    mujoco.mj_setState(sim.model, sim.data, saved, kind)
+    mujoco.mj_forward(sim.model, sim.data)
+    raise_errors(sim.data)
+    np.testing.assert_allclose(motion(sim, 3), then, atol=1e-6 * np.abs(then).max())
+
+
+def test_loads_outside_the_class_hand_over_to_the_whole_layer(small_scene, monkeypatch):
+    """Where the scene may choose; where modes are asked for they go on, and the error tells."""
+    monkeypatch.setattr("palmfield.simulation.known_load.refusal", lambda *arguments: "not for this test")
+    monkeypatch.setattr("palmfield.skin.solver_choice.modes_s", lambda *arguments: 0.0)
+    monkeypatch.setattr("palmfield.skin.solver_choice.modal_step_s", lambda *arguments: 0.0)
+    chosen = Simulation(small_scene(skin=SKIN))
+    asked = Simulation(small_scene(skin=SKIN | {"solver": "modal"}))
+    for sim in (chosen, asked):
+        stepper = sim.runtime.model.begin[0].value
+        assert isinstance(stepper, ModalStepper)
+        motion(sim, 3)
+        assert sim.runtime.state.skins[0][0, 0] == BEGUN
+        whole = stepper.outside
+        monkeypatch.setattr(stepper, "outside", lambda loads, whole=whole: whole(loads)._replace(energy=1e30))
+        motion(sim, 1)
+    assert chosen.runtime.state.skins[0][0, 0] == WHOLE and chosen.skin().solver == "wedges"
+    assert asked.runtime.state.skins[0][0, 0] == BEGUN
+
+
+@pytest.mark.parametrize(
+    ("skin", "why"),
+    [
+        ({"side": "absorbing"}, "absorbing sides couple"),
+        ({"body_sound": "shadows"}, "sharp edges"),
+        ({"body_sound": "scattering"}, "boundary elements for every example"),
+    ],
+)
+def test_skins_without_modes_are_refused(small_scene, skin, why):
+    with pytest.raises(SceneError, match=f"'solver' has value 'modal'.*{why}"):
+        load(small_scene(skin=skin | {"solver": "modal"}))
+
+
+def test_faster_stimuli_have_more_error(small_scene):
+    corners = []
+    for change in (STEADY, {"am_frequency_Hz": 300}, LETTER):
+        model = load(small_scene(stimulus=change)).runtime.model
+        corners.append(corner_Hz(model.stimuli[0], 0.01))
+    assert corners == [75.0, 150.0, 500.0]

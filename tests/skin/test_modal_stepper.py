@@ -1,0 +1,164 @@
+"""Modes for every load of a class, against the whole layer that they stand for."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from palmfield import cache
+from palmfield.errors import SceneError
+from palmfield.skin.fem.factor import factorise
+from palmfield.skin.fem.load import SurfaceQuadrature
+from palmfield.skin.fem.probe import surface_motion
+from palmfield.skin.fem.solver import harmonic, static
+from palmfield.skin.fem.wedge_stepper import WedgeStepper
+from palmfield.skin.materials.material import Branch, Material
+from palmfield.skin.reduction import modal_stepper
+from palmfield.skin.reduction.modal_stepper import ModalStepper, modal_body
+from palmfield.skin.stepper import SurfaceLoads
+
+STEP = 2e-4
+SUBSTEPS = 5
+RUBBERY = Material("rubbery", 1000.0, 1.2e4, (Branch(8e3, 1e-3), Branch(4e3, 1e-2)), 1e8, "test")
+
+
+@pytest.fixture(scope="module")
+def disc(make_spot):
+    spot = make_spot(0.0035, 1, radius_m=0.02, material=RUBBERY, side="free")
+    quadrature, surface = SurfaceQuadrature(spot.mesh, spot.system), surface_motion(spot.mesh, spot.system)
+    whole = WedgeStepper(spot.system, quadrature.operator, STEP)
+    return SimpleNamespace(system=spot.system, quadrature=quadrature, surface=surface, whole=whole)
+
+
+def bell(disc, centres, width=0.009):
+    """Gaussian spots at centres (k, 2), shape (k, q) [Pa]."""
+    offset = disc.quadrature.points[:, :2] - np.asarray(centres)[:, None]
+    return 100.0 * np.exp(-2.77 * ((offset / width) ** 2).sum(axis=2))
+
+
+def examples(disc):
+    return bell(disc, np.random.default_rng(0).uniform(-0.012, 0.012, (300, 2)))
+
+
+def body(disc, blocks=5, tolerance=0.03, system=None):
+    system = system or disc.system
+    return modal_body(system, disc.quadrature, disc.surface, lambda: examples(disc), (), tolerance, blocks)
+
+
+@pytest.fixture(scope="module")
+def modes(disc):
+    return ModalStepper(body(disc), disc.system, STEP, 100.0)
+
+
+def loads(disc, count=40, speed=2.0):
+    """A spot on a circle, from a sudden start, as the load of `count` calls."""
+    turn = speed / 0.006 * STEP * np.arange(count * SUBSTEPS + 1)
+    pressure = bell(disc, 0.006 * np.column_stack([np.cos(turn), np.sin(turn)]) + 0.0007)
+    unit = np.eye(SUBSTEPS + 1)[None]
+    starts = SUBSTEPS * np.arange(count)
+    return [SurfaceLoads(pressure[None, i : i + SUBSTEPS + 1], unit[:, :-1], unit[:, 1:]) for i in starts]
+
+
+def at_points(part, stepper):
+    if stepper.points is None:
+        return part
+    return SurfaceLoads(part.pressure_Pa[:, :, stepper.points], part.first, part.last)
+
+
+def march(stepper, parts, disc, state=None):
+    """Motion of the surface, (t, 2, S), and the state at the end."""
+    state = np.zeros((1, stepper.state_size)) if state is None else state
+    reader, seen = stepper.reader(disc.surface), []
+    for number, part in enumerate(parts):
+        start = number * SUBSTEPS * STEP
+        seen.append(stepper.step(state, at_points(part, stepper), start, start + SUBSTEPS * STEP, reader)[0])
+    return np.concatenate(seen), state
+
+
+def relative(a, b):
+    return np.linalg.norm(a - b, axis=(0, 2)) / np.linalg.norm(b, axis=(0, 2))
+
+
+@pytest.mark.numerics
+def test_modes_move_as_the_whole_layer_under_a_load_that_no_example_is(disc, modes):
+    truth, _ = march(disc.whole, loads(disc), disc)
+    motion, _ = march(modes, loads(disc), disc)
+    displacement, velocity = relative(motion, truth)
+    stated = np.array(modes.body.modes.errors(2.0 / (np.pi * 0.009)))
+    assert displacement < 0.03 and velocity < 0.3
+    assert displacement < stated[0] + 0.03 and velocity < stated[1] + 0.03
+
+
+def test_more_blocks_err_less_and_say_so(disc):
+    truth, _ = march(disc.whole, loads(disc), disc)
+    errors, stated = [], []
+    for blocks in (4, 5, 6):
+        stepper = ModalStepper(body(disc, blocks), disc.system, STEP, 100.0)
+        errors.append(relative(march(stepper, loads(disc), disc)[0], truth))
+        stated.append((stepper.error, stepper.velocity_error))
+    assert (np.diff(errors, axis=0) < 0.0).all() and (np.diff(stated, axis=0) < 0.0).all()
+    assert errors[2][0] < 0.5 * errors[0][0]
+
+
+def test_the_whole_layer_goes_on_from_the_modes_state(disc, modes):
+    parts = loads(disc, 20)
+    truth, _ = march(disc.whole, parts, disc)
+    _, state = march(modes, parts[:10], disc)
+    lifted = modes.lifted(state)
+    seen = disc.whole.read(lifted, disc.whole.reader(disc.surface))
+    np.testing.assert_allclose(seen, modes.read(state, modes.reader(disc.surface)), atol=1e-5 * np.abs(seen).max())
+    motion, _ = march(disc.whole, parts[10:], disc, lifted)
+    assert relative(motion, truth[10 * SUBSTEPS :])[0] < 0.03
+
+
+def test_a_mode_left_alone_dies_away(modes):
+    advance = np.moveaxis(modes._modes.advance.numpy(), -1, 1).reshape(-1, modes.state_rows, modes.state_rows)
+    assert np.abs(np.linalg.eigvals(advance)).max() < 1.0
+
+
+def test_harmonic_motion_is_the_whole_layers(disc, modes):
+    pressure = bell(disc, [[0.003, -0.002]])[0]
+    for f, allowed in ((0.0, 0.02), (80.0, 0.02), (250.0, 0.06)):
+        force = disc.quadrature.operator @ pressure
+        truth = disc.surface @ (harmonic(disc.system, force, f) if f else static(disc.system, force))
+        mine = modes.harmonic(pressure[modes.points], f, disc.surface)
+        assert np.linalg.norm(mine - truth) < allowed * np.linalg.norm(truth)
+
+
+def test_what_lies_outside_the_class_is_seen(disc, modes):
+    inside = at_points(loads(disc, 1)[0], modes)
+    edge = (disc.quadrature.points[:, 0] > 0.006) * loads(disc, 1)[0].pressure_Pa
+    outside = at_points(SurfaceLoads(edge, inside.first, inside.last), modes)
+    shares = []
+    for load in (inside, outside):
+        seen = modes.outside(load)
+        shares.append((np.sqrt(seen.energy / seen.energy_of_all), np.sqrt(seen.plain / seen.plain_of_all)))
+    assert max(shares[0]) < 0.05
+    assert min(shares[1]) > 0.15
+
+
+def test_the_energy_norm_is_that_of_the_skin(disc, modes):
+    """Of a pressure that stands for the whole layer's points by the modes' own, against a solve."""
+    points = modes.points
+    factor = factorise(modal_stepper.shifted(disc.system), disc.system.elimination_order())
+    pressure = np.random.default_rng(1).standard_normal(len(points))
+    force = disc.quadrature.operator[:, points] @ pressure
+    energy = force @ factor.solve(force)
+    assert np.square(pressure @ modes.body.compliance).sum() == pytest.approx(energy, rel=0.03)
+
+
+def test_modes_come_from_the_cache_whatever_the_stimulus(disc, tmp_path, monkeypatch):
+    monkeypatch.setenv("PALMFIELD_CACHE", str(tmp_path))
+    first = body(disc)
+    monkeypatch.setattr(modal_stepper, "factorise", lambda *arguments: pytest.fail("factorised again"))
+    again = body(disc)
+    np.testing.assert_array_equal(first.modes.vectors, again.modes.vectors)
+    assert [entry.kind for entry in cache.entries()] == ["modes"]
+
+
+def test_bodies_without_modes_of_their_own_are_refused(disc, make_spot):
+    absorbing = make_spot(0.006, 1, radius_m=0.02, material=RUBBERY, side="absorbing", absorbing_Hz=200.0)
+    with pytest.raises(SceneError, match="absorbing sides or dashpots couple"):
+        body(disc, system=absorbing.system)
+    with pytest.raises(SceneError, match=r"blocks of \d+ load shapes are more than \d+ modes"):
+        body(disc, 60, 0.001)
