@@ -191,7 +191,7 @@ class SceneRuntime:
     def sense(self, skin: int, sensors: Sequence[PluginSensor]) -> None:
         """Fill a skin's sensors from the state at the present time."""
         posed, course = self.now()
-        part = self.model.skins[skin]
+        part, device = self.model.skins[skin], self.work.device_sound
         drive, factor = present_drive(course)
         resting = at_rest(self.state, skin)
         for sensor in sensors:
@@ -202,7 +202,14 @@ class SceneRuntime:
                 motion = stepper.read(numbers, place.reader(stepper))[0, :, 0]
             arp = 0.0
             if drive is not None:
-                arp = factor * self._arp_at(place, skin, posed, drive)
+                known = None if device is None else device.probed(skin, place, posed, drive)
+                if known is None:
+                    if device is not None:
+                        device.watch(skin, place)
+                    body = posed.bodies[part.body]
+                    points, normals = body.moved(place.probe.closest, place.probe.normals, place.binding)
+                    known = float(self.work.radiation.at(posed, skin, "probe", points, normals, drive).arp[0])
+                arp = factor * known
             x, y, z = self.applied[part.body]
             fill(sensor.data, SkinReading(x, y, z, motion[0], motion[1], arp))
 

@@ -135,7 +135,7 @@ def skin_loads(
         role = "load"
     if course.levels is not None:
         if course.unit is None:
-            count = len(posed.skins[skin].skin.layer.quadrature.points) if points is None else len(points)
+            count = len(posed.skins[skin].skin.layer.quadrature.points if points is None else points)
             nothing = np.zeros((1, len(moments.first), 1))
             return SurfaceLoads(np.zeros((1, 1, count)), nothing, nothing)
         if device is not None:
@@ -146,7 +146,8 @@ def skin_loads(
         return SurfaceLoads(arp[None], (moments.first @ factors)[None], (moments.last @ factors)[None])
     assert course.emitted is not None
     if device is not None:
-        return SurfaceLoads(device.patterns(posed, skin, course, points)[None], moments.first[None], moments.last[None])
+        arp = device.patterns(posed, skin, course, points)
+        return SurfaceLoads(arp[None], moments.first[None], moments.last[None])
     if course.parts is not None:
         sums = work.radiation.sums(posed, skin, *course.parts, role)
         return SurfaceLoads(sums[None], moments.first[None], moments.last[None])
