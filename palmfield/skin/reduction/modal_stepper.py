@@ -222,13 +222,12 @@ class ModalStepper:
             pressure = loads.pressure_Pa.astype(np.float32, copy=False)
             residual = pressure - (pressure @ self._fit) @ self._back
             mixed = self.mixed(loads)
-            sums = [
-                self._hidden * _square(mixed @ (residual @ self._compliance)),
-                _square(mixed @ (pressure @ self._compliance)),
-                self._hidden * _square(mixed @ residual),
-                _square(mixed @ pressure),
-            ]
-        return Outside(*sums)
+            squares = []
+            for part in (residual @ self._compliance, pressure @ self._compliance, residual, pressure):
+                numbers = (mixed @ part).ravel()
+                squares.append(float(numbers @ numbers))
+        outside, whole, plain, plain_whole = squares
+        return Outside(self._hidden * outside, whole, self._hidden * plain, plain_whole)
 
     def reader(self, operator: sparse.csr_matrix) -> Reader:
         """See SkinStepper."""
@@ -318,7 +317,3 @@ def _lanes(values: Float) -> Any:
     """The same memory, (..., r), seen as lanes, (..., r / WIDTH)."""
     wide = values.reshape(*values.shape[:-1], -1, kernels.WIDTH)
     return wp.array(wide, dtype=kernels.lanes, device="cpu", copy=False)
-
-
-def _square(values: Float | Float32) -> float:
-    return float(np.vdot(values, values))
