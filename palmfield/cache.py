@@ -9,6 +9,7 @@ its place and renamed, so that no reader sees half of it; a damaged one is made 
 import dataclasses
 import functools
 import hashlib
+import importlib.metadata
 import os
 import secrets
 import time
@@ -143,9 +144,18 @@ def code_mark() -> str:
     import scipy
     import warp
 
-    for version in (np.__version__, scipy.__version__, warp.__version__):
+    for version in (np.__version__, scipy.__version__, warp.__version__, *_factorises()):
         result.update(version.encode())
     return result.hexdigest()
+
+
+def _factorises() -> tuple[str, str]:
+    """The version of pypardiso, "" without it, and whether it is switched on: its last digits are others."""
+    try:
+        installed = importlib.metadata.version("pypardiso")
+    except importlib.metadata.PackageNotFoundError:
+        installed = ""
+    return installed, os.environ.get("PALMFIELD_PARDISO", "") if installed else ""
 
 
 def _add(result: Any, part: Any) -> None:

@@ -369,6 +369,35 @@ def bench_skin(
     print(measure(out, picture, device, runs, only, commit), end="")
 
 
+@bench.command("scene")
+def bench_scene(
+    scenes: Annotated[
+        list[str] | None, typer.Argument(help="files, or names of shipped scenes [default: eleven shipped ones]")
+    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", "--write", help="markdown file to write the table to")] = None,
+    device: Annotated[str, typer.Option(help="where scenes are computed: cpu or cuda:0")] = "cpu",
+    steps: Annotated[int, typer.Option(help="steps that sound, at least, for each scene")] = 2000,
+    known: Annotated[bool, typer.Option("--known", help="scenes as they are, with their load known ahead")] = False,
+    error: Annotated[bool, typer.Option("--error", help="also hold each run against the whole layer")] = False,
+    seed: Annotated[int, typer.Option(help="of what is drawn at random")] = 0,
+    commit: Annotated[str, typer.Option(help="for the head, where no git is [default: git's]")] = "",
+) -> None:
+    """Speed of whole scenes, and with --error their error beside it, as a markdown table.
+
+    Wall milliseconds for a simulated one, in plain mj_step over whole runs. Path, level and pose are drawn after the
+    model is built, so that skins move by modes that serve every load; --known measures the scenes as they are. Each
+    scene runs in processes of its own: once with an empty cache, once with what that left there. --error takes
+    minutes a scene.
+
+    Examples: palmfield bench scene palm_am200 palm_circle
+
+    palmfield bench scene --known --write realtime.md
+    """
+    from palmfield.studies.bench.scene import main as measure
+
+    print(measure(scenes, out, device, steps, known, error, seed, commit), end="")
+
+
 def main() -> None:
     """Entry point: users' errors become one line on standard error and exit code 2."""
     try:

@@ -188,6 +188,14 @@ class SceneRuntime:
             self.work.prefetch.adopt(other.work.prefetch)
             self.work.outside = [part.copy() for part in other.work.outside]
 
+    def exchange(self, model: HapticModel) -> None:
+        """Go on with another model of the same arrays, bodies and skins; the state must be reset.
+
+        What stepped the skins goes on as well, so that it must serve the loads of the other model's stimuli.
+        """
+        self.model, self.spec, self.work = model, model.spec, Workspace(model)
+        self.forget()
+
     def sense(self, skin: int, sensors: Sequence[PluginSensor]) -> None:
         """Fill a skin's sensors from the state at the present time."""
         posed, course = self.now()

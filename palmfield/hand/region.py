@@ -12,6 +12,8 @@ from palmfield.types import Float, Int, Surface
 
 FACING_COSINE = float(np.cos(np.deg2rad(75.0)))
 LEAST_COSINE = 0.05
+BLOCK = 256
+"""Points whose distances to all of an outline are found at a time."""
 
 
 @dataclass(frozen=True)
@@ -113,14 +115,17 @@ def _outline_distance(outline: Float, points: Float) -> Float:
     squared = np.maximum(np.einsum("ij,ij->i", along, along), 1e-30)
     slope = along[:, 0] / np.where(along[:, 1] == 0.0, np.inf, along[:, 1])
     out = np.empty(len(points))
-    for start in range(0, len(points), 4096):
-        p = points[start : start + 4096, None, :]
-        t = np.clip(((p - a) * along).sum(axis=2) / squared, 0.0, 1.0)
-        distance = np.sqrt(((p - a - t[..., None] * along) ** 2).sum(axis=2).min(axis=1))
-        crosses = (a[:, 1] > p[..., 1]) != (b[:, 1] > p[..., 1])
-        left = p[..., 0] < a[:, 0] + (p[..., 1] - a[:, 1]) * slope
+    # Coordinate by coordinate and in blocks that stay in a core's own cache
+    for start in range(0, len(points), BLOCK):
+        block = points[start : start + BLOCK]
+        right, up = block[:, :1] - a[:, 0], block[:, 1:] - a[:, 1]
+        t = np.clip((right * along[:, 0] + up * along[:, 1]) / squared, 0.0, 1.0)
+        nearest = ((right - t * along[:, 0]) ** 2 + (up - t * along[:, 1]) ** 2).min(axis=1)
+        crosses = (a[:, 1] > block[:, 1:]) != (b[:, 1] > block[:, 1:])
+        left = block[:, :1] < a[:, 0] + up * slope
         inside = (crosses & left).sum(axis=1) % 2 == 1
-        out[start : start + 4096] = np.where(inside, -distance, distance)
+        distance = np.sqrt(nearest)
+        out[start : start + BLOCK] = np.where(inside, -distance, distance)
     return out
 
 

@@ -20,12 +20,13 @@ from palmfield.simulation.model import HapticModel, SkinModel
 from palmfield.simulation.posed_scene import PosedScene, PosedSkin, PosedSurface
 from palmfield.simulation.radiation import Radiation
 from palmfield.skin.approximation.estimate import ORDER, mesh_error
-from palmfield.skin.fem.solver import harmonic, harmonic_discrete, static
+from palmfield.skin.fem.influence import Answer, influence
 from palmfield.skin.reduction.modal_stepper import ModalStepper
 from palmfield.skin.reduction.reduced_stepper import ReducedStepper
 from palmfield.skin.scene_layer import SceneLayer
 from palmfield.skin.stepper import SkinStepper
 from palmfield.stimulus.schedule import frame_at
+from palmfield.threads import cores, share
 from palmfield.types import Complex, Float
 
 T = TypeVar("T")
@@ -34,6 +35,9 @@ RATIO = 1.25
 """Element sizes of the two meshes that are compared."""
 FINER_BELOW = 15_000
 """Unknowns above which a finer mesh costs minutes and gigabytes."""
+MOST_AT_ONCE = 2
+"""Meshes whose matrices are factorised side by side: each factor of a palm takes a third of a gigabyte."""
+ANSWERS: tuple[Answer, ...] = ("static", "harmonic", "discrete")
 LAYERS = 3
 """A coarser mesh must keep two rows of elements: one alone is off by 20 %."""
 PUBLISHED_P0_Pa_m = (1.27, 8.02)
@@ -112,7 +116,7 @@ def error_estimate(
     place = posed.skins[skin]
     depends_on = (
         *(model.spec.skins[skin], model.spec.device, posed.arrays.array, posed.arrays.air, posed.arrays.placements),
-        *(system.mass, system.damping, system.elastic, system.parts),
+        system.made_of,
         [(body.vertices_in_array, body.faces) for body in posed.bodies],
         *(place.obstacle_positions, place.obstacle_rotations),
         *(loudest.drive, loudest.factor, sound.on_own, point, layer.demand, layer.sizes, left_small_model),
@@ -132,25 +136,32 @@ def _numbers_of(small: ReducedStepper | ModalStepper) -> tuple[Any, ...]:
 
 
 class _Response:
-    """Displacement at a point of one mesh of a skin under one sound.
+    """Displacement at a point of one mesh of a skin under one sound, with how pressure moves that point.
 
-    pressure: ARP at the mesh's quadrature points at the factor 1 [Pa], shape (q,); force: the nodal forces of it [N]
-    read: of the displacement at the point, csr, shape (1, ndof)
+    pressure: ARP at the mesh's quadrature points at the factor 1 [Pa], shape (q,)
+    static, harmonic, discrete: of the point, see Influence; answers: those that are wanted
     """
 
-    def __init__(self, layer: SceneLayer, pressure: Float, point: Float):
-        self.layer, self.pressure = layer, pressure
-        self.force: Float = layer.quadrature.operator @ pressure
-        self.read = layer.probe(point).operator
+    def __init__(self, layer: SceneLayer, sound: "_Sound", point: Float, answers: Sequence[Answer]):
+        self.layer, self.point, self.answers = layer, point, answers
+        self.pressure = sound.on(layer)
+        self.static, self.harmonic, self.discrete = 0.0, 0j, 0j
 
-    def static(self) -> float:
-        return float((self.read @ static(self.layer.system, self.force))[0])
+    def solve(self) -> None:
+        """Find the answers."""
+        layer = self.layer
+        frequency, step_s = layer.demand.main_frequency_Hz, layer.sizes.step_s
+        known = influence(layer.system, layer.quadrature, self.point, frequency, step_s, self.answers)
+        if "static" in self.answers:
+            self.static = float(known.static @ self.pressure)
+        self.harmonic = complex(known.harmonic @ self.pressure)
+        if "discrete" in self.answers:
+            self.discrete = complex(known.discrete @ self.pressure)
 
-    def harmonic(self, f_Hz: float) -> complex:
-        return complex((self.read @ harmonic(self.layer.system, self.force, f_Hz))[0])
 
-    def harmonic_discrete(self, f_Hz: float, step_s: float) -> complex:
-        return complex((self.read @ harmonic_discrete(self.layer.system, self.force, f_Hz, step_s))[0])
+def _solve_all(responses: Sequence[_Response]) -> None:
+    """Find the answers on several meshes, side by side: factorisations hold no lock of Python's."""
+    share([(response.solve,) for response in responses], min(cores(), MOST_AT_ONCE))
 
 
 class _Sound:
@@ -205,47 +216,55 @@ def _estimate(
 ) -> dict[str, float]:
     frequency, step_s = layer.demand.main_frequency_Hz, layer.sizes.step_s
     low, high = (layer, layer.resized(1 / RATIO)) if finer else (layer.resized(RATIO), layer)
-    coarse, fine = (_Response(which, sound.on(which), point) for which in (low, high))
-    coarse_static, coarse_wave = coarse.static(), coarse.harmonic(frequency)
-    fine_static, fine_wave = fine.static(), fine.harmonic(frequency)
-    mesh = mesh_error(np.array([coarse_static, coarse_wave]), np.array([fine_static, fine_wave]), RATIO)
+    exact_in_time = isinstance(small, ReducedStepper) and not left_small_model
+    coarse = _Response(low, sound, point, ("static", "harmonic") if exact_in_time else ANSWERS)
+    fine = _Response(high, sound, point, ("static", "harmonic"))
+    cut = _other_sides(low, sound, point)
+    # The dearest first, so that the cheaper ones fill the time beside it
+    _solve_all([fine, coarse, *cut])
+    mesh = mesh_error(np.array([coarse.static, coarse.harmonic]), np.array([fine.static, fine.harmonic]), RATIO)
     if finer:
         mesh *= RATIO**ORDER
     step = 1.0 - float(np.sinc(frequency * step_s)) ** 2
-    if not isinstance(small, ReducedStepper) or left_small_model:
-        step = abs(coarse.harmonic_discrete(frequency, step_s) - coarse_wave) / abs(coarse_wave)
+    if not exact_in_time:
+        step = abs(coarse.discrete - coarse.harmonic) / abs(coarse.harmonic)
     reduction = 0.0
     if small is not None:
         own = coarse if low is layer else fine
-        references = (coarse_static, coarse_wave) if low is layer else (fine_static, fine_wave)
         reduction = small.error
         if isinstance(small, ModalStepper) or small.any_course:
-            pressure = own.pressure if small.points is None else own.pressure[small.points]
-            reduced = [small.harmonic(pressure, f, own.read)[0] for f in (0.0, frequency)]
+            pressure, read = own.pressure, layer.probe(point).operator
+            pressure = pressure if small.points is None else pressure[small.points]
+            reduced = [small.harmonic(pressure, f, read)[0] for f in (0.0, frequency)]
+            references = own.static, own.harmonic
             reduction = max(reduction, *(abs(a - b) / abs(b) for a, b in zip(reduced, references, strict=True)))
-    edge = _edge_error(low, sound, point, coarse_wave)
-    return _as_numbers(mesh, step, reduction, edge)
+    return _as_numbers(mesh, step, reduction, _edge_error(coarse, cut))
 
 
 def _explicit_estimate(layer: SceneLayer, stepper: SkinStepper, sound: _Sound, point: Float) -> dict[str, float]:
     """Of a solver with a mesh of its own: the cut edge is that of the scene's layer, by its wedges."""
     frequency = layer.demand.main_frequency_Hz
     step = 1.0 - float(np.sinc(frequency * layer.sizes.step_s)) ** 2
-    return _as_numbers(stepper.error, step, 0.0, _edge_error(layer, sound, point))
+    edge, cut = 0.0, _other_sides(layer, sound, point)
+    if cut:
+        own = _Response(layer, sound, point, ("harmonic",))
+        _solve_all([own, *cut])
+        edge = _edge_error(own, cut)
+    return _as_numbers(stepper.error, step, 0.0, edge)
 
 
-def _edge_error(layer: SceneLayer, sound: _Sound, point: Float, wave: complex | None = None) -> float:
-    """Half of what other cut faces change of a layer's harmonic displacement `wave` [m] at the main frequency.
-
-    wave: None where it is not known; 0 for a disc, whose side is its own
-    """
+def _other_sides(layer: SceneLayer, sound: _Sound, point: Float) -> list[_Response]:
+    """The layer with other cut faces; nothing for a disc, whose side is its own."""
     if layer.config.shape == "disc":
-        return 0.0
-    frequency = layer.demand.main_frequency_Hz
-    if wave is None:
-        wave = _Response(layer, sound.on(layer), point).harmonic(frequency)
+        return []
     other = layer.resized(layer.resizing, side="free" if layer.config.side == "fixed" else "fixed")
-    return 0.5 * abs(_Response(other, sound.on(other), point).harmonic(frequency) - wave) / abs(wave)
+    return [_Response(other, sound, point, ("harmonic",))]
+
+
+def _edge_error(own: _Response, cut: Sequence[_Response]) -> float:
+    """Half of what other cut faces change of a layer's harmonic displacement."""
+    changes = [0.5 * abs(other.harmonic - own.harmonic) / abs(own.harmonic) for other in cut]
+    return max(changes, default=0.0)
 
 
 def _as_numbers(mesh: float, step: float, reduction: float, edge: float) -> dict[str, float]:

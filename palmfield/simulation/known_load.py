@@ -46,6 +46,8 @@ SMALLEST = 1e-4
 """Of the largest harmonic of a load: smaller ones are left out of what a model is made for."""
 LEFT_OUT = 1e-5
 """Of a known load, what the shapes may leave out by which it is looked at in few points."""
+DIGITS = 10
+"""Of drives, after the point."""
 BEGINNING = 48
 """Moments at which the load is looked at while the transducers ring up."""
 SETTLED = 12.0
@@ -229,14 +231,14 @@ def known_load(model: HapticModel, skin: int, posed: PosedScene) -> tuple[KnownL
     trial: Float = step * np.arange(round(min(max(TRIAL_S, turn), LONGEST_TRIAL_S) / step) + 1, dtype=np.float64)
     if one_shape(stimulus, model.pole, model.response_on):
         drive = array_drives(model, posed.arrays)[number].unit_drive(stimulus.reference_foci)
-        pressures = _pressures(skin, posed, radiation, drive.amplitudes[None])
+        pressures = _pressures(skin, posed, radiation, _at_full_level(drive.amplitudes[None])[0])
         shape: Float = operator @ pressures.T
         lines = [0.0, layer.demand.main_frequency_Hz, *main_frequencies(config)]
         spectrum: list[tuple[float, Complex]] = [(f, np.ones(1, complex)) for f in dict.fromkeys(lines)]
         return KnownLoad(shape, shape, [frames_at(config, start + trial)[1][:, None]], spectrum), pressures
     count = samples(config, turn, layer.demand.max_frequency_Hz)
     skip = math.ceil(_settling_s(stimulus, model) * count / turn)
-    drives = steady_drives(model, number, posed, turn / count, skip, count)
+    drives, level_of = _at_full_level(steady_drives(model, number, posed, turn / count, skip, count))
     pressures = _pressures(skin, posed, radiation, drives)
     loads: Float = (operator @ pressures.T).T
     waves = np.conj(np.fft.rfft(loads, axis=0)[: count // 4 + 1].T) / count
@@ -262,7 +264,7 @@ def known_load(model: HapticModel, skin: int, posed: PosedScene) -> tuple[KnownL
     impulse = np.zeros(len(course.shapes))
     if model.response_on:
         width = _settling_s(stimulus, model) / BEGINNING
-        drives = steady_drives(model, number, posed, width, 0, BEGINNING)
+        drives, _ = _at_full_level(steady_drives(model, number, posed, width, 0, BEGINNING), level_of)
         beginning = _pressures(skin, posed, radiation, drives)
         pressures = np.concatenate([pressures, beginning])
         difference: Float = (operator @ beginning.T).T
@@ -300,6 +302,16 @@ def steady_drives(model: HapticModel, number: int, posed: PosedScene, step_s: fl
     for k in range(1, len(times)):
         emitted[k] = decay * emitted[k - 1] + before * commanded[k - 1] + after * commanded[k]
     return emitted[skip:]
+
+
+def _at_full_level(drives: Complex, level_of: float | None = None) -> tuple[Complex, float]:
+    """Drives over a level, that of the loudest transducer by default, and the level.
+
+    A model for a load serves the same load at any level: without it, and without the last digits that it leaves, the
+    cache finds the one for all.
+    """
+    level_of = level_of or float(np.abs(drives).max())
+    return np.round(drives / level_of, DIGITS), level_of
 
 
 def _pressures(skin: int, posed: PosedScene, radiation: Radiation, drives: Complex) -> Float:

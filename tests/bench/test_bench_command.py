@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from palmfield.cli import app as cli
-from palmfield.studies.bench import field, skin
+from palmfield.studies.bench import field, scene, skin
 
 
 def call(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple:
@@ -26,10 +26,12 @@ def test_help_lists_what_there_is_and_teaches(monkeypatch, capsys) -> None:
 
 
 def test_options_and_defaults_are_those_of_the_benchmark() -> None:
-    for command, measured in ((cli.bench_field, field.main), (cli.bench_skin, skin.main)):
+    for command, measured in (
+        (cli.bench_field, field.main), (cli.bench_skin, skin.main), (cli.bench_scene, scene.main)
+    ):  # fmt: skip
         options = inspect.signature(command).parameters
         parameters = dict(inspect.signature(measured).parameters)
-        del parameters["peers"]  # other programs are put beside ours by scripts/bench, not by the command
+        parameters.pop("peers", None)  # other programs are put beside ours by scripts/bench, not by the command
         assert {name: one.default for name, one in options.items()} == {
             name: one.default for name, one in parameters.items()
         }
@@ -46,3 +48,11 @@ def test_it_prints_what_it_writes(tmp_path: Path, monkeypatch, capsys) -> None:
 def test_bad_option_is_one_line_and_exit_code_2(monkeypatch, capsys) -> None:
     code, out = call(monkeypatch, capsys, "bench", "field", "--runs", "0")
     assert code == 2 and out.err == "palmfield: --runs has value 0; allowed: 1 to 63\n"
+
+
+def test_scenes_and_steps_that_cannot_be_are_refused(monkeypatch, capsys) -> None:
+    code, out = call(monkeypatch, capsys, "bench", "scene", "no_such_scene")
+    assert code == 2 and out.err.startswith("palmfield: there is no scene no_such_scene; allowed: a file, or one of ")
+    assert "palm_am200" in out.err and "plain_palm" not in out.err
+    code, out = call(monkeypatch, capsys, "bench", "scene", "--steps", "0")
+    assert code == 2 and out.err == "palmfield: --steps has value 0; allowed: 1 to 1000000\n"

@@ -9,10 +9,12 @@ from trimesh.creation import icosphere
 
 from palmfield.errors import SceneError
 from palmfield.skin.analytic.layer_oracle import centre_response
+from palmfield.skin.fem import assembly
 from palmfield.skin.fem.assembly import assemble
 from palmfield.skin.fem.load import SurfaceQuadrature
 from palmfield.skin.fem.probe import surface_motion
 from palmfield.skin.fem.solver import static
+from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
 from palmfield.skin.mesh.disc import disc_patch
 from palmfield.skin.mesh.wedges import extrude
@@ -216,3 +218,16 @@ def test_bad_conditions():
         assemble(mesh, solid(), base="glued")
     with pytest.raises(SceneError, match="foundation"):
         assemble(mesh, solid(), foundation_Pa_m=(-1.0, 0.0))
+
+
+def test_matrices_are_assembled_when_they_are_asked_for_and_their_materials_are_known_before(monkeypatch):
+    """Two sheets on springs: two relaxation laws are not mixed up, and no element is integrated early."""
+    calls = []
+    whole = assembly.element_matrices
+    monkeypatch.setattr(assembly, "element_matrices", lambda mesh: calls.append(mesh) or whole(mesh))
+    mesh = extrude(disc_patch(0.01, 0.004, 0.004, 0.004, 0.004), np.linspace(0.0, 1.0, 3))
+    rows = [preset("palm"), preset("ecoflex_00-10")]
+    system = assemble(mesh, rows, foundation_Pa_m=(1e5, 1e5))
+    assert system.ndof == system.dof_map.shape[1] and system.materials == tuple(rows) and not calls
+    assert tuple(part.material for part in system.parts) == system.materials and len(calls) == 1
+    assert system.mass.shape == (system.ndof, system.ndof) and len(calls) == 1

@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_info
 from palmfield.blas import one_blas_thread
 from palmfield.errors import SceneError
 from palmfield.skin.fem import wedge_stepper
-from palmfield.skin.fem.factor import factorise
+from palmfield.skin.fem.factor import factorise, superlu
 from palmfield.skin.fem.generalised_alpha import Scheme, alpha_weights, branch_weights
 from palmfield.skin.fem.load import SurfaceQuadrature
 from palmfield.skin.fem.probe import surface_motion
@@ -352,7 +352,7 @@ def test_one_blas_thread_inside_and_as_many_as_before_after():
 def test_dissection_fills_less_than_minimum_degree(make_spot, fine_m, radius_m):
     system = make_spot(fine_m, 2, radius_m=radius_m).system
     matrix = Scheme(system, STEP, 0.8).effective()
-    placed, own = factorise(matrix, system.elimination_order()), factorise(matrix)
+    placed, own = superlu(matrix, system.elimination_order()), superlu(matrix)
     assert placed.fill < own.fill
     right = np.random.default_rng(0).standard_normal((system.ndof, 2))
     np.testing.assert_allclose(placed.solve(right), own.solve(right), atol=1e-9 * abs(own.solve(right)).max())

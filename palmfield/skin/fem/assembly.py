@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -10,6 +11,7 @@ from scipy import sparse
 
 from palmfield.device import resolve
 from palmfield.errors import SceneError
+from palmfield.locked import Lazy
 from palmfield.skin.fem.absorbing import side_dashpots
 from palmfield.skin.fem.foundation import BaseFace, Foundation, placed, rim_dashpots, sheet_mass, sheet_stiffness
 from palmfield.skin.materials.material import Material
@@ -35,10 +37,21 @@ class Part:
 
 
 @dataclass(frozen=True)
+class Matrices:
+    """Mass, damping, elastic stiffness and what relaxes, see SkinSystem."""
+
+    mass: sparse.csr_matrix
+    damping: sparse.csr_matrix
+    elastic: sparse.csr_matrix
+    parts: tuple[Part, ...]
+
+
+@dataclass(frozen=True)
 class SkinSystem:
     """M u'' + C u' + E u + sum over parts K_p (u + sum_i g_i (u - q_i) + t u') = F, q_i' = (u - q_i) / tau_i.
 
     mass M [kg], damping C [N s/m], elastic E [N/m]: symmetric csr matrices over n free degrees of freedom, (n, n)
+        They are assembled when one of them is first asked for.
     directions: displacements of the mesh's nodes, then of the foundation's = directions @ u, csr, shape
         (3 * (nodes + foundation's nodes), n), orthonormal columns
     parts: what relaxes, a part for each relaxation law, with its g_i, tau_i and t = eta / G_r
@@ -47,26 +60,44 @@ class SkinSystem:
         `directions`
     surface_node: surface node under which each free degree of freedom lies, shape (n,)
     supported: whether base or sides hold the body against a push, so that a static answer exists
+    materials: of the parts, known before they are assembled
+    made_of: all that the matrices follow from, for `palmfield.cache.digest`
     """
 
     mesh: WedgeMesh
     material: Material
-    mass: sparse.csr_matrix
-    damping: sparse.csr_matrix
-    elastic: sparse.csr_matrix
-    parts: tuple[Part, ...]
     directions: sparse.csr_matrix
     dof_map: sparse.csr_matrix
     surface_node: Int
     supported: bool
+    materials: tuple[Material, ...]
+    made_of: tuple[Any, ...]
+    matrices: Lazy[Matrices]
+    order: Lazy[Int]
+
+    @property
+    def mass(self) -> sparse.csr_matrix:
+        return self.matrices.value.mass
+
+    @property
+    def damping(self) -> sparse.csr_matrix:
+        return self.matrices.value.damping
+
+    @property
+    def elastic(self) -> sparse.csr_matrix:
+        return self.matrices.value.elastic
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        return self.matrices.value.parts
 
     @property
     def ndof(self) -> int:
-        return self.mass.shape[0]
+        return self.dof_map.shape[1]
 
     def elimination_order(self) -> Int:
         """Order in which the unknowns are eliminated from a matrix, shape (n,): old index by new place."""
-        return dissection_order(self.mesh, self.surface_node)
+        return self.order.value
 
 
 def assemble(
@@ -109,7 +140,61 @@ def assemble(
         springs = below.base
     if side == "absorbing" and absorbing_Hz is None:
         raise SceneError("absorbing sides need absorbing_Hz, the frequency at which their dashpots match")
+    matched_Hz = absorbing_Hz if side == "absorbing" else None
+    held_base: Base = "free" if isinstance(below.base, Springs) else below.base
+    directions = _free_directions(mesh, held_base, side, below.levels)
+    columns = directions.tocsc()
+    surface_node = ((columns.indices[columns.indptr[:-1]] // 3) % mesh.surface_nodes).astype(np.int32)
+    held = replace(springs, tangential_Pa_m=springs.tangential_Pa_m + shear_spring)
 
+    def matrices() -> Matrices:
+        reduce = directions.T.tocsr()
+
+        def free(matrix: sparse.csr_matrix) -> sparse.csr_matrix:
+            result = sparse.csr_matrix(reduce @ matrix @ directions)
+            result.sort_indices()
+            result.eliminate_zeros()
+            return result
+
+        sums = _sums(mesh, rows, below, side, springs, shear_spring, absorbing_Hz, sponge_1_s)
+        parts = tuple(Part(free(matrix), owner) for matrix, owner in sums.relaxing.values())
+        mass, damping, elastic = (free(sums.total[name]) for name in ("mass", "damping", "elastic"))
+        return Matrices(mass, damping, elastic, parts)
+
+    return SkinSystem(
+        mesh=mesh,
+        material=rows[0],
+        directions=directions,
+        dof_map=directions[: 3 * len(mesh.nodes)],
+        surface_node=surface_node,
+        supported=_supported(mesh, held_base, side, held),
+        materials=_materials_of_parts(rows, below, shear_spring),
+        made_of=(mesh, rows, below, side, springs, shear_spring, matched_Hz, sponge_1_s),
+        matrices=Lazy(matrices),
+        order=Lazy(partial(dissection_order, mesh, surface_node)),
+    )
+
+
+def _materials_of_parts(rows: list[Material], below: Foundation, shear_spring: float) -> tuple[Material, ...]:
+    """The first material of each relaxation law, in the order in which `_sums` meets them."""
+    met = [*rows, *(sheet.material for sheet in below.sheets), *([rows[-1]] if shear_spring > 0.0 else [])]
+    first: dict[tuple, Material] = {}
+    for material in met:
+        first.setdefault(relaxation_law(material), material)
+    return tuple(first.values())
+
+
+def _sums(
+    mesh: WedgeMesh,
+    rows: list[Material],
+    below: Foundation,
+    side: Side,
+    springs: Springs,
+    shear_spring: float,
+    absorbing_Hz: float | None,
+    sponge_1_s: Float | None,
+) -> "_Sums":
+    """The matrices over all nodes; springs, shear_spring: below the mesh [Pa/m]. Else see `assemble`."""
     deviatoric, volumetric, unit_mass = element_matrices(mesh)
     pattern = _Pattern(mesh)
     sums = _Sums(3 * (len(mesh.nodes) + below.levels * mesh.surface_nodes))
@@ -137,31 +222,7 @@ def assemble(
         sums.add("damping", springs.normal_Pa_s_m * out + springs.tangential_Pa_s_m * along, last)
         if shear_spring > 0.0:
             sums.relax(rows[-1], shear_spring * along, last)
-
-    held_base: Base = "free" if isinstance(below.base, Springs) else below.base
-    directions = _free_directions(mesh, held_base, side, below.levels)
-    reduce = directions.T.tocsr()
-    columns = directions.tocsc()
-
-    def free(matrix: sparse.csr_matrix) -> sparse.csr_matrix:
-        result = sparse.csr_matrix(reduce @ matrix @ directions)
-        result.sort_indices()
-        result.eliminate_zeros()
-        return result
-
-    springs = replace(springs, tangential_Pa_m=springs.tangential_Pa_m + shear_spring)
-    return SkinSystem(
-        mesh=mesh,
-        material=rows[0],
-        mass=free(sums.total["mass"]),
-        damping=free(sums.total["damping"]),
-        elastic=free(sums.total["elastic"]),
-        parts=tuple(Part(free(matrix), owner) for matrix, owner in sums.relaxing.values()),
-        directions=directions,
-        dof_map=directions[: 3 * len(mesh.nodes)],
-        surface_node=((columns.indices[columns.indptr[:-1]] // 3) % mesh.surface_nodes).astype(np.int32),
-        supported=_supported(mesh, held_base, side, springs),
-    )
+    return sums
 
 
 class _Sums:

@@ -17,7 +17,7 @@ from scipy.linalg import solve_triangular
 
 from palmfield.blas import one_blas_thread
 from palmfield.device import whole_numbers
-from palmfield.skin.fem.factor import factorise
+from palmfield.skin.fem.factor import superlu
 from palmfield.types import Float, Int
 from warp_kernels.supernodes import WIDTH, Supernodes, lanes
 
@@ -75,7 +75,7 @@ def block_factor(matrix: Any, order: Int) -> BlockFactor:
 
     Raises RuntimeError where a pivot is 0 or was exchanged, as for a matrix of another kind.
     """
-    lower, diagonal, order = factorise(matrix, order).triangle()
+    lower, diagonal, order = superlu(matrix, order).triangle()
     supernodes = _merged(lower)
     groups = _branches(supernodes)
     place, ends = np.empty(len(order), np.int32), []

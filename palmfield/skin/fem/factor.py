@@ -1,18 +1,20 @@
 """factorise(matrix).solve(right): the one place that knows which library factorises the skin's matrices."""
 
+import contextlib
 import threading
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import SuperLU, splu
 
 from palmfield.blas import one_blas_thread
+from palmfield.skin.fem.pardiso import PardisoFactor, library, switched_on
 from palmfield.types import Int
 
 
 class Factor:
-    """Sparse LU of one matrix; made by `factorise`.
+    """Sparse LU of one matrix; made by `superlu`.
 
     order: the elimination order, old index by new place, shape (n,)
     A factor serves one thread at a time: others wait.
@@ -59,8 +61,24 @@ class Factor:
         return complex if right.dtype.kind == "c" or self._diagonal.dtype.kind == "c" else float
 
 
-def factorise(matrix: Any, order: Int | None = None, *, placed: bool = False) -> Factor:
-    """Factors of a symmetric matrix whose real part, perhaps after a turn of phase, is positive definite.
+AnyFactor: TypeAlias = Factor | PardisoFactor
+
+
+def factorise(matrix: Any, order: Int | None = None) -> AnyFactor:
+    """What solves with a symmetric matrix whose real part, perhaps after a turn of phase, is positive definite.
+
+    matrix, order: as for `superlu`
+    PARDISO for real matrices, where it is installed and not switched off; else SuperLU.
+    Raises RuntimeError where a pivot is exactly 0.
+    """
+    if matrix.dtype.kind != "c" and switched_on() and library() is not None:
+        with contextlib.suppress(RuntimeError):
+            return PardisoFactor(matrix)
+    return superlu(matrix, order)
+
+
+def superlu(matrix: Any, order: Int | None = None, *, placed: bool = False) -> Factor:
+    """SuperLU's factors of a symmetric matrix whose real part, perhaps after a turn of phase, is positive definite.
 
     matrix: sparse, shape (n, n), real or complex
     order: elimination order, old index by new place, shape (n,); None lets SuperLU find one (minimum degree)

@@ -2,8 +2,10 @@
 
 import cmath
 import math
+from typing import Any
 
 import numpy as np
+from scipy.sparse.linalg import LinearOperator, gmres
 
 from palmfield.errors import SceneError
 from palmfield.skin.fem.assembly import SkinSystem
@@ -11,6 +13,9 @@ from palmfield.skin.fem.factor import factorise
 from palmfield.skin.fem.generalised_alpha import alpha_weights, branch_weights
 from palmfield.skin.materials.material import stiffening
 from palmfield.types import Complex, Float
+
+ITERATED, MOST_ITERATIONS = 1e-9, 24
+"""Relative residual to which `harmonic_both` iterates, and for how long: a factorisation takes as long as some 50."""
 
 
 def static(system: SkinSystem, force: Float) -> Float:
@@ -38,6 +43,35 @@ def harmonic_discrete(system: SkinSystem, force: Float, f_Hz: float, step_s: flo
 
     |harmonic_discrete - harmonic| is the error of the time step. f_Hz > 0, below half the step rate.
     """
+    return _solve_dynamic(system, force, *_discrete_weights(system, f_Hz, step_s, rho_inf))
+
+
+def harmonic_both(system: SkinSystem, force: Float, f_Hz: float, step_s: float) -> tuple[Complex, Complex]:
+    """`harmonic` and `harmonic_discrete`, by one factorisation for both.
+
+    The two matrices differ little, so that the factors of the one precondition the other; where that doesn't get to
+    ITERATED in MOST_ITERATIONS, the other is factorised as well.
+    """
+    s = -2j * math.pi * f_Hz
+    exact = _dynamic(system, s**2, s, [complex(stiffening(part.material, s)) for part in system.parts])
+    factor = factorise(exact, system.elimination_order())
+    right = np.asarray(force, dtype=complex)
+    continuous = factor.solve(right)
+    weights = _discrete_weights(system, f_Hz, step_s)
+    other = _dynamic(system, *weights)
+    undo = LinearOperator(other.shape, factor.solve, dtype=complex)
+    discrete, failed = gmres(
+        other, right, continuous, rtol=ITERATED, restart=MOST_ITERATIONS, maxiter=1, M=undo
+    )  # fmt: skip
+    if failed:
+        discrete = _solve_dynamic(system, force, *weights)
+    return continuous, discrete
+
+
+def _discrete_weights(
+    system: SkinSystem, f_Hz: float, step_s: float, rho_inf: float = 0.8
+) -> tuple[complex, complex, list[complex]]:
+    """What stands before mass, damping and the parts' stiffnesses in the scheme's z-symbol."""
     alpha_m, alpha_f, beta, gamma = alpha_weights(rho_inf)
     z = cmath.exp(-2j * math.pi * f_Hz * step_s)
     # u (z - 1) = h v + h^2 a (1/2 - beta + beta z) and v (z - 1) = h a (1 - gamma + gamma z).
@@ -51,11 +85,16 @@ def harmonic_discrete(system: SkinSystem, force: Float, f_Hz: float, step_s: flo
             e, start, end = branch_weights(step_s, tau)
             scale += ratio * (1.0 - (start + end * z) / (z - e))
         scales.append(scale)
-    return _solve_dynamic(system, force, inertia, v_over_u, scales)
+    return inertia, v_over_u, scales
 
 
 def _solve_dynamic(system: SkinSystem, force: Float, inertia: complex, rate: complex, scales: list[complex]) -> Complex:
+    matrix = _dynamic(system, inertia, rate, scales)
+    return factorise(matrix, system.elimination_order()).solve(np.asarray(force, dtype=complex))
+
+
+def _dynamic(system: SkinSystem, inertia: complex, rate: complex, scales: list[complex]) -> Any:
     matrix = inertia * system.mass + rate * system.damping + system.elastic
     for part, scale in zip(system.parts, scales, strict=True):
         matrix = matrix + scale * part.stiffness
-    return factorise(matrix.astype(complex), system.elimination_order()).solve(np.asarray(force, dtype=complex))
+    return matrix.astype(complex)

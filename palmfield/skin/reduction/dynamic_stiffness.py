@@ -3,7 +3,7 @@
 import numpy as np
 from scipy import sparse
 
-from palmfield.skin.fem.factor import Factor, factorise
+from palmfield.skin.fem.factor import AnyFactor, factorise
 from palmfield.skin.fem.linear_body import LinearBody
 from palmfield.skin.materials.material import stiffening
 from palmfield.types import Complex, Int
@@ -24,7 +24,7 @@ class DynamicStiffness:
         one = np.ones_like(s)
         return np.stack([s**2, s, one, *(stiffening(material, s) * one for material in self.materials)], axis=-1)
 
-    def factor(self, s: complex) -> Factor:
+    def factor(self, s: complex) -> AnyFactor:
         """Factors of Z(s). With Re s > 0 conj(s) Z(s) has a positive definite real part: no pivoting is needed."""
         weights = self.weights(np.array([s if s.imag else s.real]))[0]
         return factorise(sum(w * m for w, m in zip(weights, self.matrices, strict=True)), self.order)

@@ -83,7 +83,7 @@ class Krylov:
 
     dynamics: the body; shift: sigma [1/s], > 0, where Z is factorised, once
     load: force for one unit of each of j inputs, shape (n, j), for any course of each; or the one Course
-    products: each matrix of the dynamics times V
+    products: each matrix of the dynamics times V; order: number r of vectors
     """
 
     def __init__(self, dynamics: DynamicStiffness, shift: float, load: Float | Course) -> None:
@@ -92,6 +92,7 @@ class Krylov:
         self._vectors = np.empty((dynamics.size, ROOM), order="F")
         self._products = [np.zeros((dynamics.size, ROOM), order="F") for _ in dynamics.matrices]
         self._small = np.zeros((len(dynamics.matrices), 0, 0))
+        self.order = 0
         self.laws = [
             (part, ratio, time_s)
             for part, material in enumerate(dynamics.materials)
@@ -115,10 +116,6 @@ class Krylov:
         self._trim()
 
     @property
-    def order(self) -> int:
-        return self._small.shape[1]
-
-    @property
     def vectors(self) -> Float:
         return self._vectors[:, : self.order]
 
@@ -129,6 +126,7 @@ class Krylov:
     @property
     def projected(self) -> list[Float]:
         """The dynamics's matrices in these vectors, symmetric."""
+        self._project()
         return list(self._small)
 
     def _driven(self, load: Float) -> Float:
@@ -141,7 +139,9 @@ class Krylov:
         before, shift = self.order, self.shift
         u, v, *internal = self._block
         mass, damping, _, *stiffness = self.products
-        right = mass @ (v + shift * u) + damping @ u
+        right = mass @ (v + shift * u)
+        if self.dynamics.matrices[1].nnz:
+            right += damping @ u
         for part, (product, material) in enumerate(zip(stiffness, self.dynamics.materials, strict=True)):
             share = material.viscous_time_s * u
             for (owner, ratio, tau), q in zip(self.laws, internal, strict=True):
@@ -161,34 +161,46 @@ class Krylov:
     def _take(self, result: Float) -> Float:
         """Coordinates (r, k) of columns (n, k), for which the basis grows by what is new in them."""
         mass = self.dynamics.matrices[0]
-        size = np.sqrt(np.einsum("nk,nk->k", result, mass @ result)).max(initial=0.0)
+        heavy = mass @ result
+        size = np.sqrt(np.einsum("nk,nk->k", result, heavy)).max(initial=0.0)
         coordinates = np.zeros((self.order, result.shape[1]))
         rest = result
         for _ in range(2):
-            share = self.vectors.T @ (mass @ rest)
+            share = self.vectors.T @ heavy
             coordinates += share
             rest = rest - self.vectors @ share
-        squares, turn = np.linalg.eigh(rest.T @ (mass @ rest))
+            heavy = mass @ rest
+        squares, turn = np.linalg.eigh(rest.T @ heavy)
         # Of columns that are all but parallel the difference is round-off of their squares.
         kept = squares > max((SMALLEST * size) ** 2, PARALLEL * squares.max(initial=0.0))
-        new = rest @ (turn[:, kept] / np.sqrt(squares[kept]))
-        self._append(new)
-        return np.concatenate([coordinates, new.T @ (mass @ rest)])
+        scale = turn[:, kept] / np.sqrt(squares[kept])
+        new = rest @ scale
+        self._append(new, heavy @ scale)
+        return np.concatenate([coordinates, new.T @ heavy])
 
-    def _append(self, new: Float) -> None:
+    def _append(self, new: Float, heavy: Float) -> None:
+        """Take new vectors, and the mass times them."""
         before, after = self.order, self.order + new.shape[1]
         if after > self._vectors.shape[1]:
             more = np.zeros((self.dynamics.size, max(ROOM, new.shape[1])), order="F")
             self._vectors = np.asfortranarray(np.hstack([self._vectors, more]))
             self._products = [np.asfortranarray(np.hstack([product, more])) for product in self._products]
-        self._vectors[:, before:after] = new
+        self._vectors[:, before:after], self._products[0][:, before:after] = new, heavy
+        for number, matrix in enumerate(self.dynamics.matrices[1:], start=1):
+            if matrix.nnz:
+                self._products[number][:, before:after] = matrix @ new
+        self.order = after
+
+    def _project(self) -> None:
+        """Bring the projected matrices up to the present order: many vectors at once cost little more than one."""
+        before, after = self._small.shape[1], self.order
+        if before == after:
+            return
         grown = np.zeros((len(self._products), after, after))
         grown[:, :before, :before] = self._small
         for number, matrix in enumerate(self.dynamics.matrices):
             if matrix.nnz:
-                product = matrix @ new
-                self._products[number][:, before:after] = product
-                share = self._vectors[:, :after].T @ product
+                share = self._vectors[:, :after].T @ self._products[number][:, before:after]
                 grown[number, :, before:] = share
                 grown[number, before:, :before] = share[:before].T
         inner = grown[:, before:, before:]

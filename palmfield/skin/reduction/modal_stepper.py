@@ -79,11 +79,11 @@ def modal_body(
     tolerance: what the shapes may leave out of the examples, relative; blocks: of the space of the modes, at least 2
     Kept in the cache (`palmfield.cache`). Raises SceneError where the layer's modes are coupled, or would be too many.
     """
-    reason = refusal(system)
-    if reason is not None:
-        raise SceneError(f"no modes of this skin: {reason}")
 
     def make() -> cache.Arrays:
+        reason = refusal(system)
+        if reason is not None:
+            raise SceneError(f"no modes of this skin: {reason}")
         with one_blas_thread:
             shapes = load_shapes(examples(), quadrature.weights, tolerance)
             most = MOST_SHARE * system.ndof
@@ -105,8 +105,7 @@ def modal_body(
         arrays |= {"points": shapes.points, "fit": shapes.fit, "forces": nodal.T @ modes.vectors}
         return arrays | {"compliance": compliance}
 
-    body = system.mass, system.elastic, system.parts
-    known = cache.kept("modes", (*body, quadrature.operator, surface, *depends_on, tolerance, blocks), make)
+    known = cache.kept("modes", (system.made_of, quadrature.operator, surface, *depends_on, tolerance, blocks), make)
     names = "vectors", "elastic", "stiffness", "motion", "change"
     modes = RitzModes(*(known[name] for name in names))
     shapes = LoadShapes(*(known[name] for name in ("shapes", "sizes", "points", "fit")))
@@ -142,9 +141,8 @@ class ModalStepper:
         self.body, self.step_s, self.order, self.ndof = body, step_s, len(modes.elastic), system.ndof
         self.error, self.velocity_error = modes.errors(corner_Hz)
         self.points: Int = shapes.points
-        (part,) = system.parts
-        self._material = part.material
-        uncoupled = DiagonalBody(modes, Part(sparse.diags(modes.stiffness).tocsr(), part.material))
+        (self._material,) = system.materials
+        uncoupled = DiagonalBody(modes, Part(sparse.diags(modes.stiffness).tocsr(), self._material))
         scheme = Scheme(uncoupled, step_s, RHO_INF)
         self.state_rows, self._alpha_f = scheme.state_rows, scheme.alpha_f
         self._padded = -(-self.order // kernels.WIDTH) * kernels.WIDTH

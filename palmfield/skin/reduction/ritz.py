@@ -14,7 +14,7 @@ from scipy import sparse
 
 from palmfield.errors import SceneError
 from palmfield.skin.fem.assembly import SkinSystem
-from palmfield.skin.fem.factor import Factor
+from palmfield.skin.fem.factor import AnyFactor
 from palmfield.skin.materials.material import Material, stiffening
 from palmfield.types import Complex, Float
 
@@ -82,7 +82,7 @@ def shifted(system: SkinSystem) -> sparse.csr_matrix:
 
 def ritz_modes(
     system: SkinSystem,
-    factor: Factor,
+    factor: AnyFactor,
     forces: Float,
     sizes: Float,
     blocks: int,
@@ -133,7 +133,7 @@ def ritz_modes(
     return RitzModes(space[:, : len(values)], *rigidities, motion, change)
 
 
-def _lanczos(mass: sparse.csr_matrix, factor: Factor, forces: Float, blocks: int) -> tuple[Float, list[int]]:
+def _lanczos(mass: sparse.csr_matrix, factor: AnyFactor, forces: Float, blocks: int) -> tuple[Float, list[int]]:
     """The space, orthonormal in the mass, shape (n, r), and how many vectors it has after each block."""
     space = np.empty((forces.shape[0], blocks * forces.shape[1]), order="F")
     ends, count, right = [], 0, forces

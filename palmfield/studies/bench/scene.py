@@ -1,0 +1,218 @@
+"""Speed beside error of whole scenes: wall milliseconds for a simulated one in plain mj_step, as a table."""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from palmfield.data import folder
+from palmfield.device import resolve
+from palmfield.errors import OutputError, PalmfieldError
+from palmfield.studies.bench.consumer_card import CARD
+from palmfield.studies.bench.drawn import LEVELS, SIZES, SPEEDS, ASIDE_m, TILT_rad
+from palmfield.studies.bench.field import check_writable, device_name, git_commit
+from palmfield.studies.bench.scene_run import Job, Task, as_line
+from palmfield.studies.bench.table import processor
+
+STEPS, MOST_STEPS = 2000, 1_000_000
+
+
+class Goal(NamedTuple):
+    """Wall ms for a simulated ms that is aimed at: median on two CPU cores (the 99th percentile at most twice that),
+    median and 99th percentile on an H200."""
+
+    cores: float
+    gpu: float
+    gpu_p99: float
+
+
+GOALS = {
+    **dict.fromkeys(("palm_am200", "phantom_am200", "phantom_stm70", "palm_circle"), Goal(1.5, 0.3, 0.5)),
+    **dict.fromkeys(("approach_withdraw", "follow_fingertip", "stroke_palm"), Goal(4.0, 0.5, 1.0)),
+    **dict.fromkeys(("two_hands", "two_hands_both_feel", "trace_shape", "hover_explore"), Goal(8.0, 0.5, 1.0)),
+}
+"""Of the shipped scenes; the ones that are measured by default."""
+
+
+def main(
+    scenes: list[str] | None = None,
+    out: Path | None = None,
+    device: str = "cpu",
+    steps: int = STEPS,
+    known: bool = False,
+    error: bool = False,
+    seed: int = 0,
+    commit: str = "",
+) -> str:
+    """Measure and return the report; options of `palmfield bench scene`.
+
+    scenes: files, or names of shipped scenes [default: those with a goal]; out: markdown file to write [default: none]
+    device: where the scene is computed; steps: that sound, at least, for each scene
+    known: measure scenes as they are, with a small model where their load is known ahead; else path, level and pose
+        are drawn after the model is built, and skins move by modes for every load
+    error: also hold the very run that is measured against the whole layer; seed: of what is drawn
+    commit: for the report's head, where no git is [default: git's]
+    Raises PalmfieldError for options that can't be; OutputError where a file can't be written: before anything is
+    measured, or, if it comes to that afterwards only, once the report is printed.
+    """
+    if not 1 <= steps <= MOST_STEPS:
+        raise PalmfieldError(f"--steps has value {steps}; allowed: 1 to {MOST_STEPS}")
+    if seed < 0:
+        raise PalmfieldError(f"--seed has value {seed}; allowed: whole numbers >= 0")
+    files = [found(name) for name in scenes or GOALS]
+    device = resolve(device)
+    if out is not None:
+        check_writable("--out", out)
+    load = os.getloadavg()[0]
+    first = Job("measure", "", device, "auto" if known else "modal", not known, seed, steps)
+    results: list[tuple[str, dict[str, Any]]] = []
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("scenes", total=len(files) * (3 if error else 2))
+        for file in files:
+            with tempfile.TemporaryDirectory() as place:
+                job = replace(first, scene=str(file), motion=f"{place}/motion.npz" if error else "")
+                tasks: tuple[Task, ...] = ("prepare", "measure", "reference") if error else ("prepare", "measure")
+                answers: dict[str, dict[str, Any]] = {}
+                for name in tasks:
+                    progress.update(task, description=f"{file.stem}: {name}")
+                    answers[name] = asked(replace(job, task=name), Path(place) / "cache")
+                    progress.advance(task)
+                results.append((file.stem, answers))
+    options = {
+        "--device": "" if device == "cpu" else device,
+        "--steps": "" if steps == STEPS else str(steps),
+        "--known": " " if known else "",
+        "--error": " " if error else "",
+        "--seed": "" if seed == 0 else str(seed),
+    }
+    command = ["palmfield bench scene", *(scenes or [])]
+    command += [f"{key} {value}".rstrip() for key, value in options.items() if value]
+    report = as_markdown(results, " ".join(command), first, load, commit or git_commit())
+    if out is not None:
+        try:
+            out.write_text(report)
+        except OSError as failure:
+            print(report, end="")  # minutes of measuring must not be lost
+            raise OutputError(f"the report above is not in {out}: {failure.strerror}") from failure
+    return report
+
+
+def found(name: str) -> Path:
+    """The file of a scene: a path, or the name of a shipped one. Raises PalmfieldError where there is none."""
+    shipped = folder("mjcf") / "scenes"
+    for path in (Path(name), shipped / f"{name}.xml"):
+        if path.is_file():
+            return path.resolve()
+    known = sorted(path.stem for path in shipped.glob("*.xml") if not path.name.startswith("plain_"))
+    raise PalmfieldError(f"there is no scene {name}; allowed: a file, or one of {', '.join(known)}")
+
+
+def asked(job: Job, cache: Path) -> dict[str, Any]:
+    """The answer of a process of its own, with a cache folder. Raises PalmfieldError with its last words."""
+    done = subprocess.run(
+        [sys.executable, "-m", "palmfield.studies.bench.scene_run", as_line(job)],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PALMFIELD_CACHE": str(cache)},
+    )
+    if done.returncode:
+        words = done.stderr.strip().splitlines()
+        raise PalmfieldError(f"benchmark of {job.scene} failed at '{job.task}': {words[-1] if words else 'no message'}")
+    result: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return result
+
+
+# -- the report ----------------------------------------------------------------------------------------------------
+
+
+def as_markdown(results: list[tuple[str, dict[str, Any]]], command: str, job: Job, load: float, commit: str) -> str:
+    """The tables with what was measured, where and how. load: average of the machine before the first run"""
+    lines = [
+        "# Scenes in real time",
+        "",
+        f"`{command}`; {processor()}, {os.cpu_count()} cores, load average {load:.1f} before; scenes on "
+        f"{device_name(job.device)}; commit {commit}.",
+        "",
+        "Wall milliseconds for a simulated one, in plain `mj_step` over whole runs from reset, until "
+        f"{job.steps} steps have sounded; silent ones are left out. Sensors and forces are on, and skins move in every "
+        f"substep. {about(job)} First step: from opening the scene to the end of its first step, with an empty cache "
+        "and with what that left there. Memory: the process's peak. Yardstick: a product of 600 x 600 matrices and a "
+        "walk through 64 MB, beside the runs; compare times only where it is alike.",
+        "",
+        "| scene | stepper | unknowns | modes or vectors | steps | p50 [ms/ms] | p90 | p99 | max | goal p50, p99 "
+        "| first step, cold [s] | from the cache [s] | memory [MiB] | yardstick [ms] | 12 GB GPU, predicted [ms/ms] |",
+        "|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|",
+        *(speed_row(name, answers, job.device) for name, answers in results),
+        "",
+        f"The last column is a prediction, not a measurement: sound and skins of one step on a {CARD.name}, from bytes "
+        "and operations (`palmfield.studies.bench.consumer_card`), without what MuJoCo and Python do on the host and "
+        "without shadows; none for whole layers, whose sparse solves depend on one another.",
+        "",
+    ]
+    if any("reference" in answers for _, answers in results):
+        lines += [
+            "## Error of these runs",
+            "",
+            "Of the very run that is measured, against the whole layer under the same sound: L2 over the skin's "
+            "surface and all times of a run, of the motion along the outward normal, read at the same places. Stated: "
+            "what modes say themselves of leaving out others and of loads outside their class; the meshes differ in "
+            "what they make of the same load as well. Against the same mesh only what the stepper adds is seen.",
+            "",
+            "| scene | stepper | displacement | velocity | stated: displacement | velocity | reference |",
+            "|---|---|---|---|---|---|---|",
+            *(error_row(name, answers) for name, answers in results),
+            "",
+        ]
+    remarks = dict.fromkeys(
+        f"{name}: stepped as a whole layer, as {answers['measure']['remark']}."
+        for name, answers in results
+        if answers["measure"]["remark"]
+    )
+    return "\n".join([*lines, *(line for remark in remarks for line in (remark, ""))])
+
+
+def about(job: Job) -> str:
+    """What the runs were of, in a sentence."""
+    if not job.drawn:
+        return "Scenes are as they are shipped, their load known before the run."
+    return (
+        f"After the model was built, random numbers (seed {job.seed}) moved each focus by up to {1e3 * ASIDE_m:g} mm "
+        f"in x and y, took {LEVELS[0]:g} to {LEVELS[1]:g} of its ARP, {SIZES[0]:g} to {SIZES[1]:g} of its path's size "
+        f"and {SPEEDS[0]:g} to {SPEEDS[1]:g} of its speed, and put the arrays up to {1e3 * ASIDE_m:g} mm off along "
+        f"each axis and {TILT_rad:g} rad about each."
+    )
+
+
+def speed_row(name: str, answers: dict[str, dict[str, Any]], device: str) -> str:
+    one = answers["measure"]
+    p50, p90, p99, most = one["ms"]
+    goal = GOALS.get(name)
+    aim = ""
+    if goal is not None:
+        aim = f"{goal.cores:g}, {2 * goal.cores:g}" if device == "cpu" else f"{goal.gpu:g}, {goal.gpu_p99:g}"
+    predicted = "" if one["predicted_ms"] is None else f"{one['predicted_ms']:.2f}"
+    vectors = " + ".join("" if count is None else str(count) for count in one["vectors"]).strip(" +")
+    memory = max(one["memory_after_MiB"], answers["prepare"]["memory_MiB"])
+    return (
+        f"| {name} | {' + '.join(one['steppers'])} | {' + '.join(map(str, one['unknowns']))} | {vectors} "
+        f"| {one['steps']} | {p50:.2f} | {p90:.2f} | {p99:.2f} | {most:.1f} | {aim} "
+        f"| {answers['prepare']['first_step_s']:.1f} | {one['first_step_s']:.1f} | {memory:.0f} "
+        f"| {one['yardstick_ms']:.1f} | {predicted} |"
+    )
+
+
+def error_row(name: str, answers: dict[str, dict[str, Any]]) -> str:
+    one, compared = answers["measure"], answers["reference"]
+    stated = ["" if value is None else f"{100 * value:.2g} %" for value in one["stated"] or (None, None)]
+    return (
+        f"| {name} | {' + '.join(one['steppers'])} | {100 * compared['displacement']:.2g} % "
+        f"| {100 * compared['velocity']:.2g} % | {stated[0]} | {stated[1]} | {compared['reference']} |"
+    )
