@@ -216,20 +216,6 @@ def test_the_load_stays_on_the_device(small_scene: Any, by_graph: Any) -> None:
     np.testing.assert_array_equal(pressure.numpy()[:rows], found["loads"][0])
 
 
-def test_the_force_under_one_drive(small_scene: Any, by_graph: Any) -> None:
-    sim = by_graph(small_scene(stimulus={"focus_m": "0.005 0 0.12"}))
-    runtime = sim.runtime
-    drive = (
-        runtime.work.emission.placed(runtime.posed, 0.0)[0].drive.unit_drive(np.array([0.005, 0.0, 0.12])).amplitudes
-    )
-    for loudness in (1.0, 0.5):
-        found = runtime.work.forces.under(runtime.posed, 0, loudness * drive)
-        expected = BodyForces(runtime.model, Radiation(runtime.model)).under(runtime.posed, 0, loudness * drive)
-        assert expected[0][0, 2] > 1e-4
-        for mine, its in zip(found, expected, strict=True):
-            np.testing.assert_allclose(mine, its, rtol=0.0, atol=1e-5 * np.abs(its).max())
-
-
 def test_silence_pushes_nothing(small_scene: Any, by_graph: Any) -> None:
     sim = by_graph(small_scene(stimulus={"start_s": 0.004}))
     sim.step(3)

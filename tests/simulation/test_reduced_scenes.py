@@ -211,7 +211,7 @@ def test_auto_weighs_making_against_stepping(small_scene):
     short, long = chosen(0.002), chosen(1.0)
     assert (choice_of(short).name, choice_of(long).name) == ("wedges", "reduced")
     assert isinstance(stepper_of(short), WedgeStepper)
-    assert choice_of(long).reduced_s < choice_of(long).wedges_s
+    assert choice_of(long).seconds < choice_of(long).wedges_s
     said = {row.what: row for row in plan(long).modelled}
     assert "wedges about" in said["skin solver reduced"].size
     assert "whole layer goes on" in said["skin solver reduced"].why
