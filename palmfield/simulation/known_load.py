@@ -46,7 +46,7 @@ SMALLEST = 1e-4
 """Of the largest harmonic of a load: smaller ones are left out of what a model is made for."""
 CLOSER, BEGIN_CLOSER = 16, 4
 """Examples of a load for each of its samples, as it comes round and while the transducers ring up."""
-LEFT_OUT = 1e-6
+LEFT_OUT = 1e-5
 """Of a known load, what the shapes may leave out by which it is looked at in few points."""
 DIGITS = 10
 """Of drives, after the point."""
