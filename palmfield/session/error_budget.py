@@ -5,7 +5,7 @@ not in these; the plan names them.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
@@ -20,7 +20,7 @@ from palmfield.simulation.model import HapticModel, SkinModel
 from palmfield.simulation.posed_scene import PosedScene, PosedSkin, PosedSurface
 from palmfield.simulation.radiation import Radiation
 from palmfield.skin.approximation.estimate import ORDER, mesh_error
-from palmfield.skin.fem.influence import Answer, influence
+from palmfield.skin.fem.influence import harmonic_influence, static_influence
 from palmfield.skin.reduction.modal_stepper import ModalStepper
 from palmfield.skin.reduction.reduced_stepper import ReducedStepper
 from palmfield.skin.scene_layer import SceneLayer
@@ -36,8 +36,7 @@ RATIO = 1.25
 FINER_BELOW = 15_000
 """Unknowns above which a finer mesh costs minutes and gigabytes."""
 MOST_AT_ONCE = 2
-"""Meshes whose matrices are factorised side by side: each factor of a palm takes a third of a gigabyte."""
-ANSWERS: tuple[Answer, ...] = ("static", "harmonic", "discrete")
+"""Matrices that are factorised side by side: each factor of a palm takes a third of a gigabyte."""
 LAYERS = 3
 """A coarser mesh must keep two rows of elements: one alone is off by 20 %."""
 PUBLISHED_P0_Pa_m = (1.27, 8.02)
@@ -136,32 +135,32 @@ def _numbers_of(small: ReducedStepper | ModalStepper) -> tuple[Any, ...]:
 
 
 class _Response:
-    """Displacement at a point of one mesh of a skin under one sound, with how pressure moves that point.
+    """Displacement at a point of one mesh of a skin under one sound, by how pressure moves that point.
 
     pressure: ARP at the mesh's quadrature points at the factor 1 [Pa], shape (q,)
-    static, harmonic, discrete: of the point, see Influence; answers: those that are wanted
+    static, harmonic, scheme: of the point [m]; `rest` finds the first, `swing` the others, exact in time and by the
+        scheme of the whole layer; scheme_too: whether the last is wanted
     """
 
-    def __init__(self, layer: SceneLayer, sound: "_Sound", point: Float, answers: Sequence[Answer]):
-        self.layer, self.point, self.answers = layer, point, answers
+    def __init__(self, layer: SceneLayer, sound: "_Sound", point: Float, *, scheme_too: bool = False):
+        self.layer, self.point, self.scheme_too = layer, point, scheme_too
         self.pressure = sound.on(layer)
-        self.static, self.harmonic, self.discrete = 0.0, 0j, 0j
+        self.static, self.harmonic, self.scheme = 0.0, 0j, 0j
 
-    def solve(self) -> None:
-        """Find the answers."""
+    def rest(self) -> None:
+        self.static = float(static_influence(self.layer.system, self.layer.quadrature, self.point) @ self.pressure)
+
+    def swing(self) -> None:
         layer = self.layer
-        frequency, step_s = layer.demand.main_frequency_Hz, layer.sizes.step_s
-        known = influence(layer.system, layer.quadrature, self.point, frequency, step_s, self.answers)
-        if "static" in self.answers:
-            self.static = float(known.static @ self.pressure)
-        self.harmonic = complex(known.harmonic @ self.pressure)
-        if "discrete" in self.answers:
-            self.discrete = complex(known.discrete @ self.pressure)
+        step_s = layer.sizes.step_s if self.scheme_too else None
+        frequency = layer.demand.main_frequency_Hz
+        exact, scheme = harmonic_influence(layer.system, layer.quadrature, self.point, frequency, step_s)
+        self.harmonic, self.scheme = complex(exact @ self.pressure), complex(scheme @ self.pressure)
 
 
-def _solve_all(responses: Sequence[_Response]) -> None:
-    """Find the answers on several meshes, side by side: factorisations hold no lock of Python's."""
-    share([(response.solve,) for response in responses], min(cores(), MOST_AT_ONCE))
+def _side_by_side(*solutions: Callable[[], None]) -> None:
+    """Factorisations hold no lock of Python's."""
+    share([(solution,) for solution in solutions], min(cores(), MOST_AT_ONCE))
 
 
 class _Sound:
@@ -217,17 +216,17 @@ def _estimate(
     frequency, step_s = layer.demand.main_frequency_Hz, layer.sizes.step_s
     low, high = (layer, layer.resized(1 / RATIO)) if finer else (layer.resized(RATIO), layer)
     exact_in_time = isinstance(small, ReducedStepper) and not left_small_model
-    coarse = _Response(low, sound, point, ("static", "harmonic") if exact_in_time else ANSWERS)
-    fine = _Response(high, sound, point, ("static", "harmonic"))
+    coarse = _Response(low, sound, point, scheme_too=not exact_in_time)
+    fine = _Response(high, sound, point)
     cut = _other_sides(low, sound, point)
     # The dearest first, so that the cheaper ones fill the time beside it
-    _solve_all([fine, coarse, *cut])
+    _side_by_side(fine.swing, coarse.swing, *(other.swing for other in cut), fine.rest, coarse.rest)
     mesh = mesh_error(np.array([coarse.static, coarse.harmonic]), np.array([fine.static, fine.harmonic]), RATIO)
     if finer:
         mesh *= RATIO**ORDER
     step = 1.0 - float(np.sinc(frequency * step_s)) ** 2
     if not exact_in_time:
-        step = abs(coarse.discrete - coarse.harmonic) / abs(coarse.harmonic)
+        step = abs(coarse.scheme - coarse.harmonic) / abs(coarse.harmonic)
     reduction = 0.0
     if small is not None:
         own = coarse if low is layer else fine
@@ -247,8 +246,8 @@ def _explicit_estimate(layer: SceneLayer, stepper: SkinStepper, sound: _Sound, p
     step = 1.0 - float(np.sinc(frequency * layer.sizes.step_s)) ** 2
     edge, cut = 0.0, _other_sides(layer, sound, point)
     if cut:
-        own = _Response(layer, sound, point, ("harmonic",))
-        _solve_all([own, *cut])
+        own = _Response(layer, sound, point)
+        _side_by_side(own.swing, *(other.swing for other in cut))
         edge = _edge_error(own, cut)
     return _as_numbers(stepper.error, step, 0.0, edge)
 
@@ -258,7 +257,7 @@ def _other_sides(layer: SceneLayer, sound: _Sound, point: Float) -> list[_Respon
     if layer.config.shape == "disc":
         return []
     other = layer.resized(layer.resizing, side="free" if layer.config.side == "fixed" else "fixed")
-    return [_Response(other, sound, point, ("harmonic",))]
+    return [_Response(other, sound, point)]
 
 
 def _edge_error(own: _Response, cut: Sequence[_Response]) -> float:

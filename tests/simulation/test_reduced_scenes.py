@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from palmfield import cache
 from palmfield.engine.host import raise_errors
 from palmfield.errors import SceneError
 from palmfield.session.plan import plan
@@ -240,3 +241,15 @@ def test_the_reduction_is_in_the_error_budget(small_scene, tmp_path):
     # A sine sampled at steps of h keeps sinc(f h)^2 of itself between straight lines.
     assert found["step_error_relative"] == pytest.approx((2 * np.pi * 200 * 5e-5) ** 2 / 12, rel=0.01)
     assert found["solver"].startswith("reduced, ")
+
+
+def test_one_small_model_serves_a_load_at_any_level(small_scene, tmp_path, monkeypatch):
+    """The cache has one model for three levels, and another one for another focus."""
+    monkeypatch.setenv("PALMFIELD_CACHE", str(tmp_path / "cache"))
+
+    def made(**keys):
+        assert stepper_of(load(fixed(small_scene(stimulus=keys, skin=SKIN)))).name == "reduced"
+        return sum(entry.kind == "small-model" for entry in cache.entries())
+
+    assert [made(drive_amplitude=level) for level in (1.0, 0.7, 0.123)] == [1, 1, 1]
+    assert made(drive_amplitude=0.7, focus_m="0.002 0 0.12") == 2

@@ -4,11 +4,6 @@ The matrices Z are symmetric, so that what a point of displacement Z^-1 f reads 
 solution for the point serves all pressures. It is kept on disk, where a factor would take a thousand times the room.
 """
 
-from collections.abc import Sequence
-from typing import Literal, NamedTuple
-
-import numpy as np
-
 from palmfield import cache
 from palmfield.skin.fem.assembly import SkinSystem
 from palmfield.skin.fem.load import SurfaceQuadrature
@@ -16,47 +11,40 @@ from palmfield.skin.fem.probe import SurfaceProbe
 from palmfield.skin.fem.solver import harmonic, harmonic_both, static
 from palmfield.types import Complex, Float
 
-Answer = Literal["static", "harmonic", "discrete"]
 
+def static_influence(system: SkinSystem, quadrature: SurfaceQuadrature, point: Float) -> Float:
+    """Normal displacement at rest for a pressure of 1 Pa at each point of the quadrature [m/Pa], (q,).
 
-class Influence(NamedTuple):
-    """Normal displacement of a point of the skin for a pressure of 1 Pa at each point of the quadrature [m/Pa], (q,).
-
-    static: at rest; harmonic: under e^{-i w t}; discrete: what the scheme of WedgeStepper makes of that; those that
-    were not asked for are empty
-    """
-
-    static: Float
-    harmonic: Complex
-    discrete: Complex
-
-
-def influence(
-    system: SkinSystem,
-    quadrature: SurfaceQuadrature,
-    point: Float,
-    f_Hz: float,
-    step_s: float,
-    answers: Sequence[Answer],
-) -> Influence:
-    """The influence on the place of the skin that is nearest to a point [m], shape (3,); see Influence.
-
-    f_Hz: frequency [Hz]; step_s: substep of the scheme [s]; answers: those that are wanted
+    point: it is read where the skin is nearest to it [m], shape (3,)
     Kept in the cache (`palmfield.cache`). Raises SceneError as `palmfield.skin.fem.solver.static`.
     """
 
     def make() -> cache.Arrays:
-        read = SurfaceProbe(system.mesh, point[None], system).operator.toarray()[0]
-        result: cache.Arrays = {}
-        if "static" in answers:
-            result["static"] = static(system, read)
-        if "discrete" in answers:
-            result["harmonic"], result["discrete"] = harmonic_both(system, read, f_Hz, step_s)
-        elif "harmonic" in answers:
-            result["harmonic"] = harmonic(system, read, f_Hz)
-        return {name: quadrature.operator.T @ solution for name, solution in result.items()}
+        return {"static": quadrature.operator.T @ static(system, _reading(system, point))}
 
-    depends_on = (system.made_of, point, f_Hz, step_s if "discrete" in answers else None, sorted(answers))
-    known = cache.kept("influence", depends_on, make)
-    none = np.zeros(0)
-    return Influence(known.get("static", none), known.get("harmonic", none + 0j), known.get("discrete", none + 0j))
+    return cache.kept("influence", (system.made_of, point), make)["static"]
+
+
+def harmonic_influence(
+    system: SkinSystem, quadrature: SurfaceQuadrature, point: Float, f_Hz: float, step_s: float | None = None
+) -> tuple[Complex, Complex]:
+    """The same under e^{-i w t}: exact in time, and as the scheme of WedgeStepper has it, shapes (q,) [m/Pa].
+
+    f_Hz: frequency [Hz]; step_s: substep of the scheme [s]; None leaves the second as the first
+    """
+
+    def make() -> cache.Arrays:
+        read = _reading(system, point)
+        if step_s is None:
+            exact = scheme = harmonic(system, read, f_Hz)
+        else:
+            exact, scheme = harmonic_both(system, read, f_Hz, step_s)
+        return {"exact": quadrature.operator.T @ exact, "scheme": quadrature.operator.T @ scheme}
+
+    known = cache.kept("influence", (system.made_of, point, f_Hz, step_s), make)
+    return known["exact"], known["scheme"]
+
+
+def _reading(system: SkinSystem, point: Float) -> Float:
+    read: Float = SurfaceProbe(system.mesh, point[None], system).operator.toarray()[0]
+    return read
