@@ -21,13 +21,15 @@ from palmfield.session.worlds import stimulus_texts
 from palmfield.simulation import load_class
 from palmfield.simulation.build import demands_of, stimuli_of
 from palmfield.simulation.build_worlds import Shared, strictest
+from palmfield.simulation.model import SkinModel
+from palmfield.skin.costs import modal_step_s, modes_s
 from palmfield.skin.scene_layer import LayerDemand
 from palmfield.studies.sweep.design import Design, Value
 from palmfield.studies.sweep.keys import SceneKeys
 
 MANY_LOADS = 20
-"""Different loads on one skin from which modes for every load cost less than a small model for each: on a palm the
-modes take some 100 s of one core to make, and a small model 5 s."""
+"""Different loads on one skin from which modes for every load are thought of: on a palm the modes take some 80 s of one
+core to make, and a small model 5 s."""
 LOOKED_AT = 2000
 """Points of a group, at most, at which it is asked what they ask of a layer."""
 LEVEL = ("drive_amplitude", "arp_peak_Pa")
@@ -120,7 +122,16 @@ def _many_loads(
     if not known:
         return None
     asked = tuple(strictest(of_skin) for of_skin in zip(*known, strict=True))
+    if not all(_pays(skin, len(points), view.duration_s) for skin in view.runtime.model.skins):
+        return None
     return Group(tuple(own), base, Shared(asked, modal=True))
+
+
+def _pays(skin: SkinModel, points: int, duration_s: float) -> bool:
+    """Whether modes for every load take less time than what would step each point by itself, as predicted."""
+    modes, dofs = load_class.expected_modes(skin.spec, skin.layer), skin.layer.dofs
+    steps = duration_s / skin.layer.sizes.step_s
+    return modes_s(dofs, modes) + points * steps * modal_step_s(modes) < points * skin.choice.seconds
 
 
 def _looked_at(points: Mapping[int, Mapping[str, Value]]) -> list[int]:
