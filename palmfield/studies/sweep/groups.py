@@ -23,6 +23,7 @@ from palmfield.simulation.build import demands_of, stimuli_of
 from palmfield.simulation.build_worlds import Shared, strictest
 from palmfield.simulation.model import SkinModel
 from palmfield.skin.costs import modal_step_s, modes_s
+from palmfield.skin.reduction.modal_stepper import MOST_SHARE
 from palmfield.skin.scene_layer import LayerDemand
 from palmfield.studies.sweep.design import Design, Value
 from palmfield.studies.sweep.keys import SceneKeys
@@ -44,11 +45,13 @@ class Group:
 
     points: their numbers in the design; base: keys with which MuJoCo's model is made
     shared: their layers and solvers, the same for all of the group; None for a point that is a simulation by itself
+    modes_bytes: about what modes take while they are made
     """
 
     points: tuple[int, ...]
     base: Keys
     shared: Shared | None
+    modes_bytes: int = 0
 
 
 def groups_of(scene: Path, design: Design, keys: SceneKeys, device: str | None, accuracy: float | None) -> list[Group]:
@@ -108,11 +111,15 @@ def _many_loads(
     accuracy: float | None,
 ) -> Group | None:
     """All of some points as one group, whose skins move by modes for every load; None where they can't."""
-    base = next(iter(own.values()))
-    try:
-        view = preview(scene, device=device, accuracy=accuracy, keys=base)
-        refuse_integrator(view.data.model)
-    except SceneError:
+    numbers = list(own)
+    for number in (numbers[0], numbers[-1]):
+        try:
+            base, view = own[number], preview(scene, device=device, accuracy=accuracy, keys=own[number])
+            refuse_integrator(view.data.model)
+            break
+        except SceneError:
+            continue
+    else:
         return None
     for skin in view.runtime.model.skins:
         if skin.spec.config.solver != "auto" or load_class.refusal(skin.spec, skin.layer) is not None:
@@ -124,13 +131,18 @@ def _many_loads(
     asked = tuple(strictest(of_skin) for of_skin in zip(*known, strict=True))
     if not all(_pays(skin, len(points), view.duration_s) for skin in view.runtime.model.skins):
         return None
-    return Group(tuple(own), base, Shared(asked, modal=True))
+    skins = view.runtime.model.skins
+    # Twice in double precision: vectors and what is made of them
+    size = sum(16 * skin.layer.dofs * load_class.expected_modes(skin.spec, skin.layer) for skin in skins)
+    return Group(tuple(own), base, Shared(asked, modal=True), round(size))
 
 
 def _pays(skin: SkinModel, points: int, duration_s: float) -> bool:
     """Whether modes for every load take less time than what would step each point by itself, as predicted."""
     modes, dofs = load_class.expected_modes(skin.spec, skin.layer), skin.layer.dofs
     steps = duration_s / skin.layer.sizes.step_s
+    if modes > MOST_SHARE * dofs:
+        return False
     return modes_s(dofs, modes) + points * steps * modal_step_s(modes) < points * skin.choice.seconds
 
 

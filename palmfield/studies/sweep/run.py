@@ -120,12 +120,14 @@ def sweep(
     known = scene_keys(scene, design, keys or {})
     view = overview(path, design, known, device=device, accuracy=accuracy, duration_s=duration_s)
     gpus = visible_gpus() if view.device.startswith("cuda") and workers != 0 and scheduler is None else []
-    count = _worker_count(workers, gpus, design.count, view.memory_bytes)
+    groups = groups_of(path, design, known, device, accuracy)
+    most = MOST_ON_GPU if view.device.startswith("cuda") else MOST_IN_BATCH
+    memory = _memory_bytes(view, groups, most)
+    count = _worker_count(workers, gpus, design.count, memory)
     console = Console(stderr=True, quiet=not progress, markup=False, highlight=False, emoji=False, soft_wrap=True)
     size = size_bytes(design, view.labels, errors)
-    said = _in_words(view, design, size, None if scheduler else count)
+    said = _in_words(view, design, size, memory, None if scheduler else count)
     console.print(said)
-    groups = groups_of(path, design, known, device, accuracy)
     stepped = in_words(groups)
     if stepped:
         console.print(stepped)
@@ -138,7 +140,6 @@ def sweep(
     # A worker sees one GPU, whatever its number was
     where = "cuda:0" if gpus else device
     task = Task(path, where, accuracy, view.duration_s, view.times, errors)
-    most = MOST_ON_GPU if view.device.startswith("cuda") else MOST_IN_BATCH
     points = _Points(missing, groups, design, known, most)
     if missing:
         if scheduler is not None:
@@ -184,11 +185,17 @@ def _worker_count(workers: int | None, gpus: list[str], points: int, memory: int
     return max(1, min(cores(), points, room))
 
 
-def _in_words(view: Overview, design: Design, size: int, workers: int | None) -> str:
+def _memory_bytes(view: Overview, groups: Sequence[Group], most: int) -> int:
+    """About what a worker takes, with up to `most` points at once."""
+    worlds = max((min(most, len(group.points)) for group in groups if group.shared is not None), default=1)
+    return view.memory_bytes + (worlds - 1) * view.point_bytes + max(group.modes_bytes for group in groups)
+
+
+def _in_words(view: Overview, design: Design, size: int, memory_bytes: int, workers: int | None) -> str:
     """What a sweep is, before it begins."""
     counts = " x ".join(str(length) for length in design.shape)
     several = f" ({counts})" if len(design.shape) > 1 else ""
-    memory = f"{view.memory_bytes / 1e9:.1f} GB of memory"
+    memory = f"{memory_bytes / 1e9:.1f} GB of memory"
     who = {0: "this process", 1: "one worker", None: "each worker"}.get(workers, f"each of {workers} workers")
     return (
         f"{view.name}: {design.count} points{several} of {view.duration_s:g} s over {', '.join(design.keys)}; about "

@@ -5,6 +5,7 @@ import pytest
 
 import palmfield
 from palmfield.outputs import instances
+from palmfield.session.worlds import Worlds
 from palmfield.studies.sweep import batch, groups, store
 from palmfield.studies.sweep.batch import Failed, Point, Task, run_batch
 from palmfield.studies.sweep.design import grid, listed
@@ -14,6 +15,7 @@ from palmfield.studies.sweep.variables import DONE, NOT_DONE
 
 FREQUENCY, LEVEL, DEPTH = "stimulus.am_frequency_Hz", "stimulus.drive_amplitude", "stimulus.am_depth"
 FOCUS_X, THICKNESS = "stimulus.focus_m[0]", "skin.thickness_m"
+COARSE = {"accuracy": 0.3}
 
 
 @pytest.fixture
@@ -29,9 +31,11 @@ def simulated(monkeypatch):
     plain, seen = batch.measured, []
 
     def measured(simulation, *others):
-        solvers = simulation.skin().solver
-        seen.append((len(solvers), set(solvers)) if isinstance(solvers, tuple) else (0, {solvers}))
-        return plain(simulation, *others)
+        numbers = plain(simulation, *others)
+        several = isinstance(simulation, Worlds)
+        runtimes = simulation.runtimes if several else [simulation.runtime]
+        seen.append((len(runtimes) * several, {one.model.begin[0].value.name for one in runtimes}))
+        return numbers
 
     monkeypatch.setattr(batch, "measured", measured)
     return seen
@@ -115,7 +119,7 @@ def test_a_silent_point_asks_for_nothing(small_scene, few_are_many):
 def test_worlds_on_modes_have_the_numbers_of_runs_by_themselves(small_scene, few_are_many, simulated):
     # With these keys a run by itself has the group's layer, and its numbers come by another way, through a recorder
     scene = small_scene(skin={"max_frequency_Hz": 500.0}, duration_s=0.02)
-    fixed = {"skin.radius_m": 0.02}
+    fixed = {"skin.accuracy": 0.3}
     design = listed({FREQUENCY: [100.0, 150.0, 200.0, 250.0], DEPTH: [1.0, 0.9, 0.8, 0.7], LEVEL: [1.0, 0.9, 1.0, 0.6]})
     (group,) = cut(scene, design, fixed)
     times = np.linspace(0.0, 0.02, 41)
@@ -142,18 +146,27 @@ def test_worlds_on_modes_have_the_numbers_of_runs_by_themselves(small_scene, few
         assert numbers["drive_level"][0] == pytest.approx(design.values[LEVEL][number], rel=1e-5)
 
 
+def test_worlds_of_other_levels_have_the_numbers_of_runs_by_themselves(small_scene, simulated):
+    scene, design = small_scene(skin={"solver": "reduced"}), grid({LEVEL: [0.0, 0.4, 0.7, 1.0]})
+    (group,) = cut(scene, design)
+    together, alone = computed(scene, group, design, np.linspace(0.0, 0.012, 25))
+    assert simulated[0] == (4, {"reduced"})
+    for numbers, one in zip(together[1:], alone[1:], strict=True):
+        assert_same(numbers, one)
+    assert together[0]["peak_displacement"][0] == 0.0 and together[0]["peak_arp"][0] == 0.0
+
+
 def test_worlds_that_step_by_themselves_have_the_same_numbers(small_scene, few_are_many, simulated):
-    # Bursts and paths jump, so that such worlds are stepped one by one beside the others
+    # Levels that are held for a while jump, so that such worlds are stepped one by one beside the others
     design = listed(
         {
-            "stimulus.path": ["point", "circle", "circle", "point"],
-            "stimulus.path_diameter_m": [0.01] * 4,
-            "stimulus.path_rate_Hz": [50.0] * 4,
+            "stimulus.control_rate_Hz": [0.0, 500.0, 250.0, 0.0],
             "stimulus.stop_s": [0.008, 0.05, 0.006, 0.05],
+            FREQUENCY: [100.0, 150.0, 200.0, 250.0],
             LEVEL: [0.9, 1.0, 0.8, 0.7],
         }
     )
-    scene = small_scene()
+    scene = small_scene(skin=COARSE)
     (group,) = cut(scene, design)
     together, alone = computed(scene, group, design, np.linspace(0.0, 0.012, 25))
     assert simulated[0] == (4, {"modal"})
@@ -163,17 +176,26 @@ def test_worlds_that_step_by_themselves_have_the_same_numbers(small_scene, few_a
 
 
 def test_a_failing_point_leaves_its_error_and_the_others_their_numbers(small_scene, few_are_many, simulated):
-    design = listed({FREQUENCY: [100.0, 150.0, 200.0, 250.0], "stimulus.stop_s": [1.0, 1.0, -1.0, 1.0]})
-    scene = small_scene()
+    design = listed(
+        {
+            FREQUENCY: [100.0, 150.0, 200.0, 250.0],
+            "stimulus.start_s": [0.0, 0.0, 0.002, 0.0],
+            "stimulus.stop_s": [1.0, 1.0, 0.001, 1.0],
+        }
+    )
+    scene = small_scene(skin=COARSE)
     (group,) = cut(scene, design)
     together, alone = computed(scene, group, design, np.linspace(0.0, 0.004, 9))
-    assert "stop_s -1 must be later than start_s" in together[2].reason and "world" not in together[2].reason
+    assert "stop_s 0.001 must be later than start_s 0.002" in together[2].reason and "world" not in together[2].reason
     for number in (0, 1, 3):
         assert_same(together[number], alone[number])
 
 
 def test_a_sweep_on_modes_goes_on_with_the_same_numbers(small_scene, few_are_many, simulated, tmp_path, monkeypatch):
-    scene, design = small_scene(duration_s=0.005), grid({FREQUENCY: [100.0, 130.0, 160.0, 190.0], DEPTH: [0.5, 1.0]})
+    scene, design = (
+        small_scene(duration_s=0.005, skin=COARSE),
+        grid({FREQUENCY: [100.0, 130.0, 160.0, 190.0], DEPTH: [0.5, 1.0]}),
+    )
     monkeypatch.setattr(batch, "BATCHES_PER_WORKER", 3)
     whole = swept(scene, design, tmp_path / "whole").dataset.load()
     assert {solver for _, solvers in simulated for solver in solvers} == {"modal"}
