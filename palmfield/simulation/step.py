@@ -68,7 +68,9 @@ class Workspace:
         self.amplitudes: Complex = np.zeros(len(model.arrays), np.complex128)
         self.observe: tuple[sparse.csr_matrix | None, ...] = (None,) * len(model.skins)
         self.observer: Callable[[StepTrace], None] | None = None
-        self._readers: dict[tuple[int, str], tuple[sparse.csr_matrix, Reader]] = {}
+        # Of the worlds beside as well: a reader of many vectors is as large as they are
+        self._readers: dict[tuple[int, SkinStepper], tuple[sparse.csr_matrix, Reader]]
+        self._readers = {} if beside is None else beside._readers
 
     def begin_run(self) -> None:
         """Forget what was of another run."""
@@ -80,9 +82,9 @@ class Workspace:
         operator = self.observe[skin]
         if operator is None:
             return None
-        known = self._readers.get((skin, stepper.name))
+        known = self._readers.get((skin, stepper))
         if known is None or known[0] is not operator:
-            known = self._readers[skin, stepper.name] = operator, stepper.reader(operator)
+            known = self._readers[skin, stepper] = operator, stepper.reader(operator)
         return known[1]
 
 

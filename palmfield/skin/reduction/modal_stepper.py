@@ -193,12 +193,16 @@ class ModalStepper:
             room = self._new_room(*mixed.shape[:2])
         rows = state.reshape(len(state), self.state_rows, self._padded)
         forces = mixed @ pushes
-        room.forces[...] = forces if forces.shape[2] == self._padded else forces @ self._forces
+        if forces.shape[2] != self._padded:
+            forces = (forces.reshape(-1, forces.shape[2]) @ self._forces).reshape(*forces.shape[:2], -1)
+        room.forces[...] = forces
         room.rows[...] = rows
         room.launch()
         rows[...] = room.rows
         if seen is not None and observe is not None:
-            seen[part] = room.seen @ observe.matrix
+            # As one product: of stacks NumPy makes one for each, at a seventh of the speed
+            motion = room.seen.reshape(-1, self._padded)
+            np.matmul(motion, observe.matrix, out=seen[part].reshape(-1, observe.count))
         rooms.append(room)
 
     def _pushes(self, loads: SurfaceLoads) -> Float32:
@@ -231,7 +235,9 @@ class ModalStepper:
         """See SkinStepper."""
         matrix = checked_operator(operator, self.ndof)
         seen = np.zeros((self._padded, matrix.shape[0]))
-        seen[: self.order] = (matrix @ self.body.modes.vectors).T
+        # Those of the unknowns that it reads, as the product makes a copy in double precision
+        read = np.unique(matrix.indices)
+        seen[: self.order] = (matrix[:, read] @ self.body.modes.vectors[read]).T
         return Reader(matrix.shape[0], seen)
 
     def read(self, state: Float, reader: Reader) -> Float:
