@@ -281,6 +281,15 @@ class WorldsSkin:
         return np.array([skin.arp for skin in self._skins])
 
 
+def can_be_worlds(model: mujoco.MjModel) -> bool:
+    """Whether a scene can have worlds: its integrator asks for forces once in a step."""
+    try:
+        refuse_integrator(model)
+    except SceneError:
+        return False
+    return True
+
+
 def stimulus_texts(runtime: SceneRuntime) -> dict[str, dict[str, str]]:
     """The keys of a scene's stimuli as MuJoCo's model has them, by instance and key."""
     model = runtime.view.model

@@ -13,11 +13,10 @@ import numpy as np
 
 from palmfield.config import DriverConfig
 from palmfield.drive.boards import BOARDS
-from palmfield.engine.worlds import refuse_integrator
 from palmfield.errors import PalmfieldError, SceneError
 from palmfield.session.preview import Preview, preview
 from palmfield.session.world_keys import WorldKeys, world_specs
-from palmfield.session.worlds import stimulus_texts
+from palmfield.session.worlds import can_be_worlds, stimulus_texts
 from palmfield.simulation import load_class
 from palmfield.simulation.build import demands_of, stimuli_of
 from palmfield.simulation.build_worlds import Shared, strictest
@@ -115,11 +114,12 @@ def _many_loads(
     for number in (numbers[0], numbers[-1]):
         try:
             base, view = own[number], preview(scene, device=device, accuracy=accuracy, keys=own[number])
-            refuse_integrator(view.data.model)
             break
         except SceneError:
             continue
     else:
+        return None
+    if not can_be_worlds(view.data.model):
         return None
     for skin in view.runtime.model.skins:
         if skin.spec.config.solver != "auto" or load_class.refusal(skin.spec, skin.layer) is not None:

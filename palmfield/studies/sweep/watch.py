@@ -1,12 +1,10 @@
 """What a sweep watches of running worlds: motion of all vertices, highest ARP, forces and sensors of each."""
 
-from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.session.error_budget import LoudestMoment
 from palmfield.session.recorder import Emitted, emitted_at, emitted_at_ends, world_with
 from palmfield.session.simulation import Simulation
@@ -33,7 +31,6 @@ class Watched:
 
     def __init__(self, simulation: Simulation | Worlds, steps: int) -> None:
         self.simulation = simulation
-        self.runtimes: Sequence[SceneRuntime]
         if isinstance(simulation, Worlds):
             self.runtimes, first = simulation.runtimes, simulation.data[0]
             simulation.together.observer = self._together
@@ -57,7 +54,7 @@ class Watched:
         operators = tuple(skin.layer.surface_operator for skin in model.skins)
         for number, runtime in enumerate(self.runtimes):
             runtime.work.observe = operators
-            self._begin(number, runtime)
+            self._begin(number)
             runtime.work.observer = partial(self._alone, number)
 
     def step(self) -> None:
@@ -69,8 +66,9 @@ class Watched:
             own[:] = one.sensordata[self._places]
         self._steps += 1
 
-    def _begin(self, world: int, runtime: SceneRuntime) -> None:
+    def _begin(self, world: int) -> None:
         """Motion and sound before the first step."""
+        runtime = self.runtimes[world]
         for skin, (stepper, numbers) in enumerate(runtime.skin_states()):
             reader = runtime.work.reader(skin, stepper)
             assert reader is not None
