@@ -17,20 +17,6 @@ class OutputError(PalmfieldError):
     """Results cannot be written or read back."""
 
 
-class naming_world:
-    """An error of palmfield's that leaves the block says in which of several worlds it was."""
-
-    def __init__(self, world: int):
-        self.world = world
-
-    def __enter__(self) -> None:
-        return None
-
-    def __exit__(self, kind: object, error: BaseException | None, at: object) -> None:
-        if isinstance(error, PalmfieldError):
-            raise type(error)(f"world {self.world}: {error}") from None
-
-
 MEMORY_SIGNS = ("Failed to allocate", "out of memory", "CUDA error 2:")
 """In messages of Warp, where memory has run out."""
 
@@ -44,3 +30,17 @@ def explained(error: Exception) -> Exception:
         f"the memory of the scene's device has run out ({text}): end other programs there, set accuracy larger or "
         "patch_radius_m smaller, take fewer worlds, or another device, for example cpu"
     )
+
+
+class naming_world:
+    """An error of palmfield's that leaves the block says in which of several worlds it was."""
+
+    def __init__(self, world: int):
+        self.world = world
+
+    def __enter__(self) -> None:
+        return None
+
+    def __exit__(self, kind: object, error: BaseException | None, at: object) -> None:
+        if isinstance(error, PalmfieldError):
+            raise type(error)(f"world {self.world}: {error}") from None

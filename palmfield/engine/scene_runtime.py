@@ -1,9 +1,11 @@
 """A scene in one mjData: reads poses, keeps the state where MuJoCo keeps its own, and calls the simulation."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from palmfield.drive.transducer_response import EmittedCourse, present_drive
 from palmfield.errors import SceneError
@@ -59,6 +61,12 @@ class SceneRuntime:
         check_clear(self.work.reference)
 
     @property
+    def taken(self) -> tuple[tuple[Literal["site", "body"], NDArray[np.int64], slice], ...]:
+        """Which frames of MuJoCo's sites and bodies are taken, by number, and to which rows they go."""
+        sites = len(self._sites)
+        return ("site", self._sites, slice(0, sites)), ("body", self._bodies, slice(sites, None))
+
+    @property
     def frames(self) -> int:
         """How many world frames sound and skins depend on."""
         return len(self._positions)
@@ -87,26 +95,18 @@ class SceneRuntime:
             tuple(view.state(skin.instance).reshape(1, -1) for skin in binding.skins),
         )
 
-    def take_frames(self) -> None:
-        """Copy the world frames of all that sound and skins depend on out of mjData."""
-        sites, bodies = len(self._sites), self._bodies
-        for kind, chosen, part in (("site", self._sites, slice(0, sites)), ("body", bodies, slice(sites, None))):
-            positions, matrices = self.view.frames[kind]
-            # Mode "clip", as the others go through a buffer
-            positions.take(chosen, 0, self._positions[part], "clip")
-            matrices.take(chosen, 0, self._matrices[part], "clip")
-
     @property
     def posed(self) -> PosedScene:
         """What MuJoCo's present poses mean; the same object while nothing moves.
 
         Raises SceneError where a body reaches into an array.
         """
-        self.take_frames()
-        return self.posed_as_taken()
-
-    def posed_as_taken(self) -> PosedScene:
-        """What the frames mean that were taken last; as `posed`."""
+        sites, bodies = len(self._sites), self._bodies
+        for kind, chosen, part in (("site", self._sites, slice(0, sites)), ("body", bodies, slice(sites, None))):
+            positions, matrices = self.view.frames[kind]
+            # Mode "clip", as the others go through a buffer
+            positions.take(chosen, 0, self._positions[part], "clip")
+            matrices.take(chosen, 0, self._matrices[part], "clip")
         last, numbers = self._posed, self._positions.tobytes() + self._matrices.tobytes()
         if numbers == self._numbers:
             return last
@@ -150,11 +150,7 @@ class SceneRuntime:
 
     def push(self) -> None:
         """Add the sound's forces to MuJoCo's passive ones."""
-        self.apply(self.body_forces())
-
-    def apply(self, forces: Iterable[tuple[Float, Float]]) -> None:
-        """Add forces and torques, as `body_forces` gives them, to MuJoCo's passive ones."""
-        for number, (force, torque) in enumerate(forces):
+        for number, (force, torque) in enumerate(self.body_forces()):
             outlet = self.outlets[number]
             outlet.forces[:], outlet.torques[:] = force, torque
             outlet.apply()
@@ -164,7 +160,8 @@ class SceneRuntime:
     def advance(self) -> None:
         """Carry transducers and skins over MuJoCo's last step, with the pose at its beginning."""
         end = self.view.raw.time
-        self.check_timestep()
+        if self.view.model.raw.opt.timestep != self.spec.timestep_s:
+            self.check_timestep()
         if check_arrays(self.model, self.state):
             self.work.begin_run()
         step(self.model, self.state, self.posed, end - self.spec.timestep_s, end, self.work)
@@ -202,18 +199,25 @@ class SceneRuntime:
     def sense(self, skin: int, sensors: Sequence[PluginSensor]) -> None:
         """Fill a skin's sensors from the state at the present time."""
         posed, course = self.now()
-        part = self.model.skins[skin]
+        part, device = self.model.skins[skin], self.work.device_sound
         drive, factor = present_drive(course)
         resting = at_rest(self.state, skin)
         for sensor in sensors:
-            place = self.place(skin, sensor)
+            place = self._places.get(sensor.name) or self.place(skin, sensor)
             motion = AT_REST
             if not resting:
                 stepper, numbers = stepper_of(self.model, self.state, skin)
                 motion = stepper.read(numbers, place.reader(stepper))[0, :, 0]
             arp = 0.0
             if drive is not None:
-                arp = factor * self._arp_at(place, skin, posed, drive)
+                known = None if device is None else device.probed(skin, place, posed, drive)
+                if known is None:
+                    if device is not None:
+                        device.watch(skin, place)
+                    body = posed.bodies[part.body]
+                    points, normals = body.moved(place.probe.closest, place.probe.normals, place.binding)
+                    known = float(self.work.radiation.at(posed, skin, "probe", points, normals, drive).arp[0])
+                arp = factor * known
             x, y, z = self.applied[part.body]
             fill(sensor.data, SkinReading(x, y, z, motion[0], motion[1], arp))
 

@@ -23,7 +23,7 @@ class WorldPoses:
     def __init__(self, runtimes: Sequence[SceneRuntime], positions: Float, matrices: Float):
         self.runtimes, self._positions, self._matrices = runtimes, positions, matrices
         first = runtimes[0]
-        self._model, self._layout = first.model, first.layout
+        self._model, self._layout, self._taken = first.model, first.layout, first.taken
         # Rows of arrays, stimuli's frames and transducers: a pose is another one as soon as any of them moves at all
         self._fixed = max([self._layout.frames.stop, *(rows.stop for rows in self._layout.transducers)])
         self._posed: list[PosedScene] = [runtime.work.reference for runtime in runtimes]
@@ -37,8 +37,11 @@ class WorldPoses:
 
     def now(self) -> list[PosedScene]:
         """The pose of each world. Raises SceneError where a body reaches into an array, with the world's number."""
-        for runtime in self.runtimes:
-            runtime.take_frames()
+        for world, runtime in enumerate(self.runtimes):
+            for kind, chosen, rows in self._taken:
+                positions, matrices = runtime.view.frames[kind]
+                positions.take(chosen, 0, self._positions[world, rows], "clip")
+                matrices.take(chosen, 0, self._matrices[world, rows], "clip")
         # All worlds have the same one, in a copy that of the origin
         reference = self.runtimes[0].work.reference
         fixed = np.concatenate((self._positions[:, : self._fixed], self._matrices[:, : self._fixed]), axis=2)
@@ -48,7 +51,7 @@ class WorldPoses:
             same &= settled_worlds(self._model, self._layout, self._positions, turns, reference)
         for world in (~same).nonzero()[0].tolist():
             with naming_world(world):
-                posed = self._posed[world] = self.runtimes[world].posed_as_taken()
+                posed = self._posed[world] = self.runtimes[world].posed
             self._where[world] = fixed[world]
             self._resting[world] = (
                 posed.bodies == reference.bodies

@@ -12,6 +12,7 @@ from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.hand.triangles import vertex_normals
 from palmfield.outputs.schema import Arrays, group, sensor_channels
 from palmfield.session.error_budget import LoudestMoment
+from palmfield.simulation.emission import Emission
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.radiation import Role
@@ -35,6 +36,25 @@ class Emitted(NamedTuple):
 
     drives: Complex
     factors: Float
+
+
+def emitted_at(course: EmittedCourse, moments: NDArray[np.int_]) -> Emitted:
+    """What sounds at some moments of a course, by their numbers (m,)."""
+    if course.levels is None or course.unit is None:
+        return Emitted(rows(course)[moments], np.ones(len(moments)))
+    return Emitted(course.unit, np.abs(course.levels[moments]) ** 2)
+
+
+def emitted_at_ends(emission: Emission, trace: StepTrace, step_s: float) -> Emitted:
+    """What sounds at the ends of a step's substeps, each of which takes step_s [s]."""
+    moments, course = trace.moments, trace.course
+    if not any(moments.held_s):
+        return emitted_at(course, np.argmax(moments.last, axis=1))
+    emitted, drives = trace.begun, []
+    for end in trace.times:
+        emitted = emission.over(trace.posed, emitted, float(end) - step_s, 1)[1].end
+        drives.append(rows(emission.now(trace.posed, emitted, float(end)))[0])
+    return Emitted(np.array(drives), np.ones(len(drives)))
 
 
 class Recorder:
@@ -65,7 +85,7 @@ class Recorder:
             assert reader is not None
             motions.append(stepper.read(numbers, reader))
         course = work.emission.now(posed, self.runtime.amplitudes, now_s)
-        block = self._block(np.array([now_s]), posed, self._emitted(course, np.array([0])), motions)
+        block = self._block(np.array([now_s]), posed, emitted_at(course, np.array([0])), motions)
         self.sink.append(block)
         work.observer = self._observe
 
@@ -83,7 +103,9 @@ class Recorder:
         if trace is None:
             return
         motions = [motion for motion in trace.motion if motion is not None]
-        block = self._block(trace.times, trace.posed, self._at_ends(trace), motions)
+        block = self._block(
+            trace.times, trace.posed, emitted_at_ends(self.runtime.work.emission, trace, self.model.step_s), motions
+        )
         posed = trace.posed
         block["/"]["step_time"] = np.array([self.world.time - self.model.spec.timestep_s - self._zero_s])
         frame = posed.array_frame
@@ -115,23 +137,6 @@ class Recorder:
         block[group("body", name)], block[group("forces", name)] = poses, forces
 
     # -- one instant after the other -----------------------------------------------------------------------------
-
-    def _emitted(self, course: EmittedCourse, moments: NDArray[np.int_]) -> Emitted:
-        if course.levels is None or course.unit is None:
-            return Emitted(rows(course)[moments], np.ones(len(moments)))
-        return Emitted(course.unit, np.abs(course.levels[moments]) ** 2)
-
-    def _at_ends(self, trace: StepTrace) -> Emitted:
-        """What sounds at the ends of the substeps."""
-        moments, course = trace.moments, trace.course
-        if not any(moments.held_s):
-            return self._emitted(course, np.argmax(moments.last, axis=1))
-        emission, step_s = self.runtime.work.emission, self.model.step_s
-        emitted, drives = trace.begun, []
-        for end in trace.times:
-            emitted = emission.over(trace.posed, emitted, float(end) - step_s, 1)[1].end
-            drives.append(rows(emission.now(trace.posed, emitted, float(end)))[0])
-        return Emitted(np.array(drives), np.ones(len(drives)))
 
     def _block(self, times: Float, posed: PosedScene, emitted: Emitted, motions: list[Float]) -> Block:
         block: Block = {"/": {"time": times - self._zero_s}}

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from palmfield.config.skin import EXPLICIT
+from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.errors import PalmfieldError
 from palmfield.perception.observers import OBSERVERS, level_dB_SL, line_amplitude
 from palmfield.session.error_budget import LoudestMoment, error_estimate, p0_band, p0_given, stimulus_of
@@ -44,7 +45,7 @@ def skin_numbers(
     runtime = simulation.runtime
     model, number = runtime.model, simulation.skins.index(skin_name)
     skin = model.skins[number]
-    left_small_model = _left_small_model(simulation, number)
+    left_small_model = _left_small_model(runtime, number)
     result: dict[str, Any] = {
         "dofs": explicit_layer(skin.layer).unknowns if skin.choice.name in EXPLICIT else skin.layer.system.ndof,
         "solver": _solver_in_words(model, number, left_small_model),
@@ -52,25 +53,31 @@ def skin_numbers(
         "accuracy_wanted_relative": skin.spec.config.accuracy,
     }
     stimulus = stimulus_of(model, number)
-    radiation = Radiation(model)
-    radiation.adopt(runtime.work.radiation.scattered_fields())
     if loudest is not None:
-        force = _force_N(model, number, loudest, radiation)
+        force = _force_N(model, number, loudest, _radiation(runtime))
         result["total_force_peak_N"] = loudest.factor * force
         band = p0_band(model, stimulus) if p0_given(model, stimulus) else None
         if band is not None:
             result |= {"peak_displacement_low_m": peak * band[0], "peak_displacement_high_m": peak * band[1]}
     if loudest is not None and peak > 0.0:
-        try:
-            outside = runtime.work.outside[number].energy_share
-            errors = error_estimate(
-                model, number, loudest, radiation, left_small_model=left_small_model, outside_class=outside
-            )
+        errors = estimated_errors(runtime, number, loudest)
+        if isinstance(errors, str):
+            result["displacement_error_missing"] = errors
+        else:
             result |= errors | {"displacement_error_m": errors["displacement_error_relative"] * peak}
-        except (PalmfieldError, MemoryError) as error:
-            result["displacement_error_missing"] = f"{error}" or type(error).__name__
     frequencies = main_frequencies(model.stimuli[stimulus].config)
     return result | felt_levels(times, motion_at_vertex.astype(np.float64), frequencies)
+
+
+def estimated_errors(runtime: SceneRuntime, skin: int, loudest: LoudestMoment) -> dict[str, float] | str:
+    """The relative errors of a skin's displacement by source, or why there is no estimate."""
+    outside, left = runtime.work.outside[skin].energy_share, _left_small_model(runtime, skin)
+    try:
+        return error_estimate(
+            runtime.model, skin, loudest, _radiation(runtime), left_small_model=left, outside_class=outside
+        )
+    except (PalmfieldError, MemoryError) as error:
+        return f"{error}" or type(error).__name__
 
 
 def stimulus_numbers(simulation: Simulation, loudest: Iterable[LoudestMoment | None]) -> dict[str, dict[str, Any]]:
@@ -79,12 +86,16 @@ def stimulus_numbers(simulation: Simulation, loudest: Iterable[LoudestMoment | N
     Relative to full drive; 0 in silence. It is the level at full modulation, without ramp and bursts, where all
     transducers follow one course; where they don't (several stimuli, a moving focus with ring-up), what is emitted.
     """
+    model = simulation.runtime.model
+    levels = drive_levels(model, loudest)
+    return {part.spec.name: {"drive_level": level} for part, level in zip(model.stimuli, levels, strict=True)}
+
+
+def drive_levels(model: HapticModel, loudest: Iterable[LoudestMoment | None]) -> list[float]:
+    """The `drive_level` of each stimulus, see `stimulus_numbers`."""
     moments = [moment for moment in loudest if moment is not None]
-    result = {}
-    for stimulus in simulation.runtime.model.stimuli:
-        levels = [float(np.abs(moment.drive[stimulus.transducers]).max()) for moment in moments]
-        result[stimulus.spec.name] = {"drive_level": max(levels, default=0.0)}
-    return result
+    parts = [stimulus.transducers for stimulus in model.stimuli]
+    return [max((float(np.abs(moment.drive[own]).max()) for moment in moments), default=0.0) for own in parts]
 
 
 def scene_numbers(simulation: Simulation, loudest: Iterable[LoudestMoment | None]) -> dict[str, Any]:
@@ -118,9 +129,15 @@ def felt_levels(times: Float, motion: Float, frequencies: list[float]) -> dict[s
     return result
 
 
-def _left_small_model(simulation: Simulation, skin: int) -> bool:
+def _radiation(runtime: SceneRuntime) -> Radiation:
+    """Fields of a scene's model, with what its run has solved by boundary elements."""
+    radiation = Radiation(runtime.model)
+    radiation.adopt(runtime.work.radiation.scattered_fields())
+    return radiation
+
+
+def _left_small_model(runtime: SceneRuntime, skin: int) -> bool:
     """Whether a run that began with a small model of a skin went on with its whole layer."""
-    runtime = simulation.runtime
     begun = isinstance(runtime.model.begin[skin].value, ReducedStepper | ModalStepper)
     return begun and bool(runtime.state.skins[skin][0, 0] == WHOLE)
 

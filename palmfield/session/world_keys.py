@@ -45,7 +45,7 @@ def split_keys(keys: Mapping[str, object], worlds: int, plugins: Mapping[str, st
         owner, _, key = given.rpartition(".")
         plugin = plugins.get(owner, f"palmfield.{owner.removeprefix('palmfield.')}")
         config = BY_PLUGIN.get(plugin)
-        if config is None or key not in config.model_fields or _depth(value) <= _axes(config, key):
+        if config is None or key not in config.model_fields or _depth(value) <= axes_of(config, key):
             continue  # one value for all worlds, or what `compiled` says is unknown
         values = _by_world(given, value, worlds, config, key)
         if plugin != StimulusConfig.plugin:
@@ -87,7 +87,7 @@ def world_specs(
     return specs
 
 
-def _axes(config: type[Config], key: str) -> int:
+def axes_of(config: type[Config], key: str) -> int:
     """Axes of a key's own value: 1 for lists and vectors, 0 for numbers and texts."""
     return int(_schema(config, key).get("type") == "array")
 
@@ -109,7 +109,7 @@ def _depth(value: object) -> int:
 
 def _by_world(given: str, value: Any, worlds: int, config: type[Config], key: str) -> tuple[object, ...]:
     """One value for each world. Raises SceneError for another shape."""
-    axes, length = _axes(config, key), _schema(config, key).get("maxItems")
+    axes, length = axes_of(config, key), _schema(config, key).get("maxItems")
     longs = {len(part) for part in value} if axes and _depth(value) > 1 else set()
     if len(value) == worlds and _depth(value) == axes + 1 and (length is None or longs == {length}):
         return tuple(value)

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from palmfield.config import StimulusConfig, known_keys
 from palmfield.drive.transducer_response import rows
 from palmfield.engine.host import world_of
+from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.engine.worlds import SceneWorlds, refuse_integrator
 from palmfield.errors import SceneError
 from palmfield.interrupts import interrupts_held
@@ -18,7 +19,8 @@ from palmfield.session.duration import check_duration
 from palmfield.session.load import Source, compiled, fresh_data, opened
 from palmfield.session.skin import Skin
 from palmfield.session.world_keys import split_keys, world_specs
-from palmfield.simulation.build_worlds import build_worlds
+from palmfield.simulation.build_worlds import Shared, build_worlds
+from palmfield.simulation.step_together import TogetherStep
 from palmfield.types import Complex, Float, Float32, Int
 
 
@@ -43,6 +45,8 @@ class Worlds:
         board: str | None = None,
         keys: Mapping[str, object] | None = None,
         poses: Mapping[str, ArrayLike] | None = None,
+        base: Mapping[str, object] | None = None,
+        shared: Shared | None = None,
     ):
         """worlds: how many
 
@@ -50,25 +54,24 @@ class Worlds:
             of length `worlds`, with a value for each
         poses: by name of a mocap body, its position [m] and quaternion (w, x, y, z) in each step of MuJoCo's, shape
             (worlds, steps, 7); after the last step it stays
+        base: keys with which MuJoCo's model is made, in place of the first world's; then all of `keys` differ
+        shared: layers and solvers that these worlds share with others which are not stepped with them
         The other arguments are those of `compiled`, as are the errors. SceneError too for another number of worlds,
         keys or poses of another shape, keys that can't differ, and MuJoCo's integrator RK4.
         """
         check_count(worlds)
         plugins = _plugins(scene)
         split = split_keys(keys or {}, worlds, plugins)
-        self.name, self.model, first = compiled(scene, device=device, accuracy=accuracy, board=board, keys=split.common)
+        common = split.common if base is None else base
+        self.name, self.model, first = compiled(scene, device=device, accuracy=accuracy, board=board, keys=common)
         refuse_integrator(self.model)
         self.path = Path(scene) if isinstance(scene, str | Path) else None
         world = world_of(first)
         if world is None or world.scene is None:
             raise SceneError(f"{self.name} has no plugin 'palmfield.skin'; it is a plain MuJoCo model")
-        view, spec = world.scene.view, world.scene.spec
-        instances = {name: number for number, _, name in view.model.instances()}
-        texts = {
-            stimulus.name: view.model.values(instances[stimulus.name], known_keys(StimulusConfig))
-            for stimulus in spec.stimuli
-        }
-        models = build_worlds(world_specs(spec, texts, split, worlds))
+        spec = world.scene.spec
+        specs = world_specs(spec, stimulus_texts(world.scene), split, worlds)
+        models = build_worlds(specs, None if base is None else spec, shared)
         led = {_mocap(self.model, body): _poses(body, given, worlds) for body, given in (poses or {}).items()}
         data = [first, *(fresh_data(self.model, self.name) for _ in range(worlds - 1))]
         self._attach(SceneWorlds(data, models, led))
@@ -87,6 +90,16 @@ class Worlds:
     def count(self) -> int:
         """Of worlds."""
         return len(self.data)
+
+    @property
+    def runtimes(self) -> list[SceneRuntime]:
+        """What carries each world."""
+        return self._scenes.runtimes
+
+    @property
+    def together(self) -> TogetherStep:
+        """The steps that worlds take together."""
+        return self._scenes.together
 
     # -- stepping ------------------------------------------------------------------------------------------------------
 
@@ -266,6 +279,22 @@ class WorldsSkin:
     def arp(self) -> Float32:
         """Acoustic radiation pressure at the surface nodes [Pa], positive inwards, shape (worlds, S)."""
         return np.array([skin.arp for skin in self._skins])
+
+
+def can_be_worlds(model: mujoco.MjModel) -> bool:
+    """Whether a scene can have worlds: its integrator asks for forces once in a step."""
+    try:
+        refuse_integrator(model)
+    except SceneError:
+        return False
+    return True
+
+
+def stimulus_texts(runtime: SceneRuntime) -> dict[str, dict[str, str]]:
+    """The keys of a scene's stimuli as MuJoCo's model has them, by instance and key."""
+    model = runtime.view.model
+    instances = {name: number for number, _, name in model.instances()}
+    return {part.name: model.values(instances[part.name], known_keys(StimulusConfig)) for part in runtime.spec.stimuli}
 
 
 def check_count(worlds: object) -> None:

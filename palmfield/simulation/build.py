@@ -40,6 +40,7 @@ LEAST_FREQUENCY_Hz = 200.0
 MOST_MODELS = 8
 _lock = threading.RLock()
 _models: list[HapticModel] = []
+_kept: list[tuple[SceneLayer, Lazy[WedgeStepper]]] = []
 # As long as a model has them, others that need the same take them over: a mesh and its matrices take seconds
 _bodies: WeakValueDictionary[SkinConfig, BodyModel] = WeakValueDictionary()
 _known_layers: WeakValueDictionary[tuple[object, ...], SceneLayer] = WeakValueDictionary()
@@ -57,10 +58,14 @@ def model_of(spec: SceneSpec) -> HapticModel:
         return model
 
 
-def keep_model(model: HapticModel) -> None:
-    """Forget all models but this one, whose layers serve later scenes that need the same."""
+def keep_model(spec: SceneSpec, model: HapticModel) -> None:
+    """Forget all models but that of a spec, and keep the layers of one, which serve later scenes that need the same.
+
+    model: that of the spec, or of a world with other layers
+    """
     with _lock:
-        _models[:] = [known for known in _models if known is model]
+        _models[:] = [known for known in _models if known.spec == spec]
+        _kept[:] = [(skin.layer, whole) for skin, whole in zip(model.skins, model.whole, strict=True)]
 
 
 def _but_for_texts(spec: SceneSpec) -> SceneSpec:
@@ -87,9 +92,16 @@ def build(spec: SceneSpec, alike: HapticModel | None = None) -> HapticModel:
     known = None if alike is None else [skin.layer for skin in alike.skins]
     skins = _skins(spec, stimuli, arrays, board, bodies, names, pole, response_on, known)
     check_overlaps(skins)
-    whole = tuple(Lazy(partial(whole_stepper, skin.layer)) for skin in skins)
+    whole = tuple(whole_of(skin.layer) for skin in skins)
     model = HapticModel(spec, arrays, board, stimuli, bodies, skins, pole, response_on, (), whole)
     return replace(model, begin=tuple(Lazy(partial(first_stepper, model, number)) for number in range(len(skins))))
+
+
+def whole_of(layer: SceneLayer) -> Lazy[WedgeStepper]:
+    """What steps a whole layer, with its factorised matrix when it is first needed; the one that is kept, if any."""
+    with _lock:
+        known = next((whole for other, whole in _kept if other is layer), None)
+        return known or Lazy(partial(whole_stepper, layer))
 
 
 def whole_stepper(layer: SceneLayer) -> WedgeStepper:

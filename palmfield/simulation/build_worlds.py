@@ -4,12 +4,12 @@ The model of each world is a HapticModel, so that whatever steps one scene steps
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 from palmfield.locked import Lazy
 from palmfield.simulation import load_class
-from palmfield.simulation.build import demands_of, layers_for, model_of, stimuli_of, whole_stepper
+from palmfield.simulation.build import demands_of, layers_for, model_of, stimuli_of, whole_of
 from palmfield.simulation.known_load import choose_stepper, first_stepper
 from palmfield.simulation.model import HapticModel, SkinModel, StepperChoice, StimulusModel
 from palmfield.simulation.posed_scene import STILL
@@ -24,34 +24,60 @@ MOST_SMALL_MODELS = 8
 """Loads known ahead for which a skin gets a small model each: each of a palm takes some 5 s to make and holds 14 MB."""
 
 
-def build_worlds(specs: Sequence[SceneSpec]) -> tuple[HapticModel, ...]:
+@dataclass(frozen=True)
+class Shared:
+    """What worlds share with others that are not stepped with them, so that it doesn't depend on who is beside whom.
+
+    demands: what each skin's layer is made for; None for what the scene by itself asks for
+    modal: whether modes for every load step skins whose loads are known ahead, where key `solver` is auto
+    """
+
+    demands: tuple[LayerDemand, ...] | None = None
+    modal: bool = False
+
+
+def build_worlds(
+    specs: Sequence[SceneSpec], scene: SceneSpec | None = None, shared: Shared | None = None
+) -> tuple[HapticModel, ...]:
     """The model of each world, for specs that differ in the keys of their stimuli only.
 
+    scene: that of MuJoCo's model, which differs in such keys at most; the first of specs by default
+    shared: what is the same as in other worlds; without, by what these worlds ask for:
     The layers are made for the strictest of the worlds that sound: where all ask for the same, each has the layer
     that it would have by itself. A skin gets small models if every world that sounds would have one, and if there are
     at most MOST_SMALL_MODELS different ones: loads that differ in their level alone share theirs. Else one stepper
     serves all loads: modes, or the whole layer.
     Raises SceneError or DeviceError as `palmfield.simulation.build.build`.
     """
-    first = model_of(specs[0])
+    first = model_of(scene or specs[0])
     carriers = [first.bodies[skin.body] for skin in first.skins]
-    stimuli: dict[SceneSpec, Stimuli] = {specs[0]: (first.stimuli, first.response_on)}
+    stimuli: dict[SceneSpec, Stimuli] = {first.spec: (first.stimuli, first.response_on)} if scene is None else {}
     for spec in specs:
         if spec not in stimuli:
             made, _, response_on = stimuli_of(spec, first.arrays, first.board, carriers)
             stimuli[spec] = made, response_on
     loads = {spec: load_key(made, first.board.exact) for spec, (made, _) in stimuli.items()}
     sounding = {spec: parts for spec, parts in stimuli.items() if loads[spec] is not None}
-    demands: dict[object, list[LayerDemand]] = {}
-    for spec, (made, _) in (sounding or stimuli).items():
-        if loads[spec] not in demands:
-            demands[loads[spec]] = demands_of(spec, made, first.arrays, first.board, carriers)
-    asked = [strictest(of_skin) for of_skin in zip(*demands.values(), strict=True)]
-    same = asked == demands.get(loads[specs[0]])
-    layers = [skin.layer for skin in first.skins] if same else layers_for(specs[0], asked, carriers)
-    skins = _skins(first, layers, sounding, len(set(loads.values()) - {None}))
-    whole = first.whole if same else tuple(Lazy(partial(whole_stepper, layer)) for layer in layers)
+    own = [skin.layer.demand for skin in first.skins]
+    if shared is None:
+        demands: dict[object, list[LayerDemand]] = {}
+        for spec, (made, _) in (sounding or stimuli).items():
+            if loads[spec] not in demands:
+                demands[loads[spec]] = demands_of(spec, made, first.arrays, first.board, carriers)
+        asked = [strictest(of_skin) for of_skin in zip(*demands.values(), strict=True)]
+        same = asked == demands.get(loads[specs[0]])
+    else:
+        asked = own if shared.demands is None else list(shared.demands)
+        same = asked == own
+    layers = [skin.layer for skin in first.skins] if same else layers_for(first.spec, asked, carriers)
+    skins = _skins(first, layers, sounding, len(set(loads.values()) - {None}), shared is not None and shared.modal)
+    whole = first.whole if same else tuple(whole_of(layer) for layer in layers)
     begins: dict[tuple[int, object], Lazy[SkinStepper]] = {}
+    for number, skin in enumerate(skins):
+        if scene is not None and skin is first.skins[number]:
+            # What MuJoCo's model has been given serves worlds in which it sounds the same
+            own_load = load_key(first.stimuli, first.board.exact) if skin.choice.name == "reduced" else None
+            begins[number, own_load] = first.begin[number]
     models: dict[SceneSpec, HapticModel] = {}
     # Those that sound come first: for silence any of their steppers will do
     fallback = next((load for load in loads.values() if load is not None), None)
@@ -70,24 +96,36 @@ def build_worlds(specs: Sequence[SceneSpec]) -> tuple[HapticModel, ...]:
 
 
 def _skins(
-    first: HapticModel, layers: Sequence[SceneLayer], sounding: Mapping[SceneSpec, Stimuli], loads: int
+    first: HapticModel, layers: Sequence[SceneLayer], sounding: Mapping[SceneSpec, Stimuli], loads: int, modal: bool
 ) -> tuple[SkinModel, ...]:
-    """The skins that all worlds share; sounding: the stimuli of worlds that sound; loads: how many different ones."""
+    """The skins that all worlds share; sounding: the stimuli of worlds that sound; loads: how many different ones.
+
+    modal: see Shared
+    """
     skins = []
     for known, layer in zip(first.skins, layers, strict=True):
-        choices = [
-            choose_stepper(spec, known.spec, layer, made, first.pole, response_on)
-            for spec, (made, response_on) in sounding.items()
-        ]
-        choice = common_choice(first.spec, known.spec, layer, choices, loads) if choices else known.choice
+        if modal and known.spec.config.solver == "auto":
+            choice = modal_choice(known)
+            settles = known.choice.name == "reduced"
+        else:
+            choices = [
+                choose_stepper(spec, known.spec, layer, made, first.pole, response_on)
+                for spec, (made, response_on) in sounding.items()
+            ]
+            choice = common_choice(first.spec, known.spec, layer, choices, loads) if choices else known.choice
+            # As in each world by itself, where the load is known ahead: while nothing moves its field is kept
+            settles = choice.name != "wedges" and all(own.name == "reduced" for own in choices)
         if layer is known.layer and choice == known.choice:
             skins.append(known)
         else:
             still_m = STILL * known.spec.config.accuracy * layer.demand.spot_fwhm_m
-            # As in each world by itself, where the load is known ahead: while nothing moves its field is kept
-            settles = choice.name != "wedges" and all(own.name == "reduced" for own in choices)
             skins.append(SkinModel(known.spec, known.body, known.carrier, layer, choice, still_m, settles))
     return tuple(skins)
+
+
+def modal_choice(skin: SkinModel) -> StepperChoice:
+    """Modes for every load, for a layer whose loads are many."""
+    return StepperChoice("modal", "there are many different loads", skin.choice.seconds, skin.choice.wedges_s)
 
 
 def strictest(demands: Sequence[LayerDemand]) -> LayerDemand:

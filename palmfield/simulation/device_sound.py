@@ -109,7 +109,7 @@ class DeviceSound:
         """Mean forces [N] on each body's parts and torques about their origins [N m], array frame, shapes (b, 3)."""
         counts = [body.model.parts for body in posed.bodies]
         rows = np.zeros((sum(counts), 6))
-        if self.work is not None and self._sounding[FORCE] is not None:
+        if self.work is not None and self._sounding.get(FORCE) is not None:
             np.multiply(self.work.forces.hosts["forces"], self._force_scale, out=rows)
         forces, start = [], 0
         for count in counts:
@@ -122,7 +122,6 @@ class DeviceSound:
         """ARP [Pa] at a skin's quadrature points: of a course's unit drive, or at each of its moments, shape (m, q).
 
         points: numbers of those that are wanted, shape (p,), None for all
-
         It is computed again where the last step's was for another pose or course. A view that the next step overwrites.
         """
         wanted = _of_course(course)

@@ -134,7 +134,7 @@ class Emission:
         last, key = self._now, (time_s, emitted.tobytes())
         if last is not None and last[0] is posed and last[1] == key and not self.holds:
             return last[2]
-        first = self._first(posed, emitted, time_s)
+        first = None if self.model.response_on else self._first(posed, emitted, time_s)
         if first is not None:
             result = EmittedCourse(None, None, first, emitted)
             self._now = posed, key, result
@@ -149,10 +149,10 @@ class Emission:
     def _first(self, posed: PosedScene, emitted: Complex, t0: float) -> Complex | None:
         """What sounds at t0 [s], shape (1, N), if `over` was asked for the step from there on; None if not.
 
-        Only where what is commanded sounds at once, and goes along a straight line from there.
+        Only along a straight line from there; asked where what is commanded sounds at once.
         """
         over = self._over
-        if over is None or over[0] is not posed or self.holds or self.model.response_on:
+        if over is None or over[0] is not posed or self.holds:
             return None
         (begin, _, before), (moments, course) = over[1:]
         if course.emitted is None or moments.held_s[0] > 0.0 or (begin, before) != (round(t0, 12), emitted.tobytes()):
@@ -206,7 +206,7 @@ class Emission:
         point = first_point(part.config)
         if part.config.path != "point":
             points, factors = frames_at(part.config, np.array([t0]))
-            first = self._first(posed, emitted, t0)
+            first = None if self.model.response_on else self._first(posed, emitted, t0)
             if first is not None and factors[0] > 0.0:
                 return MeanDrives(first, np.array([level / factors[0]]))
             point = points[0]

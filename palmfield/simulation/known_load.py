@@ -44,6 +44,8 @@ REST_S = 2.5e-3
 MOST_SAMPLES = 1024
 SMALLEST = 1e-4
 """Of the largest harmonic of a load: smaller ones are left out of what a model is made for."""
+CLOSER, BEGIN_CLOSER = 16, 4
+"""Examples of a load for each of its samples, as it comes round and while the transducers ring up."""
 LEFT_OUT = 1e-5
 """Of a known load, what the shapes may leave out by which it is looked at in few points."""
 DIGITS = 10
@@ -240,6 +242,9 @@ def known_load(model: HapticModel, skin: int, posed: PosedScene) -> tuple[KnownL
     skip = math.ceil(_settling_s(stimulus, model) * count / turn)
     drives, level_of = _at_full_level(steady_drives(model, number, posed, turn / count, skip, count))
     pressures = _pressures(skin, posed, radiation, drives)
+    # What the load is made of has to be seen more closely than its harmonics that matter
+    close = steady_drives(model, number, posed, turn / (CLOSER * count), CLOSER * skip, CLOSER * count)
+    examples = _pressures(skin, posed, radiation, close)
     loads: Float = (operator @ pressures.T).T
     waves = np.conj(np.fft.rfft(loads, axis=0)[: count // 4 + 1].T) / count
     waves[:, 1:] *= 2.0
@@ -266,7 +271,8 @@ def known_load(model: HapticModel, skin: int, posed: PosedScene) -> tuple[KnownL
         width = _settling_s(stimulus, model) / BEGINNING
         drives, _ = _at_full_level(steady_drives(model, number, posed, width, 0, BEGINNING), level_of)
         beginning = _pressures(skin, posed, radiation, drives)
-        pressures = np.concatenate([pressures, beginning])
+        close = steady_drives(model, number, posed, width / BEGIN_CLOSER, 0, BEGIN_CLOSER * BEGINNING)
+        examples = np.concatenate([examples, _pressures(skin, posed, radiation, close)])
         difference: Float = (operator @ beginning.T).T
         moments: Float = width * np.arange(BEGINNING, dtype=np.float64)
         difference -= (level(begin, moments)[:, None] * harmonics(frequencies, moments)) @ course.shapes.T
@@ -274,7 +280,7 @@ def known_load(model: HapticModel, skin: int, posed: PosedScene) -> tuple[KnownL
         spectrum += [(float(f), np.eye(2 * len(frequencies) + 1)[-1].astype(complex)) for f in frequencies]
     shapes = np.column_stack([course.shapes, impulse])
     shares = [np.column_stack([part, np.zeros(len(trial))]) for part in trials]
-    return KnownLoad(course, shapes, shares, spectrum), pressures
+    return KnownLoad(course, shapes, shares, spectrum), examples
 
 
 def _settling_s(stimulus: StimulusModel, model: HapticModel) -> float:

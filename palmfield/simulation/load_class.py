@@ -6,10 +6,13 @@ stimulus comes does not matter, so that the modes made for a class serve all sti
 """
 
 import math
+import threading
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from palmfield import cache
 from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.drive.array_drive import ArrayDrive
 from palmfield.errors import SceneError
@@ -18,7 +21,7 @@ from palmfield.simulation.posed_scene import PosedScene, PosedSkin, PosedSurface
 from palmfield.simulation.radiation import Radiation
 from palmfield.simulation.spec import SkinSpec
 from palmfield.skin.fem.assembly import relaxation_law
-from palmfield.skin.reduction.modal_stepper import ModalStepper, modal_body
+from palmfield.skin.reduction.modal_stepper import ModalBody, ModalStepper, modal_body
 from palmfield.skin.scene_layer import SceneLayer
 from palmfield.stimulus.schedule import frame_rates, main_frequencies, turn_m, turn_rate_Hz
 from palmfield.transforms import Transform
@@ -42,6 +45,9 @@ SHAPES = 15.0
 """Load shapes at accuracy 0.2 on a region as wide as a spot, about."""
 LEAST_CORNER_Hz = 75.0
 """Corner of a load's spectrum that only comes and goes: the sound of a start or stop falls as 1/f."""
+_lock = threading.RLock()
+# The last modes of a layer and what they depend on besides it: to find 100 MB in the cache on disk takes a second
+_bodies: WeakKeyDictionary[SceneLayer, tuple[str, ModalBody]] = WeakKeyDictionary()
 
 
 def refusal(skin: SkinSpec, layer: SceneLayer) -> str | None:
@@ -95,12 +101,18 @@ def class_stepper(model: HapticModel, skin: int, blocks: int | None = None) -> M
         *(arrays.array, arrays.air, arrays.placements, arrays.precision, model.board.name, law),
         *(*posed.skins[skin].quadrature, part.spec.patch_centre, _region_m(layer)),
     )
-    made = modal_body(
-        layer.system, layer.quadrature, layer.surface_operator, lambda: examples(model, skin, posed), depends_on,
-        max(SPAN * accuracy, LEAST_LEFT_OUT), blocks or _blocks(accuracy),
-    )  # fmt: skip
+    tolerance, blocks = max(SPAN * accuracy, LEAST_LEFT_OUT), blocks or _blocks(accuracy)
+    with _lock:
+        mark = cache.digest(depends_on, tolerance, blocks)
+        known = _bodies.get(layer)
+        if known is None or known[0] != mark:
+            made = modal_body(
+                layer.system, layer.quadrature, layer.surface_operator, lambda: examples(model, skin, posed),
+                depends_on, tolerance, blocks,
+            )  # fmt: skip
+            known = _bodies[layer] = mark, made
     corner = max(corner_Hz(stimulus, layer.demand.spot_fwhm_m) for stimulus in model.stimuli)
-    return ModalStepper(made, layer.system, layer.sizes.step_s, corner)
+    return ModalStepper(known[1], layer.system, layer.sizes.step_s, corner)
 
 
 def examples(model: HapticModel, skin: int, posed: PosedScene) -> Float:

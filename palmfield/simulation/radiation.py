@@ -100,9 +100,13 @@ class Radiation:
         self._scattered = dict(scattered)
 
     def _points(self, posed: PosedScene, skin: int, role: Role) -> tuple[Float, Float]:
+        """Points [m] and outward normals, array frame, shapes (n, 3), of a skin or its body."""
+        part = posed.skins[skin]
         if role == "load":
-            return self._chosen[skin].at(posed.skins[skin])
-        return points_of(posed, skin, role)
+            return self._chosen[skin].at(part)
+        if role == "samples":
+            return part.body.samples[:2]
+        return part.nodes if role == "nodes" else part.quadrature
 
     def _holds(self, known: PosedScene, posed: PosedScene, skin: int) -> bool:
         """Whether the sound on a skin is the same in both poses."""
@@ -168,14 +172,6 @@ class _ChosenPoints:
         if self._last is None or self._last[0] is not posed:
             self._last = posed, posed.body.moved(self._points, self._normals, self._binding)
         return self._last[1]
-
-
-def points_of(posed: PosedScene, skin: int, role: Role) -> tuple[Float, Float]:
-    """Points [m] and outward normals, array frame, shapes (n, 3), of a skin or its body."""
-    part = posed.skins[skin]
-    if role == "samples":
-        return part.body.samples[:2]
-    return part.nodes if role == "nodes" else part.quadrature
 
 
 def occluding_vertices(posed: PosedScene, skin: int) -> Float:

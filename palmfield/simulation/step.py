@@ -68,7 +68,9 @@ class Workspace:
         self.amplitudes: Complex = np.zeros(len(model.arrays), np.complex128)
         self.observe: tuple[sparse.csr_matrix | None, ...] = (None,) * len(model.skins)
         self.observer: Callable[[StepTrace], None] | None = None
-        self._readers: dict[tuple[int, str], tuple[sparse.csr_matrix, Reader]] = {}
+        # Of the worlds beside as well: a reader of many vectors is as large as they are
+        self._readers: dict[tuple[int, SkinStepper], tuple[sparse.csr_matrix, Reader]]
+        self._readers = {} if beside is None else beside._readers
 
     def begin_run(self) -> None:
         """Forget what was of another run."""
@@ -80,9 +82,9 @@ class Workspace:
         operator = self.observe[skin]
         if operator is None:
             return None
-        known = self._readers.get((skin, stepper.name))
+        known = self._readers.get((skin, stepper))
         if known is None or known[0] is not operator:
-            known = self._readers[skin, stepper.name] = operator, stepper.reader(operator)
+            known = self._readers[skin, stepper] = operator, stepper.reader(operator)
         return known[1]
 
 
@@ -135,7 +137,7 @@ def skin_loads(
         role = "load"
     if course.levels is not None:
         if course.unit is None:
-            count = len(posed.skins[skin].skin.layer.quadrature.points) if points is None else len(points)
+            count = len(posed.skins[skin].skin.layer.quadrature.points if points is None else points)
             nothing = np.zeros((1, len(moments.first), 1))
             return SurfaceLoads(np.zeros((1, 1, count)), nothing, nothing)
         if device is not None:
@@ -146,7 +148,8 @@ def skin_loads(
         return SurfaceLoads(arp[None], (moments.first @ factors)[None], (moments.last @ factors)[None])
     assert course.emitted is not None
     if device is not None:
-        return SurfaceLoads(device.patterns(posed, skin, course, points)[None], moments.first[None], moments.last[None])
+        arp = device.patterns(posed, skin, course, points)
+        return SurfaceLoads(arp[None], moments.first[None], moments.last[None])
     if course.parts is not None:
         sums = work.radiation.sums(posed, skin, *course.parts, role)
         return SurfaceLoads(sums[None], moments.first[None], moments.last[None])

@@ -5,7 +5,7 @@ operations on arrays with an entry for each world. Fields, forces and sensors of
 world, and kept while pose and drive stay. Any other world is stepped by `palmfield.simulation.step`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from operator import is_
 from typing import NamedTuple
 
@@ -45,10 +45,25 @@ class _Pressure(NamedTuple):
     outside: Outside | None
 
 
+class TogetherTrace(NamedTuple):
+    """What happened in a step of the worlds that took it together, for those who watch.
+
+    times: ends of the substeps [s], shape (s,); worlds: their numbers, shape (g,)
+    factors: ARP relative to that of their unit drives at these times, shape (g, s)
+    motion: of each skin by stepper, numbers of the worlds (w,) and what is watched there, displacement [m] and velocity
+        [m/s] after each substep, (w, s, 2, m); the worlds watch the same
+    """
+
+    times: Float
+    worlds: Rows
+    factors: Float
+    motion: tuple[tuple[tuple[Rows, Float], ...], ...]
+
+
 class TogetherStep:
     """The steps of several worlds, with what they keep from one to the next. Belongs to one state.
 
-    models, works: of each world; state: of all
+    models, works: of each world; state: of all; observer: told of each step that worlds take together
     joined: numbers of the worlds that take the present step together, rising, shape (g,); apart: of all others
     """
 
@@ -75,6 +90,7 @@ class TogetherStep:
         # The pose in which a small model was last found to serve, by skin and world
         self._serves: list[list[PosedScene | None]] = [[None] * worlds for _ in first.skins]
         self._groups: dict[tuple[int, bytes, bytes], list[tuple[SkinStepper, Rows]]] = {}
+        self.observer: Callable[[TogetherTrace], None] | None = None
         self.joined: Rows = np.zeros(0, dtype=np.intp)
         self.apart: list[int] = list(range(worlds))
 
@@ -144,6 +160,12 @@ class TogetherStep:
         unit: Complex = self._units[world]
         return unit
 
+    def posed(self, world: int) -> PosedScene:
+        """Where everything is in a world that has joined."""
+        posed = self._posed[world]
+        assert posed is not None
+        return posed
+
     def present_factors(self, t0: float) -> Float:
         """ARP at t0 [s] relative to that of the unit drives, in the worlds that have joined, shape (g,)."""
         level = np.abs(self._now)
@@ -197,19 +219,28 @@ class TogetherStep:
         moments = substep_moments((), t0, model.step_s, model.substeps)
         factors, end = self._over(moments)
         first, last = factors @ moments.first.T, factors @ moments.last.T
+        motion = []
         for skin in range(len(model.skins)):
             self._leave_small_models(skin, t0)
             self._leave_class(skin, first, last, t0)
+            watched = []
             for stepper, own in self.groups(skin, worlds):
                 pressure = self._stack(skin, stepper, own)
                 loads = SurfaceLoads(pressure, first[own][..., None], last[own][..., None], fixed=True)
-                self._step(skin, stepper, own, loads, t0, t1)
+                seen = self._step(skin, stepper, own, loads, t0, t1)
+                if seen is not None:
+                    watched.append((own, seen))
+            motion.append(tuple(watched))
         ringing = worlds[self._ringing[worlds]]
         self._now[ringing] = end[ringing]
         start = 0
         for part in self.state.emitted:
             part[ringing] = end[ringing, None] * self._units[ringing, start : start + part.shape[1]]
             start += part.shape[1]
+        if self.observer is not None:
+            times = t0 + model.step_s * np.arange(1, model.substeps + 1, dtype=np.float64)
+            at_ends = factors[worlds][:, np.argmax(moments.last, axis=1)]
+            self.observer(TogetherTrace(times, worlds, at_ends, tuple(motion)))
 
     def _leave_small_models(self, skin: int, t0: float) -> None:
         """Turn small models into whole layers where something has moved."""
@@ -276,8 +307,11 @@ class TogetherStep:
         found = self._groups[key] = [(one, np.array(own, dtype=np.intp)) for one, own in steppers.values()]
         return found
 
-    def _step(self, skin: int, stepper: SkinStepper, worlds: Rows, loads: SurfaceLoads, t0: float, t1: float) -> None:
-        """Step a skin in some worlds by one stepper."""
+    def _step(
+        self, skin: int, stepper: SkinStepper, worlds: Rows, loads: SurfaceLoads, t0: float, t1: float
+    ) -> Float | None:
+        """Step a skin in some worlds by one stepper; what is watched of it in the first one, in all of them."""
+        reader = self.works[worlds[0]].reader(skin, stepper)
         part = self.state.skins[skin]
         for world in worlds[part[worlds, 0] == 0.0].tolist():
             # Refuses a state that is not at rest though nobody has written it
@@ -286,11 +320,11 @@ class TogetherStep:
             claim(model, own, skin, stepper)
         numbers = slice(HEADER, HEADER + stepper.state_size)
         if len(worlds) == len(part):
-            stepper.step(part[:, numbers], loads, t0, t1)
-            return
+            return stepper.step(part[:, numbers], loads, t0, t1, reader)
         states = part[worlds, numbers]
-        stepper.step(states, loads, t0, t1)
+        seen = stepper.step(states, loads, t0, t1, reader)
         part[worlds, numbers] = states
+        return seen
 
     def _pressure(self, skin: int, stepper: SkinStepper, world: int) -> "_Pressure":
         """The pressure of a world's unit drive on a skin, at the points where a stepper takes it; the last is kept."""

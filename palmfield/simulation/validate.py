@@ -148,10 +148,17 @@ def check_board(stimulus: StimulusSpec, board: Board, arrays: Sequence[ArraySpec
 
 def check_clear(posed: PosedScene) -> None:
     """Raise SceneError where a body's surface, or an obstacle's, reaches into an array's board."""
+    arrays = posed.arrays
+    flat = not [board for board in arrays.boards if board.nearest is not None]
     for body in posed.bodies:
-        # Boxes tell it of most poses, and take no vertex
-        if body.model.surface is not None and _far(posed, body.hull):
-            continue
+        if body.model.surface is not None and flat:
+            # Boxes tell it of most poses, and take no vertex
+            hull = body.hull
+            for board, (place, turn) in zip(arrays.boards, arrays.frames, strict=True):
+                if not np.minimum.reduce((hull - place) @ turn[:, 2]) - board.height >= CLEARANCE_M:
+                    break
+            else:
+                continue
         points = body.vertices_in_array
         if body.model.surface is None:
             # The closed surface of a disc has its base too, which may be the board itself.
@@ -160,16 +167,6 @@ def check_clear(posed: PosedScene) -> None:
     for skin in posed.skins:
         if skin.skin.obstacles and skin.obstacles is not None:
             _check_clear(posed, "one of the obstacles", skin.obstacles[0], behind=True)
-
-
-def _far(posed: PosedScene, hull: Float) -> bool:
-    """Whether all that lies in the convex hull of points, array frame [m], shape (n, 3), is in front of all boards."""
-    arrays = posed.arrays
-    for board, frame in zip(arrays.boards, arrays.frames, strict=True):
-        heights = (hull - frame.position) @ frame.rotation[:, 2]
-        if board.nearest is not None or np.minimum.reduce(heights) - board.height < CLEARANCE_M:
-            return False
-    return True
 
 
 def _check_clear(posed: PosedScene, what: str, points: Float, *, behind: bool) -> None:

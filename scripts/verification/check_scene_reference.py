@@ -18,8 +18,10 @@ from palmfield.data import folder
 from palmfield.session.simulation import Simulation
 
 REFERENCE = Path(__file__).parents[2] / "tests" / "data" / "scene_reference"
-TOLERANCE = 1e-5
-"""Of each array's largest value."""
+TOLERANCE, IN_POINTS = 1e-5, 5e-4
+"""Of each array's largest value. The second is for the motion of skins with small models, which have looked at their
+load in few points since: a tenth of what reduction may cost at accuracy 0.05."""
+MOTION = ("displacement_m", "velocity_m_s", "sensor channel 3", "sensor channel 4")
 WATCHED = ("sensordata", "displacement_m", "velocity_m_s", "force_N", "qpos")
 FORCE, DISPLACEMENT, VELOCITY, ARP = slice(0, 3), 3, 4, 5
 """Channels of the skin's sensor."""
@@ -73,6 +75,13 @@ def differences(size: str, name: str) -> Iterator[tuple[str, float]]:
     yield f"ended with {facts['ended']}", float(skin.solver != facts["ended"])
 
 
+def allowed(size: str, name: str, what: str) -> float:
+    """The largest difference that is allowed in what was compared."""
+    with np.load(REFERENCE / size / f"{name}.npz") as stored:
+        began = json.loads(str(stored["facts"]))["began"]
+    return IN_POINTS if began == "reduced" and what in MOTION else TOLERANCE
+
+
 def relative(values: Any, expected: Any) -> float:
     """Largest difference over the largest expected value."""
     if np.shape(values) != np.shape(expected):
@@ -91,7 +100,7 @@ def main() -> int:
     for name in chosen.scene or scenes(chosen.size):
         found = dict(differences(chosen.size, name))
         what, worst = max(found.items(), key=lambda item: item[1])
-        bad = not worst <= TOLERANCE
+        bad = any(not value <= allowed(chosen.size, name, key) for key, value in found.items())
         failed += bad
         print(
             f"{'DIFFERS' if bad else 'agrees'}  {name}: at most {worst:.1e} of the largest value, in {what}", flush=True

@@ -102,10 +102,13 @@ class ReducedStepper:
                 at_start, at_end = self._pushes(loads)
                 np.matmul(loads.first, at_start, out=states)
                 states += loads.last @ at_end
-                threads = min(cores(), max(1, worlds * substeps // ROWS_PER_THREAD))
-                size = -(-worlds // threads)
-                blocks = [slice(first, first + size) for first in range(0, worlds, size)]
-                share([(partial(self._march, state[block], states[block]),) for block in blocks], threads)
+                if worlds == 1:
+                    self._march(state, states)
+                else:
+                    threads = min(cores(), max(1, worlds * substeps // ROWS_PER_THREAD))
+                    size = -(-worlds // threads)
+                    blocks = [slice(first, first + size) for first in range(0, worlds, size)]
+                    share([(partial(self._march, state[block], states[block]),) for block in blocks], threads)
             else:
                 forces = self._forces(loads.pressure_Pa)
                 for one, after, force, first, last in zip(state, states, forces, loads.first, loads.last, strict=True):

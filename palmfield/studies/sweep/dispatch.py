@@ -1,14 +1,14 @@
 """Which batch goes to which worker and when, and what the death of a worker costs."""
 
 from collections import deque
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import replace
 from typing import Any
 
 from palmfield.errors import PalmfieldError
-from palmfield.studies.sweep.batch import Batch, Failed, Results, Task, run_batch
+from palmfield.studies.sweep.batch import Batch, Failed, Point, Results, Task, run_batch
 from palmfield.studies.sweep.cluster import Slot
-from palmfield.studies.sweep.design import Value
+from palmfield.studies.sweep.groups import Group
 
 
 def computed(
@@ -16,11 +16,13 @@ def computed(
     task: Task,
     there: Sequence[Slot],
     todo: Sequence[Batch],
-    keys: Callable[[int], Mapping[str, Value | None]],
+    group: Callable[[int], Group],
+    point: Callable[[int], Point],
 ) -> Generator[Results]:
     """Results of all batches as they come from Dask workers, each of which has one batch at a time.
 
-    there: threads of the workers; todo: see `palmfield.studies.sweep.batch.batches`; keys: of a point by its number
+    there: threads of the workers; todo: see `palmfield.studies.sweep.batch.batches`
+    group, point: by the point's number; points of a batch are of one group
     A worker that dies takes down what it had begun: the points of that batch are tried again at the end, one by one and
     with nothing beside them, so that only a point that kills its worker by itself has failed.
     Raises PalmfieldError where the scheduler is lost.
@@ -36,7 +38,8 @@ def computed(
     def submit(points: tuple[int, ...], slot: int) -> None:
         slots[slot] = _present(client, slots, slot)
         future = client.submit(
-            run_batch, replace(task, threads=slots[slot].threads), [keys(number) for number in points],
+            run_batch, replace(task, threads=slots[slot].threads), group(points[0]).base, group(points[0]).shared,
+            [point(number) for number in points],
             workers=[slots[slot].address], allow_other_workers=True, pure=False,
         )  # fmt: skip
         under_way[future.key] = future, points, slot

@@ -11,6 +11,7 @@ from pydantic import ValidationError
 from palmfield.config import CONFIGS, allowed
 from palmfield.errors import SceneError
 from palmfield.session.load import FILES, Instance, as_text, instances_of
+from palmfield.session.world_keys import BOUND
 from palmfield.studies.sweep.design import Design, Value
 
 COMPONENT = re.compile(r"(?P<key>.+)\[(?P<place>\d+)\]")
@@ -25,6 +26,11 @@ class _Place(NamedTuple):
     instance: Instance
     key: str
     component: int | None
+
+
+def _may_differ(place: _Place) -> bool:
+    """Whether worlds of one model may have each its own value."""
+    return place.instance.plugin == STIMULUS and place.key not in BOUND
 
 
 @dataclass(frozen=True)
@@ -52,11 +58,15 @@ class SceneKeys:
         return result
 
     def of_model(self, point: Mapping[str, Value]) -> tuple[tuple[str, Value], ...]:
-        """The values that points must share to share a model: all but the stimuli's."""
-        own = {
-            key: value for key, value in point.items() if any(p.instance.plugin != STIMULUS for p in self.places[key])
-        }
+        """The values that points must share to share a model: all but the stimuli's that worlds may have each."""
+        own = {key: value for key, value in point.items() if not all(map(_may_differ, self.places[key]))}
         return tuple(sorted(own.items()))
+
+    def differing(self, point: Mapping[str, Value]) -> dict[str, Value | None]:
+        """Of a point's keys, as `of_point` gives them, those that worlds of one model may have each for itself."""
+        own = self.of_point(point)
+        names = [f"{p.instance.name}.{p.key}" for key in point for p in self.places[key] if _may_differ(p)]
+        return {name: own[name] for name in dict.fromkeys(names)}
 
     def files(self, design: Design) -> list[str]:
         """What the scene, the shared keys and the design name as files, each once."""

@@ -24,6 +24,7 @@ class Overview:
     """name: of the scene; labels: see `palmfield.studies.sweep.store.Labels`; times: of courses [s], shape (t,)
 
     duration_s: of each point [s]; device: of the fields, "cpu" or "cuda:N"; memory_bytes: about what a worker takes
+    point_bytes: of it, what each further point takes that is a world of the same simulation
     scene_digest: tells scenes apart
     """
 
@@ -33,6 +34,7 @@ class Overview:
     duration_s: float
     device: str
     memory_bytes: int
+    point_bytes: int
     scene_digest: str
 
 
@@ -78,14 +80,20 @@ def overview(
     }
     memory = max(_memory_bytes(view, len(times)) for view in views)
     digest = _digest(scene, view, design, keys)
-    return Overview(view.name, labels, times, duration, spec.device, memory, digest)
+    point = max(_point_bytes(view, len(times)) for view in views)
+    return Overview(view.name, labels, times, duration, spec.device, memory, point, digest)
 
 
 def _memory_bytes(view: Preview, records: int) -> int:
     skins = view.runtime.model.skins
     layers = memory_bytes([(skin.layer.dofs, skin.choice.name == "wedges") for skin in skins])
-    # Displacement and velocity of all vertices over the run, in single precision, and their sizes
-    return layers + sum(records * skin.layer.mesh.surface_nodes * 4 * 3 for skin in skins)
+    return layers + _point_bytes(view, records)
+
+
+def _point_bytes(view: Preview, records: int) -> int:
+    """The state of the skins, and displacement and velocity of all vertices over the run, in single precision."""
+    layers = [skin.layer for skin in view.runtime.model.skins]
+    return sum(8 * records * layer.mesh.surface_nodes + 8 * layer.state_room for layer in layers)
 
 
 def _digest(scene: Path, view: Preview, design: Design, keys: SceneKeys) -> str:

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
+from functools import cached_property
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
@@ -18,10 +19,21 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from palmfield.errors import OutputError, PalmfieldError, SceneError
 from palmfield.session.run import CONVENTIONS
-from palmfield.studies.sweep.batch import Failed, Results, Task, batches, run_batch
+from palmfield.studies.sweep.batch import (
+    MOST_IN_BATCH,
+    MOST_ON_GPU,
+    Batch,
+    Failed,
+    Point,
+    Results,
+    Task,
+    batches,
+    run_batch,
+)
 from palmfield.studies.sweep.cluster import local_cluster, remote_cluster, slots, visible_gpus
 from palmfield.studies.sweep.design import Design, Value, grid
 from palmfield.studies.sweep.dispatch import computed
+from palmfield.studies.sweep.groups import Group, groups_of, in_words
 from palmfield.studies.sweep.keys import SceneKeys, scene_keys
 from palmfield.studies.sweep.overview import Overview, overview
 from palmfield.studies.sweep.picture import plot_sweep
@@ -108,27 +120,34 @@ def sweep(
     known = scene_keys(scene, design, keys or {})
     view = overview(path, design, known, device=device, accuracy=accuracy, duration_s=duration_s)
     gpus = visible_gpus() if view.device.startswith("cuda") and workers != 0 and scheduler is None else []
-    count = _worker_count(workers, gpus, design.count, view.memory_bytes)
+    groups = groups_of(path, design, known, device, accuracy)
+    most = MOST_ON_GPU if view.device.startswith("cuda") else MOST_IN_BATCH
+    memory = _memory_bytes(view, groups, most)
+    count = _worker_count(workers, gpus, design.count, memory)
     console = Console(stderr=True, quiet=not progress, markup=False, highlight=False, emoji=False, soft_wrap=True)
     size = size_bytes(design, view.labels, errors)
-    said = _in_words(view, design, size, None if scheduler else count)
+    said = _in_words(view, design, size, memory, None if scheduler else count)
     console.print(said)
+    stepped = in_words(groups)
+    if stepped:
+        console.print(stepped)
     if size > LARGE_BYTES:
         _confirm(f"{size / 1e9:.1f} GB may be written to {out}", yes, ask)
-    store = SweepStore(out, design, view.labels, _attributes(view, design, known, accuracy, errors), errors)
+    store = SweepStore(out, design, view.labels, _attributes(view, design, known, accuracy, errors, stepped), errors)
     missing = [int(number) for number in np.flatnonzero(store.status.ravel() != DONE)]
     if len(missing) < design.count:
         console.print(f"going on: {design.count - len(missing)} points are there")
     # A worker sees one GPU, whatever its number was
     where = "cuda:0" if gpus else device
     task = Task(path, where, accuracy, view.duration_s, view.times, errors)
+    points = _Points(missing, groups, design, known, most)
     if missing:
         if scheduler is not None:
-            results = _on_cluster(lambda: remote_cluster(scheduler), task, design, known, missing)
+            results = _on_cluster(lambda: remote_cluster(scheduler), task, points)
         elif count:
-            results = _on_cluster(lambda: local_cluster(count, gpus), task, design, known, missing)
+            results = _on_cluster(lambda: local_cluster(count, gpus), task, points)
         else:
-            results = _here(task, design, known, missing)
+            results = _here(task, points)
         with closing(results):
             _collect(results, store, len(missing), max(count, 1), console, yes, ask)
     files = {"sweep.zarr": store.path}
@@ -166,11 +185,17 @@ def _worker_count(workers: int | None, gpus: list[str], points: int, memory: int
     return max(1, min(cores(), points, room))
 
 
-def _in_words(view: Overview, design: Design, size: int, workers: int | None) -> str:
+def _memory_bytes(view: Overview, groups: Sequence[Group], most: int) -> int:
+    """About what a worker takes, with up to `most` points at once."""
+    worlds = max((min(most, len(group.points)) for group in groups if group.shared is not None), default=1)
+    return view.memory_bytes + (worlds - 1) * view.point_bytes + max(group.modes_bytes for group in groups)
+
+
+def _in_words(view: Overview, design: Design, size: int, memory_bytes: int, workers: int | None) -> str:
     """What a sweep is, before it begins."""
     counts = " x ".join(str(length) for length in design.shape)
     several = f" ({counts})" if len(design.shape) > 1 else ""
-    memory = f"{view.memory_bytes / 1e9:.1f} GB of memory"
+    memory = f"{memory_bytes / 1e9:.1f} GB of memory"
     who = {0: "this process", 1: "one worker", None: "each worker"}.get(workers, f"each of {workers} workers")
     return (
         f"{view.name}: {design.count} points{several} of {view.duration_s:g} s over {', '.join(design.keys)}; about "
@@ -190,13 +215,14 @@ def _confirm(what: str, yes: bool, ask: Ask | None) -> None:
 
 
 def _attributes(
-    view: Overview, design: Design, keys: SceneKeys, accuracy: float | None, errors: bool
+    view: Overview, design: Design, keys: SceneKeys, accuracy: float | None, errors: bool, stepped: str
 ) -> dict[str, Any]:
     packages = ("palmfield", "warp-lang", "mujoco", "numpy", "scipy", "xarray", "zarr", "dask")
     return {
         "title": "palmfield: a sweep over keys of a scene",
         "scene": view.name,
         "keys": json.dumps(keys.fixed, sort_keys=True),
+        "solver": stepped or "each point has the layer and the solver of a run by itself",
         "conventions": json.dumps(CONVENTIONS),
         "versions": json.dumps({name: version(name) for name in packages} | {"python": platform.python_version()}),
         # What must be the same for a sweep to go on
@@ -216,26 +242,48 @@ def _attributes(
 # -- computing -------------------------------------------------------------------------------------------------------
 
 
-def _here(task: Task, design: Design, keys: SceneKeys, missing: Sequence[int]) -> Generator[Results]:
-    """All points in this process, one by one, those that share a model one after another."""
-    for batch in batches(missing, _model_keys(design, keys, missing), 1):
-        for number in batch.points:
-            (result,) = run_batch(task, [keys.of_point(design.point(number))])
-            yield {number: result}
+@dataclass(frozen=True)
+class _Points:
+    """The points of a sweep: numbers of those that are missing, and by its number each one's group and keys.
+
+    most: of them in a batch
+    """
+
+    missing: Sequence[int]
+    groups: Sequence[Group]
+    design: Design
+    keys: SceneKeys
+    most: int
+
+    @cached_property
+    def _group_of(self) -> dict[int, int]:
+        return {number: place for place, group in enumerate(self.groups) for number in group.points}
+
+    def batches(self, workers: int) -> list[Batch]:
+        """See `palmfield.studies.sweep.batch.batches`."""
+        return batches(self.missing, self._group_of, workers, self.most)
+
+    def group(self, number: int) -> Group:
+        return self.groups[self._group_of[number]]
+
+    def point(self, number: int) -> Point:
+        values = self.design.point(number)
+        return Point(self.keys.of_point(values), self.keys.differing(values))
 
 
-def _model_keys(design: Design, keys: SceneKeys, missing: Sequence[int]) -> dict[int, Any]:
-    return {number: keys.of_model(design.point(number)) for number in missing}
+def _here(task: Task, points: _Points) -> Generator[Results]:
+    """All points in this process, batch by batch."""
+    for batch in points.batches(1):
+        group = points.group(batch.points[0])
+        results = run_batch(task, group.base, group.shared, [points.point(number) for number in batch.points])
+        yield dict(zip(batch.points, results, strict=True))
 
 
-def _on_cluster(
-    connect: Callable[[], Any], task: Task, design: Design, keys: SceneKeys, missing: Sequence[int]
-) -> Generator[Results]:
+def _on_cluster(connect: Callable[[], Any], task: Task, points: _Points) -> Generator[Results]:
     """All points on Dask workers, batch by batch as they are done."""
     with connect() as client:
         there = slots(client, task.scene)
-        cut = batches(missing, _model_keys(design, keys, missing), len(there))
-        yield from computed(client, task, there, cut, lambda number: keys.of_point(design.point(number)))
+        yield from computed(client, task, there, points.batches(len(there)), points.group, points.point)
 
 
 def _collect(
