@@ -165,9 +165,22 @@ def test_auto_takes_the_next_where_its_choice_refuses_while_it_solves(monkeypatc
 
 
 def test_scenes_choose_between_what_steps_in_time() -> None:
-    cheap, other = module.scene_choices(30_000, 1600, 60, None)
+    cheap, other, _ = module.scene_choices(30_000, 1600, 60, None, 1600, "shadows")
     assert (cheap.name, other.name) == ("reduced", "wedges") and cheap.seconds < other.seconds
-    brief, _ = module.scene_choices(2_000, 10, 400, None)
+    brief, *_ = module.scene_choices(2_000, 10, 400, None, 400, None)
     assert brief.name == "wedges"
-    only, never = module.scene_choices(30_000, 1600, 60, "the hand moves")
-    assert only.name == "wedges" and never.refusal == "the hand moves" and never.seconds == np.inf
+    only, *never = module.scene_choices(30_000, 1600, 60, "the hand moves", 1600, "shadows")
+    assert only.name == "wedges" and {choice.refusal for choice in never} == {"the hand moves", "shadows"}
+    assert all(choice.seconds == np.inf for choice in never)
+
+
+def test_scenes_take_modes_where_runs_are_long_or_many(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Making them is shared by the runs that find them in the cache."""
+    choices = [module.scene_choices(7_000, steps, 0, "the hand moves", 500, None)[0].name for steps in (100, 100_000)]
+    assert choices == ["wedges", "modal"]
+    kept = []
+    for folder in ("off", "somewhere"):
+        monkeypatch.setenv("PALMFIELD_CACHE", folder)
+        by_name = {choice.name: choice for choice in module.scene_choices(7_000, 100, 0, "it moves", 500, None)}
+        kept.append(by_name["modal"].seconds)
+    assert kept[1] < 0.5 * kept[0]
