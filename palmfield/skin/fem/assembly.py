@@ -140,7 +140,7 @@ def assemble(
         springs = below.base
     if side == "absorbing" and absorbing_Hz is None:
         raise SceneError("absorbing sides need absorbing_Hz, the frequency at which their dashpots match")
-    if side == "absorbing" and absorbing_Hz is not None and not absorbing_Hz > 0.0:
+    if side == "absorbing" and absorbing_Hz is not None and not 0.0 < absorbing_Hz < np.inf:
         # Before the matrices, which are made when they are asked for
         raise SceneError(f"absorbing sides: frequency is {absorbing_Hz} Hz; give one above 0")
     matched_Hz = absorbing_Hz if side == "absorbing" else None
