@@ -111,10 +111,25 @@ class SharedBlock:
         self._whole.download()
 
 
+_loading = threading.Lock()
+"""Held while a kernel's module may be loaded: of two threads that load the same one, Warp may leave one with code that
+the other has unloaded."""
+
+
+def load_kernels(module: Any, device: str) -> None:
+    """Load a module of kernels, or the one of `kernel.module`, before several threads launch from it."""
+    with _loading:
+        wp.load_module(module, device=device)
+
+
 def launch(kernel: Any, dim: int | tuple[int, ...], inputs: Sequence[Any], device: str) -> Callable[[], object]:
     """A call that launches a kernel with these arguments, as `recorded`, but one that `wp.ScopedCapture` sees."""
-    command = wp.launch(kernel, dim=dim, inputs=inputs, device=device, block_dim=128, record_cmd=True)
-    return command.launch
+    return _command(kernel, dim, inputs, device).launch
+
+
+def _command(kernel: Any, dim: int | tuple[int, ...], inputs: Sequence[Any], device: str) -> Any:
+    with _loading:
+        return wp.launch(kernel, dim=dim, inputs=inputs, device=device, block_dim=128, record_cmd=True)
 
 
 launching = threading.Lock()
@@ -162,7 +177,7 @@ def recorded(kernel: Any, dim: int | tuple[int, ...], inputs: Sequence[Any], dev
 
     device: of `resolve`; on a GPU blocks have 128 threads
     """
-    command = wp.launch(kernel, dim=dim, inputs=inputs, device=device, block_dim=128, record_cmd=True)
+    command = _command(kernel, dim, inputs, device)
     if device != "cpu" or command.block_dim != 1 or not wp.__version__.startswith(DIRECT_LAUNCH):
         return command.launch
     values = command.params[1:]

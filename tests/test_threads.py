@@ -1,6 +1,9 @@
 """Work shared out among threads."""
 
 import signal
+import subprocess
+import sys
+import textwrap
 import threading
 import time
 
@@ -78,3 +81,34 @@ def test_a_limit_of_cores_holds_until_it_is_lifted():
     finally:
         threads.limit(None)
     assert threads.cores() == everything
+
+
+def test_threads_may_be_the_first_to_launch_a_kernel():
+    """Each loads the kernel's module; a thread that was left with code which another had unloaded would crash."""
+    body = textwrap.dedent(
+        """
+        import sys, threading
+        import warp as wp
+        from palmfield.device import recorded
+        from warp_kernels.modes import Modes, lanes, step_modes
+        sys.setswitchinterval(1e-6)
+        model = Modes()
+        model.advance = wp.zeros((1, 2, 2), dtype=lanes, device="cpu")
+        model.inputs = wp.zeros((1, 2), dtype=lanes, device="cpu")
+        ready = threading.Barrier(8)
+        def work():
+            shapes = (1, 1, 1), (1, 2, 1), (1, 2, 1), (1, 1, 2, 1)
+            room = [wp.zeros(shape, dtype=lanes, device="cpu") for shape in shapes]
+            ready.wait()
+            call = recorded(step_modes, (1, 1), [model, *room], "cpu")
+            for _ in range(100):
+                call()
+        for _ in range(20):
+            step_modes.module.unload()
+            threads = [threading.Thread(target=work) for _ in range(8)]
+            for thread in threads: thread.start()
+            for thread in threads: thread.join()
+        """
+    )
+    done = subprocess.run([sys.executable, "-c", body], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr

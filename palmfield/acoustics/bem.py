@@ -5,6 +5,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from palmfield.acoustics.polynomials import sine_cosine
+from palmfield.device import load_kernels
 from palmfield.hand.triangles import face_normals
 from palmfield.threads import cores, pool
 from palmfield.types import Complex, Float, Int
@@ -127,7 +128,7 @@ class DoubleLayer:
     def _far_on_cpu(self, density: wp.array, result: wp.array) -> None:
         """One slice of the points per thread; Warp lets go of the interpreter's lock while a kernel runs."""
         kernel = kernels.far(CPU_WIDTH)
-        wp.load_module(kernel.module, device="cpu")
+        load_kernels(kernel.module, "cpu")
         threads = cores()
         size = -(-self.count // (threads * CPU_WIDTH)) * CPU_WIDTH
 

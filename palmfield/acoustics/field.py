@@ -16,7 +16,7 @@ from palmfield.acoustics.air import absorption_Np_m as air_absorption
 from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.groups import groups
 from palmfield.acoustics.transducer import directivity_coefficients
-from palmfield.device import SharedArray, filled, recorded, resolve
+from palmfield.device import SharedArray, filled, load_kernels, recorded, resolve
 from palmfield.errors import PalmfieldError
 from palmfield.threads import Calls, cores, pool, share
 from palmfield.types import Air, Array, Field, Float, Int
@@ -270,7 +270,7 @@ class FieldEvaluator:
     ) -> None:
         """Fill pressure and slope in place: Warp sees NumPy's memory, slices of the points shared out among threads."""
         kernel, width, inputs = self._inputs(bounds, drive, slope is not None)
-        wp.load_module(kernel.module, device="cpu")
+        load_kernels(kernel.module, "cpu")
 
         def run(start: int, stop: int) -> None:
             part: Any = wp.array(points[start:stop], dtype=self._vec3, device="cpu", copy=False)

@@ -15,7 +15,7 @@ from palmfield.acoustics.arp import arp, check_law, law_weights, unit_normals
 from palmfield.acoustics.field import CUBIC_REACH_Np, FieldEvaluator, distances, polynomial_fall
 from palmfield.acoustics.groups import axes
 from palmfield.blas import one_blas_thread
-from palmfield.device import SharedArray, recorded
+from palmfield.device import SharedArray, load_kernels, recorded
 from palmfield.errors import PalmfieldError
 from palmfield.threads import pool, share
 from palmfield.types import Complex, Float, Float32
@@ -90,7 +90,7 @@ class Transfer:
         strength = array.p0_Pa_m * polynomial_fall(evaluator.absorption_Np_m, low, high)
         place: Any = wp.array(points, dtype=wp.vec3, device="cpu", copy=False)
         turn: Any = wp.array(axes(normals.astype(float)).astype(np.float32), dtype=wp.mat33, device="cpu")
-        wp.load_module(kernels, device="cpu")
+        load_kernels(kernels, "cpu")
 
         def run(first: int, stop: int) -> None:
             inputs = [

@@ -60,7 +60,7 @@ def march(
     fixed: list[Any] = [wp.array(values.ravel(), dtype=kind, device=device) for values, kind in shared]
     after: Any = wp.array(line.rows, dtype=wp.int32, device=device)
     segments = len(line.kind)
-    wp.load_module(kernels, device=device)
+    load_kernels(kernels, device)
 
     def run(part: slice) -> Float:
         group = waves.group[part]
