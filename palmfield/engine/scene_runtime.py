@@ -29,6 +29,7 @@ class SceneRuntime:
     """Model, state and workspace of one mjData.
 
     outlets: what takes the force on each body's parts
+    taken: which frames of MuJoCo's sites and bodies are taken, by number, and to which rows they go
     applied: mean force on each body over the present step [N], world axes, shape (3,) each
     applied_parts: the same on the bones of each body, and torques about their origins [N m], shapes (b, 3)
     """
@@ -51,7 +52,9 @@ class SceneRuntime:
         bodies = [number for first in firsts for number in (first.body, *first.bones)]
         obstacles = [number for skin in bound for number in skin.obstacles]
         self._bodies = np.array([*bodies, *obstacles], dtype=np.int64)
-        count = len(self._sites) + len(self._bodies)
+        sites, count = len(self._sites), len(self._sites) + len(self._bodies)
+        self.taken: tuple[tuple[Literal["site", "body"], NDArray[np.int64], slice], ...]
+        self.taken = ("site", self._sites, slice(0, sites)), ("body", self._bodies, slice(sites, None))
         self._positions, self._matrices = np.zeros((count, 3)), np.zeros((count, 9))
         self._posed: PosedScene = self.work.reference
         self._numbers = b""
@@ -59,12 +62,6 @@ class SceneRuntime:
         self.applied: list[Float] = [np.zeros(3) for _ in self.bodies]
         self.applied_parts = [(np.zeros((len(parts), 3)), np.zeros((len(parts), 3))) for parts in self.parts]
         check_clear(self.work.reference)
-
-    @property
-    def taken(self) -> tuple[tuple[Literal["site", "body"], NDArray[np.int64], slice], ...]:
-        """Which frames of MuJoCo's sites and bodies are taken, by number, and to which rows they go."""
-        sites = len(self._sites)
-        return ("site", self._sites, slice(0, sites)), ("body", self._bodies, slice(sites, None))
 
     @property
     def frames(self) -> int:
@@ -83,8 +80,8 @@ class SceneRuntime:
         self.forget()
 
     def forget(self) -> None:
-        """Know nothing of the last pose and what sounded in it."""
-        self._posed, self._numbers, self._now = self.work.reference, b"", None
+        """Know nothing of the last pose."""
+        self._posed, self._numbers = self.work.reference, b""
 
     @cached_property
     def state(self) -> HapticState:
@@ -101,8 +98,7 @@ class SceneRuntime:
 
         Raises SceneError where a body reaches into an array.
         """
-        sites, bodies = len(self._sites), self._bodies
-        for kind, chosen, part in (("site", self._sites, slice(0, sites)), ("body", bodies, slice(sites, None))):
+        for kind, chosen, part in self.taken:
             positions, matrices = self.view.frames[kind]
             # Mode "clip", as the others go through a buffer
             positions.take(chosen, 0, self._positions[part], "clip")
@@ -220,18 +216,6 @@ class SceneRuntime:
                 arp = factor * known
             x, y, z = self.applied[part.body]
             fill(sensor.data, SkinReading(x, y, z, motion[0], motion[1], arp))
-
-    def _arp_at(self, place: SensorPlace, skin: int, posed: PosedScene, drive: Complex) -> float:
-        """ARP [Pa] at a sensor's place for a drive, shape (N,)."""
-        device = self.work.device_sound
-        if device is not None:
-            known = device.probed(skin, place, posed, drive)
-            if known is not None:
-                return known
-            device.watch(skin, place)
-        body = posed.bodies[self.model.skins[skin].body]
-        points, normals = body.moved(place.probe.closest, place.probe.normals, place.binding)
-        return float(self.work.radiation.at(posed, skin, "probe", points, normals, drive).arp[0])
 
     def place(self, skin: int, sensor: PluginSensor) -> SensorPlace:
         """Where a sensor reads, kept. Raises SceneError for one that is not on the skin's body or far from the skin."""

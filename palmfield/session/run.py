@@ -26,7 +26,7 @@ from palmfield.outputs.store import MemoryStore, Store, open_result, refuse_occu
 from palmfield.outputs.store import recover as assemble
 from palmfield.outputs.summary import summary
 from palmfield.outputs.usd import write_usd
-from palmfield.session.duration import check_duration
+from palmfield.session.duration import check_duration, step_count
 from palmfield.session.load import Source
 from palmfield.session.recorder import Recorder, static_arrays, world_with
 from palmfield.session.simulation import Simulation
@@ -204,7 +204,7 @@ def _prepare(sim: Simulation, out: Path | None, overwrite: bool, bar: Progress) 
 
 def _simulate(sim: Simulation, recorder: Recorder, duration_s: float, bar: Progress) -> BaseException | None:
     """Step to the end; returns what ended it early, or None."""
-    steps = max(1, round(duration_s / sim.model.opt.timestep))
+    steps = step_count(duration_s, sim.model.opt.timestep)
     task = bar.add_task(f"simulating {1e3 * duration_s:g} ms", total=steps)
     try:
         recorder.start()

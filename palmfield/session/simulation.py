@@ -15,9 +15,9 @@ from palmfield.engine.motion_plugin import place
 from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.errors import SceneError
 from palmfield.interrupts import interrupts_held
-from palmfield.session.duration import check_duration
+from palmfield.session.duration import check_duration, step_count
 from palmfield.session.load import Source, compiled
-from palmfield.session.skin import Skin
+from palmfield.session.skin import Skin, chosen_name
 from palmfield.session.worlds import Worlds
 from palmfield.types import Complex, Float
 
@@ -109,7 +109,7 @@ class Simulation:
         Raises SceneError for one that is not > 0.
         """
         check_duration(duration_s)
-        self.step(max(1, round(duration_s / self.model.opt.timestep)))
+        self.step(step_count(duration_s, self.model.opt.timestep))
 
     def reset(self) -> None:
         """Back to time 0, with everything at rest and hands where their motions begin."""
@@ -160,10 +160,7 @@ class Simulation:
     def skin(self, name: str | None = None) -> "Skin":
         """A skin by its instance name; the only one without. Raises SceneError for one that the scene has not."""
         names = self.skins
-        if name is None and len(names) == 1:
-            name = names[0]
-        if name not in names:
-            raise SceneError(f"the scene has no skin '{name}'; it has: {', '.join(names)}")
+        name = chosen_name(names, name)
         if name not in self._skins:
             self._skins[name] = Skin(self.runtime, names.index(name))
         return self._skins[name]

@@ -1,8 +1,11 @@
 """One skin of a scene that is stepped, as a user sees it."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from palmfield.engine.scene_runtime import SceneRuntime, present_drive
+from palmfield.errors import SceneError
 from palmfield.simulation.model import SkinModel
 from palmfield.simulation.state import at_rest, stepper_of
 from palmfield.skin.stepper import Reader
@@ -86,3 +89,12 @@ class Skin:
             return np.zeros(len(self.rest_position), np.float32)
         sound = self._runtime.work.radiation.on(posed, self._number, "nodes", drive)
         return np.float32(factor) * sound.arp
+
+
+def chosen_name(names: Sequence[str], name: str | None) -> str:
+    """A skin's name; the only one without. Raises SceneError for one that is not among the names."""
+    if name is None and len(names) == 1:
+        return names[0]
+    if name is None or name not in names:
+        raise SceneError(f"the scene has no skin '{name}'; it has: {', '.join(names)}")
+    return name

@@ -137,12 +137,11 @@ class Emission:
         first = None if self.model.response_on else self._first(posed, emitted, time_s)
         if first is not None:
             result = EmittedCourse(None, None, first, emitted)
-            self._now = posed, key, result
-            return result
-        courses = []
-        for part, drive, place in self.placed(posed, time_s):
-            courses.append(emitted_now(part.config, drive, part.response, emitted, place, time_s))
-        result = courses[0] if len(courses) == 1 else combined(courses)
+        else:
+            courses = []
+            for part, drive, place in self.placed(posed, time_s):
+                courses.append(emitted_now(part.config, drive, part.response, emitted, place, time_s))
+            result = courses[0] if len(courses) == 1 else combined(courses)
         self._now = posed, key, result
         return result
 

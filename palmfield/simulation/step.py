@@ -22,7 +22,7 @@ from palmfield.simulation.prefetch import LoadPrefetch
 from palmfield.simulation.radiation import Radiation, Role
 from palmfield.simulation.state import HapticState, claim, stepper_of
 from palmfield.simulation.whole_layer import continue_on_whole_layer, leaves_small_model
-from palmfield.skin.reduction.modal_stepper import ModalStepper
+from palmfield.skin.reduction.modal_stepper import ModalStepper, Outside
 from palmfield.skin.stepper import Reader, SkinStepper, SurfaceLoads
 from palmfield.stimulus.schedule import Moments
 from palmfield.types import Complex, Float, Int
@@ -77,6 +77,13 @@ class Workspace:
         self.prefetch.forget()
         self.outside = [OutsideClass() for _ in self.outside]
 
+    def outside_share(self, model: HapticModel, skin: int, stepper: ModalStepper, seen: Outside) -> float:
+        """What of a step's load on a skin lies outside the class of its modes, see OutsideClass.add."""
+        outside = self.outside[skin]
+        if outside.loudest is None:
+            outside.loudest = loudest_load(model, skin, stepper, self.reference, self.radiation)
+        return outside.add(seen)
+
     def reader(self, skin: int, stepper: SkinStepper) -> Reader | None:
         """Reads what is watched of a skin off this stepper's states; a run may leave a small model in any step."""
         operator = self.observe[skin]
@@ -106,10 +113,7 @@ def step(model: HapticModel, state: HapticState, posed: PosedScene, t0: float, t
             )
         loads = skin_loads(work, posed, number, stepper.points, moments, course)
         if isinstance(stepper, ModalStepper):
-            outside = work.outside[number]
-            if outside.loudest is None:
-                outside.loudest = loudest_load(model, number, stepper, work.reference, work.radiation)
-            share = outside.add(stepper.outside(loads))
+            share = work.outside_share(model, number, stepper, stepper.outside(loads))
             if leaves_class(model, number, share):
                 stepper, numbers = continue_on_whole_layer(
                     model, state, number, posed, work.emission, work.radiation, begun, t0

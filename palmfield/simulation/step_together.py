@@ -16,7 +16,7 @@ from palmfield.drive.transducer_response import SILENT, ring
 from palmfield.errors import PalmfieldError, naming_world
 from palmfield.simulation.emission import LEAST_MEANS
 from palmfield.simulation.model import HapticModel
-from palmfield.simulation.outside_class import leaves_class, loudest_load
+from palmfield.simulation.outside_class import leaves_class
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.radiation import Role
 from palmfield.simulation.state import BEGUN, HEADER, WHOLE, HapticState, check_arrays, claim, stepper_of
@@ -246,8 +246,7 @@ class TogetherStep:
         """Turn small models into whole layers where something has moved."""
         serves = self._serves[skin]
         for world in self.joined[self.state.skins[skin][self.joined, 0] != WHOLE].tolist():
-            posed = self._posed[world]
-            assert posed is not None
+            posed = self.posed(world)
             if serves[world] is posed:
                 continue
             model, work, state = self.models[world], self.works[world], self.state.world(world)
@@ -274,18 +273,15 @@ class TogetherStep:
             squares = np.add.reduce(mixed**2, axis=(1, 2)).tolist()
             for world, square in zip(own.tolist(), squares, strict=True):
                 model, work = self.models[world], self.works[world]
-                outside = work.outside[skin]
-                if outside.loudest is None:
-                    outside.loudest = loudest_load(model, skin, stepper, work.reference, work.radiation)
                 unit = self._pressure(skin, stepper, world).outside
                 assert unit is not None
-                if leaves_class(model, skin, outside.add(Outside(*(square * part for part in unit)))):
+                seen = Outside(*(square * part for part in unit))
+                if leaves_class(model, skin, work.outside_share(model, skin, stepper, seen)):
                     self._continue_whole(skin, world, t0)
 
     def _continue_whole(self, skin: int, world: int, t0: float) -> None:
         """Let the whole layer go on with the motion of a skin in one world."""
-        model, work, posed = self.models[world], self.works[world], self._posed[world]
-        assert posed is not None
+        model, work, posed = self.models[world], self.works[world], self.posed(world)
         begun = self._now[world] * self._units[world]
         state = self.state.world(world)
         continue_on_whole_layer(model, state, skin, posed, work.emission, work.radiation, begun, t0)
@@ -328,10 +324,9 @@ class TogetherStep:
 
     def _pressure(self, skin: int, stepper: SkinStepper, world: int) -> "_Pressure":
         """The pressure of a world's unit drive on a skin, at the points where a stepper takes it; the last is kept."""
-        posed, known = self._posed[world], self._pressures[skin][world]
+        posed, known = self.posed(world), self._pressures[skin][world]
         if known is not None and known.posed is posed and known.points is stepper.points:
             return known
-        assert posed is not None
         radiation = self.works[world].radiation
         role: Role = "quadrature"
         if stepper.points is not None:

@@ -15,6 +15,9 @@ from palmfield.errors import SceneError
 from palmfield.skin.fem.linear_body import LinearBody
 from palmfield.types import Float
 
+RHO_INF = 0.8
+"""Spectral radius at infinite frequency, by default: takes unresolved pressure waves to a tenth in ten steps."""
+
 
 def branch_weights(step_s: float, tau_s: float) -> tuple[float, float, float]:
     """(e, a, b) of q1 = e q0 + a u0 + b u1 over a step [s] at relaxation time tau [s]."""

@@ -10,7 +10,7 @@ from scipy.sparse.linalg import LinearOperator, gmres
 from palmfield.errors import SceneError
 from palmfield.skin.fem.assembly import SkinSystem
 from palmfield.skin.fem.factor import factorise
-from palmfield.skin.fem.generalised_alpha import alpha_weights, branch_weights
+from palmfield.skin.fem.generalised_alpha import RHO_INF, alpha_weights, branch_weights
 from palmfield.skin.materials.material import stiffening
 from palmfield.types import Complex, Float
 
@@ -38,7 +38,9 @@ def harmonic(system: SkinSystem, force: Float, f_Hz: float) -> Complex:
     return _solve_dynamic(system, force, s**2, s, [complex(stiffening(part.material, s)) for part in system.parts])
 
 
-def harmonic_discrete(system: SkinSystem, force: Float, f_Hz: float, step_s: float, rho_inf: float = 0.8) -> Complex:
+def harmonic_discrete(
+    system: SkinSystem, force: Float, f_Hz: float, step_s: float, rho_inf: float = RHO_INF
+) -> Complex:
     """The steady state that WedgeStepper itself reaches under force [N] times e^{-i w t}: its z-symbol.
 
     |harmonic_discrete - harmonic| is the error of the time step. f_Hz > 0, below half the step rate.
@@ -69,7 +71,7 @@ def harmonic_both(system: SkinSystem, force: Float, f_Hz: float, step_s: float) 
 
 
 def _discrete_weights(
-    system: SkinSystem, f_Hz: float, step_s: float, rho_inf: float = 0.8
+    system: SkinSystem, f_Hz: float, step_s: float, rho_inf: float = RHO_INF
 ) -> tuple[complex, complex, list[complex]]:
     """What stands before mass, damping and the parts' stiffnesses in the scheme's z-symbol."""
     alpha_m, alpha_f, beta, gamma = alpha_weights(rho_inf)

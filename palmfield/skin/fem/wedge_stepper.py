@@ -22,7 +22,7 @@ from scipy.sparse._sparsetools import csr_matvec
 from palmfield.device import filled, recorded
 from palmfield.skin.fem.assembly import SkinSystem
 from palmfield.skin.fem.block_factor import BlockFactor, block_factor
-from palmfield.skin.fem.generalised_alpha import Scheme
+from palmfield.skin.fem.generalised_alpha import RHO_INF, Scheme
 from palmfield.skin.fem.grouped_rows import grouped_rows
 from palmfield.skin.stepper import Reader, SurfaceLoads, check_step, checked_operator
 from palmfield.threads import Calls, cores, share
@@ -68,7 +68,7 @@ class WedgeStepper:
     error = 0.0
     points = None
 
-    def __init__(self, system: SkinSystem, inputs: sparse.csr_matrix, step_s: float, rho_inf: float = 0.8) -> None:
+    def __init__(self, system: SkinSystem, inputs: sparse.csr_matrix, step_s: float, rho_inf: float = RHO_INF) -> None:
         scheme = Scheme(system, step_s, rho_inf)
         self.step_s, self.ndof, self.state_rows = step_s, system.ndof, scheme.state_rows
         self.state_size = self.state_rows * self.ndof

@@ -19,7 +19,7 @@ from palmfield.device import filled, recorded
 from palmfield.errors import SceneError
 from palmfield.skin.fem.assembly import Part, SkinSystem
 from palmfield.skin.fem.factor import factorise
-from palmfield.skin.fem.generalised_alpha import Scheme
+from palmfield.skin.fem.generalised_alpha import RHO_INF, Scheme
 from palmfield.skin.fem.load import SurfaceQuadrature
 from palmfield.skin.materials.material import stiffening
 from palmfield.skin.reduction.load_shapes import LoadShapes, load_shapes
@@ -33,8 +33,6 @@ MOST_SHARE = 0.4
 """Of a layer's unknowns, above which modes save nothing."""
 COMPLIANCE_LEFT_OUT = 1e-4
 """Share of the compliance of the points that its low rank leaves out: 1 % of a norm."""
-RHO_INF = 0.8
-"""Spectral radius at infinite frequency, as for the whole layer."""
 
 
 class Outside(NamedTuple):

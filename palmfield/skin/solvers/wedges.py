@@ -28,6 +28,7 @@ from palmfield.skin.approximation.trim_absorbing_rim import refusal_of_spot, tri
 from palmfield.skin.costs import assembly_s, wedges_s
 from palmfield.skin.fem.assembly import SkinSystem
 from palmfield.skin.fem.body import build
+from palmfield.skin.fem.generalised_alpha import RHO_INF
 from palmfield.skin.fem.load import PressureHistory
 from palmfield.skin.fem.probe import SurfaceProbe
 from palmfield.skin.fem.solver import static
@@ -98,7 +99,7 @@ def solve_wedges(
     device: str = "cpu",
     sizes: Sizes | None = None,
     step_s: float | None = None,
-    rho_inf: float = 0.8,
+    rho_inf: float = RHO_INF,
 ) -> Motion:
     """Displacement and velocity of the skin under a load, from rest.
 

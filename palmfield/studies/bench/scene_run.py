@@ -18,6 +18,7 @@ import numpy as np
 from palmfield import raise_errors
 from palmfield.config import SkinConfig
 from palmfield.errors import SceneError
+from palmfield.session.duration import step_count
 from palmfield.session.simulation import Simulation
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.state import stepper_of
@@ -127,7 +128,7 @@ def measured(job: Job, sim: Simulation) -> dict[str, Any]:
         sim.step()
     model, data, runtime = sim.model, sim.data, sim.runtime
     began = [lazy.value.name for lazy in runtime.model.begin]
-    count = max(1, round(sim.duration_s / model.opt.timestep))
+    count = step_count(sim.duration_s, model.opt.timestep)
     counted = sounding(runtime.model, count)
     if not any(counted):
         raise SceneError(f"{sim.name} is silent in all of its {count} steps; choose one that sounds")

@@ -9,6 +9,7 @@ import numpy as np
 from palmfield import cache
 from palmfield.errors import SceneError
 from palmfield.perception.observers import OBSERVERS
+from palmfield.session.duration import step_count
 from palmfield.session.preview import Preview, preview
 from palmfield.session.simulation import check_duration
 from palmfield.skin.costs import memory_bytes
@@ -66,7 +67,7 @@ def overview(
     view = views[0]
     timestep_s = view.runtime.spec.timestep_s
     duration = view.duration_s if duration_s is None else duration_s
-    steps = max(1, round(duration / timestep_s))
+    steps = step_count(duration, timestep_s)
     substeps = max(view.runtime.model.substeps for view in views)
     times: Float = timestep_s / substeps * np.arange(1 + steps * substeps, dtype=np.float64)
     spec = view.runtime.spec

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from palmfield.perception.observers import OBSERVERS
+from palmfield.session.duration import step_count
 from palmfield.session.error_budget import stimulus_of
 from palmfield.session.preview import Preview
 from palmfield.session.recorder import world_with
@@ -38,7 +39,7 @@ def measured(simulation: Simulation | Worlds, duration_s: float, times: Float, e
     """
     started = time.perf_counter()
     model = (simulation.runtimes[0] if isinstance(simulation, Worlds) else simulation.runtime).model
-    steps = max(1, round(duration_s / model.spec.timestep_s))
+    steps = step_count(duration_s, model.spec.timestep_s)
     watched = Watched(simulation, steps)
     for _ in range(steps):
         simulation.step()
