@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from palmfield.device import load_kernels
 from palmfield.skin.problem import Load
 from palmfield.skin.solvers.lateral_waves.drive import Timeline, drive
 from palmfield.skin.solvers.lateral_waves.waves import WaveSet
