@@ -44,13 +44,17 @@ class Radiation:
         if known is None or known.numbers is not points:
             self._chosen[skin] = _ChosenPoints(self.model.skins[skin], points)
 
+    def chosen(self, skin: int) -> Int:
+        """Numbers of a skin's points for the role "load", shape (p,)."""
+        return self._chosen[skin].numbers
+
     def on(self, posed: PosedScene, skin: int, role: Role, drive: Complex) -> SurfaceSound:
         """ARP at a skin's quadrature points, force samples or surface nodes, for what the transducers emit, (N,)."""
         known = self._last.get((skin, role))
         here = known is not None and (known[0] is posed or self._holds(known[0], posed, skin))
         if known is not None and here and (known[1] is drive or _equal(known[1], drive)):
             return known[2]
-        points, normals = self._points(posed, skin, role)
+        points, normals = self.points(posed, skin, role)
         sound = self.at(posed, skin, role, points, normals, drive)
         self._last[skin, role] = posed, drive, sound
         return sound
@@ -59,7 +63,7 @@ class Radiation:
         """ARP as `on` gives it for several drives, shape (m, N): shape (m, n)."""
         if self.model.skins[skin].spec.config.body_sound != "none":
             return np.stack([self.on(posed, skin, role, drive).arp for drive in drives])
-        points, normals = self._points(posed, skin, role)
+        points, normals = self.points(posed, skin, role)
         known = self._evaluators.get((skin, role, len(points)))
         evaluator = known[1] if known and known[0] is posed.arrays else self._evaluator(posed, skin, role, len(points))
         return evaluator.evaluate_many(points, normals, drives)
@@ -68,7 +72,7 @@ class Radiation:
         """ARP as `many` gives it for levels (m, k) @ units (k, N), of which there are few, shape (m, n)."""
         if self.model.skins[skin].spec.config.body_sound != "none":
             return self.many(posed, skin, levels @ units, role)
-        points, normals = self._points(posed, skin, role)
+        points, normals = self.points(posed, skin, role)
         return self._evaluator(posed, skin, role, len(points)).evaluate_sums(points, normals, units, levels)
 
     def at(
@@ -85,6 +89,8 @@ class Radiation:
         arp = sound.arp.copy()
         if kind == "shadows":
             assert sound.flux is not None
+            # Where nothing presses no ray is needed: it would be half of them, and the dearer half
+            sound.flux[arp == 0.0] = 0.0
             reach = distance_to_arrays(points, sound.flux, posed.arrays)
             last = self._occlusions.get(skin)
             occlusion = last[1] if last and last[0] is posed else self._occlusion(posed, skin)
@@ -99,7 +105,7 @@ class Radiation:
         """Begin with solutions that another Radiation of the same bodies has found."""
         self._scattered = dict(scattered)
 
-    def _points(self, posed: PosedScene, skin: int, role: Role) -> tuple[Float, Float]:
+    def points(self, posed: PosedScene, skin: int, role: Role) -> tuple[Float, Float]:
         """Points [m] and outward normals, array frame, shapes (n, 3), of a skin or its body."""
         part = posed.skins[skin]
         if role == "load":
