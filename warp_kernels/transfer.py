@@ -138,6 +138,47 @@ def arp_rows(
 
 
 @wp.kernel
+def arp_in_span(
+    fields: wp.array3d(dtype=lanes),
+    shares: wp.array2d(dtype=wp.vec2),
+    weights: wp.vec3,
+    result: wp.array2d(dtype=lanes),
+):
+    """ARP [Pa] of sums of a few fields, WIDTH points a thread.
+
+    fields: the numbers that `matrix` gives for each, shape (blocks, r, 8); shares: how much of each, shape (m, r)
+    result: shape (m, blocks)
+    """
+    block = wp.tid()
+    for frame in range(shares.shape[0]):
+        p_re = lanes()
+        s_re = lanes()
+        t_re = lanes()
+        n_re = lanes()
+        p_im = lanes()
+        s_im = lanes()
+        t_im = lanes()
+        n_im = lanes()
+        for j in range(shares.shape[1]):
+            share = shares[frame, j]
+            re = share[0]
+            im = share[1]
+            p_re = p_re + (re * fields[block, j, 0] - im * fields[block, j, 4])
+            p_im = p_im + (re * fields[block, j, 4] + im * fields[block, j, 0])
+            s_re = s_re + (re * fields[block, j, 1] - im * fields[block, j, 5])
+            s_im = s_im + (re * fields[block, j, 5] + im * fields[block, j, 1])
+            t_re = t_re + (re * fields[block, j, 2] - im * fields[block, j, 6])
+            t_im = t_im + (re * fields[block, j, 6] + im * fields[block, j, 2])
+            n_re = n_re + (re * fields[block, j, 3] - im * fields[block, j, 7])
+            n_im = n_im + (re * fields[block, j, 7] + im * fields[block, j, 3])
+        along2 = wp.cw_mul(s_re, s_re) + wp.cw_mul(s_im, s_im) + wp.cw_mul(t_re, t_re) + wp.cw_mul(t_im, t_im)
+        arp = lanes()
+        for i in range(WIDTH):
+            arp[i] = radiation_pressure(p_re[i], p_im[i], n_re[i], n_im[i], along2[i], weights)
+        result[frame, block] = arp
+
+
+@wp.kernel
 def product(
     left: wp.array(dtype=wp.float32, ndim=2),
     right: wp.array(dtype=wp.float32, ndim=2),

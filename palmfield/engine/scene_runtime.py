@@ -182,6 +182,7 @@ class SceneRuntime:
             # Poses are told apart as objects, and nothing in them changes: the copy goes on with the same ones.
             self.work.reference, self._posed, self._numbers = other.work.reference, other._posed, other._numbers
             self.work.prefetch.adopt(other.work.prefetch)
+            self.work.path_sound.adopt(other.work.path_sound)
             self.work.outside = [part.copy() for part in other.work.outside]
 
     def exchange(self, model: HapticModel) -> None:

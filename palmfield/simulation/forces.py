@@ -6,6 +6,7 @@ from palmfield.acoustics.arp import SurfaceSound
 from palmfield.acoustics.surface_load import Parts, resultants
 from palmfield.simulation.emission import Emission
 from palmfield.simulation.model import HapticModel
+from palmfield.simulation.path_sound import PathSound
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.radiation import Radiation
 from palmfield.types import Complex, Float, Float32
@@ -14,8 +15,10 @@ from palmfield.types import Complex, Float, Float32
 class BodyForces:
     """Mean forces on a model's bodies over a MuJoCo step. Belongs to one state, and keeps the last resultants."""
 
-    def __init__(self, model: HapticModel, radiation: Radiation):
+    def __init__(self, model: HapticModel, radiation: Radiation, path_sound: PathSound | None = None):
+        """path_sound: gives what lies on a path that is known ahead"""
         self.radiation = radiation
+        self._path_sound = path_sound if path_sound is not None and path_sound.serves else None
         self._skins = [model.carried(number)[0] for number in range(len(model.bodies))]
         self._shapes = [(body.parts, 3) for body in model.bodies]
         self._parts: dict[int, Parts] = {}
@@ -32,15 +35,20 @@ class BodyForces:
         for body, shape in enumerate(self._shapes):
             if len(drives) == 0:
                 forces.append((np.zeros(shape), np.zeros(shape)))
+                continue
+            skin, arp = self._skins[body], None
+            if levels is None and self._path_sound is not None:
+                arp = self._path_sound.arp(posed, skin, "samples", drives)
+            if arp is not None:
+                forces.append(self._resultants(posed, body, weights @ arp))
             elif levels is None and len(drives) == 1:
                 force, torque = self.under(posed, body, drives[0])
                 forces.append((weights[0] * force, weights[0] * torque))
             else:
-                skin, radiation = self._skins[body], self.radiation
                 if levels is None:
-                    arp = radiation.many(posed, skin, drives, "samples")
+                    arp = self.radiation.many(posed, skin, drives, "samples")
                 else:
-                    arp = radiation.sums(posed, skin, drives, levels, "samples")
+                    arp = self.radiation.sums(posed, skin, drives, levels, "samples")
                 forces.append(self._resultants(posed, body, weights @ arp))
         return forces
 

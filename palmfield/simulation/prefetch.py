@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from palmfield.acoustics.transfer import MATRIX_FROM
 from palmfield.simulation.emission import Emission
 from palmfield.simulation.model import HapticModel
+from palmfield.simulation.path_sound import PathSound
 from palmfield.simulation.posed_scene import PosedScene, PosedSkin
 from palmfield.simulation.radiation import Radiation, Role
 from palmfield.types import Complex, Float32
@@ -27,8 +28,9 @@ ALWAYS = np.ones(1, dtype=bool)
 class LoadPrefetch:
     """ARP for coming drives at the quadrature points of each skin. Belongs to one state."""
 
-    def __init__(self, model: HapticModel, emission: Emission, radiation: Radiation):
-        self.model, self.emission, self.radiation = model, emission, radiation
+    def __init__(self, model: HapticModel, emission: Emission, radiation: Radiation, path_sound: PathSound):
+        """path_sound: what it gives is not computed ahead"""
+        self.model, self.emission, self.radiation, self.path_sound = model, emission, radiation, path_sound
         self._posed: PosedScene | None = None
         self._until = -math.inf
         self._drives: Complex = np.zeros((0, len(model.arrays)), np.complex128)
@@ -56,7 +58,7 @@ class LoadPrefetch:
             self._until, self._drives = -math.inf, self._drives[:0]
             self._loads.clear()
             return
-        if t0 < self._until or not self._worthwhile:
+        if t0 < self._until or not self._worthwhile or (self.path_sound.serves and self.path_sound.holds(posed)):
             return
         count = max(AHEAD // self.model.substeps, 1) * self.model.substeps
         _, course = self.emission.over(posed, emitted, t0, count)
@@ -70,6 +72,10 @@ class LoadPrefetch:
 
     def pressures(self, posed: PosedScene, skin: int, drives: Complex, role: Role = "quadrature") -> Float32:
         """ARP [Pa] at a skin's quadrature points, or those of its load, for drives (m, N), shape (m, q)."""
+        if self.path_sound.serves:
+            on_path = self.path_sound.arp(posed, skin, role, drives)
+            if on_path is not None:
+                return on_path
         rows = self._predicted_rows(drives) if len(self._drives) >= len(drives) else None
         if rows is None:
             changes = _changes(drives)

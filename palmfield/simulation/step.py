@@ -17,6 +17,7 @@ from palmfield.simulation.emission import Emission
 from palmfield.simulation.forces import BodyForces
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.outside_class import OutsideClass, leaves_class, loudest_load
+from palmfield.simulation.path_sound import PathSound
 from palmfield.simulation.posed_scene import PosedScene, reference_scene
 from palmfield.simulation.prefetch import LoadPrefetch
 from palmfield.simulation.radiation import Radiation, Role
@@ -61,9 +62,12 @@ class Workspace:
         self.emission = Emission(model)
         self.radiation: Radiation = Radiation(model, None if beside is None else beside.radiation)
         self.device_sound = DeviceSound(model, self.reference) if serves(model) else None
-        self.unit_forces = BodyForces(model, self.radiation)
+        self.path_sound = PathSound(model, self.radiation, self.reference)
+        if beside is not None:
+            self.path_sound.adopt(beside.path_sound)
+        self.unit_forces = BodyForces(model, self.radiation, self.path_sound)
         self.forces = self.device_sound or self.unit_forces
-        self.prefetch = LoadPrefetch(model, self.emission, self.radiation)
+        self.prefetch = LoadPrefetch(model, self.emission, self.radiation, self.path_sound)
         self.outside = [OutsideClass() for _ in model.skins]
         self.amplitudes: Complex = np.zeros(len(model.arrays), np.complex128)
         self.observe: tuple[sparse.csr_matrix | None, ...] = (None,) * len(model.skins)

@@ -1,0 +1,122 @@
+"""ARP at points that keep still, for drives of which a few span all: a focus that runs along a known path."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from palmfield.acoustics.air import sound_speed
+from palmfield.acoustics.arp import law_weights, unit_normals
+from palmfield.acoustics.groups import axes
+from palmfield.acoustics.phased_array import MultiArrayField
+from palmfield.device import recorded
+from palmfield.threads import Calls, cores, share
+from palmfield.types import Complex, Float, Float32
+from warp_kernels import transfer as kernels
+
+OUT_OF_SPAN = 1e-6
+"""Of a drive's norm, what may lie outside the span: less than the field's own error in float32."""
+LEFT_OUT = 1e-7
+"""Of the largest singular value of a path's drives: smaller ones are not in the span."""
+MOST_SHARE = 0.5
+"""Of the number of transducers: a span of more dimensions saves no work."""
+NUMBERS_PER_THREAD = 1_000_000
+"""Fewest numbers of the fields worth a thread of its own."""
+
+
+def drives_span(drives: Complex) -> Complex | None:
+    """V, shape (N, r), with orthonormal columns and drives = (drives @ V) V^H for drives (m, N); None where it would
+    not be small."""
+    _, values, rows = np.linalg.svd(drives, full_matrices=False)
+    count = int(np.count_nonzero(values > LEFT_OUT * values[0])) if len(values) else 0
+    return np.ascontiguousarray(rows[:count].conj().T) if 0 < count <= MOST_SHARE * drives.shape[1] else None
+
+
+@dataclass(frozen=True)
+class SpannedFields:
+    """The fields of a few drives at points. Immutable, and safe to share among threads.
+
+    basis: V of `drives_span`, shape (N, r): the fields are of the rows of V^H; weights: of the ARP's law
+    fields: numbers as `warp_kernels.transfer.matrix` gives them, shape (blocks, r, 8); count: of points
+    """
+
+    basis: Complex
+    weights: tuple[float, float, float]
+    fields: Any
+    count: int
+
+
+def spanned_fields(
+    field: MultiArrayField, points: Float, normals: Float, basis: Complex, law: str = "default"
+) -> SpannedFields:
+    """Fields of the rows of V^H at points [m], shape (n, 3), with unit outward normals, in the array frame.
+
+    basis: V of `drives_span`, shape (N, r)
+    They are computed with geometry in double precision and kept in single: it is done once, and sums of them then have
+    less error than fields in single precision.
+    Raises SceneError for an unknown law, PalmfieldError for bad points or normals.
+    """
+    outward, weights = unit_normals(normals, len(points)), law_weights(law, field.air)
+    blocks, order = -(-len(points) // kernels.WIDTH), basis.shape[1]
+    parts: Any = wp.zeros((blocks, order, 8), dtype=kernels.lanes, device="cpu")
+    numbers: Float32 = np.zeros((order, 8, blocks * kernels.WIDTH), np.float32)
+    accurate = MultiArrayField(field.groups, field.air, field.device, "accurate")
+    turns = axes(outward.astype(float))
+    per_wavenumber = sound_speed(field.air) / (2.0 * np.pi * field.groups[0].array.frequency_Hz)
+    for number, drive in zip(numbers, basis.conj().T, strict=True):
+        sound = accurate.pressure(points, np.ascontiguousarray(drive), gradient=True)
+        assert sound.gradient is not None
+        along = per_wavenumber * np.einsum("nij,nj->in", turns, sound.gradient)
+        rows = np.concatenate([sound.pressure[None], along])
+        number[:4, : len(points)], number[4:, : len(points)] = rows.real, rows.imag
+    parts.numpy()[...] = numbers.reshape(order, 8, blocks, kernels.WIDTH).transpose(2, 0, 1, 3)
+    return SpannedFields(basis, weights, parts, len(points))
+
+
+class SpannedArp:
+    """ARP of drives in the span of some fields. Belongs to one simulation's state, and is used by one thread at a time;
+    it takes helpers."""
+
+    def __init__(self, fields: SpannedFields):
+        self.fields = fields
+        self._back: Complex = np.ascontiguousarray(fields.basis.conj())
+        self._rooms: dict[int, tuple[Float32, Float32, list[Calls], int]] = {}
+
+    def evaluate(self, drives: Complex) -> Float32 | None:
+        """ARP [Pa], shape (m, n), of drives (m, N); None where one of them lies outside the span.
+
+        A view of a buffer that the next call for as many drives overwrites.
+        """
+        shares = drives @ self.fields.basis
+        rest = drives - shares @ self._back.T
+        if np.any(_squares(rest) > OUT_OF_SPAN**2 * _squares(drives)):
+            return None
+        room = self._rooms.get(len(drives)) or self._new_room(len(drives))
+        taken, result, blocks, threads = room
+        taken[..., 0], taken[..., 1] = shares.real, shares.imag
+        share(blocks, threads)
+        return result
+
+    def _new_room(self, count: int) -> tuple[Float32, Float32, list[Calls], int]:
+        parts = self.fields.fields
+        blocks, order, _ = parts.shape
+        taken: Any = wp.zeros((count, order), dtype=wp.vec2, device="cpu")
+        result: Any = wp.zeros((count, blocks), dtype=kernels.lanes, device="cpu")
+        threads = max(1, min(cores(), count * parts.size * kernels.WIDTH // NUMBERS_PER_THREAD))
+        size = max(-(-blocks // (1 if threads == 1 else 4 * threads)), 1)
+        calls: list[Calls] = []
+        for first in range(0, blocks, size):
+            own = slice(first, min(first + size, blocks))
+            inputs = [parts[own], taken, wp.vec3(*self.fields.weights), result[:, own]]
+            launch: Callable[[], object] = recorded(kernels.arp_in_span, own.stop - own.start, inputs, "cpu")
+            calls.append((launch,))
+        seen = result.numpy().reshape(count, -1)[:, : self.fields.count]
+        room = self._rooms[count] = taken.numpy(), seen, calls, threads
+        return room
+
+
+def _squares(rows: Complex) -> Float:
+    """Sum of |a|^2 of each row."""
+    return np.asarray(np.add.reduce(rows.real**2 + rows.imag**2, axis=1))

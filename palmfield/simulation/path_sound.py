@@ -1,0 +1,75 @@
+"""ARP along a path that is known ahead, on bodies that keep still: a few fields, made once, give all of it."""
+
+from palmfield.acoustics.spanned_arp import SpannedArp, SpannedFields, drives_span, spanned_fields
+from palmfield.simulation.known_load import one_shape, path_drives
+from palmfield.simulation.model import HapticModel
+from palmfield.simulation.posed_scene import PosedScene
+from palmfield.simulation.radiation import Radiation, Role
+from palmfield.types import Complex, Float32, Int
+
+
+class PathSound:
+    """ARP on the skins of a model, and on what carries them. Belongs to one state, and is used by one thread at a time.
+
+    serves: whether the model has such a path, and its sound can be spanned
+    reference: as `reference_scene`: only there do the fields hold
+    """
+
+    def __init__(self, model: HapticModel, radiation: Radiation, reference: PosedScene):
+        self.model, self.radiation, self.reference = model, radiation, reference
+        self.serves = serves(model)
+        self._spans: list[Complex | None] = []  # of what is sent, which forces are of, and of what is emitted
+        self._fields: dict[tuple[int, Role], tuple[Int | None, SpannedFields | None]] = {}
+        self._arp: dict[tuple[int, Role], SpannedArp] = {}
+
+    def adopt(self, other: "PathSound") -> None:
+        """Take over what another state of the same model has made."""
+        self.reference = other.reference
+        self._spans, self._fields, self._arp = list(other._spans), dict(other._fields), {}
+
+    def holds(self, posed: PosedScene) -> bool:
+        """Whether arrays and bodies are in the reference pose."""
+        return (
+            self.serves
+            and posed.arrays is self.model.arrays
+            and all(one.body is other.body for one, other in zip(posed.skins, self.reference.skins, strict=True))
+        )
+
+    def arp(self, posed: PosedScene, skin: int, role: Role, drives: Complex) -> Float32 | None:
+        """ARP [Pa] at a skin's points for a role, shape (m, n), of drives (m, N).
+
+        None where the pose is another, one of the drives is not on the path, or its sound can't be spanned. A view of a
+        buffer that the next call for as many drives overwrites.
+        """
+        if not self.holds(posed):
+            return None
+        numbers = self.radiation.chosen(skin) if role == "load" else None
+        known = self._fields.get((skin, role))
+        if known is None or known[0] is not numbers:
+            known = self._fields[skin, role] = numbers, self._make(posed, skin, role)
+            self._arp.pop((skin, role), None)
+        if known[1] is None:
+            return None
+        spanned = self._arp.get((skin, role))
+        if spanned is None:
+            spanned = self._arp[skin, role] = SpannedArp(known[1])
+        return spanned.evaluate(drives)
+
+    def _make(self, posed: PosedScene, skin: int, role: Role) -> SpannedFields | None:
+        model = self.model
+        if not self._spans:
+            self._spans = [drives_span(drives) for drives in path_drives(model, model.sounding, self.reference)]
+        basis = self._spans[role != "samples"]
+        points, normals = self.radiation.points(posed, skin, role)
+        if basis is None or len(points) == 0:
+            return None
+        return spanned_fields(model.arrays.field, points, normals, basis, model.skins[skin].spec.config.arp_law)
+
+
+def serves(model: HapticModel) -> bool:
+    """Whether one stimulus moves along a path that is known ahead, past bodies that are expected to keep still."""
+    known = any(skin.choice.name == "reduced" for skin in model.skins)
+    if not known or one_shape(model.stimuli[model.sounding], model.pole, model.response_on):
+        return False
+    free = all(skin.spec.config.body_sound == "none" for skin in model.skins)
+    return free and model.arrays.field.device == "cpu"

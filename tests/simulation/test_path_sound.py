@@ -1,0 +1,90 @@
+"""Sound along a path that is known ahead, on bodies that keep still: the same numbers from a few fields."""
+
+import numpy as np
+import pytest
+
+from palmfield.session.simulation import load
+from palmfield.simulation import path_sound
+
+CIRCLE = {
+    "modulation": "none",
+    "am_of": None,
+    "am_frequency_Hz": None,
+    "am_depth": None,
+    "path": "circle",
+    "path_diameter_m": 0.01,
+    "path_rate_Hz": 70,
+}
+SKIN = {"accuracy": 0.31, "step_s": 0.0001, "solver": "reduced"}
+STEPS = 12
+
+
+def ran(path, steps=STEPS, before=lambda sim: None):
+    """Forces, sensors and motion after each of some steps, and the simulation."""
+    sim, seen = load(path), []
+    before(sim)
+    for _ in range(steps):
+        sim.step()
+        motion = np.concatenate([sim.skin().displacement.ravel(), sim.skin().velocity.ravel()])
+        seen.append((np.concatenate([force.ravel() for force in sim.runtime.applied]), motion))
+    return [np.array(part) for part in zip(*seen, strict=True)], sim
+
+
+def largest(differing, expected):
+    return np.abs(differing - expected).max() / np.abs(expected).max()
+
+
+@pytest.mark.parametrize("response", ["off", "on"])
+def test_a_path_on_a_still_body_gives_what_each_field_by_itself_does(small_scene, monkeypatch, response):
+    path = small_scene(stimulus=CIRCLE, array={"response": response}, skin=SKIN)
+    (force, motion), sim = ran(path)
+    sound = sim.runtime.work.path_sound
+    assert sound.serves and all(fields is not None for _, fields in sound._fields.values())
+    assert {role for _, role in sound._fields} == {"samples", "load"}
+    monkeypatch.setattr(path_sound, "serves", lambda model: False)
+    (plain_force, plain_motion), plain = ran(path)
+    assert not plain.runtime.work.path_sound._fields
+    assert plain.skin().solver == sim.skin().solver == "reduced"
+    assert largest(force, plain_force) < 1e-5 and largest(motion, plain_motion) < 1e-5
+
+
+def test_a_body_that_moves_leaves_it(small_scene, monkeypatch):
+    """It is pushed after some steps: what follows is computed where it is."""
+    path = small_scene(stimulus=CIRCLE, skin=SKIN | {"solver": "auto"}, duration_s=5.0)
+
+    def push(sim):
+        sim.data.qvel[:] = 0.5
+
+    (force, motion), sim = ran(path, before=push)
+    assert sim.runtime.work.path_sound.serves and sim.skin().solver == "wedges"
+    assert not sim.runtime.work.path_sound.holds(sim.runtime.posed)
+    monkeypatch.setattr(path_sound, "serves", lambda model: False)
+    (plain_force, plain_motion), _ = ran(path, before=push)
+    np.testing.assert_allclose(force, plain_force, rtol=1e-4, atol=1e-6 * np.abs(plain_force).max())
+    assert largest(motion, plain_motion) < 1e-5
+
+
+def test_copies_share_the_fields(small_scene):
+    sim = load(small_scene(stimulus=CIRCLE, skin=SKIN))
+    sim.step(3)
+    copy = sim.copy()
+    for part in (sim, copy):
+        part.step(3)
+    own, other = sim.runtime.work.path_sound, copy.runtime.work.path_sound
+    assert own._fields.keys() == other._fields.keys() and own._fields
+    assert all(own._fields[key][1] is other._fields[key][1] for key in own._fields)
+    assert np.array_equal(sim.skin().displacement, copy.skin().displacement)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"stimulus": CIRCLE | {"path": "point", "path_diameter_m": None, "path_rate_Hz": None}},
+        {"stimulus": CIRCLE, "skin": {"solver": "wedges"}},
+        {"stimulus": CIRCLE, "skin": SKIN | {"body_sound": "shadows"}},
+    ],
+    ids=["no path", "not known ahead", "shadows"],
+)
+def test_where_it_is_not_for(small_scene, changes):
+    sim = load(small_scene(**changes))
+    assert not sim.runtime.work.path_sound.serves
