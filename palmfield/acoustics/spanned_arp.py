@@ -20,8 +20,8 @@ OUT_OF_SPAN = 1e-6
 """Of a drive's norm, what may lie outside the span: less than the field's own error in float32."""
 LEFT_OUT = 1e-7
 """Of the largest singular value of a path's drives: smaller ones are not in the span."""
-MOST_SHARE = 0.5
-"""Of the number of transducers: a span of more dimensions saves no work."""
+MOST_SHARE = 0.75
+"""Of the number of transducers: a span of more dimensions saves little work for its memory."""
 NUMBERS_PER_THREAD = 1_000_000
 """Fewest numbers of the fields worth a thread of its own."""
 

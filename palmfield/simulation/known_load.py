@@ -46,6 +46,8 @@ SMALLEST = 1e-4
 """Of the largest harmonic of a load: smaller ones are left out of what a model is made for."""
 CLOSER, BEGIN_CLOSER = 16, 4
 """Examples of a load for each of its samples, as it comes round and while the transducers ring up."""
+SPAN_CLOSER = 4
+"""Drives for each sample of a load, of which all of its drives are to be sums."""
 LEFT_OUT = 1e-5
 """Of a known load, what the shapes may leave out by which it is looked at in few points."""
 DIGITS = 10
@@ -318,14 +320,15 @@ def path_drives(model: HapticModel, number: int, posed: PosedScene) -> tuple[Com
     stimulus = model.stimuli[number]
     config, settling = stimulus.config, _settling_s(stimulus, model)
     turn = period_s(config) or 0.0
-    count = samples(config, turn, max(skin.layer.demand.max_frequency_Hz for skin in model.skins))
+    count = SPAN_CLOSER * samples(config, turn, max(skin.layer.demand.max_frequency_Hz for skin in model.skins))
     emitted = steady_drives(model, number, posed, turn / count, math.ceil(settling * count / turn), count)
     if not model.response_on:
         return emitted, emitted
     drive, places = array_drives(model, posed.arrays)[number], posed.focal_points(stimulus, number)
     times: Float = config.start_s + turn / count * np.arange(count, dtype=np.float64)
     steady = config.model_copy(update={"ramp_s": 0.0, "stop_s": None})
-    beginning = steady_drives(model, number, posed, settling / BEGINNING, 0, BEGINNING)
+    moments = SPAN_CLOSER * BEGINNING
+    beginning = steady_drives(model, number, posed, settling / moments, 0, moments)
     return commanded_drive(steady, drive, None, times, places), np.concatenate([emitted, beginning])
 
 
