@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from palmfield.acoustics.field import FieldEvaluator, pressure
     from palmfield.acoustics.phased_array import ArrayInstance, MultiArrayField, PhasedArray
     from palmfield.acoustics.surface_arp import SurfaceArp
-    from palmfield.acoustics.surface_load import clearance, distance_to_arrays, resultants
+    from palmfield.acoustics.surface_load import clearance, distance_to_arrays, pushes, resultants
     from palmfield.acoustics.transfer import Transfer, arp_frames
 
 _WHERE = {
@@ -31,7 +31,7 @@ _WHERE = {
     **dict.fromkeys(("FieldEvaluator", "pressure"), "field"),
     **dict.fromkeys(("ArrayInstance", "MultiArrayField", "PhasedArray"), "phased_array"),
     "SurfaceArp": "surface_arp",
-    **dict.fromkeys(("clearance", "distance_to_arrays", "resultants"), "surface_load"),
+    **dict.fromkeys(("clearance", "distance_to_arrays", "pushes", "resultants"), "surface_load"),
     **dict.fromkeys(("Transfer", "arp_frames"), "transfer"),
 }
 __all__ = [
@@ -52,6 +52,7 @@ __all__ = [
     "layout",
     "particle_velocity",
     "pressure",
+    "pushes",
     "resultants",
 ]
 __getattr__, __dir__ = lazy_names(__name__, _WHERE)

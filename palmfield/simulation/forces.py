@@ -3,11 +3,11 @@
 import numpy as np
 
 from palmfield.acoustics.arp import SurfaceSound
-from palmfield.acoustics.surface_load import Parts, resultants
+from palmfield.acoustics.surface_load import Parts, pushes, resultants
 from palmfield.simulation.emission import Emission
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.path_sound import PathSound
-from palmfield.simulation.posed_scene import PosedScene
+from palmfield.simulation.posed_scene import PosedScene, PosedSurface
 from palmfield.simulation.radiation import Radiation
 from palmfield.types import Complex, Float, Float32
 
@@ -22,6 +22,7 @@ class BodyForces:
         self._skins = [model.carried(number)[0] for number in range(len(model.bodies))]
         self._shapes = [(body.parts, 3) for body in model.bodies]
         self._parts: dict[int, Parts] = {}
+        self._pushes: dict[int, tuple[PosedSurface, Float]] = {}
         self._last: dict[int, tuple[SurfaceSound, tuple[Float, Float]]] = {}
 
     def over(self, emission: Emission, posed: PosedScene, emitted: Complex, t0: float) -> list[tuple[Float, Float]]:
@@ -62,8 +63,11 @@ class BodyForces:
 
     def _resultants(self, posed: PosedScene, body: int, arp: Float | Float32) -> tuple[Float, Float]:
         part = posed.bodies[body]
-        points, normals, areas = part.samples
+        known = self._pushes.get(body)
+        if known is None or known[0] is not part:
+            points, normals, areas = part.samples
+            known = self._pushes[body] = part, pushes(areas, normals, points)
         parts = self._parts.get(body)
         if parts is None:
             parts = self._parts[body] = Parts(part.sample_parts, len(part.origins))
-        return resultants(arp, areas, normals, points, part.origins, parts)
+        return resultants(arp, known[1], part.origins, parts)

@@ -7,7 +7,7 @@ from palmfield.acoustics.arrays import from_poses, layout
 from palmfield.acoustics.phased_array import HOUSING_M, ArrayInstance, PhasedArray
 from palmfield.acoustics.shadow import REACH_m
 from palmfield.acoustics.sphere import geodesic
-from palmfield.acoustics.surface_load import CLEARANCE_M, Parts, clearance, distance_to_arrays, resultants
+from palmfield.acoustics.surface_load import CLEARANCE_M, Parts, clearance, distance_to_arrays, pushes, resultants
 from palmfield.config import ArrayConfig
 from palmfield.hand.triangles import face_normals
 from palmfield.transforms import IDENTITY, Placement, Transform
@@ -21,7 +21,7 @@ def test_resultants_are_the_sums_over_each_bodys_faces() -> None:
     arp, areas = rng.normal(size=count).astype(np.float32), rng.uniform(0.0, 1e-5, count)
     normals, points = rng.normal(size=(count, 3)), rng.normal(size=(count, 3))
     origins, owners = rng.normal(size=(bodies, 3)), rng.integers(0, bodies - 1, count).astype(np.int32)
-    forces, torques = resultants(arp, areas, normals, points, origins, Parts(owners, len(origins)))
+    forces, torques = resultants(arp, pushes(areas, normals, points), origins, Parts(owners, len(origins)))
     push = -(arp * areas)[:, None] * normals
     for body in range(bodies):
         own = owners == body
@@ -29,13 +29,15 @@ def test_resultants_are_the_sums_over_each_bodys_faces() -> None:
         arms = points[own] - origins[body]
         np.testing.assert_allclose(torques[body], np.cross(arms, push[own]).sum(axis=0), atol=1e-15)
     assert not forces[-1].any() and not torques[-1].any()  # no face belongs to the last one
-    again = resultants(arp, areas, normals, points, origins, Parts(owners, len(origins)))
+    again = resultants(arp, pushes(areas, normals, points), origins, Parts(owners, len(origins)))
     assert forces.tobytes() == again[0].tobytes() and torques.tobytes() == again[1].tobytes()
 
 
 def test_no_faces_push_nothing() -> None:
     none = np.zeros((0, 3))
-    forces, torques = resultants(np.zeros(0), np.zeros(0), none, none, np.ones((2, 3)), Parts(np.zeros(0, np.int32), 2))
+    forces, torques = resultants(
+        np.zeros(0), pushes(np.zeros(0), none, none), np.ones((2, 3)), Parts(np.zeros(0, np.int32), 2)
+    )
     np.testing.assert_array_equal(forces, np.zeros((2, 3)))
     np.testing.assert_array_equal(torques, np.zeros((2, 3)))
 
@@ -45,10 +47,10 @@ def test_even_pressure_on_a_closed_body_moves_nothing() -> None:
     normals, areas = face_normals(vertices, faces)
     centroids = vertices[faces].mean(axis=1)
     one, origin = Parts(np.zeros(len(faces), np.int32), 1), np.array([[0.1, 0.0, 0.0]])
-    forces, torques = resultants(np.ones(len(faces)), areas, normals, centroids, origin, one)
+    forces, torques = resultants(np.ones(len(faces)), pushes(areas, normals, centroids), origin, one)
     assert np.abs(forces).max() < 1e-15 and np.abs(torques).max() < 1e-15
     half = (centroids[:, 2] < 0.0).astype(float)
-    forces, _ = resultants(half, areas, normals, centroids, np.zeros((1, 3)), one)
+    forces, _ = resultants(half, pushes(areas, normals, centroids), np.zeros((1, 3)), one)
     np.testing.assert_allclose(forces[0], [0.0, 0.0, np.pi * 0.02**2], rtol=0.02, atol=1e-12)
 
 
