@@ -139,8 +139,7 @@ class SceneRuntime:
             self.work.emission.begin(posed, time_s)
         turn = posed.array_frame.rotation.T
         forces = []
-        amplitudes = gather(self.state, self.work)
-        for force, torque in self.work.forces.over(self.work.emission, posed, amplitudes, time_s):
+        for force, torque in self.work.mean_forces(self.model, self.state, posed, time_s):
             forces.append((force @ turn, torque @ turn))
         return forces
 

@@ -1,12 +1,13 @@
 """What a scene's sound does in one MuJoCo step, on a device: one captured graph from poses to ARP and forces.
 
-Poses and drives go in by one copy, forces and the sensors' ARP come out by another; the ARP on the skins stays on the
-device for what steps them there. A DeviceSound belongs to one state and is used by one thread at a time.
+Poses, drives and the numbers of skins with small models go in by one copy; forces, the sensors' ARP and what the skins'
+numbers will be when the step ends come out by another. The skins' state lies where the caller has it, and the device
+keeps none of it from step to step. A DeviceSound belongs to one state and is used by one thread at a time.
 """
 
 import cmath
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -27,10 +28,17 @@ from palmfield.simulation.model import BodyModel, HapticModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.radiation import occluding_counts, occluding_faces, occluding_vertices
 from palmfield.simulation.sensors import SensorPlace
+from palmfield.skin.reduction import device_models
+from palmfield.skin.reduction.device_models import DeviceModel, StepMemory, device_model
+from palmfield.skin.reduction.modal_stepper import Outside
+from palmfield.skin.stepper import SkinStepper
+from palmfield.stimulus.schedule import Moments
 from palmfield.types import Complex, Float, Float32, Int
 from warp_kernels import carried_points as carrying
 from warp_kernels import resultants as summing
+from warp_kernels import skin_steps
 
+NO_SKINS: Mapping[int, Any] = {}
 RUN = 32
 """Force samples that one thread adds up."""
 LOAD, FORCE, NOW = "load", "force", "now"
@@ -53,6 +61,31 @@ class Sounding(NamedTuple):
     def same(self, other: "Sounding | None") -> bool:
         """Whether all numbers are equal."""
         return other is not None and all(_same(one, its) for one, its in zip(self, other, strict=True))
+
+
+class SkinStart(NamedTuple):
+    """A skin at a step's beginning: what steps it, and its numbers, shape (state_size,)."""
+
+    stepper: SkinStepper
+    numbers: Float
+
+
+class SkinEnd(NamedTuple):
+    """A skin at a step's end: its numbers, shape (state_size,), a view that the next step overwrites, and what of the
+    load was outside the class that its modes serve, None where it has none."""
+
+    numbers: Float
+    outside: Outside | None
+
+
+class _SkinStep(NamedTuple):
+    """What a step of a skin was computed from. load: what sounds over it, None in silence; weights: of its patterns"""
+
+    posed: PosedScene
+    load: Sounding | None
+    stepper: SkinStepper
+    numbers: Float
+    weights: Float
 
 
 def serves(model: HapticModel) -> bool:
@@ -82,28 +115,83 @@ class DeviceSound:
         self._sounding: dict[str, Sounding | None] = {}
         self._force_scale = 0.0
         self._fetched = False
+        self._stepping: dict[int, DeviceModel] = {}
+        self._models: dict[tuple[int, SkinStepper], DeviceModel | None] = {}
+        self._skins: Mapping[int, _SkinStep] = NO_SKINS
 
     def watch(self, skin: int, place: SensorPlace) -> None:
         """Compute the ARP at a sensor's place as well, from the next step on."""
         if (skin, place) not in self._probes:
             self._probes.append((skin, place))
 
-    def over(self, emission: Emission, posed: PosedScene, emitted: Complex, t0: float) -> list[tuple[Float, Float]]:
-        """As `palmfield.simulation.forces.BodyForces.over`; the load on the skins is computed with it."""
+    def over(
+        self,
+        emission: Emission,
+        posed: PosedScene,
+        emitted: Complex,
+        t0: float,
+        skins: Mapping[int, SkinStart] | None = None,
+    ) -> list[tuple[Float, Float]]:
+        """As `palmfield.simulation.forces.BodyForces.over`; the load on the skins is computed with it.
+
+        skins: by number, those whose motion over the step is wanted as well, see `stepped`
+        """
         # First, as the others take from it what they can
-        _, course = emission.over(posed, emitted, t0, self.model.substeps)
+        moments, course = emission.over(posed, emitted, t0, self.model.substeps)
         mean = emission.mean_drives(posed, emitted, t0)
-        self.update(posed, mean, course, present_drive(emission.now(posed, emitted, t0))[0])
+        steps = {}
+        for number, start in (skins or {}).items():
+            model = self._model(number, start.stepper)
+            if model is not None:
+                weights = model.weights(*pattern_weights(moments, course))
+                steps[number] = _SkinStep(posed, _of_course(course), start.stepper, start.numbers.copy(), weights)
+        self.update(posed, mean, course, present_drive(emission.now(posed, emitted, t0))[0], steps)
         return self.forces(posed)
 
-    def update(self, posed: PosedScene, mean: MeanDrives, course: EmittedCourse, now: Complex | None) -> None:
+    def update(
+        self,
+        posed: PosedScene,
+        mean: MeanDrives,
+        course: EmittedCourse,
+        now: Complex | None,
+        skins: Mapping[int, "_SkinStep"] = NO_SKINS,
+    ) -> None:
         """Compute the sound of a step.
 
         mean: drives of the mean force over it; course: what is emitted over it; now: the drive that the sensors read,
-        shape (N,), None in silence
+        shape (N,), None in silence; skins: which are stepped, by number, and how
         """
         force, self._force_scale = _of_mean(mean)
-        self._launch(posed, {LOAD: _of_course(course), FORCE: force, NOW: None if now is None else Sounding(now[None])})
+        sounding = {LOAD: _of_course(course), FORCE: force, NOW: None if now is None else Sounding(now[None])}
+        self._launch(posed, sounding, skins)
+
+    def stepped(
+        self,
+        skin: int,
+        stepper: SkinStepper,
+        numbers: Float,
+        posed: PosedScene,
+        moments: Moments,
+        course: EmittedCourse,
+    ) -> SkinEnd | None:
+        """A skin after a step that begins with numbers (state_size,); None where `over` wasn't asked for just that."""
+        known, work = self._skins.get(skin), self.work
+        if known is None or work is None or known.posed is not posed or known.stepper is not stepper:
+            return None
+        model, load = self._models[skin, stepper], _of_course(course)
+        weights = model.weights(*pattern_weights(moments, course)) if model is not None else None
+        alike = load is known.load or (load is not None and load.same(known.load))
+        if model is None or not alike or not _same(weights, known.weights) or not _same(numbers, known.numbers):
+            return None
+        hosts = work.forces.hosts
+        return SkinEnd(hosts[f"after_{skin}"], model.outside(hosts[f"squares_{skin}"]))
+
+    def _model(self, skin: int, stepper: SkinStepper) -> DeviceModel | None:
+        """What steps a skin on the device, None where that is left to the CPU; kept."""
+        if (skin, stepper) not in self._models:
+            points = len(self.model.skins[skin].layer.quadrature.points)
+            self._models[skin, stepper] = device_model(stepper, self.model.substeps, points, self.device)
+        return self._models[skin, stepper]
 
     def forces(self, posed: PosedScene) -> list[tuple[Float, Float]]:
         """Mean forces [N] on each body's parts and torques about their origins [N m], array frame, shapes (b, 3)."""
@@ -157,10 +245,18 @@ class DeviceSound:
             return None
         return float(work.forces.hosts["probes"][0, work.probes.index((skin, place))])
 
-    def _launch(self, posed: PosedScene, sounding: dict[str, Sounding | None]) -> None:
-        """Compute all that has changed since the last launch."""
+    def _launch(
+        self, posed: PosedScene, sounding: dict[str, Sounding | None], skins: Mapping[int, "_SkinStep"] = NO_SKINS
+    ) -> None:
+        """Compute all that has changed since the last launch, and the skins' steps."""
         work = self.work
         fitting = work is not None and len(work.probes) == len(self._probes)
+        models = {}
+        for number, step in skins.items():
+            model = self._models[number, step.stepper]
+            assert model is not None
+            models[number] = model
+            fitting = fitting and work is not None and work.models.get(number) is model
         for name, one in sounding.items():
             drives, sums = self._sizes[name]
             if one is not None and (len(one.units) > drives or one.sums > sums):
@@ -172,13 +268,16 @@ class DeviceSound:
             self._arrays = posed.arrays
         if work is None or not fitting:
             work = self.work = None  # its memory is free for the next one
-            work = self.work = DeviceWork(self.model, self._reference, self._transducers, self._probes, self._sizes)
+            self._stepping |= models
+            sizes, stepping = self._sizes, self._stepping
+            work = self.work = DeviceWork(self.model, self._reference, self._transducers, self._probes, sizes, stepping)
         changed = [
             name
             for name, one in sounding.items()
             if one is not None and (moved or not one.same(self._sounding.get(name)))
         ]
-        if not changed:
+        self._skins = NO_SKINS
+        if not changed and not skins:
             self._sounding = sounding
             return
         self._sounding = {}  # should the launch fail, nothing is known
@@ -186,16 +285,23 @@ class DeviceSound:
             one = sounding[name]
             assert one is not None
             work.tell(name, one, self._transducers)
-        if moved:
-            work.place(posed)
-        work.run(moved)
-        self._posed, self._sounding, self._fetched = posed, sounding, False
+        for number, step in skins.items():
+            work.begin(number, step.numbers, step.weights)
+        if not changed:
+            work.run(False, False, tuple(skins))
+        else:
+            if moved:
+                work.place(posed)
+            work.run(moved, True, tuple(skins))
+            self._posed, self._fetched = posed, False
+        self._sounding, self._skins = sounding, skins
         self.launches += 1
 
 
 class DeviceWork:
     """Memory and launches for tables of fixed sizes.
 
+    models: what steps skins on the device, by the skin's number
     inputs: what goes in; forces: what comes out, sums by part and the sensors' ARP; load: ARP on the skins, (m, q)
     quadrature: which of the load's columns are a skin's; probes: sensors' places, each with its skin's number
     """
@@ -207,7 +313,9 @@ class DeviceWork:
         transducers: Transducers,
         probes: Sequence[tuple[int, SensorPlace]],
         sizes: dict[str, tuple[int, int]],
+        models: Mapping[int, DeviceModel] | None = None,
     ):
+        self.models = dict(models or {})
         self.model, self.device, self.probes = model, transducers.device, tuple(probes)
         self._rows = _motion_rows(model)
         parts: dict[str, tuple[tuple[int, ...], Any]] = {
@@ -219,6 +327,15 @@ class DeviceWork:
         for name, (drives, sums) in sizes.items():
             for part, what in DriveTable.parts(drives, sums, transducers.count).items():
                 parts[f"{name}_{part}"] = what
+        results: dict[str, tuple[tuple[int, ...], Any]] = {
+            "forces": ((self._rows.parts, 6), wp.float64),
+            "probes": ((1, max(len(probes), 1)), wp.float32),
+        }
+        for number, one in self.models.items():
+            parts[f"before_{number}"] = results[f"after_{number}"] = (one.stepper.state_size,), wp.float64
+            parts[f"weights_{number}"] = (one.weight_rows, sizes[LOAD][1]), wp.float64
+            of_squares = device_models.SECTIONS, one.substeps, skin_steps.LANES
+            results[f"squares_{number}"] = of_squares, wp.float64
         self.inputs = SharedBlock(parts, self.device)
         arrays = self.inputs.arrays
         motions = filled(carrying.Motions(), turns=arrays["turns"], shifts=arrays["shifts"])
@@ -228,12 +345,9 @@ class DeviceWork:
         owners = _Owners(reference, self._rows, points.samples)
         counts = {LOAD: points.loaded.stop, NOW: len(probes), FORCE: points.count - points.sampled.start}
         self.load = SharedArray((sizes[LOAD][1], counts[LOAD]), wp.float32, self.device)
-        self.forces = SharedBlock(
-            {"forces": ((self._rows.parts, 6), wp.float64), "probes": ((1, max(counts[NOW], 1)), wp.float32)},
-            self.device,
-        )
+        self.forces = SharedBlock(results, self.device)
         pressed: Any = wp.zeros((sizes[FORCE][1], counts[FORCE]), dtype=wp.float32, device=self.device)
-        results = {LOAD: self.load.array, NOW: self.forces.arrays["probes"], FORCE: pressed}
+        arps = {LOAD: self.load.array, NOW: self.forces.arrays["probes"], FORCE: pressed}
         places = {LOAD: points.loaded, NOW: points.probed, FORCE: points.sampled}
         surfaces: dict[str, list[Surface]] = {LOAD: [], NOW: [], FORCE: []}
         for number, own in enumerate(points.quadrature):
@@ -247,7 +361,7 @@ class DeviceWork:
             table = DriveTable(*(arrays[f"{name}_{part}"] for part in ("counts", "drives", "levels")))
             own = places[name]
             here = points.points[own], points.normals[own]
-            calls = sound_calls(transducers, table, *here, surfaces[name], model.arrays, results[name])
+            calls = sound_calls(transducers, table, *here, surfaces[name], model.arrays, arps[name])
             self._sound += calls
         sampled = points.normals[points.sampled], points.points[points.sampled]
         loads: Any = wp.zeros(counts[FORCE], dtype=wp.float64, device=self.device)
@@ -259,8 +373,23 @@ class DeviceWork:
         self._pose = points.calls(motions)
         for skin, mesh in meshes.items():
             self._pose += [*_mesh_calls(model, reference, skin, self._rows, mesh.mesh, motions, self.device)]
+        self._skins = {number: one.calls(self._memory(number)) for number, one in self.models.items()}
         self._kept = meshes
-        self._captured: dict[bool, Callable[[], object]] = {}
+        self._captured: dict[tuple[bool, bool, tuple[int, ...]], Callable[[], object]] = {}
+
+    def _memory(self, skin: int) -> StepMemory:
+        """Where a skin's step finds its numbers."""
+        inputs, results = self.inputs.arrays, self.forces.arrays
+        pressure = self.load.array[:, self.quadrature[skin]]
+        weights, before = inputs[f"weights_{skin}"], inputs[f"before_{skin}"]
+        squares = results[f"squares_{skin}"]
+        return StepMemory(inputs[f"{LOAD}_counts"], pressure, weights, before, results[f"after_{skin}"], squares)
+
+    def begin(self, skin: int, numbers: Float, weights: Float) -> None:
+        """Take a skin's numbers at a step's beginning, shape (state_size,), and what each pattern of pressure weighs."""
+        hosts = self.inputs.hosts
+        hosts[f"before_{skin}"][:] = numbers
+        hosts[f"weights_{skin}"][:, : weights.shape[1]] = weights
 
     def tell(self, name: str, sounding: Sounding, transducers: Transducers) -> None:
         """Take what sounds for one purpose. Raises PalmfieldError for drives that are not finite."""
@@ -300,24 +429,32 @@ class DeviceWork:
                         f"pose of '{name}' at {shifts[own].tolist()} is not finite: mend what moves it"
                     )
 
-    def calls(self, moved: bool) -> list[Callable[[], object]]:
-        """What is done for a step, in order; what only poses decide is left out where nothing has moved."""
-        return [self.inputs.upload, *(self._pose if moved else []), *self._sound, self.forces.download]
+    def calls(self, moved: bool, sounds: bool = True, skins: tuple[int, ...] = ()) -> list[Callable[[], object]]:
+        """What is done for a step, in order; what only poses decide is left out where nothing has moved.
 
-    def replay(self, moved: bool) -> Callable[[], object]:
+        sounds: whether the sound is computed, skins: numbers of those that are stepped
+        """
+        calls = [self.inputs.upload, *(self._pose if moved else []), *(self._sound if sounds else [])]
+        for number in skins:
+            calls += self._skins[number]
+        return [*calls, self.forces.download]
+
+    def replay(self, moved: bool, sounds: bool = True, skins: tuple[int, ...] = ()) -> Callable[[], object]:
         """All of these calls in one: on a GPU a captured graph, made when it is first asked for."""
-        replay = self._captured.get(moved)
+        replay = self._captured.get((moved, sounds, skins))
         if replay is None:
-            calls = self.calls(moved)
+            calls = self.calls(moved, sounds, skins)
             # Refitting a mesh is not recorded on the CPU, and takes memory from the pool on a GPU
             refits = moved and len(self._kept) > 0
             captures = not refits or (self.device != "cpu" and wp.get_device(self.device).is_mempool_supported)
-            replay = self._captured[moved] = replayed(calls, self.device) if captures else partial(_do, calls)
+            replay = self._captured[moved, sounds, skins] = (
+                replayed(calls, self.device) if captures else partial(_do, calls)
+            )
         return replay
 
-    def run(self, moved: bool) -> None:
+    def run(self, moved: bool, sounds: bool = True, skins: tuple[int, ...] = ()) -> None:
         """Compute a step and wait for forces and sensors."""
-        replay = self.replay(moved)
+        replay = self.replay(moved, sounds, skins)
         with launching:
             replay()
         if self.device != "cpu":
@@ -563,6 +700,17 @@ def _same(one: Complex | Float | None, other: Complex | Float | None) -> bool:
     if one is None or other is None or one is other:
         return one is other
     return one.shape == other.shape and not np.logical_or.reduce(one != other, axis=None)
+
+
+def pattern_weights(moments: Moments, course: EmittedCourse) -> tuple[Float, Float]:
+    """Weights of a course's patterns of pressure at the beginning and the end of each substep, shapes (s, m)."""
+    if course.levels is None:
+        return moments.first, moments.last
+    if course.unit is None:
+        nothing = np.zeros((len(moments.first), 1))
+        return nothing, nothing
+    factors = (np.abs(course.levels) ** 2)[:, None]
+    return moments.first @ factors, moments.last @ factors
 
 
 def _of_course(course: EmittedCourse) -> Sounding | None:

@@ -12,7 +12,7 @@ import numpy as np
 from scipy import sparse
 
 from palmfield.drive.transducer_response import EmittedCourse
-from palmfield.simulation.device_sound import DeviceSound, serves
+from palmfield.simulation.device_sound import DeviceSound, SkinStart, serves
 from palmfield.simulation.emission import Emission
 from palmfield.simulation.forces import BodyForces
 from palmfield.simulation.model import HapticModel
@@ -20,7 +20,7 @@ from palmfield.simulation.outside_class import OutsideClass, leaves_class, loude
 from palmfield.simulation.posed_scene import PosedScene, reference_scene
 from palmfield.simulation.prefetch import LoadPrefetch
 from palmfield.simulation.radiation import Radiation, Role
-from palmfield.simulation.state import HapticState, claim, stepper_of
+from palmfield.simulation.state import HapticState, at_rest, claim, stepper_of
 from palmfield.simulation.whole_layer import continue_on_whole_layer, leaves_small_model
 from palmfield.skin.reduction.modal_stepper import ModalStepper, Outside
 from palmfield.skin.stepper import Reader, SkinStepper, SurfaceLoads
@@ -72,6 +72,24 @@ class Workspace:
         self._readers: dict[tuple[int, SkinStepper], tuple[sparse.csr_matrix, Reader]]
         self._readers = {} if beside is None else beside._readers
 
+    def mean_forces(
+        self, model: HapticModel, state: HapticState, posed: PosedScene, t0: float
+    ) -> list[tuple[Float, Float]]:
+        """Mean forces over the step that begins at t0 [s], as `palmfield.simulation.forces.BodyForces.over`.
+
+        A device that has begun to compute steps the skins over it as well, where nobody watches all substeps.
+        """
+        emitted = gather(state, self)
+        if self.device_sound is None:
+            return self.unit_forces.over(self.emission, posed, emitted, t0)
+        skins = {}
+        for number, watched in enumerate(self.observe):
+            # One that nothing has stepped yet may have no stepper: to look at forces doesn't make it
+            if watched is None and not at_rest(state, number):
+                stepper, numbers = stepper_of(model, state, number)
+                skins[number] = SkinStart(stepper, numbers[0])
+        return self.device_sound.over(self.emission, posed, emitted, t0, skins)
+
     def begin_run(self) -> None:
         """Forget what was of another run."""
         self.prefetch.forget()
@@ -106,28 +124,53 @@ def step(model: HapticModel, state: HapticState, posed: PosedScene, t0: float, t
     moments, course = work.emission.over(posed, begun, t0, model.substeps)
     motions = []
     for number in range(len(model.skins)):
-        stepper, numbers = stepper_of(model, state, number)
-        if leaves_small_model(model, state, number, posed, work.reference, work.emission, t0):
-            stepper, numbers = continue_on_whole_layer(
-                model, state, number, posed, work.emission, work.radiation, begun, t0
-            )
-        loads = skin_loads(work, posed, number, stepper.points, moments, course)
-        if isinstance(stepper, ModalStepper):
-            share = work.outside_share(model, number, stepper, stepper.outside(loads))
-            if leaves_class(model, number, share):
-                stepper, numbers = continue_on_whole_layer(
-                    model, state, number, posed, work.emission, work.radiation, begun, t0
-                )
-                loads = skin_loads(work, posed, number, stepper.points, moments, course)
-        reader = None if work.observe[number] is None else work.reader(number, stepper)
-        motions.append(stepper.step(numbers, loads, t0, t1, reader))
-        claim(model, state, number, stepper)
+        motions.append(_step_skin(model, state, number, posed, begun, moments, course, t0, t1, work))
     if model.response_on:
         scatter(state, course.end)
     if work.observer is not None:
         times = t0 + model.step_s * np.arange(1, model.substeps + 1, dtype=np.float64)
-        seen = tuple(None if motion is None else motion[0] for motion in motions)
-        work.observer(StepTrace(times, posed, moments, course, begun, course.end, seen))
+        work.observer(StepTrace(times, posed, moments, course, begun, course.end, tuple(motions)))
+
+
+def _step_skin(
+    model: HapticModel,
+    state: HapticState,
+    number: int,
+    posed: PosedScene,
+    begun: Complex,
+    moments: Moments,
+    course: EmittedCourse,
+    t0: float,
+    t1: float,
+    work: Workspace,
+) -> Float | None:
+    """Carry a skin from t0 to t1 [s], in place; what is watched of it, (s, 2, m)."""
+    emission, device = work.emission, work.device_sound
+    stepper, numbers = stepper_of(model, state, number)
+    if leaves_small_model(model, state, number, posed, work.reference, emission, t0):
+        stepper, numbers = continue_on_whole_layer(model, state, number, posed, emission, work.radiation, begun, t0)
+    reader = None if work.observe[number] is None else work.reader(number, stepper)
+    end = None
+    if device is not None and reader is None:
+        end = device.stepped(number, stepper, numbers[0], posed, moments, course)
+    loads = skin_loads(work, posed, number, stepper.points, moments, course) if end is None else None
+    if isinstance(stepper, ModalStepper):
+        seen = end.outside if end is not None else None
+        if seen is None:
+            assert loads is not None
+            seen = stepper.outside(loads)
+        if leaves_class(model, number, work.outside_share(model, number, stepper, seen)):
+            stepper, numbers = continue_on_whole_layer(model, state, number, posed, emission, work.radiation, begun, t0)
+            reader = None if work.observe[number] is None else work.reader(number, stepper)
+            end, loads = None, skin_loads(work, posed, number, stepper.points, moments, course)
+    motion = None
+    if end is not None:
+        numbers[0] = end.numbers
+    else:
+        assert loads is not None
+        motion = stepper.step(numbers, loads, t0, t1, reader)
+    claim(model, state, number, stepper)
+    return motion[0] if motion is not None else None
 
 
 def skin_loads(

@@ -78,9 +78,9 @@ class ReducedStepper:
         self.points = points
         self.step_s, self.error, self.any_course = step_s, error, any_course
         self.state_size, self.order = self.model.state_size, vectors.shape[1]
-        self._shares = np.ascontiguousarray(shares)
+        self.shares = np.ascontiguousarray(shares)
         # Pressures come in single precision, and half the memory to read is half the time
-        self._single_shares = self._shares.astype(np.float32)
+        self._single_shares = self.shares.astype(np.float32)
         advance, start, end = self.model.propagators(step_s)
         self._advance = np.ascontiguousarray(advance)
         self._start, self._end = np.ascontiguousarray(start.T), np.ascontiguousarray(end.T)
@@ -94,7 +94,7 @@ class ReducedStepper:
         self, state: Float, loads: SurfaceLoads, t0: float, t1: float, observe: Reader | None = None
     ) -> Float | None:
         """See SkinStepper."""
-        own = check_step(self, state, loads, len(self._shares), t0, t1, any_length=True)
+        own = check_step(self, state, loads, len(self.shares), t0, t1, any_length=True)
         worlds, substeps, _ = loads.first.shape
         states = np.empty((worlds, substeps, self.state_size))
         with one_blas_thread:
@@ -128,7 +128,7 @@ class ReducedStepper:
 
     def _forces(self, pressure: Float | Float32) -> Float:
         """Shapes of force under patterns of pressure (w, k, q), shape (w, k, j)."""
-        return np.asarray(pressure @ (self._single_shares if pressure.dtype == np.float32 else self._shares))
+        return np.asarray(pressure @ (self._single_shares if pressure.dtype == np.float32 else self.shares))
 
     def _pushes(self, loads: SurfaceLoads) -> tuple[Float, Float]:
         """What each pattern adds to the state by its weights at a substep's start and at its end, shapes (w, k, n)."""
@@ -170,14 +170,14 @@ class ReducedStepper:
         for material, part in zip(self.small.materials, parts, strict=True):
             matrix = matrix + stiffening(material, s) * part
         return np.asarray(
-            (operator @ self.vectors) @ np.linalg.solve(matrix, self.small.force @ (pressure_Pa @ self._shares)),
+            (operator @ self.vectors) @ np.linalg.solve(matrix, self.small.force @ (pressure_Pa @ self.shares)),
             dtype=complex,
         )
 
     def lifted(self, state: Float, pressure_Pa: Float) -> Float:
         """The same motion as a state of WedgeStepper, (w, its state_size), under the present inward pressure (q,)."""
         model = self.model
-        rates = state @ model.rates.T + (pressure_Pa @ self._shares) @ model.inputs.T
+        rates = state @ model.rates.T + (pressure_Pa @ self.shares) @ model.inputs.T
         rows = [state @ model.displaces.T, state @ model.moves.T, rates @ model.moves.T]
         rows += [state @ internal.T for internal in model.internals]
         return np.concatenate([row @ self.vectors.T for row in rows], axis=1)
