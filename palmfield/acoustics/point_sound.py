@@ -34,6 +34,7 @@ class Transducers:
     """The transducers of a scene's arrays on a device, sorted by directivity.
 
     arrays: as they stand now; device: of `palmfield.device.resolve`
+    order: their numbers in the order in which kernels take them; scale: strength at full drive in that order [Pa m]
     """
 
     def __init__(self, arrays: PhasedArray, device: str):
@@ -41,9 +42,9 @@ class Transducers:
         self._places = SharedArray(self.count, wp.vec4, device)
         self._facing = SharedArray(self.count, wp.vec4, device)
         self._boards = SharedArray(len(arrays.parts), wp.vec4, device)
-        self._order = np.concatenate([group.chosen for group in arrays.groups])
-        self._sorted = bool((self._order == np.arange(self.count)).all())
-        self._scale = np.ones(self.count, np.complex128)
+        self.order = np.concatenate([group.chosen for group in arrays.groups])
+        self._sorted = bool((self.order == np.arange(self.count)).all())
+        self.scale = np.ones(self.count, np.complex128)
         self.groups: list[tuple[slice, Any, Any]] = []
         start = 0
         for group in arrays.groups:
@@ -58,7 +59,7 @@ class Transducers:
             directivity, slope, _ = off_axis(array, wavenumber)
             shapes = np.array([directivity, slope / wavenumber], np.float32)
             self.groups.append((own, waves, wp.array(shapes, dtype=vec6, device=device)))
-            self._scale[own] = array.p0_Pa_m if array.gain is None else array.p0_Pa_m * array.gain
+            self.scale[own] = array.p0_Pa_m if array.gain is None else array.p0_Pa_m * array.gain
             start = own.stop
         self.move(arrays)
 
@@ -73,7 +74,7 @@ class Transducers:
 
     def strengths(self, amplitudes: Complex) -> Complex:
         """Amplitudes relative to full drive as kernels take them [Pa m], both of shape (k, count)."""
-        return self._scale * (amplitudes if self._sorted else amplitudes[:, self._order])
+        return self.scale * (amplitudes if self._sorted else amplitudes[:, self.order])
 
     @property
     def places(self) -> tuple[Any, Any]:

@@ -193,9 +193,7 @@ class SceneRuntime:
 
     def sense(self, skin: int, sensors: Sequence[PluginSensor]) -> None:
         """Fill a skin's sensors from the state at the present time."""
-        posed, course = self.now()
-        part, device = self.model.skins[skin], self.work.device_sound
-        drive, factor = present_drive(course)
+        posed, part = self.posed, self.model.skins[skin]
         resting = at_rest(self.state, skin)
         for sensor in sensors:
             place = self._places.get(sensor.name) or self.place(skin, sensor)
@@ -203,18 +201,27 @@ class SceneRuntime:
             if not resting:
                 stepper, numbers = stepper_of(self.model, self.state, skin)
                 motion = stepper.read(numbers, place.reader(stepper))[0, :, 0]
-            arp = 0.0
-            if drive is not None:
-                known = None if device is None else device.probed(skin, place, posed, drive)
-                if known is None:
-                    if device is not None:
-                        device.watch(skin, place)
-                    body = posed.bodies[part.body]
-                    points, normals = body.moved(place.probe.closest, place.probe.normals, place.binding)
-                    known = float(self.work.radiation.at(posed, skin, "probe", points, normals, drive).arp[0])
-                arp = factor * known
             x, y, z = self.applied[part.body]
-            fill(sensor.data, SkinReading(x, y, z, motion[0], motion[1], arp))
+            fill(sensor.data, SkinReading(x, y, z, motion[0], motion[1], self._arp_at(skin, place, posed)))
+
+    def _arp_at(self, skin: int, place: SensorPlace, posed: PosedScene) -> float:
+        """The ARP at a sensor's place at the present time [Pa]."""
+        device, emitted, time_s = self.work.device_sound, gather(self.state, self.work), self.view.raw.time
+        known = None if device is None else device.sensed(skin, place, posed, emitted, time_s)
+        if known is not None:
+            return known
+        drive, factor = present_drive(self.work.emission.now(posed, emitted, time_s))
+        if drive is None:
+            return 0.0
+        if device is not None:
+            known = device.probed(skin, place, posed, drive)
+            if known is None:
+                device.watch(skin, place)
+        if known is None:
+            body = posed.bodies[self.model.skins[skin].body]
+            points, normals = body.moved(place.probe.closest, place.probe.normals, place.binding)
+            known = float(self.work.radiation.at(posed, skin, "probe", points, normals, drive).arp[0])
+        return factor * known
 
     def place(self, skin: int, sensor: PluginSensor) -> SensorPlace:
         """Where a sensor reads, kept. Raises SceneError for one that is not on the skin's body or far from the skin."""

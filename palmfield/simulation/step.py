@@ -88,7 +88,15 @@ class Workspace:
             if watched is None and not at_rest(state, number):
                 stepper, numbers = stepper_of(model, state, number)
                 skins[number] = SkinStart(stepper, numbers[0])
-        return self.device_sound.over(self.emission, posed, emitted, t0, skins)
+        watched = self.observer is not None or any(operator is not None for operator in self.observe)
+        return self.device_sound.over(self.emission, posed, emitted, t0, skins, watched)
+
+    def course(self, model: HapticModel, posed: PosedScene, begun: Complex, t0: float) -> tuple[Moments, EmittedCourse]:
+        """What is emitted over the step that begins at t0 [s], see Emission.over; from the device where it knows."""
+        known = None
+        if self.device_sound is not None and self.observer is None:
+            known = self.device_sound.course(posed, begun, t0)
+        return self.emission.over(posed, begun, t0, model.substeps) if known is None else known
 
     def begin_run(self) -> None:
         """Forget what was of another run."""
@@ -121,7 +129,7 @@ def step(model: HapticModel, state: HapticState, posed: PosedScene, t0: float, t
     begun = gather(state, work)
     if work.device_sound is None:
         work.prefetch.predict_drives(posed, begun, t0)
-    moments, course = work.emission.over(posed, begun, t0, model.substeps)
+    moments, course = work.course(model, posed, begun, t0)
     motions = []
     for number in range(len(model.skins)):
         motions.append(_step_skin(model, state, number, posed, begun, moments, course, t0, t1, work))
@@ -193,10 +201,10 @@ def skin_loads(
             arp = work.radiation.on(posed, skin, role, course.unit).arp[None]
         factors = (np.abs(course.levels) ** 2)[:, None]
         return SurfaceLoads(arp[None], (moments.first @ factors)[None], (moments.last @ factors)[None])
-    assert course.emitted is not None
     if device is not None:
         arp = device.patterns(posed, skin, course, points)
         return SurfaceLoads(arp[None], moments.first[None], moments.last[None])
+    assert course.emitted is not None
     if course.parts is not None:
         sums = work.radiation.sums(posed, skin, *course.parts, role)
         return SurfaceLoads(sums[None], moments.first[None], moments.last[None])

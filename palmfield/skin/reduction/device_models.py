@@ -4,7 +4,7 @@ The pressure lies on the device already. The state comes in and goes out as the 
 have made of it, to rounding.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -67,7 +67,7 @@ class DeviceModel(Protocol):
         ...
 
     def outside(self, squares: Float) -> Outside | None:
-        """What of the load lies outside the class that the stepper serves, from the launches' sums; None without one."""
+        """What of the load lies outside the class that the stepper serves, from the launches' sums, if it has one."""
         ...
 
 
@@ -104,8 +104,7 @@ class DeviceModes:
 
     def weights(self, first: Float, last: Float) -> Float:
         """See DeviceModel."""
-        result: Float = self.stepper.mixed(SurfaceLoads(np.zeros(0), first, last))
-        return result
+        return self.stepper.mixed(SurfaceLoads(np.zeros(0), first, last)).astype(np.float64)
 
     def calls(self, memory: StepMemory) -> Calls:
         """See DeviceModel."""
@@ -164,7 +163,7 @@ class _Products:
         self._points = whole_numbers(points, device)
         self._matrix: Any = wp.array(np.ascontiguousarray(matrix, np.float32), dtype=wp.float32, device=device)
 
-    def calls(self, memory: StepMemory) -> tuple[Calls, Any]:
+    def calls(self, memory: StepMemory) -> tuple[list[Callable[[], object]], Any]:
         """Launches, and where they leave the products of each row of the weights, float64, shape (rows, c)."""
         points, columns = self._matrix.shape
         blocks, chunks = -(-memory.pressure.shape[0] // kernels.ROWS), -(-points // CHUNK)
