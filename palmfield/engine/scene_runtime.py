@@ -139,7 +139,12 @@ class SceneRuntime:
             self.work.emission.begin(posed, time_s)
         turn = posed.array_frame.rotation.T
         forces = []
-        for force, torque in self.work.mean_forces(self.model, self.state, posed, time_s):
+        work = self.work
+        if work.device_sound is not None:
+            of_bodies = work.by_device(self.model, self.state, posed, time_s)
+        else:
+            of_bodies = work.unit_forces.over(work.emission, posed, gather(self.state, work), time_s)
+        for force, torque in of_bodies:
             forces.append((force @ turn, torque @ turn))
         return forces
 
@@ -193,7 +198,10 @@ class SceneRuntime:
 
     def sense(self, skin: int, sensors: Sequence[PluginSensor]) -> None:
         """Fill a skin's sensors from the state at the present time."""
-        posed, part = self.posed, self.model.skins[skin]
+        posed, emitted, time_s = self.posed, gather(self.state, self.work), self.view.raw.time
+        part, device = self.model.skins[skin], self.work.device_sound
+        by_path = device is not None and device.course(posed, emitted, time_s) is not None
+        sounding = None if by_path else present_drive(self.work.emission.now(posed, emitted, time_s))
         resting = at_rest(self.state, skin)
         for sensor in sensors:
             place = self._places.get(sensor.name) or self.place(skin, sensor)
@@ -201,27 +209,23 @@ class SceneRuntime:
             if not resting:
                 stepper, numbers = stepper_of(self.model, self.state, skin)
                 motion = stepper.read(numbers, place.reader(stepper))[0, :, 0]
+            arp = device.sensed(skin, place) if by_path and device is not None else None
+            if arp is None:
+                if sounding is None:
+                    sounding = present_drive(self.work.emission.now(posed, emitted, time_s))
+                drive, factor = sounding
+                arp = 0.0
+                if drive is not None:
+                    known = None if device is None else device.probed(skin, place, posed, drive)
+                    if known is None:
+                        if device is not None:
+                            device.watch(skin, place)
+                        body = posed.bodies[part.body]
+                        points, normals = body.moved(place.probe.closest, place.probe.normals, place.binding)
+                        known = float(self.work.radiation.at(posed, skin, "probe", points, normals, drive).arp[0])
+                    arp = factor * known
             x, y, z = self.applied[part.body]
-            fill(sensor.data, SkinReading(x, y, z, motion[0], motion[1], self._arp_at(skin, place, posed)))
-
-    def _arp_at(self, skin: int, place: SensorPlace, posed: PosedScene) -> float:
-        """The ARP at a sensor's place at the present time [Pa]."""
-        device, emitted, time_s = self.work.device_sound, gather(self.state, self.work), self.view.raw.time
-        known = None if device is None else device.sensed(skin, place, posed, emitted, time_s)
-        if known is not None:
-            return known
-        drive, factor = present_drive(self.work.emission.now(posed, emitted, time_s))
-        if drive is None:
-            return 0.0
-        if device is not None:
-            known = device.probed(skin, place, posed, drive)
-            if known is None:
-                device.watch(skin, place)
-        if known is None:
-            body = posed.bodies[self.model.skins[skin].body]
-            points, normals = body.moved(place.probe.closest, place.probe.normals, place.binding)
-            known = float(self.work.radiation.at(posed, skin, "probe", points, normals, drive).arp[0])
-        return factor * known
+            fill(sensor.data, SkinReading(x, y, z, motion[0], motion[1], arp))
 
     def place(self, skin: int, sensor: PluginSensor) -> SensorPlace:
         """Where a sensor reads, kept. Raises SceneError for one that is not on the skin's body or far from the skin."""

@@ -328,13 +328,10 @@ class DeviceSound:
         assert work is not None
         return work.load.array[:, work.quadrature[skin]], work.inputs.arrays["load_counts"]
 
-    def sensed(self, skin: int, place: SensorPlace, posed: PosedScene, emitted: Complex, time_s: float) -> float | None:
-        """ARP [Pa] at a sensor's place at a time [s]; None where the device hasn't computed a step that begins then.
-
-        emitted: by all transducers at that time, shape (N,)
-        """
+    def sensed(self, skin: int, place: SensorPlace) -> float | None:
+        """ARP [Pa] at a sensor's place where a step begins that `course` tells of; None where it isn't watched."""
         work = self.work
-        if work is None or (skin, place) not in work.probes or self.course(posed, emitted, time_s) is None:
+        if work is None or (skin, place) not in work.probes:
             return None
         return float(work.forces.hosts["probes"][0, work.probes.index((skin, place))])
 

@@ -72,31 +72,22 @@ class Workspace:
         self._readers: dict[tuple[int, SkinStepper], tuple[sparse.csr_matrix, Reader]]
         self._readers = {} if beside is None else beside._readers
 
-    def mean_forces(
+    def by_device(
         self, model: HapticModel, state: HapticState, posed: PosedScene, t0: float
     ) -> list[tuple[Float, Float]]:
         """Mean forces over the step that begins at t0 [s], as `palmfield.simulation.forces.BodyForces.over`.
 
-        A device that has begun to compute steps the skins over it as well, where nobody watches all substeps.
+        The device computes the step's load with them, and steps the skins over it where nobody watches all substeps.
         """
-        emitted = gather(state, self)
-        if self.device_sound is None:
-            return self.unit_forces.over(self.emission, posed, emitted, t0)
-        skins = {}
+        device, skins = self.device_sound, {}
+        assert device is not None
         for number, watched in enumerate(self.observe):
             # One that nothing has stepped yet may have no stepper: to look at forces doesn't make it
             if watched is None and not at_rest(state, number):
                 stepper, numbers = stepper_of(model, state, number)
                 skins[number] = SkinStart(stepper, numbers[0])
-        watched = self.observer is not None or any(operator is not None for operator in self.observe)
-        return self.device_sound.over(self.emission, posed, emitted, t0, skins, watched)
-
-    def course(self, model: HapticModel, posed: PosedScene, begun: Complex, t0: float) -> tuple[Moments, EmittedCourse]:
-        """What is emitted over the step that begins at t0 [s], see Emission.over; from the device where it knows."""
-        known = None
-        if self.device_sound is not None and self.observer is None:
-            known = self.device_sound.course(posed, begun, t0)
-        return self.emission.over(posed, begun, t0, model.substeps) if known is None else known
+        watched_by_any = self.observer is not None or any(operator is not None for operator in self.observe)
+        return device.over(self.emission, posed, gather(state, self), t0, skins, watched_by_any)
 
     def begin_run(self) -> None:
         """Forget what was of another run."""
@@ -129,7 +120,9 @@ def step(model: HapticModel, state: HapticState, posed: PosedScene, t0: float, t
     begun = gather(state, work)
     if work.device_sound is None:
         work.prefetch.predict_drives(posed, begun, t0)
-    moments, course = work.course(model, posed, begun, t0)
+    device = work.device_sound
+    known = None if device is None or work.observer is not None else device.course(posed, begun, t0)
+    moments, course = known or work.emission.over(posed, begun, t0, model.substeps)
     motions = []
     for number in range(len(model.skins)):
         motions.append(_step_skin(model, state, number, posed, begun, moments, course, t0, t1, work))
