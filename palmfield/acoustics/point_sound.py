@@ -4,6 +4,7 @@ Where `palmfield.acoustics.surface_arp` takes points and drives from NumPy in ea
 other kernels have put them, and leave the ARP there.
 """
 
+import functools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -124,9 +125,14 @@ def fill_table(
     drives[k : -(-k // ROWS) * ROWS] = 0.0
     own = weights.view(np.complex64)[..., 0]
     if levels is None:
-        own[:k, :k] = np.eye(k)
+        own[:k, :k] = _unit(k)
     else:
         own[: len(levels), :k] = levels
+
+
+@functools.lru_cache(maxsize=64)
+def _unit(count: int) -> NDArray[np.float64]:
+    return np.eye(count)
 
 
 class Surface(NamedTuple):

@@ -410,6 +410,7 @@ class DeviceWork:
 
     models: what steps skins on the device, by the skin's number; drives: what drives transducers there, if anything
     inputs: what goes in; forces: what comes out, sums by part and the sensors' ARP; load: ARP on the skins, (m, q)
+    asked: for what of `calls` the last step has asked
     quadrature: which of the load's columns are a skin's; probes: sensors' places, each with its skin's number
     """
 
@@ -486,6 +487,7 @@ class DeviceWork:
             self._pose += [*_mesh_calls(model, reference, skin, self._rows, mesh.mesh, motions, self.device)]
         self._path = [] if drives is None else drives.calls(self._path_memory())
         self._skins = {number: one.calls(self._memory(number)) for number, one in self.models.items()}
+        self.asked: tuple[bool, bool, tuple[int, ...], bool] = (True, True, (), False)
         self._led = False
         self._kept = meshes
         self._captured: dict[tuple[bool, bool, tuple[int, ...], bool], Callable[[], object]] = {}
@@ -598,7 +600,8 @@ class DeviceWork:
 
     def run(self, moved: bool, sounds: bool = True, skins: tuple[int, ...] = (), path: bool = False) -> None:
         """Compute a step and wait for forces and sensors."""
-        replay = self.replay(moved, sounds, skins, path)
+        self.asked = moved, sounds, skins, path
+        replay = self.replay(*self.asked)
         with launching:
             replay()
         if self.device != "cpu":

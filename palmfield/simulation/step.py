@@ -23,6 +23,7 @@ from palmfield.simulation.radiation import Radiation, Role
 from palmfield.simulation.state import HapticState, at_rest, claim, stepper_of
 from palmfield.simulation.whole_layer import continue_on_whole_layer, leaves_small_model
 from palmfield.skin.reduction.modal_stepper import ModalStepper, Outside
+from palmfield.skin.reduction.reduced_stepper import ReducedStepper
 from palmfield.skin.stepper import Reader, SkinStepper, SurfaceLoads
 from palmfield.stimulus.schedule import Moments
 from palmfield.types import Complex, Float, Int
@@ -52,6 +53,7 @@ class Workspace:
 
     unit_forces: of one drive, on the CPU's way; forces: of steps, by a device's graph where there is one
     outside: of each skin what of its load has been outside the class that its modes serve
+    served: the pose in which a skin's small model was last found to serve
     observe: what is watched of each skin, an operator (m, unknowns) or None; observer: told of each step
     """
 
@@ -65,6 +67,7 @@ class Workspace:
         self.forces = self.device_sound or self.unit_forces
         self.prefetch = LoadPrefetch(model, self.emission, self.radiation)
         self.outside = [OutsideClass() for _ in model.skins]
+        self.served: list[PosedScene | None] = [None] * len(model.skins)
         self.amplitudes: Complex = np.zeros(len(model.arrays), np.complex128)
         self.observe: tuple[sparse.csr_matrix | None, ...] = (None,) * len(model.skins)
         self.observer: Callable[[StepTrace], None] | None = None
@@ -148,8 +151,12 @@ def _step_skin(
     """Carry a skin from t0 to t1 [s], in place; what is watched of it, (s, 2, m)."""
     emission, device = work.emission, work.device_sound
     stepper, numbers = stepper_of(model, state, number)
-    if leaves_small_model(model, state, number, posed, work.reference, emission, t0):
-        stepper, numbers = continue_on_whole_layer(model, state, number, posed, emission, work.radiation, begun, t0)
+    if work.served[number] is not posed:
+        if leaves_small_model(model, state, number, posed, work.reference, emission, t0):
+            stepper, numbers = continue_on_whole_layer(model, state, number, posed, emission, work.radiation, begun, t0)
+        # One that serves only from the beginning of the sound on must be asked again, and so where points are held
+        elif not emission.holds and not (isinstance(stepper, ReducedStepper) and not stepper.any_course):
+            work.served[number] = posed
     reader = None if work.observe[number] is None else work.reader(number, stepper)
     end = None
     if device is not None and reader is None:

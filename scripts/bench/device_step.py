@@ -137,13 +137,14 @@ def by_itself(work: DeviceWork, device: str, options: argparse.Namespace) -> Non
     """What the device takes for a step that has moved, and for one that has not."""
     again = AGAIN.get(device, 200)
     for moved in (True, False):
-        work.run(moved)
+        asked = moved, *work.asked[1:]
+        work.run(*asked)
         waits = []
         for _ in range(again):
             start = time.perf_counter()
-            work.run(moved)
+            work.run(*asked)
             waits.append(1e6 * (time.perf_counter() - start))
-        graph = device_us([work.replay(moved)], device, again)
+        graph = device_us([work.replay(*asked)], device, again)
         what = "moved" if moved else "at rest"
         p99 = np.quantile(waits, 0.99)
         print(
@@ -153,7 +154,7 @@ def by_itself(work: DeviceWork, device: str, options: argparse.Namespace) -> Non
     print(f"  copies: {work.inputs.nbytes} bytes in {in_us:.1f} us, {work.forces.nbytes} out {out_us:.1f} us")
     if options.timeline:
         total = 0.0
-        for call in work.calls(True):
+        for call in work.calls(True, *work.asked[1:]):
             took = device_us([call], device, min(again, 40))
             total += took
             print(f"    {took:7.1f} us  {label(work, call)}")
