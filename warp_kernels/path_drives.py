@@ -124,6 +124,7 @@ def single(value: wp.vec2d):
 @wp.kernel
 def ring_along(
     counts: wp.array(dtype=wp.int32),
+    group: wp.array(dtype=wp.int32),
     rings: wp.int32,
     waves: wp.array2d(dtype=wp.vec2d),
     levels: wp.array(dtype=wp.float64),
@@ -138,8 +139,8 @@ def ring_along(
 ):
     """What a transducer emits at the moments of a step, as a pole rings along the drives; dim: n.
 
-    The last of counts[0] foci is where the step begins, the others are the moments'. rings: 0 where what is commanded
-    sounds at once
+    The last of counts[0] foci is where the step begins, the others are the moments', counts[1] for each, of which a
+    transducer takes the one that `group` names. rings: 0 where what is commanded sounds at once
     weights: for each moment those of what was emitted before, of the drives at the moment before and at this one, and,
         for a part that is held, of what was emitted and of the drive, for half of it; complex, shape (m, 5)
     scales: strength at full drive [Pa m]; order: each transducer's column in the tables of drives
@@ -150,11 +151,15 @@ def ring_along(
     e = wp.tid()
     column = order[e]
     scale = scales[e]
-    moments = counts[0] - 1
+    last = counts[0] - 1
+    groups = counts[1]
+    moments = last // groups
+    own = group[e]
     emitted = begun[e]
     before = wp.vec2d()
     for j in range(moments):
-        drive = levels[j] * waves[j, e]
+        focus = j * groups + own
+        drive = levels[focus] * waves[focus, e]
         if rings == 0:
             load[j, column] = single(times(scale, drive))
         else:
@@ -166,9 +171,9 @@ def ring_along(
         before = drive
     for j in range(moments, load.shape[0]):
         load[j, column] = wp.vec2()
-    force[0, column] = single(times(scale, levels[moments] * waves[moments, e]))
+    force[0, column] = single(times(scale, levels[last] * waves[last, e]))
     if rings == 0:
-        now[0, column] = single(times(scale, levels[moments + 1] * waves[moments, e]))
+        now[0, column] = single(times(scale, levels[last + 1] * waves[last, e]))
     else:
         now[0, column] = single(times(scale, begun[e]))
     end[e] = emitted

@@ -17,7 +17,7 @@ from palmfield.drive.array_drive import ArrayDrive
 from palmfield.drive.transducer_response import PoleStepper
 from palmfield.stimulus.schedule import Moments
 from palmfield.threads import Calls
-from palmfield.types import Complex, Float
+from palmfield.types import Complex, Float, Int
 from warp_kernels import path_drives as kernels
 
 TERMS = 24
@@ -25,15 +25,17 @@ TERMS = 24
 
 
 class PathStep(NamedTuple):
-    """A focus that moves over a MuJoCo step. moments: of the step; foci: at each of them, and at the step's beginning,
-    first array's frame [m], shape (m + 1, 3)
+    """A focus that moves over a MuJoCo step. moments: of the step
 
-    levels: of the pressure at the moments relative to the loudest, 0..1, shape (m,); now: the same at the beginning
+    foci: at each moment, of each of d groups of transducers, and at the step's beginning, first array's frame [m],
+        shape (m d + 1, 3); group: to which each transducer belongs, shape (n,), None where there is one
+    levels: of the pressure there relative to the loudest moment's, 0..1, shape (m d,); now: the same at the beginning
     mean: of the ARP over the step, relative to the loudest moment's
     """
 
     moments: Moments
     foci: Float
+    group: Int | None
     levels: Float
     now: float
     mean: float
@@ -42,13 +44,15 @@ class PathStep(NamedTuple):
 class PathMemory(NamedTuple):
     """Where kernels find a step's numbers on a device, and where they leave what they find.
 
-    counts: foci, int32, shape (1,); foci: [m], vec3d, shape (f,); wanted: levels, float64, shape (f + 1,)
-    ring: weights of the pole for each moment, vec2d, shape (f - 1, 5); begun, end: what is emitted, vec2d, shape (n,)
+    counts: foci and groups, int32, shape (2,); group: of each transducer, int32, shape (n,)
+    foci: [m], vec3d, shape (f,); wanted: levels, float64, shape (f + 1,)
+    ring: weights of the pole for each moment, vec2d, shape (m, 5); begun, end: what is emitted, vec2d, shape (n,)
     sums: pressure at the foci at full drive and number of transducers that face them, vec3d, shape (f, LANES)
     load, force, now: tables of drives, vec2, see `palmfield.acoustics.point_sound.DriveTable`
     """
 
     counts: Any
+    group: Any
     foci: Any
     wanted: Any
     ring: Any
@@ -60,20 +64,21 @@ class PathMemory(NamedTuple):
     now: Any
 
     @staticmethod
-    def inputs(moments: int, transducers: int) -> dict[str, tuple[tuple[int, ...], Any]]:
-        """Shapes and types of what goes in, for a `SharedBlock`; moments: how many at most."""
+    def inputs(moments: int, foci: int, transducers: int) -> dict[str, tuple[tuple[int, ...], Any]]:
+        """Shapes and types of what goes in, for a `SharedBlock`; moments, foci: how many at most."""
         return {
-            "path_counts": ((1,), wp.int32),
-            "path_foci": ((moments + 1,), wp.vec3d),
-            "path_wanted": ((moments + 2,), wp.float64),
+            "path_counts": ((2,), wp.int32),
+            "path_group": ((transducers,), wp.int32),
+            "path_foci": ((foci,), wp.vec3d),
+            "path_wanted": ((foci + 1,), wp.float64),
             "path_ring": ((moments, 5), wp.vec2d),
             "path_begun": ((transducers,), wp.vec2d),
         }
 
     @staticmethod
-    def results(moments: int, transducers: int) -> dict[str, tuple[tuple[int, ...], Any]]:
+    def results(foci: int, transducers: int) -> dict[str, tuple[tuple[int, ...], Any]]:
         """Shapes and types of what comes out."""
-        return {"path_end": ((transducers,), wp.vec2d), "path_sums": ((moments + 1, kernels.LANES), wp.vec3d)}
+        return {"path_end": ((transducers,), wp.vec2d), "path_sums": ((foci, kernels.LANES), wp.vec3d)}
 
 
 class PathDrives:
@@ -121,7 +126,7 @@ class PathDrives:
         levels: Any = wp.zeros(foci + 1, dtype=wp.float64, device=device)
         focusing, counts, sums = self._focusing, memory.counts, memory.sums
         rings = int(self._pole is not None)
-        inputs = [counts, rings, waves, levels, memory.ring, self._scales, self._order, memory.begun]
+        inputs = [counts, memory.group, rings, waves, levels, memory.ring, self._scales, self._order, memory.begun]
         inputs += [memory.load, memory.force, memory.now, memory.end]
         return [
             launch(kernels.focus_waves, (foci, self.count), [focusing, counts, memory.foci, waves, strengths], device),

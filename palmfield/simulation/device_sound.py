@@ -47,6 +47,8 @@ RUN = 32
 """Force samples that one thread adds up."""
 LOAD, FORCE, NOW = "load", "force", "now"
 """What drives are for: the skins' load over the step, the mean force over it, and the sensors at its beginning."""
+FOCI = "foci"
+"""Where they come from, if kernels make them."""
 
 
 class Sounding(NamedTuple):
@@ -124,7 +126,7 @@ class DeviceSound:
         self._arrays = model.arrays
         self._transducers = Transducers(model.arrays, self.device)
         self._probes: list[tuple[int, SensorPlace]] = []
-        self._sizes = {LOAD: (1, 1), FORCE: (1, 1), NOW: (1, 1)}
+        self._sizes = {LOAD: (1, 1), FORCE: (1, 1), NOW: (1, 1), FOCI: (0, 0)}
         self.work: DeviceWork | None = None
         self._posed: PosedScene | None = None
         self._sounding: dict[str, Sounding | None] = {}
@@ -205,8 +207,9 @@ class DeviceSound:
         course = EmittedCourse(None, None, None, np.empty(len(emitted), np.complex128))
         self._path = known = _PathKnown(posed, t0, emitted.copy(), path.moments, course)
         steps = self._steps(posed, path.moments, course, skins)
-        count = len(path.levels)
-        work, moved = self._room({LOAD: (count, count), FORCE: (1, 1), NOW: (1, 1)}, posed, steps)
+        count = len(path.moments.times)
+        needs = {LOAD: (count, count), FORCE: (1, 1), NOW: (1, 1), FOCI: (len(path.foci), 0)}
+        work, moved = self._room(needs, posed, steps)
         self._skins, self._sounding, self._path = NO_SKINS, {}, None  # should the launch fail, nothing is known
         work.lead(path, emitted, self._drives)
         if moved:
@@ -433,8 +436,8 @@ class DeviceWork:
             "origins": ((self._rows.parts,), wp.vec3d),
             "weights": ((sizes[FORCE][1],), wp.float64),
         }
-        for name, (most, sums) in sizes.items():
-            for part, what in DriveTable.parts(most, sums, transducers.count).items():
+        for name in (LOAD, FORCE, NOW):
+            for part, what in DriveTable.parts(*sizes[name], transducers.count).items():
                 parts[f"{name}_{part}"] = what
         results: dict[str, tuple[tuple[int, ...], Any]] = {
             "forces": ((self._rows.parts, 6), wp.float64),
@@ -446,8 +449,8 @@ class DeviceWork:
             of_squares = device_models.SECTIONS, one.substeps, skin_steps.LANES
             results[f"squares_{number}"] = of_squares, wp.float64
         if drives is not None:
-            parts |= PathMemory.inputs(sizes[LOAD][0], transducers.count)
-            results |= PathMemory.results(sizes[LOAD][0], transducers.count)
+            parts |= PathMemory.inputs(sizes[LOAD][0], sizes[FOCI][0], transducers.count)
+            results |= PathMemory.results(sizes[FOCI][0], transducers.count)
         self.inputs = SharedBlock(parts, self.device)
         arrays = self.inputs.arrays
         motions = filled(carrying.Motions(), turns=arrays["turns"], shifts=arrays["shifts"])
@@ -495,15 +498,16 @@ class DeviceWork:
     def _path_memory(self) -> PathMemory:
         """Where a moving focus's numbers are."""
         here = self.inputs.arrays | self.forces.arrays
-        own = (here[f"path_{name}"] for name in ("counts", "foci", "wanted", "ring", "begun", "end", "sums"))
+        own = (here[f"path_{name}"] for name in ("counts", "group", "foci", "wanted", "ring", "begun", "end", "sums"))
         return PathMemory(*own, *(here[f"{name}_drives"] for name in (LOAD, FORCE, NOW)))
 
     def lead(self, path: PathStep, emitted: Complex, drives: PathDrives) -> None:
         """Take a step of a focus that moves. Raises PalmfieldError for one that is not finite."""
-        hosts, count = self.inputs.hosts, len(path.levels)
+        hosts, count, moments = self.inputs.hosts, len(path.levels), len(path.moments.times)
         if not math.isfinite(np.add.reduce(path.foci, axis=None)):
             raise PalmfieldError(f"focus at {path.foci.tolist()} m is not finite: mend what moves it")
-        hosts["path_counts"][0] = count + 1
+        hosts["path_counts"][:] = count + 1, count // moments
+        hosts["path_group"][:] = 0 if path.group is None else path.group
         hosts["path_foci"][: count + 1] = path.foci
         wanted = hosts["path_wanted"]
         wanted[:count], wanted[count], wanted[count + 1] = path.levels, 1.0, path.now
@@ -511,7 +515,7 @@ class DeviceWork:
         hosts["path_ring"].view(np.complex128)[: len(ring), :, 0] = ring
         hosts["path_begun"].view(np.complex128)[:, 0] = emitted
         hosts["weights"][0] = 1.0
-        for name, sums in ((LOAD, count), (FORCE, 1), (NOW, 1)):
+        for name, sums in ((LOAD, moments), (FORCE, 1), (NOW, 1)):
             if hosts[f"{name}_counts"][0] != sums or hosts[f"{name}_counts"][1] != sums or not self._led:
                 hosts[f"{name}_counts"][:] = sums
                 hosts[f"{name}_levels"].view(np.complex64)[:sums, :sums, 0] = np.eye(sums)

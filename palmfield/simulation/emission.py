@@ -12,9 +12,11 @@ from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.drive.array_drive import ArrayDrive
 from palmfield.drive.path_drives import PathStep
 from palmfield.drive.transducer_response import (
+    NO_LAG,
     EmittedCourse,
     combined,
     commanded_drive,
+    delays_now,
     emitted_now,
     emitted_over,
     mean_level,
@@ -139,15 +141,19 @@ class Emission:
         if not self._moves_alone:
             return None
         model = self.model
-        part, _, place = self.placed(posed, t0)[0]
+        part, drive, place = self.placed(posed, t0)[0]
         moments = substep_moments(model.configs, t0, model.step_s, count)
-        points, factors = frames_at(part.config, np.append(moments.times, t0))
+        lags, group = NO_LAG, None
+        if part.response.on and part.response.delayed:
+            lags, group = delays_now(part.config, drive, place)
+        times = np.append(moments.times[:, None] - lags, t0)
+        points, factors = frames_at(part.config, times)
         if not np.logical_or.reduce(factors):
             return None
         means = max(LEAST_MEANS, model.substeps)
         mean = mean_arp_factor(part.config, t0, t0 + model.spec.timestep_s, means)
         levels = np.sqrt(factors)
-        return PathStep(moments, place.along(points), levels[:-1], float(levels[-1]), mean)
+        return PathStep(moments, place.along(points), group, levels[:-1], float(levels[-1]), mean)
 
     def now(self, posed: PosedScene, emitted: Complex, time_s: float) -> EmittedCourse:
         """What is emitted at the present time [s], as a course of one moment; emitted: shape (N,)."""
@@ -239,7 +245,7 @@ def _moves_alone(model: HapticModel, drives: list[ArrayDrive]) -> bool:
         return False
     stimulus, drive = model.stimuli[0], drives[0]
     response = stimulus.response
-    alike = not response.on or (response.stepper.alike and not response.delayed)
+    alike = not response.on or response.stepper.alike
     single = stimulus.config.path != "point" and len(stimulus.offsets) == 0
     return single and alike and drive.everything and drive.board.exact
 

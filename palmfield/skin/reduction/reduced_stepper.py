@@ -124,7 +124,7 @@ class ReducedStepper:
 
     def _leap(self, state: Float, loads: SurfaceLoads) -> None:
         """All substeps at once, under pressures that stay: nobody asks for what lies between."""
-        worlds, substeps, patterns = loads.first.shape
+        worlds, substeps, _ = loads.first.shape
         known = self._leaps
         with one_blas_thread:
             if known is None or known[0] is not loads.pressure_Pa or known[1] != substeps:
