@@ -19,7 +19,17 @@ from palmfield.acoustics import check
 from palmfield.acoustics.body_scattering import Occlusion
 from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.acoustics.point_sound import DriveTable, Surface, Transducers, fill_table, sound_calls
-from palmfield.device import SharedArray, SharedBlock, filled, launch, launching, replayed, resolve, whole_numbers
+from palmfield.device import (
+    Branches,
+    SharedArray,
+    SharedBlock,
+    filled,
+    launch,
+    launching,
+    replayed,
+    resolve,
+    whole_numbers,
+)
 from palmfield.drive.path_drives import PathDrives, PathMemory, PathStep
 from palmfield.drive.transducer_response import EmittedCourse, present_drive
 from palmfield.errors import PalmfieldError
@@ -43,7 +53,7 @@ from warp_kernels import skin_steps
 CLOCK_S = 1e-12
 """Times nearer to each other than this are one and the same."""
 NO_SKINS: Mapping[int, Any] = {}
-RUN = 32
+RUN = 16
 """Force samples that one thread adds up."""
 LOAD, FORCE, NOW = "load", "force", "now"
 """What drives are for: the skins' load over the step, the mean force over it, and the sensors at its beginning."""
@@ -471,17 +481,16 @@ class DeviceWork:
             surfaces[NOW].append(self._surface(number, slice(i, i + 1), meshes))
         for body, own in points.samples:
             surfaces[FORCE].append(self._surface(model.carried(body)[0], own, meshes))
-        self._sound: list[Callable[[], object]] = []
+        self._sound: dict[str, list[Callable[[], object]]] = {}
         for name in (FORCE, LOAD, NOW):
             table = DriveTable(*(arrays[f"{name}_{part}"] for part in ("counts", "drives", "levels")))
             own = places[name]
             here = points.points[own], points.normals[own]
-            calls = sound_calls(transducers, table, *here, surfaces[name], model.arrays, arps[name])
-            self._sound += calls
+            self._sound[name] = [*sound_calls(transducers, table, *here, surfaces[name], model.arrays, arps[name])]
         sampled = points.normals[points.sampled], points.points[points.sampled]
         loads: Any = wp.zeros(counts[FORCE], dtype=wp.float64, device=self.device)
         weighed = [arrays[f"{FORCE}_counts"], arrays["weights"], pressed, points.areas, loads]
-        self._sound += [
+        self._sound[FORCE] += [
             launch(summing.mean_load, counts[FORCE], weighed, self.device),
             *owners.calls(loads, *sampled, arrays["origins"], self.forces.arrays["forces"], self.device),
         ]
@@ -582,9 +591,11 @@ class DeviceWork:
         those of `lead`, and not of `tell`
         """
         calls = [self.inputs.upload, *(self._path if path else []), *(self._pose if moved else [])]
-        calls += self._sound if sounds else []
-        for number in skins:
-            calls += self._skins[number]
+        stepped = [call for number in skins for call in self._skins[number]]
+        if sounds:
+            calls.append(Branches(([*self._sound[LOAD], *stepped], self._sound[FORCE], self._sound[NOW])))
+        else:
+            calls += stepped
         return [*calls, self.forces.download]
 
     def replay(
@@ -810,9 +821,11 @@ class _Owners:
         )
         runs = len(self._starts) - 1
         sums: Any = wp.zeros((runs, 6), dtype=wp.float64, device=device)
+        lanes: Any = wp.zeros((summing.LANES, self._parts, 6), dtype=wp.float64, device=device)
         return [
             launch(summing.sums_of_runs, runs, [loads, normals, points, order, starts, parts, origins, sums], device),
-            launch(summing.sums_of_parts, (self._parts, 6), [sums, of_parts, result], device),
+            launch(summing.sums_of_parts, lanes.shape, [sums, of_parts, lanes], device),
+            launch(summing.sums_of_lanes, (self._parts, 6), [lanes, result], device),
         ]
 
 
