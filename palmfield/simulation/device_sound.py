@@ -226,7 +226,7 @@ class DeviceSound:
             work.place(posed)
         for number, step in steps.items():
             work.begin(number, step.numbers, step.weights)
-        work.run(moved, True, tuple(steps), path=True)
+        work.run(moved, True, tuple(steps), True)
         self.launches += 1
         self._posed, self._fetched = posed, False
         if not self._drives.can(path, work.forces.hosts["path_sums"]):
