@@ -5,6 +5,7 @@ import functools
 import os
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -136,6 +137,43 @@ launching = threading.Lock()
 """Held while a graph is captured: what another thread launches meanwhile on the device would become part of it."""
 
 
+@dataclass(frozen=True)
+class Branches:
+    """Lists of calls of which none needs what another list does: on a GPU a graph does them side by side."""
+
+    parts: tuple[Sequence[Callable[[], object]], ...]
+
+    def __call__(self) -> None:
+        """All of them, one list after the other."""
+        for part in self.parts:
+            for call in part:
+                call()
+
+    def captured(self, device: str) -> None:
+        """The same while a graph is captured on a GPU, each list on a stream of its own."""
+        main, beside = wp.get_stream(device), _streams(device, len(self.parts) - 1)
+        for stream in beside:
+            stream.wait_stream(main)
+        for stream, part in zip(beside, self.parts[1:], strict=True):
+            with wp.ScopedStream(stream, sync_enter=False):
+                for call in part:
+                    call()
+        for call in self.parts[0]:
+            call()
+        for stream in beside:
+            main.wait_stream(stream)
+
+
+_beside: dict[str, list[Any]] = {}
+
+
+def _streams(device: str, count: int) -> list[Any]:
+    """Streams for graphs to be captured on; kept."""
+    known = _beside.setdefault(device, [])
+    known += [wp.Stream(device) for _ in range(count - len(known))]
+    return known[:count]
+
+
 def replayed(calls: Sequence[Callable[[], object]], device: str) -> Callable[[], object]:
     """A call that does all of these launches and copies, in order, as one captured graph; they are done once here.
 
@@ -144,9 +182,17 @@ def replayed(calls: Sequence[Callable[[], object]], device: str) -> Callable[[],
     # Done before they are captured: kernels are loaded then, and memory that Warp needs beside ours is there
     for call in calls:
         call()
+    if device != "cpu":
+        # Streams, and the events by which they wait for one another, can't be made while a graph is captured
+        most = max((len(call.parts) for call in calls if isinstance(call, Branches)), default=1)
+        for stream in (wp.get_stream(device), *_streams(device, most - 1)):
+            assert stream.cached_event is not None
     with launching, wp.ScopedCapture(device=device) as capture:
         for call in calls:
-            call()
+            if isinstance(call, Branches) and device != "cpu":
+                call.captured(device)
+            else:
+                call()
     replay: Any = functools.partial(wp.capture_launch, capture.graph)
     replay.calls = calls  # a graph knows addresses only: with its calls their arrays live as long
     return replay

@@ -4,6 +4,9 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
+LANES = 16
+"""Threads that share the runs of a part."""
+
 
 @wp.kernel
 def mean_load(
@@ -53,11 +56,21 @@ def sums_of_runs(
 
 @wp.kernel
 def sums_of_parts(
-    runs: wp.array2d(dtype=wp.float64), starts: wp.array(dtype=wp.int32), result: wp.array2d(dtype=wp.float64)
+    runs: wp.array2d(dtype=wp.float64), starts: wp.array(dtype=wp.int32), result: wp.array3d(dtype=wp.float64)
 ):
-    """The runs of each part, starts[i] to starts[i + 1], added up, shape (parts, 6); dim: (parts, 6)."""
+    """The runs of each part, starts[i] to starts[i + 1], added up in LANES, shape (LANES, parts, 6); dim: the same."""
+    lane, part, axis = wp.tid()
+    total = wp.float64(0.0)
+    for run in range(starts[part] + lane, starts[part + 1], LANES):
+        total += runs[run, axis]
+    result[lane, part, axis] = total
+
+
+@wp.kernel
+def sums_of_lanes(lanes: wp.array3d(dtype=wp.float64), result: wp.array2d(dtype=wp.float64)):
+    """What `sums_of_parts` found, added up, shape (parts, 6); dim: the same."""
     part, axis = wp.tid()
     total = wp.float64(0.0)
-    for run in range(starts[part], starts[part + 1]):
-        total += runs[run, axis]
+    for lane in range(LANES):
+        total += lanes[lane, part, axis]
     result[part, axis] = total

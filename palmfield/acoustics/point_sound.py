@@ -4,6 +4,7 @@ Where `palmfield.acoustics.surface_arp` takes points and drives from NumPy in ea
 other kernels have put them, and leave the ARP there.
 """
 
+import functools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -34,6 +35,7 @@ class Transducers:
     """The transducers of a scene's arrays on a device, sorted by directivity.
 
     arrays: as they stand now; device: of `palmfield.device.resolve`
+    order: their numbers in the order in which kernels take them; scale: strength at full drive in that order [Pa m]
     """
 
     def __init__(self, arrays: PhasedArray, device: str):
@@ -41,9 +43,9 @@ class Transducers:
         self._places = SharedArray(self.count, wp.vec4, device)
         self._facing = SharedArray(self.count, wp.vec4, device)
         self._boards = SharedArray(len(arrays.parts), wp.vec4, device)
-        self._order = np.concatenate([group.chosen for group in arrays.groups])
-        self._sorted = bool((self._order == np.arange(self.count)).all())
-        self._scale = np.ones(self.count, np.complex128)
+        self.order = np.concatenate([group.chosen for group in arrays.groups])
+        self._sorted = bool((self.order == np.arange(self.count)).all())
+        self.scale = np.ones(self.count, np.complex128)
         self.groups: list[tuple[slice, Any, Any]] = []
         start = 0
         for group in arrays.groups:
@@ -58,7 +60,7 @@ class Transducers:
             directivity, slope, _ = off_axis(array, wavenumber)
             shapes = np.array([directivity, slope / wavenumber], np.float32)
             self.groups.append((own, waves, wp.array(shapes, dtype=vec6, device=device)))
-            self._scale[own] = array.p0_Pa_m if array.gain is None else array.p0_Pa_m * array.gain
+            self.scale[own] = array.p0_Pa_m if array.gain is None else array.p0_Pa_m * array.gain
             start = own.stop
         self.move(arrays)
 
@@ -73,7 +75,7 @@ class Transducers:
 
     def strengths(self, amplitudes: Complex) -> Complex:
         """Amplitudes relative to full drive as kernels take them [Pa m], both of shape (k, count)."""
-        return self._scale * (amplitudes if self._sorted else amplitudes[:, self._order])
+        return self.scale * (amplitudes if self._sorted else amplitudes[:, self.order])
 
     @property
     def places(self) -> tuple[Any, Any]:
@@ -123,9 +125,14 @@ def fill_table(
     drives[k : -(-k // ROWS) * ROWS] = 0.0
     own = weights.view(np.complex64)[..., 0]
     if levels is None:
-        own[:k, :k] = np.eye(k)
+        own[:k, :k] = _unit(k)
     else:
         own[: len(levels), :k] = levels
+
+
+@functools.lru_cache(maxsize=64)
+def _unit(count: int) -> NDArray[np.float64]:
+    return np.eye(count)
 
 
 class Surface(NamedTuple):

@@ -228,7 +228,7 @@ class ArrayDrive:
         """
         distances, heights = self._rays(*foci.T[:, :, None])
         cosines = heights / np.maximum(distances, 1e-9)
-        strength = np.exp(-self._absorption_Np_m * distances) * (cosines > 0.0) / np.maximum(distances, 1e-9)
+        strength = np.exp(-self.absorption_Np_m * distances) * (cosines > 0.0) / np.maximum(distances, 1e-9)
         pressure = np.zeros(len(foci), np.complex128)
         for part, own, gain in self._parts:
             shape = directivity(part, self.wavenumber, cosines[:, own])
@@ -236,7 +236,8 @@ class ArrayDrive:
         return self._reached(np.abs(pressure) ** 2 / self.array.impedance, foci)
 
     @cached_property
-    def _absorption_Np_m(self) -> float:
+    def absorption_Np_m(self) -> float:
+        """Amplitude of the sound that is lost on its way [Np/m]."""
         return absorption_Np_m(self.array.air, self.array.array.frequency_Hz)
 
     @cached_property
@@ -296,7 +297,7 @@ class ArrayDrive:
         far = np.maximum(distances, 1e-9)
         cosines = heights / far
         waves = self._waves(distances).conj()
-        waves *= np.exp(-self._absorption_Np_m * distances) / far
+        waves *= np.exp(-self.absorption_Np_m * distances) / far
         for part, own, gain in self._parts:
             strength = directivity(part, self.wavenumber, cosines[:, own]) * (part.p0_Pa_m * gain)
             waves[:, own] = waves[:, own] * strength

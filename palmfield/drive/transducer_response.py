@@ -179,7 +179,7 @@ def _commanded(
 NO_LAG: Float = np.zeros(1)
 
 
-def _delays_now(stimulus: StimulusConfig, drive: ArrayDrive, focal_points: FocalPoints) -> tuple[Float, Int | None]:
+def delays_now(stimulus: StimulusConfig, drive: ArrayDrive, focal_points: FocalPoints) -> tuple[Float, Int | None]:
     """`_delay_groups` with the arrays and the stimulus's points where they are now; the last answer is kept."""
     known = drive.delays
     if known is None or known[0] is not focal_points:
@@ -275,7 +275,7 @@ def emitted_over(
         emitted = _own(emitted, drive)
     lags, group = NO_LAG, None
     if response.on and response.delayed:
-        lags, group = _delays_now(stimulus, drive, focal_points)
+        lags, group = delays_now(stimulus, drive, focal_points)
     if group is None:
         points, factors = frames_at(stimulus, moments.times)
         points, levels = points[:, None], np.sqrt(factors, out=factors)[:, None]

@@ -139,8 +139,12 @@ class SceneRuntime:
             self.work.emission.begin(posed, time_s)
         turn = posed.array_frame.rotation.T
         forces = []
-        amplitudes = gather(self.state, self.work)
-        for force, torque in self.work.forces.over(self.work.emission, posed, amplitudes, time_s):
+        work = self.work
+        if work.device_sound is not None:
+            of_bodies = work.by_device(self.model, self.state, posed, time_s)
+        else:
+            of_bodies = work.unit_forces.over(work.emission, posed, gather(self.state, work), time_s)
+        for force, torque in of_bodies:
             forces.append((force @ turn, torque @ turn))
         return forces
 
@@ -195,9 +199,10 @@ class SceneRuntime:
 
     def sense(self, skin: int, sensors: Sequence[PluginSensor]) -> None:
         """Fill a skin's sensors from the state at the present time."""
-        posed, course = self.now()
+        posed, emitted, time_s = self.posed, gather(self.state, self.work), self.view.raw.time
         part, device = self.model.skins[skin], self.work.device_sound
-        drive, factor = present_drive(course)
+        by_path = device is not None and device.course(posed, emitted, time_s) is not None
+        sounding = None if by_path else present_drive(self.work.emission.now(posed, emitted, time_s))
         resting = at_rest(self.state, skin)
         for sensor in sensors:
             place = self._places.get(sensor.name) or self.place(skin, sensor)
@@ -205,16 +210,21 @@ class SceneRuntime:
             if not resting:
                 stepper, numbers = stepper_of(self.model, self.state, skin)
                 motion = stepper.read(numbers, place.reader(stepper))[0, :, 0]
-            arp = 0.0
-            if drive is not None:
-                known = None if device is None else device.probed(skin, place, posed, drive)
-                if known is None:
-                    if device is not None:
-                        device.watch(skin, place)
-                    body = posed.bodies[part.body]
-                    points, normals = body.moved(place.probe.closest, place.probe.normals, place.binding)
-                    known = float(self.work.radiation.at(posed, skin, "probe", points, normals, drive).arp[0])
-                arp = factor * known
+            arp = device.sensed(skin, place) if by_path and device is not None else None
+            if arp is None:
+                if sounding is None:
+                    sounding = present_drive(self.work.emission.now(posed, emitted, time_s))
+                drive, factor = sounding
+                arp = 0.0
+                if drive is not None:
+                    known = None if device is None else device.probed(skin, place, posed, drive)
+                    if known is None:
+                        if device is not None:
+                            device.watch(skin, place)
+                        body = posed.bodies[part.body]
+                        points, normals = body.moved(place.probe.closest, place.probe.normals, place.binding)
+                        known = float(self.work.radiation.at(posed, skin, "probe", points, normals, drive).arp[0])
+                    arp = factor * known
             x, y, z = self.applied[part.body]
             fill(sensor.data, SkinReading(x, y, z, motion[0], motion[1], arp))
 

@@ -1,12 +1,13 @@
 """What a scene's sound does in one MuJoCo step, on a device: one captured graph from poses to ARP and forces.
 
-Poses and drives go in by one copy, forces and the sensors' ARP come out by another; the ARP on the skins stays on the
-device for what steps them there. A DeviceSound belongs to one state and is used by one thread at a time.
+Poses, drives and the numbers of skins with small models go in by one copy; forces, the sensors' ARP and what the skins'
+numbers will be when the step ends come out by another. The skins' state lies where the caller has it, and the device
+keeps none of it from step to step. A DeviceSound belongs to one state and is used by one thread at a time.
 """
 
 import cmath
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -16,8 +17,20 @@ from scipy import sparse
 
 from palmfield.acoustics import check
 from palmfield.acoustics.body_scattering import Occlusion
+from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.acoustics.point_sound import DriveTable, Surface, Transducers, fill_table, sound_calls
-from palmfield.device import SharedArray, SharedBlock, filled, launch, launching, replayed, resolve, whole_numbers
+from palmfield.device import (
+    Branches,
+    SharedArray,
+    SharedBlock,
+    filled,
+    launch,
+    launching,
+    replayed,
+    resolve,
+    whole_numbers,
+)
+from palmfield.drive.path_drives import PathDrives, PathMemory, PathStep
 from palmfield.drive.transducer_response import EmittedCourse, present_drive
 from palmfield.errors import PalmfieldError
 from palmfield.hand.posed_surface import SkinBinding
@@ -27,14 +40,25 @@ from palmfield.simulation.model import BodyModel, HapticModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.radiation import occluding_counts, occluding_faces, occluding_vertices
 from palmfield.simulation.sensors import SensorPlace
+from palmfield.skin.reduction import device_models
+from palmfield.skin.reduction.device_models import DeviceModel, StepMemory, device_model
+from palmfield.skin.reduction.modal_stepper import Outside
+from palmfield.skin.stepper import SkinStepper
+from palmfield.stimulus.schedule import Moments
 from palmfield.types import Complex, Float, Float32, Int
 from warp_kernels import carried_points as carrying
 from warp_kernels import resultants as summing
+from warp_kernels import skin_steps
 
-RUN = 32
+CLOCK_S = 1e-12
+"""Times nearer to each other than this are one and the same."""
+NO_SKINS: Mapping[int, Any] = {}
+RUN = 16
 """Force samples that one thread adds up."""
 LOAD, FORCE, NOW = "load", "force", "now"
 """What drives are for: the skins' load over the step, the mean force over it, and the sensors at its beginning."""
+FOCI = "foci"
+"""Where they come from, if kernels make them."""
 
 
 class Sounding(NamedTuple):
@@ -53,6 +77,42 @@ class Sounding(NamedTuple):
     def same(self, other: "Sounding | None") -> bool:
         """Whether all numbers are equal."""
         return other is not None and all(_same(one, its) for one, its in zip(self, other, strict=True))
+
+
+class SkinStart(NamedTuple):
+    """A skin at a step's beginning: what steps it, and its numbers, shape (state_size,)."""
+
+    stepper: SkinStepper
+    numbers: Float
+
+
+class SkinEnd(NamedTuple):
+    """A skin at a step's end: its numbers, shape (state_size,), a view that the next step overwrites, and what of the
+    load was outside the class that its modes serve, None where it has none."""
+
+    numbers: Float
+    outside: Outside | None
+
+
+class _SkinStep(NamedTuple):
+    """What a step of a skin was computed from. load: what sounds over it, None in silence, or the course that the
+    device computed; weights: of its patterns"""
+
+    posed: PosedScene
+    load: Sounding | EmittedCourse | None
+    stepper: SkinStepper
+    numbers: Float
+    weights: Float
+
+
+class _PathKnown(NamedTuple):
+    """What was computed of a focus that moves. begun: what was emitted when the step began at t0 [s], shape (N,)"""
+
+    posed: PosedScene
+    t0: float
+    begun: Complex
+    moments: Moments
+    course: EmittedCourse
 
 
 def serves(model: HapticModel) -> bool:
@@ -76,40 +136,168 @@ class DeviceSound:
         self._arrays = model.arrays
         self._transducers = Transducers(model.arrays, self.device)
         self._probes: list[tuple[int, SensorPlace]] = []
-        self._sizes = {LOAD: (1, 1), FORCE: (1, 1), NOW: (1, 1)}
+        self._sizes = {LOAD: (1, 1), FORCE: (1, 1), NOW: (1, 1), FOCI: (0, 0)}
         self.work: DeviceWork | None = None
         self._posed: PosedScene | None = None
         self._sounding: dict[str, Sounding | None] = {}
         self._force_scale = 0.0
         self._fetched = False
+        self._pushes = False
+        # The moving focus: what drives transducers, the arrays for which, and the last step
+        self._drives: PathDrives | None = None
+        self._driven: PhasedArray = model.arrays
+        self._path: _PathKnown | None = None
+        self._stepping: dict[int, DeviceModel] = {}
+        self._models: dict[tuple[int, SkinStepper], DeviceModel | None] = {}
+        self._skins: Mapping[int, _SkinStep] = NO_SKINS
 
     def watch(self, skin: int, place: SensorPlace) -> None:
         """Compute the ARP at a sensor's place as well, from the next step on."""
         if (skin, place) not in self._probes:
             self._probes.append((skin, place))
 
-    def over(self, emission: Emission, posed: PosedScene, emitted: Complex, t0: float) -> list[tuple[Float, Float]]:
-        """As `palmfield.simulation.forces.BodyForces.over`; the load on the skins is computed with it."""
+    def over(
+        self,
+        emission: Emission,
+        posed: PosedScene,
+        emitted: Complex,
+        t0: float,
+        skins: Mapping[int, SkinStart] | None = None,
+        watched: bool = True,
+    ) -> list[tuple[Float, Float]]:
+        """As `palmfield.simulation.forces.BodyForces.over`; the load on the skins is computed with it.
+
+        skins: by number, those whose motion over the step is wanted as well, see `stepped`
+        A focus that moves is left to the device where nobody asks for its drives.
+        """
+        path = None if watched else emission.path_step(posed, t0, self.model.substeps)
+        if path is not None and self._over_path(emission, posed, emitted, t0, path, skins or {}):
+            return self.forces(posed)
         # First, as the others take from it what they can
-        _, course = emission.over(posed, emitted, t0, self.model.substeps)
+        moments, course = emission.over(posed, emitted, t0, self.model.substeps)
         mean = emission.mean_drives(posed, emitted, t0)
-        self.update(posed, mean, course, present_drive(emission.now(posed, emitted, t0))[0])
+        steps = self._steps(posed, moments, course, skins or {})
+        self.update(posed, mean, course, present_drive(emission.now(posed, emitted, t0))[0], steps)
         return self.forces(posed)
 
-    def update(self, posed: PosedScene, mean: MeanDrives, course: EmittedCourse, now: Complex | None) -> None:
+    def _steps(
+        self, posed: PosedScene, moments: Moments, course: EmittedCourse, skins: Mapping[int, SkinStart]
+    ) -> dict[int, _SkinStep]:
+        """Those skins that the device steps, under a course."""
+        steps = {}
+        for number, start in skins.items():
+            model = self._model(number, start.stepper)
+            if model is not None:
+                weights = model.weights(*pattern_weights(moments, course))
+                steps[number] = _SkinStep(posed, self._load(course), start.stepper, start.numbers.copy(), weights)
+        return steps
+
+    def _load(self, course: EmittedCourse) -> Sounding | EmittedCourse | None:
+        """What tells a course's load from others."""
+        return course if self._path is not None and course is self._path.course else _of_course(course)
+
+    def _over_path(
+        self,
+        emission: Emission,
+        posed: PosedScene,
+        emitted: Complex,
+        t0: float,
+        path: PathStep,
+        skins: Mapping[int, SkinStart],
+    ) -> bool:
+        """`over` for a focus that moves; False where the transducers can't make it, which is said elsewhere."""
+        drive = emission.placed(posed, t0)[0].drive
+        if self._drives is None:
+            response = self.model.stimuli[0].response
+            self._drives = PathDrives(drive, self._transducers, response.stepper if response.on else None)
+            self._driven = posed.arrays
+        elif self._driven is not posed.arrays:
+            self._drives.move(drive)
+            self._driven = posed.arrays
+        course = EmittedCourse(None, None, None, np.empty(len(emitted), np.complex128))
+        self._path = known = _PathKnown(posed, t0, emitted.copy(), path.moments, course)
+        steps = self._steps(posed, path.moments, course, skins)
+        count = len(path.moments.times)
+        needs = {LOAD: (count, count), FORCE: (1, 1), NOW: (1, 1), FOCI: (len(path.foci), 0)}
+        work, moved = self._room(needs, posed, steps)
+        self._skins, self._sounding, self._path = NO_SKINS, {}, None  # should the launch fail, nothing is known
+        work.lead(path, emitted, self._drives)
+        if moved:
+            work.place(posed)
+        for number, step in steps.items():
+            work.begin(number, step.numbers, step.weights)
+        work.run(moved, True, tuple(steps), True)
+        self.launches += 1
+        self._posed, self._fetched = posed, False
+        if not self._drives.can(path, work.forces.hosts["path_sums"]):
+            return False
+        np.copyto(course.end, work.forces.hosts["path_end"].view(np.complex128)[:, 0])
+        self._force_scale, self._pushes, self._path, self._skins = path.mean, path.mean > 0.0, known, steps
+        return True
+
+    def course(self, posed: PosedScene, begun: Complex, t0: float) -> tuple[Moments, EmittedCourse] | None:
+        """What is emitted over the step that begins at t0 [s] with `begun`, where the device has computed it.
+
+        The course has no drives then, but only what is emitted in the end.
+        """
+        known = self._path
+        if known is None or known.posed is not posed or abs(known.t0 - t0) > CLOCK_S or not _same(known.begun, begun):
+            return None
+        return known.moments, known.course
+
+    def update(
+        self,
+        posed: PosedScene,
+        mean: MeanDrives,
+        course: EmittedCourse,
+        now: Complex | None,
+        skins: Mapping[int, "_SkinStep"] = NO_SKINS,
+    ) -> None:
         """Compute the sound of a step.
 
         mean: drives of the mean force over it; course: what is emitted over it; now: the drive that the sensors read,
-        shape (N,), None in silence
+        shape (N,), None in silence; skins: which are stepped, by number, and how
         """
         force, self._force_scale = _of_mean(mean)
-        self._launch(posed, {LOAD: _of_course(course), FORCE: force, NOW: None if now is None else Sounding(now[None])})
+        self._pushes = force is not None
+        sounding = {LOAD: _of_course(course), FORCE: force, NOW: None if now is None else Sounding(now[None])}
+        self._launch(posed, sounding, skins)
+
+    def stepped(
+        self,
+        skin: int,
+        stepper: SkinStepper,
+        numbers: Float,
+        posed: PosedScene,
+        moments: Moments,
+        course: EmittedCourse,
+    ) -> SkinEnd | None:
+        """A skin after a step that begins with numbers (state_size,); None where `over` wasn't asked for just that."""
+        known, work = self._skins.get(skin), self.work
+        if known is None or work is None or known.posed is not posed or known.stepper is not stepper:
+            return None
+        model, load = self._models[skin, stepper], self._load(course)
+        weights = model.weights(*pattern_weights(moments, course)) if model is not None else None
+        alike = load is known.load
+        if isinstance(load, Sounding) and isinstance(known.load, Sounding):
+            alike = load.same(known.load)
+        if model is None or not alike or not _same(weights, known.weights) or not _same(numbers, known.numbers):
+            return None
+        hosts = work.forces.hosts
+        return SkinEnd(hosts[f"after_{skin}"], model.outside(hosts[f"squares_{skin}"]))
+
+    def _model(self, skin: int, stepper: SkinStepper) -> DeviceModel | None:
+        """What steps a skin on the device, None where that is left to the CPU; kept."""
+        if (skin, stepper) not in self._models:
+            points = len(self.model.skins[skin].layer.quadrature.points)
+            self._models[skin, stepper] = device_model(stepper, self.model.substeps, points, self.device)
+        return self._models[skin, stepper]
 
     def forces(self, posed: PosedScene) -> list[tuple[Float, Float]]:
         """Mean forces [N] on each body's parts and torques about their origins [N m], array frame, shapes (b, 3)."""
         counts = [body.model.parts for body in posed.bodies]
         rows = np.zeros((sum(counts), 6))
-        if self.work is not None and self._sounding.get(FORCE) is not None:
+        if self.work is not None and self._pushes:
             np.multiply(self.work.forces.hosts["forces"], self._force_scale, out=rows)
         forces, start = [], 0
         for count in counts:
@@ -124,10 +312,15 @@ class DeviceSound:
         points: numbers of those that are wanted, shape (p,), None for all
         It is computed again where the last step's was for another pose or course. A view that the next step overwrites.
         """
-        wanted = _of_course(course)
-        assert wanted is not None
-        if self._posed is not posed or not wanted.same(self._sounding.get(LOAD)):
-            self._launch(posed, self._sounding | {LOAD: wanted})
+        known = self._path
+        if known is not None and course is known.course and self._posed is posed:
+            sums = len(known.moments.times)
+        else:
+            wanted = _of_course(course)
+            assert wanted is not None
+            sums = wanted.sums
+            if self._posed is not posed or not wanted.same(self._sounding.get(LOAD)):
+                self._launch(posed, self._sounding | {LOAD: wanted})
         work = self.work
         assert work is not None
         if not self._fetched:
@@ -135,7 +328,7 @@ class DeviceSound:
             if self.device != "cpu":
                 wp.synchronize_stream(self.device)
             self._fetched = True
-        result: Float32 = work.load.host[: wanted.sums, work.quadrature[skin]]
+        result: Float32 = work.load.host[:sums, work.quadrature[skin]]
         return result if points is None else result[:, points]
 
     def on_device(self, skin: int) -> tuple[Any, Any]:
@@ -148,6 +341,13 @@ class DeviceSound:
         assert work is not None
         return work.load.array[:, work.quadrature[skin]], work.inputs.arrays["load_counts"]
 
+    def sensed(self, skin: int, place: SensorPlace) -> float | None:
+        """ARP [Pa] at a sensor's place where a step begins that `course` tells of; None where it isn't watched."""
+        work = self.work
+        if work is None or (skin, place) not in work.probes:
+            return None
+        return float(work.forces.hosts["probes"][0, work.probes.index((skin, place))])
+
     def probed(self, skin: int, place: SensorPlace, posed: PosedScene, drive: Complex) -> float | None:
         """ARP [Pa] at a sensor's place for a drive, shape (N,); None where the last step wasn't for that."""
         known, work = self._sounding.get(NOW), self.work
@@ -157,28 +357,19 @@ class DeviceSound:
             return None
         return float(work.forces.hosts["probes"][0, work.probes.index((skin, place))])
 
-    def _launch(self, posed: PosedScene, sounding: dict[str, Sounding | None]) -> None:
-        """Compute all that has changed since the last launch."""
-        work = self.work
-        fitting = work is not None and len(work.probes) == len(self._probes)
-        for name, one in sounding.items():
-            drives, sums = self._sizes[name]
-            if one is not None and (len(one.units) > drives or one.sums > sums):
-                self._sizes[name] = max(drives, len(one.units)), max(sums, one.sums)
-                fitting = False
-        moved = not fitting or self._posed is not posed
-        if moved and posed.arrays is not self._arrays:
-            self._transducers.move(posed.arrays)
-            self._arrays = posed.arrays
-        if work is None or not fitting:
-            work = self.work = None  # its memory is free for the next one
-            work = self.work = DeviceWork(self.model, self._reference, self._transducers, self._probes, self._sizes)
+    def _launch(
+        self, posed: PosedScene, sounding: dict[str, Sounding | None], skins: Mapping[int, "_SkinStep"] = NO_SKINS
+    ) -> None:
+        """Compute all that has changed since the last launch, and the skins' steps."""
+        needs = {name: (len(one.units), one.sums) for name, one in sounding.items() if one is not None}
+        work, moved = self._room(needs, posed, skins)
         changed = [
             name
             for name, one in sounding.items()
             if one is not None and (moved or not one.same(self._sounding.get(name)))
         ]
-        if not changed:
+        self._skins, self._path = NO_SKINS, None
+        if not changed and not skins:
             self._sounding = sounding
             return
         self._sounding = {}  # should the launch fail, nothing is known
@@ -186,17 +377,53 @@ class DeviceSound:
             one = sounding[name]
             assert one is not None
             work.tell(name, one, self._transducers)
-        if moved:
-            work.place(posed)
-        work.run(moved)
-        self._posed, self._sounding, self._fetched = posed, sounding, False
+        for number, step in skins.items():
+            work.begin(number, step.numbers, step.weights)
+        if not changed:
+            work.run(False, False, tuple(skins))
+        else:
+            if moved:
+                work.place(posed)
+            work.run(moved, True, tuple(skins))
+            self._posed, self._fetched = posed, False
+        self._sounding, self._skins = sounding, skins
         self.launches += 1
+
+    def _room(
+        self, needs: Mapping[str, tuple[int, int]], posed: PosedScene, skins: Mapping[int, _SkinStep]
+    ) -> tuple["DeviceWork", bool]:
+        """Work with room for so many drives and sums for each purpose, and whether poses are new to it."""
+        work = self.work
+        fitting = work is not None and len(work.probes) == len(self._probes) and work.drives is self._drives
+        models = {}
+        for number, step in skins.items():
+            model = self._models[number, step.stepper]
+            assert model is not None
+            models[number] = model
+            fitting = fitting and work is not None and work.models.get(number) is model
+        for name, (drives, sums) in needs.items():
+            largest = self._sizes[name]
+            if drives > largest[0] or sums > largest[1]:
+                self._sizes[name] = max(drives, largest[0]), max(sums, largest[1])
+                fitting = False
+        moved = not fitting or self._posed is not posed
+        if moved and posed.arrays is not self._arrays:
+            self._transducers.move(posed.arrays)
+            self._arrays = posed.arrays
+        if work is None or not fitting:
+            work = self.work = None  # its memory is free for the next one
+            self._stepping |= models
+            known = self._transducers, self._probes, self._sizes, self._stepping, self._drives
+            work = self.work = DeviceWork(self.model, self._reference, *known)
+        return work, moved
 
 
 class DeviceWork:
     """Memory and launches for tables of fixed sizes.
 
+    models: what steps skins on the device, by the skin's number; drives: what drives transducers there, if anything
     inputs: what goes in; forces: what comes out, sums by part and the sensors' ARP; load: ARP on the skins, (m, q)
+    asked: for what of `calls` the last step has asked
     quadrature: which of the load's columns are a skin's; probes: sensors' places, each with its skin's number
     """
 
@@ -207,7 +434,10 @@ class DeviceWork:
         transducers: Transducers,
         probes: Sequence[tuple[int, SensorPlace]],
         sizes: dict[str, tuple[int, int]],
+        models: Mapping[int, DeviceModel] | None = None,
+        drives: PathDrives | None = None,
     ):
+        self.models, self.drives = dict(models or {}), drives
         self.model, self.device, self.probes = model, transducers.device, tuple(probes)
         self._rows = _motion_rows(model)
         parts: dict[str, tuple[tuple[int, ...], Any]] = {
@@ -216,9 +446,21 @@ class DeviceWork:
             "origins": ((self._rows.parts,), wp.vec3d),
             "weights": ((sizes[FORCE][1],), wp.float64),
         }
-        for name, (drives, sums) in sizes.items():
-            for part, what in DriveTable.parts(drives, sums, transducers.count).items():
+        for name in (LOAD, FORCE, NOW):
+            for part, what in DriveTable.parts(*sizes[name], transducers.count).items():
                 parts[f"{name}_{part}"] = what
+        results: dict[str, tuple[tuple[int, ...], Any]] = {
+            "forces": ((self._rows.parts, 6), wp.float64),
+            "probes": ((1, max(len(probes), 1)), wp.float32),
+        }
+        for number, one in self.models.items():
+            parts[f"before_{number}"] = results[f"after_{number}"] = (one.stepper.state_size,), wp.float64
+            parts[f"weights_{number}"] = (one.weight_rows, sizes[LOAD][1]), wp.float64
+            of_squares = device_models.SECTIONS, one.substeps, skin_steps.LANES
+            results[f"squares_{number}"] = of_squares, wp.float64
+        if drives is not None:
+            parts |= PathMemory.inputs(sizes[LOAD][0], sizes[FOCI][0], transducers.count)
+            results |= PathMemory.results(sizes[FOCI][0], transducers.count)
         self.inputs = SharedBlock(parts, self.device)
         arrays = self.inputs.arrays
         motions = filled(carrying.Motions(), turns=arrays["turns"], shifts=arrays["shifts"])
@@ -228,12 +470,9 @@ class DeviceWork:
         owners = _Owners(reference, self._rows, points.samples)
         counts = {LOAD: points.loaded.stop, NOW: len(probes), FORCE: points.count - points.sampled.start}
         self.load = SharedArray((sizes[LOAD][1], counts[LOAD]), wp.float32, self.device)
-        self.forces = SharedBlock(
-            {"forces": ((self._rows.parts, 6), wp.float64), "probes": ((1, max(counts[NOW], 1)), wp.float32)},
-            self.device,
-        )
+        self.forces = SharedBlock(results, self.device)
         pressed: Any = wp.zeros((sizes[FORCE][1], counts[FORCE]), dtype=wp.float32, device=self.device)
-        results = {LOAD: self.load.array, NOW: self.forces.arrays["probes"], FORCE: pressed}
+        arps = {LOAD: self.load.array, NOW: self.forces.arrays["probes"], FORCE: pressed}
         places = {LOAD: points.loaded, NOW: points.probed, FORCE: points.sampled}
         surfaces: dict[str, list[Surface]] = {LOAD: [], NOW: [], FORCE: []}
         for number, own in enumerate(points.quadrature):
@@ -242,25 +481,68 @@ class DeviceWork:
             surfaces[NOW].append(self._surface(number, slice(i, i + 1), meshes))
         for body, own in points.samples:
             surfaces[FORCE].append(self._surface(model.carried(body)[0], own, meshes))
-        self._sound: list[Callable[[], object]] = []
+        self._sound: dict[str, list[Callable[[], object]]] = {}
         for name in (FORCE, LOAD, NOW):
             table = DriveTable(*(arrays[f"{name}_{part}"] for part in ("counts", "drives", "levels")))
             own = places[name]
             here = points.points[own], points.normals[own]
-            calls = sound_calls(transducers, table, *here, surfaces[name], model.arrays, results[name])
-            self._sound += calls
+            self._sound[name] = [*sound_calls(transducers, table, *here, surfaces[name], model.arrays, arps[name])]
         sampled = points.normals[points.sampled], points.points[points.sampled]
         loads: Any = wp.zeros(counts[FORCE], dtype=wp.float64, device=self.device)
         weighed = [arrays[f"{FORCE}_counts"], arrays["weights"], pressed, points.areas, loads]
-        self._sound += [
+        self._sound[FORCE] += [
             launch(summing.mean_load, counts[FORCE], weighed, self.device),
             *owners.calls(loads, *sampled, arrays["origins"], self.forces.arrays["forces"], self.device),
         ]
         self._pose = points.calls(motions)
         for skin, mesh in meshes.items():
             self._pose += [*_mesh_calls(model, reference, skin, self._rows, mesh.mesh, motions, self.device)]
+        self._path = [] if drives is None else drives.calls(self._path_memory())
+        self._skins = {number: one.calls(self._memory(number)) for number, one in self.models.items()}
+        self.asked: tuple[bool, bool, tuple[int, ...], bool] = (True, True, (), False)
+        self._led = False
         self._kept = meshes
-        self._captured: dict[bool, Callable[[], object]] = {}
+        self._captured: dict[tuple[bool, bool, tuple[int, ...], bool], Callable[[], object]] = {}
+
+    def _path_memory(self) -> PathMemory:
+        """Where a moving focus's numbers are."""
+        here = self.inputs.arrays | self.forces.arrays
+        own = (here[f"path_{name}"] for name in ("counts", "group", "foci", "wanted", "ring", "begun", "end", "sums"))
+        return PathMemory(*own, *(here[f"{name}_drives"] for name in (LOAD, FORCE, NOW)))
+
+    def lead(self, path: PathStep, emitted: Complex, drives: PathDrives) -> None:
+        """Take a step of a focus that moves. Raises PalmfieldError for one that is not finite."""
+        hosts, count, moments = self.inputs.hosts, len(path.levels), len(path.moments.times)
+        if not math.isfinite(np.add.reduce(path.foci, axis=None)):
+            raise PalmfieldError(f"focus at {path.foci.tolist()} m is not finite: mend what moves it")
+        hosts["path_counts"][:] = count + 1, count // moments
+        hosts["path_group"][:] = 0 if path.group is None else path.group
+        hosts["path_foci"][: count + 1] = path.foci
+        wanted = hosts["path_wanted"]
+        wanted[:count], wanted[count], wanted[count + 1] = path.levels, 1.0, path.now
+        ring = drives.ring(path.moments)
+        hosts["path_ring"].view(np.complex128)[: len(ring), :, 0] = ring
+        hosts["path_begun"].view(np.complex128)[:, 0] = emitted
+        hosts["weights"][0] = 1.0
+        for name, sums in ((LOAD, moments), (FORCE, 1), (NOW, 1)):
+            if hosts[f"{name}_counts"][0] != sums or hosts[f"{name}_counts"][1] != sums or not self._led:
+                hosts[f"{name}_counts"][:] = sums
+                hosts[f"{name}_levels"].view(np.complex64)[:sums, :sums, 0] = np.eye(sums)
+        self._led = True
+
+    def _memory(self, skin: int) -> StepMemory:
+        """Where a skin's step finds its numbers."""
+        inputs, results = self.inputs.arrays, self.forces.arrays
+        pressure = self.load.array[:, self.quadrature[skin]]
+        weights, before = inputs[f"weights_{skin}"], inputs[f"before_{skin}"]
+        squares = results[f"squares_{skin}"]
+        return StepMemory(inputs[f"{LOAD}_counts"], pressure, weights, before, results[f"after_{skin}"], squares)
+
+    def begin(self, skin: int, numbers: Float, weights: Float) -> None:
+        """Take a skin's numbers at a step's beginning, shape (state_size,), and the weights of patterns of pressure."""
+        hosts = self.inputs.hosts
+        hosts[f"before_{skin}"][:] = numbers
+        hosts[f"weights_{skin}"][:, : weights.shape[1]] = weights
 
     def tell(self, name: str, sounding: Sounding, transducers: Transducers) -> None:
         """Take what sounds for one purpose. Raises PalmfieldError for drives that are not finite."""
@@ -268,7 +550,7 @@ class DeviceWork:
             bad = check.first_bad(sounding.units.T)
             values = sounding.units[:, bad].tolist()
             raise PalmfieldError(f"drive of transducer {bad} = {values} is not finite: mend what makes the drive")
-        hosts = self.inputs.hosts
+        hosts, self._led = self.inputs.hosts, False
         table = hosts[f"{name}_counts"], hosts[f"{name}_drives"], hosts[f"{name}_levels"]
         fill_table(table, transducers.strengths(sounding.units), sounding.levels)
         if sounding.weights is not None:
@@ -300,24 +582,41 @@ class DeviceWork:
                         f"pose of '{name}' at {shifts[own].tolist()} is not finite: mend what moves it"
                     )
 
-    def calls(self, moved: bool) -> list[Callable[[], object]]:
-        """What is done for a step, in order; what only poses decide is left out where nothing has moved."""
-        return [self.inputs.upload, *(self._pose if moved else []), *self._sound, self.forces.download]
+    def calls(
+        self, moved: bool, sounds: bool = True, skins: tuple[int, ...] = (), path: bool = False
+    ) -> list[Callable[[], object]]:
+        """What is done for a step, in order; what only poses decide is left out where nothing has moved.
 
-    def replay(self, moved: bool) -> Callable[[], object]:
+        sounds: whether the sound is computed; skins: numbers of those that are stepped; path: whether the drives are
+        those of `lead`, and not of `tell`
+        """
+        calls = [self.inputs.upload, *(self._path if path else []), *(self._pose if moved else [])]
+        stepped = [call for number in skins for call in self._skins[number]]
+        if sounds:
+            calls.append(Branches(([*self._sound[LOAD], *stepped], self._sound[FORCE], self._sound[NOW])))
+        else:
+            calls += stepped
+        return [*calls, self.forces.download]
+
+    def replay(
+        self, moved: bool, sounds: bool = True, skins: tuple[int, ...] = (), path: bool = False
+    ) -> Callable[[], object]:
         """All of these calls in one: on a GPU a captured graph, made when it is first asked for."""
-        replay = self._captured.get(moved)
+        key = moved, sounds, skins, path
+        replay = self._captured.get(key)
         if replay is None:
-            calls = self.calls(moved)
+            calls = self.calls(*key)
             # Refitting a mesh is not recorded on the CPU, and takes memory from the pool on a GPU
             refits = moved and len(self._kept) > 0
             captures = not refits or (self.device != "cpu" and wp.get_device(self.device).is_mempool_supported)
-            replay = self._captured[moved] = replayed(calls, self.device) if captures else partial(_do, calls)
+            replay = replayed(calls, self.device) if captures else partial(_do, calls)
+            self._captured[key] = replay
         return replay
 
-    def run(self, moved: bool) -> None:
+    def run(self, moved: bool, sounds: bool = True, skins: tuple[int, ...] = (), path: bool = False) -> None:
         """Compute a step and wait for forces and sensors."""
-        replay = self.replay(moved)
+        self.asked = moved, sounds, skins, path
+        replay = self.replay(*self.asked)
         with launching:
             replay()
         if self.device != "cpu":
@@ -522,9 +821,11 @@ class _Owners:
         )
         runs = len(self._starts) - 1
         sums: Any = wp.zeros((runs, 6), dtype=wp.float64, device=device)
+        lanes: Any = wp.zeros((summing.LANES, self._parts, 6), dtype=wp.float64, device=device)
         return [
             launch(summing.sums_of_runs, runs, [loads, normals, points, order, starts, parts, origins, sums], device),
-            launch(summing.sums_of_parts, (self._parts, 6), [sums, of_parts, result], device),
+            launch(summing.sums_of_parts, lanes.shape, [sums, of_parts, lanes], device),
+            launch(summing.sums_of_lanes, (self._parts, 6), [lanes, result], device),
         ]
 
 
@@ -563,6 +864,17 @@ def _same(one: Complex | Float | None, other: Complex | Float | None) -> bool:
     if one is None or other is None or one is other:
         return one is other
     return one.shape == other.shape and not np.logical_or.reduce(one != other, axis=None)
+
+
+def pattern_weights(moments: Moments, course: EmittedCourse) -> tuple[Float, Float]:
+    """Weights of a course's patterns of pressure at the beginning and the end of each substep, shapes (s, m)."""
+    if course.levels is None:
+        return moments.first, moments.last
+    if course.unit is None:
+        nothing = np.zeros((len(moments.first), 1))
+        return nothing, nothing
+    factors = (np.abs(course.levels) ** 2)[:, None]
+    return moments.first @ factors, moments.last @ factors
 
 
 def _of_course(course: EmittedCourse) -> Sounding | None:

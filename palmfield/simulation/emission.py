@@ -10,10 +10,13 @@ import numpy as np
 
 from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.drive.array_drive import ArrayDrive
+from palmfield.drive.path_drives import PathStep
 from palmfield.drive.transducer_response import (
+    NO_LAG,
     EmittedCourse,
     combined,
     commanded_drive,
+    delays_now,
     emitted_now,
     emitted_over,
     mean_level,
@@ -22,7 +25,7 @@ from palmfield.drive.transducer_response import (
 from palmfield.simulation.model import HapticModel, StimulusModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.stimulus.focal_points import FocalPoints
-from palmfield.stimulus.schedule import Moments, first_point, frames_at, substep_moments
+from palmfield.stimulus.schedule import Moments, first_point, frames_at, mean_arp_factor, substep_moments
 from palmfield.types import Complex, Float
 
 TICK_S = 1e-9
@@ -75,6 +78,7 @@ class Emission:
         self._over: tuple[PosedScene, tuple[float, int, bytes], tuple[Moments, EmittedCourse]] | None = None
         self._now: tuple[PosedScene, tuple[float, bytes], EmittedCourse] | None = None
         self.holds = any(config.control_rate_Hz > 0.0 for config in model.configs)
+        self._moves_alone = _moves_alone(model, self._drives[1])
 
     def forget(self) -> None:
         """Begin again, as at the start of a run: nothing is held."""
@@ -127,6 +131,29 @@ class Emission:
         result = moments, courses[0] if len(courses) == 1 else combined(courses)
         self._over = posed, key, result
         return result
+
+    def path_step(self, posed: PosedScene, t0: float, count: int) -> PathStep | None:
+        """The focus over `count` substeps from t0 [s] on, for a device that computes the drives.
+
+        None where it can't: in silence, for a point, and for anything but one focus of all transducers, which are alike
+        and play what they are told.
+        """
+        if not self._moves_alone:
+            return None
+        model = self.model
+        part, drive, place = self.placed(posed, t0)[0]
+        moments = substep_moments(model.configs, t0, model.step_s, count)
+        lags, group = NO_LAG, None
+        if part.response.on and part.response.delayed:
+            lags, group = delays_now(part.config, drive, place)
+        times = np.append(moments.times[:, None] - lags, t0)
+        points, factors = frames_at(part.config, times)
+        if not np.logical_or.reduce(factors):
+            return None
+        means = max(LEAST_MEANS, model.substeps)
+        mean = mean_arp_factor(part.config, t0, t0 + model.spec.timestep_s, means)
+        levels = np.sqrt(factors)
+        return PathStep(moments, place.along(points), group, levels[:-1], float(levels[-1]), mean)
 
     def now(self, posed: PosedScene, emitted: Complex, time_s: float) -> EmittedCourse:
         """What is emitted at the present time [s], as a course of one moment; emitted: shape (N,)."""
@@ -210,6 +237,17 @@ class Emission:
                 return MeanDrives(first, np.array([level / factors[0]]))
             point = points[0]
         return MeanDrives(drive.unit_drive_at(place, point).amplitudes[None], np.array([level]))
+
+
+def _moves_alone(model: HapticModel, drives: list[ArrayDrive]) -> bool:
+    """Whether all that sounds is one focus that moves, of transducers that are all alike."""
+    if len(model.stimuli) != 1:
+        return False
+    stimulus, drive = model.stimuli[0], drives[0]
+    response = stimulus.response
+    alike = not response.on or response.stepper.alike
+    single = stimulus.config.path != "point" and len(stimulus.offsets) == 0
+    return single and alike and drive.everything and drive.board.exact
 
 
 def array_drives(model: HapticModel, arrays: PhasedArray) -> list[ArrayDrive]:

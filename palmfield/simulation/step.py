@@ -12,7 +12,7 @@ import numpy as np
 from scipy import sparse
 
 from palmfield.drive.transducer_response import EmittedCourse
-from palmfield.simulation.device_sound import DeviceSound, serves
+from palmfield.simulation.device_sound import DeviceSound, SkinStart, serves
 from palmfield.simulation.emission import Emission
 from palmfield.simulation.forces import BodyForces
 from palmfield.simulation.model import HapticModel
@@ -21,9 +21,10 @@ from palmfield.simulation.path_sound import PathSound
 from palmfield.simulation.posed_scene import PosedScene, reference_scene
 from palmfield.simulation.prefetch import LoadPrefetch
 from palmfield.simulation.radiation import Radiation, Role
-from palmfield.simulation.state import HapticState, claim, stepper_of
+from palmfield.simulation.state import HapticState, at_rest, claim, stepper_of
 from palmfield.simulation.whole_layer import continue_on_whole_layer, leaves_small_model
 from palmfield.skin.reduction.modal_stepper import ModalStepper, Outside
+from palmfield.skin.reduction.reduced_stepper import ReducedStepper
 from palmfield.skin.stepper import Reader, SkinStepper, SurfaceLoads
 from palmfield.stimulus.schedule import Moments
 from palmfield.types import Complex, Float, Int
@@ -53,6 +54,7 @@ class Workspace:
 
     unit_forces: of one drive, on the CPU's way; forces: of steps, by a device's graph where there is one
     outside: of each skin what of its load has been outside the class that its modes serve
+    served: the pose in which a skin's small model was last found to serve
     observe: what is watched of each skin, an operator (m, unknowns) or None; observer: told of each step
     """
 
@@ -69,12 +71,30 @@ class Workspace:
         self.forces = self.device_sound or self.unit_forces
         self.prefetch = LoadPrefetch(model, self.emission, self.radiation, self.path_sound)
         self.outside = [OutsideClass() for _ in model.skins]
+        self.served: list[PosedScene | None] = [None] * len(model.skins)
         self.amplitudes: Complex = np.zeros(len(model.arrays), np.complex128)
         self.observe: tuple[sparse.csr_matrix | None, ...] = (None,) * len(model.skins)
         self.observer: Callable[[StepTrace], None] | None = None
         # Of the worlds beside as well: a reader of many vectors is as large as they are
         self._readers: dict[tuple[int, SkinStepper], tuple[sparse.csr_matrix, Reader]]
         self._readers = {} if beside is None else beside._readers
+
+    def by_device(
+        self, model: HapticModel, state: HapticState, posed: PosedScene, t0: float
+    ) -> list[tuple[Float, Float]]:
+        """Mean forces over the step that begins at t0 [s], as `palmfield.simulation.forces.BodyForces.over`.
+
+        The device computes the step's load with them, and steps the skins over it where nobody watches all substeps.
+        """
+        device, skins = self.device_sound, {}
+        assert device is not None
+        for number, watched in enumerate(self.observe):
+            # One that nothing has stepped yet may have no stepper: to look at forces doesn't make it
+            if watched is None and not at_rest(state, number):
+                stepper, numbers = stepper_of(model, state, number)
+                skins[number] = SkinStart(stepper, numbers[0])
+        watched_by_any = self.observer is not None or any(operator is not None for operator in self.observe)
+        return device.over(self.emission, posed, gather(state, self), t0, skins, watched_by_any)
 
     def begin_run(self) -> None:
         """Forget what was of another run."""
@@ -107,31 +127,62 @@ def step(model: HapticModel, state: HapticState, posed: PosedScene, t0: float, t
     begun = gather(state, work)
     if work.device_sound is None:
         work.prefetch.predict_drives(posed, begun, t0)
-    moments, course = work.emission.over(posed, begun, t0, model.substeps)
+    device = work.device_sound
+    known = None if device is None or work.observer is not None else device.course(posed, begun, t0)
+    moments, course = known or work.emission.over(posed, begun, t0, model.substeps)
     motions = []
     for number in range(len(model.skins)):
-        stepper, numbers = stepper_of(model, state, number)
-        if leaves_small_model(model, state, number, posed, work.reference, work.emission, t0):
-            stepper, numbers = continue_on_whole_layer(
-                model, state, number, posed, work.emission, work.radiation, begun, t0
-            )
-        loads = skin_loads(work, posed, number, stepper.points, moments, course)
-        if isinstance(stepper, ModalStepper):
-            share = work.outside_share(model, number, stepper, stepper.outside(loads))
-            if leaves_class(model, number, share):
-                stepper, numbers = continue_on_whole_layer(
-                    model, state, number, posed, work.emission, work.radiation, begun, t0
-                )
-                loads = skin_loads(work, posed, number, stepper.points, moments, course)
-        reader = None if work.observe[number] is None else work.reader(number, stepper)
-        motions.append(stepper.step(numbers, loads, t0, t1, reader))
-        claim(model, state, number, stepper)
+        motions.append(_step_skin(model, state, number, posed, begun, moments, course, t0, t1, work))
     if model.response_on:
         scatter(state, course.end)
     if work.observer is not None:
         times = t0 + model.step_s * np.arange(1, model.substeps + 1, dtype=np.float64)
-        seen = tuple(None if motion is None else motion[0] for motion in motions)
-        work.observer(StepTrace(times, posed, moments, course, begun, course.end, seen))
+        work.observer(StepTrace(times, posed, moments, course, begun, course.end, tuple(motions)))
+
+
+def _step_skin(
+    model: HapticModel,
+    state: HapticState,
+    number: int,
+    posed: PosedScene,
+    begun: Complex,
+    moments: Moments,
+    course: EmittedCourse,
+    t0: float,
+    t1: float,
+    work: Workspace,
+) -> Float | None:
+    """Carry a skin from t0 to t1 [s], in place; what is watched of it, (s, 2, m)."""
+    emission, device = work.emission, work.device_sound
+    stepper, numbers = stepper_of(model, state, number)
+    if work.served[number] is not posed:
+        if leaves_small_model(model, state, number, posed, work.reference, emission, t0):
+            stepper, numbers = continue_on_whole_layer(model, state, number, posed, emission, work.radiation, begun, t0)
+        # One that serves only from the beginning of the sound on must be asked again, and so where points are held
+        elif not emission.holds and not (isinstance(stepper, ReducedStepper) and not stepper.any_course):
+            work.served[number] = posed
+    reader = None if work.observe[number] is None else work.reader(number, stepper)
+    end = None
+    if device is not None and reader is None:
+        end = device.stepped(number, stepper, numbers[0], posed, moments, course)
+    loads = skin_loads(work, posed, number, stepper.points, moments, course) if end is None else None
+    if isinstance(stepper, ModalStepper):
+        seen = end.outside if end is not None else None
+        if seen is None:
+            assert loads is not None
+            seen = stepper.outside(loads)
+        if leaves_class(model, number, work.outside_share(model, number, stepper, seen)):
+            stepper, numbers = continue_on_whole_layer(model, state, number, posed, emission, work.radiation, begun, t0)
+            reader = None if work.observe[number] is None else work.reader(number, stepper)
+            end, loads = None, skin_loads(work, posed, number, stepper.points, moments, course)
+    motion = None
+    if end is not None:
+        numbers[0] = end.numbers
+    else:
+        assert loads is not None
+        motion = stepper.step(numbers, loads, t0, t1, reader)
+    claim(model, state, number, stepper)
+    return motion[0] if motion is not None else None
 
 
 def skin_loads(
@@ -154,10 +205,10 @@ def skin_loads(
             arp = work.radiation.on(posed, skin, role, course.unit).arp[None]
         factors = (np.abs(course.levels) ** 2)[:, None]
         return SurfaceLoads(arp[None], (moments.first @ factors)[None], (moments.last @ factors)[None])
-    assert course.emitted is not None
     if device is not None:
         arp = device.patterns(posed, skin, course, points)
         return SurfaceLoads(arp[None], moments.first[None], moments.last[None])
+    assert course.emitted is not None
     if course.parts is not None:
         sums = work.radiation.sums(posed, skin, *course.parts, role)
         return SurfaceLoads(sums[None], moments.first[None], moments.last[None])

@@ -40,7 +40,8 @@ def leaves_small_model(
         stimulus, _, points = emission.placed(posed, t0)[model.sounding]
         difference = np.abs(points.at(first_point(stimulus.config)) - stimulus.reference_foci)
         moved = bool(np.maximum.reduce(difference, axis=None) > part.still_m)
-    late = start_s < t0 - 1e-9 and not stepper.any_course and not np.logical_or.reduce(state.skins[skin][0, HEADER:])
+    numbers = state.skins[skin][0, HEADER : HEADER + stepper.state_size]
+    late = start_s < t0 - 1e-9 and not stepper.any_course and not np.logical_or.reduce(numbers)
     if not moved and not late:
         return False
     if part.spec.config.solver == "reduced":

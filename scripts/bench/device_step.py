@@ -23,7 +23,7 @@ import numpy as np
 import warp as wp
 
 import palmfield
-from palmfield.device import resolve
+from palmfield.device import Branches, resolve
 from palmfield.simulation import step as step_module
 from palmfield.simulation.device_sound import DeviceSound, DeviceWork
 
@@ -133,17 +133,26 @@ def label(work: DeviceWork, call: Any) -> str:
     return f"{name}, {owner.bounds.size} threads"
 
 
+def one_by_one(calls: list[Any]) -> list[Any]:
+    """The same calls, with branches one after the other."""
+    result: list[Any] = []
+    for call in calls:
+        result += [one for part in call.parts for one in part] if isinstance(call, Branches) else [call]
+    return result
+
+
 def by_itself(work: DeviceWork, device: str, options: argparse.Namespace) -> None:
     """What the device takes for a step that has moved, and for one that has not."""
     again = AGAIN.get(device, 200)
     for moved in (True, False):
-        work.run(moved)
+        asked = moved, *work.asked[1:]
+        work.run(*asked)
         waits = []
         for _ in range(again):
             start = time.perf_counter()
-            work.run(moved)
+            work.run(*asked)
             waits.append(1e6 * (time.perf_counter() - start))
-        graph = device_us([work.replay(moved)], device, again)
+        graph = device_us([work.replay(*asked)], device, again)
         what = "moved" if moved else "at rest"
         p99 = np.quantile(waits, 0.99)
         print(
@@ -153,7 +162,7 @@ def by_itself(work: DeviceWork, device: str, options: argparse.Namespace) -> Non
     print(f"  copies: {work.inputs.nbytes} bytes in {in_us:.1f} us, {work.forces.nbytes} out {out_us:.1f} us")
     if options.timeline:
         total = 0.0
-        for call in work.calls(True):
+        for call in one_by_one(work.calls(True, *work.asked[1:])):
             took = device_us([call], device, min(again, 40))
             total += took
             print(f"    {took:7.1f} us  {label(work, call)}")

@@ -12,6 +12,7 @@ import warp as wp
 import palmfield
 from palmfield.acoustics.surface_load import CLEARANCE_M
 from palmfield.data import folder
+from palmfield.device import Branches
 from palmfield.errors import DeviceError, PalmfieldError
 from palmfield.simulation import device_sound, validate
 from palmfield.simulation import step as step_module
@@ -20,6 +21,7 @@ from palmfield.simulation.emission import MeanDrives
 from palmfield.simulation.forces import BodyForces
 from palmfield.simulation.radiation import Radiation
 from palmfield.simulation.step import gather
+from palmfield.skin.reduction import device_models
 
 SCENES = folder("mjcf") / "scenes"
 CIRCLE: dict[str, object] = {"path": "circle", "path_diameter_m": 0.01, "path_rate_Hz": 100}
@@ -111,6 +113,91 @@ def test_a_pad_that_slides(small_scene: Any, by_graph: Any, path: dict[str, obje
         largest = np.abs(other.data.sensordata).max() * 1e-5
         np.testing.assert_allclose(sim.data.sensordata[2:], other.data.sensordata[2:], rtol=2e-5, atol=1e-4 * largest)
     agree(sim)
+
+
+@pytest.mark.parametrize(("accuracy", "apart"), [(0.5, False), (0.05, True)])
+def test_a_moving_focus_is_driven_on_the_device(small_scene: Any, by_graph: Any, accuracy: float, apart: bool) -> None:
+    """What the transducers emit at a step's end, against NumPy's way of the same course.
+
+    apart: whether the sound of some is under way for longer, as the accuracy asks
+    """
+    scene = small_scene(stimulus=CIRCLE | NO_WAVE, array={"response": "on"}, skin={"accuracy": accuracy})
+    sim = by_graph(scene)
+    sim.step(3)
+    runtime, work = sim.runtime, sim.runtime.work
+    posed, begun, now = runtime.posed, gather(runtime.state, work).copy(), sim.data.time
+    sim.runtime.body_forces()
+    known = work.device_sound.course(posed, begun, now)
+    assert known is not None
+    assert runtime.model.stimuli[0].response.delayed == apart
+    _, course = work.emission.over(posed, begun, now, runtime.model.substeps)
+    assert np.abs(course.end).max() > 0.1
+    np.testing.assert_allclose(known[1].end, course.end, rtol=0.0, atol=1e-12)
+    points = np.arange(0, 40, 7)
+    load = work.device_sound.patterns(posed, 0, known[1], points).copy()
+    other = Radiation(runtime.model).many(posed, 0, course.emitted)[:, points]
+    np.testing.assert_allclose(load, other, rtol=0.0, atol=3e-5 * np.abs(other).max())
+
+
+def test_a_focus_that_transducers_cannot_make_is_said_as_ever(small_scene: Any, by_graph: Any) -> None:
+    scene = small_scene(stimulus=CIRCLE | NO_WAVE | {"arp_peak_Pa": 1e5})
+    with pytest.raises(PalmfieldError, match="is more than the array gives at"):
+        by_graph(scene)
+
+
+@pytest.mark.parametrize("solver", ["modal", "reduced"])
+def test_small_models_are_stepped_on_the_device(
+    small_scene: Any, by_graph: Any, solver: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(device_models, "LEAST_NUMBERS", 1)
+    scene = small_scene(stimulus=CIRCLE | NO_WAVE, skin={"accuracy": 0.2, "solver": solver})
+    here, there = palmfield.Simulation(scene), by_graph(scene)
+    taken = []
+    stepped = DeviceSound.stepped
+    monkeypatch.setattr(DeviceSound, "stepped", lambda *a: taken.append(stepped(*a)) or taken[-1])
+    for _ in range(8):
+        here.step()
+        there.step()
+    assert [end is not None for end in taken] == [False] + [True] * 7
+    mine, its = (sim.runtime.skin_states()[0][1] for sim in (here, there))
+    np.testing.assert_allclose(its, mine, rtol=0.0, atol=1e-5 * np.abs(mine).max())
+    one, other = (sim.runtime.work.outside[0] for sim in (here, there))
+    assert (one.energy_share > 0.0) == (solver == "modal")
+    np.testing.assert_allclose(
+        [other.energy_share, other.pressure_share], [one.energy_share, one.pressure_share], rtol=1e-3
+    )
+
+
+def test_a_state_that_is_put_back_goes_on_from_there(small_scene: Any, by_graph: Any) -> None:
+    """The device keeps nothing of a skin: the state in mjData alone tells how it goes on."""
+    scene = small_scene(stimulus=CIRCLE | NO_WAVE, skin={"accuracy": 0.2, "solver": "modal"})
+    sim = by_graph(scene)
+    sim.step(3)
+    spec = mujoco.mjtState.mjSTATE_INTEGRATION
+    kept = np.zeros(mujoco.mj_stateSize(sim.model, spec))
+    mujoco.mj_getState(sim.model, sim.data, kept, spec)
+    sim.step(2)
+    first = sim.runtime.skin_states()[0][1].copy()
+    mujoco.mj_setState(sim.model, sim.data, kept, spec)
+    sim.step(2)
+    np.testing.assert_array_equal(sim.runtime.skin_states()[0][1], first)
+    # Changed after the forces of the step were asked for, with which the device steps the skin
+    mujoco.mj_forward(sim.model, sim.data)
+    runtime = sim.runtime
+    posed, begun, now = runtime.posed, gather(runtime.state, runtime.work), sim.data.time
+    moments, course = runtime.work.device_sound.course(posed, begun, now)
+    stepper, numbers = runtime.skin_states()[0]
+    device = runtime.work.device_sound
+    assert device.stepped(0, stepper, numbers[0], posed, moments, course) is not None
+    numbers[0, 0] += 1e-6
+    assert device.stepped(0, stepper, numbers[0], posed, moments, course) is None
+
+
+def test_branches_of_a_graph_are_all_done() -> None:
+    done: list[str] = []
+    branches = Branches(tuple([lambda name=name: done.append(name) for name in part] for part in ("ab", "c")))
+    branches()
+    assert done == ["a", "b", "c"]
 
 
 def test_bones_carry_points_and_samples(by_graph: Any) -> None:

@@ -171,6 +171,19 @@ def test_linear_in_the_load_and_repeatable(disc, at_one_place):
     np.testing.assert_array_equal(models[0].vectors, models[1].vectors)
 
 
+def test_pressures_that_stay_are_stepped_over_at_once(disc, at_one_place):
+    """As substep by substep, for several worlds and patterns, and again with what was kept."""
+    stepper, random = at_one_place, np.random.default_rng(3)
+    pressure = random.standard_normal((3, 2, disc[0].system.ndof))
+    begun = random.standard_normal((3, stepper.state_size))
+    for _ in range(2):
+        first, last = random.random((2, 3, 5, 2))
+        states = begun.copy(), begun.copy()
+        for state, fixed in zip(states, (False, True), strict=True):
+            stepper.step(state, SurfaceLoads(pressure, first, last, fixed), 0.0, 5.0 * STEP)
+        np.testing.assert_allclose(states[1], states[0], rtol=0.0, atol=1e-12 * np.abs(states[0]).max())
+
+
 def test_more_vectors_than_allowed_are_refused(disc, monkeypatch):
     monkeypatch.setattr(module, "MOST_VECTORS", 10)
     force = disc[0].force[:, None]

@@ -128,6 +128,8 @@ class ModalStepper:
     corner_Hz: above which the load's spectrum falls as 1/f, for which the errors are stated
     points: numbers of the quadrature's points at which it takes pressure, shape (p,)
     error, velocity_error: relative, estimated, of what fewer modes than the layer's cost, for loads of the class
+    advance, inputs: what a substep does to each mode's numbers, shape (at least r, rows, rows), and what a force adds,
+        (at least r, rows)
     A state has a row of numbers of all modes each for displacement, velocity, acceleration and the internal
     displacement of every branch. Several worlds may be stepped at once.
     """
@@ -145,8 +147,8 @@ class ModalStepper:
         self.state_rows, self._alpha_f = scheme.state_rows, scheme.alpha_f
         self._padded = -(-self.order // kernels.WIDTH) * kernels.WIDTH
         self.state_size = self.state_rows * self._padded
-        advance, inputs = _propagators(scheme, self._padded)
-        self._modes = filled(kernels.Modes(), advance=_in_groups(advance), inputs=_in_groups(inputs))
+        self.advance, self.inputs = _propagators(scheme, self._padded)
+        self._modes = filled(kernels.Modes(), advance=_in_groups(self.advance), inputs=_in_groups(self.inputs))
         self._fit: Float32 = np.ascontiguousarray(shapes.fit.T, dtype=np.float32)
         self._back: Float32 = np.ascontiguousarray(shapes.shapes[:, shapes.points], dtype=np.float32)
         self._forces: Float32 = np.zeros((len(body.forces), self._padded), np.float32)
@@ -226,6 +228,11 @@ class ModalStepper:
             for part in (residual @ self._compliance, pressure @ self._compliance, residual, pressure):
                 numbers = (mixed @ part).ravel()
                 squares.append(float(numbers @ numbers))
+        return self.weighed(squares)
+
+    def weighed(self, squares: Sequence[float]) -> Outside:
+        """What lies outside, from sums of squares over substeps: of what is left over in the energy norm, of all in it,
+        and of both as plain pressure [Pa^2]."""
         outside, whole, plain, plain_whole = squares
         return Outside(self._hidden * outside, whole, self._hidden * plain, plain_whole)
 

@@ -1,0 +1,189 @@
+"""What one stimulus's transducers emit while its focus moves, on a device, as launches for a captured graph.
+
+Where `palmfield.drive.transducer_response` computes drives with NumPy, here a few numbers for each moment go in, and
+kernels leave the drives where those of the sound field take them.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+import warp as wp
+
+from palmfield.acoustics.point_sound import Transducers
+from palmfield.acoustics.transducer import directivity_coefficients
+from palmfield.device import SharedArray, filled, launch, whole_numbers
+from palmfield.drive.array_drive import ArrayDrive
+from palmfield.drive.transducer_response import PoleStepper
+from palmfield.stimulus.schedule import Moments
+from palmfield.threads import Calls
+from palmfield.types import Complex, Float, Int
+from warp_kernels import path_drives as kernels
+
+TERMS = 24
+"""Of the series of a piston's directivity, which then is right to the last digits up to k radius 4.5."""
+
+
+class PathStep(NamedTuple):
+    """A focus that moves over a MuJoCo step. moments: of the step
+
+    foci: at each moment, of each of d groups of transducers, and at the step's beginning, first array's frame [m],
+        shape (m d + 1, 3); group: to which each transducer belongs, shape (n,), None where there is one
+    levels: of the pressure there relative to the loudest moment's, 0..1, shape (m d,); now: the same at the beginning
+    mean: of the ARP over the step, relative to the loudest moment's
+    """
+
+    moments: Moments
+    foci: Float
+    group: Int | None
+    levels: Float
+    now: float
+    mean: float
+
+
+class PathMemory(NamedTuple):
+    """Where kernels find a step's numbers on a device, and where they leave what they find.
+
+    counts: foci and groups, int32, shape (2,); group: of each transducer, int32, shape (n,)
+    foci: [m], vec3d, shape (f,); wanted: levels, float64, shape (f + 1,)
+    ring: weights of the pole for each moment, vec2d, shape (m, 5); begun, end: what is emitted, vec2d, shape (n,)
+    sums: pressure at the foci at full drive and number of transducers that face them, vec3d, shape (f, LANES)
+    load, force, now: tables of drives, vec2, see `palmfield.acoustics.point_sound.DriveTable`
+    """
+
+    counts: Any
+    group: Any
+    foci: Any
+    wanted: Any
+    ring: Any
+    begun: Any
+    end: Any
+    sums: Any
+    load: Any
+    force: Any
+    now: Any
+
+    @staticmethod
+    def inputs(moments: int, foci: int, transducers: int) -> dict[str, tuple[tuple[int, ...], Any]]:
+        """Shapes and types of what goes in, for a `SharedBlock`; moments, foci: how many at most."""
+        return {
+            "path_counts": ((2,), wp.int32),
+            "path_group": ((transducers,), wp.int32),
+            "path_foci": ((foci,), wp.vec3d),
+            "path_wanted": ((foci + 1,), wp.float64),
+            "path_ring": ((moments, 5), wp.vec2d),
+            "path_begun": ((transducers,), wp.vec2d),
+        }
+
+    @staticmethod
+    def results(foci: int, transducers: int) -> dict[str, tuple[tuple[int, ...], Any]]:
+        """Shapes and types of what comes out."""
+        return {"path_end": ((transducers,), wp.vec2d), "path_sums": ((foci, kernels.LANES), wp.vec3d)}
+
+
+class PathDrives:
+    """The transducers of one stimulus that drives all of them, on a device.
+
+    drive: how, with the arrays as they stand now; transducers: the same ones as the sound field takes them
+    pole: what they make of a drive, all alike; None where it sounds at once
+    """
+
+    def __init__(self, drive: ArrayDrive, transducers: Transducers, pole: PoleStepper | None):
+        device = self._device = transducers.device
+        self.count, self._pole = drive.count, pole
+        self._places, self._facing = (SharedArray(drive.count, wp.vec3d, device) for _ in range(2))
+        parts = drive.array.parts
+        gains = [part.p0_Pa_m * (np.ones(len(part)) if part.gain is None else part.gain) for part in parts]
+        owners = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+        self._target = 0.0 if drive.arp_peak_Pa is None else drive.arp_peak_Pa * drive.array.impedance
+        self._focusing = filled(
+            kernels.Focusing(),
+            places=self._places.array,
+            facing=self._facing.array,
+            gains=_pairs(np.concatenate(gains), device),
+            parts=whole_numbers(owners, device),
+            shapes=wp.array([_shape(part, drive.wavenumber) for part in parts], dtype=wp.float64, device=device),
+            wavenumber=drive.wavenumber,
+            absorption_Np_m=drive.absorption_Np_m,
+            target=self._target,
+            amplitude=drive.amplitude,
+        )
+        order = np.argsort(transducers.order)
+        self._order = whole_numbers(order, device)
+        self._scales = _pairs(transducers.scale[order], device)
+        self._known: dict[tuple[object, ...], Complex] = {}
+        self.move(drive)
+
+    def move(self, drive: ArrayDrive) -> None:
+        """Take new places of the same transducers."""
+        self._places.put(drive.places.T)
+        self._facing.put(drive.normals.T)
+
+    def calls(self, memory: PathMemory) -> Calls:
+        """Launches that fill the tables of drives."""
+        foci, device = len(memory.foci), self._device
+        waves, strengths = (wp.zeros((foci, self.count), dtype=wp.vec2d, device=device) for _ in range(2))
+        levels: Any = wp.zeros(foci + 1, dtype=wp.float64, device=device)
+        focusing, counts, sums = self._focusing, memory.counts, memory.sums
+        rings = int(self._pole is not None)
+        inputs = [counts, memory.group, rings, waves, levels, memory.ring, self._scales, self._order, memory.begun]
+        inputs += [memory.load, memory.force, memory.now, memory.end]
+        return [
+            launch(kernels.focus_waves, (foci, self.count), [focusing, counts, memory.foci, waves, strengths], device),
+            launch(kernels.focus_sums, (foci, kernels.LANES), [counts, waves, strengths, sums], device),
+            launch(kernels.focus_levels, foci + 1, [focusing, counts, sums, memory.wanted, levels], device),
+            launch(kernels.ring_along, self.count, inputs, device),
+        ]
+
+    def ring(self, moments: Moments) -> Complex:
+        """Weights of the pole for each moment, shape (m, 5), see `warp_kernels.path_drives.ring_along`."""
+        pole = self._pole
+        if pole is None:
+            return np.zeros((1, 5), np.complex128)
+        key = moments.linear, moments.held_s, moments.step_s
+        known = self._known.get(key)
+        if known is None:
+            rows = []
+            for linear, held_s in zip(moments.linear, moments.held_s, strict=True):
+                along = pole.weights(moments.step_s) if linear else (1.0, 0.0, 0.0)
+                decay, first, last = pole.weights(0.5 * held_s) if held_s > 0.0 else (1.0, 0.0, 0.0)
+                rows.append([*along, decay, first + last])
+            if len(self._known) >= KEPT:
+                self._known.clear()
+            known = self._known[key] = np.array(rows, np.complex128)
+        return known
+
+    def can(self, step: PathStep, sums: Float) -> bool:
+        """Whether the transducers can make all foci that sound; sums: of PathMemory, as numbers, (f, LANES, 3)."""
+        count = len(step.levels)
+        real, imaginary, facing = np.add.reduce(sums[: count + 1], axis=1).T
+        good = facing > 0.0
+        if self._target > 0.0:
+            good &= real * real + imaginary * imaginary >= self._target
+        good[:count] |= step.levels == 0.0
+        good[count] |= step.mean == 0.0 and step.now == 0.0
+        return bool(np.logical_and.reduce(good))
+
+
+KEPT = 64
+"""Ways in which a step's moments follow on one another whose weights are kept."""
+
+
+def _pairs(values: Any, device: str) -> Any:
+    """Complex numbers as vec2d."""
+    pairs = np.ascontiguousarray(values, np.complex128).view(np.float64).reshape(-1, 2)
+    return wp.array(pairs, dtype=wp.vec2d, device=device)
+
+
+def _shape(array: Any, wavenumber: float) -> Float:
+    """Directivity of an array's transducers as a polynomial in sin^2 of the angle, lowest power first, (TERMS,)."""
+    result = np.zeros(TERMS)
+    if array.directivity_table is not None:
+        table = directivity_coefficients(array, wavenumber)[0]
+        result[: len(table)] = table
+        return result
+    # 2 J1(x)/x, x = k b sin(angle), as its power series in x^2
+    quarter = 0.25 * (wavenumber * array.piston_radius_m) ** 2
+    for k in range(TERMS):
+        result[k] = (-quarter) ** k / (math.factorial(k) * math.factorial(k + 1))
+    return result

@@ -1,0 +1,176 @@
+"""Small models of a skin on a device: all substeps of a MuJoCo step as a few launches for a captured graph.
+
+The pressure lies on the device already. The state comes in and goes out as the numbers that the stepper itself would
+have made of it, to rounding.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+import warp as wp
+
+from palmfield.device import launch, whole_numbers
+from palmfield.skin.reduction.modal_stepper import ModalStepper, Outside
+from palmfield.skin.reduction.reduced_stepper import ReducedStepper
+from palmfield.skin.stepper import SkinStepper, SurfaceLoads
+from palmfield.threads import Calls
+from palmfield.types import Float
+from warp_kernels import skin_steps as kernels
+
+LEAST_NUMBERS = 2**18
+"""Of a small model's step as one matrix, below which a CPU takes no longer than a launch."""
+MOST_NUMBERS = 2**23
+"""Above which its substeps one by one take less memory and no more time."""
+CHUNK = 32
+"""Numbers of a sum that one thread adds up."""
+SECTIONS = 4
+"""Sums of squares that say what of a load lies outside the class of modes."""
+
+
+class StepMemory(NamedTuple):
+    """Where a step of a skin finds its numbers on a device, and where it leaves them.
+
+    counts: drives and patterns, int32, shape (2,); pressure: patterns at all the layer's quadrature points [Pa],
+        float32, shape (m, q)
+    weights: of each pattern, float64, shape (`DeviceModel.weight_rows`, m)
+    before, after: the state, float64, shape (n,); squares: float64, shape (SECTIONS, s, `kernels.LANES`)
+    """
+
+    counts: Any
+    pressure: Any
+    weights: Any
+    before: Any
+    after: Any
+    squares: Any
+
+
+class DeviceModel(Protocol):
+    """A stepper's numbers on a device, for steps of so many substeps.
+
+    stepper: whose state it carries; weight_rows: of `weights`
+    """
+
+    @property
+    def stepper(self) -> SkinStepper: ...
+    @property
+    def substeps(self) -> int: ...
+    @property
+    def weight_rows(self) -> int: ...
+
+    def weights(self, first: Float, last: Float) -> Float:
+        """Weights of the patterns as the launches take them, from those of SurfaceLoads, shape (s, m)."""
+        ...
+
+    def calls(self, memory: StepMemory) -> Calls:
+        """Launches that do all substeps."""
+        ...
+
+    def outside(self, squares: Float) -> Outside | None:
+        """What of the load lies outside the class that the stepper serves, from the launches' sums, if it has one."""
+        ...
+
+
+def device_model(stepper: SkinStepper, substeps: int, points: int, device: str) -> DeviceModel | None:
+    """A stepper on a device; None where it stays on the CPU: solvers of whole layers, and models too small to pay.
+
+    substeps: of a step; points: of the layer's quadrature
+    """
+    if isinstance(stepper, ModalStepper):
+        return DeviceModes(stepper, substeps, device)
+    if isinstance(stepper, ReducedStepper):
+        size, shapes = stepper.state_size, stepper.shares.shape[1]
+        if LEAST_NUMBERS <= size * (size + 2 * substeps * shapes) <= MOST_NUMBERS:
+            return DeviceReduced(stepper, substeps, points, device)
+    return None
+
+
+class DeviceModes:
+    """A ModalStepper on a device, see DeviceModel."""
+
+    def __init__(self, stepper: ModalStepper, substeps: int, device: str):
+        self.stepper, self.substeps, self.weight_rows, self._device = stepper, substeps, substeps, device
+        body, advance = stepper.body, stepper.advance
+        fit, back = body.shapes.fit.T, body.shapes.shapes[:, body.shapes.points]
+        residual = np.eye(len(fit)) - fit @ back
+        parts = [fit @ body.forces, residual @ body.compliance, body.compliance, residual, np.eye(len(fit))]
+        self._products = _Products(stepper.points, np.hstack(parts), device)
+        starts = np.cumsum([part.shape[1] for part in parts])
+        self._starts, self._rows = whole_numbers(starts, device), advance.shape[1]
+        square = wp.types.matrix(shape=advance.shape[1:], dtype=wp.float64)
+        numbers = wp.types.vector(length=self._rows, dtype=wp.float64)
+        self._advance: Any = wp.array(advance[: stepper.order], dtype=square, device=device)
+        self._inputs: Any = wp.array(stepper.inputs[: stepper.order], dtype=numbers, device=device)
+
+    def weights(self, first: Float, last: Float) -> Float:
+        """See DeviceModel."""
+        return self.stepper.mixed(SurfaceLoads(np.zeros(0), first, last)).astype(np.float64)
+
+    def calls(self, memory: StepMemory) -> Calls:
+        """See DeviceModel."""
+        before, after = (part.reshape((self._rows, -1)) for part in (memory.before, memory.after))
+        calls, forces = self._products.calls(memory)
+        inputs = [self._advance, self._inputs, forces, self.substeps, before, after]
+        calls.append(launch(kernels.lone_modes(self._rows), self.stepper.order, inputs, self._device))
+        dim = SECTIONS, self.substeps, kernels.LANES
+        return [*calls, launch(kernels.squares, dim, [forces, self._starts, memory.squares], self._device)]
+
+    def outside(self, squares: Float) -> Outside:
+        """See DeviceModel."""
+        return self.stepper.weighed(np.add.reduce(squares, axis=(1, 2)).tolist())
+
+
+class DeviceReduced:
+    """A ReducedStepper on a device, see DeviceModel: all substeps are one matrix."""
+
+    def __init__(self, stepper: ReducedStepper, substeps: int, points: int, device: str):
+        self.stepper, self.substeps, self.weight_rows, self._device = stepper, substeps, 2 * substeps, device
+        own = np.arange(points) if stepper.points is None else stepper.points
+        self._products = _Products(own, stepper.shares, device)
+        advance, start, end = stepper.model.propagators(stepper.step_s)
+        at_start, at_end, power = [start.T], [end.T], advance.T
+        for _ in range(substeps - 1):
+            at_start.append(at_start[-1] @ advance.T)
+            at_end.append(at_end[-1] @ advance.T)
+            power = power @ advance.T
+        matrix = np.concatenate([power, *at_start[::-1], *at_end[::-1]])
+        self._matrix: Any = wp.array(matrix, dtype=wp.float64, device=device)
+
+    def weights(self, first: Float, last: Float) -> Float:
+        """See DeviceModel."""
+        return np.concatenate([first, last])
+
+    def calls(self, memory: StepMemory) -> Calls:
+        """See DeviceModel."""
+        calls, forces = self._products.calls(memory)
+        rows, size = self._matrix.shape
+        chunks = -(-rows // CHUNK)
+        parts: Any = wp.zeros((chunks, size), dtype=wp.float64, device=self._device)
+        inputs = [self._matrix, memory.before, forces.flatten(), CHUNK, parts]
+        calls.append(launch(kernels.state_products, (chunks, size), inputs, self._device))
+        return [*calls, launch(kernels.sums_of_chunks, size, [parts, memory.after], self._device)]
+
+    def outside(self, squares: Float) -> None:
+        """See DeviceModel."""
+        return None
+
+
+class _Products:
+    """Pressure at some points times a matrix (p, c), then mixed; points: their numbers, shape (p,)."""
+
+    def __init__(self, points: Sequence[int] | Any, matrix: Float, device: str):
+        self._device = device
+        self._points = whole_numbers(points, device)
+        self._matrix: Any = wp.array(np.ascontiguousarray(matrix, np.float32), dtype=wp.float32, device=device)
+
+    def calls(self, memory: StepMemory) -> tuple[list[Callable[[], object]], Any]:
+        """Launches, and where they leave the products of each row of the weights, float64, shape (rows, c)."""
+        points, columns = self._matrix.shape
+        blocks, chunks = -(-memory.pressure.shape[0] // kernels.ROWS), -(-points // CHUNK)
+        parts: Any = wp.zeros((chunks, blocks * kernels.ROWS, columns), dtype=wp.float32, device=self._device)
+        rows = memory.weights.shape[0]
+        mixed: Any = wp.zeros((rows, columns), dtype=wp.float64, device=self._device)
+        inputs = [memory.counts, memory.pressure, self._points, self._matrix, CHUNK, parts]
+        calls = [launch(kernels.pressure_products, (blocks, chunks, columns), inputs, self._device)]
+        inputs = [memory.counts, memory.weights, parts, mixed]
+        return [*calls, launch(kernels.mixed_products, (rows, columns), inputs, self._device)], mixed

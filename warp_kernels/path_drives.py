@@ -1,0 +1,179 @@
+"""What transducers are told and emit while a focus moves, in float64: phases, level and the pole of each transducer."""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+LANES = 32
+"""Parts of the sum over the transducers."""
+NEAREST_M = 1.0e-9
+
+
+@wp.struct
+class Focusing:
+    """What brings the sound of n transducers together at a focus.
+
+    places, facing: position [m] and unit direction of each; gains: full drive's strength, complex [Pa m]
+    parts: which row of `shapes` is whose, shape (n,); shapes: directivity as polynomials in sin^2 of the angle, lowest
+        power first, shape (parts, c)
+    wavenumber: [1/m]; absorption_Np_m: amplitude lost on the way [Np/m]
+    target: ARP asked for times rho c^2 [Pa^2], 0 where `amplitude` is asked for instead
+    """
+
+    places: wp.array(dtype=wp.vec3d)
+    facing: wp.array(dtype=wp.vec3d)
+    gains: wp.array(dtype=wp.vec2d)
+    parts: wp.array(dtype=wp.int32)
+    shapes: wp.array2d(dtype=wp.float64)
+    wavenumber: wp.float64
+    absorption_Np_m: wp.float64
+    target: wp.float64
+    amplitude: wp.float64
+
+
+@wp.func
+def times(a: wp.vec2d, b: wp.vec2d):
+    return wp.vec2d(a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0])
+
+
+@wp.kernel
+def focus_waves(
+    focusing: Focusing,
+    counts: wp.array(dtype=wp.int32),
+    foci: wp.array(dtype=wp.vec3d),
+    waves: wp.array2d(dtype=wp.vec2d),
+    strengths: wp.array2d(dtype=wp.vec2d),
+):
+    """exp(-i k d) of each transducer that faces a focus, else 0, and what it gives there at full drive [Pa].
+
+    foci: [m], shape (f,), of which counts[0] count; waves, strengths: complex, shape (f, n); dim: (f, n)
+    """
+    m, e = wp.tid()
+    if m < counts[0]:
+        way = foci[m] - focusing.places[e]
+        distance = wp.length(way)
+        height = wp.dot(way, focusing.facing[e])
+        wave = wp.vec2d()
+        strength = wp.vec2d()
+        if height > wp.float64(0.0):
+            turn = focusing.wavenumber * distance
+            wave = wp.vec2d(wp.cos(turn), -wp.sin(turn))
+            far = wp.max(distance, wp.float64(NEAREST_M))
+            cosine = height / far
+            square = wp.max(wp.float64(1.0) - cosine * cosine, wp.float64(0.0))
+            shape = wp.float64(0.0)
+            terms = focusing.shapes.shape[1]
+            for k in range(terms):
+                shape = shape * square + focusing.shapes[focusing.parts[e], terms - 1 - k]
+            strength = focusing.gains[e] * (shape * wp.exp(-focusing.absorption_Np_m * distance) / far)
+        waves[m, e] = wave
+        strengths[m, e] = strength
+
+
+@wp.kernel
+def focus_sums(
+    counts: wp.array(dtype=wp.int32),
+    waves: wp.array2d(dtype=wp.vec2d),
+    strengths: wp.array2d(dtype=wp.vec2d),
+    sums: wp.array2d(dtype=wp.vec3d),
+):
+    """In parts, the pressure at each focus at full drive [Pa], and how many transducers face it; dim: (f, LANES)."""
+    m, lane = wp.tid()
+    if m < counts[0]:
+        total = wp.vec3d()
+        for e in range(lane, waves.shape[1], LANES):
+            faces = wp.where(wp.length_sq(waves[m, e]) > wp.float64(0.0), wp.float64(1.0), wp.float64(0.0))
+            total += wp.vec3d(strengths[m, e][0], strengths[m, e][1], faces)
+        sums[m, lane] = total
+
+
+@wp.func
+def level_at(focusing: Focusing, sums: wp.array2d(dtype=wp.vec3d), m: wp.int32):
+    """Of each transducer, relative to full drive, for the ARP that is asked for."""
+    level = focusing.amplitude
+    if focusing.target > wp.float64(0.0):
+        total = wp.vec3d()
+        for lane in range(LANES):
+            total += sums[m, lane]
+        full = total[0] * total[0] + total[1] * total[1]
+        level = wp.float64(0.0)
+        if full > wp.float64(0.0):
+            level = wp.sqrt(focusing.target / full)
+    return level
+
+
+@wp.kernel
+def focus_levels(
+    focusing: Focusing,
+    counts: wp.array(dtype=wp.int32),
+    sums: wp.array2d(dtype=wp.vec3d),
+    wanted: wp.array(dtype=wp.float64),
+    levels: wp.array(dtype=wp.float64),
+):
+    """Level of the drive for each focus, times what is wanted of it, 0 to 1; for the last one twice; dim: f + 1."""
+    m = wp.tid()
+    if m <= counts[0]:
+        levels[m] = wanted[m] * level_at(focusing, sums, wp.min(m, counts[0] - 1))
+
+
+@wp.func
+def single(value: wp.vec2d):
+    return wp.vec2(wp.float32(value[0]), wp.float32(value[1]))
+
+
+@wp.kernel
+def ring_along(
+    counts: wp.array(dtype=wp.int32),
+    group: wp.array(dtype=wp.int32),
+    rings: wp.int32,
+    waves: wp.array2d(dtype=wp.vec2d),
+    levels: wp.array(dtype=wp.float64),
+    weights: wp.array2d(dtype=wp.vec2d),
+    scales: wp.array(dtype=wp.vec2d),
+    order: wp.array(dtype=wp.int32),
+    begun: wp.array(dtype=wp.vec2d),
+    load: wp.array2d(dtype=wp.vec2),
+    force: wp.array2d(dtype=wp.vec2),
+    now: wp.array2d(dtype=wp.vec2),
+    end: wp.array(dtype=wp.vec2d),
+):
+    """What a transducer emits at the moments of a step, as a pole rings along the drives; dim: n.
+
+    The last of counts[0] foci is where the step begins, the others are the moments', counts[1] for each, of which a
+    transducer takes the one that `group` names. rings: 0 where what is commanded sounds at once
+    weights: for each moment those of what was emitted before, of the drives at the moment before and at this one, and,
+        for a part that is held, of what was emitted and of the drive, for half of it; complex, shape (m, 5)
+    scales: strength at full drive [Pa m]; order: each transducer's column in the tables of drives
+    begun, end: what it emits at the step's beginning and end, relative to full drive
+    load, force, now: the tables of the moments' drives, of the focus at the beginning at the loudest moment's level,
+        and of what sounds at the beginning [Pa m]
+    """
+    e = wp.tid()
+    column = order[e]
+    scale = scales[e]
+    last = counts[0] - 1
+    groups = counts[1]
+    moments = last // groups
+    own = group[e]
+    emitted = begun[e]
+    before = wp.vec2d()
+    for j in range(moments):
+        focus = j * groups + own
+        drive = levels[focus] * waves[focus, e]
+        if rings == 0:
+            load[j, column] = single(times(scale, drive))
+        else:
+            emitted = times(weights[j, 0], emitted) + times(weights[j, 1], before) + times(weights[j, 2], drive)
+            push = times(weights[j, 4], drive)
+            emitted = times(weights[j, 3], emitted) + push
+            load[j, column] = single(times(scale, emitted))
+            emitted = times(weights[j, 3], emitted) + push
+        before = drive
+    for j in range(moments, load.shape[0]):
+        load[j, column] = wp.vec2()
+    force[0, column] = single(times(scale, levels[last] * waves[last, e]))
+    if rings == 0:
+        now[0, column] = single(times(scale, levels[last + 1] * waves[last, e]))
+    else:
+        now[0, column] = single(times(scale, begun[e]))
+    end[e] = emitted

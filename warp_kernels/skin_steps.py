@@ -1,0 +1,143 @@
+"""Substeps of a skin's small model on a device, under pressure that other kernels have left there.
+
+Sums are taken in parts, each in a place of its own, and added up in a fixed order: equal input gives equal bits.
+"""
+
+import functools
+from typing import Any
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+ROWS = 4
+"""Patterns of pressure that a thread takes: what it reads of the matrix is shared."""
+LANES = 32
+"""Parts of a sum of squares."""
+
+
+@wp.kernel
+def pressure_products(
+    counts: wp.array(dtype=wp.int32),
+    pressure: wp.array2d(dtype=wp.float32),
+    points: wp.array(dtype=wp.int32),
+    matrix: wp.array2d(dtype=wp.float32),
+    size: wp.int32,
+    result: wp.array3d(dtype=wp.float32),
+):
+    """Patterns of pressure at some points times a matrix (p, c), in chunks of `size` points, (chunks, rows, c).
+
+    counts[1]: how many patterns there are; pressure: [Pa], shape (m, q); points: numbers of those that count, (p,)
+    dim: (rows / ROWS, chunks, c)
+    """
+    block, chunk, column = wp.tid()
+    first = block * ROWS
+    if first < counts[1]:
+        totals = wp.vec4()
+        for i in range(chunk * size, wp.min((chunk + 1) * size, matrix.shape[0])):
+            factor = matrix[i, column]
+            for r in range(ROWS):
+                totals[r] += factor * pressure[wp.min(first + r, pressure.shape[0] - 1), points[i]]
+        for r in range(ROWS):
+            result[chunk, first + r, column] = totals[r]
+
+
+@wp.kernel
+def mixed_products(
+    counts: wp.array(dtype=wp.int32),
+    weights: wp.array2d(dtype=wp.float64),
+    parts: wp.array3d(dtype=wp.float32),
+    result: wp.array2d(dtype=wp.float64),
+):
+    """Weighted sums of patterns, weights (s, m), of what `pressure_products` found, shape (s, c); dim: (s, c)."""
+    substep, column = wp.tid()
+    total = wp.float64(0.0)
+    for k in range(counts[1]):
+        weight = weights[substep, k]
+        if weight != wp.float64(0.0):
+            own = wp.float64(0.0)
+            for chunk in range(parts.shape[0]):
+                own += wp.float64(parts[chunk, k, column])
+            total += weight * own
+    result[substep, column] = total
+
+
+@functools.cache
+def lone_modes(rows: int) -> Any:
+    """Kernel of all substeps of modes whose states have `rows` numbers; dim: modes."""
+    numbers = wp.types.vector(length=rows, dtype=wp.float64)
+    square = wp.types.matrix(shape=(rows, rows), dtype=wp.float64)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def kernel(
+        advance: wp.array(dtype=square),
+        inputs: wp.array(dtype=numbers),
+        forces: wp.array2d(dtype=wp.float64),
+        substeps: wp.int32,
+        before: wp.array2d(dtype=wp.float64),
+        after: wp.array2d(dtype=wp.float64),
+    ):
+        """A mode's state becomes advance @ state + inputs * force in each of some substeps.
+
+        forces: of each substep, (s, at least r); before, after: states, (rows, r)
+        """
+        mode = wp.tid()
+        state = numbers()
+        for i in range(rows):
+            state[i] = before[i, mode]
+        own_advance = advance[mode]
+        own_inputs = inputs[mode]
+        for substep in range(substeps):
+            state = own_advance * state + forces[substep, mode] * own_inputs
+        for i in range(rows):
+            after[i, mode] = state[i]
+
+    return kernel
+
+
+@wp.kernel
+def squares(
+    values: wp.array2d(dtype=wp.float64),
+    starts: wp.array(dtype=wp.int32),
+    result: wp.array3d(dtype=wp.float64),
+):
+    """Parts of the sums of squares of groups of columns, starts[i] to starts[i + 1]; dim: (groups, s, LANES)."""
+    group, substep, lane = wp.tid()
+    total = wp.float64(0.0)
+    for column in range(starts[group] + lane, starts[group + 1], LANES):
+        value = values[substep, column]
+        total += value * value
+    result[group, substep, lane] = total
+
+
+@wp.kernel
+def state_products(
+    matrix: wp.array2d(dtype=wp.float64),
+    before: wp.array(dtype=wp.float64),
+    forces: wp.array(dtype=wp.float64),
+    size: wp.int32,
+    result: wp.array2d(dtype=wp.float64),
+):
+    """State (n,) and forces (f,), side by side, times a matrix (n + f, n), in chunks of `size` rows; (chunks, n).
+
+    dim: (chunks, n)
+    """
+    chunk, column = wp.tid()
+    count = before.shape[0]
+    total = wp.float64(0.0)
+    for i in range(chunk * size, wp.min((chunk + 1) * size, matrix.shape[0])):
+        if i < count:
+            total += matrix[i, column] * before[i]
+        else:
+            total += matrix[i, column] * forces[i - count]
+    result[chunk, column] = total
+
+
+@wp.kernel
+def sums_of_chunks(parts: wp.array2d(dtype=wp.float64), result: wp.array(dtype=wp.float64)):
+    """Parts (chunks, n) added up, (n,); dim: n."""
+    column = wp.tid()
+    total = wp.float64(0.0)
+    for chunk in range(parts.shape[0]):
+        total += parts[chunk, column]
+    result[column] = total
