@@ -83,14 +83,13 @@ class Krylov:
 
     dynamics: the body; shift: sigma [1/s], > 0, where Z is factorised, once
     load: force for one unit of each of j inputs, shape (n, j), for any course of each; or the one Course
-    products: each matrix of the dynamics times V; order: number r of vectors
+    order: number r of vectors
     """
 
     def __init__(self, dynamics: DynamicStiffness, shift: float, load: Float | Course) -> None:
         self.dynamics, self.shift = dynamics, shift
         self.factored = dynamics.factor(shift)
         self._vectors = np.empty((dynamics.size, ROOM), order="F")
-        self._products = [np.zeros((dynamics.size, ROOM), order="F") for _ in dynamics.matrices]
         self._small = np.zeros((len(dynamics.matrices), 0, 0))
         self.order = 0
         self.laws = [
@@ -120,10 +119,6 @@ class Krylov:
         return self._vectors[:, : self.order]
 
     @property
-    def products(self) -> list[Float]:
-        return [product[:, : self.order] for product in self._products]
-
-    @property
     def projected(self) -> list[Float]:
         """The dynamics's matrices in these vectors, symmetric."""
         self._project()
@@ -138,16 +133,19 @@ class Krylov:
         """Apply the operator to the last block. Returns by how many vectors the basis grew; 0 at the space's end."""
         before, shift = self.order, self.shift
         u, v, *internal = self._block
-        mass, damping, _, *stiffness = self.products
-        right = mass @ (v + shift * u)
-        if self.dynamics.matrices[1].nnz:
-            right += damping @ u
-        for part, (product, material) in enumerate(zip(stiffness, self.dynamics.materials, strict=True)):
+        mass, damping, _, *stiffness = self.dynamics.matrices
+        shares = [v + shift * u, u]
+        for part, material in enumerate(self.dynamics.materials):
             share = material.viscous_time_s * u
             for (owner, ratio, tau), q in zip(self.laws, internal, strict=True):
                 if owner == part:
                     share = share + ratio * tau / (1.0 + shift * tau) * q
-            right += product @ share
+            shares.append(share)
+        motions = np.split(self.vectors @ np.hstack(shares), len(shares), axis=1)
+        right: Float = np.zeros(motions[0].shape)
+        for matrix, motion in zip((mass, damping, *stiffness), motions, strict=True):
+            if matrix.nnz:
+                right += matrix @ motion
         if self.course is not None:
             self._load = self._driven(self._load)
             right += self.course.shapes @ (self.course.mix @ self._load)
@@ -175,21 +173,16 @@ class Krylov:
         kept = squares > max((SMALLEST * size) ** 2, PARALLEL * squares.max(initial=0.0))
         scale = turn[:, kept] / np.sqrt(squares[kept])
         new = rest @ scale
-        self._append(new, heavy @ scale)
+        self._append(new)
         return np.concatenate([coordinates, new.T @ heavy])
 
-    def _append(self, new: Float, heavy: Float) -> None:
-        """Take new vectors, and the mass times them."""
+    def _append(self, new: Float) -> None:
         before, after = self.order, self.order + new.shape[1]
         if after > self._vectors.shape[1]:
-            self._vectors = _wider(self._vectors, max(ROOM, new.shape[1]))
-            for number, product in enumerate(self._products):
-                # One after another: together they take half a gigabyte
-                self._products[number] = _wider(product, max(ROOM, new.shape[1]))
-        self._vectors[:, before:after], self._products[0][:, before:after] = new, heavy
-        for number, matrix in enumerate(self.dynamics.matrices[1:], start=1):
-            if matrix.nnz:
-                self._products[number][:, before:after] = matrix @ new
+            wider = np.empty((len(new), after + ROOM), order="F")
+            wider[:, :before] = self.vectors
+            self._vectors = wider
+        self._vectors[:, before:after] = new
         self.order = after
 
     def _project(self) -> None:
@@ -197,11 +190,11 @@ class Krylov:
         before, after = self._small.shape[1], self.order
         if before == after:
             return
-        grown = np.zeros((len(self._products), after, after))
+        grown = np.zeros((len(self.dynamics.matrices), after, after))
         grown[:, :before, :before] = self._small
         for number, matrix in enumerate(self.dynamics.matrices):
             if matrix.nnz:
-                share = self._vectors[:, :after].T @ self._products[number][:, before:after]
+                share = self.vectors.T @ (matrix @ self.vectors[:, before:])
                 grown[number, :, before:] = share
                 grown[number, before:, :before] = share[:before].T
         inner = grown[:, before:, before:]
@@ -224,13 +217,6 @@ class Krylov:
         self._known = np.concatenate([self._known, result], axis=2)
         self._known_load = np.concatenate([self._known_load, self._load], axis=1)
         self._block = result / self._scales[:, None, None]
-
-
-def _wider(columns: Float, more: int) -> Float:
-    """The same columns, shape (n, k), with room for more."""
-    result = np.zeros((columns.shape[0], columns.shape[1] + more), order="F")
-    result[:, : columns.shape[1]] = columns
-    return result
 
 
 def _padded(rows: Any, count: int) -> Any:

@@ -294,9 +294,9 @@ def _defect(krylov: Krylov, load: KnownLoad, surface: Any) -> float:
     moved, pushing = np.array(responses).T, np.array(pushes).T
     mixed = _mixing(2 * len(responses))
     residual = load.shapes @ (np.hstack([pushing.real, pushing.imag]) @ mixed)
-    for column, product in enumerate(krylov.products):
+    for column, matrix in enumerate(krylov.dynamics.matrices):
         scaled = moved * np.array(weights)[:, column]
-        residual -= product @ (np.hstack([scaled.real, scaled.imag]) @ mixed)
+        residual -= matrix @ (krylov.vectors @ (np.hstack([scaled.real, scaled.imag]) @ mixed))
     missed = surface @ krylov.factored.solve(residual)
     seen = (surface @ krylov.vectors) @ moved
     return float(np.linalg.norm(missed) / np.linalg.norm(seen))
