@@ -4,6 +4,7 @@ It is exact in time, and a substep is one dense product.
 """
 
 import itertools
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -78,9 +79,9 @@ class ReducedStepper:
         self.points = points
         self.step_s, self.error, self.any_course = step_s, error, any_course
         self.state_size, self.order = self.model.state_size, vectors.shape[1]
-        self._shares = np.ascontiguousarray(shares)
+        self.shares = np.ascontiguousarray(shares)
         # Pressures come in single precision, and half the memory to read is half the time
-        self._single_shares = self._shares.astype(np.float32)
+        self._single_shares = self.shares.astype(np.float32)
         advance, start, end = self.model.propagators(step_s)
         self._advance = np.ascontiguousarray(advance)
         self._start, self._end = np.ascontiguousarray(start.T), np.ascontiguousarray(end.T)
@@ -94,7 +95,7 @@ class ReducedStepper:
         self, state: Float, loads: SurfaceLoads, t0: float, t1: float, observe: Reader | None = None
     ) -> Float | None:
         """See SkinStepper."""
-        own = check_step(self, state, loads, len(self._shares), t0, t1, any_length=True)
+        own = check_step(self, state, loads, len(self.shares), t0, t1, any_length=True)
         worlds, substeps, _ = loads.first.shape
         states = np.empty((worlds, substeps, self.state_size))
         with one_blas_thread:
@@ -128,7 +129,7 @@ class ReducedStepper:
 
     def _forces(self, pressure: Float | Float32) -> Float:
         """Shapes of force under patterns of pressure (w, k, q), shape (w, k, j)."""
-        return np.asarray(pressure @ (self._single_shares if pressure.dtype == np.float32 else self._shares))
+        return np.asarray(pressure @ (self._single_shares if pressure.dtype == np.float32 else self.shares))
 
     def _pushes(self, loads: SurfaceLoads) -> tuple[Float, Float]:
         """What each pattern adds to the state by its weights at a substep's start and at its end, shapes (w, k, n)."""
@@ -170,14 +171,14 @@ class ReducedStepper:
         for material, part in zip(self.small.materials, parts, strict=True):
             matrix = matrix + stiffening(material, s) * part
         return np.asarray(
-            (operator @ self.vectors) @ np.linalg.solve(matrix, self.small.force @ (pressure_Pa @ self._shares)),
+            (operator @ self.vectors) @ np.linalg.solve(matrix, self.small.force @ (pressure_Pa @ self.shares)),
             dtype=complex,
         )
 
     def lifted(self, state: Float, pressure_Pa: Float) -> Float:
         """The same motion as a state of WedgeStepper, (w, its state_size), under the present inward pressure (q,)."""
         model = self.model
-        rates = state @ model.rates.T + (pressure_Pa @ self._shares) @ model.inputs.T
+        rates = state @ model.rates.T + (pressure_Pa @ self.shares) @ model.inputs.T
         rows = [state @ model.displaces.T, state @ model.moves.T, rates @ model.moves.T]
         rows += [state @ internal.T for internal in model.internals]
         return np.concatenate([row @ self.vectors.T for row in rows], axis=1)
@@ -207,7 +208,9 @@ def reduced_stepper(
     are of a smaller or a stiffer body than the true one, so they are estimates, no bounds.
     Raises SceneError where MOST_VECTORS don't reach the tolerance.
     """
-    small, vectors, error, any_course = known_model(system, load, surface, point, step_s, highest_Hz, tolerance)
+    small, vectors, error, any_course = known_model(
+        system, cache.digest(load), lambda: load, surface, point, step_s, highest_Hz, tolerance
+    )
     if pressures is None:
         return ReducedStepper(small, vectors, inputs.T @ vectors, None, step_s, error, any_course)
     shares: Float = pressures.fit.T @ ((inputs @ pressures.shapes.T).T @ vectors)
@@ -216,7 +219,8 @@ def reduced_stepper(
 
 def known_model(
     system: SkinSystem,
-    load: KnownLoad,
+    mark: str,
+    ask_load: Callable[[], KnownLoad],
     surface: Any,
     point: Any,
     step_s: float,
@@ -225,10 +229,11 @@ def known_model(
 ) -> tuple[Projection, Float, float, bool]:
     """The body in its vectors V, V (n, r), the error, and whether any course of the load will do.
 
-    Kept in the cache (`palmfield.cache`).
+    mark: the digest of the known load, for which is asked only where the cache (`palmfield.cache`) has no answer
     """
 
     def make() -> cache.Arrays:
+        load = ask_load()
         # Small products only, which several threads of BLAS slow down where other programs run.
         with one_blas_thread:
             dynamics = DynamicStiffness(system, system.elimination_order())
@@ -244,7 +249,7 @@ def known_model(
             facts = np.array([error, krylov.course is None])
             return {"matrices": np.array(krylov.projected), "vectors": krylov.vectors, "facts": facts}
 
-    depends_on = (system.made_of, load, surface, point, step_s, highest_Hz, tolerance)
+    depends_on = (system.made_of, mark, surface, point, step_s, highest_Hz, tolerance)
     known = cache.kept("small-model", depends_on, make)
     error, any_course = known["facts"].tolist()
     unit = np.eye(known["vectors"].shape[1])
