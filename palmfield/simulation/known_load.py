@@ -37,7 +37,7 @@ from palmfield.skin.scene_layer import SceneLayer
 from palmfield.skin.solver_choice import scene_choices
 from palmfield.skin.stepper import SkinStepper
 from palmfield.stimulus.schedule import frames_at, is_closed, main_frequencies, repeats, turn_rate_Hz
-from palmfield.types import Complex, Float
+from palmfield.types import Complex, Float, Float32
 
 SHARE = 0.1
 """Of the wanted accuracy that reducing the skin may cost."""
@@ -250,7 +250,7 @@ def _known_stepper(model: HapticModel, skin: int) -> ReducedStepper:
     return ReducedStepper(small, vectors, known["shares"], known["points"], step_s, error, any_course)
 
 
-def known_load(model: HapticModel, skin: int, posed: PosedScene) -> tuple[KnownLoad, Float]:
+def known_load(model: HapticModel, skin: int, posed: PosedScene) -> tuple[KnownLoad, Float32]:
     """What the one sounding stimulus does to a skin in a pose that it keeps, and the pressures of which it is made.
 
     The pressures are at the quadrature's points [Pa], shape (t, q).
@@ -351,7 +351,6 @@ def _at_full_level(drives: Complex, level_of: float | None = None) -> tuple[Comp
     return np.round(drives / level_of, DIGITS), level_of
 
 
-def _pressures(skin: int, posed: PosedScene, radiation: Radiation, drives: Complex) -> Float:
+def _pressures(skin: int, posed: PosedScene, radiation: Radiation, drives: Complex) -> Float32:
     """ARP at the skin's quadrature points [Pa] of drives (f, N), shape (f, q)."""
-    pressures: Float = radiation.many(posed, skin, drives).astype(np.float64)
-    return pressures
+    return radiation.many(posed, skin, drives)

@@ -14,11 +14,13 @@ from scipy import linalg
 from scipy.linalg import lapack
 
 from palmfield.errors import SceneError
-from palmfield.types import Float, Int
+from palmfield.types import Float, Float32, Int
 
 POINTS = 2
 """Points for each shape: the fit then adds less than half of what the shapes themselves leave out."""
 
+BLOCK = 2048
+"""Points at which pressures are held in double precision at a time."""
 CLOSENESS = 0.3
 """Of the tolerance, what the examples that are taken may leave out of the others."""
 
@@ -38,25 +40,27 @@ class LoadShapes:
     fit: Float
 
 
-def load_shapes(examples: Float, weights: Float, tolerance: float) -> LoadShapes:
+def load_shapes(examples: Float | Float32, weights: Float, tolerance: float) -> LoadShapes:
     """Shapes whose sums come within a tolerance of examples, rms over all of them.
 
-    examples: pressures [Pa], shape (t, q); weights: areas for which the points stand [m^2], shape (q,)
+    examples: pressures [Pa], shape (t, q), in single or double precision; weights: areas for which the points stand [m^2], shape (q,)
     Raises SceneError where nothing sounds in the examples, or a number is not finite.
     """
     if not np.isfinite(examples).all():
         raise SceneError("examples of a load are not finite: mend what computes them")
-    size = float(np.einsum("tq,q,tq->", examples, weights, examples))
+    root = np.sqrt(weights)
+    products = _products(examples, root)
+    size = float(np.trace(products))
     if not size > 0.0:
         raise SceneError("the arrays' sound does not reach the skin: no class of loads to be made of it")
-    rooted = examples * np.sqrt(weights)
-    basis, shares = _basis(rooted, (CLOSENESS * tolerance) ** 2)
+    taken, shares = _taken(products, (CLOSENESS * tolerance) ** 2)
+    basis = linalg.solve_triangular(shares[taken], examples[taken] * root, lower=True)
     values, turn = np.linalg.eigh(shares.T @ shares)
     values, turn = values[::-1], turn[:, ::-1]
     left_out = np.sqrt(np.maximum(1.0 - np.cumsum(values) / size, 0.0))
     count = min(int(np.searchsorted(-left_out, -tolerance)) + 1, int((values > 1e-12 * values[0]).sum()))
     flat = _orthonormal(turn[:, :count].T @ basis)
-    points, shapes = _telling_points(flat), flat / np.sqrt(weights)
+    points, shapes = _telling_points(flat), flat / root
     turned, triangle = np.linalg.qr(shapes[:, points].T)
     fit = np.asarray(linalg.solve_triangular(triangle, turned.T), dtype=np.float64)
     return LoadShapes(shapes, np.sqrt(values[:count] / len(examples)), points, fit)
@@ -77,17 +81,30 @@ def _telling_points(shapes: Float) -> Int:
     return np.sort(np.concatenate(chosen))
 
 
-def _basis(rows: Float, left_out: float) -> tuple[Float, Float]:
-    """Orthonormal sums of some of the rows (t, q), shape (r, q), and what of them all rows are but for a part of their
-    squares, (t, r): of many rows that are alike few are needed, those that a pivoted Cholesky factorisation takes."""
-    products = rows @ rows.T
+def _products(examples: Float | Float32, root: Float) -> Float:
+    """Each with each of the examples (t, q) times root (q,), shape (t, t), a block of points at a time."""
+    products: Float = np.zeros((len(examples), len(examples)))
+    for start in range(0, len(root), BLOCK):
+        points = slice(start, start + BLOCK)
+        block = examples[:, points] * root[points]
+        products += block @ block.T
+    return products
+
+
+def _taken(products: Float, left_out: float) -> tuple[Int, Float]:
+    """Rows that are enough of rows that are alike, (r,), and what of these, made orthonormal, all are, (t, r).
+
+    products: each row with each, (t, t), overwritten; left_out: of their squares. A pivoted Cholesky factorisation
+    takes them.
+    """
     squares = np.diagonal(products)
-    enough = max(left_out * squares.mean(), len(rows) * np.finfo(float).eps * squares.max())
-    lower, pivots, rank, _ = lapack.dpstrf(products, tol=enough, lower=1)
-    lower = np.tril(lower)[:, :rank]
-    shares = np.empty_like(lower)
-    shares[pivots - 1] = lower
-    return linalg.solve_triangular(lower[:rank], rows[pivots[:rank] - 1], lower=True), shares
+    enough = max(left_out * squares.mean(), len(squares) * np.finfo(float).eps * squares.max())
+    # Symmetric: turned it lies as LAPACK wants it, without a copy
+    lower, pivots, rank, _ = lapack.dpstrf(products.T, tol=enough, lower=1, overwrite_a=1)
+    taken = pivots - 1
+    shares = np.empty((len(squares), rank))
+    shares[taken] = np.tril(lower[:, :rank])
+    return taken[:rank], shares
 
 
 def _orthonormal(rows: Float) -> Float:

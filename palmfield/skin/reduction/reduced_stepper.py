@@ -213,7 +213,7 @@ def reduced_stepper(
     )
     if pressures is None:
         return ReducedStepper(small, vectors, inputs.T @ vectors, None, step_s, error, any_course)
-    shares: Float = pressures.fit.T @ ((inputs @ pressures.shapes.T).T @ vectors)
+    shares: Float = pressures.fit.T @ (pressures.shapes @ (inputs.T @ vectors))
     return ReducedStepper(small, vectors, shares, pressures.points, step_s, error, any_course)
 
 
@@ -279,27 +279,30 @@ class _Trial:
         worst = 0.0
         for operator in (surface, point):
             small = operator @ krylov.vectors[:, : self.order]
+            squares = small.T @ small
             for mine, theirs in zip(self.moved, other.moved, strict=True):
                 difference = mine.copy()
                 difference[:, : other.order] -= theirs
-                size = float(np.linalg.norm(mine @ small.T))
-                worst = max(worst, float(np.linalg.norm(difference @ small.T)) / size if size > 0.0 else 0.0)
+                size, changed = (float(np.vdot(moved @ squares, moved)) for moved in (mine, difference))
+                worst = max(worst, np.sqrt(max(changed, 0.0) / size) if size > 0.0 else 0.0)
         return worst
 
 
 def _defect(krylov: Krylov, load: KnownLoad, surface: Any) -> float:
     """Displacement of the residual over the displacement, of the steady motion, L2 over frequencies and surface."""
     responses, pushes, weights = [], [], []
+    projected = krylov.vectors.T @ load.shapes
     for f_Hz, shares in load.spectrum:
         weights.append(krylov.dynamics.weights(np.array([-2j * np.pi * f_Hz]))[0])
         small = sum(w * matrix for w, matrix in zip(weights[-1], krylov.projected, strict=True))
         pushes.append(shares)
-        pushed = krylov.vectors.T @ (load.shapes @ np.column_stack([shares.real, shares.imag]))
-        responses.append(np.linalg.solve(small, pushed[:, 0] + 1j * pushed[:, 1]))
+        responses.append(np.linalg.solve(small, projected @ shares))
     moved, pushing = np.array(responses).T, np.array(pushes).T
     mixed = _mixing(2 * len(responses))
     residual = load.shapes @ (np.hstack([pushing.real, pushing.imag]) @ mixed)
     for column, matrix in enumerate(krylov.dynamics.matrices):
+        if not matrix.nnz:
+            continue
         scaled = moved * np.array(weights)[:, column]
         residual -= matrix @ (krylov.vectors @ (np.hstack([scaled.real, scaled.imag]) @ mixed))
     missed = surface @ krylov.factored.solve(residual)
