@@ -1,4 +1,4 @@
-"""Sparse Cholesky factors by dense blocks: which unknowns are eliminated together, and what that leaves of the others.
+"""Sparse factors L L^T by dense blocks: which unknowns are eliminated together, and what that leaves of the others.
 
 Fronts (Duff & Reid, ACM Trans. Math. Softw. 9, 1983): a supernode is a run of unknowns with the same rows below. Its
 front is what the matrix and the supernodes before it leave in these columns; dense products carry the rest on to the
@@ -18,7 +18,7 @@ from scipy.linalg import lapack
 from palmfield.blas import one_blas_thread
 from palmfield.device import load_kernels, whole_numbers
 from palmfield.threads import cores, share
-from palmfield.types import Float, Int
+from palmfield.types import Complex, Float, Int
 from warp_kernels import elimination as kernels
 
 BRANCHES = 2
@@ -27,6 +27,8 @@ MOST_ADDED = 0.1
 """Of the numbers of two supernodes, by which making one of them may grow the block."""
 SMALLEST = 16
 """Unknowns up to which supernodes are merged whatever that adds."""
+COLUMNS = 32
+"""Of a complex block, up to which its root is taken column by column."""
 SPLIT = 256
 """Rows from which the trunk's products are worth two threads."""
 
@@ -159,17 +161,19 @@ def eliminate(
     matrix: sparse.csc_matrix,
     supernodes: list[Supernode],
     groups: Sequence[Sequence[int]],
-    take: Callable[[int, Float, Float], object],
+    take: Callable[[int, Any, Any], object],
 ) -> None:
-    """The Cholesky factor L of a real symmetric positive definite matrix, supernode by supernode.
+    """The factor L of a symmetric matrix L L^T, supernode by supernode.
 
-    matrix: its lower triangle, as for `supernodes`; groups: of `branches`
+    matrix: its lower triangle, as for `supernodes`: real and positive definite, or complex with a real part that is so,
+        perhaps after a turn of phase; groups: of `branches`
     take: is given each supernode's number, the inverse of its own part of L, lower triangular (w, w), and what L has
         below, (rows, w); from several threads
-    Raises RuntimeError where the matrix is not positive definite.
+    Raises RuntimeError where a real matrix is not positive definite, or a complex one's pivot is 0.
     """
     parents = parents_of(supernodes)
-    left: list[list[tuple[int, Float]]] = [[] for _ in supernodes]
+    left: list[list[tuple[int, Any]]] = [[] for _ in supernodes]
+    root = _complex_root if matrix.dtype.kind == "c" else _real_root
 
     def go(numbers: Sequence[int], threads: int) -> None:
         for number in numbers:
@@ -180,12 +184,13 @@ def eliminate(
             panel, rest = _front(matrix, node, before)
             before.clear()
             size = node.last - node.first
-            own, failed = lapack.dpotrf(panel[:size], lower=1)
-            if failed:
+            try:
+                inverse = root(panel[:size])
+            except np.linalg.LinAlgError:
                 raise RuntimeError(
-                    f"the matrix of {matrix.shape[0]} unknowns is not positive definite: pivot {node.first + failed}"
-                )
-            inverse, _ = lapack.dtrtri(own, lower=1)
+                    f"the matrix of {matrix.shape[0]} unknowns is not positive definite: unknowns {node.first} to "
+                    f"{node.last - 1} in order of elimination"
+                ) from None
             below = panel[size:] @ inverse.T
             if len(node.rows):
                 _take_off(rest, below, threads)
@@ -199,14 +204,44 @@ def eliminate(
         go(trunk, threads)
 
 
-def _front(matrix: sparse.csc_matrix, node: Supernode, before: list[tuple[Int, Float]]) -> tuple[Float, Float]:
+def _real_root(own: Float) -> Float:
+    """The inverse of the lower triangle L of own = L L^T, whose lower triangle is read."""
+    root, failed = lapack.dpotrf(own, lower=1)
+    if failed:
+        raise np.linalg.LinAlgError
+    return np.asarray(lapack.dtrtri(root, lower=1)[0], dtype=np.float64)
+
+
+def _complex_root(own: Complex) -> Complex:
+    """As `_real_root`, without conjugates, which no library has: by halves, down to a few columns."""
+    size = len(own)
+    inverse = np.zeros((size, size), dtype=complex)
+    if size <= COLUMNS:
+        root = np.tril(own)
+        for j in range(size):
+            column = root[j:, j]
+            column -= root[j:, :j] @ root[j, :j]
+            if column[0] == 0.0:
+                raise np.linalg.LinAlgError
+            column /= np.sqrt(column[0])
+        return np.asarray(np.linalg.inv(root) if size else root)
+    half = size // 2
+    upper = inverse[:half, :half] = _complex_root(own[:half, :half])
+    between = own[half:, :half] @ upper.T
+    lower = inverse[half:, half:] = _complex_root(own[half:, half:] - between @ between.T)
+    inverse[half:, :half] = -lower @ (between @ upper)
+    return inverse
+
+
+def _front(matrix: sparse.csc_matrix, node: Supernode, before: list[tuple[Int, Any]]) -> tuple[Any, Any]:
     """A supernode's columns, (w + rows, w), and the sum of what others leave for the rows below, (rows, rows).
 
     Of symmetric parts the lower triangles are right. before: rows and what is left there, of each one before.
     """
     first, last, rows = node.first, node.last, node.rows
     size = last - first
-    panel, rest = np.zeros((size + len(rows), size)), np.zeros((len(rows), len(rows)))
+    panel = np.zeros((size + len(rows), size), dtype=matrix.dtype)
+    rest = np.zeros((len(rows), len(rows)), dtype=matrix.dtype)
     begin, end = matrix.indptr[first], matrix.indptr[last]
     row, column = matrix.indices[begin:end], np.repeat(np.arange(size), np.diff(matrix.indptr[first : last + 1]))
     panel[np.where(row < last, row - first, size + np.searchsorted(rows, row)), column] = matrix.data[begin:end]
@@ -228,7 +263,7 @@ def _runs(places: Int, cut: int) -> list[tuple[int, int, int]]:
     return list(zip(starts, [*starts[1:], len(places)], places[starts].tolist(), strict=True))
 
 
-def _take_off(rest: Float, below: Float, threads: int) -> None:
+def _take_off(rest: Any, below: Any, threads: int) -> None:
     """rest -= below @ below.T, the lower triangle at least; in two halves that are as much work."""
     if threads < 2 or len(rest) < SPLIT:
         rest -= below @ below.T

@@ -9,6 +9,7 @@ from scipy.sparse.linalg import SuperLU, splu
 
 from palmfield.blas import one_blas_thread
 from palmfield.skin.fem.cholesky import Cholesky
+from palmfield.skin.fem.complex_factor import ComplexFactor
 from palmfield.skin.fem.pardiso import PardisoFactor, library, switched_on
 from palmfield.types import Int
 
@@ -50,23 +51,23 @@ class Factor:
         return complex if right.dtype.kind == "c" or self._diagonal.dtype.kind == "c" else float
 
 
-AnyFactor: TypeAlias = Factor | Cholesky | PardisoFactor
+AnyFactor: TypeAlias = Factor | Cholesky | ComplexFactor | PardisoFactor
 
 
 def factorise(matrix: Any, order: Int | None = None) -> AnyFactor:
     """What solves with a symmetric matrix whose real part, perhaps after a turn of phase, is positive definite.
 
     matrix, order: as for `superlu`
-    For real matrices PARDISO, where it is installed and not switched off, or blocks of our own, where an order is given;
-    SuperLU for complex ones, and for what these can't take.
+    For real matrices PARDISO, where it is installed and not switched off; for others blocks of our own, where an order is
+    given; SuperLU without one, and for what these can't take.
     Raises RuntimeError where a pivot is exactly 0.
     """
     if matrix.dtype.kind != "c" and switched_on() and library() is not None:
         with contextlib.suppress(RuntimeError):
             return PardisoFactor(matrix)
-    if matrix.dtype.kind != "c" and order is not None:
+    if order is not None:
         with contextlib.suppress(RuntimeError):
-            return Cholesky(matrix, order)
+            return ComplexFactor(matrix, order) if matrix.dtype.kind == "c" else Cholesky(matrix, order)
     return superlu(matrix, order)
 
 
