@@ -2,8 +2,8 @@
 
 SuperLU's own solve goes through both triangles number by number on one thread; the two passes over blocks
 (`warp_kernels.supernodes`, `warp_kernels.block_solves`) read half as much, in the order in which it lies, and what the
-elimination tree keeps apart is solved at the same time. For layers of 4000 to 7000 unknowns that is twice as fast on one
-thread, and three times on two.
+elimination tree keeps apart is solved at the same time. For layers of 4000 to 7000 unknowns that is twice as fast on
+one thread, and three times on two.
 """
 
 from dataclasses import dataclass

@@ -20,18 +20,20 @@ class ComplexFactor:
     def __init__(self, matrix: Any, order: Int) -> None:
         lower = lower_triangle(matrix, order)
         self._order, self._nodes, self._lock = order, supernodes(lower), threading.Lock()
-        self._blocks: list[tuple[Complex, Complex]] = [(np.empty(0), np.empty(0)) for _ in self._nodes]
-        eliminate(lower, self._nodes, branches(self._nodes), self._take)
+        blocks: dict[int, tuple[Complex, Complex]] = {}
 
-    def _take(self, number: int, inverse: Complex, below: Complex) -> None:
-        self._blocks[number] = inverse, below
+        def take(number: int, inverse: Complex, below: Complex) -> None:
+            blocks[number] = inverse, below
+
+        eliminate(lower, self._nodes, branches(self._nodes), take)
+        self._blocks = [blocks[number] for number in range(len(self._nodes))]
 
     @property
     def fill(self) -> int:
         """Numbers in both triangular factors."""
         return 2 * sum(node.stored for node in self._nodes)
 
-    def solve(self, right: Any) -> Complex:
+    def solve(self, right: Any) -> Any:
         """The solution, shape (n,) or (n, k), of matrix @ solution = right."""
         moved = np.asarray(right[self._order], dtype=complex)
         with one_blas_thread, self._lock:

@@ -48,7 +48,10 @@ class Supernode:
 
 
 def lower_triangle(matrix: Any, order: Int) -> sparse.csc_matrix:
-    """That of a symmetric matrix, sparse (n, n), as its unknowns are eliminated; order: old index by new place, (n,)."""
+    """That of a symmetric matrix, sparse (n, n), as its unknowns are eliminated.
+
+    order: old index by new place, shape (n,)
+    """
     place = np.empty(len(order), np.int32)
     place[order] = np.arange(len(order), dtype=np.int32)
     parts = sparse.coo_matrix(matrix)
@@ -279,4 +282,3 @@ def _take_off(rest: Any, below: Any, threads: int) -> None:
         rest[half:, :half] -= lower @ upper.T
 
     share([(corners,), (between,)], threads)
-

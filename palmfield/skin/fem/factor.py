@@ -58,8 +58,8 @@ def factorise(matrix: Any, order: Int | None = None) -> AnyFactor:
     """What solves with a symmetric matrix whose real part, perhaps after a turn of phase, is positive definite.
 
     matrix, order: as for `superlu`
-    For real matrices PARDISO, where it is installed and not switched off; for others blocks of our own, where an order is
-    given; SuperLU without one, and for what these can't take.
+    For real matrices PARDISO, where it is installed and not switched off; for others blocks of our own, where an order
+    is given; SuperLU without one, and for what these can't take.
     Raises RuntimeError where a pivot is exactly 0.
     """
     if matrix.dtype.kind != "c" and switched_on() and library() is not None:
@@ -71,15 +71,14 @@ def factorise(matrix: Any, order: Int | None = None) -> AnyFactor:
     return superlu(matrix, order)
 
 
-def superlu(matrix: Any, order: Int | None = None, *, placed: bool = False) -> Factor:
+def superlu(matrix: Any, order: Int | None = None) -> Factor:
     """SuperLU's factors of a symmetric matrix whose real part, perhaps after a turn of phase, is positive definite.
 
     matrix: sparse, shape (n, n), real or complex
     order: elimination order, old index by new place, shape (n,); None lets SuperLU find one (minimum degree)
-    placed: whether the matrix is already in that order
     Raises RuntimeError where a pivot is exactly 0.
     """
-    columns = matrix if order is None or placed else matrix[order][:, order]
+    columns = matrix if order is None else matrix[order][:, order]
     columns = columns.tocsc()
     with one_blas_thread:
         lu = splu(

@@ -43,7 +43,8 @@ class LoadShapes:
 def load_shapes(examples: Float | Float32, weights: Float, tolerance: float) -> LoadShapes:
     """Shapes whose sums come within a tolerance of examples, rms over all of them.
 
-    examples: pressures [Pa], shape (t, q), in single or double precision; weights: areas for which the points stand [m^2], shape (q,)
+    examples: pressures [Pa], shape (t, q), in single or double precision
+    weights: areas for which the points stand [m^2], shape (q,)
     Raises SceneError where nothing sounds in the examples, or a number is not finite.
     """
     if not np.isfinite(examples).all():
