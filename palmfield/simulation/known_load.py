@@ -5,10 +5,12 @@ small model only.
 """
 
 import math
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
 
+from palmfield import cache
 from palmfield.config import StimulusConfig
 from palmfield.config.skin import EXPLICIT
 from palmfield.drive.response import Pole
@@ -24,12 +26,18 @@ from palmfield.skin.costs import wedges_s
 from palmfield.skin.explicit_layer import explicit_layer, refuse_explicit
 from palmfield.skin.reduction.krylov import Fade, harmonics, level, periodic
 from palmfield.skin.reduction.load_shapes import load_shapes
-from palmfield.skin.reduction.reduced_stepper import MOST_VECTORS, KnownLoad, reduced_stepper
+from palmfield.skin.reduction.reduced_stepper import (
+    MOST_VECTORS,
+    KnownLoad,
+    ReducedStepper,
+    known_model,
+    reduced_stepper,
+)
 from palmfield.skin.scene_layer import SceneLayer
 from palmfield.skin.solver_choice import scene_choices
 from palmfield.skin.stepper import SkinStepper
 from palmfield.stimulus.schedule import frames_at, is_closed, main_frequencies, repeats, turn_rate_Hz
-from palmfield.types import Complex, Float
+from palmfield.types import Complex, Float, Float32
 
 SHARE = 0.1
 """Of the wanted accuracy that reducing the skin may cost."""
@@ -48,7 +56,7 @@ CLOSER, BEGIN_CLOSER = 16, 4
 """Examples of a load for each of its samples, as it comes round and while the transducers ring up."""
 SPAN_CLOSER = 4
 """Drives for each sample of a load, of which all of its drives are to be sums."""
-LEFT_OUT = 1e-5
+LEFT_OUT = 3e-4
 """Of a known load, what the shapes may leave out by which it is looked at in few points."""
 DIGITS = 10
 """Of drives, after the point."""
@@ -200,28 +208,51 @@ def first_stepper(model: HapticModel, skin: int) -> SkinStepper:
             return model.whole[skin].value
     if part.choice.name in EXPLICIT:
         return explicit_layer(part.layer).stepper(model.spec.device)
-    layer, posed = part.layer, reference_scene(model)
-    focus = posed.skins[skin].body.frame.inverse_points(model.stimuli[model.sounding].first_focus)
-    load, examples = known_load(model, skin, posed)
     try:
-        return reduced_stepper(
-            layer.system,
-            load,
-            layer.surface_operator,
-            layer.probe(focus).operator,
-            layer.quadrature.operator,
-            layer.sizes.step_s,
-            layer.demand.max_frequency_Hz,
-            SHARE * part.spec.config.accuracy,
-            load_shapes(examples, layer.quadrature.weights, LEFT_OUT),
-        )
+        return _known_stepper(model, skin)
     except SceneError:
         if part.spec.config.solver == "reduced":
             raise
         return model.whole[skin].value
 
 
-def known_load(model: HapticModel, skin: int, posed: PosedScene) -> tuple[KnownLoad, Float]:
+def _known_stepper(model: HapticModel, skin: int) -> ReducedStepper:
+    """The small model for the known load.
+
+    What it is made of is kept under what the load depends on, so that a run from the cache does not compute it. Its
+    vectors are kept under the load itself, which serves any level. Raises SceneError as `reduced_stepper`.
+    """
+    part = model.skins[skin]
+    layer, posed = part.layer, reference_scene(model)
+    focus = posed.skins[skin].body.frame.inverse_points(model.stimuli[model.sounding].first_focus)
+    step_s, inputs = layer.sizes.step_s, layer.quadrature.operator
+    reads = layer.surface_operator, layer.probe(focus).operator
+    wanted = step_s, layer.demand.max_frequency_Hz, SHARE * part.spec.config.accuracy
+    fresh: list[ReducedStepper] = []
+
+    def make() -> cache.Arrays:
+        load, examples = known_load(model, skin, posed)
+        shapes = load_shapes(examples, layer.quadrature.weights, LEFT_OUT)
+        del examples  # a third of a gigabyte
+        fresh.append(reduced_stepper(layer.system, load, *reads, inputs, *wanted, shapes))
+        return {"load": np.array(cache.digest(load)), "points": shapes.points, "shares": fresh[0].shares}
+
+    arrays = posed.arrays
+    depends_on = (
+        *(replace(model.spec, duration_s=0.0), skin, model.response_on, layer.demand, layer.sizes, focus),
+        *(arrays.array, arrays.air, arrays.placements, layer.system.made_of, inputs),
+        *(layer.quadrature.weights, [(body.vertices_in_array, body.faces) for body in posed.bodies], *reads, *wanted),
+    )
+    known = cache.kept("known-load", depends_on, make)
+    if fresh:
+        return fresh[0]
+    small, vectors, error, any_course = known_model(
+        layer.system, str(known["load"]), lambda: known_load(model, skin, posed)[0], *reads, *wanted
+    )
+    return ReducedStepper(small, vectors, known["shares"], known["points"], step_s, error, any_course)
+
+
+def known_load(model: HapticModel, skin: int, posed: PosedScene) -> tuple[KnownLoad, Float32]:
     """What the one sounding stimulus does to a skin in a pose that it keeps, and the pressures of which it is made.
 
     The pressures are at the quadrature's points [Pa], shape (t, q).
@@ -342,7 +373,6 @@ def _at_full_level(drives: Complex, level_of: float | None = None) -> tuple[Comp
     return np.round(drives / level_of, DIGITS), level_of
 
 
-def _pressures(skin: int, posed: PosedScene, radiation: Radiation, drives: Complex) -> Float:
+def _pressures(skin: int, posed: PosedScene, radiation: Radiation, drives: Complex) -> Float32:
     """ARP at the skin's quadrature points [Pa] of drives (f, N), shape (f, q)."""
-    pressures: Float = radiation.many(posed, skin, drives).astype(np.float64)
-    return pressures
+    return radiation.many(posed, skin, drives)

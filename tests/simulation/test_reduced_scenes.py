@@ -12,6 +12,7 @@ from palmfield.errors import SceneError
 from palmfield.session.plan import plan
 from palmfield.session.run import run
 from palmfield.session.simulation import load
+from palmfield.simulation import known_load
 from palmfield.simulation.known_load import MOST_TURNS, refusal
 from palmfield.simulation.state import BEGUN, HEADER, WHOLE
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
@@ -253,3 +254,25 @@ def test_one_small_model_serves_a_load_at_any_level(small_scene, tmp_path, monke
 
     assert [made(drive_amplitude=level) for level in (1.0, 0.7, 0.123)] == [1, 1, 1]
     assert made(drive_amplitude=0.7, focus_m="0.002 0 0.12") == 2
+
+
+def test_a_run_from_the_cache_does_not_compute_its_load(small_scene, tmp_path, monkeypatch):
+    monkeypatch.setenv("PALMFIELD_CACHE", str(tmp_path / "cache"))
+    path = fixed(small_scene(stimulus=CIRCLE, skin=SKIN))
+
+    def made():
+        # Equal specs share a model, and what has been made of it
+        monkeypatch.setattr("palmfield.simulation.build._models", [])
+        return stepper_of(load(path))
+
+    computed = known_load.known_load
+    first = made()
+    monkeypatch.setattr(known_load, "known_load", lambda *arguments: pytest.fail("the load is computed again"))
+    second = made()
+    for name in ("vectors", "shares", "points", "error", "any_course"):
+        np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
+    # Room was needed: what its name leads to has gone
+    (kept,) = (entry for entry in cache.entries() if entry.kind == "small-model")
+    kept.path.unlink()
+    monkeypatch.setattr(known_load, "known_load", computed)
+    np.testing.assert_array_equal(made().vectors, first.vectors)

@@ -61,6 +61,19 @@ def test_any_sum_of_few_shapes_is_told_by_its_points(count, seed):
     np.testing.assert_allclose((made.fit @ load[made.points]) @ made.shapes, load, atol=1e-6 * np.abs(load).max())
 
 
+def test_points_that_lu_takes_of_many_shapes_tell_them_as_well(monkeypatch):
+    examples, weights = spots()
+    others, _ = spots(seed=1)
+    errors = []
+    for many in (10**6, 1):
+        monkeypatch.setattr("palmfield.skin.reduction.load_shapes.MANY", many)
+        made = load_shapes(examples, weights, 0.001)
+        seen = (others[:, made.points] @ made.fit.T) @ made.shapes
+        errors.append(norm(others - seen, weights))
+    assert errors[1] != errors[0]
+    assert errors[1] < 2.0 * errors[0]
+
+
 def test_what_can_be_no_class_is_refused():
     examples, weights = spots(20)
     with pytest.raises(SceneError, match="does not reach the skin"):

@@ -5,10 +5,11 @@ import threading
 from typing import Any, TypeAlias
 
 import numpy as np
-from scipy import sparse
 from scipy.sparse.linalg import SuperLU, splu
 
 from palmfield.blas import one_blas_thread
+from palmfield.skin.fem.cholesky import Cholesky
+from palmfield.skin.fem.complex_factor import ComplexFactor
 from palmfield.skin.fem.pardiso import PardisoFactor, library, switched_on
 from palmfield.types import Int
 
@@ -46,46 +47,38 @@ class Factor:
         result[order] = moved
         return result
 
-    def triangle(self) -> tuple[sparse.csc_matrix, Any, Int]:
-        """L and D of L D L^T, csc (n, n) with a unit diagonal and (n,), and the order in which they are eliminated:
-        old index by new place, shape (n,). Raises RuntimeError where SuperLU has pivoted."""
-        lu = self._lu
-        if not np.array_equal(lu.perm_r, lu.perm_c):
-            raise RuntimeError("a pivot was exchanged: the matrix is not symmetric positive definite")
-        place = np.argsort(lu.perm_c).astype(np.int32)
-        lower = lu.L.tocsc()
-        lower.sort_indices()
-        return lower, lu.U.diagonal(), place if self._order is None else self._order[place]
-
     def _common(self, right: Any) -> Any:
         return complex if right.dtype.kind == "c" or self._diagonal.dtype.kind == "c" else float
 
 
-AnyFactor: TypeAlias = Factor | PardisoFactor
+AnyFactor: TypeAlias = Factor | Cholesky | ComplexFactor | PardisoFactor
 
 
 def factorise(matrix: Any, order: Int | None = None) -> AnyFactor:
     """What solves with a symmetric matrix whose real part, perhaps after a turn of phase, is positive definite.
 
     matrix, order: as for `superlu`
-    PARDISO for real matrices, where it is installed and not switched off; else SuperLU.
+    For real matrices PARDISO, where it is installed and not switched off; for others blocks of our own, where an order
+    is given; SuperLU without one, and for what these can't take.
     Raises RuntimeError where a pivot is exactly 0.
     """
     if matrix.dtype.kind != "c" and switched_on() and library() is not None:
         with contextlib.suppress(RuntimeError):
             return PardisoFactor(matrix)
+    if order is not None:
+        with contextlib.suppress(RuntimeError):
+            return ComplexFactor(matrix, order) if matrix.dtype.kind == "c" else Cholesky(matrix, order)
     return superlu(matrix, order)
 
 
-def superlu(matrix: Any, order: Int | None = None, *, placed: bool = False) -> Factor:
+def superlu(matrix: Any, order: Int | None = None) -> Factor:
     """SuperLU's factors of a symmetric matrix whose real part, perhaps after a turn of phase, is positive definite.
 
     matrix: sparse, shape (n, n), real or complex
     order: elimination order, old index by new place, shape (n,); None lets SuperLU find one (minimum degree)
-    placed: whether the matrix is already in that order
     Raises RuntimeError where a pivot is exactly 0.
     """
-    columns = matrix if order is None or placed else matrix[order][:, order]
+    columns = matrix if order is None else matrix[order][:, order]
     columns = columns.tocsc()
     with one_blas_thread:
         lu = splu(

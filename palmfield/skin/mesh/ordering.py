@@ -1,8 +1,9 @@
 """Elimination order of a layer: nested dissection of its surface (George 1973).
 
-Numbers in both factors and ms a solve, on one core of the 2-core machine, of the layers of follow_fingertip, two_hands,
-hover_explore, phantom_am200 and palm_am200. MMD and COLAMD are SuperLU's own orders; "before" cut at the median node.
-So this order is taken for every layer: where another fills less, it is by a few per cent of a small factor.
+Numbers in both factors and ms a solve of SuperLU's, on one core of the 2-core machine, of the layers of
+follow_fingertip, two_hands, hover_explore, phantom_am200 and palm_am200. MMD and COLAMD are SuperLU's own orders;
+"before" cut at the median node. So this order is taken for every layer: where another fills less, it is by a few per
+cent of a small factor.
 
 | unknowns | before | MMD_AT_PLUS_A | COLAMD | this |
 |---|---|---|---|---|

@@ -17,12 +17,15 @@ focus on a circle takes some tens of vectors in this way, and hundreds otherwise
 """
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
+from scipy import sparse
 from scipy.linalg import block_diag
 
 from palmfield.skin.reduction.dynamic_stiffness import DynamicStiffness
+from palmfield.threads import cores, share
 from palmfield.types import Complex, Float
 
 Fade = tuple[tuple[float, float], ...]
@@ -83,14 +86,13 @@ class Krylov:
 
     dynamics: the body; shift: sigma [1/s], > 0, where Z is factorised, once
     load: force for one unit of each of j inputs, shape (n, j), for any course of each; or the one Course
-    products: each matrix of the dynamics times V; order: number r of vectors
+    order: number r of vectors
     """
 
     def __init__(self, dynamics: DynamicStiffness, shift: float, load: Float | Course) -> None:
         self.dynamics, self.shift = dynamics, shift
         self.factored = dynamics.factor(shift)
         self._vectors = np.empty((dynamics.size, ROOM), order="F")
-        self._products = [np.zeros((dynamics.size, ROOM), order="F") for _ in dynamics.matrices]
         self._small = np.zeros((len(dynamics.matrices), 0, 0))
         self.order = 0
         self.laws = [
@@ -120,10 +122,6 @@ class Krylov:
         return self._vectors[:, : self.order]
 
     @property
-    def products(self) -> list[Float]:
-        return [product[:, : self.order] for product in self._products]
-
-    @property
     def projected(self) -> list[Float]:
         """The dynamics's matrices in these vectors, symmetric."""
         self._project()
@@ -138,16 +136,18 @@ class Krylov:
         """Apply the operator to the last block. Returns by how many vectors the basis grew; 0 at the space's end."""
         before, shift = self.order, self.shift
         u, v, *internal = self._block
-        mass, damping, _, *stiffness = self.products
-        right = mass @ (v + shift * u)
-        if self.dynamics.matrices[1].nnz:
-            right += damping @ u
-        for part, (product, material) in enumerate(zip(stiffness, self.dynamics.materials, strict=True)):
-            share = material.viscous_time_s * u
+        mass, damping, _, *stiffness = self.dynamics.matrices
+        shares = [v + shift * u, u]
+        for part, material in enumerate(self.dynamics.materials):
+            share_of_part = material.viscous_time_s * u
             for (owner, ratio, tau), q in zip(self.laws, internal, strict=True):
                 if owner == part:
-                    share = share + ratio * tau / (1.0 + shift * tau) * q
-            right += product @ share
+                    share_of_part = share_of_part + ratio * tau / (1.0 + shift * tau) * q
+            shares.append(share_of_part)
+        right: Float = np.zeros((self.dynamics.size, u.shape[1]))
+        for matrix, coordinates in zip((mass, damping, *stiffness), shares, strict=True):
+            if matrix.nnz:
+                right += _times(matrix, _times(self.vectors, coordinates))
         if self.course is not None:
             self._load = self._driven(self._load)
             right += self.course.shapes @ (self.course.mix @ self._load)
@@ -161,35 +161,30 @@ class Krylov:
     def _take(self, result: Float) -> Float:
         """Coordinates (r, k) of columns (n, k), for which the basis grows by what is new in them."""
         mass = self.dynamics.matrices[0]
-        heavy = mass @ result
+        heavy = _times(mass, result)
         size = np.sqrt(np.einsum("nk,nk->k", result, heavy)).max(initial=0.0)
         coordinates = np.zeros((self.order, result.shape[1]))
         rest = result
         for _ in range(2):
-            share = self.vectors.T @ heavy
-            coordinates += share
-            rest = rest - self.vectors @ share
-            heavy = mass @ rest
+            known = _adjoint(self.vectors, heavy)
+            coordinates += known
+            rest = rest - _times(self.vectors, known)
+            heavy = _times(mass, rest)
         squares, turn = np.linalg.eigh(rest.T @ heavy)
         # Of columns that are all but parallel the difference is round-off of their squares.
         kept = squares > max((SMALLEST * size) ** 2, PARALLEL * squares.max(initial=0.0))
         scale = turn[:, kept] / np.sqrt(squares[kept])
         new = rest @ scale
-        self._append(new, heavy @ scale)
+        self._append(new)
         return np.concatenate([coordinates, new.T @ heavy])
 
-    def _append(self, new: Float, heavy: Float) -> None:
-        """Take new vectors, and the mass times them."""
+    def _append(self, new: Float) -> None:
         before, after = self.order, self.order + new.shape[1]
         if after > self._vectors.shape[1]:
-            self._vectors = _wider(self._vectors, max(ROOM, new.shape[1]))
-            for number, product in enumerate(self._products):
-                # One after another: together they take half a gigabyte
-                self._products[number] = _wider(product, max(ROOM, new.shape[1]))
-        self._vectors[:, before:after], self._products[0][:, before:after] = new, heavy
-        for number, matrix in enumerate(self.dynamics.matrices[1:], start=1):
-            if matrix.nnz:
-                self._products[number][:, before:after] = matrix @ new
+            wider = np.empty((len(new), after + ROOM), order="F")
+            wider[:, :before] = self.vectors
+            self._vectors = wider
+        self._vectors[:, before:after] = new
         self.order = after
 
     def _project(self) -> None:
@@ -197,11 +192,11 @@ class Krylov:
         before, after = self._small.shape[1], self.order
         if before == after:
             return
-        grown = np.zeros((len(self._products), after, after))
+        grown = np.zeros((len(self.dynamics.matrices), after, after))
         grown[:, :before, :before] = self._small
         for number, matrix in enumerate(self.dynamics.matrices):
             if matrix.nnz:
-                share = self._vectors[:, :after].T @ self._products[number][:, before:after]
+                share = self.vectors.T @ (matrix @ self.vectors[:, before:])
                 grown[number, :, before:] = share
                 grown[number, before:, :before] = share[:before].T
         inner = grown[:, before:, before:]
@@ -226,11 +221,40 @@ class Krylov:
         self._block = result / self._scales[:, None, None]
 
 
-def _wider(columns: Float, more: int) -> Float:
-    """The same columns, shape (n, k), with room for more."""
-    result = np.zeros((columns.shape[0], columns.shape[1] + more), order="F")
-    result[:, : columns.shape[1]] = columns
+def _halves(count: int) -> list[slice]:
+    return [slice(0, count // 2), slice(count // 2, count)]
+
+
+def _times(matrix: Any, columns: Float) -> Float:
+    """matrix @ columns, (n, r) and (r, k), by two threads: memory feeds both better than one."""
+    result: Float = np.empty((matrix.shape[0], columns.shape[1]))
+
+    def part(rows: slice) -> None:
+        result[rows] = _rows(matrix, rows) @ columns
+
+    share([(partial(part, rows),) for rows in _halves(len(result))], min(cores(), 2))
     return result
+
+
+def _rows(matrix: Any, rows: slice) -> Any:
+    """Rows of an array or a csr matrix, where its numbers are."""
+    if isinstance(matrix, np.ndarray):
+        return matrix[rows]
+    ends = matrix.indptr[rows.start : rows.stop + 1]
+    numbers = slice(ends[0], ends[-1])
+    parts = matrix.data[numbers], matrix.indices[numbers], ends - ends[0]
+    return sparse.csr_matrix(parts, shape=(rows.stop - rows.start, matrix.shape[1]), copy=False)
+
+
+def _adjoint(vectors: Float, columns: Float) -> Float:
+    """vectors.T @ columns, (n, r) and (n, k), by two threads."""
+    parts: list[Any] = [None, None]
+
+    def part(number: int, rows: slice) -> None:
+        parts[number] = vectors[rows].T @ columns[rows]
+
+    share([(partial(part, number, rows),) for number, rows in enumerate(_halves(len(vectors)))], min(cores(), 2))
+    return np.asarray(parts[0] + parts[1], dtype=np.float64)
 
 
 def _padded(rows: Any, count: int) -> Any:

@@ -11,12 +11,20 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg
+from scipy.linalg import lapack
 
 from palmfield.errors import SceneError
-from palmfield.types import Float, Int
+from palmfield.types import Float, Float32, Int
 
 POINTS = 2
 """Points for each shape: the fit then adds less than half of what the shapes themselves leave out."""
+
+MANY = 400
+"""Shapes from which pivoted QR takes seconds, and LU a tenth of that."""
+BLOCK = 2048
+"""Points at which pressures are held in double precision at a time."""
+CLOSENESS = 0.3
+"""Of the tolerance, what the examples that are taken may leave out of the others."""
 
 
 @dataclass(frozen=True)
@@ -34,39 +42,81 @@ class LoadShapes:
     fit: Float
 
 
-def load_shapes(examples: Float, weights: Float, tolerance: float) -> LoadShapes:
+def load_shapes(examples: Float | Float32, weights: Float, tolerance: float) -> LoadShapes:
     """Shapes whose sums come within a tolerance of examples, rms over all of them.
 
-    examples: pressures [Pa], shape (t, q); weights: areas for which the points stand [m^2], shape (q,)
+    examples: pressures [Pa], shape (t, q), in single or double precision
+    weights: areas for which the points stand [m^2], shape (q,)
     Raises SceneError where nothing sounds in the examples, or a number is not finite.
     """
     if not np.isfinite(examples).all():
         raise SceneError("examples of a load are not finite: mend what computes them")
-    size = float(np.einsum("tq,q,tq->", examples, weights, examples))
+    root = np.sqrt(weights)
+    products = _products(examples, root)
+    size = float(np.trace(products))
     if not size > 0.0:
         raise SceneError("the arrays' sound does not reach the skin: no class of loads to be made of it")
-    root = np.sqrt(weights)
-    left, values = _left_vectors(examples * root)
-    left_out = np.sqrt(np.maximum(1.0 - np.cumsum(values) / values.sum(), 0.0))
+    taken, shares = _taken(products, (CLOSENESS * tolerance) ** 2)
+    basis = linalg.solve_triangular(shares[taken], examples[taken] * root, lower=True)
+    values, turn = np.linalg.eigh(shares.T @ shares)
+    values, turn = values[::-1], turn[:, ::-1]
+    left_out = np.sqrt(np.maximum(1.0 - np.cumsum(values) / size, 0.0))
     count = min(int(np.searchsorted(-left_out, -tolerance)) + 1, int((values > 1e-12 * values[0]).sum()))
-    shapes = (left[:, :count].T @ (examples * root)) / np.sqrt(values[:count, None]) / root
-    points = _telling_points(shapes * root)
-    fit = np.asarray(np.linalg.pinv(shapes[:, points].T), dtype=np.float64)
+    flat = _orthonormal(turn[:, :count].T @ basis)
+    points, shapes = _telling_points(flat), flat / root
+    turned, triangle = np.linalg.qr(shapes[:, points].T)
+    fit = np.asarray(linalg.solve_triangular(triangle, turned.T), dtype=np.float64)
     return LoadShapes(shapes, np.sqrt(values[:count] / len(examples)), points, fit)
 
 
 def _telling_points(shapes: Float) -> Int:
-    """Columns that tell shapes (m, q) apart, rising: POINTS times those of pivoted QR, each time of what is left."""
+    """Columns that tell shapes (m, q) apart, rising: POINTS times as many as shapes, each time of what is left."""
     left = np.arange(shapes.shape[1])
     chosen: list[Int] = []
     for _ in range(POINTS):
-        pivots = linalg.qr(shapes[:, left], mode="r", pivoting=True)[1][: len(shapes)]
+        pivots = _pivots(shapes[:, left])[: len(shapes)]
         chosen.append(left[pivots].astype(np.int32))
         left = np.delete(left, pivots)
     return np.sort(np.concatenate(chosen))
 
 
-def _left_vectors(rows: Float) -> tuple[Float, Float]:
-    """Eigenvectors (t, t) and eigenvalues (t,), the largest first, of rows @ rows.T."""
-    values, vectors = np.linalg.eigh(rows @ rows.T)
-    return vectors[:, ::-1], np.maximum(values[::-1], 0.0)
+def _pivots(shapes: Float) -> Int:
+    """Columns of shapes (m, q), the most telling first: by QR, which finds better ones, or by LU for MANY shapes."""
+    if len(shapes) < MANY:
+        return np.asarray(linalg.qr(shapes, mode="r", pivoting=True, check_finite=False)[1])
+    _, exchanged = linalg.lu_factor(shapes.T, check_finite=False)
+    rows = np.arange(shapes.shape[1], dtype=np.int32)
+    for row, other in enumerate(exchanged):
+        rows[[row, other]] = rows[[other, row]]
+    return rows
+
+
+def _products(examples: Float | Float32, root: Float) -> Float:
+    """Each with each of the examples (t, q) times root (q,), shape (t, t), a block of points at a time."""
+    products: Float = np.zeros((len(examples), len(examples)))
+    for start in range(0, len(root), BLOCK):
+        points = slice(start, start + BLOCK)
+        block = examples[:, points] * root[points]
+        products += block @ block.T
+    return products
+
+
+def _taken(products: Float, left_out: float) -> tuple[Int, Float]:
+    """Rows that are enough of rows that are alike, (r,), and what of these, made orthonormal, all are, (t, r).
+
+    products: each row with each, (t, t), overwritten; left_out: of their squares. A pivoted Cholesky factorisation
+    takes them.
+    """
+    squares = np.diagonal(products)
+    enough = max(left_out * squares.mean(), len(squares) * np.finfo(float).eps * squares.max())
+    # Symmetric: turned it lies as LAPACK wants it, without a copy
+    lower, pivots, rank, _ = lapack.dpstrf(products.T, tol=enough, lower=1, overwrite_a=1)
+    taken = pivots - 1
+    shares = np.empty((len(squares), rank))
+    shares[taken] = np.tril(lower[:, :rank])
+    return taken[:rank], shares
+
+
+def _orthonormal(rows: Float) -> Float:
+    """Rows that are orthonormal but for round-off, without it."""
+    return np.asarray(linalg.solve_triangular(np.linalg.cholesky(rows @ rows.T), rows, lower=True), dtype=np.float64)

@@ -4,6 +4,7 @@ It is exact in time, and a substep is one dense product.
 """
 
 import itertools
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -230,16 +231,19 @@ def reduced_stepper(
     are of a smaller or a stiffer body than the true one, so they are estimates, no bounds.
     Raises SceneError where MOST_VECTORS don't reach the tolerance.
     """
-    small, vectors, error, any_course = known_model(system, load, surface, point, step_s, highest_Hz, tolerance)
+    small, vectors, error, any_course = known_model(
+        system, cache.digest(load), lambda: load, surface, point, step_s, highest_Hz, tolerance
+    )
     if pressures is None:
         return ReducedStepper(small, vectors, inputs.T @ vectors, None, step_s, error, any_course)
-    shares: Float = pressures.fit.T @ ((inputs @ pressures.shapes.T).T @ vectors)
+    shares: Float = pressures.fit.T @ (pressures.shapes @ (inputs.T @ vectors))
     return ReducedStepper(small, vectors, shares, pressures.points, step_s, error, any_course)
 
 
 def known_model(
     system: SkinSystem,
-    load: KnownLoad,
+    mark: str,
+    ask_load: Callable[[], KnownLoad],
     surface: Any,
     point: Any,
     step_s: float,
@@ -248,10 +252,11 @@ def known_model(
 ) -> tuple[Projection, Float, float, bool]:
     """The body in its vectors V, V (n, r), the error, and whether any course of the load will do.
 
-    Kept in the cache (`palmfield.cache`).
+    mark: the digest of the known load, for which is asked only where the cache (`palmfield.cache`) has no answer
     """
 
     def make() -> cache.Arrays:
+        load = ask_load()
         # Small products only, which several threads of BLAS slow down where other programs run.
         with one_blas_thread:
             dynamics = DynamicStiffness(system, system.elimination_order())
@@ -267,7 +272,7 @@ def known_model(
             facts = np.array([error, krylov.course is None])
             return {"matrices": np.array(krylov.projected), "vectors": krylov.vectors, "facts": facts}
 
-    depends_on = (system.made_of, load, surface, point, step_s, highest_Hz, tolerance)
+    depends_on = (system.made_of, mark, surface, point, step_s, highest_Hz, tolerance)
     known = cache.kept("small-model", depends_on, make)
     error, any_course = known["facts"].tolist()
     unit = np.eye(known["vectors"].shape[1])
@@ -297,29 +302,32 @@ class _Trial:
         worst = 0.0
         for operator in (surface, point):
             small = operator @ krylov.vectors[:, : self.order]
+            squares = small.T @ small
             for mine, theirs in zip(self.moved, other.moved, strict=True):
                 difference = mine.copy()
                 difference[:, : other.order] -= theirs
-                size = float(np.linalg.norm(mine @ small.T))
-                worst = max(worst, float(np.linalg.norm(difference @ small.T)) / size if size > 0.0 else 0.0)
+                size, changed = (float(np.vdot(moved @ squares, moved)) for moved in (mine, difference))
+                worst = max(worst, np.sqrt(max(changed, 0.0) / size) if size > 0.0 else 0.0)
         return worst
 
 
 def _defect(krylov: Krylov, load: KnownLoad, surface: Any) -> float:
     """Displacement of the residual over the displacement, of the steady motion, L2 over frequencies and surface."""
     responses, pushes, weights = [], [], []
+    projected = krylov.vectors.T @ load.shapes
     for f_Hz, shares in load.spectrum:
         weights.append(krylov.dynamics.weights(np.array([-2j * np.pi * f_Hz]))[0])
         small = sum(w * matrix for w, matrix in zip(weights[-1], krylov.projected, strict=True))
         pushes.append(shares)
-        pushed = krylov.vectors.T @ (load.shapes @ np.column_stack([shares.real, shares.imag]))
-        responses.append(np.linalg.solve(small, pushed[:, 0] + 1j * pushed[:, 1]))
+        responses.append(np.linalg.solve(small, projected @ shares))
     moved, pushing = np.array(responses).T, np.array(pushes).T
     mixed = _mixing(2 * len(responses))
     residual = load.shapes @ (np.hstack([pushing.real, pushing.imag]) @ mixed)
-    for column, product in enumerate(krylov.products):
+    for column, matrix in enumerate(krylov.dynamics.matrices):
+        if not matrix.nnz:
+            continue
         scaled = moved * np.array(weights)[:, column]
-        residual -= product @ (np.hstack([scaled.real, scaled.imag]) @ mixed)
+        residual -= matrix @ (krylov.vectors @ (np.hstack([scaled.real, scaled.imag]) @ mixed))
     missed = surface @ krylov.factored.solve(residual)
     seen = (surface @ krylov.vectors) @ moved
     return float(np.linalg.norm(missed) / np.linalg.norm(seen))

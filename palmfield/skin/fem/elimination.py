@@ -1,0 +1,284 @@
+"""Sparse factors L L^T by dense blocks: which unknowns are eliminated together, and what that leaves of the others.
+
+Fronts (Duff & Reid, ACM Trans. Math. Softw. 9, 1983): a supernode is a run of unknowns with the same rows below. Its
+front is what the matrix and the supernodes before it leave in these columns; dense products carry the rest on to the
+next. What the elimination tree keeps apart is done side by side.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+import warp as wp
+from scipy import sparse
+from scipy.linalg import lapack
+
+from palmfield.blas import one_blas_thread
+from palmfield.device import load_kernels, whole_numbers
+from palmfield.threads import cores, share
+from palmfield.types import Complex, Float, Int
+from warp_kernels import elimination as kernels
+
+BRANCHES = 2
+"""Parts that are worked on side by side. Not the number of cores: results repeat to the bit on any machine."""
+MOST_ADDED = 0.1
+"""Of the numbers of two supernodes, by which making one of them may grow the block."""
+SMALLEST = 16
+"""Unknowns up to which supernodes are merged whatever that adds."""
+COLUMNS = 32
+"""Of a complex block, up to which its root is taken column by column."""
+SPLIT = 256
+"""Rows from which the trunk's products are worth two threads."""
+
+
+@dataclass
+class Supernode:
+    """A run of columns, and the rows below it, rising, in order of elimination."""
+
+    first: int
+    last: int
+    rows: Int
+
+    @property
+    def stored(self) -> int:
+        size = self.last - self.first
+        return size * (size + len(self.rows))
+
+
+def lower_triangle(matrix: Any, order: Int) -> sparse.csc_matrix:
+    """That of a symmetric matrix, sparse (n, n), as its unknowns are eliminated.
+
+    order: old index by new place, shape (n,)
+    """
+    place = np.empty(len(order), np.int32)
+    place[order] = np.arange(len(order), dtype=np.int32)
+    parts = sparse.coo_matrix(matrix)
+    row, column = place[parts.row], place[parts.col]
+    lower = row >= column
+    return sparse.csc_matrix((parts.data[lower], (row[lower], column[lower])), shape=matrix.shape)
+
+
+def supernodes(matrix: sparse.csc_matrix) -> list[Supernode]:
+    """Those of a symmetric matrix of which this is the lower triangle, csc (n, n), with a full diagonal."""
+    parent, below = _tree(matrix.tocsr())
+    count = len(parent)
+    begins = np.ones(count, dtype=bool)
+    begins[1:] = (parent[:-1] != np.arange(1, count)) | (below[:-1] != below[1:] + 1)
+    run_of = np.cumsum(begins) - 1
+    firsts = np.flatnonzero(begins).tolist()
+    left: list[list[Int]] = [[] for _ in firsts]
+    runs = []
+    for first, last, before in zip(firsts, [*firsts[1:], count], left, strict=True):
+        columns = matrix.indices[matrix.indptr[first] : matrix.indptr[first + 1]]
+        rows = np.unique(np.concatenate([part[part >= last] for part in (columns, *before)]))
+        before.clear()
+        runs.append(Supernode(first, last, rows))
+        if len(rows):
+            left[run_of[rows[0]]].append(rows)
+    return _merged(runs)
+
+
+def _tree(matrix: sparse.csr_matrix) -> tuple[Int, Int]:
+    count = matrix.shape[0]
+    above, parent, below = (wp.zeros(count, dtype=wp.int32, device="cpu") for _ in range(3))
+    load_kernels(kernels, "cpu")
+    inputs = [whole_numbers(matrix.indptr), whole_numbers(matrix.indices), above, parent, below]
+    wp.launch(kernels.elimination_tree, 1, inputs=inputs, device="cpu")
+    return parent.numpy(), below.numpy()
+
+
+def _merged(runs: list[Supernode]) -> list[Supernode]:
+    """Of runs one after another, made one where that adds few numbers."""
+    result: list[Supernode] = []
+    for run in runs:
+        result.append(run)
+        while len(result) > 1:
+            child, parent = result[-2:]
+            if len(child.rows) == 0 or child.rows[0] >= parent.last:
+                break
+            merged = Supernode(child.first, parent.last, parent.rows)
+            few = merged.stored <= (1.0 + MOST_ADDED) * (child.stored + parent.stored)
+            if not few and merged.last - merged.first > SMALLEST:
+                break
+            result[-2:] = [merged]
+    return result
+
+
+def branches(supernodes: list[Supernode]) -> list[list[int]]:
+    """Numbers of the supernodes of BRANCHES parts with about the same work, and of the trunk, each in order."""
+    parents = parents_of(supernodes)
+    children: list[list[int]] = [[] for _ in supernodes]
+    roots = []
+    work = np.array([node.stored for node in supernodes], dtype=np.float64)
+    for number, parent in enumerate(parents):
+        if parent < 0:
+            roots.append(number)
+        else:
+            children[parent].append(number)
+            work[parent] += work[number]
+    trunk: list[int] = []
+    best: tuple[float, list[int], list[list[int]]] | None = None
+    while True:
+        shares = _shared(roots, work)
+        trunk_work = sum(supernodes[number].stored for number in trunk)
+        time = trunk_work + max(sum(work[number] for number in share) for share in shares)
+        if best is None or time < best[0]:
+            best = time, list(trunk), shares
+        if not roots or trunk_work > 0.5 * work.max():
+            break
+        largest = max(roots, key=lambda number: work[number])
+        roots.remove(largest)
+        roots.extend(children[largest])
+        trunk.append(largest)
+    result = []
+    for members in best[2]:
+        todo, found = list(members), []
+        while todo:
+            number = todo.pop()
+            found.append(number)
+            todo.extend(children[number])
+        result.append(sorted(found))
+    return [*result, sorted(best[1])]
+
+
+def parents_of(supernodes: list[Supernode]) -> list[int]:
+    """The supernode in which each one's first row below lies, -1 where it has none."""
+    node_of = np.repeat(np.arange(len(supernodes)), [node.last - node.first for node in supernodes])
+    return [int(node_of[node.rows[0]]) if len(node.rows) else -1 for node in supernodes]
+
+
+def _shared(roots: list[int], work: Float) -> list[list[int]]:
+    """Trees by the part that gets them: the largest first, each to the part with least to do."""
+    shares: list[list[int]] = [[] for _ in range(BRANCHES)]
+    sums = [0.0] * BRANCHES
+    for number in sorted(roots, key=lambda number: (-work[number], number)):
+        least = sums.index(min(sums))
+        shares[least].append(number)
+        sums[least] += float(work[number])
+    return shares
+
+
+def eliminate(
+    matrix: sparse.csc_matrix,
+    supernodes: list[Supernode],
+    groups: Sequence[Sequence[int]],
+    take: Callable[[int, Any, Any], object],
+) -> None:
+    """The factor L of a symmetric matrix L L^T, supernode by supernode.
+
+    matrix: its lower triangle, as for `supernodes`: real and positive definite, or complex with a real part that is so,
+        perhaps after a turn of phase; groups: of `branches`
+    take: is given each supernode's number, the inverse of its own part of L, lower triangular (w, w), and what L has
+        below, (rows, w); from several threads
+    Raises RuntimeError where a real matrix is not positive definite, or a complex one's pivot is 0.
+    """
+    parents = parents_of(supernodes)
+    left: list[list[tuple[int, Any]]] = [[] for _ in supernodes]
+    root = _complex_root if matrix.dtype.kind == "c" else _real_root
+
+    def go(numbers: Sequence[int], threads: int) -> None:
+        for number in numbers:
+            node = supernodes[number]
+            # In a fixed order, whichever thread was first
+            before = [(supernodes[child].rows, rest) for child, rest in sorted(left[number], key=lambda one: one[0])]
+            left[number].clear()
+            panel, rest = _front(matrix, node, before)
+            before.clear()
+            size = node.last - node.first
+            try:
+                inverse = root(panel[:size])
+            except np.linalg.LinAlgError:
+                raise RuntimeError(
+                    f"the matrix of {matrix.shape[0]} unknowns is not positive definite: unknowns {node.first} to "
+                    f"{node.last - 1} in order of elimination"
+                ) from None
+            below = panel[size:] @ inverse.T
+            if len(node.rows):
+                _take_off(rest, below, threads)
+                left[parents[number]].append((number, rest))
+            take(number, inverse, below)
+
+    threads = min(cores(), BRANCHES)
+    with one_blas_thread:
+        *apart, trunk = groups
+        share([(partial(go, numbers, 1),) for numbers in apart], threads)
+        go(trunk, threads)
+
+
+def _real_root(own: Float) -> Float:
+    """The inverse of the lower triangle L of own = L L^T, whose lower triangle is read."""
+    root, failed = lapack.dpotrf(own, lower=1)
+    if failed:
+        raise np.linalg.LinAlgError
+    return np.asarray(lapack.dtrtri(root, lower=1)[0], dtype=np.float64)
+
+
+def _complex_root(own: Complex) -> Complex:
+    """As `_real_root`, without conjugates, which no library has: by halves, down to a few columns."""
+    size = len(own)
+    inverse = np.zeros((size, size), dtype=complex)
+    if size <= COLUMNS:
+        root = np.tril(own)
+        for j in range(size):
+            column = root[j:, j]
+            column -= root[j:, :j] @ root[j, :j]
+            if column[0] == 0.0:
+                raise np.linalg.LinAlgError
+            column /= np.sqrt(column[0])
+        return np.asarray(np.linalg.inv(root) if size else root)
+    half = size // 2
+    upper = inverse[:half, :half] = _complex_root(own[:half, :half])
+    between = own[half:, :half] @ upper.T
+    lower = inverse[half:, half:] = _complex_root(own[half:, half:] - between @ between.T)
+    inverse[half:, :half] = -lower @ (between @ upper)
+    return inverse
+
+
+def _front(matrix: sparse.csc_matrix, node: Supernode, before: list[tuple[Int, Any]]) -> tuple[Any, Any]:
+    """A supernode's columns, (w + rows, w), and the sum of what others leave for the rows below, (rows, rows).
+
+    Of symmetric parts the lower triangles are right. before: rows and what is left there, of each one before.
+    """
+    first, last, rows = node.first, node.last, node.rows
+    size = last - first
+    panel = np.zeros((size + len(rows), size), dtype=matrix.dtype)
+    rest = np.zeros((len(rows), len(rows)), dtype=matrix.dtype)
+    begin, end = matrix.indptr[first], matrix.indptr[last]
+    row, column = matrix.indices[begin:end], np.repeat(np.arange(size), np.diff(matrix.indptr[first : last + 1]))
+    panel[np.where(row < last, row - first, size + np.searchsorted(rows, row)), column] = matrix.data[begin:end]
+    for where, values in before:
+        runs = _runs(np.where(where < last, where - first, size + np.searchsorted(rows, where)), size)
+        for number, (begin, end, at) in enumerate(runs):
+            for start, stop, to in runs[: number + 1]:
+                front, shift = (panel, 0) if to < size else (rest, size)
+                front[at - shift : at - shift + end - begin, to - shift : to - shift + stop - start] += values[
+                    begin:end, start:stop
+                ]
+    return panel, rest
+
+
+def _runs(places: Int, cut: int) -> list[tuple[int, int, int]]:
+    """Rising places by runs of one after another, cut there: first of each, the one after its last, and its place."""
+    breaks = np.flatnonzero((np.diff(places) != 1) | (places[1:] == cut)) + 1
+    starts = [0, *breaks.tolist()]
+    return list(zip(starts, [*starts[1:], len(places)], places[starts].tolist(), strict=True))
+
+
+def _take_off(rest: Any, below: Any, threads: int) -> None:
+    """rest -= below @ below.T, the lower triangle at least; in two halves that are as much work."""
+    if threads < 2 or len(rest) < SPLIT:
+        rest -= below @ below.T
+        return
+    half = len(rest) // 2
+    upper, lower = below[:half], below[half:]
+
+    def corners() -> None:
+        rest[:half, :half] -= upper @ upper.T
+        rest[half:, half:] -= lower @ lower.T
+
+    def between() -> None:
+        rest[half:, :half] -= lower @ upper.T
+
+    share([(corners,), (between,)], threads)
