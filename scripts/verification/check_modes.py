@@ -54,6 +54,7 @@ class Trials:
     def __init__(self, model: HapticModel) -> None:
         posed, skin = reference_scene(model), model.skins[0]
         self.points, self.normals = posed.skins[0].quadrature
+        self._areas = skin.layer.quadrature.weights
         self.centre = posed.skins[0].body.frame.points(np.array(skin.spec.patch_centre))
         self.step_s = model.step_s
         self.times: Float = self.step_s * np.arange(round(LENGTH_S / self.step_s) + 1, dtype=np.float64)
@@ -74,7 +75,8 @@ class Trials:
             "on and off": (load_class.LEAST_CORNER_Hz, self._on_and_off),
             "hand 0.5 m/s": (load_class.LEAST_CORNER_Hz, self._moving_hand),
             "two foci": (load_class.LEAST_CORNER_Hz, self._two),
-            "finger's shadow": (load_class.LEAST_CORNER_Hz, self._shadow),
+            "finger's shadow": (load_class.LEAST_CORNER_Hz, lambda: self._shadow(np.sqrt(self._areas))),
+            "shadow by points": (load_class.LEAST_CORNER_Hz, lambda: self._shadow(np.full(len(self._areas), 1e-9))),
         }
 
     def _amplitudes(self, focus: Float) -> Float:
@@ -105,9 +107,10 @@ class Trials:
         pair = [self._amplitudes(self.centre + side * aside) for side in (-1.0, 1.0)]
         return np.repeat(self._many(0.5 * sum(pair)[None]), len(self.times), axis=0)
 
-    def _shadow(self) -> Float:
+    def _shadow(self, widths_m: Float) -> Float:
+        """widths_m: of the edge at each point, shape (q,)"""
         across = self.points[None, :, 0] - self.centre[0] - (-0.02 + 0.04 * self.times[:, None] / LENGTH_S)
-        return self._spot * (np.abs(across) > 0.5 * FINGER_m)
+        return self._spot * np.clip((np.abs(across) - 0.5 * FINGER_m) / widths_m + 0.5, 0.0, 1.0)
 
 
 def march(stepper: SkinStepper, load: Float, surface: sparse.csr_matrix, outside: OutsideClass | None = None) -> Float:

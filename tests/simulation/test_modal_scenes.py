@@ -46,6 +46,15 @@ def test_a_hand_that_keeps_still_or_moves_moves_its_skin_as_the_whole_layer(smal
     assert relative(mine, truth) < np.hypot(modal.runtime.model.begin[0].value.error, outside) < 0.2
 
 
+def test_the_edge_of_a_shadow_crosses_skin_as_on_the_whole_layer(small_scene):
+    """The scene's own body casts it, as it moves across the focus: what is dark is unlike any smooth sound."""
+    modal, wedges = both(small_scene(skin=SKIN | {"body_sound": "shadows"}))
+    mine, truth = motion(modal, push=0.4), motion(wedges, push=0.4)
+    assert modal.skin().solver == "modal"
+    outside = modal.runtime.work.outside[0].energy_share
+    assert relative(mine, truth) < np.hypot(modal.runtime.model.begin[0].value.error, outside) < 0.2
+
+
 def test_a_control_rate_moves_by_modes(small_scene):
     modal, wedges = both(small_scene(stimulus=LETTER, skin=SKIN))
     assert relative(motion(modal), motion(wedges)) < 0.2
@@ -120,7 +129,6 @@ def test_loads_outside_the_class_hand_over_to_the_whole_layer(small_scene, monke
     ("skin", "why"),
     [
         ({"side": "absorbing"}, "absorbing sides couple"),
-        ({"body_sound": "shadows"}, "sharp edges"),
         ({"body_sound": "scattering"}, "boundary elements for every example"),
     ],
 )

@@ -34,10 +34,11 @@ class LoadShapes:
     fit: Float
 
 
-def load_shapes(examples: Float, weights: Float, tolerance: float) -> LoadShapes:
+def load_shapes(examples: Float, weights: Float, tolerance: float, points: int = POINTS) -> LoadShapes:
     """Shapes whose sums come within a tolerance of examples, rms over all of them.
 
     examples: pressures [Pa], shape (t, q); weights: areas for which the points stand [m^2], shape (q,)
+    points: to look at for each shape, at most all
     Raises SceneError where nothing sounds in the examples, or a number is not finite.
     """
     if not np.isfinite(examples).all():
@@ -50,16 +51,16 @@ def load_shapes(examples: Float, weights: Float, tolerance: float) -> LoadShapes
     left_out = np.sqrt(np.maximum(1.0 - np.cumsum(values) / values.sum(), 0.0))
     count = min(int(np.searchsorted(-left_out, -tolerance)) + 1, int((values > 1e-12 * values[0]).sum()))
     shapes = (left[:, :count].T @ (examples * root)) / np.sqrt(values[:count, None]) / root
-    points = _telling_points(shapes * root)
-    fit = np.asarray(np.linalg.pinv(shapes[:, points].T), dtype=np.float64)
-    return LoadShapes(shapes, np.sqrt(values[:count] / len(examples)), points, fit)
+    chosen = _telling_points(shapes * root, points)
+    fit = np.asarray(np.linalg.pinv(shapes[:, chosen].T), dtype=np.float64)
+    return LoadShapes(shapes, np.sqrt(values[:count] / len(examples)), chosen, fit)
 
 
-def _telling_points(shapes: Float) -> Int:
-    """Columns that tell shapes (m, q) apart, rising: POINTS times those of pivoted QR, each time of what is left."""
+def _telling_points(shapes: Float, times: int) -> Int:
+    """Columns that tell shapes (m, q) apart, rising: those of pivoted QR some times, each time of what is left."""
     left = np.arange(shapes.shape[1])
     chosen: list[Int] = []
-    for _ in range(POINTS):
+    for _ in range(times):
         pivots = linalg.qr(shapes[:, left], mode="r", pivoting=True)[1][: len(shapes)]
         chosen.append(left[pivots].astype(np.int32))
         left = np.delete(left, pivots)
