@@ -1,5 +1,6 @@
 """Modes for every load of a class, against the whole layer that they stand for."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -22,12 +23,19 @@ SUBSTEPS = 5
 RUBBERY = Material("rubbery", 1000.0, 1.2e4, (Branch(8e3, 1e-3), Branch(4e3, 1e-2)), 1e8, "test")
 
 
-@pytest.fixture(scope="module")
-def disc(make_spot):
-    spot = make_spot(0.0035, 1, radius_m=0.02, material=RUBBERY, side="free")
+TOUGH = replace(RUBBERY, name="tough", shear_relaxed_Pa=2.4e4, branches=(Branch(16e3, 1e-3), Branch(8e3, 1e-2)))
+"""Of twice the stiffness, by the same law."""
+
+
+def parts_of(spot):
     quadrature, surface = SurfaceQuadrature(spot.mesh, spot.system), surface_motion(spot.mesh, spot.system)
     whole = WedgeStepper(spot.system, quadrature.operator, STEP)
     return SimpleNamespace(system=spot.system, quadrature=quadrature, surface=surface, whole=whole)
+
+
+@pytest.fixture(scope="module")
+def disc(make_spot):
+    return parts_of(make_spot(0.0035, 1, radius_m=0.02, material=RUBBERY, side="free"))
 
 
 def bell(disc, centres, width=0.009):
@@ -87,6 +95,34 @@ def test_modes_move_as_the_whole_layer_under_a_load_that_no_example_is(disc, mod
     stated = np.array(modes.body.modes.errors(2.0 / (np.pi * 0.009)))
     assert displacement < 0.03 and velocity < 0.3
     assert displacement < stated[0] + 0.03 and velocity < stated[1] + 0.03
+
+
+def test_sheets_that_relax_by_one_law_have_modes_of_their_own(disc, make_spot, modes):
+    sheets = parts_of(make_spot(0.0035, 2, radius_m=0.02, material=(TOUGH, RUBBERY), side="free"))
+    truth, _ = march(sheets.whole, loads(sheets), sheets)
+    stepper = ModalStepper(body(sheets), sheets.system, STEP, 100.0)
+    assert relative(march(stepper, loads(sheets), sheets)[0], truth)[0] < 0.03
+    of_one, _ = march(modes, loads(disc), disc)
+    assert np.abs(truth[:, 0]).max() < 0.9 * np.abs(of_one[:, 0]).max()
+
+
+def test_sheets_that_relax_by_two_laws_are_refused(make_spot):
+    quick = replace(TOUGH, branches=(Branch(16e3, 1e-4), Branch(8e3, 1e-2)))
+    sheets = parts_of(make_spot(0.006, 2, radius_m=0.02, material=(quick, RUBBERY), side="free"))
+    with pytest.raises(SceneError, match="its materials relax by 2 laws"):
+        body(sheets)
+
+
+def test_weak_modes_that_are_left_out_cost_what_is_said(disc):
+    truth, _ = march(disc.whole, loads(disc), disc)
+    orders, errors, stated = [], [], []
+    for left_out in (0.2, 0.05, 0.01):
+        stepper = ModalStepper(body(disc, left_out=left_out), disc.system, STEP, 100.0)
+        orders.append(stepper.order)
+        errors.append(relative(march(stepper, loads(disc), disc)[0], truth))
+        stated.append((stepper.error, stepper.velocity_error))
+    assert np.diff(orders).min() > 0 and (np.diff(errors, axis=0) < 0.0).all()
+    assert (np.array(errors) < np.array(stated) + 0.03).all()
 
 
 def test_more_blocks_err_less_and_say_so(disc):
