@@ -221,11 +221,12 @@ def write(page: Path, lines: list[str], curves: dict, jumps: dict, asked: str, c
         "displacement and outside share together. *Memory*: of the modes and the load shapes.",
         "",
         "*Finger's shadow*: of each point's area the lit share presses. *Shadow by points*: each point is lit or dark,",
-        "as in a scene. The edge then jumps from point to point, and the whole layer answers by clicks that come from the",
-        "mesh: its own motion under the two differs by "
+        "as in a scene. The edge then jumps from point to point, and the whole layer answers by clicks that come from",
+        "the mesh: its own motion under the two differs by "
         + "; ".join(f"{100 * u:.1f} / {100 * v:.0f} % ({scene})" for scene, (u, v) in jumps.items())
         + ".",
-        "Modes leave most of these clicks out. A class without the edges of shadows (no `:shadows`) sees them as outside.",
+        "Modes leave most of these clicks out. A class without the edges of shadows (no `:shadows`) sees them as",
+        "outside.",
         "",
         f"![Error against the number of modes]({picture.name})",
         "",

@@ -2,9 +2,9 @@
 
 With A = E + (1 + 1/2 sum_i g_i) K + w^2 M at one real rate w, factorised once, the space is that of A^-1 B,
 (A^-1 M) A^-1 B, and so on, orthonormal in the mass (load-dependent Ritz vectors: Wilson, Yuan & Dickens, Earthq. Eng.
-Struct. Dyn. 10, 1982; Nour-Omid & Clough, ibid. 12, 1984). Turned to the eigenvectors of E + K in it, mass and
-stiffness are diagonal. Of soft matter that hardly changes its volume E holds next to no energy, so that it is diagonal
-as well, and each mode moves by itself.
+Struct. Dyn. 10, 1982; Nour-Omid & Clough, ibid. 12, 1984). Turned to the eigenvectors of E + c K in it, with c of the
+material at a middle frequency, mass and that sum are diagonal. Of soft matter that hardly changes its volume E holds
+next to no energy, so that it is all but diagonal as well, and each mode moves by itself.
 
 Waves of 1 kHz run long in skin, so that the space needs far more vectors than the motion has: what the loads of the
 class move at all frequencies is known by then, and the sums of modes that hold most of its energy (proper orthogonal
@@ -27,8 +27,11 @@ RATE_Hz = 400.0
 """w / 2 pi. A lower one does not settle short waves, a higher one does not reach out into the skin."""
 PARALLEL = 0.01
 """Part of a block below which what is new in a direction, for loads of the class's sizes, is left out."""
-COUPLED, COUPLED_Hz = 0.01, 200.0
-"""What the modes' coupling by the elastic stiffness may change in the harmonic motion at one frequency."""
+COUPLED, COUPLED_SHARE, COUPLED_Hz = 0.01, 0.5, 200.0
+"""What the modes' coupling by the elastic stiffness may change in the harmonic motion at one frequency, at least, and
+where more is left out with weak modes, of that."""
+UNCOUPLED_Hz = 100.0
+"""At which it couples none: between a stimulus's start or end and its modulation."""
 CHUNK = 256
 """Columns or rows of a product that are held at a time."""
 FREQUENCIES_Hz: Float = np.concatenate([[0.0], np.geomspace(20.0, 4000.0, 32)])
@@ -50,8 +53,8 @@ class RitzModes:
     """Modes V of a body, orthonormal in the mass.
 
     vectors: V in single precision, shape (n, r); elastic, stiffness: diagonals of V^T E V and V^T K V, shapes (r,)
-    motion, change: the surface's harmonic motion under random sums of the shapes, and what the last block of vectors
-        and the modes left out change in it, rms [m], at FREQUENCIES_Hz, shapes (f,)
+    motion, change: the surface's harmonic motion under random sums of the shapes, and what the last block of vectors,
+        the modes left out and the coupling change in it, rms [m], at FREQUENCIES_Hz, shapes (f,)
     """
 
     vectors: Float32
@@ -85,12 +88,8 @@ def refusal(system: SkinSystem) -> str | None:
 def shifted(system: SkinSystem) -> sparse.csr_matrix:
     """A, symmetric positive definite, shape (n, n) [N/m]."""
     (part,) = system.parts
-    stiff = system.elastic + _mean_stiffening(part.material) * part.stiffness
-    return sparse.csr_matrix(stiff + (2.0 * np.pi * RATE_Hz) ** 2 * system.mass)
-
-
-def _mean_stiffening(material: Material) -> float:
-    return 1.0 + 0.5 * sum(material.ratios)
+    stiff = (1.0 + 0.5 * sum(part.material.ratios)) * part.stiffness
+    return sparse.csr_matrix(system.elastic + stiff + (2.0 * np.pi * RATE_Hz) ** 2 * system.mass)
 
 
 def ritz_modes(
@@ -113,8 +112,8 @@ def ritz_modes(
     if reason is not None:
         raise SceneError(f"no modes of this skin: {reason}")
     (part,) = system.parts
-    # Modes of the mean of what the material is at once and at last: E couples them least
-    mean = _mean_stiffening(part.material)
+    # As stiff as the material is at a middle frequency: there E couples no modes
+    mean = complex(stiffening(part.material, -2j * np.pi * UNCOUPLED_Hz)).real
     space, ends = _lanczos(system.mass, factor, forces * sizes, blocks)
     elastic = _projected(system.elastic, space)
     both = elastic + mean * _projected(part.stiffness, space)
@@ -144,14 +143,16 @@ def ritz_modes(
     together = watched @ np.linalg.solve(coupled, force)
     alone = _answers(part.material, *rigidities, force, watched, np.array([COUPLED_Hz]))[0]
     coupling = float(np.linalg.norm(together - alone) / np.linalg.norm(together))
-    if not coupling <= COUPLED:
+    allowed = max(COUPLED, COUPLED_SHARE * left_out)
+    if not coupling <= allowed:
         raise SceneError(
             f"no modes of this skin: its elastic part couples them, by {100 * coupling:.2g} % of the motion; allowed: "
-            f"{100 * COUPLED:g} %"
+            f"{100 * allowed:g} %"
         )
     scale = np.sqrt(TRIALS * seen.shape[0])
     motion = np.linalg.norm(answers[2], axis=(1, 2)) / scale
-    change = np.hypot(*(np.linalg.norm(after - before, axis=(1, 2)) / scale for before, after in pairwise(answers)))
+    changes = [np.linalg.norm(after - before, axis=(1, 2)) / scale for before, after in pairwise(answers)]
+    change = np.sqrt(changes[0] ** 2 + changes[1] ** 2 + (coupling * motion) ** 2)
     turning = turn.astype(np.float32)
     for start in range(0, len(space), CHUNK):
         rows = slice(start, start + CHUNK)
