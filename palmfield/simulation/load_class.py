@@ -43,8 +43,8 @@ LEAST_LEFT_OUT = 0.0075
 """Below it each shape more gains less than a block of modes more does."""
 BLOCKS, BLOCKS_AT, BLOCKS_POWER = 32, 0.05, 0.9
 """Blocks of the modes' space at one accuracy, and the power of the accuracy with which they become fewer."""
-WEAK = 0.3
-"""Of the wanted accuracy, what weak modes may take with them when they are left out, in the energy norm."""
+WEAK, MOST_WEAK = 0.3, 0.025
+"""Of the wanted accuracy, what weak modes that are left out may take with them, in the energy norm; and at most."""
 EDGES_SPAN, EDGES_POINTS = 0.5, 4
 """SPAN where there are shadows, and points for each shape: edges are made of far more shapes than sounds are."""
 FINGER_m = 0.008, 0.02
@@ -117,7 +117,7 @@ def class_stepper(model: HapticModel, skin: int, blocks: int | None = None) -> M
         if known is None or known[0] != mark:
             made = modal_body(
                 layer.system, layer.quadrature, layer.surface_operator, lambda: examples(model, skin, posed),
-                depends_on, tolerance, blocks, WEAK * accuracy, points,
+                depends_on, tolerance, blocks, min(WEAK * accuracy, MOST_WEAK), points,
             )  # fmt: skip
             known = _bodies[layer] = mark, made
     corner = max(corner_Hz(stimulus, layer.demand.spot_fwhm_m) for stimulus in model.stimuli)
