@@ -10,17 +10,19 @@ import threading
 from weakref import WeakKeyDictionary
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from palmfield import cache
 from palmfield.acoustics.phased_array import PhasedArray
+from palmfield.acoustics.surface_arp import SurfaceArp
 from palmfield.drive.array_drive import ArrayDrive
 from palmfield.errors import SceneError
 from palmfield.simulation.model import HapticModel, StimulusModel
 from palmfield.simulation.posed_scene import PosedScene, PosedSkin, PosedSurface, reference_scene
-from palmfield.simulation.radiation import Radiation
 from palmfield.simulation.spec import SkinSpec
 from palmfield.skin.fem.assembly import relaxation_law
+from palmfield.skin.reduction.load_shapes import POINTS
 from palmfield.skin.reduction.modal_stepper import ModalBody, ModalStepper, modal_body
 from palmfield.skin.scene_layer import SceneLayer
 from palmfield.stimulus.schedule import frame_rates, main_frequencies, turn_m, turn_rate_Hz
@@ -39,8 +41,16 @@ SPAN = 0.1
 """Of the wanted accuracy, what the class's shapes may leave out of its examples."""
 LEAST_LEFT_OUT = 0.0075
 """Below it each shape more gains less than a block of modes more does."""
-BLOCKS, BLOCKS_AT, BLOCKS_POWER = 14, 0.05, 0.61
-"""Blocks of modes at one accuracy, and the power of the accuracy with which they become fewer."""
+BLOCKS, BLOCKS_AT, BLOCKS_POWER = 32, 0.05, 0.9
+"""Blocks of the modes' space at one accuracy, and the power of the accuracy with which they become fewer."""
+WEAK, MOST_WEAK = 0.3, 0.025
+"""Of the wanted accuracy, what weak modes that are left out may take with them, in the energy norm; and at most."""
+EDGES_SPAN, EDGES_POINTS = 0.5, 4
+"""SPAN where there are shadows, and points for each shape: edges are made of far more shapes than sounds are."""
+FINGER_m = 0.008, 0.02
+"""Widths of what casts a shadow in an example."""
+KEPT = 0.36
+"""Modes for each block and shape that are left when the weak ones are out, about."""
 SHAPES = 15.0
 """Load shapes at accuracy 0.2 on a region as wide as a spot, about."""
 LEAST_CORNER_Hz = 75.0
@@ -55,8 +65,6 @@ def refusal(skin: SkinSpec, layer: SceneLayer) -> str | None:
     config = skin.config
     if config.body_sound == "scattering":
         return "boundary elements for every example of its loads cost more than a run"
-    if config.body_sound == "shadows":
-        return "shadows have sharp edges, which no class of smooth loads holds"
     if config.side == "absorbing":
         return "absorbing sides couple the modes"
     laws = {relaxation_law(sheet.material) for sheet in layer.sheets}
@@ -68,7 +76,7 @@ def refusal(skin: SkinSpec, layer: SceneLayer) -> str | None:
 def expected_modes(skin: SkinSpec, layer: SceneLayer) -> float:
     """About how many modes there will be, as seen on the shipped scenes."""
     shapes = SHAPES * (_region_m(layer) / layer.demand.spot_fwhm_m) ** 2 * (0.2 / skin.config.accuracy) ** 0.35
-    return float(_blocks(skin.config.accuracy) * shapes)
+    return float(KEPT * _blocks(skin.config.accuracy) * shapes)
 
 
 def _blocks(accuracy: float) -> int:
@@ -101,14 +109,15 @@ def class_stepper(model: HapticModel, skin: int, blocks: int | None = None) -> M
         *(arrays.array, arrays.air, arrays.placements, arrays.precision, model.board.name, law),
         *(*posed.skins[skin].quadrature, part.spec.patch_centre, _region_m(layer)),
     )
-    tolerance, blocks = max(SPAN * accuracy, LEAST_LEFT_OUT), blocks or _blocks(accuracy)
+    span, points = (EDGES_SPAN, EDGES_POINTS) if _has_edges(part.spec) else (SPAN, POINTS)
+    tolerance, blocks = max(span * accuracy, LEAST_LEFT_OUT), blocks or _blocks(accuracy)
     with _lock:
-        mark = cache.digest(depends_on, tolerance, blocks)
+        mark = cache.digest(depends_on, tolerance, blocks, points)
         known = _bodies.get(layer)
         if known is None or known[0] != mark:
             made = modal_body(
                 layer.system, layer.quadrature, layer.surface_operator, lambda: examples(model, skin, posed),
-                depends_on, tolerance, blocks,
+                depends_on, tolerance, blocks, min(WEAK * accuracy, MOST_WEAK), points,
             )  # fmt: skip
             known = _bodies[layer] = mark, made
     corner = max(corner_Hz(stimulus, layer.demand.spot_fwhm_m) for stimulus in model.stimuli)
@@ -116,9 +125,13 @@ def class_stepper(model: HapticModel, skin: int, blocks: int | None = None) -> M
 
 
 def examples(model: HapticModel, skin: int, posed: PosedScene) -> Float:
-    """ARP of examples at a skin's quadrature points [Pa], shape (t, q); posed: the reference."""
+    """ARP of examples at a skin's quadrature points [Pa], shape (t, q); posed: the reference.
+
+    Where the skin's sound has shadows, those of the examples lie anywhere, whatever casts one in the reference.
+    """
     rng = np.random.default_rng(0)
-    radiation, arrays, layer = Radiation(model), posed.arrays, model.skins[skin].layer
+    arrays, layer = posed.arrays, model.skins[skin].layer
+    surface = SurfaceArp(arrays.field, len(layer.quadrature.weights), model.skins[skin].spec.config.arp_law)
     frame = posed.skins[skin].body.frame
     centre = frame.points(np.array(model.skins[skin].spec.patch_centre))
     gap = float(np.linalg.norm(arrays.array.positions - centre, axis=1).min())
@@ -130,14 +143,35 @@ def examples(model: HapticModel, skin: int, posed: PosedScene) -> Float:
         if number > 0:
             turn = Rotation.from_rotvec(rng.uniform(-TILT, TILT, 3)).as_matrix()
             moved = _moved(model, skin, posed, centre, turn, rng.uniform(-most, most))
-        points = moved.skins[skin].quadrature[0]
+        points, normals = moved.skins[skin].quadrature
         middle = moved.skins[skin].body.frame.points(np.array(model.skins[skin].spec.patch_centre))
         near = points[np.linalg.norm(points - middle, axis=1) < region]
         places = near[rng.integers(0, len(near), SINGLE)] + rng.uniform(-OFF_SKIN_m, OFF_SKIN_m, (SINGLE, 3))
         drives = _drives(model, arrays, places, rng)
-        arp = radiation.many(moved, skin, drives).astype(np.float64)
+        arp = surface.evaluate_many(points, normals, drives).astype(np.float64)
         loads.append(arp / np.sqrt((arp**2 @ layer.quadrature.weights).max()))
-    return np.concatenate(loads)
+    alone = np.concatenate(loads)
+    if not _has_edges(model.skins[skin].spec):
+        return alone
+    points, normals = posed.skins[skin].quadrature
+    return np.concatenate([alone, alone * _lit(points - centre, normals.mean(axis=0), region, len(alone), rng)])
+
+
+def _has_edges(skin: SkinSpec) -> bool:
+    return skin.config.body_sound == "shadows"
+
+
+def _lit(offsets: Float, outwards: Float, region_m: float, count: int, rng: np.random.Generator) -> NDArray[np.bool_]:
+    """Which points lie outside the shadow of a straight finger, or of all beyond a straight edge, shape (count, q).
+
+    offsets: of the points from the region's middle [m], shape (q, 3); outwards: mean normal
+    """
+    across = np.cross(rng.standard_normal((count, 3)), outwards)
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    beyond = across @ offsets.T - rng.uniform(-region_m, region_m, (count, 1))
+    half = 0.5 * rng.uniform(*FINGER_m, (count, 1))
+    finger = rng.random((count, 1)) < 0.5
+    return np.where(finger, np.abs(beyond) > half, beyond > 0.0)
 
 
 def _moved(model: HapticModel, skin: int, posed: PosedScene, centre: Float, turn: Float, shift_m: Float) -> PosedScene:

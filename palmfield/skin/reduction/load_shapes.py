@@ -42,11 +42,11 @@ class LoadShapes:
     fit: Float
 
 
-def load_shapes(examples: Float | Float32, weights: Float, tolerance: float) -> LoadShapes:
+def load_shapes(examples: Float | Float32, weights: Float, tolerance: float, points: int = POINTS) -> LoadShapes:
     """Shapes whose sums come within a tolerance of examples, rms over all of them.
 
     examples: pressures [Pa], shape (t, q), in single or double precision
-    weights: areas for which the points stand [m^2], shape (q,)
+    weights: areas for which the points stand [m^2], shape (q,); points: to look at for each shape, at most all
     Raises SceneError where nothing sounds in the examples, or a number is not finite.
     """
     if not np.isfinite(examples).all():
@@ -63,17 +63,17 @@ def load_shapes(examples: Float | Float32, weights: Float, tolerance: float) -> 
     left_out = np.sqrt(np.maximum(1.0 - np.cumsum(values) / size, 0.0))
     count = min(int(np.searchsorted(-left_out, -tolerance)) + 1, int((values > 1e-12 * values[0]).sum()))
     flat = _orthonormal(turn[:, :count].T @ basis)
-    points, shapes = _telling_points(flat), flat / root
-    turned, triangle = np.linalg.qr(shapes[:, points].T)
+    chosen, shapes = _telling_points(flat, points), flat / root
+    turned, triangle = np.linalg.qr(shapes[:, chosen].T)
     fit = np.asarray(linalg.solve_triangular(triangle, turned.T), dtype=np.float64)
-    return LoadShapes(shapes, np.sqrt(values[:count] / len(examples)), points, fit)
+    return LoadShapes(shapes, np.sqrt(values[:count] / len(examples)), chosen, fit)
 
 
-def _telling_points(shapes: Float) -> Int:
-    """Columns that tell shapes (m, q) apart, rising: POINTS times as many as shapes, each time of what is left."""
+def _telling_points(shapes: Float, times: int) -> Int:
+    """Columns that tell shapes (m, q) apart, rising: some times as many as shapes, each time of what is left."""
     left = np.arange(shapes.shape[1])
     chosen: list[Int] = []
-    for _ in range(POINTS):
+    for _ in range(times):
         pivots = _pivots(shapes[:, left])[: len(shapes)]
         chosen.append(left[pivots].astype(np.int32))
         left = np.delete(left, pivots)

@@ -22,7 +22,7 @@ from palmfield.skin.fem.factor import factorise
 from palmfield.skin.fem.generalised_alpha import RHO_INF, Scheme
 from palmfield.skin.fem.load import SurfaceQuadrature
 from palmfield.skin.materials.material import stiffening
-from palmfield.skin.reduction.load_shapes import LoadShapes, load_shapes
+from palmfield.skin.reduction.load_shapes import POINTS, LoadShapes, load_shapes
 from palmfield.skin.reduction.ritz import RitzModes, refusal, ritz_modes, shifted
 from palmfield.skin.stepper import Reader, SurfaceLoads, check_step, checked_operator
 from palmfield.threads import cores, share
@@ -30,7 +30,7 @@ from palmfield.types import Complex, Float, Float32, Int
 from warp_kernels import modes as kernels
 
 MOST_SHARE = 0.4
-"""Of a layer's unknowns, above which modes save nothing."""
+"""Of a layer's unknowns, up to which vectors are made: beyond, modes save nothing."""
 COMPLIANCE_LEFT_OUT = 1e-4
 """Share of the compliance of the points that its low rank leaves out: 1 % of a norm."""
 
@@ -69,13 +69,17 @@ def modal_body(
     depends_on: Sequence[Any],
     tolerance: float,
     blocks: int,
+    left_out: float,
+    points: int = POINTS,
 ) -> ModalBody:
     """Modes of a layer for the class of loads that examples are of, from one real factorisation.
 
     surface: reads the displacement that must be right, csr, (S, n)
     examples: pressures at the quadrature's points [Pa], shape (t, q); depends_on: all that they depend on
-    tolerance: what the shapes may leave out of the examples, relative; blocks: of the space of the modes, at least 2
-    Kept in the cache (`palmfield.cache`). Raises SceneError where the layer's modes are coupled, or would be too many.
+    tolerance: what the shapes may leave out of the examples, relative; points: to look at for each shape
+    blocks: of the space of the modes, at least 2; left_out: by the modes of the space's motion, see `ritz_modes`
+    Kept in the cache (`palmfield.cache`).
+    Raises SceneError where the layer's modes are coupled, or its unknowns too few.
     """
 
     def make() -> cache.Arrays:
@@ -83,27 +87,28 @@ def modal_body(
         if reason is not None:
             raise SceneError(f"no modes of this skin: {reason}")
         with one_blas_thread:
-            shapes = load_shapes(examples(), quadrature.weights, tolerance)
-            most = MOST_SHARE * system.ndof
-            if blocks * len(shapes.sizes) > most:
+            shapes = load_shapes(examples(), quadrature.weights, tolerance, points)
+            fitting = int(MOST_SHARE * system.ndof / len(shapes.sizes))
+            if fitting < 2:
                 raise SceneError(
-                    f"no modes of this skin: {blocks} blocks of {len(shapes.sizes)} load shapes are more than "
-                    f"{most:.0f} modes, where its {system.ndof} unknowns cost no more"
+                    f"no modes of this skin: 2 blocks of {len(shapes.sizes)} load shapes are more than {MOST_SHARE:g} "
+                    f"of its {system.ndof} unknowns, which cost no more"
                 )
             factor = factorise(shifted(system), system.elimination_order())
             nodal: Float = quadrature.operator @ shapes.shapes.T
-            modes = ritz_modes(system, factor, nodal, shapes.sizes, blocks, surface)
+            modes = ritz_modes(system, factor, nodal, shapes.sizes, min(blocks, fitting), left_out, surface)
             seen = quadrature.operator[:, shapes.points].toarray()
             values, vectors = np.linalg.eigh(seen.T @ factor.solve(seen))
             kept = np.cumsum(values) > COMPLIANCE_LEFT_OUT * values.sum()
             compliance = vectors[:, kept] * np.sqrt(values[kept])
-        arrays: cache.Arrays = {"vectors": modes.vectors.astype(np.float32)}
+        arrays: cache.Arrays = {"vectors": modes.vectors}
         arrays |= {"elastic": modes.elastic, "stiffness": modes.stiffness}
         arrays |= {"motion": modes.motion, "change": modes.change, "shapes": shapes.shapes, "sizes": shapes.sizes}
         arrays |= {"points": shapes.points, "fit": shapes.fit, "forces": nodal.T @ modes.vectors}
         return arrays | {"compliance": compliance}
 
-    known = cache.kept("modes", (system.made_of, quadrature.operator, surface, *depends_on, tolerance, blocks), make)
+    asked = tolerance, blocks, left_out, points
+    known = cache.kept("modes", (system.made_of, quadrature.operator, surface, *depends_on, *asked), make)
     names = "vectors", "elastic", "stiffness", "motion", "change"
     modes = RitzModes(*(known[name] for name in names))
     shapes = LoadShapes(*(known[name] for name in ("shapes", "sizes", "points", "fit")))
