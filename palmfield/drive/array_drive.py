@@ -53,6 +53,7 @@ class UnitDrive:
 
     def __init__(self, amplitudes: Complex, level: float):
         self.amplitudes, self.level = amplitudes, level
+        amplitudes.flags.writeable = False  # what is kept for a unit drive holds as long as it is the same object
         self.conjugate: Complex = amplitudes.conj()
         self.power = float((self.conjugate @ amplitudes).real)
         self.peak = float(np.maximum.reduce(np.abs(amplitudes)))

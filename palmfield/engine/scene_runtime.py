@@ -59,6 +59,8 @@ class SceneRuntime:
         self._posed: PosedScene = self.work.reference
         self._numbers = b""
         self._places: dict[str, SensorPlace] = {}
+        # ARP [Pa] of a unit drive at each sensor, with pose and drive for which it holds
+        self._unit_arp: dict[str, tuple[PosedScene, Complex, float]] = {}
         self.applied: list[Float] = [np.zeros(3) for _ in self.bodies]
         self.applied_parts = [(np.zeros((len(parts), 3)), np.zeros((len(parts), 3))) for parts in self.parts]
         check_clear(self.work.reference)
@@ -217,13 +219,21 @@ class SceneRuntime:
                 drive, factor = sounding
                 arp = 0.0
                 if drive is not None:
-                    known = None if device is None else device.probed(skin, place, posed, drive)
+                    kept = self._unit_arp.get(sensor.name)
+                    known = None
+                    if kept is not None and kept[0] is posed and kept[1] is drive:
+                        known = kept[2]
+                    if known is None and device is not None:
+                        known = device.probed(skin, place, posed, drive)
                     if known is None:
                         if device is not None:
                             device.watch(skin, place)
                         body = posed.bodies[part.body]
                         points, normals = body.moved(place.probe.closest, place.probe.normals, place.binding)
                         known = float(self.work.radiation.at(posed, skin, "probe", points, normals, drive).arp[0])
+                    # Another drive may come in the same memory, but not another unit drive
+                    if not drive.flags.writeable:
+                        self._unit_arp[sensor.name] = posed, drive, known
                     arp = factor * known
             x, y, z = self.applied[part.body]
             fill(sensor.data, SkinReading(x, y, z, motion[0], motion[1], arp))
