@@ -197,7 +197,9 @@ def test_a_world_whose_load_leaves_the_class_goes_on_with_the_whole_layer(small_
     assert together.skin().solver == ("modal", *["wedges"] * 8) and len(asked) == 10 and max(asked) < 0.05
     whole = palmfield.Simulation(path, keys={"stimulus.focus_m": foci[5], "skin.solver": "wedges"})
     whole.step(4)
-    assert differ(together.skin().displacement[5], whole.skin().displacement) < 0.05
+    # It set out on modes, and so with what they may err
+    began = together._scenes.models[0].begin[0].value
+    assert differ(together.skin().displacement[5], whole.skin().displacement) < began.error < COARSE["accuracy"]
 
 
 def test_many_different_loads_share_a_stepper(small_scene):
