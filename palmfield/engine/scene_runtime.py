@@ -84,6 +84,7 @@ class SceneRuntime:
     def forget(self) -> None:
         """Know nothing of the last pose."""
         self._posed, self._numbers = self.work.reference, b""
+        self._unit_arp.clear()
 
     @cached_property
     def state(self) -> HapticState:

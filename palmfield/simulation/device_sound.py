@@ -331,16 +331,6 @@ class DeviceSound:
         result: Float32 = work.load.host[:sums, work.quadrature[skin]]
         return result if points is None else result[:, points]
 
-    def on_device(self, skin: int) -> tuple[Any, Any]:
-        """For what steps a skin on the device: ARP [Pa], float32, shape (m, q), and how many rows of it count.
-
-        Both are Warp arrays that keep their place as long as `work` is the same object, until a step asks for more
-        drives; the second is int32, drives and sums, of which the sums are the rows.
-        """
-        work = self.work
-        assert work is not None
-        return work.load.array[:, work.quadrature[skin]], work.inputs.arrays["load_counts"]
-
     def sensed(self, skin: int, place: SensorPlace) -> float | None:
         """ARP [Pa] at a sensor's place where a step begins that `course` tells of; None where it isn't watched."""
         work = self.work
@@ -542,6 +532,8 @@ class DeviceWork:
         """Take a skin's numbers at a step's beginning, shape (state_size,), and the weights of patterns of pressure."""
         hosts = self.inputs.hosts
         hosts[f"before_{skin}"][:] = numbers
+        # Of other patterns nothing: in silence the device still has the last ones, and as many
+        hosts[f"weights_{skin}"][:] = 0.0
         hosts[f"weights_{skin}"][:, : weights.shape[1]] = weights
 
     def tell(self, name: str, sounding: Sounding, transducers: Transducers) -> None:

@@ -235,7 +235,8 @@ def _known_stepper(model: HapticModel, skin: int) -> ReducedStepper:
         shapes = load_shapes(examples, layer.quadrature.weights, LEFT_OUT)
         del examples  # a third of a gigabyte
         fresh.append(reduced_stepper(layer.system, load, *reads, inputs, *wanted, shapes))
-        return {"load": np.array(cache.digest(load)), "points": shapes.points, "shares": fresh[0].shares}
+        marks = {"load": np.array(cache.digest(load)), "vectors": np.array(cache.digest(fresh[0].vectors))}
+        return marks | {"points": shapes.points, "shares": fresh[0].shares}
 
     arrays = posed.arrays
     depends_on = (
@@ -249,6 +250,10 @@ def _known_stepper(model: HapticModel, skin: int) -> ReducedStepper:
     small, vectors, error, any_course = known_model(
         layer.system, str(known["load"]), lambda: known_load(model, skin, posed)[0], *reads, *wanted
     )
+    if cache.digest(vectors) != str(known["vectors"]):
+        # They were made anew, perhaps on another machine: shares are of other vectors
+        make()
+        return fresh[0]
     return ReducedStepper(small, vectors, known["shares"], known["points"], step_s, error, any_course)
 
 

@@ -11,16 +11,21 @@ from palmfield.types import Complex, Float32, Int
 class PathSound:
     """ARP on the skins of a model, and on what carries them. Belongs to one state, and is used by one thread at a time.
 
-    serves: whether the model has such a path, and its sound can be spanned
+    serves: whether the model has such a path
     reference: as `reference_scene`: only there do the fields hold
     """
 
-    def __init__(self, model: HapticModel, radiation: Radiation, reference: PosedScene):
+    def __init__(
+        self, model: HapticModel, radiation: Radiation, reference: PosedScene, beside: "PathSound | None" = None
+    ):
+        """beside: of another world, stepped by the same thread: what either makes for the same stimuli serves both"""
         self.model, self.radiation, self.reference = model, radiation, reference
         self.serves = serves(model)
         self._spans: list[Complex | None] = []  # of what is sent, which forces are of, and of what is emitted
         self._fields: dict[tuple[int, Role], tuple[Int | None, SpannedFields | None]] = {}
         self._arp: dict[tuple[int, Role], SpannedArp] = {}
+        if beside is not None and beside.model.spec.stimuli == model.spec.stimuli:
+            self._spans, self._fields = beside._spans, beside._fields
 
     def adopt(self, other: "PathSound") -> None:
         """Take over what another state of the same model has made."""
@@ -47,18 +52,17 @@ class PathSound:
         known = self._fields.get((skin, role))
         if known is None or known[0] is not numbers:
             known = self._fields[skin, role] = numbers, self._make(posed, skin, role)
-            self._arp.pop((skin, role), None)
         if known[1] is None:
             return None
         spanned = self._arp.get((skin, role))
-        if spanned is None:
+        if spanned is None or spanned.fields is not known[1]:
             spanned = self._arp[skin, role] = SpannedArp(known[1])
         return spanned.evaluate(drives)
 
     def _make(self, posed: PosedScene, skin: int, role: Role) -> SpannedFields | None:
         model = self.model
         if not self._spans:
-            self._spans = [drives_span(drives) for drives in path_drives(model, model.sounding, self.reference)]
+            self._spans += [drives_span(drives) for drives in path_drives(model, model.sounding, self.reference)]
         basis = self._spans[role != "samples"]
         points, normals = self.radiation.points(posed, skin, role)
         if basis is None or len(points) == 0:

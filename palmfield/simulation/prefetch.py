@@ -36,16 +36,19 @@ class LoadPrefetch:
         self._drives: Complex = np.zeros((0, len(model.arrays)), np.complex128)
         self._loads: dict[tuple[int, Role], tuple[PosedSkin, Float32]] = {}
         self._row = 0
+        # Whether the last load lay on a path that is known ahead
+        self._on_path = path_sound.serves
 
     def forget(self) -> None:
         """Begin again, as at the start of a run: whether a scene has kept still is asked of steps of one run."""
         self._posed, self._until, self._drives = None, -math.inf, self._drives[:0]
         self._loads.clear()
+        self._on_path = self.path_sound.serves
 
     def adopt(self, other: "LoadPrefetch") -> None:
         """Go on from another's predictions, in a copy of its state in the same PosedScene."""
         self._posed, self._until, self._drives, self._row = other._posed, other._until, other._drives, other._row
-        self._loads = dict(other._loads)
+        self._loads, self._on_path = dict(other._loads), other._on_path
 
     def predict_drives(self, posed: PosedScene, emitted: Complex, t0: float) -> None:
         """Predict what will be emitted from t0 [s] on, where the scene has kept still since the last step.
@@ -58,7 +61,7 @@ class LoadPrefetch:
             self._until, self._drives = -math.inf, self._drives[:0]
             self._loads.clear()
             return
-        if t0 < self._until or not self._worthwhile or (self.path_sound.serves and self.path_sound.holds(posed)):
+        if t0 < self._until or not self._worthwhile or (self._on_path and self.path_sound.holds(posed)):
             return
         count = max(AHEAD // self.model.substeps, 1) * self.model.substeps
         _, course = self.emission.over(posed, emitted, t0, count)
@@ -74,6 +77,7 @@ class LoadPrefetch:
         """ARP [Pa] at a skin's quadrature points, or those of its load, for drives (m, N), shape (m, q)."""
         if self.path_sound.serves:
             on_path = self.path_sound.arp(posed, skin, role, drives)
+            self._on_path = on_path is not None
             if on_path is not None:
                 return on_path
         rows = self._predicted_rows(drives) if len(self._drives) >= len(drives) else None

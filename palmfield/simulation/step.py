@@ -21,7 +21,7 @@ from palmfield.simulation.path_sound import PathSound
 from palmfield.simulation.posed_scene import PosedScene, reference_scene
 from palmfield.simulation.prefetch import LoadPrefetch
 from palmfield.simulation.radiation import Radiation, Role
-from palmfield.simulation.state import HapticState, at_rest, claim, stepper_of
+from palmfield.simulation.state import WHOLE, HapticState, at_rest, claim, stepper_of
 from palmfield.simulation.whole_layer import continue_on_whole_layer, leaves_small_model
 from palmfield.skin.reduction.modal_stepper import ModalStepper, Outside
 from palmfield.skin.reduction.reduced_stepper import ReducedStepper
@@ -64,9 +64,9 @@ class Workspace:
         self.emission = Emission(model)
         self.radiation: Radiation = Radiation(model, None if beside is None else beside.radiation)
         self.device_sound = DeviceSound(model, self.reference) if serves(model) else None
-        self.path_sound = PathSound(model, self.radiation, self.reference)
-        if beside is not None:
-            self.path_sound.adopt(beside.path_sound)
+        self.path_sound: PathSound = PathSound(
+            model, self.radiation, self.reference, None if beside is None else beside.path_sound
+        )
         self.unit_forces = BodyForces(model, self.radiation, self.path_sound)
         self.forces = self.device_sound or self.unit_forces
         self.prefetch = LoadPrefetch(model, self.emission, self.radiation, self.path_sound)
@@ -99,6 +99,7 @@ class Workspace:
     def begin_run(self) -> None:
         """Forget what was of another run."""
         self.prefetch.forget()
+        self.served = [None] * len(self.served)
         self.outside = [OutsideClass() for _ in self.outside]
 
     def outside_share(self, model: HapticModel, skin: int, stepper: ModalStepper, seen: Outside) -> float:
@@ -159,7 +160,11 @@ def _step_skin(
         if leaves_small_model(model, state, number, posed, work.reference, emission, t0):
             stepper, numbers = continue_on_whole_layer(model, state, number, posed, emission, work.radiation, begun, t0)
         # One that serves only from the beginning of the sound on must be asked again, and so where points are held
-        elif not emission.holds and not (isinstance(stepper, ReducedStepper) and not stepper.any_course):
+        elif (
+            state.skins[number][0, 0] != WHOLE
+            and not emission.holds
+            and not (isinstance(stepper, ReducedStepper) and not stepper.any_course)
+        ):
             work.served[number] = posed
     reader = None if work.observe[number] is None else work.reader(number, stepper)
     end = None

@@ -289,18 +289,27 @@ def test_more_drives_than_before_take_more_room(small_scene: Any, by_graph: Any)
         assert np.abs(found - expected).max() < 3e-5 * expected.max()
 
 
-def test_the_load_stays_on_the_device(small_scene: Any, by_graph: Any) -> None:
-    """What a stepper of skins on the device reads: rows, and how many of them count."""
-    sim = by_graph(small_scene(stimulus=CIRCLE | NO_WAVE))
-    sim.step(2)
-    runtime = sim.runtime
-    seen = stages(sim)
-    found = graphs(sim, seen)
-    pressure, counts = runtime.work.device_sound.on_device(0)
-    assert isinstance(pressure, wp.array) and pressure.dtype == wp.float32
-    rows = int(counts.numpy()[1])
-    assert rows == len(seen["course"].emitted)
-    np.testing.assert_array_equal(pressure.numpy()[:rows], found["loads"][0])
+@pytest.mark.parametrize("response", ["off", "on"])
+def test_what_sounded_last_does_not_push_in_silence(small_scene: Any, by_graph: Any, response: str) -> None:
+    """Neither after the end of a sound nor before its beginning in a second run."""
+    ends = small_scene(
+        stimulus=CIRCLE | NO_WAVE | {"start_s": 0.003, "stop_s": 0.006},
+        array={"response": response},
+        skin={"solver": "modal"},
+        duration_s=0.05,
+    )
+    ways = by_graph(ends), palmfield.Simulation(ends, device="cpu")
+    for _ in range(2):
+        moved: list[list[Any]] = [[], []]
+        for _ in range(12):
+            for sim, seen in zip(ways, moved, strict=True):
+                sim.step()
+                seen.append(sim.skin().displacement.copy())
+        graph, plain = (np.array(seen) for seen in moved)
+        assert np.abs(graph - plain).max() < 1e-4 * np.abs(plain).max() > 0.0
+        assert not plain[1].any() and not graph[1].any()
+        for sim in ways:
+            sim.reset()
 
 
 def test_silence_pushes_nothing(small_scene: Any, by_graph: Any) -> None:

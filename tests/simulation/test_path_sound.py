@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import palmfield
 from palmfield.session.simulation import load
 from palmfield.simulation import path_sound
 
@@ -74,6 +75,28 @@ def test_copies_share_the_fields(small_scene):
     assert own._fields.keys() == other._fields.keys() and own._fields
     assert all(own._fields[key][1] is other._fields[key][1] for key in own._fields)
     assert np.array_equal(sim.skin().displacement, copy.skin().displacement)
+
+
+def test_worlds_of_one_path_share_its_fields(small_scene):
+    """Each with buffers of its own: what one has been given does not change under it."""
+    sim = palmfield.Simulation(
+        small_scene(stimulus=CIRCLE, skin=SKIN), worlds=3, keys={"stimulus.arp_peak_Pa": [40.0] * 3}
+    )
+    single = palmfield.Simulation(small_scene(stimulus=CIRCLE, skin=SKIN), keys={"stimulus.arp_peak_Pa": 40.0})
+    sim.step(3)
+    single.step(3)
+    first, *others = (runtime.work.path_sound for runtime in sim._scenes.runtimes)
+    assert first._fields and all(other._fields is first._fields for other in others)
+    assert len({id(part) for work in (first, *others) for part in work._arp.values()}) == 3 * len(first._arp)
+    for world in range(3):
+        assert largest(sim.skin().displacement[world], single.skin().displacement) < 1e-9
+
+
+def test_loads_are_computed_ahead_where_a_path_has_no_small_span(small_scene, monkeypatch):
+    monkeypatch.setattr(path_sound, "drives_span", lambda drives: None)
+    sim = load(small_scene(stimulus=CIRCLE, skin=SKIN))
+    sim.step(STEPS)
+    assert sim.runtime.work.path_sound.serves and sim.runtime.work.prefetch._loads
 
 
 @pytest.mark.parametrize(

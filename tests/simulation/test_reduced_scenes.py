@@ -276,3 +276,19 @@ def test_a_run_from_the_cache_does_not_compute_its_load(small_scene, tmp_path, m
     kept.path.unlink()
     monkeypatch.setattr(known_load, "known_load", computed)
     np.testing.assert_array_equal(made().vectors, first.vectors)
+
+
+def test_a_pose_that_a_small_model_left_is_left_again(small_scene):
+    """After a reset too, where MuJoCo's own reset was called and the pose is the same as before."""
+    sim = load(small_scene(array={"response": "off"}, skin=SKIN | {"solver": "auto"}, duration_s=5.0))
+    ends = []
+    for _ in range(2):
+        kinds = set()
+        for _ in range(6):
+            sim.data.qpos[:], sim.data.qvel[:] = 0.003, 0.0
+            mujoco.mj_step(sim.model, sim.data)
+            kinds.add(kind_of(sim))
+        assert kinds == {WHOLE}
+        ends.append(sim.skin().displacement.copy())
+        mujoco.mj_resetData(sim.model, sim.data)
+    np.testing.assert_allclose(ends[1], ends[0], rtol=1e-9, atol=1e-15)
