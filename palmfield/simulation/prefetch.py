@@ -22,6 +22,8 @@ AHEAD = 128
 """Substeps that are looked ahead; a move throws away what was computed for them."""
 SAME_DRIVE = 1e-9
 """Of full drive: MuJoCo adds up its time, so that what comes differs from what was predicted in the last digits."""
+MOST_OFF_PATH = 8
+"""Loads one after another off a path, as while transducers ring up, until the path is given up."""
 ALWAYS = np.ones(1, dtype=bool)
 
 
@@ -36,19 +38,18 @@ class LoadPrefetch:
         self._drives: Complex = np.zeros((0, len(model.arrays)), np.complex128)
         self._loads: dict[tuple[int, Role], tuple[PosedSkin, Float32]] = {}
         self._row = 0
-        # Whether the last load lay on a path that is known ahead
-        self._on_path = path_sound.serves
+        self._off_path = 0  # loads one after another that lay off a path that is known ahead
 
     def forget(self) -> None:
         """Begin again, as at the start of a run: whether a scene has kept still is asked of steps of one run."""
         self._posed, self._until, self._drives = None, -math.inf, self._drives[:0]
         self._loads.clear()
-        self._on_path = self.path_sound.serves
+        self._off_path = 0
 
     def adopt(self, other: "LoadPrefetch") -> None:
         """Go on from another's predictions, in a copy of its state in the same PosedScene."""
         self._posed, self._until, self._drives, self._row = other._posed, other._until, other._drives, other._row
-        self._loads, self._on_path = dict(other._loads), other._on_path
+        self._loads, self._off_path = dict(other._loads), other._off_path
 
     def predict_drives(self, posed: PosedScene, emitted: Complex, t0: float) -> None:
         """Predict what will be emitted from t0 [s] on, where the scene has kept still since the last step.
@@ -61,7 +62,7 @@ class LoadPrefetch:
             self._until, self._drives = -math.inf, self._drives[:0]
             self._loads.clear()
             return
-        if t0 < self._until or not self._worthwhile or (self._on_path and self.path_sound.holds(posed)):
+        if t0 < self._until or not self._worthwhile or self._is_on_path(posed):
             return
         count = max(AHEAD // self.model.substeps, 1) * self.model.substeps
         _, course = self.emission.over(posed, emitted, t0, count)
@@ -73,11 +74,15 @@ class LoadPrefetch:
         self._drives = drives if worthwhile else drives[:0]
         self._row = -self.model.substeps
 
+    def _is_on_path(self, posed: PosedScene) -> bool:
+        path = self.path_sound
+        return path.serves and self._off_path < MOST_OFF_PATH and path.holds(posed)
+
     def pressures(self, posed: PosedScene, skin: int, drives: Complex, role: Role = "quadrature") -> Float32:
         """ARP [Pa] at a skin's quadrature points, or those of its load, for drives (m, N), shape (m, q)."""
         if self.path_sound.serves:
             on_path = self.path_sound.arp(posed, skin, role, drives)
-            self._on_path = on_path is not None
+            self._off_path = 0 if on_path is not None else self._off_path + 1
             if on_path is not None:
                 return on_path
         rows = self._predicted_rows(drives) if len(self._drives) >= len(drives) else None

@@ -156,15 +156,11 @@ def _step_skin(
     """Carry a skin from t0 to t1 [s], in place; what is watched of it, (s, 2, m)."""
     emission, device = work.emission, work.device_sound
     stepper, numbers = stepper_of(model, state, number)
-    if work.served[number] is not posed:
+    if work.served[number] is not posed and state.skins[number][0, 0] != WHOLE:
         if leaves_small_model(model, state, number, posed, work.reference, emission, t0):
             stepper, numbers = continue_on_whole_layer(model, state, number, posed, emission, work.radiation, begun, t0)
         # One that serves only from the beginning of the sound on must be asked again, and so where points are held
-        elif (
-            state.skins[number][0, 0] != WHOLE
-            and not emission.holds
-            and not (isinstance(stepper, ReducedStepper) and not stepper.any_course)
-        ):
+        elif not emission.holds and not (isinstance(stepper, ReducedStepper) and not stepper.any_course):
             work.served[number] = posed
     reader = None if work.observe[number] is None else work.reader(number, stepper)
     end = None
