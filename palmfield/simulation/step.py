@@ -12,7 +12,7 @@ import numpy as np
 from scipy import sparse
 
 from palmfield.drive.transducer_response import EmittedCourse
-from palmfield.simulation.device_sound import DeviceSound, SkinStart, serves
+from palmfield.simulation.device_sound import DeviceSound, SkinStart, pattern_weights, serves
 from palmfield.simulation.emission import Emission
 from palmfield.simulation.forces import BodyForces
 from palmfield.simulation.model import HapticModel
@@ -27,7 +27,7 @@ from palmfield.skin.reduction.modal_stepper import ModalStepper, Outside
 from palmfield.skin.reduction.reduced_stepper import ReducedStepper
 from palmfield.skin.stepper import Reader, SkinStepper, SurfaceLoads
 from palmfield.stimulus.schedule import Moments
-from palmfield.types import Complex, Float, Int
+from palmfield.types import Complex, Float, Float32, Int
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class StepTrace:
 class Workspace:
     """What one state's steps keep: emission, radiation, forces and prefetched loads, and who watches.
 
-    unit_forces: of one drive, on the CPU's way; forces: of steps, by a device's graph where there is one
+    unit_forces: of one drive, and of steps on the CPU; device_sound: what computes steps where the device is a GPU
     outside: of each skin what of its load has been outside the class that its modes serve
     served: the pose in which a skin's small model was last found to serve
     observe: what is watched of each skin, an operator (m, unknowns) or None; observer: told of each step
@@ -68,7 +68,6 @@ class Workspace:
             model, self.radiation, self.reference, None if beside is None else beside.path_sound
         )
         self.unit_forces = BodyForces(model, self.radiation, self.path_sound)
-        self.forces = self.device_sound or self.unit_forces
         self.prefetch = LoadPrefetch(model, self.emission, self.radiation, self.path_sound)
         self.outside = [OutsideClass() for _ in model.skins]
         self.served: list[PosedScene | None] = [None] * len(model.skins)
@@ -195,26 +194,20 @@ def skin_loads(
     if points is not None and device is None:
         work.radiation.choose(skin, points)
         role = "load"
-    if course.levels is not None:
-        if course.unit is None:
-            count = len(posed.skins[skin].skin.layer.quadrature.points if points is None else points)
-            nothing = np.zeros((1, len(moments.first), 1))
-            return SurfaceLoads(np.zeros((1, 1, count)), nothing, nothing)
-        if device is not None:
-            arp = device.patterns(posed, skin, course, points)
-        else:
-            arp = work.radiation.on(posed, skin, role, course.unit).arp[None]
-        factors = (np.abs(course.levels) ** 2)[:, None]
-        return SurfaceLoads(arp[None], (moments.first @ factors)[None], (moments.last @ factors)[None])
-    if device is not None:
-        arp = device.patterns(posed, skin, course, points)
-        return SurfaceLoads(arp[None], moments.first[None], moments.last[None])
-    assert course.emitted is not None
-    if course.parts is not None:
-        sums = work.radiation.sums(posed, skin, *course.parts, role)
-        return SurfaceLoads(sums[None], moments.first[None], moments.last[None])
-    pressures = work.prefetch.pressures(posed, skin, course.emitted, role)
-    return SurfaceLoads(pressures[None], moments.first[None], moments.last[None])
+    first, last = (moments.first, moments.last) if course.levels is None else pattern_weights(moments, course)
+    if course.levels is not None and course.unit is None:
+        count = len(posed.skins[skin].skin.layer.quadrature.points if points is None else points)
+        pressures: Float | Float32 = np.zeros((1, count))
+    elif device is not None:
+        pressures = device.patterns(posed, skin, course, points)
+    elif course.unit is not None:
+        pressures = work.radiation.on(posed, skin, role, course.unit).arp[None]
+    elif course.parts is not None:
+        pressures = work.radiation.sums(posed, skin, *course.parts, role)
+    else:
+        assert course.emitted is not None
+        pressures = work.prefetch.pressures(posed, skin, course.emitted, role)
+    return SurfaceLoads(pressures[None], first[None], last[None])
 
 
 def gather(state: HapticState, work: Workspace) -> Complex:

@@ -39,7 +39,7 @@ def test_the_mean_force_is_that_of_each_moments_drive(hands):
     emission, emitted = runtime.work.emission, gather(runtime.state, runtime.work)
     mean = emission.mean_drives(posed, emitted, runtime.view.raw.time)
     assert mean.levels is not None and mean.weights.sum() == pytest.approx(1.0)
-    for body, (force, _) in enumerate(runtime.work.forces.over(emission, posed, emitted, runtime.view.raw.time)):
+    for body, (force, _) in enumerate(runtime.work.unit_forces.over(emission, posed, emitted, runtime.view.raw.time)):
         arp = mean.weights @ Radiation(runtime.model).many(posed, body, mean.levels @ mean.drives, "samples")
         _, normals, areas = posed.bodies[body].samples
         whole = -(arp * areas) @ normals
@@ -58,7 +58,7 @@ def test_the_mean_force_is_that_over_all_moments(frequency_Hz):
     posed, emitted, now = runtime.posed, gather(runtime.state, work), sim.data.time
     moments, course = work.emission.over(posed, emitted, now, runtime.model.substeps)
     weights = 0.5 * (moments.first + moments.last).sum(axis=0) / runtime.model.substeps
-    [(force, _), _] = work.forces.over(work.emission, posed, emitted, now)
+    [(force, _), _] = work.unit_forces.over(work.emission, posed, emitted, now)
     arp = weights @ Radiation(runtime.model).many(posed, 0, course.emitted, "samples")
     _, normals, areas = posed.bodies[0].samples
     whole = -(arp * areas) @ normals

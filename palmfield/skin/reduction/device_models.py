@@ -127,12 +127,12 @@ class DeviceReduced:
         self.stepper, self.substeps, self.weight_rows, self._device = stepper, substeps, 2 * substeps, device
         own = np.arange(points) if stepper.points is None else stepper.points
         self._products = _Products(own, stepper.shares, device)
-        advance, start, end = stepper.model.propagators(stepper.step_s)
-        at_start, at_end, power = [start.T], [end.T], advance.T
+        onwards = stepper.advance.T
+        at_start, at_end, power = [stepper.start], [stepper.end], onwards
         for _ in range(substeps - 1):
-            at_start.append(at_start[-1] @ advance.T)
-            at_end.append(at_end[-1] @ advance.T)
-            power = power @ advance.T
+            at_start.append(at_start[-1] @ onwards)
+            at_end.append(at_end[-1] @ onwards)
+            power = power @ onwards
         matrix = np.concatenate([power, *at_start[::-1], *at_end[::-1]])
         self._matrix: Any = wp.array(matrix, dtype=wp.float64, device=device)
 

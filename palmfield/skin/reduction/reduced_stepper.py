@@ -61,6 +61,8 @@ class ReducedStepper:
     step_s: length of a substep [s]
     error: relative, of the surface's displacement under the known load, see `reduced_stepper`
     any_course: whether the model is made for any course of its load in time, from any moment on
+    advance, start, end: of a state x and shapes of force f, g at a substep's ends it makes advance @ x + f @ start +
+        g @ end, shapes (n, n), (j, n) and (j, n)
     """
 
     name = "reduced"
@@ -83,8 +85,8 @@ class ReducedStepper:
         # Pressures come in single precision, and half the memory to read is half the time
         self._single_shares = self.shares.astype(np.float32)
         advance, start, end = self.model.propagators(step_s)
-        self._advance = np.ascontiguousarray(advance)
-        self._start, self._end = np.ascontiguousarray(start.T), np.ascontiguousarray(end.T)
+        self.advance = np.ascontiguousarray(advance)
+        self.start, self.end = np.ascontiguousarray(start.T), np.ascontiguousarray(end.T)
         # What was made of the last pressures that don't change
         self._pushed: tuple[Float | Float32, Float, Float] | None = None
         self._leaps: tuple[Float | Float32, int, Float, Float] | None = None
@@ -130,10 +132,10 @@ class ReducedStepper:
         with one_blas_thread:
             if known is None or known[0] is not loads.pressure_Pa or known[1] != substeps:
                 pushes = np.stack(self._pushes(loads), axis=1)
-                steps, power = [pushes], self._advance.T
+                steps, power = [pushes], self.advance.T
                 for _ in range(substeps - 1):
-                    steps.append(steps[-1] @ self._advance.T)
-                    power = power @ self._advance.T
+                    steps.append(steps[-1] @ self.advance.T)
+                    power = power @ self.advance.T
                 # What is pushed first goes the longest way, (w, start and end, s, k, n)
                 ways = np.stack(steps[::-1], axis=2).reshape(worlds, -1, self.state_size)
                 self._leaps = known = loads.pressure_Pa, substeps, ways, power
@@ -144,7 +146,7 @@ class ReducedStepper:
 
     def _march(self, state: Float, states: Float) -> None:
         """All substeps of some worlds: each overwrites what drove it by the state after it; (w, n) and (w, s, n)."""
-        onwards, before = self._advance.T, state
+        onwards, before = self.advance.T, state
         for i in range(states.shape[1]):
             after = states[:, i]
             after += before @ onwards
@@ -160,7 +162,7 @@ class ReducedStepper:
         if loads.fixed and known is not None and known[0] is loads.pressure_Pa:
             return known[1], known[2]
         forces = self._forces(loads.pressure_Pa)
-        at_start, at_end = forces @ self._start, forces @ self._end
+        at_start, at_end = forces @ self.start, forces @ self.end
         if loads.fixed:
             self._pushed = loads.pressure_Pa, at_start, at_end
         return at_start, at_end
