@@ -8,7 +8,7 @@ keeps none of it from step to step. A DeviceSound belongs to one state and is us
 import cmath
 import math
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -134,7 +134,6 @@ class DeviceSound:
         self.device = resolve(model.spec.device)
         self.launches = 0
         self._arrays = model.arrays
-        self._transducers = Transducers(model.arrays, self.device)
         self._probes: list[tuple[int, SensorPlace]] = []
         self._sizes = {LOAD: (1, 1), FORCE: (1, 1), NOW: (1, 1), FOCI: (0, 0)}
         self.work: DeviceWork | None = None
@@ -150,6 +149,11 @@ class DeviceSound:
         self._stepping: dict[int, DeviceModel] = {}
         self._models: dict[tuple[int, SkinStepper], DeviceModel | None] = {}
         self._skins: Mapping[int, _SkinStep] = NO_SKINS
+
+    @cached_property
+    def _transducers(self) -> Transducers:
+        """Made when they are first needed: of many worlds few take steps by themselves."""
+        return Transducers(self.model.arrays, self.device)
 
     def watch(self, skin: int, place: SensorPlace) -> None:
         """Compute the ARP at a sensor's place as well, from the next step on."""
