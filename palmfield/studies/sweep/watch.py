@@ -102,7 +102,9 @@ class Watched:
         factors = trace.factors[np.arange(len(last)), last]
         for skin, motion in enumerate(self.motion):
             for worlds, seen in trace.motion[skin]:
-                motion[worlds, rows] = seen
+                # World by world, as whole rows: NumPy takes an index array number by number
+                for world, own in zip(worlds.tolist(), seen, strict=True):
+                    motion[world, rows] = own
             units = np.array([self._unit(world, skin) for world in trace.worlds.tolist()])
             arp = factors * units
             louder = np.flatnonzero(arp > self.peak_arp[trace.worlds, skin])
