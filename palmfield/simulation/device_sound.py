@@ -233,7 +233,7 @@ class DeviceSound:
         work.run(moved, True, tuple(steps), True)
         self.launches += 1
         self._posed, self._fetched = posed, False
-        if not self._drives.can(path, work.forces.hosts["path_sums"]):
+        if not self._drives.can(path, work.forces.hosts["path_totals"]):
             return False
         np.copyto(course.end, work.forces.hosts["path_end"].view(np.complex128)[:, 0])
         self._force_scale, self._pushes, self._path, self._skins = path.mean, path.mean > 0.0, known, steps
@@ -501,7 +501,7 @@ class DeviceWork:
     def _path_memory(self) -> PathMemory:
         """Where a moving focus's numbers are."""
         here = self.inputs.arrays | self.forces.arrays
-        own = (here[f"path_{name}"] for name in ("counts", "group", "foci", "wanted", "ring", "begun", "end", "sums"))
+        own = (here[f"path_{name}"] for name in ("counts", "group", "foci", "wanted", "ring", "begun", "end", "totals"))
         return PathMemory(*own, *(here[f"{name}_drives"] for name in (LOAD, FORCE, NOW)))
 
     def lead(self, path: PathStep, emitted: Complex, drives: PathDrives) -> None:
