@@ -60,7 +60,7 @@ class TogetherTrace(NamedTuple):
     times: Float
     worlds: Rows
     factors: Float
-    motion: tuple[tuple[tuple[Rows, Float], ...], ...]
+    motion: tuple[tuple[tuple[Rows, Float | Float32], ...], ...]
 
 
 class TogetherStep:
@@ -310,7 +310,7 @@ class TogetherStep:
 
     def _step(
         self, skin: int, stepper: SkinStepper, worlds: Rows, loads: SurfaceLoads, t0: float, t1: float
-    ) -> Float | None:
+    ) -> Float | Float32 | None:
         """Step a skin in some worlds by one stepper; what is watched of it in the first one, in all of them."""
         reader = self.works[worlds[0]].reader(skin, stepper)
         part = self.state.skins[skin]
