@@ -109,7 +109,7 @@ class SweepStore:
         self.status[index] = DONE
 
     def _write_courses(self, results: Mapping[int, Numbers | Failed]) -> None:
-        """Courses to the disk: those of neighbours in the design together, whose files are then written side by side."""
+        """Courses to the disk: of neighbours in the design together, whose files are then written side by side."""
         done = {number: result for number, result in sorted(results.items()) if not isinstance(result, Failed)}
         runs: list[list[int]] = []
         for number in done:
