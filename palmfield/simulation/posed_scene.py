@@ -170,8 +170,9 @@ class PosedSkin:
     @property
     def obstacle_hull(self) -> Float:
         """Corners of boxes with all obstacles in them, array frame [m], shape (8 k, 3)."""
+        place, turn = self.body.frame
         boxes = self.skin.obstacle_boxes @ self.obstacle_rotations.transpose(0, 2, 1) + self.obstacle_positions[:, None]
-        return self.body.frame.points(boxes.reshape(-1, 3))
+        return boxes.reshape(-1, 3) @ turn.T + place
 
     @cached_property
     def obstacles(self) -> tuple[Float, Int] | None:

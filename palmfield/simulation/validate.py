@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
-from palmfield.acoustics.phased_array import HOUSING_M, PhasedArray
+from palmfield.acoustics.phased_array import HOUSING_M
 from palmfield.acoustics.surface_load import CLEARANCE_M
 from palmfield.acoustics.transfer import available_bytes
 from palmfield.drive.boards import Board, check
@@ -151,27 +151,30 @@ def check_clear(posed: PosedScene) -> None:
     arrays = posed.arrays
     flat = not [board for board in arrays.boards if board.nearest is not None]
     for body in posed.bodies:
-        # Boxes tell it of most poses, and take no vertex
-        if body.model.surface is not None and flat and _above(arrays, body.hull):
-            continue
+        if body.model.surface is not None and flat:
+            # Boxes tell it of most poses, and take no vertex
+            hull = body.hull
+            for board, (place, turn) in zip(arrays.boards, arrays.frames, strict=True):
+                if not np.minimum.reduce((hull - place) @ turn[:, 2]) - board.height >= CLEARANCE_M:
+                    break
+            else:
+                continue
         points = body.vertices_in_array
         if body.model.surface is None:
             # The closed surface of a disc has its base too, which may be the board itself.
             points = points[: len(points) // 2]
         _check_clear(posed, f"body '{body.model.name}'", points, behind=False)
     for skin in posed.skins:
-        if not skin.skin.obstacles or (flat and _above(arrays, skin.obstacle_hull)):
+        if not skin.skin.obstacles:
+            continue
+        hull = skin.obstacle_hull
+        for board, (place, turn) in zip(arrays.boards, arrays.frames, strict=True):
+            if not (flat and np.minimum.reduce((hull - place) @ turn[:, 2]) - board.height >= CLEARANCE_M):
+                break
+        else:
             continue
         if skin.obstacles is not None:
             _check_clear(posed, "one of the obstacles", skin.obstacles[0], behind=True)
-
-
-def _above(arrays: PhasedArray, hull: Float) -> bool:
-    """Whether all that is between some corners, array frame [m], shape (n, 3), is well above all boards' planes."""
-    for board, (place, turn) in zip(arrays.boards, arrays.frames, strict=True):
-        if not np.minimum.reduce((hull - place) @ turn[:, 2]) - board.height >= CLEARANCE_M:
-            return False
-    return True
 
 
 def _check_clear(posed: PosedScene, what: str, points: Float, *, behind: bool) -> None:
