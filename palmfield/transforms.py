@@ -99,3 +99,9 @@ def quaternion(rotation: Float) -> Float:
         q[1 + j] = scale * (m[j, i] + m[i, j])
         q[1 + k] = scale * (m[k, i] + m[i, k])
     return q if q[0] >= 0 else -q
+
+
+def corners_of(points: Float) -> Float:
+    """Corners of the box round points, shape (n, 3), along the axes, shape (8, 3)."""
+    ends = np.array([points.min(axis=0), points.max(axis=0)])
+    return np.stack(np.meshgrid(*ends.T, indexing="ij"), axis=-1).reshape(-1, 3)

@@ -30,7 +30,7 @@ from palmfield.skin.mesh.surface import closed_boundary, output_triangles
 from palmfield.skin.scene_layer import SceneLayer
 from palmfield.skin.stepper import SkinStepper
 from palmfield.stimulus.surface_path import SurfacePath
-from palmfield.transforms import Transform
+from palmfield.transforms import Transform, corners_of
 from palmfield.types import Float, Int, Surface
 
 
@@ -294,12 +294,6 @@ class HapticModel:
     def carried(self, body: int) -> list[int]:
         """Numbers of the skins on a body; the first one's keys count for the force on the body."""
         return [number for number, skin in enumerate(self.skins) if skin.body == body]
-
-
-def corners_of(points: Float) -> Float:
-    """Corners of the box round points, shape (8, 3)."""
-    ends = np.array([points.min(axis=0), points.max(axis=0)])
-    return np.stack(np.meshgrid(*ends.T, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def array_instances(spec: SceneSpec) -> tuple[ArrayInstance, ...]:

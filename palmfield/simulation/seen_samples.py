@@ -1,0 +1,55 @@
+"""Points for the force on a body that the arrays can see: the others lie behind the body, whatever it looks like.
+
+Where every transducer is behind a surface, straight ways from them come through the body. No sound arrives there, but
+the field of transducers in free air goes on, and here and there flows against its direction: it would push a body from
+behind, with up to a thousandth of its force and with more where a focus misses it.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palmfield.acoustics.phased_array import PhasedArray
+from palmfield.simulation.posed_scene import PosedSurface
+from palmfield.types import Float, Int
+
+PADDED_TO = 512
+"""The number of points is filled up to a multiple of this, so that buffers of few sizes serve all poses."""
+
+
+class SeenSamples(NamedTuple):
+    """points: [m], normals: outward, array frame, shapes (n, 3); areas: [m2], shape (n,), 0 where a point fills up
+    owners: which of the body's parts each pushes, shape (n,)
+    """
+
+    points: Float
+    normals: Float
+    areas: Float
+    owners: Int
+
+
+def seen(points: Float, normals: Float, arrays: PhasedArray) -> NDArray[np.bool_]:
+    """Whether at least one transducer may be in front of points [m] with outward normals, shapes (n, 3): shape (n,).
+
+    Told from the corners of a box round the transducers of each array, in whose convex hull they all are.
+    """
+    nearest: Float = np.maximum.reduce(arrays.corners @ normals.T, axis=0)
+    return np.asarray(nearest > np.add.reduce(points * normals, axis=1))
+
+
+def seen_samples(body: PosedSurface, arrays: PhasedArray) -> SeenSamples:
+    """The samples of a body that the arrays can see."""
+    points, normals, areas = body.samples
+    numbers = seen(points, normals, arrays).nonzero()[0]
+    count = len(numbers)
+    padded = min(-(-count // PADDED_TO) * PADDED_TO, len(areas))
+    if count == 0 or padded == len(areas):
+        # All of them, as they are: what is not seen has no area
+        kept = np.zeros(len(areas))
+        kept[numbers] = areas[numbers]
+        return SeenSamples(points, normals, kept, body.sample_parts)
+    numbers = np.concatenate((numbers, np.full(padded - count, numbers[-1])))
+    areas = areas[numbers]
+    areas[count:] = 0.0
+    return SeenSamples(points[numbers], normals[numbers], areas, body.sample_parts[numbers])
