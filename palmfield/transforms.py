@@ -26,6 +26,11 @@ class Transform(NamedTuple):
         """Directions given in this frame, shape (n, 3) or (3,), in the outer one."""
         return x @ self.rotation.T
 
+    def surface(self, points: Float, normals: Float) -> tuple[Float, Float]:
+        """Positions [m] and directions given in this frame, both of shape (n, 3), in the outer one."""
+        turn = self.rotation.T
+        return points @ turn + self.position, normals @ turn
+
     def inverse_points(self, x: Float) -> Float:
         """Positions given in the outer frame [m], shape (n, 3) or (3,), in this one."""
         return (x - self.position) @ self.rotation

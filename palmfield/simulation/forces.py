@@ -10,7 +10,7 @@ from palmfield.simulation.path_sound import PathSound
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.radiation import Radiation
 from palmfield.simulation.seen_samples import SeenSamples
-from palmfield.types import Complex, Float, Float32
+from palmfield.types import Complex, Float, Float32, Int
 
 
 class BodyForces:
@@ -22,6 +22,7 @@ class BodyForces:
         self._path_sound = path_sound if path_sound is not None and path_sound.serves else None
         self._skins = [model.carried(number)[0] for number in range(len(model.bodies))]
         self._shapes = [(body.parts, 3) for body in model.bodies]
+        self._owners: dict[int, Int] = {}
         self._pushes: dict[int, tuple[SeenSamples, Float, Parts]] = {}
         self._last: dict[int, tuple[SurfaceSound, tuple[Float, Float]]] = {}
 
@@ -65,6 +66,10 @@ class BodyForces:
         samples, origins = self.radiation.samples(posed, self._skins[body]), posed.bodies[body].origins
         known = self._pushes.get(body)
         if known is None or known[0] is not samples:
-            points, normals, areas, owners = samples
-            known = self._pushes[body] = samples, pushes(areas, normals, points), Parts(owners, len(origins))
+            points, normals, areas, numbers = samples
+            owners = self._owners.get(body)
+            if owners is None:
+                owners = self._owners[body] = posed.bodies[body].sample_parts
+            parts = Parts(owners[numbers], len(origins))
+            known = self._pushes[body] = samples, pushes(areas, normals, points), parts
         return resultants(arp, known[1], origins, known[2])

@@ -97,7 +97,7 @@ class BodyModel:
         """Points [m], outward normals, shapes (n, 3), in the outer frame, and areas [m^2], (n,), of moved vertices."""
         with self.lock:
             samples = self._sampler.at(vertices)
-            return frame.points(samples.centroids), frame.vectors(samples.normals), samples.areas.copy()
+            return *frame.surface(samples.centroids, samples.normals), samples.areas.copy()
 
     @locked_cached_property
     def _sampler(self) -> FaceSampler:

@@ -122,7 +122,11 @@ class Radiation:
         known = self._seen.get(skin)
         if known is None or known[0] is not body or known[1] is not arrays:
             around = self.model.skins[skin].spec.config.body_sound == "scattering"
-            made = SeenSamples(*body.samples, body.sample_parts) if around else seen_samples(body, arrays)
+            made = (
+                (*body.samples, np.arange(len(body.samples[2]), dtype=np.int32))
+                if around
+                else seen_samples(body, arrays)
+            )
             known = self._seen[skin] = body, arrays, made
         return known[2]
 

@@ -5,8 +5,6 @@ the field of transducers in free air goes on, and here and there flows against i
 behind, with up to a thousandth of its force and with more where a focus misses it.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,15 +16,9 @@ PADDED_TO = 512
 """The number of points is filled up to a multiple of this, so that buffers of few sizes serve all poses."""
 
 
-class SeenSamples(NamedTuple):
-    """points: [m], normals: outward, array frame, shapes (n, 3); areas: [m2], shape (n,), 0 where a point fills up
-    owners: which of the body's parts each pushes, shape (n,)
-    """
-
-    points: Float
-    normals: Float
-    areas: Float
-    owners: Int
+SeenSamples = tuple[Float, Float, Float, Int]
+"""Points [m] and outward normals, array frame, shapes (n, 3), areas [m2], shape (n,), 0 where a point fills up, and the
+numbers of these samples among all of the body's, shape (n,)."""
 
 
 def seen(points: Float, normals: Float, arrays: PhasedArray) -> NDArray[np.bool_]:
@@ -41,15 +33,10 @@ def seen(points: Float, normals: Float, arrays: PhasedArray) -> NDArray[np.bool_
 def seen_samples(body: PosedSurface, arrays: PhasedArray) -> SeenSamples:
     """The samples of a body that the arrays can see."""
     points, normals, areas = body.samples
-    numbers = seen(points, normals, arrays).nonzero()[0]
-    count = len(numbers)
-    padded = min(-(-count // PADDED_TO) * PADDED_TO, len(areas))
-    if count == 0 or padded == len(areas):
-        # All of them, as they are: what is not seen has no area
-        kept = np.zeros(len(areas))
-        kept[numbers] = areas[numbers]
-        return SeenSamples(points, normals, kept, body.sample_parts)
-    numbers = np.concatenate((numbers, np.full(padded - count, numbers[-1])))
-    areas = areas[numbers]
-    areas[count:] = 0.0
-    return SeenSamples(points[numbers], normals[numbers], areas, body.sample_parts[numbers])
+    front = seen(points, normals, arrays).nonzero()[0]
+    count = len(front)
+    numbers = np.empty(min(-(-count // PADDED_TO) * PADDED_TO, len(areas)), np.int32)
+    numbers[:count], numbers[count:] = front, front[-1:]
+    kept = areas[numbers]
+    kept[count:] = 0.0
+    return points[numbers], normals[numbers], kept, numbers
