@@ -67,9 +67,6 @@ def refusal(skin: SkinSpec, layer: SceneLayer) -> str | None:
         return "boundary elements for every example of its loads cost more than a run"
     if config.side == "absorbing":
         return "absorbing sides couple the modes"
-    laws = {relaxation_law(sheet.material) for sheet in layer.sheets}
-    if len(laws) > 1:
-        return f"its sheets relax by {len(laws)} laws, and modes move by themselves under one"
     return None
 
 
@@ -117,7 +114,7 @@ def class_stepper(model: HapticModel, skin: int, blocks: int | None = None) -> M
         if known is None or known[0] != mark:
             made = modal_body(
                 layer.system, layer.quadrature, layer.surface_operator, lambda: examples(model, skin, posed),
-                depends_on, tolerance, blocks, min(WEAK * accuracy, MOST_WEAK), points,
+                depends_on, tolerance, blocks, min(WEAK * accuracy, MOST_WEAK), layer.sizes.step_s, points,
             )  # fmt: skip
             known = _bodies[layer] = mark, made
     corner = max(corner_Hz(stimulus, layer.demand.spot_fwhm_m) for stimulus in model.stimuli)

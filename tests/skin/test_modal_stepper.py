@@ -50,7 +50,8 @@ def examples(disc):
 
 def body(disc, blocks=12, tolerance=0.03, system=None, left_out=0.01):
     system = system or disc.system
-    return modal_body(system, disc.quadrature, disc.surface, lambda: examples(disc), (), tolerance, blocks, left_out)
+    wanted = tolerance, blocks, left_out, STEP
+    return modal_body(system, disc.quadrature, disc.surface, lambda: examples(disc), (), *wanted)
 
 
 @pytest.fixture(scope="module")

@@ -77,6 +77,8 @@ def device_model(stepper: SkinStepper, substeps: int, points: int, device: str) 
     substeps: of a step; points: of the layer's quadrature
     """
     if isinstance(stepper, ModalStepper):
+        if stepper.coupled:
+            return None
         return DeviceModes(stepper, substeps, device)
     if isinstance(stepper, ReducedStepper):
         size, shapes = stepper.state_size, stepper.shares.shape[1]

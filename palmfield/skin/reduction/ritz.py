@@ -11,6 +11,7 @@ class move at all frequencies is known by then, and the sums of modes that hold 
 decomposition in the frequency domain: Willcox & Peraire, AIAA J. 40, 2002) are turned to modes once more.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -27,9 +28,11 @@ RATE_Hz = 400.0
 """w / 2 pi. A lower one does not settle short waves, a higher one does not reach out into the skin."""
 PARALLEL = 0.01
 """Part of a block below which what is new in a direction, for loads of the class's sizes, is left out."""
-COUPLED, COUPLED_SHARE, COUPLED_Hz = 0.01, 0.5, 200.0
-"""What the modes' coupling by the elastic stiffness may change in the harmonic motion at one frequency, at least, and
-where more is left out with weak modes, of that."""
+COUPLED, COUPLED_SHARE = 0.01, 0.5
+"""What coupling that is left out may change in the harmonic motion, at least, and where more is left out with weak
+modes, of that."""
+COUPLED_Hz = 200.0, 50.0, 800.0
+"""At which that is looked at; of one law at the first."""
 UNCOUPLED_Hz = 100.0
 """At which it couples none: between a stimulus's start or end and its modulation."""
 CHUNK = 256
@@ -50,16 +53,22 @@ TRIALS = 16
 
 @dataclass(frozen=True)
 class RitzModes:
-    """Modes V of a body, orthonormal in the mass.
+    """Modes V of a body of p relaxation laws, orthonormal in the mass.
 
-    vectors: V in single precision, shape (n, r); elastic, stiffness: diagonals of V^T E V and V^T K V, shapes (r,)
+    vectors: V in single precision, shape (n, r)
+    elastic, stiffness: diagonals of V^T E V and of each V^T K_p V, shapes (r,) and (p, r)
+    coupling: what couples the modes, matrices without diagonal, in single precision, shape (c, r, r); none where each
+        moves by itself
+    shares: of 1 and each law's stiffening with which each of these adds to the dynamic stiffness, shape (c, 1 + p)
     motion, change: the surface's harmonic motion under random sums of the shapes, and what the last block of vectors,
-        the modes left out and the coupling change in it, rms [m], at FREQUENCIES_Hz, shapes (f,)
+        the modes left out and the coupling left out change in it, rms [m], at FREQUENCIES_Hz, shapes (f,)
     """
 
     vectors: Float32
     elastic: Float
     stiffness: Float
+    coupling: Float32
+    shares: Float
     motion: Float
     change: Float
 
@@ -77,9 +86,7 @@ class RitzModes:
 
 
 def refusal(system: SkinSystem) -> str | None:
-    """Why a body can't be turned to modes that move by themselves, in words, or None."""
-    if len(system.parts) != 1:
-        return f"its materials relax by {len(system.parts)} laws, and modes move by themselves under one"
+    """Why a body can't be turned to modes, in words, or None."""
     if system.damping.nnz:
         return "absorbing sides or dashpots couple the modes"
     return None
@@ -87,8 +94,7 @@ def refusal(system: SkinSystem) -> str | None:
 
 def shifted(system: SkinSystem) -> sparse.csr_matrix:
     """A, symmetric positive definite, shape (n, n) [N/m]."""
-    (part,) = system.parts
-    stiff = (1.0 + 0.5 * sum(part.material.ratios)) * part.stiffness
+    stiff = sum((1.0 + 0.5 * sum(part.material.ratios)) * part.stiffness for part in system.parts)
     return sparse.csr_matrix(system.elastic + stiff + (2.0 * np.pi * RATE_Hz) ** 2 * system.mass)
 
 
@@ -100,55 +106,59 @@ def ritz_modes(
     blocks: int,
     left_out: float,
     surface: sparse.csr_matrix,
+    stiffened: Sequence[float],
 ) -> RitzModes:
     """Modes of a body for forces [N], shape (n, m), of which a load has shares of some rms sizes, shape (m,).
 
     factor: of `shifted(system)`; blocks: how many the space has, at least 2
     left_out: of the motion's energy norm, what the weakest modes take with them that are left out
     surface: reads the displacement that must be right, csr, shape (S, n)
-    Raises SceneError where E couples the modes, or `refusal` gives a reason.
+    stiffened: of each law, what a substep makes of G / G_r (palmfield.skin.fem.generalised_alpha), for modes that are
+        coupled, shape (p,)
+    Raises SceneError where `refusal` gives a reason.
     """
     reason = refusal(system)
     if reason is not None:
         raise SceneError(f"no modes of this skin: {reason}")
-    (part,) = system.parts
-    # As stiff as the material is at a middle frequency: there E couples no modes
-    mean = complex(stiffening(part.material, -2j * np.pi * UNCOUPLED_Hz)).real
+    materials = [part.material for part in system.parts]
+    # As stiff as the materials are at a middle frequency: there nothing couples the modes
+    means = laws_at(materials, -2j * np.pi * UNCOUPLED_Hz).real
     space, ends = _lanczos(system.mass, factor, forces * sizes, blocks)
-    elastic = _projected(system.elastic, space)
-    both = elastic + mean * _projected(part.stiffness, space)
+    # The first law's is what is left of the sum: it need not be kept
+    own = [_projected(matrix, space) for matrix in (system.elastic, *(part.stiffness for part in system.parts[1:]))]
+    total = _projected(system.parts[0].stiffness, space)
+    total *= means[1]
+    for mean, matrix in zip(np.delete(means, 1), own, strict=True):
+        total += mean * matrix
     trials = np.random.default_rng(0).standard_normal((forces.shape[1], TRIALS))
     pushed = np.asarray(space.T @ (forces * sizes).astype(np.float32), dtype=np.float64)
     seen = surface @ space
     answers: list[Complex] = []
     for order in ends[-2:]:
-        values, turn = np.linalg.eigh(both[:order, :order])
+        values, turn = np.linalg.eigh(total[:order, :order])
         kept = values < (2.0 * np.pi * HIGHEST_Hz) ** 2
         values, turn = values[kept], turn[:, kept]
-        diagonal = np.einsum("ik,ik->k", turn, elastic[:order, :order] @ turn)
-        rigidities = diagonal, (values - diagonal) / mean
+        diagonals = [np.einsum("ik,ik->k", turn, matrix[:order, :order] @ turn) for matrix in own]
+        rigidities = _rigidities(values, diagonals, means)
         loaded = turn.T @ pushed[:order]
-        answers.append(_answers(part.material, *rigidities, loaded @ trials, seen[:, :order] @ turn, FREQUENCIES_Hz))
-    turn = turn @ _strongest(part.material, *rigidities, loaded, left_out)
-    values, inner = np.linalg.eigh(turn.T @ both @ turn)
-    turn = turn @ inner
-    turned = turn.T @ elastic @ turn
-    diagonal = np.diagonal(turned).copy()
-    rigidities = diagonal, (values - diagonal) / mean
-    force, watched = turn.T @ pushed @ trials, seen @ turn
-    answers.append(_answers(part.material, *rigidities, force, watched, FREQUENCIES_Hz))
-    rate = -2j * np.pi * COUPLED_Hz
-    relaxing = stiffening(part.material, rate) / mean
-    coupled = (1.0 - relaxing) * turned + np.diag(rate**2 + relaxing * values)
-    together = watched @ np.linalg.solve(coupled, force)
-    alone = _answers(part.material, *rigidities, force, watched, np.array([COUPLED_Hz]))[0]
-    coupling = float(np.linalg.norm(together - alone) / np.linalg.norm(together))
+        answers.append(_answers(materials, rigidities, loaded @ trials, seen[:, :order] @ turn, FREQUENCIES_Hz))
+    turn = turn @ _strongest(materials, rigidities, loaded, left_out)
+    modes = _Modes(turn.T @ total @ turn, [turn.T @ matrix @ turn for matrix in own], means, materials)
+    force, watched = modes.turn.T @ turn.T @ pushed @ trials, seen @ turn @ modes.turn
+    answers.append(_answers(materials, modes.rigidities, force, watched, FREQUENCIES_Hz))
     allowed = max(COUPLED, COUPLED_SHARE * left_out)
+    coupled: list[int] = []
+    coupling = modes.left_out(coupled, force, watched)
     if not coupling <= allowed:
-        raise SceneError(
-            f"no modes of this skin: its elastic part couples them, by {100 * coupling:.2g} % of the motion; allowed: "
-            f"{100 * allowed:g} %"
-        )
+        # What a substep solves with is diagonal then, so that what couples the modes is pushed by the state before
+        turn, last = turn @ modes.turn, np.array([1.0, *stiffened])
+        modes = _Modes(modes.of(last), modes.matrices, last, materials)
+        force, watched = modes.turn.T @ force, watched @ modes.turn
+        coupled = list(range(1, len(own)))
+        coupling = modes.left_out(coupled, force, watched)
+        if not coupling <= allowed:
+            coupled, coupling = [0, *coupled], 0.0
+    turn = turn @ modes.turn
     scale = np.sqrt(TRIALS * seen.shape[0])
     motion = np.linalg.norm(answers[2], axis=(1, 2)) / scale
     changes = [np.linalg.norm(after - before, axis=(1, 2)) / scale for before, after in pairwise(answers)]
@@ -156,21 +166,86 @@ def ritz_modes(
     turning = turn.astype(np.float32)
     for start in range(0, len(space), CHUNK):
         rows = slice(start, start + CHUNK)
-        space[rows, : len(values)] = space[rows] @ turning
-    return RitzModes(np.ascontiguousarray(space[:, : len(values)]), *rigidities, motion, change)
+        space[rows, : turn.shape[1]] = space[rows] @ turning
+    vectors = np.ascontiguousarray(space[:, : turn.shape[1]])
+    between = np.zeros((len(coupled), turn.shape[1], turn.shape[1]), np.float32)
+    for result, number in zip(between, coupled, strict=True):
+        result[...] = modes.matrices[number] - np.diag(np.diagonal(modes.matrices[number]))
+    shares = np.array([modes.share(number) for number in coupled]).reshape(len(coupled), len(means))
+    return RitzModes(vectors, modes.rigidities[0], modes.rigidities[1:], between, shares, motion, change)
 
 
-def _strongest(material: Material, elastic: Float, stiffness: Float, pushed: Float, left_out: float) -> Float:
+def laws_at(materials: Sequence[Material], s: complex) -> Complex:
+    """1, of the elastic stiffness, and G(s) / G_r of each material at a rate s [1/s], shape (1 + p,)."""
+    return np.array([1.0, *(stiffening(material, s) for material in materials)], dtype=complex)
+
+
+class _Modes:
+    """Eigenvectors of a sum of a body's stiffnesses, and these in them.
+
+    total: the sum, (r, r); matrices: elastic, and of each law but the first, (r, r); means: of the elastic one and each
+        law in the sum, (1 + p,)
+    turn: the eigenvectors, (r, r); rigidities: diagonals of the elastic stiffness and of each law's, (1 + p, r)
+    """
+
+    def __init__(self, total: Float, matrices: Sequence[Float], means: Float, materials: Sequence[Material]) -> None:
+        self.means, self._materials = means, materials
+        self.values, self.turn = np.linalg.eigh(total)
+        self.matrices = [self.turn.T @ matrix @ self.turn for matrix in matrices]
+        self.rigidities = _rigidities(self.values, [np.diagonal(matrix) for matrix in self.matrices], means)
+
+    def share(self, number: int) -> Float:
+        """With which one of the matrices adds to the dynamic stiffness beside `values`, of what `laws_at` gives."""
+        row = 0 if number == 0 else number + 1
+        share = np.eye(len(self.means))[row]
+        share[1] = -self.means[row] / self.means[1]
+        return share
+
+    def of(self, means: Float) -> Float:
+        """Another sum, (r, r)."""
+        result = np.diag(means[1] / self.means[1] * self.values)
+        for number, matrix in enumerate(self.matrices):
+            result += float(self.share(number) @ means) * matrix
+        return result
+
+    def left_out(self, coupled: Sequence[int], force: Float, watched: Float) -> float:
+        """What the coupling by the other matrices changes in the harmonic motion at COUPLED_Hz, at most, relative."""
+        worst = 0.0
+        for f in COUPLED_Hz if len(self.means) > 2 else COUPLED_Hz[:1]:
+            s = -2j * np.pi * f
+            laws = laws_at(self._materials, s)
+            some = np.diag(s**2 + laws @ self.rigidities)
+            everything = some.copy()
+            for number, matrix in enumerate(self.matrices):
+                part = (self.share(number) @ laws) * (matrix - np.diag(np.diagonal(matrix)))
+                everything += part
+                if number in coupled:
+                    some += part
+            together, alone = (watched @ np.linalg.solve(matrix, force) for matrix in (everything, some))
+            worst = max(worst, float(np.linalg.norm(together - alone) / np.linalg.norm(together)))
+        return worst
+
+
+def _rigidities(values: Float, diagonals: Sequence[Float], means: Float) -> Float:
+    """Diagonals of the elastic stiffness and each law's, (1 + p, r), from those of all but the first law's."""
+    elastic, *others = diagonals
+    first = (values - np.delete(means, 1) @ np.array(diagonals)) / means[1]
+    return np.array([elastic, first, *others])
+
+
+def _strongest(materials: Sequence[Material], rigidities: Float, pushed: Float, left_out: float) -> Float:
     """Sums of modes that take most part in the motion: orthonormal, shape (r, k).
 
-    pushed: forces of loads on the modes, (r, m); left_out: of the motion in the energy norm, over loads and spectrum
+    rigidities: see `_Modes`; pushed: forces of loads on the modes, (r, m)
+    left_out: of the motion in the energy norm, over loads and spectrum
     """
-    s = np.asarray(-2j * np.pi * LINES_Hz[:, None], dtype=complex)
-    answers = 1.0 / (s**2 + elastic + stiffening(material, s) * stiffness)
+    s = np.asarray(-2j * np.pi * LINES_Hz, dtype=complex)
+    answers = np.array([1.0 / (rate**2 + laws_at(materials, rate) @ rigidities) for rate in s])
     answers *= 1.0 / np.hypot(1.0, LINES_Hz[:, None] / CORNER_Hz)
     parts = np.concatenate([answers.real, answers.imag])
-    size = np.sqrt(elastic + stiffness + (2.0 * np.pi * RATE_Hz) ** 2)
-    # As modes move by themselves, products of motions over all loads and lines are those of pushes times of answers
+    size = np.sqrt(rigidities.sum(axis=0) + (2.0 * np.pi * RATE_Hz) ** 2)
+    # As modes all but move by themselves, products of motions over all loads and lines are those of pushes times of
+    # answers
     gram = (pushed @ pushed.T) * (parts.T @ parts) * np.outer(size, size)
     values, vectors = np.linalg.eigh(gram)
     kept = np.cumsum(values) > left_out**2 * values.sum()
@@ -212,12 +287,12 @@ def _projected(matrix: sparse.csr_matrix, space: Float32) -> Float:
 
 
 def _answers(
-    material: Material, elastic: Float, stiffness: Float, pushed: Float, seen: Float, frequencies_Hz: Float
+    materials: Sequence[Material], rigidities: Float, pushed: Float, seen: Float, frequencies_Hz: Float
 ) -> Complex:
-    """Harmonic motion of what is seen, shape (f, S, trials), under e^{-i w t}."""
+    """Harmonic motion of what is seen, shape (f, S, trials), under e^{-i w t}, each mode by itself."""
     result = []
     for f in frequencies_Hz:
         s = -2j * np.pi * f
-        rigidity = s**2 + elastic + stiffening(material, s) * stiffness
+        rigidity = s**2 + laws_at(materials, s) @ rigidities
         result.append(seen @ (pushed / rigidity[:, None]))
     return np.array(result)
