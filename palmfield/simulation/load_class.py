@@ -21,7 +21,6 @@ from palmfield.errors import SceneError
 from palmfield.simulation.model import HapticModel, StimulusModel
 from palmfield.simulation.posed_scene import PosedScene, PosedSkin, PosedSurface, reference_scene
 from palmfield.simulation.spec import SkinSpec
-from palmfield.skin.fem.assembly import relaxation_law
 from palmfield.skin.reduction.load_shapes import POINTS
 from palmfield.skin.reduction.modal_stepper import ModalBody, ModalStepper, modal_body
 from palmfield.skin.scene_layer import SceneLayer

@@ -11,12 +11,11 @@ class move at all frequencies is known by then, and the sums of modes that hold 
 decomposition in the frequency domain: Willcox & Peraire, AIAA J. 40, 2002) are turned to modes once more.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
-from scipy import sparse
+from scipy import linalg, sparse
 
 from palmfield.errors import SceneError
 from palmfield.skin.fem.assembly import SkinSystem
@@ -142,26 +141,32 @@ def ritz_modes(
         rigidities = _rigidities(values, diagonals, means)
         loaded = turn.T @ pushed[:order]
         answers.append(_answers(materials, rigidities, loaded @ trials, seen[:, :order] @ turn, FREQUENCIES_Hz))
-    turn = turn @ _strongest(materials, rigidities, loaded, left_out)
-    modes = _Modes(turn.T @ total @ turn, [turn.T @ matrix @ turn for matrix in own], means, materials)
-    force, watched = modes.turn.T @ turn.T @ pushed @ trials, seen @ turn @ modes.turn
-    answers.append(_answers(materials, modes.rigidities, force, watched, FREQUENCIES_Hz))
+    if len(materials) == 1:
+        gram, before = _motion_alone(materials, rigidities, loaded), answers[1]
+    else:
+        whole = _Modes(values, [turn.T @ matrix @ turn for matrix in own], means, materials)
+        gram, before = _motion_together(whole, loaded, trials, seen @ turn)
+        del whole
+    turn = turn @ _strongest(gram, rigidities, left_out)
+    modes, turn = _turned(turn, total, own, means, materials)
+    force, watched = turn.T @ pushed @ trials, seen @ turn
     allowed = max(COUPLED, COUPLED_SHARE * left_out)
     coupled: list[int] = []
     coupling = modes.left_out(coupled, force, watched)
     if not coupling <= allowed:
         # What a substep solves with is diagonal then, so that what couples the modes is pushed by the state before
-        turn, last = turn @ modes.turn, np.array([1.0, *stiffened])
-        modes = _Modes(modes.of(last), modes.matrices, last, materials)
-        force, watched = modes.turn.T @ force, watched @ modes.turn
+        last = np.array([1.0, *stiffened])
+        modes, inner = _turned(np.eye(len(modes.values)), modes.of(last), modes.matrices, last, materials)
+        turn, force, watched = turn @ inner, inner.T @ force, watched @ inner
         coupled = list(range(1, len(own)))
         coupling = modes.left_out(coupled, force, watched)
         if not coupling <= allowed:
             coupled, coupling = [0, *coupled], 0.0
-    turn = turn @ modes.turn
+    after = modes.answers(coupled, force, watched)
     scale = np.sqrt(TRIALS * seen.shape[0])
-    motion = np.linalg.norm(answers[2], axis=(1, 2)) / scale
-    changes = [np.linalg.norm(after - before, axis=(1, 2)) / scale for before, after in pairwise(answers)]
+    motion = np.linalg.norm(after, axis=(1, 2)) / scale
+    # Of a block less, as if each mode moved by itself: what the laws couple changes little in that
+    changes = [np.linalg.norm(change, axis=(1, 2)) / scale for change in (answers[1] - answers[0], after - before)]
     change = np.sqrt(changes[0] ** 2 + changes[1] ** 2 + (coupling * motion) ** 2)
     turning = turn.astype(np.float32)
     for start in range(0, len(space), CHUNK):
@@ -170,7 +175,7 @@ def ritz_modes(
     vectors = np.ascontiguousarray(space[:, : turn.shape[1]])
     between = np.zeros((len(coupled), turn.shape[1], turn.shape[1]), np.float32)
     for result, number in zip(between, coupled, strict=True):
-        result[...] = modes.matrices[number] - np.diag(np.diagonal(modes.matrices[number]))
+        result[...] = modes.between(number)
     shares = np.array([modes.share(number) for number in coupled]).reshape(len(coupled), len(means))
     return RitzModes(vectors, modes.rigidities[0], modes.rigidities[1:], between, shares, motion, change)
 
@@ -181,18 +186,16 @@ def laws_at(materials: Sequence[Material], s: complex) -> Complex:
 
 
 class _Modes:
-    """Eigenvectors of a sum of a body's stiffnesses, and these in them.
+    """Stiffnesses of a body in the eigenvectors of a sum of them.
 
-    total: the sum, (r, r); matrices: elastic, and of each law but the first, (r, r); means: of the elastic one and each
-        law in the sum, (1 + p,)
-    turn: the eigenvectors, (r, r); rigidities: diagonals of the elastic stiffness and of each law's, (1 + p, r)
+    values: of the sum, (r,); matrices: elastic, and of each law but the first, (r, r)
+    means: of the elastic one and each law in the sum, (1 + p,)
+    rigidities: diagonals of the elastic stiffness and of each law's, (1 + p, r)
     """
 
-    def __init__(self, total: Float, matrices: Sequence[Float], means: Float, materials: Sequence[Material]) -> None:
-        self.means, self._materials = means, materials
-        self.values, self.turn = np.linalg.eigh(total)
-        self.matrices = [self.turn.T @ matrix @ self.turn for matrix in matrices]
-        self.rigidities = _rigidities(self.values, [np.diagonal(matrix) for matrix in self.matrices], means)
+    def __init__(self, values: Float, matrices: Sequence[Float], means: Float, materials: Sequence[Material]) -> None:
+        self.values, self.matrices, self.means, self._materials = values, matrices, means, materials
+        self.rigidities = _rigidities(values, [np.diagonal(matrix) for matrix in matrices], means)
 
     def share(self, number: int) -> Float:
         """With which one of the matrices adds to the dynamic stiffness beside `values`, of what `laws_at` gives."""
@@ -201,6 +204,10 @@ class _Modes:
         share[1] = -self.means[row] / self.means[1]
         return share
 
+    def between(self, number: int) -> Float:
+        """What one of the matrices couples, (r, r)."""
+        return self.matrices[number] - np.diag(np.diagonal(self.matrices[number]))
+
     def of(self, means: Float) -> Float:
         """Another sum, (r, r)."""
         result = np.diag(means[1] / self.means[1] * self.values)
@@ -208,22 +215,39 @@ class _Modes:
             result += float(self.share(number) @ means) * matrix
         return result
 
+    def at(self, f_Hz: float, coupled: Iterable[int], kind: type = complex) -> Complex:
+        """Dynamic stiffness under e^{-i w t}, (r, r), of the diagonals and what some of the matrices couple."""
+        s = -2j * np.pi * f_Hz
+        laws = laws_at(self._materials, s)
+        result = np.zeros((len(self.values), len(self.values)), kind)
+        for number in coupled:
+            result += kind(self.share(number) @ laws) * self.matrices[number].astype(kind)
+        np.fill_diagonal(result, s**2 + laws @ self.rigidities)
+        return result
+
+    def answers(self, coupled: Sequence[int], force: Float, watched: Float) -> Complex:
+        """Harmonic motion of what is seen, shape (f, S, trials), at FREQUENCIES_Hz."""
+        if not coupled:
+            return _answers(self._materials, self.rigidities, force, watched, FREQUENCIES_Hz)
+        return np.array([watched @ np.linalg.solve(self.at(f, coupled), force) for f in FREQUENCIES_Hz])
+
     def left_out(self, coupled: Sequence[int], force: Float, watched: Float) -> float:
         """What the coupling by the other matrices changes in the harmonic motion at COUPLED_Hz, at most, relative."""
         worst = 0.0
         for f in COUPLED_Hz if len(self.means) > 2 else COUPLED_Hz[:1]:
-            s = -2j * np.pi * f
-            laws = laws_at(self._materials, s)
-            some = np.diag(s**2 + laws @ self.rigidities)
-            everything = some.copy()
-            for number, matrix in enumerate(self.matrices):
-                part = (self.share(number) @ laws) * (matrix - np.diag(np.diagonal(matrix)))
-                everything += part
-                if number in coupled:
-                    some += part
-            together, alone = (watched @ np.linalg.solve(matrix, force) for matrix in (everything, some))
+            stiffnesses = self.at(f, range(len(self.matrices))), self.at(f, coupled)
+            together, alone = (watched @ np.linalg.solve(stiffness, force) for stiffness in stiffnesses)
             worst = max(worst, float(np.linalg.norm(together - alone) / np.linalg.norm(together)))
         return worst
+
+
+def _turned(
+    space: Float, total: Float, matrices: Sequence[Float], means: Float, materials: Sequence[Material]
+) -> tuple[_Modes, Float]:
+    """Modes of a sum of stiffnesses in orthonormal sums of vectors, space (n, r), and the same turned to them."""
+    values, inner = np.linalg.eigh(space.T @ total @ space)
+    turn = space @ inner
+    return _Modes(values, [turn.T @ matrix @ turn for matrix in matrices], means, materials), turn
 
 
 def _rigidities(values: Float, diagonals: Sequence[Float], means: Float) -> Float:
@@ -233,21 +257,45 @@ def _rigidities(values: Float, diagonals: Sequence[Float], means: Float) -> Floa
     return np.array([elastic, first, *others])
 
 
-def _strongest(materials: Sequence[Material], rigidities: Float, pushed: Float, left_out: float) -> Float:
-    """Sums of modes that take most part in the motion: orthonormal, shape (r, k).
+def _motion_alone(materials: Sequence[Material], rigidities: Float, pushed: Float) -> Float:
+    """Products of the motions of modes that move by themselves, over all loads and LINES_Hz, (r, r).
 
     rigidities: see `_Modes`; pushed: forces of loads on the modes, (r, m)
-    left_out: of the motion in the energy norm, over loads and spectrum
     """
     s = np.asarray(-2j * np.pi * LINES_Hz, dtype=complex)
     answers = np.array([1.0 / (rate**2 + laws_at(materials, rate) @ rigidities) for rate in s])
     answers *= 1.0 / np.hypot(1.0, LINES_Hz[:, None] / CORNER_Hz)
     parts = np.concatenate([answers.real, answers.imag])
+    # Products of pushes times those of answers
+    return (pushed @ pushed.T) * (parts.T @ parts)
+
+
+def _motion_together(modes: _Modes, pushed: Float, trials: Float, seen: Float) -> tuple[Float, Complex]:
+    """The same of modes that are coupled by the laws, at FREQUENCIES_Hz, and the harmonic motion under trials.
+
+    trials: sums of the loads, (m, trials); seen: reads the modes, (S, r). Returns (r, r) and (f, S, trials).
+    """
+    gram = np.zeros((len(pushed), len(pushed)))
+    answers = []
+    # A single precision of what is known to a percent
+    loads = pushed.astype(np.complex64)
+    for f, width in zip(FREQUENCIES_Hz, np.gradient(FREQUENCIES_Hz), strict=True):
+        stiffness = modes.at(f, range(1, len(modes.matrices)), np.complex64)
+        motion = linalg.solve(stiffness, loads, assume_a="gen", overwrite_a=True, check_finite=False)
+        answers.append(seen @ (motion @ trials))
+        parts = np.concatenate([motion.real, motion.imag], axis=1)
+        gram += width / (1.0 + (f / CORNER_Hz) ** 2) * (parts @ parts.T)
+    return gram, np.array(answers)
+
+
+def _strongest(gram: Float, rigidities: Float, left_out: float) -> Float:
+    """Sums of modes that take most part in the motion: orthonormal, shape (r, k).
+
+    gram: products of the modes' motions, (r, r); rigidities: see `_Modes`
+    left_out: of the motion in the energy norm, over loads and spectrum
+    """
     size = np.sqrt(rigidities.sum(axis=0) + (2.0 * np.pi * RATE_Hz) ** 2)
-    # As modes all but move by themselves, products of motions over all loads and lines are those of pushes times of
-    # answers
-    gram = (pushed @ pushed.T) * (parts.T @ parts) * np.outer(size, size)
-    values, vectors = np.linalg.eigh(gram)
+    values, vectors = np.linalg.eigh(gram * np.outer(size, size))
     kept = np.cumsum(values) > left_out**2 * values.sum()
     return np.linalg.qr(vectors[:, kept] / size[:, None])[0]
 
