@@ -219,7 +219,7 @@ class _Modes:
         """Dynamic stiffness under e^{-i w t}, (r, r), of the diagonals and what some of the matrices couple."""
         s = -2j * np.pi * f_Hz
         laws = laws_at(self._materials, s)
-        result = np.zeros((len(self.values), len(self.values)), kind)
+        result: Complex = np.zeros((len(self.values), len(self.values)), kind)
         for number in coupled:
             result += kind(self.share(number) @ laws) * self.matrices[number].astype(kind)
         np.fill_diagonal(result, s**2 + laws @ self.rigidities)
