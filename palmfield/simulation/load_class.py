@@ -21,6 +21,7 @@ from palmfield.errors import SceneError
 from palmfield.simulation.model import HapticModel, StimulusModel
 from palmfield.simulation.posed_scene import PosedScene, PosedSkin, PosedSurface, reference_scene
 from palmfield.simulation.spec import SkinSpec
+from palmfield.skin.fem.assembly import relaxation_law
 from palmfield.skin.reduction.load_shapes import POINTS
 from palmfield.skin.reduction.modal_stepper import ModalBody, ModalStepper, modal_body
 from palmfield.skin.scene_layer import SceneLayer
@@ -45,7 +46,7 @@ BLOCKS, BLOCKS_AT, BLOCKS_POWER = 32, 0.05, 0.9
 WEAK, MOST_WEAK = 0.3, 0.025
 """Of the wanted accuracy, what weak modes that are left out may take with them, in the energy norm; and at most."""
 WEAK_TOGETHER = 0.3
-"""Of that, where several laws couple the modes: those that are lossy are few, and the weak ones hold what slow loads do."""
+"""Of that, where several laws couple the modes: lossy ones are few, and weak ones among them move under slow loads."""
 EDGES_SPAN, EDGES_POINTS = 0.5, 4
 """SPAN where there are shadows, and points for each shape: edges are made of far more shapes than sounds are."""
 FINGER_m = 0.008, 0.02

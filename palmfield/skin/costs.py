@@ -43,7 +43,7 @@ def modes_s(dofs: float, modes: float, laws: int = 1) -> float:
 
     laws: by which the layer relaxes; several take products of all vectors each, and the motion at some frequencies
     """
-    together = laws * 5e-10 * dofs * modes**2 + 6e-8 * modes**3 if laws > 1 else 0.0
+    together = laws * 5e-10 * dofs * modes**2 + 2.5e-8 * modes**3 if laws > 1 else 0.0
     return factor_s(dofs) + modes * vector_s(dofs) + 5e-10 * dofs * modes**2 + 2e-9 * modes**3 + together
 
 
