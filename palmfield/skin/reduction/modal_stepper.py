@@ -91,16 +91,22 @@ def modal_body(
             raise SceneError(f"no modes of this skin: {reason}")
         with one_blas_thread:
             shapes = load_shapes(examples(), quadrature.weights, tolerance, points)
-            fitting = int(MOST_SHARE * system.ndof / len(shapes.sizes))
-            if fitting < 2:
+            fitting, least = int(MOST_SHARE * system.ndof / len(shapes.sizes)), 2 if len(system.parts) == 1 else 4
+            if fitting < least:
                 raise SceneError(
-                    f"no modes of this skin: 2 blocks of {len(shapes.sizes)} load shapes are more than {MOST_SHARE:g} "
-                    f"of its {system.ndof} unknowns, which cost no more"
+                    f"no modes of this skin: {least} blocks of {len(shapes.sizes)} load shapes are more than "
+                    f"{MOST_SHARE:g} of its {system.ndof} unknowns, which cost no more"
                 )
             stiffened = Scheme(system, step_s, RHO_INF).stiffened(len(system.parts))
-            factor = factorise(shifted(system), system.elimination_order())
             nodal: Float = quadrature.operator @ shapes.shapes.T
-            modes = ritz_modes(system, factor, nodal, shapes.sizes, min(blocks, fitting), left_out, surface, stiffened)
+            relaxed = np.zeros((system.ndof, 0))
+            if len(system.parts) > 1:
+                loose = factorise(shifted(system, relaxed=True), system.elimination_order())
+                relaxed = loose.solve(nodal * shapes.sizes)
+                del loose
+            factor = factorise(shifted(system), system.elimination_order())
+            asked = max(min(blocks, fitting), least)
+            modes = ritz_modes(system, factor, nodal, shapes.sizes, asked, left_out, surface, stiffened, relaxed)
             seen = quadrature.operator[:, shapes.points].toarray()
             values, vectors = np.linalg.eigh(seen.T @ factor.solve(seen))
             kept = np.cumsum(values) > COMPLIANCE_LEFT_OUT * values.sum()
@@ -111,8 +117,8 @@ def modal_body(
         arrays |= {"points": shapes.points, "fit": shapes.fit, "forces": nodal.T @ modes.vectors}
         return arrays | {"compliance": compliance}
 
-    asked = tolerance, blocks, left_out, points, step_s
-    known = cache.kept("modes", (system.made_of, quadrature.operator, surface, *depends_on, *asked), make)
+    wanted = tolerance, blocks, left_out, points, step_s
+    known = cache.kept("modes", (system.made_of, quadrature.operator, surface, *depends_on, *wanted), make)
     names = "vectors", "elastic", "stiffness", "coupling", "shares", "motion", "change"
     modes = RitzModes(*(known[name] for name in names))
     shapes = LoadShapes(*(known[name] for name in ("shapes", "sizes", "points", "fit")))

@@ -25,6 +25,8 @@ from palmfield.types import Complex, Float, Float32
 
 RATE_Hz = 400.0
 """w / 2 pi. A lower one does not settle short waves, a higher one does not reach out into the skin."""
+RELAXED_Hz = 100.0
+"""The same where several laws have relaxed."""
 PARALLEL = 0.01
 """Part of a block below which what is new in a direction, for loads of the class's sizes, is left out."""
 COUPLED, COUPLED_SHARE = 0.01, 0.5
@@ -91,10 +93,12 @@ def refusal(system: SkinSystem) -> str | None:
     return None
 
 
-def shifted(system: SkinSystem) -> sparse.csr_matrix:
-    """A, symmetric positive definite, shape (n, n) [N/m]."""
-    stiff = sum((1.0 + 0.5 * sum(part.material.ratios)) * part.stiffness for part in system.parts)
-    return sparse.csr_matrix(system.elastic + stiff + (2.0 * np.pi * RATE_Hz) ** 2 * system.mass)
+def shifted(system: SkinSystem, *, relaxed: bool = False) -> sparse.csr_matrix:
+    """A, symmetric positive definite, shape (n, n) [N/m]; relaxed: as if all branches were, at a lower rate."""
+    weights = [1.0 if relaxed else 1.0 + 0.5 * sum(part.material.ratios) for part in system.parts]
+    stiff = sum(weight * part.stiffness for weight, part in zip(weights, system.parts, strict=True))
+    rate = 2.0 * np.pi * (RELAXED_Hz if relaxed else RATE_Hz)
+    return sparse.csr_matrix(system.elastic + stiff + rate**2 * system.mass)
 
 
 def ritz_modes(
@@ -106,14 +110,17 @@ def ritz_modes(
     left_out: float,
     surface: sparse.csr_matrix,
     stiffened: Sequence[float],
+    relaxed: Float,
 ) -> RitzModes:
     """Modes of a body for forces [N], shape (n, m), of which a load has shares of some rms sizes, shape (m,).
 
-    factor: of `shifted(system)`; blocks: how many the space has, at least 2
+    factor: of `shifted(system)`; blocks: vectors of the space for each force, at least 2, or 4 of several laws
     left_out: of the motion's energy norm, what the weakest modes take with them that are left out
     surface: reads the displacement that must be right, csr, shape (S, n)
     stiffened: of each law, what a substep makes of G / G_r (palmfield.skin.fem.generalised_alpha), for modes that are
         coupled, shape (p,)
+    relaxed: of several laws, answers of `shifted(system, relaxed=True)` to forces * sizes, shape (n, m), or (n, 0):
+        sheets share a load otherwise when they have relaxed, which no power of A^-1 M makes up for
     Raises SceneError where `refusal` gives a reason.
     """
     reason = refusal(system)
@@ -122,7 +129,7 @@ def ritz_modes(
     materials = [part.material for part in system.parts]
     # As stiff as the materials are at a middle frequency: there nothing couples the modes
     means = laws_at(materials, -2j * np.pi * UNCOUPLED_Hz).real
-    space, ends = _lanczos(system.mass, factor, forces * sizes, blocks)
+    space, ends = _lanczos(system.mass, factor, forces * sizes, blocks, relaxed)
     # The first law's is what is left of the sum: it need not be kept
     own = [_projected(matrix, space) for matrix in (system.elastic, *(part.stiffness for part in system.parts[1:]))]
     total = _projected(system.parts[0].stiffness, space)
@@ -300,20 +307,27 @@ def _strongest(gram: Float, rigidities: Float, left_out: float) -> Float:
     return np.linalg.qr(vectors[:, kept] / size[:, None])[0]
 
 
-def _lanczos(mass: sparse.csr_matrix, factor: AnyFactor, forces: Float, blocks: int) -> tuple[Float32, list[int]]:
+def _lanczos(
+    mass: sparse.csr_matrix, factor: AnyFactor, forces: Float, blocks: int, also: Float
+) -> tuple[Float32, list[int]]:
     """The space, orthonormal in the mass, shape (n, r), and how many vectors it has after each block.
 
+    also: motions that the first block has beside the answers to the forces, (n, a)
     Directions of a block keep the size that the forces give them, so that those of small ones are left out.
     """
     space = np.empty((forces.shape[0], blocks * forces.shape[1]), dtype=np.float32, order="F")
     ends, count, right = [], 0, forces
-    for _ in range(blocks):
+    for number in range(blocks):
         new = factor.solve(np.ascontiguousarray(right))
+        if number == 0:
+            new = np.hstack([new, also])
         known = space[:, :count]
         for _ in range(2):
             new -= known @ (known.T @ (mass @ new).astype(np.float32))
         squares, turn = np.linalg.eigh(new.T @ (mass @ new))
         kept = squares > PARALLEL**2 * squares.max()
+        if count + int(kept.sum()) > space.shape[1]:
+            break
         sizes = np.sqrt(squares[kept])
         new = new @ (turn[:, kept] / sizes)
         new -= known @ (known.T @ (mass @ new).astype(np.float32))
