@@ -119,7 +119,7 @@ def class_stepper(model: HapticModel, skin: int, blocks: int | None = None) -> M
         if known is None or known[0] != mark:
             made = modal_body(
                 layer.system, layer.quadrature, layer.surface_operator, lambda: examples(model, skin, posed),
-                depends_on, tolerance, blocks, weak, layer.sizes.step_s, points,
+                depends_on, tolerance, blocks, min(WEAK * accuracy, MOST_WEAK), layer.sizes.step_s, points,
             )  # fmt: skip
             known = _bodies[layer] = mark, made
     corner = max(corner_Hz(stimulus, layer.demand.spot_fwhm_m) for stimulus in model.stimuli)
