@@ -49,8 +49,15 @@ class OutsideClass:
 
     @property
     def pressure_share(self) -> float:
-        """Of the pressure's norm, what was outside."""
+        """Of the pressure's norm, what was outside: about what that adds to the velocity's error.
+
+        Most of the velocity is short waves, which answer a pressure by their inertia and not by the skin's compliance.
+        """
         return math.sqrt(self.sums.plain / self.sums.plain_of_all) if self.sums.plain_of_all > 0.0 else 0.0
+
+    def errors(self, modes: ModalStepper) -> tuple[float, float]:
+        """Relative errors of displacement and velocity that modes state of a run, with what lay outside their class."""
+        return math.hypot(modes.error, self.energy_share), math.hypot(modes.velocity_error, self.pressure_share)
 
 
 def leaves_class(model: HapticModel, skin: int, share: float) -> bool:

@@ -192,11 +192,11 @@ def main() -> None:
                 outside.loudest = 0.0
                 error = relative(march(stepper, loads[trial], surface, outside), truths[trial])
                 stated = stepper.body.modes.errors(corner_Hz)
-                total = float(np.hypot(stated[0], outside.energy_share))
+                total = np.hypot(stated, (outside.energy_share, outside.pressure_share))
                 lines.append(
                     f"{head}| {trial} | {100 * error[0]:.2f} / {100 * error[1]:.1f} | {100 * stated[0]:.2f} / "
                     f"{100 * stated[1]:.1f} | {100 * outside.energy_share:.2f} / {100 * outside.pressure_share:.2f} "
-                    f"| {100 * total:.2f} |"
+                    f"| {100 * total[0]:.2f} / {100 * total[1]:.1f} |"
                 )
                 print(lines[-1], flush=True)
                 curves.setdefault((scene, trial), []).append((count, *error))

@@ -145,7 +145,8 @@ class ModalStepper:
     error, velocity_error: relative, estimated, of what fewer modes than the layer's cost, for loads of the class
     advance, inputs: what a substep does to each mode's numbers, shape (at least r, rows, rows), and what a force adds,
         (at least r, rows)
-    coupled: whether modes push one another besides
+    coupling, felt: modes push one another in a substep by felt @ state, shape (c, rows) @ (rows, r'), one row after the
+        other, times coupling, (c * r', r'); r' is at least r; c is 0 where each moves by itself
     A state has a row of numbers of all modes each for displacement, velocity, acceleration and the internal
     displacement of every branch. Several worlds may be stepped at once.
     """
@@ -165,7 +166,7 @@ class ModalStepper:
         self.state_size = self.state_rows * self._padded
         self.advance, self.inputs = _propagators(scheme, self._padded)
         self._modes = filled(kernels.Modes(), advance=_in_groups(self.advance), inputs=_in_groups(self.inputs))
-        self._coupling, self._felt = _coupling(modes, scheme, len(parts), self._padded)
+        self.coupling, self.felt = _coupling(modes, scheme, len(parts), self._padded)
         self._fit: Float32 = np.ascontiguousarray(shapes.fit.T, dtype=np.float32)
         self._back: Float32 = np.ascontiguousarray(shapes.shapes[:, shapes.points], dtype=np.float32)
         self._forces: Float32 = np.zeros((len(body.forces), self._padded), np.float32)
@@ -283,7 +284,7 @@ class ModalStepper:
 
     @property
     def coupled(self) -> bool:
-        return len(self._felt) > 0
+        return len(self.felt) > 0
 
     def lifted(self, state: Float) -> Float:
         """The same motion as a state of WedgeStepper, (w, its state_size)."""
@@ -314,8 +315,8 @@ class ModalStepper:
 
         def all_substeps() -> None:
             for force, substep in ends:
-                felt: Float32 = (self._felt @ rows).reshape(worlds, -1).astype(np.float32)
-                force += felt @ self._coupling
+                felt: Float32 = (self.felt @ rows).reshape(worlds, -1).astype(np.float32)
+                force += felt @ self.coupling
                 substep()
 
         return _Room(forces[:, :, 0].swapaxes(0, 1), rows, seen[:, :, 0].swapaxes(0, 1), all_substeps)
