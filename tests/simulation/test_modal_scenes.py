@@ -65,6 +65,15 @@ def test_skin_of_several_sheets_moves_by_modes(small_scene):
     assert relative(mine, truth) < modal.runtime.work.outside[0].errors(modal.runtime.model.begin[0].value)[0] < 0.2
 
 
+def test_sheets_take_modes_by_themselves_where_these_pay(small_scene):
+    keys = SKIN | {"material": None, "materials": "finger_pad palm", "shares": "0.3 0.7"}
+    names = []
+    for duration_s in (0.1, 1000.0):
+        path = small_scene(stimulus=LETTER, skin=keys, duration_s=duration_s)
+        names.append(load(path).runtime.model.skins[0].choice.name)
+    assert names == ["wedges", "modal"]
+
+
 FINGER = (
     '<body name="finger" mocap="true" pos="-0.015 0 0.1" quat="0.7071068 0.7071068 0 0">'
     '<geom type="capsule" size="0.005 0.06" contype="0" conaffinity="0"/></body>'

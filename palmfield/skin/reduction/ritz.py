@@ -6,6 +6,11 @@ Struct. Dyn. 10, 1982; Nour-Omid & Clough, ibid. 12, 1984). Turned to the eigenv
 material at a middle frequency, mass and that sum are diagonal. Of soft matter that hardly changes its volume E holds
 next to no energy, so that it is all but diagonal as well, and each mode moves by itself.
 
+Several relaxation laws make a sum of as many stiffnesses, which modes turn diagonal at one frequency only, and sheets
+share a load otherwise when they have relaxed. The space then begins with answers of the relaxed body besides, strong
+modes are told from weak ones by how all move together, and what couples them is kept: they are turned to the
+eigenvectors of what a substep of the scheme solves with, so that the coupling acts through the state before alone.
+
 Waves of 1 kHz run long in skin, so that the space needs far more vectors than the motion has: what the loads of the
 class move at all frequencies is known by then, and the sums of modes that hold most of its energy (proper orthogonal
 decomposition in the frequency domain: Willcox & Peraire, AIAA J. 40, 2002) are turned to modes once more.
