@@ -357,7 +357,7 @@ def _propagators(scheme: Scheme, padded: int) -> tuple[Float, Float]:
 def _coupling(modes: RitzModes, scheme: Scheme, laws: int, padded: int) -> tuple[Float32, Float]:
     """Coupling matrices one below the other, (c * padded, padded), and the rows of the state that they take, (c, rows).
 
-    Of a sum of the matrices of a body that holds no coupling, what a matrix couples by drops out of what is solved for.
+    Modes are coupled only where their sum in `scheme.effective` is diagonal: what is solved for is then not coupled.
     """
     count, order = len(modes.coupling), len(modes.elastic)
     coupling = np.zeros((count, padded, padded), np.float32)

@@ -289,7 +289,7 @@ def _motion_together(modes: _Modes, pushed: Float, trials: Float, seen: Float) -
     """
     gram = np.zeros((len(pushed), len(pushed)))
     answers = []
-    # A single precision of what is known to a percent
+    # Single precision: what it tells need be right to a part in a thousand
     loads = pushed.astype(np.complex64)
     for f, width in zip(FREQUENCIES_Hz, np.gradient(FREQUENCIES_Hz), strict=True):
         stiffness = modes.at(f, range(1, len(modes.matrices)), np.complex64)
