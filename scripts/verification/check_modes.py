@@ -35,7 +35,7 @@ from palmfield.acoustics.surface_arp import SurfaceArp
 from palmfield.simulation import load_class
 from palmfield.simulation.emission import array_drives
 from palmfield.simulation.model import HapticModel
-from palmfield.simulation.outside_class import OutsideClass
+from palmfield.simulation.outside_class import SHORT_WAVES, OutsideClass
 from palmfield.simulation.posed_scene import reference_scene
 from palmfield.skin.materials.catalogue import PRESETS
 from palmfield.skin.materials.material import prony
@@ -192,7 +192,7 @@ def main() -> None:
                 outside.loudest = 0.0
                 error = relative(march(stepper, loads[trial], surface, outside), truths[trial])
                 stated = stepper.body.modes.errors(corner_Hz)
-                total = np.hypot(stated, (outside.energy_share, outside.pressure_share))
+                total = np.hypot(stated, (outside.energy_share, SHORT_WAVES * outside.pressure_share))
                 lines.append(
                     f"{head}| {trial} | {100 * error[0]:.2f} / {100 * error[1]:.1f} | {100 * stated[0]:.2f} / "
                     f"{100 * stated[1]:.1f} | {100 * outside.energy_share:.2f} / {100 * outside.pressure_share:.2f} "
@@ -245,9 +245,9 @@ def write(page: Path, lines: list[str], curves: dict, jumps: dict, smoother: dic
         "Errors in percent, displacement / velocity, L2 over the surface and 50 ms. *Stated*: what one block of",
         "vectors less, the weak modes left out and the coupling left out change under loads with such a spectrum.",
         "*Outside*: what of the load the stepper saw outside its class, in the energy norm / of the pressure.",
-        "*Estimate*: both together, of the displacement with the energy norm, of the velocity with the pressure's:",
-        "short waves, most of the velocity, answer by their inertia and not by the skin's compliance. *Memory*: of",
-        "the modes' vectors and the load shapes.",
+        "*Estimate*: both together: of the displacement with the energy norm, of the velocity with three times the",
+        "pressure's, since what is outside is of shorter waves, which move less of the skin and that faster.",
+        "*Memory*: of the modes' vectors and the load shapes.",
         "",
         "*`:sheets`*: finger_pad, palm and forearm in shares of 0.1, 0.3 and 0.6, three relaxation laws, one of",
         "them a dashpot's. *`:contrast`*: a sheet of 1 MPa (0.05) that loses little on one of 10 kPa that loses",
@@ -263,12 +263,11 @@ def write(page: Path, lines: list[str], curves: dict, jumps: dict, smoother: dic
         + "; ".join(f"{100 * v:.0f} % ({scene})" for scene, v in smoother.items())
         + ".",
         "",
-        "The velocity's estimate doesn't cover the shadow by points, and without the edges in the class (no",
-        "`:shadows`) neither shadow. A step measures how much of the pressure lies outside; clicks come of how that",
-        "part changes from one substep to the next, for which each step would have to know the pressure of the one",
-        "before, on a device too. The displacement's estimate covers all of these rows, and where a step lies",
-        "farther outside than the wanted accuracy a scene with `solver` `auto` leaves its modes for the whole",
-        "layer.",
+        "The velocity's estimate covers the smooth shadow and not, as a rule, the shadow by points. A step measures",
+        "how much of the pressure lies outside; clicks come of how that part changes from one substep to the next,",
+        "for which each step would have to know the pressure of the one before, on a device too. The displacement's",
+        "estimate covers all of these rows, and where a step lies farther outside than the wanted accuracy a scene",
+        "with `solver` `auto` leaves its modes for the whole layer.",
         "",
         f"![Error against the number of modes]({picture.name})",
         "",
