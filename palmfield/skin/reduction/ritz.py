@@ -47,8 +47,8 @@ FREQUENCIES_Hz: Float = np.concatenate([[0.0], np.geomspace(20.0, 4000.0, 32)])
 """At which models are compared."""
 HIGHEST_Hz = 4000.0
 """Modes above it, that would be stiff and coupled pressure waves, are left out."""
-SAFETY = 1.25
-"""Times that change."""
+SAFETY, TOGETHER = 1.25, 1.4
+"""Times that change; and besides where there are several laws, whose modes come nearer by less from block to block."""
 LINES_Hz: Float = np.linspace(0.0, 2500.0, 251)
 """At which the motion is summed up that tells strong modes from weak ones."""
 CORNER_Hz = 500.0
@@ -180,6 +180,7 @@ def ritz_modes(
     # Of a block less, as if each mode moved by itself: what the laws couple changes little in that
     changes = [np.linalg.norm(change, axis=(1, 2)) / scale for change in (answers[1] - answers[0], after - before)]
     change = np.sqrt(changes[0] ** 2 + changes[1] ** 2 + (coupling * motion) ** 2)
+    change *= TOGETHER if len(materials) > 1 else 1.0
     turning = turn.astype(np.float32)
     for start in range(0, len(space), CHUNK):
         rows = slice(start, start + CHUNK)
