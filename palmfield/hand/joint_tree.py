@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -51,7 +52,7 @@ def joined(rig: SkinRig, vertices: Float, way: Float) -> tuple[SkinRig, Int, str
     """
     joints = rig.joints
     chains = _chains(joints.names)
-    broken = any(not _related(joints.parents, a, b) for chain in chains for a, b in zip(chain, chain[1:], strict=False))
+    broken = any(not _related(joints.parents, a, b) for chain in chains for a, b in pairwise(chain))
     if broken and (parents := _by_name(joints, chains)) is not None:
         how = "names"
     elif broken or _crowded(joints.parents):

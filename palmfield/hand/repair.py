@@ -289,10 +289,11 @@ def _close(mesh: Repair) -> None:
     if len(wrist) != 1:
         return
     loop = wrist[0]
-    closed = cap(mesh.vertices[loop])
+    closed = cap(mesh.vertices[loop], _edges_between(mesh.faces, loop))
     where = middle[id(loop)]
     if closed is None:
-        mesh.note("open wrist", 1, "refused", where, "its edge is too jagged to be closed; cut it straight")
+        text = f"its rim of {len(loop)} edges can't be closed; cut it straight across"
+        mesh.note("open wrist", 1, "refused", where, text)
         return
     inner, faces = closed
     number = np.concatenate([loop, len(mesh.vertices) + np.arange(len(inner))])
@@ -302,6 +303,15 @@ def _close(mesh: Repair) -> None:
     mesh.add(spread, inner, number[faces])
     text = f"a loop of {len(loop)} edges was closed by {len(faces)} triangles"
     mesh.note("open wrist", 1, "repaired", where, text)
+
+
+def _edges_between(faces: Int, loop: Int) -> set[tuple[int, int]]:
+    """Pairs of a loop's numbers, the lower first, that an edge of the mesh joins already, but for the loop's own."""
+    place = {vertex: number for number, vertex in enumerate(loop.tolist())}
+    edges, count = unique_edges(faces)
+    both = edges[np.isin(edges, loop).all(axis=1) & (count > 1)].tolist()
+    pairs = [(place[a], place[b]) for a, b in both]
+    return {(min(pair), max(pair)) for pair in pairs}
 
 
 def _check_closed(mesh: Repair) -> None:
