@@ -23,14 +23,15 @@ PIECE_SHARES = (0.1, 0.25)
 @dataclass(frozen=True)
 class Chirality:
     """side: "right", "left" or "unknown"; sureness: 0 to 1; palm: unit outward direction of the palm, a guess where the
-    side is unknown, shape (3,); tips: of the digits, thumb first, then from its neighbour on, shape (k, 3); reason: in
-    words
+    side is unknown, shape (3,); tips: of the digits, thumb first, then from its neighbour on, shape (k, 3); middle: of
+    the skin between wrist and webs, shape (3,); reason: in words
     """
 
     side: str
     sureness: float
     palm: Float
     tips: Float
+    middle: Float
     reason: str
 
 
@@ -51,8 +52,10 @@ def chirality(vertices: Float, faces: Int, named: str = "unknown") -> Chirality:
     tips = _tips(links, way)
     if len(tips) != 5:
         up = vertices[way > np.median(way)].mean(axis=0) - vertices[wrist].mean(axis=0)
-        normal = _frame(vertices, way < 0.5 * way.max(), np.ones(len(vertices)), up)[1]
-        return Chirality("unknown", 0.0, normal, vertices[tips], f"{len(tips)} digit tips were found, not 5")
+        near = way < 0.5 * way.max()
+        normal = _frame(vertices, near, np.ones(len(vertices)), up)[1]
+        middle = vertices[near].mean(axis=0)
+        return Chirality("unknown", 0.0, normal, vertices[tips], middle, f"{len(tips)} digit tips were found, not 5")
     level, passes = _webs(links, way, tips)
     web = level.max(axis=1)
     thumb, fingers = int(np.argmin(web)), np.argsort(web)[1:]
@@ -92,10 +95,10 @@ def chirality(vertices: Float, faces: Int, named: str = "unknown") -> Chirality:
         f"{sign * of_tips:+.2f}"
     )
     if by_name:
-        return Chirality(named, thumb_known, palm, ordered, f"by the joints' names; {reason}")
+        return Chirality(named, thumb_known, palm, ordered, middle, f"by the joints' names; {reason}")
     if sureness < LEAST_SURENESS:
-        return Chirality("unknown", sureness, palm, ordered, f"not sure: {reason}")
-    return Chirality("right" if right else "left", sureness, palm, ordered, reason)
+        return Chirality("unknown", sureness, palm, ordered, middle, f"not sure: {reason}")
+    return Chirality("right" if right else "left", sureness, palm, ordered, middle, reason)
 
 
 def way_from_wrist(vertices: Float, faces: Int) -> Float:

@@ -185,7 +185,7 @@ class _Patch:
                 return
 
     def hang(self) -> None:
-        """Move inner points towards the mean of their neighbours, none so far that a face, but for slivers, turns over."""
+        """Move inner points towards the mean of their neighbours; no face but slivers turns over."""
         faces = self.faces()
         links = adjacency(faces, len(self.points))
         for _ in range(HANGING_ROUNDS):

@@ -1,6 +1,8 @@
 """A user's own mesh of a hand, read from its file, mended or refused before anything is computed on it."""
 
+import re
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +23,7 @@ from palmfield.types import Float, Int, Surface
 
 PLAIN, GLTF, MANO = (".obj", ".ply", ".stl"), (".glb", ".gltf"), (".pkl",)
 SUFFIXES = PLAIN + GLTF + MANO
+MOST_FACES, ENOUGH_FACES = 1_000_000, 50_000
 
 
 @dataclass(frozen=True)
@@ -71,7 +74,7 @@ def examine(path: str | Path, unit: str = "auto", longest_edge_m: float | None =
     """Read and mend a mesh, and say what was found; edges longer than longest_edge_m [m] are halved.
 
     Raises SceneError where there is no mesh to speak of: unknown unit or format, a missing, unreadable or empty file,
-    a size that no hand has.
+    more than MOST_FACES faces, a size that no hand has.
     """
     file = Path(path)
     vertices, faces, by_format, rig = _read(file)
@@ -147,9 +150,10 @@ def _read(file: Path) -> tuple[Float, Int, str | None, SkinRig | None]:
         )
     if not file.is_file():
         raise SceneError(f"mesh {file} does not exist; give the path of a {', '.join(SUFFIXES)} file")
+    _check_count(file, announced_faces(file))
     rig: SkinRig | None = None
     if suffix in GLTF:
-        vertices, faces, rig = read_gltf(file)
+        vertices, faces, rig = read_gltf(file, partial(_check_count, file))
     elif suffix in MANO:
         vertices, faces, rig = read_mano(file)
     else:
@@ -158,9 +162,39 @@ def _read(file: Path) -> tuple[Float, Int, str | None, SkinRig | None]:
         raise SceneError(
             f"mesh {file} is empty ({len(vertices)} vertices, {len(faces)} faces); export it with its faces"
         )
+    _check_count(file, len(faces))
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise SceneError(f"mesh {file}: a face names vertex {faces.max()} of {len(vertices)}; export it again")
     return vertices, faces, None if suffix in PLAIN else "m", rig
+
+
+def _check_count(file: Path, count: int) -> None:
+    if count > MOST_FACES:
+        raise SceneError(
+            f"mesh {file} has {count} faces; at most {MOST_FACES} are read, and {ENOUGH_FACES} with edges of about "
+            "1.5 mm serve as well: make it coarser in the program that it is from (in Blender the modifier Decimate, "
+            "in MeshLab Quadric Edge Collapse Decimation)"
+        )
+
+
+def announced_faces(file: Path) -> int:
+    """How many faces a file says or seems to have, without reading them; 0 where only its reader can tell."""
+    suffix, size = file.suffix.lower(), file.stat().st_size
+    with file.open("rb") as stream:
+        head = stream.read(4096)
+        if suffix == ".ply":
+            found = re.search(rb"element face (\d+)", head)
+            return int(found[1]) if found else 0
+        if suffix == ".stl" and len(head) >= 84:
+            count = int.from_bytes(head[80:84], "little")
+            if size == 84 + 50 * count:
+                return count
+        if suffix in (".stl", ".obj"):
+            # A line a face; blocks end anywhere, so that a few faces in a million may be missed.
+            mark = b"endfacet" if suffix == ".stl" else b"\nf "
+            stream.seek(0)
+            return sum(block.count(mark) for block in iter(partial(stream.read, 1 << 24), b""))
+    return 0
 
 
 def _read_plain(file: Path) -> tuple[Float, Int]:
