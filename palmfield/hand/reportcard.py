@@ -98,14 +98,14 @@ def _doubts(mesh: Examined, hand: Chirality, named: str) -> list[str]:
     """Why a closed mesh may be no hand, or another one than it says."""
     doubts = []
     if len(hand.tips) != DIGITS:
-        doubts.append(f"it has {len(hand.tips)} fingertips, not {DIGITS}")
+        doubts.append(f"fingertips: {len(hand.tips)}, not {DIGITS}")
     elif hand.side == "unknown":
         doubts.append("it is not sure which hand it is")
     if hand.side != "unknown" and named not in ("unknown", hand.side):
         doubts.append(f"its joints are named as of a {named} hand and its shape is of a {hand.side} one")
     handles = 1 - (len(mesh.vertices) - len(unique_edges(mesh.faces)[0]) + len(mesh.faces)) // 2
     if handles:
-        doubts.append(f"it has {handles} holes right through it, as a ring has one; fingers may have grown together")
+        doubts.append(f"holes right through it: {handles}, as a ring has one; fingers may have grown together")
     length, breadth, _ = np.ptp(mesh.vertices @ plane_axes(mesh.vertices).T, axis=0)
     if not size_of_a_hand(float(length), float(breadth)):
         doubts.append(f"it is {1e3 * length:.0f} x {1e3 * breadth:.0f} mm long and broad; {HAND_SIZES}")

@@ -44,8 +44,8 @@ def choose_unit(
     else:
         if tips != DIGITS:
             raise SceneError(
-                f"{what} carries no unit and has {tips} fingertips, not {DIGITS}: no unit is guessed for what may be "
-                f"no hand; give the unit, one of {', '.join(METRES)}"
+                f"{what} carries no unit and what was found as fingertips are {tips}, not {DIGITS}: no unit is guessed "
+                f"for what may be no hand; give the unit, one of {', '.join(METRES)}"
             )
         unit = _inferred(length, breadth, what)
     size = length * unit.metres

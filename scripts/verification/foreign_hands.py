@@ -21,14 +21,16 @@ from scipy.spatial.transform import Rotation
 
 from palmfield.errors import SceneError
 from palmfield.hand.articulated import bone_poses
+from palmfield.hand.holes import boundary_loops
 from palmfield.hand.preset import DIGITS, HandPreset, load_preset
 from palmfield.hand.reportcard import ReportCard, as_text, report_card
 from palmfield.hand.skinning import SkinnedHand
-from palmfield.hand.triangles import unique_edges
+from palmfield.hand.triangles import directed_edges, unique_edges
 from palmfield.outputs.report_card_picture import draw_card
 from palmfield.types import Float, Int
 
 WEBXR = {"proximal": "phalanx-proximal", "middle": "phalanx-intermediate", "distal": "phalanx-distal", "tip": "tip"}
+ARM_m, ARM_STEPS = 0.25, 40
 Z_UP = Rotation.from_euler("x", 90.0, degrees=True)
 
 
@@ -255,15 +257,23 @@ def crossed(path: Path) -> None:
 
 
 def forearm(path: Path) -> None:
-    """A hand with its forearm, open where the arm was cut off, in millimetres."""
+    """A hand with its forearm, which gets thicker towards the elbow and is open there, in millimetres."""
     vertices, faces = plain_hand()
-    crease = vertices[:, 1].min() + 0.015
-    long = vertices.copy()
-    beyond = np.maximum(crease - vertices[:, 1], 0.0)
-    long[:, 1] -= 14.0 * beyond
-    long[:, [0, 2]] = [0.0, 0.015] + (vertices[:, [0, 2]] - [0.0, 0.015]) * (1.0 + 40.0 * beyond[:, None])
-    kept = faces[long[faces].mean(axis=1)[:, 1] > long[:, 1].min() + 0.1]
-    write(path, 1e3 * long, kept)
+    faces = cut_by_quads(vertices, faces, height_m=0.0)
+    loop = max(boundary_loops(faces), key=len)
+    # The faces of the hand run along its rim in one direction, those of the arm in the other.
+    along = {tuple(edge) for edge in directed_edges(faces).tolist()}
+    ring = loop if (loop[0], loop[1]) in along else loop[::-1]
+    middle, points, corners = vertices[loop].mean(axis=0), [vertices], [faces]
+    for step in range(1, ARM_STEPS + 1):
+        share = step / ARM_STEPS
+        next_points = middle + (vertices[ring] - middle) * [1.0 + 0.6 * share, max(0.0, 1.0 - share), 1.0 + 0.6 * share]
+        next_ring = len(vertices) + (step - 1) * len(loop) + np.arange(len(loop))
+        before = ring if step == 1 else next_ring - len(loop)
+        a, b, c, d = before, np.roll(before, -1), next_ring, np.roll(next_ring, -1)
+        points.append(next_points - [0.0, ARM_m * share, 0.0])
+        corners += [np.stack([b, a, c], axis=1), np.stack([b, c, d], axis=1)]
+    write(path, 1e3 * np.concatenate(points), np.concatenate(corners))
 
 
 def bottle(path: Path) -> None:
