@@ -18,6 +18,8 @@ DEPTH_m = 0.02
 OF_A_MESH = 0.45
 """Share of the way through a body that a scene's layer takes of it, as a mesh has no bones."""
 PALM_RADIUS_m, TIP_RADIUS_m = 0.02, 0.008
+EDGE_SHARE = 0.25
+"""Edges of the elements that small patches of scenes have, as a share of their radius, whatever the accuracy."""
 TIP_PIECE_m, PAD_FROM_TIP_m = 0.015, 0.009
 DIGITS = ("thumb", "index", "middle", "ring", "little")
 
@@ -41,16 +43,16 @@ def _layer(surface: Surface, place: str, centre: Float, radius_m: float, depth_m
     facts: dict[str, Any] = {
         "place": place, "centre_mm": (1e3 * centre).round(2).tolist(), "radius_mm": 1e3 * radius_m,
     }  # fmt: skip
-    fine, coarse = 0.1 * radius_m, 0.2 * radius_m
+    edge = EDGE_SHARE * radius_m
     try:
         report = surface_patch(
             surface,
             depth_m,
             centre,
             radius_m,
-            fine,
-            coarse,
-            0.5 * radius_m,
+            edge,
+            edge,
+            radius_m,
             max_depth_m=depth_m,
             max_fraction=OF_A_MESH,
         ).report

@@ -185,17 +185,13 @@ def test_a_scene_gets_the_layers_that_the_card_foretells(tmp_path, depth_m):
     assert [layer["place"].split()[0] for layer in foretold] == ["palm", "thumb", "index", "middle", "ring", "little"]
     keys = {"shape": "mesh", "mesh": str(path), "mesh_unit": "mm", "patch_site": "site", "depth_m": depth_m}
     demand = LayerDemand(0.0103, 200.0, 200.0, (0.0, 0.0), 1e-3)
-    compared = 0
     for told in foretold:
-        if "error" in told:
-            continue
-        config = SkinConfig(**keys, patch_radius_m=1e-3 * told["radius_mm"], accuracy=0.25)
+        config = SkinConfig(**keys, patch_radius_m=1e-3 * told["radius_mm"])
         got = SceneLayer(config, surface, depth_m, 1e-3 * np.array(told["centre_mm"]), demand).patch.report
-        # The scene's elements are others: a layer's least depth lies at its rim and depends on them
-        assert told["mean_mm"] == pytest.approx(1e3 * got["depth_got_mean_m"], rel=0.06)
-        assert told["p10_mm"] == pytest.approx(1e3 * got["depth_got_p10_m"], rel=0.1)
-        compared += 1
-    assert compared >= 4
+        # Under the palm the scene's elements are a little finer
+        assert told["mean_mm"] == pytest.approx(1e3 * got["depth_got_mean_m"], rel=0.02)
+        assert told["p10_mm"] == pytest.approx(1e3 * got["depth_got_p10_m"], rel=0.02)
+        assert told["least_mm"] == pytest.approx(1e3 * got["depth_got_min_m"], rel=0.05)
 
 
 def test_foretold_places_are_the_palm_and_the_pads():
