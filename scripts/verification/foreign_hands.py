@@ -66,7 +66,7 @@ def plain_hand() -> tuple[Float, Int]:
 
 
 def crossed_hand() -> tuple[Float, Int]:
-    """Bent fingers of which index and middle finger go through each other."""
+    """Bent fingers of which middle and ring finger go through each other."""
     hand = SkinnedHand(load_preset("open_men_p50"), 0.004)
     bent = {"mcp_flexion": 20.0, "pip_flexion": 30.0, "dip_flexion": 20.0}
     angles = {f"{digit}_{joint}": angle for digit in DIGITS[1:] for joint, angle in bent.items()}
