@@ -57,7 +57,8 @@ class _Reader:
         for i in self._in_scene():
             if self.scene.nodes[i].mesh is not None:
                 for primitive in self.scene.meshes[self.scene.nodes[i].mesh].primitives:
-                    corners = primitive.attributes.POSITION if primitive.indices is None else primitive.indices
+                    position = getattr(primitive.attributes, "POSITION", None)
+                    corners = position if primitive.indices is None else primitive.indices
                     number += 0 if corners is None else self.scene.accessors[corners].count // 3
         return number
 
