@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+from rich.console import Console
+
 from palmfield.errors import OutputError, SceneError
 from palmfield.hand.reportcard import as_text, refused_facts, report_card, write_card
 
@@ -15,7 +17,8 @@ def show_hand(mesh: Path, unit: str, json_file: Path | None, png: Path | None, m
     OutputError where a file cannot be written.
     """
     try:
-        card = report_card(mesh, unit)
+        with Console(stderr=True).status(f"examining {mesh}"):
+            card = report_card(mesh, unit)
     except SceneError as error:
         facts = refused_facts(mesh, unit, error)
         print(as_text(facts), end="")

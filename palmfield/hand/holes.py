@@ -148,8 +148,8 @@ class _Patch:
     def inner_edges(self) -> list[Pair]:
         return [(a, b) for a, b in self.across if a < b and (b, a) in self.across]
 
-    def cut(self, longest: float) -> bool:
-        """Halve inner edges that are longer, the longest first and each face once; whether there were any."""
+    def cut(self, longest: float) -> None:
+        """Halve inner edges that are longer, the longest first and each face once."""
         edges = np.array(self.inner_edges()).reshape(-1, 2)
         length = np.linalg.norm(self.points[edges[:, 0]] - self.points[edges[:, 1]], axis=1)
         done: set[Pair] = set()
@@ -167,7 +167,6 @@ class _Patch:
             self._replace(((a, b, c), (b, a, d)), ((a, middle, c), (middle, b, c), (b, middle, d), (middle, a, d)))
             done |= {(min(e), max(e)) for e in around}
         self.points = np.concatenate([self.points, np.reshape(added, (-1, 3))])
-        return bool(added)
 
     def flip(self) -> None:
         """Turn inner edges until none has angles across it that add up to more than two right ones (Delaunay)."""
