@@ -26,6 +26,11 @@ class Transform(NamedTuple):
         """Directions given in this frame, shape (n, 3) or (3,), in the outer one."""
         return x @ self.rotation.T
 
+    def surface(self, points: Float, normals: Float) -> tuple[Float, Float]:
+        """Positions [m] and directions given in this frame, both of shape (n, 3), in the outer one."""
+        turn = self.rotation.T
+        return points @ turn + self.position, normals @ turn
+
     def inverse_points(self, x: Float) -> Float:
         """Positions given in the outer frame [m], shape (n, 3) or (3,), in this one."""
         return (x - self.position) @ self.rotation
@@ -99,3 +104,9 @@ def quaternion(rotation: Float) -> Float:
         q[1 + j] = scale * (m[j, i] + m[i, j])
         q[1 + k] = scale * (m[k, i] + m[i, k])
     return q if q[0] >= 0 else -q
+
+
+def corners_of(points: Float) -> Float:
+    """Corners of the box round points, shape (n, 3), along the axes, shape (8, 3)."""
+    ends = np.array([points.min(axis=0), points.max(axis=0)])
+    return np.stack(np.meshgrid(*ends.T, indexing="ij"), axis=-1).reshape(-1, 3)

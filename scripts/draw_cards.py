@@ -1,5 +1,6 @@
-"""Write docs/report_cards.md: report cards of the presets, of each fault of tests/hand/test_reportcard.py and of a
-glTF with joints, and their pictures docs/images/card_*.png and report_card_*.png.
+"""Write docs/report_cards.md: report cards of the presets, of each fault of tests/hand/test_reportcard.py, of the
+meshes of scripts/verification/foreign_hands.py and of a glTF with joints, and their pictures docs/images/card_*.png and
+report_card_*.png.
 
 python scripts/draw_cards.py [--commit NAME]
 """
@@ -33,6 +34,8 @@ SEEN = {
     "not finite vertices": "card_not_finite",
     "small holes": "card_small_hole",
 }
+# Meshes of other people whose cards are drawn by themselves.
+FOREIGN_SEEN = ("quads", "unnamed", "crossed")
 
 
 def main() -> None:
@@ -40,7 +43,7 @@ def main() -> None:
     options.add_argument("--commit", help="what to write as the commit where no git is")
     commit = options.parse_args().commit or git_commit()
     # The faults and the glTF are those that the tests judge; nothing of them is built twice.
-    sys.path.insert(0, str(ROOT / "tests" / "hand"))
+    sys.path[:0] = [str(ROOT / "tests" / "hand"), str(ROOT / "scripts" / "verification")]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         presets = preset_cards(folder)
@@ -68,6 +71,17 @@ def main() -> None:
             *fault_table(folder),
             "",
             *(f"![{fault}](images/{file}.png)" for fault, file in SEEN.items()),
+            "",
+            "## Hands of other people",
+            "",
+            "Meshes that imitate other people's habits, and three things that are no hands, all of our own making:",
+            "`python scripts/verification/foreign_hands.py FOLDER` writes them with their cards. No unit is given; the",
+            "three things, which get none, are examined again in millimetres.",
+            "",
+            *foreign_table(folder),
+            "",
+            "![The ten hands, from the palm](images/card_foreign.png)",
+            *(f"![{name}](images/card_{name}.png)" for name in FOREIGN_SEEN),
             "",
             "## A glTF with joints and weights",
             "",
@@ -143,6 +157,33 @@ def fault_table(folder: Path) -> list[str]:
     return lines
 
 
+def foreign_table(folder: Path) -> list[str]:
+    """A line for each mesh of other people: unit, side, verdict and what its card says of it; draws their pictures."""
+    from foreign_hands import HANDS, NO_HANDS, card_of
+
+    lines = ["| mesh | unit, length | side (sureness) | verdict | why |", "|---|---|---|---|---|"]
+    drawn = {}
+    for foreign in HANDS + NO_HANDS:
+        path = folder / foreign.file
+        foreign.make(path)
+        card, unit = card_of(path), ""
+        if isinstance(card, SceneError):
+            unit, card = "none guessed, ", report_card(path, "mm")
+        elif path.stem in FOREIGN_SEEN:
+            draw_card(card, IMAGES / f"card_{path.stem}.png")
+        facts = card.facts
+        if not unit:
+            drawn[f"{foreign.file}\n{facts['verdict']}"] = card
+        findings = [f for f in facts["findings"] if f["name"] not in ("long edges", "unused vertices")]
+        said = [f"{f['outcome']} {f['count']} x {f['name']}" for f in findings if f["outcome"] != "noted"]
+        side = f"{facts['side']} ({facts['side_sureness']:.2f})"
+        size = f"{unit}{facts['unit']}, {max(facts['size_mm']):.0f} mm"
+        why = "; ".join([*said, *(f"doubt: {doubt}" for doubt in facts["doubts"])]) or "nothing to mend"
+        lines.append(f"| {foreign.habit} (`{foreign.file}`) | {size} | {side} | {facts['verdict']} | {why} |")
+    draw_foreign(drawn, IMAGES / "card_foreign.png")
+    return lines
+
+
 def line_naming(text: str, name: str) -> str:
     return " ".join(next(line for line in text.splitlines() if name in line).split())
 
@@ -155,6 +196,17 @@ def gltf_text(folder: Path) -> str:
     card = report_card(path)
     draw_card(card, IMAGES / "card_gltf.png")
     return as_text(card.facts).replace(f"{folder}/", "")
+
+
+def draw_foreign(cards: dict[str, ReportCard], path: Path) -> None:
+    """Each hand from its palm."""
+    with style():
+        figure = Figure(figsize=(15.0, 7.5), dpi=90, layout="constrained")
+        for panel, (name, card) in zip(figure.subplots(2, len(cards) // 2).ravel(), cards.items(), strict=True):
+            up, palm = directions(card)
+            draw_view(panel, card, up, palm, name)
+            panel.set_xlabel("")
+        save(figure, path)
 
 
 def draw_presets(cards: dict[str, ReportCard], path: Path) -> None:

@@ -14,21 +14,31 @@ def mean_load(
     weights: wp.array(dtype=wp.float64),
     arp: wp.array2d(dtype=wp.float32),
     areas: wp.array(dtype=wp.float64),
+    points: wp.array(dtype=wp.vec3),
+    normals: wp.array(dtype=wp.vec3),
+    corners: wp.array(dtype=wp.vec3),
     result: wp.array(dtype=wp.float64),
 ):
-    """Weighted sum of ARPs, shape (m, n) [Pa], times the area of each point [m2], shape (n,). counts[1] is m."""
+    """Weighted sum of ARPs, shape (m, n) [Pa], times the area of each point [m2], shape (n,). counts[1] is m.
+
+    corners: of a convex hull that has all transducers in it; nothing presses where all of it is behind the surface
+    """
     i = wp.tid()
+    nearest = wp.float32(-wp.inf)
+    for j in range(corners.shape[0]):
+        nearest = wp.max(nearest, wp.dot(corners[j] - points[i], normals[i]))
     total = wp.float64(0.0)
-    for m in range(counts[1]):
-        total += weights[m] * wp.float64(arp[m, i])
+    if nearest > 0.0:
+        for m in range(counts[1]):
+            total += weights[m] * wp.float64(arp[m, i])
     result[i] = total * areas[i]
 
 
 @wp.kernel
 def sums_of_runs(
     load: wp.array(dtype=wp.float64),
-    normals: wp.array(dtype=wp.vec3),
     points: wp.array(dtype=wp.vec3),
+    normals: wp.array(dtype=wp.vec3),
     order: wp.array(dtype=wp.int32),
     starts: wp.array(dtype=wp.int32),
     parts: wp.array(dtype=wp.int32),

@@ -73,11 +73,12 @@ def lone_modes(rows: int) -> Any:
         advance: wp.array(dtype=square),
         inputs: wp.array(dtype=numbers),
         forces: wp.array2d(dtype=wp.float64),
-        substeps: wp.int32,
+        first: wp.int32,
+        last: wp.int32,
         before: wp.array2d(dtype=wp.float64),
         after: wp.array2d(dtype=wp.float64),
     ):
-        """A mode's state becomes advance @ state + inputs * force in each of some substeps.
+        """A mode's state becomes advance @ state + inputs * force in each substep from the first, before the last.
 
         forces: of each substep, (s, at least r); before, after: states, (rows, r)
         """
@@ -87,7 +88,7 @@ def lone_modes(rows: int) -> Any:
             state[i] = before[i, mode]
         own_advance = advance[mode]
         own_inputs = inputs[mode]
-        for substep in range(substeps):
+        for substep in range(first, last):
             state = own_advance * state + forces[substep, mode] * own_inputs
         for i in range(rows):
             after[i, mode] = state[i]
@@ -133,6 +134,30 @@ def modes_of_worlds(rows: int) -> Any:
             states[world, i, mode] = state[i]
 
     return kernel
+
+
+@wp.kernel
+def mixed_rows(
+    weights: wp.array2d(dtype=wp.float64),
+    rows: wp.array2d(dtype=wp.float64),
+    result: wp.array(dtype=wp.float64),
+):
+    """Weighted sums of rows (k, n), weights (c, k), one after the other, (c * n,); dim: (c, n)."""
+    matrix, column = wp.tid()
+    total = wp.float64(0.0)
+    for i in range(weights.shape[1]):
+        total += weights[matrix, i] * rows[i, column]
+    result[matrix * rows.shape[1] + column] = total
+
+
+@wp.kernel
+def add_chunks(parts: wp.array2d(dtype=wp.float64), row: wp.int32, result: wp.array2d(dtype=wp.float64)):
+    """Parts (chunks, n) added to the first n numbers of a row of the result; dim: n."""
+    column = wp.tid()
+    total = wp.float64(0.0)
+    for chunk in range(parts.shape[0]):
+        total += parts[chunk, column]
+    result[row, column] += total
 
 
 @wp.kernel

@@ -18,7 +18,7 @@ from palmfield.acoustics.reference import pressure64
 from palmfield.acoustics.transducer import T4010A1_DIRECTIVITY
 from palmfield.config import ArrayConfig
 from palmfield.errors import SceneError
-from palmfield.transforms import Numbers, Placement
+from palmfield.transforms import Numbers, Placement, corners_of
 from palmfield.types import Air, Array, Complex, Field, Float, Int
 
 HOUSING_M = 5e-3
@@ -175,6 +175,7 @@ class PhasedArray:
         piston of them and no table: take `pressure64` or `field` for the sound
     impedance: rho c^2 of the air [Pa]
     frames: of each part, seen from the first; boards: of each part, in its own frame
+    corners: of a box round each part's transducers, array frame [m], shape (8 parts, 3)
     facing: mean direction of each part's transducers, array frame, by column, shape (3, parts)
     heights: of the middle of each part along that direction [m], shape (parts,)
     """
@@ -199,6 +200,7 @@ class PhasedArray:
             ]
             self.groups = directivity_groups(moved)
             self.boards = tuple(BoardOutline.of(part) for part in self.parts)
+            self.corners: Float = np.concatenate([corners_of(part.positions) for part in moved])
             facing = np.array([part.normals.mean(axis=0) for part in moved])
             middles = np.array([part.positions.mean(axis=0) for part in moved])
             self.facing, self.heights = np.ascontiguousarray(facing.T), (middles * facing).sum(axis=1)

@@ -43,6 +43,7 @@ class Transducers:
         self._places = SharedArray(self.count, wp.vec4, device)
         self._facing = SharedArray(self.count, wp.vec4, device)
         self._boards = SharedArray(len(arrays.parts), wp.vec4, device)
+        self._corners = SharedArray(len(arrays.corners), wp.vec3, device)
         self.order = np.concatenate([group.chosen for group in arrays.groups])
         self._sorted = bool((self.order == np.arange(self.count)).all())
         self.scale = np.ones(self.count, np.complex128)
@@ -72,6 +73,7 @@ class Transducers:
             rows[0, own, :3], rows[1, own, :3] = group.array.positions, group.array.normals
         for shared, values in ((self._places, rows[0]), (self._facing, rows[1]), (self._boards, boards)):
             shared.put(values)
+        self._corners.put(arrays.corners)
 
     def strengths(self, amplitudes: Complex) -> Complex:
         """Amplitudes relative to full drive as kernels take them [Pa m], both of shape (k, count)."""
@@ -81,6 +83,11 @@ class Transducers:
     def places(self) -> tuple[Any, Any]:
         """Positions [m] and directions on the device, shapes (count,), four numbers each."""
         return self._places.array, self._facing.array
+
+    @property
+    def corners(self) -> Any:
+        """Corners of a box round each array's transducers [m], on the device, shape (8 parts,)."""
+        return self._corners.array
 
     @property
     def boards(self) -> Any:

@@ -1,6 +1,7 @@
 """What the sound does to a surface as a whole, and where the surface is to the arrays."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from palmfield.acoustics.phased_array import BoardOutline, PhasedArray
 from palmfield.acoustics.shadow import REACH_m
@@ -52,7 +53,8 @@ class Parts:
     def __init__(self, owners: Int, count: int):
         self.count = count
         # Faces beside one another mostly belong to one part: first the sum over each run of them, then over the runs
-        changes = np.ones(len(owners), np.bool_)
+        changes: NDArray[np.bool_] = np.empty(len(owners), np.bool_)
+        changes[:1] = True
         np.not_equal(owners[1:], owners[:-1], out=changes[1:])
         self.starts = changes.nonzero()[0]
         # One list for the six rows of a force and a torque

@@ -190,12 +190,15 @@ def hand(
 ) -> None:
     """Report card of a hand's mesh: unit, size, side, faults mended or refused, and the skin layers that it bears.
 
+    Exit code 0: accepted; 3: accepted with doubts, for example whether it is a hand; 2: refused.
+
     Examples: palmfield hand my_hand.glb --json card.json --png card.png
     palmfield hand my_hand.glb --mjcf my_hand.xml
     """
     from palmfield.cli.hand import show_hand
 
-    show_hand(mesh, units, json, png, mjcf)
+    if not show_hand(mesh, units, json, png, mjcf):
+        raise typer.Exit(3)
 
 
 @app.command()

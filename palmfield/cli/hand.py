@@ -2,18 +2,23 @@
 
 from pathlib import Path
 
+from rich.console import Console
+
 from palmfield.errors import OutputError, SceneError
 from palmfield.hand.reportcard import as_text, refused_facts, report_card, write_card
 
 
-def show_hand(mesh: Path, unit: str, json_file: Path | None, png: Path | None, mjcf: Path | None = None) -> None:
+def show_hand(mesh: Path, unit: str, json_file: Path | None, png: Path | None, mjcf: Path | None = None) -> bool:
     """Print the report card of a mesh and write it as JSON and PNG; write the bodies of a rigged mesh as MJCF.
+
+    Returns whether the mesh was accepted without doubts.
 
     Raises SceneError, after the card is written, where the mesh is refused or unreadable, and for MJCF without joints;
     OutputError where a file cannot be written.
     """
     try:
-        card = report_card(mesh, unit)
+        with Console(stderr=True).status(f"examining {mesh}"):
+            card = report_card(mesh, unit)
     except SceneError as error:
         facts = refused_facts(mesh, unit, error)
         print(as_text(facts), end="")
@@ -41,3 +46,4 @@ def show_hand(mesh: Path, unit: str, json_file: Path | None, png: Path | None, m
         except OSError as error:
             raise OutputError(f"{mjcf} cannot be written: {error}; give another file") from error
         print(f"wrote {mjcf}")
+    return not card.doubts

@@ -18,6 +18,12 @@ EXPLICIT = ("spectral_elements", "particles")
 OVERRIDES = ("density_kg_m3", "shear_relaxed_Pa", "shear_branch_Pa", "relaxation_time_s", "bulk_Pa")
 
 
+OF_SHAPES = {"hand": ("hand", "articulated"), "mesh": ("mesh", "rigged"), "mesh_unit": ("mesh", "rigged")}
+"""Keys that only some shapes look at: with another shape they would say nothing, silently."""
+WITH_A_UNIT = (".glb", ".gltf", ".pkl")
+"""Mesh files whose format says what a unit is."""
+
+
 class SkinConfig(Config):
     plugin: ClassVar[str] = "palmfield.skin"
     about: ClassVar[str] = "The surface that the sound meets and the viscoelastic skin layer on part of it."
@@ -43,7 +49,8 @@ class SkinConfig(Config):
     )
     mesh_unit: Literal["m", "dm", "cm", "mm", "in", "auto"] | None = Field(
         None,
-        description="shapes mesh, rigged: the unit; auto: metres for glTF and MANO, else what makes it a hand",
+        description="shapes mesh, rigged: the unit; auto: metres for glTF and MANO, which need no key, else what "
+        "makes it a hand",
     )
     radius_m: Length | None = Field(None, description="shape disc: radius; the loaded face is z = 0, looking along +z")
     thickness_m: Length | None = Field(None, description="shape disc: thickness")
@@ -105,8 +112,7 @@ class SkinConfig(Config):
     def _complete(self) -> Self:
         if self.shape == "disc" and (self.radius_m is None or self.thickness_m is None):
             raise ValueError("shape 'disc' needs radius_m and thickness_m")
-        if self.shape in ("mesh", "rigged") and (self.mesh is None or self.mesh_unit is None):
-            raise ValueError(f"shape '{self.shape}' needs mesh and mesh_unit")
+        self._check_surface()
         if self.shape != "disc" and self.patch_site is None:
             raise ValueError(f"shape '{self.shape}' needs patch_site")
         if (self.foundation_normal_Pa_m is None) != (self.foundation_tangential_Pa_m is None):
@@ -127,6 +133,20 @@ class SkinConfig(Config):
             raise ValueError("side 'roller' needs the symmetry of shape 'disc'; use fixed or free")
         return self
 
+    def _check_surface(self) -> None:
+        for key, shapes in OF_SHAPES.items():
+            if key in self.model_fields_set and getattr(self, key) is not None and self.shape not in shapes:
+                allowed = " or ".join(f"'{shape}'" for shape in shapes)
+                raise ValueError(f"{key} belongs to shape {allowed}, shape is '{self.shape}': drop it or set shape")
+        if self.shape not in OF_SHAPES["mesh"]:
+            return
+        if self.mesh is None:
+            raise ValueError(f"shape '{self.shape}' needs mesh")
+        if self.mesh_unit is None and not self.mesh.lower().endswith(WITH_A_UNIT):
+            raise ValueError(
+                f"shape '{self.shape}' needs mesh_unit for '{self.mesh}': only {', '.join(WITH_A_UNIT)} have their own"
+            )
+
     def _check_sheets(self) -> None:
         if len(self.materials) != len(self.shares):
             raise ValueError(f"materials has {len(self.materials)} names, shares {len(self.shares)}: give one for each")
@@ -135,6 +155,11 @@ class SkinConfig(Config):
         own = [key for key in ("material", *OVERRIDES) if key in self.model_fields_set]
         if self.materials and own:
             raise ValueError(f"materials names every sheet's preset and {own[0]} that of one: drop one of the two")
+
+    @property
+    def unit(self) -> str:
+        """What one unit in the file of key `mesh` is, "auto" where no key says."""
+        return self.mesh_unit or "auto"
 
     @property
     def springs(self) -> tuple[float, float, float, float] | None:

@@ -23,21 +23,23 @@ PIECE_SHARES = (0.1, 0.25)
 @dataclass(frozen=True)
 class Chirality:
     """side: "right", "left" or "unknown"; sureness: 0 to 1; palm: unit outward direction of the palm, a guess where the
-    side is unknown, shape (3,); tips: of the digits, thumb first, then from its neighbour on, shape (k, 3); reason: in
-    words
+    side is unknown, shape (3,); tips: of the digits, thumb first, then from its neighbour on, shape (k, 3); middle: of
+    the skin between wrist and webs, shape (3,); reason: in words
     """
 
     side: str
     sureness: float
     palm: Float
     tips: Float
+    middle: Float
     reason: str
 
 
-def chirality(vertices: Float, faces: Int) -> Chirality:
+def chirality(vertices: Float, faces: Int, named: str = "unknown") -> Chirality:
     """Side of a closed hand's mesh, in any unit and position; unknown where the sureness is below 0.5.
 
-    vertices: shape (n, 3); faces: shape (m, 3)
+    vertices: shape (n, 3); faces: shape (m, 3); named: "right" or "left" where the file says so, as by the names of its
+    joints: it holds where the shape alone is not sure of the palm but of the thumb
     The way from the wrist along the skin hardly changes with the pose. Its five peaks are the tips, its passes between
     them the webs; the thumb is the digit whose web and whose tip are nearest to the wrist. The palm is where the thumb
     lies, and the tips of bent fingers, seen from the middle plane of the skin between wrist and webs. Sureness is how
@@ -50,8 +52,10 @@ def chirality(vertices: Float, faces: Int) -> Chirality:
     tips = _tips(links, way)
     if len(tips) != 5:
         up = vertices[way > np.median(way)].mean(axis=0) - vertices[wrist].mean(axis=0)
-        normal = _frame(vertices, way < 0.5 * way.max(), np.ones(len(vertices)), up)[1]
-        return Chirality("unknown", 0.0, normal, vertices[tips], f"{len(tips)} digit tips were found, not 5")
+        near = way < 0.5 * way.max()
+        normal = _frame(vertices, near, np.ones(len(vertices)), up)[1]
+        middle = vertices[near].mean(axis=0)
+        return Chirality("unknown", 0.0, normal, vertices[tips], middle, f"{len(tips)} digit tips were found, not 5")
     level, passes = _webs(links, way, tips)
     web = level.max(axis=1)
     thumb, fingers = int(np.argmin(web)), np.argsort(web)[1:]
@@ -75,18 +79,45 @@ def chirality(vertices: Float, faces: Int) -> Chirality:
     evidence = float(np.clip(of_thumb / CLEAR_LIFT, -1.0, 1.0) + np.clip(bent / CLEAR_LIFT, -1.0, 1.0))
     web_offset = float(web[fingers].min() - web[thumb]) / length
     nearer = float(way[tips[fingers]].min() - way[tips[thumb]]) / length
-    sureness = min(1.0, abs(evidence)) * float(np.clip(min(web_offset / CLEAR_WEB, nearer / CLEAR_TIP), 0.0, 1.0))
-    palm = normal if evidence > 0.0 else -normal
+    # Low webs of a hand like a mitten say little of the thumb, and a bent thumb's tip little: together they are sure.
+    of_web, nearest = np.clip([web_offset / CLEAR_WEB, nearer / CLEAR_TIP], -1.0, 1.0)
+    thumb_known = float(np.clip(of_web + nearest, 0.0, 1.0))
+    sureness = min(1.0, abs(evidence)) * thumb_known
+    by_name = sureness < LEAST_SURENESS <= thumb_known and named != "unknown"
+    right = named == "right" if by_name else evidence > 0.0
+    palm = normal if right else -normal
     from_thumb = fingers[np.argsort([-(vertices[digits[i]].mean(axis=0) @ across) for i in fingers])]
     ordered = vertices[tips[[thumb, *from_thumb]]]
+    sign = 1.0 if right else -1.0
     reason = (
         f"in shares of the fingers' length, one digit leaves {web_offset:.2f} nearer to the wrist than the others and "
-        f"ends {nearer:.2f} nearer; to the palm's side it lies {np.sign(evidence) * of_thumb:+.2f} and the fingers' "
-        f"tips {np.sign(evidence) * of_tips:+.2f}"
+        f"ends {nearer:.2f} nearer; to the palm's side it lies {sign * of_thumb:+.2f} and the fingers' tips "
+        f"{sign * of_tips:+.2f}"
     )
+    if by_name:
+        return Chirality(named, thumb_known, palm, ordered, middle, f"by the joints' names; {reason}")
     if sureness < LEAST_SURENESS:
-        return Chirality("unknown", sureness, palm, ordered, f"not sure: {reason}")
-    return Chirality("right" if evidence > 0.0 else "left", sureness, palm, ordered, reason)
+        return Chirality("unknown", sureness, palm, ordered, middle, f"not sure: {reason}")
+    return Chirality("right" if right else "left", sureness, palm, ordered, middle, reason)
+
+
+def way_from_wrist(vertices: Float, faces: Int) -> Float:
+    """Way of each vertex along the edges from the wrist's end, in the unit of the mesh, shape (n,)."""
+    links = _links(vertices, faces)
+    return _distance(links, _wrist(vertices, links, plane_axes(vertices)[0]))
+
+
+def fingertips(vertices: Float, faces: Int) -> Float:
+    """Tips of the digits that a mesh has, shape (k, 3), also where it has holes: five of a hand, of other things not.
+
+    Of several bodies the one with the most vertices counts.
+    """
+    links = _links(vertices, faces)
+    label = sparse.csgraph.connected_components(links, directed=False)[1]
+    largest = np.flatnonzero(label == np.argmax(np.bincount(label)))
+    links, points = sparse.csr_array(links[largest][:, largest]), vertices[largest]
+    way = _distance(links, _wrist(points, links, plane_axes(points)[0]))
+    return points[_tips(links, way)]
 
 
 def fingers_direction(vertices: Float, faces: Int) -> Float:

@@ -1,5 +1,6 @@
 """glTF and GLB with joints and weights, which trimesh drops (Khronos glTF 2.0 specification, sections 3.6 and 3.7)."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -16,9 +17,10 @@ COLUMNS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 TRIANGLES = 4
 
 
-def read_gltf(file: Path) -> tuple[Float, Int, SkinRig | None]:
+def read_gltf(file: Path, check: Callable[[int], None]) -> tuple[Float, Int, SkinRig | None]:
     """Vertices in the scene's frame [m], shape (n, 3), faces, and the rig where the file has a skin.
 
+    check: is told how many faces the file has before any is read, and may refuse them
     All meshes of the scene are joined. Skinned vertices are placed by their joints, as section 3.7.3.3 asks: where the
     file's pose is not its bind pose, they are in the former.
     Raises SceneError for a file that is damaged, empty, compressed (Draco, meshopt), of lines or strips, or that has
@@ -26,7 +28,9 @@ def read_gltf(file: Path) -> tuple[Float, Int, SkinRig | None]:
     """
     try:
         scene = GLTF2.load_binary(file) if file.suffix.lower() == ".glb" else GLTF2.load_json(file)
-        return _Reader(scene, file).read()
+        reader = _Reader(scene, file)
+        check(reader.triangles())
+        return reader.read()
     except SceneError:
         raise
     # pygltflib and NumPy let every kind of exception through on damaged files.
@@ -46,6 +50,17 @@ class _Reader:
             child: index for index, node in enumerate(scene.nodes) for child in node.children or []
         }
         self.world: dict[int, Float] = {}
+
+    def triangles(self) -> int:
+        """How many faces the scene's meshes have, by the counts of their accessors."""
+        number = 0
+        for i in self._in_scene():
+            if self.scene.nodes[i].mesh is not None:
+                for primitive in self.scene.meshes[self.scene.nodes[i].mesh].primitives:
+                    position = getattr(primitive.attributes, "POSITION", None)
+                    corners = position if primitive.indices is None else primitive.indices
+                    number += 0 if corners is None else self.scene.accessors[corners].count // 3
+        return number
 
     def read(self) -> tuple[Float, Int, SkinRig | None]:
         nodes = [i for i in self._in_scene() if self.scene.nodes[i].mesh is not None]

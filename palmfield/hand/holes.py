@@ -1,11 +1,20 @@
 """Boundary loops of a mesh, and faces that close them."""
 
+from collections.abc import Collection, Iterable
+
 import numpy as np
 from scipy import sparse
 from scipy.spatial import Delaunay
 
-from palmfield.hand.triangles import unique_edges
+from palmfield.hand.triangles import adjacency, face_normals, neighbour_mean, unique_edges
 from palmfield.types import Float, Int
+
+MOST_JAGGED = 600
+"""The triangulation of least area takes time by the cube of the loop's edges: some seconds for so many."""
+ROUNDS, HANGING_ROUNDS, LONGEST_SHARE, SLIVER_SHARE = 12, 20, 1.4, 0.2
+
+Pair = tuple[int, int]
+Corners = tuple[int, int, int]
 
 
 def boundary_loops(faces: Int) -> list[Int]:
@@ -34,20 +43,39 @@ def boundary_loops(faces: Int) -> list[Int]:
     return loops
 
 
-def least_area_faces(points: Float) -> Int:
-    """Faces over a short polygon with the smallest area of all triangulations; points: shape (k, 3), k <= 6."""
+def least_area_faces(points: Float, barred: Collection[Pair] = ()) -> Int:
+    """Faces over a closed polygon in space with the smallest area of all triangulations, shape (k - 2, 3).
 
-    def best(first: int, last: int) -> tuple[float, list[tuple[int, int, int]]]:
-        if last - first < 2:
-            return 0.0, []
-        options = []
-        for k in range(first + 1, last):
-            left, right = best(first, k), best(k, last)
-            own = 0.5 * float(np.linalg.norm(np.cross(points[k] - points[first], points[last] - points[first])))
-            options.append((left[0] + right[0] + own, [*left[1], *right[1], (first, k, last)]))
-        return min(options)
-
-    return np.array(best(0, len(points) - 1)[1], dtype=np.int32).reshape(-1, 3)
+    points: of the polygon in order, shape (k, 3); barred: pairs of numbers, the lower first, that are to be no edge
+    Empty where the barred pairs leave no triangulation.
+    G. Barequet, M. Sharir, "Filling gaps in the boundary of a polyhedron", CAGD 12, 207 (1995), from short spans of
+    the polygon to long ones. What triangulates polygons of the plane (Earcut, ISC; GEOS, LGPL) fails on the shadow of
+    a polygon in space, which may cross itself.
+    """
+    number = len(points)
+    cost, via = np.zeros((number, number)), np.zeros((number, number), dtype=np.int32)
+    for gap in range(2, number):
+        first = np.arange(number - gap)[:, None]
+        last, middle = first + gap, first + np.arange(1, gap)
+        side, other = points[middle] - points[first], points[last] - points[first]
+        total = 0.5 * np.linalg.norm(np.cross(side, other), axis=2) + cost[first, middle] + cost[middle, last]
+        best = np.argmin(total, axis=1)
+        rows = first[:, 0]
+        cost[rows, rows + gap], via[rows, rows + gap] = total[rows, best], middle[rows, best]
+        for i in rows.tolist():
+            # The last span is an edge of the polygon itself.
+            if gap < number - 1 and (i, i + gap) in barred:
+                cost[i, i + gap] = np.inf
+    if not np.isfinite(cost[0, number - 1]):
+        return np.zeros((0, 3), dtype=np.int32)
+    faces, spans = [], [(0, number - 1)]
+    while spans:
+        i, j = spans.pop()
+        if j - i > 1:
+            k = int(via[i, j])
+            faces.append((i, k, j))
+            spans += [(i, k), (k, j)]
+    return np.array(faces, dtype=np.int32).reshape(-1, 3)
 
 
 def plane_axes(points: Float) -> Float:
@@ -55,12 +83,29 @@ def plane_axes(points: Float) -> Float:
     return np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
 
 
-def cap(points: Float) -> tuple[Float, Int] | None:
-    """Inner points, shape (k, 3), and faces that close a loop of n points, with edges as long as the loop's.
+def cap(points: Float, barred: Collection[Pair] = ()) -> tuple[Float, Int] | None:
+    """Inner points, shape (k, 3), and faces that close a loop of n points in space, with edges about as long as its.
 
-    points: the loop in order, shape (n, 3). Faces name its points 0 ... n - 1 and the inner ones from n on. None where
-    the loop, seen along the normal of its best plane, is too jagged to be triangulated.
+    points: the loop in order, shape (n, 3); barred: pairs of its numbers, the lower first, that are to be no edge
+    Faces name its points 0 ... n - 1 and the inner ones from n on. A loop that is smooth seen along the normal of its
+    best plane is filled there; any other one by the triangulation of least area, made finer. None where the barred
+    pairs leave no triangulation, and for a loop of more than MOST_JAGGED edges that is not smooth.
     """
+    flat = _flat_cap(points)
+    if flat is not None and not _has_edge(flat[1], barred):
+        return flat
+    if len(points) > MOST_JAGGED:
+        return None
+    coarse = least_area_faces(points, barred)
+    return _finer(points, coarse, barred) if len(coarse) else None
+
+
+def _has_edge(faces: Int, pairs: Collection[Pair]) -> bool:
+    return any((a, b) in pairs for a, b in unique_edges(faces)[0].tolist())
+
+
+def _flat_cap(points: Float) -> tuple[Float, Int] | None:
+    """Points of a grid in the loop's best plane, hung into the loop; None where an edge of the loop isn't kept."""
     number, axes = len(points), plane_axes(points)
     flat = (points - points.mean(axis=0)) @ axes[:2].T
     step = float(np.linalg.norm(points - np.roll(points, -1, axis=0), axis=1).mean())
@@ -77,6 +122,93 @@ def cap(points: Float) -> tuple[Float, Int] | None:
     if not np.array_equal(np.unique(border, axis=0), edges[count == 1]):
         return None
     return _spanned(points, len(inner), edges), triangles
+
+
+def _finer(points: Float, faces: Int, barred: Collection[Pair]) -> tuple[Float, Int]:
+    """A triangulation of a loop with its inner edges cut to the loop's mean length, and its points hung into it."""
+    step = float(np.linalg.norm(points - np.roll(points, -1, axis=0), axis=1).mean())
+    patch = _Patch(points, faces, barred)
+    for _ in range(ROUNDS):
+        patch.flip()
+        patch.cut(LONGEST_SHARE * step)
+        patch.hang()
+    return patch.points[len(points) :], patch.faces()
+
+
+class _Patch:
+    """Faces over a loop while their inner edges are cut and flipped; `across[a, b]` is the third corner of face a-b."""
+
+    def __init__(self, loop: Float, faces: Int, barred: Collection[Pair]) -> None:
+        self.points, self.border, self.barred = loop, len(loop), barred
+        self.across = {(f[i], f[(i + 1) % 3]): f[(i + 2) % 3] for f in faces.tolist() for i in range(3)}
+
+    def faces(self) -> Int:
+        return np.array([(a, b, c) for (a, b), c in self.across.items() if a < b and a < c], dtype=np.int32)
+
+    def inner_edges(self) -> list[Pair]:
+        return [(a, b) for a, b in self.across if a < b and (b, a) in self.across]
+
+    def cut(self, longest: float) -> None:
+        """Halve inner edges that are longer, the longest first and each face once."""
+        edges = np.array(self.inner_edges()).reshape(-1, 2)
+        length = np.linalg.norm(self.points[edges[:, 0]] - self.points[edges[:, 1]], axis=1)
+        done: set[Pair] = set()
+        added: list[Float] = []
+        for i in np.argsort(-length):
+            a, b = edges[i].tolist()
+            if length[i] <= longest:
+                break
+            c, d = self.across[a, b], self.across[b, a]
+            around = {(a, c), (c, b), (b, d), (d, a)}
+            if (a, b) in done:
+                continue
+            middle = len(self.points) + len(added)
+            added.append(0.5 * (self.points[a] + self.points[b]))
+            self._replace(((a, b, c), (b, a, d)), ((a, middle, c), (middle, b, c), (b, middle, d), (middle, a, d)))
+            done |= {(min(e), max(e)) for e in around}
+        self.points = np.concatenate([self.points, np.reshape(added, (-1, 3))])
+
+    def flip(self) -> None:
+        """Turn inner edges until none has angles across it that add up to more than two right ones (Delaunay)."""
+        for _ in range(ROUNDS):
+            turned = False
+            for a, b in self.inner_edges():
+                if (a, b) not in self.across or (b, a) not in self.across:
+                    continue
+                c, d = self.across[a, b], self.across[b, a]
+                barred = (min(c, d), max(c, d)) in self.barred or (c, d) in self.across or (d, c) in self.across
+                if not barred and self._angle(c, a, b) + self._angle(d, a, b) > np.pi + 1e-6:
+                    self._replace(((a, b, c), (b, a, d)), ((a, d, c), (d, b, c)))
+                    turned = True
+            if not turned:
+                return
+
+    def hang(self) -> None:
+        """Move inner points towards the mean of their neighbours; no face but slivers turns over."""
+        faces = self.faces()
+        links = adjacency(faces, len(self.points))
+        for _ in range(HANGING_ROUNDS):
+            trial = neighbour_mean(self.points, links)
+            trial[: self.border] = self.points[: self.border]
+            before, area = face_normals(self.points, faces)
+            sliver = area < SLIVER_SHARE * np.median(area)
+            while (over := (np.vecdot(face_normals(trial, faces)[0], before) <= 0.0) & ~sliver).any():
+                back = np.unique(faces[over])
+                if np.array_equal(trial[back], self.points[back]):
+                    break
+                trial[back] = self.points[back]
+            self.points = trial
+
+    def _replace(self, old: Iterable[Corners], new: Iterable[Corners]) -> None:
+        for a, b, c in old:
+            for edge in ((a, b), (b, c), (c, a)):
+                del self.across[edge]
+        for a, b, c in new:
+            self.across |= {(a, b): c, (b, c): a, (c, a): b}
+
+    def _angle(self, at: int, a: int, b: int) -> float:
+        u, v = self.points[a] - self.points[at], self.points[b] - self.points[at]
+        return float(np.arctan2(np.linalg.norm(np.cross(u, v)), u @ v))
 
 
 def _spanned(points: Float, inner: int, edges: Int) -> Float:

@@ -1,24 +1,29 @@
 """A user's own mesh of a hand, read from its file, mended or refused before anything is computed on it."""
 
+import re
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import trimesh
 
 from palmfield.errors import SceneError
+from palmfield.hand.chirality import fingertips, way_from_wrist
 from palmfield.hand.gltf import read_gltf
 from palmfield.hand.holes import plane_axes
+from palmfield.hand.joint_tree import joined
 from palmfield.hand.mano import read_mano
-from palmfield.hand.repair import Finding, repair
+from palmfield.hand.repair import Finding, Repair, repair
 from palmfield.hand.rigged import RiggedMesh, SkinRig, scaled, strongest
 from palmfield.hand.subdivide import split_long_edges
 from palmfield.hand.triangles import unique_edges, vertex_normals
-from palmfield.hand.units import Unit, choose_unit
+from palmfield.hand.units import DIGITS, Unit, choose_unit
 from palmfield.types import Float, Int, Surface
 
 PLAIN, GLTF, MANO = (".obj", ".ply", ".stl"), (".glb", ".gltf"), (".pkl",)
 SUFFIXES = PLAIN + GLTF + MANO
+MOST_FACES, ENOUGH_FACES = 1_000_000, 50_000
 
 
 @dataclass(frozen=True)
@@ -43,7 +48,7 @@ def load_mesh(path: str | Path, unit: str) -> Surface:
     """Closed surface from an OBJ, PLY, STL, glTF, GLB or MANO .pkl file, in metres, with outward normals.
 
     unit: what one unit in the file means: "m", "dm", "cm", "mm" or "in"; "auto" takes metres for glTF and MANO, and
-    elsewhere the only unit that makes it a hand or forearm
+    elsewhere the only unit that makes what has five fingertips a hand or forearm
     Faults are mended as `palmfield.hand.repair.repair` says.
 
     Raises SceneError for an unknown unit or format; a file that is missing, unreadable or empty; and what cannot be
@@ -69,7 +74,7 @@ def examine(path: str | Path, unit: str = "auto", longest_edge_m: float | None =
     """Read and mend a mesh, and say what was found; edges longer than longest_edge_m [m] are halved.
 
     Raises SceneError where there is no mesh to speak of: unknown unit or format, a missing, unreadable or empty file,
-    a size that no hand has.
+    more than MOST_FACES faces, a size that no hand has.
     """
     file = Path(path)
     vertices, faces, by_format, rig = _read(file)
@@ -80,9 +85,16 @@ def examine(path: str | Path, unit: str = "auto", longest_edge_m: float | None =
     used = vertices[np.unique(faces)]
     used = used[np.isfinite(used).all(axis=1)]
     length, breadth, _ = np.ptp(used @ plane_axes(used).T, axis=0)
-    scale = choose_unit(unit, by_format, float(length), float(breadth), f"mesh {file}")
     mended = repair(vertices, faces)
-    points, corners, carry = mended.vertices * scale.metres, mended.faces, mended.carry
+    tips = DIGITS
+    if unit == "auto" and by_format is None:
+        tips = len(fingertips(mended.vertices, mended.faces)) if len(mended.faces) else 0
+    scale = choose_unit(unit, by_format, float(length), float(breadth), f"mesh {file}", tips)
+    if rig is not None:
+        rig = SkinRig(rig.joints, mended.carry @ rig.weights)
+        if not mended.refused:
+            rig = _in_a_tree(rig, mended)
+    points, corners = mended.vertices * scale.metres, mended.faces
     findings = [Finding(f.name, f.count, f.outcome, f.places * scale.metres, f.text) for f in mended.findings]
     if longest_edge_m is not None and not mended.refused:
         edges, _ = unique_edges(corners)
@@ -91,10 +103,23 @@ def examine(path: str | Path, unit: str = "auto", longest_edge_m: float | None =
             finer, corners = split_long_edges(points, corners, longest_edge_m)
             text = f"edges longer than {longest_edge_m * 1e3:.2g} mm were halved until none was"
             findings.append(Finding("long edges", int(long.sum()), "repaired", np.zeros((0, 3)), text))
-            points, carry = finer @ points, finer @ carry
+            points = finer @ points
+            rig = None if rig is None else SkinRig(rig.joints, finer @ rig.weights)
     if rig is not None:
-        rig = SkinRig(scaled(rig.joints, scale.metres), carry @ rig.weights)
+        rig = SkinRig(scaled(rig.joints, scale.metres), rig.weights)
     return Examined(points, corners, scale, findings, rig, len(vertices), len(faces))
+
+
+def _in_a_tree(rig: SkinRig, mended: Repair) -> SkinRig:
+    """The rig with joints that were side by side in a tree, which is noted."""
+    rig, moved, how = joined(rig, mended.vertices, way_from_wrist(mended.vertices, mended.faces))
+    places, children = rig.joints.rest[moved, :3, 3], f"{len(moved)} joints stood side by side; each was hung on"
+    if how == "names":
+        mended.note("sibling joints", len(moved), "repaired", places, f"{children} the one before it by its name")
+    elif how == "skin":
+        text = "the one with which it shares most skin, as its name tells nothing; look at the bodies that are written"
+        mended.note("sibling joints", len(moved), "noted", places, f"{children} {text}")
+    return rig
 
 
 def refusal(path: str | Path, findings: list[Finding]) -> str:
@@ -125,9 +150,10 @@ def _read(file: Path) -> tuple[Float, Int, str | None, SkinRig | None]:
         )
     if not file.is_file():
         raise SceneError(f"mesh {file} does not exist; give the path of a {', '.join(SUFFIXES)} file")
+    _check_count(file, announced_faces(file))
     rig: SkinRig | None = None
     if suffix in GLTF:
-        vertices, faces, rig = read_gltf(file)
+        vertices, faces, rig = read_gltf(file, partial(_check_count, file))
     elif suffix in MANO:
         vertices, faces, rig = read_mano(file)
     else:
@@ -136,9 +162,39 @@ def _read(file: Path) -> tuple[Float, Int, str | None, SkinRig | None]:
         raise SceneError(
             f"mesh {file} is empty ({len(vertices)} vertices, {len(faces)} faces); export it with its faces"
         )
+    _check_count(file, len(faces))
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise SceneError(f"mesh {file}: a face names vertex {faces.max()} of {len(vertices)}; export it again")
     return vertices, faces, None if suffix in PLAIN else "m", rig
+
+
+def _check_count(file: Path, count: int) -> None:
+    if count > MOST_FACES:
+        raise SceneError(
+            f"mesh {file} has {count} faces; at most {MOST_FACES} are read, and {ENOUGH_FACES} with edges of about "
+            "1.5 mm serve as well: make it coarser in the program that it is from (in Blender the modifier Decimate, "
+            "in MeshLab Quadric Edge Collapse Decimation)"
+        )
+
+
+def announced_faces(file: Path) -> int:
+    """How many faces a file says or seems to have, without reading them; 0 where only its reader can tell."""
+    suffix, size = file.suffix.lower(), file.stat().st_size
+    with file.open("rb") as stream:
+        head = stream.read(4096)
+        if suffix == ".ply":
+            found = re.search(rb"element face (\d+)", head)
+            return int(found[1]) if found else 0
+        if suffix == ".stl" and len(head) >= 84:
+            count = int.from_bytes(head[80:84], "little")
+            if size == 84 + 50 * count:
+                return count
+        if suffix in (".stl", ".obj"):
+            # A line a face; blocks end anywhere, so that a few faces in a million may be missed.
+            mark = b"endfacet" if suffix == ".stl" else b"\nf "
+            stream.seek(0)
+            return sum(block.count(mark) for block in iter(partial(stream.read, 1 << 24), b""))
+    return 0
 
 
 def _read_plain(file: Path) -> tuple[Float, Int]:

@@ -43,7 +43,8 @@ def surface_patch(
         for a layer on the far side; use 1 where the far side is the rigid base itself.
 
     Patch.report: vertices, triangles, area_m2, angle_min_deg, edge_mean_m, quality_min (scaled Jacobian of the wedges),
-    share_thinned (of vertices, by more than 0.1 %), depth_asked_{min,p10,mean}_m, depth_got_{min,p10,mean}_m.
+    share_thinned (of vertices, by more than 0.1 %), depth_asked_{min,p10,mean}_m, depth_got_{min,p10,mean}_m, through_m
+    (the way through the body along the inward directions, the median).
 
     Raises SceneError for numbers out of range, a centre off the surface or facing away, and a layer that folds.
     """
@@ -67,7 +68,7 @@ def surface_patch(
     edges, count = unique_edges(faces)
     rim = np.zeros(len(vertices), dtype=np.bool_)
     rim[edges[count == 1]] = True
-    report = _report(vertices, faces, edges, requested, got, quality)
+    report = _report(vertices, faces, edges, requested, got, quality) | {"through_m": float(np.median(way))}
     symmetry = None if axis is None else _unit_vector(axis, "axis")
     return Patch(vertices, faces, inward, got, rim, symmetry, report)
 

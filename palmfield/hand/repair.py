@@ -9,7 +9,14 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from palmfield.hand.holes import boundary_loops, cap, least_area_faces, plane_axes
-from palmfield.hand.triangles import consistent_winding, directed_edges, face_components, face_normals, unique_edges
+from palmfield.hand.triangles import (
+    consistent_winding,
+    directed_edges,
+    face_components,
+    face_normals,
+    unique_edges,
+    winding_numbers,
+)
 from palmfield.types import Float, Int
 
 # Vertices closer than this share of the extent are one: UV seams and STL repeat positions, bit for bit or rounded.
@@ -21,7 +28,7 @@ CRUMB_SHARE = FIN_SHARE = 0.01
 # A wrist lies in the last sixth of the length, is cut across it and is long around (ANSUR II: 0.85 of the length of
 # the hand; an elbow about half of that of the forearm with its hand).
 WRIST_END_SHARE, WRIST_COSINE, WRIST_AROUND_SHARE = 1.0 / 6.0, 0.6, 0.4
-MOST_PLACES = 50
+MOST_PLACES, WITHIN_POINTS = 50, 100
 NO_VOLUME = "it encloses no volume; give a closed hand, not a flat sheet"
 
 
@@ -259,11 +266,24 @@ def _drop_crumbs(mesh: Repair) -> None:
     middle = [mesh.vertices[np.unique(mesh.faces[label == body])].mean(axis=0) for body in range(len(area))]
     text = f"bodies of less than {100 * CRUMB_SHARE:g} % of the area were dropped"
     mesh.note("crumbs", len(crumbs), "repaired", np.array([middle[c] for c in crumbs]), text)
-    mesh.faces = mesh.faces[~np.isin(label, crumbs)]
-    bodies = np.setdiff1d(np.arange(len(area)), crumbs)
+    largest = int(np.argmax(area))
+    others = [b for b in range(len(area)) if b != largest and b not in crumbs]
+    shells = [b for b in others if _within(mesh.vertices, mesh.faces[label == largest], mesh.faces[label == b])]
+    text = "bodies within the largest one, which sound never meets, were dropped"
+    mesh.note("inner shells", len(shells), "repaired", np.array([middle[b] for b in shells]), text)
+    gone = np.union1d(crumbs, shells)
+    mesh.faces = mesh.faces[~np.isin(label, gone)]
+    bodies = np.setdiff1d(np.arange(len(area)), gone)
     if len(bodies) > 1:
         text = f"it has {len(bodies)} separate bodies; keep the hand only"
         mesh.note("several bodies", len(bodies), "refused", np.array([middle[b] for b in bodies]), text)
+
+
+def _within(vertices: Float, outer: Int, inner: Int) -> bool:
+    """Whether all of some of a body's vertices lie within another one, which may have holes and look either way."""
+    used = np.unique(inner)
+    some = vertices[used[:: max(1, len(used) // WITHIN_POINTS)]]
+    return bool((np.abs(winding_numbers(vertices, outer, some)) > 0.5).all())
 
 
 def _drop_unused(mesh: Repair) -> None:
@@ -289,10 +309,11 @@ def _close(mesh: Repair) -> None:
     if len(wrist) != 1:
         return
     loop = wrist[0]
-    closed = cap(mesh.vertices[loop])
+    closed = cap(mesh.vertices[loop], _edges_between(mesh.faces, loop))
     where = middle[id(loop)]
     if closed is None:
-        mesh.note("open wrist", 1, "refused", where, "its edge is too jagged to be closed; cut it straight")
+        text = f"its rim of {len(loop)} edges can't be closed; cut it straight across"
+        mesh.note("open wrist", 1, "refused", where, text)
         return
     inner, faces = closed
     number = np.concatenate([loop, len(mesh.vertices) + np.arange(len(inner))])
@@ -302,6 +323,15 @@ def _close(mesh: Repair) -> None:
     mesh.add(spread, inner, number[faces])
     text = f"a loop of {len(loop)} edges was closed by {len(faces)} triangles"
     mesh.note("open wrist", 1, "repaired", where, text)
+
+
+def _edges_between(faces: Int, loop: Int) -> set[tuple[int, int]]:
+    """Pairs of a loop's numbers, the lower first, that an edge of the mesh joins already, but for the loop's own."""
+    place = {vertex: number for number, vertex in enumerate(loop.tolist())}
+    edges, count = unique_edges(faces)
+    both = edges[np.isin(edges, loop).all(axis=1) & (count > 1)].tolist()
+    pairs = [(place[a], place[b]) for a, b in both]
+    return {(min(pair), max(pair)) for pair in pairs}
 
 
 def _check_closed(mesh: Repair) -> None:

@@ -10,34 +10,45 @@ from scipy.spatial import cKDTree
 
 from palmfield.errors import OutputError, SceneError
 from palmfield.hand.chirality import Chirality, chirality
+from palmfield.hand.foretold import foretold_layers
+from palmfield.hand.holes import plane_axes
+from palmfield.hand.joint_tree import named_side
 from palmfield.hand.layer import inward_directions, unfolded
 from palmfield.hand.meshfile import Examined, examine, refusal
 from palmfield.hand.repair import MOST_PLACES, Finding
 from palmfield.hand.selfcross import crossings
 from palmfield.hand.subdivide import EDGE_m
 from palmfield.hand.triangles import corner_angles, face_components, face_normals, unique_edges, vertex_normals
+from palmfield.hand.units import DIGITS, size_of_a_hand
 from palmfield.hand.wholelayer import hand_layer
 from palmfield.types import Float, Int, Surface
 
+VERDICTS = ("accepted", "accepted with doubts", "refused")
+HAND_SIZES = "hands are 130 to 260 mm long, forearms with a hand 360 to 560"
 LAYERS_m = (0.001, 0.002, 0.003, 0.005)
 PALMAR_COSINE = 0.3
 
 
 @dataclass(frozen=True)
 class ReportCard:
-    """facts: as in the JSON file; mesh: what was read and mended; refusal: why it cannot be used, or None"""
+    """facts: as in the JSON file; mesh: what was read and mended; refusal: why it cannot be used, or None; doubts: why
+    it may be no hand, or one that is wrong in places
+    """
 
     facts: dict[str, Any]
     mesh: Examined
     refusal: str | None
+    doubts: tuple[str, ...]
 
 
 def report_card(path: str | Path, unit: str = "auto") -> ReportCard:
     """Examine a mesh as `palmfield hand` does; see `palmfield.hand.meshfile.examine` for what is mended and raised.
 
-    facts: file, accepted, refusal, unit, unit_source, size_mm, vertices, faces, joints, edges_mm (least, mean, most),
-    least_angle_deg, side, side_sureness, side_reason, volume_cm3, area_cm2, findings (name, count, outcome, places_mm,
-    text), layers (asked_mm, p10_share, thinned_share, least_quality, volume_share, or error)
+    facts: file, verdict (of VERDICTS), accepted (not refused), refusal, doubts (texts), unit, unit_source, size_mm,
+    vertices, faces, joints, edges_mm (least, mean, most), least_angle_deg, self_intersections, findings (name, count,
+    outcome, places_mm, text); and of what is closed side, side_sureness, side_reason, volume_cm3, area_cm2, layers
+    (asked_mm, p10_share, thinned_share, least_quality, volume_share, or error), and scene_layers (see
+    `palmfield.hand.foretold.foretold_layers`)
     """
     mesh = examine(path, unit, EDGE_m)
     findings = list(mesh.findings)
@@ -46,8 +57,6 @@ def report_card(path: str | Path, unit: str = "auto") -> ReportCard:
     length = 1e3 * np.linalg.norm(mesh.vertices[edges[:, 0]] - mesh.vertices[edges[:, 1]], axis=1)
     facts: dict[str, Any] = {
         "file": str(path),
-        "accepted": no is None,
-        "refusal": no,
         "unit": mesh.unit.name,
         "unit_source": mesh.unit.source,
         "size_mm": [round(1e3 * float(v), 2) for v in np.ptp(mesh.vertices, axis=0)],
@@ -66,26 +75,64 @@ def report_card(path: str | Path, unit: str = "auto") -> ReportCard:
         text = "pairs of faces cross each other; sound and skin there are wrong"
         findings.append(Finding("self-intersections", len(pairs), "noted", places[:MOST_PLACES], text))
     facts["self_intersections"] = len(pairs)
+    doubts = [f"{finding.count} x {finding.name}" for finding in findings if finding.outcome == "noted"]
     if no is None:
         a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
         facts["volume_cm3"] = round(1e6 * float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum()) / 6.0, 2)
-        hand = chirality(mesh.vertices, mesh.faces)
+        named = "unknown" if mesh.rig is None else named_side(mesh.rig.joints.names)
+        hand = chirality(mesh.vertices, mesh.faces, named)
+        doubts += _doubts(mesh, hand, named)
         facts |= {"side": hand.side, "side_sureness": round(hand.sureness, 2), "side_reason": hand.reason}
         facts["layers"] = palmar_layers(mesh.vertices, mesh.faces, hand)
+        surface = Surface(mesh.vertices, mesh.faces, vertex_normals(mesh.vertices, mesh.faces))
+        facts["scene_layers"] = foretold_layers(surface, hand)
+        findings += _folds(facts["layers"], len(pairs))
+        no = refusal(path, findings) if any(f.outcome == "refused" for f in findings) else None
+    verdict = VERDICTS[2 if no is not None else bool(doubts)]
+    facts |= {"verdict": verdict, "accepted": no is None, "refusal": no, "doubts": doubts}
     facts["findings"] = [_finding_facts(finding) for finding in findings]
-    return ReportCard(facts, mesh, no)
+    return ReportCard(facts, mesh, no, tuple(doubts))
+
+
+def _doubts(mesh: Examined, hand: Chirality, named: str) -> list[str]:
+    """Why a closed mesh may be no hand, or another one than it says."""
+    doubts = []
+    if len(hand.tips) != DIGITS:
+        doubts.append(f"fingertips: {len(hand.tips)}, not {DIGITS}")
+    elif hand.side == "unknown":
+        doubts.append("it is not sure which hand it is")
+    if hand.side != "unknown" and named not in ("unknown", hand.side):
+        doubts.append(f"its joints are named as of a {named} hand and its shape is of a {hand.side} one")
+    handles = 1 - (len(mesh.vertices) - len(unique_edges(mesh.faces)[0]) + len(mesh.faces)) // 2
+    if handles:
+        doubts.append(f"holes right through it: {handles}, as a ring has one; fingers may have grown together")
+    length, breadth, _ = np.ptp(mesh.vertices @ plane_axes(mesh.vertices).T, axis=0)
+    if not size_of_a_hand(float(length), float(breadth)):
+        doubts.append(f"it is {1e3 * length:.0f} x {1e3 * breadth:.0f} mm long and broad; {HAND_SIZES}")
+    return doubts
+
+
+def _folds(layers: list[dict[str, Any]], crossing: int) -> list[Finding]:
+    """A finding that refuses a mesh under which layers fold."""
+    errors = [layer["error"] for layer in layers if "error" in layer]
+    mend = "part fingers that cross or touch in the program that it is from" if crossing else "smooth the skin there"
+    text = f"{mend}: {errors[0]}" if errors else ""
+    return [Finding("layers that fold", len(errors), "refused", np.zeros((0, 3)), text)] if errors else []
 
 
 def refused_facts(path: str | Path, unit: str, error: SceneError) -> dict[str, Any]:
     """Facts of a mesh that `report_card` could not examine, for `as_text` and `write_card`; error: what it raised.
 
-    file, accepted (False), refusal, unit_asked, findings (one, "not examined": wrong unit, or no mesh in the file)
+    file, verdict ("refused"), accepted (False), refusal, doubts (none), unit_asked, findings (one, "not examined":
+    wrong unit, or no mesh in the file)
     """
     finding = Finding("not examined", 1, "refused", np.zeros((0, 3)), str(error))
     return {
         "file": str(path),
+        "verdict": VERDICTS[2],
         "accepted": False,
         "refusal": str(error),
+        "doubts": [],
         "unit_asked": unit,
         "findings": [_finding_facts(finding)],
     }
@@ -136,7 +183,8 @@ def as_text(facts: dict[str, Any]) -> str:
         at = "".join(f" ({x:.1f}, {y:.1f}, {z:.1f})" for x, y, z in finding["places_mm"][:3])
         where = f"; at{at}{' ...' if len(finding['places_mm']) > 3 else ''} mm" if at else ""
         rows.append((finding["outcome"], f"{finding['count']} x {finding['name']}: {finding['text']}{where}"))
-    rows.append(("verdict", "accepted" if facts["accepted"] else "refused"))
+    rows += [("doubt", doubt) for doubt in facts["doubts"]]
+    rows.append(("verdict", facts["verdict"]))
     return "".join(f"{name:<12}{text}\n" for name, text in rows)
 
 
@@ -150,10 +198,11 @@ def _shape_rows(facts: dict[str, Any]) -> list[tuple[str, str]]:
         ("edges", f"{low:.2f} to {high:.2f} mm, mean {mean:.2f}; least angle {facts['least_angle_deg']:.1f} deg"),
         ("crossings", f"{facts['self_intersections']} pairs of faces"),
     ]
-    if facts["accepted"]:
+    if "side" in facts:
         side = f"{facts['side']} (sureness {facts['side_sureness']:.2f}: {facts['side_reason']})"
         rows += [("hand", side), ("volume", f"{facts['volume_cm3']:.1f} cm3, area {facts['area_cm2']:.1f} cm2")]
         rows += [(f"layer {layer['asked_mm']:g} mm", _layer_line(layer)) for layer in facts["layers"]]
+        rows += [("in a scene", _scene_line(layer)) for layer in facts["scene_layers"]]
     return rows
 
 
@@ -190,3 +239,10 @@ def _layer_line(layer: dict[str, Any]) -> str:
         f"p10 of thickness {100 * layer['p10_share']:.0f} %, thinned {100 * layer['thinned_share']:.1f} % of the area, "
         f"least quality {layer['least_quality']:.2f}, volume {100 * layer['volume_share']:.1f} %"
     )
+
+
+def _scene_line(layer: dict[str, Any]) -> str:
+    at = f"{layer['place']}, {layer['radius_mm']:g} mm around ({', '.join(f'{x:.1f}' for x in layer['centre_mm'])}) mm"
+    if "error" in layer:
+        return f"{at}: {layer['error']}"
+    return f"{at}: depth {layer['least_mm']:.1f} mm or more, p10 {layer['p10_mm']:.1f}, mean {layer['mean_mm']:.1f}"

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from palmfield.errors import SceneError
 from palmfield.hand.articulated import DIGITS_IN_FILE, ARMATURE_kg_m2
 from palmfield.hand.chirality import Chirality, chirality, fingers_direction
+from palmfield.hand.joint_tree import named_side
 from palmfield.hand.mjcf import SKIN_RGBA, DENSITY_kg_m3, HEIGHT_m, numbers_text
 from palmfield.hand.rigged import RiggedMesh
 from palmfield.types import Float, Int
@@ -67,7 +68,7 @@ def rigged_mjcf(mesh: RiggedMesh, name: str) -> str:
     carries = np.bincount(owner, minlength=len(names)) > 0
     vertices = mesh.surface.vertices
     whole = cKDTree(vertices)
-    side = chirality(vertices, mesh.surface.faces)
+    side = chirality(vertices, mesh.surface.faces, named_side(names))
     turn = _turn(mesh, side)
     capsules = {
         j: _capsules(vertices[owner == j], whole, places[j], places[_next_carrying(j, parents, carries)])

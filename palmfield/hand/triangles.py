@@ -105,3 +105,19 @@ def consistent_winding(faces: Int) -> Int:
     out = faces.copy()
     out[turned] = out[turned][:, ::-1]
     return out
+
+
+def winding_numbers(vertices: Float, faces: Int, points: Float) -> Float:
+    """How often a surface goes round each point, shape (k,): 1 or -1 within a closed one, 0 outside, between where the
+    surface has holes (van Oosterom & Strackee 1983; Jacobson et al. 2013, doi 10.1145/2461912.2461916).
+
+    points: shape (k, 3)
+    """
+    total = np.empty(len(points))
+    for i, point in enumerate(points):
+        a, b, c = (vertices[faces[:, k]] - point for k in range(3))
+        la, lb, lc = (np.linalg.norm(x, axis=1) for x in (a, b, c))
+        above = np.vecdot(a, np.cross(b, c))
+        below = la * lb * lc + np.vecdot(a, b) * lc + np.vecdot(b, c) * la + np.vecdot(c, a) * lb
+        total[i] = np.arctan2(above, below).sum() / (2.0 * np.pi)
+    return total

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from palmfield.errors import SceneError
 
 METRES = {"m": 1.0, "dm": 0.1, "cm": 1e-2, "mm": 1e-3, "in": 0.0254}
+DIGITS = 5
 LEAST_EXTENT_m, GREATEST_EXTENT_m = 0.02, 0.6
 # From a child's hand to a big one with its wrist; forearm with hand: elbow to fingertip.
 HAND_m, FOREARM_m = (0.13, 0.26), (0.36, 0.56)
@@ -21,14 +22,18 @@ class Unit:
     source: str
 
 
-def choose_unit(requested: str, by_format: str | None, length: float, breadth: float, what: str) -> Unit:
+def choose_unit(
+    requested: str, by_format: str | None, length: float, breadth: float, what: str, tips: int = DIGITS
+) -> Unit:
     """Unit of a file.
 
     requested: a key of METRES, or "auto"; by_format: what the file's format prescribes, or None
-    length, breadth: longest and middle extent, in the file's unit; what: the file, for messages
-    With "auto" the format's unit is taken, and otherwise the only one with which these are a hand (0.13 to 0.26 m long,
-    broader than 0.3 of that) or a forearm with its hand (0.36 to 0.56 m, narrower than 0.4).
-    Raises SceneError for an unknown unit, where none or several fit, and for a size outside 20 to 600 mm.
+    length, breadth: longest and middle extent, in the file's unit; what: the file, for messages; tips: of digits found
+    With "auto" the format's unit is taken, and otherwise, of what has five fingertips, the only one with which these
+    are a hand (0.13 to 0.26 m long, broader than 0.3 of that) or a forearm with its hand (0.36 to 0.56 m, narrower than
+    0.4).
+    Raises SceneError for an unknown unit, where none or several fit or the tips are not five, and for a size outside 20
+    to 600 mm.
     """
     if requested != "auto" and requested not in METRES:
         raise SceneError(f"{what}: unit {requested!r} is unknown; use one of {', '.join(METRES)} or auto")
@@ -37,6 +42,11 @@ def choose_unit(requested: str, by_format: str | None, length: float, breadth: f
     elif by_format is not None:
         unit = Unit(by_format, METRES[by_format], "set by the file's format")
     else:
+        if tips != DIGITS:
+            raise SceneError(
+                f"{what} carries no unit and what was found as fingertips are {tips}, not {DIGITS}: no unit is guessed "
+                f"for what may be no hand; give the unit, one of {', '.join(METRES)}"
+            )
         unit = _inferred(length, breadth, what)
     size = length * unit.metres
     if not LEAST_EXTENT_m <= size <= GREATEST_EXTENT_m:
@@ -52,15 +62,21 @@ def choose_unit(requested: str, by_format: str | None, length: float, breadth: f
     return unit
 
 
+def size_of_a_hand(length_m: float, breadth_m: float) -> bool:
+    """Whether a mesh is as long and broad as a hand, or a forearm with its hand, see `choose_unit`."""
+    return bool(_parts(length_m, breadth_m / length_m))
+
+
+def _parts(size_m: float, slender: float) -> list[str]:
+    hand = HAND_m[0] <= size_m <= HAND_m[1] and slender >= LEAST_HAND_BREADTH
+    forearm = FOREARM_m[0] <= size_m <= FOREARM_m[1] and slender <= GREATEST_FOREARM_BREADTH
+    return ["hand"] * hand + ["forearm with hand"] * forearm
+
+
 def _inferred(length: float, breadth: float, what: str) -> Unit:
-    slender = breadth / length
-    candidates = []
-    for name, metres in METRES.items():
-        size = length * metres
-        if HAND_m[0] <= size <= HAND_m[1] and slender >= LEAST_HAND_BREADTH:
-            candidates.append((name, metres, "hand"))
-        elif FOREARM_m[0] <= size <= FOREARM_m[1] and slender <= GREATEST_FOREARM_BREADTH:
-            candidates.append((name, metres, "forearm with hand"))
+    candidates = [
+        (name, metres, part) for name, metres in METRES.items() for part in _parts(length * metres, breadth / length)
+    ]
     if len(candidates) == 1:
         name, metres, part = candidates[0]
         return Unit(name, metres, f"inferred: a {part} of {length * metres * 1e3:.4g} mm")

@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from palmfield.hand.chirality import chirality, fingers_direction
 from palmfield.hand.holes import plane_axes
+from palmfield.hand.joint_tree import named_side
 from palmfield.hand.repair import MOST_PLACES
 from palmfield.hand.reportcard import ReportCard, fault_faces
 from palmfield.hand.triangles import face_normals, unique_edges
@@ -36,7 +37,7 @@ def draw_card(card: ReportCard, path: Path) -> Path:
         swatches = [_swatch(finding) for finding in card.facts["findings"]]
         if swatches:
             figure.legend(handles=swatches, loc="outside lower center", ncols=2)
-        verdict = "accepted" if card.facts["accepted"] else "refused"
+        verdict = card.facts["verdict"]
         size = " x ".join(f"{v:.0f}" for v in card.facts["size_mm"])
         unit = f"unit {card.facts['unit']}, {card.facts['unit_source']}"
         figure.suptitle(f"{Path(card.facts['file']).name}: {verdict}; {size} mm; {unit}")
@@ -62,9 +63,10 @@ def directions(card: ReportCard) -> tuple[Float, Float]:
     """Unit vectors to the fingers and out of the palm; the mesh's own axes where it was refused."""
     vertices = card.mesh.vertices
     along = fingers_direction(vertices, card.mesh.faces)
-    if not card.facts["accepted"]:
+    if "side" not in card.facts:
         return along, plane_axes(vertices)[2]
-    palm = chirality(vertices, card.mesh.faces).palm
+    named = "unknown" if card.mesh.rig is None else named_side(card.mesh.rig.joints.names)
+    palm = chirality(vertices, card.mesh.faces, named).palm
     along -= (along @ palm) * palm
     return along / np.linalg.norm(along), palm
 

@@ -18,8 +18,9 @@ def format_summary(summary: Mapping[str, Any]) -> str:
 
     summary: of `palmfield.outputs.summary.summary`. Further entries of a skin that are told where they are there:
     dofs, solver, accuracy_wanted_relative; displacement_error_relative with mesh_, step_, reduction_ and
-    edge_error_relative, or displacement_error_missing (a reason); peak_displacement_low_m and _high_m;
-    main_frequency_Hz and level_OBSERVER_dB_SL. Of a stimulus: drive_level. Of the run: wall_time_s, peak_memory_MiB.
+    edge_error_relative, or displacement_error_missing (a reason); of modes reduction_velocity_error_relative;
+    peak_displacement_low_m and _high_m; main_frequency_Hz and level_OBSERVER_dB_SL. Of a stimulus: drive_level. Of the
+    run: wall_time_s, peak_memory_MiB.
     """
     skins, stimuli = summary["skins"], summary["stimuli"]
     drives = [
@@ -71,12 +72,14 @@ def _motion(skin: Mapping[str, Any]) -> list[Row]:
         without = f"({1e6 * skin['rms_displacement_without_dc_m']:.3g} um without the mean)"
         rows.append(("rms skin displacement", f"{1e6 * skin['rms_displacement_m']:.3g} um{band} {without}"))
     if error is not None:
+        velocity = skin.get("reduction_velocity_error_relative")
+        of_velocity = "" if velocity is None else f" ({100 * velocity:.2g} % of the velocity)"
         rows.append(
             (
                 "error estimate",
                 f"mesh {100 * skin['mesh_error_relative']:.2f} %, "
                 f"time step {100 * skin['step_error_relative']:.2f} %, "
-                f"reduction {100 * skin['reduction_error_relative']:.2f} %, "
+                f"reduction {100 * skin['reduction_error_relative']:.2f} %{of_velocity}, "
                 f"cut edge {100 * skin['edge_error_relative']:.2f} %; material and p0 not included (see plan)",
             )
         )

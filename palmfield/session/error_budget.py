@@ -130,7 +130,8 @@ def error_estimate(
 def _numbers_of(small: ReducedStepper | ModalStepper) -> tuple[Any, ...]:
     """All that a small model's or modes' answers follow from."""
     if isinstance(small, ModalStepper):
-        return small.body.modes.elastic, small.body.modes.stiffness, small.body.forces, small.error
+        modes = small.body.modes
+        return modes.elastic, modes.stiffness, modes.coupling, modes.shares, small.body.forces, small.error
     return small.small.matrices, small.vectors, small.error, small.any_course
 
 

@@ -40,6 +40,7 @@ def skin_numbers(
     loudest: the moment of the highest ARP on the skin, None for a run that was silent there
     times: of the run's records [s], shape (t,); motion_at_vertex: displacement along the outward normal of the vertex
         that moves most [m], shape (t,); peak: its largest size, of all vertices [m]
+    `reduction_velocity_error_relative` is what modes state of the velocity; no other solver states it.
     An error estimate that fails leaves its reason in `displacement_error_missing`; the results stand without it.
     """
     runtime = simulation.runtime
@@ -65,6 +66,9 @@ def skin_numbers(
             result["displacement_error_missing"] = errors
         else:
             result |= errors | {"displacement_error_m": errors["displacement_error_relative"] * peak}
+    stepper = model.begin[number].value
+    if isinstance(stepper, ModalStepper) and not left_small_model:
+        result["reduction_velocity_error_relative"] = runtime.work.outside[number].errors(stepper)[1]
     frequencies = main_frequencies(model.stimuli[stimulus].config)
     return result | felt_levels(times, motion_at_vertex.astype(np.float64), frequencies)
 

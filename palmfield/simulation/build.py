@@ -133,11 +133,11 @@ def _new_body(skin: SkinConfig) -> BodyModel:
     if skin.shape == "disc":
         return BodyModel(skin.body, None, None, skin.depth_m)
     if skin.shape == "mesh":
-        assert skin.mesh and skin.mesh_unit
-        return BodyModel(skin.body, load_mesh(Path(skin.mesh), skin.mesh_unit), None, skin.depth_m)
+        assert skin.mesh
+        return BodyModel(skin.body, load_mesh(Path(skin.mesh), skin.unit), None, skin.depth_m)
     if skin.shape == "rigged":
-        assert skin.mesh and skin.mesh_unit
-        mesh = rigged_file(skin.mesh, skin.mesh_unit)
+        assert skin.mesh
+        mesh = rigged_file(skin.mesh, skin.unit)
         joint, _ = joint_of_body(skin.body, mesh.joints)
         rigged = skinned_mesh(mesh, mesh.joints.rest[joint, :3, 3])
         return BodyModel(skin.body, rigged.surface, rigged, skin.depth_m)

@@ -168,6 +168,6 @@ def common_choice(
     why = f"{loads} different loads, at most {MOST_SMALL_MODELS} of which get a small model each"
     substeps = len(choices) * spec.duration_s / layer.sizes.step_s
     modes, refusal = load_class.expected_modes(skin, layer), load_class.refusal(skin, layer)
-    ranked = scene_choices(layer.dofs, substeps, 0.0, why, modes, refusal)
+    ranked = scene_choices(layer.dofs, substeps, 0.0, why, modes, refusal, load_class.laws(layer))
     seconds = {choice.name: choice.seconds for choice in ranked}
     return StepperChoice(ranked[0].name, why, ranked[0].seconds, seconds["wedges"])

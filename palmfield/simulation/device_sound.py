@@ -481,9 +481,17 @@ class DeviceWork:
             own = places[name]
             here = points.points[own], points.normals[own]
             self._sound[name] = [*sound_calls(transducers, table, *here, surfaces[name], model.arrays, arps[name])]
-        sampled = points.normals[points.sampled], points.points[points.sampled]
+        sampled = points.points[points.sampled], points.normals[points.sampled]
         loads: Any = wp.zeros(counts[FORCE], dtype=wp.float64, device=self.device)
-        weighed = [arrays[f"{FORCE}_counts"], arrays["weights"], pressed, points.areas, loads]
+        weighed = [
+            arrays[f"{FORCE}_counts"],
+            arrays["weights"],
+            pressed,
+            points.areas,
+            *sampled,
+            transducers.corners,
+            loads,
+        ]
         self._sound[FORCE] += [
             launch(summing.mean_load, counts[FORCE], weighed, self.device),
             *owners.calls(loads, *sampled, arrays["origins"], self.forces.arrays["forces"], self.device),
@@ -809,7 +817,7 @@ class _Owners:
         self._starts, self._of_parts = np.array([*starts, at], np.int32), np.array(of_parts, np.int32)
 
     def calls(
-        self, loads: Any, normals: Any, points: Any, origins: Any, result: Any, device: str
+        self, loads: Any, points: Any, normals: Any, origins: Any, result: Any, device: str
     ) -> list[Callable[[], object]]:
         """Launches that add loads up by part."""
         order, starts, parts, of_parts = (
@@ -819,7 +827,7 @@ class _Owners:
         sums: Any = wp.zeros((runs, 6), dtype=wp.float64, device=device)
         lanes: Any = wp.zeros((summing.LANES, self._parts, 6), dtype=wp.float64, device=device)
         return [
-            launch(summing.sums_of_runs, runs, [loads, normals, points, order, starts, parts, origins, sums], device),
+            launch(summing.sums_of_runs, runs, [loads, points, normals, order, starts, parts, origins, sums], device),
             launch(summing.sums_of_parts, lanes.shape, [sums, of_parts, lanes], device),
             launch(summing.sums_of_lanes, (self._parts, 6), [lanes, result], device),
         ]

@@ -7,9 +7,10 @@ from palmfield.acoustics.surface_load import Parts, pushes, resultants
 from palmfield.simulation.emission import Emission
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.path_sound import PathSound
-from palmfield.simulation.posed_scene import PosedScene, PosedSurface
+from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.radiation import Radiation
-from palmfield.types import Complex, Float, Float32
+from palmfield.simulation.seen_samples import SeenSamples
+from palmfield.types import Complex, Float, Float32, Int
 
 
 class BodyForces:
@@ -21,8 +22,8 @@ class BodyForces:
         self._path_sound = path_sound if path_sound is not None and path_sound.serves else None
         self._skins = [model.carried(number)[0] for number in range(len(model.bodies))]
         self._shapes = [(body.parts, 3) for body in model.bodies]
-        self._parts: dict[int, Parts] = {}
-        self._pushes: dict[int, tuple[PosedSurface, Float]] = {}
+        self._owners: dict[int, Int] = {}
+        self._pushes: dict[int, tuple[SeenSamples, Float, Parts]] = {}
         self._last: dict[int, tuple[SurfaceSound, tuple[Float, Float]]] = {}
 
     def over(self, emission: Emission, posed: PosedScene, emitted: Complex, t0: float) -> list[tuple[Float, Float]]:
@@ -62,12 +63,13 @@ class BodyForces:
         return known[1]
 
     def _resultants(self, posed: PosedScene, body: int, arp: Float | Float32) -> tuple[Float, Float]:
-        part = posed.bodies[body]
+        samples, origins = self.radiation.samples(posed, self._skins[body]), posed.bodies[body].origins
         known = self._pushes.get(body)
-        if known is None or known[0] is not part:
-            points, normals, areas = part.samples
-            known = self._pushes[body] = part, pushes(areas, normals, points)
-        parts = self._parts.get(body)
-        if parts is None:
-            parts = self._parts[body] = Parts(part.sample_parts, len(part.origins))
-        return resultants(arp, known[1], part.origins, parts)
+        if known is None or known[0] is not samples:
+            points, normals, areas, numbers = samples
+            owners = self._owners.get(body)
+            if owners is None:
+                owners = self._owners[body] = posed.bodies[body].sample_parts
+            parts = Parts(owners[numbers], len(origins))
+            known = self._pushes[body] = samples, pushes(areas, normals, points), parts
+        return resultants(arp, known[1], origins, known[2])

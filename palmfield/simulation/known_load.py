@@ -100,7 +100,7 @@ def choose_stepper(
         )
     vectors = 0 if reason is not None else expected_vectors(_sounding(stimuli), pole, response_on)
     modes = load_class.expected_modes(skin, layer)
-    choices = scene_choices(layer.dofs, substeps, vectors, reason, modes, modal_reason)
+    choices = scene_choices(layer.dofs, substeps, vectors, reason, modes, modal_reason, load_class.laws(layer))
     seconds = {choice.name: choice.seconds for choice in choices}
     name: str = requested
     if requested != "auto":

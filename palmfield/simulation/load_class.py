@@ -45,6 +45,8 @@ BLOCKS, BLOCKS_AT, BLOCKS_POWER = 32, 0.05, 0.9
 """Blocks of the modes' space at one accuracy, and the power of the accuracy with which they become fewer."""
 WEAK, MOST_WEAK = 0.3, 0.025
 """Of the wanted accuracy, what weak modes that are left out may take with them, in the energy norm; and at most."""
+WEAK_TOGETHER = 0.3
+"""Of that, where several laws couple the modes: lossy ones are few, and weak ones among them move under slow loads."""
 EDGES_SPAN, EDGES_POINTS = 0.5, 4
 """SPAN where there are shadows, and points for each shape: edges are made of far more shapes than sounds are."""
 FINGER_m = 0.008, 0.02
@@ -67,10 +69,12 @@ def refusal(skin: SkinSpec, layer: SceneLayer) -> str | None:
         return "boundary elements for every example of its loads cost more than a run"
     if config.side == "absorbing":
         return "absorbing sides couple the modes"
-    laws = {relaxation_law(sheet.material) for sheet in layer.sheets}
-    if len(laws) > 1:
-        return f"its sheets relax by {len(laws)} laws, and modes move by themselves under one"
     return None
+
+
+def laws(layer: SceneLayer) -> int:
+    """By how many laws a layer's sheets relax."""
+    return len({relaxation_law(sheet.material) for sheet in layer.sheets})
 
 
 def expected_modes(skin: SkinSpec, layer: SceneLayer) -> float:
@@ -111,13 +115,14 @@ def class_stepper(model: HapticModel, skin: int, blocks: int | None = None) -> M
     )
     span, points = (EDGES_SPAN, EDGES_POINTS) if _has_edges(part.spec) else (SPAN, POINTS)
     tolerance, blocks = max(span * accuracy, LEAST_LEFT_OUT), blocks or _blocks(accuracy)
+    weak = min(WEAK * accuracy, MOST_WEAK) * (WEAK_TOGETHER if laws(layer) > 1 else 1.0)
     with _lock:
         mark = cache.digest(depends_on, tolerance, blocks, points)
         known = _bodies.get(layer)
         if known is None or known[0] != mark:
             made = modal_body(
                 layer.system, layer.quadrature, layer.surface_operator, lambda: examples(model, skin, posed),
-                depends_on, tolerance, blocks, min(WEAK * accuracy, MOST_WEAK), points,
+                depends_on, tolerance, blocks, weak, layer.sizes.step_s, points,
             )  # fmt: skip
             known = _bodies[layer] = mark, made
     corner = max(corner_Hz(stimulus, layer.demand.spot_fwhm_m) for stimulus in model.stimuli)

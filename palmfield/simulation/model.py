@@ -30,7 +30,7 @@ from palmfield.skin.mesh.surface import closed_boundary, output_triangles
 from palmfield.skin.scene_layer import SceneLayer
 from palmfield.skin.stepper import SkinStepper
 from palmfield.stimulus.surface_path import SurfacePath
-from palmfield.transforms import Transform
+from palmfield.transforms import Transform, corners_of
 from palmfield.types import Float, Int, Surface
 
 
@@ -97,7 +97,7 @@ class BodyModel:
         """Points [m], outward normals, shapes (n, 3), in the outer frame, and areas [m^2], (n,), of moved vertices."""
         with self.lock:
             samples = self._sampler.at(vertices)
-            return frame.points(samples.centroids), frame.vectors(samples.normals), samples.areas.copy()
+            return *frame.surface(samples.centroids, samples.normals), samples.areas.copy()
 
     @locked_cached_property
     def _sampler(self) -> FaceSampler:
@@ -299,12 +299,6 @@ class HapticModel:
     def carried(self, body: int) -> list[int]:
         """Numbers of the skins on a body; the first one's keys count for the force on the body."""
         return [number for number, skin in enumerate(self.skins) if skin.body == body]
-
-
-def corners_of(points: Float) -> Float:
-    """Corners of the box round points, shape (8, 3)."""
-    ends = np.array([points.min(axis=0), points.max(axis=0)])
-    return np.stack(np.meshgrid(*ends.T, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def array_instances(spec: SceneSpec) -> tuple[ArrayInstance, ...]:

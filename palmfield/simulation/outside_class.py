@@ -12,6 +12,10 @@ from palmfield.simulation.radiation import Radiation
 from palmfield.skin.reduction.modal_stepper import ModalStepper, Outside
 from palmfield.skin.stepper import SurfaceLoads
 
+SHORT_WAVES = 3.0
+"""Times its share of the pressure, what a load outside the class adds to the velocity's error, about: it is of shorter
+waves than the class, and a pressure that comes at once moves skin as deep only as its wave is long, so much faster."""
+
 
 class OutsideClass:
     """What of a skin's loads in a run has been outside the class that its modes serve.
@@ -51,6 +55,11 @@ class OutsideClass:
     def pressure_share(self) -> float:
         """Of the pressure's norm, what was outside."""
         return math.sqrt(self.sums.plain / self.sums.plain_of_all) if self.sums.plain_of_all > 0.0 else 0.0
+
+    def errors(self, modes: ModalStepper) -> tuple[float, float]:
+        """Relative errors of displacement and velocity that modes state of a run, with what lay outside their class."""
+        quick = SHORT_WAVES * self.pressure_share
+        return math.hypot(modes.error, self.energy_share), math.hypot(modes.velocity_error, quick)
 
 
 def leaves_class(model: HapticModel, skin: int, share: float) -> bool:

@@ -118,7 +118,7 @@ class PosedSurface:
             points, normals, areas = self.model.rest_samples
         else:
             return self.model.posed_samples(self.vertices, self.frame)
-        return self.frame.points(points), self.frame.vectors(normals), areas
+        return *self.frame.surface(points, normals), areas
 
     @cached_property
     def sample_parts(self) -> Int:
@@ -137,7 +137,7 @@ class PosedSurface:
         if binding is not None and self.model.hand is not None:
             turns = self.bone_rotations
             points, normals = blend(binding, self.model.hand, self.bone_positions, turns, points, normals)
-        return self.frame.points(points), self.frame.vectors(normals)
+        return self.frame.surface(points, normals)
 
 
 class PosedSkin:

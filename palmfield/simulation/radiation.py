@@ -16,7 +16,8 @@ from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.acoustics.surface_arp import SurfaceArp
 from palmfield.acoustics.surface_load import distance_to_arrays
 from palmfield.simulation.model import HapticModel, SkinModel
-from palmfield.simulation.posed_scene import PosedScene, PosedSkin
+from palmfield.simulation.posed_scene import PosedScene, PosedSkin, PosedSurface
+from palmfield.simulation.seen_samples import SeenSamples, seen_samples
 from palmfield.types import Complex, Float, Float32, Int
 
 Role = Literal["quadrature", "load", "samples", "nodes", "vertices", "probe"]
@@ -34,6 +35,7 @@ class Radiation:
         self._scattered: dict[int, tuple[PosedScene, Complex, RigidScatteredField]] = {}
         self._last: dict[tuple[int, str], tuple[PosedScene, Complex, SurfaceSound]] = {}
         self._chosen: dict[int, _ChosenPoints] = {}
+        self._seen: dict[int, tuple[PosedSurface, PhasedArray, SeenSamples]] = {}
         if beside is not None:
             self._evaluators, self._occlusions = beside._evaluators, beside._occlusions
             self._chosen = beside._chosen
@@ -111,8 +113,22 @@ class Radiation:
         if role == "load":
             return self._chosen[skin].at(part)
         if role == "samples":
-            return part.body.samples[:2]
+            return self.samples(posed, skin)[:2]
         return part.nodes if role == "nodes" else part.quadrature
+
+    def samples(self, posed: PosedScene, skin: int) -> SeenSamples:
+        """Points for the force on a skin's body: those that the arrays see, and all where sound goes round the body."""
+        body, arrays = posed.skins[skin].body, posed.arrays
+        known = self._seen.get(skin)
+        if known is None or known[0] is not body or known[1] is not arrays:
+            around = self.model.skins[skin].spec.config.body_sound == "scattering"
+            made = (
+                (*body.samples, np.arange(len(body.samples[2]), dtype=np.int32))
+                if around
+                else seen_samples(body, arrays)
+            )
+            known = self._seen[skin] = body, arrays, made
+        return known[2]
 
     def _holds(self, known: PosedScene, posed: PosedScene, skin: int) -> bool:
         """Whether the sound on a skin is the same in both poses."""

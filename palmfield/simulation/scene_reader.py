@@ -368,8 +368,8 @@ def bones_of(skin: SkinConfig, element: str, model: ModelView) -> list[int]:
 def _bones(skin: SkinConfig, element: str) -> tuple[str, list[Any]]:
     """How the names of the bodies begin, and the bones in the frame of key `body`."""
     if skin.shape == "rigged":
-        assert skin.mesh and skin.mesh_unit
-        mesh = rigged_file(skin.mesh, skin.mesh_unit)
+        assert skin.mesh
+        mesh = rigged_file(skin.mesh, skin.unit)
         joint, prefix = joint_of_body(skin.body, mesh.joints)
         return prefix, bones_of_mesh(mesh, mesh.joints.rest[joint, :3, 3])
     if not skin.body.endswith("hand"):

@@ -11,8 +11,8 @@ from palmfield.skin.fem.probe import SurfaceProbe
 from palmfield.skin.stepper import Reader, SkinStepper
 from palmfield.types import Float
 
-REACH_M = 0.01
-"""A sensor's site may lie so far from the skin layer."""
+REACH_M, OFF_SKIN_M = 0.01, 0.005
+"""A sensor's site may lie so far from the skin layer along the skin, and across it."""
 
 
 class SkinReading(NamedTuple):
@@ -57,9 +57,16 @@ class SensorPlace:
 def sensor_place(skin: SkinModel, site: Float, element: str) -> SensorPlace:
     """The place for a site of the resting body (body frame [m], shape (3,)).
 
-    Raises SceneError, naming the element, for a site that is far from the skin layer.
+    Raises SceneError, naming the element, for a site above or below the skin, and for one that is far from the layer.
     """
     probe = skin.layer.probe(site)
+    above = float((site - probe.closest[0]) @ probe.normals[0])
+    if abs(above) > OFF_SKIN_M:
+        where = "above" if above > 0.0 else "below"
+        raise SceneError(
+            f"{element}: its site is {1e3 * abs(above):.1f} mm {where} the skin; allowed: at most "
+            f"{1e3 * OFF_SKIN_M:g} mm off it, move it onto the skin"
+        )
     distance = float(probe.distance[0])
     if distance > max(REACH_M, 2.0 * skin.layer.sizes.edge_coarse_m):
         raise SceneError(

@@ -330,7 +330,7 @@ class TogetherStep:
 
     def _on_device(self, skin: int, stepper: SkinStepper) -> Step | None:
         """What steps a skin in place of its stepper, where the device is a GPU and has it; kept."""
-        if self._device == "cpu" or not isinstance(stepper, ModalStepper):
+        if self._device == "cpu" or not isinstance(stepper, ModalStepper) or stepper.coupled:
             return None
         known = self._on_devices.get(skin)
         if known is None or known.stepper is not stepper:

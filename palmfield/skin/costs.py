@@ -38,14 +38,19 @@ def reduced_step_s(vectors: float) -> float:
     return 2e-5 + 3e-9 * vectors**2
 
 
-def modes_s(dofs: float, modes: float) -> float:
-    """Make modes for every load: their vectors, each orthogonal to all before it, and two eigenproblems."""
-    return factor_s(dofs) + modes * vector_s(dofs) + 5e-10 * dofs * modes**2 + 2e-9 * modes**3
+def modes_s(dofs: float, modes: float, laws: int = 1) -> float:
+    """Make modes for every load: their vectors, each orthogonal to all before it, and two eigenproblems.
+
+    laws: by which the layer relaxes; several take products of all vectors each, and the motion at some frequencies
+    """
+    together = laws * 5e-10 * dofs * modes**2 + 2.5e-8 * modes**3 if laws > 1 else 0.0
+    return factor_s(dofs) + modes * vector_s(dofs) + 5e-10 * dofs * modes**2 + 2e-9 * modes**3 + together
 
 
-def modal_step_s(modes: float) -> float:
-    """One substep of modes that move by themselves, with their share of the load's products."""
-    return 1e-5 + 7e-8 * modes
+def modal_step_s(modes: float, laws: int = 1) -> float:
+    """One substep of modes, with their share of the load's products; several laws couple them, by a product each."""
+    together = 1e-5 + 6e-11 * (laws - 1) * modes**2 if laws > 1 else 0.0
+    return 1e-5 + 7e-8 * modes + together
 
 
 def wedges_s(dofs: float, steps: float) -> float:

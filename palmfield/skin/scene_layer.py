@@ -170,7 +170,7 @@ class SceneLayer:
         surface = self.surface
         # A hand knows where its bones are, so the layer may reach past the middle; any other body is all there is.
         fraction = 0.45 if config.shape in ("mesh", "rigged") else 0.6
-        return self.with_keys(
+        patch = self.with_keys(
             lambda: surface_patch(
                 surface,
                 self.depth_m,
@@ -183,6 +183,13 @@ class SceneLayer:
                 max_fraction=fraction,
             )
         )
+        through = patch.report["through_m"]
+        if "depth_m" in config.model_fields_set and config.depth_m > through:
+            raise SceneError(
+                f"{self.element}: key 'depth_m' has value {config.depth_m:g}, and the body under the layer is "
+                f"{through:.3g} m thick; allowed: less than that, of which the layer takes at most {fraction:g}"
+            )
+        return patch
 
     @locked_cached_property
     def mesh(self) -> WedgeMesh:

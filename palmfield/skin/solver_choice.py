@@ -90,12 +90,19 @@ def ranked(options: Iterable[Choice]) -> list[Choice]:
 
 
 def scene_choices(
-    dofs: float, substeps: float, vectors: float, refusal: str | None, modes: float, modal_refusal: str | None
+    dofs: float,
+    substeps: float,
+    vectors: float,
+    refusal: str | None,
+    modes: float,
+    modal_refusal: str | None,
+    laws: int = 1,
 ) -> list[Choice]:
     """The solvers that can step a scene's layer, the cheapest first.
 
     dofs: unknowns of the layer; substeps: of the whole run; vectors: of a reduced model for its load, about
     refusal: why there can't be one, in a sentence, or None; modes, modal_refusal: the same for modes for every load
+    laws: by which the layer relaxes
     """
     reduced, modal = Choice("reduced", math.inf, refusal), Choice("modal", math.inf, modal_refusal)
     if refusal is None:
@@ -103,7 +110,7 @@ def scene_choices(
     if modal_refusal is None:
         # Kept on disk, they serve the runs to come as well
         share = 1.0 if cache.folder() is None else 1.0 / RUNS
-        modal = Choice("modal", share * modes_s(dofs, modes) + substeps * modal_step_s(modes))
+        modal = Choice("modal", share * modes_s(dofs, modes, laws) + substeps * modal_step_s(modes, laws))
     return ranked([reduced, modal, Choice("wedges", wedges_s(dofs, substeps))])
 
 

@@ -59,6 +59,30 @@ def test_poses(name, pose):
         check(*left(*hand), "left", seed + 10)
 
 
+@pytest.mark.parametrize("later_m, spread_deg", [(0.015, -45.0), (0.015, -30.0), (0.015, -20.0), (0.025, -45.0)])
+def test_a_thumb_that_leaves_late_and_lies_near_the_fingers(later_m, spread_deg):
+    """Of many models made by eye: either its web or its tip alone says little of it."""
+    preset = load_preset("open_women_p50")
+    thumb = preset.digits["thumb"]
+    near = thumb.model_copy(update={"base_y_m": thumb.base_y_m + later_m, "spread_deg": spread_deg, "palmar_deg": 15.0})
+    surface = hand_surface(
+        preset.model_copy(update={"name": "plain", "digits": dict(preset.digits) | {"thumb": near}}), 0.004
+    ).surface
+    check(surface.vertices, surface.faces, "right", 2)
+    check(*left(surface.vertices, surface.faces), "left", 3)
+
+
+def test_a_name_decides_where_the_shape_does_not():
+    vertices, faces = right()
+    flat = vertices * [1.0, 1.0, 0.05]
+    assert chirality(flat, faces).side == "unknown"
+    for side, palm in (("right", PALM), ("left", -PALM)):
+        found = chirality(flat, faces, side)
+        assert found.side == side and found.sureness >= 0.5 and found.palm @ palm > 0.85
+        assert found.reason.startswith("by the joints' names; ")
+    assert chirality(vertices, faces, "left").side == "right", "a shape that is sure stands above a name"
+
+
 def test_many_rotations():
     for seed in range(30):
         check(*right(), "right", seed)

@@ -1,3 +1,6 @@
+import json
+
+import foreign_hands
 import numpy as np
 import pytest
 import trimesh
@@ -158,5 +161,52 @@ def test_a_format_with_units_and_the_user_go_before(tmp_path):
     assert choose_unit("auto", "m", 0.05, 0.05, "mesh").source == "set by the file's format"
     assert choose_unit("cm", "m", 19.0, 9.0, "mesh") == Unit("cm", 0.01, "given by the user")
     path = tmp_path / "hand.obj"
-    ball(18.0).export(path)
-    assert examine(path).unit == Unit("cm", 0.01, "inferred: a hand of 180 mm")
+    vertices, faces = foreign_hands.plain_hand()
+    trimesh.Trimesh(100.0 * vertices, faces, process=False).export(path)
+    assert examine(path).unit == Unit("cm", 0.01, "inferred: a hand of 208.1 mm")
+
+
+def test_no_unit_is_guessed_without_five_fingertips(tmp_path):
+    path = tmp_path / "ball.obj"
+    ball(180.0).export(path)
+    fails(path, "auto", "are 1, not 5: no unit is guessed for what may be no hand; give the unit, one of m, dm, cm, mm")
+    fist = tmp_path / "open.obj"
+    vertices, faces = foreign_hands.plain_hand()
+    # What has holes is refused for them; its unit is known all the same
+    trimesh.Trimesh(1e3 * vertices, faces[np.linalg.norm(vertices[faces[:, 0]], axis=1) > 0.015], process=False).export(
+        fist
+    )
+    assert examine(fist).unit.name == "mm"
+
+
+CLAIMED = 3_000_000
+
+
+def claiming(path):
+    """A file that says that it has CLAIMED faces, of which few are there: whoever reads them fails."""
+    if path.suffix == ".ply":
+        path.write_text(f"ply\nformat ascii 1.0\nelement vertex 9\nelement face {CLAIMED}\nend_header\n")
+    elif path.suffix == ".stl":
+        path.write_bytes(b" " * 80 + CLAIMED.to_bytes(4, "little"))
+        with path.open("r+b") as stream:
+            stream.truncate(84 + 50 * CLAIMED)
+    elif path.suffix == ".obj":
+        path.write_text("v 0 0 0\n" + "f 1 2\n" * CLAIMED)
+    else:
+        accessor = {"componentType": 5125, "count": 3 * CLAIMED, "type": "SCALAR"}
+        scene = {
+            "asset": {"version": "2.0"},
+            "scene": 0,
+            "scenes": [{"nodes": [0]}],
+            "nodes": [{"mesh": 0}],
+            "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 0}]}],
+            "accessors": [accessor],
+        }
+        path.write_text(json.dumps(scene))
+
+
+@pytest.mark.parametrize("suffix", ["ply", "stl", "obj", "gltf"])
+def test_above_a_million_faces_are_refused_before_they_are_read(tmp_path, suffix):
+    path = tmp_path / f"scan.{suffix}"
+    claiming(path)
+    fails(path, "mm", f"has {CLAIMED} faces; at most 1000000 are read, .* make it coarser .* Decimate")

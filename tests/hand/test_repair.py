@@ -9,8 +9,10 @@ from hypothesis import strategies as st
 from palmfield.hand.holes import boundary_loops, cap, least_area_faces
 from palmfield.hand.preset import load_preset
 from palmfield.hand.repair import repair
+from palmfield.hand.selfcross import crossings
 from palmfield.hand.subdivide import split_long_edges
 from palmfield.hand.surface import hand_surface
+from palmfield.hand.triangles import unique_edges
 
 
 @cache
@@ -265,12 +267,66 @@ def test_cap_of_a_disc_has_its_area_and_lies_in_its_plane():
     assert area == pytest.approx(polygon, rel=1e-12)
 
 
-def test_a_loop_with_a_slit_has_no_cap():
+def shoelace(loop):
+    x, y = loop.T
+    return 0.5 * abs((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
+
+
+def test_a_loop_with_a_slit_gets_a_cap_of_its_area():
     # One bank of the slit is a single edge, closer to the vertices of the other bank than to its own side's.
     bank = [(2.05, y) for y in np.linspace(0.5, 3.0, 12)]
     left = [(0.0, y) for y in np.linspace(3.0, 0.0, 12)]
-    loop = [(2.0, 0.5), *bank, (4.0, 3.0), (4.0, 0.0), *left[::-1], (2.0, 3.0)]
-    assert cap(np.column_stack([loop, np.zeros(len(loop))])) is None
+    loop = np.array([(2.0, 0.5), *bank, (4.0, 3.0), (4.0, 0.0), *left[::-1], (2.0, 3.0)])
+    inner, faces = cap(np.column_stack([loop, np.zeros(len(loop))]))
+    points = np.concatenate([loop, inner[:, :2]])
+    edges, count = unique_edges(faces)
+    ring = np.stack([np.arange(len(loop)), np.roll(np.arange(len(loop)), -1)], axis=1)
+    np.testing.assert_array_equal(edges[count == 1], np.unique(np.sort(ring, axis=1), axis=0))
+    first, second = points[faces[:, 1]] - points[faces[:, 0]], points[faces[:, 2]] - points[faces[:, 0]]
+    area = 0.5 * np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
+    assert area.sum() == pytest.approx(shoelace(loop), rel=1e-9) and area.min() > 0.0
+
+
+def jagged(teeth, height):
+    """A hand cut across the wrist along a line that goes up and down by `height` [m] so often; the faces kept."""
+    vertices, faces = hand()
+    middle = vertices[faces].mean(axis=1)
+    around = np.arctan2(middle[:, 2] - 0.015, middle[:, 0])
+    line = vertices[:, 1].min() + 0.03 + 0.5 * height * np.sign(np.sin(teeth * around))
+    return vertices, faces[middle[:, 1] > line]
+
+
+@pytest.mark.parametrize("teeth, height", [(3, 0.014), (6, 0.014), (9, 0.020), (12, 0.014)])
+def test_a_jagged_wrist_is_closed(teeth, height):
+    vertices, faces = jagged(teeth, height)
+    mesh = repair(vertices, faces)
+    assert not mesh.refused and mesh.findings[-1].name == "open wrist"
+    rim = vertices[max(boundary_loops(faces), key=len), 1]
+    assert np.ptp(rim) > height
+    got = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    assert got.is_watertight and got.is_winding_consistent and got.euler_number == 2
+    assert len(crossings(mesh.vertices, mesh.faces)) == 0
+    assert np.rad2deg(got.face_angles.min()) > 10.0
+    # Within the hull of the hand without its cap: nothing bulges out of the wrist.
+    assert mesh.vertices[:, 1].min() >= rim.min() - 1e-9
+    whole = trimesh.Trimesh(vertices, hand()[1], process=False)
+    deepest, highest = (slice_volume(whole, y) for y in (rim.min(), rim.max()))
+    assert highest < got.volume < deepest
+
+
+def slice_volume(mesh, y0):
+    """Volume of a closed mesh beyond a height, by the divergence theorem on its faces cut fine."""
+    fine = mesh.subdivide().subdivide()
+    return float((np.maximum(fine.triangles_center[:, 1] - y0, 0.0) * fine.face_normals[:, 1] * fine.area_faces).sum())
+
+
+def test_barred_edges_are_left_out():
+    corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.3], [0.0, 1.0, 0.0]])
+    free = {tuple(edge) for edge in unique_edges(least_area_faces(corners))[0].tolist()}
+    (chord,) = free & {(0, 2), (1, 3)}
+    other = {tuple(edge) for edge in unique_edges(least_area_faces(corners, {chord}))[0].tolist()}
+    assert other & {(0, 2), (1, 3)} == {(0, 2), (1, 3)} - {chord}
+    assert len(least_area_faces(corners, {(0, 2), (1, 3)})) == 0
 
 
 def test_long_edges_are_halved_without_gaps():

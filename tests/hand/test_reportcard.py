@@ -2,6 +2,7 @@ import json
 import re
 from functools import cache
 
+import foreign_hands
 import numpy as np
 import pytest
 import trimesh
@@ -9,11 +10,15 @@ from matplotlib.image import imread
 from typer.testing import CliRunner
 
 from palmfield.cli.app import app
+from palmfield.config.skin import SkinConfig
 from palmfield.errors import OutputError, SceneError
 from palmfield.hand.chirality import chirality
+from palmfield.hand.foretold import foretold_layers
+from palmfield.hand.meshfile import load_mesh
 from palmfield.hand.preset import load_preset
 from palmfield.hand.reportcard import as_text, fault_faces, palmar_layers, refused_facts, report_card, write_card
 from palmfield.hand.surface import hand_surface
+from palmfield.skin.scene_layer import LayerDemand, SceneLayer
 
 
 @cache
@@ -165,6 +170,62 @@ def test_layer_of_a_ball_is_as_thick_and_large_as_geometry_has_it():
     for layer in palmar_layers(vertices, faces, chirality(vertices, faces)):
         assert layer["volume_share"] == pytest.approx(1.0, abs=2e-3)
         assert layer["p10_share"] == 1.0 and layer["thinned_share"] == 0.0
+
+
+@cache
+def plain():
+    return foreign_hands.plain_hand()
+
+
+@pytest.mark.parametrize("depth_m", [0.02, 0.004])
+def test_a_scene_gets_the_layers_that_the_card_foretells(tmp_path, depth_m):
+    path = written(tmp_path / "hand.ply", *plain())
+    surface = load_mesh(path, "mm")
+    foretold = foretold_layers(surface, chirality(surface.vertices, surface.faces), depth_m)
+    assert [layer["place"].split()[0] for layer in foretold] == ["palm", "thumb", "index", "middle", "ring", "little"]
+    keys = {"shape": "mesh", "mesh": str(path), "mesh_unit": "mm", "patch_site": "site"}
+    # The default may be deeper than a finger is thick; who asks for that is refused
+    keys |= {} if depth_m == SkinConfig.model_fields["depth_m"].default else {"depth_m": depth_m}
+    demand = LayerDemand(0.0103, 200.0, 200.0, (0.0, 0.0), 1e-3)
+    for told in foretold:
+        config = SkinConfig(**keys, patch_radius_m=1e-3 * told["radius_mm"])
+        got = SceneLayer(config, surface, depth_m, 1e-3 * np.array(told["centre_mm"]), demand).patch.report
+        # Under the palm the scene's elements are a little finer
+        assert told["mean_mm"] == pytest.approx(1e3 * got["depth_got_mean_m"], rel=0.02)
+        assert told["p10_mm"] == pytest.approx(1e3 * got["depth_got_p10_m"], rel=0.02)
+        assert told["least_mm"] == pytest.approx(1e3 * got["depth_got_min_m"], rel=0.05)
+
+
+def test_foretold_places_are_the_palm_and_the_pads():
+    hand = hand_surface(load_preset("open_men_p50"), 0.004)
+    side = chirality(hand.surface.vertices, hand.surface.faces)
+    for layer in foretold_layers(hand.surface, side):
+        digit, at = layer["place"].split()[0], 1e-3 * np.array(layer["centre_mm"])
+        assert np.abs(hand.surface.vertices - at).max(axis=1).min() < 0.004
+        if digit in ("index", "middle", "ring", "little"):
+            assert np.linalg.norm(at - hand.landmarks[f"{digit}_pad"]) < 0.006
+        elif digit == "palm":
+            assert abs(at[0]) < 0.012 and abs(at[1]) < 0.025 and at[2] < 0.004
+
+
+@pytest.mark.parametrize("asked, code", [("bottle", 3), ("hand", 0)])
+def test_doubts_have_an_exit_code_of_their_own(tmp_path, asked, code):
+    mesh = tmp_path / f"{asked}.ply"
+    if asked == "bottle":
+        foreign_hands.bottle(mesh)
+    else:
+        written(mesh, *plain())
+    result = CliRunner().invoke(app, ["hand", str(mesh), "--units", "mm", "--json", str(tmp_path / "card.json")])
+    assert result.exit_code == code
+    facts = json.loads((tmp_path / "card.json").read_text())
+    assert facts["verdict"] == ("accepted with doubts" if code else "accepted") and facts["accepted"] is True
+    assert bool(facts["doubts"]) == bool(code) and result.stdout.rstrip().split("\n")[-2].endswith(facts["verdict"])
+
+
+def test_a_size_that_no_hand_has_is_doubted(tmp_path):
+    card = report_card(written(tmp_path / "doll.ply", *plain(), scale=300.0), "mm")
+    assert card.facts["verdict"] == "accepted with doubts"
+    assert any(re.match(r"it is 62 x \d+ mm long and broad; hands are 130 to 260", doubt) for doubt in card.doubts)
 
 
 def test_marked_faces_are_those_at_the_places():

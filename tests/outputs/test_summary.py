@@ -115,6 +115,11 @@ def _rows(text):
     return [[cell.strip() for cell in line.strip("│|").split("│")] for line in text.splitlines() if "│" in line]
 
 
+def test_the_table_tells_what_modes_state_of_the_velocity(one_skin):
+    for more, words in (({}, "reduction 0.00 %, "), ({"reduction_velocity_error_relative": 0.034}, "(3.4 % of the")):
+        assert words in " ".join(format_summary(summary(one_skin, RUN, {"palm": FULL | more}, {})).split())
+
+
 def test_the_table_of_one_skin(one_skin):
     found = summary(one_skin, RUN, {"palm": FULL}, {"pulse": {"drive_level": 0.989}})
     rows = [(name, text) for name, text in _rows(format_summary(found)) if name]

@@ -1,5 +1,6 @@
 """Bad input: each kind is refused in one line, with element, value and what is allowed, before anything slow."""
 
+import re
 import subprocess
 import sys
 import time
@@ -12,7 +13,7 @@ import pytest
 
 import palmfield
 from palmfield.cli.app import main
-from palmfield.config.skin import WHOLE_HISTORY
+from palmfield.config.skin import WHOLE_HISTORY, SkinConfig
 from palmfield.errors import PalmfieldError
 from palmfield.session.plan import warnings
 from palmfield.simulation.validate import MOST_SUBSTEPS, MOST_UNKNOWNS
@@ -218,8 +219,56 @@ def test_layers_on_one_body_that_overlap(two_on_a_ball):
     )  # fmt: skip
 
 
+def test_a_layer_deeper_than_its_body(two_on_a_ball):
+    path = changed(two_on_a_ball(90.0), 'key="depth_m" value="0.006"', 'key="depth_m" value="0.09"')
+    with pytest.raises(PalmfieldError) as caught:
+        palmfield.Simulation(path).step()
+    expected = (
+        r"key 'depth_m' has value 0\.09, and the body under the layer is 0\.0\d+ m thick; allowed: less than that"
+    )
+    assert (found := re.search(expected, str(caught.value))), str(caught.value)
+    # The ball is 60 mm thick at most
+    assert 0.05 < float(re.search(r"0\.0\d+(?= m thick)", found[0])[0]) <= 0.06
+
+
+@pytest.mark.parametrize("height, where", [(0.008, "above"), (-0.0079, "below")])
+def test_a_sensor_off_the_skin(height, where, small_scene):
+    path = small_scene()
+    site = '<site name="centre" size="0.001"/>'
+    changed(path.with_name("plain.xml"), site, site.replace("size", f'pos="0 0 {height}" size'))
+    with pytest.raises(PalmfieldError) as caught:
+        palmfield.Simulation(path).step()
+    off = (
+        f"its site is {1e3 * abs(height):.1f} mm {where} the skin; allowed: at most 5 mm off it, move it onto the skin"
+    )
+    assert off in str(caught.value)
+
+
 def test_layers_on_one_body_that_lie_apart(two_on_a_ball):
     assert palmfield.load(two_on_a_ball(90.0)).skins == ("skin", "second")
+
+
+@pytest.mark.parametrize(
+    "key, value, shapes",
+    [
+        ("mesh", "hand.obj", "'mesh' or 'rigged'"),
+        ("mesh_unit", "mm", "'mesh' or 'rigged'"),
+        ("hand", "open_men_p95", "'hand' or 'articulated'"),
+    ],
+)
+def test_keys_of_a_shape_that_the_skin_has_not(key, value, shapes, small_scene):
+    refused(small_scene(skin={key: value}), SKIN, f"{key} belongs to shape {shapes}, shape is 'disc': drop it or set")
+
+
+def test_a_mesh_needs_no_unit_where_its_format_has_one():
+    keys = {"shape": "mesh", "patch_site": "palm"}
+    for name in ("hand.glb", "HAND.GLTF", "mano.pkl"):
+        assert SkinConfig(mesh=name, **keys).unit == "auto"
+    assert SkinConfig(mesh="hand.glb", mesh_unit="mm", **keys).unit == "mm"
+    with pytest.raises(ValueError, match=r"shape 'mesh' needs mesh_unit for 'hand\.ply'"):
+        SkinConfig(mesh="hand.ply", **keys)
+    with pytest.raises(ValueError, match="shape 'mesh' needs mesh"):
+        SkinConfig(**keys)
 
 
 def test_a_skin_that_no_stimulus_comes_near_is_warned_of(small_scene, add_skin):

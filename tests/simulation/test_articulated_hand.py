@@ -48,8 +48,9 @@ def test_forces_on_the_bones_add_up_to_the_force_on_the_whole(sim):
     scene = sim.runtime.posed
     [drive] = array_drives(sim.runtime.model, scene.arrays)
     unit = drive.unit_drive(scene.focal_points(sim.runtime.model.stimuli[0], 0).at(np.array([0.0, 0.0, 0.2])))
-    points, normals, areas = scene.bodies[0].samples
-    load = sim.runtime.work.radiation.at(scene, 0, "samples", points, normals, unit.amplitudes).arp
+    radiation = sim.runtime.work.radiation
+    points, normals, areas, _ = radiation.samples(scene, 0)
+    load = radiation.at(scene, 0, "samples", points, normals, unit.amplitudes).arp
     push = -(load * areas)[:, None] * scene.array_frame.vectors(normals)
     arms = scene.array_frame.points(points) - sim.data.body("hand").xpos
     whole, moment = push.sum(axis=0), np.cross(arms, push).sum(axis=0)

@@ -22,6 +22,7 @@ from palmfield.simulation.forces import BodyForces
 from palmfield.simulation.radiation import Radiation
 from palmfield.simulation.step import gather
 from palmfield.skin.reduction import device_models
+from palmfield.skin.reduction.modal_stepper import ModalStepper
 
 SCENES = folder("mjcf") / "scenes"
 CIRCLE: dict[str, object] = {"path": "circle", "path_diameter_m": 0.01, "path_rate_Hz": 100}
@@ -145,12 +146,15 @@ def test_a_focus_that_transducers_cannot_make_is_said_as_ever(small_scene: Any, 
         by_graph(scene)
 
 
-@pytest.mark.parametrize("solver", ["modal", "reduced"])
+SHEETS = {"material": None, "materials": "finger_pad ecoflex_00-10", "shares": "0.3 0.7"}
+
+
+@pytest.mark.parametrize(("solver", "sheets"), [("modal", {}), ("modal", SHEETS), ("reduced", {})])
 def test_small_models_are_stepped_on_the_device(
-    small_scene: Any, by_graph: Any, solver: str, monkeypatch: pytest.MonkeyPatch
+    small_scene: Any, by_graph: Any, solver: str, sheets: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(device_models, "LEAST_NUMBERS", 1)
-    scene = small_scene(stimulus=CIRCLE | NO_WAVE, skin={"accuracy": 0.2, "solver": solver})
+    scene = small_scene(stimulus=CIRCLE | NO_WAVE, skin={"accuracy": 0.2, "solver": solver} | sheets)
     here, there = palmfield.Simulation(scene), by_graph(scene)
     taken = []
     stepped = DeviceSound.stepped
@@ -164,6 +168,10 @@ def test_small_models_are_stepped_on_the_device(
         here.step()
         there.step()
     assert [end is not None for end in taken] == [True] * 8
+    stepper = there.runtime.model.begin[0].value
+    assert isinstance(stepper, ModalStepper) == (solver == "modal") and getattr(stepper, "coupled", False) == bool(
+        sheets
+    )
     mine, its = (sim.runtime.skin_states()[0][1] for sim in (here, there))
     np.testing.assert_allclose(its, mine, rtol=0.0, atol=1e-5 * np.abs(mine).max())
     one, other = (sim.runtime.work.outside[0] for sim in (here, there))

@@ -29,6 +29,17 @@ def motion(sim, steps=30, push=0.0):
     return np.array(seen)
 
 
+def velocity_error(path, steps=30):
+    """Relative difference of the surface's velocity between modes and the whole layer."""
+    seen = []
+    for sim in both(path):
+        seen.append([])
+        for _ in range(steps):
+            sim.step()
+            seen[-1].append(sim.skin().velocity.copy())
+    return relative(*np.array(seen))
+
+
 def relative(a, b):
     return np.linalg.norm(a - b) / np.linalg.norm(b)
 
@@ -44,6 +55,23 @@ def test_a_hand_that_keeps_still_or_moves_moves_its_skin_as_the_whole_layer(smal
     assert modal.skin().solver == "modal"
     outside = modal.runtime.work.outside[0].energy_share
     assert relative(mine, truth) < np.hypot(modal.runtime.model.begin[0].value.error, outside) < 0.2
+
+
+def test_skin_of_several_sheets_moves_by_modes(small_scene):
+    keys = SKIN | {"material": None, "materials": "finger_pad ecoflex_00-10", "shares": "0.3 0.7"}
+    modal, wedges = both(small_scene(stimulus=LETTER, skin=keys))
+    mine, truth = motion(modal), motion(wedges)
+    assert modal.skin().solver == "modal" and modal.runtime.model.begin[0].value.coupled
+    assert relative(mine, truth) < modal.runtime.work.outside[0].errors(modal.runtime.model.begin[0].value)[0] < 0.2
+
+
+def test_sheets_take_modes_by_themselves_where_these_pay(small_scene):
+    keys = SKIN | {"material": None, "materials": "finger_pad palm", "shares": "0.3 0.7"}
+    names = []
+    for duration_s in (0.1, 1000.0):
+        path = small_scene(stimulus=LETTER, skin=keys, duration_s=duration_s)
+        names.append(load(path).runtime.model.skins[0].choice.name)
+    assert names == ["wedges", "modal"]
 
 
 FINGER = (
@@ -89,6 +117,7 @@ def test_a_run_states_the_modes_error_and_that_covers(small_scene):
     wedges = motion(Simulation(path, keys={"skin.solver": "wedges"}))
     assert numbers["solver"].startswith("modal, ") and numbers["solver"].endswith(" modes")
     assert relative(motion(load(path)), wedges) < numbers["reduction_error_relative"] < 0.3
+    assert velocity_error(path) < numbers["reduction_velocity_error_relative"] < 0.6
 
 
 def test_the_plan_says_what_modes_are_for(small_scene):

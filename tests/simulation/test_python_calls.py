@@ -49,6 +49,14 @@ def test_a_step_of_a_shipped_scene_runs_few_python_functions(name, python_calls)
     assert max(calls_of_steps(sim, python_calls)) <= MOST
 
 
+def test_a_step_of_coupled_modes_runs_few_python_functions(small_scene, python_calls):
+    sheets = {"material": None, "materials": "finger_pad palm forearm", "shares": "0.2 0.3 0.5"}
+    sim = Simulation(small_scene(skin={"accuracy": 0.2, "solver": "modal"} | sheets))
+    sim.step(24)
+    assert sim.skin().solver == "modal" and sim.runtime.model.begin[0].value.coupled
+    assert max(calls_of_steps(sim, python_calls)) <= MOST
+
+
 @pytest.mark.parametrize(("name", "further"), [("two_hands_both_feel", 2), ("palm_and_fingertip", 1)])
 def test_a_step_of_a_shipped_scene_with_several_skins_runs_few(name, further, python_calls):
     """further: skins and arrays beyond the first of each"""

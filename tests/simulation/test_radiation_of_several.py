@@ -40,8 +40,9 @@ def test_the_mean_force_is_that_of_each_moments_drive(hands):
     mean = emission.mean_drives(posed, emitted, runtime.view.raw.time)
     assert mean.levels is not None and mean.weights.sum() == pytest.approx(1.0)
     for body, (force, _) in enumerate(runtime.work.unit_forces.over(emission, posed, emitted, runtime.view.raw.time)):
-        arp = mean.weights @ Radiation(runtime.model).many(posed, body, mean.levels @ mean.drives, "samples")
-        _, normals, areas = posed.bodies[body].samples
+        radiation = Radiation(runtime.model)
+        arp = mean.weights @ radiation.many(posed, body, mean.levels @ mean.drives, "samples")
+        _, normals, areas, _ = radiation.samples(posed, body)
         whole = -(arp * areas) @ normals
         np.testing.assert_allclose(force.sum(axis=0), whole, atol=1e-5 * np.linalg.norm(whole))
 
@@ -59,8 +60,9 @@ def test_the_mean_force_is_that_over_all_moments(frequency_Hz):
     moments, course = work.emission.over(posed, emitted, now, runtime.model.substeps)
     weights = 0.5 * (moments.first + moments.last).sum(axis=0) / runtime.model.substeps
     [(force, _), _] = work.unit_forces.over(work.emission, posed, emitted, now)
-    arp = weights @ Radiation(runtime.model).many(posed, 0, course.emitted, "samples")
-    _, normals, areas = posed.bodies[0].samples
+    radiation = Radiation(runtime.model)
+    arp = weights @ radiation.many(posed, 0, course.emitted, "samples")
+    _, normals, areas, _ = radiation.samples(posed, 0)
     whole = -(arp * areas) @ normals
     assert np.linalg.norm(whole) > 1e-3
     np.testing.assert_allclose(force.sum(axis=0), whole, atol=1e-5 * np.linalg.norm(whole))

@@ -263,7 +263,7 @@ def test_bodies_that_are_missing_or_misplaced_are_named(rest):
     assert len(loaded(rest, "left", **(RIGGED | left)).runtime.parts[0]) == 17
     (rest / "left_hand.xml").write_text(prefixed.replace('"left_forearm"', '"forearm"'))
     refused(rest, "the scene has no body 'left_forearm'", **left)
-    refused(rest, "shape 'rigged' needs mesh and mesh_unit", mesh_unit="")
+    refused(rest, "shape 'rigged' needs mesh_unit for '.*hand.obj': only .glb, ", mesh="hand.obj", mesh_unit="")
     place = text.split('<body name="ring_middle" pos="')[1].split('"')[0]
     moved = " ".join(f"{float(x) + 0.001:.9g}" for x in place.split())
     (rest / "moved.xml").write_text(

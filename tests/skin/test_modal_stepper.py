@@ -13,7 +13,7 @@ from palmfield.skin.fem.load import SurfaceQuadrature
 from palmfield.skin.fem.probe import surface_motion
 from palmfield.skin.fem.solver import harmonic, static
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
-from palmfield.skin.materials.material import Branch, Material
+from palmfield.skin.materials.material import Branch, Material, kelvin_voigt, standard_linear
 from palmfield.skin.reduction import modal_stepper
 from palmfield.skin.reduction.modal_stepper import ModalStepper, modal_body
 from palmfield.skin.stepper import SurfaceLoads
@@ -25,6 +25,12 @@ RUBBERY = Material("rubbery", 1000.0, 1.2e4, (Branch(8e3, 1e-3), Branch(4e3, 1e-
 
 TOUGH = replace(RUBBERY, name="tough", shear_relaxed_Pa=2.4e4, branches=(Branch(16e3, 1e-3), Branch(8e3, 1e-2)))
 """Of twice the stiffness, by the same law."""
+
+QUICK = replace(TOUGH, name="quick", branches=(Branch(16e3, 1e-4), Branch(8e3, 1e-2)))
+VISCOUS = kelvin_voigt("viscous", 1050.0, 8e3, 5.0)
+HARD = standard_linear("hard", 1100.0, 1.2e6, 0.6e6, 3e-3)
+LAWS = {"two": (QUICK, RUBBERY), "hard on soft": (HARD, RUBBERY), "three": (QUICK, RUBBERY, VISCOUS)}
+CORNER_Hz = 2.0 / (np.pi * 0.009)
 
 
 def parts_of(spot):
@@ -50,7 +56,8 @@ def examples(disc):
 
 def body(disc, blocks=12, tolerance=0.03, system=None, left_out=0.01):
     system = system or disc.system
-    return modal_body(system, disc.quadrature, disc.surface, lambda: examples(disc), (), tolerance, blocks, left_out)
+    wanted = tolerance, blocks, left_out, STEP
+    return modal_body(system, disc.quadrature, disc.surface, lambda: examples(disc), (), *wanted)
 
 
 @pytest.fixture(scope="module")
@@ -106,11 +113,89 @@ def test_sheets_that_relax_by_one_law_have_modes_of_their_own(disc, make_spot, m
     assert np.abs(truth[:, 0]).max() < 0.9 * np.abs(of_one[:, 0]).max()
 
 
-def test_sheets_that_relax_by_two_laws_are_refused(make_spot):
-    quick = replace(TOUGH, branches=(Branch(16e3, 1e-4), Branch(8e3, 1e-2)))
-    sheets = parts_of(make_spot(0.006, 2, radius_m=0.02, material=(quick, RUBBERY), side="free"))
-    with pytest.raises(SceneError, match="its materials relax by 2 laws"):
-        body(sheets)
+@pytest.fixture(scope="module", params=LAWS)
+def sheets(request, make_spot):
+    """Sheets of several laws, and their modes."""
+    parts = parts_of(make_spot(0.0035, len(LAWS[request.param]), radius_m=0.02, material=LAWS[request.param]))
+    return parts, ModalStepper(body(parts, tolerance=0.01, left_out=0.003), parts.system, STEP, CORNER_Hz)
+
+
+def outside_share(stepper, parts):
+    sums = np.sum([stepper.outside(at_points(part, stepper)) for part in parts], axis=0)
+    return np.sqrt(sums[0] / sums[1])
+
+
+def without_coupling(stepper, parts):
+    modes = stepper.body.modes
+    none = replace(modes, coupling=modes.coupling[:0], shares=modes.shares[:0])
+    return ModalStepper(replace(stepper.body, modes=none), parts.system, STEP, CORNER_Hz)
+
+
+@pytest.mark.numerics
+def test_sheets_that_relax_by_several_laws_move_as_the_whole_layer(sheets):
+    parts, stepper = sheets
+    course = loads(parts)
+    truth, _ = march(parts.whole, course, parts)
+    displacement, velocity = relative(march(stepper, course, parts)[0], truth)
+    assert stepper.coupled and displacement < 0.02 and velocity < 0.2
+    assert displacement < np.hypot(stepper.error, outside_share(stepper, course)) and velocity < stepper.velocity_error
+    alone, _ = march(without_coupling(stepper, parts), course, parts)
+    assert relative(alone, truth)[0] > 1.1 * displacement
+
+
+def test_coupled_modes_answer_a_frequency_as_the_whole_layer(sheets):
+    parts, stepper = sheets
+    pressure = bell(parts, [[0.003, -0.002]])[0]
+    force = parts.quadrature.operator @ pressure
+    for f in (0.0, 80.0, 250.0):
+        truth = parts.surface @ (harmonic(parts.system, force, f) if f else static(parts.system, force))
+        mine = stepper.harmonic(pressure[stepper.points], f, parts.surface)
+        assert np.linalg.norm(mine - truth) < 0.03 * np.linalg.norm(truth)
+
+
+def test_coupled_modes_of_several_worlds_move_as_each_by_itself(sheets, monkeypatch):
+    parts, stepper = sheets
+    monkeypatch.setattr(modal_stepper, "cores", lambda: 2)
+    first, other = (at_points(part, stepper) for part in loads(parts, 2))
+    three = first, other, first
+    stacked = (np.concatenate([getattr(load, name) for load in three]) for name in ("pressure_Pa", "first", "last"))
+    together = SurfaceLoads(*stacked)
+    states, reader = np.zeros((3, stepper.state_size)), stepper.reader(parts.surface)
+    states[1] = 1e-6
+    alone = states.copy()
+    seen = stepper.step(states, together, 0.0, SUBSTEPS * STEP, reader)
+    for world, load in enumerate(three):
+        own = stepper.step(alone[world : world + 1], load, 0.0, SUBSTEPS * STEP, reader)
+        np.testing.assert_allclose(seen[world], own[0], atol=1e-6 * np.abs(own).max())
+    np.testing.assert_allclose(states, alone, atol=1e-6 * np.abs(alone).max())
+
+
+def test_coupled_modes_left_alone_die_away(sheets):
+    """All at once: the matrix of a substep on the whole state."""
+    _, stepper = sheets
+    matrix = np.eye(stepper.state_size)
+    silence = SurfaceLoads(np.zeros((len(matrix), 1, len(stepper.points))), *np.zeros((2, len(matrix), 1, 1)))
+    stepper.step(matrix, silence, 0.0, STEP)
+    assert np.abs(np.linalg.eigvals(matrix)).max() < 1.0
+
+
+def test_the_whole_layer_goes_on_from_the_state_of_coupled_modes(sheets):
+    parts, stepper = sheets
+    course = loads(parts, 20)
+    truth, _ = march(parts.whole, course, parts)
+    _, state = march(stepper, course[:10], parts)
+    motion, _ = march(parts.whole, course[10:], parts, stepper.lifted(state))
+    assert relative(motion, truth[10 * SUBSTEPS :])[0] < 0.03
+
+
+def test_a_bulk_that_gives_way_couples_modes_of_one_law(make_spot):
+    soft = parts_of(make_spot(0.0035, 1, radius_m=0.02, material=standard_linear("foam", 500.0, 1.2e4, 2e4, 5e-4, 0.3)))
+    course = loads(soft)
+    truth, _ = march(soft.whole, course, soft)
+    stepper = ModalStepper(body(soft), soft.system, STEP, CORNER_Hz)
+    displacement, _ = relative(march(stepper, course, soft)[0], truth)
+    assert stepper.coupled and displacement < 0.03
+    assert relative(march(without_coupling(stepper, soft), course, soft)[0], truth)[0] > displacement
 
 
 def test_weak_modes_that_are_left_out_cost_what_is_said(disc):
@@ -199,4 +284,4 @@ def test_bodies_without_modes_of_their_own_are_refused(disc, make_spot):
     count = len(disc.quadrature.weights)
     noise = np.random.default_rng(0).standard_normal((count, count))
     with pytest.raises(SceneError, match=r"2 blocks of \d+ load shapes are more than 0.4 of its \d+ unknowns"):
-        modal_body(disc.system, disc.quadrature, disc.surface, lambda: noise, (), 1e-3, 2, 0.01)
+        modal_body(disc.system, disc.quadrature, disc.surface, lambda: noise, (), 1e-3, 2, 0.01, STEP)

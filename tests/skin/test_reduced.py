@@ -192,6 +192,30 @@ def test_oscillator_under_a_ramp_and_a_free_mass():
     np.testing.assert_allclose(velocity[:, 0], times**2 / 2 / 3e-3, rtol=1e-9)
 
 
+@settings(max_examples=20, deadline=None)
+@given(tau=st.floats(-5, 0), ratio=st.floats(0.1, 10.0), damping=st.floats(0.0, 1.0), seed=st.integers(0, 1000))
+def test_decoupled_steps_are_those_of_the_matrix_exponential(tau, ratio, damping, seed):
+    """For several states at once, from any of them on; damping and relaxation couple the body's undamped modes."""
+    body = chain(Material("m", 1e3, 1.0, (Branch(ratio, 10.0**tau),), 1.0, ""), 5, damping=damping)
+    model = reduce(body, np.eye(5)[:, :2], np.eye(5), (0.0, 3000.0), 1e-9)
+    modes = model.decoupled(2e-4)
+    random = np.random.default_rng(seed)
+    states = random.normal(size=(3, model.state_size))
+    first, last = random.normal(size=(2, 3, 6, 2))
+    z = first @ modes.start + last @ modes.end
+    modes.march(states @ modes.there, z)
+    assert len(modes.fall) > 0
+    for state, starts, ends, found in zip(states, first, last, z @ modes.back, strict=True):
+        for force, then, after in zip(starts, ends, found, strict=True):
+            model.step(state, force, then, 2e-4)
+            assert np.abs(after - state).max() < 1e-9 * np.abs(found).max()
+
+
+def test_modes_that_coincide_are_not_decoupled():
+    free = chain(Material("e", 1e3, 1.0, (), 1.0, ""), 3, held=False)
+    assert reduce(free, np.eye(3)[:, :1], np.eye(3), (0.0, 500.0), 1e-6).decoupled(1e-4) is None
+
+
 def test_complex_forces_are_two_real_runs(skin):
     times = np.linspace(0.0, 4e-3, 41)
     a, b = np.cos(900 * times)[:, None], np.sin(500 * times)[:, None]

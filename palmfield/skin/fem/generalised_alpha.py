@@ -98,6 +98,11 @@ class Scheme:
             terms.append(Term(part.stiffness, after * of_x, -(before * old + after * new)))
         self.terms = [term for term in terms if term.matrix.nnz]
 
+    def stiffened(self, parts: int) -> list[float]:
+        """What a step makes of G / G_r of the last so many terms, those of a body's parts: how much stiffer the matrix
+        that it solves with takes them than what doesn't relax."""
+        return [term.coefficient / (1.0 - self.alpha_f) for term in self.terms[-parts:]]
+
     def effective(self) -> sparse.csr_matrix:
         """The matrix that a step solves with, (n, n) [N/m]."""
         return sum(term.coefficient * term.matrix for term in self.terms)

@@ -101,6 +101,9 @@ class DeviceModes:
         numbers = wp.types.vector(length=self._rows, dtype=wp.float64)
         self._advance: Any = wp.array(advance[: stepper.order], dtype=square, device=device)
         self._inputs: Any = wp.array(stepper.inputs[: stepper.order], dtype=numbers, device=device)
+        self._felt: Any = wp.array(stepper.felt, dtype=wp.float64, device=device)
+        self._none: Any = wp.zeros(1, dtype=wp.float64, device=device)
+        self._coupling: Any = wp.array(stepper.coupling, dtype=wp.float64, device=device)
 
     def weights(self, first: Float, last: Float) -> Float:
         """See DeviceModel."""
@@ -110,10 +113,33 @@ class DeviceModes:
         """See DeviceModel."""
         before, after = (part.reshape((self._rows, -1)) for part in (memory.before, memory.after))
         calls, forces = self._products.calls(memory)
-        inputs = [self._advance, self._inputs, forces, self.substeps, before, after]
-        calls.append(launch(kernels.lone_modes(self._rows), self.stepper.order, inputs, self._device))
+        modes = kernels.lone_modes(self._rows)
+
+        def carried(state: Any, first: int, last: int) -> Callable[[], object]:
+            inputs = [self._advance, self._inputs, forces, first, last, state, after]
+            return launch(modes, self.stepper.order, inputs, self._device)
+
+        if not self.stepper.coupled:
+            calls.append(carried(before, 0, self.substeps))
+        else:
+            for substep in range(self.substeps):
+                state = after if substep else before
+                calls += [*self._pushes(state, forces, substep), carried(state, substep, substep + 1)]
         dim = SECTIONS, self.substeps, kernels.LANES
         return [*calls, launch(kernels.squares, dim, [forces, self._starts, memory.squares], self._device)]
+
+    def _pushes(self, state: Any, forces: Any, substep: int) -> Calls:
+        """Launches that add to the forces of a substep how modes push one another."""
+        count, (rows, columns) = len(self.stepper.felt), self._coupling.shape
+        chunks = -(-rows // CHUNK)
+        mixed: Any = wp.zeros(rows, dtype=wp.float64, device=self._device)
+        parts: Any = wp.zeros((chunks, columns), dtype=wp.float64, device=self._device)
+        inputs = [self._coupling, mixed, self._none, CHUNK, parts]
+        return [
+            launch(kernels.mixed_rows, (count, columns), [self._felt, state, mixed], self._device),
+            launch(kernels.state_products, (chunks, columns), inputs, self._device),
+            launch(kernels.add_chunks, self.stepper.order, [parts, substep, forces], self._device),
+        ]
 
     def outside(self, squares: Float) -> Outside:
         """See DeviceModel."""

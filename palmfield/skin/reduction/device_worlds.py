@@ -25,7 +25,7 @@ class _Work(NamedTuple):
 
 
 class DeviceWorlds:
-    """Steps of a ModalStepper under one pattern of pressure a world. Belongs to one state.
+    """Steps of a ModalStepper whose modes move by themselves, under one pattern of pressure a world, in one state.
 
     stepper: whose states it carries; most: worlds, at most; device: of `palmfield.device.resolve`
     """

@@ -1,7 +1,9 @@
 """Steps a skin by modes that serve every load of a class: any course in time of any sum of its shapes.
 
-The modes move by the scheme that steps the whole layer (palmfield.skin.fem.generalised_alpha), each by itself, so that
-a state can go over to the whole layer as it is. The pressure is looked at in few points of the skin.
+The modes move by the scheme that steps the whole layer (palmfield.skin.fem.generalised_alpha), so that a state can go
+over to the whole layer as it is. Under one relaxation law each moves by itself. Several laws couple them: they are then
+the eigenvectors of the matrix that a substep solves with, and what couples them pushes each by the motion of all before
+the substep, one dense product for each law but one. The pressure is looked at in few points of the skin.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,9 +23,8 @@ from palmfield.skin.fem.assembly import Part, SkinSystem
 from palmfield.skin.fem.factor import factorise
 from palmfield.skin.fem.generalised_alpha import RHO_INF, Scheme
 from palmfield.skin.fem.load import SurfaceQuadrature
-from palmfield.skin.materials.material import stiffening
 from palmfield.skin.reduction.load_shapes import POINTS, LoadShapes, load_shapes
-from palmfield.skin.reduction.ritz import RitzModes, refusal, ritz_modes, shifted
+from palmfield.skin.reduction.ritz import RitzModes, laws_at, refusal, ritz_modes, shifted
 from palmfield.skin.stepper import Reader, SurfaceLoads, check_step, checked_operator
 from palmfield.threads import cores, share
 from palmfield.types import Complex, Float, Float32, Int
@@ -70,6 +71,7 @@ def modal_body(
     tolerance: float,
     blocks: int,
     left_out: float,
+    step_s: float,
     points: int = POINTS,
 ) -> ModalBody:
     """Modes of a layer for the class of loads that examples are of, from one real factorisation.
@@ -78,8 +80,9 @@ def modal_body(
     examples: pressures at the quadrature's points [Pa], shape (t, q); depends_on: all that they depend on
     tolerance: what the shapes may leave out of the examples, relative; points: to look at for each shape
     blocks: of the space of the modes, at least 2; left_out: by the modes of the space's motion, see `ritz_modes`
+    step_s: length of a substep [s], on which modes that are coupled depend
     Kept in the cache (`palmfield.cache`).
-    Raises SceneError where the layer's modes are coupled, or its unknowns too few.
+    Raises SceneError where the layer can have no modes, or its unknowns are too few.
     """
 
     def make() -> cache.Arrays:
@@ -88,28 +91,35 @@ def modal_body(
             raise SceneError(f"no modes of this skin: {reason}")
         with one_blas_thread:
             shapes = load_shapes(examples(), quadrature.weights, tolerance, points)
-            fitting = int(MOST_SHARE * system.ndof / len(shapes.sizes))
-            if fitting < 2:
+            fitting, least = int(MOST_SHARE * system.ndof / len(shapes.sizes)), 2 if len(system.parts) == 1 else 4
+            if fitting < least:
                 raise SceneError(
-                    f"no modes of this skin: 2 blocks of {len(shapes.sizes)} load shapes are more than {MOST_SHARE:g} "
-                    f"of its {system.ndof} unknowns, which cost no more"
+                    f"no modes of this skin: {least} blocks of {len(shapes.sizes)} load shapes are more than "
+                    f"{MOST_SHARE:g} of its {system.ndof} unknowns, which cost no more"
                 )
-            factor = factorise(shifted(system), system.elimination_order())
+            stiffened = Scheme(system, step_s, RHO_INF).stiffened(len(system.parts))
             nodal: Float = quadrature.operator @ shapes.shapes.T
-            modes = ritz_modes(system, factor, nodal, shapes.sizes, min(blocks, fitting), left_out, surface)
+            relaxed = np.zeros((system.ndof, 0))
+            if len(system.parts) > 1:
+                loose = factorise(shifted(system, relaxed=True), system.elimination_order())
+                relaxed = loose.solve(nodal * shapes.sizes)
+                del loose
+            factor = factorise(shifted(system), system.elimination_order())
+            asked = max(min(blocks, fitting), least)
+            modes = ritz_modes(system, factor, nodal, shapes.sizes, asked, left_out, surface, stiffened, relaxed)
             seen = quadrature.operator[:, shapes.points].toarray()
             values, vectors = np.linalg.eigh(seen.T @ factor.solve(seen))
             kept = np.cumsum(values) > COMPLIANCE_LEFT_OUT * values.sum()
             compliance = vectors[:, kept] * np.sqrt(values[kept])
-        arrays: cache.Arrays = {"vectors": modes.vectors}
+        arrays: cache.Arrays = {"vectors": modes.vectors, "coupling": modes.coupling, "shares": modes.shares}
         arrays |= {"elastic": modes.elastic, "stiffness": modes.stiffness}
         arrays |= {"motion": modes.motion, "change": modes.change, "shapes": shapes.shapes, "sizes": shapes.sizes}
         arrays |= {"points": shapes.points, "fit": shapes.fit, "forces": nodal.T @ modes.vectors}
         return arrays | {"compliance": compliance}
 
-    asked = tolerance, blocks, left_out, points
-    known = cache.kept("modes", (system.made_of, quadrature.operator, surface, *depends_on, *asked), make)
-    names = "vectors", "elastic", "stiffness", "motion", "change"
+    wanted = tolerance, blocks, left_out, points, step_s
+    known = cache.kept("modes", (system.made_of, quadrature.operator, surface, *depends_on, *wanted), make)
+    names = "vectors", "elastic", "stiffness", "coupling", "shares", "motion", "change"
     modes = RitzModes(*(known[name] for name in names))
     shapes = LoadShapes(*(known[name] for name in ("shapes", "sizes", "points", "fit")))
     return ModalBody(modes, shapes, known["forces"], known["compliance"])
@@ -127,7 +137,7 @@ class _Room:
 
 
 class ModalStepper:
-    """Modes of a layer whose material relaxes by one law; see SkinStepper.
+    """Modes of a layer; see SkinStepper.
 
     body: see ModalBody; system: the layer; step_s: length of a substep [s]
     corner_Hz: above which the load's spectrum falls as 1/f, for which the errors are stated
@@ -136,6 +146,8 @@ class ModalStepper:
     advance, inputs: what a substep does to each mode's numbers, shape (at least r, rows, rows), and what a force adds,
         (at least r, rows)
     padded: modes in a state, with those that fill it up: at least r
+    coupling, felt: modes push one another in a substep by felt @ state, shape (c, rows) @ (rows, r'), one row after the
+        other, times coupling, (c * r', r'); r' is at least r; c is 0 where each moves by itself
     A state has a row of numbers of all modes each for displacement, velocity, acceleration and the internal
     displacement of every branch. Several worlds may be stepped at once.
     """
@@ -147,14 +159,15 @@ class ModalStepper:
         self.body, self.step_s, self.order, self.ndof = body, step_s, len(modes.elastic), system.ndof
         self.error, self.velocity_error = modes.errors(corner_Hz)
         self.points: Int = shapes.points
-        (self._material,) = system.materials
-        uncoupled = DiagonalBody(modes, Part(sparse.diags(modes.stiffness).tocsr(), self._material))
-        scheme = Scheme(uncoupled, step_s, RHO_INF)
+        self._materials = system.materials
+        parts = [Part(sparse.diags(own).tocsr(), of) for own, of in zip(modes.stiffness, self._materials, strict=True)]
+        scheme = Scheme(DiagonalBody(modes, tuple(parts)), step_s, RHO_INF)
         self.state_rows, self._alpha_f = scheme.state_rows, scheme.alpha_f
         self.padded = -(-self.order // kernels.WIDTH) * kernels.WIDTH
         self.state_size = self.state_rows * self.padded
         self.advance, self.inputs = _propagators(scheme, self.padded)
         self._modes = filled(kernels.Modes(), advance=_in_groups(self.advance), inputs=_in_groups(self.inputs))
+        self.coupling, self.felt = _coupling(modes, scheme, len(parts), self.padded)
         self._fit: Float32 = np.ascontiguousarray(shapes.fit.T, dtype=np.float32)
         self._back: Float32 = np.ascontiguousarray(shapes.shapes[:, shapes.points], dtype=np.float32)
         self._forces: Float32 = np.zeros((len(body.forces), self.padded), np.float32)
@@ -262,8 +275,17 @@ class ModalStepper:
         """operator @ displacement [m], shape (m,), under a pressure at the points, (p,), times e^{-i w t}."""
         modes, s = self.body.modes, -2j * np.pi * f_Hz
         force = (self.body.shapes.fit @ pressure_Pa) @ self.body.forces
-        rigidity = s**2 + modes.elastic + stiffening(self._material, s) * modes.stiffness
-        return np.asarray((operator @ modes.vectors) @ (force / rigidity), dtype=complex)
+        laws = laws_at(self._materials, s)
+        rigidity = s**2 + laws @ np.array([modes.elastic, *modes.stiffness])
+        if not self.coupled:
+            return np.asarray((operator @ modes.vectors) @ (force / rigidity), dtype=complex)
+        with one_blas_thread:
+            together = np.diag(rigidity) + np.tensordot(modes.shares @ laws, modes.coupling, axes=1)
+            return np.asarray((operator @ modes.vectors) @ np.linalg.solve(together, force), dtype=complex)
+
+    @property
+    def coupled(self) -> bool:
+        return len(self.felt) > 0
 
     def lifted(self, state: Float) -> Float:
         """The same motion as a state of WedgeStepper, (w, its state_size)."""
@@ -278,12 +300,27 @@ class ModalStepper:
         return (alpha * loads.first + (1.0 - alpha) * loads.last).astype(np.float32)
 
     def _new_room(self, worlds: int, substeps: int) -> _Room:
-        forces = np.zeros((worlds, substeps, self.padded))
         rows, old = np.zeros((2, worlds, self.state_rows, self.padded))
-        seen = np.zeros((worlds, substeps, 2, self.padded))
-        inputs = [self._modes, *(_lanes(part) for part in (forces, rows, old, seen))]
         dim = worlds, self.padded // kernels.WIDTH
-        return _Room(forces, rows, seen, recorded(kernels.step_modes, dim, inputs, "cpu"))
+
+        def launch(forces: Float, seen: Float) -> Callable[[], object]:
+            inputs = [self._modes, *(_lanes(part) for part in (forces, rows, old, seen))]
+            return recorded(kernels.step_modes, dim, inputs, "cpu")
+
+        if not self.coupled:
+            forces, seen = np.zeros((worlds, substeps, self.padded)), np.zeros((worlds, substeps, 2, self.padded))
+            return _Room(forces, rows, seen, launch(forces, seen))
+        # Substeps outermost, as each is a launch
+        forces, seen = np.zeros((substeps, worlds, 1, self.padded)), np.zeros((substeps, worlds, 1, 2, self.padded))
+        ends = [(force[:, 0], launch(force, after)) for force, after in zip(forces, seen, strict=True)]
+
+        def all_substeps() -> None:
+            for force, substep in ends:
+                felt: Float32 = (self.felt @ rows).reshape(worlds, -1).astype(np.float32)
+                force += felt @ self.coupling
+                substep()
+
+        return _Room(forces[:, :, 0].swapaxes(0, 1), rows, seen[:, :, 0].swapaxes(0, 1), all_substeps)
 
 
 @dataclass(frozen=True)
@@ -291,7 +328,7 @@ class DiagonalBody:
     """Modes as a body whose matrices are diagonal."""
 
     modes: RitzModes
-    part: Part
+    parts: tuple[Part, ...]
 
     @property
     def mass(self) -> Any:
@@ -305,10 +342,6 @@ class DiagonalBody:
     def elastic(self) -> Any:
         return sparse.diags(self.modes.elastic).tocsr()
 
-    @property
-    def parts(self) -> tuple[Part, ...]:
-        return (self.part,)
-
 
 def _propagators(scheme: Scheme, padded: int) -> tuple[Float, Float]:
     """Matrix of each mode's state over a substep, (padded, rows, rows), and what a force adds, (padded, rows)."""
@@ -320,6 +353,19 @@ def _propagators(scheme: Scheme, padded: int) -> tuple[Float, Float]:
     advance[:count] = scheme.advance + scheme.follow[:, None] * (of_state / rigidity[:, None])[:, None, :]
     inputs[:count] = scheme.follow / rigidity[:, None]
     return advance, inputs
+
+
+def _coupling(modes: RitzModes, scheme: Scheme, laws: int, padded: int) -> tuple[Float32, Float]:
+    """Coupling matrices one below the other, (c * padded, padded), and the rows of the state that they take, (c, rows).
+
+    Modes are coupled only where their sum in `scheme.effective` is diagonal: what is solved for is then not coupled.
+    """
+    count, order = len(modes.coupling), len(modes.elastic)
+    coupling = np.zeros((count, padded, padded), np.float32)
+    coupling[:, :order, :order] = modes.coupling
+    elastic = [-scheme.alpha_f * np.eye(scheme.state_rows)[0]]
+    felt: Float = modes.shares @ np.array([*elastic, *(term.row for term in scheme.terms[-laws:])])
+    return coupling.reshape(count * padded, padded), felt
 
 
 def _in_groups(values: Float) -> Any:

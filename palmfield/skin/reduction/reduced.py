@@ -85,6 +85,21 @@ class Reduced:
         inverse = np.linalg.inv(vectors)
         return _Modes(roots, vectors, inverse, np.linalg.solve(vectors, self.inputs))
 
+    def decoupled(self, step_s: float) -> "Decoupled | None":
+        """The same steps in coordinates that go each its own way; None where the modes are ill conditioned."""
+        modes = self._modes
+        if modes is None:
+            return None
+        paired, fading = modes.roots.imag > 0.0, modes.roots.imag == 0.0
+        swinging, count = modes.vectors[:, paired].T, 2 * np.count_nonzero(paired)
+        back: Float = np.empty((self.state_size, self.state_size))
+        back[0:count:2], back[1:count:2] = 2.0 * swinging.real, -2.0 * swinging.imag
+        back[count:] = modes.vectors[:, fading].real.T
+        there: Float = np.linalg.inv(back).astype(np.float64, copy=False)
+        _, start, end = self.propagators(step_s)
+        grow, fall = np.exp(modes.roots[paired] * step_s), np.exp(modes.roots[fading].real * step_s)
+        return Decoupled(there, back, grow, fall, start.T @ there, end.T @ there)
+
     def displacement(self, state: Float) -> Float:
         """y [m], shape (k,)."""
         return self.displaces @ state
@@ -148,6 +163,32 @@ class Reduced:
             ramp = whole[:size, size + inputs :]
             self._steps[step_s] = whole[:size, :size], whole[:size, size : size + inputs] - ramp, ramp
         return self._steps[step_s]
+
+
+@dataclass(frozen=True)
+class Decoupled:
+    """A small model's steps in coordinates z of its modes: of a state x, z = x @ there, and x = z @ back, both (n, n).
+
+    The first numbers of z are real and imaginary part of each mode that swings, the others the modes that only fade.
+    grow: factor of a step for each of the first; fall: for each of the others
+    start, end: what a unit of each force at a step's start and end adds to z, shapes (j, n)
+    """
+
+    there: Float
+    back: Float
+    grow: Complex
+    fall: Float
+    start: Float
+    end: Float
+
+    def march(self, before: Float, states: Float) -> None:
+        """Steps one after another: each overwrites what drove it by what is after it; z, (w, n) and (w, s, n)."""
+        count = 2 * len(self.grow)
+        for i in range(states.shape[1]):
+            after = states[:, i]
+            after[:, :count].view(np.complex128)[...] += self.grow * before[:, :count].view(np.complex128)
+            after[:, count:] += self.fall * before[:, count:]
+            before = after
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,6 @@ It is exact in time, and a substep is one dense product.
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,14 +21,11 @@ from palmfield.skin.reduction.load_shapes import LoadShapes
 from palmfield.skin.reduction.reduced import Projection, Reduced
 from palmfield.skin.reduction.reducer import SHIFT, grow_until
 from palmfield.skin.stepper import Reader, SurfaceLoads, check_step, checked_operator
-from palmfield.threads import cores, share
 from palmfield.types import Complex, Float, Float32, Int
 
 MOST_VECTORS = 400
 MIXED = 64
 """Loads of which the residual's own displacement is asked, at most: their mean square is right to a tenth."""
-ROWS_PER_THREAD = 64
-"""Fewest states to step worth a thread of its own: products of 2 MFlop in a model of 170 numbers."""
 
 
 @dataclass(frozen=True)
@@ -87,8 +83,9 @@ class ReducedStepper:
         advance, start, end = self.model.propagators(step_s)
         self.advance = np.ascontiguousarray(advance)
         self.start, self.end = np.ascontiguousarray(start.T), np.ascontiguousarray(end.T)
+        self._decoupled = self.model.decoupled(step_s)
         # What was made of the last pressures that don't change
-        self._pushed: tuple[Float | Float32, Float, Float] | None = None
+        self._fixed: tuple[Float | Float32, Float] | None = None
         self._leaps: tuple[Float | Float32, int, Float, Float] | None = None
         # Displacement and velocity in V are products of the first two blocks of a state: only these are not 0.
         blocks = slice(0, self.order), slice(self.order, 2 * self.order)
@@ -106,18 +103,21 @@ class ReducedStepper:
         states = np.empty((worlds, substeps, self.state_size))
         with one_blas_thread:
             if own:
-                at_start, at_end = self._pushes(loads)
-                np.matmul(loads.first, at_start, out=states)
-                states += loads.last @ at_end
-                if worlds == 1:
+                modes = self._decoupled
+                forces = self._forces(loads)
+                start, end = (self.start, self.end) if modes is None else (modes.start, modes.end)
+                np.matmul(loads.first, forces @ start, out=states)
+                states += loads.last @ (forces @ end)
+                if modes is None:
                     self._march(state, states)
                 else:
-                    threads = min(cores(), max(1, worlds * substeps // ROWS_PER_THREAD))
-                    size = -(-worlds // threads)
-                    blocks = [slice(first, first + size) for first in range(0, worlds, size)]
-                    share([(partial(self._march, state[block], states[block]),) for block in blocks], threads)
+                    modes.march(state @ modes.there, states)
+                    if observe is None:
+                        state[:] = states[:, -1] @ modes.back
+                        return None
+                    states = states @ modes.back
             else:
-                forces = self._forces(loads.pressure_Pa)
+                forces = self._forces(loads)
                 for one, after, force, first, last in zip(state, states, forces, loads.first, loads.last, strict=True):
                     after[:] = self.model.march(one, first @ force, last @ force, (t1 - t0) / substeps)
             state[:] = states[:, -1]
@@ -131,7 +131,8 @@ class ReducedStepper:
         known = self._leaps
         with one_blas_thread:
             if known is None or known[0] is not loads.pressure_Pa or known[1] != substeps:
-                pushes = np.stack(self._pushes(loads), axis=1)
+                forces = self._forces(loads)
+                pushes = np.stack([forces @ self.start, forces @ self.end], axis=1)
                 steps, power = [pushes], self.advance.T
                 for _ in range(substeps - 1):
                     steps.append(steps[-1] @ self.advance.T)
@@ -152,20 +153,15 @@ class ReducedStepper:
             after += before @ onwards
             before = after
 
-    def _forces(self, pressure: Float | Float32) -> Float:
+    def _forces(self, loads: SurfaceLoads) -> Float:
         """Shapes of force under patterns of pressure (w, k, q), shape (w, k, j)."""
-        return np.asarray(pressure @ (self._single_shares if pressure.dtype == np.float32 else self.shares))
-
-    def _pushes(self, loads: SurfaceLoads) -> tuple[Float, Float]:
-        """What each pattern adds to the state by its weights at a substep's start and at its end, shapes (w, k, n)."""
-        known = self._pushed
-        if loads.fixed and known is not None and known[0] is loads.pressure_Pa:
-            return known[1], known[2]
-        forces = self._forces(loads.pressure_Pa)
-        at_start, at_end = forces @ self.start, forces @ self.end
+        pressure, known = loads.pressure_Pa, self._fixed
+        if loads.fixed and known is not None and known[0] is pressure:
+            return known[1]
+        forces = np.asarray(pressure @ (self._single_shares if pressure.dtype == np.float32 else self.shares))
         if loads.fixed:
-            self._pushed = loads.pressure_Pa, at_start, at_end
-        return at_start, at_end
+            self._fixed = pressure, forces
+        return forces
 
     def reader(self, operator: sparse.csr_matrix) -> Reader:
         """See SkinStepper."""

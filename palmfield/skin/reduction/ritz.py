@@ -6,16 +6,21 @@ Struct. Dyn. 10, 1982; Nour-Omid & Clough, ibid. 12, 1984). Turned to the eigenv
 material at a middle frequency, mass and that sum are diagonal. Of soft matter that hardly changes its volume E holds
 next to no energy, so that it is all but diagonal as well, and each mode moves by itself.
 
+Several relaxation laws make a sum of as many stiffnesses, which modes turn diagonal at one frequency only, and sheets
+share a load otherwise when they have relaxed. The space then begins with answers of the relaxed body besides, strong
+modes are told from weak ones by how all move together, and what couples them is kept: they are turned to the
+eigenvectors of what a substep of the scheme solves with, so that the coupling acts through the state before alone.
+
 Waves of 1 kHz run long in skin, so that the space needs far more vectors than the motion has: what the loads of the
 class move at all frequencies is known by then, and the sums of modes that hold most of its energy (proper orthogonal
 decomposition in the frequency domain: Willcox & Peraire, AIAA J. 40, 2002) are turned to modes once more.
 """
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
-from scipy import sparse
+from scipy import linalg, sparse
 
 from palmfield.errors import SceneError
 from palmfield.skin.fem.assembly import SkinSystem
@@ -25,11 +30,15 @@ from palmfield.types import Complex, Float, Float32
 
 RATE_Hz = 400.0
 """w / 2 pi. A lower one does not settle short waves, a higher one does not reach out into the skin."""
+RELAXED_Hz = 100.0
+"""The same where several laws have relaxed."""
 PARALLEL = 0.01
 """Part of a block below which what is new in a direction, for loads of the class's sizes, is left out."""
-COUPLED, COUPLED_SHARE, COUPLED_Hz = 0.01, 0.5, 200.0
-"""What the modes' coupling by the elastic stiffness may change in the harmonic motion at one frequency, at least, and
-where more is left out with weak modes, of that."""
+COUPLED, COUPLED_SHARE = 0.01, 0.5
+"""What coupling that is left out may change in the harmonic motion, at least, and where more is left out with weak
+modes, of that."""
+COUPLED_Hz = 200.0, 50.0, 800.0
+"""At which that is looked at; of one law at the first."""
 UNCOUPLED_Hz = 100.0
 """At which it couples none: between a stimulus's start or end and its modulation."""
 CHUNK = 256
@@ -38,8 +47,8 @@ FREQUENCIES_Hz: Float = np.concatenate([[0.0], np.geomspace(20.0, 4000.0, 32)])
 """At which models are compared."""
 HIGHEST_Hz = 4000.0
 """Modes above it, that would be stiff and coupled pressure waves, are left out."""
-SAFETY = 1.25
-"""Times that change."""
+SAFETY, TOGETHER = 1.25, 1.4
+"""Times that change; and besides where there are several laws, whose modes come nearer by less from block to block."""
 LINES_Hz: Float = np.linspace(0.0, 2500.0, 251)
 """At which the motion is summed up that tells strong modes from weak ones."""
 CORNER_Hz = 500.0
@@ -50,16 +59,22 @@ TRIALS = 16
 
 @dataclass(frozen=True)
 class RitzModes:
-    """Modes V of a body, orthonormal in the mass.
+    """Modes V of a body of p relaxation laws, orthonormal in the mass.
 
-    vectors: V in single precision, shape (n, r); elastic, stiffness: diagonals of V^T E V and V^T K V, shapes (r,)
+    vectors: V in single precision, shape (n, r)
+    elastic, stiffness: diagonals of V^T E V and of each V^T K_p V, shapes (r,) and (p, r)
+    coupling: what couples the modes, matrices without diagonal, in single precision, shape (c, r, r); none where each
+        moves by itself
+    shares: of 1 and each law's stiffening with which each of these adds to the dynamic stiffness, shape (c, 1 + p)
     motion, change: the surface's harmonic motion under random sums of the shapes, and what the last block of vectors,
-        the modes left out and the coupling change in it, rms [m], at FREQUENCIES_Hz, shapes (f,)
+        the modes left out and the coupling left out change in it, rms [m], at FREQUENCIES_Hz, shapes (f,)
     """
 
     vectors: Float32
     elastic: Float
     stiffness: Float
+    coupling: Float32
+    shares: Float
     motion: Float
     change: Float
 
@@ -77,19 +92,18 @@ class RitzModes:
 
 
 def refusal(system: SkinSystem) -> str | None:
-    """Why a body can't be turned to modes that move by themselves, in words, or None."""
-    if len(system.parts) != 1:
-        return f"its materials relax by {len(system.parts)} laws, and modes move by themselves under one"
+    """Why a body can't be turned to modes, in words, or None."""
     if system.damping.nnz:
         return "absorbing sides or dashpots couple the modes"
     return None
 
 
-def shifted(system: SkinSystem) -> sparse.csr_matrix:
-    """A, symmetric positive definite, shape (n, n) [N/m]."""
-    (part,) = system.parts
-    stiff = (1.0 + 0.5 * sum(part.material.ratios)) * part.stiffness
-    return sparse.csr_matrix(system.elastic + stiff + (2.0 * np.pi * RATE_Hz) ** 2 * system.mass)
+def shifted(system: SkinSystem, *, relaxed: bool = False) -> sparse.csr_matrix:
+    """A, symmetric positive definite, shape (n, n) [N/m]; relaxed: as if all branches were, at a lower rate."""
+    weights = [1.0 if relaxed else 1.0 + 0.5 * sum(part.material.ratios) for part in system.parts]
+    stiff = sum(weight * part.stiffness for weight, part in zip(weights, system.parts, strict=True))
+    rate = 2.0 * np.pi * (RELAXED_Hz if relaxed else RATE_Hz)
+    return sparse.csr_matrix(system.elastic + stiff + rate**2 * system.mass)
 
 
 def ritz_modes(
@@ -100,97 +114,226 @@ def ritz_modes(
     blocks: int,
     left_out: float,
     surface: sparse.csr_matrix,
+    stiffened: Sequence[float],
+    relaxed: Float,
 ) -> RitzModes:
     """Modes of a body for forces [N], shape (n, m), of which a load has shares of some rms sizes, shape (m,).
 
-    factor: of `shifted(system)`; blocks: how many the space has, at least 2
+    factor: of `shifted(system)`; blocks: vectors of the space for each force, at least 2, or 4 of several laws
     left_out: of the motion's energy norm, what the weakest modes take with them that are left out
     surface: reads the displacement that must be right, csr, shape (S, n)
-    Raises SceneError where E couples the modes, or `refusal` gives a reason.
+    stiffened: of each law, what a substep makes of G / G_r (palmfield.skin.fem.generalised_alpha), for modes that are
+        coupled, shape (p,)
+    relaxed: of several laws, answers of `shifted(system, relaxed=True)` to forces * sizes, shape (n, m), or (n, 0):
+        sheets share a load otherwise when they have relaxed, which no power of A^-1 M makes up for
+    Raises SceneError where `refusal` gives a reason.
     """
     reason = refusal(system)
     if reason is not None:
         raise SceneError(f"no modes of this skin: {reason}")
-    (part,) = system.parts
-    # As stiff as the material is at a middle frequency: there E couples no modes
-    mean = complex(stiffening(part.material, -2j * np.pi * UNCOUPLED_Hz)).real
-    space, ends = _lanczos(system.mass, factor, forces * sizes, blocks)
-    elastic = _projected(system.elastic, space)
-    both = elastic + mean * _projected(part.stiffness, space)
+    materials = [part.material for part in system.parts]
+    # As stiff as the materials are at a middle frequency: there nothing couples the modes
+    means = laws_at(materials, -2j * np.pi * UNCOUPLED_Hz).real
+    space, ends = _lanczos(system.mass, factor, forces * sizes, blocks, relaxed)
+    # The first law's is what is left of the sum: it need not be kept
+    own = [_projected(matrix, space) for matrix in (system.elastic, *(part.stiffness for part in system.parts[1:]))]
+    total = _projected(system.parts[0].stiffness, space)
+    total *= means[1]
+    for mean, matrix in zip(np.delete(means, 1), own, strict=True):
+        total += mean * matrix
     trials = np.random.default_rng(0).standard_normal((forces.shape[1], TRIALS))
     pushed = np.asarray(space.T @ (forces * sizes).astype(np.float32), dtype=np.float64)
     seen = surface @ space
     answers: list[Complex] = []
     for order in ends[-2:]:
-        values, turn = np.linalg.eigh(both[:order, :order])
+        values, turn = np.linalg.eigh(total[:order, :order])
         kept = values < (2.0 * np.pi * HIGHEST_Hz) ** 2
         values, turn = values[kept], turn[:, kept]
-        diagonal = np.einsum("ik,ik->k", turn, elastic[:order, :order] @ turn)
-        rigidities = diagonal, (values - diagonal) / mean
+        diagonals = [np.einsum("ik,ik->k", turn, matrix[:order, :order] @ turn) for matrix in own]
+        rigidities = _rigidities(values, diagonals, means)
         loaded = turn.T @ pushed[:order]
-        answers.append(_answers(part.material, *rigidities, loaded @ trials, seen[:, :order] @ turn, FREQUENCIES_Hz))
-    turn = turn @ _strongest(part.material, *rigidities, loaded, left_out)
-    values, inner = np.linalg.eigh(turn.T @ both @ turn)
-    turn = turn @ inner
-    turned = turn.T @ elastic @ turn
-    diagonal = np.diagonal(turned).copy()
-    rigidities = diagonal, (values - diagonal) / mean
+        answers.append(_answers(materials, rigidities, loaded @ trials, seen[:, :order] @ turn, FREQUENCIES_Hz))
+    if len(materials) == 1:
+        gram, before = _motion_alone(materials, rigidities, loaded), answers[1]
+    else:
+        whole = _Modes(values, [turn.T @ matrix @ turn for matrix in own], means, materials)
+        gram, before = _motion_together(whole, loaded, trials, seen @ turn)
+        del whole
+    turn = turn @ _strongest(gram, rigidities, left_out)
+    modes, turn = _turned(turn, total, own, means, materials)
     force, watched = turn.T @ pushed @ trials, seen @ turn
-    answers.append(_answers(part.material, *rigidities, force, watched, FREQUENCIES_Hz))
-    rate = -2j * np.pi * COUPLED_Hz
-    relaxing = stiffening(part.material, rate) / mean
-    coupled = (1.0 - relaxing) * turned + np.diag(rate**2 + relaxing * values)
-    together = watched @ np.linalg.solve(coupled, force)
-    alone = _answers(part.material, *rigidities, force, watched, np.array([COUPLED_Hz]))[0]
-    coupling = float(np.linalg.norm(together - alone) / np.linalg.norm(together))
     allowed = max(COUPLED, COUPLED_SHARE * left_out)
+    coupled: list[int] = []
+    coupling = modes.left_out(coupled, force, watched)
     if not coupling <= allowed:
-        raise SceneError(
-            f"no modes of this skin: its elastic part couples them, by {100 * coupling:.2g} % of the motion; allowed: "
-            f"{100 * allowed:g} %"
-        )
+        # What a substep solves with is diagonal then, so that what couples the modes is pushed by the state before
+        last = np.array([1.0, *stiffened])
+        modes, inner = _turned(np.eye(len(modes.values)), modes.of(last), modes.matrices, last, materials)
+        turn, force, watched = turn @ inner, inner.T @ force, watched @ inner
+        coupled = list(range(1, len(own)))
+        coupling = modes.left_out(coupled, force, watched)
+        if not coupling <= allowed:
+            coupled, coupling = [0, *coupled], 0.0
+    after = modes.answers(coupled, force, watched)
     scale = np.sqrt(TRIALS * seen.shape[0])
-    motion = np.linalg.norm(answers[2], axis=(1, 2)) / scale
-    changes = [np.linalg.norm(after - before, axis=(1, 2)) / scale for before, after in pairwise(answers)]
+    motion = np.linalg.norm(after, axis=(1, 2)) / scale
+    # Of a block less, as if each mode moved by itself: what the laws couple changes little in that
+    changes = [np.linalg.norm(change, axis=(1, 2)) / scale for change in (answers[1] - answers[0], after - before)]
     change = np.sqrt(changes[0] ** 2 + changes[1] ** 2 + (coupling * motion) ** 2)
+    change *= TOGETHER if len(materials) > 1 else 1.0
     turning = turn.astype(np.float32)
     for start in range(0, len(space), CHUNK):
         rows = slice(start, start + CHUNK)
-        space[rows, : len(values)] = space[rows] @ turning
-    return RitzModes(np.ascontiguousarray(space[:, : len(values)]), *rigidities, motion, change)
+        space[rows, : turn.shape[1]] = space[rows] @ turning
+    vectors = np.ascontiguousarray(space[:, : turn.shape[1]])
+    between = np.zeros((len(coupled), turn.shape[1], turn.shape[1]), np.float32)
+    for result, number in zip(between, coupled, strict=True):
+        result[...] = modes.between(number)
+    shares = np.array([modes.share(number) for number in coupled]).reshape(len(coupled), len(means))
+    return RitzModes(vectors, modes.rigidities[0], modes.rigidities[1:], between, shares, motion, change)
 
 
-def _strongest(material: Material, elastic: Float, stiffness: Float, pushed: Float, left_out: float) -> Float:
-    """Sums of modes that take most part in the motion: orthonormal, shape (r, k).
+def laws_at(materials: Sequence[Material], s: complex) -> Complex:
+    """1, of the elastic stiffness, and G(s) / G_r of each material at a rate s [1/s], shape (1 + p,)."""
+    return np.array([1.0, *(stiffening(material, s) for material in materials)], dtype=complex)
 
-    pushed: forces of loads on the modes, (r, m); left_out: of the motion in the energy norm, over loads and spectrum
+
+class _Modes:
+    """Stiffnesses of a body in the eigenvectors of a sum of them.
+
+    values: of the sum, (r,); matrices: elastic, and of each law but the first, (r, r)
+    means: of the elastic one and each law in the sum, (1 + p,)
+    rigidities: diagonals of the elastic stiffness and of each law's, (1 + p, r)
     """
-    s = np.asarray(-2j * np.pi * LINES_Hz[:, None], dtype=complex)
-    answers = 1.0 / (s**2 + elastic + stiffening(material, s) * stiffness)
+
+    def __init__(self, values: Float, matrices: Sequence[Float], means: Float, materials: Sequence[Material]) -> None:
+        self.values, self.matrices, self.means, self._materials = values, matrices, means, materials
+        self.rigidities = _rigidities(values, [np.diagonal(matrix) for matrix in matrices], means)
+
+    def share(self, number: int) -> Float:
+        """With which one of the matrices adds to the dynamic stiffness beside `values`, of what `laws_at` gives."""
+        row = 0 if number == 0 else number + 1
+        share = np.eye(len(self.means))[row]
+        share[1] = -self.means[row] / self.means[1]
+        return share
+
+    def between(self, number: int) -> Float:
+        """What one of the matrices couples, (r, r)."""
+        return self.matrices[number] - np.diag(np.diagonal(self.matrices[number]))
+
+    def of(self, means: Float) -> Float:
+        """Another sum, (r, r)."""
+        result = np.diag(means[1] / self.means[1] * self.values)
+        for number, matrix in enumerate(self.matrices):
+            result += float(self.share(number) @ means) * matrix
+        return result
+
+    def at(self, f_Hz: float, coupled: Iterable[int], kind: type = complex) -> Complex:
+        """Dynamic stiffness under e^{-i w t}, (r, r), of the diagonals and what some of the matrices couple."""
+        s = -2j * np.pi * f_Hz
+        laws = laws_at(self._materials, s)
+        result: Complex = np.zeros((len(self.values), len(self.values)), kind)
+        for number in coupled:
+            result += kind(self.share(number) @ laws) * self.matrices[number].astype(kind)
+        np.fill_diagonal(result, s**2 + laws @ self.rigidities)
+        return result
+
+    def answers(self, coupled: Sequence[int], force: Float, watched: Float) -> Complex:
+        """Harmonic motion of what is seen, shape (f, S, trials), at FREQUENCIES_Hz."""
+        if not coupled:
+            return _answers(self._materials, self.rigidities, force, watched, FREQUENCIES_Hz)
+        return np.array([watched @ np.linalg.solve(self.at(f, coupled), force) for f in FREQUENCIES_Hz])
+
+    def left_out(self, coupled: Sequence[int], force: Float, watched: Float) -> float:
+        """What the coupling by the other matrices changes in the harmonic motion at COUPLED_Hz, at most, relative."""
+        worst = 0.0
+        for f in COUPLED_Hz if len(self.means) > 2 else COUPLED_Hz[:1]:
+            stiffnesses = self.at(f, range(len(self.matrices))), self.at(f, coupled)
+            together, alone = (watched @ np.linalg.solve(stiffness, force) for stiffness in stiffnesses)
+            worst = max(worst, float(np.linalg.norm(together - alone) / np.linalg.norm(together)))
+        return worst
+
+
+def _turned(
+    space: Float, total: Float, matrices: Sequence[Float], means: Float, materials: Sequence[Material]
+) -> tuple[_Modes, Float]:
+    """Modes of a sum of stiffnesses in orthonormal sums of vectors, space (n, r), and the same turned to them."""
+    values, inner = np.linalg.eigh(space.T @ total @ space)
+    turn = space @ inner
+    return _Modes(values, [turn.T @ matrix @ turn for matrix in matrices], means, materials), turn
+
+
+def _rigidities(values: Float, diagonals: Sequence[Float], means: Float) -> Float:
+    """Diagonals of the elastic stiffness and each law's, (1 + p, r), from those of all but the first law's."""
+    elastic, *others = diagonals
+    first = (values - np.delete(means, 1) @ np.array(diagonals)) / means[1]
+    return np.array([elastic, first, *others])
+
+
+def _motion_alone(materials: Sequence[Material], rigidities: Float, pushed: Float) -> Float:
+    """Products of the motions of modes that move by themselves, over all loads and LINES_Hz, (r, r).
+
+    rigidities: see `_Modes`; pushed: forces of loads on the modes, (r, m)
+    """
+    s = np.asarray(-2j * np.pi * LINES_Hz, dtype=complex)
+    answers = np.array([1.0 / (rate**2 + laws_at(materials, rate) @ rigidities) for rate in s])
     answers *= 1.0 / np.hypot(1.0, LINES_Hz[:, None] / CORNER_Hz)
     parts = np.concatenate([answers.real, answers.imag])
-    size = np.sqrt(elastic + stiffness + (2.0 * np.pi * RATE_Hz) ** 2)
-    # As modes move by themselves, products of motions over all loads and lines are those of pushes times of answers
-    gram = (pushed @ pushed.T) * (parts.T @ parts) * np.outer(size, size)
-    values, vectors = np.linalg.eigh(gram)
+    # Products of pushes times those of answers
+    return (pushed @ pushed.T) * (parts.T @ parts)
+
+
+def _motion_together(modes: _Modes, pushed: Float, trials: Float, seen: Float) -> tuple[Float, Complex]:
+    """The same of modes that are coupled by the laws, at FREQUENCIES_Hz, and the harmonic motion under trials.
+
+    trials: sums of the loads, (m, trials); seen: reads the modes, (S, r). Returns (r, r) and (f, S, trials).
+    """
+    gram = np.zeros((len(pushed), len(pushed)))
+    answers = []
+    # Single precision: what it tells need be right to a part in a thousand
+    loads = pushed.astype(np.complex64)
+    for f, width in zip(FREQUENCIES_Hz, np.gradient(FREQUENCIES_Hz), strict=True):
+        stiffness = modes.at(f, range(1, len(modes.matrices)), np.complex64)
+        motion = linalg.solve(stiffness, loads, assume_a="gen", overwrite_a=True, check_finite=False)
+        answers.append(seen @ (motion @ trials))
+        parts = np.concatenate([motion.real, motion.imag], axis=1)
+        gram += width / (1.0 + (f / CORNER_Hz) ** 2) * (parts @ parts.T)
+    return gram, np.array(answers)
+
+
+def _strongest(gram: Float, rigidities: Float, left_out: float) -> Float:
+    """Sums of modes that take most part in the motion: orthonormal, shape (r, k).
+
+    gram: products of the modes' motions, (r, r); rigidities: see `_Modes`
+    left_out: of the motion in the energy norm, over loads and spectrum
+    """
+    size = np.sqrt(rigidities.sum(axis=0) + (2.0 * np.pi * RATE_Hz) ** 2)
+    values, vectors = np.linalg.eigh(gram * np.outer(size, size))
     kept = np.cumsum(values) > left_out**2 * values.sum()
     return np.linalg.qr(vectors[:, kept] / size[:, None])[0]
 
 
-def _lanczos(mass: sparse.csr_matrix, factor: AnyFactor, forces: Float, blocks: int) -> tuple[Float32, list[int]]:
+def _lanczos(
+    mass: sparse.csr_matrix, factor: AnyFactor, forces: Float, blocks: int, also: Float
+) -> tuple[Float32, list[int]]:
     """The space, orthonormal in the mass, shape (n, r), and how many vectors it has after each block.
 
+    also: motions that the first block has beside the answers to the forces, (n, a)
     Directions of a block keep the size that the forces give them, so that those of small ones are left out.
     """
     space = np.empty((forces.shape[0], blocks * forces.shape[1]), dtype=np.float32, order="F")
     ends, count, right = [], 0, forces
-    for _ in range(blocks):
+    for number in range(blocks):
         new = factor.solve(np.ascontiguousarray(right))
+        if number == 0:
+            new = np.hstack([new, also])
         known = space[:, :count]
         for _ in range(2):
             new -= known @ (known.T @ (mass @ new).astype(np.float32))
         squares, turn = np.linalg.eigh(new.T @ (mass @ new))
         kept = squares > PARALLEL**2 * squares.max()
+        if count + int(kept.sum()) > space.shape[1]:
+            break
         sizes = np.sqrt(squares[kept])
         new = new @ (turn[:, kept] / sizes)
         new -= known @ (known.T @ (mass @ new).astype(np.float32))
@@ -212,12 +355,12 @@ def _projected(matrix: sparse.csr_matrix, space: Float32) -> Float:
 
 
 def _answers(
-    material: Material, elastic: Float, stiffness: Float, pushed: Float, seen: Float, frequencies_Hz: Float
+    materials: Sequence[Material], rigidities: Float, pushed: Float, seen: Float, frequencies_Hz: Float
 ) -> Complex:
-    """Harmonic motion of what is seen, shape (f, S, trials), under e^{-i w t}."""
+    """Harmonic motion of what is seen, shape (f, S, trials), under e^{-i w t}, each mode by itself."""
     result = []
     for f in frequencies_Hz:
         s = -2j * np.pi * f
-        rigidity = s**2 + elastic + stiffening(material, s) * stiffness
+        rigidity = s**2 + laws_at(materials, s) @ rigidities
         result.append(seen @ (pushed / rigidity[:, None]))
     return np.array(result)

@@ -94,18 +94,21 @@ def skin_work(stepper: SkinStepper, points: int, patterns: int, substeps: int) -
         shapes, modes, rows = len(stepper.body.shapes.sizes), stepper.order, stepper.state_rows
         measured = points * stepper.body.compliance.shape[1]
         dense = 2 * points * shapes + shapes * modes + measured
+        # Of modes that are coupled; it fits no multiprocessor's own memory, so that each substep reads it again
+        coupling = substeps * stepper.coupling.size
         propagators = modes * (rows * rows + rows)
         return Work(
             single=patterns * dense + substeps * modes * patterns,
-            double=substeps * propagators,
-            bytes=SINGLE_BYTES * dense + DOUBLE_BYTES * (propagators + 2 * modes * rows),
+            double=substeps * propagators + coupling,
+            bytes=SINGLE_BYTES * dense + DOUBLE_BYTES * (propagators + 2 * modes * rows + coupling),
+            kernels=4 * substeps if stepper.coupled else 0,
         )
     if isinstance(stepper, ReducedStepper):
         size, forces = stepper.state_size, stepper.model.inputs.shape[1]
         return Work(
             single=patterns * points * forces,
             double=substeps * size * (size + 2 * forces),
-            # The matrix fits no multiprocessor's own memory, so that each substep reads it again.
+            # So is this matrix
             bytes=SINGLE_BYTES * points * forces + DOUBLE_BYTES * substeps * size * size,
             kernels=substeps,
         )

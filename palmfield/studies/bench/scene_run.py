@@ -180,8 +180,7 @@ def stated(sim: Simulation) -> tuple[float, float | None] | None:
     for lazy, outside in zip(sim.runtime.model.begin, sim.runtime.work.outside, strict=True):
         stepper = lazy.value
         if isinstance(stepper, ModalStepper):
-            left_out = outside.energy_share
-            errors.append((float(np.hypot(stepper.error, left_out)), float(np.hypot(stepper.velocity_error, left_out))))
+            errors.append(outside.errors(stepper))
         elif isinstance(stepper, ReducedStepper):
             errors.append((stepper.error, None))
     return max(errors, key=lambda error: error[0], default=None)

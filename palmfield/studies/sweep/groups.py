@@ -143,7 +143,8 @@ def _pays(skin: SkinModel, points: int, duration_s: float) -> bool:
     steps = duration_s / skin.layer.sizes.step_s
     if modes > MOST_SHARE * dofs:
         return False
-    return modes_s(dofs, modes) + points * steps * modal_step_s(modes) < points * skin.choice.seconds
+    laws = load_class.laws(skin.layer)
+    return modes_s(dofs, modes, laws) + points * steps * modal_step_s(modes, laws) < points * skin.choice.seconds
 
 
 def _looked_at(points: Mapping[int, Mapping[str, Value]]) -> list[int]:

@@ -1,0 +1,154 @@
+"""A tree for joints that a file has side by side, as WebXR and OpenXR list them: by their names, else by their skin."""
+
+import re
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from palmfield.hand.rigged import Joints, SkinRig
+from palmfield.types import Float, Int
+
+DIGIT_WORDS = {
+    "thumb": "thumb", "index": "index", "pointer": "index", "fore": "index", "middle": "middle", "ring": "ring",
+    "little": "little", "pinky": "little", "pinkie": "little", "small": "little",
+}  # fmt: skip
+RANK_WORDS = {
+    "metacarpal": 0, "meta": 0, "proximal": 1, "intermediate": 2, "middle": 2, "medial": 2, "distal": 3,
+    "tip": 1000, "end": 1000, "nub": 1000,
+}  # fmt: skip
+HUB_WORDS = ("wrist", "hand", "palm")
+"""Of what fingers hang on, the first that a joint's name has."""
+SIDE_WORDS = {"left": "left", "l": "left", "right": "right", "r": "right"}
+MOST_SIBLINGS = 6
+"""A wrist with five digits and a palm; more joints that end where they begin are no tree of a hand."""
+SKIN_POINTS, WRIST_SHARE = 8, 0.05
+
+
+def words(name: str) -> list[str]:
+    """Words and numbers of a joint's name in lower case: of "RightHandIndex1" right, hand, index, 1."""
+    apart = re.sub(r"([a-z])([A-Z])|([A-Z])([A-Z][a-z])", r"\1\3 \2\4", name)
+    return re.findall(r"[a-z]+|\d+", apart.lower())
+
+
+def named_side(names: tuple[str, ...]) -> str:
+    """ "left" or "right" where most joints' names have that word (or l, r) and none the other, else "unknown"."""
+    found = [{SIDE_WORDS[word] for word in words(name) if word in SIDE_WORDS} for name in names]
+    for side, other in (("left", "right"), ("right", "left")):
+        if 2 * sum(side in each for each in found) > len(names) and not any(other in each for each in found):
+            return side
+    return "unknown"
+
+
+def joined(rig: SkinRig, vertices: Float, way: Float) -> tuple[SkinRig, Int, str]:
+    """The rig with its joints in a tree, which of them got another parent, and how: by "names", "skin", or "" for none.
+
+    Names are taken where they tell digit and rank, in the words of WebXR, OpenXR and most modelling programs. Without
+    them each joint hangs on its neighbour in the skin, back towards the wrist. A tree that holds together is left.
+
+    vertices: of the skin, shape (n, 3), in the unit of the joints; way: of each along the skin from the wrist, shape
+        (n,)
+    """
+    joints = rig.joints
+    chains = _chains(joints.names)
+    broken = any(not _related(joints.parents, a, b) for chain in chains for a, b in pairwise(chain))
+    if broken and (parents := _by_name(joints, chains)) is not None:
+        how = "names"
+    elif broken or _crowded(joints.parents):
+        parents, how = _by_skin(rig, vertices, way), "skin"
+    else:
+        return rig, np.zeros(0, dtype=np.int32), ""
+    changed = np.flatnonzero(parents != joints.parents).astype(np.int32)
+    return replace(rig, joints=replace(joints, parents=parents)), changed, how
+
+
+def _rank(name: str) -> tuple[str, int] | None:
+    """Digit and rank along it of a joint, the metacarpal first; None where the name has no digit or no rank."""
+    parts = words(name)
+    at = next((i for i, word in enumerate(parts) if word in DIGIT_WORDS), None)
+    if at is None:
+        return None
+    rest = parts[at + 1 :] + parts[:at]
+    rank = next((RANK_WORDS[word] for word in rest if word in RANK_WORDS), None)
+    if rank is None:
+        rank = next((1 + int(word) for word in rest if word.isdigit()), None)
+    return None if rank is None else (DIGIT_WORDS[parts[at]], rank)
+
+
+def _chains(names: tuple[str, ...]) -> list[list[int]]:
+    """Joints of each digit from the wrist on, as far as their names tell."""
+    ranked: dict[str, list[tuple[int, int]]] = {}
+    for joint, name in enumerate(names):
+        if (found := _rank(name)) is not None:
+            ranked.setdefault(found[0], []).append((found[1], joint))
+    return [[joint for _, joint in sorted(digit)] for digit in ranked.values() if _distinct(digit)]
+
+
+def _distinct(digit: list[tuple[int, int]]) -> bool:
+    return len({rank for rank, _ in digit}) == len(digit)
+
+
+def _related(parents: Int, a: int, b: int) -> bool:
+    """Whether one of two joints hangs on the other."""
+    return a in _above(parents, b) or b in _above(parents, a)
+
+
+def _above(parents: Int, joint: int) -> list[int]:
+    ancestors: list[int] = []
+    while parents[joint] >= 0 and parents[joint] not in ancestors:
+        joint = int(parents[joint])
+        ancestors.append(joint)
+    return ancestors
+
+
+def _by_name(joints: Joints, chains: list[list[int]]) -> Int | None:
+    """Parents with each digit a chain that hangs on the wrist; None where no joint is the wrist's or ranks mislead."""
+    in_digit = {joint for chain in chains for joint in chain}
+    others = [joint for joint in range(len(joints.names)) if joint not in in_digit]
+    hubs = [joint for word in HUB_WORDS for joint in others if word in words(joints.names[joint])]
+    if not hubs:
+        return None
+    hub, places = hubs[0], joints.rest[:, :3, 3]
+    parents = joints.parents.copy()
+    for joint in hubs[1:]:
+        if joint != hub and joint not in _above(parents, hub):
+            parents[joint] = hub
+    for chain in chains:
+        numbered = not any(word in RANK_WORDS for word in words(joints.names[chain[0]]))
+        first, last = np.linalg.norm(places[[chain[0], chain[-1]]] - places[hub], axis=1)
+        if numbered and last < first:
+            return None
+        parents[chain] = [hub, *chain[:-1]]
+    return parents
+
+
+def _crowded(parents: Int) -> bool:
+    """Whether more joints than a hand has digits end at one and the same joint, or at none."""
+    ends = np.setdiff1d(np.arange(len(parents)), parents)
+    return bool(len(ends)) and int(np.unique(parents[ends], return_counts=True)[1].max()) > MOST_SIBLINGS
+
+
+def _by_skin(rig: SkinRig, vertices: Float, way: Float) -> Int:
+    """Parents by the skin: of the joints nearer to the wrist that with which a joint shares most skin.
+
+    The way from the wrist rises along a digit as the distance does, however bent that is, and hardly from one digit to
+    the next: shared skin counts by the square of that slope, from the middle of one's skin to that of the other. A
+    joint without skin hangs on the one that carries the skin about it. The root is the joint that has the wrist.
+    """
+    weights = rig.weights.toarray()
+    total = weights.sum(axis=0)
+    bare = total < 1e-6 * len(weights)
+    root = int(np.argmax(weights[way <= WRIST_SHARE * way.max()].sum(axis=0)))
+    share = weights / np.where(bare, 1.0, total)
+    middle, height = share.T @ vertices, share.T @ way
+    height[root] = 0.0
+    apart = np.linalg.norm(middle[:, None] - middle, axis=2)
+    slope = np.clip((height[:, None] - height) / np.where(apart > 0.0, apart, np.inf), 0.0, 1.0)
+    shared = np.stack([np.minimum(weights, weights[:, [j]]).sum(axis=0) for j in range(len(middle))])
+    links = np.where(bare[:, None] | bare, 0.0, shared * slope**2)
+    parents = np.where(links.max(axis=1) > 0.0, np.argmax(links, axis=1), root)
+    about = cKDTree(vertices).query(rig.joints.rest[bare, :3, 3], k=min(SKIN_POINTS, len(vertices)))[1]
+    parents[bare] = np.argmax(weights[about].sum(axis=1), axis=1)
+    parents[root] = -1
+    return parents.astype(np.int32)

@@ -1,0 +1,42 @@
+"""Points for the force on a body that the arrays can see: the others lie behind the body, whatever it looks like.
+
+Where every transducer is behind a surface, straight ways from them come through the body. No sound arrives there, but
+the field of transducers in free air goes on, and here and there flows against its direction: it would push a body from
+behind, with up to a thousandth of its force and with more where a focus misses it.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palmfield.acoustics.phased_array import PhasedArray
+from palmfield.simulation.posed_scene import PosedSurface
+from palmfield.types import Float, Int
+
+PADDED_TO = 512
+"""The number of points is filled up to a multiple of this, so that buffers of few sizes serve all poses."""
+
+
+SeenSamples = tuple[Float, Float, Float, Int]
+"""Points [m] and outward normals, array frame, shapes (n, 3), areas [m2], shape (n,), 0 where a point fills up, and the
+numbers of these samples among all of the body's, shape (n,)."""
+
+
+def seen(points: Float, normals: Float, arrays: PhasedArray) -> NDArray[np.bool_]:
+    """Whether at least one transducer may be in front of points [m] with outward normals, shapes (n, 3): shape (n,).
+
+    Told from the corners of a box round the transducers of each array, in whose convex hull they all are.
+    """
+    nearest: Float = np.maximum.reduce(arrays.corners @ normals.T, axis=0)
+    return np.asarray(nearest > np.add.reduce(points * normals, axis=1))
+
+
+def seen_samples(body: PosedSurface, arrays: PhasedArray) -> SeenSamples:
+    """The samples of a body that the arrays can see."""
+    points, normals, areas = body.samples
+    front = seen(points, normals, arrays).nonzero()[0]
+    count = len(front)
+    numbers = np.empty(min(-(-count // PADDED_TO) * PADDED_TO, len(areas)), np.int32)
+    numbers[:count], numbers[count:] = front, front[-1:]
+    kept = areas[numbers]
+    kept[count:] = 0.0
+    return points[numbers], normals[numbers], kept, numbers
