@@ -149,13 +149,13 @@ def check_board(stimulus: StimulusSpec, board: Board, arrays: Sequence[ArraySpec
 def check_clear(posed: PosedScene) -> None:
     """Raise SceneError where a body's surface, or an obstacle's, reaches into an array's board."""
     arrays = posed.arrays
-    flat = not [board for board in arrays.boards if board.nearest is not None]
     for body in posed.bodies:
-        if body.model.surface is not None and flat:
+        if body.model.surface is not None:
             # Boxes tell it of most poses, and take no vertex
             hull = body.hull
             for board, (place, turn) in zip(arrays.boards, arrays.frames, strict=True):
-                if not np.minimum.reduce((hull - place) @ turn[:, 2]) - board.height >= CLEARANCE_M:
+                above = np.minimum.reduce((hull - place) @ turn[:, 2]) - board.height
+                if board.nearest is not None or not above >= CLEARANCE_M:
                     break
             else:
                 continue
@@ -169,7 +169,8 @@ def check_clear(posed: PosedScene) -> None:
             continue
         hull = skin.obstacle_hull
         for board, (place, turn) in zip(arrays.boards, arrays.frames, strict=True):
-            if not (flat and np.minimum.reduce((hull - place) @ turn[:, 2]) - board.height >= CLEARANCE_M):
+            above = np.minimum.reduce((hull - place) @ turn[:, 2]) - board.height
+            if board.nearest is not None or not above >= CLEARANCE_M:
                 break
         else:
             continue
