@@ -13,6 +13,7 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from palmfield.errors import PalmfieldError
+from warp_kernels import products
 
 
 def _start() -> None:
@@ -128,9 +129,20 @@ def launch(kernel: Any, dim: int | tuple[int, ...], inputs: Sequence[Any], devic
     return _command(kernel, dim, inputs, device).launch
 
 
+THREADS = 128
+"""In a block, on a GPU."""
+
+
 def _command(kernel: Any, dim: int | tuple[int, ...], inputs: Sequence[Any], device: str) -> Any:
     with _loading:
-        return wp.launch(kernel, dim=dim, inputs=inputs, device=device, block_dim=128, record_cmd=True)
+        return wp.launch(kernel, dim=dim, inputs=inputs, device=device, block_dim=THREADS, record_cmd=True)
+
+
+def matrix_product(left: Any, right: Any, result: Any, device: str) -> Callable[[], object]:
+    """A call as `launch` gives it that makes `result` left @ right: float32 arrays on the device, each of two axes."""
+    tiles = -(-result.shape[0] // products.ROWS), -(-result.shape[1] // products.COLUMNS)
+    # All threads of a block do one tile together
+    return launch(products.product, (*tiles, 1 if device == "cpu" else THREADS), [left, right, result], device)
 
 
 launching = threading.Lock()

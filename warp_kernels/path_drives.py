@@ -87,21 +87,6 @@ def focus_sums(
         sums[m, lane] = total
 
 
-@wp.func
-def level_at(focusing: Focusing, sums: wp.array2d(dtype=wp.vec3d), m: wp.int32):
-    """Of each transducer, relative to full drive, for the ARP that is asked for."""
-    level = focusing.amplitude
-    if focusing.target > wp.float64(0.0):
-        total = wp.vec3d()
-        for lane in range(LANES):
-            total += sums[m, lane]
-        full = total[0] * total[0] + total[1] * total[1]
-        level = wp.float64(0.0)
-        if full > wp.float64(0.0):
-            level = wp.sqrt(focusing.target / full)
-    return level
-
-
 @wp.kernel
 def focus_levels(
     focusing: Focusing,
@@ -109,11 +94,27 @@ def focus_levels(
     sums: wp.array2d(dtype=wp.vec3d),
     wanted: wp.array(dtype=wp.float64),
     levels: wp.array(dtype=wp.float64),
+    totals: wp.array(dtype=wp.vec3d),
 ):
-    """Level of the drive for each focus, times what is wanted of it, 0 to 1; for the last one twice; dim: f + 1."""
+    """Level of the drive for each focus, times what is wanted of it, 0 to 1; for the last one twice; dim: f + 1.
+
+    totals: the parts of each focus, `sums`, added up
+    """
     m = wp.tid()
     if m <= counts[0]:
-        levels[m] = wanted[m] * level_at(focusing, sums, wp.min(m, counts[0] - 1))
+        focus = wp.min(m, counts[0] - 1)
+        total = wp.vec3d()
+        for lane in range(LANES):
+            total += sums[focus, lane]
+        level = focusing.amplitude
+        if focusing.target > wp.float64(0.0):
+            full = total[0] * total[0] + total[1] * total[1]
+            level = wp.float64(0.0)
+            if full > wp.float64(0.0):
+                level = wp.sqrt(focusing.target / full)
+        levels[m] = wanted[m] * level
+        if m < counts[0]:
+            totals[m] = total
 
 
 @wp.func

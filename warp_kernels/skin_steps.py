@@ -96,6 +96,46 @@ def lone_modes(rows: int) -> Any:
     return kernel
 
 
+@functools.cache
+def modes_of_worlds(rows: int) -> Any:
+    """Kernel of all substeps of modes, whose states have `rows` numbers, in several worlds; dim: (worlds, modes)."""
+    numbers = wp.types.vector(length=rows, dtype=wp.float64)
+    square = wp.types.matrix(shape=(rows, rows), dtype=wp.float64)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def kernel(
+        advance: wp.array(dtype=square),
+        inputs: wp.array(dtype=numbers),
+        pushes: wp.array2d(dtype=wp.float32),
+        mixed: wp.array2d(dtype=wp.float32),
+        states: wp.array3d(dtype=wp.float64),
+        seen: wp.array2d(dtype=wp.float32),
+    ):
+        """A mode's state becomes advance @ state + inputs * force in each substep, in place, (worlds, rows, r).
+
+        pushes: of each world's pressure on the modes, (worlds, r); mixed: how much of it there is, (worlds, s)
+        seen: takes displacement and velocity after each substep, (worlds * s * 2, r); without rows, nothing
+        """
+        world, mode = wp.tid()
+        state = numbers()
+        for i in range(rows):
+            state[i] = states[world, i, mode]
+        own_advance = advance[mode]
+        own_inputs = inputs[mode]
+        push = pushes[world, mode]
+        substeps = mixed.shape[1]
+        for substep in range(substeps):
+            state = own_advance * state + wp.float64(mixed[world, substep] * push) * own_inputs
+            if seen.shape[0] > 0:
+                row = 2 * (world * substeps + substep)
+                seen[row, mode] = wp.float32(state[0])
+                seen[row + 1, mode] = wp.float32(state[1])
+        for i in range(rows):
+            states[world, i, mode] = state[i]
+
+    return kernel
+
+
 @wp.kernel
 def mixed_rows(
     weights: wp.array2d(dtype=wp.float64),

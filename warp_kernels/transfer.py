@@ -11,10 +11,6 @@ wp.set_module_options(
 
 WIDTH = 16
 lanes = wp.types.vector(length=WIDTH, dtype=wp.float32)
-TILE_FRAMES = 64
-TILE_COLUMNS = 128
-TILE_DEPTH = 32
-TILE_THREADS = 128
 
 
 @wp.kernel
@@ -176,22 +172,6 @@ def arp_in_span(
         for i in range(WIDTH):
             arp[i] = radiation_pressure(p_re[i], p_im[i], n_re[i], n_im[i], along2[i], weights)
         result[frame, block] = arp
-
-
-@wp.kernel
-def product(
-    left: wp.array(dtype=wp.float32, ndim=2),
-    right: wp.array(dtype=wp.float32, ndim=2),
-    result: wp.array(dtype=wp.float32, ndim=2),
-):
-    """Matrix product by tiles, for GPUs; what reaches over the edges counts as zero."""
-    i, j = wp.tid()
-    total = wp.tile_zeros(shape=(TILE_FRAMES, TILE_COLUMNS), dtype=wp.float32)
-    for k in range((left.shape[1] + TILE_DEPTH - 1) / TILE_DEPTH):
-        a = wp.tile_load(left, shape=(TILE_FRAMES, TILE_DEPTH), offset=(i * TILE_FRAMES, k * TILE_DEPTH))
-        b = wp.tile_load(right, shape=(TILE_DEPTH, TILE_COLUMNS), offset=(k * TILE_DEPTH, j * TILE_COLUMNS))
-        wp.tile_matmul(a, b, total)
-    wp.tile_store(result, total, offset=(i * TILE_FRAMES, j * TILE_COLUMNS))
 
 
 @wp.kernel

@@ -52,13 +52,12 @@ def pressure64(
         d = np.maximum(d, 1e-9)
         cosine = np.einsum("ijk,jk->ij", rays, array.normals) / d
         front = cosine > 0.0
-        directivity, bend = directivity_and_bend(array, k, cosine)
-        directivity = np.where(front, directivity, 0.0)
+        shape = np.where(front, directivity(array, k, cosine), 0.0)
         wave = strength / d * np.exp((1j * k - beta) * d)
-        pressure[part] = (wave * directivity).sum(axis=1)
+        pressure[part] = (wave * shape).sum(axis=1)
         if slope is not None:
-            bend = np.where(front, bend, 0.0)
-            along = directivity * (1j * k - beta - 1.0 / d) - bend * cosine / d
+            bend = np.where(front, directivity_bend(array, k, cosine), 0.0)
+            along = shape * (1j * k - beta - 1.0 / d) - bend * cosine / d
             slope[part] = np.einsum("ij,ijk->ik", wave * along / d, rays)
             slope[part] += (wave * bend / d) @ array.normals
     return pressure, slope
@@ -72,16 +71,14 @@ def directivity(array: Array, wavenumber: float, cosine: Float) -> Float:
     return piston(wavenumber * array.piston_radius_m * np.sqrt(square))
 
 
-def directivity_and_bend(array: Array, wavenumber: float, cosine: Float) -> tuple[Float, Float]:
-    """Directivity at the cosine of the angle off the axis, and its derivative with respect to that cosine."""
+def directivity_bend(array: Array, wavenumber: float, cosine: Float) -> Float:
+    """Derivative of the directivity with respect to the cosine of the angle off the axis, of the cosine's shape."""
     square = np.maximum(1.0 - cosine**2, 0.0)
     if array.directivity_table is not None:
-        quintic, derivative = directivity_coefficients(array, wavenumber)
-        return np.asarray(polyval(square, quintic)), -2.0 * cosine * polyval(square, derivative)
+        return np.asarray(-2.0 * cosine * polyval(square, directivity_coefficients(array, wavenumber)[1]))
     kb = wavenumber * array.piston_radius_m
-    x = kb * np.sqrt(square)
     # dD/d(cosine) = 2 (kb)^2 cosine J2(x)/x^2, since (J1(x)/x)' = -J2(x)/x
-    return piston(x), cosine * kb**2 * jinc2(x)
+    return np.asarray(cosine * kb**2 * jinc2(kb * np.sqrt(square)))
 
 
 def jinc2(x: Float) -> Float:

@@ -15,10 +15,11 @@ from palmfield.acoustics.arp import arp, check_law, law_weights, unit_normals
 from palmfield.acoustics.field import CUBIC_REACH_Np, FieldEvaluator, distances, polynomial_fall
 from palmfield.acoustics.groups import axes
 from palmfield.blas import one_blas_thread
-from palmfield.device import SharedArray, load_kernels, recorded
+from palmfield.device import SharedArray, load_kernels, matrix_product, recorded
 from palmfield.errors import PalmfieldError
 from palmfield.threads import pool, share
 from palmfield.types import Complex, Float, Float32
+from warp_kernels import products
 from warp_kernels import transfer as kernels
 
 DROPPED = 1e-5
@@ -197,11 +198,11 @@ class Transfer:
         if result.size == 0:
             return result
         stacked: Any = wp.array(np.concatenate([left.real, left.imag], axis=1), dtype=wp.float32, device=device)
-        step = max(kernels.TILE_FRAMES, GPU_SCRATCH_BYTES // (32 * self.points))
+        step = max(products.ROWS, GPU_SCRATCH_BYTES // (32 * self.points))
         parts = wp.empty((min(step, len(left)), 8 * self.points), dtype=wp.float32, device=device)
         for first in range(0, len(left), step):
             rows = stacked[first : min(first + step, len(left))]
-            self._product(rows, right, parts[: rows.shape[0]])
+            matrix_product(rows, right, parts[: rows.shape[0]], device)()
             inputs = [parts, weights, first, result]
             wp.launch(kernels.arp_columns, dim=(rows.shape[0], self.points), inputs=inputs, device=device)
         return result
@@ -216,16 +217,8 @@ class Transfer:
         back = basis.conj().T
         rows: Any = wp.array(np.block([[back.real, back.imag], [-back.imag, back.real]]), wp.float32, device=device)
         reduced = wp.empty((len(rows), 8 * self.points), dtype=wp.float32, device=device)
-        self._product(rows, self._on_gpu, reduced)
+        matrix_product(rows, self._on_gpu, reduced, device)()
         return reduced
-
-    def _product(self, left: Any, right: Any, result: Any) -> None:
-        """result = left @ right on the GPU."""
-        tiles = (-(-result.shape[0] // kernels.TILE_FRAMES), -(-result.shape[1] // kernels.TILE_COLUMNS))
-        wp.launch_tiled(
-            kernels.product, dim=tiles, inputs=[left, right, result], block_dim=kernels.TILE_THREADS,
-            device=self.evaluator.device,
-        )  # fmt: skip
 
     def reduced(self, drives: ArrayLike) -> tuple[NDArray[np.complex64], NDArray[np.complex64] | None]:
         """The frames, or their coordinates in a smaller orthonormal basis, shape (transducers, r), if that saves work.

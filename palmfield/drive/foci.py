@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from palmfield.acoustics import check
 from palmfield.acoustics.air import absorption_Np_m, sound_speed
-from palmfield.acoustics.reference import directivity_and_bend
+from palmfield.acoustics.reference import directivity
 from palmfield.errors import SceneError
 from palmfield.types import Air, Array, Complex, Float
 
@@ -103,9 +103,8 @@ def transfer64(points: ArrayLike, array: Array, air: Air) -> Complex:
     beta = absorption_Np_m(air, array.frequency_Hz)
     d = np.maximum(np.linalg.norm(rays, axis=2), 1e-9)
     cosine = np.einsum("ijk,jk->ij", rays, array.normals) / d
-    directivity, _ = directivity_and_bend(array, k, cosine)
     strength = array.p0_Pa_m * (np.ones(len(array)) if array.gain is None else array.gain)
-    return np.where(cosine > 0.0, strength * directivity / d * np.exp((1j * k - beta) * d), 0.0)
+    return np.where(cosine > 0.0, strength * directivity(array, k, cosine) / d * np.exp((1j * k - beta) * d), 0.0)
 
 
 def solve_foci(

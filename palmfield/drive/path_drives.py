@@ -47,7 +47,7 @@ class PathMemory(NamedTuple):
     counts: foci and groups, int32, shape (2,); group: of each transducer, int32, shape (n,)
     foci: [m], vec3d, shape (f,); wanted: levels, float64, shape (f + 1,)
     ring: weights of the pole for each moment, vec2d, shape (m, 5); begun, end: what is emitted, vec2d, shape (n,)
-    sums: pressure at the foci at full drive and number of transducers that face them, vec3d, shape (f, LANES)
+    totals: pressure at the foci at full drive and number of transducers that face them, vec3d, shape (f,)
     load, force, now: tables of drives, vec2, see `palmfield.acoustics.point_sound.DriveTable`
     """
 
@@ -58,7 +58,7 @@ class PathMemory(NamedTuple):
     ring: Any
     begun: Any
     end: Any
-    sums: Any
+    totals: Any
     load: Any
     force: Any
     now: Any
@@ -78,7 +78,7 @@ class PathMemory(NamedTuple):
     @staticmethod
     def results(foci: int, transducers: int) -> dict[str, tuple[tuple[int, ...], Any]]:
         """Shapes and types of what comes out."""
-        return {"path_end": ((transducers,), wp.vec2d), "path_sums": ((foci, kernels.LANES), wp.vec3d)}
+        return {"path_end": ((transducers,), wp.vec2d), "path_totals": ((foci,), wp.vec3d)}
 
 
 class PathDrives:
@@ -124,14 +124,17 @@ class PathDrives:
         foci, device = len(memory.foci), self._device
         waves, strengths = (wp.zeros((foci, self.count), dtype=wp.vec2d, device=device) for _ in range(2))
         levels: Any = wp.zeros(foci + 1, dtype=wp.float64, device=device)
-        focusing, counts, sums = self._focusing, memory.counts, memory.sums
+        focusing, counts = self._focusing, memory.counts
+        sums: Any = wp.zeros((foci, kernels.LANES), dtype=wp.vec3d, device=device)
         rings = int(self._pole is not None)
         inputs = [counts, memory.group, rings, waves, levels, memory.ring, self._scales, self._order, memory.begun]
         inputs += [memory.load, memory.force, memory.now, memory.end]
         return [
             launch(kernels.focus_waves, (foci, self.count), [focusing, counts, memory.foci, waves, strengths], device),
             launch(kernels.focus_sums, (foci, kernels.LANES), [counts, waves, strengths, sums], device),
-            launch(kernels.focus_levels, foci + 1, [focusing, counts, sums, memory.wanted, levels], device),
+            launch(
+                kernels.focus_levels, foci + 1, [focusing, counts, sums, memory.wanted, levels, memory.totals], device
+            ),
             launch(kernels.ring_along, self.count, inputs, device),
         ]
 
@@ -153,10 +156,10 @@ class PathDrives:
             known = self._known[key] = np.array(rows, np.complex128)
         return known
 
-    def can(self, step: PathStep, sums: Float) -> bool:
-        """Whether the transducers can make all foci that sound; sums: of PathMemory, as numbers, (f, LANES, 3)."""
+    def can(self, step: PathStep, totals: Float) -> bool:
+        """Whether the transducers can make all foci that sound; totals: of PathMemory, as numbers, shape (f, 3)."""
         count = len(step.levels)
-        real, imaginary, facing = np.add.reduce(sums[: count + 1], axis=1).T
+        real, imaginary, facing = totals[: count + 1].T
         good = facing > 0.0
         if self._target > 0.0:
             good &= real * real + imaginary * imaginary >= self._target

@@ -70,12 +70,21 @@ class SceneRuntime:
         """How many world frames sound and skins depend on."""
         return len(self._positions)
 
-    def join(self, model: HapticModel, state: HapticState, work: Workspace, frames: tuple[Float, Float]) -> None:
+    def join(
+        self,
+        model: HapticModel,
+        state: HapticState,
+        work: Workspace,
+        frames: tuple[Float, Float],
+        beside: "SceneRuntime | None" = None,
+    ) -> None:
         """Be one of several worlds, whose state lies outside of mjData; what was kept so far is forgotten.
 
         model: of the same bodies and arrays, with the world's own stimuli; state: the world's part, as views
         frames: where world frames are put, positions [m] and matrices by row, shapes (frames, 3) and (frames, 9)
+        beside: of another world, whose sensors read at the same places; None for the first
         """
+        self._places = {} if beside is None else beside._places
         self.model, self.work = model, work
         self._positions, self._matrices = frames
         self.__dict__["state"] = state

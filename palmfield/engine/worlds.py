@@ -68,7 +68,8 @@ class SceneWorlds:
         self._sensors: list[list[list[PluginSensor]]] = []
         for number, (world, runtime, model) in enumerate(zip(self._worlds, self.runtimes, models, strict=True)):
             works.append(Workspace(model, works[0] if works else None))
-            runtime.join(model, self.state.world(number), works[-1], (positions[number], matrices[number]))
+            beside = self.runtimes[0] if number else None
+            runtime.join(model, self.state.world(number), works[-1], (positions[number], matrices[number]), beside)
             skins = [module for module in world.modules.values() if isinstance(module, SkinModule)]
             self._sensors.append([module.hand_over() for module in sorted(skins, key=lambda skin: skin.number)])
         self.together = TogetherStep(models, works, self.state)

@@ -1,5 +1,6 @@
 """Keys whose values differ between the worlds of a simulation: which they are, and each world's own."""
 
+import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -92,6 +93,7 @@ def axes_of(config: type[Config], key: str) -> int:
     return int(_schema(config, key).get("type") == "array")
 
 
+@functools.cache
 def _schema(config: type[Config], key: str) -> dict[str, Any]:
     schema = config.model_json_schema()["properties"][key]
     option: dict[str, Any] = next(o for o in schema.get("anyOf", [schema]) if o.get("type") != "null")

@@ -344,11 +344,17 @@ def spot_fwhm(arrays: PhasedArray, board: Board, stimulus: StimulusModel) -> flo
     focus = stimulus.first_focus
     config = stimulus.config
     drive = ArrayDrive(arrays, stimulus.transducers, config.arp_peak_Pa, config.drive_amplitude, board)
-    offset = np.linspace(0.0, 0.06, 241)
-    points = focus + offset[:, None] * np.array([1.0, 0.0, 0.0])
-    square = np.abs(arrays.pressure64(points, drive.unit_drive(focus).amplitudes)) ** 2
-    below = np.flatnonzero(square < 0.5 * square[0])
-    return 2 * float(offset[below[0]]) if len(below) else 2 * float(offset[-1])
+    amplitudes = drive.unit_drive(focus).amplitudes
+    offsets, peak = np.linspace(0.0, 0.06, 241), None
+    # In pieces: most spots end in the first
+    for offset in np.array_split(offsets, 8):
+        points = focus + offset[:, None] * np.array([1.0, 0.0, 0.0])
+        square = np.abs(arrays.pressure64(points, amplitudes)) ** 2
+        peak = square[0] if peak is None else peak
+        below = np.flatnonzero(square < 0.5 * peak)
+        if len(below):
+            return 2 * float(offset[below[0]])
+    return 2 * float(offsets[-1])
 
 
 def path_reach(stimulus: StimulusModel, body: BodyModel, centre: Float) -> tuple[float, float]:

@@ -8,7 +8,7 @@ keeps none of it from step to step. A DeviceSound belongs to one state and is us
 import cmath
 import math
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -134,7 +134,6 @@ class DeviceSound:
         self.device = resolve(model.spec.device)
         self.launches = 0
         self._arrays = model.arrays
-        self._transducers = Transducers(model.arrays, self.device)
         self._probes: list[tuple[int, SensorPlace]] = []
         self._sizes = {LOAD: (1, 1), FORCE: (1, 1), NOW: (1, 1), FOCI: (0, 0)}
         self.work: DeviceWork | None = None
@@ -150,6 +149,11 @@ class DeviceSound:
         self._stepping: dict[int, DeviceModel] = {}
         self._models: dict[tuple[int, SkinStepper], DeviceModel | None] = {}
         self._skins: Mapping[int, _SkinStep] = NO_SKINS
+
+    @cached_property
+    def _transducers(self) -> Transducers:
+        """Made when they are first needed: of many worlds few take steps by themselves."""
+        return Transducers(self.model.arrays, self.device)
 
     def watch(self, skin: int, place: SensorPlace) -> None:
         """Compute the ARP at a sensor's place as well, from the next step on."""
@@ -229,7 +233,7 @@ class DeviceSound:
         work.run(moved, True, tuple(steps), True)
         self.launches += 1
         self._posed, self._fetched = posed, False
-        if not self._drives.can(path, work.forces.hosts["path_sums"]):
+        if not self._drives.can(path, work.forces.hosts["path_totals"]):
             return False
         np.copyto(course.end, work.forces.hosts["path_end"].view(np.complex128)[:, 0])
         self._force_scale, self._pushes, self._path, self._skins = path.mean, path.mean > 0.0, known, steps
@@ -505,7 +509,7 @@ class DeviceWork:
     def _path_memory(self) -> PathMemory:
         """Where a moving focus's numbers are."""
         here = self.inputs.arrays | self.forces.arrays
-        own = (here[f"path_{name}"] for name in ("counts", "group", "foci", "wanted", "ring", "begun", "end", "sums"))
+        own = (here[f"path_{name}"] for name in ("counts", "group", "foci", "wanted", "ring", "begun", "end", "totals"))
         return PathMemory(*own, *(here[f"{name}_drives"] for name in (LOAD, FORCE, NOW)))
 
     def lead(self, path: PathStep, emitted: Complex, drives: PathDrives) -> None:

@@ -203,6 +203,11 @@ class SkinModel:
         return shapes, slices, np.concatenate(faces).astype(np.int32)
 
     @locked_cached_property
+    def obstacle_boxes(self) -> Float:
+        """Corners of a box round each obstacle, in its own frame [m], shape (k, 8, 3)."""
+        return np.array([corners_of(points) for points, _ in self.obstacles]).reshape(-1, 8, 3)
+
+    @locked_cached_property
     def corners(self) -> Float:
         """Of a box round the layer's surface, body frame [m], shape (8, 3)."""
         return corners_of(self.nodes[0])

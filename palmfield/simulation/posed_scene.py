@@ -167,6 +167,13 @@ class PosedSkin:
         quadrature = self.skin.layer.quadrature
         return self.body.moved(quadrature.points, quadrature.normals, self.skin.quadrature_binding)
 
+    @property
+    def obstacle_hull(self) -> Float:
+        """Corners of boxes with all obstacles in them, array frame [m], shape (8 k, 3)."""
+        place, turn = self.body.frame
+        boxes = self.skin.obstacle_boxes @ self.obstacle_rotations.transpose(0, 2, 1) + self.obstacle_positions[:, None]
+        return boxes.reshape(-1, 3) @ turn.T + place
+
     @cached_property
     def obstacles(self) -> tuple[Float, Int] | None:
         """Vertices [m] and faces of the obstacles that key `obstacles` names; None without any."""

@@ -44,13 +44,13 @@ class SensorPlace:
 
     def __init__(self, probe: SurfaceProbe, binding: SkinBinding | None):
         self.probe, self.binding = probe, binding
-        self._readers: dict[str, Reader] = {}
+        self._readers: dict[SkinStepper, Reader] = {}
 
     def reader(self, stepper: SkinStepper) -> Reader:
         """Reads displacement and velocity along the outward normal there, off one stepper's state."""
-        known = self._readers.get(stepper.name)
+        known = self._readers.get(stepper)
         if known is None:
-            known = self._readers[stepper.name] = stepper.reader(self.probe.operator)
+            known = self._readers[stepper] = stepper.reader(self.probe.operator)
         return known
 
 

@@ -89,7 +89,7 @@ class Workspace:
         assert device is not None
         for number, watched in enumerate(self.observe):
             # One that nothing has stepped yet may have no stepper: to look at forces doesn't make it
-            if watched is None and not at_rest(state, number):
+            if watched is None and (model.begin[number].made or not at_rest(state, number)):
                 stepper, numbers = stepper_of(model, state, number)
                 skins[number] = SkinStart(stepper, numbers[0])
         watched_by_any = self.observer is not None or any(operator is not None for operator in self.observe)

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from palmfield.device import resolve
 from palmfield.drive.transducer_response import SILENT, ring
 from palmfield.errors import PalmfieldError, naming_world
 from palmfield.simulation.emission import LEAST_MEANS
@@ -22,15 +23,17 @@ from palmfield.simulation.radiation import Role
 from palmfield.simulation.state import BEGUN, HEADER, WHOLE, HapticState, check_arrays, claim, stepper_of
 from palmfield.simulation.step import Workspace
 from palmfield.simulation.whole_layer import continue_on_whole_layer, leaves_small_model
+from palmfield.skin.reduction.device_worlds import DeviceWorlds
 from palmfield.skin.reduction.modal_stepper import ModalStepper, Outside
 from palmfield.skin.reduction.reduced_stepper import ReducedStepper
-from palmfield.skin.stepper import SkinStepper, SurfaceLoads
+from palmfield.skin.stepper import Reader, SkinStepper, SurfaceLoads
 from palmfield.stimulus.levels import Levels, goes_smoothly
 from palmfield.stimulus.schedule import Moments, first_point, substep_moments
 from palmfield.types import Complex, Float, Float32, Int
 
 Bool = NDArray[np.bool_]
 Rows = NDArray[np.intp]
+Step = Callable[[Float, SurfaceLoads, float, float, Reader | None], Float | Float32 | None]
 KEPT = 64
 """Ways in which worlds were shared out among steppers."""
 
@@ -57,7 +60,7 @@ class TogetherTrace(NamedTuple):
     times: Float
     worlds: Rows
     factors: Float
-    motion: tuple[tuple[tuple[Rows, Float], ...], ...]
+    motion: tuple[tuple[tuple[Rows, Float | Float32], ...], ...]
 
 
 class TogetherStep:
@@ -90,6 +93,8 @@ class TogetherStep:
         # The pose in which a small model was last found to serve, by skin and world
         self._serves: list[list[PosedScene | None]] = [[None] * worlds for _ in first.skins]
         self._groups: dict[tuple[int, bytes, bytes], list[tuple[SkinStepper, Rows]]] = {}
+        self._device = resolve(first.spec.device)
+        self._on_devices: dict[int, DeviceWorlds] = {}
         self.observer: Callable[[TogetherTrace], None] | None = None
         self.joined: Rows = np.zeros(0, dtype=np.intp)
         self.apart: list[int] = list(range(worlds))
@@ -305,7 +310,7 @@ class TogetherStep:
 
     def _step(
         self, skin: int, stepper: SkinStepper, worlds: Rows, loads: SurfaceLoads, t0: float, t1: float
-    ) -> Float | None:
+    ) -> Float | Float32 | None:
         """Step a skin in some worlds by one stepper; what is watched of it in the first one, in all of them."""
         reader = self.works[worlds[0]].reader(skin, stepper)
         part = self.state.skins[skin]
@@ -315,12 +320,22 @@ class TogetherStep:
             stepper_of(model, own, skin)
             claim(model, own, skin, stepper)
         numbers = slice(HEADER, HEADER + stepper.state_size)
+        step = self._on_device(skin, stepper) or stepper.step
         if len(worlds) == len(part):
-            return stepper.step(part[:, numbers], loads, t0, t1, reader)
+            return step(part[:, numbers], loads, t0, t1, reader)
         states = part[worlds, numbers]
-        seen = stepper.step(states, loads, t0, t1, reader)
+        seen = step(states, loads, t0, t1, reader)
         part[worlds, numbers] = states
         return seen
+
+    def _on_device(self, skin: int, stepper: SkinStepper) -> Step | None:
+        """What steps a skin in place of its stepper, where the device is a GPU and has it; kept."""
+        if self._device == "cpu" or not isinstance(stepper, ModalStepper) or stepper.coupled:
+            return None
+        known = self._on_devices.get(skin)
+        if known is None or known.stepper is not stepper:
+            known = self._on_devices[skin] = DeviceWorlds(stepper, len(self.models), self._device)
+        return known.step
 
     def _pressure(self, skin: int, stepper: SkinStepper, world: int) -> "_Pressure":
         """The pressure of a world's unit drive on a skin, at the points where a stepper takes it; the last is kept."""

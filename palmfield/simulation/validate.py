@@ -149,13 +149,13 @@ def check_board(stimulus: StimulusSpec, board: Board, arrays: Sequence[ArraySpec
 def check_clear(posed: PosedScene) -> None:
     """Raise SceneError where a body's surface, or an obstacle's, reaches into an array's board."""
     arrays = posed.arrays
-    flat = not [board for board in arrays.boards if board.nearest is not None]
     for body in posed.bodies:
-        if body.model.surface is not None and flat:
+        if body.model.surface is not None:
             # Boxes tell it of most poses, and take no vertex
             hull = body.hull
             for board, (place, turn) in zip(arrays.boards, arrays.frames, strict=True):
-                if not np.minimum.reduce((hull - place) @ turn[:, 2]) - board.height >= CLEARANCE_M:
+                above = np.minimum.reduce((hull - place) @ turn[:, 2]) - board.height
+                if board.nearest is not None or not above >= CLEARANCE_M:
                     break
             else:
                 continue
@@ -165,7 +165,16 @@ def check_clear(posed: PosedScene) -> None:
             points = points[: len(points) // 2]
         _check_clear(posed, f"body '{body.model.name}'", points, behind=False)
     for skin in posed.skins:
-        if skin.skin.obstacles and skin.obstacles is not None:
+        if not skin.skin.obstacles:
+            continue
+        hull = skin.obstacle_hull
+        for board, (place, turn) in zip(arrays.boards, arrays.frames, strict=True):
+            above = np.minimum.reduce((hull - place) @ turn[:, 2]) - board.height
+            if board.nearest is not None or not above >= CLEARANCE_M:
+                break
+        else:
+            continue
+        if skin.obstacles is not None:
             _check_clear(posed, "one of the obstacles", skin.obstacles[0], behind=True)
 
 

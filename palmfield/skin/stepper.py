@@ -32,15 +32,17 @@ class SurfaceLoads:
     fixed: bool = False
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Reader:
     """What reads displacement and velocity off the states of the one stepper that made it (SkinStepper.reader).
 
     count: numbers read, m; matrix: the operator as that stepper uses it
+    single: the same in single precision, if that stepper takes it for what is observed of all substeps
     """
 
     count: int
     matrix: Any
+    single: Any = None
 
 
 class SkinStepper(Protocol):
@@ -65,7 +67,7 @@ class SkinStepper(Protocol):
 
     def step(
         self, state: Float, loads: SurfaceLoads, t0: float, t1: float, observe: Reader | None = None
-    ) -> Float | None:
+    ) -> Float | Float32 | None:
         """Carry a state (w, state_size), in place, from t0 to t1 [s]: all substeps of `loads`.
 
         Returns displacement [m] and velocity [m/s] after each substep as `observe` reads them, shape (w, s, 2, m), or

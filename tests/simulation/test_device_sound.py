@@ -159,10 +159,15 @@ def test_small_models_are_stepped_on_the_device(
     taken = []
     stepped = DeviceSound.stepped
     monkeypatch.setattr(DeviceSound, "stepped", lambda *a: taken.append(stepped(*a)) or taken[-1])
+    for sim in (here, there):
+        # From a reset on the stepper is there, so that the device takes the first step as well
+        sim.step(2)
+        sim.reset()
+    taken.clear()
     for _ in range(8):
         here.step()
         there.step()
-    assert [end is not None for end in taken] == [False] + [True] * 7
+    assert [end is not None for end in taken] == [True] * 8
     stepper = there.runtime.model.begin[0].value
     assert isinstance(stepper, ModalStepper) == (solver == "modal") and getattr(stepper, "coupled", False) == bool(
         sheets

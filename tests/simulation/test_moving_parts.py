@@ -9,6 +9,7 @@ from palmfield.engine.host import raise_errors
 from palmfield.engine.motion_plugin import place
 from palmfield.errors import DeviceError, SceneError
 from palmfield.session.simulation import load
+from palmfield.simulation.validate import check_clear
 
 SCENES = folder("mjcf") / "scenes"
 STEADY = {"modulation": "none", "am_of": None, "am_frequency_Hz": None, "am_depth": None}
@@ -49,6 +50,22 @@ def test_what_stands_behind_the_array_casts_no_shadow(small_scene):
 def test_an_obstacle_in_the_array_is_refused(small_scene):
     with pytest.raises(SceneError, match="one of the obstacles reaches into the array"):
         with_ball(small_scene, "0 0 0.01")
+
+
+def test_boxes_hold_obstacles_and_spare_their_vertices(small_scene):
+    scene = with_ball(small_scene, "0.3 0 0.06")
+    scene.data.mocap_quat[0] = [0.8, 0.0, 0.6, 0.0]
+    scene.data.mocap_pos[0] = [0.1, 0.02, 0.07]
+    mujoco.mj_kinematics(scene.model, scene.data)
+    posed = scene.runtime.posed
+    (skin,) = posed.skins
+    check_clear(posed)
+    assert "obstacles" not in vars(skin)
+    directions = np.random.default_rng(0).normal(size=(50, 3))
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    reach, own = (skin.obstacle_hull @ directions.T).max(axis=0), (skin.obstacles[0] @ directions.T).max(axis=0)
+    # A cube round a ball of 30 mm
+    assert (reach >= own).all() and (reach - own).max() < 0.03 * (np.sqrt(3.0) - 1.0) + 1e-3
 
 
 def unscripted(tmp_path, **keys):

@@ -145,6 +145,7 @@ class ModalStepper:
     error, velocity_error: relative, estimated, of what fewer modes than the layer's cost, for loads of the class
     advance, inputs: what a substep does to each mode's numbers, shape (at least r, rows, rows), and what a force adds,
         (at least r, rows)
+    padded: modes in a state, with those that fill it up: at least r
     coupling, felt: modes push one another in a substep by felt @ state, shape (c, rows) @ (rows, r'), one row after the
         other, times coupling, (c * r', r'); r' is at least r; c is 0 where each moves by itself
     A state has a row of numbers of all modes each for displacement, velocity, acceleration and the internal
@@ -162,14 +163,14 @@ class ModalStepper:
         parts = [Part(sparse.diags(own).tocsr(), of) for own, of in zip(modes.stiffness, self._materials, strict=True)]
         scheme = Scheme(DiagonalBody(modes, tuple(parts)), step_s, RHO_INF)
         self.state_rows, self._alpha_f = scheme.state_rows, scheme.alpha_f
-        self._padded = -(-self.order // kernels.WIDTH) * kernels.WIDTH
-        self.state_size = self.state_rows * self._padded
-        self.advance, self.inputs = _propagators(scheme, self._padded)
+        self.padded = -(-self.order // kernels.WIDTH) * kernels.WIDTH
+        self.state_size = self.state_rows * self.padded
+        self.advance, self.inputs = _propagators(scheme, self.padded)
         self._modes = filled(kernels.Modes(), advance=_in_groups(self.advance), inputs=_in_groups(self.inputs))
-        self.coupling, self.felt = _coupling(modes, scheme, len(parts), self._padded)
+        self.coupling, self.felt = _coupling(modes, scheme, len(parts), self.padded)
         self._fit: Float32 = np.ascontiguousarray(shapes.fit.T, dtype=np.float32)
         self._back: Float32 = np.ascontiguousarray(shapes.shapes[:, shapes.points], dtype=np.float32)
-        self._forces: Float32 = np.zeros((len(body.forces), self._padded), np.float32)
+        self._forces: Float32 = np.zeros((len(body.forces), self.padded), np.float32)
         self._forces[:, : self.order] = body.forces
         self._compliance: Float32 = np.ascontiguousarray(body.compliance, dtype=np.float32)
         # Least squares fit away a part of what lies outside: as many numbers as there are shapes
@@ -181,15 +182,15 @@ class ModalStepper:
 
     def step(
         self, state: Float, loads: SurfaceLoads, t0: float, t1: float, observe: Reader | None = None
-    ) -> Float | None:
-        """See SkinStepper."""
+    ) -> Float32 | None:
+        """See SkinStepper; what is observed comes in single precision."""
         check_step(self, state, loads, len(self.points), t0, t1)
         worlds, substeps, _ = loads.first.shape
-        seen = None if observe is None else np.empty((worlds, substeps, 2, observe.count))
+        seen = None if observe is None else np.empty((worlds, substeps, 2, observe.count), np.float32)
         mixed = self.mixed(loads)
         # For the helpers too: the number of BLAS threads is the whole process's
         with one_blas_thread:
-            pushes = self._pushes(loads)
+            pushes = self.pushes(loads)
             if worlds == 1:
                 self._step_some(slice(0, 1), state, mixed, pushes, observe, seen)
                 return seen
@@ -200,7 +201,7 @@ class ModalStepper:
         return seen
 
     def _step_some(
-        self, part: slice, states: Float, mixed: Float32, pushes: Float32, observe: Reader | None, seen: Float | None
+        self, part: slice, states: Float, mixed: Float32, pushes: Float32, observe: Reader | None, seen: Float32 | None
     ) -> None:
         """All substeps of some worlds; pushes: of each pattern on the modes, (w, k, r), or on the shapes, (w, k, m)"""
         state, mixed, pushes = states[part], mixed[part], pushes[part]
@@ -209,9 +210,9 @@ class ModalStepper:
             room = rooms.pop()
         except IndexError:
             room = self._new_room(*mixed.shape[:2])
-        rows = state.reshape(len(state), self.state_rows, self._padded)
+        rows = state.reshape(len(state), self.state_rows, self.padded)
         forces = mixed @ pushes
-        if forces.shape[2] != self._padded:
+        if forces.shape[2] != self.padded:
             forces = (forces.reshape(-1, forces.shape[2]) @ self._forces).reshape(*forces.shape[:2], -1)
         room.forces[...] = forces
         room.rows[...] = rows
@@ -219,11 +220,11 @@ class ModalStepper:
         rows[...] = room.rows
         if seen is not None and observe is not None:
             # As one product: of stacks NumPy makes one for each, at a seventh of the speed
-            motion = room.seen.reshape(-1, self._padded)
-            np.matmul(motion, observe.matrix, out=seen[part].reshape(-1, observe.count))
+            motion = room.seen.reshape(-1, self.padded).astype(np.float32)
+            np.matmul(motion, observe.single, out=seen[part].reshape(-1, observe.count))
         rooms.append(room)
 
-    def _pushes(self, loads: SurfaceLoads) -> Float32:
+    def pushes(self, loads: SurfaceLoads) -> Float32:
         """What each pattern does to the modes, (w, k, r), or, where there are several, to the shapes, (w, k, m)."""
         known = self._pushed
         if loads.fixed and known is not None and known[0] is loads.pressure_Pa:
@@ -257,15 +258,15 @@ class ModalStepper:
     def reader(self, operator: sparse.csr_matrix) -> Reader:
         """See SkinStepper."""
         matrix = checked_operator(operator, self.ndof)
-        seen = np.zeros((self._padded, matrix.shape[0]))
+        seen = np.zeros((self.padded, matrix.shape[0]))
         # Those of the unknowns that it reads, as the product makes a copy in double precision
         read = np.unique(matrix.indices)
         seen[: self.order] = (matrix[:, read] @ self.body.modes.vectors[read]).T
-        return Reader(matrix.shape[0], seen)
+        return Reader(matrix.shape[0], seen, seen.astype(np.float32))
 
     def read(self, state: Float, reader: Reader) -> Float:
         """See SkinStepper."""
-        rows = state.reshape(len(state), self.state_rows, self._padded)
+        rows = state.reshape(len(state), self.state_rows, self.padded)
         with one_blas_thread:
             result: Float = rows[:, :2] @ reader.matrix
         return result
@@ -288,7 +289,7 @@ class ModalStepper:
 
     def lifted(self, state: Float) -> Float:
         """The same motion as a state of WedgeStepper, (w, its state_size)."""
-        rows = state.reshape(len(state), self.state_rows, self._padded)[..., : self.order]
+        rows = state.reshape(len(state), self.state_rows, self.padded)[..., : self.order]
         with one_blas_thread:
             whole = rows @ self.body.modes.vectors.T
         return whole.reshape(len(state), -1)
@@ -299,18 +300,18 @@ class ModalStepper:
         return (alpha * loads.first + (1.0 - alpha) * loads.last).astype(np.float32)
 
     def _new_room(self, worlds: int, substeps: int) -> _Room:
-        rows, old = np.zeros((2, worlds, self.state_rows, self._padded))
-        dim = worlds, self._padded // kernels.WIDTH
+        rows, old = np.zeros((2, worlds, self.state_rows, self.padded))
+        dim = worlds, self.padded // kernels.WIDTH
 
         def launch(forces: Float, seen: Float) -> Callable[[], object]:
             inputs = [self._modes, *(_lanes(part) for part in (forces, rows, old, seen))]
             return recorded(kernels.step_modes, dim, inputs, "cpu")
 
         if not self.coupled:
-            forces, seen = np.zeros((worlds, substeps, self._padded)), np.zeros((worlds, substeps, 2, self._padded))
+            forces, seen = np.zeros((worlds, substeps, self.padded)), np.zeros((worlds, substeps, 2, self.padded))
             return _Room(forces, rows, seen, launch(forces, seen))
         # Substeps outermost, as each is a launch
-        forces, seen = np.zeros((substeps, worlds, 1, self._padded)), np.zeros((substeps, worlds, 1, 2, self._padded))
+        forces, seen = np.zeros((substeps, worlds, 1, self.padded)), np.zeros((substeps, worlds, 1, 2, self.padded))
         ends = [(force[:, 0], launch(force, after)) for force, after in zip(forces, seen, strict=True)]
 
         def all_substeps() -> None:

@@ -66,7 +66,7 @@ def _point(watched: Watched, world: int, times: Float, errors: bool) -> Numbers:
 
 def _skin(watched: Watched, world: int, number: int, times: Float) -> dict[str, Any]:
     """Numbers of one skin in one world."""
-    displacement, velocity = watched.motion[number][world]
+    displacement, velocity = watched.motion[number][world].swapaxes(0, 1)
     sizes = np.maximum(displacement.max(axis=0), -displacement.min(axis=0))
     vertex = int(sizes.argmax())
     moved, moves = (part[:, vertex].astype(np.float64) for part in (displacement, velocity))
@@ -98,7 +98,7 @@ def _skin(watched: Watched, world: int, number: int, times: Float) -> dict[str, 
 def _estimate(watched: Watched, world: int, number: int) -> tuple[float, str]:
     """Relative error of a skin's displacement, or why there is none."""
     loudest = watched.loudest[world][number]
-    if loudest is None or not np.any(watched.motion[number][world, 0]):
+    if loudest is None or not np.any(watched.motion[number][world, :, 0]):
         return math.nan, "no sound"
     errors = estimated_errors(watched.runtimes[world], number, loudest)
     return (math.nan, errors) if isinstance(errors, str) else (errors["displacement_error_relative"], "")

@@ -48,6 +48,8 @@ SURE_BATCHES = 2
 """Batches of each worker after which the rest is predicted: the first one makes the model."""
 SURE_S = 120.0
 """Or this time, with at least one point done [s]."""
+MOST_PER_GPU = 8
+"""Workers that share a GPU: while it computes for one, the Python of the others gets ready what comes next."""
 PICTURE = "sweep.png"
 EXTRA = ("dask", "distributed", "zarr")
 
@@ -174,15 +176,16 @@ def _check_arguments(scene: str | Path, workers: int | None, scheduler: str | No
 
 
 def _worker_count(workers: int | None, gpus: list[str], points: int, memory: int) -> int:
-    """How many processes compute: as asked for, or as many as there are GPUs, or cores and memory for them."""
+    """How many processes compute: as asked for, or as many as there are cores and memory for, a few for each GPU."""
     if workers is not None:
         return workers
-    if gpus:
-        return min(len(gpus), points)
     import psutil
 
     room = int(0.8 * psutil.virtual_memory().available // memory)
-    return max(1, min(cores(), points, room))
+    most = min(cores(), points, room)
+    if gpus:
+        return max(min(len(gpus), points), min(MOST_PER_GPU * len(gpus), most))
+    return max(1, most)
 
 
 def _memory_bytes(view: Overview, groups: Sequence[Group], most: int) -> int:

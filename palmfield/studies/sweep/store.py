@@ -79,6 +79,7 @@ class SweepStore:
         try:
             for number, result in results.items():
                 self._take(self.design.index(number), result)
+            self._write_courses(results)
             self._flush([self.design.index(number)[0] for number in results])
         except OSError as error:
             raise OutputError(
@@ -96,7 +97,7 @@ class SweepStore:
         return str(self._small["failure"][self.design.index(number)])
 
     def _take(self, index: tuple[int, ...], result: Numbers | Failed) -> None:
-        """One point into memory, and its courses to the disk."""
+        """One point into memory, but for its courses."""
         if isinstance(result, Failed):
             self._small["failure"][index] = result.reason
             self.status[index] = FAILED
@@ -105,9 +106,25 @@ class SweepStore:
         for name, values in result.items():
             if name in self._small:
                 self._small[name][index] = values
-            elif name in self._groups:
-                self._groups[name][index] = values
         self.status[index] = DONE
+
+    def _write_courses(self, results: Mapping[int, Numbers | Failed]) -> None:
+        """Courses to the disk: of neighbours in the design together, whose files are then written side by side."""
+        done = {number: result for number, result in sorted(results.items()) if not isinstance(result, Failed)}
+        runs: list[list[int]] = []
+        for number in done:
+            index = self.design.index(number)
+            last = self.design.index(runs[-1][-1]) if runs else None
+            if last is not None and last[:-1] == index[:-1] and last[-1] + 1 == index[-1]:
+                runs[-1].append(number)
+            else:
+                runs.append([number])
+        for run in runs:
+            *row, first = self.design.index(run[0])
+            place = (*row, slice(first, first + len(run)))
+            for name in done[run[0]]:
+                if name in self._groups and name not in self._small:
+                    self._groups[name][place] = np.stack([done[number][name] for number in run])
 
     def _flush(self, rows: Sequence[int]) -> None:
         """What is in memory of these rows of the first dimension."""

@@ -11,6 +11,7 @@ from palmfield.session.simulation import Simulation
 from palmfield.session.worlds import Worlds
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.sensors import CHANNELS
+from palmfield.simulation.state import at_rest
 from palmfield.simulation.step import StepTrace
 from palmfield.simulation.step_together import TogetherTrace
 from palmfield.types import Float, Float32
@@ -23,7 +24,7 @@ class Watched:
 
     simulation: at rest, or as it stands; steps: of MuJoCo's that follow
     times: ends of the substeps, from the run's start [s], shape (t,)
-    motion: by skin, normal displacement [m] and velocity [m/s] in each world, shape (w, 2, t, S)
+    motion: by skin, normal displacement [m] and velocity [m/s] in each world, shape (w, t, 2, S)
     peak_arp: highest ARP [Pa], shape (w, skins); loudest: its moments by world and skin, None in silence
     forces: mean force of the sound on each skin's body in each step [N], world axes, shape (steps, w, skins, 3)
     sensors: normal displacement at all skins' sensors at the beginning of each step [m], shape (steps, w, sensors)
@@ -42,7 +43,7 @@ class Watched:
         self._places = [int(simulation.model.sensor(name).adr[0]) + NORMAL for name in names]
         count, records = len(self.runtimes), 1 + steps * model.substeps
         self.times: Float = np.zeros(records)
-        shapes = [(count, 2, records, skin.layer.mesh.surface_nodes) for skin in model.skins]
+        shapes = [(count, records, 2, skin.layer.mesh.surface_nodes) for skin in model.skins]
         self.motion: list[Float32] = [np.zeros(shape, np.float32) for shape in shapes]
         self.peak_arp: Float = np.zeros((count, len(model.skins)))
         self.loudest: list[list[LoudestMoment | None]] = [[None] * len(model.skins) for _ in self.runtimes]
@@ -70,9 +71,11 @@ class Watched:
         """Motion and sound before the first step."""
         runtime = self.runtimes[world]
         for skin, (stepper, numbers) in enumerate(runtime.skin_states()):
+            if at_rest(runtime.state, skin):
+                continue
             reader = runtime.work.reader(skin, stepper)
             assert reader is not None
-            self.motion[skin][world, :, 0] = stepper.read(numbers, reader)[0]
+            self.motion[skin][world, 0] = stepper.read(numbers, reader)[0]
         posed, course = runtime.now()
         self._hear(world, posed, emitted_at(course, np.array([0])), np.array([self._zero_s]))
 
@@ -86,7 +89,7 @@ class Watched:
         self.times[rows] = trace.times - self._zero_s
         for motion, seen in zip(self.motion, trace.motion, strict=True):
             assert seen is not None
-            motion[world, :, rows] = seen.swapaxes(0, 1)
+            motion[world, rows] = seen
         runtime = self.runtimes[world]
         emitted = emitted_at_ends(runtime.work.emission, trace, runtime.model.step_s)
         self._hear(world, trace.posed, emitted, trace.times)
@@ -99,7 +102,9 @@ class Watched:
         factors = trace.factors[np.arange(len(last)), last]
         for skin, motion in enumerate(self.motion):
             for worlds, seen in trace.motion[skin]:
-                motion[worlds, :, rows] = seen.swapaxes(1, 2)
+                # World by world, as whole rows: NumPy takes an index array number by number
+                for world, own in zip(worlds.tolist(), seen, strict=True):
+                    motion[world, rows] = own
             units = np.array([self._unit(world, skin) for world in trace.worlds.tolist()])
             arp = factors * units
             louder = np.flatnonzero(arp > self.peak_arp[trace.worlds, skin])

@@ -11,6 +11,7 @@ import xarray as xr
 
 import palmfield
 from palmfield.errors import PalmfieldError
+from palmfield.studies.sweep import run
 from palmfield.studies.sweep.cluster import local_cluster, slots, visible_gpus
 from palmfield.studies.sweep.store import open_dataset
 from palmfield.studies.sweep.variables import DONE
@@ -67,6 +68,23 @@ def test_each_worker_sees_its_own_gpu_and_knows_the_scene(small_scene):
         assert [slot.threads for slot in there] == [max(1, cores() // 2)] * 2
         with pytest.raises(PalmfieldError, match=r"does not see .*nowhere\.xml; put the scene where all workers"):
             slots(client, scene.with_name("nowhere.xml"))
+
+
+@pytest.mark.parametrize(
+    ("there", "gpus", "points", "memory", "expected"),
+    [
+        (16, ["0"], 1000, 1, run.MOST_PER_GPU),
+        (4, ["0"], 1000, 1, 4),
+        (2, ["0", "1", "2", "3"], 1000, 1, 4),
+        (16, ["0"], 3, 1, 3),
+        (16, ["0", "1"], 1000, 2**60, 2),
+        (16, [], 1000, 1, 16),
+    ],
+)
+def test_workers_share_gpus_as_cores_and_memory_allow(there, gpus, points, memory, expected, monkeypatch):
+    monkeypatch.setattr(run, "cores", lambda: there)
+    assert run._worker_count(None, gpus, points, memory) == expected
+    assert run._worker_count(3, gpus, points, memory) == 3
 
 
 def test_gpus_are_named_as_the_process_sees_them(monkeypatch):

@@ -1,0 +1,86 @@
+"""Modes of a skin in several worlds on a device: all substeps of all worlds as a few launches in one captured graph.
+
+The states are the caller's: they go in by one copy and come out by another, and the device keeps none of them.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import warp as wp
+
+from palmfield.device import SharedArray, launch, launching, matrix_product, replayed
+from palmfield.skin.reduction.modal_stepper import ModalStepper
+from palmfield.skin.stepper import Reader, SurfaceLoads, check_step
+from palmfield.types import Float, Float32
+from warp_kernels import skin_steps as kernels
+
+
+class _Work(NamedTuple):
+    """Steps of so many substeps, read in one way. mixed: weights of the patterns in each, (w, s); motion: what is read,
+    (w, s, 2, m), None for nothing; replay: does a step"""
+
+    mixed: SharedArray
+    motion: SharedArray | None
+    replay: Callable[[], object]
+
+
+class DeviceWorlds:
+    """Steps of a ModalStepper whose modes move by themselves, under one pattern of pressure a world, in one state.
+
+    stepper: whose states it carries; most: worlds, at most; device: of `palmfield.device.resolve`
+    """
+
+    def __init__(self, stepper: ModalStepper, most: int, device: str):
+        self.stepper, self.most, self._device = stepper, most, device
+        rows, padded = stepper.state_rows, stepper.padded
+        square = wp.types.matrix(shape=(rows, rows), dtype=wp.float64)
+        numbers = wp.types.vector(length=rows, dtype=wp.float64)
+        self._advance: Any = wp.array(stepper.advance, dtype=square, device=device)
+        self._inputs: Any = wp.array(stepper.inputs, dtype=numbers, device=device)
+        self._pushes = SharedArray((most, padded), wp.float32, device)
+        self._pushed: Float32 | None = None
+        self._states = SharedArray((most, rows, padded), wp.float64, device)
+        self._works: dict[tuple[int, Reader | None], _Work] = {}
+
+    def step(
+        self, state: Float, loads: SurfaceLoads, t0: float, t1: float, observe: Reader | None = None
+    ) -> Float32 | None:
+        """See SkinStepper; what is observed is a view that the next step overwrites."""
+        stepper = self.stepper
+        check_step(stepper, state, loads, len(stepper.points), t0, t1)
+        worlds, substeps, _ = loads.first.shape
+        work = self._works.get((substeps, observe)) or self._work(substeps, observe)
+        pushes = stepper.pushes(loads)
+        if pushes is not self._pushed:
+            self._pushes.host[:worlds] = pushes[:, 0]
+            self._pushes.upload()
+            self._pushed = pushes if loads.fixed else None
+        states = self._states.host[:worlds].reshape(state.shape)
+        states[...] = state
+        work.mixed.host[:worlds] = stepper.mixed(loads)[..., 0]
+        with launching:
+            work.replay()
+        if self._device != "cpu":
+            wp.synchronize_stream(self._device)
+        state[...] = states
+        return None if work.motion is None else work.motion.host[:worlds]
+
+    def _work(self, substeps: int, observe: Reader | None) -> "_Work":
+        """Memory and graph for steps of so many substeps, read by `observe`; kept."""
+        stepper, device = self.stepper, self._device
+        rows, padded = stepper.state_rows, stepper.padded
+        mixed = SharedArray((self.most, substeps), wp.float32, device)
+        count = 0 if observe is None else self.most * substeps * 2
+        seen: Any = wp.zeros((count, padded), dtype=wp.float32, device=device)
+        inputs = [self._advance, self._inputs, self._pushes.array, mixed.array, self._states.array, seen]
+        calls: list[Callable[[], object]] = [self._states.upload, mixed.upload]
+        calls.append(launch(kernels.modes_of_worlds(rows), (self.most, padded), inputs, device))
+        motion = None
+        if observe is not None:
+            motion = SharedArray((self.most, substeps, 2, observe.count), wp.float32, device)
+            matrix: Any = wp.array(observe.single, dtype=wp.float32, device=device)
+            flat = motion.array.reshape((count, observe.count))
+            calls += [matrix_product(seen, matrix, flat, device), motion.download]
+        work = _Work(mixed, motion, replayed([*calls, self._states.download], device))
+        self._works[substeps, observe] = work
+        return work
