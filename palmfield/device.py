@@ -191,20 +191,23 @@ def replayed(calls: Sequence[Callable[[], object]], device: str) -> Callable[[],
 
     Other threads launch theirs under `launching`.
     """
-    # Done before they are captured: kernels are loaded then, and memory that Warp needs beside ours is there
-    for call in calls:
-        call()
-    if device != "cpu":
-        # Streams, and the events by which they wait for one another, can't be made while a graph is captured
-        most = max((len(call.parts) for call in calls if isinstance(call, Branches)), default=1)
-        for stream in (wp.get_stream(device), *_streams(device, most - 1)):
-            assert stream.cached_event is not None
-    with launching, wp.ScopedCapture(device=device) as capture:
+    with launching:
+        # Done before they are captured: kernels are loaded then, and memory that Warp needs beside ours is there
         for call in calls:
-            if isinstance(call, Branches) and device != "cpu":
-                call.captured(device)
-            else:
-                call()
+            call()
+        if device != "cpu":
+            # What comes back now must not come over what the caller puts there for the graph's first replay
+            wp.synchronize_stream(device)
+            # Streams, and the events by which they wait for one another, can't be made while a graph is captured
+            most = max((len(call.parts) for call in calls if isinstance(call, Branches)), default=1)
+            for stream in (wp.get_stream(device), *_streams(device, most - 1)):
+                assert stream.cached_event is not None
+        with wp.ScopedCapture(device=device) as capture:
+            for call in calls:
+                if isinstance(call, Branches) and device != "cpu":
+                    call.captured(device)
+                else:
+                    call()
     replay: Any = functools.partial(wp.capture_launch, capture.graph)
     replay.calls = calls  # a graph knows addresses only: with its calls their arrays live as long
     return replay

@@ -32,6 +32,18 @@ def explained(error: Exception) -> Exception:
     )
 
 
+class explaining:
+    """An error that leaves the block is `explained`."""
+
+    def __enter__(self) -> None:
+        return None
+
+    def __exit__(self, kind: object, error: BaseException | None, at: object) -> None:
+        known = explained(error) if isinstance(error, Exception) else error
+        if known is not None and known is not error:
+            raise known from error
+
+
 class naming_world:
     """An error of palmfield's that leaves the block says in which of several worlds it was."""
 

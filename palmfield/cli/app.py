@@ -228,7 +228,9 @@ def sweep(
     seed: Annotated[int, typer.Option(help="of --random and --sobol: the same points for the same seed")] = 0,
     workers: Annotated[
         int | None,
-        typer.Option(help="processes on this machine; 0: in this one [default: one a core, or a GPU]", metavar="N"),
+        typer.Option(
+            help="processes on this machine; 0: in this one [default: one a core, up to 8 a GPU]", metavar="N"
+        ),
     ] = None,
     scheduler: Annotated[
         str | None,

@@ -18,7 +18,7 @@ from palmfield.engine.motion_plugin import place
 from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.engine.skin_plugin import SkinModule
 from palmfield.engine.world_poses import WorldPoses
-from palmfield.errors import SceneError, naming_world
+from palmfield.errors import SceneError, explaining, naming_world
 from palmfield.mujoco_host.mujoco_view import PluginSensor
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene
@@ -88,12 +88,13 @@ class SceneWorlds:
         refuse_integrator(self.mujoco_model)
         self.runtimes[0].check_timestep()
         t0 = self._common_time()
-        self._lead(t0)
-        self._each(mujoco.mj_step1)
-        posed = self._push(t0)
-        self._sense(posed, t0)
-        self._each(mujoco.mj_step2)
-        self._advance(self._common_time())
+        with explaining():
+            self._lead(t0)
+            self._each(mujoco.mj_step1)
+            posed = self._push(t0)
+            self._sense(posed, t0)
+            self._each(mujoco.mj_step2)
+            self._advance(self._common_time())
 
     def restart(self, time_s: float | None = None) -> None:
         """All worlds at rest at a time [s], at 0 without, with hands where their motions have them then."""
@@ -117,7 +118,8 @@ class SceneWorlds:
         t0 = self._common_time()
         self._lead(t0)
         self._each(mujoco.mj_step1)
-        self._sense(self._push(t0), t0)
+        with explaining():
+            self._sense(self._push(t0), t0)
         velocity = int(mujoco.mjtStage.mjSTAGE_VEL)
         self._each(lambda model, one: mujoco.mj_forwardSkip(model, one, velocity, 0))
 

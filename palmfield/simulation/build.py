@@ -23,6 +23,7 @@ from palmfield.hand.skinning import SkinnedHand, rigged_file, skinned_mesh
 from palmfield.hand.surface import hand_surface
 from palmfield.locked import Lazy
 from palmfield.simulation.known_load import choose_stepper, first_stepper
+from palmfield.simulation.load_class import corner_Hz
 from palmfield.simulation.model import BodyModel, HapticModel, SkinModel, StimulusModel, array_instances
 from palmfield.simulation.posed_scene import STILL
 from palmfield.simulation.spec import SceneSpec, SkinSpec, StimulusSpec
@@ -280,12 +281,14 @@ def demands_of(
         highest = skin.config.max_frequency_Hz
         if highest is None:
             highest = max([LEAST_FREQUENCY_Hz, *frequencies])
+        spot_m = spot_fwhm(arrays, board, stimulus)
         demand = LayerDemand(
-            spot_fwhm_m=spot_fwhm(arrays, board, stimulus),
+            spot_fwhm_m=spot_m,
             max_frequency_Hz=highest,
             main_frequency_Hz=next(iter(frequencies), 0.5 * highest),
             path_reach_m=path_reach(stimulus, body, np.array(skin.patch_centre)),
             timestep_s=spec.timestep_s,
+            corner_Hz=max(corner_Hz(one, spot_m) for one in stimuli),
         )
         demands.append(demand)
     return demands

@@ -136,6 +136,7 @@ def strictest(demands: Sequence[LayerDemand]) -> LayerDemand:
         spot_fwhm_m=min(demand.spot_fwhm_m for demand in demands),
         max_frequency_Hz=max(demand.max_frequency_Hz for demand in demands),
         path_reach_m=(max(near), max(far)),
+        corner_Hz=max(demand.corner_Hz for demand in demands),
     )
 
 

@@ -125,8 +125,7 @@ def class_stepper(model: HapticModel, skin: int, blocks: int | None = None) -> M
                 depends_on, tolerance, blocks, weak, layer.sizes.step_s, points,
             )  # fmt: skip
             known = _bodies[layer] = mark, made
-    corner = max(corner_Hz(stimulus, layer.demand.spot_fwhm_m) for stimulus in model.stimuli)
-    return ModalStepper(known[1], layer.system, layer.sizes.step_s, corner)
+    return ModalStepper(known[1], layer.system, layer.sizes.step_s, layer.demand.corner_Hz)
 
 
 def examples(model: HapticModel, skin: int, posed: PosedScene) -> Float:

@@ -57,6 +57,7 @@ class LayerDemand:
     max_frequency_Hz: highest frequency that mesh and step must resolve; main_frequency_Hz: of most of the response
     path_reach_m: how far the focus goes from its own middle, and from the middle of the layer [m]
     timestep_s: MuJoCo's step [s]; longest_step_s: the substep is at most so long [s]
+    corner_Hz: above which the load's spectrum falls, about; without end where that isn't known
     """
 
     spot_fwhm_m: float
@@ -65,6 +66,7 @@ class LayerDemand:
     path_reach_m: tuple[float, float]
     timestep_s: float
     longest_step_s: float = math.inf
+    corner_Hz: float = math.inf
 
 
 def layer_sizes(

@@ -10,7 +10,7 @@ import pytest
 import palmfield
 from palmfield.engine import worlds as worlds_engine
 from palmfield.engine.worlds import SceneWorlds
-from palmfield.errors import SceneError
+from palmfield.errors import DeviceError, SceneError
 from palmfield.session.worlds import Worlds
 from palmfield.simulation import build_worlds, step_together
 from palmfield.simulation.model import StepperChoice
@@ -227,6 +227,16 @@ def test_layers_serve_the_strictest_world(small_scene):
     together.step(4)
     fast.step(4)
     assert differ(together.skin().displacement[1], fast.skin().displacement) < SAME
+
+
+def test_what_modes_state_of_their_error_is_for_the_most_sudden_world(small_scene):
+    path = small_scene(skin={"max_frequency_Hz": 400, "element_m": 0.01, "accuracy": 0.33, "solver": "modal"})
+    stated = []
+    for frequencies in ([50.0, 390.0], [390.0, 50.0], [50.0, 60.0]):
+        sim = palmfield.Simulation(path, worlds=2, keys={"stimulus.am_frequency_Hz": frequencies})
+        stated.append([runtime.model.begin[0].value.error for runtime in sim.runtimes])
+    assert stated[0] == stated[1] and stated[0][0] == stated[0][1]
+    assert stated[2][0] < 0.95 * stated[0][0]
 
 
 def test_two_skins_in_each_world(small_scene, add_skin, monkeypatch):
@@ -526,6 +536,19 @@ def test_poses_that_do_not_fit_are_refused(poses, told, small_scene):
 def test_poses_need_worlds(small_scene):
     with pytest.raises(SceneError, match=r"poses are given without worlds"):
         palmfield.Simulation(led(small_scene()), poses={"pad": wandering(1, 5)})
+
+
+def test_memory_that_runs_out_says_what_to_change(small_scene, monkeypatch):
+    """What Warp raises there, word for word; here nothing runs out."""
+    sim = palmfield.Simulation(small_scene(), worlds=2)
+    sim.step()
+
+    def full(*_):
+        raise RuntimeError("Failed to allocate 68719476736 bytes on device 'cuda:0'")
+
+    monkeypatch.setattr(type(sim.together), "advance", full)
+    with pytest.raises(DeviceError, match=r"cuda:0.*accuracy.*patch_radius_m.*fewer worlds.*device"):
+        sim.step()
 
 
 def test_an_integrator_that_asks_for_forces_within_a_step_is_refused(small_scene):

@@ -160,5 +160,7 @@ def test_a_sensor_far_from_the_layer_is_refused(tmp_path):
     text = (SCENES / "approach_withdraw.xml").read_text().replace('objname="palm_centre"', 'objname="little_pad"')
     text = text.replace('file="plain', f'file="{SCENES}/plain').replace("../motions", f"{SCENES}/../motions")
     (tmp_path / "far.xml").write_text(text)
-    with pytest.raises(SceneError, match=r"instance 'skin': sensor 'skin': its site is .* mm from the skin layer"):
+    with pytest.raises(
+        SceneError, match=r"instance 'skin': sensor 'skin': its site is .* mm below the skin; allowed: at most 5 mm"
+    ):
         load(tmp_path / "far.xml", device="cpu", keys={"skin.accuracy": 0.5})

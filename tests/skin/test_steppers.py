@@ -18,7 +18,6 @@ from palmfield.skin.fem.load import SurfaceQuadrature
 from palmfield.skin.fem.probe import surface_motion
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
 from palmfield.skin.materials.material import Branch, Material
-from palmfield.skin.reduction import reduced_stepper as reduced
 from palmfield.skin.reduction.reduced_stepper import KnownLoad, reduced_stepper
 from palmfield.skin.stepper import SurfaceLoads
 
@@ -268,11 +267,8 @@ def test_threads_share_a_stepper(disc, stepper):
     np.testing.assert_array_equal(together, alone)
 
 
-@pytest.mark.parametrize("per_thread", [1, 1000])
-def test_each_of_several_worlds_moves_as_if_alone(disc, stepper, per_thread, monkeypatch):
-    """Other loads in each, in states that are rows of a wider array, as scenes keep them; any number of threads."""
-    monkeypatch.setattr(reduced, "ROWS_PER_THREAD", per_thread)
-    monkeypatch.setattr(reduced, "cores", lambda: 2)
+def test_each_of_several_worlds_moves_as_if_alone(disc, stepper):
+    """Other loads in each, in states that are rows of a wider array, as scenes keep them."""
     loads = [bells(disc, seed=seed) for seed in range(3)]
     reader = stepper.reader(disc[2])
     room = np.full((3, stepper.state_size + 7), np.nan)

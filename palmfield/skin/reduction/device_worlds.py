@@ -51,14 +51,14 @@ class DeviceWorlds:
         worlds, substeps, _ = loads.first.shape
         work = self._works.get((substeps, observe)) or self._work(substeps, observe)
         pushes = stepper.pushes(loads)
-        if pushes is not self._pushed:
-            self._pushes.host[:worlds] = pushes[:, 0]
-            self._pushes.upload()
-            self._pushed = pushes if loads.fixed else None
         states = self._states.host[:worlds].reshape(state.shape)
         states[...] = state
         work.mixed.host[:worlds] = stepper.mixed(loads)[..., 0]
         with launching:
+            if pushes is not self._pushed:
+                self._pushes.host[:worlds] = pushes[:, 0]
+                self._pushes.upload()
+                self._pushed = pushes if loads.fixed else None
             work.replay()
         if self._device != "cpu":
             wp.synchronize_stream(self._device)

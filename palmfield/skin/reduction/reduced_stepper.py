@@ -110,17 +110,16 @@ class ReducedStepper:
                 states += loads.last @ (forces @ end)
                 if modes is None:
                     self._march(state, states)
+                    state[:] = states[:, -1]
                 else:
                     modes.march(state @ modes.there, states)
-                    if observe is None:
-                        state[:] = states[:, -1] @ modes.back
-                        return None
-                    states = states @ modes.back
+                    state[:] = states[:, -1] @ modes.back
+                    states = states if observe is None else states @ modes.back
             else:
                 forces = self._forces(loads)
                 for one, after, force, first, last in zip(state, states, forces, loads.first, loads.last, strict=True):
                     after[:] = self.model.march(one, first @ force, last @ force, (t1 - t0) / substeps)
-            state[:] = states[:, -1]
+                state[:] = states[:, -1]
             if observe is None:
                 return None
             return self._read(states.reshape(-1, self.state_size), observe).reshape(worlds, substeps, 2, -1)

@@ -138,6 +138,13 @@ def visible_gpus() -> list[str]:
     return named[:count] if named else [str(number) for number in range(count)]
 
 
+def gpu_memory_bytes() -> int:
+    """Memory that is free on each of the GPUs that this process may use, the least of them; 0 without any."""
+    import warp
+
+    return min((device.free_memory for device in warp.get_cuda_devices()), default=0)
+
+
 def _wait(client: Any, count: int, what: str, timeout_s: float = WORKERS_S) -> None:
     try:
         client.wait_for_workers(count, timeout=timeout_s)

@@ -30,7 +30,7 @@ from palmfield.studies.sweep.batch import (
     batches,
     run_batch,
 )
-from palmfield.studies.sweep.cluster import local_cluster, remote_cluster, slots, visible_gpus
+from palmfield.studies.sweep.cluster import gpu_memory_bytes, local_cluster, remote_cluster, slots, visible_gpus
 from palmfield.studies.sweep.design import Design, Value, grid
 from palmfield.studies.sweep.dispatch import computed
 from palmfield.studies.sweep.groups import Group, groups_of, in_words
@@ -104,7 +104,8 @@ def sweep(
         `listed`, `random`, `sobol`. Keys are INSTANCE.KEY or PLUGIN.KEY, or one number of a vector, such as
         "stimulus.focus_m[0]"; keys: values that all points share, None takes a key out of the scene
     out: folder, made where missing; the same sweep that was cut off there goes on, and failed points are tried again
-    workers: processes on this machine, as many as cores or GPUs by default; 0 computes in this process, without Dask
+    workers: processes on this machine, by default as many as cores and memory allow, at most 8 a GPU; 0 computes in
+        this process, without Dask
     scheduler: address of a Dask cluster that runs already, in place of workers; it must see the scene's file
     device, accuracy: see `palmfield.load`; duration_s: of each point [s], the scene's own by default
     errors: whether each point's error is estimated, which takes longer than most runs; picture: whether one is drawn
@@ -125,7 +126,7 @@ def sweep(
     groups = groups_of(path, design, known, device, accuracy)
     most = MOST_ON_GPU if view.device.startswith("cuda") else MOST_IN_BATCH
     memory = _memory_bytes(view, groups, most)
-    count = _worker_count(workers, gpus, design.count, memory)
+    count = _worker_count(workers, gpus, design.count, memory, gpu_memory_bytes() if gpus else 0)
     console = Console(stderr=True, quiet=not progress, markup=False, highlight=False, emoji=False, soft_wrap=True)
     size = size_bytes(design, view.labels, errors)
     said = _in_words(view, design, size, memory, None if scheduler else count)
@@ -175,8 +176,11 @@ def _check_arguments(scene: str | Path, workers: int | None, scheduler: str | No
         raise PalmfieldError(f"--workers has value {workers}; allowed: 0 (in this process) or more")
 
 
-def _worker_count(workers: int | None, gpus: list[str], points: int, memory: int) -> int:
-    """How many processes compute: as asked for, or as many as there are cores and memory for, a few for each GPU."""
+def _worker_count(workers: int | None, gpus: list[str], points: int, memory: int, on_gpu: int) -> int:
+    """How many processes compute: as asked for, or as many as there are cores and memory for, a few for each GPU.
+
+    memory: that a worker takes, about, here and on its GPU; on_gpu: that is free on each of the GPUs [bytes]
+    """
     if workers is not None:
         return workers
     import psutil
@@ -184,7 +188,8 @@ def _worker_count(workers: int | None, gpus: list[str], points: int, memory: int
     room = int(0.8 * psutil.virtual_memory().available // memory)
     most = min(cores(), points, room)
     if gpus:
-        return max(min(len(gpus), points), min(MOST_PER_GPU * len(gpus), most))
+        share = min(MOST_PER_GPU, max(1, int(0.8 * on_gpu // memory)))
+        return max(min(len(gpus), points), min(share * len(gpus), most))
     return max(1, most)
 
 

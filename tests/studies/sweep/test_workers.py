@@ -71,20 +71,23 @@ def test_each_worker_sees_its_own_gpu_and_knows_the_scene(small_scene):
 
 
 @pytest.mark.parametrize(
-    ("there", "gpus", "points", "memory", "expected"),
+    ("there", "gpus", "points", "memory", "on_gpu", "expected"),
     [
-        (16, ["0"], 1000, 1, run.MOST_PER_GPU),
-        (4, ["0"], 1000, 1, 4),
-        (2, ["0", "1", "2", "3"], 1000, 1, 4),
-        (16, ["0"], 3, 1, 3),
-        (16, ["0", "1"], 1000, 2**60, 2),
-        (16, [], 1000, 1, 16),
+        (16, ["0"], 1000, 1, 100, run.MOST_PER_GPU),
+        (4, ["0"], 1000, 1, 100, 4),
+        (2, ["0", "1", "2", "3"], 1000, 1, 100, 4),
+        (16, ["0"], 3, 1, 100, 3),
+        (16, ["0"], 1000, 1, 4, 3),
+        (16, ["0", "1"], 1000, 1, 4, 6),
+        (16, ["0"], 1000, 1, 0, 1),
+        (16, ["0", "1"], 1000, 2**60, 2**62, 2),
+        (16, [], 1000, 1, 0, 16),
     ],
 )
-def test_workers_share_gpus_as_cores_and_memory_allow(there, gpus, points, memory, expected, monkeypatch):
+def test_workers_share_gpus_as_cores_and_memory_allow(there, gpus, points, memory, on_gpu, expected, monkeypatch):
     monkeypatch.setattr(run, "cores", lambda: there)
-    assert run._worker_count(None, gpus, points, memory) == expected
-    assert run._worker_count(3, gpus, points, memory) == 3
+    assert run._worker_count(None, gpus, points, memory, on_gpu) == expected
+    assert run._worker_count(3, gpus, points, memory, on_gpu) == 3
 
 
 def test_gpus_are_named_as_the_process_sees_them(monkeypatch):
