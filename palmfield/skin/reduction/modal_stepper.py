@@ -359,6 +359,8 @@ def _coupling(modes: RitzModes, scheme: Scheme, laws: int, padded: int) -> tuple
     """Coupling matrices one below the other, (c * padded, padded), and the rows of the state that they take, (c, rows).
 
     Modes are coupled only where their sum in `scheme.effective` is diagonal: what is solved for is then not coupled.
+    In single precision, for the time of reading it; a device takes the product in double. On discs of two and three
+    laws that changed the displacement by up to 4e-7 and the velocity by up to 2e-6 of the largest.
     """
     count, order = len(modes.coupling), len(modes.elastic)
     coupling = np.zeros((count, padded, padded), np.float32)
