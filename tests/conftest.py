@@ -6,14 +6,19 @@ from collections.abc import Callable
 from pathlib import Path
 
 import mujoco
+import numpy as np
 import pytest
 
 from palmfield.acoustics import surface_arp
+from palmfield.acoustics.air import density, sound_speed
+from palmfield.acoustics.reference import pressure64
 from palmfield.engine.host import world_of
+from palmfield.types import Air, Array, Complex, Float
 
 # A test computes what it tests, and leaves nothing behind
 os.environ["PALMFIELD_CACHE"] = "off"
 
+AIR = Air()
 ARRAYS = Path(__file__).parent.parent / "mjcf" / "arrays"
 
 PLAIN = """
@@ -89,6 +94,23 @@ def small_scene(tmp_path: Path) -> Write:
 def module_scene(tmp_path_factory: pytest.TempPathFactory) -> Write:
     """As small_scene, for a fixture that serves a whole file."""
     return _writer(tmp_path_factory.mktemp("scene"))
+
+
+@pytest.fixture(scope="session")
+def arp64() -> Callable[..., Float]:
+    """ARP [Pa] by the default law in double precision, from velocities, at points with outward normals."""
+
+    def arp(points: Float, normals: Float, array: Array, drive: Complex, air: Air = AIR) -> Float:
+        p, slope = pressure64(points, array, drive, air, gradient=True)
+        assert slope is not None
+        rho, c = density(air), sound_speed(air)
+        u = slope / (2j * np.pi * array.frequency_Hz * rho)
+        along = np.einsum("ij,ij->i", u, normals)
+        tangential = u - along[:, None] * normals
+        load = np.abs(p) ** 2 / (rho * c**2) - rho * (np.abs(tangential) ** 2).sum(axis=1)
+        return np.where((p * along.conj()).real < 0.0, load, 0.0)
+
+    return arp
 
 
 @pytest.fixture(scope="session")

@@ -63,10 +63,15 @@ def mixed_products(
 
 
 @functools.cache
+def of_rows(rows: int) -> tuple[Any, Any]:
+    """Types of a mode's state of `rows` numbers, and of what carries it on."""
+    return wp.types.vector(length=rows, dtype=wp.float64), wp.types.matrix(shape=(rows, rows), dtype=wp.float64)
+
+
+@functools.cache
 def lone_modes(rows: int) -> Any:
     """Kernel of all substeps of modes whose states have `rows` numbers; dim: modes."""
-    numbers = wp.types.vector(length=rows, dtype=wp.float64)
-    square = wp.types.matrix(shape=(rows, rows), dtype=wp.float64)
+    numbers, square = of_rows(rows)
 
     @wp.kernel(module="unique", enable_backward=False)
     def kernel(
@@ -99,8 +104,7 @@ def lone_modes(rows: int) -> Any:
 @functools.cache
 def modes_of_worlds(rows: int) -> Any:
     """Kernel of all substeps of modes, whose states have `rows` numbers, in several worlds; dim: (worlds, modes)."""
-    numbers = wp.types.vector(length=rows, dtype=wp.float64)
-    square = wp.types.matrix(shape=(rows, rows), dtype=wp.float64)
+    numbers, square = of_rows(rows)
 
     @wp.kernel(module="unique", enable_backward=False)
     def kernel(

@@ -148,33 +148,29 @@ def check_board(stimulus: StimulusSpec, board: Board, arrays: Sequence[ArraySpec
 
 def check_clear(posed: PosedScene) -> None:
     """Raise SceneError where a body's surface, or an obstacle's, reaches into an array's board."""
-    arrays = posed.arrays
+    # Boxes tell it of most poses, and take no vertex
+    hulls = []
     for body in posed.bodies:
         if body.model.surface is not None:
-            # Boxes tell it of most poses, and take no vertex
-            hull = body.hull
-            for board, (place, turn) in zip(arrays.boards, arrays.frames, strict=True):
-                above = np.minimum.reduce((hull - place) @ turn[:, 2]) - board.height
-                if board.nearest is not None or not above >= CLEARANCE_M:
-                    break
-            else:
-                continue
+            hulls.append(body.hull)
+    for skin in posed.skins:
+        if skin.skin.obstacles:
+            hulls.append(skin.obstacle_hull)
+    clear = True
+    for board, (place, turn) in zip(posed.arrays.boards, posed.arrays.frames, strict=True):
+        for hull in hulls:
+            above = np.minimum.reduce((hull - place) @ turn[:, 2]) - board.height
+            clear = clear and board.nearest is None and bool(above >= CLEARANCE_M)
+    for body in posed.bodies:
+        if clear and body.model.surface is not None:
+            continue
         points = body.vertices_in_array
         if body.model.surface is None:
             # The closed surface of a disc has its base too, which may be the board itself.
             points = points[: len(points) // 2]
         _check_clear(posed, f"body '{body.model.name}'", points, behind=False)
     for skin in posed.skins:
-        if not skin.skin.obstacles:
-            continue
-        hull = skin.obstacle_hull
-        for board, (place, turn) in zip(arrays.boards, arrays.frames, strict=True):
-            above = np.minimum.reduce((hull - place) @ turn[:, 2]) - board.height
-            if board.nearest is not None or not above >= CLEARANCE_M:
-                break
-        else:
-            continue
-        if skin.obstacles is not None:
+        if not clear and skin.obstacles is not None:
             _check_clear(posed, "one of the obstacles", skin.obstacles[0], behind=True)
 
 

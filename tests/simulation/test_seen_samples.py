@@ -7,9 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from palmfield.acoustics.air import density, sound_speed
 from palmfield.acoustics.phased_array import ArrayInstance, PhasedArray
-from palmfield.acoustics.reference import pressure64
 from palmfield.config import ArrayConfig
 from palmfield.data import folder
 from palmfield.session.simulation import load
@@ -52,7 +50,7 @@ def test_nothing_that_a_transducer_sees_is_left_out(count, seed):
     assert np.count_nonzero(found & ~in_front) <= 10
 
 
-def test_the_force_is_that_of_what_is_seen_in_double_precision(hand):
+def test_the_force_is_that_of_what_is_seen_in_double_precision(hand, arp64):
     runtime, posed = hand
     model = runtime.model
     [drive] = array_drives(model, posed.arrays)
@@ -61,13 +59,7 @@ def test_the_force_is_that_of_what_is_seen_in_double_precision(hand):
     force = runtime.work.unit_forces.under(posed, 0, emitted)[0].sum(axis=0)
     array, air = posed.arrays.array, posed.arrays.air
     points, normals, areas = posed.bodies[0].samples
-    pressure, gradient = pressure64(points, array, emitted, air, gradient=True)
-    assert gradient is not None
-    slope = gradient * sound_speed(air) / (2.0 * np.pi * array.frequency_Hz)
-    across = np.einsum("ij,ij->i", slope, normals)
-    along = (np.abs(slope) ** 2).sum(axis=1) - np.abs(across) ** 2
-    lit = np.imag(np.conj(pressure) * across) < 0.0
-    arp = np.where(lit, np.abs(pressure) ** 2 - along, 0.0) / (density(air) * sound_speed(air) ** 2)
+    arp = arp64(points, normals, array, emitted, air)
     ways = array.positions[None] - points[:, None]
     in_front = (np.einsum("ntj,nj->nt", ways, normals) > 0.0).any(axis=1)
     expected = -(arp * areas * in_front) @ normals

@@ -97,8 +97,7 @@ class DeviceModes:
         self._products = _Products(stepper.points, np.hstack(parts), device)
         starts = np.cumsum([part.shape[1] for part in parts])
         self._starts, self._rows = whole_numbers(starts, device), advance.shape[1]
-        square = wp.types.matrix(shape=advance.shape[1:], dtype=wp.float64)
-        numbers = wp.types.vector(length=self._rows, dtype=wp.float64)
+        numbers, square = kernels.of_rows(self._rows)
         self._advance: Any = wp.array(advance[: stepper.order], dtype=square, device=device)
         self._inputs: Any = wp.array(stepper.inputs[: stepper.order], dtype=numbers, device=device)
         self._felt: Any = wp.array(stepper.felt, dtype=wp.float64, device=device)

@@ -33,8 +33,7 @@ class DeviceWorlds:
     def __init__(self, stepper: ModalStepper, most: int, device: str):
         self.stepper, self.most, self._device = stepper, most, device
         rows, padded = stepper.state_rows, stepper.padded
-        square = wp.types.matrix(shape=(rows, rows), dtype=wp.float64)
-        numbers = wp.types.vector(length=rows, dtype=wp.float64)
+        numbers, square = kernels.of_rows(rows)
         self._advance: Any = wp.array(stepper.advance, dtype=square, device=device)
         self._inputs: Any = wp.array(stepper.inputs, dtype=numbers, device=device)
         self._pushes = SharedArray((most, padded), wp.float32, device)
