@@ -16,7 +16,7 @@ from palmfield.config.skin import EXPLICIT
 from palmfield.errors import SceneError
 from palmfield.simulation.build import nearest_stimulus
 from palmfield.simulation.emission import array_drives
-from palmfield.simulation.model import HapticModel, SkinModel
+from palmfield.simulation.model import HapticModel, SkinModel, array_instances
 from palmfield.simulation.posed_scene import PosedScene, PosedSkin, PosedSurface
 from palmfield.simulation.radiation import Radiation
 from palmfield.skin.approximation.estimate import ORDER, mesh_error
@@ -27,7 +27,7 @@ from palmfield.skin.scene_layer import SceneLayer
 from palmfield.skin.stepper import SkinStepper
 from palmfield.stimulus.schedule import frame_at
 from palmfield.threads import cores, share
-from palmfield.types import Complex, Float
+from palmfield.types import Complex, Estimate, Float
 
 T = TypeVar("T")
 
@@ -39,8 +39,6 @@ MOST_AT_ONCE = 2
 """Matrices that are factorised side by side: each factor of a palm takes a third of a gigabyte."""
 LAYERS = 3
 """A coarser mesh must keep two rows of elements: one alone is off by 20 %."""
-PUBLISHED_P0_Pa_m = (1.27, 8.02)
-"""Of transducers of 10 mm at 40 kHz, see `palmfield.acoustics.placement`."""
 
 
 @dataclass(frozen=True)
@@ -304,8 +302,8 @@ def stimulus_of(model: HapticModel, skin: int) -> int:
 def p0_band(model: HapticModel, stimulus: int) -> tuple[float, float] | None:
     """Factors on the skin's motion at the low and high ends of every array's p0; None where arp_peak_Pa sets the level.
 
-    An array without a range of its own has the published one. The pressures of the stimulus's arrays add up at its
-    focus, each with its own p0, and the motion goes with the square.
+    The pressures of the stimulus's arrays add up at its focus, each with its own p0, and the motion goes with the
+    square.
     """
     part, arrays = model.stimuli[stimulus], model.arrays
     drive = array_drives(model, arrays)[stimulus].unit_drive(part.first_focus).amplitudes
@@ -317,13 +315,12 @@ def p0_band(model: HapticModel, stimulus: int) -> tuple[float, float] | None:
     whole = abs(sum(pressures)) ** 2
     if part.config.arp_peak_Pa is not None or whole == 0.0:
         return None
-    configs = [array.config for array in model.spec.arrays]
-    low = [(config.p0_low_Pa_m or PUBLISHED_P0_Pa_m[0]) / config.p0_Pa_m for config in configs]
-    high = [(config.p0_high_Pa_m or PUBLISHED_P0_Pa_m[1]) / config.p0_Pa_m for config in configs]
+    known = [array.p0 for array in array_instances(model.spec)]
+    low, high = [p0.low / p0.value for p0 in known], [p0.high / p0.value for p0 in known]
     return abs(np.dot(low, pressures)) ** 2 / whole, abs(np.dot(high, pressures)) ** 2 / whole
 
 
-def p0_given(model: HapticModel, stimulus: int) -> bool:
-    """Whether every array of a stimulus has a range of p0 of its own."""
-    arrays = model.stimuli[stimulus].spec.arrays
-    return all(model.spec.arrays[number].config.p0_low_Pa_m is not None for number in arrays)
+def p0_known(model: HapticModel, stimulus: int) -> list[Estimate]:
+    """p0 of the arrays of a stimulus, each once where several have the same."""
+    instances = array_instances(model.spec)
+    return list(dict.fromkeys(instances[number].p0 for number in model.stimuli[stimulus].spec.arrays))

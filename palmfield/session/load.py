@@ -18,7 +18,11 @@ from palmfield.engine.motion_plugin import place
 from palmfield.errors import PalmfieldError, SceneError
 from palmfield.simulation.scene_reader import DEVICE
 
-FILES = {"palmfield.skin": ("mesh",), "palmfield.motion": ("keyframes", "trajectory", "tracking")}
+FILES = {
+    "palmfield.array": ("calibration", "transducers"),
+    "palmfield.skin": ("mesh",),
+    "palmfield.motion": ("keyframes", "trajectory", "tracking"),
+}
 """Keys that name files, relative to the scene."""
 SKIN, DRIVER = "palmfield.skin", "palmfield.driver"
 

@@ -30,7 +30,7 @@ from palmfield.session.duration import check_duration, step_count
 from palmfield.session.load import Source
 from palmfield.session.recorder import Recorder, static_arrays, world_with
 from palmfield.session.simulation import Simulation
-from palmfield.session.summary import scene_numbers, skin_numbers, stimulus_numbers
+from palmfield.session.summary import array_numbers, scene_numbers, skin_numbers, stimulus_numbers
 from palmfield.types import Float
 
 PICTURES: tuple[tuple[str, Callable[[Any, Path], None]], ...] = (
@@ -250,7 +250,8 @@ def _whole_summary(
     task = bar.add_task("estimating the error", total=None)
     whole, skins, stimuli = _numbers(sim, recorder, tree)
     bar.remove_task(task)
-    return summary(tree, extra | whole | _spent(started), skins, stimuli)
+    arrays = array_numbers(sim.runtime.model)
+    return summary(tree, extra | whole | _spent(started), skins, stimuli, arrays)
 
 
 def _spent(started: float) -> dict[str, Any]:

@@ -13,10 +13,10 @@ from palmfield.config.skin import EXPLICIT
 from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.errors import PalmfieldError
 from palmfield.perception.observers import OBSERVERS, level_dB_SL, line_amplitude
-from palmfield.session.error_budget import LoudestMoment, error_estimate, p0_band, p0_given, stimulus_of
+from palmfield.session.error_budget import LoudestMoment, error_estimate, p0_band, stimulus_of
 from palmfield.session.simulation import Simulation
 from palmfield.simulation.forces import BodyForces
-from palmfield.simulation.model import HapticModel
+from palmfield.simulation.model import HapticModel, array_instances
 from palmfield.simulation.radiation import Radiation
 from palmfield.simulation.state import WHOLE
 from palmfield.skin.explicit_layer import explicit_layer
@@ -57,8 +57,9 @@ def skin_numbers(
     if loudest is not None:
         force = _force_N(model, number, loudest, _radiation(runtime))
         result["total_force_peak_N"] = loudest.factor * force
-        band = p0_band(model, stimulus) if p0_given(model, stimulus) else None
+        band = p0_band(model, stimulus)
         if band is not None:
+            result |= {"p0_band_low": band[0], "p0_band_high": band[1]}
             result |= {"peak_displacement_low_m": peak * band[0], "peak_displacement_high_m": peak * band[1]}
     if loudest is not None and peak > 0.0:
         errors = estimated_errors(runtime, number, loudest)
@@ -93,6 +94,26 @@ def stimulus_numbers(simulation: Simulation, loudest: Iterable[LoudestMoment | N
     model = simulation.runtime.model
     levels = drive_levels(model, loudest)
     return {part.spec.name: {"drive_level": level} for part, level in zip(model.stimuli, levels, strict=True)}
+
+
+def array_numbers(model: HapticModel) -> dict[str, dict[str, Any]]:
+    """Of each array, by name: p0 [Pa m] and quality with range, kind and source, and whether they are calibrated."""
+    result = {}
+    for spec, array in zip(model.spec.arrays, array_instances(model.spec), strict=True):
+        p0, quality = array.p0, array.quality
+        result[spec.name] = {
+            "calibrated": array.calibration is not None,
+            "p0_Pa_m": p0.value,
+            "p0_low_Pa_m": p0.low,
+            "p0_high_Pa_m": p0.high,
+            "p0_kind": p0.kind,
+            "p0_source": p0.source,
+            "quality": quality.value,
+            "quality_low": quality.low,
+            "quality_high": quality.high,
+            "quality_kind": quality.kind,
+        }
+    return result
 
 
 def drive_levels(model: HapticModel, loudest: Iterable[LoudestMoment | None]) -> list[float]:

@@ -6,7 +6,7 @@ import pytest
 import palmfield
 from palmfield.perception.observers import OBSERVERS
 from palmfield.session import summary
-from palmfield.session.summary import felt_levels, scene_numbers, skin_numbers, stimulus_numbers
+from palmfield.session.summary import array_numbers, felt_levels, scene_numbers, skin_numbers, stimulus_numbers
 
 TIMES = np.arange(0.0, 0.05, 5e-4)
 MOTION = 2e-6 * np.sin(2 * np.pi * 200.0 * TIMES)
@@ -17,7 +17,7 @@ def numbers(scene, loudest, skin="skin", peak=2e-6):
 
 
 def test_numbers_of_a_run(small_scene, moment):
-    keys = {"array.p0_low_Pa_m": 2.0, "array.p0_high_Pa_m": 4.0, "skin.solver": "wedges"}
+    keys = {"array.p0_Pa_m": 2.53, "array.p0_low_Pa_m": 2.0, "array.p0_high_Pa_m": 4.0, "skin.solver": "wedges"}
     scene = palmfield.load(small_scene(), keys=keys)
     scene.step(6)
     loudest = moment(scene)
@@ -29,6 +29,8 @@ def test_numbers_of_a_run(small_scene, moment):
     assert 0.3 < result["total_force_peak_N"] / np.linalg.norm(scene.forces[0]) < 3.0
     assert result["main_frequency_Hz"] == 200.0 and result["main_line_amplitude_m"] == pytest.approx(2e-6)
     assert stimulus_numbers(scene, [loudest]) == {"stimulus": {"drive_level": pytest.approx(1.0)}}
+    array = array_numbers(scene.runtime.model)["array"]
+    assert (array["p0_low_Pa_m"], array["p0_high_Pa_m"], array["calibrated"]) == (2.0, 4.0, False)
     whole = scene_numbers(scene, [loudest])
     assert whole["palmfield_device"] == "cpu" and whole["board"] == "ideal"
 

@@ -1,7 +1,7 @@
 """What error of the skin displacement a plan expects, from mesh, material and p0."""
 
 from palmfield.config.skin import EXPLICIT
-from palmfield.session.error_budget import PUBLISHED_P0_Pa_m, p0_band, p0_given
+from palmfield.session.error_budget import p0_band, p0_known
 from palmfield.session.planning.rows import Row
 from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
 from palmfield.skin.explicit_layer import explicit_layer
@@ -39,10 +39,14 @@ def _mesh_row(skin: SkinModel) -> Row:
 
 def _p0_row(model: HapticModel, number: int, stimulus: StimulusModel) -> list[Row]:
     name, band = stimulus.spec.name, p0_band(model, number)
+    known = "; ".join(
+        f"{'' if p0.kind == 'measured' else 'uncalibrated, '}{p0.kind}: {p0.value:g} Pa m ({p0.low:g} to {p0.high:g}), "
+        f"{p0.source}"
+        for p0 in p0_known(model, number)
+    )
     if stimulus.config.arp_peak_Pa is not None:
-        return [Row("p0", "none", "arp_peak_Pa sets the level", name)]
+        why = f"arp_peak_Pa sets the level; whether the array reaches it goes by p0, {known}"
+        return [Row("p0", "none", why, name)]
     if band is None:
         return []
-    published = "{:g} to {:g} Pa m".format(*PUBLISHED_P0_Pa_m)
-    why = "the given range" if p0_given(model, number) else f"where no range is given, published values: {published}"
-    return [Row("p0", f"x {band[0]:.2f} to x {band[1]:.2f}", f"displacement goes with p0 squared; {why}", name)]
+    return [Row("p0", f"x {band[0]:.2f} to x {band[1]:.2f}", f"ARP and displacement go with p0 squared; {known}", name)]
