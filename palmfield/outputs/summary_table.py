@@ -1,16 +1,17 @@
 """The short table that `palmfield run` prints at its end."""
 
 import io
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
+from palmfield.outputs.budget_text import Row, budget_rows
 from palmfield.perception.observers import OBSERVERS
 
 WIDTH = 110
-Row = tuple[str, str]
 
 
 def format_summary(summary: Mapping[str, Any]) -> str:
@@ -110,17 +111,7 @@ def _motion(skin: Mapping[str, Any]) -> list[Row]:
         without = f"({figures(1e6 * skin['rms_displacement_without_dc_m'], band)} um without the mean)"
         rows.append(("rms skin displacement", f"{figures(1e6 * skin['rms_displacement_m'], band)} um {without}"))
     if error is not None:
-        velocity = skin.get("reduction_velocity_error_relative")
-        of_velocity = "" if velocity is None else f" ({100 * velocity:.2g} % of the velocity)"
-        rows.append(
-            (
-                "error estimate",
-                f"mesh {100 * skin['mesh_error_relative']:.2f} %, "
-                f"time step {100 * skin['step_error_relative']:.2f} %, "
-                f"reduction {100 * skin['reduction_error_relative']:.2f} %{of_velocity}, "
-                f"cut edge {100 * skin['edge_error_relative']:.2f} %; material not included (see plan)",
-            )
-        )
+        rows += budget_rows(skin)
         requested = skin.get("accuracy_wanted_relative")
         if requested is not None and error > requested:
             rows.append(("accuracy", f"NOT reached: {100 * requested:g} % wanted; {advice(skin)}"))
@@ -129,9 +120,17 @@ def _motion(skin: Mapping[str, Any]) -> list[Row]:
     for number, name in enumerate(OBSERVERS, start=1):
         key = f"level_{name}_dB_SL"
         if key in skin:
-            felt = "outside the table of" if skin[key] is None else f"{skin[key]:.1f} dB SL,"
+            felt = "outside the table of" if skin[key] is None else f"{_level(skin, skin[key])},"
             rows.append((f"level at {skin['main_frequency_Hz']:g} Hz", f"{felt} observer {number} ({name})"))
     return rows
+
+
+def _level(skin: Mapping[str, Any], level: float) -> str:
+    """A felt level, and its range over that of p0."""
+    if not level_band(skin):
+        return f"{level:.1f} dB SL"
+    low, high = (level + 20.0 * math.log10(skin[f"p0_band_{end}"]) for end in ("low", "high"))
+    return f"{level:.0f} dB SL ({low:.0f} to {high:.0f} for the range of p0)"
 
 
 def _for_p0(skin: Mapping[str, Any]) -> str:

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 import palmfield
-from palmfield.session.error_budget import RATIO, error_estimate, p0_band, p0_known
+from palmfield.session.error_budget import RATIO, Course, error_estimate, p0_band, p0_known
 from palmfield.simulation.emission import array_drives
 from palmfield.simulation.forces import BodyForces
 from palmfield.simulation.radiation import Radiation
@@ -20,7 +20,7 @@ SOURCES = ("mesh", "step", "reduction", "edge")
 
 def estimate(scene, loudest, skin=0, left_small_model=False):
     model = scene.runtime.model
-    return error_estimate(model, skin, loudest, Radiation(model), left_small_model=left_small_model)
+    return error_estimate(model, skin, loudest, Radiation(model), Course(left_small_model))
 
 
 def unit(scene, **changes):

@@ -5,6 +5,9 @@ from palmfield.session.error_budget import p0_band, p0_known
 from palmfield.session.planning.rows import Row
 from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
 from palmfield.skin.explicit_layer import explicit_layer
+from palmfield.skin.from_config import softest_and_stiffest_sheets
+from palmfield.skin.materials.catalogue import CATALOGUE
+from palmfield.skin.materials.material import Material
 
 
 def expected_errors(model: HapticModel) -> list[Row]:
@@ -14,8 +17,7 @@ def expected_errors(model: HapticModel) -> list[Row]:
         name = skin.spec.name
         rows.append(_mesh_row(skin))
         for sheet in skin.layer.sheets:
-            source = f"{sheet.material.name}: {sheet.material.source}"
-            rows.append(Row("material", "of the order of 50 %", source, name))
+            rows.append(_material_row(sheet.material, softest_and_stiffest_sheets(skin.spec.config) is not None, name))
     for number, stimulus in enumerate(model.stimuli):
         rows += _p0_row(model, number, stimulus)
     return rows
@@ -35,6 +37,20 @@ def _mesh_row(skin: SkinModel) -> Row:
     size = f"a preview, about {100 * own.expected_error:.2g} %; {wanted}"
     why = "what such particles had on discs (docs/bench/skin_particles.md); the run states at least as much"
     return Row("particles", size, why, skin.spec.name)
+
+
+def _material_row(material: Material, ranges: bool, skin: str) -> Row:
+    """What is known of a material's numbers; the run solves for the ends of the ranges."""
+    entry = CATALOGUE.get(material.name)
+    if not ranges or entry is None or not entry.ranges:
+        return Row("material", "no range is known", f"{material.name}: {material.source}", skin)
+    size = ", ".join(
+        f"{'moduli x ' if known.parameter == 'shear' else known.parameter + ' '}{known.low:g} to {known.high:g}"
+        for known in entry.ranges
+    )
+    sources = "; ".join(known.source for known in entry.ranges)
+    why = f"the run solves for both ends of all ranges at once; {sources}. {material.name}: {material.source}"
+    return Row("material", size, why, skin)
 
 
 def _p0_row(model: HapticModel, number: int, stimulus: StimulusModel) -> list[Row]:
