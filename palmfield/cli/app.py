@@ -78,11 +78,16 @@ def run(
 
 
 def _given(keys: list[str] | None) -> dict[str, str]:
-    """Keys as `palmfield.load` takes them. Raises SceneError for one without a value."""
+    """Keys as `palmfield.load` takes them. Raises SceneError for one without a value, and for one given twice."""
+    result: dict[str, str] = {}
     for text in keys or ():
-        if "=" not in text:
+        name, equals, value = text.partition("=")
+        if not equals:
             raise SceneError(f"--set {text} has no value; write INSTANCE.KEY=VALUE, e.g. stimulus.path_speed_m_s=11")
-    return dict(text.split("=", 1) for text in keys or ())
+        if name in result:
+            raise SceneError(f"--set gives {name} twice, '{result[name]}' and '{value}'; allowed: each key once")
+        result[name] = value
+    return result
 
 
 def _check_duration(duration: float | None) -> None:

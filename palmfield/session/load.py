@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, TypeAlias
 import mujoco
 import numpy as np
 
-from palmfield.config import known_keys
+from palmfield.config import Config, allowed, known_keys
 from palmfield.engine.host import compiling, take_compile_error
 from palmfield.engine.modules import MODULES
 from palmfield.engine.motion_plugin import place
@@ -39,7 +39,7 @@ def compiled(
     device: where fields are computed (auto, cpu, cuda:N); accuracy: wanted relative error of the skin displacement, of
         all skins; board: what plays the drive
     keys: other values for keys by INSTANCE.key, or PLUGIN.key for all instances of a plugin, such as
-        {"stimulus.focus_m": (0, 0, 0.19)}: numbers, text, sequences and arrays; None takes a key out
+        {"stimulus.focus_m": (0, 0, 0.19)}: numbers, text, sequences and arrays; None or "" takes a key out
     Raises SceneError (or DeviceError) with a one-line message that names element, key, value and what is allowed.
     """
     if device is not None and not re.fullmatch(r"auto|cpu|cuda:\d+", device):
@@ -81,10 +81,11 @@ def _compiled_with(
         if plugin.plugin_name == DRIVER and board is not None:
             config["board"] = board
         for key, value in changes.get(plugin.name, {}).items():
-            if value is None:
+            if value is None or value == "":
                 config.pop(key, None)
             else:
                 config[key] = as_text(value)
+        _check_values(plugin, config)
         for key in FILES.get(plugin.plugin_name, ()):
             if config.get(key) and folder is not None and not Path(config[key]).is_absolute():
                 config[key] = str(folder / config[key])
@@ -194,7 +195,7 @@ def _without_objtype(scene: str, sensor: str, plugin: str) -> SceneError:
 
 def _changes(spec: mujoco.MjSpec, keys: Mapping[str, object]) -> dict[str, dict[str, object]]:
     """Values by instance name. Raises SceneError for an instance or plugin that the scene has not, and unknown keys."""
-    configs = {module.name: module.config for module in MODULES}
+    models = configs()
     result: dict[str, dict[str, object]] = {}
     instances = {plugin.name for plugin in spec.plugins}
     # What is said of one instance counts before what is said of all of its plugin
@@ -208,7 +209,7 @@ def _changes(spec: mujoco.MjSpec, keys: Mapping[str, object]) -> dict[str, dict[
             known = sorted({plugin.name for plugin in spec.plugins} | {p.plugin_name for p in spec.plugins})
             raise SceneError(f"key '{given}' is not of an instance or plugin of this scene; it has: {', '.join(known)}")
         for plugin in own:
-            config = configs.get(plugin.plugin_name)
+            config = models.get(plugin.plugin_name)
             if config is not None and key not in known_keys(config):
                 raise SceneError(
                     f"plugin '{plugin.plugin_name}' instance '{plugin.name}': unknown key '{key}'; allowed: "
@@ -216,6 +217,23 @@ def _changes(spec: mujoco.MjSpec, keys: Mapping[str, object]) -> dict[str, dict[
                 )
             result.setdefault(plugin.name, {})[key] = value
     return result
+
+
+def _check_values(plugin: mujoco.MjsPlugin, config: Mapping[str, str]) -> None:
+    """Refuse keys without a value: MuJoCo can't tell them from keys that are not there."""
+    for key, value in config.items():
+        if not value.strip():
+            known = configs().get(plugin.plugin_name)
+            what = allowed(known, key) if known is not None and key in known.model_fields else "a value"
+            raise SceneError(
+                f"plugin '{plugin.plugin_name}' instance '{plugin.name}': key '{key}' has no value; allowed: {what}, "
+                "or leave the key out"
+            )
+
+
+def configs() -> dict[str, type[Config]]:
+    """The keys' models by plugin name."""
+    return {module.name: module.config for module in MODULES}
 
 
 def _set_text(spec: mujoco.MjSpec, name: str, value: str) -> None:

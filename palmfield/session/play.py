@@ -10,6 +10,7 @@ from rich.progress import Progress
 
 from palmfield.acoustics.arrays import layout
 from palmfield.acoustics.focus import focus
+from palmfield.config.stimulus import too_far
 from palmfield.drive.boards import Board
 from palmfield.drive.link import open_link
 from palmfield.drive.playback import (
@@ -21,7 +22,7 @@ from palmfield.drive.playback import (
     record,
     timed_frames,
 )
-from palmfield.errors import DeviceError
+from palmfield.errors import DeviceError, SceneError
 from palmfield.session.load import Source
 from palmfield.session.preview import Preview, preview
 from palmfield.types import Air, Complex
@@ -32,10 +33,12 @@ def play_focus(
 ) -> str:
     """Hold one focus (array frame [m]) for `duration_s`; returns what happened, in a sentence.
 
-    Raises SceneError for a focus behind the array, DeviceError for an unknown or lost board.
+    Raises SceneError for a focus behind the array or too far for metres, DeviceError for an unknown or lost board.
     """
     chosen = playable_board(board)
     assert chosen.layout is not None
+    if (far := too_far(point)) is not None:
+        raise SceneError(f"--focus has value {' '.join(f'{x:g}' for x in point)}, {far}")
     drive = focus(layout(chosen.layout), Air(), np.array(point))
     frames = timed_frames(chosen, frame_times([], duration_s), lambda time_s: drive, duration_s)
     return _play(frames, chosen, duration_s, port, record_to)

@@ -114,6 +114,7 @@ def test_simulated_drive_is_decoded_from_the_recorded_bytes(tmp_path, monkeypatc
         ("drive",),
         ("drive", "--focus", 0, 0, 0.2),
         ("drive", "--focus", 0, 0, -0.2, "--record", "x"),
+        ("drive", "--focus", 0, 0, 150, "--record", "x"),
         ("drive", "--focus", 0, 0, 0.2, "--record", "x", "--board", "toaster"),
         ("drive", "--focus", 0, 0, 0.2, "--port", "/dev/none"),
         ("drive", "--focus", 0, 0, 0.2, "--record", "x", "--duration", -1),
@@ -127,6 +128,14 @@ def test_bad_arguments_end_in_one_line_and_exit_code_2(arguments, tmp_path, monk
     code, out = call(monkeypatch, capsys, *arguments)
     assert code == 2
     assert out.err.startswith("palmfield: ") and len(out.err.strip().splitlines()) == 1
+
+
+def test_a_focus_in_millimetres_is_refused_with_the_likely_unit(tmp_path, monkeypatch, capsys):
+    file = tmp_path / "focus.bin"
+    code, out = call(monkeypatch, capsys, "drive", "--focus", 0, 0, 150, "--record", file)
+    assert code == 2 and not file.exists()
+    assert "--focus has value 0 0 150, which is 150 m away" in out.err
+    assert "if these are millimetres, give 0 0 0.15" in out.err
 
 
 @pytest.mark.smoke
