@@ -396,7 +396,9 @@ def test_keys_of_an_unknown_instance(key, small_scene):
 @pytest.mark.parametrize("owner", ["skin", "palmfield.skin"])
 def test_keys_that_an_instance_has_not(owner, small_scene):
     refused(
-        small_scene(), f"{SKIN}unknown key 'radius_mm'; allowed: body, shape, hand", keys={f"{owner}.radius_mm": 20}
+        small_scene(),
+        f"{SKIN}unknown key 'radius_mm' (did you mean 'radius_m'?); allowed: body, shape, hand",
+        keys={f"{owner}.radius_mm": 20},
     )
 
 
