@@ -15,7 +15,7 @@ app = typer.Typer(
     rich_markup_mode=None,
     help="Ultrasonic mid-air haptics: from an array's drive to radiation pressure on a hand, skin waves and what is "
     "felt.\n\n"
-    "Start with `palmfield new first` and `palmfield run first.xml`.",
+    "Start with `palmfield new first` and `palmfield run first/first.xml`.",
 )
 SceneFile = Annotated[Path, typer.Argument(help="MJCF scene with palmfield plugins", metavar="SCENE.xml")]
 Device = Annotated[
@@ -169,20 +169,44 @@ def keys(
 
 @app.command()
 def new(
-    name: Annotated[str, typer.Argument(help="name of the scene; writes NAME.xml and NAME_plain.xml here")],
+    name: Annotated[str, typer.Argument(help="name of the scene; writes the folder NAME here")],
 ) -> None:
     """Write a commented scene that runs: a hand over an array and a 200 Hz focus on the palm.
 
-    NAME_plain.xml opens in any MuJoCo; NAME.xml adds the haptics and opens where palmfield is installed.
+    NAME/NAME_plain.xml opens in any MuJoCo; NAME/NAME.xml adds the haptics and opens where palmfield is installed. The
+    folder has all that they refer to, so that it can be moved and sent.
 
-    Example: palmfield new first && palmfield run first.xml
+    Example: palmfield new first && palmfield run first/first.xml
     """
     from palmfield.cli.template import write_scene
-    from palmfield.data import folder
 
     for path in write_scene(name):
         print(f"wrote {path}")
-    print(f"next: palmfield run {name}.xml (it refers to the arrays and hands in {folder('mjcf')})")
+    print(f"next: palmfield run {Path(name) / name}.xml")
+
+
+@app.command()
+def migrate(
+    scene: SceneFile,
+    out: Annotated[Path | None, typer.Option(help="file to write [default: the scene's own]")] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="replace a file that is there")] = False,
+) -> None:
+    """Rewrite a scene of the last version: keys and values that are renamed get their new names.
+
+    Comments and layout stay; what was changed is printed. A file that is there is kept, unless you ask for --overwrite.
+
+    Examples: palmfield migrate old.xml --out new.xml
+
+    palmfield migrate scene.xml --overwrite
+    """
+    from palmfield.session.migrate import migrate as rewrite
+
+    result = rewrite(scene, out, overwrite=overwrite)
+    for change in result.changes:
+        print(change)
+    print(f"wrote {scene if out is None else out}" if result.changes else f"{scene} has nothing that is renamed")
+    for other in result.others:
+        print(f"it includes {other}, which has renamed keys too: palmfield migrate {other}")
 
 
 @app.command()

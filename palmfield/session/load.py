@@ -273,7 +273,10 @@ def _explained(error: Exception, name: str, text: SceneText | None) -> BaseExcep
     """What a module's own error says, with the place of what it means, or MuJoCo's in words."""
     cause = take_compile_error()
     if isinstance(cause, PalmfieldError):
-        return type(cause)(f"{_place(str(cause), name, text)}: {cause}")
+        mend = (
+            f" (`palmfield migrate {name}` rewrites it)" if text is not None and " renamed: use " in str(cause) else ""
+        )
+        return type(cause)(f"{_place(str(cause), name, text)}: {cause}{mend}")
     return cause or SceneError(in_words(str(error), name, text, list(configs())))
 
 

@@ -15,15 +15,22 @@ from palmfield.errors import SceneError, did_you_mean
 ROOTS = ("mujoco", "mujocoinclude", "robot")
 """What MuJoCo takes as the outermost element: of a scene, of what it includes, and of a URDF file."""
 
+AMPERSAND = "\x7f"
+"""Stands for an & while a file is read: one byte that XML allows and nobody writes."""
+
 
 @dataclass
 class Element:
-    """An element of a scene's files. parent: that which holds it, across included files; None for a root"""
+    """An element of a scene's files.
+
+    offset: bytes of the file before it; parent: that which holds it, across included files; None for a root
+    """
 
     tag: str
     attributes: dict[str, str]
     file: Path
     line: int
+    offset: int
     parent: "Element | None" = field(default=None, repr=False)
 
     @property
@@ -94,7 +101,7 @@ def read_scene_text(path: Path) -> SceneText:
 
 def _read(path: Path, scene: Path, holder: Element | None, elements: list[Element], open_files: set[Path]) -> None:
     """Add the elements of a file. holder: what includes it; open_files: those that are being read"""
-    for one in _elements_of(path):
+    for one in elements_of(path):
         if one.parent is None and one.tag not in ROOTS:
             raise SceneError(
                 f"{one.where}: the outermost element is <{one.tag}>{did_you_mean(one.tag, ROOTS)}; allowed: <mujoco>"
@@ -116,7 +123,7 @@ def _read(path: Path, scene: Path, holder: Element | None, elements: list[Elemen
         _read(included, scene, one, elements, open_files | {resolved})
 
 
-def _elements_of(path: Path) -> list[Element]:
+def elements_of(path: Path) -> list[Element]:
     """Elements of one file in the order of their beginnings. Raises SceneError for what is no XML."""
     try:
         data = path.read_bytes()
@@ -128,7 +135,8 @@ def _elements_of(path: Path) -> list[Element]:
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         holder = open_elements[-1] if open_elements else None
-        elements.append(Element(tag, attributes, path, parser.CurrentLineNumber, holder))
+        own = {name: value.replace(AMPERSAND, "&") for name, value in attributes.items()}
+        elements.append(Element(tag, own, path, parser.CurrentLineNumber, parser.CurrentByteIndex, holder))
         open_elements.append(elements[-1])
 
     def end(tag: str) -> None:
@@ -144,9 +152,9 @@ def _elements_of(path: Path) -> list[Element]:
 
 
 def _as_mujoco_reads(data: bytes) -> bytes:
-    """XML without comments, with as many lines, and with & where it stands for itself as XML wants it."""
-    bare = re.sub(rb"<!--.*?-->", lambda comment: b"\n" * comment[0].count(b"\n"), data, flags=re.DOTALL)
-    return re.sub(rb"&(?!#?\w+;)", b"&amp;", bare)
+    """XML without comments and without & that stands for itself; all else is where it was."""
+    bare = re.sub(rb"<!--.*?-->", lambda comment: re.sub(rb"[^\n]", b" ", comment[0]), data, flags=re.DOTALL)
+    return re.sub(rb"&(?!#?\w+;)", AMPERSAND.encode(), bare)
 
 
 def _fault(error: Exception, open_elements: list[Element]) -> str:
