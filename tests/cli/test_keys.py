@@ -51,7 +51,7 @@ def test_every_key_has_a_meaning_and_every_quantity_a_unit():
 
 
 def test_unknown_plugin_names_those_there_are():
-    with pytest.raises(SceneError, match=r"there is no plugin .palmfield\.nose.; allowed: array, stimulus, skin, driver"):
+    with pytest.raises(SceneError, match=r"there is no plugin .palmfield\.nose.; allowed: array, stimulus"):
         as_text("palmfield.nose")
     with pytest.raises(SceneError, match=r"there is no plugin 'skn' \(did you mean 'skin'\?\); allowed: "):
         as_text("skn")
