@@ -2,6 +2,7 @@
 
 import io
 from collections.abc import Sequence
+from typing import Any
 
 from rich.console import Console
 from rich.table import Table
@@ -44,6 +45,23 @@ def as_text(plugin: str | None = None) -> str:
             grid.add_row(old, use)
         console.print(grid)
     return stream.getvalue()
+
+
+def as_dict(plugin: str | None = None) -> dict[str, Any]:
+    """The keys of one plugin or of all, as JSON has them; units are texts. Errors as `as_text`."""
+    chosen = chosen_configs(plugin)
+    plugins = [
+        {
+            "plugin": config.plugin,
+            "about": config.about,
+            "keys": [dict(zip(HEADINGS, row, strict=True)) for row in table(config)],
+            "renamed": [{"was": old, "use": use} for old, use in renamed_table(config)],
+        }
+        for config in chosen
+    ]
+    if plugin is not None:
+        return {"plugins": plugins}
+    return {"plugins": plugins, "scene_keys": [dict(zip(HEADINGS, row, strict=True)) for row in SCENE_KEYS]}
 
 
 def chosen_configs(plugin: str | None) -> list[type[Config]]:

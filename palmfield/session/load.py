@@ -1,6 +1,8 @@
 """From a scene file, an MjSpec or a compiled model to MuJoCo's model and data, with other values for its keys."""
 
+import logging
 import re
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from os import PathLike
@@ -20,6 +22,7 @@ from palmfield.session.mujoco_messages import in_words
 from palmfield.session.scene_text import SceneText, read_scene_text, sensors_without_objtype
 from palmfield.simulation.scene_reader import DEVICE
 
+LOG = logging.getLogger("palmfield.session")
 FILES = {"palmfield.skin": ("mesh",), "palmfield.motion": ("keyframes", "trajectory", "tracking")}
 """Keys that name files, relative to the scene."""
 SKIN, DRIVER = "palmfield.skin", "palmfield.driver"
@@ -54,10 +57,13 @@ def compiled(
                 "with the keys, or the model without"
             )
         return "model", source, fresh_data(source, "model")
+    started = time.perf_counter()
     scene = opened(source)
     with _kept(scene.spec):
         model = _compiled_with(scene, device=device, accuracy=accuracy, board=board, keys=keys or {})
-    return scene.name, model, fresh_data(model, scene.name, scene.text)
+    data = fresh_data(model, scene.name, scene.text)
+    LOG.debug("opened %s in %.2f s", scene.name, time.perf_counter() - started)
+    return scene.name, model, data
 
 
 def _compiled_with(
