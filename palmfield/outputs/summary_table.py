@@ -28,9 +28,10 @@ def format_summary(summary: Mapping[str, Any]) -> str:
         for one in stimuli
         if "drive_level" in one
     ]
+    level = max((one.get("drive_level", 0.0) for one in stimuli), default=0.0)
     grid = Table(show_header=False)
     for number, skin in enumerate(skins):
-        sound, motion = _sound(skin), _motion(skin)
+        sound, motion = _sound(skin, level), _motion(skin)
         # With one skin, sound, drive and motion stand in the order in which one follows from the other.
         rows = sound + drives + motion if len(skins) == 1 else [("SKIN", skin["name"]), *sound, *motion]
         if number == 0 and len(skins) > 1:
@@ -47,12 +48,16 @@ def format_summary(summary: Mapping[str, Any]) -> str:
     return stream.getvalue()
 
 
-def _sound(skin: Mapping[str, Any]) -> list[Row]:
+def _sound(skin: Mapping[str, Any], drive_level: float) -> list[Row]:
+    """drive_level: highest of all stimuli, relative to full"""
     rows: list[Row] = []
-    if "peak_pressure_Pa" in skin:
-        level = skin["peak_pressure_dB_SPL"]
-        spl = "silence" if level is None else f"{level:.1f} dB SPL"
-        rows.append(("peak sound pressure", f"{skin['peak_pressure_Pa']:.0f} Pa ({spl})"))
+    if "peak_pressure_Pa" in skin and skin["peak_pressure_dB_SPL"] is not None:
+        rows.append(
+            ("peak sound pressure", f"{skin['peak_pressure_Pa']:.0f} Pa ({skin['peak_pressure_dB_SPL']:.1f} dB SPL)")
+        )
+    elif "peak_pressure_Pa" in skin:
+        runs = f"no sound pushes this skin, though the array runs, at {drive_level:.3f} of full: see plan"
+        rows.append(("peak sound pressure", runs if drive_level > 0.0 else "0 Pa (silence: the array doesn't run)"))
     if "peak_arp_Pa" in skin:
         rows.append(("peak ARP", f"{skin['peak_arp_Pa']:.3g} Pa"))
     if "total_force_peak_N" in skin:

@@ -247,7 +247,8 @@ def _numbers(
             np.asarray(normal[:, vertex], dtype=np.float64),
             float(peak[vertex]),
         )
-    return scene_numbers(sim, recorder.loudest), skins, stimulus_numbers(sim, recorder.loudest)
+    run = recorder.loudest, recorder.peak_drive
+    return scene_numbers(sim, *run), skins, stimulus_numbers(sim, *run)
 
 
 def _whole_summary(

@@ -11,6 +11,7 @@ from palmfield.config.stimulus import AM_KEYS
 from palmfield.session.error_budget import stimulus_of
 from palmfield.session.planning.costs import scatterings
 from palmfield.session.planning.facts import first_drive
+from palmfield.session.planning.sight import out_of_sight
 from palmfield.session.preview import Preview
 from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
 from palmfield.skin.explicit_layer import explicit_layer
@@ -27,6 +28,7 @@ def advice(view: Preview) -> list[str]:
     """Warnings, each once."""
     model = view.runtime.model
     result = [text for number in range(len(model.skins)) for text in _far_focus(view, number)]
+    result += out_of_sight(view)
     for stimulus in model.stimuli:
         result += _keys_without_effect(stimulus)
         result += _path_off_the_skin(model, stimulus)

@@ -4,6 +4,7 @@ import numpy as np
 
 from palmfield.acoustics import validity
 from palmfield.acoustics.air import sound_speed
+from palmfield.config.skin import OF_SHAPES
 from palmfield.session.planning.facts import first_drive, qualities
 from palmfield.session.planning.rows import Row
 from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
@@ -18,8 +19,8 @@ def left_out(model: HapticModel) -> list[Row]:
         if skin.spec.moves or skin.carrier.hand is not None:
             rows.append(
                 Row(
-                    "the hand's own acceleration",
-                    "rho a h of shear on the base: 11 Pa for 1 m/s^2 on 10 mm",
+                    "the body's own acceleration",
+                    _inertia(skin),
                     "not modelled: displacements are in the moving frame, and its load is as slow as the motion",
                     skin.spec.name,
                 )
@@ -48,20 +49,36 @@ def left_out(model: HapticModel) -> list[Row]:
 
 def _sound_at_the_body_left_out(skin: SkinModel, bodies: int) -> list[Row]:
     rows, name = [], skin.spec.name
+    flat = skin.carrier.surface is None
+    of_hand = skin.spec.config.shape in OF_SHAPES["hand"]
     if skin.spec.config.body_sound == "none":
         why = "one part of the body does not shade another" + (", nor one body another" if bodies > 1 else "")
-        rows.append(Row("cast shadows", "nothing on the open hand there", why, name))
-    if skin.spec.config.body_sound != "scattering":
-        rows.append(
-            Row(
-                "scattered sound",
-                "4 % of the ARP on an open hand, 8 % on a finger, 16 % in a cup, more than half on skin turned away",
-                "relative L2, face by face, on the bodies of docs/bench/scattering.md, not on this one: the law takes "
-                "the wall as locally flat and rigid; no echo between parts, or between hand and array",
-                name,
-            )
+        size = (
+            "nothing on an open hand there"
+            if of_hand
+            else "none of its own on a flat face"
+            if flat
+            else "not estimated"
         )
+        rows.append(Row("cast shadows", size, why, name))
+    if skin.spec.config.body_sound != "scattering":
+        law = "the law takes the wall as locally flat and rigid"
+        if flat:
+            size, why = "not estimated", f"{law}, as this face is; left out are diffraction at its rim, and echoes "
+            why += "between it and the array"
+        else:
+            size = "4 % of the ARP on an open hand, 8 % on a finger, 16 % in a cup, more than half on skin turned away"
+            why = "relative L2, face by face, on the bodies of docs/bench/scattering.md, not on this one: "
+            why += f"{law}; no echo between parts, or between body and array"
+        rows.append(Row("scattered sound", size, why, name))
     return rows
+
+
+def _inertia(skin: SkinModel) -> str:
+    """Shear on the base of this layer for an acceleration of 1 m/s^2."""
+    sheets, depth = skin.layer.sheets, float(np.median(skin.layer.patch.depth))
+    density = sum(sheet.material.density_kg_m3 * sheet.thickness_m for sheet in sheets)
+    return f"rho a h of shear on the base: {density * depth:.2g} Pa for 1 m/s^2 on {1e3 * depth:.2g} mm"
 
 
 def _response_left_out(model: HapticModel, stimulus: StimulusModel) -> list[Row]:
@@ -118,7 +135,7 @@ def _cutoff_row(skin: SkinModel) -> list[Row]:
         Row(
             "waves below the cut-off",
             f"c_s/4h = {cutoff:.0f} Hz" + ("" if rigid else " at most"),
-            f"h {1e3 * depth:.1f} mm, the median; a layer bonded to rigid bone guides no wave below this, motion there "
+            f"h {1e3 * depth:.1f} mm, the median; a layer on a rigid base guides no wave below this, motion there "
             "stays local" + ("" if rigid else "; the springs below it lower it"),
             skin.spec.name,
         )
