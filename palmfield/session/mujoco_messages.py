@@ -153,6 +153,12 @@ FAULTS: tuple[tuple[str, Words], ...] = (
     (r"unrecognized name '([^']*)' (?:of|for) ([\w ]+)", _unknown_name),
     (r"neither 'plugin' nor 'instance' is specified", lambda *_: "names no plugin; add plugin=... and instance=..."),
     (
+        r"File '([^']*)' already included",
+        lambda found, element, text, plugins: f"file '{found[1]}' is included twice; include it once",
+    ),
+    (r"World body cannot have joints", lambda *_: "stands in the world, which doesn't move; put it into a <body>"),
+    (r"axis too small in joint", lambda *_: "has an axis without length; give attribute 'axis' a direction"),
+    (
         r"mass and inertia of moving bodies must be larger than mjMINVAL",
         lambda *_: "moves and has no mass; give the body a geom, an <inertial>, or no joint",
     ),

@@ -3,6 +3,7 @@
 MuJoCo's model doesn't say where in a file something stands, and its parser's messages don't say how to mend it.
 """
 
+import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -15,6 +16,8 @@ from palmfield.errors import SceneError, did_you_mean
 ROOTS = ("mujoco", "mujocoinclude", "robot")
 """What MuJoCo takes as the outermost element: of a scene, of what it includes, and of a URDF file."""
 
+NAMES = ("name", "class", "file", "model", "prefix", "timestep")
+"""How attributes end that are names and may be any word, and the one that palmfield reads."""
 AMPERSAND = "\x7f"
 """Stands for an & while a file is read: one byte that XML allows and nobody writes."""
 
@@ -96,7 +99,24 @@ def read_scene_text(path: Path) -> SceneText:
     _read(path, path, None, elements, set())
     if not elements:
         raise SceneError(f"{path}: the file has no element; allowed: <mujoco> with all that the scene has")
+    for one in elements:
+        _check_finite(one)
     return SceneText(path, tuple(elements))
+
+
+def _check_finite(element: Element) -> None:
+    """Refuse numbers that MuJoCo takes and nothing can be computed with; what palmfield reads is checked by itself."""
+    for name, value in element.attributes.items():
+        if name.endswith(NAMES) or element.tag in ("config", "text", "numeric") or not re.search(r"(?i)nan|inf", value):
+            continue
+        try:
+            numbers = [float(word) for word in value.split()]
+        except ValueError:
+            continue
+        if not all(map(math.isfinite, numbers)):
+            raise SceneError(
+                f"{element.where}: <{element.tag}> attribute '{name}' has value '{value}'; allowed: finite numbers"
+            )
 
 
 def _read(path: Path, scene: Path, holder: Element | None, elements: list[Element], open_files: set[Path]) -> None:
@@ -142,7 +162,15 @@ def elements_of(path: Path) -> list[Element]:
     def end(tag: str) -> None:
         open_elements.pop()
 
+    def between(stray: str) -> None:
+        if stray.strip():
+            raise SceneError(
+                f"{path}, line {parser.CurrentLineNumber}: text '{stray.strip()[:40]}' stands between elements, where "
+                "it says nothing; drop it, or make it an element or a comment"
+            )
+
     parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.CharacterDataHandler = between
     try:
         parser.Parse(_as_mujoco_reads(data), True)
     except (expat.ExpatError, LookupError, ValueError) as error:

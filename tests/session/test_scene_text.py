@@ -44,6 +44,10 @@ FAULTS = {
     "not closed": (GEOM, "<geom>" + GEOM, "<geom> of line 8 is not closed before this; close it by </geom> or />"),
     "quote": ('type="cylinder"', "type=cylinder", "a character stands where XML allows none; write values in quotes"),
     "massless": ("<geom type", '<body><joint/></body><geom type', "moves and has no mass; give the body a geom"),
+    "stray text": ("<worldbody>", "<worldbody> oops", "text 'oops' stands between elements, where it says"),
+    "no number": ('pos="0 0 0.12"', 'pos="nan 0 0.12"', "<body> attribute 'pos' has value 'nan 0 0.12'; allowed: "),
+    "axis": ('axis="1 0 0"', 'axis="0 0 0"', "<joint> has an axis without length; give attribute 'axis' a direction"),
+    "in the world": ("<body name", '<joint type="hinge"/><body name', "<joint> stands in the world, which"),
     "attribute twice": ('name="pad"', 'name="pad" name="pad"', "an attribute is given twice; give it once"),
 }  # fmt: skip
 
