@@ -11,10 +11,13 @@ print(result.summary)
 `dir(palmfield)` lists what is public; the packages below it, such as `palmfield.skin`, list theirs.
 """
 
+import logging
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from palmfield.errors import DeviceError, OutputError, PalmfieldError, SceneError
+
+logging.getLogger("palmfield").addHandler(logging.NullHandler())
 
 if TYPE_CHECKING:
     from palmfield.engine.host import raise_errors

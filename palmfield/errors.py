@@ -1,5 +1,8 @@
 """Errors that users see. Each message is one line: what was found, what is allowed, how to mend it."""
 
+import difflib
+from collections.abc import Iterable
+
 
 class PalmfieldError(Exception):
     """Base of every error that a user can cause and mend; the command line prints it and exits with 2."""
@@ -15,6 +18,13 @@ class DeviceError(PalmfieldError):
 
 class OutputError(PalmfieldError):
     """Results cannot be written or read back."""
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """` (did you mean 'x'?)` for what of the known words comes near; empty where none does."""
+    by_lower = {name.lower(): name for name in known}
+    near = difflib.get_close_matches(word.lower(), by_lower, n=1, cutoff=0.6)
+    return f" (did you mean '{by_lower[near[0]]}'?)" if near else ""
 
 
 MEMORY_SIGNS = ("Failed to allocate", "out of memory", "CUDA error 2:")

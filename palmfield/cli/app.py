@@ -5,17 +5,18 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
+from palmfield.cli import completion
+from palmfield.cli.messages import LEVELS, complain, show_log
 from palmfield.errors import PalmfieldError, SceneError
 
 app = typer.Typer(
-    add_completion=False,
     no_args_is_help=True,
     rich_markup_mode=None,
     help="Ultrasonic mid-air haptics: from an array's drive to radiation pressure on a hand, skin waves and what is "
     "felt.\n\n"
-    "Start with `palmfield new first` and `palmfield run first.xml`.",
+    "Start with `palmfield new first` and `palmfield run first/first.xml`.\n\n"
+    "--install-completion lets the shell complete commands, options, plugins and keys after TAB.",
 )
 SceneFile = Annotated[Path, typer.Argument(help="MJCF scene with palmfield plugins", metavar="SCENE.xml")]
 Device = Annotated[
@@ -35,12 +36,41 @@ Keys = Annotated[
         help="another value for a key of one instance, or of all instances of a plugin, e.g. "
         "stimulus.path_speed_m_s=11 (see `palmfield keys`); give it several times for several keys",
         metavar="INSTANCE.KEY=VALUE",
+        autocompletion=completion.settings,
     ),
 ]
+AsJson = Annotated[bool, typer.Option("--json", help="print JSON only, with units in the names, for other programs")]
+ANYWHERE = {"-v": 0, "--verbose": 0, "-q": 0, "--quiet": 0, "--log-level": 1}
+"""Options of the whole program, which may also stand after a command, and how many values follow each."""
+
+
+@app.callback(invoke_without_command=True)
+def program(
+    context: typer.Context,
+    version: Annotated[bool, typer.Option("--version", help="print the version and end")] = False,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="print warnings and errors only, and what --json asks for")
+    ] = False,
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="as --log-level debug")] = False,
+    log_level: Annotated[
+        str | None,
+        typer.Option(help=f"from where on the log is shown: {', '.join(LEVELS)} [default: info]", metavar="LEVEL"),
+    ] = None,
+) -> None:
+    if version:
+        import palmfield
+
+        print(f"palmfield {palmfield.__version__}")
+        raise typer.Exit()
+    if quiet and verbose:
+        raise SceneError("--quiet and --verbose say the opposite; give one of them")
+    show_log(log_level or ("debug" if verbose else "warning" if quiet else "info"))
+    context.obj = quiet
 
 
 @app.command()
 def run(
+    context: typer.Context,
     scene: SceneFile,
     out: Annotated[Path | None, typer.Option(help="folder for the results [default: out/SCENE]")] = None,
     device: Device = None,
@@ -48,6 +78,7 @@ def run(
     accuracy: Accuracy = None,
     keys: Keys = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace another run's results in the folder")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Simulate a scene and write result.nc, summary.json, pictures and scene.usdc.
 
@@ -57,32 +88,26 @@ def run(
 
     Example: palmfield run mjcf/scenes/palm_am200.xml --out out/palm --set stimulus.am_frequency_Hz=100
     """
-    import palmfield
-    from palmfield.outputs.summary_table import format_summary
-    from palmfield.session.plan import warnings
+    from palmfield.cli.run import run_scene
 
     _check_duration(duration)
-    with Console(stderr=True).status(f"loading {scene}"):
-        simulation = palmfield.Simulation(scene, device=device, accuracy=accuracy, keys=_given(keys))
-    target = out or Path("out") / scene.stem
-    for warning in warnings(simulation):
-        complain(f"warning: {warning}")
-    try:
-        result = palmfield.run(simulation, target, duration_s=duration, overwrite=overwrite)
-    except KeyboardInterrupt:
-        complain(f"interrupted; what was computed is in {target}; `palmfield recover {target}` draws its pictures")
-        raise typer.Exit(130) from None
-    print(format_summary(result.summary), end="")
-    for path in result.files.values():
-        print(f"wrote {path}")
+    run_scene(
+        scene, out or Path("out") / scene.stem, device=device, accuracy=accuracy, keys=_given(keys),
+        duration_s=duration, overwrite=overwrite, quiet=context.obj, as_json=as_json,
+    )  # fmt: skip
 
 
 def _given(keys: list[str] | None) -> dict[str, str]:
-    """Keys as `palmfield.load` takes them. Raises SceneError for one without a value."""
+    """Keys as `palmfield.load` takes them. Raises SceneError for one without a value, and for one given twice."""
+    result: dict[str, str] = {}
     for text in keys or ():
-        if "=" not in text:
+        name, equals, value = text.partition("=")
+        if not equals:
             raise SceneError(f"--set {text} has no value; write INSTANCE.KEY=VALUE, e.g. stimulus.path_speed_m_s=11")
-    return dict(text.split("=", 1) for text in keys or ())
+        if name in result:
+            raise SceneError(f"--set gives {name} twice, '{result[name]}' and '{value}'; allowed: each key once")
+        result[name] = value
+    return result
 
 
 def _check_duration(duration: float | None) -> None:
@@ -91,26 +116,46 @@ def _check_duration(duration: float | None) -> None:
 
 
 @app.command()
-def plan(scene: SceneFile, device: Device = None, accuracy: Accuracy = None, keys: Keys = None) -> None:
+def plan(
+    scene: SceneFile,
+    device: Device = None,
+    duration: Annotated[float | None, typer.Option(help="simulated time [s] [default: the scene's]")] = None,
+    accuracy: Accuracy = None,
+    keys: Keys = None,
+    as_json: AsJson = False,
+) -> None:
     """Say what would be modelled and what left out, why, and at what cost and error. Simulates nothing.
 
-    Example: palmfield plan mjcf/scenes/palm_am200.xml --accuracy 0.02
+    Example: palmfield plan mjcf/scenes/palm_am200.xml --accuracy 0.02 --duration 0.5
     """
     import palmfield
+    from palmfield.cli.as_json import print_json
 
-    print(palmfield.plan(scene, device=device, accuracy=accuracy, keys=_given(keys)), end="")
+    _check_duration(duration)
+    made = palmfield.plan(scene, device=device, accuracy=accuracy, keys=_given(keys), duration_s=duration)
+    if as_json:
+        print_json(made.as_dict())
+    else:
+        print(made, end="")
 
 
 @app.command()
-def info(scene: SceneFile, device: Device = None, accuracy: Accuracy = None, keys: Keys = None) -> None:
+def info(
+    scene: SceneFile, device: Device = None, accuracy: Accuracy = None, keys: Keys = None, as_json: AsJson = False
+) -> None:
     """Show what a scene contains: arrays, air, stimuli, surfaces, skins, materials, laws and conventions.
 
     Example: palmfield info mjcf/scenes/phantom_step.xml
     """
+    from palmfield.cli.as_json import print_json, scene_facts
     from palmfield.cli.describe import describe
     from palmfield.session.preview import preview
 
-    print(describe(preview(scene, device=device, accuracy=accuracy, keys=_given(keys))), end="")
+    view = preview(scene, device=device, accuracy=accuracy, keys=_given(keys))
+    if as_json:
+        print_json(scene_facts(view))
+    else:
+        print(describe(view), end="")
 
 
 @app.command()
@@ -143,41 +188,75 @@ def drive(
         raise SceneError("`palmfield drive` needs either --port (a board) or --record (a file); give one of them")
     _check_duration(duration)
     if focus is not None:
-        print(play_focus(focus, board, port, record, 10.0 if duration is None else duration))
+        print(play_focus(focus, board, port, record, 10.0 if duration is None else duration, progress=True))
     elif scene is not None:
-        print(play_scene(scene, board, port, record, duration))
+        print(play_scene(scene, board, port, record, duration, progress=True))
 
 
 @app.command()
 def keys(
-    plugin: Annotated[str | None, typer.Argument(help="one module, e.g. palmfield.skin", metavar="[PLUGIN]")] = None,
+    plugin: Annotated[
+        str | None,
+        typer.Argument(
+            help="one module, e.g. skin for palmfield.skin", metavar="[PLUGIN]", autocompletion=completion.plugins
+        ),
+    ] = None,
     markdown: Annotated[bool, typer.Option(help="as the page docs/keys.md")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """List every key that a scene can set, with unit, allowed values, default and meaning.
 
-    Example: palmfield keys palmfield.stimulus
+    Example: palmfield keys stimulus
     """
-    from palmfield.cli.keys import as_markdown, as_text
+    from palmfield.cli.as_json import print_json
+    from palmfield.cli.keys import as_dict, as_markdown, as_text
 
-    print(as_markdown() if markdown else as_text(plugin), end="")
+    if as_json:
+        print_json(as_dict(plugin))
+    else:
+        print(as_markdown() if markdown else as_text(plugin), end="")
 
 
 @app.command()
 def new(
-    name: Annotated[str, typer.Argument(help="name of the scene; writes NAME.xml and NAME_plain.xml here")],
+    name: Annotated[str, typer.Argument(help="name of the scene; writes the folder NAME here")],
 ) -> None:
     """Write a commented scene that runs: a hand over an array and a 200 Hz focus on the palm.
 
-    NAME_plain.xml opens in any MuJoCo; NAME.xml adds the haptics and opens where palmfield is installed.
+    NAME/NAME_plain.xml opens in any MuJoCo; NAME/NAME.xml adds the haptics and opens where palmfield is installed. The
+    folder has all that they refer to, so that it can be moved and sent.
 
-    Example: palmfield new first && palmfield run first.xml
+    Example: palmfield new first && palmfield run first/first.xml
     """
     from palmfield.cli.template import write_scene
-    from palmfield.data import folder
 
     for path in write_scene(name):
         print(f"wrote {path}")
-    print(f"next: palmfield run {name}.xml (it refers to the arrays and hands in {folder('mjcf')})")
+    print(f"next: palmfield run {Path(name) / name}.xml")
+
+
+@app.command()
+def migrate(
+    scene: SceneFile,
+    out: Annotated[Path | None, typer.Option(help="file to write [default: the scene's own]")] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="replace a file that is there")] = False,
+) -> None:
+    """Rewrite a scene of the last version: keys and values that are renamed get their new names.
+
+    Comments and layout stay; what was changed is printed. A file that is there is kept, unless you ask for --overwrite.
+
+    Examples: palmfield migrate old.xml --out new.xml
+
+    palmfield migrate scene.xml --overwrite
+    """
+    from palmfield.session.migrate import migrate as rewrite
+
+    result = rewrite(scene, out, overwrite=overwrite)
+    for change in result.changes:
+        print(change)
+    print(f"wrote {scene if out is None else out}" if result.changes else f"{scene} has nothing that is renamed")
+    for other in result.others:
+        print(f"it includes {other}, which has renamed keys too: palmfield migrate {other}")
 
 
 @app.command()
@@ -203,6 +282,7 @@ def hand(
 
 @app.command()
 def sweep(
+    context: typer.Context,
     scene: SceneFile,
     settings: Annotated[
         list[str] | None,
@@ -269,7 +349,7 @@ def sweep(
     run_sweep(
         scene, out or Path("out") / f"{scene.stem}_sweep", settings or [], random_points=random, sobol_points=sobol,
         table=table, seed=seed, workers=workers, scheduler=scheduler, device=device, accuracy=accuracy,
-        duration_s=duration, errors=errors, picture=picture, yes=yes,
+        duration_s=duration, errors=errors, picture=picture, yes=yes, quiet=context.obj,
     )  # fmt: skip
 
 
@@ -281,7 +361,7 @@ def recover(out: Annotated[Path, typer.Argument(help="folder of a run that was c
     """
     from palmfield.session.run import recover as finish
 
-    for path in finish(out).values():
+    for path in finish(out, progress=True).values():
         print(f"wrote {path}")
 
 
@@ -406,12 +486,20 @@ def bench_scene(
 def main() -> None:
     """Entry point: users' errors become one line on standard error and exit code 2."""
     try:
-        app(standalone_mode=True)
+        app(_anywhere(sys.argv[1:]), standalone_mode=True)
     except PalmfieldError as error:
         complain(str(error))
         sys.exit(2)
 
 
-def complain(text: str) -> None:
-    """One line on standard error."""
-    Console(stderr=True, soft_wrap=True, markup=False, highlight=False, emoji=False).print(f"palmfield: {text}")
+def _anywhere(arguments: list[str]) -> list[str]:
+    """Arguments with the options of the whole program before the command."""
+    first, rest, waiting = [], [], 0
+    for argument in arguments:
+        name, equals, _ = argument.partition("=")
+        if waiting or name in ANYWHERE:
+            first.append(argument)
+            waiting = waiting - 1 if waiting else ANYWHERE[name] * (not equals)
+        else:
+            rest.append(argument)
+    return first + rest

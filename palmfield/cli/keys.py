@@ -2,12 +2,13 @@
 
 import io
 from collections.abc import Sequence
+from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
 from palmfield.config import CONFIGS, Config, renamed_table, table
-from palmfield.errors import SceneError
+from palmfield.errors import SceneError, did_you_mean
 
 HEADINGS = ("key", "unit", "allowed", "default", "meaning")
 RENAMED = "Since the last version; a scene that has these is told what to use."
@@ -20,10 +21,11 @@ SCENE_KEYS = (
 
 
 def as_text(plugin: str | None = None) -> str:
-    """Tables for the terminal, of one module or of all. Raises SceneError for an unknown module."""
-    chosen = [c for c in CONFIGS if plugin in (None, c.plugin)]
-    if not chosen:
-        raise SceneError(f"there is no plugin '{plugin}'; allowed: {', '.join(c.plugin for c in CONFIGS)}")
+    """Tables for the terminal, of one module or of all.
+
+    plugin: its name, with or without `palmfield.`. Raises SceneError for an unknown one.
+    """
+    chosen = chosen_configs(plugin)
     stream = io.StringIO()
     console = Console(file=stream, width=130)
     for config in chosen:
@@ -43,6 +45,37 @@ def as_text(plugin: str | None = None) -> str:
             grid.add_row(old, use)
         console.print(grid)
     return stream.getvalue()
+
+
+def as_dict(plugin: str | None = None) -> dict[str, Any]:
+    """The keys of one plugin or of all, as JSON has them; units are texts. Errors as `as_text`."""
+    chosen = chosen_configs(plugin)
+    plugins = [
+        {
+            "plugin": config.plugin,
+            "about": config.about,
+            "keys": [dict(zip(HEADINGS, row, strict=True)) for row in table(config)],
+            "renamed": [{"was": old, "use": use} for old, use in renamed_table(config)],
+        }
+        for config in chosen
+    ]
+    if plugin is not None:
+        return {"plugins": plugins}
+    return {"plugins": plugins, "scene_keys": [dict(zip(HEADINGS, row, strict=True)) for row in SCENE_KEYS]}
+
+
+def chosen_configs(plugin: str | None) -> list[type[Config]]:
+    """The keys' models of one plugin, by its name with or without `palmfield.`, or of all.
+
+    Raises SceneError for an unknown one.
+    """
+    names = {config.plugin.removeprefix("palmfield."): config for config in CONFIGS}
+    if plugin is None:
+        return list(CONFIGS)
+    short = plugin.removeprefix("palmfield.")
+    if short not in names:
+        raise SceneError(f"there is no plugin '{plugin}'{did_you_mean(short, names)}; allowed: {', '.join(names)}")
+    return [names[short]]
 
 
 def as_markdown() -> str:

@@ -5,8 +5,8 @@ import sys
 from pathlib import Path
 
 import typer
-from rich.console import Console
 
+from palmfield.cli.messages import complain
 from palmfield.studies.sweep.run import Sweep, sweep
 from palmfield.studies.sweep.texts import read_design
 
@@ -30,6 +30,7 @@ def run_sweep(
     errors: bool,
     picture: bool,
     yes: bool,
+    quiet: bool,
 ) -> None:
     """Sweep and say what was written; exit code 130 on Ctrl-C, 1 where no point is done."""
     design, fixed = read_design(
@@ -38,16 +39,17 @@ def run_sweep(
     try:
         result = sweep(
             scene, design, out, keys=fixed, workers=workers, scheduler=scheduler, device=device, accuracy=accuracy,
-            duration_s=duration_s, errors=errors, picture=picture, yes=yes,
+            duration_s=duration_s, errors=errors, picture=picture, yes=yes, progress=not quiet,
             ask=typer.confirm if sys.stdin.isatty() else None,
         )  # fmt: skip
     except KeyboardInterrupt:
-        Console(stderr=True, soft_wrap=True, markup=False, highlight=False, emoji=False).print(
-            f"palmfield: interrupted; the points that were done are in {out}; the same command goes on: "
+        complain(
+            f"interrupted; the points that were done are in {out}; the same command goes on: "
             f"{shlex.join(['palmfield', *sys.argv[1:]])}"
         )
         raise typer.Exit(130) from None
-    print(in_words(result), end="")
+    if not quiet:
+        print(in_words(result), end="")
     if not result.done:
         raise typer.Exit(1)
 

@@ -1,15 +1,17 @@
 """The scene that `palmfield new` writes."""
 
-import os
 from pathlib import Path
 
 from palmfield.data import folder
 from palmfield.errors import OutputError, SceneError
 
+ARRAY = folder("mjcf") / "arrays" / "uhev1.xml"
+HAND = folder("mjcf") / "hands" / "open_men_p50.xml"
+
 PLAIN = """<!-- {name}: an open hand, palm down, 200 mm over a 16x16 array. No plugins: opens in any MuJoCo. -->
 <mujoco model="{name}_plain">
-  <include file="{arrays}/uhev1.xml"/>
-  <include file="{hands}/open_men_p50.xml"/>
+  <include file="{array}"/>
+  <include file="{hand}"/>
   <statistic center="0 0 0.1" extent="0.4"/>
   <worldbody>
     <light pos="0.2 -0.4 0.6" dir="-0.3 0.5 -0.7"/>
@@ -72,20 +74,23 @@ HAPTIC = """<!-- {name}: run with `palmfield run {name}.xml`, or watch with `pyt
 
 
 def write_scene(name: str, where: Path = Path()) -> list[Path]:
-    """Write NAME_plain.xml and NAME.xml; returns their paths.
+    """Write the folder NAME with NAME.xml, NAME_plain.xml and the array and hand that they include; returns the paths.
 
-    Raises SceneError for a name that is no file name, OutputError where a file exists or can't be written.
+    The folder can be moved and sent: its files name each other, and nothing outside.
+    Raises SceneError for a name that is no file name, OutputError where the folder exists or can't be written.
     """
     if not name.replace("_", "").replace("-", "").isalnum():
         raise SceneError(f"scene name '{name}' is not usable; allowed: letters, digits, - and _")
-    data = os.path.relpath(folder("mjcf"), where)
-    texts = {where / f"{name}_plain.xml": PLAIN, where / f"{name}.xml": HAPTIC}
-    for path in texts:
-        if path.exists():
-            raise OutputError(f"{path} exists already; choose another name or move it away")
-    for path, text in texts.items():
-        try:
-            path.write_text(text.format(name=name, arrays=f"{data}/arrays", hands=f"{data}/hands"))
-        except OSError as error:
-            raise OutputError(f"{path} can't be written ({error.strerror}); choose another folder") from error
-    return list(texts)
+    target = where / name
+    if target.exists():
+        raise OutputError(f"{target} exists already; choose another name or move it away")
+    parts = {path.name: path.read_text(encoding="utf-8") for path in (ARRAY, HAND)}
+    names = {"name": name, "array": ARRAY.name, "hand": HAND.name}
+    texts = {f"{name}.xml": HAPTIC.format(**names), f"{name}_plain.xml": PLAIN.format(**names), **parts}
+    try:
+        target.mkdir(parents=True)
+        for file, text in texts.items():
+            (target / file).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise OutputError(f"{target} can't be written ({error.strerror}); choose another folder") from error
+    return [target / file for file in texts]

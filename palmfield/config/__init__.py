@@ -1,7 +1,7 @@
 """Typed configuration of the modules. These models are the one source of the scene's keys, units and defaults."""
 
 from palmfield.config.array import ArrayConfig
-from palmfield.config.base import Config, allowed, known_keys, parse, renamed_table, table, unit
+from palmfield.config.base import Config, allowed, known_keys, parse, renamed_table, table, unit, unknown_key
 from palmfield.config.driver import DriverConfig
 from palmfield.config.motion import MotionConfig
 from palmfield.config.skin import ArpLaw, Base, Side, SkinConfig
@@ -11,5 +11,5 @@ CONFIGS: tuple[type[Config], ...] = (ArrayConfig, StimulusConfig, SkinConfig, Dr
 
 __all__ = [
     "CONFIGS", "ArpLaw", "ArrayConfig", "Base", "Config", "DriverConfig", "MotionConfig", "Side", "SkinConfig",
-    "StimulusConfig", "allowed", "known_keys", "parse", "renamed_table", "table", "unit",
+    "StimulusConfig", "allowed", "known_keys", "parse", "renamed_table", "table", "unit", "unknown_key",
 ]  # fmt: skip

@@ -5,7 +5,7 @@ from typing import Annotated, Any, ClassVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-from palmfield.errors import SceneError
+from palmfield.errors import SceneError, did_you_mean
 
 
 def split(value: Any) -> Any:
@@ -82,8 +82,16 @@ def _explain(model: type[Config], values: dict[str, str], error: Any) -> str:
         return error["msg"].removeprefix("Value error, ")
     key = str(error["loc"][0])
     if key not in model.model_fields:
-        return f"unknown key '{key}'; allowed: {', '.join(model.model_fields)}"
-    return f"key '{key}' has value '{values[key]}'; allowed: {allowed(model, key)}"
+        return unknown_key(model, key)
+    takes = allowed(model, key)
+    near = did_you_mean(values[key], takes.split(" | ")) if " | " in takes else ""
+    return f"key '{key}' has value '{values[key]}'{near}; allowed: {takes}"
+
+
+def unknown_key(model: type[Config], key: str) -> str:
+    """What to say of a key that a module doesn't have."""
+    near = did_you_mean(key, model.model_fields)
+    return f"unknown key '{key}'{near}; allowed: {', '.join(model.model_fields)}"
 
 
 def allowed(model: type[Config], key: str) -> str:

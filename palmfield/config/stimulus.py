@@ -1,5 +1,6 @@
 """Keys of palmfield.stimulus."""
 
+import math
 from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
@@ -19,8 +20,26 @@ NEEDED: dict[str, tuple[str, ...]] = {
 }
 """Keys without which a path has no shape."""
 OPTIONAL: dict[str, tuple[str, ...]] = {"zigzag": ("path_corners",), "lissajous": ("path_ratio", "path_phase_deg")}
+AM_KEYS = ("am_of", "am_frequency_Hz", "am_depth")
+FARTHEST_FOCUS_M = 10.0
+"""No array focuses there: at 40 kHz air takes 13 dB on the way."""
+USUAL_FOCUS_M = 0.2
 MOVING = ("path_rate_Hz", "path_speed_m_s", "path_end", "path_points")
 PATH_KEYS = (*MOVING, *{key for keys in (*NEEDED.values(), *OPTIONAL.values()) for key in keys})
+
+
+def too_far(focus_m: tuple[float, float, float]) -> str | None:
+    """What is wrong with a focus [m] that lies farther off than any can, with the likely unit; else None."""
+    distance = math.dist(focus_m, (0.0, 0.0, 0.0))
+    if distance <= FARTHEST_FOCUS_M:
+        return None
+    units = {"millimetres": 1e-3, "centimetres": 1e-2}
+    unit = min(units, key=lambda name: abs(math.log(distance * units[name] / USUAL_FOCUS_M)))
+    metres = " ".join(f"{x * units[unit]:.6g}" for x in focus_m)
+    return (
+        f"which is {distance:g} m away; allowed: metres, at most {FARTHEST_FOCUS_M:g} from the origin; if these are "
+        f"{unit}, give {metres}"
+    )
 
 
 class StimulusConfig(Config):
@@ -100,7 +119,7 @@ class StimulusConfig(Config):
     @model_validator(mode="after")
     def _complete(self) -> Self:
         if self.modulation == "am":
-            missing = [k for k in ("am_of", "am_frequency_Hz", "am_depth") if getattr(self, k) is None]
+            missing = [k for k in AM_KEYS if getattr(self, k) is None]
             if missing:
                 raise ValueError(f"modulation 'am' needs {', '.join(missing)}")
         if len(set(self.arrays)) < len(self.arrays):
@@ -109,6 +128,8 @@ class StimulusConfig(Config):
             raise ValueError(
                 f"on_skin belongs to a path on the skin, path_on is '{self.path_on}': drop it or set path_on"
             )
+        if (far := too_far(self.focus_m)) is not None:
+            raise ValueError(f"key 'focus_m' has value '{' '.join(f'{x:g}' for x in self.focus_m)}', {far}")
         self._check_path()
         self._check_foci_and_bursts()
         if self.arp_peak_Pa is not None and self.drive_amplitude is not None:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from palmfield.config import StimulusConfig
 from palmfield.drive.boards import BOARDS, Board, board_named
 from palmfield.drive.link import FrameSink, RecordLink, line_time_s
-from palmfield.errors import DeviceError
+from palmfield.errors import DeviceError, did_you_mean
 from palmfield.stimulus.schedule import frame_rates, jumps
 from palmfield.types import Complex
 
@@ -34,7 +34,7 @@ def playable_board(name: str) -> Board:
     """The board of that name, which takes bytes. Raises DeviceError for others, with those that do."""
     names = [board.name for board in BOARDS.values() if not board.exact]
     if name not in names:
-        raise DeviceError(f"board '{name}' is not known; allowed: {', '.join(names)}")
+        raise DeviceError(f"board '{name}' is not known{did_you_mean(name, names)}; allowed: {', '.join(names)}")
     return board_named(name)
 
 

@@ -203,6 +203,9 @@ def _read_plain(file: Path) -> tuple[Float, Int]:
     # trimesh lets every kind of exception of its parsers through (ValueError, IndexError, struct.error, ...).
     except Exception as error:
         reason = " ".join(str(error).split())[:120] or type(error).__name__
+        if isinstance(error, ImportError):
+            # trimesh asks another package what text this is, once it is none that it knows
+            reason = f"it is no {file.suffix[1:].upper()} file, or its text is not UTF-8"
         raise SceneError(f"mesh {file} cannot be read ({reason}); export it again") from error
     vertices = np.asarray(getattr(mesh, "vertices", np.zeros((0, 3))), dtype=np.float64)
     return vertices, np.asarray(getattr(mesh, "faces", np.zeros((0, 3))), dtype=np.int32)

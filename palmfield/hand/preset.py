@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from palmfield.data import folder
-from palmfield.errors import SceneError
+from palmfield.errors import SceneError, did_you_mean
 
 DIGITS = ("thumb", "index", "middle", "ring", "little")
 Length = Annotated[float, Field(gt=0.0, lt=1.0)]
@@ -160,9 +160,10 @@ def load_preset(name_or_path: str | Path) -> HandPreset:
     elif str(name_or_path) in preset_names():
         path = folder("hand_models") / f"{name_or_path}.toml"
     else:
+        near = did_you_mean(str(name_or_path), preset_names())
         raise SceneError(
-            f"hand preset {str(name_or_path)!r} is unknown; use one of: {', '.join(preset_names())}, "
-            "or the path of a .toml file"
+            f"hand preset {str(name_or_path)!r} is unknown{near}; use one of: {', '.join(preset_names())}, or the path "
+            "of a .toml file"
         )
     try:
         data = tomllib.loads(path.read_text(encoding="utf-8"))

@@ -7,7 +7,7 @@ from typing import Any, Literal, NamedTuple
 import mujoco
 import numpy as np
 
-from palmfield.errors import SceneError
+from palmfield.errors import SceneError, did_you_mean
 from palmfield.mujoco_host.structs import Plugin, library, mirror
 from palmfield.transforms import Transform, rotation_matrix
 from palmfield.types import Float
@@ -45,7 +45,9 @@ class ModelView:
         """Number of a named object; SceneError, naming the asking `element`, where the scene has none of that name."""
         number = library().mj_name2id(self.address, int(_OBJECT[kind]), name.encode())
         if number < 0:
-            raise SceneError(f"{element}: the scene has no {kind} '{name}'; it has: {', '.join(self.names(kind))}")
+            names = self.names(kind)
+            near = did_you_mean(name, names)
+            raise SceneError(f"{element}: the scene has no {kind} '{name}'{near}; it has: {', '.join(names)}")
         return number
 
     def names(self, kind: Kind) -> list[str]:

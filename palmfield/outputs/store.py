@@ -284,10 +284,15 @@ def write_json(path: Path, obj: object) -> None:
         raise OutputError(
             f"cannot write {path} as JSON: {error}; give finite numbers, text, lists and dicts"
         ) from error
+    write_whole(Path(path), text.encode() + b"\n")
+
+
+def write_whole(path: Path, data: bytes) -> None:
+    """Write a file in one atomic step. Raises OutputError where it cannot be written."""
     try:
-        _write(Path(path), text.encode() + b"\n")
+        _write(path, data)
     except OSError as error:
-        raise _unwritable(Path(path), error) from error
+        raise _unwritable(path, error) from error
 
 
 def _unwritable(path: Path, error: OSError) -> OutputError:

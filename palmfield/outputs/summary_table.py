@@ -30,9 +30,10 @@ def format_summary(summary: Mapping[str, Any]) -> str:
         for one in stimuli
         if "drive_level" in one
     ] + array_rows(summary["arrays"])
+    level = max((one.get("drive_level", 0.0) for one in stimuli), default=0.0)
     grid = Table(show_header=False)
     for number, skin in enumerate(skins):
-        sound, motion = _sound(skin), _motion(skin)
+        sound, motion = _sound(skin, level), _motion(skin)
         # With one skin, sound, drive and motion stand in the order in which one follows from the other.
         rows = sound + drives + motion if len(skins) == 1 else [("SKIN", skin["name"]), *sound, *motion]
         if number == 0 and len(skins) > 1:
@@ -49,17 +50,20 @@ def format_summary(summary: Mapping[str, Any]) -> str:
     return stream.getvalue()
 
 
-def _sound(skin: Mapping[str, Any]) -> list[Row]:
+def _sound(skin: Mapping[str, Any], drive_level: float) -> list[Row]:
+    """drive_level: highest of all stimuli, relative to full"""
     rows: list[Row] = []
-    level, of_pressure = level_band(skin), level_band(skin) / 2.0
-    if "peak_pressure_Pa" in skin:
-        loud = skin["peak_pressure_dB_SPL"]
-        spl = "silence" if loud is None else f"{loud:.{0 if level > COARSE else 1}f} dB SPL"
-        rows.append(("peak sound pressure", f"{figures(skin['peak_pressure_Pa'], of_pressure)} Pa ({spl})"))
+    band = level_band(skin)
+    if "peak_pressure_Pa" in skin and skin["peak_pressure_dB_SPL"] is not None:
+        spl = f"{skin['peak_pressure_dB_SPL']:.{0 if band > COARSE else 1}f} dB SPL"
+        rows.append(("peak sound pressure", f"{figures(skin['peak_pressure_Pa'], band / 2.0)} Pa ({spl})"))
+    elif "peak_pressure_Pa" in skin:
+        runs = f"no sound pushes this skin, though the array runs, at {drive_level:.3f} of full: see plan"
+        rows.append(("peak sound pressure", runs if drive_level > 0.0 else "0 Pa (silence: the array doesn't run)"))
     if "peak_arp_Pa" in skin:
-        rows.append(("peak ARP", f"{figures(skin['peak_arp_Pa'], level)} Pa"))
+        rows.append(("peak ARP", f"{figures(skin['peak_arp_Pa'], band)} Pa"))
     if "total_force_peak_N" in skin:
-        rows.append(("total force", f"{figures(1e3 * skin['total_force_peak_N'], level)} mN"))
+        rows.append(("total force", f"{figures(1e3 * skin['total_force_peak_N'], band)} mN"))
     return rows
 
 

@@ -97,8 +97,11 @@ def _nonlinear(posed: PosedScene, stimulus: StimulusModel, drive: Complex, focus
 def _scattered(model: HapticModel, skin: int, posed: PosedScene, focus: Float) -> list[Bias]:
     """The law takes the wall as flat and rigid."""
     part = model.skins[skin]
-    if part.spec.config.body_sound == "scattering" or part.carrier.surface is None:
+    if part.spec.config.body_sound == "scattering":
         return []
+    if part.carrier.surface is None:
+        why = "the law takes the wall as flat and rigid, as this face is; left out is diffraction at its rim"
+        return [Bias("scattered sound", None, None, why)]
     place = posed.skins[skin]
     length = sound_speed(posed.arrays.air) / posed.arrays.array.frequency_Hz
     radius = least_radius_m(place.nodes[0], focus, NEAR_M)

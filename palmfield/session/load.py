@@ -1,7 +1,8 @@
 """From a scene file, an MjSpec or a compiled model to MuJoCo's model and data, with other values for its keys."""
 
+import logging
 import re
-import xml.etree.ElementTree as ElementTree
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from os import PathLike
@@ -11,13 +12,17 @@ from typing import Any, NamedTuple, TypeAlias
 import mujoco
 import numpy as np
 
-from palmfield.config import known_keys
+from palmfield.config import Config, allowed, known_keys, unknown_key
+from palmfield.data import folder as data_folder
 from palmfield.engine.host import compiling, take_compile_error
 from palmfield.engine.modules import MODULES
 from palmfield.engine.motion_plugin import place
-from palmfield.errors import PalmfieldError, SceneError
+from palmfield.errors import PalmfieldError, SceneError, did_you_mean
+from palmfield.session.mujoco_messages import in_words
+from palmfield.session.scene_text import SceneText, read_scene_text, sensors_without_objtype
 from palmfield.simulation.scene_reader import DEVICE
 
+LOG = logging.getLogger("palmfield.session")
 FILES = {
     "palmfield.array": ("calibration", "transducers"),
     "palmfield.skin": ("mesh",),
@@ -43,7 +48,7 @@ def compiled(
     device: where fields are computed (auto, cpu, cuda:N); accuracy: wanted relative error of the skin displacement, of
         all skins; board: what plays the drive
     keys: other values for keys by INSTANCE.key, or PLUGIN.key for all instances of a plugin, such as
-        {"stimulus.focus_m": (0, 0, 0.19)}: numbers, text, sequences and arrays; None takes a key out
+        {"stimulus.focus_m": (0, 0, 0.19)}: numbers, text, sequences and arrays; None or "" takes a key out
     Raises SceneError (or DeviceError) with a one-line message that names element, key, value and what is allowed.
     """
     if device is not None and not re.fullmatch(r"auto|cpu|cuda:\d+", device):
@@ -56,23 +61,25 @@ def compiled(
                 "with the keys, or the model without"
             )
         return "model", source, fresh_data(source, "model")
-    name, spec, folder = opened(source)
-    with _kept(spec):
-        model = _compiled_with(spec, name, folder, device=device, accuracy=accuracy, board=board, keys=keys or {})
-    return name, model, fresh_data(model, name)
+    started = time.perf_counter()
+    scene = opened(source)
+    with _kept(scene.spec):
+        model = _compiled_with(scene, device=device, accuracy=accuracy, board=board, keys=keys or {})
+    data = fresh_data(model, scene.name, scene.text)
+    LOG.debug("opened %s in %.2f s", scene.name, time.perf_counter() - started)
+    return scene.name, model, data
 
 
 def _compiled_with(
-    spec: mujoco.MjSpec,
-    name: str,
-    folder: Path | None,
+    scene: "Opened",
     *,
     device: str | None,
     accuracy: float | None,
     board: str | None,
     keys: Mapping[str, object],
 ) -> mujoco.MjModel:
-    """The model of a spec, which is left with these keys; see `compiled`."""
+    """The model of a scene, whose spec is left with these keys; see `compiled`."""
+    name, spec, folder, text = scene
     _check_plugins(spec, name)
     _check_sensors(spec, name)
     if device is not None:
@@ -85,10 +92,11 @@ def _compiled_with(
         if plugin.plugin_name == DRIVER and board is not None:
             config["board"] = board
         for key, value in changes.get(plugin.name, {}).items():
-            if value is None:
+            if value is None or (isinstance(value, str) and not value):
                 config.pop(key, None)
             else:
                 config[key] = as_text(value)
+        _check_keys(plugin, config, scene)
         for key in FILES.get(plugin.plugin_name, ()):
             if config.get(key) and folder is not None and not Path(config[key]).is_absolute():
                 config[key] = str(folder / config[key])
@@ -99,7 +107,7 @@ def _compiled_with(
         with compiling():
             return spec.compile()
     except (ValueError, mujoco.FatalError) as error:
-        raise _explained(error, name) from None
+        raise _explained(error, name, text) from None
 
 
 @contextmanager
@@ -139,21 +147,47 @@ def as_text(value: object) -> str:
     return str(value)
 
 
-def opened(source: str | Path | mujoco.MjSpec) -> tuple[str, mujoco.MjSpec, Path | None]:
-    """The scene's name for messages, its spec, and the folder that its files are relative to."""
+class Opened(NamedTuple):
+    """A scene that is read and not compiled.
+
+    name: for messages; folder: that its files are relative to; text: its files, None where it came as an MjSpec
+    """
+
+    name: str
+    spec: mujoco.MjSpec
+    folder: Path | None
+    text: SceneText | None
+
+
+def opened(source: str | Path | mujoco.MjSpec) -> Opened:
+    """The scene's spec and what is known of its files. Raises SceneError for what can't be read."""
     if isinstance(source, mujoco.MjSpec):
         folder = Path(source.modelfiledir).resolve() if source.modelfiledir else None
-        return source.modelname or "the spec", source, folder
+        return Opened(source.modelname or "the spec", source, folder, None)
     if not isinstance(source, str | PathLike):
         raise SceneError(f"scene is {source!r}; allowed: the path of a file, an MjSpec or an MjModel")
     path = Path(source)
     if not path.is_file():
-        raise SceneError(f"scene {path} does not exist; `palmfield new NAME` writes one to start from")
-    _check_sensors_of_file(path)
+        raise SceneError(_no_scene(path))
+    text = read_scene_text(path)
+    for sensor in sensors_without_objtype(text):
+        raise _without_objtype(sensor.where, sensor.attributes.get("name", ""), sensor.attributes.get("plugin", ""))
     try:
-        return str(path), mujoco.MjSpec.from_file(str(path)), path.resolve().parent
+        return Opened(str(path), mujoco.MjSpec.from_file(str(path)), path.resolve().parent, text)
     except (ValueError, mujoco.FatalError) as error:
-        raise SceneError(f"{path}: {_with_choices(_one_line(error))}") from None
+        raise SceneError(in_words(str(error), str(path), text, list(configs()))) from None
+
+
+def _no_scene(path: Path) -> str:
+    """That there is no such scene, and which one may be meant: beside it, or one that ships with palmfield."""
+    if path.is_dir():
+        return f"scene {path} is a folder; allowed: the path of an MJCF file, for example {path / 'scene.xml'}"
+    shipped = data_folder("mjcf") / "scenes"
+    places = {file.name: str(file) for where in (shipped, path.parent) for file in sorted(where.glob("*.xml"))}
+    near = did_you_mean(path.name if path.suffix else f"{path.name}.xml", places)
+    for name, file in places.items():
+        near = near.replace(f"'{name}'", f"'{file}'")
+    return f"scene {path} does not exist{near}; `palmfield new NAME` writes one to start from"
 
 
 def _check_plugins(spec: mujoco.MjSpec, name: str) -> None:
@@ -169,26 +203,6 @@ def _check_sensors(spec: mujoco.MjSpec, name: str) -> None:
             raise _without_objtype(name, sensor.name, sensor.plugin.plugin_name)
 
 
-def _check_sensors_of_file(path: Path) -> None:
-    """As `_check_sensors`, for a file and those that it includes: MuJoCo 4.0 crashes even while it reads them."""
-    waiting, seen = [path.resolve()], set()
-    while waiting:
-        file = waiting.pop()
-        if file in seen or not file.is_file():
-            continue
-        seen.add(file)
-        try:
-            root = ElementTree.parse(file).getroot()
-        except (ElementTree.ParseError, LookupError, ValueError, OSError):
-            continue  # MuJoCo says what is wrong with it
-        for sensor in root.iterfind(".//sensor/plugin"):
-            if not sensor.get("objtype"):
-                raise _without_objtype(str(path), sensor.get("name", ""), sensor.get("plugin", ""))
-        # MuJoCo takes names relative to the first file, or else to the one that includes.
-        includes = [include.get("file", "") for include in root.iter("include")]
-        waiting += [folder / name for name in includes for folder in (path.resolve().parent, file.parent)]
-
-
 def _without_objtype(scene: str, sensor: str, plugin: str) -> SceneError:
     return SceneError(
         f"{scene}: sensor '{sensor}' of plugin '{plugin}' has no objtype; give objtype='site' and objname, a site of "
@@ -198,7 +212,7 @@ def _without_objtype(scene: str, sensor: str, plugin: str) -> SceneError:
 
 def _changes(spec: mujoco.MjSpec, keys: Mapping[str, object]) -> dict[str, dict[str, object]]:
     """Values by instance name. Raises SceneError for an instance or plugin that the scene has not, and unknown keys."""
-    configs = {module.name: module.config for module in MODULES}
+    models = configs()
     result: dict[str, dict[str, object]] = {}
     instances = {plugin.name for plugin in spec.plugins}
     # What is said of one instance counts before what is said of all of its plugin
@@ -210,16 +224,38 @@ def _changes(spec: mujoco.MjSpec, keys: Mapping[str, object]) -> dict[str, dict[
             own = [plugin for plugin in spec.plugins if plugin.plugin_name == full]
         if not own:
             known = sorted({plugin.name for plugin in spec.plugins} | {p.plugin_name for p in spec.plugins})
-            raise SceneError(f"key '{given}' is not of an instance or plugin of this scene; it has: {', '.join(known)}")
+            short = [name.removeprefix("palmfield.") for name in known]
+            near = did_you_mean(owner.removeprefix("palmfield."), short)
+            raise SceneError(
+                f"key '{given}' is not of an instance or plugin of this scene{near}; it has: {', '.join(known)}"
+            )
         for plugin in own:
-            config = configs.get(plugin.plugin_name)
+            config = models.get(plugin.plugin_name)
             if config is not None and key not in known_keys(config):
-                raise SceneError(
-                    f"plugin '{plugin.plugin_name}' instance '{plugin.name}': unknown key '{key}'; allowed: "
-                    f"{', '.join(config.model_fields)}"
-                )
+                raise SceneError(f"plugin '{plugin.plugin_name}' instance '{plugin.name}': {unknown_key(config, key)}")
             result.setdefault(plugin.name, {})[key] = value
     return result
+
+
+def _check_keys(plugin: mujoco.MjsPlugin, config: Mapping[str, str], scene: Opened) -> None:
+    """Refuse unknown keys, and keys without a value, which MuJoCo can't tell from keys that are not there."""
+    known = configs().get(plugin.plugin_name)
+    if known is None:
+        return
+    for key, value in config.items():
+        wrong = ""
+        if key not in known_keys(known):
+            wrong = unknown_key(known, key)
+        elif not value.strip() and key in known.model_fields:
+            wrong = f"key '{key}' has no value; allowed: {allowed(known, key)}, or leave the key out"
+        if wrong:
+            told = f"plugin '{plugin.plugin_name}' instance '{plugin.name}': {wrong}"
+            raise SceneError(f"{_place(told, scene.name, scene.text)}: {told}")
+
+
+def configs() -> dict[str, type[Config]]:
+    """The keys' models by plugin name."""
+    return {module.name: module.config for module in MODULES}
 
 
 def _set_text(spec: mujoco.MjSpec, name: str, value: str) -> None:
@@ -230,37 +266,35 @@ def _set_text(spec: mujoco.MjSpec, name: str, value: str) -> None:
     spec.add_text(name=name, data=value)
 
 
-def fresh_data(model: mujoco.MjModel, name: str) -> mujoco.MjData:
-    """Data at time 0 with hands where their motions have them; name: of the scene, for errors as `compiled` raises."""
+def fresh_data(model: mujoco.MjModel, name: str, text: SceneText | None = None) -> mujoco.MjData:
+    """Data at time 0 with hands where their motions have them.
+
+    name, text: of the scene, for errors as `compiled` raises
+    """
     try:
         data = mujoco.MjData(model)
     except (ValueError, mujoco.FatalError) as error:
-        raise _explained(error, name) from None
+        raise _explained(error, name, text) from None
     place(data)
     return data
 
 
-def _explained(error: Exception, name: str) -> BaseException:
-    """What a module's own error says, or MuJoCo's in one line."""
+def _explained(error: Exception, name: str, text: SceneText | None) -> BaseException:
+    """What a module's own error says, with the place of what it means, or MuJoCo's in words."""
     cause = take_compile_error()
     if isinstance(cause, PalmfieldError):
-        return type(cause)(f"{name}: {cause}")
-    return cause or SceneError(f"{name}: {_with_choices(_one_line(error))}")
+        mend = (
+            f" (`palmfield migrate {name}` rewrites it)" if text is not None and " renamed: use " in str(cause) else ""
+        )
+        return type(cause)(f"{_place(str(cause), name, text)}: {cause}{mend}")
+    return cause or SceneError(in_words(str(error), name, text, list(configs())))
 
 
-def _with_choices(message: str) -> str:
-    """MuJoCo's message about a plugin or key that it doesn't know, with those there are."""
-    known = {module.name: module.config for module in MODULES}
-    key = re.search(r"unrecognized attribute 'plugin:(\w+)' for plugin (\S+?)'", message)
-    if key and key[2] in known:
-        return f"{message}: plugin '{key[2]}' has no key '{key[1]}'; allowed: {', '.join(known[key[2]].model_fields)}"
-    if re.search(r"plugin \S+ not found", message):
-        return f"{message}; palmfield's are: {', '.join(known)}"
-    return message
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split()).removeprefix("Error: ")
+def _place(message: str, name: str, text: SceneText | None) -> str:
+    """File and line of the key, or instance, that a message begins with; the scene's name where it isn't known."""
+    meant = re.match(r"plugin '([^']+)' instance '([^']*)'(?:: (?:unknown )?key '(\w+)')?", message)
+    element = text.key(meant[1], meant[2], meant[3] or "") if meant and text is not None else None
+    return name if element is None else element.where
 
 
 class Instance(NamedTuple):
@@ -276,7 +310,7 @@ def instances_of(source: str | Path, keys: Mapping[str, object]) -> tuple[list[I
 
     Raises SceneError for a scene that can't be read, an instance or plugin that it has not, and unknown keys.
     """
-    name, spec, _ = opened(source)
+    name, spec, _, _ = opened(source)
     _check_plugins(spec, name)
     listed = [Instance(plugin.name, plugin.plugin_name, dict(plugin.config)) for plugin in spec.plugins]
     return listed, _changes(spec, keys)

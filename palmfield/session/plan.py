@@ -1,15 +1,18 @@
 """What a scene needs to be modelled, what is left out and why, and what it costs; decided before anything runs."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 from palmfield.session.budget import QUANTITY
+from palmfield.session.duration import check_duration
 from palmfield.session.load import Source
 from palmfield.session.planning.advice import advice
 from palmfield.session.planning.costs import run_s
 from palmfield.session.planning.expected_error import expected_errors
 from palmfield.session.planning.left_out import besides, left_out
 from palmfield.session.planning.modelled import modelled
+from palmfield.session.planning.numbers import plan_numbers
 from palmfield.session.planning.rows import Row, merged
 from palmfield.session.planning.text import as_text
 from palmfield.session.preview import preview
@@ -34,6 +37,18 @@ class Plan:
     error: tuple[Row, ...]
     seconds: float
     warnings: tuple[str, ...]
+    numbers: Mapping[str, Any]
+
+    def as_dict(self) -> dict[str, Any]:
+        """All of it as JSON has it, with units in the names; rows are texts, `numbers` as `planning.numbers`."""
+        rows = {"modelled": self.modelled, "left_out": self.left_out, "expected_error": self.error}
+        return {
+            "scene": self.scene,
+            **{name: [asdict(row) for row in part] for name, part in rows.items()},
+            "expected_wall_time_s": self.seconds,
+            "warnings": list(self.warnings),
+            **self.numbers,
+        }
 
     def __str__(self) -> str:
         return as_text(
@@ -56,13 +71,19 @@ def plan(
     accuracy: float | None = None,
     board: str | None = None,
     keys: Mapping[str, object] | None = None,
+    duration_s: float | None = None,
 ) -> Plan:
     """Decide what to model, from the scene's stimuli, surfaces and accuracy; simulates nothing.
 
-    scene: a path, an MjSpec, a compiled model or a Simulation; the other arguments as `palmfield.load`
-    Raises SceneError as `palmfield.load`, and where a skin layer can't be made.
+    scene: a path, an MjSpec, a compiled model or a Simulation; duration_s: of the run [s], the scene's own by
+        default; the other arguments as `palmfield.load`
+    Raises SceneError as `palmfield.load`, where a skin layer can't be made, and for a duration that is not > 0.
     """
+    if duration_s is not None:
+        check_duration(duration_s)
     view = preview(scene, device=device, accuracy=accuracy, board=board, keys=keys)
+    if duration_s is not None:
+        view = replace(view, duration_s=duration_s)
     model = view.runtime.model
     return Plan(
         view.name,
@@ -72,9 +93,11 @@ def plan(
         merged(expected_errors(model)),
         run_s(view),
         tuple(advice(view)),
+        plan_numbers(view),
     )
 
 
-def warnings(scene: Source | Simulation) -> list[str]:
-    """What a user should know before the run, in words."""
-    return advice(preview(scene))
+def warnings(scene: Source | Simulation, duration_s: float | None = None) -> list[str]:
+    """What a user should know before the run, in words; duration_s: of the run [s], the scene's own by default."""
+    view = preview(scene)
+    return advice(view if duration_s is None else replace(view, duration_s=duration_s))

@@ -10,6 +10,7 @@ from rich.progress import Progress
 
 from palmfield.acoustics.arrays import layout
 from palmfield.acoustics.focus import focus
+from palmfield.config.stimulus import too_far
 from palmfield.drive.boards import Board
 from palmfield.drive.link import open_link
 from palmfield.drive.playback import (
@@ -21,28 +22,44 @@ from palmfield.drive.playback import (
     record,
     timed_frames,
 )
-from palmfield.errors import DeviceError
+from palmfield.errors import DeviceError, SceneError
 from palmfield.session.load import Source
 from palmfield.session.preview import Preview, preview
 from palmfield.types import Air, Complex
 
 
 def play_focus(
-    point: tuple[float, float, float], board: str, port: str | None, record_to: Path | None, duration_s: float
+    point: tuple[float, float, float],
+    board: str,
+    port: str | None,
+    record_to: Path | None,
+    duration_s: float,
+    *,
+    progress: bool = False,
 ) -> str:
     """Hold one focus (array frame [m]) for `duration_s`; returns what happened, in a sentence.
 
-    Raises SceneError for a focus behind the array, DeviceError for an unknown or lost board.
+    progress: whether a bar is drawn on a terminal's standard error
+
+    Raises SceneError for a focus behind the array or too far for metres, DeviceError for an unknown or lost board.
     """
     chosen = playable_board(board)
     assert chosen.layout is not None
+    if (far := too_far(point)) is not None:
+        raise SceneError(f"--focus has value {' '.join(f'{x:g}' for x in point)}, {far}")
     drive = focus(layout(chosen.layout), Air(), np.array(point))
     frames = timed_frames(chosen, frame_times([], duration_s), lambda time_s: drive, duration_s)
-    return _play(frames, chosen, duration_s, port, record_to)
+    return _play(frames, chosen, duration_s, port, record_to, progress)
 
 
 def play_scene(
-    scene: Source, board: str, port: str | None, record_to: Path | None, duration_s: float | None = None
+    scene: Source,
+    board: str,
+    port: str | None,
+    record_to: Path | None,
+    duration_s: float | None = None,
+    *,
+    progress: bool = False,
 ) -> str:
     """Play a scene's stimulus; what moves in the scene stays where it is at the beginning.
 
@@ -51,7 +68,7 @@ def play_scene(
     chosen = playable_board(board)
     view = preview(scene, board=board)
     duration = view.duration_s if duration_s is None else duration_s
-    return _play(scene_frames(view, duration), chosen, duration, port, record_to)
+    return _play(scene_frames(view, duration), chosen, duration, port, record_to, progress)
 
 
 def scene_frames(scene: Preview, duration_s: float) -> Iterator[TimedFrame]:
@@ -67,7 +84,12 @@ def scene_frames(scene: Preview, duration_s: float) -> Iterator[TimedFrame]:
 
 
 def _play(
-    frames: Iterator[TimedFrame], board: Board, duration_s: float, port: str | None, record_to: Path | None
+    frames: Iterator[TimedFrame],
+    board: Board,
+    duration_s: float,
+    port: str | None,
+    record_to: Path | None,
+    progress: bool,
 ) -> str:
     if record_to is not None:
         played = record(frames, record_to)
@@ -75,7 +97,7 @@ def _play(
     if port is None:
         raise DeviceError("neither a port nor a file is given; give the port of a board, or a file for the bytes")
     console = Console(stderr=True)
-    hidden = not console.is_terminal
+    hidden = not (progress and console.is_terminal)
     with closing(open_link(port)) as link, Progress(console=console, disable=hidden, transient=True) as bar:
         task = bar.add_task(f"playing {duration_s:g} s on {port}", total=duration_s)
         begin = link.now()

@@ -28,11 +28,15 @@ class Preview:
     data: mujoco.MjData
 
     def poses(self, count: int) -> Iterator[PosedScene]:
-        """The present pose, and then, where a script moves something, `count` others over the run by that script.
+        """Those of `moments`."""
+        return (posed for _, posed in self.moments(count))
+
+    def moments(self, count: int) -> Iterator[tuple[float, PosedScene]]:
+        """The present time [s] and pose, and then, where a script moves something, `count` others over the run by it.
 
         Poses in which a body reaches into an array are left out: a run says so itself.
         """
-        yield self.runtime.posed
+        yield float(self.data.time), self.runtime.posed
         if not any(skin.moves for skin in self.runtime.spec.skins):
             return
         # Sampled on a copy, so that a simulation stays where it is.
@@ -43,7 +47,7 @@ class Preview:
             data.time = self.data.time + number * self.duration_s / count
             place(data)
             try:
-                yield world.scene.posed
+                yield float(data.time), world.scene.posed
             except SceneError:
                 continue
 

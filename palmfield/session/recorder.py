@@ -60,13 +60,15 @@ def emitted_at_ends(emission: Emission, trace: StepTrace, step_s: float) -> Emit
 class Recorder:
     """Watches a scene's steps and hands on what happens.
 
-    loudest: by skin, the moment of the highest ARP on it so far, None in silence
+    loudest: by skin, the moment of the highest ARP on it so far, None where no sound pushed it
+    peak_drive: largest amplitude that each transducer was told so far, relative to full drive, shape (N,)
     """
 
     def __init__(self, runtime: SceneRuntime, world: World, sink: Sink):
         self.runtime, self.model, self.world, self.sink = runtime, runtime.model, world, sink
         self.loudest: list[LoudestMoment | None] = [None] * len(self.model.skins)
         self._loudest_Pa = [0.0] * len(self.model.skins)
+        self.peak_drive: Float = np.zeros(len(self.model.arrays))
         self._drive: Complex | None = None
         self._trace: StepTrace | None = None
         self._zero_s = 0.0
@@ -187,6 +189,7 @@ class Recorder:
             return
         block["/"]["frame_time"] = times[frames] - self._zero_s
         chosen = commanded[frames]
+        self.peak_drive = np.maximum(self.peak_drive, np.abs(chosen).max(axis=0))
         for array, part in zip(self.model.spec.arrays, posed.arrays.slices, strict=True):
             block.setdefault(group("array", array.name), {}).update(
                 drive_amplitude=np.abs(chosen[:, part]).astype(np.float32),

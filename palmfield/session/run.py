@@ -1,6 +1,7 @@
 """Run a scene and write, or keep, its results."""
 
 import json
+import logging
 import platform
 import resource
 import time
@@ -33,6 +34,7 @@ from palmfield.session.simulation import Simulation
 from palmfield.session.summary import array_numbers, estimated_budget, scene_numbers, skin_numbers, stimulus_numbers
 from palmfield.types import Float
 
+LOG = logging.getLogger("palmfield.session")
 PICTURES: tuple[tuple[str, Callable[[Any, Path], None]], ...] = (
     ("pressure.png", plot_pressure),
     ("displacement.png", plot_displacement),
@@ -77,14 +79,14 @@ def run(
     out: str | Path | None = None,
     *,
     duration_s: float | None = None,
-    progress: bool = True,
+    progress: bool = False,
     overwrite: bool = False,
 ) -> Result:
     """Simulate a scene from its present state and write result.nc, summary.json, pictures and scene.usdc.
 
     scene: a file, an MjSpec, or a Simulation; out: folder, made where missing; None keeps the result in memory
-    duration_s: simulated time [s], the scene's own by default; overwrite: whether the folder may hold another run's
-        results
+    duration_s: simulated time [s], the scene's own by default; progress: whether bars are drawn on a terminal's
+        standard error; overwrite: whether the folder may hold another run's results
     Ctrl-C, a full disk or an error in a module end the run early: what was computed by then is assembled and marked
     incomplete, and the error is raised afterwards (KeyboardInterrupt as such). It carries that Result as its attribute
     `result`, so that a run kept in memory is not lost either (in an interactive session: `sys.last_value.result`).
@@ -164,9 +166,10 @@ def _carried_by_errors(result: Result) -> Iterator[None]:
         raise
 
 
-def recover(out: str | Path) -> dict[str, Path]:
+def recover(out: str | Path, *, progress: bool = False) -> dict[str, Path]:
     """Assemble what a killed run left, or complete the files of one that was cut off while drawing.
 
+    progress: as of `run`
     Returns the files by name. Raises OutputError where there is nothing to recover or no room.
     """
     out = Path(out)
@@ -178,7 +181,7 @@ def recover(out: str | Path) -> dict[str, Path]:
         complete = bool(tree.attrs["complete"])
         if not complete or not target.exists():
             write_json(target, summary(tree, {"complete": complete, "reason": tree.attrs["reason"]}))
-        with _progress(True) as bar:
+        with _progress(progress) as bar:
             return {"result.nc": path, "summary.json": target} | draw(tree, out, bar)
 
 
@@ -192,13 +195,14 @@ def draw(tree: xr.DataTree, out: Path, bar: Progress) -> dict[str, Path]:
             make(tree, out / name)
             files[name] = out / name
         except OutputError as error:
-            bar.console.print(f"palmfield: no {name}: {error}", highlight=False, markup=False, soft_wrap=True)
+            LOG.warning("no %s: %s", name, error)
         bar.advance(task)
     return files
 
 
 def _prepare(sim: Simulation, out: Path | None, overwrite: bool, bar: Progress) -> tuple[Store | MemoryStore, Recorder]:
     """Everything that can fail before the first step."""
+    started = time.perf_counter()
     task = bar.add_task("preparing the skin layers", total=None)
     model, runtime = sim.runtime.model, sim.runtime
     for lazy in model.begin:
@@ -207,11 +211,13 @@ def _prepare(sim: Simulation, out: Path | None, overwrite: bool, bar: Progress) 
     attributes = _attributes(sim)
     store = MemoryStore(static, attributes) if out is None else Store(out, static, attributes, overwrite)
     bar.remove_task(task)
+    LOG.debug("prepared the skin layers in %.2f s", time.perf_counter() - started)
     return store, Recorder(runtime, world_with(sim.data), store)
 
 
 def _simulate(sim: Simulation, recorder: Recorder, duration_s: float, bar: Progress) -> BaseException | None:
     """Step to the end; returns what ended it early, or None."""
+    started = time.perf_counter()
     steps = step_count(duration_s, sim.model.opt.timestep)
     task = bar.add_task(f"simulating {1e3 * duration_s:g} ms", total=steps)
     try:
@@ -226,15 +232,17 @@ def _simulate(sim: Simulation, recorder: Recorder, duration_s: float, bar: Progr
         return error
     finally:
         recorder.stop()
+    LOG.debug("%d steps took %.2f s", steps, time.perf_counter() - started)
     return None
 
 
 def _budgets(sim: Simulation, recorder: Recorder, bar: Progress) -> dict[str, Any]:
     """The error budget of each skin's motion, or why there is none."""
-    task = bar.add_task("estimating the error", total=None)
+    task, before = bar.add_task("estimating the error", total=None), time.perf_counter()
     try:
         return {name: estimated_budget(sim, number, recorder.loudest[number]) for number, name in enumerate(sim.skins)}
     finally:
+        LOG.debug("the error's estimate took %.2f s", time.perf_counter() - before)
         bar.remove_task(task)
 
 
@@ -258,7 +266,8 @@ def _numbers(
             np.asarray(normal[:, vertex], dtype=np.float64),
             float(peak[vertex]),
         )
-    return scene_numbers(sim, recorder.loudest), skins, stimulus_numbers(sim, recorder.loudest)
+    run = recorder.loudest, recorder.peak_drive
+    return scene_numbers(sim, *run), skins, stimulus_numbers(sim, *run)
 
 
 def _whole_summary(

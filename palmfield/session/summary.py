@@ -111,14 +111,22 @@ def _or_reason(estimate: Callable[[], T]) -> T | str:
         return f"{error}" or type(error).__name__
 
 
-def stimulus_numbers(simulation: Simulation, loudest: Iterable[LoudestMoment | None]) -> dict[str, dict[str, Any]]:
+def stimulus_numbers(
+    simulation: Simulation, loudest: Iterable[LoudestMoment | None], peak_drive: Float | None = None
+) -> dict[str, dict[str, Any]]:
     """Of each stimulus, by name: `drive_level`, the largest amplitude of its transducers at the skins' loudest moments.
 
-    Relative to full drive; 0 in silence. It is the level at full modulation, without ramp and bursts, where all
-    transducers follow one course; where they don't (several stimuli, a moving focus with ring-up), what is emitted.
+    Relative to full drive. It is the level at full modulation, without ramp and bursts, where all transducers follow
+    one course; where they don't (several stimuli, a moving focus with ring-up), what is emitted. Where no sound pushed
+    any skin it is what the transducers were told: the array may have run beside them.
+
+    peak_drive: largest amplitude that each transducer was told in the run, shape (N,); 0 by default
     """
     model = simulation.runtime.model
-    levels = drive_levels(model, loudest)
+    moments = list(loudest)
+    levels = drive_levels(model, moments)
+    if peak_drive is not None and not any(moments):
+        levels = [float(peak_drive[stimulus.transducers].max()) for stimulus in model.stimuli]
     return {part.spec.name: {"drive_level": level} for part, level in zip(model.stimuli, levels, strict=True)}
 
 
@@ -149,13 +157,15 @@ def drive_levels(model: HapticModel, loudest: Iterable[LoudestMoment | None]) ->
     return [max((float(np.abs(moment.drive[own]).max()) for moment in moments), default=0.0) for own in parts]
 
 
-def scene_numbers(simulation: Simulation, loudest: Iterable[LoudestMoment | None]) -> dict[str, Any]:
+def scene_numbers(
+    simulation: Simulation, loudest: Iterable[LoudestMoment | None], peak_drive: Float | None = None
+) -> dict[str, Any]:
     """Of the whole scene: what computes its fields, the board that plays it, and the highest level of its drive.
 
-    loudest: of each skin
+    loudest: of each skin; peak_drive: as of `stimulus_numbers`
     """
     model = simulation.runtime.model
-    levels = [one["drive_level"] for one in stimulus_numbers(simulation, loudest).values()]
+    levels = [one["drive_level"] for one in stimulus_numbers(simulation, loudest, peak_drive).values()]
     return {"palmfield_device": model.arrays.field.device, "board": model.board.name, "drive_level": max(levels)}
 
 

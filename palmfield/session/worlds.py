@@ -304,7 +304,7 @@ def _plugins(scene: Source) -> dict[str, str]:
     """Name of the plugin of each instance."""
     if isinstance(scene, mujoco.MjModel):
         return {}
-    _, spec, _ = opened(scene)
+    spec = opened(scene).spec
     return {plugin.name: plugin.plugin_name for plugin in spec.plugins}
 
 

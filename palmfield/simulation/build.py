@@ -27,7 +27,14 @@ from palmfield.simulation.load_class import corner_Hz
 from palmfield.simulation.model import BodyModel, HapticModel, SkinModel, StimulusModel, array_instances
 from palmfield.simulation.posed_scene import STILL
 from palmfield.simulation.spec import SceneSpec, SkinSpec, StimulusSpec
-from palmfield.simulation.validate import check_board, check_bodies, check_body_sound, check_cost, check_overlaps
+from palmfield.simulation.validate import (
+    check_apart,
+    check_board,
+    check_bodies,
+    check_body_sound,
+    check_cost,
+    check_overlaps,
+)
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
 from palmfield.skin.scene_layer import LayerDemand, SceneLayer
 from palmfield.stimulus.focal_points import FocalPoints, SurfaceCourse
@@ -118,7 +125,9 @@ def _arrays(spec: SceneSpec) -> PhasedArray:
             instance.array(array.placement.sites)
         except SceneError as error:
             raise SceneError(f"plugin 'palmfield.array' instance '{array.name}': {error}") from None
-    return PhasedArray(instances, [array.placement for array in spec.arrays], spec.device)
+    arrays = PhasedArray(instances, [array.placement for array in spec.arrays], spec.device)
+    check_apart([array.name for array in spec.arrays], arrays)
+    return arrays
 
 
 # -- bodies and stimuli --------------------------------------------------------------------------------------------

@@ -23,9 +23,10 @@ from palmfield.config import (
     known_keys,
     parse,
 )
+from palmfield.config.skin import OF_SHAPES
 from palmfield.data import find_file
 from palmfield.device import resolve
-from palmfield.errors import PalmfieldError, SceneError
+from palmfield.errors import PalmfieldError, SceneError, did_you_mean
 from palmfield.hand.articulated import articulate
 from palmfield.hand.collision_shapes import Obstacle
 from palmfield.hand.preset import load_preset
@@ -33,6 +34,7 @@ from palmfield.hand.rigged import joint_of_body
 from palmfield.hand.skinning import bones_of_mesh, rigged_file
 from palmfield.mujoco_host.mujoco_view import ModelView
 from palmfield.simulation.spec import ArraySpec, ObstacleSpec, SceneSpec, SkinSpec, StimulusSpec, Triple
+from palmfield.skin.materials.catalogue import preset
 from palmfield.transforms import Placement, Transform, relative
 
 DURATION = "palmfield_duration_s"
@@ -234,6 +236,7 @@ def _skins(
         element = element_of(SkinConfig, name)
         body = model.find("body", config.body, f"{element}: key 'body'")
         frame = model.reference_pose("body", body)
+        _check_presets(config, element)
         bones = bones_of(config, element, model)
         obstacles = obstacles_of(config, element, model, bones)
         centre: Triple = (0.0, 0.0, 0.0)
@@ -246,6 +249,19 @@ def _skins(
         specs.append(SkinSpec(name, config, Placement.of(relative(origin, frame)), centre, placed, moves))
         bindings.append(SkinBodies(instance, body, tuple(bones), tuple(number for _, number in obstacles)))
     return tuple(specs), tuple(bindings)
+
+
+def _check_presets(config: SkinConfig, element: str) -> None:
+    """Raises SceneError, with element and key, for a material or a hand that there is not."""
+    key = "materials" if config.materials else "material"
+    try:
+        for name in config.materials or (config.material,):
+            preset(name)
+        if config.shape in OF_SHAPES["hand"]:
+            key = "hand"
+            load_preset(config.hand)
+    except SceneError as error:
+        raise SceneError(f"{element}: key '{key}': {error}") from None
 
 
 def _stimuli(
@@ -288,7 +304,9 @@ def _driven_arrays(instances: list[tuple[int, str, Any]], names: list[str]) -> l
         element = f"{element_of(StimulusConfig, stimulus)}: key 'arrays'"
         for array in config.arrays:
             if array not in names:
-                raise SceneError(f"{element} names '{array}'; the scene's arrays are: {', '.join(names)}")
+                raise SceneError(
+                    f"{element} names '{array}'{did_you_mean(array, names)}; the scene's arrays are: {', '.join(names)}"
+                )
             if array in owner:
                 raise SceneError(
                     f"{element} names '{array}', which instance '{owner[array]}' drives; allowed: one stimulus an array"
@@ -316,7 +334,8 @@ def _path_skin(config: StimulusConfig, element: str, skins: tuple[SkinSpec, ...]
     """Number of the skin that a path runs on."""
     names = [skin.name for skin in skins]
     if config.on_skin is not None and config.on_skin not in names:
-        raise SceneError(f"{element}: key 'on_skin' has value '{config.on_skin}'; allowed: {' | '.join(names)}")
+        near = did_you_mean(config.on_skin, names)
+        raise SceneError(f"{element}: key 'on_skin' has value '{config.on_skin}'{near}; allowed: {' | '.join(names)}")
     if config.path_on != "skin":
         return None
     if config.on_skin is not None:

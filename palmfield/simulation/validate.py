@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
-from palmfield.acoustics.phased_array import HOUSING_M
+from palmfield.acoustics.phased_array import HOUSING_M, PhasedArray
 from palmfield.acoustics.surface_load import CLEARANCE_M
 from palmfield.acoustics.transfer import available_bytes
 from palmfield.drive.boards import Board, check
@@ -24,6 +24,8 @@ FACTOR_BYTES = 180.0
 """Of the factors of a layer of n unknowns, over n^1.4: SuperLU's two and the blocks, as seen for 1.5 k to 13 k."""
 MOST_SUBSTEPS = 10_000
 """Steps of a skin in one of MuJoCo's."""
+LEAST_APART_M = 1e-3
+"""Between point sources, which have no width of their own, of two arrays."""
 SURFACE_KEYS = ("shape", "hand", "mesh", "mesh_unit")
 """Keys that say what surface a body has; all skins on a body share them."""
 
@@ -47,6 +49,22 @@ def check_bodies(spec: SceneSpec) -> None:
                     f"{element}: key '{key}' has value '{getattr(skin.config, key)}', and "
                     f"'{getattr(other.config, key)}' at instance '{other.name}' on the same body "
                     f"'{skin.config.body}'; allowed: the same for all skins on a body"
+                )
+
+
+def check_apart(names: Sequence[str], arrays: PhasedArray) -> None:
+    """Refuse arrays that stand in one place: transducers of two are nearer than their faces allow."""
+    positions = [arrays.array.positions[part] for part in arrays.slices]
+    for number, name in enumerate(names):
+        for other in range(number):
+            distance = float(cKDTree(positions[other]).query(positions[number])[0].min())
+            radii = arrays.parts[number].piston_radius_m + arrays.parts[other].piston_radius_m
+            least = max(radii, LEAST_APART_M)
+            if distance < least:
+                raise SceneError(
+                    f"plugin 'palmfield.array' instance '{name}': its transducers stand in those of instance "
+                    f"'{names[other]}' (two are {1e3 * distance:.1f} mm apart; allowed: at least {1e3 * least:.1f} "
+                    "mm); give it a site of its own by key 'site', or drop one of the two"
                 )
 
 

@@ -1,6 +1,7 @@
 """The command line as a user types it."""
 
 import json
+import re
 import subprocess
 import sys
 from itertools import pairwise
@@ -20,7 +21,7 @@ from palmfield.types import Air
 
 SCENES = Path(__file__).parents[2] / "mjcf" / "scenes"
 
-COMMANDS = ("run", "plan", "info", "drive", "keys", "new", "recover", "hand")
+COMMANDS = ("run", "plan", "info", "drive", "keys", "new", "migrate", "recover", "hand")
 
 
 def call(monkeypatch, capsys, *arguments):
@@ -59,18 +60,33 @@ def test_help_is_quick_to_import():
 def test_new_scene_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert call(monkeypatch, capsys, "new", "first")[0] == 0
-    assert mujoco.MjModel.from_xml_path("first_plain.xml").nplugin == 0
+    assert mujoco.MjModel.from_xml_path("first/first_plain.xml").nplugin == 0
     quick = ("--duration", "0.011", "--device", "cpu", "--accuracy", 0.3)
-    code, out = call(monkeypatch, capsys, "run", "first.xml", "--out", "o", *quick)
+    code, out = call(monkeypatch, capsys, "run", "first/first.xml", "--out", "o", *quick)
     assert code == 0
     assert "peak ARP" in out.out and "observer 1" in out.out and "observer 2" in out.out and "o/scene.usdc" in out.out
-    again = ("run", "first.xml", "--duration", "0.005", "--out", "o")
+    again = ("run", "first/first.xml", "--duration", "0.005", "--out", "o")
     code, out = call(monkeypatch, capsys, *again)
     assert code == 2 and "holds another run's result.nc" in out.err and "--overwrite" in out.err
     code, out = call(monkeypatch, capsys, *again, "--overwrite", "--set", "skin.accuracy=0.3")
     assert code == 0 and json.loads(Path("o/summary.json").read_text())["steps"] == 5
     code, out = call(monkeypatch, capsys, "new", "first")
     assert code == 2 and "exists already" in out.err
+
+
+def test_a_new_scene_can_be_moved_and_sent(tmp_path, monkeypatch, capsys):
+    for place in ("here", "there"):
+        (tmp_path / place).mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    assert call(monkeypatch, capsys, "new", "first")[0] == 0
+    moved = (tmp_path / "here" / "first").rename(tmp_path / "there" / "of_another_name")
+    own = {path.name for path in moved.iterdir()}
+    for path in moved.iterdir():
+        text = path.read_text()
+        assert str(SCENES.parents[1]) not in text and "../" not in text
+        assert set(re.findall(r'file="([^"]*)"', text)) <= own
+    code, out = call(monkeypatch, capsys, "info", moved / "first.xml")
+    assert code == 0 and "uhev1" in out.out
 
 
 def test_new_refuses_a_path(monkeypatch, capsys):
@@ -114,6 +130,7 @@ def test_simulated_drive_is_decoded_from_the_recorded_bytes(tmp_path, monkeypatc
         ("drive",),
         ("drive", "--focus", 0, 0, 0.2),
         ("drive", "--focus", 0, 0, -0.2, "--record", "x"),
+        ("drive", "--focus", 0, 0, 150, "--record", "x"),
         ("drive", "--focus", 0, 0, 0.2, "--record", "x", "--board", "toaster"),
         ("drive", "--focus", 0, 0, 0.2, "--port", "/dev/none"),
         ("drive", "--focus", 0, 0, 0.2, "--record", "x", "--duration", -1),
@@ -127,6 +144,14 @@ def test_bad_arguments_end_in_one_line_and_exit_code_2(arguments, tmp_path, monk
     code, out = call(monkeypatch, capsys, *arguments)
     assert code == 2
     assert out.err.startswith("palmfield: ") and len(out.err.strip().splitlines()) == 1
+
+
+def test_a_focus_in_millimetres_is_refused_with_the_likely_unit(tmp_path, monkeypatch, capsys):
+    file = tmp_path / "focus.bin"
+    code, out = call(monkeypatch, capsys, "drive", "--focus", 0, 0, 150, "--record", file)
+    assert code == 2 and not file.exists()
+    assert "--focus has value 0 0 150, which is 150 m away" in out.err
+    assert "if these are millimetres, give 0 0 0.15" in out.err
 
 
 @pytest.mark.smoke

@@ -51,8 +51,14 @@ def test_every_key_has_a_meaning_and_every_quantity_a_unit():
 
 
 def test_unknown_plugin_names_those_there_are():
-    with pytest.raises(SceneError, match=r"palmfield\.skin"):
+    with pytest.raises(SceneError, match=r"there is no plugin .palmfield\.nose.; allowed: array, stimulus"):
         as_text("palmfield.nose")
+    with pytest.raises(SceneError, match=r"there is no plugin 'skn' \(did you mean 'skin'\?\); allowed: "):
+        as_text("skn")
+
+
+def test_a_plugin_goes_by_its_short_name_too():
+    assert as_text("skin") == as_text("palmfield.skin") != as_text("stimulus")
 
 
 @given(value=st.floats())

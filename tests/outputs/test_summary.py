@@ -154,3 +154,12 @@ def test_the_table_has_a_block_a_skin(result):
 
 def test_a_run_cut_off_early_has_a_table(still):
     assert "peak sound pressure" in format_summary(summary(still, {"complete": False}))
+
+
+def test_what_no_sound_pushes_is_no_silence_while_the_array_runs(one_skin):
+    found = summary(one_skin, RUN, {"palm": FULL | {"peak_pressure_Pa": 0.0, "peak_pressure_dB_SPL": None}}, {
+        "pulse": {"drive_level": 0.5}})  # fmt: skip
+    told = dict(_rows(format_summary(found)))["peak sound pressure"]
+    assert "silence" not in told and "the array runs, at 0.500 of full" in told
+    found["stimuli"][0]["drive_level"] = 0.0
+    assert "silence: the array doesn't run" in dict(_rows(format_summary(found)))["peak sound pressure"]

@@ -396,7 +396,9 @@ def test_keys_of_an_unknown_instance(key, small_scene):
 @pytest.mark.parametrize("owner", ["skin", "palmfield.skin"])
 def test_keys_that_an_instance_has_not(owner, small_scene):
     refused(
-        small_scene(), f"{SKIN}unknown key 'radius_mm'; allowed: body, shape, hand", keys={f"{owner}.radius_mm": 20}
+        small_scene(),
+        f"{SKIN}unknown key 'radius_mm' (did you mean 'radius_m'?); allowed: body, shape, hand",
+        keys={f"{owner}.radius_mm": 20},
     )
 
 
@@ -448,3 +450,72 @@ def test_what_is_renamed_or_a_solver_of_its_own(case, small_scene):
 
 def test_solvers_that_are_told_of_are_those_of_solve():
     assert set(WHOLE_HISTORY) <= set(get_args(Name))
+
+
+# -- what would say nothing ----------------------------------------------------------------------------------------
+
+
+def test_keys_of_a_modulation_that_is_off_are_warned_of(small_scene):
+    (line,) = [text for text in warnings(small_scene(stimulus={"modulation": "none"})) if "modulation" in text]
+    assert line.startswith("keys am_of, am_frequency_Hz, am_depth of stimulus 'stimulus' do nothing: its modulation is")
+    steady = {"modulation": "none", "am_of": None, "am_frequency_Hz": None, "am_depth": None}
+    assert not [text for text in warnings(small_scene(stimulus=steady)) if "modulation" in text]
+    assert not [text for text in warnings(small_scene()) if "modulation" in text]
+
+
+def test_a_run_prints_that_keys_do_nothing(small_scene, monkeypatch, capsys):
+    path = small_scene()
+    arguments = ["run", str(path), "--set", "stimulus.modulation=none", "--duration", "0.002", "--out", "out"]
+    monkeypatch.chdir(path.parent)
+    monkeypatch.setattr(sys, "argv", ["palmfield", *arguments])
+    with pytest.raises(SystemExit) as stop:
+        main()
+    assert stop.value.code == 0 and "warning: keys am_of" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("distance_m, apart", [(0.0, "0.0 mm apart"), (0.001, "1.0 mm apart")])
+def test_two_arrays_at_one_place(distance_m, apart, small_scene, add_array):
+    path = add_array(small_scene())
+    changed(path.with_name("plain.xml"), 'pos="0.3 0 0"', f'pos="{distance_m} 0 0"')
+    refused(
+        path, "plugin 'palmfield.array' instance ", "its transducers stand in those of instance ", apart,
+        "give it a site of its own by key 'site'",
+    )  # fmt: skip
+
+
+def test_arrays_side_by_side_are_no_overlap(small_scene, add_array):
+    """Boards of 16 transducers 10.3 mm apart, the next one where the seventeenth would be."""
+    path = add_array(small_scene())
+    changed(path.with_name("plain.xml"), 'pos="0.3 0 0"', f'pos="{16 * 0.0103} 0 0"')
+    assert len(palmfield.load(path).runtime.model.arrays) == 512
+
+
+@pytest.mark.parametrize(
+    "focus, unit, metres", [("0 0 120", "millimetres", "0 0 0.12"), ("0 2 -20", "centimetres", "0 0.02 -0.2")]
+)
+def test_a_focus_in_another_unit(focus, unit, metres, small_scene):
+    refused(
+        small_scene(stimulus={"focus_m": focus}), f"{STIMULUS}key 'focus_m' has value '{focus}', which is",
+        "allowed: metres, at most 10 from the origin", f"if these are {unit}, give {metres}",
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("duplicate", ['<config key="focus_m" value="0 0 0.1"/>', '<config key="focus_m" value=""/>'])
+def test_a_key_given_twice(duplicate, small_scene):
+    path = changed(small_scene(), '<config key="focus_m"', duplicate + '<config key="focus_m"')
+    refused(path, "key 'focus_m'", "twice", "line 11")
+
+
+def test_a_key_set_twice_on_the_command_line(small_scene, monkeypatch, capsys):
+    arguments = ["palmfield", "info", str(small_scene()), "--set", "skin.accuracy=0.3", "--set", "skin.accuracy=0.1"]
+    monkeypatch.setattr(sys, "argv", arguments)
+    with pytest.raises(SystemExit) as stop:
+        main()
+    said = "--set gives skin.accuracy twice, '0.3' and '0.1'; allowed: each key once"
+    assert stop.value.code == 2 and said in capsys.readouterr().err
+
+
+def test_a_key_without_a_value(small_scene):
+    path = changed(small_scene(), 'key="side" value="free"', 'key="side" value=""')
+    refused(path, f"{SKIN}key 'side' has no value; allowed: fixed | free | roller | absorbing, or leave the key out")
+    assert palmfield.load(small_scene(), keys={"skin.side": ""}).runtime.spec.skins[0].config.side == "fixed"

@@ -169,3 +169,57 @@ def test_a_disk_that_is_full_for_the_summary_too_leaves_the_result_on_the_error(
     with pytest.raises(palmfield.OutputError, match="cannot write") as caught:
         palmfield.run(small_scene(), tmp_path / "out", progress=False)
     assert len(displacement(caught.value.result)) == 31
+
+
+# -- a folder that holds an older run's files -----------------------------------------------------------------------
+
+
+def no_room(tree, path):
+    raise palmfield.OutputError(f"cannot write {path}: No space left on device")
+
+
+def interrupted(tree, path):
+    raise KeyboardInterrupt
+
+
+def cut_off_by_ctrl_c(sim, monkeypatch):
+    stopped_at(sim, 3, ctrl_c, monkeypatch)
+
+
+def cut_off_by_an_error(sim, monkeypatch):
+    stopped_at(sim, 3, fail, monkeypatch)
+
+
+def cut_off_by_a_full_disk(sim, monkeypatch):
+    full_at_the_last_flush(monkeypatch)
+
+
+def cut_off_in_the_first_picture(sim, monkeypatch):
+    monkeypatch.setattr(session_run, "PICTURES", (("pressure.png", interrupted), *session_run.PICTURES[1:]))
+
+
+def no_room_for_a_picture(sim, monkeypatch):
+    monkeypatch.setattr(session_run, "PICTURES", (("pressure.png", no_room), ("scene.usdc", no_room)))
+
+
+ENDS = [
+    cut_off_by_ctrl_c, cut_off_by_an_error, cut_off_by_a_full_disk, cut_off_in_the_first_picture, no_room_for_a_picture,
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("end", ENDS, ids=lambda end: end.__name__)
+def test_no_old_picture_stays_beside_new_data(end, small_scene, tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    out.mkdir()
+    for name in ("result.nc", *store.DERIVED):
+        (out / name).write_text("of an older run")
+    sim = palmfield.load(small_scene())
+    end(sim, monkeypatch)
+    try:
+        palmfield.run(sim, out, overwrite=True)
+    except (KeyboardInterrupt, ValueError, palmfield.OutputError) as error:
+        assert end is not no_room_for_a_picture, error
+    there = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
+    assert {"result.nc", "summary.json"} <= set(there)
+    assert not [name for name, data in there.items() if data == b"of an older run"]
+    assert not [name for name in there if name.startswith(".") or name.endswith(".tmp")]

@@ -59,8 +59,8 @@ BAD = {
     "'focus_m': focus"),
     "too loud": ({"stimulus": {"arp_peak_Pa": 1e6}}, "'stimulus': arp_peak_Pa 1e+06 is more than the array gives"),
     "missing am": ({"stimulus": {"am_depth": None}}, "modulation 'am' needs am_depth"),
-    "unknown key": ({"skin": {"radius_mm": 20}}, "'palmfield.skin' has no key 'radius_mm'; allowed: body, shape, hand"),
-    "no body": ({"skin": {"body": "paw"}}, "the scene has no body 'paw'; it has: world"),
+    "unknown key": ({"skin": {"radius_mm": 20}}, "unknown key 'radius_mm' (did you mean 'radius_m'?); allowed: body"),
+    "no body": ({"skin": {"body": "paw"}}, "the scene has no body 'paw' (did you mean 'pad'?); it has: world"),
     "missing mesh": (
         {"skin": {"shape": "mesh", "mesh": "gone.obj", "mesh_unit": "mm", "patch_site": "centre"}}, "gone.obj",
     ),
@@ -104,7 +104,9 @@ def test_hand_inside_the_array(small_scene):
 def test_unknown_plugin(small_scene):
     path = small_scene()
     path.write_text(path.read_text().replace("palmfield.driver", "palmfield.drivr"))
-    refuse(path, "palmfield.drivr not found.*palmfield's are: palmfield.array")
+    refuse(
+        path, r"line 13: .*'palmfield.drivr' is not installed \(did you mean 'palmfield.driver'\?\); palmfield's are: "
+    )
 
 
 def test_zero_size_mesh(small_scene):

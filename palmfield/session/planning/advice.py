@@ -7,10 +7,12 @@ from scipy.spatial import cKDTree
 
 from palmfield.acoustics import validity
 from palmfield.config.skin import EXPLICIT
+from palmfield.config.stimulus import AM_KEYS
 from palmfield.session.biases import response_biases
 from palmfield.session.error_budget import stimulus_of
 from palmfield.session.planning.costs import scatterings
 from palmfield.session.planning.facts import first_drive
+from palmfield.session.planning.sight import out_of_sight
 from palmfield.session.preview import Preview
 from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
 from palmfield.skin.explicit_layer import explicit_layer
@@ -27,7 +29,9 @@ def advice(view: Preview) -> list[str]:
     """Warnings, each once."""
     model = view.runtime.model
     result = [text for number in range(len(model.skins)) for text in _far_focus(view, number)]
+    result += out_of_sight(view)
     for stimulus in model.stimuli:
+        result += _keys_without_effect(stimulus)
         result += _path_off_the_skin(model, stimulus)
     for scattering in scatterings(view):
         if scattering.moves:
@@ -93,6 +97,19 @@ def _course(stimulus: StimulusModel) -> Float:
     count = COURSE if rate else 1
     times: Float = config.start_s + np.arange(count) / (count * (rate or 1.0))
     return frames_at(config, times)[0]
+
+
+def _keys_without_effect(stimulus: StimulusModel) -> list[str]:
+    """Keys of a modulation that is off."""
+    config = stimulus.spec.config
+    given = [key for key in AM_KEYS if getattr(config, key) is not None]
+    if config.modulation != "none" or not given:
+        return []
+    which, do = ("key", "does") if len(given) == 1 else ("keys", "do")
+    return [
+        f"{which} {', '.join(given)} of stimulus '{stimulus.spec.name}' {do} nothing: its modulation is 'none'; set "
+        "modulation to am, or drop them"
+    ]
 
 
 def _path_off_the_skin(model: HapticModel, stimulus: StimulusModel) -> list[str]:

@@ -3,6 +3,7 @@
 import numpy as np
 
 from palmfield.acoustics.air import sound_speed
+from palmfield.config.skin import OF_SHAPES
 from palmfield.session.biases import biases
 from palmfield.session.error_budget import stimulus_of
 from palmfield.session.planning.facts import first_drive
@@ -29,19 +30,14 @@ def besides(model: HapticModel) -> list[Row]:
     """Rows of what else is not there: no figure of them is of a skin's displacement."""
     rows = []
     for skin in model.skins:
-        if skin.spec.config.body_sound == "none" and (skin.carrier.surface is not None or len(model.bodies) > 1):
-            why = "one part of the body does not shade another" + (
-                ", nor one body another" if len(model.bodies) > 1 else ""
-            )
-            rows.append(
-                Row("cast shadows", "nothing on an open hand, all of the sound behind a finger", why, skin.spec.name)
-            )
+        if skin.spec.config.body_sound == "none":
+            rows.append(_cast_shadows(skin, len(model.bodies)))
     for skin in model.skins:
         if skin.spec.moves or skin.carrier.hand is not None:
             rows.append(
                 Row(
-                    "the hand's own acceleration",
-                    "rho a h of shear on the base: 11 Pa for 1 m/s^2 on 10 mm",
+                    "the body's own acceleration",
+                    _inertia(skin),
                     "not modelled: displacements are in the moving frame, and its load is as slow as the motion",
                     skin.spec.name,
                 )
@@ -63,6 +59,23 @@ def besides(model: HapticModel) -> list[Row]:
             why = "only the resultant force acts on the rest of the body"
             rows.append(Row("skin elsewhere", "not modelled", why, skin.spec.name))
     return rows
+
+
+def _cast_shadows(skin: SkinModel, bodies: int) -> Row:
+    size = "not estimated"
+    if skin.carrier.surface is None:
+        size = "none of its own on a flat face"
+    elif skin.spec.config.shape in OF_SHAPES["hand"]:
+        size = "nothing on an open hand, all of the sound behind a finger"
+    why = "one part of the body does not shade another" + (", nor one body another" if bodies > 1 else "")
+    return Row("cast shadows", size, why, skin.spec.name)
+
+
+def _inertia(skin: SkinModel) -> str:
+    """Shear on the base of this layer for an acceleration of 1 m/s^2."""
+    sheets, depth = skin.layer.sheets, float(np.median(skin.layer.patch.depth))
+    density = sum(sheet.material.density_kg_m3 * sheet.thickness_m for sheet in sheets)
+    return f"rho a h of shear on the base: {density * depth:.2g} Pa for 1 m/s^2 on {1e3 * depth:.2g} mm"
 
 
 def _nearest(foci: Float, nodes: Float) -> Float:
@@ -90,7 +103,7 @@ def _cutoff_row(skin: SkinModel) -> list[Row]:
         Row(
             "waves below the cut-off",
             f"c_s/4h = {cutoff:.0f} Hz" + ("" if rigid else " at most"),
-            f"h {1e3 * depth:.1f} mm, the median; a layer bonded to rigid bone guides no wave below this, motion there "
+            f"h {1e3 * depth:.1f} mm, the median; a layer on a rigid base guides no wave below this, motion there "
             "stays local" + ("" if rigid else "; the springs below it lower it"),
             skin.spec.name,
         )

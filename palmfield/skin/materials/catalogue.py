@@ -7,7 +7,7 @@
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-from palmfield.errors import SceneError
+from palmfield.errors import SceneError, did_you_mean
 from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson, kelvin_voigt, prony
 from palmfield.skin.materials.sheet import Sheet
 
@@ -211,7 +211,8 @@ PRESETS: dict[str, Material] = {name: entry.material for name, entry in CATALOGU
 def preset(name: str) -> Material:
     """The material of that name in PRESETS. Raises SceneError with the known names otherwise."""
     if name not in PRESETS:
-        raise SceneError(f"skin material '{name}' is not known; use one of {', '.join(sorted(PRESETS))}")
+        near = did_you_mean(name, PRESETS)
+        raise SceneError(f"skin material '{name}' is not known{near}; use one of {', '.join(sorted(PRESETS))}")
     return PRESETS[name]
 
 

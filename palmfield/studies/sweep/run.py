@@ -1,6 +1,7 @@
 """A whole sweep: what is computed, by whom, and how it goes on after it was cut off."""
 
 import json
+import logging
 import platform
 import time
 from collections.abc import Callable, Generator, Mapping, Sequence
@@ -41,6 +42,7 @@ from palmfield.studies.sweep.store import SweepStore, open_dataset, size_bytes
 from palmfield.studies.sweep.variables import DONE, FAILED
 from palmfield.threads import cores
 
+LOG = logging.getLogger("palmfield.studies")
 LARGE_BYTES = 2e9
 LONG_S = 3600.0
 """A sweep beyond these asks before it goes on."""
@@ -92,7 +94,7 @@ def sweep(
     duration_s: float | None = None,
     errors: bool = False,
     picture: bool = True,
-    progress: bool = True,
+    progress: bool = False,
     yes: bool = False,
     ask: Ask | None = None,
 ) -> Sweep:
@@ -109,6 +111,7 @@ def sweep(
     scheduler: address of a Dask cluster that runs already, in place of workers; it must see the scene's file
     device, accuracy: see `palmfield.load`; duration_s: of each point [s], the scene's own by default
     errors: whether each point's error is estimated, which takes longer than most runs; picture: whether one is drawn
+    progress: whether a bar is drawn on a terminal's standard error
     yes: whether a sweep goes on that takes more than 2 GB or an hour; without, `ask` is asked with a question
     Ctrl-C, a full disk and lost workers leave what was done: the same call goes on. A point that fails is recorded.
     Raises SceneError for keys and values that can't be, before anything runs; PalmfieldError for a cluster that can't
@@ -127,24 +130,26 @@ def sweep(
     most = MOST_ON_GPU if view.device.startswith("cuda") else MOST_IN_BATCH
     memory = _memory_bytes(view, groups, most)
     count = _worker_count(workers, gpus, design.count, memory, gpu_memory_bytes() if gpus else 0)
-    console = Console(stderr=True, quiet=not progress, markup=False, highlight=False, emoji=False, soft_wrap=True)
+    console = Console(stderr=True, quiet=not progress)
     size = size_bytes(design, view.labels, errors)
     said = _in_words(view, design, size, memory, None if scheduler else count)
-    console.print(said)
+    LOG.info("%s", said)
     stepped = in_words(groups)
     if stepped:
-        console.print(stepped)
+        LOG.info("%s", stepped)
     if size > LARGE_BYTES:
         _confirm(f"{size / 1e9:.1f} GB may be written to {out}", yes, ask)
     store = SweepStore(out, design, view.labels, _attributes(view, design, known, accuracy, errors, stepped), errors)
     missing = [int(number) for number in np.flatnonzero(store.status.ravel() != DONE)]
     if len(missing) < design.count:
-        console.print(f"going on: {design.count - len(missing)} points are there")
+        LOG.info("going on: %d points are there", design.count - len(missing))
     # A worker sees one GPU, whatever its number was
     where = "cuda:0" if gpus else device
     task = Task(path, where, accuracy, view.duration_s, view.times, errors)
     points = _Points(missing, groups, design, known, most)
     if missing:
+        # A picture of fewer points beside these would lie
+        (out / PICTURE).unlink(missing_ok=True)
         if scheduler is not None:
             results = _on_cluster(lambda: remote_cluster(scheduler), task, points)
         elif count:
@@ -159,7 +164,7 @@ def sweep(
             plot_sweep(open_dataset(store.path), out / PICTURE)
             files[PICTURE] = out / PICTURE
         except OutputError as error:
-            console.print(f"palmfield: no {PICTURE}: {error}")
+            LOG.warning("no %s: %s", PICTURE, error)
     failed = {int(number): store.failure(int(number)) for number in np.flatnonzero(store.status.ravel() == FAILED)}
     return Sweep(out, files, design.count, store.done, failed)
 

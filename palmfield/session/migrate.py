@@ -1,0 +1,183 @@
+"""Scenes of the last version in this one's words: what is renamed is rewritten, all else stays as it is."""
+
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+from palmfield.config import CONFIGS, Config
+from palmfield.errors import OutputError, SceneError
+from palmfield.outputs.store import write_whole
+from palmfield.session.scene_text import Element, elements_of, read_scene_text
+
+MOVED = {("palmfield.array", "compute"): "palmfield_device"}
+"""Keys that are now a custom text of the whole scene."""
+TAG = re.compile(rb"""<(?:[^<>"']|"[^"]*"|'[^']*')*>""")
+"""An element's beginning; > may stand in a value."""
+
+
+class Migrated(NamedTuple):
+    """A scene's file in this version's words.
+
+    text: of the file; changes: what was changed, a sentence each, empty where nothing was
+    others: files that it includes and that have old words too
+    """
+
+    text: bytes
+    changes: tuple[str, ...]
+    others: tuple[Path, ...]
+
+
+class _Edit(NamedTuple):
+    """Bytes from start to end become others."""
+
+    start: int
+    end: int
+    new: bytes
+
+
+def migrated(path: Path) -> Migrated:
+    """A scene's file with keys and values that are renamed under their new names; comments and layout stay.
+
+    Raises SceneError for a file that can't be read, or whose keys can't all be kept.
+    """
+    if not path.is_file():
+        raise SceneError(f"scene {path} does not exist; give the path of an MJCF file")
+    data = path.read_bytes()
+    try:
+        data.decode("utf-8")
+    except UnicodeDecodeError:
+        raise SceneError(f"{path} is not written in UTF-8; save it so, and try again") from None
+    elements = elements_of(path)
+    edits, changes, moved = [], [], dict[str, tuple[str, Element]]()
+    for config, element in _keys(elements):
+        key, value = element.attributes["key"], element.attributes.get("value", "")
+        to = MOVED.get((config.plugin, key))
+        if to is not None:
+            known = moved.setdefault(to, (value, element))
+            if known[0] != value:
+                raise SceneError(
+                    f"{element.where}: key '{key}' has value '{value}', and '{known[0]}' in line {known[1].line}, and "
+                    f"is now the one text '{to}' of the whole scene; make them equal first"
+                )
+            edits.append(_without(data, element))
+            continue
+        new_key, new_value = _renamed(config, key, value)
+        if (new_key, new_value) == (key, value):
+            continue
+        edits += [_attribute(data, element, "key", new_key)] if new_key != key else []
+        edits += [_attribute(data, element, "value", new_value)] if new_value != value else []
+        was, now = (f"key '{key}'", f"'{new_key}'") if new_key != key else (f"{key} '{value}'", f"'{new_value}'")
+        changes.append(f"line {element.line}: {was} of '{config.plugin}' is now {now}")
+    for name, (value, element) in moved.items():
+        there = next((e for e in elements if e.tag == "text" and e.attributes.get("name") == name), None)
+        what = f"line {element.line}: key '{element.attributes['key']}' is now the scene's text '{name}'"
+        if there is None:
+            edits.append(_custom_text(data, elements, name, value))
+        else:
+            what = f"{what}, which line {there.line} sets already, to '{there.attributes.get('data', '')}'"
+        changes.append(what)
+    included = dict.fromkeys(e.file for e in read_scene_text(path).elements if e.file != path)
+    others = tuple(file for file in included if any(_is_old(*one) for one in _keys(elements_of(file))))
+    return Migrated(_edited(data, edits), tuple(changes), others)
+
+
+def migrate(path: Path, out: Path | None = None, *, overwrite: bool = False) -> Migrated:
+    """Write a scene's file in this version's words; where nothing is old, nothing is written.
+
+    out: the file to write, the scene's own by default; overwrite: whether a file that is there may be replaced
+    Raises SceneError as `migrated`, OutputError where a file may not be replaced or can't be written.
+    """
+    result = migrated(path)
+    target = path if out is None else out
+    if not result.changes:
+        return result
+    if target.exists() and not overwrite:
+        raise OutputError(
+            f"{target} is there and would be replaced ({'; '.join(result.changes)}); give another file by --out, or "
+            "--overwrite"
+        )
+    write_whole(target, result.text)
+    return result
+
+
+def _keys(elements: list[Element]) -> list[tuple[type[Config], Element]]:
+    """Elements that set keys of palmfield's plugins, with the keys' model."""
+    configs = {config.plugin: config for config in CONFIGS}
+    result = []
+    for element in elements:
+        plugin = element.within("plugin") if element.tag == "config" else None
+        config = configs.get(plugin.attributes.get("plugin", "")) if plugin is not None else None
+        if config is not None and "key" in element.attributes:
+            result.append((config, element))
+    return result
+
+
+def _is_old(config: type[Config], element: Element) -> bool:
+    key, value = element.attributes["key"], element.attributes.get("value", "")
+    return (config.plugin, key) in MOVED or _renamed(config, key, value) != (key, value)
+
+
+def _renamed(config: type[Config], key: str, value: str) -> tuple[str, str]:
+    """A key and its value under their present names."""
+    use = config.renamed.get(key)
+    if use in config.model_fields:
+        return str(use), value
+    return key, config.renamed.get(f"{key}={value}", value)
+
+
+def _attribute(data: bytes, element: Element, name: str, new: str) -> _Edit:
+    """Another value for an element's attribute."""
+    tag = _tag(data, element)
+    found = re.compile(rb"\b" + name.encode() + rb"\s*=\s*([\"'])(.*?)\1", re.DOTALL).search(tag[0])
+    assert found is not None
+    return _Edit(tag.start() + found.start(2), tag.start() + found.end(2), new.encode())
+
+
+def _tag(data: bytes, element: Element) -> re.Match[bytes]:
+    tag = TAG.match(data, element.offset)
+    assert tag is not None
+    return tag
+
+
+def _without(data: bytes, element: Element) -> _Edit:
+    """The element left out, with its line where it has that to itself."""
+    tag = _tag(data, element)
+    start, end = tag.start(), tag.end()
+    if not tag[0].endswith(b"/>"):
+        end = data.index(b">", data.index(b"</" + element.tag.encode(), end)) + 1
+    line_start = data.rfind(b"\n", 0, start) + 1
+    line_end = data.find(b"\n", end)
+    if line_end >= 0 and not data[line_start:start].strip() and not data[end:line_end].strip():
+        start, end = line_start, line_end + 1
+    return _Edit(start, end, b"")
+
+
+def _custom_text(data: bytes, elements: list[Element], name: str, value: str) -> _Edit:
+    """A custom text that is new: in the <custom> that is there, or in one of its own before the plugins."""
+    quoted = value.replace("&", "&amp;").replace("<", "&lt;").replace('"', "&quot;")
+    text = f'<text name="{name}" data="{quoted}"/>'.encode()
+    custom = next((e for e in elements if e.tag == "custom"), None)
+    if custom is None:
+        extension = next(e for e in elements if e.tag == "extension")
+        indent = _indent(data, extension)
+        return _Edit(extension.offset, extension.offset, b"<custom>" + text + b"</custom>" + (indent or b"\n"))
+    tag = _tag(data, custom)
+    if tag[0].endswith(b"/>"):
+        return _Edit(tag.end() - 2, tag.end(), b">" + text + b"</custom>")
+    child = next((e for e in elements if e.parent is custom), None)
+    return _Edit(tag.end(), tag.end(), (_indent(data, child) if child is not None else b"") + text)
+
+
+def _indent(data: bytes, element: Element) -> bytes:
+    """The new line and the spaces before an element that begins one; nothing before others."""
+    start = data.rfind(b"\n", 0, element.offset)
+    before = data[start + 1 : element.offset]
+    if before.strip():
+        return b""
+    return (b"\r\n" if data[start - 1 : start] == b"\r" else b"\n") + before
+
+
+def _edited(data: bytes, edits: list[_Edit]) -> bytes:
+    for edit in sorted(edits, reverse=True):
+        data = data[: edit.start] + edit.new + data[edit.end :]
+    return data

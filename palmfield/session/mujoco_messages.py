@@ -1,0 +1,211 @@
+"""MuJoCo's messages about a scene in words that say where it is and how to mend it."""
+
+import re
+from collections.abc import Callable, Sequence
+from functools import cache
+
+import mujoco
+
+from palmfield.errors import did_you_mean
+from palmfield.session.scene_text import Element, SceneText
+
+AT = re.compile(r"\bElement(?: name)? '(?P<name>[^']*)'(?:, id -?\d+)?(?:, line (?P<line>\d+))?\s*$")
+"""The place at the end of a message: the element's tag while MuJoCo reads, its name while it compiles."""
+
+
+def in_words(message: str, scene: str, text: SceneText | None, plugins: Sequence[str]) -> str:
+    """One line: file and line where they are known, element, what is wrong, and what is allowed.
+
+    message: MuJoCo's; scene: its name; text: its files, if it has any; plugins: names that palmfield registers
+    """
+    said, name, line = _parts(message)
+    element = None if text is None else _element(said, name, line, text)
+    where, tag = scene, f"element '{name}' " if name else ""
+    if element is not None:
+        where, tag = element.where, f"<{element.tag}> "
+    elif line:
+        where = f"{scene}, line {line}"
+    for pattern, words in FAULTS:
+        found = re.search(pattern, said)
+        if found:
+            return f"{where}: {tag}{words(found, element, text, plugins)}"
+    return f"{where}: {tag}can't be built; mend what MuJoCo says of it: {said}"
+
+
+def _parts(message: str) -> tuple[str, str, int]:
+    """What MuJoCo says, of which element (its tag while it reads, its name while it compiles), and in which line.
+
+    Line 0 where it doesn't know, as in included files.
+    """
+    plain = " ".join(message.split())
+    while plain.startswith(("XML Error: ", "Error: ")):
+        plain = plain.partition(": ")[2]
+    place = AT.search(plain)
+    if place is None:
+        return plain, "", 0
+    return plain[: place.start()].strip(), place["name"], int(place["line"] or 0)
+
+
+def _element(said: str, name: str, line: int, text: SceneText) -> Element | None:
+    """The element that MuJoCo means. It counts no lines in included files, so each is asked for by itself."""
+    if line:
+        return text.at(text.file, line, name)
+    for file in text.included:
+        try:
+            spec = mujoco.MjSpec.from_file(str(file))
+            if not spec.plugins:
+                spec.compile()
+        except (ValueError, mujoco.FatalError) as error:
+            again, name_again, line_again = _parts(str(error))
+            if again == said and line_again:
+                return text.at(file, line_again, name_again)
+    return None
+
+
+Words = Callable[[re.Match[str], Element | None, SceneText | None, Sequence[str]], str]
+
+
+def _unknown_element(found: re.Match[str], element: Element | None, text: object, plugins: object) -> str:
+    holder = None if element is None else element.parent
+    inside = children(holder.tag) if holder is not None else ()
+    if element is None or holder is None or not inside:
+        return "is an element that MuJoCo doesn't know here; drop it, or move it where it belongs"
+    near = did_you_mean(element.tag, inside)
+    return f"is unknown inside <{holder.tag}>{near}; allowed: {', '.join(inside)}"
+
+
+def _unknown_attribute(found: re.Match[str], element: Element | None, text: object, plugins: object) -> str:
+    known = () if element is None else attributes(element.tag)
+    near = did_you_mean(found[1], known)
+    return f"has no attribute '{found[1]}'{near}" + (f"; allowed: {', '.join(known)}" if known else "; drop it")
+
+
+def _value(found: re.Match[str], element: Element | None) -> str:
+    value = None if element is None else element.attributes.get(found[1])
+    return f"attribute '{found[1]}'" + ("" if value is None else f" has value '{value}',")
+
+
+def _unknown_plugin(found: re.Match[str], element: object, text: object, plugins: Sequence[str]) -> str:
+    near = did_you_mean(found[1], plugins)
+    return f"plugin '{found[1]}' is not installed{near}; palmfield's are: {', '.join(plugins)}"
+
+
+def _unknown_name(found: re.Match[str], element: Element | None, text: SceneText | None, plugins: object) -> str:
+    name = found[1]
+    if element is None or text is None:
+        return f"the scene has nothing named '{name}' ({found[2]}); give the name of one that it has"
+    attribute = next((key for key, value in element.attributes.items() if value == name), "")
+    kind = element.attributes.get("objtype", "site") if attribute == "objname" else attribute.rstrip("0123456789")
+    names = text.named(kind)
+    kind = "plugin instance" if kind == "instance" else kind
+    has = f"; it has: {', '.join(names)}" if names else "; give the name of one that it has"
+    return f"attribute '{attribute}': the scene has no {kind} '{name}'{did_you_mean(name, names)}{has}"
+
+
+FAULTS: tuple[tuple[str, Words], ...] = (
+    (r"Schema violation: unrecognized element", _unknown_element),
+    (r"Schema violation: unrecognized attribute: '([^']*)'", _unknown_attribute),
+    (
+        r"Schema violation: unique element '?(\w*)",
+        lambda found, element, text, plugins: "stands here a second time; allowed: once, put both into one",
+    ),
+    (
+        r"(?:bad format in|problem reading) attribute '([^']*)'",
+        lambda found, element, text, plugins: (
+            f"{_value(found, element)} of which not all are numbers; allowed: "
+            "numbers with spaces between, without units"
+        ),
+    ),
+    (
+        r"attribute '([^']*)' has too much data",
+        lambda found, element, text, plugins: f"{_value(found, element)} more numbers than it takes; give fewer",
+    ),
+    (
+        r"attribute '([^']*)' does not have enough data",
+        lambda found, element, text, plugins: f"{_value(found, element)} fewer numbers than it takes; give more",
+    ),
+    (
+        r"invalid keyword: '([^']*)'",
+        lambda found, element, text, plugins: (
+            f"{_attribute_with(found[1], element)} has value '{found[1]}', none of "
+            "its words; give one that MuJoCo's XML reference lists for it"
+        ),
+    ),
+    (
+        r"required attribute missing: '([^']*)'",
+        lambda found, element, text, plugins: f"lacks the attribute '{found[1]}'; add {found[1]}=\"...\"",
+    ),
+    (
+        r"repeated name '([^']*)' in (\w+)",
+        lambda found, element, text, plugins: f"name '{found[1]}' is given twice ({found[2]}); give each its own",
+    ),
+    (
+        r"Error opening file '([^']*)'",
+        lambda found, element, text, plugins: (
+            f"file '{found[1]}' is not there, or can't be read; give one relative to the scene's folder"
+        ),
+    ),
+    (
+        r"duplicate config key: (\S+)",
+        lambda found, element, text, plugins: f"gives key '{found[1]}' twice; allowed: each key once in an instance",
+    ),
+    (r"plugin '?([\w.]+?)'? not found", _unknown_plugin),
+    (r"unrecognized name '([^']*)' (?:of|for) ([\w ]+)", _unknown_name),
+    (r"neither 'plugin' nor 'instance' is specified", lambda *_: "names no plugin; add plugin=... and instance=..."),
+    (
+        r"File '([^']*)' already included",
+        lambda found, element, text, plugins: f"file '{found[1]}' is included twice; include it once",
+    ),
+    (r"World body cannot have joints", lambda *_: "stands in the world, which doesn't move; put it into a <body>"),
+    (r"axis too small in joint", lambda *_: "has an axis without length; give attribute 'axis' a direction"),
+    (
+        r"mass and inertia of moving bodies must be larger than mjMINVAL",
+        lambda *_: "moves and has no mass; give the body a geom, an <inertial>, or no joint",
+    ),
+)
+"""What MuJoCo says, and it in words with what is allowed."""
+
+
+def _attribute_with(value: str, element: Element | None) -> str:
+    names = [] if element is None else [key for key, own in element.attributes.items() if own == value]
+    return f"attribute '{names[0]}'" if names else "an attribute"
+
+
+@cache
+def _schema() -> dict[str, tuple[tuple[str, ...], tuple[str, ...]]]:
+    """Attributes and children of each of MuJoCo's elements, by tag; a tag used in several places has those of all."""
+    known: dict[str, tuple[list[str], list[str]]] = {}
+    holders: list[tuple[int, str]] = []
+    tag = ""
+    for line in mujoco.mj_printSchema(False, False).splitlines():
+        head = re.match(r"( *)(?:\(world\))?(\w+) \(.\)\s*(.*)$", line)
+        words = line.split() if head is None else head[3].split()
+        if head is not None:
+            depth, tag = len(head[1]), head[2]
+            holders = [holder for holder in holders if holder[0] < depth]
+            known.setdefault(tag, ([], []))
+            if holders:
+                known[holders[-1][1]][1].append(tag)
+            holders.append((depth, tag))
+        if tag:
+            known[tag][0].extend(words)
+    known["body"][1].append("body")
+    known["worldbody"] = ([], known["body"][1])
+    known["mujoco"][1][known["mujoco"][1].index("body")] = "worldbody"
+    for tag in ("frame", "replicate"):
+        known.setdefault(tag, ([], []))[1].extend(known["body"][1])
+    for _, inside in known.values():
+        # These may stand anywhere
+        inside.extend(["include", "frame", "replicate"] if "geom" in inside else ["include"])
+    unique = dict.fromkeys
+    return {tag: (tuple(unique(own)), tuple(unique(inside))) for tag, (own, inside) in known.items()}
+
+
+def attributes(tag: str) -> tuple[str, ...]:
+    """Attributes that MuJoCo knows of an element."""
+    return _schema().get(tag, ((), ()))[0]
+
+
+def children(tag: str) -> tuple[str, ...]:
+    """Elements that MuJoCo knows inside an element."""
+    return _schema().get(tag, ((), ()))[1]

@@ -1,0 +1,159 @@
+"""Whether sound can come to the skins, over the whole motion: patches that are hidden, turned away, edge-on, too far.
+
+Straight ways from the transducers, at some moments: what a user should know before the run, at no cost to speak of.
+"""
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+import warp as wp
+
+from palmfield.acoustics.shadow import shadow_mesh, visibility
+from palmfield.hand.triangles import vertex_normals
+from palmfield.session.preview import Preview
+from palmfield.simulation.model import HapticModel, StimulusModel
+from palmfield.simulation.posed_scene import PosedScene
+from palmfield.stimulus.schedule import frames_at, turn_rate_Hz
+from palmfield.types import Float, Surface
+
+MOMENTS, COURSE = 32, 16
+"""Moments of a motion, and points of a path on bodies that keep still, that are looked at."""
+POINTS = 48
+"""Of a patch, at most."""
+EDGE_ON = math.sin(math.radians(15.0))
+"""Mean cosine between the skin's normal and the ways to the transducers below which a patch is seen edge-on."""
+HIDDEN = 0.75
+"""Share of what faces the array that is seen, below which something hides it: the ARP is then about half or less."""
+CLEARANCE_M = 1e-3
+"""How far above the skin ways begin: smooth patches lie that far below the meshes of what they are part of."""
+KINDS = {
+    "turned away": "skin '{skin}' is turned away from the array where stimulus '{stimulus}' focuses",
+    "edge-on": "skin '{skin}' is edge-on to the array where stimulus '{stimulus}' focuses",
+    "hidden": "the focus of stimulus '{stimulus}' on skin '{skin}' is hidden from the array by a body or an obstacle",
+    "too far": "the focus of stimulus '{stimulus}' is out of reach of skin '{skin}'",
+}
+"""What is said of each kind of patch; `Sight.kind` tells them apart."""
+
+
+class Sight(NamedTuple):
+    """What the transducers of a stimulus see of a skin around its focus, or of all its layer where that is far away.
+
+    time_s: [s]; near: whether the focus comes near the skin; facing: share of the ways from its points to the
+    transducers that leave on the outer side; incidence: mean cosine of these ways to the normal, negative from behind
+    lit: share of the patch's area that is seen, transducers taken alike
+    """
+
+    time_s: float
+    near: bool
+    facing: float
+    incidence: float
+    lit: float
+
+    @property
+    def kind(self) -> str | None:
+        """Which of KINDS it is, if any."""
+        if not self.near:
+            return "too far"
+        if self.facing < 0.5:
+            return "turned away"
+        if self.incidence < EDGE_ON:
+            return "edge-on"
+        return "hidden" if self.lit < HIDDEN * self.facing else None
+
+
+def out_of_sight(view: Preview) -> list[str]:
+    """A sentence for each skin and each of KINDS that happens, with how often and the share of the patch that is lit.
+
+    A skin that no focus ever comes near is left out; one that it is far from is told of beyond half of the moments.
+    """
+    result = []
+    for skin, sights in enumerate(_sights(view)):
+        stimulus = max(range(len(sights)), key=lambda number: sum(one.near for one in sights[number]))
+        seen, model = sights[stimulus], view.runtime.model
+        if not any(one.near for one in seen):
+            continue
+        for kind, words in KINDS.items():
+            so = [one for one in seen if one.kind == kind]
+            if not so or (kind == "too far" and 2 * len(so) <= len(seen)):
+                continue
+            often = "" if len(seen) == 1 else f" at {len(so)} of {len(seen)} moments, first at {so[0].time_s:.3g} s"
+            share = 100.0 * sum(one.lit for one in so) / len(so)
+            named = words.format(skin=model.skins[skin].spec.name, stimulus=model.stimuli[stimulus].spec.name)
+            result.append(f"{named}{often}; {share:.0f} % of the skin's patch is lit then")
+    return result
+
+
+def _sights(view: Preview) -> list[list[list[Sight]]]:
+    """By skin and stimulus, at each moment at which that sounds."""
+    model = view.runtime.model
+    result: list[list[list[Sight]]] = [[[] for _ in model.stimuli] for _ in model.skins]
+    for posed, times in _moments(view):
+        mesh = None
+        for number, stimulus in enumerate(model.stimuli):
+            foci, factors = frames_at(stimulus.config, times)
+            if stimulus.silent:
+                continue
+            places = posed.focal_points(stimulus, number)
+            for time_s, focus in zip(times[factors > 0.0], foci[factors > 0.0], strict=True):
+                if mesh is None:
+                    mesh = shadow_mesh(_everything(posed), "cpu")
+                where = np.atleast_2d(places.at(focus))
+                for skin in range(len(model.skins)):
+                    result[skin][number].append(_sight(model, posed, skin, stimulus, where, mesh, float(time_s)))
+    return result
+
+
+def _moments(view: Preview) -> Iterator[tuple[PosedScene, Float]]:
+    """Poses over the run with the times [s] at which they are looked at, one or, where nothing moves, many."""
+    moments = list(view.moments(MOMENTS))
+    if len(moments) > 1:
+        for time_s, posed in moments:
+            yield posed, np.array([time_s])
+        return
+    ((now_s, posed),) = moments
+    rates = [rate for stimulus in view.runtime.model.stimuli if (rate := turn_rate_Hz(stimulus.config))]
+    starts = max(stimulus.config.start_s + stimulus.config.ramp_s for stimulus in view.runtime.model.stimuli)
+    count = COURSE if rates else 1
+    yield posed, max(now_s, starts) + np.arange(count) / (count * min(rates, default=1.0))
+
+
+def _everything(posed: PosedScene) -> Surface:
+    """All that can hide something, in one mesh in the array frame."""
+    parts = [(body.vertices_in_array, body.faces) for body in posed.bodies]
+    parts += [skin.obstacles for skin in posed.skins if skin.obstacles is not None]
+    firsts = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
+    faces = [own + first for (_, own), first in zip(parts, firsts, strict=False)]
+    vertices, triangles = np.concatenate([vertices for vertices, _ in parts]), np.concatenate(faces)
+    return Surface(vertices, triangles, vertex_normals(vertices, triangles))
+
+
+def _sight(
+    model: HapticModel,
+    posed: PosedScene,
+    skin: int,
+    stimulus: StimulusModel,
+    foci: Float,
+    mesh: wp.Mesh,
+    time_s: float,
+) -> Sight:
+    layer = model.skins[skin].layer
+    points, normals = posed.skins[skin].quadrature
+    areas = layer.quadrature.weights
+    reach_m = max(layer.demand.spot_fwhm_m, 2.0 * layer.sizes.edge_coarse_m)
+    distance = np.linalg.norm(points[:, None] - foci[None], axis=2).min(axis=1)
+    near = bool(distance.min() <= reach_m)
+    # Elements may be larger than the spot: the nearest one then
+    spot_m = max(layer.demand.spot_fwhm_m, float(np.partition(distance, 5)[5]))
+    patch = np.flatnonzero(distance <= spot_m) if near else np.arange(len(points))
+    patch = patch[:: -(-len(patch) // POINTS)]
+    points, normals, areas = points[patch], normals[patch], areas[patch] / areas[patch].sum()
+    sources = posed.arrays.array.positions[stimulus.transducers]
+    ways = sources[None] - points[:, None]
+    cosines = np.einsum("pst,pt->ps", ways / np.linalg.norm(ways, axis=2)[..., None], normals)
+    seen = visibility(points, normals, mesh, sources, clearance_m=CLEARANCE_M)
+    return Sight(
+        time_s, near, float(areas @ (cosines > 0.0).mean(axis=1)), float(areas @ cosines.mean(axis=1)),
+        float(areas @ seen),
+    )  # fmt: skip

@@ -1,0 +1,218 @@
+"""A scene's files as text: their elements with file and line, and what is wrong with their XML, in words.
+
+MuJoCo's model doesn't say where in a file something stands, and its parser's messages don't say how to mend it.
+"""
+
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+from xml.parsers import expat
+
+from palmfield.errors import SceneError, did_you_mean
+
+ROOTS = ("mujoco", "mujocoinclude", "robot")
+"""What MuJoCo takes as the outermost element: of a scene, of what it includes, and of a URDF file."""
+
+NAMES = ("name", "class", "file", "model", "prefix", "timestep")
+"""How attributes end that are names and may be any word, and the one that palmfield reads."""
+AMPERSAND = "\x7f"
+"""Stands for an & while a file is read: one byte that XML allows and nobody writes."""
+
+
+@dataclass
+class Element:
+    """An element of a scene's files.
+
+    offset: bytes of the file before it; parent: that which holds it, across included files; None for a root
+    """
+
+    tag: str
+    attributes: dict[str, str]
+    file: Path
+    line: int
+    offset: int
+    parent: "Element | None" = field(default=None, repr=False)
+
+    @property
+    def where(self) -> str:
+        """File and line, for messages."""
+        return f"{self.file}, line {self.line}"
+
+    def within(self, tag: str) -> "Element | None":
+        """The nearest element of a tag that holds this one."""
+        holder = self.parent
+        while holder is not None and holder.tag != tag:
+            holder = holder.parent
+        return holder
+
+
+class SceneText(NamedTuple):
+    """All elements of a scene's files, those of included files where they are included.
+
+    file: the scene's own, as the user named it
+    """
+
+    file: Path
+    elements: tuple[Element, ...]
+
+    def named(self, tag: str) -> list[str]:
+        """Names of all elements of a tag."""
+        return [one.attributes["name"] for one in self.elements if one.tag == tag and one.attributes.get("name")]
+
+    @property
+    def included(self) -> list[Path]:
+        """Files that the scene includes, in the order in which they are read."""
+        return list(dict.fromkeys(one.file for one in self.elements if one.file != self.file))
+
+    def at(self, file: Path, line: int, word: str) -> Element | None:
+        """The element in a line of a file; where there are several, that with a word as its tag, or in an attribute."""
+        here = [one for one in self.elements if one.file == file and one.line == line]
+        with_word = [one for one in here if one.tag == word or (word and word in one.attributes.values())]
+        return next(iter(with_word or here), None)
+
+    def instance(self, plugin: str, name: str) -> Element | None:
+        """The element of a plugin's instance."""
+        for one in self.elements:
+            if one.tag == "instance" and one.attributes.get("name") == name:
+                holder = one.within("plugin")
+                if holder is not None and holder.attributes.get("plugin") == plugin:
+                    return one
+        return None
+
+    def key(self, plugin: str, name: str, key: str) -> Element | None:
+        """The element that gives a key of a plugin's instance, or that of the instance."""
+        instance = self.instance(plugin, name)
+        own = (one for one in self.elements if one.parent is instance and one.attributes.get("key") == key)
+        return next(own, instance)
+
+
+def read_scene_text(path: Path) -> SceneText:
+    """Elements of a scene's file and of those that it includes; files that are not there are left to MuJoCo.
+
+    As MuJoCo does, it passes over what is wrong in comments and over ampersands that stand for themselves.
+    Raises SceneError, with file and line, for what is no XML.
+    """
+    elements: list[Element] = []
+    _read(path, path, None, elements, set())
+    if not elements:
+        raise SceneError(f"{path}: the file has no element; allowed: <mujoco> with all that the scene has")
+    for one in elements:
+        _check_finite(one)
+    return SceneText(path, tuple(elements))
+
+
+def _check_finite(element: Element) -> None:
+    """Refuse numbers that MuJoCo takes and nothing can be computed with; what palmfield reads is checked by itself."""
+    for name, value in element.attributes.items():
+        if name.endswith(NAMES) or element.tag in ("config", "text", "numeric") or not re.search(r"(?i)nan|inf", value):
+            continue
+        try:
+            numbers = [float(word) for word in value.split()]
+        except ValueError:
+            continue
+        if not all(map(math.isfinite, numbers)):
+            raise SceneError(
+                f"{element.where}: <{element.tag}> attribute '{name}' has value '{value}'; allowed: finite numbers"
+            )
+
+
+def _read(path: Path, scene: Path, holder: Element | None, elements: list[Element], open_files: set[Path]) -> None:
+    """Add the elements of a file. holder: what includes it; open_files: those that are being read"""
+    for one in elements_of(path):
+        if one.parent is None and one.tag not in ROOTS:
+            raise SceneError(
+                f"{one.where}: the outermost element is <{one.tag}>{did_you_mean(one.tag, ROOTS)}; allowed: <mujoco>"
+            )
+        if one.parent is None and holder is not None:
+            # What is included stands in place of the element that includes it
+            one.parent = holder.parent
+        elements.append(one)
+        if one.tag != "include" or not one.attributes.get("file"):
+            continue
+        # MuJoCo takes names relative to the first file, or else to the one that includes.
+        places = [folder / one.attributes["file"] for folder in (scene.parent, path.parent)]
+        included = next((place for place in places if place.is_file()), None)
+        if included is None:
+            continue
+        resolved = included.resolve()
+        if resolved in open_files or resolved == scene.resolve():
+            raise SceneError(f"{one.where}: file '{one.attributes['file']}' includes itself; drop this <include>")
+        _read(included, scene, one, elements, open_files | {resolved})
+
+
+def elements_of(path: Path) -> list[Element]:
+    """Elements of one file in the order of their beginnings. Raises SceneError for what is no XML."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise SceneError(f"{path} can't be read: {error.strerror or error}; give a file that can be") from None
+    parser = expat.ParserCreate()
+    elements: list[Element] = []
+    open_elements: list[Element] = []
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        holder = open_elements[-1] if open_elements else None
+        own = {name: value.replace(AMPERSAND, "&") for name, value in attributes.items()}
+        elements.append(Element(tag, own, path, parser.CurrentLineNumber, parser.CurrentByteIndex, holder))
+        open_elements.append(elements[-1])
+
+    def end(tag: str) -> None:
+        open_elements.pop()
+
+    def between(stray: str) -> None:
+        if stray.strip():
+            raise SceneError(
+                f"{path}, line {parser.CurrentLineNumber}: text '{stray.strip()[:40]}' stands between elements, where "
+                "it says nothing; drop it, or make it an element or a comment"
+            )
+
+    parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.CharacterDataHandler = between
+    try:
+        parser.Parse(_as_mujoco_reads(data), True)
+    except (expat.ExpatError, LookupError, ValueError) as error:
+        line = getattr(error, "lineno", 1)
+        raise SceneError(f"{path}, line {line}: {_fault(error, open_elements)}") from None
+    return elements
+
+
+def _as_mujoco_reads(data: bytes) -> bytes:
+    """XML without comments and without & that stands for itself; all else is where it was."""
+    bare = re.sub(rb"<!--.*?-->", lambda comment: re.sub(rb"[^\n]", b" ", comment[0]), data, flags=re.DOTALL)
+    return re.sub(rb"&(?!#?\w+;)", AMPERSAND.encode(), bare)
+
+
+def _fault(error: Exception, open_elements: list[Element]) -> str:
+    """What is wrong with the XML, and how to mend it."""
+    last = open_elements[-1] if open_elements else None
+    code = getattr(error, "code", None)
+    if code == expat.errors.codes[expat.errors.XML_ERROR_TAG_MISMATCH] and last is not None:
+        return f"<{last.tag}> of line {last.line} is not closed before this; close it by </{last.tag}> or />"
+    if code == expat.errors.codes[expat.errors.XML_ERROR_NO_ELEMENTS] and last is not None:
+        return f"the file ends before <{last.tag}> of line {last.line} is closed; close it by </{last.tag}>"
+    faults = {
+        expat.errors.XML_ERROR_NO_ELEMENTS: "the file is empty; allowed: <mujoco> with all that the scene has",
+        expat.errors.XML_ERROR_INVALID_TOKEN: "a character stands where XML allows none; write values in quotes, "
+        "&lt; for <, and the file in UTF-8",
+        expat.errors.XML_ERROR_UNCLOSED_TOKEN: "an element or a text in quotes is not closed; add the missing > or "
+        "quote",
+        expat.errors.XML_ERROR_DUPLICATE_ATTRIBUTE: "an attribute is given twice; give it once",
+        expat.errors.XML_ERROR_JUNK_AFTER_DOC_ELEMENT: "something follows the end of the outermost element; put all "
+        "into one <mujoco>",
+        expat.errors.XML_ERROR_SYNTAX: "text stands where an element should begin; allowed: <mujoco> with all that "
+        "the scene has",
+        expat.errors.XML_ERROR_UNDEFINED_ENTITY: "an entity is not known; write &amp; for &",
+    }
+    known = next((words for name, words in faults.items() if code == expat.errors.codes[name]), None)
+    return known or f"the file is no XML ({error}); mend it in an editor that checks XML"
+
+
+def sensors_without_objtype(text: SceneText) -> Iterator[Element]:
+    """Plugin sensors on which MuJoCo 4.0 crashes while it reads them."""
+    for one in text.elements:
+        holder = one.parent
+        if one.tag == "plugin" and holder is not None and holder.tag == "sensor" and not one.attributes.get("objtype"):
+            yield one

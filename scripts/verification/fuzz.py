@@ -1,0 +1,149 @@
+"""Malformed inputs by the thousand: what palmfield makes of them, written to docs/bench/fuzzing.md.
+
+python scripts/verification/fuzz.py --cases 1000 --seed 1 --write docs/bench/fuzzing.md
+"""
+
+import argparse
+import json
+import pickle
+import re
+import select
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+from typing import NamedTuple
+
+from fuzz_cases import Case, drawn
+
+HERE = Path(__file__).resolve().parent
+SHARES = {"keys": 0.3, "rules": 0.15, "scene": 0.35, "mesh": 0.2}
+LONGEST_S = 120.0
+RAW = re.compile(r"XML Error|XML_ERROR|ErrorID|Schema violation|mjMINVAL|Traceback|pydantic|No module named|\n")
+"""What no message of palmfield's has in it: MuJoCo's and the parser's own words, and more than one line."""
+BAD = ("traceback", "crash", "too long", "accepted against a rule", "refused in raw words")
+
+
+class Outcome(NamedTuple):
+    """Of a case: refused, accepted or one of BAD; said: the message, or what is known of a crash."""
+
+    case: Case
+    outcome: str
+    said: str
+    seconds: float
+
+
+def run_cases(cases: list[Case], longest_s: float = LONGEST_S) -> list[Outcome]:
+    """What becomes of each case, in processes that may die."""
+    results: dict[int, tuple[str, str, float]] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        listed = Path(folder) / "cases.pickle"
+        listed.write_bytes(pickle.dumps(cases))
+        starts = 0
+        while len(results) < len(cases):
+            first = len(results)
+            _one_process(listed, first, Path(folder) / f"process_{starts}", longest_s, results)
+            starts += 1
+    found = []
+    for number, case in enumerate(cases):
+        outcome, said, seconds = results[number]
+        if outcome == "accepted" and case.forbidden:
+            outcome = "accepted against a rule"
+        if outcome == "refused" and RAW.search(said):
+            outcome = "refused in raw words"
+        found.append(Outcome(case, outcome, said, seconds))
+    return found
+
+
+def _one_process(
+    listed: Path, first: int, folder: Path, longest_s: float, results: dict[int, tuple[str, str, float]]
+) -> None:
+    """Cases from a number on, until the process ends; a case in which it ends is a crash, or takes too long."""
+    command = [sys.executable, str(HERE / "fuzz_worker.py"), str(listed), str(first), str(folder)]
+    worker = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    assert worker.stdout is not None
+    began, last = first, time.monotonic()
+    ended = "crash"
+    while True:
+        ready, _, _ = select.select([worker.stdout], [], [], longest_s)
+        line = worker.stdout.readline() if ready else b""
+        if not line:
+            ended = "crash" if ready else "too long"
+            break
+        told = json.loads(line)
+        if told["outcome"] == "began":
+            began, last = told["number"], time.monotonic()
+        else:
+            results[told["number"]] = told["outcome"], told["said"], told["seconds"]
+    worker.kill()
+    code = worker.wait()
+    if began not in results:
+        results[began] = ended, f"the process ended with {code}", time.monotonic() - last
+
+
+def table(outcomes: list[Outcome]) -> str:
+    """Counts by kind, as markdown."""
+    columns = ("refused", "accepted", *BAD)
+    lines = ["| kind | inputs | forbidden by a rule | " + " | ".join(columns) + " |", "|---" * (3 + len(columns)) + "|"]
+    for kind in [*SHARES, "all"]:
+        own = [one for one in outcomes if kind in (one.case.kind, "all")]
+        counts = Counter(one.outcome for one in own)
+        numbers = [len(own), sum(one.case.forbidden for one in own), *(counts[name] for name in columns)]
+        lines.append(f"| {kind} | " + " | ".join(map(str, numbers)) + " |")
+    return "\n".join(lines)
+
+
+def kinds_of(count: int) -> dict[str, int]:
+    """How many cases of each kind make a number of them."""
+    kinds = {kind: round(share * count) for kind, share in SHARES.items()}
+    kinds["keys"] += count - sum(kinds.values())
+    return kinds
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--cases", type=int, default=1000)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--write", type=Path, help="markdown page to write")
+    arguments = parser.parse_args()
+    start = time.monotonic()
+    cases = drawn(kinds_of(arguments.cases), arguments.seed)
+    outcomes = run_cases(cases)
+    faults = Counter((one.case.kind, one.case.fault, one.outcome) for one in outcomes)
+    spent = time.monotonic() - start
+    command = f"python scripts/verification/fuzz.py --cases {arguments.cases} --seed {arguments.seed}"
+    page = [
+        "# What malformed inputs come to",
+        "",
+        f"    {command} --write docs/bench/fuzzing.md",
+        "",
+        "Inputs are drawn by hypothesis (`scripts/verification/fuzz_cases.py`): values that a key's declaration "
+        "forbids, keys that can't stand together, a small scene with a known fault or with bytes, numbers and lines "
+        "changed at random, and a ball as OBJ, STL, PLY or GLB treated likewise. Each is given to palmfield in a "
+        "process that may die (`scripts/verification/fuzz_worker.py`); nothing is simulated. An input changed at "
+        "random may still be right, and is then accepted. Bad are tracebacks, ends of the process, more than "
+        f"{LONGEST_S:g} s, inputs accepted that a rule forbids, and refusals of several lines or in the words of "
+        "MuJoCo, its XML parser, pydantic or Python's imports.",
+        "",
+        f"{len(outcomes)} different inputs, seed {arguments.seed}, {spent:.0f} s.",
+        "",
+        table(outcomes),
+        "",
+        "| kind | fault | outcome | inputs |",
+        "|---|---|---|---|",
+        *(f"| {kind} | {fault} | {outcome} | {count} |" for (kind, fault, outcome), count in sorted(faults.items())),
+        "",
+    ]
+    bad = [one for one in outcomes if one.outcome in BAD]
+    for one in bad:
+        print(f"{one.outcome}: {one.case.kind}, {one.case.fault}: {one.case.values}\n  {one.said}", file=sys.stderr)
+    print("\n".join(page))
+    if arguments.write is not None:
+        arguments.write.write_text("\n".join(page))
+    return 1 if bad else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

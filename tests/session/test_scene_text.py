@@ -1,0 +1,156 @@
+"""What a scene's files say that MuJoCo can't build: told with file, line, element, and how to mend it."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import mujoco
+import pytest
+
+import palmfield
+from palmfield.errors import SceneError, did_you_mean
+from palmfield.session.mujoco_messages import attributes, children
+from palmfield.session.scene_text import read_scene_text
+
+RAW = re.compile(r"XML Error|XML_ERROR|ErrorID|Schema violation|Element name|mjMINVAL|id -?\d+, line")
+"""Words of MuJoCo and its parser that tell users nothing."""
+
+
+def told(scene: Path, old: str, new: str, file: str = "small.xml") -> str:
+    """What is said of a scene with another text in one of its files; it is one line, with the line of the change."""
+    path = scene.with_name(file)
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(SceneError) as refusal:
+        palmfield.load(scene)
+    message = str(refusal.value)
+    line = text[: text.index(old)].count("\n") + 1
+    assert "\n" not in message and not RAW.search(message), message
+    assert message.startswith(f"{path}, line {line}: "), (message, line)
+    return message.removeprefix(f"{path}, line {line}: ")
+
+
+GEOM = '<geom type="cylinder" size="0.02 0.004"'
+FAULTS = {
+    "element": (GEOM, GEOM.replace("geom", "goem"), "<goem> is unknown inside <body> (did you mean 'geom'?); allowed:"),
+    "attribute": (GEOM, GEOM.replace("size", "sze"), "<geom> has no attribute 'sze' (did you mean 'size'?); allowed: "),
+    "unit": (GEOM, GEOM.replace("0.004", "4mm"), "<geom> attribute 'size' has value '0.02 4mm', of which not all are "),
+    "too many": (GEOM, GEOM.replace("0.004", "1 2 3"), "<geom> attribute 'size' has value '0.02 1 2 3', more numbers"),
+    "keyword": (GEOM, GEOM.replace("cylinder", "can"), "<geom> attribute 'type' has value 'can', none of its words;"),
+    "no include": ("uhev1.xml", "uhev2.xml", "uhev2.xml' is not there, or can't be read; give one relative to"),
+    "name twice": ('<site name="centre"', '<site name="centre"/><site name="centre"', "name 'centre' is given twice"),
+    "not closed": (GEOM, "<geom>" + GEOM, "<geom> of line 8 is not closed before this; close it by </geom> or />"),
+    "quote": ('type="cylinder"', "type=cylinder", "a character stands where XML allows none; write values in quotes"),
+    "massless": ("<geom type", '<body><joint/></body><geom type', "moves and has no mass; give the body a geom"),
+    "stray text": ("<worldbody>", "<worldbody> oops", "text 'oops' stands between elements, where it says"),
+    "no number": ('pos="0 0 0.12"', 'pos="nan 0 0.12"', "<body> attribute 'pos' has value 'nan 0 0.12'; allowed: "),
+    "axis": ('axis="1 0 0"', 'axis="0 0 0"', "<joint> has an axis without length; give attribute 'axis' a direction"),
+    "in the world": ("<body name", '<joint type="hinge"/><body name', "<joint> stands in the world, which"),
+    "attribute twice": ('name="pad"', 'name="pad" name="pad"', "an attribute is given twice; give it once"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_faults_of_plain_scenes_are_told_with_line_and_mend(fault, small_scene):
+    old, new, expected = FAULTS[fault]
+    if fault == "not closed":
+        path = small_scene()
+        plain = path.with_name("plain.xml")
+        plain.write_text(plain.read_text().replace(GEOM, "<geom>" + GEOM))
+        with pytest.raises(SceneError, match=r"plain\.xml, line 9: <geom> of line 8 is not closed before this; close"):
+            palmfield.load(path)
+        return
+    assert expected in told(small_scene(), old, new, "plain.xml")
+
+
+PLUGINS = {
+    "key": (
+        'key="thickness_m"', 'key="thicknes_m"', "unknown key 'thicknes_m' (did you mean 'thickness_m'?); allowed",
+    ),
+    "plugin": (
+        "palmfield.stimulus", "palmfield.stimuls", "not installed (did you mean 'palmfield.stimulus'?); palmfield's",
+    ),
+    "value": ('value="free"', 'value="fre"', "key 'side' has value 'fre' (did you mean 'free'?); allowed: fixed | "),
+    "material": ('"ecoflex_00-10"', '"ecoflex_0010"', "is not known (did you mean 'ecoflex_00-10'?); use one"),
+    "body": ('value="pad"', 'value="pda"', "the scene has no body 'pda' (did you mean 'pad'?); it has: "),
+    "site": ('objname="centre"', 'objname="center"', "the scene has no site 'center' (did you mean 'centre'?)"),
+    "instance": ('instance="skin"', 'instance="skn"', "no plugin instance 'skn' (did you mean 'skin'?); it has: "),
+    "no value": ('<config key="side" value="free"/>', '<config key="side"/>', "<config> lacks the attribute 'value'"),
+    "misplaced": ('<instance name="skin">', '<config/><instance name="skin">', "<config> is unknown inside <plugin>"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", PLUGINS)
+def test_faults_of_plugins_are_told_with_line_and_mend(fault, small_scene):
+    old, new, expected = PLUGINS[fault]
+    assert expected in told(small_scene(), old, new)
+
+
+def test_near_misses_of_names_in_keys(small_scene):
+    for key, near in (("skn.accuracy", "skin"), ("stimulu.focus_m", "stimulus"), ("skin.acuracy", "accuracy")):
+        with pytest.raises(SceneError, match=rf"did you mean '{near}'\?"):
+            palmfield.load(small_scene(), keys={key: 0.1})
+
+
+@pytest.mark.parametrize("text", ["", "hello", "<mujoco>", "<mujoco/><mujoco/>", "\0", "<mjoco/>", "<mujoco><body>&x;"])
+def test_what_is_no_scene(text, tmp_path):
+    path = tmp_path / "scene.xml"
+    path.write_text(text)
+    with pytest.raises(SceneError) as refusal:
+        palmfield.load(path)
+    assert not RAW.search(str(refusal.value)) and str(refusal.value).startswith(f"{path}")
+    assert "; " in str(refusal.value)
+
+
+def test_what_mujoco_passes_over_is_no_fault(small_scene):
+    """A comment with dashes in it and a bare ampersand are no XML, and many MJCF files have them."""
+    path = small_scene()
+    path.write_text(path.read_text().replace('model="small"', 'model="salt & pepper"') + "<!-- --- the end --- -->\n")
+    assert mujoco.MjSpec.from_file(str(path)).modelname == "salt & pepper"
+    assert palmfield.load(path).skins == ("skin",)
+
+
+def test_lines_of_included_files_are_told_with_their_file(small_scene):
+    path = small_scene()
+    elements = read_scene_text(path).elements
+    geom = next(one for one in elements if one.tag == "geom" and one.attributes.get("size") == "0.02 0.004")
+    assert (geom.file.name, geom.line) == ("plain.xml", 8)
+    board = next(one for one in elements if one.attributes.get("name") == "board")
+    assert board.file.name == "uhev1.xml"
+
+
+def test_a_file_that_includes_itself(small_scene):
+    path = small_scene()
+    plain = path.with_name("plain.xml")
+    plain.write_text(plain.read_text().replace("<worldbody>", '<include file="plain.xml"/><worldbody>'))
+    with pytest.raises(SceneError, match=r"plain\.xml, line 4: file 'plain\.xml' includes itself; drop this <include>"):
+        palmfield.load(path)
+
+
+def test_a_scene_that_is_not_there_names_the_one_that_is(small_scene, tmp_path):
+    path = small_scene()
+    with pytest.raises(SceneError, match=rf"smal\.xml does not exist \(did you mean '{path}'\?\)"):
+        palmfield.load(path.with_name("smal.xml"))
+    with pytest.raises(SceneError, match=r"did you mean '/.*mjcf/scenes/palm_am200\.xml'\?"):
+        palmfield.load(tmp_path / "palm_am200")
+    with pytest.raises(SceneError, match="is a folder; allowed: the path of an MJCF file"):
+        palmfield.load(tmp_path)
+
+
+def test_an_unknown_command_names_the_one_that_is_near():
+    code = "import sys; sys.argv = ['palmfield', 'pln', 'x.xml']\nfrom palmfield.cli.app import main\nmain()"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 2 and "Did you mean 'plan'" in done.stderr
+
+
+def test_the_schema_is_mujocos_own():
+    assert {"geom", "site", "joint", "body", "frame", "include"} <= set(children("body"))
+    assert {"worldbody", "asset", "sensor", "extension"} <= set(children("mujoco")) and "body" not in children("mujoco")
+    assert {"name", "size", "type", "fromto"} <= set(attributes("geom"))
+
+
+def test_near_is_near():
+    assert did_you_mean("focus_mm", ["focus_m", "frame"]) == " (did you mean 'focus_m'?)"
+    assert did_you_mean("nose", ["focus_m", "frame"]) == "" == did_you_mean("", ["a"])
