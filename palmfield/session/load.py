@@ -164,7 +164,7 @@ def opened(source: str | Path | mujoco.MjSpec) -> Opened:
         raise SceneError(f"scene is {source!r}; allowed: the path of a file, an MjSpec or an MjModel")
     path = Path(source)
     if not path.is_file():
-        raise SceneError(_no_scene(path))
+        raise SceneError(no_scene(path))
     text = read_scene_text(path)
     for sensor in sensors_without_objtype(text):
         raise _without_objtype(sensor.where, sensor.attributes.get("name", ""), sensor.attributes.get("plugin", ""))
@@ -174,7 +174,7 @@ def opened(source: str | Path | mujoco.MjSpec) -> Opened:
         raise SceneError(in_words(str(error), str(path), text, list(configs()))) from None
 
 
-def _no_scene(path: Path) -> str:
+def no_scene(path: Path) -> str:
     """That there is no such scene, and which one may be meant: beside it, or one that ships with palmfield."""
     if path.is_dir():
         return f"scene {path} is a folder; allowed: the path of an MJCF file, for example {path / 'scene.xml'}"
@@ -287,9 +287,15 @@ def _explained(error: Exception, name: str, text: SceneText | None) -> BaseExcep
 
 
 def _place(message: str, name: str, text: SceneText | None) -> str:
-    """File and line of the key, or instance, that a message begins with; the scene's name where it isn't known."""
+    """File and line of what a message begins with: a key, its instance, or a setting of the whole scene.
+
+    The scene's name where it isn't known.
+    """
     meant = re.match(r"plugin '([^']+)' instance '([^']*)'(?:: (?:unknown )?key '(\w+)')?", message)
     element = text.key(meant[1], meant[2], meant[3] or "") if meant and text is not None else None
+    whole = re.match(r"(option|numeric|text) '(\w+)'", message)
+    if whole and text is not None:
+        element = text.last(whole[1], None if whole[1] == "option" else whole[2])
     return name if element is None else element.where
 
 
