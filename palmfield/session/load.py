@@ -44,7 +44,7 @@ def compiled(
     device: where fields are computed (auto, cpu, cuda:N); accuracy: wanted relative error of the skin displacement, of
         all skins; board: what plays the drive
     keys: other values for keys by INSTANCE.key, or PLUGIN.key for all instances of a plugin, such as
-        {"stimulus.focus_m": (0, 0, 0.19)}: numbers, text, sequences and arrays; None or "" takes a key out
+        {"stimulus.focus_m": (0, 0, 0.19)}: numbers, text, sequences and arrays; None, "" or () takes a key out
     Raises SceneError (or DeviceError) with a one-line message that names element, key, value and what is allowed.
     """
     if device is not None and not re.fullmatch(r"auto|cpu|cuda:\d+", device):
@@ -88,10 +88,11 @@ def _compiled_with(
         if plugin.plugin_name == DRIVER and board is not None:
             config["board"] = board
         for key, value in changes.get(plugin.name, {}).items():
-            if value is None or (isinstance(value, str) and not value):
-                config.pop(key, None)
+            written = "" if value is None else as_text(value)
+            if written:
+                config[key] = written
             else:
-                config[key] = as_text(value)
+                config.pop(key, None)
         _check_keys(plugin, config, scene)
         for key in FILES.get(plugin.plugin_name, ()):
             if config.get(key) and folder is not None and not Path(config[key]).is_absolute():
