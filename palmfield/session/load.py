@@ -48,7 +48,7 @@ def compiled(
     device: where fields are computed (auto, cpu, cuda:N); accuracy: wanted relative error of the skin displacement, of
         all skins; board: what plays the drive
     keys: other values for keys by INSTANCE.key, or PLUGIN.key for all instances of a plugin, such as
-        {"stimulus.focus_m": (0, 0, 0.19)}: numbers, text, sequences and arrays; None or "" takes a key out
+        {"stimulus.focus_m": (0, 0, 0.19)}: numbers, text, sequences and arrays; None, "" or () takes a key out
     Raises SceneError (or DeviceError) with a one-line message that names element, key, value and what is allowed.
     """
     if device is not None and not re.fullmatch(r"auto|cpu|cuda:\d+", device):
@@ -92,10 +92,11 @@ def _compiled_with(
         if plugin.plugin_name == DRIVER and board is not None:
             config["board"] = board
         for key, value in changes.get(plugin.name, {}).items():
-            if value is None or (isinstance(value, str) and not value):
-                config.pop(key, None)
+            written = "" if value is None else as_text(value)
+            if written:
+                config[key] = written
             else:
-                config[key] = as_text(value)
+                config.pop(key, None)
         _check_keys(plugin, config, scene)
         for key in FILES.get(plugin.plugin_name, ()):
             if config.get(key) and folder is not None and not Path(config[key]).is_absolute():
@@ -168,7 +169,7 @@ def opened(source: str | Path | mujoco.MjSpec) -> Opened:
         raise SceneError(f"scene is {source!r}; allowed: the path of a file, an MjSpec or an MjModel")
     path = Path(source)
     if not path.is_file():
-        raise SceneError(_no_scene(path))
+        raise SceneError(no_scene(path))
     text = read_scene_text(path)
     for sensor in sensors_without_objtype(text):
         raise _without_objtype(sensor.where, sensor.attributes.get("name", ""), sensor.attributes.get("plugin", ""))
@@ -178,7 +179,7 @@ def opened(source: str | Path | mujoco.MjSpec) -> Opened:
         raise SceneError(in_words(str(error), str(path), text, list(configs()))) from None
 
 
-def _no_scene(path: Path) -> str:
+def no_scene(path: Path) -> str:
     """That there is no such scene, and which one may be meant: beside it, or one that ships with palmfield."""
     if path.is_dir():
         return f"scene {path} is a folder; allowed: the path of an MJCF file, for example {path / 'scene.xml'}"
@@ -291,9 +292,15 @@ def _explained(error: Exception, name: str, text: SceneText | None) -> BaseExcep
 
 
 def _place(message: str, name: str, text: SceneText | None) -> str:
-    """File and line of the key, or instance, that a message begins with; the scene's name where it isn't known."""
+    """File and line of what a message begins with: a key, its instance, or a setting of the whole scene.
+
+    The scene's name where it isn't known.
+    """
     meant = re.match(r"plugin '([^']+)' instance '([^']*)'(?:: (?:unknown )?key '(\w+)')?", message)
     element = text.key(meant[1], meant[2], meant[3] or "") if meant and text is not None else None
+    whole = re.match(r"(option|numeric|text) '(\w+)'", message)
+    if whole and text is not None:
+        element = text.last(whole[1], None if whole[1] == "option" else whole[2])
     return name if element is None else element.where
 
 

@@ -7,6 +7,7 @@ from typing import NamedTuple
 from palmfield.config import CONFIGS, Config
 from palmfield.errors import OutputError, SceneError
 from palmfield.outputs.store import write_whole
+from palmfield.session.load import no_scene
 from palmfield.session.scene_text import Element, elements_of, read_scene_text
 
 MOVED = {("palmfield.array", "compute"): "palmfield_device"}
@@ -41,7 +42,7 @@ def migrated(path: Path) -> Migrated:
     Raises SceneError for a file that can't be read, or whose keys can't all be kept.
     """
     if not path.is_file():
-        raise SceneError(f"scene {path} does not exist; give the path of an MJCF file")
+        raise SceneError(no_scene(path))
     data = path.read_bytes()
     try:
         data.decode("utf-8")

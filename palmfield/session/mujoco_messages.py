@@ -50,6 +50,9 @@ def _element(said: str, name: str, line: int, text: SceneText) -> Element | None
     """The element that MuJoCo means. It counts no lines in included files, so each is asked for by itself."""
     if line:
         return text.at(text.file, line, name)
+    twice = re.search(r"repeated name '([^']*)' in plugin", said)
+    if twice:
+        return text.last("instance", twice[1])
     for file in text.included:
         try:
             spec = mujoco.MjSpec.from_file(str(file))

@@ -73,6 +73,11 @@ class SceneText(NamedTuple):
         with_word = [one for one in here if one.tag == word or (word and word in one.attributes.values())]
         return next(iter(with_word or here), None)
 
+    def last(self, tag: str, name: str | None = None) -> Element | None:
+        """The last element of a tag, and of a name."""
+        fitting = (one for one in reversed(self.elements) if one.tag == tag)
+        return next((one for one in fitting if name is None or one.attributes.get("name") == name), None)
+
     def instance(self, plugin: str, name: str) -> Element | None:
         """The element of a plugin's instance."""
         for one in self.elements:

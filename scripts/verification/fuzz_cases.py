@@ -277,6 +277,7 @@ FORBIDDEN_EDITS: dict[str, tuple[str, str, str]] = {
     "no timestep": ("scene.xml", 'timestep="0.001"', 'timestep="0"'),
     "negative timestep": ("scene.xml", 'timestep="0.001"', 'timestep="-0.001"'),
     "no duration": ("scene.xml", 'data="0.01"', 'data="0"'),
+    "duration twice": ("scene.xml", "<custom>", '<custom><numeric name="palmfield_duration_s" data="1"/>'),
     "no device": ("scene.xml", 'data="cpu"', 'data="gpu"'),
     "step that doesn't divide": ("scene.xml", 'value="0.0005"', 'value="0.0003"'),
     "elements without end": ("scene.xml", 'value="0.006"', 'value="1e-9"'),

@@ -77,6 +77,12 @@ PLUGINS = {
     "body": ('value="pad"', 'value="pda"', "the scene has no body 'pda' (did you mean 'pad'?); it has: "),
     "site": ('objname="centre"', 'objname="center"', "the scene has no site 'center' (did you mean 'centre'?)"),
     "instance": ('instance="skin"', 'instance="skn"', "no plugin instance 'skn' (did you mean 'skin'?); it has: "),
+    "instance twice": (
+        '<instance name="driver">', '<instance name="driver"/><instance name="driver">', "name 'driver' is given twice",
+    ),
+    "timestep": ('timestep="0.001"', 'timestep="0"', "option 'timestep' has value 0; allowed: seconds > 0"),
+    "duration": ('data="0.015"', 'data="-1"', "numeric 'palmfield_duration_s' has value -1; allowed: seconds > 0"),
+    "device": ('data="cpu"', 'data="gpu"', "text 'palmfield_device' has value 'gpu': device 'gpu' is not on this"),
     "no value": ('<config key="side" value="free"/>', '<config key="side"/>', "<config> lacks the attribute 'value'"),
     "misplaced": ('<instance name="skin">', '<config/><instance name="skin">', "<config> is unknown inside <plugin>"),
 }  # fmt: skip

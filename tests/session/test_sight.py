@@ -65,6 +65,9 @@ def test_what_stands_between_hides(small_scene, add_skin):
     path = add_skin(small_scene(), "0 0 0.08")
     (text,) = [text for text in told(path) if "skin 'skin'" in text]
     assert text.startswith("the focus of stimulus 'stimulus' on skin 'skin' is hidden from the array by a body or an")
+    assert text.endswith("body_sound 'none' lets the sound through all the same, set it to shadows")
+    shadowed = told(path, **{"palmfield.skin.body_sound": "shadows"})
+    assert not any("lets the sound through" in text for text in shadowed) and len(shadowed) == len(told(path))
     array = palmfield.load(path).runtime.model.arrays.array.positions
     focus = np.array([0.0, 0.0, 0.12])
     crossing = focus + (array - focus) * ((0.12 - 0.08) / (focus[2] - array[:, 2]))[:, None]

@@ -81,7 +81,9 @@ def out_of_sight(view: Preview) -> list[str]:
             often = "" if len(seen) == 1 else f" at {len(so)} of {len(seen)} moments, first at {so[0].time_s:.3g} s"
             share = 100.0 * sum(one.lit for one in so) / len(so)
             named = words.format(skin=model.skins[skin].spec.name, stimulus=model.stimuli[stimulus].spec.name)
-            result.append(f"{named}{often}; {share:.0f} % of the skin's patch is lit then")
+            through = model.skins[skin].spec.config.body_sound == "none" and kind == "hidden"
+            unseen = "; body_sound 'none' lets the sound through all the same, set it to shadows" if through else ""
+            result.append(f"{named}{often}; {share:.0f} % of the skin's patch is lit then{unseen}")
     return result
 
 
