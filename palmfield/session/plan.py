@@ -41,7 +41,8 @@ class Plan:
 
     def as_dict(self) -> dict[str, Any]:
         """All of it as JSON has it, with units in the names; rows are texts, `numbers` as `planning.numbers`."""
-        rows = {"modelled": self.modelled, "left_out": self.left_out, "expected_error": self.error}
+        rows = {"modelled": self.modelled, "left_out": self.left_out, "besides": self.besides}
+        rows["expected_error"] = self.error
         return {
             "scene": self.scene,
             **{name: [asdict(row) for row in part] for name, part in rows.items()},
