@@ -186,7 +186,7 @@ class Spot:
     times_s: [s], rising, shape (f,); before the first the load is 0, after the last it stays
     peak_Pa: a at these times, shape (f,); centre_m: c, shape (f, 2) or, at rest, (2,)
     law: a and c between these times: "linear", or "held" at the value of the earlier one
-    A static load is one time, 0, with law "held", asked for at a late time or by `static`.
+    A static load is one time, 0, with law "held", asked for by `static`.
     Raises SceneError for other shapes, times that do not rise, and numbers that are not finite.
     """
 

@@ -20,7 +20,20 @@ from palmfield.device import resolve
 from palmfield.errors import SceneError
 from palmfield.skin.approximation.truncate_domain import truncate_domain
 from palmfield.skin.costs import modal_step_s, modes_s, reduced_s, wedges_s
-from palmfield.skin.problem import Body, Load, Motion, Spot, points_on_face, requested_points, rising
+from palmfield.skin.problem import (
+    Body,
+    Foundation,
+    Load,
+    Motion,
+    Slab,
+    Spot,
+    Springs,
+    Traction,
+    depth_of,
+    points_on_face,
+    requested_points,
+    rising,
+)
 from palmfield.types import Float
 
 Name = Literal["auto", "lateral_waves", "axisymmetric", "reduced", "wedges", "spectral_elements", "particles"]
@@ -33,7 +46,7 @@ WHERE = {
         "refusal": "solvers.lateral_waves.build",
         "cost": "solvers.lateral_waves.cost",
     },
-    "axisymmetric": dict.fromkeys(FUNCTIONS, "solvers.axisymmetric.solve"),
+    "axisymmetric": dict.fromkeys((*FUNCTIONS, "static"), "solvers.axisymmetric.solve"),
     "reduced": dict.fromkeys(FUNCTIONS, "solvers.reduced"),
     "wedges": dict.fromkeys((*FUNCTIONS, "static"), "solvers.wedges"),
     "spectral_elements": dict.fromkeys(FUNCTIONS, "solvers.spectral_elements.solve"),
@@ -59,6 +72,12 @@ RUNS = 20
 
 PREVIEW = ("particles",)
 """Solvers for large deformation and previews: never chosen by `auto`."""
+
+AT_REST = ("lateral_waves", "axisymmetric", "wedges")
+"""Solvers with an answer at rest, the quickest first."""
+
+LATE = 20.0
+"""Periods after a load's last change from which a body without losses can only have been taken for one at rest."""
 
 FINER = 3
 """How often a solution is made finer when its estimate misses the target accuracy."""
@@ -118,6 +137,7 @@ def choices(
     body: Body, load: Load, times: ArrayLike, at: ArrayLike, *, accuracy: float = 0.05, device: str = "auto"
 ) -> list[Choice]:
     """Every solver's prediction for a problem, the cheapest first; arguments as for `solve`."""
+    check_load(load)
     moments, points = checked(times, at, accuracy)
     body, load, _ = truncate_domain(body, load, float(moments[-1]), points, accuracy)
     return ranking(body, load, moments, points, accuracy, resolve(device))
@@ -162,15 +182,18 @@ def solve(
     resolution: passed on to a solver asked for by name, which is then not made finer
     Where the estimate misses the accuracy the problem is solved again, finer, up to FINER times; a Motion whose `error`
     is above `accuracy` says so in its `solver`.
-    Raises SceneError for bad arguments and where no solver, or not the one asked for, can do it.
+    Raises SceneError for bad arguments, where no solver, or not the one asked for, can do it, and where a body without
+    losses is asked for at late times alone (`check_rest`).
     """
     begin = time.perf_counter()
+    check_load(load)
     moments, points = checked(times, at, accuracy)
     where = resolve(device)
     if solver in FORMER:
         raise SceneError(f"solver '{solver}' is now '{FORMER[solver]}': use {FORMER[solver]}")
     if solver != "auto" and solver not in WHERE:
         raise SceneError(f"solver is '{solver}'; use auto or one of {', '.join(WHERE)}")
+    check_rest(body, load, moments)
     # Points off the body would make every solver refuse.
     on_face = points_on_face(body, points)
     if not np.any(load.peak_Pa if isinstance(load, Spot) else load.pressure_Pa):
@@ -252,15 +275,76 @@ def _by_name(
 
 
 def static(body: Body, load: Load, at: ArrayLike, *, accuracy: float = 0.05) -> Motion:
-    """Displacement under the load's last pressure, held for ever, by lateral waves or else wedges.
+    """Displacement under the load's last pressure, held for ever: the first of AT_REST that doesn't refuse.
 
     Arguments as for `solve`; times_s is the load's last time, the velocity 0.
     Raises SceneError for bad arguments and a body that nothing holds.
     """
+    begin = time.perf_counter()
+    check_load(load)
     _, points = checked(load.times_s[-1:], at, accuracy)
-    name = "wedges" if function("lateral_waves", "refusal")(body, load) else "lateral_waves"
-    solver: Callable[..., Motion] = function(name, "static")
-    return solver(body, load, points, accuracy=accuracy)
+    points_on_face(body, points)
+    refused: list[str] = []
+    for name in AT_REST:
+        reason = function(name, "refusal")(body, load)
+        if reason is not None:
+            refused.append(f"{name}: {reason}")
+            continue
+        solver: Callable[..., Motion] = function(name, "static")
+        try:
+            motion = solver(body, load, points, accuracy=accuracy)
+        except (SceneError, MemoryError) as refusal:
+            refused.append(f"{name}: {refusal}")
+            continue
+        target = accuracy
+        for _ in range(FINER):
+            if motion.error <= accuracy:
+                break
+            target *= 0.7 * accuracy / motion.error
+            try:
+                motion = solver(body, load, points, accuracy=target)
+            except (SceneError, MemoryError):
+                break
+        words = "" if motion.error <= accuracy else f" (error NOT within the target of {100 * accuracy:.2g} %)"
+        return replace(motion, solver=motion.solver + words, seconds=time.perf_counter() - begin)
+    raise SceneError("no solver has a static answer: " + "; ".join(refused))
+
+
+def check_rest(body: Body, load: Load, times: Float) -> None:
+    """Raise SceneError where a late time stands for rest on a body that never comes to rest.
+
+    That is one whose sheets, base and sides lose nothing, asked only LATE of its quarter waves after the load's last
+    change and later: it rings there for ever.
+    """
+    base, last = body.base, float(load.times_s[-1])
+    damped = isinstance(base, Springs) and max(base.normal_Pa_s_m, base.tangential_Pa_s_m) > 0.0
+    endless = body.side == "absorbing" or (isinstance(body, Slab) and body.shape == "infinite")
+    lossy = any(
+        material.viscosity_Pa_s > 0.0 or any(b.shear_Pa > 0.0 and b.time_s > 0.0 for b in material.branches)
+        for material in (sheet.material for sheet in body.sheets)
+    )
+    if lossy or damped or endless or isinstance(base, Foundation):
+        return
+    slowest = min(math.sqrt(s.material.shear_relaxed_Pa / s.material.density_kg_m3) for s in body.sheets)
+    period = 4.0 * depth_of(body) / slowest
+    if float(times[0]) > last + LATE * period:
+        raise SceneError(
+            f"times begin {float(times[0]) - last:.3g} s after the load's last change, {LATE:g} periods of the body or "
+            "more, and nothing damps it: it still rings. Use palmfield.skin.static for rest, give the material a "
+            "branch or a viscosity, or ask for times from the load on"
+        )
+
+
+def check_load(load: object) -> None:
+    """Raise SceneError for what is neither a Spot nor a Traction."""
+    if isinstance(load, Spot | Traction):
+        return
+    if isinstance(load, (list, tuple)):
+        raise SceneError(
+            f"load is a {type(load).__name__} of {len(load)}; give one Spot or Traction: solve for each and add their "
+            "motions, or give the whole pressure as a Traction"
+        )
+    raise SceneError(f"load is {str(load)[:60]!r}; give a Spot or a Traction")
 
 
 def checked(times: ArrayLike, at: ArrayLike, accuracy: float) -> tuple[Float, Float]:

@@ -9,7 +9,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from palmfield.skin.approximation.richardson import error_of_coarser, error_of_finer, largest_share
+from palmfield.skin.approximation.richardson import (
+    difference_at_rest,
+    error_of_coarser,
+    error_of_finer,
+    relative_difference,
+)
 from palmfield.skin.mesh.body_mesh import Sizes, graded_fractions
 from palmfield.skin.mesh.rows import rows_of
 from palmfield.skin.problem import Body, Layer, Slab, depth_of
@@ -32,7 +37,8 @@ BELT = 1.0
 """Error by an absorbing layer's sides over the difference from one without the belt along them, see
 trim_absorbing_rim."""
 UNKNOWN = 1.0
-"""That error where load or points lie so near the sides that nothing can be taken away."""
+"""An error of which nothing is known: by absorbing sides so near that nothing can be taken away, or by two meshes that
+are the same one."""
 MOST_DOFS = 400_000
 """Above this the factors of the matrix take more than 10 GB."""
 ROUNDS = 3
@@ -106,6 +112,12 @@ def refine_until_converged(
         reach_error = BELT * difference(coarse, smaller) if smaller.triangles < coarse.triangles else UNKNOWN
     now, coarse, rows_error = refine_in_depth(body, now, run, coarse, accuracy, pinned)
     fine = run(now)
+    for _ in range(ROUNDS):
+        # Small bodies have the same few elements for many sizes
+        if pinned or not same_mesh(coarse, fine):
+            break
+        now = replace(now, sizes=resized(now.sizes, 1.0 / ratio_of(body, now.sizes), 1.0))
+        fine = run(now)
     mesh_error = error_by_meshes(coarse, fine)
     for _ in range(ROUNDS):
         room = min(FINEST_RATIO, (MOST_DOFS / fine.dofs) ** (1.0 / 3.0))
@@ -149,23 +161,27 @@ def refine_in_depth(
     return now, coarse, error
 
 
+def same_mesh(one: MeshSolution, other: MeshSolution) -> bool:
+    """Whether two meshes have the same triangles, whatever the sizes that they were made for."""
+    return one.triangles == other.triangles
+
+
 def error_by_meshes(coarse: MeshSolution, fine: MeshSolution) -> float:
-    """Error of the finer of two meshes from their difference, at MESH_ORDER and the edges that they really have."""
+    """Error of the finer of two meshes from their difference, at MESH_ORDER and the edges that they really have.
+
+    UNKNOWN where the two have the same triangles.
+    """
+    if same_mesh(coarse, fine):
+        return UNKNOWN
     ratio = max(math.sqrt(fine.triangles / coarse.triangles), LEAST_MORE)
     return error_of_finer(difference(fine, coarse), ratio, MESH_ORDER)
 
 
 def difference(solution: MeshSolution, other: MeshSolution) -> float:
-    """Relative difference of the displacement, L2 over times, the largest of the points that move at all.
-
-    At one time only, two meshes may agree at a point by chance: half of the largest difference of all points, in
-    metres, is then the least for each.
-    """
-    size = np.linalg.norm(solution.displacement, axis=(0, 2))
-    change = np.linalg.norm(solution.displacement - other.displacement, axis=(0, 2))
+    """Relative difference of the displacement, L2 over times, the largest of the points that move at all."""
     if len(solution.displacement) == 1:
-        change = np.maximum(change, 0.5 * change.max(initial=0.0))
-    return largest_share(change, size)
+        return difference_at_rest(other.displacement, solution.displacement)
+    return relative_difference(other.displacement, solution.displacement)
 
 
 def ratio_of(body: Body, sizes: Sizes) -> float:

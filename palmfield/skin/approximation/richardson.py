@@ -4,6 +4,8 @@ import numpy as np
 
 from palmfield.types import Float
 
+FAINT = 1e-3
+"""Part of the largest motion to which errors of points that move less are related at a single time."""
 STILL = 1e-9
 """Part of the largest motion of any point below which a point counts as still."""
 
@@ -25,6 +27,21 @@ def relative_difference(solution: Float, reference: Float) -> float:
     """Difference of displacements (t, n, 3), L2 over times, over the reference's; the largest of the moving points."""
     size, difference = (np.linalg.norm(values, axis=(0, 2)) for values in (reference, reference - solution))
     return largest_share(difference, size)
+
+
+def difference_at_rest(solution: Float, reference: Float) -> float:
+    """As relative_difference at a single time, (1, n, 3); points that move little are related to FAINT of the largest.
+
+    Two solutions may agree at a point by chance: half of the largest difference of all points over their largest motion
+    is the least.
+    """
+    size, difference = (np.linalg.norm(values, axis=(0, 2)) for values in (reference, reference - solution))
+    most = float(size.max(initial=0.0))
+    if most == 0.0:
+        return 0.0
+    return max(
+        largest_share(difference, np.maximum(size, FAINT * most)), 0.5 * float(difference.max(initial=0.0)) / most
+    )
 
 
 def largest_share(difference: Float, size: Float) -> float:

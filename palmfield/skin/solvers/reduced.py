@@ -14,7 +14,7 @@ import numpy as np
 
 from palmfield.blas import one_blas_thread
 from palmfield.errors import SceneError
-from palmfield.skin.approximation.load_scales import load_frequency, load_width
+from palmfield.skin.approximation.load_scales import load_frequency, motion_width
 from palmfield.skin.approximation.refine import Discretisation, MeshSolution, ratio_of, refine_until_converged, resized
 from palmfield.skin.approximation.richardson import relative_difference
 from palmfield.skin.approximation.trim_absorbing_rim import trim_absorbing_rim
@@ -22,14 +22,13 @@ from palmfield.skin.costs import assembly_s, reduced_s
 from palmfield.skin.fem.body import build
 from palmfield.skin.fem.load import SurfaceQuadrature, bell, sampled
 from palmfield.skin.fem.probe import SurfaceProbe
-from palmfield.skin.materials.material import shear_wave
 from palmfield.skin.problem import Body, Load, Motion, Slab, Spot, Traction, points_on_face, rising
 from palmfield.skin.reduction.dynamic_stiffness import DynamicStiffness
 from palmfield.skin.reduction.krylov import Krylov
 from palmfield.skin.reduction.reduced import Projection
 from palmfield.skin.reduction.reduced_stepper import ReducedStepper
 from palmfield.skin.reduction.reducer import SHIFT, grow_until
-from palmfield.skin.solvers.wedges import GROWTH, expected_dofs, first_sizes, refusal_wedges
+from palmfield.skin.solvers.wedges import GROWTH, expected_dofs, first_sizes, refusal_wedges, slowest_wave
 from palmfield.skin.stepper import SurfaceLoads
 from palmfield.types import Float, Int
 
@@ -139,8 +138,8 @@ def _run(
         shapes = np.asarray(sampled(mesh, system, load) @ pressures.T)
     read = SurfaceProbe(mesh, points, system).vectors
     clock, weights, rows = course(load, weights, requested)
-    speed = min(shear_wave(sheet.material, 200.0)[0] for sheet in body.sheets)
-    shift = SHIFT * 2.0 * math.pi * load_frequency(load, speed, load_width(load))
+    frequency = load_frequency(load, slowest_wave(body, 200.0), motion_width(body, load))
+    shift = SHIFT * 2.0 * math.pi * frequency
     krylov = Krylov(DynamicStiffness(system, system.elimination_order()), shift, shapes)
 
     def motion() -> Float:

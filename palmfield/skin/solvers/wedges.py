@@ -13,7 +13,7 @@ import numpy as np
 
 from palmfield.errors import SceneError
 from palmfield.hand.remesh import is_height_field
-from palmfield.skin.approximation.load_scales import load_centre, load_frequency, load_width
+from palmfield.skin.approximation.load_scales import load_centre, load_frequency, load_width, motion_width
 from palmfield.skin.approximation.refine import (
     MOST_DOFS,
     Discretisation,
@@ -74,6 +74,9 @@ def run_cost(dofs: float, steps: float) -> float:
 
 FINER_THAN_REQUESTED = 0.6
 """Share of the requested edges below which a layer's own triangles are left for coarser ones."""
+
+OVERDAMPED = 2.0
+"""Speed of a wave over that without dashpots, above which it dies out within its length and steps need not follow."""
 
 STEP_ORDER = 2.0
 """By which the error of generalised-alpha falls with its step."""
@@ -180,7 +183,7 @@ def static_wedges(body: Body, load: Load, at: Float, *, accuracy: float = 0.05, 
 
 def first_step(body: Body, load: Load, accuracy: float) -> float:
     """Step [s] whose error is a third of the target at the load's frequency: 0.1 (w h)^2, see estimate."""
-    frequency = load_frequency(load, _slowest(body, 200.0), load_width(load))
+    frequency = load_frequency(load, slowest_wave(body, 200.0), motion_width(body, load))
     return math.sqrt(10.0 * min(accuracy, 0.2) / 3.0) / (2.0 * math.pi * frequency)
 
 
@@ -192,9 +195,9 @@ def first_sizes(body: Body, load: Load, points: Float, accuracy: float) -> Sizes
     """
     if not 1e-4 <= accuracy <= 0.5:
         raise SceneError(f"accuracy is {accuracy}; give one in 0.0001 to 0.5")
-    width = load_width(load)
-    frequency = load_frequency(load, _slowest(body, 200.0), width)
-    speed = _slowest(body, frequency)
+    width = motion_width(body, load)
+    frequency = load_frequency(load, slowest_wave(body, 200.0), width)
+    speed = slowest_wave(body, frequency)
     wavelength = speed / frequency
     share = 0.75 * min(1.0, (accuracy / 0.02) ** (1.0 / 3.0))
     depth = depth_of(body)
@@ -254,8 +257,12 @@ def expected_dofs(body: Body, sizes: Sizes) -> float:
     return 3.0 * 2.0 * triangles * 2.0 * rows
 
 
-def _slowest(body: Body, f_Hz: float) -> float:
-    return min(shear_wave(sheet.material, f_Hz)[0] for sheet in body.sheets)
+def slowest_wave(body: Body, f_Hz: float) -> float:
+    """Shear speed [m/s] in the slowest sheet at f_Hz, at most OVERDAMPED times that without dashpots."""
+    return min(
+        min(shear_wave(m, f_Hz)[0], OVERDAMPED * math.sqrt(m.shear_instant_Pa / m.density_kg_m3))
+        for m in (sheet.material for sheet in body.sheets)
+    )
 
 
 def _check(body: Body, load: Load, times: Float, at: Float, accuracy: float) -> tuple[Float, Float]:

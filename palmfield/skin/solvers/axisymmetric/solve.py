@@ -14,6 +14,7 @@ is sampled often enough for the load to be linear in between.
 import math
 import os
 import time
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -22,7 +23,9 @@ from scipy.interpolate import CubicSpline
 from scipy.special import ive
 
 from palmfield.errors import SceneError
-from palmfield.skin.approximation.richardson import relative_difference
+from palmfield.skin.approximation.load_scales import motion_width
+from palmfield.skin.approximation.richardson import difference_at_rest, relative_difference
+from palmfield.skin.fem.factor import factorise
 from palmfield.skin.problem import (
     ONLY_WEDGES,
     Body,
@@ -31,6 +34,7 @@ from palmfield.skin.problem import (
     Motion,
     Slab,
     Spot,
+    Springs,
     points_on_face,
     rising,
     spread,
@@ -46,6 +50,8 @@ BAND_STEP = 1.25
 """Ratio of the bands of two runs that are compared: what a jump excites above them shows in the difference."""
 SAFETY = 2.0
 """Of 14 random discs the error was 0.2 to 1.6 times the difference from the finer run, which errs itself."""
+STATIC_SAFETY = 4.0
+"""The same at rest, where errors at a point do not average over times."""
 TIGHTER, TIGHTEST = 0.35, 2e-5
 """Accuracy for which that run's harmonics, path and reduced models are chosen, in the target, and the least."""
 CORNER = 0.15
@@ -117,6 +123,57 @@ def solve_axisymmetric(
         f"{len(problem.samples.times_s)} times",
         seconds=time.perf_counter() - begin,
     )
+
+
+def static_axisymmetric(body: Body, load: Load, at: Float, *, accuracy: float = 0.05) -> Motion:
+    """Displacement of a disc's face under a spot's last pressure, held for ever; times_s is its last time, velocity 0.
+
+    Arguments as for `solve_axisymmetric`. Raises SceneError as it does, and for a disc that nothing holds.
+    """
+    begin = time.perf_counter()
+    reason = refusal_axisymmetric(body, load)
+    if reason is not None or not isinstance(body, Slab) or not isinstance(load, Spot):
+        raise SceneError(f"{reason}: use another solver")
+    check_held(body)
+    now = load.times_s[-1:]
+    _, points = _checked(body, now, at, accuracy)
+    last = Spot(load.fwhm_m, now, load.peak_Pa[-1:], load.centres()[-1:], "held")
+    problem = _problem(body, last, now, points, accuracy, None)
+    tighter = _problem(body, last, now, points, max(TIGHTER * accuracy, TIGHTEST), None)
+    first = first_degree(accuracy)
+    while True:
+        finer, result = _motions([(tighter, first + 1, 0.0), (problem, first, 0.0)], None, _harmonic_at_rest)
+        difference = STATIC_SAFETY * difference_at_rest(result.moved[0], finer.moved[0])
+        error = difference + finer.dropped
+        # A higher degree does nothing for the harmonics that are left out
+        if error <= accuracy or difference <= 0.5 * accuracy or first >= MOST_DEGREE:
+            break
+        first += 2
+    return Motion(
+        times_s=now,
+        points=points,
+        displacement_m=result.moved[0],
+        velocity_m_s=result.moved[1],
+        error=error,
+        error_source=f"{STATIC_SAFETY} times the difference from a run finer in everything, of degree {first + 1}: "
+        f"{difference:.2g}; harmonics that it leaves out: {finer.dropped:.2g}",
+        solver=f"axisymmetric, static, {result.elements} elements of degree {first} (r x z), "
+        f"{len(problem.numbers)} harmonics",
+        seconds=time.perf_counter() - begin,
+    )
+
+
+def check_held(body: Slab) -> None:
+    """Raise SceneError for a disc that a push moves away or a touch moves along."""
+    base = body.base
+    springs = base if isinstance(base, Springs) else Springs(0.0, 0.0)
+    upright = base in ("bonded", "free_slip") or springs.normal_Pa_m > 0.0 or body.side == "fixed"
+    along = base == "bonded" or springs.tangential_Pa_m > 0.0 or body.side in ("fixed", "roller")
+    if not (upright and along):
+        raise SceneError(
+            f"a static answer needs a support: base {base} and side '{body.side}' leave this disc free to move away; "
+            "bond the base, give it Springs, or fix the side"
+        )
 
 
 def first_degree(accuracy: float) -> int:
@@ -199,7 +256,11 @@ def _shares(ratio: float, least: float) -> Float:
     return np.array(share)
 
 
-def _motions(runs: list[tuple[_Problem, int, float]], fine: float | None) -> list[_Found]:
+def _motions(
+    runs: list[tuple[_Problem, int, float]],
+    fine: float | None,
+    harmonic: Callable[[DiscGrid, _Problem, int, float], tuple[Complex, Complex]] | None = None,
+) -> list[_Found]:
     """Whole motions side by side, each of a problem, elements of one degree and reduced models of one band [Hz]."""
     tasks, grids = [], []
     for problem, degree, band_Hz in runs:
@@ -207,7 +268,7 @@ def _motions(runs: list[tuple[_Problem, int, float]], fine: float | None) -> lis
         grids.append(grid)
         tasks += [(grid, problem, m, band_Hz) for m in problem.numbers]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        parts = pool.map(lambda task: _harmonic(*task), tasks)
+        parts = pool.map(lambda task: (harmonic or _harmonic)(*task), tasks)
         result = [[next(parts) for _ in problem.numbers] for problem, _, _ in runs]
     return [_summed(run[0], grid, each) for run, grid, each in zip(runs, grids, result, strict=True)]
 
@@ -243,9 +304,10 @@ def _checked(body: Slab, times: Float, at: Float, accuracy: float) -> tuple[Floa
 
 def _grid(body: Slab, load: Spot, samples: Samples, degree: int, fine: float) -> tuple[Line, Line, np.ndarray]:
     """Elements in r and in z, and the sheet of each of the latter."""
-    s = spread(load.fwhm_m)
+    s = spread(motion_width(body, load))
     radius = float(body.radius_m or 0.0)
-    near, far = float(samples.distance_m.min()) - REACH * s, float(samples.distance_m.max()) + REACH * s
+    reach = REACH * spread(load.fwhm_m)
+    near, far = float(samples.distance_m.min()) - reach, float(samples.distance_m.max()) + reach
     # Waves leave the spot at c / (2 pi s) and below, at which a wave is 2 pi s long.
     longest = fine * s * 1.3
 
@@ -304,6 +366,23 @@ def _harmonic(grid: DiscGrid, problem: _Problem, m: int, band_Hz: float) -> tupl
     shape = (len(samples.times_s), len(radii), 3)
     displacement, velocity = (part.reshape(shape)[:, which] for part in moved)
     return displacement, velocity
+
+
+def _harmonic_at_rest(grid: DiscGrid, problem: _Problem, m: int, _: float) -> tuple[Complex, Complex]:
+    """As `_harmonic`, at rest under the one sample: displacement and velocity 0, (1, n, 3)."""
+    system, samples = grid.system(m), problem.samples
+    s, away = spread(problem.load.fwhm_m), float(samples.distance_m[-1])
+
+    def pressure(r: Float) -> Float:
+        shape = np.exp(-0.5 * ((r - away) / s) ** 2) * ive(m, r * away / s**2)
+        return ((1.0 if m == 0 else 2.0) * shape)[:, None]
+
+    force = (system.spread.T @ grid.pressure_force(pressure))[:, 0]
+    moved = factorise((system.elastic + sum(part.stiffness for part in system.parts)).tocsr()).solve(force)
+    reader = grid.face_reader(np.hypot(*problem.points[:, :2].T)) @ system.spread
+    turning = samples.peak_Pa[-1] * np.exp(-1j * m * samples.angle_rad[-1])
+    displacement = np.asarray((reader @ moved).reshape(1, -1, 3) * turning)
+    return displacement, np.zeros_like(displacement)
 
 
 def _turned(harmonic: Complex, m: int, points: Float) -> Float:

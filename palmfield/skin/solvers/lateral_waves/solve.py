@@ -9,7 +9,7 @@ from palmfield.device import resolve
 from palmfield.errors import SceneError
 from palmfield.skin.problem import Body, Load, Motion, Slab, Spot, Springs, Traction
 from palmfield.skin.solvers.lateral_waves.accuracy import SERIES_FROM, check_points, is_picture, pick, relative_error
-from palmfield.skin.solvers.lateral_waves.build import box_images, build_waves, refusal_lateral_waves
+from palmfield.skin.solvers.lateral_waves.build import box_images, build_waves, check_sides, refusal_lateral_waves
 from palmfield.skin.solvers.lateral_waves.drive import timeline
 from palmfield.skin.solvers.lateral_waves.march import march
 from palmfield.skin.solvers.lateral_waves.resolution import choose
@@ -137,12 +137,14 @@ def settings_of(
 
 def _solve(body: Slab, load: Load, requested: Float, points: Float, settings: Settings) -> Motion:
     begun = time.perf_counter()
+
+    at_sides = check_sides(body, load, settings.accuracy)
     if timeline(load, requested) is None or not np.any(load.peak_Pa if isinstance(load, Spot) else load.pressure_Pa):
         still = np.zeros((len(requested), len(points), 3))
         return Motion(requested, points, still, still.copy(), 0.0, "no load yet: all is at rest", "lateral_waves", 0.0)
     part = PART * settings.accuracy if settings.tolerance is None else settings.tolerance
     result = run(body, load, requested, points, part, settings)
-    picture = is_picture(len(requested), len(points))
+    picture = is_picture(len(requested), len(points)) and not settings.still
     share, safety = (PICTURE_FINER, PICTURE_SAFETY) if picture else (FINER, SAFETY)
     if not picture and len(requested) < SERIES_FROM:
         safety = MOMENT_SAFETY
@@ -150,8 +152,8 @@ def _solve(body: Slab, load: Load, requested: Float, points: Float, settings: Se
         chosen = pick(result.displacement)
         finer = max(share * part, FINEST)
         check = run(body, load, requested, points[chosen], finer, settings, result.panels)
-        error = safety * relative_error(result.displacement[:, chosen], check.displacement)
-        speed_error = safety * relative_error(result.velocity[:, chosen], check.velocity)
+        error = at_sides + safety * relative_error(result.displacement[:, chosen], check.displacement, picture)
+        speed_error = at_sides + safety * relative_error(result.velocity[:, chosen], check.velocity, picture)
         if error <= settings.accuracy or settings.tolerance is not None or part <= FINEST or left == 0:
             break
         part = finer
