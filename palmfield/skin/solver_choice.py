@@ -21,14 +21,17 @@ from palmfield.errors import SceneError
 from palmfield.skin.approximation.truncate_domain import truncate_domain
 from palmfield.skin.costs import modal_step_s, modes_s, reduced_s, wedges_s
 from palmfield.skin.problem import (
+    QUANTITIES,
     Body,
     Foundation,
     Load,
     Motion,
+    Quantity,
     Slab,
     Spot,
     Springs,
     Traction,
+    check_quantity,
     depth_of,
     points_on_face,
     requested_points,
@@ -166,6 +169,7 @@ def solve(
     *,
     solver: Name = "auto",
     accuracy: float = 0.05,
+    accuracy_of: Quantity = "displacement",
     device: str = "auto",
     whole: bool = False,
     **resolution: Any,
@@ -175,7 +179,9 @@ def solve(
     body: Slab or Layer; load: Spot or Traction (palmfield.skin.problem); the body is at rest before the load begins
     times: requested times [s], rising, shape (t,); at: points on the face [m], shape (n, 2) or (n, 3)
     solver: "auto", the cheapest by prediction that doesn't refuse, before or while it solves; or one by name
-    accuracy: target relative error of the displacement, L2 over the times at a point, the largest of the points
+    accuracy: target relative error of accuracy_of, L2 over the times at a point, the largest of the points
+    accuracy_of: "displacement", "velocity", or "normal", the displacement along the face's normal, whose error is the
+        larger one where the skin moves mostly along itself: what the estimate and refinement go by
     device: "auto", "cpu" or "cuda:N"
     whole: keep all of a layer, also what lies beyond the reach of load and points
     (palmfield.skin.approximation.truncate_domain)
@@ -187,6 +193,7 @@ def solve(
     """
     begin = time.perf_counter()
     check_load(load)
+    check_quantity(accuracy_of)
     moments, points = checked(times, at, accuracy)
     where = resolve(device)
     if solver in FORMER:
@@ -198,7 +205,20 @@ def solve(
     on_face = points_on_face(body, points)
     if not np.any(load.peak_Pa if isinstance(load, Spot) else load.pressure_Pa):
         still = np.zeros((len(moments), len(points), 3))
-        return Motion(moments, on_face, still, still.copy(), 0.0, "no load: all is at rest", "none needed", 0.0)
+        return Motion(
+            moments,
+            on_face,
+            still,
+            still.copy(),
+            0.0,
+            "no load: all is at rest",
+            "none needed",
+            0.0,
+            accuracy_of,
+            0.0,
+            0.0,
+            0.0,
+        )
     cut = 0.0
     if not whole:
         body, load, cut = truncate_domain(body, load, float(moments[-1]), points, accuracy)
@@ -209,10 +229,10 @@ def solve(
         able = [choice for choice in options if choice.refusal is None and choice.name not in PREVIEW]
         if not able:
             raise SceneError("no solver can do this: " + "; ".join(f"{c.name}: {c.refusal}" for c in options))
-        name, motion, why = _first_that_can(able, body, load, moments, points, accuracy, where)
+        name, motion, why = _first_that_can(able, body, load, moments, points, accuracy, accuracy_of, where)
     else:
         name, why = solver, "asked for"
-        motion = _by_name(name, body, load, moments, points, accuracy, where, resolution)
+        motion = _by_name(name, body, load, moments, points, accuracy, accuracy_of, where, resolution)
     finer: HistorySolver = function(name, "solve")
     target = accuracy
     for _ in range(FINER):
@@ -220,7 +240,7 @@ def solve(
             break
         target *= 0.7 * accuracy / (motion.error + cut)
         try:
-            motion = finer(body, load, moments, points, accuracy=target, device=where)
+            motion = finer(body, load, moments, points, accuracy=target, accuracy_of=accuracy_of, device=where)
         except SceneError as reason:
             why += f"; not solved finer: {reason}"
             break
@@ -231,18 +251,27 @@ def solve(
     if error > accuracy:
         why += f"; error {100 * error:.2g} % NOT within the target of {100 * accuracy:.2g} %"
     spent = time.perf_counter() - begin
-    return replace(motion, error=error, error_source=source, solver=f"{motion.solver} ({why})", seconds=spent)
+    all_errors = {f"{quantity}_error": getattr(motion, f"{quantity}_error") + cut for quantity in QUANTITIES}
+    solver_words = f"{motion.solver} ({why})"
+    return replace(motion, error=error, error_source=source, solver=solver_words, seconds=spent, **all_errors)
 
 
 def _first_that_can(
-    able: list[Choice], body: Body, load: Load, times: Float, at: Float, accuracy: float, device: str
+    able: list[Choice],
+    body: Body,
+    load: Load,
+    times: Float,
+    at: Float,
+    accuracy: float,
+    accuracy_of: Quantity,
+    device: str,
 ) -> tuple[str, Motion, str]:
     """The first solver of a list that doesn't refuse once it has begun, what it found, and why it, in words."""
     refused: list[str] = []
     for place, choice in enumerate(able):
         try:
             run: HistorySolver = function(choice.name, "solve")
-            motion = run(body, load, times, at, accuracy=accuracy, device=device)
+            motion = run(body, load, times, at, accuracy=accuracy, accuracy_of=accuracy_of, device=device)
         except (SceneError, MemoryError) as reason:
             refused.append(f"{choice.name} refused: {reason}")
             continue
@@ -259,6 +288,7 @@ def _by_name(
     times: Float,
     at: Float,
     accuracy: float,
+    accuracy_of: Quantity,
     device: str,
     resolution: dict[str, Any],
 ) -> Motion:
@@ -271,7 +301,7 @@ def _by_name(
     for key in resolution:
         if key not in known:
             raise SceneError(f"solver '{name}' has no '{key}'; it takes {', '.join(list(known)[4:])}")
-    return run(body, load, times, at, accuracy=accuracy, device=device, **resolution)
+    return run(body, load, times, at, accuracy=accuracy, accuracy_of=accuracy_of, device=device, **resolution)
 
 
 def static(body: Body, load: Load, at: ArrayLike, *, accuracy: float = 0.05) -> Motion:

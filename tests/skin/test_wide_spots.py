@@ -53,10 +53,12 @@ def test_lateral_waves_refuse_what_the_rim_cuts_off_and_say_who_does_it() -> Non
 
 def test_two_meshes_that_are_the_same_one_state_nothing_small() -> None:
     moved = np.ones((3, 1, 3))
-    one = MeshSolution(moved, moved, 100, 24, 2)
-    assert error_by_meshes(one, one) == UNKNOWN
-    finer = MeshSolution(1.01 * moved, moved, 200, 48, 2)
-    assert 0.005 < error_by_meshes(one, finer) < 0.02
+    upwards = np.array([[0.0, 0.0, 1.0]])
+    one = MeshSolution(moved, moved, 100, 24, 2, upwards)
+    assert (error_by_meshes(one, one) == UNKNOWN).all()
+    finer = MeshSolution(1.01 * moved, moved, 200, 48, 2, upwards)
+    displacement, velocity, normal = error_by_meshes(one, finer)
+    assert 0.005 < displacement < 0.02 and velocity == 0.0 and normal == pytest.approx(displacement)
 
 
 def test_elements_follow_the_depth_where_a_spot_reaches_the_sides() -> None:

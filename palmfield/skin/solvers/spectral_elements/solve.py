@@ -12,9 +12,24 @@ from palmfield.device import resolve
 from palmfield.errors import SceneError
 from palmfield.skin.approximation.load_scales import course_frequency, edge_is_felt, load_width
 from palmfield.skin.approximation.reduce_bulk_modulus import reduce_bulk_modulus
-from palmfield.skin.approximation.richardson import error_of_finer, relative_difference
+from palmfield.skin.approximation.richardson import differences, error_of_finer
 from palmfield.skin.approximation.trim_absorbing_rim import refusal_of_spot
-from palmfield.skin.problem import ONLY_WEDGES, Body, Foundation, Layer, Load, Motion, Sheet, Spot, rising
+from palmfield.skin.problem import (
+    ONLY_WEDGES,
+    Body,
+    Foundation,
+    Layer,
+    Load,
+    Motion,
+    Quantity,
+    Sheet,
+    Spot,
+    check_quantity,
+    normals_on_face,
+    points_on_face,
+    rising,
+    stated,
+)
 from palmfield.skin.solvers.spectral_elements.loads import table_of
 from palmfield.skin.solvers.spectral_elements.mesh import MOST, Plan, build, fast_speed, plan
 from palmfield.skin.solvers.spectral_elements.model import SAFETY, Model, hold
@@ -186,6 +201,7 @@ def solve_spectral_elements(
     at: Float,
     *,
     accuracy: float = 0.05,
+    accuracy_of: Quantity = "displacement",
     device: str = "cpu",
     order: int | None = None,
     size_m: float | None = None,
@@ -203,11 +219,13 @@ def solve_spectral_elements(
     nu_at_most: takes a smaller bulk modulus where Poisson's ratio at once is above this, which makes larger steps; by
     default one that the accuracy allows, see palmfield.skin.approximation.reduce_bulk_modulus; 0.5 leaves the material
     as it is. What it changes is in the error
+    accuracy, accuracy_of: target relative error, and of what
     estimate: False leaves the second run out; the error is then NaN
     Raises SceneError for a problem that `refusal_spectral_elements` names, an element inside out, a step above the
     stable one, times that do not rise, and points off the face.
     """
     began = time.perf_counter()
+    check_quantity(accuracy_of)
     device = resolve(device)
     requested = rising("times", times)
     if precision not in ("float32", "float64"):
@@ -229,19 +247,20 @@ def solve_spectral_elements(
         raise SceneError(reason)
     chosen = plan(body, load, points, accuracy, order, size_m, deep)
     fine = march(body, chosen, load, requested, points, device, precision, step_s)
-    error, source = math.nan, "not estimated"
+    errors, source = np.full(3, math.nan), "not estimated"
     if estimate:
         singular = edge_is_felt(body, load, points)
         other = comparison_plan(body, chosen, singular)
         early = requested[requested <= window(body, chosen, singular, load, requested)]
         rough = march(body, other, load, early, points, device, precision, None)
-        gap = relative_difference(rough[0], fine[0][: len(early)])
+        normals = normals_on_face(body, lifted_points(body, points))
+        gap = differences(rough[:2], (fine[0][: len(early)], fine[1][: len(early)]), normals)
         if other.order != chosen.order:
             lower = LOWER_SPONGE if chosen.sponge_m > 0.0 else LOWER
             if singular and other.order < chosen.order:
                 lower = max(lower, error_of_finer(1.0, chosen.order / other.order, AT_EDGE))
             share = lower if other.order < chosen.order else 1.0
-            error, source = share * gap, f"{share:.2g} of the difference to order {other.order} on the same elements"
+            errors, source = share * gap, f"{share:.2g} of the difference to order {other.order} on the same elements"
             if chosen.sponge_m > 0.0:
                 source += " in a smaller sponge"
             if len(early) < len(requested):
@@ -249,17 +268,31 @@ def solve_spectral_elements(
         else:
             # Elements this large have not come to their order: the difference was 0.7 to 59 times the error, and
             # 1.2 times it with a sponge, which falls with no known power of its size
-            error, source = gap, f"the difference to elements {COARSER} times as wide"
+            errors, source = gap, f"the difference to elements {COARSER} times as wide"
             if chosen.sponge_m > 0.0:
                 source += " in a smaller sponge"
-        error += lag(body, load, fine[3]) + bulk_error
+        errors = errors + lag(body, load, fine[3]) + bulk_error
     if bulk_error > 0.0:
         source += f"; {bulk_error:.2g} for a bulk modulus of {body.sheets[0].material.bulk_Pa:.3g} Pa"
     where = f"spectral_elements, order {chosen.order}, {fine[2]} elements of {1e3 * chosen.size_m:.3g} mm, "
     where += f"step {fine[3]:.3g} s"
-    if points.shape[1] == 2:
-        points = np.column_stack([points, np.zeros(len(points))])
-    return Motion(requested, points, fine[0], fine[1], error, source, where, time.perf_counter() - began)
+    return Motion(
+        times_s=requested,
+        points=lifted_points(body, points),
+        displacement_m=fine[0],
+        velocity_m_s=fine[1],
+        error_source=source,
+        solver=where,
+        seconds=time.perf_counter() - began,
+        **stated(errors, accuracy_of),
+    )
+
+
+def lifted_points(body: Body, points: Float) -> Float:
+    """Points (n, 3) of points (n, 2 or 3): a layer's lie on its face, a slab's at z = 0."""
+    if points.shape[1] == 3:
+        return points
+    return points_on_face(body, points)
 
 
 def march(
