@@ -22,6 +22,7 @@ from palmfield.simulation.radiation import Radiation
 from palmfield.skin.approximation.estimate import ORDER, mesh_error
 from palmfield.skin.fem.influence import harmonic_influence, static_influence
 from palmfield.skin.reduction.modal_stepper import ModalStepper
+from palmfield.skin.reduction.onset import onset_error
 from palmfield.skin.reduction.reduced_stepper import ReducedStepper
 from palmfield.skin.scene_layer import SceneLayer
 from palmfield.skin.stepper import SkinStepper
@@ -85,7 +86,8 @@ def error_estimate(
         FINER_BELOW unknowns and at least LAYERS rows of elements), by Richardson's rule; the larger of the two. The
         frequency is the stimulus's main one; half of the highest that mesh and step are made for where there is none,
         as the spectrum of a load that only starts and stops falls with frequency
-    step: the discrete scheme's exact steady state against the continuous one, on the coarser mesh, where it costs less.
+    step: the discrete scheme's exact steady state against the continuous one, on the coarser mesh, where it costs less,
+        or what the substeps make of the stimulus's onset, if that is larger (palmfield.skin.reduction.onset).
         A small model is exact in time, and the steps of an explicit solver are far shorter; what they are given is the
         load's chords, of which a sine has sinc^2 of itself
     reduction: of a small model: its own estimate, or, where it is made for any course of the load, the difference from
@@ -93,6 +95,8 @@ def error_estimate(
         what of the run's loads lay outside their class; 0 without either
     edge: half the difference that fixed or free cut faces make to the harmonic response, also there: a layer on a hand
         ends where the body goes on; 0 for a disc, whose side is its own
+    ring-up: of the ARP, where transducers are taken for instant, over the worst stretch of the stimulus: what is left
+        out, beside the others and not among them; 0 where it is modelled
 
     Kept in the cache (`palmfield.cache`). Raises SceneError where neither a finer nor a coarser mesh of the layer can
     be made.
@@ -101,14 +105,15 @@ def error_estimate(
     small = stepper if isinstance(stepper, ReducedStepper | ModalStepper) else None
     sound, point = _Sound(model, skin, loudest, radiation), _under_focus(model, skin, loudest)
     finer = compares_with_finer(layer, layer.system.ndof)
+    ramp_s = model.stimuli[stimulus_of(model, skin)].config.ramp_s
 
     def make() -> cache.Arrays:
         if stepper.name in EXPLICIT:
             return {name: np.array(value) for name, value in _explicit_estimate(layer, stepper, sound, point).items()}
         try:
-            result = _estimate(layer, small, sound, point, finer, left_small_model)
+            result = _estimate(layer, small, sound, point, finer, left_small_model, ramp_s)
         except SceneError:
-            result = _estimate(layer, small, sound, point, not finer, left_small_model)
+            result = _estimate(layer, small, sound, point, not finer, left_small_model, ramp_s)
         return {name: np.array(value) for name, value in result.items()}
 
     posed, system = loudest.posed, layer.system
@@ -118,13 +123,25 @@ def error_estimate(
         system.made_of,
         [(body.vertices_in_array, body.faces) for body in posed.bodies],
         *(place.obstacle_positions, place.obstacle_rotations),
-        *(loudest.drive, loudest.factor, sound.on_own, point, layer.demand, layer.sizes, left_small_model),
+        *(loudest.drive, loudest.factor, sound.on_own, point, layer.demand, layer.sizes, left_small_model, ramp_s),
         None if small is None else _numbers_of(small),
     )
     result = {name: float(value) for name, value in cache.kept("error-estimate", depends_on, make).items()}
     result["reduction_error_relative"] = math.hypot(result["reduction_error_relative"], outside_class)
     sources = [result[f"{name}_error_relative"] for name in ("mesh", "step", "reduction", "edge")]
-    return result | {"displacement_error_relative": math.hypot(*sources)}
+    return result | {
+        "displacement_error_relative": math.hypot(*sources),
+        "ring_up_error_relative": ring_up_error(model, skin),
+    }
+
+
+def ring_up_error(model: HapticModel, skin: int) -> float:
+    """Error of the ARP on a skin by transducers that are taken for instant, 0 where their ring-up is modelled.
+
+    The rms over the worst stretch of its stimulus; relative, of a pressure that is off by b it is 2 b + b^2.
+    """
+    response = model.stimuli[stimulus_of(model, skin)].response
+    return 0.0 if response.on else 2.0 * response.ring_up.rms + response.ring_up.rms**2
 
 
 def _numbers_of(small: ReducedStepper | ModalStepper) -> tuple[Any, ...]:
@@ -213,6 +230,7 @@ def _estimate(
     point: Float,
     finer: bool,
     left_small_model: bool,
+    ramp_s: float,
 ) -> dict[str, float]:
     frequency, step_s = layer.demand.main_frequency_Hz, layer.sizes.step_s
     low, high = (layer, layer.resized(1 / RATIO)) if finer else (layer.resized(RATIO), layer)
@@ -228,6 +246,8 @@ def _estimate(
     step = 1.0 - float(np.sinc(frequency * step_s)) ** 2
     if not exact_in_time:
         step = abs(coarse.scheme - coarse.harmonic) / abs(coarse.harmonic)
+        force, read = low.quadrature.operator @ coarse.pressure, low.probe(point).operator.toarray()[0]
+        step = max(step, onset_error(low.system, force, read, step_s, ramp_s))
     reduction = 0.0
     if small is not None:
         own = coarse if low is layer else fine

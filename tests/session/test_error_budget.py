@@ -11,7 +11,7 @@ from palmfield.session.error_budget import RATIO, error_estimate, p0_band, p0_gi
 from palmfield.simulation.emission import array_drives
 from palmfield.simulation.forces import BodyForces
 from palmfield.simulation.radiation import Radiation
-from palmfield.skin.fem.solver import harmonic, static
+from palmfield.skin.fem.solver import harmonic, harmonic_both, static
 from palmfield.skin.reduction.reduced_stepper import ReducedStepper
 
 STEADY = {"modulation": "none", "am_of": None, "am_frequency_Hz": None, "am_depth": None}
@@ -153,3 +153,22 @@ def test_a_silent_moment_never_gets_here(small_scene, moment):
     quiet = replace(moment(scene), drive=np.zeros(256, complex))
     with pytest.raises(palmfield.SceneError, match="answers not 0"):
         estimate(scene, quiet)
+
+
+def test_a_sudden_start_counts_its_onset_and_the_ring_up_that_is_left_out(small_scene, moment) -> None:
+    """Of a pole of rate g that is taken for a delay 1 / g a jump leaves 0.236 / g of its square, see the integral."""
+    scene = palmfield.load(small_scene(stimulus=STEADY, array={"response": "off"}))
+    scene.step(3)
+    model = scene.runtime.model
+    errors = estimate(scene, moment(scene))
+    layer, response = model.skins[0].layer, model.stimuli[0].response
+    force = layer.quadrature.operator @ unit(scene)
+    read, frequency = layer.probe(np.zeros(3)).operator, layer.demand.main_frequency_Hz
+    exact, scheme = (read @ each for each in harmonic_both(layer.system, force, frequency, layer.sizes.step_s))
+    assert errors["step_error_relative"] > 1.5 * abs(scheme[0] - exact[0]) / abs(exact[0])
+    window = 10e-3
+    rate = float(response.pole.damping.min())
+    b = np.sqrt((1.0 - 2.0 * (1.0 - np.exp(-1.0)) + 0.5) / rate / window)
+    assert errors["ring_up_error_relative"] == pytest.approx(2.0 * b + b**2, rel=0.05)
+    sources = [errors[f"{name}_error_relative"] for name in SOURCES]
+    assert errors["displacement_error_relative"] == pytest.approx(np.hypot.reduce(sources))

@@ -55,7 +55,7 @@ def test_lateral_waves_state_them_too() -> None:
 def test_refinement_goes_by_what_was_asked_for() -> None:
     load = Spot(0.0103, [0.0, 4e-3], [0.0, 1.0])
     plain = solve(DISC, load, TIMES, AT, solver="axisymmetric", accuracy=0.02, device="cpu")
-    target = 0.5 * plain.velocity_error
+    target = 0.7 * plain.velocity_error
     assert plain.displacement_error < target
     swift = solve(DISC, load, TIMES, AT, solver="axisymmetric", accuracy=target, accuracy_of="velocity", device="cpu")
     assert swift.accuracy_of == "velocity" and swift.error == swift.velocity_error <= target

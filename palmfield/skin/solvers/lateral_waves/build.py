@@ -63,7 +63,7 @@ def refusal_lateral_waves(body: Body, load: Load) -> str | None:
             )
     if isinstance(load, Spot):
         room = float(distance_to_sides(body, load.centres()).min())
-        if room < RIM_WIDTHS * load.fwhm_m and 1.0 - pressure_at_sides(body, load) > EVEN:
+        if room < RIM_WIDTHS * load.fwhm_m and unevenness(body, load) > EVEN:
             other = "axisymmetric" if body.shape == "disc" else "wedges"
             return (
                 f"the spot comes within {room:.3g} m of a side; here it must keep {RIM_WIDTHS * load.fwhm_m:.3g} m, "
@@ -72,7 +72,16 @@ def refusal_lateral_waves(body: Body, load: Load) -> str | None:
     return None
 
 
-def check_sides(body: Body, load: Load, accuracy: float) -> float:
+def unevenness(body: Slab, load: Spot) -> float:
+    """By how much of its peak a spot's pressure falls over a slab, at most."""
+    if body.shape == "infinite":
+        return 1.0
+    half = np.asarray(body.size_m or (body.radius_m or 0.0, 0.0)) * (0.5 if body.shape == "box" else 1.0)
+    farthest = np.linalg.norm(np.abs(load.centres()) + half, axis=1).max()
+    return 1.0 - float(np.exp(-GAUSSIAN * (farthest / load.fwhm_m) ** 2))
+
+
+def check_sides(body: Slab, load: Load, accuracy: float) -> float:
     """Pressure at a slab's sides over the spot's peak, which the wavenumbers leave out; 0 for pressures at points.
 
     Of one that is even over the slab to EVEN, its unevenness.
@@ -81,9 +90,9 @@ def check_sides(body: Body, load: Load, accuracy: float) -> float:
     """
     if not isinstance(load, Spot):
         return 0.0
+    if unevenness(body, load) <= EVEN:
+        return unevenness(body, load)
     share = pressure_at_sides(body, load)
-    if 1.0 - share <= EVEN:
-        return 1.0 - share
     if share > AT_SIDES * accuracy:
         raise SceneError(
             f"solver 'lateral_waves': the spot's pressure at the nearest side is {share:.2g} of its peak, at most "
