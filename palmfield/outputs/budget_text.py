@@ -1,4 +1,4 @@
-"""A skin's error budget (`palmfield.session.budget.error_budget`) in words."""
+"""A skin's error budget (`palmfield.session.error_budget.error_budget`) in words."""
 
 from collections.abc import Mapping
 from typing import Any

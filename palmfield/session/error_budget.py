@@ -1,382 +1,101 @@
-"""What the numbers of a finished run are worth: relative error of a skin's displacement by source, and the p0 band.
+"""How far a run's motion of the skin can be trusted: numerical errors, what was left out, and what the inputs leave.
 
-Both are estimated at one moment, the loudest on the skin. Errors of the model itself (ARP law, material, linearity) are
-not in these; the plan names them.
+All parts are of one quantity, the displacement of the skin under the focus at the loudest moment, relative to its size.
+They are of different kinds and are never added up into one number.
 """
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, TypeAlias, TypeVar
+from dataclasses import asdict
+from typing import Any
 
 import numpy as np
 
-from palmfield import cache
-from palmfield.config.skin import EXPLICIT
-from palmfield.errors import SceneError
-from palmfield.simulation.build import nearest_stimulus
-from palmfield.simulation.emission import array_drives
-from palmfield.simulation.model import HapticModel, SkinModel, array_instances
-from palmfield.simulation.posed_scene import PosedScene, PosedSkin, PosedSurface
+from palmfield.session.biases import biases
+from palmfield.session.numerical_error import Course, LoudestMoment, error_estimate, p0_band, p0_known, stimulus_of
+from palmfield.simulation.model import HapticModel
 from palmfield.simulation.radiation import Radiation
-from palmfield.skin.approximation.estimate import ORDER, mesh_error
-from palmfield.skin.fem.influence import harmonic_influence, static_influence
-from palmfield.skin.from_config import softest_and_stiffest_sheets
-from palmfield.skin.problem import Sheet
-from palmfield.skin.reduction.modal_stepper import ModalStepper
-from palmfield.skin.reduction.reduced_stepper import ReducedStepper
-from palmfield.skin.scene_layer import SceneLayer
-from palmfield.skin.stepper import SkinStepper
 from palmfield.stimulus.schedule import frame_at
-from palmfield.threads import cores, share
-from palmfield.types import Complex, Estimate, Float
 
-T = TypeVar("T")
-Ends: TypeAlias = tuple[tuple[Sheet, ...], tuple[Sheet, ...]]
-"""A layer's sheets with the ranges of their materials at the low ends, and at the high ends."""
-
-RATIO = 1.25
-"""Element sizes of the two meshes that are compared."""
-FINER_BELOW = 15_000
-"""Unknowns above which a finer mesh costs minutes and gigabytes."""
-MOST_AT_ONCE = 2
-"""Matrices that are factorised side by side: each factor of a palm takes a third of a gigabyte."""
-LAYERS = 3
-"""A coarser mesh must keep two rows of elements: one alone is off by 20 %."""
+QUANTITY = "displacement of the skin under the focus at the loudest moment, relative to its size"
+LOUDEST_POINTS = 64
+"""Points of the skin at which the field is computed once more in double precision."""
+SOURCES = ("mesh", "step", "reduction", "edge", "field")
+"""Of the numerical error: each has its number under `SOURCE_error_relative`."""
 
 
-@dataclass(frozen=True)
-class LoudestMoment:
-    """The moment of a run at which the ARP on a skin was highest.
-
-    time_s: when, by MuJoCo's clock [s]; posed: where everything was
-    drive: what all transducers emitted, relative to full drive, shape (N,); factor: of its ARP
-    """
-
-    time_s: float
-    posed: PosedScene
-    drive: Complex
-    factor: float
-
-
-@dataclass(frozen=True)
-class Course:
-    """How a skin was stepped in a run.
-
-    left_small_model: whether the run went on from a small model or modes to the whole layer
-    outside_class: what of the loads lay outside the class that the modes serve, in the energy norm
-    """
-
-    left_small_model: bool
-    outside_class: float = 0.0
-
-
-# -- error of the displacement -------------------------------------------------------------------------------------
-
-
-def compares_with_finer(layer: SceneLayer, dofs: int) -> bool:
-    """Whether the error estimate of a layer with `dofs` unknowns takes a finer mesh, rather than a coarser one."""
-    return dofs < FINER_BELOW or len(layer.sizes.depth_fractions) - 1 < LAYERS
-
-
-def error_estimate(
+def error_budget(
     model: HapticModel,
     skin: int,
     loudest: LoudestMoment,
     radiation: Radiation,
     course: Course,
-    *,
-    materials: bool = True,
-) -> dict[str, float]:
-    """Relative error of a skin's displacement at its point nearest to the focus, by source.
+) -> dict[str, Any]:
+    """The budget of a skin's motion, as plain JSON; arguments as `palmfield.session.numerical_error.error_estimate`.
 
-    radiation: of the model; its solution by boundary elements for that moment serves again
-    materials: whether other materials are solved for as well
-
-    mesh: of a solver of EXPLICIT its own estimate, of its elements or particles, and of its steps. Else the static and
-        harmonic response on the scene's mesh and on one RATIO finer (or coarser, for more than
-        FINER_BELOW unknowns and at least LAYERS rows of elements), by Richardson's rule; the larger of the two. The
-        frequency is the stimulus's main one; half of the highest that mesh and step are made for where there is none,
-        as the spectrum of a load that only starts and stops falls with frequency
-    step: the discrete scheme's exact steady state against the continuous one, on the coarser mesh, where it costs less.
-        A small model is exact in time, and the steps of an explicit solver are far shorter; what they are given is the
-        load's chords, of which a sine has sinc^2 of itself
-    reduction: of a small model: its own estimate, or, where it is made for any course of the load, the difference from
-        the whole layer's static and harmonic response on the scene's mesh, if that is larger; of modes the same, and
-        what of the run's loads lay outside their class; 0 without either
-    material_band_low, _high: factors on the displacement where all ranges of the layer's materials are at their stiff,
-        and at their soft ends; missing where no range is known
-    edge: half the difference that fixed or free cut faces make to the harmonic response, also there: a layer on a hand
-        ends where the body goes on; 0 for a disc, whose side is its own
-
-    Kept in the cache (`palmfield.cache`). Raises SceneError where neither a finer nor a coarser mesh of the layer can
-    be made.
+    quantity: what all of it is relative to
+    numerical: SOURCE_error_relative for each of SOURCES, displacement_error_relative of all of them together, and what
+        the numerical estimate has besides
+    left_out: a list of what, low, high (true less computed, over computed; None where not estimated) and why
+    inputs: a list of what, low, high (factors on the displacement; None where not estimated), kind and why
+    Raises SceneError as `error_estimate`.
     """
-    layer, stepper = model.skins[skin].layer, model.begin[skin].value
-    small = stepper if isinstance(stepper, ReducedStepper | ModalStepper) else None
-    sound, point = _Sound(model, skin, loudest, radiation), _under_focus(model, skin, loudest)
-    finer = compares_with_finer(layer, layer.system.ndof)
-    ends = softest_and_stiffest_sheets(layer.config) if materials else None
-
-    def make() -> cache.Arrays:
-        if stepper.name in EXPLICIT:
-            result = _explicit_estimate(layer, stepper, sound, point, ends)
-            return {name: np.array(value) for name, value in result.items()}
-        try:
-            result = _estimate(layer, small, sound, point, finer, course.left_small_model, ends)
-        except SceneError:
-            result = _estimate(layer, small, sound, point, not finer, course.left_small_model, ends)
-        return {name: np.array(value) for name, value in result.items()}
-
-    posed, system = loudest.posed, layer.system
-    place = posed.skins[skin]
-    depends_on = (
-        *(model.spec.skins[skin], model.spec.device, posed.arrays.array, posed.arrays.air, posed.arrays.placements),
-        system.made_of,
-        [(body.vertices_in_array, body.faces) for body in posed.bodies],
-        *(place.obstacle_positions, place.obstacle_rotations),
-        *(
-            loudest.drive,
-            loudest.factor,
-            sound.on_own,
-            point,
-            layer.demand,
-            layer.sizes,
-            course.left_small_model,
-            materials,
-        ),
-        None if small is None else _numbers_of(small),
-    )
-    result = {name: float(value) for name, value in cache.kept("error-estimate", depends_on, make).items()}
-    result["reduction_error_relative"] = math.hypot(result["reduction_error_relative"], course.outside_class)
-    sources = [result[f"{name}_error_relative"] for name in ("mesh", "step", "reduction", "edge")]
-    return result | {"displacement_error_relative": math.hypot(*sources)}
-
-
-def _numbers_of(small: ReducedStepper | ModalStepper) -> tuple[Any, ...]:
-    """All that a small model's or modes' answers follow from."""
-    if isinstance(small, ModalStepper):
-        modes = small.body.modes
-        return modes.elastic, modes.stiffness, modes.coupling, modes.shares, small.body.forces, small.error
-    return small.small.matrices, small.vectors, small.error, small.any_course
-
-
-class _Response:
-    """Displacement at a point of one mesh of a skin under one sound, by how pressure moves that point.
-
-    pressure: ARP at the mesh's quadrature points at the factor 1 [Pa], shape (q,)
-    static, harmonic, scheme: of the point [m]; `rest` finds the first, `swing` the others, exact in time and by the
-        scheme of the whole layer; scheme_too: whether the last is wanted
-    """
-
-    def __init__(self, layer: SceneLayer, pressure: Float, point: Float, *, scheme_too: bool = False):
-        self.layer, self.point, self.scheme_too = layer, point, scheme_too
-        self.pressure = pressure
-        self.static, self.harmonic, self.scheme = 0.0, 0j, 0j
-
-    def of(self, layer: SceneLayer) -> "_Response":
-        """The response of another layer on the same mesh."""
-        return _Response(layer, self.pressure, self.point)
-
-    def rest(self) -> None:
-        self.static = float(static_influence(self.layer.system, self.layer.quadrature, self.point) @ self.pressure)
-
-    def swing(self) -> None:
-        layer = self.layer
-        step_s = layer.sizes.step_s if self.scheme_too else None
-        frequency = layer.demand.main_frequency_Hz
-        exact, scheme = harmonic_influence(layer.system, layer.quadrature, self.point, frequency, step_s)
-        self.harmonic, self.scheme = complex(exact @ self.pressure), complex(scheme @ self.pressure)
-
-
-def _side_by_side(*solutions: Callable[[], None]) -> None:
-    """Factorisations hold no lock of Python's."""
-    share([(solution,) for solution in solutions], min(cores(), MOST_AT_ONCE))
-
-
-class _Sound:
-    """ARP of the loudest moment on other meshes of a skin's layer."""
-
-    def __init__(self, model: HapticModel, skin: int, loudest: LoudestMoment, radiation: Radiation):
-        self.model, self.skin, self.loudest, self.radiation = model, skin, loudest, radiation
-        self.on_own: Float = self._arp(radiation, loudest.posed)
-
-    def on(self, layer: SceneLayer) -> Float:
-        """ARP [Pa] at a layer's quadrature points, shape (q,)."""
-        model, skin, posed = self.model, self.skin, self.loudest.posed
-        part = model.skins[skin]
-        if layer is part.layer:
-            return self.on_own
-        other = SkinModel(part.spec, part.body, part.carrier, layer, part.choice, part.still_m)
-        place, body = posed.skins[skin], posed.bodies[part.body]
-        disc = part.carrier.surface is None
-        if disc:
-            # The boundary of a disc is that of its skin's mesh; any other body's is its own.
-            body = PosedSurface(part.carrier, other, body.frame, (body.bone_positions, body.bone_rotations))
-        obstacles = place.obstacle_positions, place.obstacle_rotations
-        varied_model = replace(model, skins=_exchanged(model.skins, skin, other))
-        varied = PosedScene(
-            posed.array_frame,
-            posed.arrays,
-            posed.frames,
-            _exchanged(posed.bodies, part.body, body),
-            _exchanged(posed.skins, skin, PosedSkin(other, body, obstacles)),
-        )
-        radiation, solved = Radiation(varied_model), self.radiation.scattered_fields()
-        if skin in solved and not disc:
-            radiation.adopt({skin: (varied, *solved[skin][1:])})
-        return self._arp(radiation, varied)
-
-    def _arp(self, radiation: Radiation, posed: PosedScene) -> Float:
-        return radiation.on(posed, self.skin, "quadrature", self.loudest.drive).arp.astype(np.float64)
-
-
-def _exchanged(parts: Sequence[T], number: int, other: T) -> tuple[T, ...]:
-    """The parts, with another one in one's place."""
-    return (*parts[:number], other, *parts[number + 1 :])
-
-
-def _estimate(
-    layer: SceneLayer,
-    small: ReducedStepper | ModalStepper | None,
-    sound: _Sound,
-    point: Float,
-    finer: bool,
-    left_small_model: bool,
-    materials: Ends | None,
-) -> dict[str, float]:
-    frequency, step_s = layer.demand.main_frequency_Hz, layer.sizes.step_s
-    low, high = (layer, layer.resized(1 / RATIO)) if finer else (layer.resized(RATIO), layer)
-    exact_in_time = isinstance(small, ReducedStepper) and not left_small_model
-    coarse = _Response(low, sound.on(low), point, scheme_too=not exact_in_time)
-    fine = _Response(high, sound.on(high), point)
-    cut = _other_sides(low, sound, point)
-    ends = _other_materials(coarse, materials)
-    # The dearest first, so that the cheaper ones fill the time beside it
-    _side_by_side(
-        fine.swing,
-        coarse.swing,
-        *(other.swing for other in (*cut, *ends)),
-        fine.rest,
-        coarse.rest,
-        *(other.rest for other in ends),
-    )
-    mesh = mesh_error(np.array([coarse.static, coarse.harmonic]), np.array([fine.static, fine.harmonic]), RATIO)
-    if finer:
-        mesh *= RATIO**ORDER
-    step = 1.0 - float(np.sinc(frequency * step_s)) ** 2
-    if not exact_in_time:
-        step = abs(coarse.scheme - coarse.harmonic) / abs(coarse.harmonic)
-    reduction = 0.0
-    if small is not None:
-        own = coarse if low is layer else fine
-        reduction = small.error
-        if isinstance(small, ModalStepper) or small.any_course:
-            pressure, read = own.pressure, layer.probe(point).operator
-            pressure = pressure if small.points is None else pressure[small.points]
-            reduced = [small.harmonic(pressure, f, read)[0] for f in (0.0, frequency)]
-            references = own.static, own.harmonic
-            reduction = max(reduction, *(abs(a - b) / abs(b) for a, b in zip(reduced, references, strict=True)))
-    return _as_numbers(mesh, step, reduction, _edge_error(coarse, cut)) | _material_band(coarse, ends)
-
-
-def _explicit_estimate(
-    layer: SceneLayer, stepper: SkinStepper, sound: _Sound, point: Float, materials: Ends | None
-) -> dict[str, float]:
-    """Of a solver with a mesh of its own: the cut edge is that of the scene's layer, by its wedges."""
-    frequency = layer.demand.main_frequency_Hz
-    step = 1.0 - float(np.sinc(frequency * layer.sizes.step_s)) ** 2
-    own = _Response(layer, sound.on(layer), point)
-    edge, cut, ends = 0.0, _other_sides(layer, sound, point), _other_materials(own, materials)
-    if cut or ends:
-        _side_by_side(own.swing, *(other.swing for other in (*cut, *ends)), *(other.rest for other in (own, *ends)))
-        edge = _edge_error(own, cut)
-    return _as_numbers(stepper.error, step, 0.0, edge) | _material_band(own, ends)
-
-
-def _other_sides(layer: SceneLayer, sound: _Sound, point: Float) -> list[_Response]:
-    """The layer with other cut faces; nothing for a disc, whose side is its own."""
-    if layer.config.shape == "disc":
-        return []
-    other = layer.resized(layer.resizing, side="free" if layer.config.side == "fixed" else "fixed")
-    return [_Response(other, sound.on(other), point)]
-
-
-def _edge_error(own: _Response, cut: Sequence[_Response]) -> float:
-    """Half of what other cut faces change of a layer's harmonic displacement."""
-    changes = [0.5 * abs(other.harmonic - own.harmonic) / abs(own.harmonic) for other in cut]
-    return max(changes, default=0.0)
-
-
-def _other_materials(own: _Response, ends: Ends | None) -> list[_Response]:
-    """A response with the ranges of the layer's materials at the soft and at the stiff ends; nothing without any."""
-    return [own.of(own.layer.resized(own.layer.resizing, sheets=sheets)) for sheets in ends or ()]
-
-
-def _material_band(own: _Response, ends: Sequence[_Response]) -> dict[str, float]:
-    """By how much softer and stiffer materials change the displacement, static and harmonic together, as factors."""
-    if not ends:
-        return {}
-    factors = [(abs(other.static) + abs(other.harmonic)) / (abs(own.static) + abs(own.harmonic)) for other in ends]
-    return {"material_band_low": min(1.0, *factors), "material_band_high": max(1.0, *factors)}
-
-
-def _as_numbers(mesh: float, step: float, reduction: float, edge: float) -> dict[str, float]:
+    estimate = error_estimate(model, skin, loudest, radiation, course)
+    band = estimate.pop("material_band_low", None), estimate.pop("material_band_high", None)
+    estimate["field_error_relative"] = field_error(model, skin, loudest, radiation)
+    estimate["displacement_error_relative"] = math.hypot(*(estimate[f"{name}_error_relative"] for name in SOURCES))
+    stimulus = stimulus_of(model, skin)
+    places = loudest.posed.focal_points(model.stimuli[stimulus], stimulus)
+    foci = np.atleast_2d(places.at(frame_at(model.stimuli[stimulus].config, loudest.time_s).focus))
+    nodes = loudest.posed.skins[skin].nodes[0]
+    focus = foci[int(np.argmin([np.linalg.norm(nodes - place, axis=1).min() for place in foci]))]
+    found = biases(model, skin, stimulus, loudest.posed, loudest.drive, focus)
     return {
-        "mesh_error_relative": float(mesh),
-        "step_error_relative": float(step),
-        "reduction_error_relative": float(reduction),
-        "edge_error_relative": float(edge),
+        "quantity": QUANTITY,
+        "numerical": estimate,
+        "left_out": [asdict(bias) for bias in found],
+        "inputs": [*_level(model, stimulus), _material(model, skin, band), *_unknown_inputs(model, skin)],
     }
 
 
-def _under_focus(model: HapticModel, skin: int, loudest: LoudestMoment) -> Float:
-    """The place of the resting skin that is nearest to a focus at the loudest moment, body frame [m], shape (3,)."""
-    posed = loudest.posed.skins[skin]
-    nodes = posed.nodes[0]
-    foci = []
-    for number, stimulus in enumerate(model.stimuli):
-        if not stimulus.silent:
-            places = loudest.posed.focal_points(stimulus, number)
-            foci += list(np.atleast_2d(places.at(frame_at(stimulus.config, loudest.time_s).focus)))
-    focus = min(foci, key=lambda place: float(np.linalg.norm(nodes - place, axis=1).min()))
-    if posed.body.model.hand is None:
-        return posed.body.frame.inverse_points(focus)
-    nearest = np.linalg.norm(nodes - focus, axis=1).argmin()
-    return model.skins[skin].nodes[0][nearest]
+def field_error(model: HapticModel, skin: int, loudest: LoudestMoment, radiation: Radiation) -> float:
+    """Error that the field's precision leaves in the ARP where it is highest on a skin, relative.
 
-
-# -- band from an uncertain p0 -------------------------------------------------------------------------------------
-
-
-def stimulus_of(model: HapticModel, skin: int) -> int:
-    """Number of the stimulus whose sound a skin's layer is made for."""
-    nearest = nearest_stimulus(model.skins[skin].spec, model.stimuli)
-    return next(number for number, stimulus in enumerate(model.stimuli) if stimulus is nearest)
-
-
-def p0_band(model: HapticModel, stimulus: int) -> tuple[float, float] | None:
-    """Factors on the skin's motion at the low and high ends of every array's p0; None where arp_peak_Pa sets the level.
-
-    The pressures of the stimulus's arrays add up at its focus, each with its own p0, and the motion goes with the
-    square.
+    Against a sum in double precision at LOUDEST_POINTS points; the ARP goes with the pressure's square.
     """
-    part, arrays = model.stimuli[stimulus], model.arrays
-    drive = array_drives(model, arrays)[stimulus].unit_drive(part.first_focus).amplitudes
-    pressures = []
-    for own in arrays.slices:
-        alone = np.zeros_like(drive)
-        alone[own] = drive[own]
-        pressures.append(arrays.pressure64(part.first_focus[None], alone)[0])
-    whole = abs(sum(pressures)) ** 2
-    if part.config.arp_peak_Pa is not None or whole == 0.0:
-        return None
-    known = [array.p0 for array in array_instances(model.spec)]
-    low, high = [p0.low / p0.value for p0 in known], [p0.high / p0.value for p0 in known]
-    return abs(np.dot(low, pressures)) ** 2 / whole, abs(np.dot(high, pressures)) ** 2 / whole
+    posed = loudest.posed
+    loads = radiation.on(posed, skin, "quadrature", loudest.drive).arp
+    points = posed.skins[skin].quadrature[0][np.argsort(loads)[-LOUDEST_POINTS:]]
+    exact = posed.arrays.pressure64(points, loudest.drive)
+    fast = posed.arrays.field.pressure(points, loudest.drive).pressure
+    largest = float(np.abs(exact).max())
+    return 2.0 * float(np.abs(fast - exact).max()) / largest if largest > 0.0 else 0.0
 
 
-def p0_known(model: HapticModel, stimulus: int) -> list[Estimate]:
-    """p0 of the arrays of a stimulus, each once where several have the same."""
-    instances = array_instances(model.spec)
-    return list(dict.fromkeys(instances[number].p0 for number in model.stimuli[stimulus].spec.arrays))
+def _level(model: HapticModel, stimulus: int) -> list[dict[str, Any]]:
+    """p0 of the arrays that a stimulus drives."""
+    band = p0_band(model, stimulus)
+    known = p0_known(model, stimulus)
+    kinds = " and ".join(dict.fromkeys(p0.kind for p0 in known))
+    if band is None:
+        why = "arp_peak_Pa sets the level"
+        return [{"what": "p0", "low": 1.0, "high": 1.0, "kind": kinds, "why": why}]
+    why = "; ".join(f"{p0.value:g} Pa m ({p0.low:g} to {p0.high:g}): {p0.source}" for p0 in known)
+    return [{"what": "p0", "low": band[0], "high": band[1], "kind": kinds, "why": f"exactly its square; {why}"}]
+
+
+def _material(model: HapticModel, skin: int, band: tuple[float | None, float | None]) -> dict[str, Any]:
+    config = model.skins[skin].spec.config
+    names = ", ".join(config.materials or (config.material,))
+    why = f"{names}: no range is known of the numbers that the scene sets"
+    if band[0] is not None:
+        why = f"{names}: all moduli at the ends of their ranges at once, softest and stiffest; correlation is ignored"
+    return {"what": "material", "low": band[0], "high": band[1], "kind": "inferred", "why": why}
+
+
+def _unknown_inputs(model: HapticModel, skin: int) -> list[dict[str, Any]]:
+    """What else goes in and isn't carried through."""
+    inputs = []
+    if model.skins[skin].carrier.surface is not None:
+        inputs.append(("depth to the bone", "its range by region is in docs/hands.md"))
+    inputs.append(("quality of the transducers", "12 to 35 until it is measured: it shapes onsets and fast modulation"))
+    return [{"what": what, "low": None, "high": None, "kind": "assumed", "why": why} for what, why in inputs]

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from palmfield.session.budget import QUANTITY
 from palmfield.session.duration import check_duration
+from palmfield.session.error_budget import QUANTITY
 from palmfield.session.load import Source
 from palmfield.session.planning.advice import advice
 from palmfield.session.planning.costs import run_s

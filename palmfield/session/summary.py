@@ -13,8 +13,8 @@ from palmfield.config.skin import EXPLICIT
 from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.errors import PalmfieldError
 from palmfield.perception.observers import OBSERVERS, level_dB_SL, line_amplitude
-from palmfield.session.budget import error_budget
-from palmfield.session.error_budget import Course, LoudestMoment, error_estimate, p0_band, stimulus_of
+from palmfield.session.error_budget import error_budget
+from palmfield.session.numerical_error import Course, LoudestMoment, error_estimate, p0_band, stimulus_of
 from palmfield.session.simulation import Simulation
 from palmfield.simulation.forces import BodyForces
 from palmfield.simulation.model import HapticModel, array_instances
@@ -80,7 +80,7 @@ def skin_numbers(
 
 
 def estimated_budget(simulation: Simulation, skin: int, loudest: LoudestMoment | None) -> dict[str, Any] | str | None:
-    """The error budget of a skin's motion (`palmfield.session.budget.error_budget`), or why there is none.
+    """The error budget of a skin's motion (`palmfield.session.error_budget.error_budget`), or why there is none.
 
     None where the run was silent. loudest: see `skin_numbers`
     """

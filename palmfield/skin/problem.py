@@ -7,7 +7,7 @@ spot moves by negative z.
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,9 +18,13 @@ from palmfield.skin.materials.sheet import Sheet
 from palmfield.types import Float, Patch
 
 Law = Literal["linear", "held"]
+Quantity = Literal["displacement", "velocity", "normal"]
 Shape = Literal["infinite", "disc", "box"]
 BaseKind = Literal["bonded", "free_slip", "free"]
 SideKind = Literal["fixed", "free", "roller", "absorbing"]
+QUANTITIES: tuple[Quantity, ...] = ("displacement", "velocity", "normal")
+"""What an accuracy is of: the displacement, the velocity, or the displacement along the face's normal; the order in
+which solvers keep their three errors."""
 BASES = ("bonded", "free_slip", "free")
 SIDES = ("fixed", "free", "roller", "absorbing")
 SHAPES = ("infinite", "disc", "box")
@@ -186,7 +190,7 @@ class Spot:
     times_s: [s], rising, shape (f,); before the first the load is 0, after the last it stays
     peak_Pa: a at these times, shape (f,); centre_m: c, shape (f, 2) or, at rest, (2,)
     law: a and c between these times: "linear", or "held" at the value of the earlier one
-    A static load is one time, 0, with law "held", asked for at a late time or by `static`.
+    A static load is one time, 0, with law "held", asked for by `static`.
     Raises SceneError for other shapes, times that do not rise, and numbers that are not finite.
     """
 
@@ -246,8 +250,11 @@ class Motion:
 
     times_s: shape (t,); points: [m], shape (n, 3)
     displacement_m, velocity_m_s: shape (t, n, 3)
-    error: estimated relative error of the displacement (L2 over times and points); error_source: how it was found
+    error: estimated relative error of what `accuracy_of` names (L2 over the times at a point, the largest of the
+        points); error_source: how it was found
     solver: which one, with its resolution in words; seconds: what it took
+    displacement_error, velocity_error, normal_error: the same of the displacement, the velocity and the displacement
+        along the face's normal; NaN where nothing was estimated
     """
 
     times_s: Float
@@ -258,6 +265,37 @@ class Motion:
     error_source: str
     solver: str
     seconds: float
+    accuracy_of: Quantity = "displacement"
+    displacement_error: float = math.nan
+    velocity_error: float = math.nan
+    normal_error: float = math.nan
+
+
+def stated(errors: Float, accuracy_of: Quantity) -> dict[str, Any]:
+    """A Motion's fields for errors of the QUANTITIES, (3,)."""
+    named = {f"{name}_error": float(error) for name, error in zip(QUANTITIES, errors, strict=True)}
+    return {"error": named[f"{accuracy_of}_error"], "accuracy_of": accuracy_of, **named}
+
+
+def check_quantity(accuracy_of: str) -> int:
+    """Its place among QUANTITIES. Raises SceneError for another."""
+    if accuracy_of not in QUANTITIES:
+        raise SceneError(f"accuracy_of is '{accuracy_of}'; use one of {', '.join(QUANTITIES)}")
+    return QUANTITIES.index(accuracy_of)
+
+
+def normals_on_face(body: Body, points: Float) -> Float:
+    """Outward unit normals of the face at points (n, 3), those of a layer at its nearest vertices; shape (n, 3)."""
+    if isinstance(body, Slab):
+        return np.tile([0.0, 0.0, 1.0], (len(points), 1))
+    patch = body.patch
+    corners = patch.vertices[patch.faces]
+    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area *= -np.sign(np.einsum("ij,ij->i", area, patch.inward[patch.faces[:, 0]]))[:, None]
+    summed = np.zeros_like(np.asarray(patch.vertices, dtype=float))
+    np.add.at(summed, patch.faces, area[:, None])
+    normals: Float = summed[cKDTree(patch.vertices).query(points)[1]]
+    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
 
 
 def check_base_and_side(base: Base, side: SideKind | None, none: bool) -> None:

@@ -20,7 +20,23 @@ from palmfield.device import resolve
 from palmfield.errors import SceneError
 from palmfield.skin.approximation.truncate_domain import truncate_domain
 from palmfield.skin.costs import modal_step_s, modes_s, reduced_s, wedges_s
-from palmfield.skin.problem import Body, Load, Motion, Spot, points_on_face, requested_points, rising
+from palmfield.skin.problem import (
+    QUANTITIES,
+    Body,
+    Foundation,
+    Load,
+    Motion,
+    Quantity,
+    Slab,
+    Spot,
+    Springs,
+    Traction,
+    check_quantity,
+    depth_of,
+    points_on_face,
+    requested_points,
+    rising,
+)
 from palmfield.types import Float
 
 Name = Literal["auto", "lateral_waves", "axisymmetric", "reduced", "wedges", "spectral_elements", "particles"]
@@ -33,7 +49,7 @@ WHERE = {
         "refusal": "solvers.lateral_waves.build",
         "cost": "solvers.lateral_waves.cost",
     },
-    "axisymmetric": dict.fromkeys(FUNCTIONS, "solvers.axisymmetric.solve"),
+    "axisymmetric": dict.fromkeys((*FUNCTIONS, "static"), "solvers.axisymmetric.solve"),
     "reduced": dict.fromkeys(FUNCTIONS, "solvers.reduced"),
     "wedges": dict.fromkeys((*FUNCTIONS, "static"), "solvers.wedges"),
     "spectral_elements": dict.fromkeys(FUNCTIONS, "solvers.spectral_elements.solve"),
@@ -59,6 +75,12 @@ RUNS = 20
 
 PREVIEW = ("particles",)
 """Solvers for large deformation and previews: never chosen by `auto`."""
+
+AT_REST = ("lateral_waves", "axisymmetric", "wedges")
+"""Solvers with an answer at rest, the quickest first."""
+
+LATE = 20.0
+"""Periods after a load's last change from which a body without losses can only have been taken for one at rest."""
 
 FINER = 3
 """How often a solution is made finer when its estimate misses the target accuracy."""
@@ -118,6 +140,7 @@ def choices(
     body: Body, load: Load, times: ArrayLike, at: ArrayLike, *, accuracy: float = 0.05, device: str = "auto"
 ) -> list[Choice]:
     """Every solver's prediction for a problem, the cheapest first; arguments as for `solve`."""
+    check_load(load)
     moments, points = checked(times, at, accuracy)
     body, load, _ = truncate_domain(body, load, float(moments[-1]), points, accuracy)
     return ranking(body, load, moments, points, accuracy, resolve(device))
@@ -146,6 +169,7 @@ def solve(
     *,
     solver: Name = "auto",
     accuracy: float = 0.05,
+    accuracy_of: Quantity = "displacement",
     device: str = "auto",
     whole: bool = False,
     **resolution: Any,
@@ -155,27 +179,46 @@ def solve(
     body: Slab or Layer; load: Spot or Traction (palmfield.skin.problem); the body is at rest before the load begins
     times: requested times [s], rising, shape (t,); at: points on the face [m], shape (n, 2) or (n, 3)
     solver: "auto", the cheapest by prediction that doesn't refuse, before or while it solves; or one by name
-    accuracy: target relative error of the displacement, L2 over the times at a point, the largest of the points
+    accuracy: target relative error of accuracy_of, L2 over the times at a point, the largest of the points
+    accuracy_of: "displacement", "velocity", or "normal", the displacement along the face's normal, whose error is the
+        larger one where the skin moves mostly along itself: what the estimate and refinement go by
     device: "auto", "cpu" or "cuda:N"
     whole: keep all of a layer, also what lies beyond the reach of load and points
     (palmfield.skin.approximation.truncate_domain)
     resolution: passed on to a solver asked for by name, which is then not made finer
     Where the estimate misses the accuracy the problem is solved again, finer, up to FINER times; a Motion whose `error`
     is above `accuracy` says so in its `solver`.
-    Raises SceneError for bad arguments and where no solver, or not the one asked for, can do it.
+    Raises SceneError for bad arguments, where no solver, or not the one asked for, can do it, and where a body without
+    losses is asked for at late times alone (`check_rest`).
     """
     begin = time.perf_counter()
+    check_load(load)
+    check_quantity(accuracy_of)
     moments, points = checked(times, at, accuracy)
     where = resolve(device)
     if solver in FORMER:
         raise SceneError(f"solver '{solver}' is now '{FORMER[solver]}': use {FORMER[solver]}")
     if solver != "auto" and solver not in WHERE:
         raise SceneError(f"solver is '{solver}'; use auto or one of {', '.join(WHERE)}")
+    check_rest(body, load, moments)
     # Points off the body would make every solver refuse.
     on_face = points_on_face(body, points)
     if not np.any(load.peak_Pa if isinstance(load, Spot) else load.pressure_Pa):
         still = np.zeros((len(moments), len(points), 3))
-        return Motion(moments, on_face, still, still.copy(), 0.0, "no load: all is at rest", "none needed", 0.0)
+        return Motion(
+            moments,
+            on_face,
+            still,
+            still.copy(),
+            0.0,
+            "no load: all is at rest",
+            "none needed",
+            0.0,
+            accuracy_of,
+            0.0,
+            0.0,
+            0.0,
+        )
     cut = 0.0
     if not whole:
         body, load, cut = truncate_domain(body, load, float(moments[-1]), points, accuracy)
@@ -186,10 +229,10 @@ def solve(
         able = [choice for choice in options if choice.refusal is None and choice.name not in PREVIEW]
         if not able:
             raise SceneError("no solver can do this: " + "; ".join(f"{c.name}: {c.refusal}" for c in options))
-        name, motion, why = _first_that_can(able, body, load, moments, points, accuracy, where)
+        name, motion, why = _first_that_can(able, body, load, moments, points, accuracy, accuracy_of, where)
     else:
         name, why = solver, "asked for"
-        motion = _by_name(name, body, load, moments, points, accuracy, where, resolution)
+        motion = _by_name(name, body, load, moments, points, accuracy, accuracy_of, where, resolution)
     finer: HistorySolver = function(name, "solve")
     target = accuracy
     for _ in range(FINER):
@@ -197,7 +240,7 @@ def solve(
             break
         target *= 0.7 * accuracy / (motion.error + cut)
         try:
-            motion = finer(body, load, moments, points, accuracy=target, device=where)
+            motion = finer(body, load, moments, points, accuracy=target, accuracy_of=accuracy_of, device=where)
         except SceneError as reason:
             why += f"; not solved finer: {reason}"
             break
@@ -208,18 +251,27 @@ def solve(
     if error > accuracy:
         why += f"; error {100 * error:.2g} % NOT within the target of {100 * accuracy:.2g} %"
     spent = time.perf_counter() - begin
-    return replace(motion, error=error, error_source=source, solver=f"{motion.solver} ({why})", seconds=spent)
+    all_errors = {f"{quantity}_error": getattr(motion, f"{quantity}_error") + cut for quantity in QUANTITIES}
+    solver_words = f"{motion.solver} ({why})"
+    return replace(motion, error=error, error_source=source, solver=solver_words, seconds=spent, **all_errors)
 
 
 def _first_that_can(
-    able: list[Choice], body: Body, load: Load, times: Float, at: Float, accuracy: float, device: str
+    able: list[Choice],
+    body: Body,
+    load: Load,
+    times: Float,
+    at: Float,
+    accuracy: float,
+    accuracy_of: Quantity,
+    device: str,
 ) -> tuple[str, Motion, str]:
     """The first solver of a list that doesn't refuse once it has begun, what it found, and why it, in words."""
     refused: list[str] = []
     for place, choice in enumerate(able):
         try:
             run: HistorySolver = function(choice.name, "solve")
-            motion = run(body, load, times, at, accuracy=accuracy, device=device)
+            motion = run(body, load, times, at, accuracy=accuracy, accuracy_of=accuracy_of, device=device)
         except (SceneError, MemoryError) as reason:
             refused.append(f"{choice.name} refused: {reason}")
             continue
@@ -236,6 +288,7 @@ def _by_name(
     times: Float,
     at: Float,
     accuracy: float,
+    accuracy_of: Quantity,
     device: str,
     resolution: dict[str, Any],
 ) -> Motion:
@@ -248,19 +301,80 @@ def _by_name(
     for key in resolution:
         if key not in known:
             raise SceneError(f"solver '{name}' has no '{key}'; it takes {', '.join(list(known)[4:])}")
-    return run(body, load, times, at, accuracy=accuracy, device=device, **resolution)
+    return run(body, load, times, at, accuracy=accuracy, accuracy_of=accuracy_of, device=device, **resolution)
 
 
 def static(body: Body, load: Load, at: ArrayLike, *, accuracy: float = 0.05) -> Motion:
-    """Displacement under the load's last pressure, held for ever, by lateral waves or else wedges.
+    """Displacement under the load's last pressure, held for ever: the first of AT_REST that doesn't refuse.
 
     Arguments as for `solve`; times_s is the load's last time, the velocity 0.
     Raises SceneError for bad arguments and a body that nothing holds.
     """
+    begin = time.perf_counter()
+    check_load(load)
     _, points = checked(load.times_s[-1:], at, accuracy)
-    name = "wedges" if function("lateral_waves", "refusal")(body, load) else "lateral_waves"
-    solver: Callable[..., Motion] = function(name, "static")
-    return solver(body, load, points, accuracy=accuracy)
+    points_on_face(body, points)
+    refused: list[str] = []
+    for name in AT_REST:
+        reason = function(name, "refusal")(body, load)
+        if reason is not None:
+            refused.append(f"{name}: {reason}")
+            continue
+        solver: Callable[..., Motion] = function(name, "static")
+        try:
+            motion = solver(body, load, points, accuracy=accuracy)
+        except (SceneError, MemoryError) as refusal:
+            refused.append(f"{name}: {refusal}")
+            continue
+        target = accuracy
+        for _ in range(FINER):
+            if motion.error <= accuracy:
+                break
+            target *= 0.7 * accuracy / motion.error
+            try:
+                motion = solver(body, load, points, accuracy=target)
+            except (SceneError, MemoryError):
+                break
+        words = "" if motion.error <= accuracy else f" (error NOT within the target of {100 * accuracy:.2g} %)"
+        return replace(motion, solver=motion.solver + words, seconds=time.perf_counter() - begin)
+    raise SceneError("no solver has a static answer: " + "; ".join(refused))
+
+
+def check_rest(body: Body, load: Load, times: Float) -> None:
+    """Raise SceneError where a late time stands for rest on a body that never comes to rest.
+
+    That is one whose sheets, base and sides lose nothing, asked only LATE of its quarter waves after the load's last
+    change and later: it rings there for ever.
+    """
+    base, last = body.base, float(load.times_s[-1])
+    damped = isinstance(base, Springs) and max(base.normal_Pa_s_m, base.tangential_Pa_s_m) > 0.0
+    endless = body.side == "absorbing" or (isinstance(body, Slab) and body.shape == "infinite")
+    lossy = any(
+        material.viscosity_Pa_s > 0.0 or any(b.shear_Pa > 0.0 and b.time_s > 0.0 for b in material.branches)
+        for material in (sheet.material for sheet in body.sheets)
+    )
+    if lossy or damped or endless or isinstance(base, Foundation):
+        return
+    slowest = min(math.sqrt(s.material.shear_relaxed_Pa / s.material.density_kg_m3) for s in body.sheets)
+    period = 4.0 * depth_of(body) / slowest
+    if float(times[0]) > last + LATE * period:
+        raise SceneError(
+            f"times begin {float(times[0]) - last:.3g} s after the load's last change, {LATE:g} periods of the body or "
+            "more, and nothing damps it: it still rings. Use palmfield.skin.static for rest, give the material a "
+            "branch or a viscosity, or ask for times from the load on"
+        )
+
+
+def check_load(load: object) -> None:
+    """Raise SceneError for what is neither a Spot nor a Traction."""
+    if isinstance(load, Spot | Traction):
+        return
+    if isinstance(load, (list, tuple)):
+        raise SceneError(
+            f"load is a {type(load).__name__} of {len(load)}; give one Spot or Traction: solve for each and add their "
+            "motions, or give the whole pressure as a Traction"
+        )
+    raise SceneError(f"load is {str(load)[:60]!r}; give a Spot or a Traction")
 
 
 def checked(times: ArrayLike, at: ArrayLike, accuracy: float) -> tuple[Float, Float]:

@@ -5,7 +5,7 @@ import pytest
 
 import palmfield
 from palmfield.perception.observers import OBSERVERS
-from palmfield.session import budget
+from palmfield.session import error_budget
 from palmfield.session.summary import (
     array_numbers,
     estimated_budget,
@@ -84,7 +84,7 @@ def test_an_estimate_that_fails_leaves_its_reason(small_scene, moment, monkeypat
 
     scene = palmfield.load(small_scene())
     scene.step(2)
-    monkeypatch.setattr(budget, "error_estimate", refuse)
+    monkeypatch.setattr(error_budget, "error_estimate", refuse)
     assert numbers(scene, moment(scene))["displacement_error_missing"] == "no coarser mesh"
 
 

@@ -7,6 +7,7 @@ from palmfield.errors import SceneError
 from palmfield.skin import Motion, Sheet, Slab, Spot, choices, preset, solve, static
 from palmfield.skin import solver_choice as module
 from palmfield.skin.analytic.layer_oracle import centre_response
+from palmfield.skin.materials.material import kelvin_voigt
 
 ECOFLEX = preset("ecoflex_00-10")
 ENDLESS = Slab((Sheet(ECOFLEX, 0.02),))
@@ -162,6 +163,33 @@ def test_auto_takes_the_next_where_its_choice_refuses_while_it_solves(monkeypatc
         solve(ENDLESS, HELD, [0.01], CENTRE, device="cpu")
     with pytest.raises(SceneError, match="off the slab"):
         solve(Slab(ENDLESS.sheets, "disc", side="free", radius_m=0.02), HELD, [0.01], [[0.03, 0.0]], device="cpu")
+
+
+def test_a_body_of_dashpots_is_solved_by_whom_it_does_not_stop() -> None:
+    """A viscosity of 1e6 Pa s made steps that are no numbers, and 100 s of wavenumbers that came to nothing."""
+    thick = kelvin_voigt("thick", 1000.0, 1e4, 1e6, 0.49)
+    slab, times = Slab((Sheet(thick, 0.02),)), 1e-3 * np.arange(1, 9)
+    ranked = {choice.name: choice for choice in choices(slab, HELD, times, CENTRE, device="cpu")}
+    for name in ("lateral_waves", "spectral_elements"):
+        assert "use solver 'wedges'" in str(ranked[name].refusal)
+    motion = solve(slab, HELD, times, CENTRE, accuracy=0.2, device="cpu")
+    assert motion.solver.startswith("wedges") and motion.error <= 0.2
+    disc = Slab(slab.sheets, shape="disc", side="fixed", radius_m=0.06)
+    known = solve(disc, HELD, times, CENTRE, solver="axisymmetric", accuracy=1e-3, device="cpu")
+    off = np.linalg.norm(motion.displacement_m - known.displacement_m) / np.linalg.norm(known.displacement_m)
+    assert known.error < 0.01 and off <= motion.error
+
+
+@pytest.mark.parametrize("load", [[HELD, HELD], (HELD,), "a spot", None])
+def test_what_is_no_load_is_refused_in_one_line(load: object) -> None:
+    for call in (
+        lambda: solve(ENDLESS, load, [0.01], CENTRE, device="cpu"),
+        lambda: static(ENDLESS, load, CENTRE),
+        lambda: choices(ENDLESS, load, [0.01], CENTRE),
+    ):
+        with pytest.raises(SceneError, match=r"give (one|a) Spot or") as refused:
+            call()
+        assert "\n" not in str(refused.value)
 
 
 def test_scenes_choose_between_what_steps_in_time() -> None:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.body_scattering import boundary_mesh
 from palmfield.config.skin import EXPLICIT
-from palmfield.session.error_budget import RATIO, compares_with_finer
+from palmfield.session.numerical_error import RATIO, compares_with_finer
 from palmfield.session.planning.facts import pushed_faces
 from palmfield.session.preview import Preview
 from palmfield.simulation.model import HapticModel, SkinModel
@@ -66,7 +66,7 @@ def _can_move(view: Preview, skin: int) -> bool:
 
 
 def estimate_s(skin: SkinModel) -> float:
-    """Seconds of the run's error estimate (palmfield/session/error_budget.py)."""
+    """Seconds of the run's error estimate (palmfield/session/numerical_error.py)."""
     dofs, more = skin.layer.dofs, RATIO**3
     if skin.choice.name in EXPLICIT:
         # Its own estimate is among the solver's seconds.

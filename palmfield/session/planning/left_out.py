@@ -5,7 +5,7 @@ import numpy as np
 from palmfield.acoustics.air import sound_speed
 from palmfield.config.skin import OF_SHAPES
 from palmfield.session.biases import biases
-from palmfield.session.error_budget import stimulus_of
+from palmfield.session.numerical_error import stimulus_of
 from palmfield.session.planning.facts import first_drive
 from palmfield.session.planning.rows import Row
 from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel

@@ -3,7 +3,7 @@
 from palmfield.acoustics.arp import LAWS
 from palmfield.acoustics.body_scattering import BODY_SOUNDS
 from palmfield.config.skin import EXPLICIT
-from palmfield.session.error_budget import RATIO
+from palmfield.session.numerical_error import RATIO
 from palmfield.session.planning.costs import estimate_s
 from palmfield.session.planning.facts import pushed_faces, qualities
 from palmfield.session.planning.rows import Row

@@ -3,9 +3,10 @@
 import math
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from palmfield.errors import SceneError
-from palmfield.skin.problem import GAUSSIAN, Load, Spot
+from palmfield.skin.problem import GAUSSIAN, Body, Layer, Load, Spot, depth_of
 from palmfield.types import Float
 
 SAMPLES = 1 << 14
@@ -14,6 +15,10 @@ MARGIN_S = 0.1
 """Least time before and after a load that counts as part of its course [s]."""
 MOST = 0.95
 """Share of the power of a load's course below the frequency that a step must resolve."""
+AT_SIDES = 1e-4
+"""Pressure at a body's sides over the load's peak, above which motion is shaped by the sides as well."""
+ACROSS = 6.0
+"""Lengths that motion is resolved by, at least, from the middle to the sides then."""
 
 
 def load_width(load: Load) -> float:
@@ -31,6 +36,57 @@ def load_width(load: Load) -> float:
         raise SceneError("traction: pressure_Pa is 0 everywhere; give one that acts")
     area = (np.abs(pressure[acting]) @ load.weights_m2) ** 2 / square[acting]
     return float(math.sqrt(GAUSSIAN * area.min() / (2.0 * math.pi)))
+
+
+def distance_to_sides(body: Body, places: Float) -> Float:
+    """Distance of places (n, 2) to the nearest side of a body [m], (n,); below 0 off a slab, infinite without sides."""
+    if isinstance(body, Layer):
+        rim = body.patch.vertices[body.patch.rim, :2]
+        return cKDTree(rim).query(places)[0] if len(rim) else np.full(len(places), np.inf)
+    if body.shape == "disc":
+        return (body.radius_m or 0.0) - np.hypot(*places.T)
+    if body.shape == "box":
+        return (0.5 * np.asarray(body.size_m) - np.abs(places)).min(axis=1)
+    return np.full(len(places), np.inf)
+
+
+def pressure_at_sides(body: Body, load: Load) -> float:
+    """Largest pressure on a body's sides over the load's peak, 0 to 1; of pressures at points, those by the sides."""
+    if isinstance(load, Spot):
+        room = np.maximum(distance_to_sides(body, load.centres()), 0.0)
+        strength = np.abs(load.peak_Pa) * np.exp(-GAUSSIAN * (room / load.fwhm_m) ** 2)
+        most = float(np.abs(load.peak_Pa).max())
+    else:
+        by_point = np.abs(load.pressure_Pa).max(axis=0)
+        strength = by_point[distance_to_sides(body, load.points[:, :2]) < np.sqrt(load.weights_m2)]
+        most = float(by_point.max(initial=0.0))
+    return float(strength.max(initial=0.0)) / most if most > 0.0 else 0.0
+
+
+def edge_is_felt(body: Body, load: Load, points: Float) -> bool:
+    """Whether a held edge matters: load or requested points (n, 3) lie by sides where a held and a free face meet.
+
+    Stresses are singular at such an edge, so that smooth elements converge at first order there.
+    """
+    held_side, held_base = body.side == "fixed", body.base not in ("free", "free_slip")
+    if not (held_side or (body.side == "free" and held_base)):
+        return False
+    return bool(
+        pressure_at_sides(body, load) >= AT_SIDES or distance_to_sides(body, points[:, :2]).min() < depth_of(body)
+    )
+
+
+def motion_width(body: Body, load: Load) -> float:
+    """Length [m] along the face that elements must resolve: the load's width, and where its pressure reaches the
+    body's sides at most the depth, over which what the sides do falls off; no less than a part of the body then."""
+    width = load_width(load)
+    if pressure_at_sides(body, load) < AT_SIDES:
+        return width
+    if isinstance(body, Layer):
+        extent = 0.5 * float(np.ptp(body.patch.vertices[:, :2], axis=0).min())
+    else:
+        extent = 0.5 * min(body.size_m) if body.size_m is not None else float(body.radius_m or math.inf)
+    return min(width, max(depth_of(body), extent / ACROSS))
 
 
 def load_centre(load: Load) -> tuple[Float, float]:

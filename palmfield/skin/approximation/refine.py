@@ -9,7 +9,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from palmfield.skin.approximation.richardson import error_of_coarser, error_of_finer, largest_share
+from palmfield.skin.approximation.richardson import (
+    differences,
+    error_of_coarser,
+    error_of_finer,
+)
 from palmfield.skin.mesh.body_mesh import Sizes, graded_fractions
 from palmfield.skin.mesh.rows import rows_of
 from palmfield.skin.problem import Body, Layer, Slab, depth_of
@@ -32,7 +36,8 @@ BELT = 1.0
 """Error by an absorbing layer's sides over the difference from one without the belt along them, see
 trim_absorbing_rim."""
 UNKNOWN = 1.0
-"""That error where load or points lie so near the sides that nothing can be taken away."""
+"""An error of which nothing is known: by absorbing sides so near that nothing can be taken away, or by two meshes that
+are the same one."""
 MOST_DOFS = 400_000
 """Above this the factors of the matrix take more than 10 GB."""
 ROUNDS = 3
@@ -49,34 +54,42 @@ class Discretisation:
 
 @dataclass(frozen=True)
 class MeshSolution:
-    """Displacement [m] and velocity [m/s] at the requested times and points, (t, n, 3), and the mesh's numbers."""
+    """Displacement [m] and velocity [m/s] at the requested times and points, (t, n, 3), and the mesh's numbers.
+
+    normals: of the face at the points, (n, 3)
+    """
 
     displacement: Float
     velocity: Float
     dofs: int
     triangles: int
     rows: int
+    normals: Float
 
 
 @dataclass(frozen=True)
 class ConvergedSolution:
-    """The finest solution, its sizes, and what other meshes, rows in depth and extents say of its error."""
+    """The finest solution, its sizes, and what other meshes, rows in depth and extents say of its errors, (3,) each.
+
+    judged: place among QUANTITIES of the one that was refined for
+    """
 
     fine: MeshSolution
     sizes: Sizes
-    mesh_error: float
-    rows_error: float
-    reach_error: float
+    mesh_error: Float
+    rows_error: Float
+    reach_error: Float
+    judged: int
 
     @property
-    def error(self) -> float:
+    def errors(self) -> Float:
         return self.mesh_error + self.rows_error + self.reach_error
 
     @property
     def source(self) -> str:
         return (
-            f"two meshes {self.mesh_error:.2g}, more rows {self.rows_error:.2g}, two extents {self.reach_error:.2g}, "
-            "added"
+            f"two meshes {self.mesh_error[self.judged]:.2g}, more rows {self.rows_error[self.judged]:.2g}, two extents "
+            f"{self.reach_error[self.judged]:.2g}, added"
         )
 
 
@@ -85,17 +98,24 @@ Run = Callable[..., MeshSolution]
 
 
 def refine_until_converged(
-    body: Body, now: Discretisation, run: Run, coarse: MeshSolution, accuracy: float, pinned: bool
+    body: Body,
+    now: Discretisation,
+    run: Run,
+    coarse: MeshSolution,
+    accuracy: float,
+    pinned: bool,
+    judged: int = 0,
 ) -> ConvergedSolution:
     """Widen what absorbs, then add rows, then refine, until the errors fit the accuracy; at most ROUNDS times each.
 
     coarse: the solution of `now`, one mesh coarser; pinned: neither widen nor refine, only estimate the errors
+    judged: place among QUANTITIES of the one whose error must fit
     """
-    reach_error = 0.0
+    reach_error = np.zeros(3)
     if isinstance(body, Slab) and (body.shape == "infinite" or body.side == "absorbing"):
         reach_error = difference(coarse, run(now, ratio_of(body, now.sizes), SHRINK)) / WIDER
         for _ in range(ROUNDS):
-            if pinned or reach_error <= 0.3 * accuracy:
+            if pinned or reach_error[judged] <= 0.3 * accuracy:
                 break
             now = replace(now, sizes=resized(now.sizes, 1.0, 1.0 / SHRINK))
             wider = run(now, ratio_of(body, now.sizes))
@@ -103,32 +123,48 @@ def refine_until_converged(
     elif isinstance(body, Layer) and body.side == "absorbing":
         smaller = run(now, ratio_of(body, now.sizes), SHRINK)
         # The same triangles: nothing could be taken away.
-        reach_error = BELT * difference(coarse, smaller) if smaller.triangles < coarse.triangles else UNKNOWN
-    now, coarse, rows_error = refine_in_depth(body, now, run, coarse, accuracy, pinned)
+        taken = smaller.triangles < coarse.triangles
+        reach_error = BELT * difference(coarse, smaller) if taken else np.full(3, UNKNOWN)
+    now, coarse, rows_error = refine_in_depth(body, now, run, coarse, accuracy, pinned, judged)
     fine = run(now)
+    for _ in range(ROUNDS):
+        # Small bodies have the same few elements for many sizes
+        if pinned or not same_mesh(coarse, fine):
+            break
+        now = replace(now, sizes=resized(now.sizes, 1.0 / ratio_of(body, now.sizes), 1.0))
+        fine = run(now)
     mesh_error = error_by_meshes(coarse, fine)
     for _ in range(ROUNDS):
         room = min(FINEST_RATIO, (MOST_DOFS / fine.dofs) ** (1.0 / 3.0))
         # Rounded, so that another unit of load does not make another mesh
-        ratio = max(ratio_of(body, now.sizes), round(min((mesh_error / (0.5 * accuracy)) ** (1.0 / 3.0), room), 2))
-        if pinned or mesh_error <= 0.6 * accuracy or fine.dofs * ratio**3 > MOST_DOFS:
+        ratio = max(
+            ratio_of(body, now.sizes),
+            round(min((float(mesh_error[judged]) / (0.5 * accuracy)) ** (1.0 / 3.0), room), 2),
+        )
+        if pinned or mesh_error[judged] <= 0.6 * accuracy or fine.dofs * ratio**3 > MOST_DOFS:
             break
         now, coarse = replace(now, sizes=resized(now.sizes, 1.0 / ratio, 1.0)), fine
         fine = run(now)
         mesh_error = error_by_meshes(coarse, fine)
-    return ConvergedSolution(fine, now.sizes, mesh_error, rows_error, reach_error)
+    return ConvergedSolution(fine, now.sizes, mesh_error, rows_error, reach_error, judged)
 
 
 def refine_in_depth(
-    body: Body, now: Discretisation, run: Run, coarse: MeshSolution, accuracy: float, pinned: bool
-) -> tuple[Discretisation, MeshSolution, float]:
-    """Add rows in depth until their error fits; the discretisation, its coarse solution and that error.
+    body: Body,
+    now: Discretisation,
+    run: Run,
+    coarse: MeshSolution,
+    accuracy: float,
+    pinned: bool,
+    judged: int = 0,
+) -> tuple[Discretisation, MeshSolution, Float]:
+    """Add rows in depth until their error fits; the discretisation, its coarse solution and those errors, (3,).
 
     On thin layers both meshes use the minimum number of element rows, so comparing them does not measure the
     through-thickness error. This function adds rows until it does. Where the finer mesh has more rows than the coarser
     one it does already, and the error here is 0.
     """
-    error = 0.0
+    error = np.zeros(3)
     for _ in range(ROUNDS):
         if rows_below(body, now.sizes) > coarse.rows:
             break
@@ -143,29 +179,32 @@ def refine_in_depth(
         more = max(deeper.rows / coarse.rows, LEAST_MORE)
         change = difference(deeper, coarse)
         error = error_of_coarser(change, more, MESH_ORDER)
-        if pinned or error <= 0.3 * accuracy:
+        if pinned or error[judged] <= 0.3 * accuracy:
             break
         now, coarse, error = thin, deeper, error_of_finer(change, more, MESH_ORDER)
     return now, coarse, error
 
 
-def error_by_meshes(coarse: MeshSolution, fine: MeshSolution) -> float:
-    """Error of the finer of two meshes from their difference, at MESH_ORDER and the edges that they really have."""
+def same_mesh(one: MeshSolution, other: MeshSolution) -> bool:
+    """Whether two meshes have the same triangles, whatever the sizes that they were made for."""
+    return one.triangles == other.triangles
+
+
+def error_by_meshes(coarse: MeshSolution, fine: MeshSolution) -> Float:
+    """Errors of the finer of two meshes from their difference, at MESH_ORDER and the edges that they really have, (3,).
+
+    UNKNOWN where the two have the same triangles.
+    """
+    if same_mesh(coarse, fine):
+        return np.full(3, UNKNOWN)
     ratio = max(math.sqrt(fine.triangles / coarse.triangles), LEAST_MORE)
     return error_of_finer(difference(fine, coarse), ratio, MESH_ORDER)
 
 
-def difference(solution: MeshSolution, other: MeshSolution) -> float:
-    """Relative difference of the displacement, L2 over times, the largest of the points that move at all.
-
-    At one time only, two meshes may agree at a point by chance: half of the largest difference of all points, in
-    metres, is then the least for each.
-    """
-    size = np.linalg.norm(solution.displacement, axis=(0, 2))
-    change = np.linalg.norm(solution.displacement - other.displacement, axis=(0, 2))
-    if len(solution.displacement) == 1:
-        change = np.maximum(change, 0.5 * change.max(initial=0.0))
-    return largest_share(change, size)
+def difference(solution: MeshSolution, other: MeshSolution) -> Float:
+    """Relative differences of the QUANTITIES, (3,), L2 over times, the largest of the points that move at all."""
+    one, reference = ((x.displacement, x.velocity) for x in (other, solution))
+    return differences(one, reference, solution.normals)
 
 
 def ratio_of(body: Body, sizes: Sizes) -> float:

@@ -1,14 +1,18 @@
 """What the difference of two solutions tells of their error (Richardson's rule)."""
 
+from typing import Any
+
 import numpy as np
 
 from palmfield.types import Float
 
+FAINT = 1e-3
+"""Part of the largest motion to which errors of points that move less are related at a single time."""
 STILL = 1e-9
 """Part of the largest motion of any point below which a point counts as still."""
 
 
-def error_of_finer(difference: float, ratio: float, order: float) -> float:
+def error_of_finer(difference: Any, ratio: float, order: float) -> Any:
     """Error of the finer of two solutions whose error falls by `order` in the size of elements or steps.
 
     ratio: size of the coarser's elements or steps over that of the finer's, > 1
@@ -16,7 +20,7 @@ def error_of_finer(difference: float, ratio: float, order: float) -> float:
     return difference / (ratio**order - 1.0)
 
 
-def error_of_coarser(difference: float, ratio: float, order: float) -> float:
+def error_of_coarser(difference: Any, ratio: float, order: float) -> Any:
     """As error_of_finer, of the coarser one."""
     return difference / (1.0 - ratio**-order)
 
@@ -25,6 +29,33 @@ def relative_difference(solution: Float, reference: Float) -> float:
     """Difference of displacements (t, n, 3), L2 over times, over the reference's; the largest of the moving points."""
     size, difference = (np.linalg.norm(values, axis=(0, 2)) for values in (reference, reference - solution))
     return largest_share(difference, size)
+
+
+def differences(solution: tuple[Float, Float], reference: tuple[Float, Float], normals: Float) -> Float:
+    """Relative differences of displacement, velocity and normal displacement, (3,): QUANTITIES.
+
+    solution, reference: displacements and velocities, (t, n, 3) each; normals: of the face at the points, (n, 3)
+    At a single time they are those of difference_at_rest.
+    """
+    along = tuple(np.einsum("tnc,nc->tn", u[0], normals)[..., None] for u in (solution, reference))
+    measure = difference_at_rest if len(reference[0]) == 1 else relative_difference
+    pairs = ((solution[0], reference[0]), (solution[1], reference[1]), along)
+    return np.array([measure(one, other) for one, other in pairs])
+
+
+def difference_at_rest(solution: Float, reference: Float) -> float:
+    """As relative_difference at a single time, (1, n, 3); points that move little are related to FAINT of the largest.
+
+    Two solutions may agree at a point by chance: half of the largest difference of all points over their largest motion
+    is the least.
+    """
+    size, difference = (np.linalg.norm(values, axis=(0, 2)) for values in (reference, reference - solution))
+    most = float(size.max(initial=0.0))
+    if most == 0.0:
+        return 0.0
+    return max(
+        largest_share(difference, np.maximum(size, FAINT * most)), 0.5 * float(difference.max(initial=0.0)) / most
+    )
 
 
 def largest_share(difference: Float, size: Float) -> float:

@@ -45,7 +45,7 @@ def harmonic_discrete(
 
     |harmonic_discrete - harmonic| is the error of the time step. f_Hz > 0, below half the step rate.
     """
-    return _solve_dynamic(system, force, *_discrete_weights(system, f_Hz, step_s, rho_inf))
+    return _solve_dynamic(system, force, *discrete_weights(system, f_Hz, step_s, rho_inf))
 
 
 def harmonic_both(system: SkinSystem, force: Float, f_Hz: float, step_s: float) -> tuple[Complex, Complex]:
@@ -59,7 +59,7 @@ def harmonic_both(system: SkinSystem, force: Float, f_Hz: float, step_s: float) 
     factor = factorise(exact, system.elimination_order())
     right = np.asarray(force, dtype=complex)
     continuous = factor.solve(right)
-    weights = _discrete_weights(system, f_Hz, step_s)
+    weights = discrete_weights(system, f_Hz, step_s)
     other = _dynamic(system, *weights)
     undo = LinearOperator(other.shape, factor.solve, dtype=complex)
     discrete, failed = gmres(
@@ -70,7 +70,7 @@ def harmonic_both(system: SkinSystem, force: Float, f_Hz: float, step_s: float) 
     return continuous, discrete
 
 
-def _discrete_weights(
+def discrete_weights(
     system: SkinSystem, f_Hz: float, step_s: float, rho_inf: float = RHO_INF
 ) -> tuple[complex, complex, list[complex]]:
     """What stands before mass, damping and the parts' stiffnesses in the scheme's z-symbol."""

@@ -14,22 +14,34 @@ import numpy as np
 
 from palmfield.blas import one_blas_thread
 from palmfield.errors import SceneError
-from palmfield.skin.approximation.load_scales import load_frequency, load_width
+from palmfield.skin.approximation.load_scales import load_frequency, motion_width
 from palmfield.skin.approximation.refine import Discretisation, MeshSolution, ratio_of, refine_until_converged, resized
-from palmfield.skin.approximation.richardson import relative_difference
+from palmfield.skin.approximation.richardson import differences
 from palmfield.skin.approximation.trim_absorbing_rim import trim_absorbing_rim
 from palmfield.skin.costs import assembly_s, reduced_s
 from palmfield.skin.fem.body import build
 from palmfield.skin.fem.load import SurfaceQuadrature, bell, sampled
 from palmfield.skin.fem.probe import SurfaceProbe
-from palmfield.skin.materials.material import shear_wave
-from palmfield.skin.problem import Body, Load, Motion, Slab, Spot, Traction, points_on_face, rising
+from palmfield.skin.problem import (
+    Body,
+    Load,
+    Motion,
+    Quantity,
+    Slab,
+    Spot,
+    Traction,
+    check_quantity,
+    normals_on_face,
+    points_on_face,
+    rising,
+    stated,
+)
 from palmfield.skin.reduction.dynamic_stiffness import DynamicStiffness
 from palmfield.skin.reduction.krylov import Krylov
 from palmfield.skin.reduction.reduced import Projection
 from palmfield.skin.reduction.reduced_stepper import ReducedStepper
-from palmfield.skin.reduction.reducer import SHIFT, grow_until
-from palmfield.skin.solvers.wedges import GROWTH, expected_dofs, first_sizes, refusal_wedges
+from palmfield.skin.reduction.reducer import SAFETY, SHIFT, grow_until
+from palmfield.skin.solvers.wedges import GROWTH, expected_dofs, first_sizes, refusal_wedges, slowest_wave
 from palmfield.skin.stepper import SurfaceLoads
 from palmfield.types import Float, Int
 
@@ -82,52 +94,66 @@ def cost_reduced(body: Body, load: Load, times: Float, at: Float, accuracy: floa
 
 
 def solve_reduced(
-    body: Body, load: Load, times: Float, at: Float, *, accuracy: float = 0.05, device: str = "cpu"
+    body: Body,
+    load: Load,
+    times: Float,
+    at: Float,
+    *,
+    accuracy: float = 0.05,
+    accuracy_of: Quantity = "displacement",
+    device: str = "cpu",
 ) -> Motion:
     """Displacement and velocity of the skin under a load that keeps its shape, from rest.
 
     times: [s], rising, shape (t,); at: points of the face [m], shape (n, 3) or (n, 2)
-    accuracy: target relative error, L2 over the times, largest over the points
+    accuracy: target relative error of accuracy_of, L2 over the times, largest over the points
     device: taken and not used, as reduced models are made and run on the CPU
     Raises SceneError for what refusal_reduced names, an inverted element, points off the face, and bad numbers.
     """
     begin = time.perf_counter()
+    judged = check_quantity(accuracy_of)
     reason = refusal_reduced(body, load)
     if reason is not None:
         raise SceneError(f"solver 'reduced': {reason}")
     requested, points = rising("times", times), points_on_face(body, at)
     now = Discretisation(first_sizes(body, load, points, accuracy), math.inf, 1.0)
-    models: list[tuple[int, float]] = []
+    models: list[tuple[int, Float]] = []
 
     def run(discretisation: Discretisation, factor: float = 1.0, reach: float = 1.0) -> MeshSolution:
         sizes = resized(discretisation.sizes, factor, reach)
         part = trim_absorbing_rim(body, load, points, reach)
         with one_blas_thread:
             solution, order, error = _run(
-                part, load, requested, points, replace(discretisation, sizes=sizes), SHARE * accuracy
+                part, load, requested, points, replace(discretisation, sizes=sizes), SHARE * accuracy, judged
             )
         models.append((order, error))
         return solution
 
-    result = refine_until_converged(body, now, run, run(now, ratio_of(body, now.sizes)), accuracy, pinned=False)
+    result = refine_until_converged(body, now, run, run(now, ratio_of(body, now.sizes)), accuracy, False, judged)
     order, reduction = models[-1]
     return Motion(
         times_s=requested,
         points=points,
         displacement_m=result.fine.displacement,
         velocity_m_s=result.fine.velocity,
-        error=result.error + reduction,
-        error_source=f"{order} vectors {reduction:.2g}, {result.source}",
+        error_source=f"{order} vectors {reduction[judged]:.2g}, {result.source}",
         solver=f"reduced: wedges, {result.fine.dofs} unknowns, edges {1e3 * result.sizes.fine_m:.2f} mm, "
         f"{order} vectors",
         seconds=time.perf_counter() - begin,
+        **stated(result.errors + reduction, accuracy_of),
     )
 
 
 def _run(
-    body: Body, load: Load, requested: Float, points: Float, discretisation: Discretisation, tolerance: float
-) -> tuple[MeshSolution, int, float]:
-    """The solution on one mesh, the vectors it took, and what the last of them changed."""
+    body: Body,
+    load: Load,
+    requested: Float,
+    points: Float,
+    discretisation: Discretisation,
+    tolerance: float,
+    judged: int,
+) -> tuple[MeshSolution, int, Float]:
+    """The solution on one mesh, the vectors it took, and the errors that are left by what the last of them changed."""
     system = build(body, discretisation.sizes)
     mesh = system.mesh
     if isinstance(load, Spot):
@@ -139,8 +165,8 @@ def _run(
         shapes = np.asarray(sampled(mesh, system, load) @ pressures.T)
     read = SurfaceProbe(mesh, points, system).vectors
     clock, weights, rows = course(load, weights, requested)
-    speed = min(shear_wave(sheet.material, 200.0)[0] for sheet in body.sheets)
-    shift = SHIFT * 2.0 * math.pi * load_frequency(load, speed, load_width(load))
+    frequency = load_frequency(load, slowest_wave(body, 200.0), motion_width(body, load))
+    shift = SHIFT * 2.0 * math.pi * frequency
     krylov = Krylov(DynamicStiffness(system, system.elimination_order()), shift, shapes)
 
     def motion() -> Float:
@@ -152,14 +178,20 @@ def _run(
         begun = (requested >= clock[0])[:, None, None]
         return np.where(begun, seen, 0.0).swapaxes(0, 1).reshape(2, len(requested), -1, 3)
 
+    normals = normals_on_face(body, points)
+    changes = [np.zeros(3)]
+
+    def change(now: Float, before: Float) -> float:
+        changes.append(differences((before[0], before[1]), (now[0], now[1]), normals))
+        return float(changes[-1][judged])
+
     try:
-        moved, error = grow_until(
-            krylov, motion, lambda now, before: relative_difference(before[0], now[0]), tolerance, MOST_VECTORS
-        )
+        moved, _ = grow_until(krylov, motion, change, tolerance, MOST_VECTORS)
     except SceneError as reason:
         raise SceneError(f"solver 'reduced': {reason}") from None
     triangles, levels = len(mesh.surface_triangles6), (mesh.levels - 1) // 2
-    return MeshSolution(moved[0], moved[1], system.ndof, triangles, levels), krylov.order, error
+    solution = MeshSolution(moved[0], moved[1], system.ndof, triangles, levels, normals)
+    return solution, krylov.order, SAFETY * changes[-1]
 
 
 def course(load: Load, weights: Float, requested: Float) -> tuple[Float, Float, Int]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from palmfield.errors import SceneError
 from palmfield.hand.remesh import is_height_field
-from palmfield.skin.approximation.load_scales import load_centre, load_frequency, load_width
+from palmfield.skin.approximation.load_scales import load_centre, load_frequency, load_width, motion_width
 from palmfield.skin.approximation.refine import (
     MOST_DOFS,
     Discretisation,
@@ -35,7 +35,20 @@ from palmfield.skin.fem.solver import static
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
 from palmfield.skin.materials.material import shear_wave
 from palmfield.skin.mesh.body_mesh import Sizes
-from palmfield.skin.problem import Body, Layer, Load, Motion, Slab, depth_of, points_on_face, rising
+from palmfield.skin.problem import (
+    Body,
+    Layer,
+    Load,
+    Motion,
+    Quantity,
+    Slab,
+    check_quantity,
+    depth_of,
+    normals_on_face,
+    points_on_face,
+    rising,
+    stated,
+)
 from palmfield.types import Float
 
 
@@ -75,6 +88,9 @@ def run_cost(dofs: float, steps: float) -> float:
 FINER_THAN_REQUESTED = 0.6
 """Share of the requested edges below which a layer's own triangles are left for coarser ones."""
 
+OVERDAMPED = 2.0
+"""Speed of a wave over that without dashpots, above which it dies out within its length and steps need not follow."""
+
 STEP_ORDER = 2.0
 """By which the error of generalised-alpha falls with its step."""
 
@@ -96,6 +112,7 @@ def solve_wedges(
     at: Float,
     *,
     accuracy: float = 0.05,
+    accuracy_of: Quantity = "displacement",
     device: str = "cpu",
     sizes: Sizes | None = None,
     step_s: float | None = None,
@@ -104,12 +121,13 @@ def solve_wedges(
     """Displacement and velocity of the skin under a load, from rest.
 
     times: [s], rising, shape (t,); at: points of the face [m], shape (n, 3) or (n, 2)
-    accuracy: target relative error, L2 over the times, largest over the points
+    accuracy: target relative error of accuracy_of, L2 over the times, largest over the points
     device: taken and not used, as wedges run on the CPU
     sizes, step_s: to pin mesh and step [s] instead of choosing them; rho_inf: see WedgeStepper
     Raises SceneError for what refusal_wedges names, an inverted element, points off the face, and bad numbers.
     """
     begin = time.perf_counter()
+    judged = check_quantity(accuracy_of)
     requested, points = _check(body, load, times, at, accuracy)
     _check_pinned(body, load, sizes)
     if step_s is not None and not 0.0 < step_s < math.inf:
@@ -128,21 +146,23 @@ def solve_wedges(
     coarse = run(now, ratio_of(body, now.sizes))
     longer = run(replace(now, step_s=2.0 * now.step_s), ratio_of(body, now.sizes))
     step_error = error_of_finer(difference(coarse, longer), 2.0, STEP_ORDER)
-    while step_s is None and step_error > 0.4 * accuracy and now.step_s > first_step(body, load, accuracy) / 32.0:
+    while (
+        step_s is None and step_error[judged] > 0.4 * accuracy and now.step_s > first_step(body, load, accuracy) / 32.0
+    ):
         now = replace(now, step_s=now.step_s / 2.0)
         finer = run(now, ratio_of(body, now.sizes))
         step_error, coarse = error_of_finer(difference(finer, coarse), 2.0, STEP_ORDER), finer
-    result = refine_until_converged(body, now, run, coarse, accuracy, pinned=sizes is not None)
+    result = refine_until_converged(body, now, run, coarse, accuracy, sizes is not None, judged)
     return Motion(
         times_s=requested,
         points=points,
         displacement_m=result.fine.displacement,
         velocity_m_s=result.fine.velocity,
-        error=result.error + step_error,
-        error_source=f"two steps {step_error:.2g}, {result.source}",
+        error_source=f"two steps {step_error[judged]:.2g}, {result.source}",
         solver=f"wedges: {result.fine.dofs} unknowns, edges {1e3 * result.sizes.fine_m:.2f} mm, "
         f"steps of {1e3 * now.step_s:.3f} ms",
         seconds=time.perf_counter() - begin,
+        **stated(result.errors + step_error, accuracy_of),
     )
 
 
@@ -161,7 +181,7 @@ def static_wedges(body: Body, load: Load, at: Float, *, accuracy: float = 0.05, 
         system = build(trim_absorbing_rim(body, load, points, reach), resized(discretisation.sizes, factor, reach))
         moved = static(system, PressureHistory(load, system.mesh, system).final_force())
         result = (SurfaceProbe(system.mesh, points, system).vectors @ moved).reshape(1, -1, 3)
-        return MeshSolution(result, np.zeros_like(result), system.ndof, *_size(system))
+        return MeshSolution(result, np.zeros_like(result), system.ndof, *_size(system), normals_on_face(body, points))
 
     result = refine_until_converged(
         body, now, run, run(now, ratio_of(body, now.sizes)), accuracy, pinned=sizes is not None
@@ -171,16 +191,16 @@ def static_wedges(body: Body, load: Load, at: Float, *, accuracy: float = 0.05, 
         points=points,
         displacement_m=result.fine.displacement,
         velocity_m_s=result.fine.velocity,
-        error=result.error,
         error_source=result.source,
         solver=f"wedges, static: {result.fine.dofs} unknowns",
         seconds=time.perf_counter() - begin,
+        **stated(result.errors, "displacement"),
     )
 
 
 def first_step(body: Body, load: Load, accuracy: float) -> float:
     """Step [s] whose error is a third of the target at the load's frequency: 0.1 (w h)^2, see estimate."""
-    frequency = load_frequency(load, _slowest(body, 200.0), load_width(load))
+    frequency = load_frequency(load, slowest_wave(body, 200.0), motion_width(body, load))
     return math.sqrt(10.0 * min(accuracy, 0.2) / 3.0) / (2.0 * math.pi * frequency)
 
 
@@ -192,9 +212,9 @@ def first_sizes(body: Body, load: Load, points: Float, accuracy: float) -> Sizes
     """
     if not 1e-4 <= accuracy <= 0.5:
         raise SceneError(f"accuracy is {accuracy}; give one in 0.0001 to 0.5")
-    width = load_width(load)
-    frequency = load_frequency(load, _slowest(body, 200.0), width)
-    speed = _slowest(body, frequency)
+    width = motion_width(body, load)
+    frequency = load_frequency(load, slowest_wave(body, 200.0), width)
+    speed = slowest_wave(body, frequency)
     wavelength = speed / frequency
     share = 0.75 * min(1.0, (accuracy / 0.02) ** (1.0 / 3.0))
     depth = depth_of(body)
@@ -254,8 +274,12 @@ def expected_dofs(body: Body, sizes: Sizes) -> float:
     return 3.0 * 2.0 * triangles * 2.0 * rows
 
 
-def _slowest(body: Body, f_Hz: float) -> float:
-    return min(shear_wave(sheet.material, f_Hz)[0] for sheet in body.sheets)
+def slowest_wave(body: Body, f_Hz: float) -> float:
+    """Shear speed [m/s] in the slowest sheet at f_Hz, at most OVERDAMPED times that without dashpots."""
+    return min(
+        min(shear_wave(m, f_Hz)[0], OVERDAMPED * math.sqrt(m.shear_instant_Pa / m.density_kg_m3))
+        for m in (sheet.material for sheet in body.sheets)
+    )
 
 
 def _check(body: Body, load: Load, times: Float, at: Float, accuracy: float) -> tuple[Float, Float]:
@@ -299,7 +323,8 @@ def _run(body: Body, load: Load, requested: Float, points: Float, discretisation
     displacement = _between(clock, seen[:, 0], seen[:, 1], requested)
     velocity = _between(clock, seen[:, 1], np.gradient(seen[:, 1], step_s, axis=0), requested)
     shape = (len(requested), len(points), 3)
-    return MeshSolution(displacement.reshape(shape), velocity.reshape(shape), system.ndof, *_size(system))
+    u, v = displacement.reshape(shape), velocity.reshape(shape)
+    return MeshSolution(u, v, system.ndof, *_size(system), normals_on_face(body, points))
 
 
 def _between(clock: Float, values: Float, slopes: Float, requested: Float) -> Float:

@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline
 
 from palmfield.perception.observers import OBSERVERS
 from palmfield.session.duration import step_count
-from palmfield.session.error_budget import stimulus_of
+from palmfield.session.numerical_error import stimulus_of
 from palmfield.session.preview import Preview
 from palmfield.session.recorder import world_with
 from palmfield.session.simulation import Simulation

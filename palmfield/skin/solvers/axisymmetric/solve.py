@@ -14,6 +14,7 @@ is sampled often enough for the load to be linear in between.
 import math
 import os
 import time
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -22,18 +23,24 @@ from scipy.interpolate import CubicSpline
 from scipy.special import ive
 
 from palmfield.errors import SceneError
-from palmfield.skin.approximation.richardson import relative_difference
+from palmfield.skin.approximation.load_scales import motion_width
+from palmfield.skin.approximation.richardson import differences
+from palmfield.skin.fem.factor import factorise
 from palmfield.skin.problem import (
     ONLY_WEDGES,
     Body,
     Foundation,
     Load,
     Motion,
+    Quantity,
     Slab,
     Spot,
+    Springs,
+    check_quantity,
     points_on_face,
     rising,
     spread,
+    stated,
 )
 from palmfield.skin.reduction.reducer import reduce
 from palmfield.skin.solvers.axisymmetric.element import DiscGrid, Line, graded
@@ -46,6 +53,8 @@ BAND_STEP = 1.25
 """Ratio of the bands of two runs that are compared: what a jump excites above them shows in the difference."""
 SAFETY = 2.0
 """Of 14 random discs the error was 0.2 to 1.6 times the difference from the finer run, which errs itself."""
+STATIC_SAFETY = 4.0
+"""The same at rest, where errors at a point do not average over times."""
 TIGHTER, TIGHTEST = 0.35, 2e-5
 """Accuracy for which that run's harmonics, path and reduced models are chosen, in the target, and the least."""
 CORNER = 0.15
@@ -73,6 +82,7 @@ def solve_axisymmetric(
     at: Float,
     *,
     accuracy: float = 0.05,
+    accuracy_of: Quantity = "displacement",
     device: str = "cpu",
     degree: int | None = None,
     fine: float | None = None,
@@ -81,12 +91,13 @@ def solve_axisymmetric(
     """Motion of a disc's face under a spot.
 
     body: Slab of shape "disc"; load: Spot; times: [s], rising, shape (t,); at: on the face [m], shape (n, 2) or (n, 3)
-    accuracy: target relative error, 1e-4 to 0.5; device: taken and not used, all work is the host's
+    accuracy: target relative error of accuracy_of, 1e-4 to 0.5; device: taken and not used, all work is the host's
     degree: polynomial degree p of the elements; fine: their edge under the spot in its standard deviations; harmonics:
         highest harmonic. None chooses.
     Raises SceneError for what `refusal_axisymmetric` names, points off the face, and values outside these ranges.
     """
     begin = time.perf_counter()
+    judged = check_quantity(accuracy_of)
     reason = refusal_axisymmetric(body, load)
     if reason is not None or not isinstance(body, Slab) or not isinstance(load, Spot):
         raise SceneError(f"{reason}: use another solver")
@@ -100,9 +111,9 @@ def solve_axisymmetric(
     while True:
         wider = BAND_STEP * max(band, tighter.band_Hz)
         finer, result = _motions([(tighter, first + 1, wider), (problem, first, band)], fine)
-        difference = SAFETY * relative_difference(result.moved[0], finer.moved[0])
-        error = difference + finer.dropped + tighter.path
-        if degree is not None or error <= accuracy or first >= MOST_DEGREE:
+        difference = SAFETY * gap(result, finer, points)
+        errors = difference + finer.dropped + tighter.path
+        if degree is not None or errors[judged] <= accuracy or first >= MOST_DEGREE:
             break
         first, band = first + 2, BAND_STEP**2 * band
     return Motion(
@@ -110,13 +121,65 @@ def solve_axisymmetric(
         points=points,
         displacement_m=result.moved[0],
         velocity_m_s=result.moved[1],
-        error=error,
         error_source=f"{SAFETY} times the difference from a run finer in everything, of degree {first + 1}: "
-        f"{difference:.2g}; harmonics that it leaves out: {finer.dropped:.2g}; its path: {tighter.path:.2g}",
+        f"{difference[judged]:.2g}; harmonics that it leaves out: {finer.dropped[judged]:.2g}; its path: "
+        f"{tighter.path:.2g}",
         solver=f"axisymmetric, {result.elements} elements of degree {first} (r x z), {len(problem.numbers)} harmonics, "
         f"{len(problem.samples.times_s)} times",
         seconds=time.perf_counter() - begin,
+        **stated(errors, accuracy_of),
     )
+
+
+def static_axisymmetric(body: Body, load: Load, at: Float, *, accuracy: float = 0.05) -> Motion:
+    """Displacement of a disc's face under a spot's last pressure, held for ever; times_s is its last time, velocity 0.
+
+    Arguments as for `solve_axisymmetric`. Raises SceneError as it does, and for a disc that nothing holds.
+    """
+    begin = time.perf_counter()
+    reason = refusal_axisymmetric(body, load)
+    if reason is not None or not isinstance(body, Slab) or not isinstance(load, Spot):
+        raise SceneError(f"{reason}: use another solver")
+    check_held(body)
+    now = load.times_s[-1:]
+    _, points = _checked(body, now, at, accuracy)
+    last = Spot(load.fwhm_m, now, load.peak_Pa[-1:], load.centres()[-1:], "held")
+    problem = _problem(body, last, now, points, accuracy, None)
+    tighter = _problem(body, last, now, points, max(TIGHTER * accuracy, TIGHTEST), None)
+    first = first_degree(accuracy)
+    while True:
+        finer, result = _motions([(tighter, first + 1, 0.0), (problem, first, 0.0)], None, _harmonic_at_rest)
+        difference = STATIC_SAFETY * gap(result, finer, points)
+        errors = difference + finer.dropped
+        # A higher degree does nothing for the harmonics that are left out
+        if errors[0] <= accuracy or difference[0] <= 0.5 * accuracy or first >= MOST_DEGREE:
+            break
+        first += 2
+    return Motion(
+        times_s=now,
+        points=points,
+        displacement_m=result.moved[0],
+        velocity_m_s=result.moved[1],
+        error_source=f"{STATIC_SAFETY} times the difference from a run finer in everything, of degree {first + 1}: "
+        f"{difference[0]:.2g}; harmonics that it leaves out: {finer.dropped[0]:.2g}",
+        solver=f"axisymmetric, static, {result.elements} elements of degree {first} (r x z), "
+        f"{len(problem.numbers)} harmonics",
+        seconds=time.perf_counter() - begin,
+        **stated(errors, "displacement"),
+    )
+
+
+def check_held(body: Slab) -> None:
+    """Raise SceneError for a disc that a push moves away or a touch moves along."""
+    base = body.base
+    springs = base if isinstance(base, Springs) else Springs(0.0, 0.0)
+    upright = base in ("bonded", "free_slip") or springs.normal_Pa_m > 0.0 or body.side == "fixed"
+    along = base == "bonded" or springs.tangential_Pa_m > 0.0 or body.side in ("fixed", "roller")
+    if not (upright and along):
+        raise SceneError(
+            f"a static answer needs a support: base {base} and side '{body.side}' leave this disc free to move away; "
+            "bond the base, give it Springs, or fix the side"
+        )
 
 
 def first_degree(accuracy: float) -> int:
@@ -163,10 +226,10 @@ class _Problem:
 
 @dataclass(frozen=True)
 class _Found:
-    """Displacement and velocity (2, t, n, 3), the error by left-out harmonics, the grid in words."""
+    """Displacement and velocity (2, t, n, 3), the errors by left-out harmonics (3,), the grid in words."""
 
     moved: Float
-    dropped: float
+    dropped: Float
     elements: str
 
 
@@ -199,7 +262,11 @@ def _shares(ratio: float, least: float) -> Float:
     return np.array(share)
 
 
-def _motions(runs: list[tuple[_Problem, int, float]], fine: float | None) -> list[_Found]:
+def _motions(
+    runs: list[tuple[_Problem, int, float]],
+    fine: float | None,
+    harmonic: Callable[[DiscGrid, _Problem, int, float], tuple[Complex, Complex]] | None = None,
+) -> list[_Found]:
     """Whole motions side by side, each of a problem, elements of one degree and reduced models of one band [Hz]."""
     tasks, grids = [], []
     for problem, degree, band_Hz in runs:
@@ -207,7 +274,7 @@ def _motions(runs: list[tuple[_Problem, int, float]], fine: float | None) -> lis
         grids.append(grid)
         tasks += [(grid, problem, m, band_Hz) for m in problem.numbers]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        parts = pool.map(lambda task: _harmonic(*task), tasks)
+        parts = pool.map(lambda task: (harmonic or _harmonic)(*task), tasks)
         result = [[next(parts) for _ in problem.numbers] for problem, _, _ in runs]
     return [_summed(run[0], grid, each) for run, grid, each in zip(runs, grids, result, strict=True)]
 
@@ -223,14 +290,25 @@ def _summed(problem: _Problem, grid: DiscGrid, result: list[tuple[Complex, Compl
         for kind, part in enumerate(parts):
             mine[kind, after] = _turned(part[target[after]], m, points)
         moved += mine
-    size = np.sqrt((moved[0] ** 2).sum(axis=(0, 2)))
     # Those left out move as the last one does, by their share of the load.
-    last = _worst(np.sqrt((mine[0] ** 2).sum(axis=(0, 2))), size)
+    last = np.array([_worst(part, whole) for part, whole in zip(quantities(mine), quantities(moved), strict=True)])
     dropped = last * problem.dropped / float(problem.share[problem.numbers[-1]])
     return _Found(moved, dropped, f"{grid.radial.elements} x {grid.depth.elements}")
 
 
-def _worst(part: Float, whole: Float) -> float:
+def quantities(moved: Float) -> tuple[Float, Float, Float]:
+    """Displacement, velocity and normal displacement of a disc's face from (2, t, n, 3), (t, n, 3 or 1) each."""
+    return moved[0], moved[1], moved[0][..., 2:]
+
+
+def gap(result: _Found, finer: _Found, points: Float) -> Float:
+    """Relative differences of QUANTITIES, (3,)."""
+    upwards = np.tile([0.0, 0.0, 1.0], (len(points), 1))
+    return differences((result.moved[0], result.moved[1]), (finer.moved[0], finer.moved[1]), upwards)
+
+
+def _worst(values: Float, all_values: Float) -> float:
+    part, whole = (np.sqrt((x**2).sum(axis=(0, 2))) for x in (values, all_values))
     return float(np.max(np.divide(part, whole, out=np.zeros_like(whole), where=whole > 0.0)))
 
 
@@ -243,9 +321,10 @@ def _checked(body: Slab, times: Float, at: Float, accuracy: float) -> tuple[Floa
 
 def _grid(body: Slab, load: Spot, samples: Samples, degree: int, fine: float) -> tuple[Line, Line, np.ndarray]:
     """Elements in r and in z, and the sheet of each of the latter."""
-    s = spread(load.fwhm_m)
+    s = spread(motion_width(body, load))
     radius = float(body.radius_m or 0.0)
-    near, far = float(samples.distance_m.min()) - REACH * s, float(samples.distance_m.max()) + REACH * s
+    reach = REACH * spread(load.fwhm_m)
+    near, far = float(samples.distance_m.min()) - reach, float(samples.distance_m.max()) + reach
     # Waves leave the spot at c / (2 pi s) and below, at which a wave is 2 pi s long.
     longest = fine * s * 1.3
 
@@ -304,6 +383,23 @@ def _harmonic(grid: DiscGrid, problem: _Problem, m: int, band_Hz: float) -> tupl
     shape = (len(samples.times_s), len(radii), 3)
     displacement, velocity = (part.reshape(shape)[:, which] for part in moved)
     return displacement, velocity
+
+
+def _harmonic_at_rest(grid: DiscGrid, problem: _Problem, m: int, _: float) -> tuple[Complex, Complex]:
+    """As `_harmonic`, at rest under the one sample: displacement and velocity 0, (1, n, 3)."""
+    system, samples = grid.system(m), problem.samples
+    s, away = spread(problem.load.fwhm_m), float(samples.distance_m[-1])
+
+    def pressure(r: Float) -> Float:
+        shape = np.exp(-0.5 * ((r - away) / s) ** 2) * ive(m, r * away / s**2)
+        return ((1.0 if m == 0 else 2.0) * shape)[:, None]
+
+    force = (system.spread.T @ grid.pressure_force(pressure))[:, 0]
+    moved = factorise((system.elastic + sum(part.stiffness for part in system.parts)).tocsr()).solve(force)
+    reader = grid.face_reader(np.hypot(*problem.points[:, :2].T)) @ system.spread
+    turning = samples.peak_Pa[-1] * np.exp(-1j * m * samples.angle_rad[-1])
+    displacement = np.asarray((reader @ moved).reshape(1, -1, 3) * turning)
+    return displacement, np.zeros_like(displacement)
 
 
 def _turned(harmonic: Complex, m: int, points: Float) -> Float:

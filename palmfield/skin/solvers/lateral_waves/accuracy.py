@@ -20,12 +20,13 @@ def is_picture(times: int, points: int) -> bool:
     return times < SERIES_FROM and points > FEW_POINTS
 
 
-def relative_error(result: Float, finer: Float) -> float:
+def relative_error(result: Float, finer: Float, picture: bool | None = None) -> float:
     """L2 difference of motions (t, n, 3), relative to the finer one: over the times at each point, the largest of the
-    points; over times and points together where there are few times and many points."""
+    points; over times and points together in a picture, by default where `is_picture` says that it is one."""
     if finer.size == 0:
         return 0.0
-    over = (0, 1, 2) if is_picture(*finer.shape[:2]) else (0, 2)
+    picture = is_picture(*finer.shape[:2]) if picture is None else picture
+    over = (0, 1, 2) if picture else (0, 2)
     size = np.sqrt((finer**2).sum(axis=over))
     floor = max(FAINT * float(size.max()), 1e-300)
     return float(np.max(np.sqrt(((result - finer) ** 2).sum(axis=over)) / np.maximum(size, floor)))

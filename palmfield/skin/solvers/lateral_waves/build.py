@@ -7,7 +7,8 @@ from numpy.polynomial.legendre import leggauss
 from scipy.special import j0
 
 from palmfield.errors import SceneError
-from palmfield.skin.problem import GAUSSIAN, ONLY_WEDGES, Body, Foundation, Load, Slab, Spot
+from palmfield.skin.approximation.load_scales import distance_to_sides, load_width, pressure_at_sides
+from palmfield.skin.problem import GAUSSIAN, ONLY_WEDGES, Body, Foundation, Load, Slab, Spot, spread
 from palmfield.skin.solvers.lateral_waves.depth import depth_problem
 from palmfield.skin.solvers.lateral_waves.drive import spot_transform
 from palmfield.skin.solvers.lateral_waves.modes import FaceModes, face_modes, still_modes
@@ -25,7 +26,15 @@ from palmfield.skin.solvers.lateral_waves.waves import (
 from palmfield.types import Float
 
 RIM_WIDTHS = 1.6
-"""Widths of the spot that its centre keeps from a box's sides: there the pressure is below 1e-3 of its peak."""
+"""Widths of the spot that its centre keeps from a slab's sides: there the pressure is below 1e-3 of its peak."""
+MOST_RATES = 1e7
+"""Ratio of the fastest and the slowest rate of an overdamped wave up to which its poles keep their digits."""
+SHORTEST = 3.0
+"""Wavenumber of the shortest waves of a spot times its standard deviation."""
+EVEN = 1e-6
+"""Unevenness of a spot over a slab with rollers below which it moves as a column."""
+AT_SIDES = 0.5
+"""Share of the target accuracy that the pressure at the sides may have: its kink there is left out."""
 MODES = 0.1
 """Tolerance of the modes in depth relative to that of the wavenumbers, whose panels see a change of modes as a kink."""
 LOOSEST = 0.03
@@ -43,15 +52,54 @@ def refusal_lateral_waves(body: Body, load: Load) -> str | None:
         return f"a {body.shape} with {body.side} sides has no simple lateral waves; it needs side='roller'"
     if body.shape == "disc" and not (isinstance(load, Spot) and is_still(load) and not load.centres().any()):
         return "on a disc it takes a spot at rest in the middle"
-    if body.shape == "box" and isinstance(load, Spot):
-        assert body.size_m is not None
-        room = 0.5 * np.asarray(body.size_m) - np.abs(load.centres()).max(axis=0)
-        if room.min() < RIM_WIDTHS * load.fwhm_m:
+    for material in (sheet.material for sheet in body.sheets):
+        # Of a wave as short as the load's: how fast it stops, times how slowly it creeps
+        rate = material.viscosity_Pa_s / material.density_kg_m3 * (SHORTEST / spread(load_width(load))) ** 2
+        if rate * material.viscous_time_s > MOST_RATES:
             return (
-                f"the spot comes within {room.min():.3g} m of a side; in a box it must keep "
-                f"{RIM_WIDTHS * load.fwhm_m:.3g} m, {RIM_WIDTHS} widths, away"
+                f"'{material.name}' has a viscosity of {material.viscosity_Pa_s:.3g} Pa s: waves would stop "
+                f"{rate * material.viscous_time_s:.2g} times as fast as they creep, at most {MOST_RATES:g} is solved: "
+                "use solver 'wedges'"
+            )
+    if isinstance(load, Spot):
+        room = float(distance_to_sides(body, load.centres()).min())
+        if room < RIM_WIDTHS * load.fwhm_m and unevenness(body, load) > EVEN:
+            other = "axisymmetric" if body.shape == "disc" else "wedges"
+            return (
+                f"the spot comes within {room:.3g} m of a side; here it must keep {RIM_WIDTHS * load.fwhm_m:.3g} m, "
+                f"{RIM_WIDTHS} widths, away: use solver '{other}'"
             )
     return None
+
+
+def unevenness(body: Slab, load: Spot) -> float:
+    """By how much of its peak a spot's pressure falls over a slab, at most."""
+    if body.shape == "infinite":
+        return 1.0
+    half = np.asarray(body.size_m or (body.radius_m or 0.0, 0.0)) * (0.5 if body.shape == "box" else 1.0)
+    farthest = np.linalg.norm(np.abs(load.centres()) + half, axis=1).max()
+    return 1.0 - float(np.exp(-GAUSSIAN * (farthest / load.fwhm_m) ** 2))
+
+
+def check_sides(body: Slab, load: Load, accuracy: float) -> float:
+    """Pressure at a slab's sides over the spot's peak, which the wavenumbers leave out; 0 for pressures at points.
+
+    Of one that is even over the slab to EVEN, its unevenness.
+
+    Raises SceneError where it is more than AT_SIDES of the target accuracy.
+    """
+    if not isinstance(load, Spot):
+        return 0.0
+    if unevenness(body, load) <= EVEN:
+        return unevenness(body, load)
+    share = pressure_at_sides(body, load)
+    if share > AT_SIDES * accuracy:
+        raise SceneError(
+            f"solver 'lateral_waves': the spot's pressure at the nearest side is {share:.2g} of its peak, at most "
+            f"{AT_SIDES * accuracy:.2g} may be left out at an accuracy of {accuracy:g}: use solver 'axisymmetric' or "
+            "'wedges'"
+        )
+    return share
 
 
 def is_still(spot: Spot) -> bool:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palmfield.skin.approximation.load_scales import course_frequency, load_width
+from palmfield.skin.approximation.load_scales import course_frequency, motion_width
 from palmfield.skin.materials.material import Material, shear_wave
 from palmfield.skin.problem import Body, Layer, Load, Spot
 from palmfield.skin.solvers.spectral_elements.quads import box_quads, disc_quads, patch_quads
@@ -79,7 +79,7 @@ def plan(
 ) -> Plan:
     """Elements for an accuracy; what is given stays."""
     materials = [sheet.material for sheet in body.sheets]
-    width = load_width(load)
+    width = motion_width(body, load)
     top = course_frequency(load, MOST)
     if top > 0.0:
         width = min(width, 0.7 * min(shear_wave(m, top)[0] for m in materials) / top)

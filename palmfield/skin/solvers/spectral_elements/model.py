@@ -223,6 +223,12 @@ class Model:
         for _ in range(12):
             rate = self.largest_rate([stiffening_at(m, step) for m in self.materials], start) + spring_rate
             better = 2.0 / np.sqrt(rate)
+            if not 0.0 < better < np.inf:
+                worst = max(self.materials, key=lambda material: material.viscosity_Pa_s)
+                raise SceneError(
+                    f"solver 'spectral_elements': a viscosity of {worst.viscosity_Pa_s:.3g} Pa s makes steps too small "
+                    f"for {self.dtype}; use solver 'wedges'"
+                )
             if abs(better / step - 1.0) < 1e-3:
                 return float(min(step, better))
             step = float(better)

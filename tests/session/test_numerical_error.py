@@ -1,0 +1,170 @@
+"""Error estimates of finished runs, and the band from an uncertain p0."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+from palmfield.session.numerical_error import RATIO, Course, error_estimate, p0_band, p0_known
+
+import palmfield
+from palmfield.simulation.emission import array_drives
+from palmfield.simulation.forces import BodyForces
+from palmfield.simulation.radiation import Radiation
+from palmfield.skin.fem.solver import harmonic, harmonic_both, static
+from palmfield.skin.reduction.reduced_stepper import ReducedStepper
+
+STEADY = {"modulation": "none", "am_of": None, "am_frequency_Hz": None, "am_depth": None}
+SOURCES = ("mesh", "step", "reduction", "edge")
+
+
+def estimate(scene, loudest, skin=0, left_small_model=False):
+    model = scene.runtime.model
+    return error_estimate(model, skin, loudest, Radiation(model), Course(left_small_model))
+
+
+def unit(scene, **changes):
+    """ARP at the skin's quadrature points for the focus of the first stimulus [Pa]."""
+    model = scene.runtime.model
+    drive = array_drives(model, model.arrays)[0].unit_drive(model.stimuli[0].reference_foci).amplitudes
+    return Radiation(model).on(scene.runtime.work.reference, 0, "quadrature", drive).arp.astype(float)
+
+
+def test_halving_p0_quarters_the_displacement(small_scene):
+    peaks = []
+    for p0 in (2.0, 1.0):
+        scene = palmfield.load(small_scene(array={"p0_Pa_m": p0}))
+        layer = scene.runtime.model.skins[0].layer
+        settled = static(layer.system, layer.quadrature.operator @ unit(scene))
+        peaks.append(np.abs(layer.surface_operator @ settled).max())
+    assert peaks[0] / peaks[1] == pytest.approx(4, rel=1e-4)
+
+
+def test_the_mesh_error_is_about_the_distance_to_a_fine_mesh(small_scene, moment):
+    """The estimate against the answer on elements of half the size, both static and at 200 Hz."""
+    scene = palmfield.load(small_scene())
+    scene.step(3)
+    loudest = moment(scene)
+    errors = estimate(scene, loudest)
+    model = scene.runtime.model
+    point = np.zeros(3)
+    answers = []
+    for layer in (model.skins[0].layer, model.skins[0].layer.resized(0.5)):
+        points, normals = layer.quadrature.points, layer.quadrature.normals
+        body = loudest.posed.bodies[0]
+        arp = Radiation(model).at(
+            loudest.posed, 0, "probe", body.frame.points(points), body.frame.vectors(normals), loudest.drive
+        )
+        force, read = layer.quadrature.operator @ arp.arp.astype(float), layer.probe(point).operator
+        answers.append([(read @ static(layer.system, force))[0], (read @ harmonic(layer.system, force, 200.0))[0]])
+    true = np.max(np.abs(np.array(answers[0]) - answers[1]) / np.abs(answers[1]))
+    assert 0.3 * true < errors["mesh_error_relative"] < 3.0 * true
+
+
+def test_errors_add_up_by_squares_and_a_disc_has_no_cut_edge(small_scene, moment):
+    scene = palmfield.load(small_scene())
+    scene.step(3)
+    errors = estimate(scene, moment(scene))
+    parts = [errors[f"{source}_error_relative"] for source in SOURCES]
+    assert errors["displacement_error_relative"] == pytest.approx(np.hypot.reduce(parts))
+    assert errors["edge_error_relative"] == 0.0 and errors["reduction_error_relative"] == 0.0
+    assert errors["step_error_relative"] > 0.0
+
+
+def test_a_small_model_has_an_error_of_its_own_and_none_of_the_step(small_scene, moment):
+    scene = palmfield.load(small_scene(), keys={"skin.solver": "reduced"})
+    scene.step(3)
+    small = scene.runtime.model.begin[0].value
+    assert isinstance(small, ReducedStepper)
+    errors = estimate(scene, moment(scene))
+    assert errors["reduction_error_relative"] >= small.error > 0.0
+    step_s = scene.runtime.model.step_s
+    assert errors["step_error_relative"] == pytest.approx(1.0 - np.sinc(200.0 * step_s) ** 2)
+    left = estimate(scene, moment(scene), left_small_model=True)
+    whole = palmfield.load(small_scene(), keys={"skin.solver": "wedges"})
+    assert left["step_error_relative"] == pytest.approx(estimate(whole, moment(scene))["step_error_relative"])
+
+
+def test_a_skin_beside_another_is_estimated_as_if_alone(small_scene, add_skin, moment):
+    """Exchanging one layer leaves the other skin, and the answer, as they were."""
+    alone = palmfield.load(small_scene())
+    alone.step(3)
+    expected = estimate(alone, moment(alone))
+    both = palmfield.load(add_skin(small_scene(), "0.1 0 0.12"))
+    both.step(3)
+    for key, value in estimate(both, moment(both)).items():
+        assert value == pytest.approx(expected[key], rel=1e-4), key
+    other = estimate(both, moment(both), skin=1)
+    assert all(np.isfinite(value) for value in other.values())
+
+
+def test_the_other_mesh_is_coarser_where_a_finer_one_costs_too_much(small_scene, moment, monkeypatch):
+    scene = palmfield.load(small_scene(skin={"element_m": 0.003}))
+    scene.step(3)
+    loudest = moment(scene)
+    finer = estimate(scene, loudest)
+    monkeypatch.setattr("palmfield.session.numerical_error.FINER_BELOW", 0)
+    monkeypatch.setattr("palmfield.session.numerical_error.LAYERS", 2)
+    coarser = estimate(scene, loudest)
+    assert finer["mesh_error_relative"] != coarser["mesh_error_relative"]
+    assert 0.2 < finer["mesh_error_relative"] / coarser["mesh_error_relative"] < 5.0 and RATIO > 1.0
+
+
+def test_force_on_a_mesh_of_large_faces(small_scene):
+    """A box of twelve faces feels the force that the fine skin on its lit face adds up to."""
+    path = small_scene(
+        stimulus=STEADY,
+        skin={"shape": "mesh", "mesh": "box.obj", "mesh_unit": "mm", "patch_site": "centre", "patch_radius_m": 0.028,
+              "radius_m": None, "thickness_m": None, "element_m": 0.004},
+    )  # fmt: skip
+    box = trimesh.creation.box((60, 60, 30))
+    box.apply_translation((0, 0, -15))
+    box.export(path.with_name("box.obj"))
+    scene = palmfield.load(path)
+    model, posed = scene.runtime.model, scene.runtime.work.reference
+    drive = array_drives(model, model.arrays)[0].unit_drive(model.stimuli[0].reference_foci).amplitudes
+    on_patch = float(unit(scene) @ model.skins[0].layer.quadrature.weights)
+    force, _ = BodyForces(model, Radiation(model)).under(posed, 0, drive)
+    # The array looks up and the box down; side lobes beyond the patch add a little.
+    assert 1.0 < force.sum(axis=0)[2] / on_patch < 1.08
+
+
+def test_the_band_is_that_of_the_arrays_that_a_stimulus_drives(small_scene, add_array):
+    """Each stimulus with an array of its own: the one with a range has its range, whatever the other."""
+    keys = (
+        '<config key="p0_Pa_m" value="4"/><config key="p0_low_Pa_m" value="2"/><config key="p0_high_Pa_m" value="8"/>'
+    )
+    path = add_array(small_scene(stimulus=STEADY), keys)
+    text = path.read_text()
+    begin = text.index('<instance name="stimulus">')
+    end = text.index("</instance>", begin) + len("</instance>")
+    twin = text[begin:end].replace('name="stimulus"', 'name="other"')
+    twin = twin.replace("</instance>", '<config key="arrays" value="second"/></instance>')
+    path.write_text(text[:end] + twin + text[end:])
+    model = palmfield.load(path).runtime.model
+    other = next(i for i, stimulus in enumerate(model.stimuli) if stimulus.spec.name == "other")
+    assert [p0.value for p0 in p0_known(model, other)] == [4.0]
+    assert p0_band(model, other) == pytest.approx((0.25, 4.0))
+    assert [p0.value for p0 in p0_known(model, 1 - other)] == [1.27]
+    assert p0_band(model, 1 - other) == pytest.approx(((0.7 / 1.27) ** 2, (2.6 / 1.27) ** 2))
+
+
+def test_a_silent_moment_never_gets_here(small_scene, moment):
+    scene = palmfield.load(small_scene())
+    scene.step(3)
+    quiet = replace(moment(scene), drive=np.zeros(256, complex))
+    with pytest.raises(palmfield.SceneError, match="answers not 0"):
+        estimate(scene, quiet)
+
+
+def test_a_sudden_start_counts_its_onset(small_scene, moment) -> None:
+    scene = palmfield.load(small_scene(stimulus=STEADY, array={"response": "off"}))
+    scene.step(3)
+    errors = estimate(scene, moment(scene))
+    layer = scene.runtime.model.skins[0].layer
+    force = layer.quadrature.operator @ unit(scene)
+    read, frequency = layer.probe(np.zeros(3)).operator, layer.demand.main_frequency_Hz
+    exact, scheme = (read @ each for each in harmonic_both(layer.system, force, frequency, layer.sizes.step_s))
+    assert errors["step_error_relative"] > 1.5 * abs(scheme[0] - exact[0]) / abs(exact[0])
+    sources = [errors[f"{name}_error_relative"] for name in SOURCES]
+    assert errors["displacement_error_relative"] == pytest.approx(np.hypot.reduce(sources))

@@ -1,0 +1,78 @@
+"""What an accuracy is of: displacement, velocity, or the displacement along the normal."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from palmfield.errors import SceneError
+from palmfield.skin import Layer, Sheet, Slab, Spot, preset, solve
+from palmfield.skin.mesh.disc import disc_patch
+from palmfield.skin.problem import QUANTITIES, normals_on_face
+
+GEL = preset("ecoflex_00-10")
+DISC = Slab((Sheet(GEL, 0.02),), shape="disc", side="fixed", radius_m=0.06)
+BOX = Slab((Sheet(GEL, 0.01),), shape="box", side="fixed", size_m=(0.05, 0.05))
+SUDDEN = Spot(0.0103, [0.0], [1.0], law="held")
+TIMES = 1e-3 * np.arange(1, 16)
+AT = [[0.0, 0.0], [0.02, 0.005]]
+
+
+def true_errors(motion, known) -> dict[str, float]:
+    pairs = {
+        "displacement": (motion.displacement_m, known.displacement_m),
+        "velocity": (motion.velocity_m_s, known.velocity_m_s),
+        "normal": (motion.displacement_m[..., 2:], known.displacement_m[..., 2:]),
+    }
+    return {
+        name: float((np.linalg.norm(a - b, axis=(0, 2)) / np.linalg.norm(b, axis=(0, 2))).max())
+        for name, (a, b) in pairs.items()
+    }
+
+
+@pytest.mark.parametrize("solver", ["axisymmetric", "spectral_elements", "wedges", "reduced"])
+def test_each_solver_states_three_errors_that_cover(solver: str) -> None:
+    load = Spot(0.0103, [0.0, 4e-3], [0.0, 1.0])
+    known = solve(DISC, load, TIMES, AT, solver="axisymmetric", accuracy=1e-3, device="cpu", degree=8, fine=1.0)
+    motion = solve(DISC, load, TIMES, AT, solver=solver, accuracy=0.1, device="cpu")
+    found = true_errors(motion, known)
+    print(solver, {name: (getattr(motion, f"{name}_error"), found[name]) for name in QUANTITIES})
+    assert motion.accuracy_of == "displacement" and motion.error == motion.displacement_error
+    for name in QUANTITIES:
+        assert found[name] <= getattr(motion, f"{name}_error") + getattr(known, f"{name}_error")
+
+
+def test_lateral_waves_state_them_too() -> None:
+    slab = Slab(DISC.sheets)
+    known = solve(slab, SUDDEN, TIMES, AT, accuracy=1e-4, accuracy_of="velocity", device="cpu")
+    motion = solve(slab, SUDDEN, TIMES, AT, accuracy=0.02, device="cpu")
+    found = true_errors(motion, known)
+    for name in QUANTITIES:
+        assert found[name] <= 1.05 * getattr(motion, f"{name}_error")
+
+
+def test_refinement_goes_by_what_was_asked_for() -> None:
+    load = Spot(0.0103, [0.0, 4e-3], [0.0, 1.0])
+    plain = solve(DISC, load, TIMES, AT, solver="axisymmetric", accuracy=0.02, device="cpu")
+    target = 0.7 * plain.velocity_error
+    assert plain.displacement_error < target
+    swift = solve(DISC, load, TIMES, AT, solver="axisymmetric", accuracy=target, accuracy_of="velocity", device="cpu")
+    assert swift.accuracy_of == "velocity" and swift.error == swift.velocity_error <= target
+
+
+def test_a_normal_of_a_bent_layer_is_the_surfaces_own() -> None:
+    patch = disc_patch(0.03, 0.005, 0.001, 0.001, 0.01)
+    flat = patch.vertices[:, :2]
+    bent = np.column_stack([flat, -(flat**2).sum(axis=1) / 0.2])
+    layer = Layer(dataclasses.replace(patch, vertices=bent), (Sheet(GEL, 0.005),))
+    place = np.array([[0.01, 0.005, -(0.01**2 + 0.005**2) / 0.2]])
+    slope = np.array([0.01, 0.005]) / 0.1
+    exact = np.array([*slope, 1.0]) / math.sqrt(1.0 + (slope**2).sum())
+    np.testing.assert_allclose(normals_on_face(layer, place)[0], exact, atol=0.012)
+    np.testing.assert_array_equal(normals_on_face(BOX, place), [[0.0, 0.0, 1.0]])
+
+
+def test_another_quantity_is_refused() -> None:
+    with pytest.raises(SceneError, match="accuracy_of is 'strain'; use one of displacement, velocity, normal"):
+        solve(DISC, SUDDEN, TIMES, AT, accuracy_of="strain", device="cpu")
