@@ -1,6 +1,7 @@
 """The data that flows from stage to stage (see docs/architecture.md). SI units; e^{-i w t}, so a delay is +phase."""
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,29 @@ class Air:
     temperature_C: float = 20.0
     humidity_percent: float = 50.0
     pressure_Pa: float = 101325.0
+
+
+Kind = Literal["measured", "data sheet", "inferred", "assumed"]
+"""Where a number comes from: a laboratory's calibration, a maker's data sheet, other published figures, or practice."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A number that is known within a range.
+
+    low, high: ends of the range, in the number's own unit, low <= value <= high
+    kind: how the number is known; source: from where, in words
+    """
+
+    value: float
+    low: float
+    high: float
+    kind: Kind
+    source: str
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.low <= self.value <= self.high < float("inf"):
+            raise ValueError(f"{self.low} <= {self.value} <= {self.high} does not hold, or is not positive and finite")
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ those pictures are made, and the page stays as it is.
 
 import argparse
 import subprocess
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,9 +25,9 @@ from palmfield.acoustics.arrays import LAYOUTS, layout
 from palmfield.acoustics.focus import focus
 from palmfield.acoustics.layouts import TRANSDUCER_DIAMETER_M
 from palmfield.acoustics.reference import pressure64
-from palmfield.acoustics.transducer import T4010A1_DIRECTIVITY, table_misfit
+from palmfield.acoustics.transducer import ANY_P0, ANY_QUALITY, T4010A1_DIRECTIVITY, table_misfit
 from palmfield.outputs.style import save, style
-from palmfield.types import Air, Array
+from palmfield.types import Air, Array, Estimate
 
 ROOT = Path(__file__).resolve().parents[1]
 AIR = Air()
@@ -257,6 +258,7 @@ def page(spots: dict[str, Spot]) -> str:
         "axis value away from its entries.",
         "",
     ]
+    lines += ["## How loud the transducers are", "", *LEVEL, *level_table(spots), "", *CSV, *CALIBRATION]
     for name in spots:
         entry = LAYOUTS[name]
         lines += [f"## {name}", "", f"{entry.about}.", "", f"{entry.source}.", ""]
@@ -264,6 +266,59 @@ def page(spots: dict[str, Spot]) -> str:
     return "\n".join(lines)
 
 
+def level_table(names: Iterable[str]) -> list[str]:
+    """Rows of p0 and quality, layouts with the same numbers in one row."""
+    rows: dict[tuple[Estimate, Estimate], list[str]] = {}
+    for name in names:
+        rows.setdefault((LAYOUTS[name].p0, LAYOUTS[name].quality), []).append(name)
+    lines = ["| layouts | p0 [Pa m] | range | kind | source | Q | range |", "|---|---|---|---|---|---|---|"]
+    for (p0, quality), same in [*rows.items(), ((ANY_P0, ANY_QUALITY), ["sites", "csv"])]:
+        lines.append(
+            f"| {', '.join(same)} | {p0.value:g} | {p0.low:g} to {p0.high:g} | {p0.kind} | {p0.source} | "
+            f"{quality.value:g} | {quality.low:g} to {quality.high:g}, {quality.kind} |"
+        )
+    return lines
+
+
+LEVEL = [
+    "p0 is the peak pressure of one transducer at 1 m on its axis at full drive. ARP and the skin's motion go with its "
+    "square, so that a range of 0.7 to 2.6 Pa m is a factor of 14 in both. No value of a layout is measured: results "
+    "are called uncalibrated, and told for the whole range, until key `calibration` of `palmfield.array` names a "
+    "laboratory's file. Where key `arp_peak_Pa` of the stimulus sets the level, p0 says only whether the array reaches "
+    "it.",
+    "",
+]
+CSV = [
+    "## Arrays from a file",
+    "",
+    "Layout `csv` takes the transducers from the file of key `transducers`, one line for each under a line of column "
+    "names: `x_m`, `y_m`, `z_m` (or `_mm`) in the frame of the array's site; `nx`, `ny`, `nz`, the emitting direction, "
+    "if it isn't z for all; `gain` (relative to p0; 0 is dead, -1 wired the other way round) and `phase_deg`; "
+    "`address`, the place in the board's byte order.",
+    "",
+]
+CALIBRATION = [
+    "## Calibrations",
+    "",
+    "Key `calibration` names a TOML file. Measure with a microphone at several points, take p0 and its standard error "
+    "from `calibrate_p0`, widen the interval by what the readings share (the microphone's own calibration), and write "
+    "the file by `write_calibration` (`palmfield.acoustics.calibration_file`) or by hand:",
+    "",
+    "```toml",
+    "[p0]",
+    "value = 1.31",
+    "low = 1.22",
+    "high = 1.40",
+    'source = "our laboratory, 2026-10-01: 1/8 inch microphone at 20 points, 20 C"',
+    "",
+    "[quality]          # if it was measured",
+    "value = 21.0",
+    "low = 19.0",
+    "high = 23.0",
+    'source = "our laboratory, 2026-10-01: ring-down of 12 transducers"',
+    "```",
+    "",
+]
 NOTES = [
     "Other arrays: `from_poses` takes positions and axes, for example of the sites of an MJCF file; `placed` moves an "
     "array, `combined` joins several, `with_faults` silences or inverts transducers (`palmfield.acoustics.arrays`). "

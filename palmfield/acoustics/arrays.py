@@ -5,12 +5,11 @@ from dataclasses import replace
 import numpy as np
 
 from palmfield.acoustics.layouts import LAYOUTS, grid, sonicsurface_order
-from palmfield.acoustics.placement import DEFAULT_P0_PA_M, combined, from_poses, placed, with_faults
+from palmfield.acoustics.placement import combined, from_poses, placed, with_faults
 from palmfield.errors import SceneError
 from palmfield.types import Array
 
 __all__ = [
-    "DEFAULT_P0_PA_M",
     "LAYOUTS",
     "combined",
     "from_poses",
@@ -22,15 +21,16 @@ __all__ = [
 ]
 
 
-def layout(name: str, p0_Pa_m: float = DEFAULT_P0_PA_M) -> Array:
+def layout(name: str, p0_Pa_m: float | None = None) -> Array:
     """Array of a known board.
 
     name: a key of LAYOUTS
-    p0_Pa_m: peak pressure of one transducer at 1 m on its axis at full drive [Pa m]
+    p0_Pa_m: peak pressure of one transducer at 1 m on its axis at full drive [Pa m]; None for that of the layout
     Raises SceneError for another name, and for a p0 that is not positive.
     """
     if name not in LAYOUTS:
         raise SceneError(f"array layout '{name}' is unknown: use one of {', '.join(LAYOUTS)}")
-    if not 0.0 < p0_Pa_m < np.inf:
-        raise SceneError(f"p0_Pa_m = {p0_Pa_m} is not positive and finite: give the peak pressure at 1 m, about 1 to 8")
-    return replace(LAYOUTS[name].build(), name=name, p0_Pa_m=p0_Pa_m)
+    p0 = LAYOUTS[name].p0.value if p0_Pa_m is None else p0_Pa_m
+    if not 0.0 < p0 < np.inf:
+        raise SceneError(f"p0_Pa_m = {p0} is not positive and finite: give the peak pressure at 1 m, about 1 to 8")
+    return replace(LAYOUTS[name].build(), name=name, p0_Pa_m=p0)

@@ -2,13 +2,14 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.optimize import brentq
 
 from palmfield.acoustics.placement import combined, from_poses, placed
-from palmfield.acoustics.transducer import T4010A1_DIRECTIVITY
-from palmfield.types import Array, Float, Int
+from palmfield.acoustics.transducer import ANY_P0, ANY_QUALITY, T4010A1_DIRECTIVITY
+from palmfield.types import Array, Estimate, Float, Int
 
 AUTD_COLUMNS, AUTD_ROWS, AUTD_PITCH_M = 18, 14, 10.16e-3
 AUTD_MISSING = ((1, 1), (2, 1), (16, 1))
@@ -37,13 +38,16 @@ class Layout:
 
     about: what it is; source: where its figures come from, and what they leave open
     focus_m: the point at which it is commonly used [m], array frame
-    build: makes the array with the default p0
+    build: makes the array, with a p0 that `palmfield.acoustics.arrays.layout` replaces
+    p0: peak pressure of one transducer at 1 m on its axis at full drive [Pa m]; quality: of its resonance
     """
 
     about: str
     source: str
     focus_m: tuple[float, float, float]
     build: Callable[[], Array]
+    p0: Estimate = ANY_P0
+    quality: Estimate = ANY_QUALITY
 
 
 def lattice(columns: int, rows: int, pitch_m: float) -> Float:
@@ -71,6 +75,10 @@ def centred(array: Array) -> Array:
 
 def uhev1() -> Array:
     return from_poses("uhev1", grid(10.3e-3), np.tile([0.0, 0.0, 1.0], (256, 1)))
+
+
+def stratos_explore() -> Array:
+    return replace(uhev1(), name="stratos_explore")
 
 
 def sonicsurface() -> Array:
@@ -114,10 +122,11 @@ def autd3() -> Array:
     return replace(centred(autd_board()), address=np.arange(249, dtype=np.int32))
 
 
-def autd3_2x2() -> Array:
+def autd3_units(columns: int, rows: int) -> Array:
+    """Units edge to edge, none turned, row by row from low y; x runs fastest."""
     width, height = AUTD_BOARD_M
-    places = [(0.0, 0.0, 0.0), (width, 0.0, 0.0), (0.0, height, 0.0), (width, height, 0.0)]
-    return centred(combined([placed(autd3(), place, np.eye(3)) for place in places], "autd3_2x2"))
+    places = [(column * width, row * height, 0.0) for row in range(rows) for column in range(columns)]
+    return centred(combined([placed(autd3(), place, np.eye(3)) for place in places], f"autd3_{columns}x{rows}"))
 
 
 def bow(focal_length_m: float) -> tuple[Float, Float]:
@@ -175,12 +184,44 @@ BOW_SETUP = (
     "at the common focus, as their sum of on-axis pressures implies. "
 )
 
+UHEV1_P0 = Estimate(
+    1.27,
+    0.7,
+    2.6,
+    "inferred",
+    "gives the 12 Pa that Chilles et al. 2019 put into their finite-element model; that number stands among material "
+    "parameters, and the motion that they measured asks for less",
+)
+AUTD_P0 = Estimate(
+    2.8,
+    2.53,
+    4.386,
+    "inferred",
+    "with the T4010A1's directivity gives the 20 mN on 12 x 12 mm that Hasegawa & Shinoda 2018 measured; the AUTD3 "
+    "software has 4.386, others 2.53",
+)
+STRATOS_P0 = Estimate(
+    1.27,
+    0.7,
+    4.386,
+    "assumed",
+    "taken as for the UHEV1, its forerunner; nothing is published of its transducers' level",
+)
+
 LAYOUTS = {
     "uhev1": Layout(
         "Ultrahaptics UHEV1: 16 x 16 elements, 10.3 mm pitch",
         "Chilles et al. 2019 do not print the pitch; 10.3 to 10.5 mm is the usual figure. Pistons: MA40S4S",
         (0.0, 0.0, 0.2),
         uhev1,
+        UHEV1_P0,
+    ),
+    "stratos_explore": Layout(
+        "Ultraleap STRATOS Explore (USX): 256 elements, taken as 16 x 16 at 10.3 mm pitch; simulated only",
+        "Ultraleap's support pages give up to 256 transducers of 40 kHz; grid and pitch are taken from the UHEV1",
+        (0.0, 0.0, 0.2),
+        stratos_explore,
+        STRATOS_P0,
     ),
     "sonicsurface": Layout(
         "SonicSurface: 16 x 16 elements, 10.5 mm pitch, in the order of the board's data bytes",
@@ -193,6 +234,7 @@ LAYOUTS = {
         f"Hasegawa & Shinoda 2018 print count and aperture; the rest is taken from the {AUTD_UNIT}",
         (0.0, 0.0, 0.2),
         autd2018,
+        AUTD_P0,
     ),
     "autd2018_2x2": Layout(
         "Four units of Hasegawa & Shinoda 2018, arranged to span the printed 364 x 302.8 mm",
@@ -200,14 +242,20 @@ LAYOUTS = {
         "the right column is taken to be turned by half a turn. The pitch leaves margins of 9.3 mm, so 365.4 mm",
         (0.0, 0.0, 0.4),
         autd2018_2x2,
+        AUTD_P0,
     ),
-    "autd3": Layout("AUTD3 unit: 249 elements in the order of its index", AUTD_UNIT, (0.0, 0.0, 0.2), autd3),
-    "autd3_2x2": Layout(
-        "Four AUTD3 units, none turned, boards edge to edge: 192 x 151.4 mm from unit to unit",
-        AUTD_UNIT,
-        (0.0, 0.0, 0.4),
-        autd3_2x2,
-    ),
+    "autd3": Layout("AUTD3 unit: 249 elements in the order of its index", AUTD_UNIT, (0.0, 0.0, 0.2), autd3, AUTD_P0),
+    **{
+        f"autd3_{columns}x{rows}": Layout(
+            f"{columns * rows} AUTD3 units, {columns} wide and {rows} high, none turned, boards edge to edge: "
+            "192 x 151.4 mm from unit to unit",
+            AUTD_UNIT,
+            (0.0, 0.0, 0.4),
+            partial(autd3_units, columns, rows),
+            AUTD_P0,
+        )
+        for columns, rows in ((2, 2), (3, 2), (4, 2))
+    },
     "two_bow_as_printed": Layout(
         "Two bows of 6 speakers, focal length 50 mm, diaphragms 6 mm across",
         BOW_SETUP + "As printed: focal length 50 mm, a = 6 mm called the diameter",

@@ -12,14 +12,16 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from palmfield.acoustics.air import density, sound_speed
-from palmfield.acoustics.arrays import combined, from_poses, layout, placed, with_faults
+from palmfield.acoustics.arrays import LAYOUTS, combined, from_poses, layout, placed, with_faults
+from palmfield.acoustics.calibration_file import Calibration
 from palmfield.acoustics.field import FieldEvaluator, Mode
 from palmfield.acoustics.reference import pressure64
-from palmfield.acoustics.transducer import T4010A1_DIRECTIVITY
+from palmfield.acoustics.transducer import ANY_P0, ANY_QUALITY, T4010A1_DIRECTIVITY
+from palmfield.acoustics.transducer_file import TransducerTable
 from palmfield.config import ArrayConfig
 from palmfield.errors import SceneError
 from palmfield.transforms import Numbers, Placement, corners_of
-from palmfield.types import Air, Array, Complex, Field, Float, Int
+from palmfield.types import Air, Array, Complex, Estimate, Field, Float, Int
 
 HOUSING_M = 5e-3
 """How far a board reaches beyond its transducers, and how high a transducer is [m]."""
@@ -31,10 +33,43 @@ SAME_PLACE = 1e-9
 
 @dataclass(frozen=True)
 class ArrayInstance:
-    """One array of the scene. config: its keys; placement: where it is in the scene's reference pose"""
+    """One array of the scene.
+
+    config: its keys; placement: where it is in the scene's reference pose
+    calibration: in the file of key `calibration`; table: in that of key `transducers`
+    """
 
     config: ArrayConfig
     placement: Placement
+    calibration: Calibration | None = None
+    table: TransducerTable | None = None
+
+    @property
+    def p0(self) -> Estimate:
+        """Peak pressure of one transducer at 1 m on its axis at full drive [Pa m].
+
+        As calibrated; else of key `p0_Pa_m`, with the layout's range, widened to hold it, where the scene gives none;
+        else the layout's.
+        """
+        config, known = self.config, _known(self.config.layout)[0]
+        if self.calibration is not None:
+            return self.calibration.p0
+        if config.p0_Pa_m is None:
+            return known
+        low, high = config.p0_low_Pa_m or known.low, config.p0_high_Pa_m or known.high
+        low, high = min(low, config.p0_Pa_m), max(high, config.p0_Pa_m)
+        return Estimate(config.p0_Pa_m, low, high, "assumed", "key p0_Pa_m of the scene")
+
+    @property
+    def quality(self) -> Estimate:
+        """Of the transducers' resonance: as calibrated, of key `quality`, or the layout's."""
+        config, known = self.config, _known(self.config.layout)[1]
+        if self.calibration is not None and self.calibration.quality is not None:
+            return self.calibration.quality
+        if config.quality is None:
+            return known
+        low, high = min(known.low, config.quality), max(known.high, config.quality)
+        return Estimate(config.quality, low, high, "assumed", "key quality of the scene")
 
     def array(self, sites: tuple[tuple[Numbers, Numbers], ...] = ()) -> Array:
         """The transducers in the array's own frame.
@@ -45,9 +80,11 @@ class ArrayInstance:
         config = self.config
         if config.layout == "sites":
             positions, normals = zip(*sites, strict=True)
-            array = from_poses("sites", np.array(positions), np.array(normals), config.p0_Pa_m)
+            array = from_poses("sites", np.array(positions), np.array(normals), self.p0.value)
+        elif self.table is not None:
+            array = self.table.array(self.p0.value)
         else:
-            array = layout(config.layout, config.p0_Pa_m)
+            array = layout(config.layout, self.p0.value)
         if config.directivity == "point":
             array = replace(array, piston_radius_m=0.0, directivity_table=None)
         elif config.directivity == "piston":
@@ -64,6 +101,12 @@ class ArrayInstance:
         if config.dead or config.inverted:
             array = with_faults(array, config.dead, config.inverted)
         return array
+
+
+def _known(name: str) -> tuple[Estimate, Estimate]:
+    """What is known of p0 and quality of a layout's transducers; of others than a known board's what all have."""
+    board = LAYOUTS.get(name)
+    return (ANY_P0, ANY_QUALITY) if board is None else (board.p0, board.quality)
 
 
 @dataclass(frozen=True)

@@ -8,15 +8,9 @@ from numpy.typing import ArrayLike
 from scipy.linalg import polar
 
 from palmfield.acoustics import check
+from palmfield.acoustics.transducer import ANY_P0
 from palmfield.errors import SceneError
 from palmfield.types import Array, Complex, Float, Int
-
-DEFAULT_P0_PA_M = 2.53
-"""Peak pressure of one transducer at 1 m [Pa m].
-
-Published values for 40 kHz transducers of this kind run from 1.27 to 8.02 Pa at 1 m, a factor 40 in radiation pressure,
-and depend on the supply voltage. It is a calibration of a given board: measure it, or treat results as relative.
-"""
 
 ROUNDED = 1e-6
 """By how much a rotation rounded to float32 misses being orthonormal, at most."""
@@ -26,7 +20,7 @@ def from_poses(
     name: str,
     positions: ArrayLike,
     normals: ArrayLike,
-    p0_Pa_m: float = DEFAULT_P0_PA_M,
+    p0_Pa_m: float = ANY_P0.value,
     *,
     frequency_Hz: float = 40e3,
     piston_radius_m: float = 4.5e-3,

@@ -6,7 +6,7 @@ from scipy.interpolate import PchipInterpolator
 
 from palmfield.acoustics import polynomials
 from palmfield.errors import SceneError
-from palmfield.types import Array, Float
+from palmfield.types import Array, Estimate, Float
 
 T4010A1_DIRECTIVITY: Float = np.column_stack(
     [np.arange(0.0, 91.0, 10.0), [1.0, 1.0, 1.0, 0.891, 0.708, 0.501, 0.355, 0.251, 0.200, 0.178]]
@@ -15,6 +15,25 @@ T4010A1_DIRECTIVITY: Float = np.column_stack(
 
 0, 0, 0, -1, -3, -6, -9, -12, -14 and -15 dB from 0 to 90 deg: the maker's diagram as read by the AUTD3 software.
 """
+
+ANY_P0 = Estimate(
+    2.53,
+    1.27,
+    8.5,
+    "assumed",
+    "published values for transducers of 10 mm at 40 kHz, which depend on the supply voltage: 2.53, 3.4, 4.386 and "
+    "8.02 in other projects' software, 8.5 by a data sheet's 120 dB at 0.3 m, 1.27 inferred for the UHEV1",
+)
+"""Peak pressure of one transducer at 1 m on its axis at full drive [Pa m], where nothing is known of an array."""
+
+ANY_QUALITY = Estimate(
+    25.0,
+    12.0,
+    35.0,
+    "assumed",
+    "resonances of such transducers; the flatness that Hasegawa & Shinoda 2018 print allows 17",
+)
+"""Quality factor of a transducer's resonance, where nothing is known of an array."""
 
 TABLE_MISFIT_LIMIT = 0.02
 """Largest distance of the fitted polynomial from a table's entries that is accepted, relative to the axis."""

@@ -7,8 +7,10 @@ from scipy.spatial import KDTree
 from palmfield.acoustics import check
 from palmfield.acoustics.air import density, sound_speed
 from palmfield.acoustics.derived import angular_frequency
+from palmfield.acoustics.nonlinear import arp_left, beam_steepening, steepening
+from palmfield.acoustics.reference import pressure64
 from palmfield.errors import PalmfieldError
-from palmfield.types import Air, Array
+from palmfield.types import Air, Array, Float
 
 AMPLITUDE_ERROR = 0.45
 """Largest error of a piston's far field times (d/b)^2, over angles to 85 degrees and for k b up to 3.3, the usual
@@ -18,14 +20,11 @@ weak."""
 FAR_FIELD_ERROR = 0.01
 """Error of one transducer's amplitude from which `warnings` speaks."""
 
-SHOCK_SHARE = 0.3
-"""Focal distance over shock distance from which harmonics take a noticeable part of the sound."""
+ARP_LOSS = 0.01
+"""Share of the ARP behind a shock from which `warnings` speaks."""
 
 SATURATION_Pa = 500.0
 """Radiation pressure at which focused devices saturate, about 50 mN/cm2."""
-
-NONLINEARITY = 1.2
-"""1 + B/2A of air."""
 
 
 class PalmfieldWarning(UserWarning):
@@ -52,18 +51,6 @@ def far_field_m(array: Array, error: float = FAR_FIELD_ERROR) -> float:
     if not 0.0 < error <= 0.1:
         raise PalmfieldError(f"error = {error:g} of the far field; allowed: more than 0, at most 0.1")
     return float(array.piston_radius_m * np.sqrt(AMPLITUDE_ERROR / error))
-
-
-def shock_distance_m(pressure_Pa: float, air: Air, frequency_Hz: float) -> float:
-    """Distance rho c^3/(1.2 w |p|) [m] after which a plane wave of this peak pressure has a shock; inf in silence.
-
-    Blackstock, Fundamentals of Physical Acoustics, 2000. A focused beam is that loud near its focus only, so its
-    waves steepen less than this says. Raises PalmfieldError for a pressure that is not finite.
-    """
-    if not np.isfinite(pressure_Pa):
-        raise PalmfieldError(f"pressure_Pa = {pressure_Pa} is not finite: give a peak pressure")
-    steepening = NONLINEARITY * angular_frequency(frequency_Hz) * abs(pressure_Pa)
-    return density(air) * sound_speed(air) ** 3 / steepening if steepening > 0.0 else np.inf
 
 
 def radiation_pressure_Pa(pressure_Pa: float, air: Air) -> float:
@@ -112,11 +99,16 @@ def _too_near(array: Array, points: np.ndarray) -> list[str]:
 def _too_loud(array: Array, point: np.ndarray, peak: float, air: Air) -> list[str]:
     distance = np.linalg.norm(array.positions - point, axis=1)
     messages = []
-    share = float(distance.mean()) / shock_distance_m(peak, air, array.frequency_Hz)
-    if share > SHOCK_SHARE:
+    sigma = steepening([peak, peak], float(distance.mean()), air, array.frequency_Hz)
+    if sigma > 1.0:  # as loud all the way: a focused beam steepens less
+        wavenumber = angular_frequency(array.frequency_Hz) / sound_speed(air)
+        drive = np.exp(-1j * wavenumber * distance)
+        loud = float(np.abs(pressure64(point[None], array, drive, air)[0][0]))
+        sigma = beam_steepening(array, drive, point, air) * peak / loud if loud > 0.0 else 0.0
+    if arp_left(sigma) < 1.0 - ARP_LOSS:
         messages.append(
-            f"focal distance / shock distance is {share:.2f} at {peak:.0f} Pa: beyond {SHOCK_SHARE:g} sound turns into "
-            "harmonics and heat, expect less than this linear field gives"
+            f"sigma is {sigma:.2f} along a beam that is focused at {peak:.0f} Pa: it runs into a shock, behind which "
+            f"{100 * (1 - arp_left(sigma)):.0f} % of the ARP are lost that this linear field gives"
         )
     load = radiation_pressure_Pa(peak, air)
     if load > SATURATION_Pa:
@@ -137,3 +129,24 @@ def _too_loud(array: Array, point: np.ndarray, peak: float, air: Air) -> list[st
             f"{peak:.0f} Pa is more than the air's own pressure of {air.pressure_Pa:.0f} Pa: no sound wave can have it"
         )
     return messages
+
+
+def least_radius_m(points: Float, at: Float, reach_m: float) -> float | None:
+    """Least radius of curvature [m] of a surface near a point: of the paraboloid through its points; inf if it is flat.
+
+    points: of the surface [m], shape (n, 3); at: shape (3,); reach_m: how far round the surface's nearest point
+    None where that is further than twice as far away, and for fewer than six points there.
+    """
+    distance = np.linalg.norm(points - at, axis=1)
+    nearest = points[int(np.argmin(distance))]
+    near = points[np.linalg.norm(points - nearest, axis=1) < reach_m]
+    if distance.min() > 2.0 * reach_m or len(near) < 6:
+        return None
+    axes = np.linalg.svd(near - near.mean(axis=0), full_matrices=False)[2]
+    u, v, height = axes @ (near - nearest).T
+    terms = np.stack([np.ones_like(u), u, v, u**2, u * v, v**2], axis=1)
+    _, slope_u, slope_v, uu, uv, vv = np.linalg.lstsq(terms, height)[0]
+    first = np.array([[1.0 + slope_u**2, slope_u * slope_v], [slope_u * slope_v, 1.0 + slope_v**2]])
+    second = np.array([[2.0 * uu, uv], [uv, 2.0 * vv]]) / np.sqrt(1.0 + slope_u**2 + slope_v**2)
+    most = float(np.abs(np.linalg.eigvals(np.linalg.solve(first, second))).max())
+    return 1.0 / most if most > 0.0 else float("inf")

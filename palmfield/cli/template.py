@@ -33,7 +33,6 @@ HAPTIC = """<!-- {name}: run with `palmfield run {name}.xml`, or watch with `pyt
     <plugin plugin="palmfield.array">
       <instance name="array">
         <!-- Peak pressure of one transducer at 1 m. Calibrate it: published values differ by a factor of 6. -->
-        <config key="p0_Pa_m" value="2.53"/>
       </instance>
     </plugin>
     <plugin plugin="palmfield.stimulus">

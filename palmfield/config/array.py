@@ -8,8 +8,8 @@ from palmfield.config.base import Config, Numbers, Positive
 from palmfield.types import AIR_LIMITS
 
 Layout = Literal[
-    "uhev1", "sonicsurface", "autd2018", "autd2018_2x2", "autd3", "autd3_2x2", "two_bow_as_printed",
-    "two_bow_corrected", "sites",
+    "uhev1", "sonicsurface", "autd2018", "autd2018_2x2", "autd3", "autd3_2x2", "autd3_3x2", "autd3_4x2",
+    "two_bow_as_printed", "two_bow_corrected", "stratos_explore", "sites", "csv",
 ]  # fmt: skip
 
 
@@ -23,16 +23,22 @@ class ArrayConfig(Config):
     about: ClassVar[str] = "A transducer array and the air around it. Its frame is that of a site."
     renamed: ClassVar[dict[str, str]] = {"compute": "the scene's palmfield_device text"}
 
-    layout: Layout = Field("uhev1", description="arrangement of the transducers (docs/arrays.md), or `sites`")
+    layout: Layout = Field("uhev1", description="arrangement of the transducers (docs/arrays.md), `sites`, or `csv`")
     sites: str | None = Field(
         None, description="layout sites: each site whose name begins with this is a transducer, emitting along its z"
     )
-    site: str = Field("array", description="site whose frame is the array frame: z points out of the emitting face")
-    p0_Pa_m: Positive = Field(
-        2.53, description="peak pressure of one transducer at 1 m at full drive; a calibration (published: 1.27-8.02)"
+    transducers: str | None = Field(
+        None, description="layout csv: CSV file of the transducers' places (docs/arrays.md)"
     )
-    p0_low_Pa_m: Positive | None = Field(None, description="lower end of p0, for an uncertainty band")
-    p0_high_Pa_m: Positive | None = Field(None, description="upper end of p0, for an uncertainty band")
+    site: str = Field("array", description="site whose frame is the array frame: z points out of the emitting face")
+    calibration: str | None = Field(
+        None, description="TOML file of a laboratory's calibration: p0 and quality with their ranges (docs/arrays.md)"
+    )
+    p0_Pa_m: Positive | None = Field(
+        None, description="peak pressure of one transducer at 1 m at full drive (default: the layout's, docs/arrays.md)"
+    )
+    p0_low_Pa_m: Positive | None = Field(None, description="lower end of the range of key p0_Pa_m")
+    p0_high_Pa_m: Positive | None = Field(None, description="upper end of the range of key p0_Pa_m")
     directivity: Literal["layout", "point", "piston", "t4010a1"] = Field(
         "layout", description="sound off a transducer's axis: the layout's own, none, a baffled piston, or as measured"
     )
@@ -42,7 +48,9 @@ class ArrayConfig(Config):
     dead: Numbers = Field((), description="transducers that emit nothing, counted from 0 in the layout's order")
     inverted: Numbers = Field((), description="transducers wired the other way round")
     resonance_Hz: Annotated[float, Field(ge=20e3, le=80e3)] = Field(40e3, description="resonance of the transducers")
-    quality: Annotated[float, Field(ge=1, le=1000)] = Field(25.0, description="quality of that resonance")
+    quality: Annotated[float, Field(ge=1, le=1000)] | None = Field(
+        None, description="quality of that resonance (default: the layout's, 25)"
+    )
     response: Literal["auto", "on", "off"] = Field(
         "auto", description="ring-up and flight time of the sound; auto drops them where their bound allows"
     )
@@ -55,10 +63,18 @@ class ArrayConfig(Config):
 
     @model_validator(mode="after")
     def _range(self) -> Self:
-        if (self.p0_low_Pa_m is None) != (self.p0_high_Pa_m is None):
+        low, high = self.p0_low_Pa_m, self.p0_high_Pa_m
+        if (low is None) != (high is None):
             raise ValueError("p0_low_Pa_m and p0_high_Pa_m belong together; give both or neither")
-        if self.p0_low_Pa_m is not None and not self.p0_low_Pa_m <= self.p0_Pa_m <= (self.p0_high_Pa_m or 0):
-            raise ValueError("p0_low_Pa_m <= p0_Pa_m <= p0_high_Pa_m is needed")
+        if low is not None and high is not None:
+            if self.p0_Pa_m is None:
+                raise ValueError("p0_low_Pa_m and p0_high_Pa_m are the range of key p0_Pa_m; give it too")
+            if not low <= self.p0_Pa_m <= high:
+                raise ValueError("p0_low_Pa_m <= p0_Pa_m <= p0_high_Pa_m is needed")
+        if self.calibration is not None and (self.p0_Pa_m is not None or self.quality is not None):
+            raise ValueError("calibration says p0 and quality; drop keys p0_Pa_m and quality, or calibration")
+        if (self.layout == "csv") != (self.transducers is not None):
+            raise ValueError("layout 'csv' needs transducers, and transducers needs layout 'csv'")
         if (self.layout == "sites") != (self.sites is not None):
             raise ValueError("layout 'sites' needs sites, and sites needs layout 'sites'")
         return self

@@ -13,7 +13,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from palmfield.config import ArrayConfig, StimulusConfig
+from palmfield.acoustics.phased_array import ArrayInstance
+from palmfield.config import StimulusConfig
 from palmfield.drive.array_drive import ArrayDrive, UnitDrive
 from palmfield.drive.response import Pole, pole_weights
 from palmfield.drive.response_error import ResponseError, response_errors, shares
@@ -94,19 +95,19 @@ def transducer_response(
     stimulus: StimulusConfig,
     drive: ArrayDrive,
     focal_points: FocalPoints,
-    configs: Sequence[ArrayConfig],
+    instances: Sequence[ArrayInstance],
     accuracy: float,
     *,
     spread: bool = True,
 ) -> TransducerResponse:
     """Decide what to model. ARP goes with the square of the pressure, so `auto` allows a quarter of the accuracy.
 
-    focal_points: where the stimulus's points are in the reference pose; configs: of the arrays, as `drive.array.parts`
-    accuracy: asked of the skin's displacement, relative; spread: whether flight times may differ
+    focal_points: where the stimulus's points are in the reference pose; accuracy: asked of the skin's
+    displacement, relative; instances: of the arrays, as `drive.array.parts`; spread: whether flight times may differ
     """
     counts = [len(part) for part in drive.array.parts]
-    f0 = np.repeat([config.resonance_Hz for config in configs], counts)
-    quality = np.repeat([config.quality for config in configs], counts)
+    f0 = np.repeat([one.config.resonance_Hz for one in instances], counts)
+    quality = np.repeat([one.quality.value for one in instances], counts)
     pole = Pole(f0, quality, drive.array.array.frequency_Hz)
     focus = np.atleast_2d(focal_points.at(first_point(stimulus)))[0]
     chosen, gain = drive.chosen, drive.array.array.gain
@@ -118,7 +119,7 @@ def transducer_response(
         stimulus, focal_points.along, drive.focusing, weights, pole.rate[chosen], times
     )
     owners = np.repeat(np.arange(len(counts)), counts)[chosen]
-    switches = {configs[i].response for i in np.unique(owners)}
+    switches = {instances[i].config.response for i in np.unique(owners)}
     on = "on" in switches or ("auto" in switches and ring_up.rms + flight_time.rms > 0.25 * accuracy)
     delayed = on and spread and flight_time.rms > 0.25 * accuracy
     delays = flight_delays(drive, focus) if delayed else np.zeros(len(f0))

@@ -20,7 +20,7 @@ from palmfield.motion.joints import (
     joints_at,
 )
 from palmfield.motion.pose import Motion
-from palmfield.motion.trajectory import read_table, write_table
+from palmfield.tables import read_table, write_table
 from palmfield.types import Float, Int
 
 PARTS = ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz", "radius_m", "flags")

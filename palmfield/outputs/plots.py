@@ -1,5 +1,7 @@
 """Figures of a run: pressure on each skin, and its motion in time and frequency."""
 
+import json
+import textwrap
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -9,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
 
 from palmfield.errors import OutputError
+from palmfield.outputs.budget_text import in_a_line
 from palmfield.outputs.frames import Loudest, foci_at, in_world, loudest, nearest, pose_at, to_local
 from palmfield.outputs.motion import at_vertices, extremes
 from palmfield.outputs.schema import has_records, instances
@@ -76,9 +79,12 @@ def plot_displacement(result: xr.DataTree, path: Path) -> None:
         raise OutputError("the result holds no displacement; run at least one step with the skin first")
     with style():
         figure = Figure(figsize=(8.0 * len(skins), 6.0), dpi=DPI, layout="constrained")
+        budgets = json.loads(result.attrs.get("error_budget", "{}"))
         columns: list[Any] = [figure] if len(skins) == 1 else list(figure.subfigures(1, len(skins), squeeze=False)[0])
         for column, (name, skin) in zip(columns, skins.items(), strict=True):
             _draw_motion(column, skin, f" '{name}'" if len(skins) > 1 else "")
+            if worth := in_a_line(budgets.get(name)):
+                column.suptitle(textwrap.fill(worth, 110), fontsize=8, color="#555555")
         save(figure, path, DPI)
 
 

@@ -18,35 +18,39 @@ More = Mapping[str, Mapping[str, Any]]
 
 
 def summary(
-    result: xr.DataTree, extra: Mapping[str, Any], skins: More | None = None, stimuli: More | None = None
+    result: xr.DataTree,
+    extra: Mapping[str, Any],
+    skins: More | None = None,
+    stimuli: More | None = None,
+    arrays: More | None = None,
 ) -> dict[str, Any]:
     """Numbers of a result, units in the names; what a run cut off early lacks is left out.
 
     result: of `open_result` or `tree`; extra: further entries, which come last
-    skins, stimuli: further entries of their elements in the lists, by instance name
+    skins, stimuli, arrays: further entries of their elements in the lists, by instance name
 
     `skins` is a list, one element a skin (`skin_numbers`); `arrays` and `stimuli` likewise. The largest of PEAKS over
     all skins and the sound level of the largest pressure stand beside the lists.
     """
-    more_skins, more_stimuli = skins or {}, stimuli or {}
+    more_skins, more_stimuli, more_arrays = skins or {}, stimuli or {}, arrays or {}
     surfaces, forces = instances(result, "surface"), instances(result, "forces")
     listed = [
         {"name": name, **skin_numbers(skin, surfaces.get(name), forces.get(name)), **more_skins.get(name, {})}
         for name, skin in instances(result, "skin").items()
     ]
-    arrays = [
-        {"name": name, "transducers": int(array.sizes.get("transducer", 0))}
+    listed_arrays = [
+        {"name": name, "transducers": int(array.sizes.get("transducer", 0)), **more_arrays.get(name, {})}
         for name, array in instances(result, "array").items()
     ]
     out: dict[str, Any] = {
         "schema_version": SCHEMA_VERSION,
         "skins": listed,
-        "arrays": arrays,
+        "arrays": listed_arrays,
         "stimuli": [
             {"name": name, "focal_points": int(stimulus.sizes.get("focus", 0)), **more_stimuli.get(name, {})}
             for name, stimulus in instances(result, "stimulus").items()
         ],
-        "transducers": sum(array["transducers"] for array in arrays),
+        "transducers": sum(array["transducers"] for array in listed_arrays),
         "drive_frames": int(result.sizes.get("frame_time", 0)),
         "skin_steps": int(result.sizes.get("time", 0)),
         "steps": int(result.sizes.get("step_time", 0)),
@@ -69,7 +73,8 @@ def skin_numbers(skin: xr.Dataset, surface: xr.Dataset | None, forces: xr.Datase
     skin, surface, forces: the groups of its name. peak_pressure_Pa is the largest pressure amplitude (peak, not rms) on
     its body's surface or on the skin at the loudest instant; peak_pressure_dB_SPL is its rms level over 20 µPa, None in
     silence. Displacement and velocity are those along the outward normal; rms_displacement_m (and ..._without_dc_m) are
-    over time at the vertex that moves most. total_force_mean_N is the mean vector in the world.
+    over time at the vertex that moves most; displacement_per_arp_m_Pa is the largest of the first over that of the ARP,
+    and doesn't depend on how loud the transducers are. total_force_mean_N is the mean vector in the world.
     """
     out: dict[str, Any] = {"vertices": int(skin.sizes.get("vertex", 0))}
     meshes = [mesh for mesh in (surface, skin) if mesh is not None]
@@ -91,6 +96,8 @@ def skin_numbers(skin: xr.Dataset, surface: xr.Dataset | None, forces: xr.Datase
         vertex = int(motion.peak.argmax())
         mean, square = float(motion.mean[vertex]), float(motion.mean_square[vertex])
         out["peak_displacement_m"] = float(motion.peak[vertex])
+        if out.get("peak_arp_Pa", 0.0) > 0.0:
+            out["displacement_per_arp_m_Pa"] = out["peak_displacement_m"] / out["peak_arp_Pa"]
         out["peak_displacement_time_s"] = float(skin["time"].values[motion.when[vertex]])
         out["peak_displacement_vertex"] = vertex
         out["rms_displacement_m"] = math.sqrt(square)

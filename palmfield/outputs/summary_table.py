@@ -1,37 +1,39 @@
 """The short table that `palmfield run` prints at its end."""
 
 import io
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
+from palmfield.outputs.budget_text import Row, budget_rows
 from palmfield.perception.observers import OBSERVERS
 
 WIDTH = 110
-Row = tuple[str, str]
 
 
 def format_summary(summary: Mapping[str, Any]) -> str:
     """The table of a run's numbers: the drive, a block a skin, and what the run took.
 
     summary: of `palmfield.outputs.summary.summary`. Further entries of a skin that are told where they are there:
-    dofs, solver, accuracy_wanted_relative; displacement_error_relative with mesh_, step_, reduction_ and
+    dofs, solver, accuracy_wanted_relative; p0_band_low and _high (factors on its motion) with
+    peak_displacement_low_m and _high_m; displacement_error_relative with mesh_, step_, reduction_ and
     edge_error_relative, or displacement_error_missing (a reason); of modes reduction_velocity_error_relative;
-    peak_displacement_low_m and _high_m; main_frequency_Hz and level_OBSERVER_dB_SL. Of a stimulus: drive_level. Of the
-    run: wall_time_s, peak_memory_MiB.
+    main_frequency_Hz and level_OBSERVER_dB_SL. Of a stimulus: drive_level. Of an
+    array: p0_Pa_m, p0_low_Pa_m, p0_high_Pa_m, p0_kind, calibrated. Of the run: wall_time_s, peak_memory_MiB.
     """
     skins, stimuli = summary["skins"], summary["stimuli"]
     drives = [
         ("drive" if len(stimuli) == 1 else f"drive, {one['name']}", f"{one['drive_level']:.3f} of full")
         for one in stimuli
         if "drive_level" in one
-    ]
-    level = max((one.get("drive_level", 0.0) for one in stimuli), default=0.0)
+    ] + array_rows(summary["arrays"])
+    running = max((one.get("drive_level", 0.0) for one in stimuli), default=0.0)
     grid = Table(show_header=False)
     for number, skin in enumerate(skins):
-        sound, motion = _sound(skin, level), _motion(skin)
+        sound, motion = _sound(skin, running), _motion(skin)
         # With one skin, sound, drive and motion stand in the order in which one follows from the other.
         rows = sound + drives + motion if len(skins) == 1 else [("SKIN", skin["name"]), *sound, *motion]
         if number == 0 and len(skins) > 1:
@@ -51,57 +53,96 @@ def format_summary(summary: Mapping[str, Any]) -> str:
 def _sound(skin: Mapping[str, Any], drive_level: float) -> list[Row]:
     """drive_level: highest of all stimuli, relative to full"""
     rows: list[Row] = []
+    level, of_pressure = level_band(skin), level_band(skin) / 2.0
     if "peak_pressure_Pa" in skin and skin["peak_pressure_dB_SPL"] is not None:
-        rows.append(
-            ("peak sound pressure", f"{skin['peak_pressure_Pa']:.0f} Pa ({skin['peak_pressure_dB_SPL']:.1f} dB SPL)")
-        )
+        loud = f"{skin['peak_pressure_dB_SPL']:.{0 if level > COARSE else 1}f} dB SPL"
+        rows.append(("peak sound pressure", f"{figures(skin['peak_pressure_Pa'], of_pressure)} Pa ({loud})"))
     elif "peak_pressure_Pa" in skin:
         runs = f"no sound pushes this skin, though the array runs, at {drive_level:.3f} of full: see plan"
         rows.append(("peak sound pressure", runs if drive_level > 0.0 else "0 Pa (silence: the array doesn't run)"))
     if "peak_arp_Pa" in skin:
-        rows.append(("peak ARP", f"{skin['peak_arp_Pa']:.3g} Pa"))
+        rows.append(("peak ARP", f"{figures(skin['peak_arp_Pa'], level)} Pa"))
     if "total_force_peak_N" in skin:
-        rows.append(("total force", f"{1e3 * skin['total_force_peak_N']:.3g} mN"))
+        rows.append(("total force", f"{figures(1e3 * skin['total_force_peak_N'], level)} mN"))
     return rows
+
+
+COARSE = 0.05
+"""Relative band above which a number is told by two digits."""
+
+
+def figures(value: float, band: float) -> str:
+    """A number with no more digits than its relative band leaves: 2 above 5 %, 3 above 0.5 %, else 4."""
+    digits = 2 if band > COARSE else 3 if band > COARSE / 10 else 4
+    text = f"{value:.{digits}g}"
+    return f"{float(text):.0f}" if "e" in text and abs(value) < 1e6 and value else text
+
+
+def level_band(skin: Mapping[str, Any]) -> float:
+    """How far p0 leaves a skin's ARP and motion open, relative: half of the range; 0 where the scene sets the level."""
+    if "p0_band_low" not in skin:
+        return 0.0
+    return float(skin["p0_band_high"] - skin["p0_band_low"]) / 2.0
+
+
+def array_rows(arrays: Sequence[Mapping[str, Any]]) -> list[Row]:
+    """What is known of how loud the arrays' transducers are: one row for each number that they have."""
+    rows: dict[str, list[str]] = {}
+    for array in arrays:
+        if "p0_Pa_m" in array:
+            low, high = array["p0_low_Pa_m"], array["p0_high_Pa_m"]
+            known = f"{array['p0_kind']}, {array['p0_Pa_m']:g} Pa m ({low:g} to {high:g})"
+            text = f"calibrated: {known}" if array["calibrated"] else f"uncalibrated: {known}"
+            rows.setdefault(text, []).append(array["name"])
+    return [("p0" if len(rows) == 1 else f"p0, {', '.join(names)}", text) for text, names in rows.items()]
 
 
 def _motion(skin: Mapping[str, Any]) -> list[Row]:
     error = skin.get("displacement_error_relative")
-    band = "" if error is None else f" +- {100 * error:.1f} %"
+    numerical = "" if error is None else f" (numerical {100 * error:.1f} %)"
+    band = max(level_band(skin), error or 0.0)
     rows: list[Row] = []
     if "solver" in skin:
         unknowns = f"{skin['dofs']} unknowns, " if "dofs" in skin else ""
         rows.append(("skin", f"{unknowns}solver {skin['solver']}"))
+    if "displacement_per_arp_m_Pa" in skin:
+        per_pascal = figures(1e6 * skin["displacement_per_arp_m_Pa"], error or COARSE)
+        rows.append(("peak skin displacement per ARP", f"{per_pascal} um/Pa{numerical}"))
     if "peak_displacement_m" in skin:
-        rows.append(("peak skin displacement", f"{1e6 * skin['peak_displacement_m']:.3g} um{band}"))
-        without = f"({1e6 * skin['rms_displacement_without_dc_m']:.3g} um without the mean)"
-        rows.append(("rms skin displacement", f"{1e6 * skin['rms_displacement_m']:.3g} um{band} {without}"))
+        load = f" for {figures(skin['peak_arp_Pa'], level_band(skin))} Pa" if "peak_arp_Pa" in skin else ""
+        peak = figures(1e6 * skin["peak_displacement_m"], band)
+        rows.append(("peak skin displacement", f"{peak} um{load}{numerical}{_for_p0(skin)}"))
+        without = f"({figures(1e6 * skin['rms_displacement_without_dc_m'], band)} um without the mean)"
+        rows.append(("rms skin displacement", f"{figures(1e6 * skin['rms_displacement_m'], band)} um {without}"))
     if error is not None:
-        velocity = skin.get("reduction_velocity_error_relative")
-        of_velocity = "" if velocity is None else f" ({100 * velocity:.2g} % of the velocity)"
-        rows.append(
-            (
-                "error estimate",
-                f"mesh {100 * skin['mesh_error_relative']:.2f} %, "
-                f"time step {100 * skin['step_error_relative']:.2f} %, "
-                f"reduction {100 * skin['reduction_error_relative']:.2f} %{of_velocity}, "
-                f"cut edge {100 * skin['edge_error_relative']:.2f} %; material and p0 not included (see plan)",
-            )
-        )
+        rows += budget_rows(skin)
         requested = skin.get("accuracy_wanted_relative")
         if requested is not None and error > requested:
             rows.append(("accuracy", f"NOT reached: {100 * requested:g} % wanted; {advice(skin)}"))
     if "displacement_error_missing" in skin:
         rows.append(("error estimate", f"none: {skin['displacement_error_missing']}"))
-    if "peak_displacement_low_m" in skin:
-        low, high = skin["peak_displacement_low_m"], skin["peak_displacement_high_m"]
-        rows.append(("peak for the p0 range", f"{1e6 * low:.3g} to {1e6 * high:.3g} um"))
     for number, name in enumerate(OBSERVERS, start=1):
         key = f"level_{name}_dB_SL"
         if key in skin:
-            felt = "outside the table of" if skin[key] is None else f"{skin[key]:.1f} dB SL,"
+            felt = "outside the table of" if skin[key] is None else f"{_level(skin, skin[key])},"
             rows.append((f"level at {skin['main_frequency_Hz']:g} Hz", f"{felt} observer {number} ({name})"))
     return rows
+
+
+def _level(skin: Mapping[str, Any], level: float) -> str:
+    """A felt level, and its range over that of p0."""
+    if not level_band(skin):
+        return f"{level:.1f} dB SL"
+    low, high = (level + 20.0 * math.log10(skin[f"p0_band_{end}"]) for end in ("low", "high"))
+    return f"{level:.0f} dB SL ({low:.0f} to {high:.0f} for the range of p0)"
+
+
+def _for_p0(skin: Mapping[str, Any]) -> str:
+    """The range of a skin's motion over that of p0, in words; nothing where p0 doesn't set the level."""
+    if "peak_displacement_low_m" not in skin:
+        return ""
+    low, high = (figures(1e6 * skin[f"peak_displacement_{end}_m"], 1.0) for end in ("low", "high"))
+    return f"; for the range of p0 {low} to {high} um"
 
 
 def advice(skin: Mapping[str, Any]) -> str:

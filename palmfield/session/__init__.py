@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from palmfield.session.run import Result
     from palmfield.session.simulation import Simulation
     from palmfield.session.skin import Skin
-    from palmfield.session.summary import felt_levels, scene_numbers, skin_numbers, stimulus_numbers
+    from palmfield.session.summary import array_numbers, felt_levels, scene_numbers, skin_numbers, stimulus_numbers
     from palmfield.session.worlds import Worlds, WorldsSkin
 
 _WHERE = {
@@ -37,7 +37,7 @@ _WHERE = {
     "Result": "run",
     "Simulation": "simulation",
     "Skin": "skin",
-    **dict.fromkeys(("felt_levels", "scene_numbers", "skin_numbers", "stimulus_numbers"), "summary"),
+    **dict.fromkeys(("array_numbers", "felt_levels", "scene_numbers", "skin_numbers", "stimulus_numbers"), "summary"),
     **dict.fromkeys(("Worlds", "WorldsSkin"), "worlds"),
 }
 __all__ = [
@@ -51,6 +51,7 @@ __all__ = [
     "Skin",
     "Worlds",
     "WorldsSkin",
+    "array_numbers",
     "compiled",
     "error_estimate",
     "felt_levels",

@@ -7,7 +7,7 @@ not in these; the plan names them.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -16,20 +16,24 @@ from palmfield.config.skin import EXPLICIT
 from palmfield.errors import SceneError
 from palmfield.simulation.build import nearest_stimulus
 from palmfield.simulation.emission import array_drives
-from palmfield.simulation.model import HapticModel, SkinModel
+from palmfield.simulation.model import HapticModel, SkinModel, array_instances
 from palmfield.simulation.posed_scene import PosedScene, PosedSkin, PosedSurface
 from palmfield.simulation.radiation import Radiation
 from palmfield.skin.approximation.estimate import ORDER, mesh_error
 from palmfield.skin.fem.influence import harmonic_influence, static_influence
+from palmfield.skin.from_config import softest_and_stiffest_sheets
+from palmfield.skin.problem import Sheet
 from palmfield.skin.reduction.modal_stepper import ModalStepper
 from palmfield.skin.reduction.reduced_stepper import ReducedStepper
 from palmfield.skin.scene_layer import SceneLayer
 from palmfield.skin.stepper import SkinStepper
 from palmfield.stimulus.schedule import frame_at
 from palmfield.threads import cores, share
-from palmfield.types import Complex, Float
+from palmfield.types import Complex, Estimate, Float
 
 T = TypeVar("T")
+Ends: TypeAlias = tuple[tuple[Sheet, ...], tuple[Sheet, ...]]
+"""A layer's sheets with the ranges of their materials at the low ends, and at the high ends."""
 
 RATIO = 1.25
 """Element sizes of the two meshes that are compared."""
@@ -39,8 +43,6 @@ MOST_AT_ONCE = 2
 """Matrices that are factorised side by side: each factor of a palm takes a third of a gigabyte."""
 LAYERS = 3
 """A coarser mesh must keep two rows of elements: one alone is off by 20 %."""
-PUBLISHED_P0_Pa_m = (1.27, 8.02)
-"""Of transducers of 10 mm at 40 kHz, see `palmfield.acoustics.placement`."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +59,18 @@ class LoudestMoment:
     factor: float
 
 
+@dataclass(frozen=True)
+class Course:
+    """How a skin was stepped in a run.
+
+    left_small_model: whether the run went on from a small model or modes to the whole layer
+    outside_class: what of the loads lay outside the class that the modes serve, in the energy norm
+    """
+
+    left_small_model: bool
+    outside_class: float = 0.0
+
+
 # -- error of the displacement -------------------------------------------------------------------------------------
 
 
@@ -70,15 +84,14 @@ def error_estimate(
     skin: int,
     loudest: LoudestMoment,
     radiation: Radiation,
+    course: Course,
     *,
-    left_small_model: bool,
-    outside_class: float = 0.0,
+    materials: bool = True,
 ) -> dict[str, float]:
     """Relative error of a skin's displacement at its point nearest to the focus, by source.
 
     radiation: of the model; its solution by boundary elements for that moment serves again
-    left_small_model: whether the run went on from a small model or modes to the whole layer
-    outside_class: what of the loads lay outside the class that the modes serve, in the energy norm
+    materials: whether other materials are solved for as well
 
     mesh: of a solver of EXPLICIT its own estimate, of its elements or particles, and of its steps. Else the static and
         harmonic response on the scene's mesh and on one RATIO finer (or coarser, for more than
@@ -91,6 +104,8 @@ def error_estimate(
     reduction: of a small model: its own estimate, or, where it is made for any course of the load, the difference from
         the whole layer's static and harmonic response on the scene's mesh, if that is larger; of modes the same, and
         what of the run's loads lay outside their class; 0 without either
+    material_band_low, _high: factors on the displacement where all ranges of the layer's materials are at their stiff,
+        and at their soft ends; missing where no range is known
     edge: half the difference that fixed or free cut faces make to the harmonic response, also there: a layer on a hand
         ends where the body goes on; 0 for a disc, whose side is its own
 
@@ -101,14 +116,16 @@ def error_estimate(
     small = stepper if isinstance(stepper, ReducedStepper | ModalStepper) else None
     sound, point = _Sound(model, skin, loudest, radiation), _under_focus(model, skin, loudest)
     finer = compares_with_finer(layer, layer.system.ndof)
+    ends = softest_and_stiffest_sheets(layer.config) if materials else None
 
     def make() -> cache.Arrays:
         if stepper.name in EXPLICIT:
-            return {name: np.array(value) for name, value in _explicit_estimate(layer, stepper, sound, point).items()}
+            result = _explicit_estimate(layer, stepper, sound, point, ends)
+            return {name: np.array(value) for name, value in result.items()}
         try:
-            result = _estimate(layer, small, sound, point, finer, left_small_model)
+            result = _estimate(layer, small, sound, point, finer, course.left_small_model, ends)
         except SceneError:
-            result = _estimate(layer, small, sound, point, not finer, left_small_model)
+            result = _estimate(layer, small, sound, point, not finer, course.left_small_model, ends)
         return {name: np.array(value) for name, value in result.items()}
 
     posed, system = loudest.posed, layer.system
@@ -118,11 +135,20 @@ def error_estimate(
         system.made_of,
         [(body.vertices_in_array, body.faces) for body in posed.bodies],
         *(place.obstacle_positions, place.obstacle_rotations),
-        *(loudest.drive, loudest.factor, sound.on_own, point, layer.demand, layer.sizes, left_small_model),
+        *(
+            loudest.drive,
+            loudest.factor,
+            sound.on_own,
+            point,
+            layer.demand,
+            layer.sizes,
+            course.left_small_model,
+            materials,
+        ),
         None if small is None else _numbers_of(small),
     )
     result = {name: float(value) for name, value in cache.kept("error-estimate", depends_on, make).items()}
-    result["reduction_error_relative"] = math.hypot(result["reduction_error_relative"], outside_class)
+    result["reduction_error_relative"] = math.hypot(result["reduction_error_relative"], course.outside_class)
     sources = [result[f"{name}_error_relative"] for name in ("mesh", "step", "reduction", "edge")]
     return result | {"displacement_error_relative": math.hypot(*sources)}
 
@@ -143,10 +169,14 @@ class _Response:
         scheme of the whole layer; scheme_too: whether the last is wanted
     """
 
-    def __init__(self, layer: SceneLayer, sound: "_Sound", point: Float, *, scheme_too: bool = False):
+    def __init__(self, layer: SceneLayer, pressure: Float, point: Float, *, scheme_too: bool = False):
         self.layer, self.point, self.scheme_too = layer, point, scheme_too
-        self.pressure = sound.on(layer)
+        self.pressure = pressure
         self.static, self.harmonic, self.scheme = 0.0, 0j, 0j
+
+    def of(self, layer: SceneLayer) -> "_Response":
+        """The response of another layer on the same mesh."""
+        return _Response(layer, self.pressure, self.point)
 
     def rest(self) -> None:
         self.static = float(static_influence(self.layer.system, self.layer.quadrature, self.point) @ self.pressure)
@@ -213,15 +243,24 @@ def _estimate(
     point: Float,
     finer: bool,
     left_small_model: bool,
+    materials: Ends | None,
 ) -> dict[str, float]:
     frequency, step_s = layer.demand.main_frequency_Hz, layer.sizes.step_s
     low, high = (layer, layer.resized(1 / RATIO)) if finer else (layer.resized(RATIO), layer)
     exact_in_time = isinstance(small, ReducedStepper) and not left_small_model
-    coarse = _Response(low, sound, point, scheme_too=not exact_in_time)
-    fine = _Response(high, sound, point)
+    coarse = _Response(low, sound.on(low), point, scheme_too=not exact_in_time)
+    fine = _Response(high, sound.on(high), point)
     cut = _other_sides(low, sound, point)
+    ends = _other_materials(coarse, materials)
     # The dearest first, so that the cheaper ones fill the time beside it
-    _side_by_side(fine.swing, coarse.swing, *(other.swing for other in cut), fine.rest, coarse.rest)
+    _side_by_side(
+        fine.swing,
+        coarse.swing,
+        *(other.swing for other in (*cut, *ends)),
+        fine.rest,
+        coarse.rest,
+        *(other.rest for other in ends),
+    )
     mesh = mesh_error(np.array([coarse.static, coarse.harmonic]), np.array([fine.static, fine.harmonic]), RATIO)
     if finer:
         mesh *= RATIO**ORDER
@@ -238,19 +277,21 @@ def _estimate(
             reduced = [small.harmonic(pressure, f, read)[0] for f in (0.0, frequency)]
             references = own.static, own.harmonic
             reduction = max(reduction, *(abs(a - b) / abs(b) for a, b in zip(reduced, references, strict=True)))
-    return _as_numbers(mesh, step, reduction, _edge_error(coarse, cut))
+    return _as_numbers(mesh, step, reduction, _edge_error(coarse, cut)) | _material_band(coarse, ends)
 
 
-def _explicit_estimate(layer: SceneLayer, stepper: SkinStepper, sound: _Sound, point: Float) -> dict[str, float]:
+def _explicit_estimate(
+    layer: SceneLayer, stepper: SkinStepper, sound: _Sound, point: Float, materials: Ends | None
+) -> dict[str, float]:
     """Of a solver with a mesh of its own: the cut edge is that of the scene's layer, by its wedges."""
     frequency = layer.demand.main_frequency_Hz
     step = 1.0 - float(np.sinc(frequency * layer.sizes.step_s)) ** 2
-    edge, cut = 0.0, _other_sides(layer, sound, point)
-    if cut:
-        own = _Response(layer, sound, point)
-        _side_by_side(own.swing, *(other.swing for other in cut))
+    own = _Response(layer, sound.on(layer), point)
+    edge, cut, ends = 0.0, _other_sides(layer, sound, point), _other_materials(own, materials)
+    if cut or ends:
+        _side_by_side(own.swing, *(other.swing for other in (*cut, *ends)), *(other.rest for other in (own, *ends)))
         edge = _edge_error(own, cut)
-    return _as_numbers(stepper.error, step, 0.0, edge)
+    return _as_numbers(stepper.error, step, 0.0, edge) | _material_band(own, ends)
 
 
 def _other_sides(layer: SceneLayer, sound: _Sound, point: Float) -> list[_Response]:
@@ -258,13 +299,26 @@ def _other_sides(layer: SceneLayer, sound: _Sound, point: Float) -> list[_Respon
     if layer.config.shape == "disc":
         return []
     other = layer.resized(layer.resizing, side="free" if layer.config.side == "fixed" else "fixed")
-    return [_Response(other, sound, point)]
+    return [_Response(other, sound.on(other), point)]
 
 
 def _edge_error(own: _Response, cut: Sequence[_Response]) -> float:
     """Half of what other cut faces change of a layer's harmonic displacement."""
     changes = [0.5 * abs(other.harmonic - own.harmonic) / abs(own.harmonic) for other in cut]
     return max(changes, default=0.0)
+
+
+def _other_materials(own: _Response, ends: Ends | None) -> list[_Response]:
+    """A response with the ranges of the layer's materials at the soft and at the stiff ends; nothing without any."""
+    return [own.of(own.layer.resized(own.layer.resizing, sheets=sheets)) for sheets in ends or ()]
+
+
+def _material_band(own: _Response, ends: Sequence[_Response]) -> dict[str, float]:
+    """By how much softer and stiffer materials change the displacement, static and harmonic together, as factors."""
+    if not ends:
+        return {}
+    factors = [(abs(other.static) + abs(other.harmonic)) / (abs(own.static) + abs(own.harmonic)) for other in ends]
+    return {"material_band_low": min(1.0, *factors), "material_band_high": max(1.0, *factors)}
 
 
 def _as_numbers(mesh: float, step: float, reduction: float, edge: float) -> dict[str, float]:
@@ -304,8 +358,8 @@ def stimulus_of(model: HapticModel, skin: int) -> int:
 def p0_band(model: HapticModel, stimulus: int) -> tuple[float, float] | None:
     """Factors on the skin's motion at the low and high ends of every array's p0; None where arp_peak_Pa sets the level.
 
-    An array without a range of its own has the published one. The pressures of the stimulus's arrays add up at its
-    focus, each with its own p0, and the motion goes with the square.
+    The pressures of the stimulus's arrays add up at its focus, each with its own p0, and the motion goes with the
+    square.
     """
     part, arrays = model.stimuli[stimulus], model.arrays
     drive = array_drives(model, arrays)[stimulus].unit_drive(part.first_focus).amplitudes
@@ -317,13 +371,12 @@ def p0_band(model: HapticModel, stimulus: int) -> tuple[float, float] | None:
     whole = abs(sum(pressures)) ** 2
     if part.config.arp_peak_Pa is not None or whole == 0.0:
         return None
-    configs = [array.config for array in model.spec.arrays]
-    low = [(config.p0_low_Pa_m or PUBLISHED_P0_Pa_m[0]) / config.p0_Pa_m for config in configs]
-    high = [(config.p0_high_Pa_m or PUBLISHED_P0_Pa_m[1]) / config.p0_Pa_m for config in configs]
+    known = [array.p0 for array in array_instances(model.spec)]
+    low, high = [p0.low / p0.value for p0 in known], [p0.high / p0.value for p0 in known]
     return abs(np.dot(low, pressures)) ** 2 / whole, abs(np.dot(high, pressures)) ** 2 / whole
 
 
-def p0_given(model: HapticModel, stimulus: int) -> bool:
-    """Whether every array of a stimulus has a range of p0 of its own."""
-    arrays = model.stimuli[stimulus].spec.arrays
-    return all(model.spec.arrays[number].config.p0_low_Pa_m is not None for number in arrays)
+def p0_known(model: HapticModel, stimulus: int) -> list[Estimate]:
+    """p0 of the arrays of a stimulus, each once where several have the same."""
+    instances = array_instances(model.spec)
+    return list(dict.fromkeys(instances[number].p0 for number in model.stimuli[stimulus].spec.arrays))

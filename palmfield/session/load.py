@@ -23,7 +23,11 @@ from palmfield.session.scene_text import SceneText, read_scene_text, sensors_wit
 from palmfield.simulation.scene_reader import DEVICE
 
 LOG = logging.getLogger("palmfield.session")
-FILES = {"palmfield.skin": ("mesh",), "palmfield.motion": ("keyframes", "trajectory", "tracking")}
+FILES = {
+    "palmfield.array": ("calibration", "transducers"),
+    "palmfield.skin": ("mesh",),
+    "palmfield.motion": ("keyframes", "trajectory", "tracking"),
+}
 """Keys that name files, relative to the scene."""
 SKIN, DRIVER = "palmfield.skin", "palmfield.driver"
 

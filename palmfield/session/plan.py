@@ -4,12 +4,13 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
+from palmfield.session.budget import QUANTITY
 from palmfield.session.duration import check_duration
 from palmfield.session.load import Source
 from palmfield.session.planning.advice import advice
 from palmfield.session.planning.costs import run_s
 from palmfield.session.planning.expected_error import expected_errors
-from palmfield.session.planning.left_out import left_out
+from palmfield.session.planning.left_out import besides, left_out
 from palmfield.session.planning.modelled import modelled
 from palmfield.session.planning.numbers import plan_numbers
 from palmfield.session.planning.rows import Row, merged
@@ -22,11 +23,17 @@ __all__ = ["Plan", "Row", "plan", "warnings"]
 
 @dataclass(frozen=True)
 class Plan:
-    """Decisions for a scene. seconds: expected wall time of `palmfield run` on two CPU cores, pictures included."""
+    """Decisions for a scene.
+
+    left_out: and what that does to the displacement of the skin under the focus, besides: what else is not modelled
+    error: what is expected of that displacement; seconds: expected wall time of `palmfield run` on two CPU cores,
+        pictures included
+    """
 
     scene: str
     modelled: tuple[Row, ...]
     left_out: tuple[Row, ...]
+    besides: tuple[Row, ...]
     error: tuple[Row, ...]
     seconds: float
     warnings: tuple[str, ...]
@@ -34,7 +41,12 @@ class Plan:
 
     def as_dict(self) -> dict[str, Any]:
         """All of it as JSON has it, with units in the names; rows are texts, `numbers` as `planning.numbers`."""
-        rows = {"modelled": self.modelled, "left_out": self.left_out, "expected_error": self.error}
+        rows = {
+            "modelled": self.modelled,
+            "left_out": self.left_out,
+            "besides": self.besides,
+            "expected_error": self.error,
+        }
         return {
             "scene": self.scene,
             **{name: [asdict(row) for row in part] for name, part in rows.items()},
@@ -48,8 +60,9 @@ class Plan:
             self.scene,
             {
                 "Modelled": self.modelled,
-                "Left out": self.left_out,
-                "Expected error of the skin displacement": self.error,
+                f"Left out: true less computed, of the {QUANTITY}": self.left_out,
+                "Not modelled besides": self.besides,
+                f"Expected error of the {QUANTITY}": self.error,
             },
             self.warnings,
             self.seconds,
@@ -81,6 +94,7 @@ def plan(
         view.name,
         merged(modelled(model, view.duration_s)),
         merged(left_out(model)),
+        merged(besides(model)),
         merged(expected_errors(model)),
         run_s(view),
         tuple(advice(view)),

@@ -31,7 +31,7 @@ from palmfield.session.duration import check_duration, step_count
 from palmfield.session.load import Source
 from palmfield.session.recorder import Recorder, static_arrays, world_with
 from palmfield.session.simulation import Simulation
-from palmfield.session.summary import scene_numbers, skin_numbers, stimulus_numbers
+from palmfield.session.summary import array_numbers, estimated_budget, scene_numbers, skin_numbers, stimulus_numbers
 from palmfield.types import Float
 
 LOG = logging.getLogger("palmfield.session")
@@ -107,12 +107,20 @@ def run(
             store.append(recorder.surfaces())
         except (KeyboardInterrupt, Exception) as error:
             stopped = stopped or error
+        budgets: dict[str, Any] = {}
+        cut: KeyboardInterrupt | None = None
+        if stopped is None:
+            try:
+                budgets = _budgets(sim, recorder, bar)
+            except KeyboardInterrupt as error:
+                cut = error  # only the estimate is missing: what was computed is whole
         reason = "ran to its end" if stopped is None else f"{type(stopped).__name__}: {stopped}".rstrip(": ")
         with ExitStack() as opened:
             # Ctrl-C waits until there is a result that it can carry
             held = opened.enter_context(ExitStack())
             held.enter_context(interrupts_held())
-            finished = store.finish({"reason": reason}, complete=stopped is None)
+            about = {"reason": reason} | ({"error_budget": json.dumps(budgets)} if budgets else {})
+            finished = store.finish(about, complete=stopped is None)
             if isinstance(finished, xr.DataTree):
                 tree, files = finished, dict[str, Path]()
                 result = Result(None, files, summary(tree, _ending(tree)), tree)
@@ -131,9 +139,9 @@ def run(
                 except OutputError as error:
                     stopped = stopped or error
                 held.close()
-                if stopped is not None:
-                    raise stopped
-                whole = _whole_summary(sim, recorder, tree, _ending(tree), started, bar)
+                if ended := stopped or cut:
+                    raise ended
+                whole = _whole_summary(sim, recorder, budgets, tree, _ending(tree) | _spent(started))
                 if out is not None:
                     files |= draw(tree, Path(out), bar)
                     whole |= _spent(started)
@@ -228,8 +236,19 @@ def _simulate(sim: Simulation, recorder: Recorder, duration_s: float, bar: Progr
     return None
 
 
+def _budgets(sim: Simulation, recorder: Recorder, bar: Progress) -> dict[str, Any]:
+    """The error budget of each skin's motion, or why there is none."""
+    before = time.perf_counter()
+    task = bar.add_task("estimating the error", total=None)
+    try:
+        return {name: estimated_budget(sim, number, recorder.loudest[number]) for number, name in enumerate(sim.skins)}
+    finally:
+        bar.remove_task(task)
+        LOG.debug("the error's estimate took %.2f s", time.perf_counter() - before)
+
+
 def _numbers(
-    sim: Simulation, recorder: Recorder, tree: xr.DataTree
+    sim: Simulation, recorder: Recorder, budgets: dict[str, Any], tree: xr.DataTree
 ) -> tuple[dict[str, Any], dict[str, dict[str, Any]], dict[str, dict[str, Any]]]:
     """What a run says beyond its arrays: of the scene, of each skin and of each stimulus."""
     skins = {}
@@ -243,6 +262,7 @@ def _numbers(
             sim,
             name,
             recorder.loudest[number],
+            budgets[name],
             times,
             np.asarray(normal[:, vertex], dtype=np.float64),
             float(peak[vertex]),
@@ -252,15 +272,11 @@ def _numbers(
 
 
 def _whole_summary(
-    sim: Simulation, recorder: Recorder, tree: xr.DataTree, extra: dict[str, Any], started: float, bar: Progress
+    sim: Simulation, recorder: Recorder, budgets: dict[str, Any], tree: xr.DataTree, extra: dict[str, Any]
 ) -> dict[str, Any]:
-    """The numbers of a run that went to its end, with the estimate of its error."""
-    task = bar.add_task("estimating the error", total=None)
-    before = time.perf_counter()
-    whole, skins, stimuli = _numbers(sim, recorder, tree)
-    LOG.debug("the error's estimate took %.2f s", time.perf_counter() - before)
-    bar.remove_task(task)
-    return summary(tree, extra | whole | _spent(started), skins, stimuli)
+    """The numbers of a run that went to its end. budgets: of its skins"""
+    whole, skins, stimuli = _numbers(sim, recorder, budgets, tree)
+    return summary(tree, extra | whole, skins, stimuli, array_numbers(sim.runtime.model))
 
 
 def _spent(started: float) -> dict[str, Any]:

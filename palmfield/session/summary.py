@@ -4,8 +4,8 @@ They go into summary.json beside those of `palmfield.outputs.summary`, by skin a
 """
 
 import math
-from collections.abc import Iterable
-from typing import Any
+from collections.abc import Callable, Iterable
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -13,10 +13,11 @@ from palmfield.config.skin import EXPLICIT
 from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.errors import PalmfieldError
 from palmfield.perception.observers import OBSERVERS, level_dB_SL, line_amplitude
-from palmfield.session.error_budget import LoudestMoment, error_estimate, p0_band, p0_given, stimulus_of
+from palmfield.session.budget import error_budget
+from palmfield.session.error_budget import Course, LoudestMoment, error_estimate, p0_band, stimulus_of
 from palmfield.session.simulation import Simulation
 from palmfield.simulation.forces import BodyForces
-from palmfield.simulation.model import HapticModel
+from palmfield.simulation.model import HapticModel, array_instances
 from palmfield.simulation.radiation import Radiation
 from palmfield.simulation.state import WHOLE
 from palmfield.skin.explicit_layer import explicit_layer
@@ -26,11 +27,14 @@ from palmfield.skin.solver_choice import PREVIEW
 from palmfield.stimulus.schedule import main_frequencies
 from palmfield.types import Float
 
+T = TypeVar("T")
+
 
 def skin_numbers(
     simulation: Simulation,
     skin_name: str,
     loudest: LoudestMoment | None,
+    budget: dict[str, Any] | str | None,
     times: Float,
     motion_at_vertex: Float,
     peak: float,
@@ -38,6 +42,7 @@ def skin_numbers(
     """Of one skin: solver, force on its body, error estimate, p0 band and felt level, units in the names.
 
     loudest: the moment of the highest ARP on the skin, None for a run that was silent there
+    budget: of `estimated_budget`
     times: of the run's records [s], shape (t,); motion_at_vertex: displacement along the outward normal of the vertex
         that moves most [m], shape (t,); peak: its largest size, of all vertices [m]
     `reduction_velocity_error_relative` is what modes state of the velocity; no other solver states it.
@@ -57,15 +62,16 @@ def skin_numbers(
     if loudest is not None:
         force = _force_N(model, number, loudest, _radiation(runtime))
         result["total_force_peak_N"] = loudest.factor * force
-        band = p0_band(model, stimulus) if p0_given(model, stimulus) else None
+        band = p0_band(model, stimulus)
         if band is not None:
+            result |= {"p0_band_low": band[0], "p0_band_high": band[1]}
             result |= {"peak_displacement_low_m": peak * band[0], "peak_displacement_high_m": peak * band[1]}
-    if loudest is not None and peak > 0.0:
-        errors = estimated_errors(runtime, number, loudest)
-        if isinstance(errors, str):
-            result["displacement_error_missing"] = errors
-        else:
-            result |= errors | {"displacement_error_m": errors["displacement_error_relative"] * peak}
+    if isinstance(budget, str):
+        result["displacement_error_missing"] = budget
+    elif budget is not None:
+        errors = budget["numerical"]
+        result |= errors | {"displacement_error_m": errors["displacement_error_relative"] * peak}
+        result["error_budget"] = budget
     stepper = model.begin[number].value
     if isinstance(stepper, ModalStepper) and not left_small_model:
         result["reduction_velocity_error_relative"] = runtime.work.outside[number].errors(stepper)[1]
@@ -73,13 +79,34 @@ def skin_numbers(
     return result | felt_levels(times, motion_at_vertex.astype(np.float64), frequencies)
 
 
+def estimated_budget(simulation: Simulation, skin: int, loudest: LoudestMoment | None) -> dict[str, Any] | str | None:
+    """The error budget of a skin's motion (`palmfield.session.budget.error_budget`), or why there is none.
+
+    None where the run was silent. loudest: see `skin_numbers`
+    """
+    if loudest is None:
+        return None
+    runtime, moment = simulation.runtime, loudest
+    return _or_reason(lambda: error_budget(runtime.model, skin, moment, _radiation(runtime), _course(runtime, skin)))
+
+
 def estimated_errors(runtime: SceneRuntime, skin: int, loudest: LoudestMoment) -> dict[str, float] | str:
-    """The relative errors of a skin's displacement by source, or why there is no estimate."""
-    outside, left = runtime.work.outside[skin].energy_share, _left_small_model(runtime, skin)
-    try:
-        return error_estimate(
-            runtime.model, skin, loudest, _radiation(runtime), left_small_model=left, outside_class=outside
+    """The numerical errors of a skin's displacement by source, relative, or why there is no estimate."""
+    return _or_reason(
+        lambda: error_estimate(
+            runtime.model, skin, loudest, _radiation(runtime), _course(runtime, skin), materials=False
         )
+    )
+
+
+def _course(runtime: SceneRuntime, skin: int) -> Course:
+    return Course(_left_small_model(runtime, skin), runtime.work.outside[skin].energy_share)
+
+
+def _or_reason(estimate: Callable[[], T]) -> T | str:
+    """What an estimate gives, or why it gives nothing: the run's numbers stand without it."""
+    try:
+        return estimate()
     except (PalmfieldError, MemoryError) as error:
         return f"{error}" or type(error).__name__
 
@@ -101,6 +128,26 @@ def stimulus_numbers(
     if peak_drive is not None and not any(moments):
         levels = [float(peak_drive[stimulus.transducers].max()) for stimulus in model.stimuli]
     return {part.spec.name: {"drive_level": level} for part, level in zip(model.stimuli, levels, strict=True)}
+
+
+def array_numbers(model: HapticModel) -> dict[str, dict[str, Any]]:
+    """Of each array, by name: p0 [Pa m] and quality with range, kind and source, and whether they are calibrated."""
+    result = {}
+    for spec, array in zip(model.spec.arrays, array_instances(model.spec), strict=True):
+        p0, quality = array.p0, array.quality
+        result[spec.name] = {
+            "calibrated": array.calibration is not None,
+            "p0_Pa_m": p0.value,
+            "p0_low_Pa_m": p0.low,
+            "p0_high_Pa_m": p0.high,
+            "p0_kind": p0.kind,
+            "p0_source": p0.source,
+            "quality": quality.value,
+            "quality_low": quality.low,
+            "quality_high": quality.high,
+            "quality_kind": quality.kind,
+        }
+    return result
 
 
 def drive_levels(model: HapticModel, loudest: Iterable[LoudestMoment | None]) -> list[float]:

@@ -214,8 +214,7 @@ def _stimulus(
     foci = focal_points.at(frame_at(config, config.start_s).focus)
     try:
         silent = not np.any(drive.unit_drive(foci).amplitudes)
-        configs = [array.config for array in scene.arrays]
-        response = transducer_response(config, drive, focal_points, configs, accuracy, spread=spread)
+        response = transducer_response(config, drive, focal_points, array_instances(scene), accuracy, spread=spread)
     except SceneError as error:
         raise _named(error, spec.name) from None
     return StimulusModel(spec, config, transducers.astype(np.int32), path, offsets, response, foci, silent)

@@ -303,4 +303,4 @@ class HapticModel:
 
 def array_instances(spec: SceneSpec) -> tuple[ArrayInstance, ...]:
     """A scene's arrays as `palmfield.acoustics.phased_array` takes them."""
-    return tuple(ArrayInstance(array.config, array.placement) for array in spec.arrays)
+    return tuple(ArrayInstance(one.config, one.placement, one.calibration, one.table) for one in spec.arrays)

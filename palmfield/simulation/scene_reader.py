@@ -5,12 +5,14 @@ to, with which poses are read later.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
 
+from palmfield.acoustics.calibration_file import read_calibration
+from palmfield.acoustics.transducer_file import read_transducers
 from palmfield.config import (
     ArrayConfig,
     Config,
@@ -47,6 +49,7 @@ REST_M, REST_RAD = 1e-4, 1e-3
 SAME_AIR = ("temperature_C", "humidity_percent", "pressure_Pa", "precision")
 """Keys that all arrays of a scene share."""
 
+T = TypeVar("T")
 AnyConfig = TypeVar("AnyConfig", bound=Config)
 
 
@@ -86,7 +89,11 @@ def read_scene(model: ModelView) -> tuple[SceneSpec, SceneBinding]:
         ]
         for config in (ArrayConfig, StimulusConfig, SkinConfig, DriverConfig)
     }
-    arrays, stimuli = named[ArrayConfig], named[StimulusConfig]
+    stimuli = named[StimulusConfig]
+    arrays = [
+        (i, name, with_files_found(config, ("calibration", "transducers"), element_of(ArrayConfig, name)))
+        for i, name, config in named[ArrayConfig]
+    ]
     skins = [
         (i, name, with_files_found(config, ("mesh",), element_of(SkinConfig, name)))
         for i, name, config in named[SkinConfig]
@@ -181,8 +188,23 @@ def _arrays(
         for number in numbers:
             transducer = relative(pose, model.reference_pose("site", number))
             own.append((tuple(transducer.position.tolist()), tuple(transducer.rotation[:, 2].tolist())))
-        specs.append(ArraySpec(name, config, Placement.of(relative(origin, pose), tuple(own))))
+        placement = Placement.of(relative(origin, pose), tuple(own))
+        element = element_of(ArrayConfig, name)
+        calibration = read_file(read_calibration, config, "calibration", element)
+        table = read_file(read_transducers, config, "transducers", element)
+        specs.append(ArraySpec(name, config, placement, calibration, table))
     return tuple(specs), sites, transducers
+
+
+def read_file(read: Callable[[str], T], config: Config, key: str, element: str) -> T | None:
+    """What the file of a key holds, None where the key is not set. Raises SceneError with element and key."""
+    name = getattr(config, key)
+    if name is None:
+        return None
+    try:
+        return read(name)
+    except SceneError as error:
+        raise SceneError(f"{element}: key '{key}': {error}") from None
 
 
 def transducer_sites(config: ArrayConfig, name: str, model: ModelView) -> tuple[int, ...]:

@@ -6,6 +6,8 @@ those of MuJoCo's reference configuration.
 
 from dataclasses import dataclass
 
+from palmfield.acoustics.calibration_file import Calibration
+from palmfield.acoustics.transducer_file import TransducerTable
 from palmfield.config import ArrayConfig, DriverConfig, SkinConfig, StimulusConfig
 from palmfield.hand.collision_shapes import Obstacle
 from palmfield.transforms import Placement
@@ -15,11 +17,17 @@ Triple = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class ArraySpec:
-    """One phased array. placement: seen from the first array"""
+    """One phased array.
+
+    placement: seen from the first array
+    calibration, table: what the files of keys `calibration` and `transducers` hold
+    """
 
     name: str
     config: ArrayConfig
     placement: Placement
+    calibration: Calibration | None = None
+    table: TransducerTable | None = None
 
 
 @dataclass(frozen=True)

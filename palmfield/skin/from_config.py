@@ -6,7 +6,7 @@ from scipy.optimize import brentq
 
 from palmfield.config.skin import OVERRIDES, SkinConfig
 from palmfield.errors import SceneError
-from palmfield.skin.materials.catalogue import preset
+from palmfield.skin.materials.catalogue import CATALOGUE, preset, softest_and_stiffest
 from palmfield.skin.materials.dispersion import cutoff
 from palmfield.skin.materials.material import Branch, Material, shear_wave
 from palmfield.skin.problem import BaseKind, Sheet, Springs
@@ -17,6 +17,28 @@ def sheets_of(skin: SkinConfig) -> tuple[Sheet, ...]:
     if not skin.materials:
         return (Sheet(material_of(skin), 1.0),)
     return tuple(Sheet(preset(name), share) for name, share in zip(skin.materials, skin.shares, strict=True))
+
+
+def softest_and_stiffest_sheets(skin: SkinConfig) -> tuple[tuple[Sheet, ...], tuple[Sheet, ...]] | None:
+    """A scene's sheets with the ranges of all their presets at the low ends, and at the high ends.
+
+    None where no sheet has a range, and where keys of the scene set the material's numbers, which have none.
+    """
+    if not skin.materials and any(getattr(skin, key) is not None for key in OVERRIDES):
+        return None
+    sheets = sheets_of(skin)
+    names = skin.materials or (skin.material,)
+    ends = [softest_and_stiffest(CATALOGUE[name]) for name in names]
+    if all(end is None for end in ends):
+        return None
+    soft, stiff = (
+        tuple(
+            Sheet(sheet.material if end is None else end[number], sheet.thickness_m)
+            for sheet, end in zip(sheets, ends, strict=True)
+        )
+        for number in (0, 1)
+    )
+    return soft, stiff
 
 
 def slowest(sheets: tuple[Sheet, ...], f_Hz: float) -> Material:

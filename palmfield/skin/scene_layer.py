@@ -119,6 +119,7 @@ class SceneLayer:
     depth_m: how deep the layer may reach below the surface's vertices [m], shape (n,), or one number
     centre_m: middle of the layer, body frame [m], shape (3,); demand: see LayerDemand
     resizing: factor of all element sizes; element: how messages name this skin
+    sheets: other materials than the keys' on the mesh that is made for those
     """
 
     def __init__(
@@ -131,25 +132,29 @@ class SceneLayer:
         *,
         resizing: float = 1.0,
         element: str = "plugin 'palmfield.skin'",
+        sheets: tuple[Sheet, ...] | None = None,
     ) -> None:
         self.config, self.surface, self.depth_m, self.centre_m = config, surface, depth_m, centre_m
         self.demand, self.resizing, self.element = demand, resizing, element
-        self.sheets = sheets_of(config)
+        self.sheets = sheets_of(config) if sheets is None else sheets
         self.lock = threading.RLock()
 
-    def resized(self, factor: float, *, side: Side | None = None) -> "SceneLayer":
-        """The same layer with elements of `factor` times the chosen size, and perhaps other cut faces."""
+    def resized(
+        self, factor: float, *, side: Side | None = None, sheets: tuple[Sheet, ...] | None = None
+    ) -> "SceneLayer":
+        """The same layer with elements of `factor` times the chosen size, and perhaps other cut faces or materials."""
         config = self.config if side is None else self.config.model_copy(update={"side": side})
         return SceneLayer(
-            config, self.surface, self.depth_m, self.centre_m, self.demand, resizing=factor, element=self.element
-        )
+            config, self.surface, self.depth_m, self.centre_m, self.demand,
+            resizing=factor, element=self.element, sheets=sheets,
+        )  # fmt: skip
 
     @locked_cached_property
     def sizes(self) -> LayerSizes:
         """Sizes of elements, patch and step."""
         demand = self.demand
         sizes = layer_sizes(
-            self.config, self.sheets, demand.spot_fwhm_m, demand.max_frequency_Hz, demand.path_reach_m,
+            self.config, sheets_of(self.config), demand.spot_fwhm_m, demand.max_frequency_Hz, demand.path_reach_m,
             demand.timestep_s, self.resizing, element=self.element,
         )  # fmt: skip
         return replace(sizes, step_s=min(sizes.step_s, demand.longest_step_s))

@@ -25,6 +25,8 @@ TOLERANCE, IN_POINTS = 1e-5, 5e-4
 load in few points since: a tenth of what reduction may cost at accuracy 0.05."""
 MOTION = ("displacement_m", "velocity_m_s", "sensor channel 3", "sensor channel 4")
 WATCHED = ("sensordata", "displacement_m", "velocity_m_s", "force_N", "qpos")
+P0_PA_M = 2.53
+"""Of all arrays then."""
 FORCE, DISPLACEMENT, VELOCITY, ARP = slice(0, 3), 3, 4, 5
 """Channels of the skin's sensor."""
 
@@ -39,7 +41,7 @@ def opened(facts: dict[str, Any]) -> Simulation:
     solver = facts["began"]
     if facts["began"] != facts["ended"]:
         solver = "auto"  # only this may leave its small model
-    keys = {**facts["keys"], "skin.solver": solver}
+    keys = {**facts["keys"], "skin.solver": solver, "array.p0_Pa_m": P0_PA_M}
     sim = Simulation(folder("mjcf") / "scenes" / f"{facts['scene']}.xml", device="cpu", keys=keys)
     if facts["start_s"]:
         sim.start_at(facts["start_s"])

@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import brentq
 from scipy.spatial.distance import pdist
 
-from palmfield.acoustics.air import sound_speed
+from palmfield.acoustics.air import density, sound_speed
 from palmfield.acoustics.arrays import LAYOUTS, layout
 from palmfield.acoustics.focus import focus
 from palmfield.acoustics.reference import pressure64
@@ -22,6 +22,9 @@ COUNTS = {
     "autd2018_2x2": 996,
     "autd3": 249,
     "autd3_2x2": 996,
+    "autd3_3x2": 1494,
+    "autd3_4x2": 1992,
+    "stratos_explore": 256,
     "two_bow_as_printed": 12,
     "two_bow_corrected": 12,
 }
@@ -41,7 +44,9 @@ def test_every_layout_is_centred_buildable_and_described(name: str) -> None:
         np.testing.assert_array_equal(np.sort(array.address), np.arange(len(array)))
 
 
-@pytest.mark.parametrize(("name", "pitch_m"), [("uhev1", 10.3e-3), ("sonicsurface", 10.5e-3)])
+@pytest.mark.parametrize(
+    ("name", "pitch_m"), [("uhev1", 10.3e-3), ("stratos_explore", 10.3e-3), ("sonicsurface", 10.5e-3)]
+)
 def test_layout_is_a_16_by_16_grid_facing_z(name: str, pitch_m: float) -> None:
     array = layout(name)
     sites = array.positions[:, :2] / pitch_m + 7.5
@@ -179,3 +184,25 @@ def test_p0_is_a_calibration() -> None:
 def test_unknown_layout_names_the_known_ones() -> None:
     with pytest.raises(SceneError, match=", ".join(LAYOUTS)):
         layout("uhev2")
+
+
+def test_p0_of_the_uhev1_gives_the_load_that_chilles_put_in() -> None:
+    """12 Pa at the focus 200 mm above the middle, by |p|^2/(rho c^2)."""
+    array, at = layout("uhev1"), (0.0, 0.0, 0.2)
+    pressure = abs(pressure64([at], array, focus(array, AIR, at), AIR)[0][0])
+    assert pressure**2 / (density(AIR) * sound_speed(AIR) ** 2) == pytest.approx(12.0, rel=0.02)
+
+
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_what_is_known_of_a_layout_has_a_range_and_a_source(name: str) -> None:
+    entry = LAYOUTS[name]
+    assert layout(name).p0_Pa_m == entry.p0.value
+    for known in (entry.p0, entry.quality):
+        assert known.low < known.value < known.high and known.kind != "measured" and len(known.source) > 20
+
+
+def test_units_edge_to_edge_are_one_pitch_of_boards_apart() -> None:
+    four, eight = layout("autd3_2x2"), layout("autd3_4x2")
+    left = eight.positions[:498] - eight.positions[0]
+    np.testing.assert_allclose(left, four.positions[:498] - four.positions[0], atol=1e-15)
+    np.testing.assert_allclose(eight.positions[996:1245] - eight.positions[:249], [[0.0, 0.1514, 0.0]] * 249)

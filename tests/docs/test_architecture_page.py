@@ -175,7 +175,7 @@ def test_what_is_imported_in_one_place_only(row: list[str]):
 
 
 def test_keys_allow_what_the_registries_of_the_seams_hold():
-    assert set(get_args(Layout)) == {*LAYOUTS, "sites"}
+    assert set(get_args(Layout)) == {*LAYOUTS, "sites", "csv"}
     assert set(get_args(ArpLaw)) == set(LAWS)
     assert set(get_args(DriverConfig.model_fields["board"].annotation)) == set(BOARDS)
     steppers = {choice.name for choice in scene_choices(1000.0, 100.0, 10.0, None, 100.0, None)}

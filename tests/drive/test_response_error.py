@@ -7,6 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from palmfield.acoustics.air import sound_speed
+from palmfield.acoustics.phased_array import ArrayInstance
 from palmfield.config import ArrayConfig, StimulusConfig
 from palmfield.drive.array_drive import ArrayDrive
 from palmfield.drive.boards import BOARDS
@@ -15,16 +16,20 @@ from palmfield.drive.response_error import shares, windows
 from palmfield.drive.transducer_response import transducer_response
 from palmfield.stimulus.focal_points import FocalPoints
 from palmfield.stimulus.schedule import frame_at
-from palmfield.transforms import IDENTITY, Transform
+from palmfield.transforms import IDENTITY, Placement, Transform
 
 AM = {"modulation": "am", "am_of": "pressure", "am_frequency_Hz": 200, "am_depth": 1}
 FOCUS = np.array([0.0, 0.0, 0.12])
 
 
+def instance(**keys):
+    return ArrayInstance(ArrayConfig(**keys), Placement.of(IDENTITY))
+
+
 def errors_of(source, stimulus, frame=IDENTITY):
     every = np.arange(len(source.array), dtype=np.int32)
     drive = ArrayDrive(source, every, None, None, BOARDS["ideal"])
-    return transducer_response(stimulus, drive, FocalPoints(frame), [ArrayConfig()], 0.05)
+    return transducer_response(stimulus, drive, FocalPoints(frame), [instance()], 0.05)
 
 
 def parts_of(source, focus):

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from palmfield.acoustics.phased_array import ArrayInstance
 from palmfield.config import ArrayConfig, StimulusConfig
 from palmfield.drive.array_drive import ArrayDrive
 from palmfield.drive.boards import BOARDS
@@ -28,7 +29,7 @@ from palmfield.drive.transducer_response import (
 )
 from palmfield.stimulus.focal_points import FocalPoints
 from palmfield.stimulus.schedule import first_point, frame_at, substep_moments
-from palmfield.transforms import IDENTITY
+from palmfield.transforms import IDENTITY, Placement
 
 STILL = FocalPoints(IDENTITY)
 NONE = ResponseError(0.0, 0.0)
@@ -45,6 +46,10 @@ STIMULI = {
     "circle with am and ticks": CIRCLE | AM | {"control_rate_Hz": 900},
     "line that jumps": {"path": "line", "path_width_m": 0.02, "path_speed_m_s": 10, "path_end": "jump"},
 }
+
+
+def instance(**keys):
+    return ArrayInstance(ArrayConfig(**keys), Placement.of(IDENTITY))
 
 
 def of(**keys):
@@ -332,7 +337,7 @@ def test_one_stimulus_beside_a_silent_one_keeps_its_levels(mixed):
 def test_auto_keeps_what_matters(source):
     def active(stimulus, accuracy=0.05, **array):
         drive = drive_of(source, stimulus)
-        return transducer_response(stimulus, drive, STILL, [ArrayConfig(**array)], accuracy)
+        return transducer_response(stimulus, drive, STILL, [instance(**array)], accuracy)
 
     ramped = {"start_s": 0.001, "ramp_s": 0.05}
     near = {"focus_m": (0.0, 0.0, 0.12)}
@@ -354,7 +359,7 @@ def test_auto_keeps_what_matters(source):
 
 def test_only_the_arrays_that_a_stimulus_drives_decide(mixed):
     stimulus = of(**AM, ramp_s=0.05)
-    configs = [ArrayConfig(response="off"), ArrayConfig(response="on", quality=40)]
+    configs = [instance(response="off"), instance(response="on", quality=40)]
     for chosen, on in ((np.arange(256), False), (np.arange(256, 512), True)):
         response = transducer_response(
             stimulus, drive_of(mixed, stimulus, chosen.astype(np.int32)), STILL, configs, 0.05
@@ -365,12 +370,12 @@ def test_only_the_arrays_that_a_stimulus_drives_decide(mixed):
 
 def test_a_silent_or_dead_array_costs_nothing(source):
     quiet = of(**AM, drive_amplitude=0.0)
-    response = transducer_response(quiet, drive_of(source, quiet), STILL, [ArrayConfig()], 0.05)
+    response = transducer_response(quiet, drive_of(source, quiet), STILL, [instance()], 0.05)
     assert response.ring_up.rms == response.flight_time.rms == 0.0 and not response.on
     faulty = (replace(source.array, gain=np.zeros(256, complex)),)
     dead = type(source)(faulty, faulty)
     loud = of(**AM)
-    assert transducer_response(loud, drive_of(dead, loud), STILL, [ArrayConfig()], 0.05).ring_up.peak == 0.0
+    assert transducer_response(loud, drive_of(dead, loud), STILL, [instance()], 0.05).ring_up.peak == 0.0
     # A silent drive is emitted as silence, whatever the response
     on = response_of(drive_of(source, quiet), delayed=False)
     nothing = emitted_over(

@@ -105,8 +105,10 @@ FULL = {
     "main_frequency_Hz": 200.0,
     "level_morioka_griffin_2006_dB_SL": 24.87,
     "level_afferent_human_dB_SL": None,
+    "p0_band_low": 0.3,
+    "p0_band_high": 4.2,
     "peak_displacement_low_m": 1e-6,
-    "peak_displacement_high_m": 2e-6,
+    "peak_displacement_high_m": 14e-6,
 }
 RUN = {"wall_time_s": 12.3, "peak_memory_MiB": 600.0}
 
@@ -116,23 +118,26 @@ def _rows(text):
 
 
 def test_the_table_tells_what_modes_state_of_the_velocity(one_skin):
-    for more, words in (({}, "reduction 0.00 %, "), ({"reduction_velocity_error_relative": 0.034}, "(3.4 % of the")):
+    for more, words in (({}, "reduction 0 %, "), ({"reduction_velocity_error_relative": 0.034}, "(3.4 % of the")):
         assert words in " ".join(format_summary(summary(one_skin, RUN, {"palm": FULL | more}, {})).split())
 
 
 def test_the_table_of_one_skin(one_skin):
-    found = summary(one_skin, RUN, {"palm": FULL}, {"pulse": {"drive_level": 0.989}})
+    level = {"calibrated": False, "p0_Pa_m": 1.27, "p0_low_Pa_m": 0.7, "p0_high_Pa_m": 2.6, "p0_kind": "inferred"}
+    found = summary(one_skin, RUN, {"palm": FULL}, {"pulse": {"drive_level": 0.989}}, {"below": level})
     rows = [(name, text) for name, text in _rows(format_summary(found)) if name]
     assert [name for name, _ in rows] == [
-        "peak sound pressure", "peak ARP", "total force", "drive", "skin", "peak skin displacement",
-        "rms skin displacement", "error estimate", "accuracy", "peak for the p0 range", "level at 200 Hz",
+        "peak sound pressure", "peak ARP", "total force", "drive", "p0", "skin", "peak skin displacement per ARP",
+        "peak skin displacement", "rms skin displacement", "error, numerical", "accuracy", "level at 200 Hz",
         "level at 200 Hz", "wall time, peak memory",
     ]  # fmt: skip
     told = dict(rows)
     assert told["drive"] == "0.989 of full"
     assert told["skin"] == "1512 unknowns, solver wedges"
-    assert told["peak sound pressure"] == "1500 Pa (154.5 dB SPL)"
-    assert "+- 10.2 %" in told["peak skin displacement"]
+    assert told["peak sound pressure"] == "1500 Pa (154 dB SPL)"
+    assert told["p0"] == "uncalibrated: inferred, 1.27 Pa m (0.7 to 2.6)"
+    assert "(numerical 10.2 %)" in told["peak skin displacement"]
+    assert "for the range of p0 1 to 14 um" in told["peak skin displacement"]
     assert told["accuracy"].startswith("NOT reached: 5 % wanted; the layer's cut sides")
     assert "observer 2" in told["level at 200 Hz"] and "outside the table" in told["level at 200 Hz"]
 

@@ -120,7 +120,7 @@ def test_two_hands():
     for time in (0.05, 0.25, 0.36):
         scene.start_at(time)
         felt.append(steps(scene, PERIOD_STEPS)[:, 5].mean())
-    assert felt[0] > 5.0
+    assert felt[0] > 1.0
     assert felt[1] < 0.1 * felt[0]
     assert felt[2] == pytest.approx(felt[0], rel=0.05)
 

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 import palmfield
-from palmfield.session.error_budget import RATIO, error_estimate, p0_band, p0_given
+from palmfield.session.error_budget import RATIO, Course, error_estimate, p0_band, p0_known
 from palmfield.simulation.emission import array_drives
 from palmfield.simulation.forces import BodyForces
 from palmfield.simulation.radiation import Radiation
@@ -20,7 +20,7 @@ SOURCES = ("mesh", "step", "reduction", "edge")
 
 def estimate(scene, loudest, skin=0, left_small_model=False):
     model = scene.runtime.model
-    return error_estimate(model, skin, loudest, Radiation(model), left_small_model=left_small_model)
+    return error_estimate(model, skin, loudest, Radiation(model), Course(left_small_model))
 
 
 def unit(scene, **changes):
@@ -143,8 +143,10 @@ def test_the_band_is_that_of_the_arrays_that_a_stimulus_drives(small_scene, add_
     path.write_text(text[:end] + twin + text[end:])
     model = palmfield.load(path).runtime.model
     other = next(i for i, stimulus in enumerate(model.stimuli) if stimulus.spec.name == "other")
-    assert p0_given(model, other) and p0_band(model, other) == pytest.approx((0.25, 4.0))
-    assert not p0_given(model, 1 - other)
+    assert [p0.value for p0 in p0_known(model, other)] == [4.0]
+    assert p0_band(model, other) == pytest.approx((0.25, 4.0))
+    assert [p0.value for p0 in p0_known(model, 1 - other)] == [1.27]
+    assert p0_band(model, 1 - other) == pytest.approx(((0.7 / 1.27) ** 2, (2.6 / 1.27) ** 2))
 
 
 def test_a_silent_moment_never_gets_here(small_scene, moment):

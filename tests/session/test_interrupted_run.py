@@ -89,7 +89,7 @@ def test_ctrl_c_while_the_error_is_estimated_leaves_a_complete_result(small_scen
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(session_run, "skin_numbers", interrupted)
+    monkeypatch.setattr(session_run, "estimated_budget", interrupted)
     with pytest.raises(KeyboardInterrupt) as caught:
         palmfield.run(small_scene(), out, progress=False)
     result = caught.value.result

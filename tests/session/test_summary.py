@@ -5,19 +5,27 @@ import pytest
 
 import palmfield
 from palmfield.perception.observers import OBSERVERS
-from palmfield.session import summary
-from palmfield.session.summary import felt_levels, scene_numbers, skin_numbers, stimulus_numbers
+from palmfield.session import budget
+from palmfield.session.summary import (
+    array_numbers,
+    estimated_budget,
+    felt_levels,
+    scene_numbers,
+    skin_numbers,
+    stimulus_numbers,
+)
 
 TIMES = np.arange(0.0, 0.05, 5e-4)
 MOTION = 2e-6 * np.sin(2 * np.pi * 200.0 * TIMES)
 
 
 def numbers(scene, loudest, skin="skin", peak=2e-6):
-    return skin_numbers(scene, skin, loudest, TIMES, MOTION, peak)
+    budget = estimated_budget(scene, scene.skins.index(skin), loudest)
+    return skin_numbers(scene, skin, loudest, budget, TIMES, MOTION, peak)
 
 
 def test_numbers_of_a_run(small_scene, moment):
-    keys = {"array.p0_low_Pa_m": 2.0, "array.p0_high_Pa_m": 4.0, "skin.solver": "wedges"}
+    keys = {"array.p0_Pa_m": 2.53, "array.p0_low_Pa_m": 2.0, "array.p0_high_Pa_m": 4.0, "skin.solver": "wedges"}
     scene = palmfield.load(small_scene(), keys=keys)
     scene.step(6)
     loudest = moment(scene)
@@ -29,6 +37,8 @@ def test_numbers_of_a_run(small_scene, moment):
     assert 0.3 < result["total_force_peak_N"] / np.linalg.norm(scene.forces[0]) < 3.0
     assert result["main_frequency_Hz"] == 200.0 and result["main_line_amplitude_m"] == pytest.approx(2e-6)
     assert stimulus_numbers(scene, [loudest]) == {"stimulus": {"drive_level": pytest.approx(1.0)}}
+    array = array_numbers(scene.runtime.model)["array"]
+    assert (array["p0_low_Pa_m"], array["p0_high_Pa_m"], array["calibrated"]) == (2.0, 4.0, False)
     whole = scene_numbers(scene, [loudest])
     assert whole["palmfield_device"] == "cpu" and whole["board"] == "ideal"
 
@@ -62,7 +72,7 @@ def test_a_choice_that_refuses_is_told(small_scene, moment, monkeypatch):
 def test_a_silent_run_has_no_error(small_scene):
     scene = palmfield.load(small_scene(stimulus={"drive_amplitude": 0}))
     scene.step(2)
-    result = skin_numbers(scene, "skin", None, TIMES, 0.0 * MOTION, 0.0)
+    result = skin_numbers(scene, "skin", None, None, TIMES, 0.0 * MOTION, 0.0)
     assert "displacement_error_relative" not in result and "total_force_peak_N" not in result
     assert result["level_afferent_human_dB_SL"] is None
     assert stimulus_numbers(scene, [None]) == {"stimulus": {"drive_level": 0.0}}
@@ -74,7 +84,7 @@ def test_an_estimate_that_fails_leaves_its_reason(small_scene, moment, monkeypat
 
     scene = palmfield.load(small_scene())
     scene.step(2)
-    monkeypatch.setattr(summary, "error_estimate", refuse)
+    monkeypatch.setattr(budget, "error_estimate", refuse)
     assert numbers(scene, moment(scene))["displacement_error_missing"] == "no coarser mesh"
 
 

@@ -95,7 +95,7 @@ SOUNDS = {
         "stimulus.am_of": ["pressure", None, "arp"],
         "stimulus.am_frequency_Hz": [200, None, 100],
         "stimulus.am_depth": [1, None, 0.3],
-        "stimulus.arp_peak_Pa": [60.0, 50.0, None],
+        "stimulus.arp_peak_Pa": [12.0, 10.0, None],
     },
     "a path beside points": {
         "stimulus.path": ["point", "circle", "line"],

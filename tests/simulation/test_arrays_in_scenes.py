@@ -87,7 +87,7 @@ def test_a_moving_array_sounds_from_where_it_is(small_scene):
 def test_sites_make_an_array(small_scene):
     board = layout("uhev1")
     sites = "".join(f'<site name="tx{i}" pos="{x} {y} {z}"/>' for i, (x, y, z) in enumerate(board.positions))
-    path = small_scene(stimulus=STEADY, array={"layout": "sites", "sites": "tx"})
+    path = small_scene(stimulus=STEADY, array={"layout": "sites", "sites": "tx", "p0_Pa_m": 1.27})
     plain = path.parent / "plain.xml"
     plain.write_text(plain.read_text().replace("<worldbody>", f"<worldbody>{sites}", 1))
     felt = sensors(load(path))

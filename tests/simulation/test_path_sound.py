@@ -80,9 +80,9 @@ def test_copies_share_the_fields(small_scene):
 def test_worlds_of_one_path_share_its_fields(small_scene):
     """Each with buffers of its own: what one has been given does not change under it."""
     sim = palmfield.Simulation(
-        small_scene(stimulus=CIRCLE, skin=SKIN), worlds=3, keys={"stimulus.arp_peak_Pa": [40.0] * 3}
+        small_scene(stimulus=CIRCLE, skin=SKIN), worlds=3, keys={"stimulus.arp_peak_Pa": [10.0] * 3}
     )
-    single = palmfield.Simulation(small_scene(stimulus=CIRCLE, skin=SKIN), keys={"stimulus.arp_peak_Pa": 40.0})
+    single = palmfield.Simulation(small_scene(stimulus=CIRCLE, skin=SKIN), keys={"stimulus.arp_peak_Pa": 10.0})
     sim.step(3)
     single.step(3)
     first, *others = (runtime.work.path_sound for runtime in sim._scenes.runtimes)

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from palmfield.acoustics.phased_array import ArrayInstance, PhasedArray
@@ -35,6 +35,7 @@ def hand(request):
 
 
 @pytest.mark.parametrize("count", [1, 2])
+@settings(deadline=None)
 @given(seed=st.integers(0, 10_000))
 def test_nothing_that_a_transducer_sees_is_left_out(count, seed):
     random = np.random.default_rng(seed)

@@ -8,6 +8,7 @@ from scipy.spatial import cKDTree
 from palmfield.acoustics import validity
 from palmfield.config.skin import EXPLICIT
 from palmfield.config.stimulus import AM_KEYS
+from palmfield.session.biases import response_biases
 from palmfield.session.error_budget import stimulus_of
 from palmfield.session.planning.costs import scatterings
 from palmfield.session.planning.facts import first_drive
@@ -43,11 +44,26 @@ def advice(view: Preview) -> list[str]:
         result += _own_mesh(skin, view)
     for number in range(len(model.skins)):
         result += _below_cutoff(model, number)
+    for number in range(len(model.skins)):
+        result += _dropped_response(model, number)
     for number, stimulus in enumerate(model.stimuli):
         focus = stimulus.first_focus
         pressure = model.arrays.pressure64(focus[None], first_drive(model, number))
         result += validity.warnings(model.arrays.array, focus, pressure, model.arrays.air)
     return list(dict.fromkeys(result))
+
+
+def _dropped_response(model: HapticModel, number: int) -> list[str]:
+    """Whether ring-up or flight time are left out by key, and would change more than the accuracy."""
+    skin, stimulus = model.skins[number], model.stimuli[stimulus_of(model, number)]
+    wanted = skin.spec.config.accuracy
+    return [
+        f"{bias.what} of stimulus '{stimulus.spec.name}' left out by key response of palmfield.array: the displacement "
+        f"of skin '{skin.spec.name}' may be off by {bias.size}, where accuracy {100 * wanted:g} % is wanted; set "
+        "response to auto or on"
+        for bias in response_biases(stimulus)
+        if bias.low is not None and -bias.low > wanted
+    ]
 
 
 def _far_focus(view: Preview, number: int) -> list[str]:

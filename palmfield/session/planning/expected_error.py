@@ -1,10 +1,13 @@
 """What error of the skin displacement a plan expects, from mesh, material and p0."""
 
 from palmfield.config.skin import EXPLICIT
-from palmfield.session.error_budget import PUBLISHED_P0_Pa_m, p0_band, p0_given
+from palmfield.session.error_budget import p0_band, p0_known
 from palmfield.session.planning.rows import Row
 from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
 from palmfield.skin.explicit_layer import explicit_layer
+from palmfield.skin.from_config import softest_and_stiffest_sheets
+from palmfield.skin.materials.catalogue import CATALOGUE
+from palmfield.skin.materials.material import Material
 
 
 def expected_errors(model: HapticModel) -> list[Row]:
@@ -14,8 +17,7 @@ def expected_errors(model: HapticModel) -> list[Row]:
         name = skin.spec.name
         rows.append(_mesh_row(skin))
         for sheet in skin.layer.sheets:
-            source = f"{sheet.material.name}: {sheet.material.source}"
-            rows.append(Row("material", "of the order of 50 %", source, name))
+            rows.append(_material_row(sheet.material, softest_and_stiffest_sheets(skin.spec.config) is not None, name))
     for number, stimulus in enumerate(model.stimuli):
         rows += _p0_row(model, number, stimulus)
     return rows
@@ -37,12 +39,30 @@ def _mesh_row(skin: SkinModel) -> Row:
     return Row("particles", size, why, skin.spec.name)
 
 
+def _material_row(material: Material, ranges: bool, skin: str) -> Row:
+    """What is known of a material's numbers; the run solves for the ends of the ranges."""
+    entry = CATALOGUE.get(material.name)
+    if not ranges or entry is None or not entry.ranges:
+        return Row("material", "no range is known", f"{material.name}: {material.source}", skin)
+    size = ", ".join(
+        f"{'moduli x ' if known.parameter == 'shear' else known.parameter + ' '}{known.low:g} to {known.high:g}"
+        for known in entry.ranges
+    )
+    sources = "; ".join(known.source for known in entry.ranges)
+    why = f"the run solves for both ends of all ranges at once; {sources}. {material.name}: {material.source}"
+    return Row("material", size, why, skin)
+
+
 def _p0_row(model: HapticModel, number: int, stimulus: StimulusModel) -> list[Row]:
     name, band = stimulus.spec.name, p0_band(model, number)
+    known = "; ".join(
+        f"{'' if p0.kind == 'measured' else 'uncalibrated, '}{p0.kind}: {p0.value:g} Pa m ({p0.low:g} to {p0.high:g}), "
+        f"{p0.source}"
+        for p0 in p0_known(model, number)
+    )
     if stimulus.config.arp_peak_Pa is not None:
-        return [Row("p0", "none", "arp_peak_Pa sets the level", name)]
+        why = f"arp_peak_Pa sets the level; whether the array reaches it goes by p0, {known}"
+        return [Row("p0", "none", why, name)]
     if band is None:
         return []
-    published = "{:g} to {:g} Pa m".format(*PUBLISHED_P0_Pa_m)
-    why = "the given range" if p0_given(model, number) else f"where no range is given, published values: {published}"
-    return [Row("p0", f"x {band[0]:.2f} to x {band[1]:.2f}", f"displacement goes with p0 squared; {why}", name)]
+    return [Row("p0", f"x {band[0]:.2f} to x {band[1]:.2f}", f"ARP and displacement go with p0 squared; {known}", name)]

@@ -1,7 +1,7 @@
 """What several parts of a plan ask of a model."""
 
 from palmfield.simulation.emission import array_drives
-from palmfield.simulation.model import HapticModel, StimulusModel
+from palmfield.simulation.model import HapticModel, StimulusModel, array_instances
 from palmfield.types import Complex
 
 
@@ -18,5 +18,6 @@ def pushed_faces(model: HapticModel) -> int:
 
 def qualities(model: HapticModel, stimulus: StimulusModel) -> str:
     """Quality factors of the transducers that a stimulus drives, in words."""
-    factors = {model.spec.arrays[number].config.quality for number in stimulus.spec.arrays}
+    instances = array_instances(model.spec)
+    factors = {instances[number].quality.value for number in stimulus.spec.arrays}
     return "Q " + " and ".join(f"{factor:g}" for factor in sorted(factors))

@@ -2,19 +2,41 @@
 
 import numpy as np
 
-from palmfield.acoustics import validity
 from palmfield.acoustics.air import sound_speed
 from palmfield.config.skin import OF_SHAPES
-from palmfield.session.planning.facts import first_drive, qualities
+from palmfield.session.biases import biases
+from palmfield.session.error_budget import stimulus_of
+from palmfield.session.planning.facts import first_drive
 from palmfield.session.planning.rows import Row
 from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
+from palmfield.simulation.posed_scene import reference_scene
 from palmfield.skin.from_config import cutoff_Hz
+from palmfield.types import Float
 
 
 def left_out(model: HapticModel) -> list[Row]:
-    """Rows of what is left out."""
-    rows = [row for skin in model.skins for row in _sound_at_the_body_left_out(skin, len(model.bodies))]
-    rows += [row for stimulus in model.stimuli for row in _response_left_out(model, stimulus)]
+    """Rows of what is left out, and what that does to the displacement of each skin under the focus."""
+    rows = []
+    for number, skin in enumerate(model.skins):
+        stimulus = stimulus_of(model, number)
+        posed = reference_scene(model)
+        focus = _nearest(model.stimuli[stimulus].reference_foci, posed.skins[number].nodes[0])
+        found = biases(model, number, stimulus, posed, first_drive(model, stimulus), focus)
+        rows += [Row(one.what, one.size, one.why, skin.spec.name) for one in found]
+    return rows
+
+
+def besides(model: HapticModel) -> list[Row]:
+    """Rows of what else is not there: no figure of them is of a skin's displacement."""
+    rows = []
+    for skin in model.skins:
+        if skin.spec.config.body_sound == "none" and (skin.carrier.surface is not None or len(model.bodies) > 1):
+            why = "one part of the body does not shade another" + (
+                ", nor one body another" if len(model.bodies) > 1 else ""
+            )
+            of_hand = skin.spec.config.shape in OF_SHAPES["hand"]
+            size = "nothing on an open hand, all of the sound behind a finger" if of_hand else "all of the sound there"
+            rows.append(Row("cast shadows", size, why, skin.spec.name))
     for skin in model.skins:
         if skin.spec.moves or skin.carrier.hand is not None:
             rows.append(
@@ -34,43 +56,13 @@ def left_out(model: HapticModel) -> list[Row]:
                     skin.spec.name,
                 )
             )
-    for number, stimulus in enumerate(model.stimuli):
-        rows += _flight_and_shock(model, number, stimulus)
-    if any(skin.choice.name != "particles" for skin in model.skins):
-        rows.append(Row("large strain", "not estimated", "linear elasticity; micrometres on a layer of millimetres"))
+    rows += [_common_flight(model, part) for part in model.stimuli]
     for skin in model.skins:
         rows += _cutoff_row(skin)
     for skin in model.skins:
         if skin.carrier.surface is not None:
             why = "only the resultant force acts on the rest of the body"
             rows.append(Row("skin elsewhere", "not modelled", why, skin.spec.name))
-    return rows
-
-
-def _sound_at_the_body_left_out(skin: SkinModel, bodies: int) -> list[Row]:
-    rows, name = [], skin.spec.name
-    flat = skin.carrier.surface is None
-    of_hand = skin.spec.config.shape in OF_SHAPES["hand"]
-    if skin.spec.config.body_sound == "none":
-        why = "one part of the body does not shade another" + (", nor one body another" if bodies > 1 else "")
-        size = (
-            "nothing on an open hand there"
-            if of_hand
-            else "none of its own on a flat face"
-            if flat
-            else "not estimated"
-        )
-        rows.append(Row("cast shadows", size, why, name))
-    if skin.spec.config.body_sound != "scattering":
-        law = "the law takes the wall as locally flat and rigid"
-        if flat:
-            size, why = "not estimated", f"{law}, as this face is; left out are diffraction at its rim, and echoes "
-            why += "between it and the array"
-        else:
-            size = "4 % of the ARP on an open hand, 8 % on a finger, 16 % in a cup, more than half on skin turned away"
-            why = "relative L2, face by face, on the bodies of docs/bench/scattering.md, not on this one: "
-            why += f"{law}; no echo between parts, or between body and array"
-        rows.append(Row("scattered sound", size, why, name))
     return rows
 
 
@@ -81,48 +73,19 @@ def _inertia(skin: SkinModel) -> str:
     return f"rho a h of shear on the base: {density * depth:.2g} Pa for 1 m/s^2 on {1e3 * depth:.2g} mm"
 
 
-def _response_left_out(model: HapticModel, stimulus: StimulusModel) -> list[Row]:
-    response, rows, name = stimulus.response, [], stimulus.spec.name
-    if not response.on:
-        delay_s = 1.0 / response.pole.damping[stimulus.transducers].min()
-        rows.append(
-            Row(
-                "transducers' ring-up",
-                f"{response.ring_up} of the pressure",
-                f"measured on samples of the drive; one pole, {qualities(model, stimulus)}: a delay of "
-                f"{1e3 * delay_s:.2f} ms",
-                name,
-            )
-        )
-    if not response.delayed:
-        rows.append(
-            Row(
-                "spread of the flight time",
-                f"{response.flight_time} of the pressure",
-                f"measured on samples of the drive; {1e3 * response.spread_s:.3f} ms between the first and the last "
-                "transducer's sound",
-                name,
-            )
-        )
-    return rows
+def _nearest(foci: Float, nodes: Float) -> Float:
+    """The one of some foci that is nearest to a skin's nodes, shape (3,)."""
+    places = np.atleast_2d(foci)
+    nearest: Float = places[int(np.argmin([np.linalg.norm(nodes - place, axis=1).min() for place in places]))]
+    return nearest
 
 
-def _flight_and_shock(model: HapticModel, number: int, stimulus: StimulusModel) -> list[Row]:
+def _common_flight(model: HapticModel, stimulus: StimulusModel) -> Row:
+    """The time that all sound takes, by which results are early."""
     arrays, focus = model.arrays, stimulus.first_focus
     distances = np.linalg.norm(arrays.array.positions[stimulus.transducers] - focus, axis=1)
     middle_s = 0.5 * (distances.min() + distances.max()) / sound_speed(arrays.air)
-    pressure = abs(arrays.pressure64(focus[None], first_drive(model, number))[0])
-    shock = validity.shock_distance_m(pressure, arrays.air, arrays.array.frequency_Hz)
-    name = stimulus.spec.name
-    return [
-        Row("common flight time", f"{1e3 * middle_s:.2f} ms", "shifts results in time", name),
-        Row(
-            "nonlinear sound",
-            f"focal distance / shock distance {distances.mean() / shock:.2f}",
-            f"a plane wave of the focus's {pressure:.0f} Pa; beyond 0.3 expect less than this linear field gives",
-            name,
-        ),
-    ]
+    return Row("common flight time", f"{1e3 * middle_s:.2f} ms", "shifts results in time", stimulus.spec.name)
 
 
 def _cutoff_row(skin: SkinModel) -> list[Row]:

@@ -154,6 +154,14 @@ CATALOGUE: dict[str, Preset] = {
             f"finger pad ({MANFREDI}); it decays much faster with distance than theirs. nu 0.4999 on the instantaneous "
             "modulus",
         ),
+        (
+            Range(
+                "shear",
+                0.5,
+                1.5,
+                "assumed as for ecoflex_00-10: the readings that it is fitted to have no spread, and hands differ",
+            ),
+        ),
         observations=(*SITE_SPEEDS, SITE_DECAY),
     ),
     "palm": Preset(
@@ -168,6 +176,15 @@ CATALOGUE: dict[str, Preset] = {
             "(Manfredi et al. 2012): misfit +26/+9/-11/-23 %; |u(40 mm)/u(5 mm)| at 200 Hz 0.085 on 12 mm bonded to "
             "bone (0.081 at 16 mm, 0.086 at 20 mm) against 0.085; one branch cannot meet both. nu 0.4999 on the "
             "instantaneous modulus",
+        ),
+        (
+            Range(
+                "shear",
+                0.64,
+                1.67,
+                "inferred from its misfit: the modulus goes with the square of the speed, which it misses by +26 % at "
+                "50 Hz and by -23 % at 400 Hz",
+            ),
         ),
         observations=(*SITE_SPEEDS, SITE_DECAY),
     ),
@@ -281,6 +298,24 @@ def varied(entry: Preset) -> list[Material]:
                 changed: dict[str, Any] = {known.parameter: value}
                 materials.append(replace(entry.material, name=name, **changed))
     return materials
+
+
+def softest_and_stiffest(entry: Preset) -> tuple[Material, Material] | None:
+    """The preset's material with all its ranges at their low ends, and at their high ends; None without ranges."""
+    if not entry.ranges:
+        return None
+    ends = []
+    for end in ("low", "high"):
+        material = entry.material
+        for known in entry.ranges:
+            value, name = getattr(known, end), f"{entry.material.name}, ranges at their {end} ends"
+            if known.parameter == "shear":
+                material = scaled(material, value, name)
+            else:
+                changed: dict[str, Any] = {known.parameter: value}
+                material = replace(material, name=name, **changed)
+        ends.append(material)
+    return ends[0], ends[1]
 
 
 def scaled(material: Material, factor: float, name: str) -> Material:

@@ -1,0 +1,104 @@
+"""Arrays from a CSV file with a line for each transducer."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from palmfield.acoustics.placement import from_poses
+from palmfield.errors import SceneError
+from palmfield.tables import read_table
+from palmfield.types import Array, Float
+
+LENGTHS_m = {"m": 1.0, "mm": 1e-3}
+NORMAL = ("nx", "ny", "nz")
+FARTHEST_m = 5.0
+"""Beyond this from the array's frame a position is taken for one in another unit."""
+
+
+@dataclass(frozen=True)
+class TransducerTable:
+    """What a file says of an array's transducers, comparable: in the array's frame, one entry for each transducer.
+
+    positions: [m]; normals: emitting directions of any length; gains: amplitude relative to p0, and phase as in
+    `palmfield.types.Array`; addresses: in the board's byte order, None where the file gives none
+    """
+
+    positions: tuple[tuple[float, ...], ...]
+    normals: tuple[tuple[float, ...], ...]
+    gains: tuple[complex, ...] | None
+    addresses: tuple[int, ...] | None
+
+    def array(self, p0_Pa_m: float) -> Array:
+        """The array. Raises SceneError as `palmfield.acoustics.placement.from_poses`."""
+        address = None if self.addresses is None else np.array(self.addresses, np.int32)
+        gain = None if self.gains is None else np.array(self.gains)
+        return from_poses("csv", self.positions, self.normals, p0_Pa_m, address=address, gain=gain)
+
+
+def read_transducers(path: str | Path) -> TransducerTable:
+    """The transducers in a CSV file with a line of column names.
+
+    Columns: x_m, y_m, z_m or x_mm, y_mm, z_mm; if they don't all emit along z nx, ny, nz; gain (amplitude relative to
+    p0, 0 is dead, -1 is inverted) and phase_deg where they differ; address, its place in the board's byte order.
+    Raises SceneError for a file that cannot be read, a missing, unknown or doubled column, two transducers at one
+    place, and, with line and column, for text, NaN, a direction of length 0 and addresses that are not 0 to n - 1.
+    """
+    file = Path(path)
+    columns, places = read_table(file)
+    if not places:
+        raise SceneError(f"{file}: 0 transducers; give a line for each")
+    units = [unit for unit in LENGTHS_m if any(f"{axis}_{unit}" in columns for axis in "xyz")]
+    if len(units) != 1:
+        raise SceneError(f"{file}: columns are {', '.join(columns)}; give x_m, y_m, z_m or x_mm, y_mm, z_mm")
+    positions = np.stack([_taken(file, columns, f"{axis}_{units[0]}") for axis in "xyz"], 1) * LENGTHS_m[units[0]]
+    _check_places(file, positions, places)
+    normals = np.tile([0.0, 0.0, 1.0], (len(places), 1))
+    if any(name in columns for name in NORMAL):
+        normals = np.stack([_taken(file, columns, name) for name in NORMAL], 1)
+        lengths = np.linalg.norm(normals, axis=1)
+        if lengths.min() < 1e-6:
+            n = int(np.argmin(lengths))
+            raise SceneError(f"{file}: {places[n]}, columns nx to nz: length {lengths[n]:g}; give a direction")
+    gains = None
+    if "gain" in columns or "phase_deg" in columns:
+        sizes, phases = (
+            columns.pop(name, np.full(len(places), like)) for name, like in (("gain", 1.0), ("phase_deg", 0))
+        )
+        gains = tuple((sizes * np.exp(1j * np.radians(phases))).tolist())
+    addresses = None
+    if "address" in columns:
+        numbers = columns.pop("address")
+        if not np.array_equal(np.sort(numbers), np.arange(len(numbers))):
+            raise SceneError(f"{file}: column address holds other numbers than 0 to {len(numbers) - 1}, each once")
+        addresses = tuple(int(number) for number in numbers)
+    if columns:
+        raise SceneError(
+            f"{file}: column '{next(iter(columns))}' is unknown; allowed: x_m, y_m, z_m (or _mm), nx, ny, nz, gain, "
+            "phase_deg, address"
+        )
+    return TransducerTable(_rows(positions), _rows(normals), gains, addresses)
+
+
+def _taken(file: Path, columns: dict[str, Float], name: str) -> Float:
+    if name not in columns:
+        raise SceneError(f"{file}: column '{name}' is missing; columns are: {', '.join(columns)}")
+    return columns.pop(name)
+
+
+def _check_places(file: Path, positions: Float, places: list[str]) -> None:
+    far = np.linalg.norm(positions, axis=1)
+    if far.max() > FARTHEST_m:
+        n = int(np.argmax(far))
+        raise SceneError(
+            f"{file}: {places[n]}: {far[n]:g} m from the array's frame; give at most {FARTHEST_m:g} m (columns x_mm, "
+            "y_mm, z_mm hold millimetres)"
+        )
+    _, first, counts = np.unique(positions, axis=0, return_index=True, return_counts=True)
+    if counts.max() > 1:
+        n = int(first[np.argmax(counts)])
+        raise SceneError(f"{file}: {places[n]}: another transducer is at the same place {positions[n].tolist()} m")
+
+
+def _rows(table: Float) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(row) for row in table.tolist())

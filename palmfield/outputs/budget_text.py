@@ -1,0 +1,59 @@
+"""A skin's error budget (`palmfield.session.budget.error_budget`) in words."""
+
+from collections.abc import Mapping
+from typing import Any
+
+Row = tuple[str, str]
+"""Of a table: what, and its size."""
+PARTS = {"mesh": "mesh", "step": "time step", "reduction": "reduction", "edge": "cut edge", "field": "field in float32"}
+"""Of the numerical error, by the beginning of its key in a skin's numbers."""
+SHOWN = 5e-4
+"""Relative bias below which nothing is told of what is left out."""
+
+
+def budget_rows(skin: Mapping[str, Any]) -> list[Row]:
+    """What a skin's motion is worth: of its displacement under the focus, in three kinds that are not added up."""
+    velocity = skin.get("reduction_velocity_error_relative")
+    of_velocity = "" if velocity is None else f" ({100 * velocity:.2g} % of the velocity)"
+    parts = [
+        f"{name} {100 * skin[f'{key}_error_relative']:.2g} %{of_velocity if key == 'reduction' else ''}"
+        for key, name in PARTS.items()
+        if f"{key}_error_relative" in skin
+    ]
+    rows = [("error, numerical", ", ".join(parts))]
+    budget = skin.get("error_budget")
+    if budget is None:
+        return rows
+    told = [one for one in budget["left_out"] if one["low"] is not None and max(-one["low"], one["high"]) > SHOWN]
+    silent = [one["what"] for one in budget["left_out"] if one["low"] is None]
+    texts = [f"{one['what']} {bias_text(one['low'], one['high'])}" for one in told]
+    rows.append(("error, left out", "; ".join([*texts, f"not estimated: {', '.join(silent)}"])))
+    ranges = [one for one in budget["inputs"] if one["low"] is not None and one["low"] < one["high"]]
+    known = [f"{one['what']} x {one['low']:.2g} to x {one['high']:.2g}" for one in ranges]
+    unknown = [one["what"] for one in budget["inputs"] if one["low"] is None]
+    rest = [f"not carried through: {', '.join(unknown)}"] if unknown else []
+    rows.append(("error, inputs", "; ".join([*known, *rest])))
+    return rows
+
+
+def bias_text(low: float, high: float) -> str:
+    """By how much the true value differs from the computed one, relative, in words."""
+    if low == high == 0.0:
+        return "0 %"
+    if low == -high:
+        return f"+- {100 * high:.2g} %"
+    ends = [f"{100 * end:+.2g}" if end else "0" for end in (low, high)]
+    return f"{ends[0]} to {ends[1]} %"
+
+
+def in_a_line(budget: Mapping[str, Any] | str | None) -> str:
+    """A budget's largest parts in one line, for pictures; nothing without a budget."""
+    if not isinstance(budget, Mapping):
+        return ""
+    parts = [f"numerical {100 * budget['numerical']['displacement_error_relative']:.2g} %"]
+    known = [one for one in budget["left_out"] if one["low"] is not None and max(-one["low"], one["high"]) > SHOWN]
+    largest = sorted(known, key=lambda one: -max(-one["low"], one["high"]))[:2]
+    parts += [f"{one['what']} left out: {bias_text(one['low'], one['high'])}" for one in largest]
+    ranges = [one for one in budget["inputs"] if one["low"] is not None and one["low"] < one["high"]]
+    parts += [f"{one['what']} x {one['low']:.2g} to {one['high']:.2g}" for one in ranges]
+    return "Error of the displacement under the focus: " + "; ".join(parts)

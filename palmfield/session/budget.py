@@ -1,0 +1,101 @@
+"""How far a run's motion of the skin can be trusted: numerical errors, what was left out, and what the inputs leave.
+
+All parts are of one quantity, the displacement of the skin under the focus at the loudest moment, relative to its size.
+They are of different kinds and are never added up into one number.
+"""
+
+import math
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from palmfield.session.biases import biases
+from palmfield.session.error_budget import Course, LoudestMoment, error_estimate, p0_band, p0_known, stimulus_of
+from palmfield.simulation.model import HapticModel
+from palmfield.simulation.radiation import Radiation
+from palmfield.stimulus.schedule import frame_at
+
+QUANTITY = "displacement of the skin under the focus at the loudest moment, relative to its size"
+LOUDEST_POINTS = 64
+"""Points of the skin at which the field is computed once more in double precision."""
+SOURCES = ("mesh", "step", "reduction", "edge", "field")
+"""Of the numerical error: each has its number under `SOURCE_error_relative`."""
+
+
+def error_budget(
+    model: HapticModel,
+    skin: int,
+    loudest: LoudestMoment,
+    radiation: Radiation,
+    course: Course,
+) -> dict[str, Any]:
+    """The budget of a skin's motion, as plain JSON; arguments as `palmfield.session.error_budget.error_estimate`.
+
+    quantity: what all of it is relative to
+    numerical: SOURCE_error_relative for each of SOURCES, displacement_error_relative of all of them together, and what
+        the numerical estimate has besides
+    left_out: a list of what, low, high (true less computed, over computed; None where not estimated) and why
+    inputs: a list of what, low, high (factors on the displacement; None where not estimated), kind and why
+    Raises SceneError as `error_estimate`.
+    """
+    estimate = error_estimate(model, skin, loudest, radiation, course)
+    band = estimate.pop("material_band_low", None), estimate.pop("material_band_high", None)
+    estimate["field_error_relative"] = field_error(model, skin, loudest, radiation)
+    estimate["displacement_error_relative"] = math.hypot(*(estimate[f"{name}_error_relative"] for name in SOURCES))
+    stimulus = stimulus_of(model, skin)
+    places = loudest.posed.focal_points(model.stimuli[stimulus], stimulus)
+    foci = np.atleast_2d(places.at(frame_at(model.stimuli[stimulus].config, loudest.time_s).focus))
+    nodes = loudest.posed.skins[skin].nodes[0]
+    focus = foci[int(np.argmin([np.linalg.norm(nodes - place, axis=1).min() for place in foci]))]
+    found = biases(model, skin, stimulus, loudest.posed, loudest.drive, focus)
+    return {
+        "quantity": QUANTITY,
+        "numerical": estimate,
+        "left_out": [asdict(bias) for bias in found],
+        "inputs": [*_level(model, stimulus), _material(model, skin, band), *_unknown_inputs(model, skin)],
+    }
+
+
+def field_error(model: HapticModel, skin: int, loudest: LoudestMoment, radiation: Radiation) -> float:
+    """Error that the field's precision leaves in the ARP where it is highest on a skin, relative.
+
+    Against a sum in double precision at LOUDEST_POINTS points; the ARP goes with the pressure's square.
+    """
+    posed = loudest.posed
+    loads = radiation.on(posed, skin, "quadrature", loudest.drive).arp
+    points = posed.skins[skin].quadrature[0][np.argsort(loads)[-LOUDEST_POINTS:]]
+    exact = posed.arrays.pressure64(points, loudest.drive)
+    fast = posed.arrays.field.pressure(points, loudest.drive).pressure
+    largest = float(np.abs(exact).max())
+    return 2.0 * float(np.abs(fast - exact).max()) / largest if largest > 0.0 else 0.0
+
+
+def _level(model: HapticModel, stimulus: int) -> list[dict[str, Any]]:
+    """p0 of the arrays that a stimulus drives."""
+    band = p0_band(model, stimulus)
+    known = p0_known(model, stimulus)
+    kinds = " and ".join(dict.fromkeys(p0.kind for p0 in known))
+    if band is None:
+        why = "arp_peak_Pa sets the level"
+        return [{"what": "p0", "low": 1.0, "high": 1.0, "kind": kinds, "why": why}]
+    why = "; ".join(f"{p0.value:g} Pa m ({p0.low:g} to {p0.high:g}): {p0.source}" for p0 in known)
+    return [{"what": "p0", "low": band[0], "high": band[1], "kind": kinds, "why": f"exactly its square; {why}"}]
+
+
+def _material(model: HapticModel, skin: int, band: tuple[float | None, float | None]) -> dict[str, Any]:
+    config = model.skins[skin].spec.config
+    names = ", ".join(config.materials or (config.material,))
+    why = f"{names}: no range is known of the numbers that the scene sets"
+    if band[0] is not None:
+        why = f"{names}: all moduli at the ends of their ranges at once, softest and stiffest; correlation is ignored"
+    return {"what": "material", "low": band[0], "high": band[1], "kind": "inferred", "why": why}
+
+
+def _unknown_inputs(model: HapticModel, skin: int) -> list[dict[str, Any]]:
+    """What else goes in and isn't carried through."""
+    inputs = []
+    if model.skins[skin].carrier.surface is not None:
+        inputs.append(("depth to the bone", "its range by region is in docs/hands.md"))
+    inputs.append(("quality of the transducers", "12 to 35 until it is measured: it shapes onsets and fast modulation"))
+    return [{"what": what, "low": None, "high": None, "kind": "assumed", "why": why} for what, why in inputs]

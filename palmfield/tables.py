@@ -1,0 +1,108 @@
+"""Columns of numbers in CSV and NPZ files, with messages that name line and column."""
+
+import csv
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+from zipfile import BadZipFile, is_zipfile
+
+import numpy as np
+
+from palmfield.errors import OutputError, SceneError
+from palmfield.types import Float
+
+UNREADABLE = (OSError, EOFError, ValueError, NotImplementedError, BadZipFile, zlib.error, csv.Error)
+"""What open, csv, zipfile and NumPy raise for a broken file; undecodable text is a ValueError."""
+
+
+def read_table(file: Path, gaps: Sequence[str] = ()) -> tuple[dict[str, Float], list[str]]:
+    """Columns of numbers of a CSV file with a header, or of an NPZ file; and what to call each row in messages.
+
+    gaps: columns in which numbers need not be finite
+    Raises SceneError for a file that cannot be read, a doubled column, and, with line (in an NPZ: row) and column, for
+    text and numbers that are not finite.
+    """
+    try:
+        if file.suffix.lower() == ".npz":
+            columns, places = _npz(file)
+        elif file.suffix.lower() == ".csv":
+            columns, places = _csv(file)
+        else:
+            raise SceneError(f"{file}: the file's kind is '{file.suffix}'; use .csv or .npz")
+    except UNREADABLE as error:
+        raise SceneError(
+            f"{file}: cannot be read: {error or type(error).__name__}; give a CSV (UTF-8) or NPZ file"
+        ) from None
+    for name, values in columns.items():
+        bad = np.flatnonzero(~np.isfinite(values))
+        if len(bad) and name not in gaps:
+            raise SceneError(f"{file}: {places[int(bad[0])]}, column {name}: {values[bad[0]]:g}; give a finite number")
+    return columns, places
+
+
+def _npz(file: Path) -> tuple[dict[str, Float], list[str]]:
+    columns: dict[str, Float] = {}
+    with file.open("rb") as data:
+        if not is_zipfile(data):
+            raise SceneError(f"{file}: is not an NPZ archive; write it by numpy.savez")
+    with np.load(file, allow_pickle=False) as archive:
+        for name in archive.files:
+            try:
+                columns[name] = np.asarray(archive[name], dtype=np.float64)
+            except ValueError:
+                raise SceneError(f"{file}: column {name} is not of numbers; give numbers") from None
+    shapes = {values.shape for values in columns.values()}
+    if len(shapes) != 1 or len(next(iter(shapes))) != 1:
+        listed = ", ".join(f"{name} {values.shape}" for name, values in columns.items())
+        raise SceneError(f"{file}: arrays have shapes {listed or 'none'}; give arrays of one length, shape (rows,)")
+    rows = next(iter(shapes))[0]
+    return columns, [f"row {n + 1}" for n in range(rows)]
+
+
+def _csv(file: Path) -> tuple[dict[str, Float], list[str]]:
+    with file.open(newline="", encoding="utf-8-sig") as text:
+        reader = csv.reader(text)
+        header = [name.strip() for name in next(reader, [])]
+        twice = [name for name in header if header.count(name) > 1]
+        if not header or twice:
+            fault = f"column '{twice[0]}' is there twice" if twice else "the file is empty"
+            raise SceneError(f"{file}: {fault}; begin with one line of different column names")
+        rows, places = [], []
+        for row in reader:
+            if not any(cell.strip() for cell in row):
+                continue
+            place = f"line {reader.line_num}"
+            if len(row) != len(header):
+                raise SceneError(f"{file}: {place} has {len(row)} values for {len(header)} columns; give one for each")
+            rows.append([_number(file, place, name, cell) for name, cell in zip(header, row, strict=True)])
+            places.append(place)
+    table = np.array(rows, dtype=np.float64).reshape(-1, len(header))
+    return {name: table[:, n] for n, name in enumerate(header)}, places
+
+
+def _number(file: Path, place: str, column: str, cell: str) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        raise SceneError(f"{file}: {place}, column {column}: '{cell}' is not a number; give a number") from None
+
+
+def write_table(file: Path, names: Sequence[str], table: Float) -> None:
+    """Write columns of numbers, shape (rows, names), to a CSV or NPZ file, which `read_table` reads back unchanged.
+
+    Raises OutputError for another kind of file and for a file that cannot be written.
+    """
+    if file.suffix.lower() not in (".csv", ".npz"):
+        raise OutputError(f"{file}: the file's kind is '{file.suffix}'; use .csv or .npz")
+    try:
+        if file.suffix.lower() == ".npz":
+            with file.open("wb") as data:
+                # Not with allow_pickle=False, which numpy below 2.2 takes for one more array, and numbers don't need
+                np.savez_compressed(data, **dict(zip(names, table.T, strict=True)))
+        else:
+            with file.open("w", newline="", encoding="utf-8") as text:
+                writer = csv.writer(text)
+                writer.writerow(names)
+                writer.writerows(table.tolist())
+    except OSError as error:
+        raise OutputError(f"{file}: cannot be written: {error}; give a place that can be written to") from None

@@ -1,0 +1,142 @@
+"""Error budgets of runs: inputs against runs with other inputs, what is left out against runs with it."""
+
+import json
+
+import numpy as np
+import pytest
+
+import palmfield
+from palmfield.outputs.budget_text import bias_text, budget_rows, in_a_line
+from palmfield.outputs.store import open_result
+from palmfield.session.biases import Bias, biases
+from palmfield.session.budget import SOURCES, error_budget, field_error
+from palmfield.session.error_budget import Course
+from palmfield.session.planning.facts import first_drive
+from palmfield.simulation.posed_scene import reference_scene
+from palmfield.simulation.radiation import Radiation
+
+STEADY = {"modulation": "none", "am_of": None, "am_frequency_Hz": None, "am_depth": None}
+
+
+def budget(scene, loudest):
+    model = scene.runtime.model
+    return error_budget(model, 0, loudest, Radiation(model), Course(left_small_model=False))
+
+
+def band(found, what):
+    (one,) = [one for one in found["inputs"] if one["what"] == what]
+    return one["low"], one["high"]
+
+
+def left_out(found, what):
+    return next((one for one in found["left_out"] if one["what"] == what), None)
+
+
+def peak(path, **keys):
+    """Largest displacement of a run, everything numerical alike."""
+    fixed = {"skin.solver": "wedges", "skin.step_s": 2.5e-4}
+    result = palmfield.run(palmfield.Simulation(path, keys=fixed | keys), progress=False)
+    return result.summary["peak_displacement_m"]
+
+
+def test_the_band_of_p0_is_what_runs_with_its_ends_give(small_scene, moment):
+    path = small_scene(skin={"solver": "wedges"})
+    scene = palmfield.load(path)
+    scene.step(3)
+    low, high = band(budget(scene, moment(scene)), "p0")
+    own = peak(path)
+    assert peak(path, **{"array.p0_Pa_m": 0.7}) / own == pytest.approx(low, rel=1e-4)
+    assert peak(path, **{"array.p0_Pa_m": 2.6}) / own == pytest.approx(high, rel=1e-4)
+
+
+def test_the_material_band_is_about_what_runs_with_its_ends_give(small_scene, moment):
+    """A run has more than rest and one frequency, and another mesh for another material: a tenth of the change."""
+    path = small_scene(skin={"material": "ecoflex_00-10"})
+    scene = palmfield.load(path)
+    scene.step(3)
+    low, high = band(budget(scene, moment(scene)), "material")
+    own, ends = peak(path), []
+    for factor in (0.5, 1.5):
+        keys = {"skin.shear_relaxed_Pa": factor * 12.5e3, "skin.shear_branch_Pa": factor * 20e3}
+        ends.append(peak(path, **keys) / own)
+    assert low < 1.0 < high
+    assert (ends[1] - 1.0) / (low - 1.0) == pytest.approx(1.0, abs=0.2)
+    assert (ends[0] - 1.0) / (high - 1.0) == pytest.approx(1.0, abs=0.2)
+
+
+def test_numbers_that_the_scene_sets_have_no_range(small_scene, moment):
+    scene = palmfield.load(small_scene(skin={"shear_relaxed_Pa": 12e3, "shear_branch_Pa": 20e3}))
+    scene.step(3)
+    found = budget(scene, moment(scene))
+    assert band(found, "material") == (None, None)
+    assert "no range is known" in next(one["why"] for one in found["inputs"] if one["what"] == "material")
+
+
+def test_all_parts_are_there_and_not_added_up(small_scene, moment):
+    scene = palmfield.load(small_scene())
+    scene.step(3)
+    found = budget(scene, moment(scene))
+    numerical = found["numerical"]
+    parts = [numerical[f"{name}_error_relative"] for name in SOURCES]
+    assert numerical["displacement_error_relative"] == pytest.approx(np.hypot.reduce(parts))
+    assert all(part >= 0.0 for part in parts) and 0.0 < numerical["field_error_relative"] < 1e-4
+    assert set(found) == {"quantity", "numerical", "left_out", "inputs"}
+    rows = dict(budget_rows(numerical | {"error_budget": found}))
+    assert "p0 x 0.3 to x 4.2" in rows["error, inputs"] and "streaming" in rows["error, left out"]
+    assert "numerical" in in_a_line(found) and in_a_line("no estimate") == ""
+
+
+def test_the_fields_error_is_that_of_single_precision(small_scene, moment):
+    errors = []
+    for precision in ("fast", "accurate"):
+        scene = palmfield.load(small_scene(array={"precision": precision}))
+        scene.step(3)
+        loudest, model = moment(scene), scene.runtime.model
+        errors.append(field_error(model, 0, loudest, Radiation(model)))
+    assert errors[1] < errors[0] < 5e-5
+
+
+def test_a_ring_up_that_is_left_out_covers_a_run_with_it(small_scene, moment):
+    """AM of 200 Hz: what the skin moves less with it lies within the stated bias."""
+    without = small_scene(array={"response": "off"}, stimulus={"ramp_s": 0.005})
+    scene = palmfield.load(without)
+    scene.step(3)
+    found = left_out(budget(scene, moment(scene)), "transducers' ring-up")
+    true = peak(without, **{"array.response": "on"}) / peak(without) - 1.0
+    assert found["low"] <= true < 0.0 == found["high"]
+    assert found["low"] > 10.0 * true
+
+
+def test_what_is_modelled_is_not_left_out(small_scene, moment):
+    scene = palmfield.load(small_scene(array={"response": "on"}))
+    scene.step(3)
+    assert left_out(budget(scene, moment(scene)), "transducers' ring-up") is None
+
+
+def test_loud_sound_loses_arp_and_quiet_sound_none(small_scene):
+    losses = []
+    for p0 in (1.27, 6.0):
+        scene = palmfield.load(small_scene(array={"p0_Pa_m": p0}))
+        model = scene.runtime.model
+        posed, drive = reference_scene(model), first_drive(model, 0)
+        found = biases(model, 0, 0, posed, drive, model.stimuli[0].first_focus)
+        losses.append(next(one.low for one in found if one.what == "nonlinear sound"))
+    assert losses[0] == 0.0 and losses[1] < -0.05
+
+
+def test_biases_in_words():
+    assert [bias_text(*ends) for ends in ((-0.02, 0.0), (-0.1, 0.1), (0.0, 0.0), (-0.01, 0.5))] == [
+        "-2 to 0 %", "+- 10 %", "0 %", "-1 to +50 %"
+    ]  # fmt: skip
+    assert Bias("streaming", None, None, "more").size == "not estimated"
+
+
+def test_a_result_a_summary_and_a_picture_hold_the_budget(small_scene, tmp_path):
+    result = palmfield.run(small_scene(), tmp_path / "out", progress=False)
+    with open_result(result.files["result.nc"]) as tree:
+        stored = json.loads(tree.attrs["error_budget"])["skin"]
+    written = json.loads(result.files["summary.json"].read_text())["skins"][0]
+    assert stored == written["error_budget"] == result.summary["skins"][0]["error_budget"]
+    assert written["mesh_error_relative"] == stored["numerical"]["mesh_error_relative"]
+    memory = palmfield.run(small_scene(), progress=False)
+    assert json.loads(memory.dataset.attrs["error_budget"])["skin"]["quantity"] == stored["quantity"]
