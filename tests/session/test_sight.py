@@ -97,6 +97,15 @@ def test_what_is_in_sight_is_not_told_of(name):
     assert out_of_sight(preview(SCENES / f"{name}.xml", accuracy=0.5)) == []
 
 
+@pytest.mark.parametrize(
+    "keys",
+    [{"start_s": 0.005}, {"stop_s": 0.001}, {"burst_window": "hann", "burst_length_s": 0.01, "burst_period_s": 0.02}],
+)
+def test_it_matters_not_when_a_stimulus_sounds(keys, small_scene):
+    (text,) = told(turned(small_scene(stimulus=keys), 180.0))
+    assert "turned away" in text and lit(text) == 0.0
+
+
 def test_silent_stimuli_are_not_looked_for(small_scene):
     assert told(turned(small_scene(stimulus={"drive_amplitude": 0}), 180.0)) == []
 

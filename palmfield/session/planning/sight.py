@@ -4,7 +4,6 @@ Straight ways from the transducers, at some moments: what a user should know bef
 """
 
 import math
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -88,37 +87,39 @@ def out_of_sight(view: Preview) -> list[str]:
 
 
 def _sights(view: Preview) -> list[list[list[Sight]]]:
-    """By skin and stimulus, at each moment at which that sounds."""
+    """By skin and stimulus, at each moment of a motion between that one's start and stop.
+
+    Where nothing moves, at points of a turn of its path.
+    """
     model = view.runtime.model
     result: list[list[list[Sight]]] = [[[] for _ in model.stimuli] for _ in model.skins]
-    for posed, times in _moments(view):
-        mesh = None
+    moments = list(view.moments(MOMENTS))
+    for now_s, posed in moments:
+        mesh = shadow_mesh(_everything(posed), "cpu")
         for number, stimulus in enumerate(model.stimuli):
-            foci, factors = frames_at(stimulus.config, times)
             if stimulus.silent:
                 continue
+            times = _sounding(stimulus, now_s) if len(moments) > 1 else _course(stimulus)
             places = posed.focal_points(stimulus, number)
-            for time_s, focus in zip(times[factors > 0.0], foci[factors > 0.0], strict=True):
-                if mesh is None:
-                    mesh = shadow_mesh(_everything(posed), "cpu")
-                where = np.atleast_2d(places.at(focus))
+            for time_s, focus in zip(times, frames_at(stimulus.config, times)[0], strict=True):
+                foci = np.atleast_2d(places.at(focus))
                 for skin in range(len(model.skins)):
-                    result[skin][number].append(_sight(model, posed, skin, stimulus, where, mesh, float(time_s)))
+                    result[skin][number].append(_sight(model, posed, skin, stimulus, foci, mesh, float(time_s)))
     return result
 
 
-def _moments(view: Preview) -> Iterator[tuple[PosedScene, Float]]:
-    """Poses over the run with the times [s] at which they are looked at, one or, where nothing moves, many."""
-    moments = list(view.moments(MOMENTS))
-    if len(moments) > 1:
-        for time_s, posed in moments:
-            yield posed, np.array([time_s])
-        return
-    ((now_s, posed),) = moments
-    rates = [rate for stimulus in view.runtime.model.stimuli if (rate := turn_rate_Hz(stimulus.config))]
-    starts = max(stimulus.config.start_s + stimulus.config.ramp_s for stimulus in view.runtime.model.stimuli)
-    count = COURSE if rates else 1
-    yield posed, max(now_s, starts) + np.arange(count) / (count * min(rates, default=1.0))
+def _sounding(stimulus: StimulusModel, time_s: float) -> Float:
+    """The time [s] if it lies between a stimulus's start and stop, shape (1,) or (0,)."""
+    config = stimulus.config
+    on = config.start_s <= time_s < (math.inf if config.stop_s is None else config.stop_s)
+    return np.full(int(on), time_s)
+
+
+def _course(stimulus: StimulusModel) -> Float:
+    """Times of one turn of a stimulus's path [s], shape (k,)."""
+    rate = turn_rate_Hz(stimulus.config)
+    count = COURSE if rate else 1
+    return np.asarray(stimulus.config.start_s + np.arange(count) / (count * (rate or 1.0)))
 
 
 def _everything(posed: PosedScene) -> Surface:
@@ -126,7 +127,7 @@ def _everything(posed: PosedScene) -> Surface:
     parts = [(body.vertices_in_array, body.faces) for body in posed.bodies]
     parts += [skin.obstacles for skin in posed.skins if skin.obstacles is not None]
     firsts = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
-    faces = [own + first for (_, own), first in zip(parts, firsts, strict=False)]
+    faces = [own + first for (_, own), first in zip(parts, firsts[:-1], strict=True)]
     vertices, triangles = np.concatenate([vertices for vertices, _ in parts]), np.concatenate(faces)
     return Surface(vertices, triangles, vertex_normals(vertices, triangles))
 
