@@ -4,13 +4,13 @@ import json
 
 import numpy as np
 import pytest
-from palmfield.session.numerical_error import Course
 
 import palmfield
 from palmfield.outputs.budget_text import bias_text, budget_rows, in_a_line
 from palmfield.outputs.store import open_result
 from palmfield.session.biases import Bias, biases, response_biases
 from palmfield.session.error_budget import SOURCES, error_budget, field_error
+from palmfield.session.numerical_error import Course
 from palmfield.session.planning.facts import first_drive
 from palmfield.simulation.posed_scene import reference_scene
 from palmfield.simulation.radiation import Radiation

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from random_cases import curved_patch
+from coverage_draw import patch_of
 
 from palmfield.errors import SceneError
 from palmfield.skin import solve, static
@@ -33,6 +33,15 @@ def test_a_spot_beside_the_body_does_not_press_it(solver):
     times, at = np.array([0.002]), [[0.012, 0.0]]
     found = [solve(body, held(x), times, at, solver=solver, accuracy=0.2, device="cpu") for x in (0.039, 0.0)]
     assert np.abs(found[0].displacement_m).max() < 1e-6 * np.abs(found[1].displacement_m).max()
+
+
+def curved_patch(sides, depth, radii, edge):
+    return patch_of(
+        {
+            "size_m": sides, "radii_m": radii, "bump": [0.0, 0.0], "depth_m": depth, "edge_m": edge,
+            "triangles_seed": None,
+        }
+    )  # fmt: skip
 
 
 def test_where_a_dome_lies_along_z_changes_nothing():

@@ -1,0 +1,243 @@
+"""Random skin problems as plain data, drawn from a seed: what every solver and the independent code are given.
+
+A case is a dictionary of numbers and words alone, in SI units, so that a program that shares nothing with palmfield can
+read it; `problem_of` makes palmfield's own bodies and loads of it.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.spatial import Delaunay
+
+from palmfield.skin.materials.catalogue import preset
+from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
+from palmfield.skin.mesh.body_mesh import Sizes, box_patch
+from palmfield.skin.problem import Body, Layer, Sheet, Slab, Spot
+from palmfield.types import Float, Patch
+
+FAMILIES = ("still", "moving", "rims", "sudden", "smooth", "depths", "contrast", "curved", "meshes")
+"""Families of cases, taken in turn."""
+PRESETS = ("ecoflex_00-10", "gelatin_2", "palm", "finger_pad")
+CYCLE = 24
+"""Times of the load in one of its periods."""
+CONTRAST = 100.0
+BETWEEN_TIMES_S = 5e-4
+
+Case = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What a solver is given: body, load, times (t,) [s], points (n, 3) [m], accuracy."""
+
+    body: Body
+    load: Spot
+    times: Float
+    at: Float
+    accuracy: float
+
+
+def draw(seed: int, count: int) -> list[Case]:
+    """Cases 0 to count - 1 of a seed; a case doesn't depend on how many others are drawn."""
+    return [draw_case(seed, number) for number in range(count)]
+
+
+def draw_case(seed: int, number: int) -> Case:
+    """One case; every third of a family is round or a plain box, so that independent codes reach it."""
+    random = np.random.default_rng([seed, number])
+    family = FAMILIES[number % len(FAMILIES)]
+    width = between(random, 5e-3, 20e-3)
+    depth = float(np.clip(width * between(random, 0.3, 1.5), 2e-3, 20e-3))
+    duration = between(random, 0.02, 0.06)
+    accuracy = between(random, 0.01, 0.1)
+    if family == "still":
+        width = between(random, 1e-3, 0.3)
+        depth = float(np.clip(width * between(random, 0.5, 2.0), 3e-3, 20e-3))
+    if family == "depths":
+        depth = between(random, 1e-3, 50e-3)
+        width = float(np.clip(depth * between(random, 0.7, 3.0), 4e-3, 40e-3))
+    sheets = draw_sheets(random, depth, contrast=family == "contrast")
+    body: Case
+    if family in ("curved", "meshes"):
+        body = draw_layer(random, width, depth, family == "meshes")
+    elif family == "moving" or (family == "rims" and number // len(FAMILIES) % 2):
+        side = pick(random, "fixed", "roller")
+        sizes = [width * between(random, 3.5, 6.0) for _ in range(2)]
+        body = {"shape": "box", "side": side, "size_m": sizes}
+    elif family in ("sudden", "smooth", "contrast") and number // len(FAMILIES) % 3 == 2:
+        body = {"shape": "infinite", "side": None}
+    else:
+        wide = width * between(random, 1.2, 4.0)
+        radius = width * between(random, 0.3, 1.2) if family == "rims" else float(np.clip(wide, 0.012, 0.15))
+        body = {"shape": "disc", "side": pick(random, "fixed", "free", "roller"), "radius_m": radius}
+    body |= {"base": pick(random, "bonded", "bonded", "free_slip"), "sheets": sheets}
+    load = draw_load(random, family, width, duration, body)
+    times = (BETWEEN_TIMES_S * np.arange(1, 1 + round(duration / BETWEEN_TIMES_S))).tolist()
+    at = draw_points(random, body, load)
+    return {
+        "key": f"{seed}-{number}", "family": family, "body": body, "load": load, "times_s": times, "at_m": at,
+        "accuracy": accuracy,
+    }  # fmt: skip
+
+
+def between(random: np.random.Generator, low: float, high: float) -> float:
+    """A number, even in its logarithm."""
+    return float(np.exp(random.uniform(np.log(low), np.log(high))))
+
+
+def pick(random: np.random.Generator, *names: str) -> str:
+    return names[int(random.integers(len(names)))]
+
+
+def draw_material(random: np.random.Generator) -> Case:
+    which = random.integers(4)
+    if which < 2:
+        material = preset(pick(random, *PRESETS))
+        return {
+            "density_kg_m3": material.density_kg_m3, "shear_relaxed_Pa": material.shear_relaxed_Pa,
+            "bulk_Pa": material.bulk_Pa, "viscosity_Pa_s": material.viscosity_Pa_s,
+            "bulk_relaxes": material.bulk_relaxes,
+            "branches": [[branch.shear_Pa, branch.time_s] for branch in material.branches],
+        }  # fmt: skip
+    shear = between(random, 3e3, 50e3)
+    bulk = bulk_from_poisson(0.5 - between(random, 5e-4, 0.05), shear)
+    viscosity, branches = between(random, 0.3, 6.0), []
+    if which == 3:
+        viscosity, branches = 0.0, [[shear * between(random, 0.3, 3.0), between(random, 3e-4, 0.03)]]
+    density = float(random.uniform(900.0, 1150.0))
+    return {
+        "density_kg_m3": density, "shear_relaxed_Pa": shear, "bulk_Pa": bulk, "viscosity_Pa_s": viscosity,
+        "bulk_relaxes": False, "branches": branches,
+    }  # fmt: skip
+
+
+def draw_sheets(random: np.random.Generator, depth: float, contrast: bool) -> list[Case]:
+    first = draw_material(random)
+    if not contrast and random.random() > 0.25:
+        return [{"thickness_m": depth, "material": first}]
+    second, share = draw_material(random), float(random.uniform(0.2, 0.6))
+    if contrast:
+        ratio = CONTRAST ** (1.0 if random.random() < 0.5 else -1.0) * first["shear_relaxed_Pa"]
+        scale = ratio / second["shear_relaxed_Pa"]
+        for name in ("shear_relaxed_Pa", "bulk_Pa", "viscosity_Pa_s"):
+            second[name] *= scale
+        second["branches"] = [[scale * shear, time_s] for shear, time_s in second["branches"]]
+    return [
+        {"thickness_m": share * depth, "material": first},
+        {"thickness_m": (1.0 - share) * depth, "material": second},
+    ]
+
+
+def draw_layer(random: np.random.Generator, width: float, depth: float, rough: bool) -> Case:
+    """A bent rectangle z = -(x^2 / R_x + y^2 / R_y) / 2 + a cos(k x) cos(k y); rough: triangles of any shape."""
+    sizes = [width * between(random, 3.5, 5.5) for _ in range(2)]
+    radii = [max(sizes) * between(random, 1.5, 6.0) for _ in range(2)]
+    bump = [0.1 * depth * float(random.random()), 2.0 * math.pi / (2.0 * max(sizes))] if rough else [0.0, 0.0]
+    seed = int(random.integers(1 << 30)) if rough else None
+    side = pick(random, "fixed", "free")
+    return {
+        "shape": "layer", "side": side, "size_m": sizes, "radii_m": radii, "bump": bump, "depth_m": depth,
+        "edge_m": 0.8 * width, "triangles_seed": seed,
+    }  # fmt: skip
+
+
+def draw_load(random: np.random.Generator, family: str, width: float, duration: float, body: Case) -> Case:
+    def load(times: Any, peak: Any, centre: Any, law: str = "linear") -> Case:
+        rows = np.broadcast_to(np.asarray(centre, dtype=float), (len(times), 2))
+        arrays = (np.asarray(times, dtype=float), np.asarray(peak, dtype=float), rows)
+        names = ("times_s", "peak_Pa", "centre_m")
+        return {"fwhm_m": width, "law": law} | {n: a.tolist() for n, a in zip(names, arrays, strict=True)}
+
+    round_body = body["shape"] in ("disc", "infinite")
+    centre = np.zeros(2) if round_body else random.uniform(-0.3, 0.3, 2) * width
+    if family == "moving" or (family == "rims" and body["shape"] == "box"):
+        reach = 0.5 * min(body["size_m"])
+        half = reach if family == "rims" else min(0.3 * reach, width)
+        turn, speed = random.uniform(0.0, math.pi), between(random, 0.3, 6.0)
+        end = min(2.0 * half / speed, 0.9 * duration)
+        path = np.array([-1.0, 1.0])[:, None] * half * np.array([math.cos(turn), math.sin(turn)])
+        path = np.vstack([path, path[-1:]])
+        return load([0.0, end, end + 2e-3], [1.0, 1.0, 0.0], path)
+    if family == "sudden":
+        return load([0.0], [1.0], centre, "held")
+    if family in ("smooth", "contrast", "depths") and random.random() < 0.7:
+        frequency = between(random, 20.0, 250.0)
+        times = np.arange(1 + math.ceil(CYCLE * duration * frequency)) / (CYCLE * frequency)
+        return load(times, 0.5 - 0.5 * np.cos(2.0 * math.pi * frequency * times), centre)
+    return load([0.0, between(random, 1e-3, 1e-2)], [0.0, 1.0], centre)
+
+
+def draw_points(random: np.random.Generator, body: Case, load: Case) -> list[list[float]]:
+    """The load's middle place and up to two more within a width and a half of it, on the body; (n, 2)."""
+    centres = np.asarray(load["centre_m"])
+    points = [centres[len(centres) // 2] * (0.8 if len(centres) > 1 else 1.0)]
+    room = 0.9 * body["radius_m"] if body["shape"] == "disc" else 0.45 * min(body.get("size_m", [np.inf]))
+    for _ in range(int(random.integers(3))):
+        away, angle = min(1.5 * load["fwhm_m"], room) * random.random(), random.uniform(0.0, 2.0 * math.pi)
+        points.append(away * np.array([math.cos(angle), math.sin(angle)]))
+    return [np.clip(point, -room, room).tolist() for point in points]
+
+
+def height(body: Case, x: Float, y: Float) -> Float:
+    """Face of a layer over its plane [m]."""
+    (a, k), (rx, ry) = body["bump"], body["radii_m"]
+    return np.asarray(-0.5 * (x**2 / rx + y**2 / ry) + a * np.cos(k * x) * np.cos(k * y))
+
+
+def slopes(body: Case, x: Float, y: Float) -> Float:
+    """Its slopes along x and y, (n, 2)."""
+    (a, k), (rx, ry) = body["bump"], body["radii_m"]
+    along = -x / rx - a * k * np.sin(k * x) * np.cos(k * y)
+    across = -y / ry - a * k * np.cos(k * x) * np.sin(k * y)
+    return np.column_stack([along, across])
+
+
+def twice_areas(plane: Float, faces: Any) -> Float:
+    """Twice the areas of triangles (m, 3) of places (n, 2), above 0 where they run counter-clockwise, (m,)."""
+    (ax, ay), (bx, by) = ((plane[faces[:, i]] - plane[faces[:, 0]]).T for i in (1, 2))
+    return np.asarray(ax * by - ay * bx)
+
+
+def patch_of(body: Case) -> Patch:
+    """Triangles of a layer's face: of a grid, or, with a seed, of places strewn about one, as on a user's mesh."""
+    half, edge = 0.5 * np.asarray(body["size_m"]), body["edge_m"]
+    even = Sizes((0.0, 0.0), float(2.0 * half.max()), edge, edge, body["depth_m"], body["depth_m"], 0, 0.0, 0.0, 0.0)
+    flat = box_patch(half, body["depth_m"], even)
+    plane, faces = flat.vertices[:, :2].copy(), flat.faces
+    if body["triangles_seed"] is not None:
+        random = np.random.default_rng(body["triangles_seed"])
+        inside = ~flat.rim
+        plane[inside] += 0.25 * edge * random.uniform(-1.0, 1.0, (int(inside.sum()), 2))
+        faces = Delaunay(plane).simplices.astype(np.int32)
+        areas = twice_areas(plane, faces)
+        faces[areas < 0.0] = faces[areas < 0.0][:, ::-1]
+        faces = faces[np.abs(areas) > 1e-9 * edge**2]
+    x, y = plane.T
+    inward = np.column_stack([slopes(body, x, y), -np.ones(len(x))])
+    inward /= np.linalg.norm(inward, axis=1, keepdims=True)
+    depth = np.full(len(x), body["depth_m"])
+    axis = flat.axis if np.isinf(body["radii_m"]).all() and body["bump"][0] == 0.0 else None
+    return Patch(np.column_stack([plane, height(body, x, y)]), faces, inward, depth, flat.rim, axis)
+
+
+def problem_of(case: Case) -> Problem:
+    """Palmfield's own objects of a case."""
+    body, load = case["body"], case["load"]
+    sheets = []
+    for number, sheet in enumerate(body["sheets"]):
+        numbers = dict(sheet["material"])
+        branches = tuple(Branch(*pair) for pair in numbers.pop("branches"))
+        material = Material(name=f"sheet {number}", branches=branches, source="drawn at random", **numbers)
+        sheets.append(Sheet(material, sheet["thickness_m"]))
+    solid: Body
+    if body["shape"] == "layer":
+        solid = Layer(patch_of(body), tuple(sheets), base=body["base"], side=body["side"])
+    else:
+        size = tuple(body["size_m"]) if "size_m" in body else None
+        solid = Slab(tuple(sheets), body["shape"], body["base"], body["side"], body.get("radius_m"), size)
+    at = np.asarray(case["at_m"])
+    z = height(body, *at.T) if body["shape"] == "layer" else np.zeros(len(at))
+    spot = Spot(load["fwhm_m"], load["times_s"], load["peak_Pa"], load["centre_m"], load["law"])
+    return Problem(solid, spot, np.asarray(case["times_s"]), np.column_stack([at, z]), case["accuracy"])

@@ -1,0 +1,209 @@
+"""The page of a coverage run: counts with binomial bands, every case with what became of it, and error against cost."""
+
+import json
+import math
+from collections import defaultdict
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from coverage_draw import FAMILIES
+from coverage_judge import NAMES, relative_error
+from scipy.stats import binomtest
+
+CONVERGED = 0.25
+"""Error of a truth, as its own code states it, over that found in an answer, up to which the answer is judged by it."""
+AGREEING = 1.5
+"""Truths of two codes contradict one another where they differ by more than this times the sum of their errors."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What became of one solver's answer to one case.
+
+    kind: "judged", "refused" (before the run), "refused late", "no answer", "no truth"
+    estimate, true, truth_error: relative errors; by: whose truth; independent: whether that shares no code with ours
+    """
+
+    case: str
+    family: str
+    asked: str
+    kind: str
+    words: str = ""
+    accuracy: float = math.nan
+    estimate: float = math.nan
+    true: float = math.nan
+    truth_error: float = math.nan
+    by: str = ""
+    seconds: float = math.nan
+
+    @property
+    def independent(self) -> bool:
+        return self.by == "scikit-fem"
+
+
+def verdicts(drawn: dict[str, Any], truths: list[dict[str, Any]], answers: list[dict[str, Any]]) -> list[Verdict]:
+    """One for each answer that was asked for, of each case of which something was."""
+    known: dict[str, list[dict[str, Any]]] = defaultdict(list)
+    for row in truths:
+        if "displacement_m" in row:
+            known[row["key"]].append(row)
+    cases = {case["key"]: case for case in drawn["cases"]}
+    return [_verdict(cases[row["key"]], row, known[row["key"]]) for row in answers if row["key"] in cases]
+
+
+def _verdict(case: dict[str, Any], row: dict[str, Any], known: list[dict[str, Any]]) -> Verdict:
+    base = {"case": case["key"], "family": case["family"], "asked": row["asked"], "accuracy": case["accuracy"]}
+    for key, kind in (("refused", "refused"), ("refused_late", "refused late"), ("missing", "no answer")):
+        if key in row:
+            return Verdict(**base, kind=kind, words=row[key])
+    own = row["solver"].replace(",", " ").replace(":", " ").split()[0]
+    # A solver is no truth of its own answers
+    others = sorted((each for each in known if each["by"] != own), key=lambda each: each["error"])
+    estimate = float(row["displacement_error"])
+    found = {"estimate": estimate, "seconds": row["seconds"], "words": row["solver"].split("(")[0].strip()}
+    if not others:
+        return Verdict(**base, kind="no truth", **found)
+    best = others[0]
+    true = relative_error(row["displacement_m"], best["displacement_m"])
+    numbers = {"true": true, "truth_error": best["error"], "by": best["by"]}
+    # An answer within its estimate of an unsure truth is no proof, and neither is one beyond it
+    sure = best["error"] <= max(CONVERGED * max(true, estimate), 1e-12)
+    return Verdict(**base, kind="judged" if sure else "no truth", **found, **numbers)
+
+
+def band(hits: int, count: int) -> str:
+    """Share of hits with its 95 % interval (Clopper and Pearson)."""
+    if count == 0:
+        return "-"
+    low, high = binomtest(hits, count).proportion_ci(0.95, method="exact")
+    return f"{100 * hits / count:.0f} % ({100 * low:.0f} to {100 * high:.0f})"
+
+
+def contradictions(drawn: dict[str, Any], truths: list[dict[str, Any]]) -> list[str]:
+    """Cases whose truths differ by more than they state together."""
+    lines = []
+    for case in drawn["cases"]:
+        rows = [row for row in truths if row["key"] == case["key"] and "displacement_m" in row]
+        for one in range(len(rows)):
+            for other in range(one):
+                gap = relative_error(rows[one]["displacement_m"], rows[other]["displacement_m"])
+                stated = rows[one]["error"] + rows[other]["error"]
+                if gap > AGREEING * stated:
+                    names = f"{rows[one]['by']} and {rows[other]['by']}"
+                    lines.append(f"{case['key']} ({case['family']}): {names} differ by {gap:.2g}, stated {stated:.2g}")
+    return lines
+
+
+def counts(rows: list[Verdict]) -> list[str]:
+    """Cells of a table: asked, judged, covered, never below half, median, refused, no answer, no truth."""
+    judged = [row for row in rows if row.kind == "judged"]
+    covered = sum(row.estimate >= row.true for row in judged)
+    half = sum(row.estimate >= 0.5 * row.true for row in judged)
+    ratios = [row.estimate / row.true for row in judged if row.true > 0.0]
+    median = f"{float(np.median(ratios)):.2g}" if ratios else "-"
+    kinds = [sum(row.kind == kind for row in rows) for kind in ("refused", "refused late", "no answer", "no truth")]
+    cells = [len(rows), len(judged), band(covered, len(judged)), band(half, len(judged)), median]
+    return [str(cell) for cell in (*cells, *kinds, band(covered, len(rows)))]
+
+
+HEAD = (
+    "asked", "judged", "estimate >= true", "estimate >= true / 2", "median estimate / true", "refused before",
+    "refused late", "no answer", "no truth", "covered, of all",
+)  # fmt: skip
+
+
+def table(title: str, groups: dict[str, list[Verdict]]) -> list[str]:
+    lines = [f"| {title} | " + " | ".join(HEAD) + " |", "|" + "---|" * (1 + len(HEAD))]
+    return lines + [f"| {name} | " + " | ".join(counts(rows)) + " |" for name, rows in groups.items()]
+
+
+def draw_costs(rows: list[Verdict], path: Path) -> None:
+    """True error against seconds of every answer that could be judged, by solver."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.0, 5.0), layout="constrained")
+    axes = figure.subplots()
+    for name in NAMES[1:]:
+        mine = [row for row in rows if row.asked == name and row.kind == "judged" and row.true > 0.0]
+        if mine:
+            axes.loglog([row.seconds for row in mine], [100.0 * row.true for row in mine], "o", ms=4, label=name)
+    axes.set_xlabel("time of the answer [s]")
+    axes.set_ylabel("true error of the displacement [%]")
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend()
+    axes.grid(True, which="both", alpha=0.2)
+    figure.savefig(path, dpi=140)
+
+
+def write_report(drawn: dict[str, Any], truths: list[dict[str, Any]], answers: list[dict[str, Any]], out: Path) -> None:
+    """Write the page, and the picture beside it (the page's name, .png)."""
+    rows = verdicts(drawn, truths, answers)
+    auto = [row for row in rows if row.asked == "auto"]
+    seen = {row.case for row in rows}
+    peers = [row for row in truths if row["by"] == "scikit-fem" and "displacement_m" in row]
+    family_of = {case["key"]: case["family"] for case in drawn["cases"]}
+    by_family = {name: sum(family_of.get(row["key"]) == name for row in peers) for name in FAMILIES}
+    picture = out.with_suffix(".png")
+    lines = [
+        "# Are the error estimates of the skin solvers true?",
+        "",
+        f"    python scripts/verification/coverage.py draw CASES.json --seed {drawn['seed']} --count "
+        f"{len(drawn['cases'])}",
+        "",
+        "then its steps `truths`, `answers` and `report`, and `scripts/peers/skin_truths.py` in the peers' "
+        "environment.",
+        "",
+        "Random bodies, materials and loads. True: relative L2 over the times at a point, the largest of the points, "
+        "of the difference from the surest truth of another code: another solver at a tenth of the accuracy, or "
+        "scikit-fem with its own mesh, elements and steps. An answer is judged where the truth's own error is at most "
+        f"{CONVERGED:g} of the larger of estimate and true error; else it counts as without a truth. Intervals hold "
+        "95 %.",
+        "",
+        f"Cases drawn: {len(drawn['cases'])}; answered or refused: {len(seen)}. Truths by scikit-fem: {len(peers)} ("
+        + ", ".join(f"{name} {count}" for name, count in by_family.items())
+        + ").",
+        "",
+        "## `auto`, by family",
+        "",
+        *table("family", {name: [row for row in auto if row.family == name] for name in FAMILIES} | {"all": auto}),
+        "",
+        "Of these against scikit-fem alone:",
+        "",
+        *table("truth", {"scikit-fem": [row for row in auto if row.independent]}),
+        "",
+        "## By solver",
+        "",
+        *table("solver", {name: [row for row in rows if row.asked == name] for name in NAMES[1:]}),
+        "",
+        f"![True error against time of each solver]({picture.name})",
+        "",
+        "## Truths that contradict one another",
+        "",
+        *([f"- {line}" for line in contradictions(drawn, truths)] or ["None."]),
+        "",
+        "## Every case by `auto`",
+        "",
+        "| case | family | what became of it | asked % | estimate % | true % | truth, its error % | s | who |",
+        "|---|---|---|---|---|---|---|---|---|",
+        *(_line(row) for row in auto),
+    ]
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.write_text("\n".join(lines) + "\n")
+    out.with_suffix(".json").write_text(json.dumps({"rows": [vars(row) for row in rows]}, indent=0))
+    draw_costs(rows, picture)
+
+
+def _line(row: Verdict) -> str:
+    def percent(value: float) -> str:
+        return "" if math.isnan(value) else f"{100 * value:.2g}"
+
+    low = " **low**" if row.kind == "judged" and row.estimate < row.true else ""
+    seconds = "" if math.isnan(row.seconds) else f"{row.seconds:.2g}"
+    truth = f"{row.by}, {percent(row.truth_error)}" if row.by else ""
+    words = row.words.replace("|", "/").replace("\n", " ")[:90]
+    return (
+        f"| {row.case} | {row.family} | {row.kind}{low} | {percent(row.accuracy)} | {percent(row.estimate)} "
+        f"| {percent(row.true)} | {truth} | {seconds} | {words} |"
+    )
