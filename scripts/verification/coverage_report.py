@@ -14,6 +14,8 @@ from scipy.stats import binomtest
 
 CONVERGED = 0.25
 """Error of a truth, as its own code states it, over that found in an answer, up to which the answer is judged by it."""
+SAME_MESH = {"reduced": "wedges"}
+"""Solvers that share their mesh and matrices with one that gives truths."""
 AGREEING = 1.5
 """Truths of two codes contradict one another where they differ by more than this times the sum of their errors."""
 
@@ -59,8 +61,8 @@ def _verdict(case: dict[str, Any], row: dict[str, Any], known: list[dict[str, An
         if key in row:
             return Verdict(**base, kind=kind, words=row[key])
     own = row["solver"].replace(",", " ").replace(":", " ").split()[0]
-    # A solver is no truth of its own answers
-    others = sorted((each for each in known if each["by"] != own), key=lambda each: each["error"])
+    # A solver is no truth of its own answers, nor of those on the same mesh and matrices
+    others = sorted((x for x in known if x["by"] not in (own, SAME_MESH.get(own))), key=lambda x: x["error"])
     estimate = float(row["displacement_error"])
     found = {"estimate": estimate, "seconds": row["seconds"], "words": row["solver"].split("(")[0].strip()}
     if not others:
