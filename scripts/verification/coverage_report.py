@@ -145,6 +145,7 @@ def write_report(drawn: dict[str, Any], truths: list[dict[str, Any]], answers: l
     auto = [row for row in rows if row.asked == "auto"]
     seen = {row.case for row in rows}
     peers = [row for row in truths if row["by"] == "scikit-fem" and "displacement_m" in row]
+    tried = {row["key"] for row in truths if row["by"] != "scikit-fem"}
     family_of = {case["key"]: case["family"] for case in drawn["cases"]}
     by_family = {name: sum(family_of.get(row["key"]) == name for row in peers) for name in FAMILIES}
     picture = out.with_suffix(".png")
@@ -163,7 +164,8 @@ def write_report(drawn: dict[str, Any], truths: list[dict[str, Any]], answers: l
         f"{CONVERGED:g} of the larger of estimate and true error; else it counts as without a truth. Intervals hold "
         "95 %.",
         "",
-        f"Cases drawn: {len(drawn['cases'])}; answered or refused: {len(seen)}. Truths by scikit-fem: {len(peers)} ("
+        f"Cases drawn: {len(drawn['cases'])}; answered or refused: {len(seen)}; looked at by other solvers for a truth: "
+        f"{len(tried)}. Truths by scikit-fem: {len(peers)} ("
         + ", ".join(f"{name} {count}" for name, count in by_family.items())
         + ").",
         "",
