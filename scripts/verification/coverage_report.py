@@ -164,8 +164,8 @@ def write_report(drawn: dict[str, Any], truths: list[dict[str, Any]], answers: l
         f"{CONVERGED:g} of the larger of estimate and true error; else it counts as without a truth. Intervals hold "
         "95 %.",
         "",
-        f"Cases drawn: {len(drawn['cases'])}; answered or refused: {len(seen)}; looked at by other solvers for a truth: "
-        f"{len(tried)}. Truths by scikit-fem: {len(peers)} ("
+        f"Cases drawn: {len(drawn['cases'])}; answered or refused: {len(seen)}; looked at by other solvers for a "
+        f"truth: {len(tried)}. Truths by scikit-fem: {len(peers)} ("
         + ", ".join(f"{name} {count}" for name, count in by_family.items())
         + ").",
         "",
