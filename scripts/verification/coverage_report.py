@@ -14,6 +14,8 @@ from scipy.stats import binomtest
 
 CONVERGED = 0.25
 """Error of a truth, as its own code states it, over that found in an answer, up to which the answer is judged by it."""
+SAME_MESH = {"reduced": "wedges"}
+"""Solvers that share their mesh and matrices with one that gives truths."""
 AGREEING = 1.5
 """Truths of two codes contradict one another where they differ by more than this times the sum of their errors."""
 
@@ -59,8 +61,8 @@ def _verdict(case: dict[str, Any], row: dict[str, Any], known: list[dict[str, An
         if key in row:
             return Verdict(**base, kind=kind, words=row[key])
     own = row["solver"].replace(",", " ").replace(":", " ").split()[0]
-    # A solver is no truth of its own answers
-    others = sorted((each for each in known if each["by"] != own), key=lambda each: each["error"])
+    # A solver is no truth of its own answers, nor of those on the same mesh and matrices
+    others = sorted((x for x in known if x["by"] not in (own, SAME_MESH.get(own))), key=lambda x: x["error"])
     estimate = float(row["displacement_error"])
     found = {"estimate": estimate, "seconds": row["seconds"], "words": row["solver"].split("(")[0].strip()}
     if not others:
@@ -143,6 +145,7 @@ def write_report(drawn: dict[str, Any], truths: list[dict[str, Any]], answers: l
     auto = [row for row in rows if row.asked == "auto"]
     seen = {row.case for row in rows}
     peers = [row for row in truths if row["by"] == "scikit-fem" and "displacement_m" in row]
+    tried = {row["key"] for row in truths if row["by"] != "scikit-fem"}
     family_of = {case["key"]: case["family"] for case in drawn["cases"]}
     by_family = {name: sum(family_of.get(row["key"]) == name for row in peers) for name in FAMILIES}
     picture = out.with_suffix(".png")
@@ -161,7 +164,8 @@ def write_report(drawn: dict[str, Any], truths: list[dict[str, Any]], answers: l
         f"{CONVERGED:g} of the larger of estimate and true error; else it counts as without a truth. Intervals hold "
         "95 %.",
         "",
-        f"Cases drawn: {len(drawn['cases'])}; answered or refused: {len(seen)}. Truths by scikit-fem: {len(peers)} ("
+        f"Cases drawn: {len(drawn['cases'])}; answered or refused: {len(seen)}; looked at by other solvers for a "
+        f"truth: {len(tried)}. Truths by scikit-fem: {len(peers)} ("
         + ", ".join(f"{name} {count}" for name, count in by_family.items())
         + ").",
         "",

@@ -74,6 +74,8 @@ def test_answers_are_judged_by_the_surest_truth_of_another_code() -> None:
     (found,) = verdicts(DRAWN, known, [row("wedges")])
     assert found.kind == "judged" and found.by == "scikit-fem" and found.independent
     assert found.true == pytest.approx(0.02) and found.estimate == 0.03
+    assert [v.by for v in verdicts(DRAWN, known[:2], [row("reduced")])] == ["scikit-fem"]
+    assert [v.kind for v in verdicts(DRAWN, known[:1], [row("reduced")])] == ["no truth"]
     (unsure,) = verdicts(DRAWN, [truth("axisymmetric", 0.02)], [row("wedges")])
     assert unsure.kind == "no truth" and unsure.true == pytest.approx(0.02)
     assert [v.kind for v in verdicts(DRAWN, [], [row("wedges")])] == ["no truth"]

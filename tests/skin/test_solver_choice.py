@@ -134,7 +134,9 @@ def test_a_solver_that_cannot_price_a_problem_leaves_it_to_others() -> None:
     ranked = choices(ENDLESS, HELD, [0.01], CENTRE, accuracy=2e-5, device="cpu")
     assert ranked[0].name == "lateral_waves" and ranked[0].refusal is None
     assert any(choice.refusal and "accuracy" in choice.refusal for choice in ranked)
-    with pytest.raises(SceneError, match="solver 'lateral_waves' has no 'order'; it takes accuracy, device"):
+    with pytest.raises(
+        SceneError, match="solver 'lateral_waves' has no 'order'; it takes accuracy, accuracy_of, device"
+    ):
         solve(ENDLESS, HELD, [0.01], CENTRE, solver="lateral_waves", device="cpu", order=3)
 
 
