@@ -1,0 +1,198 @@
+"""What is left of each transducer's sound behind bodies: Kirchhoff's integral over a screen, along its outline.
+
+The sound that a screen takes from the way between two points is an integral over the screen, and by Maggi and
+Rubinowicz one along its outline; at a straight edge it is Fresnel's. One source for the CPU and GPUs.
+"""
+
+import functools
+from typing import Any
+
+import warp as wp
+
+from warp_kernels.outline import LANES, Pieces, count_of
+from warp_kernels.pressure import CPU, inverse_root, quintic, vec6
+
+WIDTH = {"cpu": 16, "gpu": 1}
+"""Transducers that one thread takes together, and points."""
+NEIGHBOURS = 6
+"""Nodes among which a point lies."""
+LEAST_SQUARE = wp.constant(1.0e-9)
+FULL_TURN = wp.constant(6.283185307179586)
+
+
+@wp.struct
+class Nodes:
+    """Points at which weights are computed.
+
+    points: of the surface [m]; numbers: which of them are nodes; groups: in which group of views each is
+    """
+
+    points: wp.array(dtype=wp.vec3)
+    numbers: wp.array(dtype=wp.int32)
+    groups: wp.array(dtype=wp.int32)
+
+
+@wp.struct
+class Emitters:
+    """Transducers, board by board, each board's filled up to a multiple of the CPU's WIDTH.
+
+    x, y, z: [m]; rows: where their weights go, -1 for those that fill up; boards: of each block of WIDTH
+    """
+
+    x: wp.array(dtype=wp.float32)
+    y: wp.array(dtype=wp.float32)
+    z: wp.array(dtype=wp.float32)
+    rows: wp.array(dtype=wp.int32)
+    boards: wp.array(dtype=wp.int32)
+
+
+@wp.struct
+class Waves:
+    """turns_per_m: one over the wavelength [1/m]; sine, cosine: as `pressure.Sound`"""
+
+    turns_per_m: wp.float32
+    sine: vec6
+    cosine: vec6
+
+
+@functools.cache
+def node_weights(gpu: bool) -> Any:
+    """Kernel of weights at nodes; dim: (nodes, transducers / WIDTH)."""
+    width = WIDTH["gpu" if gpu else "cpu"]
+    lanes = wp.types.vector(length=width, dtype=wp.float32)
+    of_block = WIDTH["cpu"] // width
+
+    @wp.kernel(module="unique", module_options={"fast_math": True} if gpu else CPU, enable_backward=False)
+    def kernel(
+        nodes: Nodes,
+        emitters: Emitters,
+        waves: Waves,
+        across: wp.array2d(dtype=wp.vec2),
+        pieces: Pieces,
+        real: wp.array2d(dtype=wp.float32),
+        imag: wp.array2d(dtype=wp.float32),
+        boards: wp.int32,
+        first: wp.int32,
+    ):
+        """across: of `outline.look_across`; pieces: with what `outline.list_pieces` lists
+        real, imag: result, shape (rows, nodes); first: number of the first node
+
+        With a from the node to a piece of length and direction t, u from the node to the transducer, d apart from the
+        line between: a piece takes u . (t x a) / (2 pi d^2) times 1 - (1 + cos psi)/2 exp(ik detour), psi the angle
+        by which the sound bends.
+        """
+        n, block = wp.tid()
+        node = first + n
+        board = emitters.boards[block // of_block]
+        view = nodes.groups[node] * boards + board
+        near = wp.float32(0.0)
+        around = wp.float32(0.0)
+        for lane in range(LANES):
+            near += across[node * boards + board, lane][0]
+            around += across[node * boards + board, lane][1]
+        re = lanes()
+        im = lanes()
+        if near > 0.0:
+            point = nodes.points[nodes.numbers[node]]
+            ux = lanes()
+            uy = lanes()
+            uz = lanes()
+            far = lanes()
+            half_turns = wp.float32(0.5) * wp.float32(FULL_TURN) * waves.turns_per_m
+            turns_per_m = waves.turns_per_m
+            cosine = waves.cosine
+            sine = waves.sine
+            for i in range(width):
+                e = block * width + i
+                x = emitters.x[e] - point[0]
+                y = emitters.y[e] - point[1]
+                z = emitters.z[e] - point[2]
+                square = x * x + y * y + z * z + wp.float32(LEAST_SQUARE)
+                inverse = inverse_root(square)
+                ux[i] = x * inverse
+                uy[i] = y * inverse
+                uz[i] = z * inverse
+                far[i] = square * inverse
+            for j in range(count_of(pieces, view)):
+                slot = pieces.listed[view, j]
+                a = pieces.middles[view, slot] - point
+                t = pieces.ways[view, slot]
+                swept = wp.cross(t, a)
+                square = wp.dot(a, a)
+                near_side = wp.sqrt(square)
+                slope = wp.dot(t, a)
+                rising = slope / near_side
+                for i in range(width):
+                    along = a[0] * ux[i] + a[1] * uy[i] + a[2] * uz[i]
+                    aside = wp.max(square - along * along, wp.float32(LEAST_SQUARE))
+                    left = far[i] - along
+                    inverse = inverse_root(left * left + aside)
+                    far_side = (left * left + aside) * inverse
+                    detour = aside / (near_side + along) + aside / (far_side + left)
+                    bend = wp.float32(0.5) + wp.float32(0.5) * (along * left - aside) * inverse / near_side
+                    ahead = t[0] * ux[i] + t[1] * uy[i] + t[2] * uz[i]
+                    phase = half_turns * (rising + (slope - far[i] * ahead) * inverse)
+                    phase = phase * phase
+                    # sin(x)/x without its zeros: the mean over a piece along which the phase turns
+                    mean = bend / (wp.float32(1.0) + phase * (wp.float32(0.16666667) + phase * wp.float32(0.019444444)))
+                    turns = detour * turns_per_m
+                    f = turns - wp.floor(turns + wp.float32(0.5))
+                    q = f * f
+                    angle = (ux[i] * swept[0] + uy[i] * swept[1] + uz[i] * swept[2]) / aside
+                    re[i] += angle * (wp.float32(1.0) - mean * quintic(cosine, q))
+                    im[i] -= angle * mean * (f * quintic(sine, q))
+            for i in range(width):
+                re[i] = wp.float32(1.0) - re[i] / wp.float32(FULL_TURN)
+                im[i] = -im[i] / wp.float32(FULL_TURN)
+        else:
+            for i in range(width):
+                re[i] = wp.where(around > 0.5, wp.float32(0.0), wp.float32(1.0))
+        for i in range(width):
+            row = emitters.rows[block * width + i]
+            if row >= 0:
+                real[row, node] = re[i]
+                imag[row, node] = im[i]
+
+    return kernel
+
+
+@functools.cache
+def spread(gpu: bool) -> Any:
+    """Kernel that gives weights at nodes to points among them; dim: points / WIDTH."""
+    width = WIDTH["gpu" if gpu else "cpu"]
+    lanes = wp.types.vector(length=width, dtype=wp.float32)
+    shares_of = wp.types.vector(length=width * NEIGHBOURS, dtype=wp.float32)
+    nodes_of = wp.types.vector(length=width * NEIGHBOURS, dtype=wp.int32)
+
+    @wp.kernel(module="unique", module_options={"fast_math": True} if gpu else CPU, enable_backward=False)
+    def kernel(
+        neighbours: wp.array2d(dtype=wp.int32),
+        shares: wp.array2d(dtype=wp.float32),
+        node_real: wp.array2d(dtype=wp.float32),
+        node_imag: wp.array2d(dtype=wp.float32),
+        real: wp.array2d(dtype=wp.float32),
+        imag: wp.array2d(dtype=wp.float32),
+        first: wp.int32,
+    ):
+        """neighbours, shares: (NEIGHBOURS, points), of which there are a multiple of WIDTH
+        real, imag: result, shape (rows, points); first: number of the first block of points
+        """
+        start = (first + wp.tid()) * width
+        c = shares_of()
+        n = nodes_of()
+        for k in range(NEIGHBOURS):
+            for i in range(width):
+                c[k * width + i] = shares[k, start + i]
+                n[k * width + i] = neighbours[k, start + i]
+        for e in range(node_real.shape[0]):
+            re = lanes()
+            im = lanes()
+            for k in range(NEIGHBOURS):
+                for i in range(width):
+                    re[i] += c[k * width + i] * node_real[e, n[k * width + i]]
+                    im[i] += c[k * width + i] * node_imag[e, n[k * width + i]]
+            for i in range(width):
+                real[e, start + i] = re[i]
+                imag[e, start + i] = im[i]
+
+    return kernel
