@@ -9,6 +9,7 @@ from typing import Any
 
 import warp as wp
 
+from warp_kernels.knife_edge import BLOCK
 from warp_kernels.pressure import (
     CPU,
     GPU,
@@ -59,13 +60,13 @@ def gradient(form: Form) -> Any:
         shapes: wp.array(dtype=vec6),
         result: wp.array(dtype=wp.vec2),
         rows: wp.array2d(dtype=wp.vec2),
-        weights_re: wp.array2d(dtype=wp.float32),
-        weights_im: wp.array2d(dtype=wp.float32),
+        weights_re: wp.array3d(dtype=wp.float32),
+        weights_im: wp.array3d(dtype=wp.float32),
     ):
         """As `pressure`, and in `rows` the gradient [Pa/m], shape (points, 3); both must hold zeros.
 
-        weights_re, weights_im: what is left of each transducer's sound at each point, shape (elements, points filled up
-        to a multiple of WIDTH), which the form `shaded` reads
+        weights_re, weights_im: what is left of each transducer's sound at each point, which the form `shaded` reads,
+        shape (points / BLOCK, elements, BLOCK)
 
         shapes: the sound's directivity and slope; from an array a GPU keeps them in registers, but it loads a struct's
         numbers again for each transducer
@@ -118,8 +119,8 @@ def gradient(form: Form) -> Any:
                     inverse = distance[1]
                     wave = angle(sound, square, d, inverse, element[2])
                     if shaded:
-                        w_re = weights_re[e, first + i]
-                        w_im = weights_im[e, first + i]
+                        w_re = weights_re[first // BLOCK, e, first % BLOCK + i]
+                        w_im = weights_im[first // BLOCK, e, first % BLOCK + i]
                         wave = wp.vec2(wave[0] * w_re - wave[1] * w_im, wave[0] * w_im + wave[1] * w_re)
                     gain = fall(sound, strength, d, inverse)
                     if flat:

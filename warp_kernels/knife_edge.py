@@ -13,10 +13,13 @@ from warp_kernels.outline import LANES, Pieces, count_of
 from warp_kernels.pressure import CPU, inverse_root, quintic, vec6
 
 WIDTH = {"cpu": 16, "gpu": 1}
-"""Transducers that one thread takes together, and points."""
+"""Transducers that one thread takes together."""
+BLOCK = 16
+"""Points whose weights lie together, for each transducer in turn."""
 NEIGHBOURS = 6
 """Nodes among which a point lies."""
 LEAST_SQUARE = wp.constant(1.0e-9)
+BLUR_M2 = wp.constant(9.0e-6)
 FULL_TURN = wp.constant(6.283185307179586)
 
 
@@ -75,11 +78,12 @@ def node_weights(gpu: bool) -> Any:
         first: wp.int32,
     ):
         """across: of `outline.look_across`; pieces: with what `outline.list_pieces` lists
-        real, imag: result, shape (rows, nodes); first: number of the first node
+        real, imag: result, shape (nodes, rows); first: number of the first node
 
         With a from the node to a piece of length and direction t, u from the node to the transducer, d apart from the
         line between: a piece takes u . (t x a) / (2 pi d^2) times 1 - (1 + cos psi)/2 exp(ik detour), psi the angle
-        by which the sound bends.
+        by which the sound bends. The 1 is split, g(d) and 1 - g(d): all pieces together make of 1 - g how many layers
+        of bodies are in the way, blurred over 3 mm, of which one is enough; g belongs to where sound bends.
         """
         n, block = wp.tid()
         node = first + n
@@ -92,6 +96,8 @@ def node_weights(gpu: bool) -> Any:
             around += across[node * boards + board, lane][1]
         re = lanes()
         im = lanes()
+        layers = lanes()
+        blur_m2 = wp.float32(BLUR_M2)
         if near > 0.0:
             point = nodes.points[nodes.numbers[node]]
             ux = lanes()
@@ -115,7 +121,9 @@ def node_weights(gpu: bool) -> Any:
                 far[i] = square * inverse
             for j in range(count_of(pieces, view)):
                 slot = pieces.listed[view, j]
-                a = pieces.middles[view, slot] - point
+                piece = pieces.middles[view, slot]
+                a = wp.vec3(piece[0], piece[1], piece[2]) - point
+                bends = piece[3]
                 t = pieces.ways[view, slot]
                 swept = wp.cross(t, a)
                 square = wp.dot(a, a)
@@ -129,7 +137,9 @@ def node_weights(gpu: bool) -> Any:
                     inverse = inverse_root(left * left + aside)
                     far_side = (left * left + aside) * inverse
                     detour = aside / (near_side + along) + aside / (far_side + left)
-                    bend = wp.float32(0.5) + wp.float32(0.5) * (along * left - aside) * inverse / near_side
+                    bend = (
+                        wp.float32(0.5) * bends + wp.float32(0.5) * bends * (along * left - aside) * inverse / near_side
+                    )
                     ahead = t[0] * ux[i] + t[1] * uy[i] + t[2] * uz[i]
                     phase = half_turns * (rising + (slope - far[i] * ahead) * inverse)
                     phase = phase * phase
@@ -139,10 +149,14 @@ def node_weights(gpu: bool) -> Any:
                     f = turns - wp.floor(turns + wp.float32(0.5))
                     q = f * f
                     angle = (ux[i] * swept[0] + uy[i] * swept[1] + uz[i] * swept[2]) / aside
-                    re[i] += angle * (wp.float32(1.0) - mean * quintic(cosine, q))
-                    im[i] -= angle * mean * (f * quintic(sine, q))
+                    blur = blur_m2 / (blur_m2 + aside)
+                    blur = blur * blur
+                    layers[i] += angle * (wp.float32(1.0) - blur)
+                    re[i] += angle * bends * (blur - mean * quintic(cosine, q))
+                    im[i] -= angle * bends * mean * (f * quintic(sine, q))
             for i in range(width):
-                re[i] = wp.float32(1.0) - re[i] / wp.float32(FULL_TURN)
+                behind = wp.clamp(layers[i] / wp.float32(FULL_TURN), wp.float32(0.0), wp.float32(1.0))
+                re[i] = wp.float32(1.0) - behind - re[i] / wp.float32(FULL_TURN)
                 im[i] = -im[i] / wp.float32(FULL_TURN)
         else:
             for i in range(width):
@@ -150,19 +164,16 @@ def node_weights(gpu: bool) -> Any:
         for i in range(width):
             row = emitters.rows[block * width + i]
             if row >= 0:
-                real[row, node] = re[i]
-                imag[row, node] = im[i]
+                real[node, row] = re[i]
+                imag[node, row] = im[i]
 
     return kernel
 
 
 @functools.cache
 def spread(gpu: bool) -> Any:
-    """Kernel that gives weights at nodes to points among them; dim: points / WIDTH."""
-    width = WIDTH["gpu" if gpu else "cpu"]
-    lanes = wp.types.vector(length=width, dtype=wp.float32)
-    shares_of = wp.types.vector(length=width * NEIGHBOURS, dtype=wp.float32)
-    nodes_of = wp.types.vector(length=width * NEIGHBOURS, dtype=wp.int32)
+    """Kernel that gives weights at nodes to points among them; dim: points / BLOCK, on a GPU (rows, points)."""
+    lanes = wp.types.vector(length=BLOCK, dtype=wp.float32)
 
     @wp.kernel(module="unique", module_options={"fast_math": True} if gpu else CPU, enable_backward=False)
     def kernel(
@@ -170,29 +181,37 @@ def spread(gpu: bool) -> Any:
         shares: wp.array2d(dtype=wp.float32),
         node_real: wp.array2d(dtype=wp.float32),
         node_imag: wp.array2d(dtype=wp.float32),
-        real: wp.array2d(dtype=wp.float32),
-        imag: wp.array2d(dtype=wp.float32),
+        real: wp.array3d(dtype=wp.float32),
+        imag: wp.array3d(dtype=wp.float32),
         first: wp.int32,
     ):
-        """neighbours, shares: (NEIGHBOURS, points), of which there are a multiple of WIDTH
-        real, imag: result, shape (rows, points); first: number of the first block of points
+        """neighbours, shares: (NEIGHBOURS, points), of which there are a multiple of BLOCK
+        node_real, node_imag: (nodes, rows), rows a multiple of BLOCK
+        real, imag: result, shape (points / BLOCK, rows, BLOCK); first: number of the first block of points
         """
-        start = (first + wp.tid()) * width
-        c = shares_of()
-        n = nodes_of()
-        for k in range(NEIGHBOURS):
-            for i in range(width):
-                c[k * width + i] = shares[k, start + i]
-                n[k * width + i] = neighbours[k, start + i]
-        for e in range(node_real.shape[0]):
-            re = lanes()
-            im = lanes()
+        if gpu:
+            row, point = wp.tid()
+            w_re = wp.float32(0.0)
+            w_im = wp.float32(0.0)
             for k in range(NEIGHBOURS):
-                for i in range(width):
-                    re[i] += c[k * width + i] * node_real[e, n[k * width + i]]
-                    im[i] += c[k * width + i] * node_imag[e, n[k * width + i]]
-            for i in range(width):
-                real[e, start + i] = re[i]
-                imag[e, start + i] = im[i]
+                w_re += shares[k, point] * node_real[neighbours[k, point], row]
+                w_im += shares[k, point] * node_imag[neighbours[k, point], row]
+            real[point // BLOCK, row, point % BLOCK] = w_re
+            imag[point // BLOCK, row, point % BLOCK] = w_im
+        else:
+            block = first + wp.tid()
+            for e in range(0, node_real.shape[1], BLOCK):
+                for i in range(BLOCK):
+                    re = lanes()
+                    im = lanes()
+                    for k in range(NEIGHBOURS):
+                        c = shares[k, block * BLOCK + i]
+                        n = neighbours[k, block * BLOCK + i]
+                        for j in range(BLOCK):
+                            re[j] += c * node_real[n, e + j]
+                            im[j] += c * node_imag[n, e + j]
+                    for j in range(BLOCK):
+                        real[block, e + j, i] = re[j]
+                        imag[block, e + j, i] = im[j]
 
     return kernel

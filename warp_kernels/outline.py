@@ -1,8 +1,9 @@
 """The outline of bodies as a point sees them: pieces of closed lines, for the sound that bends round them.
 
-An edge of a closed mesh is on the outline where of its two faces one looks towards the point and the other away, and
-nothing hides it. What lies below the skin round the point, or behind an array's board, is cut off by a plane, and the
-cut closed by a cap: so the lines stay closed. A piece runs so that the body is to the left of who looks at it.
+An edge of a closed mesh is on an outline where of its two faces one looks towards the point and the other away. What
+lies below the skin round the point, behind an array's board or far beside the way of the sound is cut off by planes,
+and the cut closed by a cap. All lines are closed, and tell how many layers of bodies are in the way; sound bends only
+where nothing hides them, and not at a cap. A piece runs so that the body is to the left of who looks at it.
 """
 
 import warp as wp
@@ -13,6 +14,10 @@ wp.set_module_options({"enable_backward": False, "fast_math": True})
 
 RUN = 64
 """Edges and faces that one thread looks at."""
+PLANES = wp.constant(6)
+"""That cut off what does not matter: over the skin, before the board, and on four sides of the way between them."""
+LOOKS = 3
+"""Places on a piece where it is looked at whether something hides it."""
 LANES = 16
 """Threads that share out the pieces of a view."""
 
@@ -23,6 +28,7 @@ class Mesh:
 
     tree: of Warp; points: vertices [m]; planes: unit normal of each face and its height along it [m]
     corners: of each face; edges: two vertices, then the face to the left and the one to the right, -1 for none
+    listed: faces in the order of their runs; balls: round each run of edges, then of faces, middle and radius [m]
     """
 
     tree: wp.uint64
@@ -30,29 +36,31 @@ class Mesh:
     planes: wp.array(dtype=wp.vec4)
     corners: wp.array(dtype=wp.vec3i)
     edges: wp.array(dtype=wp.vec4i)
+    listed: wp.array(dtype=wp.int32)
+    balls: wp.array(dtype=wp.vec4)
 
 
 @wp.struct
 class Views:
     """From where bodies are looked at, one for each group of points and each board.
 
-    eyes: [m]; skins: plane over the group's skin; fronts: plane before the board; kept is what is above both
+    eyes: [m]; planes: what is above all of them is kept, unit normals and heights along these [m], (views, PLANES)
     """
 
     eyes: wp.array(dtype=wp.vec3)
-    skins: wp.array(dtype=wp.vec4)
-    fronts: wp.array(dtype=wp.vec4)
+    planes: wp.array2d(dtype=wp.vec4)
 
 
 @wp.struct
 class Pieces:
     """Pieces of outlines, in slots that have room for every run of edges and faces.
 
-    middles: [m]; ways: from end to end [m]; both (views, slots); counts: how many in each run, (views, runs)
-    starts: how many there are before each run, and of all, (views, runs + 1); listed: slots in use, (views, slots)
+    middles: [m], and how much of it bends sound, 0 to 1; ways: from end to end [m]; both (views, slots)
+    counts: how many in each run, (views, runs); starts: before each run, and of all, (views, runs + 1)
+    listed: slots in use, (views, slots)
     """
 
-    middles: wp.array2d(dtype=wp.vec3)
+    middles: wp.array2d(dtype=wp.vec4)
     ways: wp.array2d(dtype=wp.vec3)
     counts: wp.array2d(dtype=wp.int32)
     starts: wp.array2d(dtype=wp.int32)
@@ -74,6 +82,15 @@ def above(point: wp.vec3, plane: wp.vec4):
     return point[0] * plane[0] + point[1] * plane[1] + point[2] * plane[2] - plane[3]
 
 
+@wp.func
+def beside(eye: wp.vec3, inner: wp.vec3, outer: wp.vec3, along: wp.vec3):
+    """Plane through two points and along a direction, with the eye above it."""
+    normal = wp.normalize(wp.cross(along, outer - inner))
+    if wp.dot(normal, eye - inner) < 0.0:
+        normal = -normal
+    return wp.vec4(normal[0], normal[1], normal[2], wp.dot(normal, inner))
+
+
 @wp.kernel
 def place_views(
     points: wp.array(dtype=wp.vec3),
@@ -81,8 +98,10 @@ def place_views(
     numbers: wp.array(dtype=wp.int32),
     starts: wp.array(dtype=wp.int32),
     boards: wp.array(dtype=wp.vec4),
+    board: Board,
     clearance_m: wp.float32,
     lift_m: wp.float32,
+    margin_m: wp.float32,
     views: Views,
     first: wp.int32,
 ):
@@ -90,11 +109,11 @@ def place_views(
 
     numbers: of the points of all groups; starts: first of each group, and one past the last
     boards: mean direction and height of each [m]
-    clearance_m: of the plane over the highest point of the skin; lift_m: of the eye
+    clearance_m: of the plane over the highest point of the skin; lift_m: of the eye, which is above that plane
+    margin_m: how far beside the points and the board bodies are looked at
     """
-    i, board = wp.tid()
+    i, number = wp.tid()
     group = first + i
-    boards_there = boards.shape[0]
     middle = wp.vec3()
     normal = wp.vec3()
     for j in range(starts[group], starts[group + 1]):
@@ -103,13 +122,26 @@ def place_views(
     middle = middle / wp.float32(starts[group + 1] - starts[group])
     normal = wp.normalize(normal)
     highest = wp.dot(normal, middle)
+    radius = wp.float32(0.0)
     for j in range(starts[group], starts[group + 1]):
         highest = wp.max(highest, wp.dot(normal, points[numbers[j]]))
-    view = group * boards_there + board
-    views.eyes[view] = middle + (highest + lift_m - wp.dot(normal, middle)) * normal
-    views.skins[view] = wp.vec4(normal[0], normal[1], normal[2], highest + clearance_m)
-    facing = boards[board]
-    views.fronts[view] = wp.vec4(facing[0], facing[1], facing[2], facing[3] + clearance_m)
+        radius = wp.max(radius, wp.length(points[numbers[j]] - middle))
+    view = group * boards.shape[0] + number
+    eye = middle + (highest + lift_m - wp.dot(normal, middle)) * normal
+    views.eyes[view] = eye
+    views.planes[view, 0] = wp.vec4(normal[0], normal[1], normal[2], highest + clearance_m)
+    facing = boards[number]
+    views.planes[view, 1] = wp.vec4(facing[0], facing[1], facing[2], facing[3] + clearance_m)
+    right = board.right[number]
+    up = board.up[number]
+    wide = (board.sizes[number][0] + margin_m) * right
+    high = (board.sizes[number][1] + margin_m) * up
+    centre = board.centres[number]
+    reach = radius + margin_m
+    views.planes[view, 2] = beside(eye, eye + reach * right, centre + wide, up)
+    views.planes[view, 3] = beside(eye, eye - reach * right, centre - wide, up)
+    views.planes[view, 4] = beside(eye, eye + reach * up, centre + high, right)
+    views.planes[view, 5] = beside(eye, eye - reach * up, centre - high, right)
 
 
 @wp.kernel
@@ -120,6 +152,31 @@ def face_planes(mesh: Mesh, first: wp.int32):
     a = mesh.points[corners[0]]
     normal = wp.normalize(wp.cross(mesh.points[corners[1]] - a, mesh.points[corners[2]] - a))
     mesh.planes[face] = wp.vec4(normal[0], normal[1], normal[2], wp.dot(normal, a))
+
+
+@wp.kernel
+def run_balls(mesh: Mesh):
+    """Balls round what each run has, where the vertices are now; dim: runs."""
+    run = wp.tid()
+    edges = mesh.edges.shape[0]
+    runs_of_edges = (edges + RUN - 1) // RUN
+    low = wp.vec3(1.0e9, 1.0e9, 1.0e9)
+    high = -low
+    if run < runs_of_edges:
+        for j in range(run * RUN, wp.min((run + 1) * RUN, edges)):
+            for k in range(2):
+                point = mesh.points[mesh.edges[j][k]]
+                low = wp.min(low, point)
+                high = wp.max(high, point)
+    else:
+        start = (run - runs_of_edges) * RUN
+        for j in range(start, wp.min(start + RUN, mesh.listed.shape[0])):
+            for k in range(3):
+                point = mesh.points[mesh.corners[mesh.listed[j]][k]]
+                low = wp.min(low, point)
+                high = wp.max(high, point)
+    middle = 0.5 * (low + high)
+    mesh.balls[run] = wp.vec4(middle[0], middle[1], middle[2], 0.5 * wp.length(high - low))
 
 
 @wp.func
@@ -144,6 +201,8 @@ def put(
     view: wp.int32,
     a: wp.vec3,
     b: wp.vec3,
+    but: wp.int32,
+    bends: wp.float32,
     longest_m: wp.float32,
     beside_m: wp.float32,
     farthest_m: wp.float32,
@@ -151,35 +210,42 @@ def put(
     slot: wp.int32,
     stop: wp.int32,
 ):
-    """Write the way from a to b in pieces from `slot` on; returns the slot after the last.
+    """Write what is kept of the way from a to b in pieces from `slot` on; returns the slot after the last.
 
-    A piece counts where nothing that is kept hides what is `beside_m` beside it.
+    Sound bends at those parts of a piece where nothing that is kept hides what is `beside_m` beside it.
+    but: plane in which the way lies, -1 for none; bends: 1 at an edge, 0 at a cap
     """
-    eye = views.eyes[view]
-    front = views.fronts[view]
-    skin = views.skins[view]
-    parts = wp.int32(wp.ceil(wp.length(b - a) / longest_m))
-    way = (b - a) / wp.float32(wp.max(parts, 1))
     next_slot = slot
-    for j in range(parts):
-        middle = a + (wp.float32(j) + 0.5) * way
-        towards = middle - eye
-        outward = wp.normalize(wp.cross(towards, way))
-        ray = wp.normalize(towards + beside_m * outward)
-        nearing = -(ray[0] * front[0] + ray[1] * front[1] + ray[2] * front[2])
-        rising = ray[0] * skin[0] + ray[1] * skin[1] + ray[2] * skin[2]
-        hidden = wp.bool(False)
-        if rising > GRAZING:
-            begin = wp.max(-above(eye, skin), 0.0) / rising
-            reach = farthest_m
-            if nearing > GRAZING:
-                reach = wp.min(above(eye, front) / nearing, farthest_m)
-            if begin < reach:
-                hidden = wp.mesh_query_ray_anyhit(mesh.tree, eye + begin * ray, ray, reach - begin)
-        if not hidden and next_slot < stop:
-            pieces.middles[view, next_slot] = middle
-            pieces.ways[view, next_slot] = way
-            next_slot += 1
+    span = wp.vec2(0.0, 1.0)
+    for k in range(PLANES):
+        if k != but:
+            span = kept(a, b, views.planes[view, k], span)
+    if span[1] > span[0]:
+        eye = views.eyes[view]
+        parts = wp.int32(wp.ceil((span[1] - span[0]) * wp.length(b - a) / longest_m))
+        way = (span[1] - span[0]) * (b - a) / wp.float32(wp.max(parts, 1))
+        for j in range(parts):
+            start = a + span[0] * (b - a) + wp.float32(j) * way
+            seen = wp.float32(0.0)
+            # Where bends is 0 no ray is needed
+            for look in range(wp.where(bends > 0.0, LOOKS, 0)):
+                towards = start + (wp.float32(look) + 0.5) / wp.float32(LOOKS) * way - eye
+                aside = beside_m * wp.normalize(wp.cross(towards, way))
+                reach = farthest_m
+                ray = wp.normalize(towards + aside)
+                for k in range(PLANES):
+                    plane = views.planes[view, k]
+                    rising = ray[0] * plane[0] + ray[1] * plane[1] + ray[2] * plane[2]
+                    if rising < -GRAZING:
+                        reach = wp.min(reach, above(eye, plane) / -rising)
+                hidden = wp.mesh_query_ray_anyhit(mesh.tree, eye, ray, reach)
+                if not hidden:
+                    seen += bends / wp.float32(LOOKS)
+            if next_slot < stop:
+                middle = start + 0.5 * way
+                pieces.middles[view, next_slot] = wp.vec4(middle[0], middle[1], middle[2], seen)
+                pieces.ways[view, next_slot] = way
+                next_slot += 1
     return next_slot
 
 
@@ -222,13 +288,16 @@ def find_pieces(
     i, run = wp.tid()
     view = first + i
     eye = views.eyes[view]
-    skin = views.skins[view]
-    front = views.fronts[view]
     slot = slots[run]
     stop = slots[run + 1]
+    ball = mesh.balls[run]
+    middle = wp.vec3(ball[0], ball[1], ball[2])
+    lowest = wp.float32(1.0e9)
+    for k in range(PLANES):
+        lowest = wp.min(lowest, above(middle, views.planes[view, k]))
     edges = mesh.edges.shape[0]
     runs_of_edges = (edges + RUN - 1) // RUN
-    if run < runs_of_edges:
+    if lowest > -ball[3] and run < runs_of_edges:
         for j in range(run * RUN, wp.min((run + 1) * RUN, edges)):
             edge = mesh.edges[j]
             towards = above(eye, mesh.planes[edge[2]]) > 0.0
@@ -241,72 +310,28 @@ def find_pieces(
                 if not towards:
                     a = mesh.points[edge[1]]
                     b = mesh.points[edge[0]]
-                span = kept(a, b, front, kept(a, b, skin, wp.vec2(0.0, 1.0)))
-                if span[1] > span[0]:
-                    slot = put(
-                        mesh,
-                        views,
-                        view,
-                        a + span[0] * (b - a),
-                        a + span[1] * (b - a),
-                        longest_m,
-                        beside_m,
-                        farthest_m,
-                        pieces,
-                        slot,
-                        stop,
-                    )
-    else:
+                slot = put(mesh, views, view, a, b, -1, 1.0, longest_m, beside_m, farthest_m, pieces, slot, stop)
+    # What lies above all planes is not cut
+    if lowest > -ball[3] and lowest < ball[3] and run >= runs_of_edges:
         start = (run - runs_of_edges) * RUN
-        for face in range(start, wp.min(start + RUN, mesh.corners.shape[0])):
+        for j in range(start, wp.min(start + RUN, mesh.listed.shape[0])):
+            face = mesh.listed[j]
             corners = mesh.corners[face]
             a = mesh.points[corners[0]]
             b = mesh.points[corners[1]]
             c = mesh.points[corners[2]]
-            on_skin = wp.vec3(above(a, skin), above(b, skin), above(c, skin))
-            on_board = wp.vec3(above(a, front), above(b, front), above(c, front))
-            if wp.max(on_skin) > 0.0 and wp.max(on_board) > 0.0:
-                # The cap over the skin looks at the eye, so that it ends where a face looks away; that at the board
-                # looks away, and what is seen ends where a face looks at the eye
-                towards = above(eye, mesh.planes[face]) > 0.0
-                if wp.min(on_skin) <= 0.0 and not towards:
-                    ends = ends_on(on_skin, a, b, c)
-                    last = wp.vec3(ends[0, 0], ends[0, 1], ends[0, 2])
-                    begin = wp.vec3(ends[1, 0], ends[1, 1], ends[1, 2])
-                    span = kept(begin, last, front, wp.vec2(0.0, 1.0))
-                    if span[1] > span[0]:
-                        slot = put(
-                            mesh,
-                            views,
-                            view,
-                            begin + span[0] * (last - begin),
-                            begin + span[1] * (last - begin),
-                            longest_m,
-                            beside_m,
-                            farthest_m,
-                            pieces,
-                            slot,
-                            stop,
-                        )
-                if wp.min(on_board) <= 0.0 and towards:
-                    ends = ends_on(on_board, a, b, c)
+            towards = above(eye, mesh.planes[face]) > 0.0
+            for k in range(PLANES):
+                plane = views.planes[view, k]
+                heights = wp.vec3(above(a, plane), above(b, plane), above(c, plane))
+                # Seen from between the planes caps look away, and what is seen ends where a face looks at the eye
+                if towards and wp.max(heights) > 0.0 and wp.min(heights) <= 0.0:
+                    ends = ends_on(heights, a, b, c)
                     begin = wp.vec3(ends[0, 0], ends[0, 1], ends[0, 2])
-                    last = wp.vec3(ends[1, 0], ends[1, 1], ends[1, 2])
-                    span = kept(begin, last, skin, wp.vec2(0.0, 1.0))
-                    if span[1] > span[0]:
-                        slot = put(
-                            mesh,
-                            views,
-                            view,
-                            begin + span[0] * (last - begin),
-                            begin + span[1] * (last - begin),
-                            longest_m,
-                            beside_m,
-                            farthest_m,
-                            pieces,
-                            slot,
-                            stop,
-                        )
+                    end = wp.vec3(ends[1, 0], ends[1, 1], ends[1, 2])
+                    slot = put(
+                        mesh, views, view, begin, end, k, 0.0, longest_m, beside_m, farthest_m, pieces, slot, stop
+                    )
     pieces.counts[view, run] = slot - slots[run]
 
 
@@ -359,26 +384,26 @@ def look_across(
     boards = board.centres.shape[0]
     view = groups[node] * boards + number
     point = points[numbers[node]]
-    front = views.fronts[view]
-    height = above(point, front)
     near = wp.float32(0.0)
     around = wp.float32(0.0)
-    axis = wp.normalize(board.centres[number] - point)
+    centre = board.centres[number]
+    axis = wp.normalize(centre - point)
     for j in range(lane, count_of(pieces, view), LANES):
         slot = pieces.listed[view, j]
-        middle = pieces.middles[view, slot]
+        piece = pieces.middles[view, slot]
+        middle = wp.vec3(piece[0], piece[1], piece[2])
         towards = middle - point
-        falls = height - above(middle, front)
-        if falls > 0.01 * height:
-            near_side = wp.length(towards)
-            # Nearly all the way for what lies on the board, where the scale would be 0
-            share = wp.min(falls / height, 0.99)
-            onward = near_side / share - near_side
-            on_board = point + towards / share - board.centres[number]
-            x = wp.max(wp.abs(wp.dot(on_board, board.right[number])) - board.sizes[number][0], 0.0)
-            y = wp.max(wp.abs(wp.dot(on_board, board.up[number])) - board.sizes[number][1], 0.0)
-            scale = wp.sqrt(0.5 * wavelength_m * onward * (onward + near_side) / near_side)
-            if wp.sqrt(x * x + y * y) < widest * scale:
+        if piece[3] > 0.0:
+            # The transducer that it is nearest to the way of, about: where its way on meets the board, or the rim
+            share = wp.max(above(middle, views.planes[view, 1]) / above(point, views.planes[view, 1]), 0.0)
+            on_board = towards / wp.max(1.0 - share, 0.02) + point - centre
+            x = wp.dot(on_board, board.right[number])
+            y = wp.dot(on_board, board.up[number])
+            size = board.sizes[number]
+            nearest = wp.clamp(x, -size[0], size[0]) * board.right[number]
+            nearest += wp.clamp(y, -size[1], size[1]) * board.up[number] + centre
+            detour = wp.length(towards) + wp.length(nearest - middle) - wp.length(nearest - point)
+            if 4.0 * detour < widest * widest * wavelength_m:
                 near = 1.0
         along = wp.dot(towards, axis)
         square = wp.max(wp.dot(towards, towards) - along * along, 1.0e-9)

@@ -31,14 +31,16 @@ LONGEST_m = 4e-3
 """Of a piece of an outline: half a wavelength, over which the sound's way round it hardly changes."""
 STRETCH = 1.5
 """How much longer an edge may become as bodies bend; a longer one loses pieces."""
-CLEARANCE_m, LIFT_m = 2e-3, 1e-3
+CLEARANCE_m, LIFT_m = 5e-3, 6e-3
 """How far above its highest point a skin is cut off from what casts shadows on it, and where it looks from."""
-BESIDE_m = 3e-4
-"""How far beside a piece of an outline nothing may be in the way: less than a body's coarse mesh strays."""
+BESIDE_m = 1e-5
+"""How far beside a piece of an outline nothing may be in the way."""
+MARGIN_m = 0.04
+"""How far beside the way of the sound bodies are looked at: 3 of Fresnel's v half way over 200 mm."""
 SAME_m = 1e-8
 """Vertices nearer to each other are one: bodies may have one for each face."""
-WIDEST = 4.0
-"""Clearance, in Fresnel's v, beyond which an edge leaves sound as it is: its weight is then within 6 % of 1 for the
+WIDEST = 3.0
+"""Clearance, in Fresnel's v, beyond which an edge leaves sound as it is: its weight is then within 8 % of 1 for the
 transducer that is nearest, and turns from one transducer to the next."""
 
 
@@ -52,6 +54,11 @@ class OutlineMesh:
         self.device = str(tree.device)
         self._tree = tree
         edges, lengths, longest = _edges(vertices, faces)
+        # What is in a run lies together
+        by_place = _along_a_curve(vertices[edges[:, :2]].mean(axis=1), *_span(vertices))
+        edges, lengths = edges[by_place], lengths[by_place]
+        listed = _along_a_curve(vertices[faces].mean(axis=1), *_span(vertices))
+        longest = longest[listed]
         pieces = np.ceil(STRETCH / LONGEST_m * np.concatenate([lengths, longest])).astype(np.int64)
         of_run = [*range(0, len(edges), outline.RUN), *range(len(edges), len(edges) + len(faces), outline.RUN)]
         slots = np.concatenate([[0], np.cumsum(np.add.reduceat(pieces, of_run))])
@@ -64,11 +71,17 @@ class OutlineMesh:
             planes=wp.zeros(len(faces), dtype=wp.vec4, device=self.device),
             corners=wp.array(np.asarray(faces, np.int32), dtype=wp.vec3i, device=self.device),
             edges=wp.array(edges, dtype=wp.vec4i, device=self.device),
+            listed=whole_numbers(listed, self.device),
+            balls=wp.zeros(self.runs, dtype=wp.vec4, device=self.device),
         )
 
     def calls(self) -> Calls:
         """Launches that bring the faces' planes where the vertices are."""
-        return [_launcher(self.device)(outline.face_planes, self.faces, [self.mesh, 0], self.device)]
+        make = _launcher(self.device)
+        return [
+            make(outline.face_planes, self.faces, [self.mesh, 0], self.device),
+            make(outline.run_balls, self.runs, [self.mesh], self.device),
+        ]
 
 
 class Emitters:
@@ -150,22 +163,21 @@ class KnifeEdges:
         self._looks = filled(
             outline.Views(),
             eyes=wp.zeros(views, dtype=wp.vec3, device=device),
-            skins=wp.zeros(views, dtype=wp.vec4, device=device),
-            fronts=wp.zeros(views, dtype=wp.vec4, device=device),
+            planes=wp.zeros((views, 6), dtype=wp.vec4, device=device),
         )
         self._pieces = filled(
             outline.Pieces(),
-            middles=wp.zeros((views, mesh.most), dtype=wp.vec3, device=device),
+            middles=wp.zeros((views, mesh.most), dtype=wp.vec4, device=device),
             ways=wp.zeros((views, mesh.most), dtype=wp.vec3, device=device),
             counts=wp.zeros((views, mesh.runs), dtype=wp.int32, device=device),
             starts=wp.zeros((views, mesh.runs + 1), dtype=wp.int32, device=device),
             listed=wp.zeros((views, mesh.most), dtype=wp.int32, device=device),
         )
         self._across = SharedArray((count * emitters.count, outline.LANES), wp.vec2, device)
-        width = kernels.WIDTH["cpu"]
-        columns = -(-points // width) * width
-        self._at_nodes = [wp.zeros((emitters.rows, count), dtype=wp.float32, device=device) for _ in range(2)]
-        at_points = [wp.zeros((emitters.rows, columns), dtype=wp.float32, device=device) for _ in range(2)]
+        blocks, rows = -(-points // kernels.BLOCK), -(-emitters.rows // kernels.BLOCK) * kernels.BLOCK
+        columns = blocks * kernels.BLOCK
+        self._at_nodes = [wp.zeros((count, rows), dtype=wp.float32, device=device) for _ in range(2)]
+        at_points = [wp.zeros((blocks, rows, kernels.BLOCK), dtype=wp.float32, device=device) for _ in range(2)]
         self.shades = Shades(*at_points)
         self._neighbours = SharedArray((kernels.NEIGHBOURS, columns), wp.int32, device)
         self._shares = SharedArray((kernels.NEIGHBOURS, columns), wp.float32, device)
@@ -210,8 +222,9 @@ class KnifeEdges:
         return True
 
     def stages(self, points: Any, normals: Any, numbers: Int) -> list[list[Calls]]:
-        """Launches by stage, each of lists of which none needs what another does: looking at the bodies, what of them is
-        in the way, weights at nodes, weights at points.
+        """Launches by stage, each of lists of which none needs what another does.
+
+        The stages: looking at the bodies; what of them is in the way; weights at nodes; weights at points.
 
         points, normals: on the device, vec3; numbers: which of them are the nodes, shape (m,)
         """
@@ -222,7 +235,8 @@ class KnifeEdges:
         look: list[Calls] = []
         for first, count in _parts(self._groups, self._threads):
             view, views = first * emitters.count, count * emitters.count
-            placed = [points, normals, of_nodes, self._starts, emitters.facing, CLEARANCE_m, LIFT_m, looks, first]
+            placed = [points, normals, of_nodes, self._starts, emitters.facing, emitters.board]
+            placed += [CLEARANCE_m, LIFT_m, MARGIN_m, looks, first]
             found = [mesh.mesh, looks, mesh.slots, LONGEST_m, BESIDE_m, REACH_m, pieces, view]
             look.append(
                 [
@@ -243,9 +257,11 @@ class KnifeEdges:
         for first, count in _parts(len(numbers), 1 if gpu else parts):
             inputs = [nodes, emitters.emitters, emitters.waves, self._across.array, pieces, *self._at_nodes]
             weigh.append([make(kernels.node_weights(gpu), (count, blocks), [*inputs, emitters.count, first], device)])
-        for first, count in _parts(self.shades.real.shape[1] // width, 1 if gpu else parts):
+        there, rows, _ = self.shades.real.shape
+        for first, count in _parts(there, 1 if gpu else parts):
             inputs = [self._neighbours.array, self._shares.array, *self._at_nodes, *self.shades, first]
-            give.append([make(kernels.spread(gpu), count, inputs, device)])
+            size = (rows, there * kernels.BLOCK) if gpu else count
+            give.append([make(kernels.spread(gpu), size, inputs, device)])
         return [look, across, weigh, give]
 
 
@@ -258,6 +274,22 @@ def _parts(count: int, parts: int) -> list[tuple[int, int]]:
     """First and number of each of up to `parts` parts of `count` things."""
     ends = np.unique(np.linspace(0, count, min(parts, count) + 1).astype(int)).tolist()
     return [(first, last - first) for first, last in itertools.pairwise(ends)]
+
+
+def _span(vertices: Float) -> tuple[Float, float]:
+    """The lowest corner of a box round points [m], shape (3,), and its longest edge [m]."""
+    low = vertices.min(axis=0)
+    return low, float((vertices.max(axis=0) - low).max())
+
+
+def _along_a_curve(points: Float, low: Float, size_m: float) -> Int:
+    """Order in which neighbours mostly follow one another: along Morton's curve through a box, shape (n,)."""
+    steps = np.clip((points - low) / max(size_m, SAME_m) * 1023.0, 0, 1023).astype(np.int64)
+    keys = np.zeros(len(points), np.int64)
+    for bit in range(10):
+        for axis in range(3):
+            keys |= ((steps[:, axis] >> bit) & 1) << (3 * bit + axis)
+    return np.asarray(np.argsort(keys, kind="stable"), np.int32)
 
 
 def _edges(vertices: Float, faces: Int) -> tuple[Int, Float, Float]:

@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from palmfield.types import Float, Float32, Int
@@ -59,14 +60,14 @@ def _cells(points: Float, normals: Float, edge_m: float) -> Int:
     return np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)
 
 
-def _middle_ones(points: Float, cells: Int) -> Int:
+def _middle_ones(points: Float, cells: Int) -> NDArray[np.int64]:
     """Of each cell the point that is nearest to the middle of its points."""
     count = np.bincount(cells)
     middles = np.column_stack([np.bincount(cells, column) / count for column in points.T])
     away = ((points - middles[cells]) ** 2).sum(axis=1)
-    order = np.lexsort((away, cells))
+    order = np.lexsort((away, cells)).astype(np.int64)
     firsts = np.searchsorted(cells[order], np.arange(len(count)))
-    return np.asarray(order[firsts], np.int32)
+    return np.asarray(order)[firsts]
 
 
 def _shares(points: Float, normals: Float, numbers: Int) -> tuple[Int, Float]:

@@ -18,6 +18,7 @@ from palmfield.device import SharedArray, filled, recorded
 from palmfield.errors import PalmfieldError
 from palmfield.threads import Calls, cores, share
 from palmfield.types import Complex, Float, Float32, Int
+from warp_kernels.knife_edge import BLOCK
 
 PAIRS_PER_THREAD = 100_000
 """Fewest pairs of point and transducer worth a thread of its own: 0.13 ms of work against 0.02 ms to hand it over."""
@@ -39,8 +40,7 @@ MATRIX_KEPT_BYTES = 2**26
 class Shades(NamedTuple):
     """What is left of each transducer's sound at each point: real and imaginary part on the field's device, float32.
 
-    Rows are the transducers as `rows_of` numbers them, columns the points, filled up to a multiple of what a kernel's
-    thread takes.
+    Shape (blocks of points, transducers as `rows_of` numbers them, points of a block).
     """
 
     real: Any
@@ -340,7 +340,7 @@ class SurfaceArp:
             outputs = [self._pressure[block], self._gradient[block], *UNSHADED]
             rows, row = slice(row, row + len(group.evaluator.array)), row + len(group.evaluator.array)
             if shades is not None:
-                outputs[2:] = [weights[rows, block.start :] for weights in shades]
+                outputs[2:] = [weights[block.start // BLOCK :, rows] for weights in shades]
             inputs = [self._points.array[block], *group.inputs, *outputs]
             calls.append(recorded(kernel, threads, inputs, self.field.device))
         return calls
