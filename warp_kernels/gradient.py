@@ -9,7 +9,7 @@ from typing import Any
 
 import warp as wp
 
-from warp_kernels.knife_edge import BLOCK
+from warp_kernels.point_sound import BLOCK
 from warp_kernels.pressure import (
     CPU,
     GPU,

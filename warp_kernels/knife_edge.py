@@ -9,13 +9,12 @@ from typing import Any
 
 import warp as wp
 
-from warp_kernels.outline import LANES, Pieces, count_of
+from warp_kernels.outline import LANES, Pieces
+from warp_kernels.point_sound import BLOCK
 from warp_kernels.pressure import CPU, inverse_root, quintic, vec6
 
 WIDTH = {"cpu": 16, "gpu": 1}
 """Transducers that one thread takes together."""
-BLOCK = 16
-"""Points whose weights lie together, for each transducer in turn."""
 NEIGHBOURS = 6
 """Nodes among which a point lies."""
 LEAST_SQUARE = wp.constant(1.0e-9)
@@ -51,9 +50,13 @@ class Emitters:
 
 @wp.struct
 class Waves:
-    """turns_per_m: one over the wavelength [1/m]; sine, cosine: as `pressure.Sound`"""
+    """turns_per_m: one over the wavelength [1/m]; sine, cosine: as `pressure.Sound`
+
+    fades: detour, in wavelengths, over the last one of which what is bent fades away
+    """
 
     turns_per_m: wp.float32
+    fades: wp.float32
     sine: vec6
     cosine: vec6
 
@@ -77,7 +80,7 @@ def node_weights(gpu: bool) -> Any:
         boards: wp.int32,
         first: wp.int32,
     ):
-        """across: of `outline.look_across`; pieces: with what `outline.list_pieces` lists
+        """across: of `outline.look_across`; pieces: as `outline.list_pieces` leaves them
         real, imag: result, shape (nodes, rows); first: number of the first node
 
         With a from the node to a piece of length and direction t, u from the node to the transducer, d apart from the
@@ -104,6 +107,7 @@ def node_weights(gpu: bool) -> Any:
             uy = lanes()
             uz = lanes()
             far = lanes()
+            fades = waves.fades
             half_turns = wp.float32(0.5) * wp.float32(FULL_TURN) * waves.turns_per_m
             turns_per_m = waves.turns_per_m
             cosine = waves.cosine
@@ -119,11 +123,24 @@ def node_weights(gpu: bool) -> Any:
                 uy[i] = y * inverse
                 uz[i] = z * inverse
                 far[i] = square * inverse
-            for j in range(count_of(pieces, view)):
+            totals = pieces.totals[view]
+            for j in range(totals[1]):
+                slot = pieces.listed[view, pieces.listed.shape[1] - 1 - j]
+                piece = pieces.middles[view, slot]
+                a = wp.vec3(piece[0], piece[1], piece[2]) - point
+                swept = wp.cross(pieces.ways[view, slot], a)
+                square = wp.dot(a, a)
+                for i in range(width):
+                    along = a[0] * ux[i] + a[1] * uy[i] + a[2] * uz[i]
+                    aside = wp.max(square - along * along, wp.float32(LEAST_SQUARE))
+                    # angle times (1 - blur), with one division
+                    whole = wp.float32(1.0) / (blur_m2 + aside)
+                    swept_by = ux[i] * swept[0] + uy[i] * swept[1] + uz[i] * swept[2]
+                    layers[i] += swept_by * whole * (wp.float32(1.0) + blur_m2 * whole)
+            for j in range(totals[0]):
                 slot = pieces.listed[view, j]
                 piece = pieces.middles[view, slot]
                 a = wp.vec3(piece[0], piece[1], piece[2]) - point
-                bends = piece[3]
                 t = pieces.ways[view, slot]
                 swept = wp.cross(t, a)
                 square = wp.dot(a, a)
@@ -137,23 +154,22 @@ def node_weights(gpu: bool) -> Any:
                     inverse = inverse_root(left * left + aside)
                     far_side = (left * left + aside) * inverse
                     detour = aside / (near_side + along) + aside / (far_side + left)
-                    bend = (
-                        wp.float32(0.5) * bends + wp.float32(0.5) * bends * (along * left - aside) * inverse / near_side
-                    )
+                    bend = wp.float32(0.5) + wp.float32(0.5) * (along * left - aside) * inverse / near_side
                     ahead = t[0] * ux[i] + t[1] * uy[i] + t[2] * uz[i]
                     phase = half_turns * (rising + (slope - far[i] * ahead) * inverse)
                     phase = phase * phase
                     # sin(x)/x without its zeros: the mean over a piece along which the phase turns
                     mean = bend / (wp.float32(1.0) + phase * (wp.float32(0.16666667) + phase * wp.float32(0.019444444)))
                     turns = detour * turns_per_m
+                    mean = mean * wp.clamp(fades - turns, wp.float32(0.0), wp.float32(1.0))
                     f = turns - wp.floor(turns + wp.float32(0.5))
                     q = f * f
                     angle = (ux[i] * swept[0] + uy[i] * swept[1] + uz[i] * swept[2]) / aside
                     blur = blur_m2 / (blur_m2 + aside)
                     blur = blur * blur
                     layers[i] += angle * (wp.float32(1.0) - blur)
-                    re[i] += angle * bends * (blur - mean * quintic(cosine, q))
-                    im[i] -= angle * bends * mean * (f * quintic(sine, q))
+                    re[i] += angle * (blur - mean * quintic(cosine, q))
+                    im[i] -= angle * mean * (f * quintic(sine, q))
             for i in range(width):
                 behind = wp.clamp(layers[i] / wp.float32(FULL_TURN), wp.float32(0.0), wp.float32(1.0))
                 re[i] = wp.float32(1.0) - behind - re[i] / wp.float32(FULL_TURN)
@@ -170,6 +186,22 @@ def node_weights(gpu: bool) -> Any:
     return kernel
 
 
+@wp.kernel
+def find_clear(across: wp.array2d(dtype=wp.vec2), boards: wp.int32, clear: wp.array(dtype=wp.float32)):
+    """1 for each node where nothing is in the way to any board, else 0; dim: nodes. across: of `outline.look_across`"""
+    node = wp.tid()
+    result = wp.float32(1.0)
+    for board in range(boards):
+        around = wp.float32(0.0)
+        for lane in range(LANES):
+            if across[node * boards + board, lane][0] > 0.0:
+                result = wp.float32(0.0)
+            around += across[node * boards + board, lane][1]
+        if around > 0.5:
+            result = wp.float32(0.0)
+    clear[node] = result
+
+
 @functools.cache
 def spread(gpu: bool) -> Any:
     """Kernel that gives weights at nodes to points among them; dim: points / BLOCK, on a GPU (rows, points)."""
@@ -183,11 +215,13 @@ def spread(gpu: bool) -> Any:
         node_imag: wp.array2d(dtype=wp.float32),
         real: wp.array3d(dtype=wp.float32),
         imag: wp.array3d(dtype=wp.float32),
+        clear: wp.array(dtype=wp.float32),
         first: wp.int32,
     ):
         """neighbours, shares: (NEIGHBOURS, points), of which there are a multiple of BLOCK
         node_real, node_imag: (nodes, rows), rows a multiple of BLOCK
-        real, imag: result, shape (points / BLOCK, rows, BLOCK); first: number of the first block of points
+        real, imag: result, shape (points / BLOCK, rows, BLOCK)
+        clear: 1 for each node where nothing is in the way; first: number of the first block of points
         """
         if gpu:
             row, point = wp.tid()
@@ -200,6 +234,16 @@ def spread(gpu: bool) -> Any:
             imag[point // BLOCK, row, point % BLOCK] = w_im
         else:
             block = first + wp.tid()
+            ways = wp.float32(0.0)
+            for i in range(BLOCK):
+                for k in range(NEIGHBOURS):
+                    ways += clear[neighbours[k, block * BLOCK + i]]
+            if ways == wp.float32(BLOCK * NEIGHBOURS):
+                for e in range(node_real.shape[1]):
+                    for i in range(BLOCK):
+                        real[block, e, i] = wp.float32(1.0)
+                        imag[block, e, i] = wp.float32(0.0)
+                return
             for e in range(0, node_real.shape[1], BLOCK):
                 for i in range(BLOCK):
                     re = lanes()

@@ -16,8 +16,9 @@ RUN = 64
 """Edges and faces that one thread looks at."""
 PLANES = wp.constant(6)
 """That cut off what does not matter: over the skin, before the board, and on four sides of the way between them."""
-LOOKS = 3
-"""Places on a piece where it is looked at whether something hides it."""
+AWAY = wp.constant(-0.3)
+"""Cosine to the board beyond which no sound presses on a skin, so that nothing need be looked at."""
+NOWHERE = wp.constant(1.0e9)
 LANES = 16
 """Threads that share out the pieces of a view."""
 
@@ -55,15 +56,15 @@ class Views:
 class Pieces:
     """Pieces of outlines, in slots that have room for every run of edges and faces.
 
-    middles: [m], and how much of it bends sound, 0 to 1; ways: from end to end [m]; both (views, slots)
-    counts: how many in each run, (views, runs); starts: before each run, and of all, (views, runs + 1)
-    listed: slots in use, (views, slots)
+    middles: [m], and 1 where sound bends, else 0; ways: from end to end [m]; both (views, slots)
+    counts: how many in each run, (views, runs); totals: in all, where sound bends, and others
+    listed: slots in use, of the former from the beginning, of the others from the end, (views, slots)
     """
 
     middles: wp.array2d(dtype=wp.vec4)
     ways: wp.array2d(dtype=wp.vec3)
     counts: wp.array2d(dtype=wp.int32)
-    starts: wp.array2d(dtype=wp.int32)
+    totals: wp.array(dtype=wp.vec2i)
     listed: wp.array2d(dtype=wp.int32)
 
 
@@ -130,6 +131,9 @@ def place_views(
     eye = middle + (highest + lift_m - wp.dot(normal, middle)) * normal
     views.eyes[view] = eye
     views.planes[view, 0] = wp.vec4(normal[0], normal[1], normal[2], highest + clearance_m)
+    towards = board.centres[number] - middle
+    if wp.dot(normal, towards) < AWAY * wp.length(towards):
+        views.planes[view, 0] = wp.vec4(normal[0], normal[1], normal[2], NOWHERE)
     facing = boards[number]
     views.planes[view, 1] = wp.vec4(facing[0], facing[1], facing[2], facing[3] + clearance_m)
     right = board.right[number]
@@ -202,7 +206,7 @@ def put(
     a: wp.vec3,
     b: wp.vec3,
     but: wp.int32,
-    bends: wp.float32,
+    bends: wp.bool,
     longest_m: wp.float32,
     beside_m: wp.float32,
     farthest_m: wp.float32,
@@ -212,8 +216,8 @@ def put(
 ):
     """Write what is kept of the way from a to b in pieces from `slot` on; returns the slot after the last.
 
-    Sound bends at those parts of a piece where nothing that is kept hides what is `beside_m` beside it.
-    but: plane in which the way lies, -1 for none; bends: 1 at an edge, 0 at a cap
+    Sound bends at a piece of an edge where nothing that is kept hides what is `beside_m` beside it.
+    but: plane in which the way lies, -1 for none; bends: whether it is an edge, not a cap
     """
     next_slot = slot
     span = wp.vec2(0.0, 1.0)
@@ -226,24 +230,22 @@ def put(
         way = (span[1] - span[0]) * (b - a) / wp.float32(wp.max(parts, 1))
         for j in range(parts):
             start = a + span[0] * (b - a) + wp.float32(j) * way
-            seen = wp.float32(0.0)
-            # Where bends is 0 no ray is needed
-            for look in range(wp.where(bends > 0.0, LOOKS, 0)):
-                towards = start + (wp.float32(look) + 0.5) / wp.float32(LOOKS) * way - eye
-                aside = beside_m * wp.normalize(wp.cross(towards, way))
+            middle = start + 0.5 * way
+            hidden = wp.bool(True)
+            if bends:
+                towards = middle - eye
+                ray = wp.normalize(towards + beside_m * wp.normalize(wp.cross(towards, way)))
                 reach = farthest_m
-                ray = wp.normalize(towards + aside)
                 for k in range(PLANES):
                     plane = views.planes[view, k]
                     rising = ray[0] * plane[0] + ray[1] * plane[1] + ray[2] * plane[2]
                     if rising < -GRAZING:
                         reach = wp.min(reach, above(eye, plane) / -rising)
                 hidden = wp.mesh_query_ray_anyhit(mesh.tree, eye, ray, reach)
-                if not hidden:
-                    seen += bends / wp.float32(LOOKS)
             if next_slot < stop:
-                middle = start + 0.5 * way
-                pieces.middles[view, next_slot] = wp.vec4(middle[0], middle[1], middle[2], seen)
+                pieces.middles[view, next_slot] = wp.vec4(
+                    middle[0], middle[1], middle[2], wp.where(hidden, wp.float32(0.0), wp.float32(1.0))
+                )
                 pieces.ways[view, next_slot] = way
                 next_slot += 1
     return next_slot
@@ -310,7 +312,7 @@ def find_pieces(
                 if not towards:
                     a = mesh.points[edge[1]]
                     b = mesh.points[edge[0]]
-                slot = put(mesh, views, view, a, b, -1, 1.0, longest_m, beside_m, farthest_m, pieces, slot, stop)
+                slot = put(mesh, views, view, a, b, -1, True, longest_m, beside_m, farthest_m, pieces, slot, stop)
     # What lies above all planes is not cut
     if lowest > -ball[3] and lowest < ball[3] and run >= runs_of_edges:
         start = (run - runs_of_edges) * RUN
@@ -330,34 +332,31 @@ def find_pieces(
                     begin = wp.vec3(ends[0, 0], ends[0, 1], ends[0, 2])
                     end = wp.vec3(ends[1, 0], ends[1, 1], ends[1, 2])
                     slot = put(
-                        mesh, views, view, begin, end, k, 0.0, longest_m, beside_m, farthest_m, pieces, slot, stop
+                        mesh, views, view, begin, end, k, False, longest_m, beside_m, farthest_m, pieces, slot, stop
                     )
     pieces.counts[view, run] = slot - slots[run]
 
 
 @wp.kernel
-def count_pieces(pieces: Pieces, first: wp.int32):
-    """How many pieces there are before each run; dim: views, from `first` on."""
-    view = first + wp.tid()
-    total = wp.int32(0)
-    for run in range(pieces.counts.shape[1]):
-        pieces.starts[view, run] = total
-        total += pieces.counts[view, run]
-    pieces.starts[view, pieces.counts.shape[1]] = total
-
-
-@wp.kernel
 def list_pieces(pieces: Pieces, slots: wp.array(dtype=wp.int32), first: wp.int32):
-    """The slots that are in use, in order; dim: (views, runs), from view `first` on. slots: as `find_pieces`"""
-    i, run = wp.tid()
-    view = first + i
-    for j in range(pieces.counts[view, run]):
-        pieces.listed[view, pieces.starts[view, run] + j] = slots[run] + j
+    """The slots that are in use, in order, those where sound bends from the list's beginning, the others from its end.
 
-
-@wp.func
-def count_of(pieces: Pieces, view: wp.int32):
-    return pieces.starts[view, pieces.starts.shape[1] - 1]
+    dim: views, from view `first` on; slots: as `find_pieces`
+    """
+    view = first + wp.tid()
+    bending = wp.int32(0)
+    others = wp.int32(0)
+    last = pieces.listed.shape[1] - 1
+    for run in range(pieces.counts.shape[1]):
+        for j in range(pieces.counts[view, run]):
+            slot = slots[run] + j
+            if pieces.middles[view, slot][3] > 0.0:
+                pieces.listed[view, bending] = slot
+                bending += 1
+            else:
+                pieces.listed[view, last - others] = slot
+                others += 1
+    pieces.totals[view] = wp.vec2i(bending, others)
 
 
 @wp.kernel
@@ -388,8 +387,9 @@ def look_across(
     around = wp.float32(0.0)
     centre = board.centres[number]
     axis = wp.normalize(centre - point)
-    for j in range(lane, count_of(pieces, view), LANES):
-        slot = pieces.listed[view, j]
+    totals = pieces.totals[view]
+    for j in range(lane, totals[0] + totals[1], LANES):
+        slot = pieces.listed[view, wp.where(j < totals[0], j, pieces.listed.shape[1] - 1 + totals[0] - j)]
         piece = pieces.middles[view, slot]
         middle = wp.vec3(piece[0], piece[1], piece[2])
         towards = middle - point

@@ -36,12 +36,11 @@ CLEARANCE_m, LIFT_m = 5e-3, 6e-3
 BESIDE_m = 1e-5
 """How far beside a piece of an outline nothing may be in the way."""
 MARGIN_m = 0.04
-"""How far beside the way of the sound bodies are looked at: 3 of Fresnel's v half way over 200 mm."""
+"""How far beside the way of the sound bodies are looked at: 2.7 of Fresnel's v half way over 200 mm."""
 SAME_m = 1e-8
 """Vertices nearer to each other are one: bodies may have one for each face."""
-WIDEST = 3.0
-"""Clearance, in Fresnel's v, beyond which an edge leaves sound as it is: its weight is then within 8 % of 1 for the
-transducer that is nearest, and turns from one transducer to the next."""
+WIDEST = 2.8
+"""Clearance, in Fresnel's v, beyond which an edge leaves sound as it is. From 2 on what it bends fades away."""
 
 
 class OutlineMesh:
@@ -118,7 +117,11 @@ class Emitters:
         self.wavelength_m = sound_speed(arrays.air) / frequency
         sine, cosine = sine_cosine()
         self.waves = filled(
-            kernels.Waves(), turns_per_m=1.0 / self.wavelength_m, sine=vec6(*sine), cosine=vec6(*cosine)
+            kernels.Waves(),
+            turns_per_m=1.0 / self.wavelength_m,
+            fades=0.25 * WIDEST**2,
+            sine=vec6(*sine),
+            cosine=vec6(*cosine),
         )
         self.move(arrays, rows)
 
@@ -170,7 +173,7 @@ class KnifeEdges:
             middles=wp.zeros((views, mesh.most), dtype=wp.vec4, device=device),
             ways=wp.zeros((views, mesh.most), dtype=wp.vec3, device=device),
             counts=wp.zeros((views, mesh.runs), dtype=wp.int32, device=device),
-            starts=wp.zeros((views, mesh.runs + 1), dtype=wp.int32, device=device),
+            totals=wp.zeros(views, dtype=wp.vec2i, device=device),
             listed=wp.zeros((views, mesh.most), dtype=wp.int32, device=device),
         )
         self._across = SharedArray((count * emitters.count, outline.LANES), wp.vec2, device)
@@ -179,6 +182,7 @@ class KnifeEdges:
         self._at_nodes = [wp.zeros((count, rows), dtype=wp.float32, device=device) for _ in range(2)]
         at_points = [wp.zeros((blocks, rows, kernels.BLOCK), dtype=wp.float32, device=device) for _ in range(2)]
         self.shades = Shades(*at_points)
+        self._clear: Any = wp.zeros(count, dtype=wp.float32, device=device)
         self._neighbours = SharedArray((kernels.NEIGHBOURS, columns), wp.int32, device)
         self._shares = SharedArray((kernels.NEIGHBOURS, columns), wp.float32, device)
         self._chosen: Int | None = None
@@ -242,8 +246,7 @@ class KnifeEdges:
                 [
                     make(outline.place_views, (count, emitters.count), placed, device),
                     make(outline.find_pieces, (views, mesh.runs), found, device),
-                    make(outline.count_pieces, views, [pieces, view], device),
-                    make(outline.list_pieces, (views, mesh.runs), [pieces, mesh.slots, view], device),
+                    make(outline.list_pieces, views, [pieces, mesh.slots, view], device),
                 ]
             )
         across: list[Calls] = []
@@ -257,9 +260,11 @@ class KnifeEdges:
         for first, count in _parts(len(numbers), 1 if gpu else parts):
             inputs = [nodes, emitters.emitters, emitters.waves, self._across.array, pieces, *self._at_nodes]
             weigh.append([make(kernels.node_weights(gpu), (count, blocks), [*inputs, emitters.count, first], device)])
+        told = [self._across.array, emitters.count, self._clear]
+        weigh.append([make(kernels.find_clear, len(numbers), told, device)])
         there, rows, _ = self.shades.real.shape
         for first, count in _parts(there, 1 if gpu else parts):
-            inputs = [self._neighbours.array, self._shares.array, *self._at_nodes, *self.shades, first]
+            inputs = [self._neighbours.array, self._shares.array, *self._at_nodes, *self.shades, self._clear, first]
             size = (rows, there * kernels.BLOCK) if gpu else count
             give.append([make(kernels.spread(gpu), size, inputs, device)])
         return [look, across, weigh, give]

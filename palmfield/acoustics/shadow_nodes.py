@@ -3,14 +3,13 @@
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from palmfield.types import Float, Float32, Int
 from warp_kernels.knife_edge import NEIGHBOURS
 
-GROUP_m = 0.03
-"""Edge of the cells whose nodes look at bodies from one place."""
+GROUP = 3.75
+"""Edge of the cells whose nodes look at bodies from one place, over the nodes' spacing."""
 TURN_m = 0.03
 """Distance for which normals count that are at right angles: two sides of a finger are no neighbours."""
 STIFFNESS = 0.03
@@ -38,7 +37,7 @@ def shadow_nodes(points: Float, normals: Float, spacing_m: float) -> ShadowNodes
     Shares are those of a plane fitted to near nodes along the surface, so that what varies evenly is met exactly.
     """
     chosen = _middle_ones(points, _cells(points, normals, spacing_m))
-    of_cell = _cells(points[chosen], normals[chosen], GROUP_m)
+    of_cell = _cells(points[chosen], normals[chosen], GROUP * spacing_m)
     order = np.argsort(of_cell, kind="stable")
     numbers, groups = chosen[order].astype(np.int32), of_cell[order].astype(np.int32)
     starts = np.searchsorted(groups, np.arange(groups[-1] + 2)).astype(np.int32)
@@ -57,17 +56,17 @@ def _cells(points: Float, normals: Float, edge_m: float) -> Int:
     axis = np.abs(normals).argmax(axis=1)
     facing = 2 * axis + (normals[np.arange(len(axis)), axis] > 0.0)
     keys = np.column_stack([np.floor(points / edge_m).astype(np.int64), facing])
-    return np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)
+    return np.asarray(np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1), np.int32)
 
 
-def _middle_ones(points: Float, cells: Int) -> NDArray[np.int64]:
+def _middle_ones(points: Float, cells: Int) -> Int:
     """Of each cell the point that is nearest to the middle of its points."""
     count = np.bincount(cells)
     middles = np.column_stack([np.bincount(cells, column) / count for column in points.T])
     away = ((points - middles[cells]) ** 2).sum(axis=1)
-    order = np.lexsort((away, cells)).astype(np.int64)
+    order: Int = np.lexsort((away, cells)).astype(np.int32)
     firsts = np.searchsorted(cells[order], np.arange(len(count)))
-    return np.asarray(order)[firsts]
+    return np.asarray(order[firsts], dtype=np.int32)
 
 
 def _shares(points: Float, normals: Float, numbers: Int) -> tuple[Int, Float]:

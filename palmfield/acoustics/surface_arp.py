@@ -18,7 +18,7 @@ from palmfield.device import SharedArray, filled, recorded
 from palmfield.errors import PalmfieldError
 from palmfield.threads import Calls, cores, share
 from palmfield.types import Complex, Float, Float32, Int
-from warp_kernels.knife_edge import BLOCK
+from warp_kernels.point_sound import BLOCK
 
 PAIRS_PER_THREAD = 100_000
 """Fewest pairs of point and transducer worth a thread of its own: 0.13 ms of work against 0.02 ms to hand it over."""

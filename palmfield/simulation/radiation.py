@@ -28,7 +28,7 @@ Role = Literal["quadrature", "load", "samples", "nodes", "vertices", "probe"]
 """What points are for: each role of a skin has buffers of its own."""
 
 
-SKIN_SPACING_m, BODY_SPACING_m = 0.008, 0.016
+SKIN_SPACING_m, BODY_SPACING_m = 0.008, 0.024
 """Between the nodes at which shadows are weighed: on a skin's layer, and on the body for the force on it."""
 
 
@@ -75,13 +75,13 @@ class Radiation:
 
     def many(self, posed: PosedScene, skin: int, drives: Complex, role: Role = "quadrature") -> Float32:
         """ARP as `on` gives it for several drives, shape (m, N): shape (m, n)."""
-        bends = self._bends(skin)
-        if self.model.skins[skin].spec.config.body_sound != "none" and not bends:
+        bent = bends(self.model.skins[skin])
+        if self.model.skins[skin].spec.config.body_sound != "none" and not bent:
             return np.stack([self.on(posed, skin, role, drive).arp for drive in drives])
         points, normals = self.points(posed, skin, role)
         known = self._evaluators.get((skin, role, len(points)))
         evaluator = known[1] if known and known[0] is posed.arrays else self._evaluator(posed, skin, role, len(points))
-        shades = self._shades(posed, skin, role, points, normals) if bends else None
+        shades = self._shades(posed, skin, role, points, normals) if bent else None
         return evaluator.evaluate_many(points, normals, drives, shades=shades)
 
     def sums(self, posed: PosedScene, skin: int, units: Complex, levels: Complex, role: Role = "quadrature") -> Float32:
@@ -101,7 +101,7 @@ class Radiation:
             return self._scattered_field(posed, skin, drive).at(own)
         known = self._evaluators.get((skin, role, len(points)))
         evaluator = known[1] if known and known[0] is posed.arrays else self._evaluator(posed, skin, role, len(points))
-        if self._bends(skin):
+        if bends(self.model.skins[skin]):
             shades = self._shades(posed, skin, role, points, normals)
             sound = evaluator.evaluate(points, normals, drive, shades=shades)
             return SurfaceSound(sound.arp.copy(), sound.amplitude.copy())
@@ -164,11 +164,6 @@ class Radiation:
             known = self._evaluators[key] = posed.arrays, SurfaceArp(posed.arrays.field, count, law)
         return known[1]
 
-    def _bends(self, skin: int) -> bool:
-        """Whether sound bends round what casts shadows on a skin."""
-        config = self.model.skins[skin].spec.config
-        return config.body_sound == "shadows" and config.shadow_edges == "knife_edge"
-
     def _shades(self, posed: PosedScene, skin: int, role: Role, points: Float, normals: Float) -> Shades | None:
         """What bodies leave of each transducer's sound at a skin's points; None where nothing is in the way."""
         key = skin, role, len(points)
@@ -201,16 +196,16 @@ class Radiation:
             self._reference.append(reference_scene(self.model))
         rest, stays, bound = self._reference[0].skins[skin], True, None
         if role in ("quadrature", "load"):
-            nodes = shadow_nodes(*rest.quadrature, SKIN_SPACING_m)
+            nodes = load_nodes(rest)
             if role == "load":
                 bound = _ChosenPoints(self.model.skins[skin], nodes.numbers)
         elif role == "nodes":
             nodes = shadow_nodes(*rest.nodes, SKIN_SPACING_m)
         elif role == "samples":
-            nodes = shadow_nodes(*rest.body.samples[:2], BODY_SPACING_m)
+            nodes = sample_nodes(rest.body)
         else:
             # Wherever they are: as they lie now, so that it doesn't matter where they were before
-            nodes, stays = shadow_nodes(points, normals, BODY_SPACING_m), False
+            nodes, stays = shadow_nodes(points, normals, BODY_SPACING_m), len(points) == 1
         return _Shading(posed, edges_of(nodes, len(points)), stays, bound)
 
     def _node_places(
@@ -310,6 +305,22 @@ class _ChosenPoints:
         if self._last is None or self._last[0] is not posed:
             self._last = posed, posed.body.moved(self._points, self._normals, self._binding)
         return self._last[1]
+
+
+def bends(skin: SkinModel) -> bool:
+    """Whether sound bends round what casts shadows on a skin."""
+    config = skin.spec.config
+    return config.body_sound == "shadows" and config.shadow_edges == "knife_edge"
+
+
+def load_nodes(skin: PosedSkin) -> ShadowNodes:
+    """Nodes among a skin's quadrature points, as they lie in the reference scene."""
+    return shadow_nodes(*skin.quadrature, SKIN_SPACING_m)
+
+
+def sample_nodes(body: PosedSurface) -> ShadowNodes:
+    """Nodes among the samples for the force on a body, as they lie in the reference scene."""
+    return shadow_nodes(*body.samples[:2], BODY_SPACING_m)
 
 
 def occluding_vertices(posed: PosedScene, skin: int) -> Float:
