@@ -166,7 +166,7 @@ class KnifeEdges:
         self._looks = filled(
             outline.Views(),
             eyes=wp.zeros(views, dtype=wp.vec3, device=device),
-            planes=wp.zeros((views, 6), dtype=wp.vec4, device=device),
+            planes=wp.zeros((views, outline.PLANES), dtype=wp.vec4, device=device),
         )
         self._pieces = filled(
             outline.Pieces(),
