@@ -9,6 +9,7 @@ from typing import Any
 
 import warp as wp
 
+from warp_kernels.point_sound import BLOCK
 from warp_kernels.pressure import (
     CPU,
     GPU,
@@ -42,7 +43,7 @@ def gradient(form: Form) -> Any:
     row = row64 if form.accurate else row32
     root = root64 if form.accurate else root32
     angle = form.angle
-    gpu, flat = form.gpu, form.flat
+    gpu, flat, shaded = form.gpu, form.flat, form.shaded
     fall = form.fall_of
     directivity = quartic if form.smooth else quintic
     slope = cubic if form.smooth else quartic
@@ -59,8 +60,13 @@ def gradient(form: Form) -> Any:
         shapes: wp.array(dtype=vec6),
         result: wp.array(dtype=wp.vec2),
         rows: wp.array2d(dtype=wp.vec2),
+        weights_re: wp.array3d(dtype=wp.float32),
+        weights_im: wp.array3d(dtype=wp.float32),
     ):
         """As `pressure`, and in `rows` the gradient [Pa/m], shape (points, 3); both must hold zeros.
+
+        weights_re, weights_im: what is left of each transducer's sound at each point, which the form `shaded` reads,
+        shape (points / BLOCK, elements, BLOCK)
 
         shapes: the sound's directivity and slope; from an array a GPU keeps them in registers, but it loads a struct's
         numbers again for each transducer
@@ -112,6 +118,10 @@ def gradient(form: Form) -> Any:
                     d = distance[0]
                     inverse = distance[1]
                     wave = angle(sound, square, d, inverse, element[2])
+                    if shaded:
+                        w_re = weights_re[first // BLOCK, e, first % BLOCK + i]
+                        w_im = weights_im[first // BLOCK, e, first % BLOCK + i]
+                        wave = wp.vec2(wave[0] * w_re - wave[1] * w_im, wave[0] * w_im + wave[1] * w_re)
                     gain = fall(sound, strength, d, inverse)
                     if flat:
                         rise2 = near[i]

@@ -17,6 +17,8 @@ wp.set_module_options({"enable_backward": False, "fast_math": True})
 
 PARTS = 8
 """Numbers of a field: real and imaginary pressure, then those of its gradient over k along x, y and z."""
+BLOCK = 16
+"""Points whose weights lie together, for each transducer in turn."""
 GRAZING = 1.0e-6
 
 
@@ -34,8 +36,11 @@ class Waves:
 
 
 @functools.cache
-def fields(rows: int, gpu: bool) -> Any:
-    """Kernel of pressure and gradient of `rows` drives a thread; dim: (drives / rows, runs of transducers, points)."""
+def fields(rows: int, gpu: bool, shaded: bool = False) -> Any:
+    """Kernel of pressure and gradient of `rows` drives a thread; dim: (drives / rows, runs of transducers, points).
+
+    shaded: each pair of transducer and point has a weight of its own
+    """
     lanes = wp.types.vector(length=rows, dtype=wp.float32)
 
     @wp.kernel(module="unique", module_options={"fast_math": True} if gpu else CPU, enable_backward=False)
@@ -51,6 +56,8 @@ def fields(rows: int, gpu: bool) -> Any:
         run: wp.int32,
         counts: wp.array(dtype=wp.int32),
         drives: wp.array2d(dtype=wp.vec2),
+        weights_re: wp.array3d(dtype=wp.float32),
+        weights_im: wp.array3d(dtype=wp.float32),
         result: wp.array4d(dtype=wp.float32),
     ):
         """Of the transducers [first, stop) in runs of `size`; what the runs give begins at result[:, run].
@@ -58,6 +65,7 @@ def fields(rows: int, gpu: bool) -> Any:
         places, facing: position [m] and unit direction of each transducer, the fourth number is unused
         shapes: directivity and slope, see `pressure.Sound`
         counts: how many drives there are; drives: complex amplitude of each transducer [Pa m], shape (rows, n)
+        weights_re, weights_im: as `gradient.gradient`, read if `shaded`
         result: the numbers of a field, shape (drives, runs, PARTS, points)
         """
         block, j, i = wp.tid()
@@ -103,6 +111,12 @@ def fields(rows: int, gpu: bool) -> Any:
                         gain = inverse * wp.exp(-loss * d)
                         wave_re = gain * wp.cos(angle)
                         wave_im = gain * wp.sin(angle)
+                        if shaded:
+                            w_re = weights_re[i // BLOCK, e, i % BLOCK]
+                            w_im = weights_im[i // BLOCK, e, i % BLOCK]
+                            straight = wave_re
+                            wave_re = straight * w_re - wave_im * w_im
+                            wave_im = straight * w_im + wave_im * w_re
                         q = cosine * cosine
                         direct = quintic(in_directivity, q)
                         bend = quartic(in_slope, q) * inverse

@@ -178,6 +178,7 @@ class Form:
     fall: of the amplitude with distance, a key of FALLS
     smooth: directivity as a quartic and its slope as a cubic, instead of a quintic and a quartic
     flat: a group's transducers lie in a plane; else the fourth number of an element is its height over it
+    shaded: each pair of transducer and point has a weight of its own (kernels with the gradient)
     """
 
     gpu: bool
@@ -185,6 +186,7 @@ class Form:
     fall: str
     smooth: bool
     flat: bool
+    shaded: bool = False
 
     @property
     def fall_of(self) -> Any:

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from palmfield.acoustics import check
 from palmfield.acoustics.arp import SurfaceSound, wall_pressure
+from palmfield.acoustics.knife_edge import OutlineMesh
 from palmfield.acoustics.scattering import Incident, Scattering, scatter
 from palmfield.acoustics.shadow import CLEARANCE_m, REACH_m
 from palmfield.device import SharedArray, filled, recorded, resolve
@@ -112,12 +113,29 @@ class Occlusion:
         self._vertices.put(vertices + np.outer(2.0 * extent * body, [1.0, 0.0, 0.0]))
         self.mesh = wp.Mesh(self._vertices.array, corners)
         self._rays: dict[int, _Rays] = {}
+        self._shape = vertices, faces
+        self._outline: tuple[OutlineMesh, Calls] | None = None
         self.move(vertices)
+
+    @property
+    def outline(self) -> OutlineMesh:
+        """The same bodies as knife edges take them; from the first time that it is asked for it moves with them."""
+        if self._outline is None:
+            made = OutlineMesh(self.mesh, *self._shape)
+            self._outline = made, made.calls()
+            self._move_outline()
+        return self._outline[0]
+
+    def _move_outline(self) -> None:
+        if self._outline is not None:
+            for call in self._outline[1]:
+                call()
 
     def move(self, vertices: Float) -> None:
         """Take new positions of the same vertices [m], shape (v, 3)."""
         self._vertices.put(vertices)
         self.mesh.refit()
+        self._move_outline()
 
     def lit(
         self, points: Float, flux: Float | Float32, reach_m: Float | Float32 | float = REACH_m

@@ -42,6 +42,9 @@ QUADRATIC_REACH_Np = 0.08
 SMOOTH = 1e-5
 """Directivities that a quartic follows as well as this take one power less, which is a twentieth of the work."""
 
+UNSHADED = (None, None)
+"""In place of weights, for kernels with the gradient."""
+
 Mode = Literal["fast", "accurate"]
 MODES: tuple[Mode, ...] = ("fast", "accurate")
 
@@ -153,12 +156,13 @@ class FieldEvaluator:
             raise PalmfieldError(f"pressure_on_gpu on device '{self.device}': make the evaluator with device cuda:0")
         return self._launch(points.array, points.distances_m, check.drive(drive, self.array), gradient)
 
-    def _form(self, fall: str) -> kernels.Form:
-        return kernels.Form(self._gpu, self._accurate, fall, self._smooth and not self._accurate, self._groups.flat)
+    def _form(self, fall: str, shaded: bool = False) -> kernels.Form:
+        smooth = self._smooth and not self._accurate
+        return kernels.Form(self._gpu, self._accurate, fall, smooth, self._groups.flat, shaded)
 
-    def kernel(self, fall: str, gradient: bool) -> Any:
-        """The kernel for how sound falls off, see `falling`."""
-        return with_gradient.gradient(self._form(fall)) if gradient else kernels.pressure(self._form(fall))
+    def kernel(self, fall: str, gradient: bool, shaded: bool = False) -> Any:
+        """The kernel for how sound falls off, see `falling`; shaded: with a weight for each pair, see `Form`."""
+        return with_gradient.gradient(self._form(fall, shaded)) if gradient else kernels.pressure(self._form(fall))
 
     @property
     def points_per_thread(self) -> int:
@@ -276,7 +280,7 @@ class FieldEvaluator:
             part: Any = wp.array(points[start:stop], dtype=self._vec3, device="cpu", copy=False)
             outputs = [shared(pressure[start:stop])]
             if slope is not None:
-                outputs.append(shared(slope[start:stop]))
+                outputs += [shared(slope[start:stop]), *UNSHADED]
             wp.launch(kernel, dim=-(-(stop - start) // width), inputs=[part, *inputs, *outputs], device="cpu")
 
         count = len(points)
@@ -302,7 +306,7 @@ class FieldEvaluator:
         outputs = [wp.zeros(count, dtype=wp.vec2, device=self.device)]
         if gradient:
             outputs.append(wp.zeros((count, 3), dtype=wp.vec2, device=self.device))
-        inputs = [points, *inputs, *outputs]
+        inputs = [points, *inputs, *outputs, *(UNSHADED if gradient else ())]
         wp.launch(kernel, dim=-(-count // width), inputs=inputs, device=self.device, block_dim=128)
         return tuple(outputs)
 
@@ -331,6 +335,7 @@ class _SmallCall:
         for start in range(0, count, step):
             own = slice(start, min(start + step, count))
             arrays = [self._points.array[own], *inputs, *(result.array[own] for result in self._results)]
+            arrays += UNSHADED if gradient else ()
             self._blocks.append((recorded(kernel, -(-(own.stop - start) // width), arrays, "cpu"),))
 
     def run(self, points: NDArray[Any], pressure: NDArray[np.complex64], slope: NDArray[np.complex64] | None) -> None:

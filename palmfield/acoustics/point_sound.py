@@ -15,11 +15,13 @@ from numpy.typing import NDArray
 from palmfield.acoustics.air import absorption_Np_m, sound_speed
 from palmfield.acoustics.arp import law_weights
 from palmfield.acoustics.field import off_axis
+from palmfield.acoustics.knife_edge import Emitters
 from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.acoustics.shadow import CLEARANCE_m, REACH_m
+from palmfield.acoustics.surface_arp import Shades
 from palmfield.device import SharedArray, filled, launch
 from palmfield.threads import Calls
-from palmfield.types import Complex
+from palmfield.types import Complex, Int
 from warp_kernels import point_sound as kernels
 from warp_kernels.pressure import vec6
 
@@ -63,10 +65,27 @@ class Transducers:
             self.groups.append((own, waves, wp.array(shapes, dtype=vec6, device=device)))
             self.scale[own] = array.p0_Pa_m if array.gain is None else array.p0_Pa_m * array.gain
             start = own.stop
+        self._arrays = arrays
+        self._emitters: Emitters | None = None
         self.move(arrays)
+
+    @property
+    def emitters(self) -> Emitters:
+        """The same transducers as the weights of shadows take them; they move along. Made when first asked for."""
+        if self._emitters is None:
+            self._emitters = Emitters(self._arrays, self._rows, self.device)
+        return self._emitters
+
+    @property
+    def _rows(self) -> Int:
+        """Where each transducer is in `order`."""
+        return np.argsort(self.order).astype(np.int32)
 
     def move(self, arrays: PhasedArray) -> None:
         """Take new places of the same transducers."""
+        self._arrays = arrays
+        if self._emitters is not None:
+            self._emitters.move(arrays, self._rows)
         rows = np.zeros((2, self.count, 4))
         boards = np.column_stack([arrays.facing.T, arrays.heights])
         for (own, _, _), group in zip(self.groups, arrays.groups, strict=True):
@@ -144,11 +163,12 @@ def _unit(count: int) -> NDArray[np.float64]:
 
 class Surface(NamedTuple):
     """Points of one body. points: which of all; law: a key of `palmfield.acoustics.arp.LAWS`; mesh: what casts shadows
-    on them, None for nothing"""
+    on them and cuts them off, None for nothing; shades: what it leaves where sound bends, None where it doesn't"""
 
     points: slice
     law: str
     mesh: wp.Mesh | None
+    shades: Shades | None = None
 
 
 def sound_calls(
@@ -176,13 +196,21 @@ def sound_calls(
         sizes.append(max(SHORTEST_RUN, -(-length // most)))
     runs = [-(-(own.stop - own.start) // size) for (own, _, _), size in zip(transducers.groups, sizes, strict=True)]
     fields: wp.array = wp.zeros((capacity, sum(runs), kernels.PARTS, count), dtype=wp.float32, device=device)
-    kernel = kernels.fields(rows, device != "cpu")
     calls = []
     run = 0
+    shaded = [surface for surface in surfaces if surface.shades is not None]
     for (own, waves, shapes), size, own_runs in zip(transducers.groups, sizes, runs, strict=True):
-        inputs = [points, *transducers.places, shapes, waves, own.start, own.stop, size, run]
-        dim = (capacity // rows, own_runs, count)
-        calls.append(launch(kernel, dim, [*inputs, table.counts, table.drives, fields], device))
+        of_group = [*transducers.places, shapes, waves, own.start, own.stop, size, run, table.counts, table.drives]
+        if len(shaded) < len(surfaces):
+            kernel, dim = kernels.fields(rows, device != "cpu"), (capacity // rows, own_runs, count)
+            calls.append(launch(kernel, dim, [points, *of_group, None, None, fields], device))
+        # Over what these points got without shades
+        for surface in shaded:
+            assert surface.shades is not None
+            here, dim = surface.points, (capacity // rows, own_runs, surface.points.stop - surface.points.start)
+            kernel = kernels.fields(rows, device != "cpu", shaded=True)
+            inputs = [points[here], *of_group, *surface.shades, fields[:, :, :, here]]
+            calls.append(launch(kernel, dim, inputs, device))
         run += own_runs
     for surface in surfaces:
         own, sums = surface.points, table.levels.shape[0]

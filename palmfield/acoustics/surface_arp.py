@@ -2,7 +2,7 @@
 
 import cmath
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import warp as wp
@@ -11,13 +11,14 @@ import warp_kernels.arp as kernels
 from palmfield.acoustics import check
 from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.arp import SurfaceSound, law_weights
-from palmfield.acoustics.field import FieldEvaluator, falling, in_unit
+from palmfield.acoustics.field import UNSHADED, FieldEvaluator, falling, in_unit
 from palmfield.acoustics.phased_array import DirectivityGroup, MultiArrayField
 from palmfield.acoustics.transfer import Transfer, arp_frames, matrix_bytes, memory_limit, too_steep
 from palmfield.device import SharedArray, filled, recorded
 from palmfield.errors import PalmfieldError
 from palmfield.threads import Calls, cores, share
 from palmfield.types import Complex, Float, Float32, Int
+from warp_kernels.point_sound import BLOCK
 
 PAIRS_PER_THREAD = 100_000
 """Fewest pairs of point and transducer worth a thread of its own: 0.13 ms of work against 0.02 ms to hand it over."""
@@ -34,6 +35,24 @@ and depends on where the points are now, not on where they were before: a run re
 FITS_KEPT = 64
 MATRIX_KEPT_BYTES = 2**26
 """A transfer matrix up to this size is kept for the next call with the same points."""
+
+
+class Shades(NamedTuple):
+    """What is left of each transducer's sound at each point: real and imaginary part on the field's device, float32.
+
+    Shape (blocks of points, transducers as `rows_of` numbers them, points of a block).
+    """
+
+    real: Any
+    imag: Any
+
+
+def rows_of(field: MultiArrayField) -> Int:
+    """The row of each transducer in `Shades`, shape (field.count,)."""
+    rows: Int = np.empty(field.count, np.int32)
+    order = [group.chosen[one.order] for group, one in zip(field.groups, field.evaluators, strict=True)]
+    rows[np.concatenate(order)] = np.arange(field.count)
+    return rows
 
 
 class SurfaceArp:
@@ -66,19 +85,27 @@ class SurfaceArp:
         self._group_drives = [_GroupDrive(*pair) for pair in zip(field.groups, field.evaluators, strict=True)]
         self._threads, self._blocks = self._shared_out(cores() if threads is None else threads)
         self._recorded: dict[tuple[str, ...], list[Calls]] = {}
+        self._shaded: dict[tuple[str, ...], list[Calls]] = {}
+        self._shades: Any = None
         self._sums: dict[tuple[tuple[str, ...], tuple[int, int]], _Sums] = {}
         self._transfer: Transfer | None = None
         self._weights = law_weights(law, field.air)
         self._per_wavenumber = sound_speed(field.air) / (2.0 * np.pi * field.groups[0].array.frequency_Hz)
 
     def evaluate(
-        self, points: Float | Float32, normals: Float | Float32, drive: Complex, flux: bool = False
+        self,
+        points: Float | Float32,
+        normals: Float | Float32,
+        drive: Complex,
+        flux: bool = False,
+        shades: Shades | None = None,
     ) -> SurfaceSound:
         """The sound of one drive at the points. Its arrays are views of buffers that the next call overwrites.
 
         points: [m], normals: unit outward, array frame, both of shape (count, 3)
         drive: complex amplitudes of all transducers, 1 is full drive, shape (field.count,)
         flux: whether the result has the energy flux
+        shades: what bodies leave of each transducer's sound at each point, None where nothing is in the way
         Raises PalmfieldError for other shapes and numbers that are not finite. Normals are taken to be unit vectors.
         """
         if drive.dtype != np.complex128:
@@ -90,7 +117,7 @@ class SurfaceArp:
                 f"({count}, 3), ({count}, 3) and ({self.field.count},)"
             )
         if count > 0:
-            self._run(points, normals, drive[None])
+            self._run(points, normals, drive[None], shades=shades)
         return self._sound_and_flux if flux else self._sound
 
     def evaluate_sums(
@@ -132,6 +159,7 @@ class SurfaceArp:
         drives: Complex,
         out: Float32 | None = None,
         of: tuple[int, int] | None = None,
+        shades: Shades | None = None,
     ) -> "_Sums | None":
         """Fill the buffers for one drive after another, complex128, shape (m, N).
 
@@ -153,6 +181,11 @@ class SurfaceArp:
             falls = (*falls, group.prepare(low, high, drives))
         sums = None if of is None else self._sums.get((falls, of)) or self._record_sums(falls, of)
         blocks = self._recorded.get(falls) if sums is None else sums.fields
+        if shades is not None:
+            blocks = self._shaded.get(falls)
+            if blocks is None or self._shades is not shades.real:
+                self._shades, self._shaded = shades.real, {}
+                blocks = self._shaded[falls] = self._record(falls, shades)
         if blocks is None:
             blocks = self._recorded[falls] = self._record(falls)
         arp, amplitude = self._sound.arp, self._sound.amplitude
@@ -188,19 +221,24 @@ class SurfaceArp:
         return sums
 
     def evaluate_many(
-        self, points: Float | Float32, normals: Float | Float32, drives: Complex, out: Float32 | None = None
+        self,
+        points: Float | Float32,
+        normals: Float | Float32,
+        drives: Complex,
+        out: Float32 | None = None,
+        shades: Shades | None = None,
     ) -> Float32:
         """ARP [Pa] of many drives at the points, shape (m, count), by the cheaper way.
 
         From MATRIX_FROM drives on that is a transfer matrix, which is kept for a next call with the same points; one by
         one otherwise, and where directivities differ, mode is "accurate" or points are too far apart for the matrix.
 
-        drives: shape (m, field.count); out: array to fill and return, float32
+        drives: shape (m, field.count); out: array to fill and return, float32; shades: as `evaluate`, one by one then
         Raises PalmfieldError as `evaluate`, and for normals that are not unit vectors.
         """
         evaluator, frames = self.field.evaluators[0], len(drives)
         result = np.empty((frames, self.count), np.float32) if out is None else out
-        alike = len(self._group_drives) == 1 and self.field.mode == "fast"
+        alike = len(self._group_drives) == 1 and self.field.mode == "fast" and shades is None
         if frames == 0 or self.count == 0:
             return result
         transfer = self._known_matrix(points, normals) if alike and frames >= MATRIX_FROM else None
@@ -208,7 +246,7 @@ class SurfaceArp:
             shape = self.count, 3
             if points.shape != shape or normals.shape != shape or drives.shape[1:] != (self.field.count,):
                 self.evaluate(points, normals, drives[0])  # says what is expected
-            self._run(points, normals, drives.astype(np.complex128, copy=False), result)
+            self._run(points, normals, drives.astype(np.complex128, copy=False), result, shades=shades)
             return result
         if transfer is None:
             size = matrix_bytes(self.field.count, self.count)
@@ -240,7 +278,7 @@ class SurfaceArp:
         size = -(-self.count // (blocks * width)) * width
         return threads, [slice(start, min(start + size, self.count)) for start in range(0, self.count, size)]
 
-    def _record(self, falls: tuple[str, ...]) -> list[Calls]:
+    def _record(self, falls: tuple[str, ...], shades: Shades | None = None) -> list[Calls]:
         """The launches of each block: every directivity adds its field, then comes the ARP."""
         blocks: list[Calls] = []
         for block in self._blocks:
@@ -257,7 +295,7 @@ class SurfaceArp:
                 flux=flux,
             )
             sound = recorded(kernels.surface_sound, block.stop - block.start, [at], self.field.device)
-            blocks.append([*self._record_fields(falls, block), sound])
+            blocks.append([*self._record_fields(falls, block, shades), sound])
         return blocks
 
     def _record_sums(self, falls: tuple[str, ...], shape: tuple[int, int]) -> "_Sums":
@@ -293,13 +331,16 @@ class SurfaceArp:
             result.download()
         wp.synchronize_stream(self.field.device)
 
-    def _record_fields(self, falls: tuple[str, ...], block: slice) -> Calls:
+    def _record_fields(self, falls: tuple[str, ...], block: slice, shades: Shades | None = None) -> Calls:
         """Launches that add the field of each directivity at a block's points."""
-        calls = []
+        calls, row = [], 0
         for group, fall in zip(self._group_drives, falls, strict=True):
-            kernel = group.evaluator.kernel(fall, gradient=True)
+            kernel = group.evaluator.kernel(fall, gradient=True, shaded=shades is not None)
             threads = -(-(block.stop - block.start) // group.evaluator.points_per_thread)
-            outputs = [self._pressure[block], self._gradient[block]]
+            outputs = [self._pressure[block], self._gradient[block], *UNSHADED]
+            rows, row = slice(row, row + len(group.evaluator.array)), row + len(group.evaluator.array)
+            if shades is not None:
+                outputs[2:] = [weights[block.start // BLOCK :, rows] for weights in shades]
             inputs = [self._points.array[block], *group.inputs, *outputs]
             calls.append(recorded(kernel, threads, inputs, self.field.device))
         return calls

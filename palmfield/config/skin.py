@@ -88,7 +88,12 @@ class SkinConfig(Config):
     side: Side = Field("fixed", description="cut faces of the layer; absorbing lets waves out; a disc takes roller too")
     arp_law: ArpLaw = Field("default", description="radiation-pressure law (see `palmfield info`)")
     body_sound: Literal["none", "shadows", "scattering"] = Field(
-        "none", description="what other parts of the body do to the sound: nothing, shadows by rays, boundary elements"
+        "none", description="what other parts of the body do to the sound: nothing, shadows, boundary elements"
+    )
+    shadow_edges: Literal["knife_edge", "rays"] = Field(
+        "knife_edge",
+        description="body_sound shadows: sound bends round edges (Fresnel's weight for each transducer), or one ray "
+        "leaves a point lit or dark",
     )
     accuracy: Annotated[float, Field(ge=0.002, le=0.5)] = Field(
         0.05, description="wanted relative error of the skin displacement"

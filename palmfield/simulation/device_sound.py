@@ -17,8 +17,10 @@ from scipy import sparse
 
 from palmfield.acoustics import check
 from palmfield.acoustics.body_scattering import Occlusion
+from palmfield.acoustics.knife_edge import KnifeEdges
 from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.acoustics.point_sound import DriveTable, Surface, Transducers, fill_table, sound_calls
+from palmfield.acoustics.shadow_nodes import ShadowNodes, shadow_nodes
 from palmfield.device import (
     Branches,
     SharedArray,
@@ -38,7 +40,15 @@ from palmfield.hand.rigged import strongest
 from palmfield.simulation.emission import Emission, MeanDrives
 from palmfield.simulation.model import BodyModel, HapticModel
 from palmfield.simulation.posed_scene import PosedScene
-from palmfield.simulation.radiation import occluding_counts, occluding_faces, occluding_vertices
+from palmfield.simulation.radiation import (
+    BODY_SPACING_m,
+    bends,
+    load_nodes,
+    occluding_counts,
+    occluding_faces,
+    occluding_vertices,
+    sample_nodes,
+)
 from palmfield.simulation.sensors import SensorPlace
 from palmfield.skin.reduction import device_models
 from palmfield.skin.reduction.device_models import DeviceModel, StepMemory, device_model
@@ -469,12 +479,27 @@ class DeviceWork:
         arps = {LOAD: self.load.array, NOW: self.forces.arrays["probes"], FORCE: pressed}
         places = {LOAD: points.loaded, NOW: points.probed, FORCE: points.sampled}
         surfaces: dict[str, list[Surface]] = {LOAD: [], NOW: [], FORCE: []}
+        weighing: list[Callable[[], object]] = []
+
+        def add(name: str, skin: int, own: slice, nodes: Callable[[], ShadowNodes]) -> None:
+            """One more surface; how its shadows are weighed goes with the pose."""
+            surface = self._surface(skin, own, meshes)
+            if bends(model.skins[skin]):
+                mesh = meshes[_mesh_number(model, skin)].outline
+                edges = KnifeEdges(mesh, transducers.emitters, nodes(), own.stop - own.start, 1)
+                begin = places[name].start + own.start
+                stages = edges.stages(points.points, points.normals, begin + edges.nodes.numbers)
+                weighing.extend(call for stage in stages for calls in stage for call in calls)
+                surface = surface._replace(mesh=None, shades=edges.shades)
+            surfaces[name].append(surface)
+
         for number, own in enumerate(points.quadrature):
-            surfaces[LOAD].append(self._surface(number, own, meshes))
-        for i, (number, _) in enumerate(probes):
-            surfaces[NOW].append(self._surface(number, slice(i, i + 1), meshes))
+            add(LOAD, number, own, partial(load_nodes, reference.skins[number]))
+        for i, (number, place) in enumerate(probes):
+            alone = partial(shadow_nodes, place.probe.closest, place.probe.normals, BODY_SPACING_m)
+            add(NOW, number, slice(i, i + 1), alone)
         for body, own in points.samples:
-            surfaces[FORCE].append(self._surface(model.carried(body)[0], own, meshes))
+            add(FORCE, model.carried(body)[0], own, partial(sample_nodes, reference.bodies[body]))
         self._sound: dict[str, list[Callable[[], object]]] = {}
         for name in (FORCE, LOAD, NOW):
             table = DriveTable(*(arrays[f"{name}_{part}"] for part in ("counts", "drives", "levels")))
@@ -499,6 +524,9 @@ class DeviceWork:
         self._pose = points.calls(motions)
         for skin, mesh in meshes.items():
             self._pose += [*_mesh_calls(model, reference, skin, self._rows, mesh.mesh, motions, self.device)]
+            if any(bends(one) for one in model.skins):
+                self._pose += mesh.outline.calls()
+        self._pose += weighing
         self._path = [] if drives is None else drives.calls(self._path_memory())
         self._skins = {number: one.calls(self._memory(number)) for number, one in self.models.items()}
         self.asked: tuple[bool, bool, tuple[int, ...], bool] = (True, True, (), False)

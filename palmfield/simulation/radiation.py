@@ -4,24 +4,32 @@ A Radiation belongs to one state and is used by one thread at a time: it holds b
 the last answers, which hold as long as pose and drive are the same objects or equal.
 """
 
+from collections.abc import Callable
+from functools import partial
 from operator import is_
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.arp import SurfaceSound
 from palmfield.acoustics.body_scattering import Occlusion, RigidScatteredField, boundary_mesh
+from palmfield.acoustics.knife_edge import Emitters, KnifeEdges
 from palmfield.acoustics.phased_array import PhasedArray
-from palmfield.acoustics.surface_arp import SurfaceArp
+from palmfield.acoustics.shadow_nodes import ShadowNodes, shadow_nodes
+from palmfield.acoustics.surface_arp import Shades, SurfaceArp, rows_of
 from palmfield.acoustics.surface_load import distance_to_arrays
 from palmfield.simulation.model import HapticModel, SkinModel
-from palmfield.simulation.posed_scene import PosedScene, PosedSkin, PosedSurface
+from palmfield.simulation.posed_scene import PosedScene, PosedSkin, PosedSurface, reference_scene
 from palmfield.simulation.seen_samples import SeenSamples, seen_samples
 from palmfield.types import Complex, Float, Float32, Int
 
 Role = Literal["quadrature", "load", "samples", "nodes", "vertices", "probe"]
 """What points are for: each role of a skin has buffers of its own."""
+
+
+SKIN_SPACING_m, BODY_SPACING_m = 0.008, 0.024
+"""Between the nodes at which shadows are weighed: on a skin's layer, and on the body for the force on it."""
 
 
 class Radiation:
@@ -36,9 +44,13 @@ class Radiation:
         self._last: dict[tuple[int, str], tuple[PosedScene, Complex, SurfaceSound]] = {}
         self._chosen: dict[int, _ChosenPoints] = {}
         self._seen: dict[int, tuple[PosedSurface, PhasedArray, SeenSamples]] = {}
+        self._shadings: dict[tuple[int, str, int], _Shading] = {}
+        self._reference: list[PosedScene] = []
+        self._emitters: list[tuple[PhasedArray, Emitters]] = []
         if beside is not None:
             self._evaluators, self._occlusions = beside._evaluators, beside._occlusions
-            self._chosen = beside._chosen
+            self._chosen, self._shadings = beside._chosen, beside._shadings
+            self._reference, self._emitters = beside._reference, beside._emitters
 
     def choose(self, skin: int, points: Int) -> None:
         """Take these of a skin's quadrature points, numbers of shape (p,), for the role "load"."""
@@ -63,12 +75,14 @@ class Radiation:
 
     def many(self, posed: PosedScene, skin: int, drives: Complex, role: Role = "quadrature") -> Float32:
         """ARP as `on` gives it for several drives, shape (m, N): shape (m, n)."""
-        if self.model.skins[skin].spec.config.body_sound != "none":
+        bent = bends(self.model.skins[skin])
+        if self.model.skins[skin].spec.config.body_sound != "none" and not bent:
             return np.stack([self.on(posed, skin, role, drive).arp for drive in drives])
         points, normals = self.points(posed, skin, role)
         known = self._evaluators.get((skin, role, len(points)))
         evaluator = known[1] if known and known[0] is posed.arrays else self._evaluator(posed, skin, role, len(points))
-        return evaluator.evaluate_many(points, normals, drives)
+        shades = self._shades(posed, skin, role, points, normals) if bent else None
+        return evaluator.evaluate_many(points, normals, drives, shades=shades)
 
     def sums(self, posed: PosedScene, skin: int, units: Complex, levels: Complex, role: Role = "quadrature") -> Float32:
         """ARP as `many` gives it for levels (m, k) @ units (k, N), of which there are few, shape (m, n)."""
@@ -87,6 +101,10 @@ class Radiation:
             return self._scattered_field(posed, skin, drive).at(own)
         known = self._evaluators.get((skin, role, len(points)))
         evaluator = known[1] if known and known[0] is posed.arrays else self._evaluator(posed, skin, role, len(points))
+        if bends(self.model.skins[skin]):
+            shades = self._shades(posed, skin, role, points, normals)
+            sound = evaluator.evaluate(points, normals, drive, shades=shades)
+            return SurfaceSound(sound.arp.copy(), sound.amplitude.copy())
         sound = evaluator.evaluate(points, normals, drive, flux=kind == "shadows")
         arp = sound.arp.copy()
         if kind == "shadows":
@@ -146,6 +164,79 @@ class Radiation:
             known = self._evaluators[key] = posed.arrays, SurfaceArp(posed.arrays.field, count, law)
         return known[1]
 
+    def _shades(self, posed: PosedScene, skin: int, role: Role, points: Float, normals: Float) -> Shades | None:
+        """What bodies leave of each transducer's sound at a skin's points; None where nothing is in the way."""
+        key = skin, role, len(points)
+        chosen = self._numbers(posed, skin, role)
+        known = self._shadings.get(key)
+        if known is not None and known.of(chosen, points) and self._holds(known.posed, posed, skin):
+            return known.shades
+        occlusion, emitters = self._occlusion(posed, skin), self._emitters_at(posed.arrays)
+        if known is None or not known.stays:
+            known = self._shading(posed, skin, role, points, normals, partial(KnifeEdges, occlusion.outline, emitters))
+        edges = known.edges
+        if chosen is not None:
+            edges.choose(chosen)
+        there = edges.evaluate(*self._node_places(posed, skin, role, points, normals, known))
+        shades = edges.shades if there else None
+        self._shadings[key] = known._replace(posed=posed, chosen=chosen, points=points, shades=shades)
+        return shades
+
+    def _shading(
+        self,
+        posed: PosedScene,
+        skin: int,
+        role: Role,
+        points: Float,
+        normals: Float,
+        edges_of: Callable[[ShadowNodes, int], KnifeEdges],
+    ) -> "_Shading":
+        """Nodes among a role's points, and what is computed there."""
+        if not self._reference:
+            self._reference.append(reference_scene(self.model))
+        rest, stays, bound = self._reference[0].skins[skin], True, None
+        if role in ("quadrature", "load"):
+            nodes = load_nodes(rest)
+            if role == "load":
+                bound = _ChosenPoints(self.model.skins[skin], nodes.numbers)
+        elif role == "nodes":
+            nodes = shadow_nodes(*rest.nodes, SKIN_SPACING_m)
+        elif role == "samples":
+            nodes = sample_nodes(rest.body)
+        else:
+            # Wherever they are: as they lie now, so that it doesn't matter where they were before
+            nodes, stays = shadow_nodes(points, normals, BODY_SPACING_m), len(points) == 1
+        return _Shading(posed, edges_of(nodes, len(points)), stays, bound)
+
+    def _node_places(
+        self, posed: PosedScene, skin: int, role: Role, points: Float, normals: Float, shading: "_Shading"
+    ) -> tuple[Float, Float]:
+        """Where the nodes are [m] and the normals there, array frame, shapes (m, 3)."""
+        if shading.bound is not None:
+            return shading.bound.at(posed.skins[skin])
+        numbers = shading.edges.nodes.numbers
+        if role == "samples":
+            points, normals = posed.skins[skin].body.samples[:2]
+        return points[numbers], normals[numbers]
+
+    def _emitters_at(self, arrays: PhasedArray) -> Emitters:
+        """The transducers where they are."""
+        if not self._emitters:
+            self._emitters.append((arrays, Emitters(arrays, rows_of(arrays.field), arrays.field.device)))
+        known, emitters = self._emitters[0]
+        if known is not arrays:
+            emitters.move(arrays, rows_of(arrays.field))
+            self._emitters[0] = arrays, emitters
+        return emitters
+
+    def _numbers(self, posed: PosedScene, skin: int, role: Role) -> Int | None:
+        """Which of the points that keep their places on a body those of a role are; None for any points."""
+        if role == "load":
+            return self._chosen[skin].numbers
+        if role == "samples":
+            return self.samples(posed, skin)[3]
+        return None
+
     def _occlusion(self, posed: PosedScene, skin: int) -> Occlusion:
         """What casts shadows on a skin: its own body, the bodies of the other skins, and its obstacles."""
         known = self._occlusions.get(skin)
@@ -179,6 +270,26 @@ class Radiation:
         return solved
 
 
+class _Shading(NamedTuple):
+    """What shades some points in a pose. edges: computes it; stays: whether the nodes are the same in every pose
+
+    bound: the nodes, where they are not among the points themselves; chosen: numbers of the points, None where all are
+    given; points: where they are [m]; shades: the last answer
+    """
+
+    posed: PosedScene
+    edges: KnifeEdges
+    stays: bool
+    bound: "_ChosenPoints | None"
+    chosen: Int | None = None
+    points: Float | None = None
+    shades: Shades | None = None
+
+    def of(self, chosen: Int | None, points: Float) -> bool:
+        """Whether the last answer was for these points."""
+        return self.chosen is chosen if chosen is not None else self.points is points
+
+
 class _ChosenPoints:
     """Some of a skin's quadrature points. numbers: which, shape (p,)"""
 
@@ -194,6 +305,22 @@ class _ChosenPoints:
         if self._last is None or self._last[0] is not posed:
             self._last = posed, posed.body.moved(self._points, self._normals, self._binding)
         return self._last[1]
+
+
+def bends(skin: SkinModel) -> bool:
+    """Whether sound bends round what casts shadows on a skin."""
+    config = skin.spec.config
+    return config.body_sound == "shadows" and config.shadow_edges == "knife_edge"
+
+
+def load_nodes(skin: PosedSkin) -> ShadowNodes:
+    """Nodes among a skin's quadrature points, as they lie in the reference scene."""
+    return shadow_nodes(*skin.quadrature, SKIN_SPACING_m)
+
+
+def sample_nodes(body: PosedSurface) -> ShadowNodes:
+    """Nodes among the samples for the force on a body, as they lie in the reference scene."""
+    return shadow_nodes(*body.samples[:2], BODY_SPACING_m)
 
 
 def occluding_vertices(posed: PosedScene, skin: int) -> Float:

@@ -5,7 +5,9 @@ import pytest
 import warp as wp
 
 from palmfield.acoustics.body_scattering import Occlusion
+from palmfield.acoustics.knife_edge import Emitters, KnifeEdges
 from palmfield.acoustics.phased_array import ArrayInstance, PhasedArray
+from palmfield.acoustics.shadow_nodes import shadow_nodes
 from palmfield.acoustics.sphere import geodesic
 from palmfield.acoustics.surface_arp import MATRIX_FROM, SurfaceArp
 from palmfield.config import ArrayConfig
@@ -81,3 +83,22 @@ def test_a_posed_hand_and_its_faces() -> None:
         assert np.einsum("ij,ij->i", other.normals, one.normals).min() > 1.0 - 1e-5
         for mine, theirs in zip(*(sampler.at(one.vertices) for sampler in samplers), strict=True):
             np.testing.assert_allclose(theirs, mine, rtol=1e-9, atol=1e-12)
+
+
+def test_weights_of_shadows_are_those_of_the_cpu() -> None:
+    vertices, faces = geodesic(0.02, 12)
+    moved = vertices + np.array([0.015, 0.0, 0.1])
+    grid = np.stack(np.meshgrid(np.linspace(-0.02, 0.02, 21), np.linspace(-0.02, 0.02, 21)), axis=-1).reshape(-1, 2)
+    points, normals = np.column_stack([grid, np.full(441, 0.2)]), np.tile([0.0, 0.0, -1.0], (441, 1))
+    weights = []
+    for device in ("cpu", GPU):
+        arrays = PhasedArray([ArrayInstance(ArrayConfig(layout="uhev1"), HERE)], [HERE], device)
+        occlusion = Occlusion(moved, faces, device)
+        emitters = Emitters(arrays, np.arange(256, dtype=np.int32), device)
+        nodes = shadow_nodes(points, normals, 0.008)
+        edges = KnifeEdges(occlusion.outline, emitters, nodes, len(points))
+        assert edges.evaluate(points[nodes.numbers], normals[nodes.numbers])
+        weights.append(edges.shades.real.numpy() + 1j * edges.shades.imag.numpy())
+    assert np.abs(weights[0] - 1.0).max() > 0.5
+    # Where a ray grazes a facet, rounding decides whether a piece is hidden
+    assert (np.abs(weights[1] - weights[0]) > 1e-3).mean() < 0.02

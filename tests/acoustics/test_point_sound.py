@@ -144,7 +144,7 @@ def test_surfaces_have_laws_of_their_own() -> None:
     drive = drives_of(array, 1)
     both = [Surface(slice(0, 25), "alpha", None), Surface(slice(25, 60), "default", None)]
     found = Bench(array, points, normals, 1, 1, both).arp(drive)[0]
-    for own, law, _ in both:
+    for own, law, *_ in both:
         assert apart(found[own], expected(array, points[own], normals[own], drive[0], law)) < 5e-5
 
 
