@@ -8,7 +8,7 @@ from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.nonlinear import arp_left, beam_steepening, fundamental_left
 from palmfield.acoustics.validity import least_radius_m
 from palmfield.outputs.budget_text import bias_text
-from palmfield.simulation.model import HapticModel, StimulusModel
+from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.types import Complex, Float
 
@@ -59,8 +59,15 @@ def biases(model: HapticModel, skin: int, stimulus: int, posed: PosedScene, driv
         Bias("streaming", None, None, "a wind of about 1 m/s: some 0.6 Pa more, slow, and cooling"),
         Bias("warm-up", None, None, "resonance and level drift over minutes: usually less sound than at the start"),
         Bias("coupling of transducers", None, None, "each sounds as if alone: either way"),
-        Bias("large strain", None, None, "linear elasticity: less, where skin stiffens at strains above some 10 %"),
+        *_linear(model.skins[skin]),
     ]
+
+
+def _linear(skin: SkinModel) -> list[Bias]:
+    """Particles are followed wherever they go; elements are not."""
+    if skin.choice.name == "particles":
+        return []
+    return [Bias("large strain", None, None, "linear elasticity: less, where skin stiffens at strains above some 10 %")]
 
 
 def response_biases(stimulus: StimulusModel) -> list[Bias]:

@@ -138,7 +138,7 @@ def test_plan_promises_no_waves_below_the_cut_off(small_scene, skin, promised):
     planned = plan(scene)
     said = [text for text in planned.warnings if "no waves are promised at" in text]
     assert bool(said) == (not promised)
-    rows = [row for row in planned.left_out if row.what == "waves below the cut-off"]
+    rows = [row for row in planned.besides if row.what == "waves below the cut-off"]
     assert bool(rows) == ("base" not in skin)
     if rows:
         depth = skin.get("thickness_m", 0.008)
