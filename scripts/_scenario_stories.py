@@ -226,8 +226,8 @@ def two_hands(run: Run, axes: list[Axes]) -> str:
     axes[0].set(ylabel="ARP [Pa]", title="ARP at the right palm, mean over a period of 5 ms")
     _displacement(axes[1], run)
     return (
-        f"ARP at the palm's middle: {free:.2f} Pa free, {least:.2g} Pa at the least in the shadow (sound bends round "
-        f"the hand's edges), ratio {least / free:.1e}; {felt[inner][-1]:.2f} Pa when the hand has passed "
+        f"ARP at the palm's middle: {free:.2f} Pa free, {least:.2g} Pa at the least in the shadow (rays: nothing bends "
+        f"round the hand), ratio {least / free:.1e}; {felt[inner][-1]:.2f} Pa when the hand has passed "
         f"({felt[inner][-1] / free:.3f} of the free)."
     )
 

@@ -59,7 +59,7 @@ of time) says where to ([motion.md](motion.md)); files are relative to the scene
 of its own with `body` set to `PREFIXhand_target` (`two_hands.xml`), and feels where it has an instance of
 `palmfield.skin` (`two_hands_both_feel.xml`). With `body_sound` `shadows` bodies with a skin cast shadows on one
 another, and other bodies do where key `obstacles` of `palmfield.skin` names them. Sound bends round their edges; with
-key `shadow_edges` at `rays` a point is lit or dark ([shadows](bench/shadows.md)).
+key `shadow_edges` at `rays` a point is lit or dark ([shadows](bench/shadows.md)), which is quicker, and what these do.
 
 A keyframe file is TOML, two or more tables `[[key]]` with rising times:
 

@@ -123,19 +123,17 @@ class Occlusion:
         if self._outline is None:
             made = OutlineMesh(self.mesh, *self._shape)
             self._outline = made, made.calls()
-            self._move_outline()
-        return self._outline[0]
-
-    def _move_outline(self) -> None:
-        if self._outline is not None:
             for call in self._outline[1]:
                 call()
+        return self._outline[0]
 
     def move(self, vertices: Float) -> None:
         """Take new positions of the same vertices [m], shape (v, 3)."""
         self._vertices.put(vertices)
         self.mesh.refit()
-        self._move_outline()
+        if self._outline is not None:
+            for call in self._outline[1]:
+                call()
 
     def lit(
         self, points: Float, flux: Float | Float32, reach_m: Float | Float32 | float = REACH_m

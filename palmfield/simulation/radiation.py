@@ -45,6 +45,7 @@ class Radiation:
         self._chosen: dict[int, _ChosenPoints] = {}
         self._seen: dict[int, tuple[PosedSurface, PhasedArray, SeenSamples]] = {}
         self._shadings: dict[tuple[int, str, int], _Shading] = {}
+        self._bent = [bends(skin) for skin in model.skins]
         self._reference: list[PosedScene] = []
         self._emitters: list[tuple[PhasedArray, Emitters]] = []
         if beside is not None:
@@ -75,7 +76,7 @@ class Radiation:
 
     def many(self, posed: PosedScene, skin: int, drives: Complex, role: Role = "quadrature") -> Float32:
         """ARP as `on` gives it for several drives, shape (m, N): shape (m, n)."""
-        bent = bends(self.model.skins[skin])
+        bent = self._bent[skin]
         if self.model.skins[skin].spec.config.body_sound != "none" and not bent:
             return np.stack([self.on(posed, skin, role, drive).arp for drive in drives])
         points, normals = self.points(posed, skin, role)
@@ -101,7 +102,7 @@ class Radiation:
             return self._scattered_field(posed, skin, drive).at(own)
         known = self._evaluators.get((skin, role, len(points)))
         evaluator = known[1] if known and known[0] is posed.arrays else self._evaluator(posed, skin, role, len(points))
-        if bends(self.model.skins[skin]):
+        if self._bent[skin]:
             shades = self._shades(posed, skin, role, points, normals)
             sound = evaluator.evaluate(points, normals, drive, shades=shades)
             return SurfaceSound(sound.arp.copy(), sound.amplitude.copy())

@@ -254,7 +254,8 @@ def main() -> None:
     options = parser.parse_args()
     arrays = array()
     with style():
-        figure, axes = plt.subplots(2, 2, figsize=(9, 6.5), layout="constrained")
+        lines = 1 if options.no_elements else 2
+        figure, axes = plt.subplots(lines, 2, figsize=(9, 3.3 * lines), layout="constrained", squeeze=False)
         rows = screens(arrays, list(axes[0]))
         print("\n".join(rows), flush=True)
         if not options.no_elements:
@@ -267,6 +268,8 @@ def main() -> None:
     text = PAGE.format(
         rows="\n".join(rows),
         height=1e3 * SCREEN_m,
+        left_out="--no-elements " if options.no_elements else "",
+        elements=NO_ELEMENTS if options.no_elements else ELEMENTS,
         processor=processor(),
         commit=options.commit or git_commit(),
         page=options.write,
@@ -276,23 +279,26 @@ def main() -> None:
 
 PAGE = """# Shadows with edges, and how far they are from the truth
 
-Written by `python scripts/verification/check_shadows.py --write {page}`, commit {commit}, {processor}.
+Written by `python scripts/verification/check_shadows.py {left_out}--write {page}`, commit {commit}, {processor}.
 
 Board uhev1, focus 200 mm above its middle. |p|^2 on 24 mm either side of the focus, as shares of the free focus's peak:
 `knife_edge` is key `shadow_edges` at its default, where sound bends round each edge; `rays` leaves a point lit or dark.
-The truth behind the screens, which are {height:.0f} mm above the board, is Kirchhoff's integral over their area in
-float64; that of the finger, 16 mm thick and 50 mm long, is boundary elements on finger and palm, both rigid, in three
-places from the middle to 16 mm beside it.
+The truth behind the screens, which are {height:.0f} mm above the board and stand in 33 places up to 40 mm from the
+middle, is Kirchhoff's integral over their area in float64. {elements}
 
 | in the way | knife edge, worst | rms | rays, worst | rms | most in 0.1 mm, knife edge | rays |
 |---|---|---|---|---|---|---|
 {rows}
 
-![|p|² behind screens and behind a finger](../images/shadows.png)
+![|p|² behind what is in the way](../images/shadows.png)
 
-Black is the truth, red is knife edges, dotted green is rays. Boundary elements have echoes between finger and palm,
-which no shadow has.
+Black is the truth, red is knife edges, dotted green is rays.
 """
+ELEMENTS = (
+    "That of the finger, 16 mm thick and\n50 mm long, is boundary elements on finger and palm, both rigid, in three "
+    "places from the middle to 16 mm beside it; they\nhave echoes between finger and palm, which no shadow has."
+)
+NO_ELEMENTS = "Boundary elements were\nleft out of this run."
 
 
 if __name__ == "__main__":
