@@ -21,7 +21,7 @@ VECTORS = 48
 """Of the small model: three times what a point of a layer needs to 1 % up to some hundred Hz."""
 FREQUENCIES = 400
 SAFETY = 1.5
-"""On discs of two materials, at once and with a ramp, the substeps erred by 0.9 to 1.2 times the spectrum's figure."""
+"""On discs of two materials, at once and with a ramp, the substeps erred by 1.0 to 1.3 times the spectrum's figure."""
 BEYOND = 8.0
 """Highest frequency looked at, over that of half the step rate."""
 
