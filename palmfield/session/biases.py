@@ -7,6 +7,7 @@ import numpy as np
 from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.nonlinear import arp_left, beam_steepening, fundamental_left
 from palmfield.acoustics.validity import least_radius_m
+from palmfield.config.skin import OF_SHAPES
 from palmfield.outputs.budget_text import bias_text
 from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
 from palmfield.simulation.posed_scene import PosedScene
@@ -55,6 +56,7 @@ def biases(model: HapticModel, skin: int, stimulus: int, posed: PosedScene, driv
         *response_biases(part),
         *_nonlinear(posed, part, drive, focus),
         *_scattered(model, skin, posed, focus),
+        *_shadows(model, skin),
         *_echo(model, skin, posed, drive, focus),
         Bias("streaming", None, None, "a wind of about 1 m/s: some 0.6 Pa more, slow, and cooling"),
         Bias("warm-up", None, None, "resonance and level drift over minutes: usually less sound than at the start"),
@@ -120,6 +122,26 @@ def _scattered(model: HapticModel, skin: int, posed: PosedScene, focus: Float) -
         f"local law holds from {FEW_WAVELENGTHS:g}; {FACE_BY_FACE}. body_sound scattering computes it"
     )
     return [Bias("scattered sound", -size, size, why)]
+
+
+def _shadows(model: HapticModel, skin: int) -> list[Bias]:
+    """What stands in the way of the sound, and the edges of what does."""
+    part, bodies = model.skins[skin], len(model.bodies)
+    config = part.spec.config
+    if config.body_sound == "none":
+        if part.carrier.surface is None and bodies == 1:
+            return [Bias("cast shadows", 0.0, 0.0, "a flat face casts none on itself")]
+        why = "one part of the body does not shade another" + (", nor one body another" if bodies > 1 else "")
+        if config.shape in OF_SHAPES["hand"]:
+            why += "; nothing on an open hand, all of the sound behind a finger"
+        return [Bias("cast shadows", None, None, f"{why}. body_sound shadows computes them")]
+    if config.body_sound == "shadows" and config.shadow_edges == "rays":
+        why = (
+            "at the edge of a shadow |p|^2 is off by up to three quarters of the free focus, either way, and elsewhere "
+        )
+        why += "by nothing (docs/bench/shadows.md). shadow_edges knife_edge bends the sound"
+        return [Bias("sound bent round edges", None, None, why)]
+    return []
 
 
 def _echo(model: HapticModel, skin: int, posed: PosedScene, drive: Complex, focus: Float) -> list[Bias]:

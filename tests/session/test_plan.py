@@ -96,7 +96,7 @@ def test_a_still_body_is_solved_for_once(small_scene, solutions):
 def test_a_flat_disc_is_told_no_stories_of_hands(small_scene):
     told = flat(palmfield.plan(small_scene(stimulus=STEADY)))
     assert not re.search(r"\bhands?\b|finger|bone|cup\b", told.replace(str(SCENES.parents[1]), "")), told
-    assert row(palmfield.plan(small_scene()).besides, "cast shadows").size == "none of its own on a flat face"
+    assert row(palmfield.plan(small_scene()).left_out, "cast shadows").size == "0 %"
 
 
 def test_a_body_that_moves_is_told_its_own_inertia():

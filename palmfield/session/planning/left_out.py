@@ -3,7 +3,6 @@
 import numpy as np
 
 from palmfield.acoustics.air import sound_speed
-from palmfield.config.skin import OF_SHAPES
 from palmfield.session.biases import biases
 from palmfield.session.numerical_error import stimulus_of
 from palmfield.session.planning.facts import first_drive
@@ -29,9 +28,6 @@ def left_out(model: HapticModel) -> list[Row]:
 def besides(model: HapticModel) -> list[Row]:
     """Rows of what else is not there: no figure of them is of a skin's displacement."""
     rows = []
-    for skin in model.skins:
-        if skin.spec.config.body_sound == "none":
-            rows.append(_cast_shadows(skin, len(model.bodies)))
     for skin in model.skins:
         if skin.spec.moves or skin.carrier.hand is not None:
             rows.append(
@@ -59,16 +55,6 @@ def besides(model: HapticModel) -> list[Row]:
             why = "only the resultant force acts on the rest of the body"
             rows.append(Row("skin elsewhere", "not modelled", why, skin.spec.name))
     return rows
-
-
-def _cast_shadows(skin: SkinModel, bodies: int) -> Row:
-    size = "not estimated"
-    if skin.carrier.surface is None:
-        size = "none of its own on a flat face"
-    elif skin.spec.config.shape in OF_SHAPES["hand"]:
-        size = "nothing on an open hand, all of the sound behind a finger"
-    why = "one part of the body does not shade another" + (", nor one body another" if bodies > 1 else "")
-    return Row("cast shadows", size, why, skin.spec.name)
 
 
 def _inertia(skin: SkinModel) -> str:
