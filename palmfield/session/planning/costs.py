@@ -11,6 +11,7 @@ from palmfield.session.preview import Preview
 from palmfield.simulation.model import HapticModel, SkinModel
 from palmfield.simulation.posed_scene import reference_scene
 from palmfield.skin.costs import factor_s
+from palmfield.skin.from_config import softest_and_stiffest_sheets
 from palmfield.stimulus.schedule import frame_rates
 
 PAIRS_PER_S = 5e8
@@ -68,14 +69,16 @@ def _can_move(view: Preview, skin: int) -> bool:
 def estimate_s(skin: SkinModel) -> float:
     """Seconds of the run's error estimate (palmfield/session/numerical_error.py)."""
     dofs, more = skin.layer.dofs, RATIO**3
+    # A complex factorisation counts twice
+    materials = 0 if softest_and_stiffest_sheets(skin.spec.config) is None else 6
+    edge = 0 if skin.spec.config.shape == "disc" else 2
     if skin.choice.name in EXPLICIT:
         # Its own estimate is among the solver's seconds.
-        return 0.0 if skin.spec.config.shape == "disc" else 4 * factor_s(dofs)
+        return (3 + edge + materials) * factor_s(dofs) if edge or materials else 0.0
     low, high = (dofs, more * dofs) if compares_with_finer(skin.layer, dofs) else (dofs / more, dofs)
-    # A complex factorisation counts twice; the time step's own is left out where a small model steps.
-    edge = 0 if skin.spec.config.shape == "disc" else 2
-    step = 0 if skin.choice.name == "reduced" else 2
-    return (3 + step + edge) * factor_s(low) + 3 * factor_s(high)
+    # The time step's own and the onset's are left out where a small model steps
+    step = 0 if skin.choice.name == "reduced" else 4
+    return (3 + step + edge + materials) * factor_s(low) + 3 * factor_s(high)
 
 
 def points_a_step(model: HapticModel) -> float:
