@@ -12,6 +12,9 @@ from numpy.typing import ArrayLike
 from palmfield.errors import OutputError
 from palmfield.types import Float
 
+BLOCK = 512
+"""Courses that are fitted at a time: of long runs all together, in double precision, take gigabytes."""
+
 
 @dataclass(frozen=True)
 class AreaSummation:
@@ -197,8 +200,12 @@ def line_amplitudes(time: ArrayLike, x: ArrayLike, f: float, periods: int | None
             f"a fit at {f:g} Hz over {used} periods needs that many whole periods with 3 samples or more in each; the "
             f"record holds {held} at {step:.3g} s a sample: run for longer, or store more often"
         )
-    last = times > times[-1] - used / f + 1e-6 * step
-    phase = 2 * np.pi * f * (times[last] - times[-1])
-    basis = np.column_stack([np.ones(phase.size), np.cos(phase), np.sin(phase)])
-    _, cosine, sine = np.linalg.lstsq(basis, np.asarray(x, dtype=np.float64)[last], rcond=None)[0]
-    return np.hypot(cosine, sine)
+    first = int(np.searchsorted(times, times[-1] - used / f + 1e-6 * step, side="right"))
+    phase = 2 * np.pi * f * (times[first:] - times[-1])
+    fit = np.linalg.pinv(np.column_stack([np.ones(phase.size), np.cos(phase), np.sin(phase)]))[1:]
+    courses = np.asarray(x)
+    amplitudes = np.empty(courses.shape[1])
+    for start in range(0, len(amplitudes), BLOCK):
+        part = slice(start, start + BLOCK)
+        amplitudes[part] = np.hypot(*(fit @ courses[first:, part].astype(np.float64)))
+    return amplitudes

@@ -94,7 +94,7 @@ def contact_levels(times: Float, normal: Float, frequencies: list[float], areas:
     if not frequencies:
         return {}
     lines = np.array([line_amplitudes(times, normal, f) for f in frequencies])
-    most = lines[:, int(np.abs(normal).max(axis=0).argmax())]
+    most = lines[:, int(np.maximum(normal.max(axis=0), -normal.min(axis=0)).argmax())]
     result: dict[str, Any] = {"main_frequency_Hz": frequencies[0], "main_line_amplitude_m": float(most[0])}
     for name, observer in OBSERVERS.items():
         for key, count in (("level", 1), ("level_all_lines", len(frequencies))):

@@ -48,7 +48,7 @@ def skin_numbers(
     """
     runtime = simulation.runtime
     model, number = runtime.model, simulation.skins.index(skin_name)
-    peak, radiation = float(np.abs(normal).max()), _radiation(runtime)
+    peak, radiation = float(max(normal.max(), -normal.min())), _radiation(runtime)
     skin = model.skins[number]
     left_small_model = _left_small_model(runtime, number)
     result: dict[str, Any] = {
