@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from palmfield.outputs.budget_text import Row, budget_rows
-from palmfield.perception.observers import OBSERVERS
+from palmfield.perception.registry import ALL_OBSERVERS
 
 WIDTH = 110
 
@@ -21,7 +21,8 @@ def format_summary(summary: Mapping[str, Any]) -> str:
     dofs, solver, accuracy_wanted_relative; p0_band_low and _high (factors on its motion) with
     peak_displacement_low_m and _high_m; displacement_error_relative with mesh_, step_, reduction_ and
     edge_error_relative, or displacement_error_missing (a reason); of modes reduction_velocity_error_relative;
-    main_frequency_Hz and level_OBSERVER_dB_SL. Of a stimulus: drive_level. Of an
+    main_frequency_Hz and level_OBSERVER_dB_SL, with level_OBSERVER_why, _spread_dB and _spread_of, and
+    level_area_OBSERVER_dB_SL with level_area_OBSERVER_m2. Of a stimulus: drive_level. Of an
     array: p0_Pa_m, p0_low_Pa_m, p0_high_Pa_m, p0_kind, calibrated. Of the run: wall_time_s, peak_memory_MiB.
     """
     skins, stimuli = summary["skins"], summary["stimuli"]
@@ -121,12 +122,37 @@ def _motion(skin: Mapping[str, Any]) -> list[Row]:
             rows.append(("accuracy", f"NOT reached: {100 * requested:g} % wanted; {advice(skin)}"))
     if "displacement_error_missing" in skin:
         rows.append(("error estimate", f"none: {skin['displacement_error_missing']}"))
-    for number, name in enumerate(OBSERVERS, start=1):
-        key = f"level_{name}_dB_SL"
-        if key in skin:
-            felt = "outside the table of" if skin[key] is None else f"{_level(skin, skin[key])},"
-            rows.append((f"level at {skin['main_frequency_Hz']:g} Hz", f"{felt} observer {number} ({name})"))
+    return rows + _levels(skin)
+
+
+def _levels(skin: Mapping[str, Any]) -> list[Row]:
+    """A row for each observer: its level with its own spread, and why it applies or is refused."""
+    rows = []
+    for number, name in enumerate(ALL_OBSERVERS, start=1):
+        if f"level_{name}_dB_SL" not in skin:
+            continue
+        level, why = skin[f"level_{name}_dB_SL"], skin.get(f"level_{name}_why", "")
+        told = [why.partition(": ")[2]] if why else []
+        if level is None:
+            felt = "refused" if why.startswith("refused") else "none"
+        else:
+            felt = _level(skin, level)
+            told += _spread(skin, name)
+        text = f"{felt}, observer {number} ({name}{': ' if told else ''}{'; '.join(told)})"
+        rows.append((f"level at {skin['main_frequency_Hz']:g} Hz", text))
+        summed = skin.get(f"level_area_{name}_dB_SL")
+        if summed is not None:
+            area = f"{1e4 * skin[f'level_area_{name}_m2']:.2g} cm2 that move by half of the most or more"
+            rows.append(("with area summation", f"{_level(skin, summed)}, observer {number}, over the {area}"))
     return rows
+
+
+def _spread(skin: Mapping[str, Any], name: str) -> list[str]:
+    """An observer's own spread in words; nothing where none is told."""
+    spread, half = (skin.get(f"level_{name}_spread_{key}") for key in ("of", "dB"))
+    if spread is None:
+        return []
+    return [f"spread {spread}" if half is None else f"spread +-{half:g} dB, {spread}"]
 
 
 def _level(skin: Mapping[str, Any], level: float) -> str:

@@ -1,6 +1,7 @@
-"""From skin motion to level above threshold, by named observers; and the amplitude of lines in a motion.
+"""From skin motion to level above threshold, by named contact observers; and the amplitude of lines in a motion.
 
-The observers differ by up to 16 dB: give results for each rather than for one.
+The observers differ by up to 18 dB: give results for each, with its own spread, rather than for one. None of them was
+measured in mid-air; the one that was goes by force (`palmfield.perception.force_threshold`).
 """
 
 from dataclasses import dataclass
@@ -11,15 +12,44 @@ from numpy.typing import ArrayLike
 from palmfield.errors import OutputError
 from palmfield.types import Float
 
+BLOCK = 512
+"""Courses that are fitted at a time: of long runs all together, in double precision, take gigabytes."""
+
+
+@dataclass(frozen=True)
+class AreaSummation:
+    """Thresholds fall by 3 dB for each doubling of the area that moves, between two areas and two frequencies.
+
+    low_Hz, high_Hz: [Hz]; low_m2, high_m2: beyond them the area counts as these [m^2]
+    contact_m2: the area for which the table of thresholds stands [m^2]
+    """
+
+    low_Hz: float
+    high_Hz: float
+    low_m2: float
+    high_m2: float
+    contact_m2: float
+
+    def factor(self, f_Hz: ArrayLike, area_m2: float) -> Float:
+        """Threshold at an area over that of the table, of the shape of f_Hz [Hz]."""
+        frequency = np.asarray(f_Hz, dtype=np.float64)
+        summed = (frequency >= self.low_Hz) & (frequency <= self.high_Hz)
+        return np.where(summed, np.sqrt(self.contact_m2 / min(max(area_m2, self.low_m2), self.high_m2)), 1.0)
+
 
 @dataclass(frozen=True)
 class Observer:
-    """Detection thresholds of one study.
+    """Detection thresholds of one study, of a body that vibrates in contact with the skin.
 
     frequency_Hz: rising [Hz], shape (n,); peak_m: peak displacement at threshold [m], shape (n,)
     stated: what the source's table holds (quantity, peak or rms)
     percent_correct: share of correct answers at threshold [%], None where it is not established
     source: where the values come from, and what they do and do not stand for
+    why: in one line, what a level of this observer stands for in mid-air
+    spread_dB: half-width of its own spread [dB], None where it is not established; spread_of: of what, in words
+    channels_from_Hz: frequencies from which on another channel of the skin is the most sensitive one [Hz]; levels of
+        channels are not added up, the highest counts
+    summation: how thresholds depend on area, None where the source at hand has no such law
     """
 
     name: str
@@ -28,6 +58,31 @@ class Observer:
     stated: str
     percent_correct: float | None
     source: str
+    why: str
+    spread_dB: float | None
+    spread_of: str
+    channels_from_Hz: tuple[float, ...] = ()
+    summation: AreaSummation | None = None
+
+
+def _bolanowski() -> Observer:
+    level_dB = np.array([29, 29, 21, 15, 8, -6, -19, -10, -3])
+    return Observer(
+        name="bolanowski_1988",
+        frequency_Hz=np.array([0.4, 2, 10, 20, 40, 100, 250, 400, 500]),
+        peak_m=1e-6 * 10 ** (level_dB / 20),
+        stated="displacement, dB re 1 um, taken as um peak",
+        percent_correct=None,
+        source="Bolanowski et al. 1988, four channels: the composite curve of a contactor of 2.9 cm2, read to +-4 "
+        "dB, not yet held against the print, nor whether it is peak. Below 40 Hz the non-Pacinian channels set it, "
+        "above the Pacinian one, whose threshold falls by 3 dB for each doubling of area from 0.02 to 2.9 cm2 at 80 to "
+        "320 Hz. A contactor has a rigid surround; below 40 Hz mid-air, which has none, differs by an unknown amount.",
+        why="a contactor of 2.9 cm2 in a rigid surround; mid-air has neither",
+        spread_dB=4.0,
+        spread_of="reading of the composite curve",
+        channels_from_Hz=(40.0,),
+        summation=AreaSummation(80.0, 320.0, 0.02e-4, 2.9e-4, 2.9e-4),
+    )
 
 
 def _morioka_griffin() -> Observer:
@@ -43,6 +98,9 @@ def _morioka_griffin() -> Observer:
         source="M. Morioka and M. J. Griffin, J. Sound Vib. 295 (2006) 633-648: hand-transmitted vibration, hand round "
         "a handle. The contact is large, so thresholds for a small area lie higher. Percent correct not established "
         "here.",
+        why="a handle in the hand's grip, a large contact: a small spot needs more",
+        spread_dB=None,
+        spread_of="not established",
     )
 
 
@@ -57,35 +115,53 @@ def _afferent_human() -> Observer:
         source="Human detection thresholds digitised in the public data of a model of single afferents, where they "
         "stand beside those of RA1, PC and SA1 units. Not digitised again from the psychophysics; contact size and "
         "percent correct not established here.",
+        why="human thresholds that stand beside those of single afferents; the contact is not known",
+        spread_dB=None,
+        spread_of="not established",
     )
 
 
-OBSERVERS = {observer.name: observer for observer in (_morioka_griffin(), _afferent_human())}
+OBSERVERS = {observer.name: observer for observer in (_bolanowski(), _morioka_griffin(), _afferent_human())}
 
 
-def threshold_m(observer: Observer, f_Hz: ArrayLike) -> Float:
+def threshold_m(observer: Observer, f_Hz: ArrayLike, area_m2: float | None = None) -> Float:
     """Peak displacement at threshold [m], interpolated on log-log axes.
 
     f_Hz: [Hz], any shape; the result has the same shape and is NaN outside the observer's table.
+    area_m2: that moves [m^2], summed over; None for the contact of the observer's own table
+    Raises OutputError for an area that is not above 0, or of an observer without a law for areas.
     """
     frequency = np.asarray(f_Hz, dtype=np.float64)
     low, high = observer.frequency_Hz[0], observer.frequency_Hz[-1]
     inside = (frequency >= low) & (frequency <= high)
     log_f = np.log(np.where(inside, frequency, low))
     log_peak = np.interp(log_f, np.log(observer.frequency_Hz), np.log(observer.peak_m))
-    return np.where(inside, np.exp(log_peak), np.nan)
+    threshold = np.where(inside, np.exp(log_peak), np.nan)
+    if area_m2 is None:
+        return threshold
+    if observer.summation is None:
+        summing = ", ".join(name for name, one in OBSERVERS.items() if one.summation is not None)
+        raise OutputError(f"observer '{observer.name}' has no law for areas: leave area_m2 out, or take {summing}")
+    if not area_m2 > 0:
+        raise OutputError(f"area_m2 {area_m2} moves nothing; give one above 0")
+    return threshold * observer.summation.factor(frequency, area_m2)
 
 
-def level_dB_SL(observer: Observer, frequencies: ArrayLike, peak_amplitudes_m: ArrayLike) -> float:
+def level_dB_SL(
+    observer: Observer, frequencies: ArrayLike, peak_amplitudes_m: ArrayLike, area_m2: float | None = None
+) -> float:
     """Sensation level 20 log10 sqrt(sum (A_i / T(f_i))^2) [dB]; 0 dB is just felt, -inf where nothing counts.
 
     frequencies: lines of the motion [Hz], shape (n,); peak_amplitudes_m: their peak amplitudes [m], shape (n,)
+    area_m2: as of `threshold_m`, which says what it raises
+    The sum goes over the lines of one channel; the channel with the highest level counts.
     DC and lines outside the observer's table are left out: `share_left_out` tells how much that is. Give lines
     (`line_amplitude`), not the bins of a windowed spectrum: Hann's count every line 1.5 times.
     """
-    amplitude = np.asarray(peak_amplitudes_m, dtype=np.float64)
-    excess = amplitude / threshold_m(observer, frequencies)
-    total = float(np.nansum(excess**2))
+    frequency, amplitude = (np.asarray(one, dtype=np.float64) for one in (frequencies, peak_amplitudes_m))
+    excess = np.nan_to_num(amplitude / threshold_m(observer, frequency, area_m2)) ** 2
+    channel = np.digitize(frequency, observer.channels_from_Hz)
+    total = float(np.bincount(channel, excess, minlength=1).max())
     return 10 * np.log10(total) if total > 0 else -np.inf
 
 
@@ -101,9 +177,14 @@ def share_left_out(observer: Observer, frequencies: ArrayLike, peak_amplitudes_m
 
 
 def line_amplitude(time: ArrayLike, x: ArrayLike, f: float, periods: int | None = None) -> float:
-    """Peak amplitude of the line at `f`: least-squares fit of DC and one sine over whole periods at the record's end.
+    """`line_amplitudes` of one course, x of shape (n,)."""
+    return float(line_amplitudes(time, np.asarray(x, dtype=np.float64)[:, None], f, periods)[0])
 
-    time: rising [s], shape (n,); x: shape (n,), in any unit, which the result shares; f: [Hz]
+
+def line_amplitudes(time: ArrayLike, x: ArrayLike, f: float, periods: int | None = None) -> Float:
+    """Peak amplitudes of the line at `f`: least-squares fit of DC and one sine over whole periods at the record's end.
+
+    time: rising [s], shape (n,); x: courses, shape (n, m), in any unit, which the result (m,) shares; f: [Hz]
     periods: how many periods before the end are used; None for all that fit
     Raises OutputError for f <= 0, and for a record shorter than that or with fewer than 3 samples a period.
     """
@@ -119,8 +200,12 @@ def line_amplitude(time: ArrayLike, x: ArrayLike, f: float, periods: int | None 
             f"a fit at {f:g} Hz over {used} periods needs that many whole periods with 3 samples or more in each; the "
             f"record holds {held} at {step:.3g} s a sample: run for longer, or store more often"
         )
-    last = times > times[-1] - used / f + 1e-6 * step
-    phase = 2 * np.pi * f * (times[last] - times[-1])
-    basis = np.column_stack([np.ones(phase.size), np.cos(phase), np.sin(phase)])
-    _, cosine, sine = np.linalg.lstsq(basis, np.asarray(x, dtype=np.float64)[last], rcond=None)[0]
-    return float(np.hypot(cosine, sine))
+    first = int(np.searchsorted(times, times[-1] - used / f + 1e-6 * step, side="right"))
+    phase = 2 * np.pi * f * (times[first:] - times[-1])
+    fit = np.linalg.pinv(np.column_stack([np.ones(phase.size), np.cos(phase), np.sin(phase)]))[1:]
+    courses = np.asarray(x)
+    amplitudes = np.empty(courses.shape[1])
+    for start in range(0, len(amplitudes), BLOCK):
+        part = slice(start, start + BLOCK)
+        amplitudes[part] = np.hypot(*(fit @ courses[first:, part].astype(np.float64)))
+    return amplitudes

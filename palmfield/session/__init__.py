@@ -21,9 +21,10 @@ if TYPE_CHECKING:
     from palmfield.session.preview import Preview
     from palmfield.session.recorder import Recorder
     from palmfield.session.run import Result
+    from palmfield.session.sensation_levels import felt_levels
     from palmfield.session.simulation import Simulation
     from palmfield.session.skin import Skin
-    from palmfield.session.summary import array_numbers, felt_levels, scene_numbers, skin_numbers, stimulus_numbers
+    from palmfield.session.summary import array_numbers, scene_numbers, skin_numbers, stimulus_numbers
     from palmfield.session.worlds import Worlds, WorldsSkin
 
 _WHERE = {
@@ -35,9 +36,10 @@ _WHERE = {
     "Preview": "preview",
     "Recorder": "recorder",
     "Result": "run",
+    "felt_levels": "sensation_levels",
     "Simulation": "simulation",
     "Skin": "skin",
-    **dict.fromkeys(("array_numbers", "felt_levels", "scene_numbers", "skin_numbers", "stimulus_numbers"), "summary"),
+    **dict.fromkeys(("array_numbers", "scene_numbers", "skin_numbers", "stimulus_numbers"), "summary"),
     **dict.fromkeys(("Worlds", "WorldsSkin"), "worlds"),
 }
 __all__ = [

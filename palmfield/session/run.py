@@ -19,7 +19,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 
 from palmfield.errors import OutputError
 from palmfield.interrupts import interrupts_held
-from palmfield.outputs.motion import normal_component
+from palmfield.outputs.motion import normal_component, pieces
 from palmfield.outputs.plots import plot_displacement, plot_pressure
 from palmfield.outputs.render import render_scene
 from palmfield.outputs.schema import group, instances
@@ -254,17 +254,15 @@ def _numbers(
     times: Float = np.asarray(tree["time"])
     for name, ds in instances(tree, "skin").items():
         number = sim.skins.index(name)
-        normal = normal_component(ds)
-        peak = np.asarray(np.abs(normal).max(axis=0))
-        vertex = int(peak.argmax())
+        arp_peaks = np.concatenate([values.max(axis=1) for _, values in pieces(ds, "arp")])
         skins[name] = skin_numbers(
             sim,
             name,
             recorder.loudest[number],
             budgets[name],
             times,
-            np.asarray(normal[:, vertex], dtype=np.float64),
-            float(peak[vertex]),
+            np.asarray(normal_component(ds)),
+            arp_peaks,
         )
     run = recorder.loudest, recorder.peak_drive
     return scene_numbers(sim, *run), skins, stimulus_numbers(sim, *run)

@@ -3,7 +3,6 @@
 They go into summary.json beside those of `palmfield.outputs.summary`, by skin and by stimulus.
 """
 
-import math
 from collections.abc import Callable, Iterable
 from typing import Any, TypeVar
 
@@ -12,9 +11,9 @@ import numpy as np
 from palmfield.config.skin import EXPLICIT
 from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.errors import PalmfieldError
-from palmfield.perception.observers import OBSERVERS, level_dB_SL, line_amplitude
 from palmfield.session.error_budget import error_budget
 from palmfield.session.numerical_error import Course, LoudestMoment, error_estimate, p0_band, stimulus_of
+from palmfield.session.sensation_levels import felt_levels
 from palmfield.session.simulation import Simulation
 from palmfield.simulation.forces import BodyForces
 from palmfield.simulation.model import HapticModel, array_instances
@@ -24,7 +23,6 @@ from palmfield.skin.explicit_layer import explicit_layer
 from palmfield.skin.reduction.modal_stepper import ModalStepper
 from palmfield.skin.reduction.reduced_stepper import ReducedStepper
 from palmfield.skin.solver_choice import PREVIEW
-from palmfield.stimulus.schedule import main_frequencies
 from palmfield.types import Float
 
 T = TypeVar("T")
@@ -36,20 +34,21 @@ def skin_numbers(
     loudest: LoudestMoment | None,
     budget: dict[str, Any] | str | None,
     times: Float,
-    motion_at_vertex: Float,
-    peak: float,
+    normal: Float,
+    arp_peaks: Float,
 ) -> dict[str, Any]:
     """Of one skin: solver, force on its body, error estimate, p0 band and felt level, units in the names.
 
     loudest: the moment of the highest ARP on the skin, None for a run that was silent there
     budget: of `estimated_budget`
-    times: of the run's records [s], shape (t,); motion_at_vertex: displacement along the outward normal of the vertex
-        that moves most [m], shape (t,); peak: its largest size, of all vertices [m]
+    times: of the run's records [s], shape (t,); normal: displacement along the outward normal [m], shape (t, S)
+    arp_peaks: highest ARP on the skin at these times [Pa], shape (t,)
     `reduction_velocity_error_relative` is what modes state of the velocity; no other solver states it.
     An error estimate that fails leaves its reason in `displacement_error_missing`; the results stand without it.
     """
     runtime = simulation.runtime
     model, number = runtime.model, simulation.skins.index(skin_name)
+    peak, radiation = float(max(normal.max(), -normal.min())), _radiation(runtime)
     skin = model.skins[number]
     left_small_model = _left_small_model(runtime, number)
     result: dict[str, Any] = {
@@ -60,7 +59,7 @@ def skin_numbers(
     }
     stimulus = stimulus_of(model, number)
     if loudest is not None:
-        force = _force_N(model, number, loudest, _radiation(runtime))
+        force = _force_N(model, number, loudest, radiation)
         result["total_force_peak_N"] = loudest.factor * force
         band = p0_band(model, stimulus)
         if band is not None:
@@ -75,8 +74,8 @@ def skin_numbers(
     stepper = model.begin[number].value
     if isinstance(stepper, ModalStepper) and not left_small_model:
         result["reduction_velocity_error_relative"] = runtime.work.outside[number].errors(stepper)[1]
-    frequencies = main_frequencies(model.stimuli[stimulus].config)
-    return result | felt_levels(times, motion_at_vertex.astype(np.float64), frequencies)
+    reference = runtime.work.reference
+    return result | felt_levels(model, number, loudest, radiation, reference, times, normal, arp_peaks)
 
 
 def estimated_budget(simulation: Simulation, skin: int, loudest: LoudestMoment | None) -> dict[str, Any] | str | None:
@@ -167,27 +166,6 @@ def scene_numbers(
     model = simulation.runtime.model
     levels = [one["drive_level"] for one in stimulus_numbers(simulation, loudest, peak_drive).values()]
     return {"palmfield_device": model.arrays.field.device, "board": model.board.name, "drive_level": max(levels)}
-
-
-def felt_levels(times: Float, motion: Float, frequencies: list[float]) -> dict[str, float | None]:
-    """Level above threshold by observer: at the main frequency, and of all main frequencies together.
-
-    times: [s], shape (t,), evenly spaced; motion: displacement [m], shape (t,); frequencies: main one first [Hz]
-    None where an observer's table does not reach; nothing at all for less than two periods of the main frequency.
-    """
-    if not frequencies or len(times) < 2 or frequencies[0] * (times[-1] - times[0]) < 2.0:
-        return {}
-    step = float(times[1] - times[0])
-    frequencies = [f for f in frequencies if f * step <= 1 / 3]
-    if not frequencies:
-        return {}
-    lines = [line_amplitude(times, motion, f) for f in frequencies]
-    result: dict[str, float | None] = {"main_frequency_Hz": frequencies[0], "main_line_amplitude_m": lines[0]}
-    for name, observer in OBSERVERS.items():
-        for key, count in (("level", 1), ("level_all_lines", len(lines))):
-            level = float(level_dB_SL(observer, frequencies[:count], lines[:count]))
-            result[f"{key}_{name}_dB_SL"] = level if math.isfinite(level) else None
-    return result
 
 
 def _radiation(runtime: SceneRuntime) -> Radiation:

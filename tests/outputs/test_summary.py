@@ -103,13 +103,25 @@ FULL = {
     "edge_error_relative": 0.1,
     "displacement_error_relative": 0.1025,
     "main_frequency_Hz": 200.0,
+    "level_hasegawa_2018_dB_SL": 3.1,
+    "level_hasegawa_2018_why": "applies: mean force 4 mN",
+    "level_hasegawa_2018_spread_dB": 10.0,
+    "level_hasegawa_2018_spread_of": "people",
+    "level_bolanowski_1988_dB_SL": 9.2,
+    "level_area_bolanowski_1988_dB_SL": 6.4,
+    "level_area_bolanowski_1988_m2": 1.5e-4,
     "level_morioka_griffin_2006_dB_SL": 24.87,
+    "level_morioka_griffin_2006_why": "applies: a handle",
+    "level_morioka_griffin_2006_spread_dB": None,
+    "level_morioka_griffin_2006_spread_of": "not established",
     "level_afferent_human_dB_SL": None,
+    "level_afferent_human_why": "refused: its table ends at 350 Hz",
     "p0_band_low": 0.3,
     "p0_band_high": 4.2,
     "peak_displacement_low_m": 1e-6,
     "peak_displacement_high_m": 14e-6,
 }
+LEVELS = ["level at 200 Hz"] * 2 + ["with area summation"] + ["level at 200 Hz"] * 2
 RUN = {"wall_time_s": 12.3, "peak_memory_MiB": 600.0}
 
 
@@ -128,8 +140,8 @@ def test_the_table_of_one_skin(one_skin):
     rows = [(name, text) for name, text in _rows(format_summary(found)) if name]
     assert [name for name, _ in rows] == [
         "peak sound pressure", "peak ARP", "total force", "drive", "p0", "skin", "peak skin displacement per ARP",
-        "peak skin displacement", "rms skin displacement", "error, numerical", "accuracy", "level at 200 Hz",
-        "level at 200 Hz", "wall time, peak memory",
+        "peak skin displacement", "rms skin displacement", "error, numerical", "accuracy", *LEVELS,
+        "wall time, peak memory",
     ]  # fmt: skip
     told = dict(rows)
     assert told["drive"] == "0.989 of full"
@@ -139,7 +151,19 @@ def test_the_table_of_one_skin(one_skin):
     assert "(numerical 10.2 %)" in told["peak skin displacement"]
     assert "for the range of p0 1 to 14 um" in told["peak skin displacement"]
     assert told["accuracy"].startswith("NOT reached: 5 % wanted; the layer's cut sides")
-    assert "observer 2" in told["level at 200 Hz"] and "outside the table" in told["level at 200 Hz"]
+
+
+def test_each_observer_has_its_level_with_its_own_spread_or_why_it_is_refused(one_skin):
+    """Over the range of p0, factors of 0.3 and 4.2 on force and motion, levels go from -10.5 to +12.5 dB."""
+    text = " ".join(part for _, part in _rows(format_summary(summary(one_skin, RUN, {"palm": FULL}, {}))))
+    for told in (
+        "3 dB SL (-7 to 16 for the range of p0), observer 1 (hasegawa_2018: mean force 4 mN; spread +-10 dB, people)",
+        "9 dB SL (-1 to 22 for the range of p0), observer 2 (bolanowski_1988)",
+        "6 dB SL (-4 to 19 for the range of p0), observer 2, over the 1.5 cm2 that move by half of the most or more",
+        "25 dB SL (14 to 37 for the range of p0), observer 3 (morioka_griffin_2006: a handle; spread not established)",
+        "refused, observer 4 (afferent_human: its table ends at 350 Hz)",
+    ):
+        assert told in " ".join(text.split()), told
 
 
 def test_the_table_has_a_block_a_skin(result):

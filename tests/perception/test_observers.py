@@ -10,19 +10,22 @@ from palmfield.perception.observers import (
     OBSERVERS,
     level_dB_SL,
     line_amplitude,
+    line_amplitudes,
     share_left_out,
     threshold_m,
 )
 
 HANDLE = OBSERVERS["morioka_griffin_2006"]
 HUMAN = OBSERVERS["afferent_human"]
+PROBE = OBSERVERS["bolanowski_1988"]
 
 
 def test_observers_are_named_and_say_what_their_table_holds():
-    assert set(OBSERVERS) == {"morioka_griffin_2006", "afferent_human"}
+    assert list(OBSERVERS) == ["bolanowski_1988", "morioka_griffin_2006", "afferent_human"]
     for name, observer in OBSERVERS.items():
         assert observer.name == name
-        assert observer.source
+        assert observer.source and observer.why and observer.spread_of
+        assert observer.spread_dB is None or observer.spread_dB > 0.0
         assert ("rms" in observer.stated) != ("um peak" in observer.stated)
         assert observer.frequency_Hz.shape == observer.peak_m.shape
         assert np.all(np.diff(observer.frequency_Hz) > 0)
@@ -45,6 +48,46 @@ def test_acceleration_thresholds_become_peak_displacement(f_Hz, peak_um):
 
 def test_table_points_of_the_second_observer():
     np.testing.assert_allclose(threshold_m(HUMAN, [2, 200, 350]), [24.3e-6, 0.042e-6, 0.12e-6])
+
+
+@pytest.mark.parametrize(
+    ("f_Hz", "dB"), [(1, 29), (10, 21), (20, 15), (40, 8), (100, -6), (250, -19), (400, -10), (500, -3)]
+)
+def test_the_composite_curve_in_dB_re_1_um(f_Hz, dB):
+    assert 20 * np.log10(threshold_m(PROBE, f_Hz) / 1e-6) == pytest.approx(dB)
+
+
+def test_channels_are_not_added_up():
+    """Twice the threshold at 20 Hz and at 30 Hz in one channel, and three times it at 250 Hz in another: 3 counts."""
+    at = threshold_m(PROBE, [20, 30, 250])
+    assert level_dB_SL(PROBE, [20, 30, 250], at * [2, 2, 3]) == pytest.approx(20 * np.log10(3))
+    assert level_dB_SL(PROBE, [20, 30, 250], at * [3, 4, 2]) == pytest.approx(20 * np.log10(5))
+
+
+@given(area_cm2=st.floats(0.02, 1.45), frequency=st.floats(80, 320))
+def test_doubling_the_area_lowers_the_threshold_by_3_dB(area_cm2, frequency):
+    small, large = (threshold_m(PROBE, frequency, 1e-4 * area) for area in (area_cm2, 2 * area_cm2))
+    assert 20 * np.log10(small / large) == pytest.approx(3.0103, abs=1e-4)
+    assert threshold_m(PROBE, frequency, 2.9e-4) == pytest.approx(float(threshold_m(PROBE, frequency)))
+
+
+def test_area_counts_within_the_bounds_of_its_law_only():
+    assert threshold_m(PROBE, 200, 50e-4) == pytest.approx(float(threshold_m(PROBE, 200)))
+    assert threshold_m(PROBE, 200, 1e-8) == pytest.approx(float(threshold_m(PROBE, 200, 0.02e-4)))
+    np.testing.assert_allclose(threshold_m(PROBE, [20, 79, 321], 1e-5), threshold_m(PROBE, [20, 79, 321]))
+
+
+def test_areas_that_are_none_are_refused():
+    with pytest.raises(OutputError, match=r"observer 'afferent_human' has no law for areas.*bolanowski_1988"):
+        threshold_m(HUMAN, 200, 1e-4)
+    with pytest.raises(OutputError, match=r"area_m2 0\.0 moves nothing"):
+        level_dB_SL(PROBE, [200], [1e-6], 0.0)
+
+
+@given(name=st.sampled_from(sorted(OBSERVERS)), frequency=st.floats(10, 315), amplitude=st.floats(1e-9, 1e-3))
+def test_twice_the_displacement_is_6_dB_more(name, frequency, amplitude):
+    once, twice = (level_dB_SL(OBSERVERS[name], [frequency], [factor * amplitude]) for factor in (1, 2))
+    assert twice - once == pytest.approx(6.0206, abs=1e-4)
 
 
 def test_between_points_the_interpolation_is_log_log():
@@ -93,6 +136,13 @@ def test_the_fit_finds_a_line_at_any_frequency_and_phase(amplitude, phase, offse
     motion = offset + amplitude * np.sin(2 * np.pi * frequency * time + phase)
     # Rounding of the offset is what is left.
     assert line_amplitude(time, motion, frequency) == pytest.approx(amplitude, rel=1e-9, abs=1e-12 * abs(offset))
+
+
+def test_many_courses_are_fitted_at_once():
+    time = np.arange(400) / 4000
+    sine = np.sin(2 * np.pi * 200 * time)
+    courses = np.column_stack([sine, 3 * sine + 1, 0 * sine])
+    np.testing.assert_allclose(line_amplitudes(time, courses, 200), [1, 3, 0], atol=1e-12)
 
 
 def test_the_fit_uses_the_end_of_the_record():

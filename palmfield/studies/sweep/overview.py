@@ -8,7 +8,7 @@ import numpy as np
 
 from palmfield import cache
 from palmfield.errors import SceneError
-from palmfield.perception.observers import OBSERVERS
+from palmfield.perception.registry import ALL_OBSERVERS
 from palmfield.session.duration import step_count
 from palmfield.session.preview import Preview, preview
 from palmfield.session.simulation import check_duration
@@ -75,7 +75,7 @@ def overview(
         "skin": np.array([skin.name for skin in spec.skins]),
         "sensor": np.array(sensor_names(view), dtype=str),
         "stimulus": np.array([stimulus.name for stimulus in spec.stimuli]),
-        "observer": np.array(list(OBSERVERS)),
+        "observer": np.array(list(ALL_OBSERVERS)),
         "time": times,
         "step_time": timestep_s * np.arange(steps, dtype=np.float64),
     }

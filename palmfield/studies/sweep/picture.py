@@ -84,7 +84,7 @@ def _lines(dataset: xr.Dataset, key: str, quantities: list[_Quantity]) -> Figure
 
 
 def _maps(dataset: xr.Dataset, keys: list[str], quantities: list[_Quantity]) -> Figure:
-    """One map a quantity and skin: the first observer's level stands for all, which differ by an offset."""
+    """One map a quantity and skin: of levels that of the first observer who has any."""
     skins = [str(name) for name in dataset["skin"].values]
     figure = Figure(figsize=(4.6 * len(quantities), 3.9 * len(skins) + 0.3), dpi=DPI, layout="constrained")
     panels = figure.subplots(len(skins), len(quantities), squeeze=False)
@@ -144,6 +144,8 @@ def _curves(dataset: xr.Dataset, quantity: _Quantity) -> list[tuple[str, Float]]
         observers = [str(name) for name in dataset["observer"].values] if "observer" in of_skin.dims else [None]
         for observer in observers:
             one = of_skin if observer is None else of_skin.sel(observer=observer)
+            if observer is not None and not _finite(one) and _finite(of_skin):
+                continue  # refused everywhere
             label = ", ".join([*whose, *([] if observer is None else [observer])])
             curves.append((label, quantity.factor * np.asarray(one.values, dtype=float)))
     return curves
@@ -151,12 +153,18 @@ def _curves(dataset: xr.Dataset, quantity: _Quantity) -> list[tuple[str, Float]]
 
 def _of(dataset: xr.Dataset, quantity: _Quantity) -> xr.DataArray:
     values = dataset[quantity.name]
-    return values.isel(observer=0) if "observer" in values.dims else values
+    return values.sel(observer=_mapped_observer(dataset)) if "observer" in values.dims else values
+
+
+def _mapped_observer(dataset: xr.Dataset) -> str:
+    """The first observer with a level at any point."""
+    levels = dataset[LEVEL.name]
+    return next(str(name) for name in levels["observer"].values if _finite(levels.sel(observer=name)))
 
 
 def _title(dataset: xr.Dataset, quantity: _Quantity) -> str:
     if quantity is LEVEL:
-        return f"{quantity.title}\n({dataset['observer'].values[0]})"
+        return f"{quantity.title}\n({_mapped_observer(dataset)})"
     return quantity.title
 
 

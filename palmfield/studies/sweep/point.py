@@ -8,15 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from palmfield.perception.observers import OBSERVERS
+from palmfield.perception.registry import ALL_OBSERVERS
 from palmfield.session.duration import step_count
-from palmfield.session.numerical_error import stimulus_of
 from palmfield.session.preview import Preview
 from palmfield.session.recorder import world_with
+from palmfield.session.sensation_levels import felt_levels
 from palmfield.session.simulation import Simulation
-from palmfield.session.summary import drive_levels, estimated_errors, felt_levels
+from palmfield.session.summary import drive_levels, estimated_errors
 from palmfield.session.worlds import Worlds
-from palmfield.stimulus.schedule import main_frequencies
 from palmfield.studies.sweep.watch import Watched
 from palmfield.types import Float
 
@@ -70,9 +69,9 @@ def _skin(watched: Watched, world: int, number: int, times: Float) -> dict[str, 
     sizes = np.maximum(displacement.max(axis=0), -displacement.min(axis=0))
     vertex = int(sizes.argmax())
     moved, moves = (part[:, vertex].astype(np.float64) for part in (displacement, velocity))
-    model = watched.runtimes[world].model
-    frequencies = main_frequencies(model.stimuli[stimulus_of(model, number)].config)
-    levels = felt_levels(watched.times, moved, frequencies)
+    model, work = watched.runtimes[world].model, watched.runtimes[world].work
+    loudest, arp = watched.loudest[world][number], watched.arp[world, number]
+    levels = felt_levels(model, number, loudest, work.radiation, work.reference, watched.times, displacement, arp)
     frequency = levels.get("main_frequency_Hz")
     last = _last_period(watched.times, frequency)
     force = watched.forces[:, world, number]
@@ -90,9 +89,16 @@ def _skin(watched: Watched, world: int, number: int, times: Float) -> dict[str, 
         "peak_force": float(np.linalg.norm(force, axis=1).max()),
         "mean_force": force.mean(axis=0),
         "main_frequency": _number(frequency),
-        "level": np.array([_number(levels.get(f"level_{name}_dB_SL")) for name in OBSERVERS]),
-        "level_all_lines": np.array([_number(levels.get(f"level_all_lines_{name}_dB_SL")) for name in OBSERVERS]),
+        "level": _by_observer(levels, "level_{}_dB_SL"),
+        "level_all_lines": _by_observer(levels, "level_all_lines_{}_dB_SL"),
+        "level_with_area": _by_observer(levels, "level_area_{}_dB_SL"),
+        "level_why": np.array([levels.get(f"level_{name}_why", "") for name in ALL_OBSERVERS], dtype=object),
     }
+
+
+def _by_observer(levels: dict[str, Any], key: str) -> Float:
+    """One number an observer, NaN where there is none."""
+    return np.array([_number(levels.get(key.format(name))) for name in ALL_OBSERVERS])
 
 
 def _estimate(watched: Watched, world: int, number: int) -> tuple[float, str]:

@@ -64,12 +64,18 @@ VARIABLES: dict[str, Variable] = {
     ),
     "level": Variable(
         ("skin", "observer"), "float64", "dB",
-        f"level above the observer's threshold of the line at main_frequency (dB SL), {_MOST}",
+        f"level above the observer's threshold of the line at main_frequency (dB SL), {_MOST}; of hasegawa_2018 that "
+        "of the force",
     ),
     "level_all_lines": Variable(
         ("skin", "observer"), "float64", "dB",
         f"level above the observer's threshold of all main lines together (dB SL), {_MOST}",
     ),
+    "level_with_area": Variable(
+        ("skin", "observer"), "float64", "dB",
+        "level_all_lines, with thresholds for the area that moves by half of the most or more",
+    ),
+    "level_why": Variable(("skin", "observer"), "str", "", "why the observer applies or is refused"),
 }  # fmt: skip
 """Of every sweep. NaN where a point has failed, is not there yet, or has no such number."""
 ERRORS: dict[str, Variable] = {

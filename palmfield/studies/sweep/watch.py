@@ -25,7 +25,8 @@ class Watched:
     simulation: at rest, or as it stands; steps: of MuJoCo's that follow
     times: ends of the substeps, from the run's start [s], shape (t,)
     motion: by skin, normal displacement [m] and velocity [m/s] in each world, shape (w, t, 2, S)
-    peak_arp: highest ARP [Pa], shape (w, skins); loudest: its moments by world and skin, None in silence
+    arp: highest ARP at these times [Pa], shape (w, skins, t); peak_arp: of all times, shape (w, skins)
+    loudest: its moments by world and skin, None in silence
     forces: mean force of the sound on each skin's body in each step [N], world axes, shape (steps, w, skins, 3)
     sensors: normal displacement at all skins' sensors at the beginning of each step [m], shape (steps, w, sensors)
     """
@@ -45,6 +46,7 @@ class Watched:
         self.times: Float = np.zeros(records)
         shapes = [(count, records, 2, skin.layer.mesh.surface_nodes) for skin in model.skins]
         self.motion: list[Float32] = [np.zeros(shape, np.float32) for shape in shapes]
+        self.arp: Float = np.zeros((count, len(model.skins), records))
         self.peak_arp: Float = np.zeros((count, len(model.skins)))
         self.loudest: list[list[LoudestMoment | None]] = [[None] * len(model.skins) for _ in self.runtimes]
         self.forces: Float = np.zeros((steps, count, len(model.skins), 3))
@@ -77,7 +79,7 @@ class Watched:
             assert reader is not None
             self.motion[skin][world, 0] = stepper.read(numbers, reader)[0]
         posed, course = runtime.now()
-        self._hear(world, posed, emitted_at(course, np.array([0])), np.array([self._zero_s]))
+        self._hear(world, posed, emitted_at(course, np.array([0])), np.array([self._zero_s]), slice(0, 1))
 
     def _rows(self, count: int) -> slice:
         """Of the arrays over time: the substeps of the present step."""
@@ -92,7 +94,7 @@ class Watched:
             motion[world, rows] = seen
         runtime = self.runtimes[world]
         emitted = emitted_at_ends(runtime.work.emission, trace, runtime.model.step_s)
-        self._hear(world, trace.posed, emitted, trace.times)
+        self._hear(world, trace.posed, emitted, trace.times, rows)
 
     def _together(self, trace: TogetherTrace) -> None:
         """Take the step of the worlds that have joined."""
@@ -106,6 +108,7 @@ class Watched:
                 for world, own in zip(worlds.tolist(), seen, strict=True):
                     motion[world, rows] = own
             units = np.array([self._unit(world, skin) for world in trace.worlds.tolist()])
+            self.arp[trace.worlds, skin, rows] = trace.factors * units[:, None]
             arp = factors * units
             louder = np.flatnonzero(arp > self.peak_arp[trace.worlds, skin])
             self.peak_arp[trace.worlds[louder], skin] = arp[louder]
@@ -128,8 +131,8 @@ class Watched:
         moment = LoudestMoment(float(time_s), together.posed(world), together.unit(world).copy(), float(factor))
         self.loudest[world][skin] = moment
 
-    def _hear(self, world: int, posed: PosedScene, emitted: Emitted, times: Float) -> None:
-        """Take what sounds in one world at some times [s]."""
+    def _hear(self, world: int, posed: PosedScene, emitted: Emitted, times: Float, rows: slice) -> None:
+        """Take what sounds in one world at some times [s]. rows: their places along time"""
         radiation, one = self.runtimes[world].work.radiation, emitted.drives.ndim == 1
         for skin in range(len(self.motion)):
             peaks: NDArray[np.floating]
@@ -137,6 +140,7 @@ class Watched:
                 peaks = emitted.factors * radiation.on(posed, skin, "nodes", emitted.drives).arp.max()
             else:
                 peaks = radiation.many(posed, skin, emitted.drives, "nodes").max(axis=1)
+            self.arp[world, skin, rows] = peaks
             first = int(peaks.argmax())
             if peaks[first] > self.peak_arp[world, skin]:
                 self.peak_arp[world, skin] = peaks[first]

@@ -88,6 +88,18 @@ def test_two_keys_are_drawn_as_maps_with_failed_points_marked(drawn):
     assert "1 points failed; 1 points not computed yet" in figure.get_suptitle()
 
 
+def test_an_observer_who_is_refused_everywhere_is_left_out(drawn):
+    line, plane = (dataset(grid(keys)) for keys in ({"a.x": [1.0, 2.0]}, {"a.x": [1.0, 2.0], "a.y": [1.0, 2.0]}))
+    for made in (line, plane):
+        made["level_all_lines"].loc[{"observer": "first"}] = np.nan
+    level = drawn(line).axes[0]
+    labels = [one.get_label() for one in level.get_lines() if len(one.get_xdata()) == 2 and "'" in one.get_label()]
+    assert labels == ["'palm', second", "'tip', second"]
+    panel = drawn(plane).axes[0]
+    np.testing.assert_array_equal(panel.collections[0].get_array(), [[4.0, 5.0], [6.0, 7.0]])
+    assert "(second)" in panel.get_title("left")
+
+
 @pytest.mark.parametrize(
     "design",
     [

@@ -48,7 +48,12 @@ def test_a_point_has_the_numbers_of_a_run_by_itself(frequency, level, whole):
     ):
         assert float(point[name]) / numbers[known] == pytest.approx(1.0, rel=1e-5), name
     for observer in point["observer"].values:
-        assert float(point["level"].sel(observer=observer)) == pytest.approx(numbers[f"level_{observer}_dB_SL"], 1e-5)
+        seen = point.sel(observer=observer)
+        assert str(seen["level_why"].values) == numbers[f"level_{observer}_why"]
+        for name, key in (("level", "level"), ("level_with_area", "level_area")):
+            known = numbers.get(f"{key}_{observer}_dB_SL")
+            assert float(seen[name]) == pytest.approx(np.nan if known is None else known, rel=1e-5, nan_ok=True)
+    assert np.isfinite(point["level"]).sum() == 3 and np.isfinite(point["level_with_area"]).sum() == 1
     assert float(point["drive_level"].item()) == pytest.approx(level)
     (forces,) = instances(alone.dataset, "forces").values()
     assert float(point["peak_force"]) == pytest.approx(np.linalg.norm(forces["force"], axis=1).max(), rel=1e-6)
@@ -81,7 +86,7 @@ def test_the_dataset_is_labelled(whole):
         assert dataset["normal_displacement"].dims[-1] == "time" and dataset["time"].attrs["units"] == "s"
         for name, variable in dataset.data_vars.items():
             assert variable.attrs["long_name"], name
-            assert variable.attrs.get("units") or name in ("failure", "displacement_error_missing"), name
+            assert variable.attrs.get("units") or name in ("failure", "displacement_error_missing", "level_why"), name
         assert json.loads(dataset.attrs["versions"])["palmfield"] == palmfield.__version__
         assert (dataset["status"] == DONE).all()
     assert result.done == result.points == 4 and result.failed == {}

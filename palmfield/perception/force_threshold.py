@@ -1,0 +1,125 @@
+"""Level above the one threshold that was measured in mid-air: of the force of a focus on the palm under AM, at rest.
+
+It goes by the acoustic radiation pressure (ARP) and knows nothing of the skin's motion.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from palmfield.config import StimulusConfig
+from palmfield.errors import OutputError
+from palmfield.stimulus.schedule import factors_at, main_frequencies
+from palmfield.types import Float, Float32, Int
+
+SAMPLES = 64
+"""Moments in a period of the modulation at which its purity is looked at."""
+PUREST = 0.9
+"""Least share of the line in a modulation's power that counts as a sine: pressure AM of depth 1 has 0.94, a square wave
+0.81."""
+NEAR_Hz = 1.0
+SPLIT = 8
+"""Parts of a triangle's edge, over which ARP is summed to a force: a disc's rim cuts through triangles."""
+
+
+@dataclass(frozen=True)
+class ForceObserver:
+    """A detection threshold of the radiation force's line at one frequency.
+
+    frequency_Hz: [Hz]; threshold_N: peak amplitude of the line [N]; area_m2: of the disc round the highest ARP over
+        which the force is summed [m^2]; mean_N: of the force at which it was measured [N]
+    source, why, spread_dB, spread_of: as of `palmfield.perception.observers.Observer`
+    """
+
+    name: str
+    frequency_Hz: float
+    threshold_N: float
+    area_m2: float
+    mean_N: float
+    source: str
+    why: str
+    spread_dB: float
+    spread_of: str
+
+
+FORCE_OBSERVER = ForceObserver(
+    name="hasegawa_2018",
+    frequency_Hz=200.0,
+    threshold_N=0.4e-3,
+    area_m2=144e-6,
+    mean_N=10e-3,
+    source="K. Hasegawa and H. Shinoda 2018: a focus on the palm at rest, force of 10 mN and a sine on top, under a "
+    "Hann window of 1 s, shown twice; method of limits, 12 people. Lowest near 200 Hz, at beta 0.02 of 20 mN: 0.4 mN "
+    "as printed. Equation 8 would exceed the greatest force at beta 1; with the factor 1/2 that it lacks 0.4 mN is "
+    "peak to peak, and levels are 6 dB higher. 20 mN is the force on 12 x 12 mm, half of all that such a focus exerts. "
+    "At other frequencies the threshold is in a figure only, and is not told here.",
+    why="measured on the palm in mid-air, force on 1.44 cm2",
+    spread_dB=10.0,
+    spread_of="people, 15 to 20 dB apart; its step is +-2 dB; 6 dB more if equation 8 lacks a factor 1/2",
+)
+
+
+def force_level_dB_SL(observer: ForceObserver, amplitude_N: float) -> float:
+    """Level of a force's line above the observer's threshold [dB], -inf for no line.
+
+    amplitude_N: peak amplitude of the line on the observer's area [N]. Raises OutputError for one below 0.
+    """
+    if not amplitude_N >= 0.0:
+        raise OutputError(f"amplitude_N {amplitude_N} is no amplitude; give 0 or more")
+    return 20 * math.log10(amplitude_N / observer.threshold_N) if amplitude_N > 0.0 else -math.inf
+
+
+def force_near_peak_N(vertices: Float, faces: Int, arp: Float | Float32, area_m2: float) -> float:
+    """Surface integral of the ARP over a disc about the vertex at which it is highest [N].
+
+    vertices: [m], shape (n, 3); faces: shape (m, 3); arp: at the vertices [Pa], shape (n,), linear between them
+    area_m2: of the disc [m^2]; of a curved surface, what lies in the ball of the disc's radius
+    """
+    radius = math.sqrt(area_m2 / math.pi)
+    corners = vertices[faces] - vertices[int(np.argmax(arp))]
+    # Triangles of which no corner is within reach of the longest edge have no part in the ball
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    near = np.linalg.norm(corners, axis=2).min(axis=1) < radius + longest
+    corners, at_corners = corners[near], np.asarray(arp, dtype=np.float64)[faces[near]]
+    shares = _parts_of_a_triangle(SPLIT)
+    points = np.einsum("pk,mki->mpi", shares, corners)
+    pressure = at_corners @ shares.T
+    areas = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    inside = np.linalg.norm(points, axis=2) <= radius
+    return float((np.where(inside, pressure, 0.0).sum(axis=1) * areas).sum()) / len(shares)
+
+
+def why_refused(config: StimulusConfig) -> str | None:
+    """Why a stimulus is none that the observer was asked about, in words; None where it is one."""
+    if config.path != "point":
+        return f"it was measured with a focus at rest, path is '{config.path}'"
+    if config.foci_m:
+        return f"it was measured with one focus, there are {len(config.foci_m) // 3}"
+    if config.burst_window != "none":
+        return f"it was measured under a steady sine, burst_window is '{config.burst_window}'"
+    frequencies = main_frequencies(config)
+    if not frequencies:
+        return "it was measured under AM, and this sound is not modulated"
+    frequency = frequencies[0]
+    if abs(frequency - FORCE_OBSERVER.frequency_Hz) > NEAR_Hz:
+        return f"its threshold is printed for {FORCE_OBSERVER.frequency_Hz:g} Hz alone, the sound has {frequency:g} Hz"
+    purity = _share_of_line(config, frequency)
+    if purity < PUREST:
+        return f"it was measured under a sine, which has {100 * purity:.0f} % of this modulation's power"
+    return None
+
+
+def _share_of_line(config: StimulusConfig, frequency: float) -> float:
+    """Share of the line at a frequency [Hz] in the power of the ARP's modulation, once the ramp is over."""
+    times = config.start_s + config.ramp_s + np.arange(SAMPLES) / (SAMPLES * frequency)
+    power = np.abs(np.fft.rfft(factors_at(config, times))[1:]) ** 2
+    return float(power[0] / power.sum()) if power.sum() > 0.0 else 0.0
+
+
+def _parts_of_a_triangle(count: int) -> Float:
+    """Barycentric places of the middles of count^2 equal parts, shape (count^2, 3)."""
+    up = [(i + 1 / 3, j + 1 / 3) for i in range(count) for j in range(count - i)]
+    down = [(i + 2 / 3, j + 2 / 3) for i in range(count - 1) for j in range(count - 1 - i)]
+    first = np.array(up + down) / count
+    return np.column_stack([first, 1.0 - first.sum(axis=1)])
