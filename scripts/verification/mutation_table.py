@@ -522,7 +522,7 @@ MUTATIONS = (
         "palmfield/transforms.py",
         "turn = self.rotation.T\n",
         "turn = self.rotation\n",
-        "tests/acoustics/test_placement.py::test_a_moved_array_sounds_the_same_at_moved_points",
+        "tests/test_transforms.py::test_a_frame_carries_points_and_directions_out_and_back",
     ),
     Mutation(
         "channels in another order",
