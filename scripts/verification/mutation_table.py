@@ -581,7 +581,7 @@ MUTATIONS = (
         "tests/outputs/test_usd.py::test_stage_metadata",
     ),
     Mutation(
-        "mean of ratios' denominator doubled",
+        "p0 of half of what was read",
         "calibration",
         "palmfield/acoustics/calibrate.py",
         "p0 = float(model @ measured) / square",
@@ -621,7 +621,7 @@ MUTATIONS = (
         "tests/skin/test_estimate.py::test_mesh_error_of_a_known_law",
     ),
     Mutation(
-        "period for angular frequency in the onset's bound",
+        "frequency for angular frequency in the choice of the step",
         "error estimate",
         "palmfield/skin/approximation/estimate.py",
         "step = math.sqrt(2.0 * min(accuracy, 0.05)) / (2.0 * math.pi * max_frequency_Hz)",

@@ -151,7 +151,9 @@ def page(outcomes: Sequence[Outcome]) -> str:
         for one in outcomes
     ]
     seconds = sum(one.seconds for one in outcomes)
-    return "\n".join([*lines, "", f"Seconds are of one process each, its start included; {seconds:.0f} together.", ""])
+    load = os.getloadavg()[0]
+    said = f"Seconds are of one process each, its start included; {seconds:.0f} together, at a load average of {load:.1f}."
+    return "\n".join([*lines, "", said, ""])
 
 
 def main() -> int:
