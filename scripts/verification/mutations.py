@@ -151,8 +151,8 @@ def page(outcomes: Sequence[Outcome]) -> str:
         for one in outcomes
     ]
     seconds = sum(one.seconds for one in outcomes)
-    load = os.getloadavg()[0]
-    said = f"Seconds are of one process each, its start included; {seconds:.0f} together, at a load average of {load:.1f}."
+    load = f"at a load average of {os.getloadavg()[0]:.1f}"
+    said = f"Seconds are of one process each, its start included; {seconds:.0f} together, {load}."
     return "\n".join([*lines, "", said, ""])
 
 
