@@ -182,7 +182,8 @@ def main() -> None:
         "",
         f"`python scripts/check_gpu.py`, {wp.get_device(device).name}, Warp {wp.__version__}, commit "
         f"{arguments.commit}. 1,000,003 points, 256 transducers, pistons with absorption; time with the "
-        "transfer of the results; error against the float64 twin over 20,003 points.",
+        "transfer of the results; rel-L2 against the float64 twin, which is our own (consistency; [peers](peers.md) "
+        "has its accuracy), over 20,003 points.",
         "",
         "| device | what | G pairs/s | rel-L2 |",
         "|---|---|---|---|",

@@ -237,7 +237,8 @@ def write(page: Path, lines: list[str], curves: dict, jumps: dict, smoother: dic
         "",
         "A skin whose load is not known ahead moves by modes that serve every sound of the scene's arrays on a",
         "region (`palmfield/skin/reduction/modal_stepper.py`, `palmfield/simulation/load_class.py`). Here they are",
-        "held against the whole layer on the same mesh, with the same step, under loads that no basis was made for.",
+        "held against the whole layer on the same mesh, with the same step, under loads that no basis was made for:",
+        "consistency with that layer, whose own accuracy is in [skin](skin.md).",
         "",
         f"Written by `python scripts/verification/check_modes.py {asked} --write docs/bench/modes.md`, commit "
         f"{commit}, {processor()}, Python {platform.python_version()}.",

@@ -86,9 +86,10 @@ def main() -> int:
 # Scenes on a GPU
 
 `python scripts/verification/{Path(__file__).name}`, {device}, commit {commit}.
-{options.steps} steps of the small forms that the reference arrays are of, against the CPU. Differences are relative to
-the largest of the run, of a force's components to its length. Flipped is the share of nodes and steps at which ARP
-differs by more than 1e-4: there a shadow's ray grazes an edge, and rounding decides on which side.
+{options.steps} steps of the small forms that the reference arrays are of, against the CPU: consistency of the
+two, not accuracy. Differences are relative to the largest of the run, of a force's components to its length. Flipped is
+the share of nodes and steps at which ARP differs by more than 1e-4: there a shadow's ray grazes an edge, and rounding
+decides on which side.
 
 """
         options.write.write_text(title + "\n".join([HEAD, *rows]) + "\n")

@@ -1,4 +1,4 @@
-"""The float32 kernels against the float64 twin, and against one another."""
+"""Consistency: the float32 kernels with the float64 twin, and with one another."""
 
 import os
 import subprocess

@@ -1,4 +1,4 @@
-"""SurfaceArp against the float64 reference and the field kernels, drive after drive and pose after pose."""
+"""Consistency of SurfaceArp with the float64 reference and the field kernels, drive after drive and pose after pose."""
 
 import multiprocessing
 import sys

@@ -191,7 +191,7 @@ def test_an_error_while_stepping_is_kept_and_shown(small_scene, capfd):
 
 
 def test_plain_mj_step_equals_palmfield_run():
-    """After 50 ms of the main example, force and skin displacement agree to 1e-6."""
+    """Consistency: after 50 ms of the main example, force and skin displacement agree to 1e-6."""
     scene = palmfield.load(PALM)
     result = palmfield.run(scene, duration_s=0.05, progress=False)
     mujoco.mj_forward(scene.model, scene.data)

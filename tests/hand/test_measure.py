@@ -45,6 +45,16 @@ def test_sized_hands_have_their_length_and_breadth(length, ratio):
     assert found["breadth"] == pytest.approx(ratio * length, rel=0.03)
 
 
+def test_a_longer_hand_has_longer_bones_and_fingers_as_broad():
+    own = load_preset("open_men_p50")
+    long = sized(own, 1.1 * own.length_m)
+    for name, digit in own.digits.items():
+        assert long.digits[name].bones_m == pytest.approx([1.1 * bone for bone in digit.bones_m])
+        assert long.digits[name].breadth_m == pytest.approx(digit.breadth_m)
+    assert long.palm_length_m == pytest.approx(1.1 * own.palm_length_m)
+    assert long.thickness_m == pytest.approx(own.thickness_m)
+
+
 def test_a_left_hand_is_the_mirror_image():
     preset = load_preset("open_women_p50")
     right, left = hand_surface(preset, 0.004), hand_surface(mirrored(preset), 0.004)

@@ -1,4 +1,4 @@
-"""Modes for every load of a class, against the whole layer that they stand for."""
+"""Modes for every load of a class: consistency with the whole layer that they stand for, accuracy by the exact one."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -8,6 +8,7 @@ import pytest
 
 from palmfield import cache
 from palmfield.errors import SceneError
+from palmfield.skin.analytic.layer_oracle import centre_response
 from palmfield.skin.fem.factor import factorise
 from palmfield.skin.fem.load import SurfaceQuadrature
 from palmfield.skin.fem.probe import surface_motion
@@ -250,6 +251,23 @@ def test_harmonic_motion_is_the_whole_layers(disc, modes):
         truth = disc.surface @ (harmonic(disc.system, force, f) if f else static(disc.system, force))
         mine = modes.harmonic(pressure[modes.points], f, disc.surface)
         assert np.linalg.norm(mine - truth) < allowed * np.linalg.norm(truth)
+
+
+def test_modes_answer_a_spot_as_the_exact_layer(make_spot):
+    """Accuracy: at rest, at 200 Hz and after steps to rest, the centre of a roller disc against its exact series."""
+    spot = make_spot(0.0035, 3, radius_m=0.02, growth=1.0, material=RUBBERY)
+    parts = parts_of(spot)
+    stepper = ModalStepper(body(parts, tolerance=0.01, left_out=0.003), parts.system, STEP, 100.0)
+    pressure = bell(parts, [[0.0, 0.0]])[0][stepper.points]
+    fwhm = 2.0 * 0.009 * np.sqrt(np.log(2.0) / 2.77)
+    exact = [100.0 * complex(centre_response(f, RUBBERY, 0.02, fwhm, 0.02)) for f in (0.0, 200.0)]
+    for f, truth, allowed in zip((0.0, 200.0), exact, (0.015, 0.04), strict=True):
+        push = -stepper.harmonic(pressure, f, spot.read)[0]
+        assert abs(push - truth) < allowed * abs(truth)
+    state, steady = np.zeros((1, stepper.state_size)), np.ones((1, 2000, 1))
+    stepper.step(state, SurfaceLoads(pressure[None, None], steady, steady), 0.0, 2000 * STEP)
+    rest = -stepper.read(state, stepper.reader(spot.read))[0, 0, 0]
+    assert rest == pytest.approx(exact[0].real, rel=0.015)
 
 
 def test_what_lies_outside_the_class_is_seen(disc, modes):

@@ -192,6 +192,18 @@ def test_oscillator_under_a_ramp_and_a_free_mass():
     np.testing.assert_allclose(velocity[:, 0], times**2 / 2 / 3e-3, rtol=1e-9)
 
 
+def test_steps_of_an_oscillator_under_a_ramp_follow_the_closed_form():
+    """As above, step by step and of unequal lengths, the force linear within each."""
+    one = Body(np.eye(1) * 2.0, np.zeros((1, 1)), np.eye(1) * 8e5, ())
+    model = reduce(one, np.eye(1), np.eye(1), (0.0, 500.0), 1e-6)
+    w, t, state = math.sqrt(4e5), 0.0, np.zeros(model.state_size)
+    for step in (1e-3, 1.5e-3, 4.5e-3, 1e-3):
+        model.step(state, np.array([3.0 * t]), np.array([3.0 * (t + step)]), step)
+        t += step
+        assert model.displacement(state)[0] == pytest.approx(3.0 / 8e5 * (t - math.sin(w * t) / w), rel=1e-9)
+        assert model.velocity(state)[0] == pytest.approx(3.0 / 8e5 * (1.0 - math.cos(w * t)), rel=1e-9)
+
+
 @settings(max_examples=20, deadline=None)
 @given(tau=st.floats(-5, 0), ratio=st.floats(0.1, 10.0), damping=st.floats(0.0, 1.0), seed=st.integers(0, 1000))
 def test_decoupled_steps_are_those_of_the_matrix_exponential(tau, ratio, damping, seed):

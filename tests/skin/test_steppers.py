@@ -136,6 +136,7 @@ def test_a_substep_of_wedges_is_the_same_on_any_number_of_threads(disc, monkeypa
 
 
 def test_the_small_model_is_exact_in_time(disc, small):
+    """Consistency with the model's own exponential, which closed forms hold in test_reduced.py."""
     loads, state = bells(disc), rest(small)
     small.step(state, loads, 0.0, SUBSTEPS * STEP)
     one = np.zeros(small.state_size)

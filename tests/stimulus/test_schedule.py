@@ -59,6 +59,18 @@ def test_circle():
     assert np.allclose(np.hypot(points[:, 0] - 0.01, points[:, 1]), 0.01)
     speed = np.linalg.norm(np.diff(points, axis=0), axis=1).sum() * 70
     assert speed == pytest.approx(4.398, rel=1e-3)  # the paper's 4.40 m/s
+    quarter = frame_at(config, 0.25 / 70).focus  # from +x by +y, counter-clockwise
+    assert np.allclose(points[0], [0.02, 0, 0.2]) and np.allclose(quarter, [0.01, 0.01, 0.2])
+
+
+def test_a_control_tick_counts_from_its_own_moment_on():
+    config = StimulusConfig(path="circle", path_diameter_m=0.02, path_rate_Hz=10, control_rate_Hz=1000)
+    ticks = np.arange(100)
+    angle = 2 * np.pi * 10 * ticks / 1000
+    on_time = 0.01 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    for late_s in (0.0, 0.0005, 0.000999):
+        foci, _ = frames_at(config, ticks / 1000 + late_s)
+        assert np.allclose(foci[:, :2], on_time, atol=1e-9)
 
 
 def test_stepped_circle_holds_its_points():

@@ -1,0 +1,190 @@
+"""Known faults put into palmfield one at a time: each must turn its test red. Written to docs/bench/mutations.md.
+
+python scripts/verification/mutations.py --write docs/bench/mutations.md
+"""
+
+import argparse
+import importlib.util
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+from queue import Queue
+from typing import NamedTuple
+
+from mutation_table import MUTATIONS, Mutation
+
+ROOT = Path(__file__).resolve().parents[2]
+COPIED = ("palmfield", "warp_kernels", "tests", "mjcf", "hand_models", "scripts", "pyproject.toml")
+LONGEST_S = 120.0
+EXPECTED = re.compile(r"assert |AssertionError|Failed: |palmfield\.errors\.")
+"""How a test may end under a mutation: by its own assertion, or by an error that palmfield raises on purpose."""
+
+
+class Outcome(NamedTuple):
+    """What became of a test under its mutation. red: it failed as it must; said: its reason, or what went wrong."""
+
+    mutation: Mutation
+    red: bool
+    said: str
+    seconds: float
+
+
+def copied(folder: Path) -> Path:
+    """A copy of the package with its tests, below a folder."""
+    tree = folder / "palmfield"
+    tree.mkdir()
+    for name in COPIED:
+        if (ROOT / name).is_dir():
+            shutil.copytree(ROOT / name, tree / name, ignore=shutil.ignore_patterns("__pycache__"))
+        else:
+            shutil.copy2(ROOT / name, tree / name)
+    return tree
+
+
+@contextmanager
+def mutated(tree: Path, mutation: Mutation) -> Iterator[None]:
+    """A copy with one text replaced. Raises ValueError where the text isn't there exactly once."""
+    path = tree / mutation.file
+    whole = path.read_text(encoding="utf-8")
+    if (count := whole.count(mutation.text)) != 1:
+        raise ValueError(f"{mutation.name}: {mutation.file} has {mutation.text!r} {count} times; it must have it once")
+    # Python takes a compiled file for current by its whole seconds and its size, which a mutation may keep
+    compiled = Path(importlib.util.cache_from_source(str(path)))
+    try:
+        compiled.unlink(missing_ok=True)
+        path.write_text(whole.replace(mutation.text, mutation.becomes), encoding="utf-8")
+        yield
+    finally:
+        path.write_text(whole, encoding="utf-8")
+        compiled.unlink(missing_ok=True)
+
+
+def pytest_in(tree: Path, tests: Sequence[str], longest_s: float) -> tuple[int, str]:
+    """Exit code and output of pytest for tests of a copy, in a process of its own."""
+    inherited = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
+    own = {"PYTHONPATH": str(tree), "COLUMNS": "200", "OPENBLAS_NUM_THREADS": "1", "PALMFIELD_CACHE": "off"}
+    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-q", "-x", "-rf", "--tb=short", *tests]
+    try:
+        done = subprocess.run(
+            command, cwd=tree, env=inherited | own, capture_output=True, text=True, timeout=longest_s, check=False
+        )
+    except subprocess.TimeoutExpired:
+        return -1, f"took more than {longest_s:g} s"
+    return done.returncode, done.stdout + done.stderr
+
+
+def judged(mutation: Mutation, code: int, output: str) -> tuple[bool, str]:
+    """Whether a test failed as it must under its mutation, and why."""
+    if code == 0:
+        return False, "the test passes all the same"
+    failed = re.search(rf"^FAILED {re.escape(mutation.test)}(?:\[[^\n]*?\])? - (.*)$", output, re.MULTILINE)
+    if code != 1 or failed is None:
+        last = output.strip().splitlines()[-1] if output.strip() else "nothing said"
+        return False, f"pytest ended with {code}: {last}"
+    reason = failed.group(1)
+    return bool(EXPECTED.match(reason)), reason
+
+
+def outcome_of(tree: Path, mutation: Mutation) -> Outcome:
+    """The outcome of a mutation's test in a copy, which is left as it was."""
+    began = time.perf_counter()
+    with mutated(tree, mutation):
+        code, output = pytest_in(tree, [mutation.test], LONGEST_S)
+    red, said = judged(mutation, code, output)
+    return Outcome(mutation, red, said, time.perf_counter() - began)
+
+
+def unmutated(tree: Path, mutations: Sequence[Mutation]) -> tuple[bool, str]:
+    """Whether all tests of mutations pass in a copy without any, and what pytest says."""
+    code, output = pytest_in(tree, list(dict.fromkeys(one.test for one in mutations)), LONGEST_S * len(mutations))
+    return code == 0, output
+
+
+def outcomes_of(folder: Path, mutations: Sequence[Mutation], jobs: int) -> Iterator[Outcome]:
+    """The outcomes of mutations in their order, so many at once, each in a copy of its own below a folder."""
+    trees: Queue[Path] = Queue()
+    for number in range(jobs):
+        (folder / str(number)).mkdir()
+        trees.put(copied(folder / str(number)))
+
+    def one(mutation: Mutation) -> Outcome:
+        tree = trees.get()
+        try:
+            return outcome_of(tree, mutation)
+        finally:
+            trees.put(tree)
+
+    with ThreadPoolExecutor(jobs) as pool:
+        yield from pool.map(one, mutations)
+
+
+def page(outcomes: Sequence[Outcome]) -> str:
+    """Markdown for docs/bench/mutations.md."""
+    red = sum(one.red for one in outcomes)
+    lines = [
+        "# Faults that the tests find",
+        "",
+        "    python scripts/verification/mutations.py --write docs/bench/mutations.md",
+        "",
+        f"{len(outcomes)} faults are put into a copy of the package one at a time "
+        "(`scripts/verification/mutation_table.py`), and the test named beside each is run there in a process of its "
+        "own: it must fail by its own assertion or by an error that palmfield raises on purpose, and pass without the "
+        f"fault. {red} of {len(outcomes)} do. CI runs them all (`tests/test_mutations.py`).",
+        "",
+        "Where there is one, the test is one of accuracy: it compares with an exact solution, a measurement, or a "
+        "float64 code that shares nothing with palmfield. What compares palmfield with itself is called consistency.",
+        "",
+        "| stage | fault | in | test | red | s |",
+        "|---|---|---|---|---|---|",
+    ]
+    lines += [
+        f"| {one.mutation.stage} | {one.mutation.name} | `{one.mutation.file}` | `{one.mutation.test}` | "
+        f"{'yes' if one.red else 'no: ' + one.said} | {one.seconds:.1f} |"
+        for one in outcomes
+    ]
+    seconds = sum(one.seconds for one in outcomes)
+    load = f"at a load average of {os.getloadavg()[0]:.1f}"
+    said = f"Seconds are of one process each, its start included; {seconds:.0f} together, {load}."
+    return "\n".join([*lines, "", said, ""])
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("names", nargs="*", help="words in the names or stages of the mutations to run; all by default")
+    parser.add_argument("--list", action="store_true", help="list the mutations and run nothing")
+    parser.add_argument("--jobs", type=int, default=2, help="processes at once, 2 by default")
+    parser.add_argument("--write", type=Path, metavar="PAGE", help="write the page of results")
+    arguments = parser.parse_args()
+    wanted = [one for one in MUTATIONS if all(word in f"{one.stage} {one.name}" for word in arguments.names)]
+    if not wanted:
+        parser.error(f"no mutation has {' '.join(arguments.names)!r} in its name or stage: see --list")
+    if arguments.list:
+        print("\n".join(f"{one.stage}: {one.name} ({one.file}) -> {one.test}" for one in wanted))
+        return 0
+    with tempfile.TemporaryDirectory() as folder:
+        tree = copied(Path(folder))
+        print(f"tests of {len(wanted)} mutations without them", flush=True)
+        passed, output = unmutated(tree, wanted)
+        if not passed:
+            print(output)
+            return 1
+        outcomes = []
+        for one in outcomes_of(Path(folder), wanted, arguments.jobs):
+            outcomes.append(one)
+            verdict, name = "red" if one.red else "NOT RED", f"{one.mutation.stage}, {one.mutation.name}"
+            print(f"{len(outcomes)}/{len(wanted)} {verdict} {one.seconds:.1f} s  {name}: {one.said}", flush=True)
+    if arguments.write is not None:
+        arguments.write.write_text(page(outcomes), encoding="utf-8")
+    return 0 if all(one.red for one in outcomes) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
