@@ -125,7 +125,7 @@ RIGGED = dict(shape="rigged", body="hand", mesh="hand.glb", mesh_unit="m", patch
 
 def loaded(folder, name, focus="0 0 0.2", hand="hand.xml", **keys):
     path = folder / f"{name}.xml"
-    path.write_text(SCENE.format(arrays=ARRAYS, hand=hand, focus=focus, keys=config(**keys)))
+    path.write_text(SCENE.format(arrays=ARRAYS, hand=hand, focus=focus, keys=config(**{k: v for k, v in keys.items() if v})))
     return load(path)
 
 
