@@ -125,7 +125,8 @@ RIGGED = dict(shape="rigged", body="hand", mesh="hand.glb", mesh_unit="m", patch
 
 def loaded(folder, name, focus="0 0 0.2", hand="hand.xml", **keys):
     path = folder / f"{name}.xml"
-    path.write_text(SCENE.format(arrays=ARRAYS, hand=hand, focus=focus, keys=config(**{k: v for k, v in keys.items() if v})))
+    given = config(**{key: value for key, value in keys.items() if value})
+    path.write_text(SCENE.format(arrays=ARRAYS, hand=hand, focus=focus, keys=given))
     return load(path)
 
 
