@@ -57,8 +57,7 @@ class ArrayInstance:
         if config.p0_Pa_m is None:
             return known
         low, high = config.p0_low_Pa_m or known.low, config.p0_high_Pa_m or known.high
-        low, high = min(low, config.p0_Pa_m), max(high, config.p0_Pa_m)
-        return Estimate(config.p0_Pa_m, low, high, "assumed", "key p0_Pa_m of the scene")
+        return _given(config.p0_Pa_m, low, high, "p0_Pa_m")
 
     @property
     def quality(self) -> Estimate:
@@ -68,8 +67,7 @@ class ArrayInstance:
             return self.calibration.quality
         if config.quality is None:
             return known
-        low, high = min(known.low, config.quality), max(known.high, config.quality)
-        return Estimate(config.quality, low, high, "assumed", "key quality of the scene")
+        return _given(config.quality, known.low, known.high, "quality")
 
     def array(self, sites: tuple[tuple[Numbers, Numbers], ...] = ()) -> Array:
         """The transducers in the array's own frame.
@@ -101,6 +99,11 @@ class ArrayInstance:
         if config.dead or config.inverted:
             array = with_faults(array, config.dead, config.inverted)
         return array
+
+
+def _given(value: float, low: float, high: float, key: str) -> Estimate:
+    """A value that a scene sets, with a range that is widened to hold it."""
+    return Estimate(value, min(low, value), max(high, value), "assumed", f"key {key} of the scene")
 
 
 def _known(name: str) -> tuple[Estimate, Estimate]:

@@ -24,16 +24,28 @@ def budget_rows(skin: Mapping[str, Any]) -> list[Row]:
     budget = skin.get("error_budget")
     if budget is None:
         return rows
-    told = [one for one in budget["left_out"] if one["low"] is not None and max(-one["low"], one["high"]) > SHOWN]
     silent = [one["what"] for one in budget["left_out"] if one["low"] is None]
-    texts = [f"{one['what']} {bias_text(one['low'], one['high'])}" for one in told]
+    texts = [f"{one['what']} {bias_text(one['low'], one['high'])}" for one in _told(budget)]
     rows.append(("error, left out", "; ".join([*texts, f"not estimated: {', '.join(silent)}"])))
-    ranges = [one for one in budget["inputs"] if one["low"] is not None and one["low"] < one["high"]]
-    known = [f"{one['what']} x {one['low']:.2g} to x {one['high']:.2g}" for one in ranges]
+    known = [f"{one['what']} x {one['low']:.2g} to x {one['high']:.2g}" for one in _ranges(budget)]
     unknown = [one["what"] for one in budget["inputs"] if one["low"] is None]
     rest = [f"not carried through: {', '.join(unknown)}"] if unknown else []
     rows.append(("error, inputs", "; ".join([*known, *rest])))
     return rows
+
+
+def _largest(bias: Mapping[str, Any]) -> float:
+    return float(max(-bias["low"], bias["high"]))
+
+
+def _told(budget: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """What is left out and known to be worth telling."""
+    return [one for one in budget["left_out"] if one["low"] is not None and _largest(one) > SHOWN]
+
+
+def _ranges(budget: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """Inputs that leave a range open which is known."""
+    return [one for one in budget["inputs"] if one["low"] is not None and one["low"] < one["high"]]
 
 
 def bias_text(low: float, high: float) -> str:
@@ -51,9 +63,7 @@ def in_a_line(budget: Mapping[str, Any] | str | None) -> str:
     if not isinstance(budget, Mapping):
         return ""
     parts = [f"numerical {100 * budget['numerical']['displacement_error_relative']:.2g} %"]
-    known = [one for one in budget["left_out"] if one["low"] is not None and max(-one["low"], one["high"]) > SHOWN]
-    largest = sorted(known, key=lambda one: -max(-one["low"], one["high"]))[:2]
+    largest = sorted(_told(budget), key=_largest, reverse=True)[:2]
     parts += [f"{one['what']} left out: {bias_text(one['low'], one['high'])}" for one in largest]
-    ranges = [one for one in budget["inputs"] if one["low"] is not None and one["low"] < one["high"]]
-    parts += [f"{one['what']} x {one['low']:.2g} to {one['high']:.2g}" for one in ranges]
+    parts += [f"{one['what']} x {one['low']:.2g} to {one['high']:.2g}" for one in _ranges(budget)]
     return "Error of the displacement under the focus: " + "; ".join(parts)

@@ -11,7 +11,15 @@ from typing import Any
 import numpy as np
 
 from palmfield.session.biases import biases
-from palmfield.session.numerical_error import Course, LoudestMoment, error_estimate, p0_band, p0_known, stimulus_of
+from palmfield.session.numerical_error import (
+    Course,
+    LoudestMoment,
+    error_estimate,
+    nearest_focus,
+    p0_band,
+    p0_known,
+    stimulus_of,
+)
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.radiation import Radiation
 from palmfield.stimulus.schedule import frame_at
@@ -45,9 +53,8 @@ def error_budget(
     estimate["displacement_error_relative"] = math.hypot(*(estimate[f"{name}_error_relative"] for name in SOURCES))
     stimulus = stimulus_of(model, skin)
     places = loudest.posed.focal_points(model.stimuli[stimulus], stimulus)
-    foci = np.atleast_2d(places.at(frame_at(model.stimuli[stimulus].config, loudest.time_s).focus))
-    nodes = loudest.posed.skins[skin].nodes[0]
-    focus = foci[int(np.argmin([np.linalg.norm(nodes - place, axis=1).min() for place in foci]))]
+    foci = places.at(frame_at(model.stimuli[stimulus].config, loudest.time_s).focus)
+    focus = nearest_focus(foci, loudest.posed.skins[skin].nodes[0])
     found = biases(model, skin, stimulus, loudest.posed, loudest.drive, focus)
     return {
         "quantity": QUANTITY,

@@ -337,6 +337,13 @@ def _as_numbers(mesh: float, step: float, reduction: float, edge: float) -> dict
     }
 
 
+def nearest_focus(foci: Float, nodes: Float) -> Float:
+    """The one of some points, shape (3,) or (k, 3), that is nearest to a skin's nodes, shape (S, 3); shape (3,)."""
+    places = np.atleast_2d(foci)
+    nearest: Float = places[int(np.argmin([np.linalg.norm(nodes - place, axis=1).min() for place in places]))]
+    return nearest
+
+
 def _under_focus(model: HapticModel, skin: int, loudest: LoudestMoment) -> Float:
     """The place of the resting skin that is nearest to a focus at the loudest moment, body frame [m], shape (3,)."""
     posed = loudest.posed.skins[skin]
@@ -346,7 +353,7 @@ def _under_focus(model: HapticModel, skin: int, loudest: LoudestMoment) -> Float
         if not stimulus.silent:
             places = loudest.posed.focal_points(stimulus, number)
             foci += list(np.atleast_2d(places.at(frame_at(stimulus.config, loudest.time_s).focus)))
-    focus = min(foci, key=lambda place: float(np.linalg.norm(nodes - place, axis=1).min()))
+    focus = nearest_focus(np.array(foci), nodes)
     if posed.body.model.hand is None:
         return posed.body.frame.inverse_points(focus)
     nearest = np.linalg.norm(nodes - focus, axis=1).argmin()

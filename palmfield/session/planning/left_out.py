@@ -4,22 +4,20 @@ import numpy as np
 
 from palmfield.acoustics.air import sound_speed
 from palmfield.session.biases import biases
-from palmfield.session.numerical_error import stimulus_of
+from palmfield.session.numerical_error import nearest_focus, stimulus_of
 from palmfield.session.planning.facts import first_drive
 from palmfield.session.planning.rows import Row
 from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
 from palmfield.simulation.posed_scene import reference_scene
 from palmfield.skin.from_config import cutoff_Hz
-from palmfield.types import Float
 
 
 def left_out(model: HapticModel) -> list[Row]:
     """Rows of what is left out, and what that does to the displacement of each skin under the focus."""
-    rows = []
+    rows, posed = [], reference_scene(model)
     for number, skin in enumerate(model.skins):
         stimulus = stimulus_of(model, number)
-        posed = reference_scene(model)
-        focus = _nearest(model.stimuli[stimulus].reference_foci, posed.skins[number].nodes[0])
+        focus = nearest_focus(model.stimuli[stimulus].reference_foci, posed.skins[number].nodes[0])
         found = biases(model, number, stimulus, posed, first_drive(model, stimulus), focus)
         rows += [Row(one.what, one.size, one.why, skin.spec.name) for one in found]
     return rows
@@ -62,13 +60,6 @@ def _inertia(skin: SkinModel) -> str:
     sheets, depth = skin.layer.sheets, float(np.median(skin.layer.patch.depth))
     density = sum(sheet.material.density_kg_m3 * sheet.thickness_m for sheet in sheets)
     return f"rho a h of shear on the base: {density * depth:.2g} Pa for 1 m/s^2 on {1e3 * depth:.2g} mm"
-
-
-def _nearest(foci: Float, nodes: Float) -> Float:
-    """The one of some foci that is nearest to a skin's nodes, shape (3,)."""
-    places = np.atleast_2d(foci)
-    nearest: Float = places[int(np.argmin([np.linalg.norm(nodes - place, axis=1).min() for place in places]))]
-    return nearest
 
 
 def _common_flight(model: HapticModel, stimulus: StimulusModel) -> Row:

@@ -292,11 +292,7 @@ def varied(entry: Preset) -> list[Material]:
     for known in entry.ranges:
         for value in (known.low, known.high):
             name = f"{entry.material.name}, {known.parameter} {value:g}"
-            if known.parameter == "shear":
-                materials.append(scaled(entry.material, value, name))
-            else:
-                changed: dict[str, Any] = {known.parameter: value}
-                materials.append(replace(entry.material, name=name, **changed))
+            materials.append(_with_value(entry.material, known.parameter, value, name))
     return materials
 
 
@@ -308,14 +304,18 @@ def softest_and_stiffest(entry: Preset) -> tuple[Material, Material] | None:
     for end in ("low", "high"):
         material = entry.material
         for known in entry.ranges:
-            value, name = getattr(known, end), f"{entry.material.name}, ranges at their {end} ends"
-            if known.parameter == "shear":
-                material = scaled(material, value, name)
-            else:
-                changed: dict[str, Any] = {known.parameter: value}
-                material = replace(material, name=name, **changed)
+            name = f"{entry.material.name}, ranges at their {end} ends"
+            material = _with_value(material, known.parameter, getattr(known, end), name)
         ends.append(material)
     return ends[0], ends[1]
+
+
+def _with_value(material: Material, parameter: str, value: float, name: str) -> Material:
+    """The material with another value of a range's parameter, see `Range`."""
+    if parameter == "shear":
+        return scaled(material, value, name)
+    changed: dict[str, Any] = {parameter: value}
+    return replace(material, name=name, **changed)
 
 
 def scaled(material: Material, factor: float, name: str) -> Material:
