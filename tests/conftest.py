@@ -55,7 +55,7 @@ HAPTIC = """
 DEFAULTS: dict[str, dict[str, object]] = {
     "array": {},
     "stimulus": {
-        "focus_m": "0 0 0.12", "modulation": "am", "am_of": "pressure", "am_frequency_Hz": 200, "am_depth": 1,
+        "focus_m": "0 0 0.12", "modulation": "am", "am_quantity": "amplitude", "am_frequency_Hz": 200, "am_depth": 1,
     },
     "skin": {
         "body": "pad", "shape": "disc", "radius_m": 0.02, "thickness_m": 0.008, "material": "ecoflex_00-10",

@@ -40,9 +40,9 @@ HAPTIC = """<!-- {name}: run with `palmfield run {name}.xml`, or watch with `pyt
         <!-- The focus, in the array frame: z points out of the emitting face. A scene may hold several arrays, stimuli
              and skins: each is one more instance, and results go by its name. -->
         <config key="focus_m" value="0 0 0.2"/>
-        <!-- Amplitude modulation of the sound pressure; with am_of arp, of the radiation pressure. -->
+        <!-- Amplitude modulation of the sound pressure by a sine; with am_quantity arp, of the radiation pressure. -->
         <config key="modulation" value="am"/>
-        <config key="am_of" value="pressure"/>
+        <config key="am_quantity" value="amplitude"/>
         <config key="am_frequency_Hz" value="200"/>
         <config key="am_depth" value="1"/>
         <!-- The level: full drive unless you set drive_amplitude (0..1) or arp_peak_Pa. -->

@@ -70,7 +70,9 @@ def _validated(model: type[Config], values: tuple[tuple[str, str], ...]) -> Conf
 def _advice(model: type[Config], key: str, value: str) -> list[str]:
     """What to use in place of a key or a value that is renamed or refused; nothing for others."""
     if key in model.renamed:
-        return [f"key '{key}' is renamed: use {model.renamed[key]}"]
+        use = model.renamed[key]
+        now = model.renamed.get(f"{use}={value}")
+        return [f"key '{key}' is renamed: use {use}" + (f" with value '{now}'" if now is not None else "")]
     both = f"{key}={value}"
     if both in model.renamed:
         return [f"key '{key}' has value '{value}', which is renamed: use {model.renamed[both]}"]

@@ -4,7 +4,7 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from palmfield.config.base import Config
+from palmfield.config.base import Config, Positive
 
 
 class DriverConfig(Config):
@@ -14,4 +14,9 @@ class DriverConfig(Config):
 
     board: Literal["ideal", "sonicsurface"] = Field(
         "ideal", description="ideal: continuous phase and amplitude at any rate; sonicsurface: decoded from its bytes"
+    )
+    duty_exponent: Positive = Field(
+        2.0,
+        description="g of the pulses' law p/p_M = sin(pi duty)^(g/2), for am_quantity duty: 2 is that of rectangular "
+        "pulses; 1.5 was measured on a device (Hasegawa and Shinoda 2018)",
     )

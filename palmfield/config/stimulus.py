@@ -10,6 +10,7 @@ from palmfield.config.base import Config, Decimals, Fraction, Names, NonNegative
 NEEDED: dict[str, tuple[str, ...]] = {
     "circle": ("path_diameter_m",),
     "line": ("path_width_m",),
+    "lm": ("path_width_m",),
     "zigzag": ("path_width_m", "path_height_m"),
     "square": ("path_width_m",),
     "z": ("path_width_m", "path_height_m"),
@@ -19,12 +20,27 @@ NEEDED: dict[str, tuple[str, ...]] = {
     "sites": ("path_sites",),
 }
 """Keys without which a path has no shape."""
-OPTIONAL: dict[str, tuple[str, ...]] = {"zigzag": ("path_corners",), "lissajous": ("path_ratio", "path_phase_deg")}
-AM_KEYS = ("am_of", "am_frequency_Hz", "am_depth")
+OPTIONAL: dict[str, tuple[str, ...]] = {
+    "lm": ("path_step_m", "path_direction_deg"),
+    "zigzag": ("path_corners",),
+    "lissajous": ("path_ratio", "path_phase_deg"),
+}
+AM_WAVEFORMS: dict[str, tuple[str, ...]] = {
+    "sine": (),
+    "rectangle": ("am_waveform_duty",),
+    "hann": (),
+    "burst": ("am_burst_length_s", "am_burst_period_s"),
+    "file": ("am_file",),
+}
+"""Keys without which a waveform has no shape."""
+OF_WAVEFORMS = ("am_waveform_duty", "am_burst_length_s", "am_burst_period_s", "am_file")
+AM_KEYS = ("am_quantity", "am_frequency_Hz", "am_depth", "am_waveform", "am_normalisation", *OF_WAVEFORMS)
 FARTHEST_FOCUS_M = 10.0
 """No array focuses there: at 40 kHz air takes 13 dB on the way."""
 USUAL_FOCUS_M = 0.2
 MOVING = ("path_rate_Hz", "path_speed_m_s", "path_end", "path_points")
+STEPS = 1e-6
+"""Of a step: so far from a whole number of steps a width may be."""
 PATH_KEYS = (*MOVING, *{key for keys in (*NEEDED.values(), *OPTIONAL.values()) for key in keys})
 
 
@@ -45,17 +61,19 @@ def too_far(focus_m: tuple[float, float, float]) -> str | None:
 class StimulusConfig(Config):
     plugin: ClassVar[str] = "palmfield.stimulus"
     about: ClassVar[str] = "Where the focus is and how strong, over time."
+    renamed: ClassVar[dict[str, str]] = {"am_of": "am_quantity", "am_quantity=pressure": "amplitude"}
 
     arrays: Names = Field(
         (), description="instances of palmfield.array that it drives (default: all that no other stimulus names)"
     )
     focus_m: Vector = Field((0.0, 0.0, 0.2), description="focus, or centre of its path, in `frame`")
     frame: str = Field("array", description="`array`, or the name of a site in whose frame focus and path are given")
-    path: Literal["point", "circle", "line", "zigzag", "square", "z", "lissajous", "letters", "polyline", "sites"] = (
-        Field(
-            "point",
-            description="path of the focus about focus_m, in the frame's x-y plane; sites: through sites on the skin",
-        )
+    path: Literal[
+        "point", "circle", "line", "lm", "zigzag", "square", "z", "lissajous", "letters", "polyline", "sites"
+    ] = Field(
+        "point",
+        description="path of the focus about focus_m, in the frame's x-y plane; lm: lateral modulation, to and fro on "
+        "a short line; sites: through sites on the skin",
     )
     path_on: Literal["plane", "skin"] = Field(
         "plane",
@@ -66,9 +84,13 @@ class StimulusConfig(Config):
     )
     path_diameter_m: Positive | None = Field(None, description="diameter of the circle")
     path_width_m: Positive | None = Field(
-        None, description="extent along x: length of a line, side of a square, width of zigzag, z and lissajous"
+        None, description="extent along x: length of a line, side of a square, width of zigzag, z and lissajous; of lm"
     )
     path_height_m: Positive | None = Field(None, description="extent along y of zigzag, z and lissajous; of a letter")
+    path_step_m: Positive | None = Field(
+        None, description="lm: the focus rests at points so far apart, path_width_m for two; without, it moves on"
+    )
+    path_direction_deg: float = Field(0.0, description="lm: direction of its line, from the frame's x towards its y")
     path_corners: Annotated[int, Field(ge=1, le=1000)] = Field(3, description="corners of the zigzag between its ends")
     path_ratio: Numbers = Field((1, 2), description="oscillations of the lissajous along x and along y in one turn")
     path_phase_deg: float = Field(0.0, description="by which the lissajous leads along x")
@@ -91,12 +113,36 @@ class StimulusConfig(Config):
     foci_m: Decimals = Field(
         (), description="several foci at once, equally loud: x, y, z of each relative to focus_m and its path"
     )
-    modulation: Literal["none", "am"] = Field("none", description="none, or sinusoidal amplitude modulation")
-    am_of: Literal["pressure", "arp"] | None = Field(
-        None, description="what the sine modulates: the sound pressure, or the radiation pressure (ARP)"
+    modulation: Literal["none", "am"] = Field("none", description="none, or amplitude modulation (docs/stimuli.md)")
+    am_quantity: Literal["duty", "amplitude", "arp"] | None = Field(
+        None,
+        description="what follows the waveform: the pulses' duty (by key duty_exponent of the driver), the amplitude "
+        "of the sound pressure, or the radiation pressure (ARP)",
     )
-    am_frequency_Hz: Annotated[float, Field(gt=0, le=2000)] | None = Field(None, description="modulation frequency")
-    am_depth: Fraction | None = Field(None, description="modulation depth m: (1 + m sin wt)/(1 + m)")
+    am_waveform: Literal["sine", "rectangle", "hann", "burst", "file"] = Field(
+        "sine",
+        description="waveform w in -1..1 of the quantity, 1 + m w: sine; rectangle; Hann pulses from -1 to 1; bursts "
+        "of a sine under a Hann window; or that of a file",
+    )
+    am_frequency_Hz: Annotated[float, Field(gt=0, le=2000)] | None = Field(
+        None, description="modulation frequency; of a burst's sine"
+    )
+    am_depth: Fraction | None = Field(None, description="modulation depth m: the quantity goes as 1 + m w")
+    am_normalisation: Literal["peak", "carrier", "mean"] = Field(
+        "peak",
+        description="what drive_amplitude sets, whatever the depth: the loudest moment, the carrier (w = 0), or the "
+        "amplitude of steady sound with the same mean ARP",
+    )
+    am_waveform_duty: Annotated[float, Field(gt=0, le=1)] | None = Field(
+        None, description="share of the period that a rectangle is up, below 1, or that a Hann pulse lasts (default 1)"
+    )
+    am_burst_length_s: Positive | None = Field(None, description="length of a burst of the modulation's sine")
+    am_burst_period_s: Positive | None = Field(
+        None, description="from one such burst's beginning to the next one's; between bursts the carrier sounds on"
+    )
+    am_file: str | None = Field(
+        None, description="CSV file with columns turn (0..1) and w: a period; or time_s and w: a course from start_s"
+    )
     arp_peak_Pa: Positive | None = Field(
         None, description="sets the level: |p|^2/(rho c^2) at the focus at the loudest moment; excludes drive_amplitude"
     )
@@ -119,9 +165,7 @@ class StimulusConfig(Config):
     @model_validator(mode="after")
     def _complete(self) -> Self:
         if self.modulation == "am":
-            missing = [k for k in AM_KEYS if getattr(self, k) is None]
-            if missing:
-                raise ValueError(f"modulation 'am' needs {', '.join(missing)}")
+            self._check_modulation()
         if len(set(self.arrays)) < len(self.arrays):
             raise ValueError(f"arrays are '{' '.join(self.arrays)}': name each once")
         if self.on_skin is not None and self.path_on != "skin":
@@ -158,8 +202,67 @@ class StimulusConfig(Config):
             raise ValueError("path 'sites' runs on the skin through two or more path_sites: set path_on to skin")
         if len(self.path_ratio) != 2 or min(self.path_ratio) < 1:
             raise ValueError(f"path_ratio is {self.path_ratio}; give two whole numbers of 1 or more")
+        if self.path == "lm":
+            self._check_steps()
         if len(self.path_through_m) % 2:
             raise ValueError(f"path_through_m has {len(self.path_through_m)} numbers; give x and y of each corner")
+
+    def _check_steps(self) -> None:
+        if self.path_step_m is None:
+            return
+        if "path_points" in self.model_fields_set:
+            raise ValueError(f"path_step_m and path_points {self.path_points} both say where path 'lm' rests; give one")
+        if self.path_end != "back":
+            raise ValueError(f"path_end is '{self.path_end}'; allowed with path_step_m: back, as it goes to and fro")
+        width = self.path_width_m or 0.0
+        count = width / self.path_step_m
+        if round(count) < 1 or abs(count - round(count)) > STEPS * count:
+            raise ValueError(
+                f"path_step_m is {self.path_step_m:g}, of which path_width_m {width:g} holds {count:g}; allowed: a "
+                f"whole number of steps, for example {width / max(1, round(count)):g}"
+            )
+
+    def _check_modulation(self) -> None:
+        needed = ["am_quantity", "am_frequency_Hz", "am_depth", *AM_WAVEFORMS[self.am_waveform]]
+        if self.am_waveform == "file":
+            # A course in seconds has no frequency; which it is the file says
+            needed.remove("am_frequency_Hz")
+        missing = [key for key in needed if getattr(self, key) is None]
+        if missing:
+            of = "" if self.am_waveform == "sine" else f" of am_waveform '{self.am_waveform}'"
+            raise ValueError(f"modulation 'am'{of} needs {', '.join(missing)}")
+        takes = (*AM_WAVEFORMS[self.am_waveform], *(("am_waveform_duty",) if self.am_waveform == "hann" else ()))
+        stray = [key for key in OF_WAVEFORMS if getattr(self, key) is not None and key not in takes]
+        if stray:
+            raise ValueError(
+                f"{stray[0]} does not belong to am_waveform '{self.am_waveform}', which takes "
+                f"{', '.join(takes) or 'no such key'}"
+            )
+        if self.am_waveform == "rectangle" and self.am_waveform_duty == 1.0:
+            raise ValueError("am_waveform_duty is 1, so that a rectangle is always up; allowed: more than 0, below 1")
+        if self.am_waveform == "burst":
+            self._check_am_bursts()
+        if self.arp_peak_Pa is not None and self.am_normalisation != "peak":
+            raise ValueError(
+                f"am_normalisation is '{self.am_normalisation}', but arp_peak_Pa {self.arp_peak_Pa:g} sets the loudest "
+                "moment; allowed: peak, or drive_amplitude in place of arp_peak_Pa"
+            )
+        if self.arp_peak_Pa is not None and self.am_quantity == "duty":
+            raise ValueError(
+                f"am_quantity is 'duty', whose ARP has another course at each level, so that arp_peak_Pa "
+                f"{self.arp_peak_Pa:g} can't set it; allowed: drive_amplitude in place of arp_peak_Pa"
+            )
+
+    def _check_am_bursts(self) -> None:
+        length, period, frequency = self.am_burst_length_s, self.am_burst_period_s, self.am_frequency_Hz
+        assert length is not None and period is not None and frequency is not None
+        if length > period:
+            raise ValueError(f"am_burst_length_s {length:g} is longer than am_burst_period_s {period:g}")
+        if length * frequency < 1.0:
+            raise ValueError(
+                f"am_burst_length_s {length:g} holds {length * frequency:.3g} periods of am_frequency_Hz "
+                f"{frequency:g}; allowed: one or more, {1.0 / frequency:g} s"
+            )
 
     def _check_foci_and_bursts(self) -> None:
         if len(self.foci_m) % 3 or len(self.foci_m) == 3:

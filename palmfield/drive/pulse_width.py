@@ -1,4 +1,4 @@
-"""Amplitude by pulse width: a rectangular wave of duty d sounds at its first harmonic, p = p_M sin(pi d).
+"""Pulses for wanted amplitudes: their widths in ticks, their phases, and frames brought to the carrier's rate.
 
 Hasegawa & Shinoda 2018, eq. 5 and 6. A device counts a carrier period in ticks: 640 of 25.6 MHz in that paper, 512 in
 AUTD3, of which half are used (duty 0 to 1/2).
@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.signal import firwin, upfirdn
 
 from palmfield.errors import DeviceError
+from palmfield.stimulus.duty_law import duty_cycle, relative_pressure
 from palmfield.types import Complex, Float, Int
 
 HASEGAWA_TICKS = 640
@@ -20,28 +21,6 @@ AUTD3_LEVELS = 255
 Edge = Literal["leading", "trailing", "centre"]
 EDGE_TURNS: dict[Edge, float] = {"leading": 0.5, "trailing": -0.5, "centre": 0.0}
 """Phase of the first harmonic per duty, in turns, with that edge of the pulse held in place."""
-
-
-def relative_pressure(duty: ArrayLike, exponent: float = 2.0) -> Float:
-    """p/p_M = sin(pi d)^(g/2).
-
-    duty: 0 to 1/2; beyond 1/2 the amplitude falls again
-    exponent: g. 2 is the rectangular wave's own law. Another value calibrates a device whose radiation pressure, which
-        is quadratic in the pressure that arrives, was found to go with sin(pi d)^g: 1.5 in Hasegawa & Shinoda 2018. It
-        describes transducer and driver, never the radiation pressure.
-    Raises DeviceError for a duty outside 0 to 1/2 and an exponent that is not positive.
-    """
-    d = _within(duty, 0.5, "duty")
-    return np.sin(np.pi * d) ** (0.5 * _positive(exponent))
-
-
-def duty_cycle(amplitude: ArrayLike, exponent: float = 2.0) -> Float:
-    """Duty that gives p/p_M = amplitude: asin(a^(2/g))/pi, 0 to 1/2; the inverse of `relative_pressure`.
-
-    Raises DeviceError for an amplitude outside 0 to 1 and an exponent that is not positive.
-    """
-    a = _within(amplitude, 1.0, "amplitude")
-    return np.arcsin(np.minimum(a, 1.0) ** (2.0 / _positive(exponent))) / np.pi
 
 
 def widths(amplitude: ArrayLike, ticks: int, exponent: float = 2.0) -> Int:
@@ -129,20 +108,6 @@ def resample(
     smooth = upfirdn(taps, padded, up=up, axis=0)
     first = span * up + span * up // 2
     return smooth[first : first + len(values) * up]
-
-
-def _within(values: ArrayLike, high: float, name: str) -> Float:
-    checked = np.asarray(values, float)
-    if not np.all((checked >= 0.0) & (checked <= high * (1.0 + 1e-9))):
-        bad = checked[~((checked >= 0.0) & (checked <= high * (1.0 + 1e-9)))].flat[0]
-        raise DeviceError(f"{name} {bad:.4g} is outside 0 to {high:g}: scale it into that range")
-    return checked
-
-
-def _positive(exponent: float) -> float:
-    if not 0.0 < exponent < np.inf:
-        raise DeviceError(f"exponent = {exponent} is not positive and finite: use 2, or a calibration such as 1.5")
-    return exponent
 
 
 def _ticks(ticks: int) -> int:

@@ -1,6 +1,6 @@
 """What leaving out ring-up and flight time would cost: measured on samples of a scene's own drive.
 
-Every jump of the drive counts: start, stop, path points, control ticks, and the cusps of a full modulation.
+Every jump of the drive counts: start, stop, path points, control ticks, and jumps and cusps of a modulation.
 """
 
 import math
@@ -11,7 +11,9 @@ import numpy as np
 from scipy.signal import lfilter
 
 from palmfield.config import StimulusConfig
+from palmfield.stimulus.modulation import sharpest_s
 from palmfield.stimulus.schedule import frames_at, silent_after_s, turn_rate_Hz
+from palmfield.stimulus.waveform import period_s
 from palmfield.types import Complex, Float, Int
 
 SAMPLES_A_DELAY = 16
@@ -46,15 +48,17 @@ def windows(stimulus: StimulusConfig, delay_s: float) -> list[tuple[float, float
     start, steady = stimulus.start_s, stimulus.start_s + stimulus.ramp_s
     stretches = [(start, start + max(least, min(stimulus.ramp_s, MOST_WINDOW_S)))]
     burst = 1.0 / stimulus.burst_period_s if stimulus.burst_period_s else None
-    rates = [rate for rate in (stimulus.am_frequency_Hz, turn_rate_Hz(stimulus), burst) if rate]
-    if rates:
-        period = 1.0 / min(rates)
+    wave, sharpest = period_s(stimulus), sharpest_s(stimulus)
+    rates = [rate for rate in (1.0 / wave if wave else None, turn_rate_Hz(stimulus), burst) if rate]
+    if rates or sharpest is not None:
+        period = 1.0 / min(rates) if rates else least
         half = 0.5 * min(max(period, least), MOST_WINDOW_S)
-        # Round the AM's quietest moment, where a full modulation of the ARP has its cusp
         middle = steady + half
-        if stimulus.am_frequency_Hz:
-            turns = math.ceil((middle - start) * stimulus.am_frequency_Hz - 0.75)
-            middle = start + (turns + 0.75) / stimulus.am_frequency_Hz
+        if sharpest is not None and wave:
+            turns = math.ceil((middle - start - sharpest) / wave)
+            middle = start + turns * wave + sharpest
+        elif sharpest is not None:
+            middle = start + sharpest
         stretches.append((middle - half, middle + half))
     end = silent_after_s(stimulus)
     if end is not None:

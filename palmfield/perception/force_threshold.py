@@ -11,6 +11,7 @@ import numpy as np
 from palmfield.config import StimulusConfig
 from palmfield.errors import OutputError
 from palmfield.stimulus.schedule import factors_at, main_frequencies
+from palmfield.stimulus.waveform import period_s
 from palmfield.types import Float, Float32, Int
 
 SAMPLES = 64
@@ -102,6 +103,8 @@ def why_refused(config: StimulusConfig) -> str | None:
     if not frequencies:
         return "it was measured under AM, and this sound is not modulated"
     frequency = frequencies[0]
+    if period_s(config) is None:
+        return "it was measured under a sine, and this modulation follows a file's course"
     if abs(frequency - FORCE_OBSERVER.frequency_Hz) > NEAR_Hz:
         return f"its threshold is printed for {FORCE_OBSERVER.frequency_Hz:g} Hz alone, the sound has {frequency:g} Hz"
     purity = _share_of_line(config, frequency)
@@ -112,7 +115,11 @@ def why_refused(config: StimulusConfig) -> str | None:
 
 def _share_of_line(config: StimulusConfig, frequency: float) -> float:
     """Share of the line at a frequency [Hz] in the power of the ARP's modulation, once the ramp is over."""
-    times = config.start_s + config.ramp_s + np.arange(SAMPLES) / (SAMPLES * frequency)
+    begin = config.start_s + config.ramp_s
+    if config.am_waveform == "burst" and config.am_burst_length_s is not None:
+        # Where a burst is loudest it is a sine, as it was in the measurement
+        begin = config.start_s + 0.5 * (config.am_burst_length_s - 1.0 / frequency)
+    times = begin + np.arange(SAMPLES) / (SAMPLES * frequency)
     power = np.abs(np.fft.rfft(factors_at(config, times))[1:]) ** 2
     return float(power[0] / power.sum()) if power.sum() > 0.0 else 0.0
 

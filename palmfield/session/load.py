@@ -26,6 +26,7 @@ LOG = logging.getLogger("palmfield.session")
 FILES = {
     "palmfield.array": ("calibration", "transducers"),
     "palmfield.skin": ("mesh",),
+    "palmfield.stimulus": ("am_file",),
     "palmfield.motion": ("keyframes", "trajectory", "tracking"),
 }
 """Keys that name files, relative to the scene."""

@@ -68,6 +68,8 @@ def migrated(path: Path) -> Migrated:
         edits += [_attribute(data, element, "key", new_key)] if new_key != key else []
         edits += [_attribute(data, element, "value", new_value)] if new_value != value else []
         was, now = (f"key '{key}'", f"'{new_key}'") if new_key != key else (f"{key} '{value}'", f"'{new_value}'")
+        if new_key != key and new_value != value:
+            now += f", with value '{new_value}' for '{value}'"
         changes.append(f"line {element.line}: {was} of '{config.plugin}' is now {now}")
     for name, (value, element) in moved.items():
         there = next((e for e in elements if e.tag == "text" and e.attributes.get("name") == name), None)
@@ -122,7 +124,7 @@ def _renamed(config: type[Config], key: str, value: str) -> tuple[str, str]:
     """A key and its value under their present names."""
     use = config.renamed.get(key)
     if use in config.model_fields:
-        return str(use), value
+        key = str(use)
     return key, config.renamed.get(f"{key}={value}", value)
 
 

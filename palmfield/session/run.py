@@ -309,7 +309,9 @@ def _attributes(sim: Simulation) -> dict[str, dict[str, Any]]:
         attributes[group("array", array.name)] = {"config": array.config.model_dump_json()}
     for part in model.stimuli:
         arrays = [model.spec.arrays[number].name for number in part.spec.arrays]
-        attributes[group("stimulus", part.spec.name)] = {"config": part.config.model_dump_json(), "arrays": arrays}
+        # Ten thousand numbers of a file would be more than an attribute takes
+        keys = part.config.model_dump_json(exclude={"am_table"})
+        attributes[group("stimulus", part.spec.name)] = {"config": keys, "arrays": arrays}
     for skin in model.skins:
         layer, name = skin.layer, skin.spec.name
         sizes = {key: np.asarray(value).tolist() for key, value in asdict(layer.sizes).items()}

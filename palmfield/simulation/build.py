@@ -38,7 +38,9 @@ from palmfield.simulation.validate import (
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
 from palmfield.skin.scene_layer import LayerDemand, SceneLayer
 from palmfield.stimulus.focal_points import FocalPoints, SurfaceCourse
-from palmfield.stimulus.schedule import frame_at, main_frequencies, plane_path, with_length
+from palmfield.stimulus.modulation import peak_amplitude
+from palmfield.stimulus.resolved import resolved
+from palmfield.stimulus.schedule import frame_at, main_frequencies, plane_path
 from palmfield.stimulus.surface_path import SurfacePath, drawn, through
 from palmfield.transforms import Transform
 from palmfield.types import Float
@@ -201,18 +203,18 @@ def _stimulus(
         assert carrier is not None
         body = scene.skins[spec.on_skin].body.transform
         path = _path_on(spec, carrier, body)
-    if config.path == "sites":
-        assert path is not None
-        config = with_length(config, float(path.arc_m[-1]))
+    length_m = float(path.arc_m[-1]) if config.path == "sites" and path is not None else None
+    config = resolved(config, length_m, spec.am_table, scene.driver.duty_exponent)
     offsets = np.reshape(config.foci_m, (-1, 3))
     course = None
     if path is not None and carrier is not None and carrier.surface is not None and body is not None:
         course = SurfaceCourse(path, carrier.surface.vertices, carrier.surface.faces, body)
     focal_points = FocalPoints(spec.frame.transform, offsets, course)
     transducers = np.concatenate([np.arange(arrays.slices[i].start, arrays.slices[i].stop) for i in spec.arrays])
-    drive = ArrayDrive(arrays, transducers.astype(np.int32), config.arp_peak_Pa, config.drive_amplitude, board)
-    foci = focal_points.at(frame_at(config, config.start_s).focus)
     try:
+        amplitude = peak_amplitude(config)
+        drive = ArrayDrive(arrays, transducers.astype(np.int32), config.arp_peak_Pa, amplitude, board)
+        foci = focal_points.at(frame_at(config, config.start_s).focus)
         silent = not np.any(drive.unit_drive(foci).amplitudes)
         response = transducer_response(config, drive, focal_points, array_instances(scene), accuracy, spread=spread)
     except SceneError as error:
@@ -354,7 +356,7 @@ def spot_fwhm(arrays: PhasedArray, board: Board, stimulus: StimulusModel) -> flo
     """Full width at half maximum of |p|^2 around a stimulus's first focus, along the array's x axis [m]."""
     focus = stimulus.first_focus
     config = stimulus.config
-    drive = ArrayDrive(arrays, stimulus.transducers, config.arp_peak_Pa, config.drive_amplitude, board)
+    drive = ArrayDrive(arrays, stimulus.transducers, config.arp_peak_Pa, peak_amplitude(config), board)
     amplitudes = drive.unit_drive(focus).amplitudes
     offsets, peak = np.linspace(0.0, 0.06, 241), None
     # In pieces: most spots end in the first

@@ -152,7 +152,9 @@ def load_key(stimuli: Sequence[StimulusModel], exact: bool) -> tuple[object, ...
         config = stimulus.config
         by_pressure = config.arp_peak_Pa is not None
         level = {"arp_peak_Pa": 1.0 if by_pressure else None, "drive_amplitude": None}
-        parts.append((config.model_copy(update=level) if exact else config, stimulus.silent))
+        # Where the duty is modulated the ARP has another course at each level
+        alike = exact and config.am_quantity != "duty"
+        parts.append((config.model_copy(update=level) if alike else config, stimulus.silent))
     return tuple(parts)
 
 

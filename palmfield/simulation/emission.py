@@ -25,6 +25,7 @@ from palmfield.drive.transducer_response import (
 from palmfield.simulation.model import HapticModel, StimulusModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.stimulus.focal_points import FocalPoints
+from palmfield.stimulus.modulation import peak_amplitude
 from palmfield.stimulus.schedule import Moments, first_point, frames_at, mean_arp_factor, substep_moments
 from palmfield.types import Complex, Float
 
@@ -253,6 +254,6 @@ def _moves_alone(model: HapticModel, drives: list[ArrayDrive]) -> bool:
 def array_drives(model: HapticModel, arrays: PhasedArray) -> list[ArrayDrive]:
     """How each stimulus drives its transducers, with the arrays in one relative pose."""
     return [
-        ArrayDrive(arrays, part.transducers, part.config.arp_peak_Pa, part.config.drive_amplitude, model.board)
+        ArrayDrive(arrays, part.transducers, part.config.arp_peak_Pa, peak_amplitude(part.config), model.board)
         for part in model.stimuli
     ]

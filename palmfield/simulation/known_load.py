@@ -36,7 +36,16 @@ from palmfield.skin.reduction.reduced_stepper import (
 from palmfield.skin.scene_layer import SceneLayer
 from palmfield.skin.solver_choice import scene_choices
 from palmfield.skin.stepper import SkinStepper
-from palmfield.stimulus.schedule import frames_at, is_closed, main_frequencies, repeats, turn_rate_Hz
+from palmfield.stimulus.schedule import (
+    frames_at,
+    is_closed,
+    level_jumps,
+    main_frequencies,
+    points_a_turn,
+    repeats,
+    turn_rate_Hz,
+)
+from palmfield.stimulus.waveform import period_s as am_period_s
 from palmfield.types import Complex, Float, Float32
 
 SHARE = 0.1
@@ -133,14 +142,16 @@ def refusal(
         return None
     config = sounding[0].config
     if not repeats(config):
-        return "bursts, or a path that runs once, don't come round"
+        return "bursts, a path that runs once, or a file's course don't come round"
+    if level_jumps(config):
+        return "the level jumps in each period of the modulation"
     if config.path == "letters" or (config.path_end == "jump" and not is_closed(config)):
         return "the focus jumps from one end of its path to the other"
     if config.path != "point" and config.control_rate_Hz > 0.0:
         return "control_rate_Hz holds the focus at moments that don't come round with the path"
     expected = expected_vectors(sounding[0], pole, response_on)
     if expected > MOST_VECTORS:
-        return f"the focus rests at {config.path_points} points in turn, which takes about {expected} vectors"
+        return f"the focus rests at {points_a_turn(config)} points in turn, which takes about {expected} vectors"
     turn = period_s(config)
     if turn is None:
         return f"path and modulation come round together after more than {MOST_TURNS} turns"
@@ -159,8 +170,9 @@ def expected_vectors(stimulus: StimulusModel, pole: Pole, response_on: bool) -> 
         return 60
     config = stimulus.config
     rate = turn_rate_Hz(config)
-    if config.path_points and rate and REST_S * rate * config.path_points < 1.0:
-        return 60 * config.path_points
+    points = points_a_turn(config)
+    if points and rate and REST_S * rate * points < 1.0:
+        return 60 * points
     return 100 if config.stop_s is None else 200
 
 
@@ -173,7 +185,8 @@ def one_shape(stimulus: StimulusModel, pole: Pole, response_on: bool) -> bool:
 def period_s(config: StimulusConfig) -> float | None:
     """Time after which focus and level are the same again [s]; None where that takes more than MOST_TURNS turns."""
     path = turn_rate_Hz(config)
-    wave = config.am_frequency_Hz if config.modulation == "am" else None
+    modulated = am_period_s(config)
+    wave = None if modulated is None else 1.0 / modulated
     if path is None or wave is None:
         return 1.0 / (path or wave or 200.0)
     ratio = Fraction(wave / path).limit_denominator(MOST_TURNS)
@@ -182,7 +195,7 @@ def period_s(config: StimulusConfig) -> float | None:
 
 def samples(config: StimulusConfig, turn_s: float, max_frequency_Hz: float) -> int:
     """Loads to be computed over one period, for harmonics up to BAND, as many to each held point of a path."""
-    points = max(config.path_points, 1)
+    points = max(points_a_turn(config), 1)
     band = BAND * (2.0 if points > 1 else 1.0) * max_frequency_Hz
     return points * math.ceil(max(32, 4 * math.ceil(band * turn_s)) / points)
 

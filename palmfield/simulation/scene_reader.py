@@ -35,6 +35,7 @@ from palmfield.hand.skinning import bones_of_mesh, rigged_file
 from palmfield.mujoco_host.mujoco_view import ModelView
 from palmfield.simulation.spec import ArraySpec, ObstacleSpec, SceneSpec, SkinSpec, StimulusSpec, Triple
 from palmfield.skin.materials.catalogue import preset
+from palmfield.stimulus.am_file import AmTable, read_am_table
 from palmfield.transforms import Placement, Transform, relative
 
 DURATION = "palmfield_duration_s"
@@ -89,7 +90,10 @@ def read_scene(model: ModelView) -> tuple[SceneSpec, SceneBinding]:
         ]
         for config in (ArrayConfig, StimulusConfig, SkinConfig, DriverConfig)
     }
-    stimuli = named[StimulusConfig]
+    stimuli = [
+        (i, name, with_files_found(config, ("am_file",), element_of(StimulusConfig, name)))
+        for i, name, config in named[StimulusConfig]
+    ]
     arrays = [
         (i, name, with_files_found(config, ("calibration", "transducers"), element_of(ArrayConfig, name)))
         for i, name, config in named[ArrayConfig]
@@ -292,9 +296,30 @@ def _stimuli(
             model.can_move(body) for board in boards for body in model.ancestors(aimed) ^ model.ancestors(board)
         )
         placement = Placement.of(relative(origin, model.reference_pose("site", frame_site)))
-        specs.append(StimulusSpec(name, config, own, placement, on_skin, sites, frame_moves))
+        table = am_table_of(config, element)
+        specs.append(StimulusSpec(name, config, own, placement, on_skin, sites, frame_moves, table))
         frames.append(frame_site)
     return tuple(specs), tuple(frames)
+
+
+def am_table_of(config: StimulusConfig, element: str) -> AmTable | None:
+    """The waveform in the file of key am_file, None without.
+
+    Raises SceneError, with element and key, as `palmfield.stimulus.am_file.read_am_table`, and for a period without a
+    frequency or a course with one.
+    """
+    table = read_file(read_am_table, config, "am_file", element) if config.modulation == "am" else None
+    if table is None or (table.of == "period") == (config.am_frequency_Hz is not None):
+        return table
+    if table.of == "period":
+        raise SceneError(
+            f"{element}: key 'am_file' has value '{config.am_file}', which holds one period (column turn); "
+            "am_frequency_Hz is needed to say how often it comes"
+        )
+    raise SceneError(
+        f"{element}: key 'am_frequency_Hz' has value '{config.am_frequency_Hz:g}', but '{config.am_file}' holds a "
+        "course in seconds (column time_s); drop am_frequency_Hz, or give a period (column turn)"
+    )
 
 
 def _driven_arrays(instances: list[tuple[int, str, Any]], names: list[str]) -> list[tuple[int, ...]]:

@@ -145,16 +145,24 @@ def check_board(stimulus: StimulusSpec, board: Board, arrays: Sequence[ArraySpec
         )
     turns = turn_rate_Hz(config) if config.path != "sites" else None
     turn = rates[0] / turns if turns else None
+    modulates = config.modulation == "am"
     wants_level = config.arp_peak_Pa is not None or config.drive_amplitude not in (None, 0.0, 1.0)
-    modulated = config.modulation == "am" or config.burst_window == "hann"
+    wants_level = wants_level or (modulates and config.am_normalisation != "peak")
+    switched = modulates and config.am_waveform == "rectangle" and config.am_depth == 1.0
+    modulated = (modulates and not switched) or config.burst_window == "hann"
     rate = max(rates) if rates else 0.0
     if modulated and not rates:
         rate = 10 * (config.am_frequency_Hz or 0.0)
+    elif switched:
+        # A frame for each jump, which come in pairs as near as the shorter part of the period
+        duty = config.am_waveform_duty or 1.0
+        rate = max(rate, (config.am_frequency_Hz or 0.0) / min(duty, 1.0 - duty))
     check(board, frame_rate_Hz=rate, points_per_turn=turn, modulated=modulated, element=stimulus.name)
     if config.ramp_s > 0 or wants_level:
         raise DeviceError(
             f"{element}: a ramp or a level between off and full needs continuous amplitude; "
-            f"{board.name} gives on or off: drop ramp_s, arp_peak_Pa and drive_amplitude, or use board ideal"
+            f"{board.name} gives on or off: drop ramp_s, arp_peak_Pa, drive_amplitude and am_normalisation, or "
+            "use board ideal"
         )
     layout = arrays[0].config.layout
     if layout != board.layout:

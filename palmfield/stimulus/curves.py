@@ -88,10 +88,11 @@ def folded(arc_m: ArrayLike, length_m: float, closed: bool) -> Float:
     return np.minimum(there_and_back, 2.0 * length_m - there_and_back)
 
 
-def line(length_m: float) -> PlanePath:
-    """A straight line along x; starts at its -x end. Raises SceneError for a bad length."""
+def line(length_m: float, direction_deg: float = 0.0) -> PlanePath:
+    """A straight line in a direction from x towards y; starts at its end behind. Raises SceneError for a bad length."""
     half = 0.5 * _size("line", length_m=length_m)[0]
-    return PlanePath(np.array([[-half, 0.0], [half, 0.0]]), closed=False)
+    along = np.array([math.cos(math.radians(direction_deg)), math.sin(math.radians(direction_deg))])
+    return PlanePath(half * np.array([-along, along]), closed=False)
 
 
 def circle(diameter_m: float) -> PlanePath:

@@ -7,13 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palmfield.config import StimulusConfig
-from palmfield.stimulus.schedule import TICK_S, Envelope, arp_factors, envelope_of
+from palmfield.stimulus.modulation import Modulation
+from palmfield.stimulus.schedule import TICK_S, Envelope, arp_factors, envelope_of, level_jumps
 from palmfield.types import Float
 
 
 def goes_smoothly(config: StimulusConfig) -> bool:
     """Whether a stimulus is a focus in one place whose level jumps nowhere but at its beginning and end."""
-    return config.path == "point" and config.control_rate_Hz == 0.0 and config.burst_window == "none"
+    still = config.path == "point" and config.control_rate_Hz == 0.0
+    return still and config.burst_window == "none" and not level_jumps(config)
 
 
 class Levels:
@@ -21,7 +23,7 @@ class Levels:
 
     def __init__(self, configs: Sequence[StimulusConfig]):
         envelopes = [envelope_of(config) for config in configs]
-        kinds = [(len(one.ends), one.ramp_s is None, one.am_of) for one in envelopes]
+        kinds = [(len(one.ends), one.ramp_s is None, _kind(one.am)) for one in envelopes]
         self._groups: list[tuple[NDArray[np.intp], Envelope]] = []
         for kind in dict.fromkeys(kinds):
             rows = np.array([i for i, other in enumerate(kinds) if other == kind])
@@ -46,19 +48,40 @@ class Levels:
         return np.logical_or.reduce(within, axis=1)
 
 
+def _kind(am: Modulation | None) -> tuple[object, ...]:
+    """Equal for modulations that differ in numbers alone."""
+    return () if am is None else (am.quantity, am.waveform.name, am.waveform.table)
+
+
 def _stacked(envelopes: Sequence[Envelope]) -> Envelope:
     """Envelopes of one kind as one, in columns."""
     first = envelopes[0]
-
-    def column(values: Sequence[Any]) -> Float:
-        return np.array(values, dtype=np.float64)[:, None]
-
     return Envelope(
-        start_s=column([one.start_s for one in envelopes]),
-        ends=tuple(column([one.ends[i] for one in envelopes]) for i in range(len(first.ends))),
-        ramp_s=None if first.ramp_s is None else column([one.ramp_s for one in envelopes]),
-        am_of=first.am_of,
-        am_depth=column([one.am_depth for one in envelopes]),
-        am_frequency_Hz=column([one.am_frequency_Hz for one in envelopes]),
+        start_s=_column([one.start_s for one in envelopes]),
+        ends=tuple(_column([one.ends[i] for one in envelopes]) for i in range(len(first.ends))),
+        ramp_s=None if first.ramp_s is None else _column([one.ramp_s for one in envelopes]),
+        am=None if first.am is None else _modulations([one.am for one in envelopes if one.am is not None]),
         burst=None,
     )
+
+
+def _modulations(modulations: Sequence[Modulation]) -> Modulation:
+    """Modulations of one kind as one, in columns."""
+    forms = [one.waveform for one in modulations]
+    waveform = forms[0]._replace(
+        frequency_Hz=_column([form.frequency_Hz for form in forms]),
+        highest=_column([form.highest for form in forms]),
+        duty=_column([form.duty for form in forms]),
+        burst_length_s=_column([form.burst_length_s for form in forms]),
+        burst_period_s=_column([form.burst_period_s for form in forms]),
+    )
+    return modulations[0]._replace(
+        waveform=waveform,
+        depth=_column([one.depth for one in modulations]),
+        peak_duty=_column([one.peak_duty for one in modulations]),
+        exponent=_column([one.exponent for one in modulations]),
+    )
+
+
+def _column(values: Sequence[Any]) -> Float:
+    return np.array(values, dtype=np.float64)[:, None]

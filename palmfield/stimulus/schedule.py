@@ -8,36 +8,33 @@ from itertools import pairwise
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from pydantic import Field
 
 from palmfield.config import StimulusConfig
-from palmfield.config.base import Positive
 from palmfield.stimulus import curves as shapes
 from palmfield.stimulus.bursts import burst, onsets
 from palmfield.stimulus.curves import PlanePath, folded
+from palmfield.stimulus.modulation import (
+    HARMONIC,
+    HIGHEST_HZ,
+    MOST_HARMONICS,
+    Modulation,
+    am_frequencies,
+    modulation_of,
+    relative_arp,
+)
+from palmfield.stimulus.resolved import ResolvedStimulus
+from palmfield.stimulus.waveform import period_s as am_period_s
+from palmfield.stimulus.waveform import wave
 from palmfield.types import Float
 
 SPOT_M = 0.0103
 """Width of a usual focus, for the frequencies that a moving one excites."""
-MOST_HARMONICS = 8
 TICK_S = 1e-12
 """Times nearer to each other than this are one and the same."""
 KEPT = 4096
 """Configurations: as many worlds, each with its own, don't drive one another out."""
-HIGHEST_HZ = 1000.0
-"""Above this skin hardly answers, nor does anybody feel it: faster passages are resolved to here."""
-
-
-class SitesStimulus(StimulusConfig):
-    """A stimulus whose path runs through sites on the skin, with the length that it has there."""
-
-    sites_length_m: Positive = Field(description="length of the path along the surface")
-
-
-@lru_cache(maxsize=64)
-def with_length(config: StimulusConfig, length_m: float) -> SitesStimulus:
-    """A stimulus through sites with the length of its path along the surface [m]."""
-    return SitesStimulus(**config.model_dump(exclude_unset=True), sites_length_m=length_m)
+LM_SAMPLES = 512
+"""Of a turn of lateral modulation, at least, by which its harmonics are told."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +61,8 @@ def plane_path(config: StimulusConfig) -> PlanePath | None:
             return shapes.circle(_given(c.path_diameter_m))
         case "line":
             return shapes.line(_given(c.path_width_m))
+        case "lm":
+            return shapes.line(_given(c.path_width_m), c.path_direction_deg)
         case "zigzag":
             return shapes.zigzag(_given(c.path_width_m), _given(c.path_height_m), c.path_corners)
         case "square":
@@ -88,7 +87,7 @@ def _given(value: float | None) -> float:
 
 def length_m(config: StimulusConfig) -> float:
     """Length of the path [m], one way if it is open; 0 for a point."""
-    if isinstance(config, SitesStimulus):
+    if isinstance(config, ResolvedStimulus) and config.sites_length_m is not None:
         return config.sites_length_m
     path = plane_path(config)
     return 0.0 if path is None else path.length_m
@@ -114,6 +113,13 @@ def turn_rate_Hz(config: StimulusConfig) -> float | None:
     return _given(config.path_speed_m_s) / turn_m(config)
 
 
+def points_a_turn(config: StimulusConfig) -> int:
+    """Points at which the focus rests in a turn of its path, 0 where it moves on; of lm there and back."""
+    if config.path == "lm" and config.path_step_m is not None:
+        return 2 * round(_given(config.path_width_m) / config.path_step_m)
+    return config.path_points
+
+
 def path_end_s(config: StimulusConfig) -> float | None:
     """Time [s] at which a path with path_end 'stop' is over, else None."""
     rate = turn_rate_Hz(config)
@@ -130,8 +136,21 @@ def silent_after_s(config: StimulusConfig) -> float | None:
 
 
 def repeats(config: StimulusConfig) -> bool:
-    """Whether the stimulus, once begun, comes round again until it stops: no bursts, no path that runs once."""
-    return config.burst_window == "none" and path_end_s(config) is None
+    """Whether the stimulus, once begun, comes round again until it stops.
+
+    Bursts, a path that runs once, and a file's course don't.
+    """
+    course = config.modulation == "am" and am_period_s(config) is None
+    return config.burst_window == "none" and path_end_s(config) is None and not course
+
+
+def level_jumps(config: StimulusConfig) -> bool:
+    """Whether the level jumps again and again, as that of rectangular bursts or of a rectangular modulation does."""
+    return config.burst_window == "rectangular" or _is_rectangle(config)
+
+
+def _is_rectangle(config: StimulusConfig) -> bool:
+    return config.modulation == "am" and config.am_waveform == "rectangle"
 
 
 def frame_rates(config: StimulusConfig) -> list[float]:
@@ -326,6 +345,11 @@ def _jumps(config: StimulusConfig, timing: "_Timing", start: float, end: float) 
             count=config.burst_count,
         )
         times += (config.start_s + train).tolist()
+    if _is_rectangle(config):
+        period, edge = 1.0 / _given(config.am_frequency_Hz), 1e-9
+        length = _given(config.am_waveform_duty) * period
+        train = onsets(start - config.start_s - edge, end - config.start_s + edge, length_s=length, period_s=period)
+        times += (config.start_s + train).tolist()
     if timing.jump_rate > 0.0:
         rate = timing.jump_rate
         first, last = math.floor((start - config.start_s) * rate), math.ceil((end - config.start_s) * rate)
@@ -347,15 +371,13 @@ class Envelope(NamedTuple):
     """What makes the level of a stimulus over time: numbers, or columns of shape (n, 1) for n stimuli at once.
 
     start_s; ends: times after which there is no sound [s]; ramp_s: None without a ramp
-    am_of: None without modulation, with am_depth and am_frequency_Hz; burst: keys of `burst`, None without bursts
+    am: None without modulation; burst: keys of `burst`, None without bursts
     """
 
     start_s: float | Float
     ends: tuple[float | Float, ...]
     ramp_s: float | Float | None
-    am_of: str | None
-    am_depth: float | Float
-    am_frequency_Hz: float | Float
+    am: Modulation | None
     burst: dict[str, Any] | None
 
 
@@ -370,14 +392,11 @@ def envelope_of(config: StimulusConfig) -> Envelope:
             "period_s": config.burst_period_s,
             "count": config.burst_count,
         }
-    modulated = config.modulation == "am"
     return Envelope(
         start_s=config.start_s,
         ends=tuple(t for t in (config.stop_s, path_end_s(config)) if t is not None),
         ramp_s=config.ramp_s if config.ramp_s > 0 else None,
-        am_of=config.am_of if modulated else None,
-        am_depth=config.am_depth or 0.0,
-        am_frequency_Hz=config.am_frequency_Hz or 0.0,
+        am=modulation_of(config),
         burst=bursts,
     )
 
@@ -443,7 +462,7 @@ def _timed(config: StimulusConfig) -> tuple[StimulusConfig, _Timing]:
         radius_m=0.5 * (config.path_diameter_m or 0.0),
         runs="once" if config.path_end == "stop" else "round" if closed or config.path_end == "jump" else "back",
         jump_rate=jump_rate,
-        smooth=config.burst_window != "rectangular" and jump_rate == 0.0,
+        smooth=not level_jumps(config) and jump_rate == 0.0,
         steady=config.modulation == config.burst_window == "none"
         and config.path != "letters"
         and config.control_rate_Hz == 0.0,
@@ -455,7 +474,7 @@ def _timed(config: StimulusConfig) -> tuple[StimulusConfig, _Timing]:
 
 
 def _point_rate(config: StimulusConfig) -> float:
-    return config.path_points * (turn_rate_Hz(config) or 0.0)
+    return points_a_turn(config) * (turn_rate_Hz(config) or 0.0)
 
 
 def _grids(config: StimulusConfig) -> list[tuple[float, float]]:
@@ -488,29 +507,25 @@ def arp_factors(envelope: Envelope, times: Float) -> Float:
         level *= times < end - 1e-9
     if envelope.ramp_s is not None:
         level *= 0.5 - 0.5 * np.cos(math.pi * np.minimum(np.maximum(since / envelope.ramp_s, 0.0), 1.0))
-    if envelope.am_of is not None:
-        depth = envelope.am_depth
-        wave = (1 + depth * np.sin(2 * math.pi * envelope.am_frequency_Hz * since)) / (1 + depth)
-        level *= wave**2 if envelope.am_of == "pressure" else wave
+    if envelope.am is not None:
+        level *= relative_arp(envelope.am, wave(envelope.am.waveform, since))
     if envelope.burst is not None:
         level *= burst(since, **envelope.burst)
     return level
 
 
 def main_frequencies(config: StimulusConfig) -> list[float]:
-    """Frequencies [Hz] in which most of the skin's response lies: AM and, for pressure AM, its octave; path harmonics.
+    """Frequencies [Hz] in which most of the skin's response lies: AM and its harmonics in the ARP; path harmonics.
 
     Empty for a load that does not repeat.
     """
-    frequencies = []
-    if config.modulation == "am" and config.am_frequency_Hz:
-        frequencies.append(config.am_frequency_Hz)
-        if config.am_of == "pressure":
-            frequencies.append(2 * config.am_frequency_Hz)
+    frequencies = list(am_frequencies(config))
     if config.burst_window != "none" and config.burst_period_s and config.burst_count != 1:
         frequencies.append(1.0 / config.burst_period_s)
     rate = turn_rate_Hz(config)
-    if rate is not None:
+    if rate is not None and config.path == "lm":
+        frequencies += _lm_frequencies(config, rate)
+    elif rate is not None:
         # A focus of width w on a turn of length L gives a pulse train with about L / w harmonics of weight.
         count = max(1, round(turn_m(config) / SPOT_M))
         chosen = range(1, count + 1)
@@ -521,3 +536,19 @@ def main_frequencies(config: StimulusConfig) -> list[float]:
             chosen = range(count // 4, count + 1, count // 4)
         frequencies += [rate * n for n in chosen if rate * n <= HIGHEST_HZ] or [HIGHEST_HZ]
     return sorted(set(frequencies))
+
+
+def _lm_frequencies(config: StimulusConfig, rate: float) -> list[float]:
+    """Frequencies of lateral modulation [Hz]: those of the focus's way to and fro, and twice the turns.
+
+    On a small line the ARP at a point follows the way where it changes along the line; under the middle, which the
+    focus passes twice a turn, its square.
+    """
+    points = points_a_turn(config)
+    count = max(LM_SAMPLES, points * math.ceil(LM_SAMPLES / max(points, 1)))
+    turns = (np.arange(count) + 0.5) / count
+    held = np.floor(turns * points) / points if points else turns
+    sizes = np.abs(np.fft.rfft(folded(2.0 * held, 1.0, closed=False)))[1:]
+    most = max(1, math.floor(HIGHEST_HZ / rate))
+    loud = [n for n in range(1, len(sizes) + 1) if sizes[n - 1] > HARMONIC * sizes.max() or n == 2]
+    return [rate * n for n in loud if n <= most]

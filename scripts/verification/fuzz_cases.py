@@ -36,7 +36,7 @@ HAPTIC = """<mujoco model="small">
     <plugin plugin="palmfield.array"><instance name="array"><config key="p0_Pa_m" value="2"/></instance></plugin>
     <plugin plugin="palmfield.stimulus"><instance name="stimulus">
       <config key="focus_m" value="0 0 0.12"/>
-      <config key="modulation" value="am"/><config key="am_of" value="pressure"/>
+      <config key="modulation" value="am"/><config key="am_quantity" value="amplitude"/>
       <config key="am_frequency_Hz" value="200"/><config key="am_depth" value="1"/>
     </instance></plugin>
     <plugin plugin="palmfield.skin"><instance name="skin">
@@ -56,7 +56,7 @@ NEEDED: dict[str, dict[str, str]] = {
 }
 """Keys without which a module's configuration is incomplete."""
 DISC = {"shape": "disc", "radius_m": "0.02", "thickness_m": "0.008"}
-AM = {"modulation": "am", "am_of": "arp", "am_frequency_Hz": "100", "am_depth": "1"}
+AM = {"modulation": "am", "am_quantity": "arp", "am_frequency_Hz": "100", "am_depth": "1"}
 CIRCLE = {"path": "circle", "path_diameter_m": "0.02", "path_rate_Hz": "50"}
 NO_NUMBERS = ("nan", "inf", "-inf", "abc", "1 mm", "12mm", "1,5", "0x10", "--1", "1e", "one")
 BYTES = st.one_of(st.sampled_from(sorted(b'<>/="& -.0123456789aexn')), st.integers(32, 126), st.integers(0, 255))

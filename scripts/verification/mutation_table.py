@@ -103,7 +103,7 @@ MUTATIONS = (
     Mutation(
         "half the duty in the law",
         "pulse width",
-        "palmfield/drive/pulse_width.py",
+        "palmfield/stimulus/duty_law.py",
         "return np.sin(np.pi * d) **",
         "return np.sin(0.5 * np.pi * d) **",
         "tests/drive/test_pulse_width.py::test_the_law_is_the_first_harmonic_of_the_pulse",
@@ -111,7 +111,7 @@ MUTATIONS = (
     Mutation(
         "intensity for amplitude in the device's exponent",
         "pulse width",
-        "palmfield/drive/pulse_width.py",
+        "palmfield/stimulus/duty_law.py",
         "** (0.5 * _positive(exponent))",
         "** _positive(exponent)",
         "tests/drive/test_pulse_width.py::test_the_law_is_the_first_harmonic_of_the_pulse",
@@ -295,10 +295,10 @@ MUTATIONS = (
     Mutation(
         "pressure's modulation not squared into ARP",
         "levels",
-        "palmfield/stimulus/schedule.py",
-        "wave**2 if envelope",
-        "wave if envelope",
-        "tests/stimulus/test_schedule.py::test_am_of_pressure_has_the_octave_that_squaring_gives",
+        "palmfield/stimulus/modulation.py",
+        "return share**2",
+        "return share",
+        "tests/stimulus/test_schedule.py::test_am_of_amplitude_has_the_octave_that_squaring_gives",
     ),
     Mutation(
         "Hann burst of half its height",

@@ -13,7 +13,7 @@ from palmfield.studies.bench.consumer_card import SHARE, BEGIN_s, Card, KERNEL_s
 from palmfield.studies.bench.drawn import LEVELS, ASIDE_m, TILT_rad, draw_again, drawn_stimulus, move_arrays
 from palmfield.studies.bench.scene_run import node_areas, relative_errors, sounding
 
-STEADY = {"modulation": "none", "am_of": None, "am_frequency_Hz": None, "am_depth": None}
+STEADY = {"modulation": "none", "am_quantity": None, "am_frequency_Hz": None, "am_depth": None}
 
 
 def test_what_is_drawn_is_what_a_scene_with_these_keys_would_do(small_scene):

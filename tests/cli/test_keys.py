@@ -39,14 +39,15 @@ def test_keys_of_the_whole_scene_are_those_that_are_read():
 def test_renamed_keys_are_told_on_the_page():
     page = as_markdown()
     assert "| `palmfield.driver device` | board |" in page and "| `palmfield.skin solver full` | wedges |" in page
-    assert "solver full" in as_text("palmfield.skin") and "Renamed" not in as_text("palmfield.stimulus")
+    assert "solver full" in as_text("palmfield.skin") and "Renamed" not in as_text("palmfield.motion")
 
 
 def test_every_key_has_a_meaning_and_every_quantity_a_unit():
     for config in CONFIGS:
         for key, key_unit, takes, _, meaning in table(config):
             assert meaning and takes
-            pure = {"am_depth", "drive_amplitude", "path_points", "accuracy", "quality"}
+            shares = {"am_depth", "am_waveform_duty", "drive_amplitude"}
+            pure = {*shares, "duty_exponent", "path_points", "accuracy", "quality"}
             assert bool(key_unit) == ("number" in takes and key not in pure) or "whole" in takes, key
 
 

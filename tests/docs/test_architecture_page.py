@@ -235,7 +235,7 @@ def test_a_pose_goes_the_way_that_the_page_tells(small_scene):
 def test_a_focus_goes_the_way_that_the_page_tells(small_scene):
     circle = {
         "focus_m": "0 0 0.1203", "path": "circle", "path_diameter_m": 0.02, "path_rate_Hz": 50, "modulation": "none",
-        "am_of": None, "am_frequency_Hz": None, "am_depth": None, "control_rate_Hz": 100,
+        "am_quantity": None, "am_frequency_Hz": None, "am_depth": None, "control_rate_Hz": 100,
     }  # fmt: skip
     path = small_scene(stimulus=circle, array={"response": "on"})
     calls = calls_of(lambda: Simulation(path).step())

@@ -18,7 +18,7 @@ from palmfield.stimulus.focal_points import FocalPoints
 from palmfield.stimulus.schedule import frame_at
 from palmfield.transforms import IDENTITY, Placement, Transform
 
-AM = {"modulation": "am", "am_of": "pressure", "am_frequency_Hz": 200, "am_depth": 1}
+AM = {"modulation": "am", "am_quantity": "amplitude", "am_frequency_Hz": 200, "am_depth": 1}
 FOCUS = np.array([0.0, 0.0, 0.12])
 
 
@@ -70,7 +70,7 @@ def worst_by_ode(stimulus, jumps, drive, weights):
     return max(rms for rms, _ in found), max(peak for _, peak in found)
 
 
-CUSPS = AM | {"am_of": "arp", "am_frequency_Hz": 50, "start_s": 0.001, "ramp_s": 0.08}
+CUSPS = AM | {"am_quantity": "arp", "am_frequency_Hz": 50, "start_s": 0.001, "ramp_s": 0.08}
 
 
 @pytest.mark.parametrize(

@@ -33,7 +33,7 @@ from palmfield.transforms import IDENTITY, Placement
 
 STILL = FocalPoints(IDENTITY)
 NONE = ResponseError(0.0, 0.0)
-AM = {"modulation": "am", "am_of": "pressure", "am_frequency_Hz": 200, "am_depth": 1}
+AM = {"modulation": "am", "am_quantity": "amplitude", "am_frequency_Hz": 200, "am_depth": 1}
 CIRCLE = {"path": "circle", "path_diameter_m": 0.02, "path_rate_Hz": 70}
 STIMULI = {
     "am": AM,

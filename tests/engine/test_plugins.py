@@ -27,7 +27,7 @@ def stepped(model, count, change=None):
     return data
 
 
-STEADY = {"modulation": "none", "am_of": None, "am_frequency_Hz": None, "am_depth": None}
+STEADY = {"modulation": "none", "am_quantity": None, "am_frequency_Hz": None, "am_depth": None}
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ import palmfield
 from palmfield.engine.host import world_of
 from palmfield.simulation import state as states
 
-STEADY = {"modulation": "none", "am_of": None, "am_frequency_Hz": None, "am_depth": None}
+STEADY = {"modulation": "none", "am_quantity": None, "am_frequency_Hz": None, "am_depth": None}
 CIRCLE = STEADY | {"path": "circle", "path_diameter_m": 0.01, "path_rate_Hz": 140}
 HELD = {"control_rate_Hz": 150, "frame": "centre", "focus_m": "0 0 0"}
 SPEED = 3.0

@@ -51,7 +51,7 @@ def test_a_module_from_another_package(small_scene, tmp_path):
     (site / "thirdparty.py").write_text(PACKAGE)
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: thirdparty\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text("[mujoco.plugins]\nthirdparty = thirdparty:register_all\n")
-    path = small_scene(stimulus={"modulation": "none", "am_of": None, "am_frequency_Hz": None, "am_depth": None})
+    path = small_scene(stimulus={"modulation": "none", "am_quantity": None, "am_frequency_Hz": None, "am_depth": None})
     sensor = '<plugin name="meter" plugin="thirdparty.meter" instance="meter" objtype="body" objname="pad"/></sensor>'
     text = path.read_text().replace("</sensor>", sensor)
     text = text.replace(

@@ -10,7 +10,7 @@ from palmfield.errors import OutputError
 from palmfield.perception.force_threshold import FORCE_OBSERVER, force_level_dB_SL, force_near_peak_N, why_refused
 from palmfield.perception.registry import ALL_OBSERVERS
 
-AM = {"modulation": "am", "am_of": "arp", "am_frequency_Hz": 200.0, "am_depth": 1.0}
+AM = {"modulation": "am", "am_quantity": "arp", "am_frequency_Hz": 200.0, "am_depth": 1.0}
 AREA = 144e-6
 
 
@@ -73,9 +73,9 @@ def test_force_is_taken_round_the_highest_arp_wherever_it_is():
     assert force_near_peak_N(vertices, faces, 2.0 * aside, AREA) == pytest.approx(2.0 * at_middle, rel=1e-6)
 
 
-@pytest.mark.parametrize("quantity", ["arp", "pressure"])
+@pytest.mark.parametrize("quantity", ["arp", "amplitude"])
 def test_it_applies_under_sinusoidal_am_of_both_quantities(quantity):
-    assert why_refused(StimulusConfig(**AM | {"am_of": quantity, "ramp_s": 0.01})) is None
+    assert why_refused(StimulusConfig(**AM | {"am_quantity": quantity, "ramp_s": 0.01})) is None
 
 
 @pytest.mark.parametrize(

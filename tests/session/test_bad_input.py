@@ -457,8 +457,10 @@ def test_solvers_that_are_told_of_are_those_of_solve():
 
 def test_keys_of_a_modulation_that_is_off_are_warned_of(small_scene):
     (line,) = [text for text in warnings(small_scene(stimulus={"modulation": "none"})) if "modulation" in text]
-    assert line.startswith("keys am_of, am_frequency_Hz, am_depth of stimulus 'stimulus' do nothing: its modulation is")
-    steady = {"modulation": "none", "am_of": None, "am_frequency_Hz": None, "am_depth": None}
+    assert line.startswith(
+        "keys am_quantity, am_frequency_Hz, am_depth of stimulus 'stimulus' do nothing: its modulation is"
+    )
+    steady = {"modulation": "none", "am_quantity": None, "am_frequency_Hz": None, "am_depth": None}
     assert not [text for text in warnings(small_scene(stimulus=steady)) if "modulation" in text]
     assert not [text for text in warnings(small_scene()) if "modulation" in text]
 
@@ -470,7 +472,7 @@ def test_a_run_prints_that_keys_do_nothing(small_scene, monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["palmfield", *arguments])
     with pytest.raises(SystemExit) as stop:
         main()
-    assert stop.value.code == 0 and "warning: keys am_of" in capsys.readouterr().err
+    assert stop.value.code == 0 and "warning: keys am_quantity" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("distance_m, apart", [(0.0, "0.0 mm apart"), (0.001, "1.0 mm apart")])

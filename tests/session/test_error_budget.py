@@ -15,7 +15,7 @@ from palmfield.session.planning.facts import first_drive
 from palmfield.simulation.posed_scene import reference_scene
 from palmfield.simulation.radiation import Radiation
 
-STEADY = {"modulation": "none", "am_of": None, "am_frequency_Hz": None, "am_depth": None}
+STEADY = {"modulation": "none", "am_quantity": None, "am_frequency_Hz": None, "am_depth": None}
 
 
 def budget(scene, loudest):

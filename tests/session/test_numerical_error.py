@@ -14,7 +14,7 @@ from palmfield.simulation.radiation import Radiation
 from palmfield.skin.fem.solver import harmonic, harmonic_both, static
 from palmfield.skin.reduction.reduced_stepper import ReducedStepper
 
-STEADY = {"modulation": "none", "am_of": None, "am_frequency_Hz": None, "am_depth": None}
+STEADY = {"modulation": "none", "am_quantity": None, "am_frequency_Hz": None, "am_depth": None}
 SOURCES = ("mesh", "step", "reduction", "edge")
 
 

@@ -13,7 +13,7 @@ from palmfield.session.plan import warnings
 from palmfield.session.planning.costs import SCATTER_ELEMENT_S, SCATTER_PAIR_S
 from palmfield.session.summary import estimated_budget
 
-STEADY = {"modulation": "none", "am_of": None, "am_frequency_Hz": None, "am_depth": None}
+STEADY = {"modulation": "none", "am_quantity": None, "am_frequency_Hz": None, "am_depth": None}
 SCATTERED = {
     "stimulus": STEADY,
     "array": {"response": "off"},

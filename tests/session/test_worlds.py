@@ -92,7 +92,7 @@ SOUNDS = {
     "one is silent": {"stimulus.drive_amplitude": np.array([0.0, 1.0, 0.5])},
     "modulated or not": {
         "stimulus.modulation": ["am", "none", "am"],
-        "stimulus.am_of": ["pressure", None, "arp"],
+        "stimulus.am_quantity": ["amplitude", None, "arp"],
         "stimulus.am_frequency_Hz": [200, None, 100],
         "stimulus.am_depth": [1, None, 0.3],
         "stimulus.arp_peak_Pa": [12.0, 10.0, None],

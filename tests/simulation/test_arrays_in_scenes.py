@@ -10,7 +10,7 @@ from palmfield.session.simulation import load
 from palmfield.simulation.emission import array_drives
 from palmfield.types import AIR_LIMITS, Air
 
-STEADY = {"modulation": "none", "am_of": None, "am_frequency_Hz": None, "am_depth": None}
+STEADY = {"modulation": "none", "am_quantity": None, "am_frequency_Hz": None, "am_depth": None}
 SECOND = (
     '<plugin plugin="palmfield.array"><instance name="second">'
     '<config key="site" value="second"/>{keys}</instance></plugin>'

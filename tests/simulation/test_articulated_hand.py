@@ -64,7 +64,7 @@ def test_forces_on_the_bones_add_up_to_the_force_on_the_whole(sim):
 def test_sound_bends_a_finger_of_a_soft_hand():
     """ARP on the index finger moves its own joints: the finger yields towards its back, the others hardly."""
     text = {"stimulus.frame": "index_pad", "stimulus.focus_m": (0, 0, 0), "stimulus.modulation": None,
-            "stimulus.am_of": None, "stimulus.am_frequency_Hz": None, "stimulus.am_depth": None}  # fmt: skip
+            "stimulus.am_quantity": None, "stimulus.am_frequency_Hz": None, "stimulus.am_depth": None}  # fmt: skip
     moved = {}
     for level in (0.0, 1.0):
         keys = text | {"stimulus.drive_amplitude": level, "skin.accuracy": 0.5}

@@ -28,7 +28,7 @@ SCENES = folder("mjcf") / "scenes"
 CIRCLE: dict[str, object] = {"path": "circle", "path_diameter_m": 0.01, "path_rate_Hz": 100}
 LEVER_M = 0.01
 """About as long as bones are thick: forces at their surfaces turn them by this."""
-NO_WAVE: dict[str, object] = dict.fromkeys(("modulation", "am_of", "am_frequency_Hz", "am_depth"))
+NO_WAVE: dict[str, object] = dict.fromkeys(("modulation", "am_quantity", "am_frequency_Hz", "am_depth"))
 
 
 @pytest.fixture

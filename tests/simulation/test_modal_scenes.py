@@ -14,7 +14,7 @@ from palmfield.simulation.state import BEGUN, WHOLE
 from palmfield.skin.reduction import modal_stepper
 from palmfield.skin.reduction.modal_stepper import ModalStepper
 
-STEADY = {"modulation": "none", "am_of": None, "am_frequency_Hz": None, "am_depth": None}
+STEADY = {"modulation": "none", "am_quantity": None, "am_frequency_Hz": None, "am_depth": None}
 LETTER = STEADY | {"path": "circle", "path_diameter_m": 0.01, "path_rate_Hz": 90, "control_rate_Hz": 1000}
 SKIN = {"accuracy": 0.2}
 

@@ -12,8 +12,8 @@ from palmfield.session.simulation import load
 from palmfield.simulation.validate import check_clear
 
 SCENES = folder("mjcf") / "scenes"
-STEADY = {"modulation": "none", "am_of": None, "am_frequency_Hz": None, "am_depth": None}
-NO_AM = {"stimulus.am_of": None, "stimulus.am_frequency_Hz": None, "stimulus.am_depth": None}
+STEADY = {"modulation": "none", "am_quantity": None, "am_frequency_Hz": None, "am_depth": None}
+NO_AM = {"stimulus.am_quantity": None, "stimulus.am_frequency_Hz": None, "stimulus.am_depth": None}
 BALL = (
     '<body name="ball" mocap="true" pos="{place}"><geom type="sphere" size="0.03" contype="0" conaffinity="0"/></body>'
 )

@@ -9,7 +9,7 @@ from palmfield.simulation import path_sound
 
 CIRCLE = {
     "modulation": "none",
-    "am_of": None,
+    "am_quantity": None,
     "am_frequency_Hz": None,
     "am_depth": None,
     "path": "circle",

@@ -7,7 +7,7 @@ from scipy import sparse
 from palmfield.session.simulation import load
 from palmfield.simulation.prefetch import AHEAD
 
-STEADY = {"modulation": "none", "am_of": None, "am_frequency_Hz": None, "am_depth": None}
+STEADY = {"modulation": "none", "am_quantity": None, "am_frequency_Hz": None, "am_depth": None}
 CIRCLE = STEADY | {"path": "circle", "path_diameter_m": 0.01, "path_rate_Hz": 70}
 WHOLE = {"step_s": 0.0001, "solver": "wedges"}
 FIXED = '<joint name="slide" type="slide" axis="1 0 0" stiffness="400" damping="10"/>'

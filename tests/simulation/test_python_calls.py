@@ -68,7 +68,7 @@ def test_a_step_of_a_shipped_scene_with_several_skins_runs_few(name, further, py
 
 @pytest.mark.parametrize("path", [{}, {"path": "circle", "path_diameter_m": 0.01, "path_rate_Hz": 100}])
 def test_a_further_skin_or_array_adds_few(small_scene, python_calls, path):
-    stimulus = {} if not path else path | dict.fromkeys(("modulation", "am_of", "am_frequency_Hz", "am_depth"))
+    stimulus = {} if not path else path | dict.fromkeys(("modulation", "am_quantity", "am_frequency_Hz", "am_depth"))
     counted = {}
     for what in ("one", "skins", "arrays"):
         scene = small_scene(stimulus=stimulus)

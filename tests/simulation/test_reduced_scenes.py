@@ -20,7 +20,7 @@ from palmfield.skin.reduction import reduced_stepper
 from palmfield.skin.reduction.reduced_stepper import ReducedStepper
 
 JOINT = '<joint name="slide" type="slide" axis="1 0 0" stiffness="400" damping="10"/>'
-STEADY = {"modulation": "none", "am_of": None, "am_frequency_Hz": None, "am_depth": None}
+STEADY = {"modulation": "none", "am_quantity": None, "am_frequency_Hz": None, "am_depth": None}
 CIRCLE = STEADY | {"path": "circle", "path_diameter_m": 0.01, "path_rate_Hz": 140, "stop_s": 0.011}
 SKIN = {"step_s": 0.00005, "solver": "reduced"}
 

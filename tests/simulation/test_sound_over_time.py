@@ -15,7 +15,7 @@ from palmfield.session.simulation import load
 from palmfield.simulation.emission import array_drives
 from palmfield.simulation.posed_scene import reference_scene
 
-STEADY = {"modulation": "none", "am_of": None, "am_frequency_Hz": None, "am_depth": None}
+STEADY = {"modulation": "none", "am_quantity": None, "am_frequency_Hz": None, "am_depth": None}
 RAMPED = {"start_s": 0.001, "ramp_s": 0.05}
 
 
@@ -175,7 +175,7 @@ def test_the_scenes_scattering_is_the_solution_for_its_body(small_scene):
 def test_arp_asked_for_after_each_step_is_that_of_the_present_sound(small_scene):
     """A focus on a circle, transducers that ring up: each answer is that of a copy, which has asked for none before."""
     circle = {"path": "circle", "path_diameter_m": 0.02, "path_rate_Hz": 100, "modulation": None}
-    stimulus = circle | dict.fromkeys(("am_of", "am_frequency_Hz", "am_depth"))
+    stimulus = circle | dict.fromkeys(("am_quantity", "am_frequency_Hz", "am_depth"))
     sim = load(small_scene(stimulus=stimulus, array={"response": "on"}))
     last = None
     for _ in range(4):

@@ -17,7 +17,7 @@ from palmfield.simulation.step import step as model_step
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
 from palmfield.skin.reduction.reduced_stepper import ReducedStepper
 
-STEADY = {"modulation": "none", "am_of": None, "am_frequency_Hz": None, "am_depth": None}
+STEADY = {"modulation": "none", "am_quantity": None, "am_frequency_Hz": None, "am_depth": None}
 CIRCLE = STEADY | {"path": "circle", "path_diameter_m": 0.01, "path_rate_Hz": 140}
 RINGING_CIRCLE = {"stimulus": CIRCLE, "array": {"response": "on"}}
 MOST_GROWTH_BYTES = 64 * 1024

@@ -9,7 +9,7 @@ from palmfield.session.simulation import load
 from palmfield.simulation.emission import array_drives
 from palmfield.stimulus.schedule import frame_at, frames_at
 
-STEADY = {"modulation": "none", "am_of": None, "am_frequency_Hz": None, "am_depth": None}
+STEADY = {"modulation": "none", "am_quantity": None, "am_frequency_Hz": None, "am_depth": None}
 
 
 def places_of(sim):

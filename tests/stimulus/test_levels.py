@@ -7,12 +7,12 @@ from palmfield.config import StimulusConfig
 from palmfield.stimulus.levels import Levels, goes_smoothly
 from palmfield.stimulus.schedule import frame_at, jumps
 
-AM = {"modulation": "am", "am_of": "pressure", "am_frequency_Hz": 200.0, "am_depth": 1.0}
+AM = {"modulation": "am", "am_quantity": "amplitude", "am_frequency_Hz": 200.0, "am_depth": 1.0}
 SMOOTH = [
     AM,
     AM | {"am_depth": 0.3, "am_frequency_Hz": 70.0, "start_s": 0.0013},
-    AM | {"am_of": "arp", "ramp_s": 0.004},
-    AM | {"am_of": "arp", "am_depth": 0.5, "ramp_s": 0.002, "start_s": 0.001},
+    AM | {"am_quantity": "arp", "ramp_s": 0.004},
+    AM | {"am_quantity": "arp", "am_depth": 0.5, "ramp_s": 0.002, "start_s": 0.001},
     {},
     {"start_s": 0.002, "stop_s": 0.007},
     {"stop_s": 0.005, "ramp_s": 0.003},

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from palmfield.config import StimulusConfig
 from palmfield.stimulus.schedule import first_point, frame_at, frames_at, substep_moments
 
-AM = StimulusConfig(modulation="am", am_of="arp", am_frequency_Hz=200, am_depth=1)
+AM = StimulusConfig(modulation="am", am_quantity="arp", am_frequency_Hz=200, am_depth=1)
 STARTS = st.floats(0, 0.3)
 STEPS = st.floats(2e-5, 2e-3)
 COUNTS = st.integers(1, 20)

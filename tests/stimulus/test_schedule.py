@@ -23,7 +23,7 @@ from palmfield.stimulus.schedule import (
 
 
 def am(of, depth=1.0, **more):
-    return StimulusConfig(modulation="am", am_of=of, am_frequency_Hz=200, am_depth=depth, **more)
+    return StimulusConfig(modulation="am", am_quantity=of, am_frequency_Hz=200, am_depth=depth, **more)
 
 
 def harmonics(config, count=2000):
@@ -35,8 +35,8 @@ def harmonics(config, count=2000):
 
 
 @pytest.mark.parametrize("depth", [0.3, 1.0])
-def test_am_of_pressure_has_the_octave_that_squaring_gives(depth):
-    mean, first, second = harmonics(am("pressure", depth))
+def test_am_of_amplitude_has_the_octave_that_squaring_gives(depth):
+    mean, first, second = harmonics(am("amplitude", depth))
     # (1 + m sin)^2 = 1 + m^2/2 + 2 m sin - m^2/2 cos 2wt
     assert first / mean == pytest.approx(2 * depth / (1 + depth**2 / 2), rel=1e-6)
     assert second / first == pytest.approx(depth / 4, rel=1e-6)
@@ -50,7 +50,7 @@ def test_am_of_arp_is_a_single_line():
 
 @given(t=st.floats(0, 1), depth=st.floats(0, 1))
 def test_level_stays_between_silence_and_the_loudest_moment(t, depth):
-    assert 0 <= frame_at(am("pressure", depth), t).arp_factor <= 1 + 1e-12
+    assert 0 <= frame_at(am("amplitude", depth), t).arp_factor <= 1 + 1e-12
 
 
 def test_circle():
@@ -104,7 +104,7 @@ def test_level_goes_on_between_path_points():
 
 
 def test_mean_factor_of_a_modulation_faster_than_the_step():
-    assert mean_arp_factor(am("pressure"), 0.001, 0.006, 64) == pytest.approx(1.5 / 4, rel=1e-6)
+    assert mean_arp_factor(am("amplitude"), 0.001, 0.006, 64) == pytest.approx(1.5 / 4, rel=1e-6)
 
 
 def test_mean_factor_of_a_sound_that_starts_within_the_step():
@@ -118,7 +118,7 @@ def test_on_off_and_ramp():
 
 
 def test_main_frequencies():
-    assert main_frequencies(am("pressure")) == [200, 400]
+    assert main_frequencies(am("amplitude")) == [200, 400]
     assert main_frequencies(am("arp")) == [200]
     assert main_frequencies(StimulusConfig()) == []
     assert math.isclose(main_frequencies(StimulusConfig(path="circle", path_diameter_m=0.02, path_rate_Hz=70))[0], 70)

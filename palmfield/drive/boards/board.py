@@ -78,7 +78,7 @@ def check(
     mends = ["board ideal"]
     if needs_amplitude:
         gives += f", so on/off AM up to {board.max_frame_rate_Hz / 2:.1f} Hz"
-        mends.append("modulation none")
+        mends.append("modulation none or a rectangle of am_depth 1")
     if too_fast:
         mends.append(f"at most {math.floor(board.max_frame_rate_Hz)} frames/s")
     raise DeviceError(f"{needs}; {gives}: use {' or '.join(mends)}")

@@ -102,7 +102,7 @@ def _course(stimulus: StimulusModel) -> Float:
 def _keys_without_effect(stimulus: StimulusModel) -> list[str]:
     """Keys of a modulation that is off."""
     config = stimulus.spec.config
-    given = [key for key in AM_KEYS if getattr(config, key) is not None]
+    given = [key for key in AM_KEYS if key in config.model_fields_set and getattr(config, key) is not None]
     if config.modulation != "none" or not given:
         return []
     which, do = ("key", "does") if len(given) == 1 else ("keys", "do")

@@ -14,6 +14,7 @@ from palmfield.skin.explicit_layer import explicit_layer
 from palmfield.skin.from_config import sheets_in_words
 from palmfield.skin.materials.material import shear_wave
 from palmfield.skin.solver_choice import PREVIEW
+from palmfield.stimulus.modulation import arp_lines
 
 
 def modelled(model: HapticModel, duration_s: float) -> list[Row]:
@@ -34,6 +35,7 @@ def modelled(model: HapticModel, duration_s: float) -> list[Row]:
         level = array_drives(model, model.arrays)[number].unit_drive(stimulus.first_focus).level
         about = f"board {model.board.name}: {model.board.description}"
         rows.append(Row("drive", f"amplitude {level:.3f} of full", about, stimulus.spec.name))
+        rows += _modulation(stimulus, level)
     for skin in model.skins:
         law = skin.spec.config.arp_law
         rows.append(Row("ARP", f"law {law}", LAWS[law].about, skin.spec.name))
@@ -53,6 +55,26 @@ def modelled(model: HapticModel, duration_s: float) -> list[Row]:
         )
     )
     return rows + [_solver(skin, model.still_m[skin.body]) for skin in model.skins]
+
+
+def _modulation(stimulus: StimulusModel, level: float) -> list[Row]:
+    """What the ARP of a modulated stimulus is made of; level: largest amplitude of its transducers, of full drive"""
+    config, lines = stimulus.config, arp_lines(stimulus.config)
+    if lines is None:
+        return []
+    size = f"ARP: mean {lines.mean:.3f}"
+    about = f"{config.am_quantity} by a {config.am_waveform}"
+    if lines.first is not None and lines.second is not None and config.am_frequency_Hz is not None:
+        frequency = config.am_frequency_Hz
+        size += f", {lines.first:.3f} at {frequency:g} Hz, {lines.second:.3f} at {2 * frequency:g} Hz"
+    if config.am_waveform == "burst":
+        about += f" over the period of {config.am_burst_period_s:g} s"
+    unmodulated = "" if config.am_depth else ", which changes nothing"
+    why = (
+        f"of that at the loudest moment, lines as peak amplitudes; {about}, depth {config.am_depth:g}{unmodulated}; "
+        f"peak drive {level:.3f} of full, by am_normalisation {config.am_normalisation}"
+    )
+    return [Row("modulation", size, why, stimulus.spec.name)]
 
 
 def _layer(skin: SkinModel) -> list[Row]:

@@ -8,13 +8,16 @@ from palmfield.session.planning.facts import first_drive
 from palmfield.session.preview import Preview
 from palmfield.simulation.emission import array_drives
 from palmfield.skin.explicit_layer import explicit_layer
+from palmfield.stimulus.modulation import arp_lines
 
 
 def plan_numbers(view: Preview) -> dict[str, Any]:
     """Of the run, and of each stimulus and skin by name.
 
     duration_s, steps (MuJoCo's), timestep_s, skin_step_s, transducers, device
-    stimuli: name, drive_level (of full) and pressure_Pa at the first focus, focus_m in the frame of the first array
+    stimuli: name, drive_level (of full, at the loudest moment) and pressure_Pa at the first focus, focus_m in the frame
+        of the first array, modulation: None, or am_frequency_Hz (None for a file's course) and the ARP over that at the
+        loudest moment, arp_mean and the peak amplitudes arp_first and arp_second of its lines at f and 2 f
     skins: name, solver, expected_solver_s, unknowns, edge_fine_m, edge_coarse_m, radius_m, depth_min_m, depth_max_m,
         spot_fwhm_m, max_frequency_Hz, accuracy_wanted_relative
     """
@@ -24,12 +27,17 @@ def plan_numbers(view: Preview) -> dict[str, Any]:
     for number, stimulus in enumerate(model.stimuli):
         focus = stimulus.first_focus
         pressure = model.arrays.pressure64(focus[None], first_drive(model, number))
+        lines = arp_lines(stimulus.config)
+        modulation = None if lines is None else {"am_frequency_Hz": stimulus.config.am_frequency_Hz}
+        if lines is not None and modulation is not None:
+            modulation |= {"arp_mean": lines.mean, "arp_first": lines.first, "arp_second": lines.second}
         stimuli.append(
             {
                 "name": stimulus.spec.name,
                 "drive_level": float(drives[number].unit_drive(focus).level),
                 "focus_m": focus.tolist(),
                 "pressure_Pa": float(abs(pressure[0])),
+                "modulation": modulation,
             }
         )
     skins = []

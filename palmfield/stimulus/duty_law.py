@@ -1,0 +1,46 @@
+"""Amplitude by pulse width: a rectangular wave of duty d sounds at its first harmonic, p = p_M sin(pi d).
+
+Hasegawa & Shinoda 2018, eq. 5 and 6.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from palmfield.errors import DeviceError
+from palmfield.types import Float
+
+
+def relative_pressure(duty: ArrayLike, exponent: float = 2.0) -> Float:
+    """p/p_M = sin(pi d)^(g/2).
+
+    duty: 0 to 1/2; beyond 1/2 the amplitude falls again
+    exponent: g. 2 is the rectangular wave's own law. Another value calibrates a device whose radiation pressure, which
+        is quadratic in the pressure that arrives, was found to go with sin(pi d)^g: 1.5 in Hasegawa & Shinoda 2018. It
+        describes transducer and driver, never the radiation pressure.
+    Raises DeviceError for a duty outside 0 to 1/2 and an exponent that is not positive.
+    """
+    d = _within(duty, 0.5, "duty")
+    return np.sin(np.pi * d) ** (0.5 * _positive(exponent))
+
+
+def duty_cycle(amplitude: ArrayLike, exponent: float = 2.0) -> Float:
+    """Duty that gives p/p_M = amplitude: asin(a^(2/g))/pi, 0 to 1/2; the inverse of `relative_pressure`.
+
+    Raises DeviceError for an amplitude outside 0 to 1 and an exponent that is not positive.
+    """
+    a = _within(amplitude, 1.0, "amplitude")
+    return np.arcsin(np.minimum(a, 1.0) ** (2.0 / _positive(exponent))) / np.pi
+
+
+def _within(values: ArrayLike, high: float, name: str) -> Float:
+    checked = np.asarray(values, float)
+    if not np.all((checked >= 0.0) & (checked <= high * (1.0 + 1e-9))):
+        bad = checked[~((checked >= 0.0) & (checked <= high * (1.0 + 1e-9)))].flat[0]
+        raise DeviceError(f"{name} {bad:.4g} is outside 0 to {high:g}: scale it into that range")
+    return checked
+
+
+def _positive(exponent: float) -> float:
+    if not 0.0 < exponent < np.inf:
+        raise DeviceError(f"exponent = {exponent} is not positive and finite: use 2, or a calibration such as 1.5")
+    return exponent

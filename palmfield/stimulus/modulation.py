@@ -1,0 +1,226 @@
+"""Amplitude modulation: the radiation pressure (ARP) of a waveform, its lines, and the drive that it takes.
+
+A quantity goes as 1 + m w with the depth m and the waveform w: the ARP itself, the amplitude of the sound, to whose
+square ARP goes, or the duty d of the pulses, with ARP as sin(pi d)^g.
+"""
+
+import math
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import brentq
+
+from palmfield.config import StimulusConfig
+from palmfield.errors import SceneError
+from palmfield.stimulus.duty_law import duty_cycle, relative_pressure
+from palmfield.stimulus.resolved import ResolvedStimulus
+from palmfield.stimulus.waveform import Samples, Waveform, period_s, samples, waveform_of
+from palmfield.types import Float
+
+FULL_DUTY = 0.5
+"""Beyond it pulses grow softer again."""
+ROUNDING = 1e-9
+HARMONIC = 0.1
+"""Share of the largest line in the ARP above which a harmonic counts as one of the main frequencies."""
+MOST_HARMONICS = 8
+HIGHEST_HZ = 1000.0
+"""Above this skin hardly answers, nor does anybody feel it."""
+COURSE_POWER = 0.99
+"""Share of the power of a file's course below the highest of its main frequencies."""
+
+
+class Modulation(NamedTuple):
+    """AM of a stimulus; numbers, or columns of shape (n, 1) for n stimuli at once with one quantity and waveform.
+
+    quantity: duty, amplitude or arp; depth: m; peak_duty: duty at the loudest moment, and exponent: g, for duty
+    """
+
+    quantity: str
+    waveform: Waveform
+    depth: float | Float
+    peak_duty: float | Float
+    exponent: float | Float
+
+
+class ArpLines(NamedTuple):
+    """What the ARP of a modulation is made of, relative to that at the loudest moment; peak amplitudes of lines.
+
+    mean: over a period, or a file's course; first, second: at the modulation's frequency and its double, None for a
+    file's course. Of bursts these are means over their whole period.
+    """
+
+    mean: float
+    first: float | None
+    second: float | None
+
+
+def relative_arp(am: Modulation, values: Float) -> Float:
+    """ARP relative to the loudest moment, 0..1, at values of the waveform, of any shape that fits the modulation's."""
+    share: Float = (1 + am.depth * values) / (1 + am.depth * am.waveform.highest)
+    if am.quantity == "amplitude":
+        return share**2
+    if am.quantity == "arp":
+        return share
+    return np.asarray((np.sin(np.pi * am.peak_duty * share) / np.sin(np.pi * am.peak_duty)) ** am.exponent)
+
+
+@lru_cache(maxsize=256)
+def modulation_of(config: StimulusConfig) -> Modulation | None:
+    """The modulation that a stimulus's keys ask for, or None. Raises SceneError as `peak_amplitude`, for duty alone."""
+    if config.modulation == "none":
+        return None
+    assert config.am_quantity is not None and config.am_depth is not None
+    form, exponent, duty = waveform_of(config), 2.0, FULL_DUTY
+    if config.am_quantity == "duty":
+        exponent = config.duty_exponent if isinstance(config, ResolvedStimulus) else exponent
+        duty = _peak_duty(config, form, exponent)
+    return Modulation(config.am_quantity, form, config.am_depth, duty, exponent)
+
+
+# -- the level -----------------------------------------------------------------------------------------------------
+
+
+@lru_cache(maxsize=256)
+def peak_amplitude(config: StimulusConfig) -> float:
+    """Amplitude of each transducer at the loudest moment relative to full drive, where drive_amplitude sets the level.
+
+    Raises SceneError where am_normalisation takes more than full drive, with what would not.
+    """
+    amplitude = _amplitude(config)
+    am = modulation_of(config)
+    if am is None or amplitude == 0.0 or config.am_normalisation == "peak" or am.depth == 0.0:
+        return amplitude
+    if am.quantity == "duty":
+        return float(relative_pressure(am.peak_duty, float(am.exponent)))
+    if config.am_normalisation == "carrier":
+        of_carrier = float(relative_arp(am, np.zeros(1))[0])
+    else:
+        of_carrier = _mean(am, samples(am.waveform))
+    peak = amplitude / math.sqrt(of_carrier)
+    if peak > 1.0 + ROUNDING:
+        raise _too_loud(config, f"{peak:.4g} of full drive; allowed: at most 1", amplitude / peak)
+    return min(peak, 1.0)
+
+
+def _amplitude(config: StimulusConfig) -> float:
+    return 1.0 if config.drive_amplitude is None else config.drive_amplitude
+
+
+def _peak_duty(config: StimulusConfig, form: Waveform, exponent: float) -> float:
+    """Duty at the loudest moment; full for silence, which has none. Raises SceneError for more than full duty."""
+    amplitude, depth = _amplitude(config), config.am_depth or 0.0
+    if amplitude == 0.0:
+        return FULL_DUTY
+    own = float(duty_cycle(amplitude, exponent))
+    growth = 1.0 + depth * float(form.highest)
+    if config.am_normalisation == "peak" or depth == 0.0:
+        return own
+    if config.am_normalisation == "carrier":
+        if own * growth > FULL_DUTY * (1.0 + ROUNDING):
+            limit = float(relative_pressure(FULL_DUTY / growth, exponent))
+            raise _too_loud(config, f"pulses of duty {own * growth:.4g}; allowed: at most {FULL_DUTY:g}", limit)
+        return min(own * growth, FULL_DUTY)
+    period = samples(form)
+
+    def mean_arp(duty: float) -> float:
+        """Of pulses of this duty at the loudest moment, relative to full drive."""
+        course = np.sin(np.pi * duty * (1.0 + depth * period.values) / growth) ** exponent
+        return float(period.weights @ course)
+
+    most = mean_arp(FULL_DUTY)
+    if amplitude**2 > most * (1.0 + ROUNDING):
+        raise _too_loud(config, f"pulses of more than duty {FULL_DUTY:g}, the most there is", math.sqrt(most))
+    if amplitude**2 >= most:
+        return FULL_DUTY
+    return float(brentq(lambda duty: mean_arp(duty) - amplitude**2, 0.0, FULL_DUTY, xtol=1e-15))
+
+
+def _too_loud(config: StimulusConfig, takes: str, limit: float) -> SceneError:
+    """limit: largest drive_amplitude that can be played"""
+    of = {"carrier": "the carrier's", "mean": "that of steady sound with the same mean ARP"}[config.am_normalisation]
+    # Rounded down, so that what is advised is not refused
+    advice = math.floor(1e4 * limit) / 1e4
+    return SceneError(
+        f"plugin 'palmfield.stimulus': drive_amplitude {_amplitude(config):g} is {of} (am_normalisation "
+        f"{config.am_normalisation}), so that with am_depth {config.am_depth:g} the loudest moment takes {takes}; set "
+        f"drive_amplitude to {advice:g} or less, am_depth smaller, or am_normalisation to peak"
+    )
+
+
+# -- lines ---------------------------------------------------------------------------------------------------------
+
+
+def arp_lines(config: StimulusConfig) -> ArpLines | None:
+    """What the ARP of a stimulus's modulation is made of, without ramp, bursts of burst_window, and ends; or None."""
+    am = modulation_of(config)
+    if am is None:
+        return None
+    period = samples(am.waveform)
+    frequency = config.am_frequency_Hz
+    if frequency is None:
+        return ArpLines(_mean(am, period), None, None)
+    first, second = _lines(am, period, (frequency, 2.0 * frequency)).tolist()
+    return ArpLines(_mean(am, period), first, second)
+
+
+def _mean(am: Modulation, period: Samples) -> float:
+    return float(period.weights @ relative_arp(am, period.values))
+
+
+def _lines(am: Modulation, period: Samples, frequencies: Sequence[float]) -> Float:
+    """Peak amplitudes of lines [relative to the loudest moment's ARP], shape (k,)."""
+    # What the ARP differs by from its carrier's, so that the pause between bursts adds nothing
+    course = period.weights * (relative_arp(am, period.values) - relative_arp(am, np.zeros(1)))
+    return np.array([2.0 * abs(course @ np.exp(-2j * np.pi * f * period.times)) for f in frequencies])
+
+
+@lru_cache(maxsize=256)
+def am_frequencies(config: StimulusConfig) -> tuple[float, ...]:
+    """Frequencies of the modulation in which most of its ARP lies [Hz], the main one first; () without modulation."""
+    am, frequency = modulation_of(config), config.am_frequency_Hz
+    if am is None:
+        return ()
+    if frequency is None:
+        return _of_course(am)
+    if am.waveform.name in ("sine", "burst"):
+        harmonics = (frequency,) if am.quantity == "arp" else (frequency, 2.0 * frequency)
+        envelope = (1.0 / float(am.waveform.burst_period_s),) if len(harmonics) > 1 else ()
+        return harmonics + (envelope if am.waveform.name == "burst" else ())
+    most = min(MOST_HARMONICS, max(1, math.floor(HIGHEST_HZ / frequency)))
+    multiples = [n * frequency for n in range(1, most + 1)]
+    sizes = _lines(am, samples(am.waveform), multiples)
+    return (frequency, *(f for f, size in zip(multiples[1:], sizes[1:], strict=True) if size > HARMONIC * sizes.max()))
+
+
+def _of_course(am: Modulation) -> tuple[float, ...]:
+    """The strongest line of a file's course, and the frequency below which most of its power lies [Hz]."""
+    course = samples(am.waveform)
+    power = np.abs(np.fft.rfft(relative_arp(am, course.values))[1:]) ** 2
+    frequencies = np.arange(1, len(power) + 1) / (2.0 * course.times[0] * len(course.times))
+    if power.sum() == 0.0:
+        return ()
+    edge = frequencies[np.searchsorted(np.cumsum(power), COURSE_POWER * power.sum())]
+    strongest = frequencies[int(power.argmax())]
+    return tuple(dict.fromkeys(min(float(f), HIGHEST_HZ) for f in (strongest, edge)))
+
+
+def sharpest_s(config: StimulusConfig) -> float | None:
+    """Time since the sound's or a period's beginning at which the modulated ARP changes most suddenly [s], or None.
+
+    A jump of a rectangle, and else the quietest moment, where a full modulation has a cusp in the pressure.
+    """
+    am = modulation_of(config)
+    if am is None:
+        return None
+    period = period_s(config)
+    match am.waveform.name:
+        case "sine":
+            assert period is not None
+            return 0.75 * period
+        case "rectangle":
+            assert period is not None
+            return float(am.waveform.duty) * period
+    course = samples(am.waveform)
+    return float(course.times[int(course.values.argmin())])

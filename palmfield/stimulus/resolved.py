@@ -1,0 +1,39 @@
+"""Keys of a stimulus with what the rest of the scene, or a file, adds to them."""
+
+from functools import lru_cache
+from typing import Any
+
+from pydantic import Field
+
+from palmfield.config import StimulusConfig
+from palmfield.config.base import Positive
+from palmfield.stimulus.am_file import AmTable
+
+
+class ResolvedStimulus(StimulusConfig):
+    """A stimulus whose course needs no file and no surface any more."""
+
+    sites_length_m: Positive | None = Field(None, description="length of a path through sites along the surface")
+    am_table: AmTable | None = Field(None, description="waveform that key am_file names")
+    duty_exponent: Positive = Field(2.0, description="exponent of the device that plays it")
+
+
+@lru_cache(maxsize=64)
+def resolved(
+    config: StimulusConfig,
+    sites_length_m: float | None = None,
+    am_table: AmTable | None = None,
+    duty_exponent: float = 2.0,
+) -> StimulusConfig:
+    """The keys with the length of a path through sites [m], a file's waveform, and the device's exponent.
+
+    The keys themselves where none of these matters.
+    """
+    known: dict[str, Any] = {"sites_length_m": sites_length_m, "am_table": am_table}
+    if config.modulation == "am" and config.am_quantity == "duty":
+        known["duty_exponent"] = duty_exponent
+    known = {key: value for key, value in known.items() if value is not None}
+    if not known:
+        return config
+    given = {key: getattr(config, key) for key in config.model_fields_set}
+    return ResolvedStimulus.model_validate(given | known)

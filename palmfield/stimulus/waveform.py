@@ -1,0 +1,127 @@
+"""Waveforms w of amplitude modulation, -1..1 over time: sine, rectangle, Hann pulses, bursts, files."""
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from palmfield.config import StimulusConfig
+from palmfield.stimulus.am_file import AmTable
+from palmfield.stimulus.resolved import ResolvedStimulus
+from palmfield.types import Float
+
+EDGE_S = 1e-9
+"""A jump less than this ahead counts as passed, so that t = k / rate lies in period k whatever the rounding."""
+SAMPLES, A_CYCLE = 4096, 16
+"""Of a waveform in `samples`, at least, and for each period of a burst's sine."""
+
+
+class Waveform(NamedTuple):
+    """A waveform: numbers, or columns of shape (n, 1) for n stimuli at once that differ in them alone.
+
+    name: of key am_waveform; table: of a file
+    highest: its largest value; duty: share of the period that a rectangle is up or a Hann pulse lasts
+    burst_length_s, burst_period_s: of bursts; 1 otherwise
+    """
+
+    name: str
+    table: AmTable | None
+    frequency_Hz: float | Float
+    highest: float | Float
+    duty: float | Float
+    burst_length_s: float | Float
+    burst_period_s: float | Float
+
+
+class Samples(NamedTuple):
+    """A waveform over one period, or over a file's course.
+
+    times: [s], shape (n,); values: shape (n,); weights: shares of the time, shape (n,)
+    """
+
+    times: Float
+    values: Float
+    weights: Float
+
+
+def waveform_of(config: StimulusConfig) -> Waveform:
+    """The waveform that the keys of a modulated stimulus ask for; one of a file needs a ResolvedStimulus."""
+    table = config.am_table if isinstance(config, ResolvedStimulus) else None
+    frequency = config.am_frequency_Hz or 1.0
+    length, period = config.am_burst_length_s or 1.0, config.am_burst_period_s or 1.0
+    highest = 1.0
+    if config.am_waveform == "burst":
+        highest = _highest_of_burst(frequency * length)
+    elif config.am_waveform == "file":
+        assert table is not None
+        highest = max(table.values)
+    return Waveform(config.am_waveform, table, frequency, highest, config.am_waveform_duty or 1.0, length, period)
+
+
+def wave(form: Waveform, since: Float) -> Float:
+    """Values at times since the sound began [s], shape (m,), or (n, m) where the waveform is in columns."""
+    match form.name:
+        case "sine":
+            return np.asarray(np.sin(2 * math.pi * form.frequency_Hz * since))
+        case "rectangle":
+            period = 1.0 / form.frequency_Hz
+            into = since - np.floor((since + EDGE_S) / period) * period
+            return np.where(into < form.duty * period - EDGE_S, 1.0, -1.0)
+        case "hann":
+            turns = since * form.frequency_Hz
+            share = (turns - np.floor(turns)) / form.duty
+            return np.where(share < 1.0, -np.cos(2 * math.pi * share), -1.0)
+        case "burst":
+            into = since - np.floor(since / form.burst_period_s) * form.burst_period_s
+            window = 0.5 - 0.5 * np.cos(2 * math.pi * into / form.burst_length_s)
+            sine = np.sin(2 * math.pi * form.frequency_Hz * into)
+            return np.where(into < form.burst_length_s, window * sine, 0.0)
+    assert form.table is not None
+    if form.table.of == "period":
+        return np.interp(since * form.frequency_Hz, form.table.moments, form.table.values, period=1.0)
+    return np.interp(since, form.table.moments, form.table.values)
+
+
+def period_s(config: StimulusConfig) -> float | None:
+    """Time after which the modulation is the same again [s]; None without one, and for a file's course."""
+    if config.modulation == "none" or config.am_frequency_Hz is None:
+        return None
+    return config.am_burst_period_s if config.am_waveform == "burst" else 1.0 / config.am_frequency_Hz
+
+
+def samples(form: Waveform) -> Samples:
+    """One period, or a file's course, in the middles of equal parts; what lies between bursts is one of them."""
+    match form.name:
+        case "rectangle":
+            period, duty = 1.0 / float(form.frequency_Hz), float(form.duty)
+            middles = (np.arange(SAMPLES) + 0.5) / SAMPLES
+            times = period * np.concatenate([duty * middles, duty + (1.0 - duty) * middles])
+            weights = np.repeat([duty / SAMPLES, (1.0 - duty) / SAMPLES], SAMPLES)
+            return Samples(times, np.repeat([1.0, -1.0], SAMPLES), weights)
+        case "burst":
+            length, period = float(form.burst_length_s), float(form.burst_period_s)
+            count = max(SAMPLES, math.ceil(A_CYCLE * float(form.frequency_Hz) * length))
+            times = length * np.append((np.arange(count) + 0.5) / count, 1.0)
+            weights = np.append(np.full(count, length / (period * count)), 1.0 - length / period)
+            return Samples(times, np.append(wave(form, times[:-1]), 0.0), weights)
+    length = 1.0 / float(form.frequency_Hz)
+    if form.table is not None and form.table.of == "course":
+        length = form.table.moments[-1]
+    times = length * (np.arange(4 * SAMPLES) + 0.5) / (4 * SAMPLES)
+    return Samples(times, wave(form, times), np.full(len(times), 1.0 / len(times)))
+
+
+@lru_cache(maxsize=256)
+def _highest_of_burst(cycles: float) -> float:
+    """Largest value of sin(2 pi cycles x) under a Hann window over x = 0..1."""
+
+    def negative(x: float | Float) -> float | Float:
+        return -(0.5 - 0.5 * np.cos(2 * math.pi * x)) * np.sin(2 * math.pi * cycles * x)
+
+    # The highest crest lies within a period of the window's middle
+    near = 0.5 + np.linspace(-1.0, 1.0, 257) * min(1.0 / cycles, 0.5)
+    best, width = float(near[np.argmin(negative(near))]), float(near[1] - near[0])
+    found = minimize_scalar(negative, bounds=(best - width, best + width), method="bounded", options={"xatol": 1e-12})
+    return float(-found.fun)
