@@ -19,6 +19,8 @@ from palmfield.stimulus.resolved import ResolvedStimulus
 from palmfield.stimulus.waveform import Samples, Waveform, period_s, samples, waveform_of
 from palmfield.types import Float
 
+POWERS = {"duty": 0, "amplitude": 2, "arp": 1}
+"""With which the ARP goes with a quantity; 0 where it is no power."""
 FULL_DUTY = 0.5
 """Beyond it pulses grow softer again."""
 ROUNDING = 1e-9
@@ -34,10 +36,12 @@ COURSE_POWER = 0.99
 class Modulation(NamedTuple):
     """AM of a stimulus; numbers, or columns of shape (n, 1) for n stimuli at once with one quantity and waveform.
 
-    quantity: duty, amplitude or arp; depth: m; peak_duty: duty at the loudest moment, and exponent: g, for duty
+    quantity: duty, amplitude or arp; power: with which the ARP goes with it, 0 for duty; depth: m
+    peak_duty: duty at the loudest moment, and exponent: g, for duty
     """
 
     quantity: str
+    power: int
     waveform: Waveform
     depth: float | Float
     peak_duty: float | Float
@@ -59,10 +63,11 @@ class ArpLines(NamedTuple):
 def relative_arp(am: Modulation, values: Float) -> Float:
     """ARP relative to the loudest moment, 0..1, at values of the waveform, of any shape that fits the modulation's."""
     share: Float = (1 + am.depth * values) / (1 + am.depth * am.waveform.highest)
-    if am.quantity == "amplitude":
-        return share**2
-    if am.quantity == "arp":
-        return share
+    return share**am.power if am.power else arp_of_pulses(am, share)
+
+
+def arp_of_pulses(am: Modulation, share: Float) -> Float:
+    """ARP relative to the loudest moment, of pulses whose duty is a share of the peak's; any shape."""
     return np.asarray((np.sin(np.pi * am.peak_duty * share) / np.sin(np.pi * am.peak_duty)) ** am.exponent)
 
 
@@ -76,7 +81,7 @@ def modulation_of(config: StimulusConfig) -> Modulation | None:
     if config.am_quantity == "duty":
         exponent = config.duty_exponent if isinstance(config, ResolvedStimulus) else exponent
         duty = _peak_duty(config, form, exponent)
-    return Modulation(config.am_quantity, form, config.am_depth, duty, exponent)
+    return Modulation(config.am_quantity, POWERS[config.am_quantity], form, config.am_depth, duty, exponent)
 
 
 # -- the level -----------------------------------------------------------------------------------------------------

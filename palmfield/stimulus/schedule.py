@@ -19,8 +19,8 @@ from palmfield.stimulus.modulation import (
     MOST_HARMONICS,
     Modulation,
     am_frequencies,
+    arp_of_pulses,
     modulation_of,
-    relative_arp,
 )
 from palmfield.stimulus.resolved import ResolvedStimulus
 from palmfield.stimulus.waveform import period_s as am_period_s
@@ -507,8 +507,13 @@ def arp_factors(envelope: Envelope, times: Float) -> Float:
         level *= times < end - 1e-9
     if envelope.ramp_s is not None:
         level *= 0.5 - 0.5 * np.cos(math.pi * np.minimum(np.maximum(since / envelope.ramp_s, 0.0), 1.0))
-    if envelope.am is not None:
-        level *= relative_arp(envelope.am, wave(envelope.am.waveform, since))
+    am = envelope.am
+    if am is not None:
+        # `wave` and `relative_arp`, written out for the modulation that most scenes have in every step
+        form = am.waveform
+        values = np.sin(2 * math.pi * form.frequency_Hz * since) if form.name == "sine" else wave(form, since)
+        share = (1 + am.depth * values) / (1 + am.depth * form.highest)
+        level *= share**am.power if am.power else arp_of_pulses(am, share)
     if envelope.burst is not None:
         level *= burst(since, **envelope.burst)
     return level

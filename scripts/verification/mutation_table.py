@@ -296,8 +296,8 @@ MUTATIONS = (
         "pressure's modulation not squared into ARP",
         "levels",
         "palmfield/stimulus/modulation.py",
-        "return share**2",
-        "return share",
+        '"amplitude": 2',
+        '"amplitude": 1',
         "tests/stimulus/test_schedule.py::test_am_of_amplitude_has_the_octave_that_squaring_gives",
     ),
     Mutation(
