@@ -97,6 +97,19 @@ SOUNDS = {
         "stimulus.am_depth": [1, None, 0.3],
         "stimulus.arp_peak_Pa": [12.0, 10.0, None],
     },
+    "waveforms": {
+        "stimulus.am_quantity": ["duty", "amplitude", "arp"],
+        "stimulus.am_waveform": ["sine", "rectangle", "hann"],
+        "stimulus.am_waveform_duty": [None, 0.4, 0.7],
+        "stimulus.am_normalisation": ["mean", "peak", "carrier"],
+        "stimulus.am_depth": [1.0, 0.6, 0.8],
+        "stimulus.drive_amplitude": [0.4, 1.0, 0.5],
+    },
+    "bursts of a sine": {
+        "stimulus.am_waveform": "burst",
+        "stimulus.am_burst_length_s": [0.006, 0.005, 0.009],
+        "stimulus.am_burst_period_s": [0.008, 0.005, 0.02],
+    },
     "a path beside points": {
         "stimulus.path": ["point", "circle", "line"],
         "stimulus.path_diameter_m": [None, 0.01, None],

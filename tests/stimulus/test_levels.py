@@ -16,6 +16,12 @@ SMOOTH = [
     {},
     {"start_s": 0.002, "stop_s": 0.007},
     {"stop_s": 0.005, "ramp_s": 0.003},
+    AM | {"am_quantity": "duty", "drive_amplitude": 0.7},
+    AM | {"am_quantity": "duty", "am_depth": 0.4, "drive_amplitude": 0.2, "am_normalisation": "mean"},
+    AM | {"am_waveform": "hann", "am_waveform_duty": 0.4, "am_depth": 0.8},
+    AM | {"am_waveform": "hann"},
+    AM | {"am_waveform": "burst", "am_burst_length_s": 0.005, "am_burst_period_s": 0.007},
+    AM | {"am_waveform": "burst", "am_burst_length_s": 0.006, "am_burst_period_s": 0.006, "am_depth": 0.3},
 ]
 
 
@@ -50,5 +56,6 @@ def test_what_does_not_go_smoothly():
     assert all(map(goes_smoothly, configs()))
     burst = {"burst_window": "hann", "burst_length_s": 0.01, "burst_period_s": 0.02}
     circle = {"path": "circle", "path_diameter_m": 0.02, "path_rate_Hz": 100.0}
-    for keys in (burst, circle, {"control_rate_Hz": 1000.0}):
+    rectangle = AM | {"am_waveform": "rectangle", "am_waveform_duty": 0.5}
+    for keys in (burst, circle, {"control_rate_Hz": 1000.0}, rectangle):
         assert not goes_smoothly(StimulusConfig(**keys))
