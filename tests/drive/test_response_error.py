@@ -70,7 +70,30 @@ def worst_by_ode(stimulus, jumps, drive, weights):
     return max(rms for rms, _ in found), max(peak for _, peak in found)
 
 
+@pytest.mark.parametrize(
+    ("keys", "moment"),
+    [
+        (AM, 0.75 * 0.005),
+        (AM | {"am_waveform": "rectangle", "am_waveform_duty": 0.3}, 0.3 * 0.005),
+        (AM | {"am_waveform": "rectangle", "am_waveform_duty": 0.3, "am_frequency_Hz": 2.0}, 0.3 * 0.5),
+        (AM | {"am_waveform": "burst", "am_burst_length_s": 1.0, "am_burst_period_s": 4.0}, 0.5),
+    ],
+    ids=["sine", "rectangle", "slow rectangle", "burst"],
+)
+def test_a_window_lies_round_the_most_sudden_moment(keys, moment):
+    """In some period; of a burst to within two of its sine's, whose crests are about the same there."""
+    _, stretch = windows(StimulusConfig(start_s=0.1, **keys), 2e-4)
+    period = {"burst": 4.0}.get(keys.get("am_waveform"), 1.0 / keys["am_frequency_Hz"])
+    turns = (0.5 * sum(stretch) - 0.1 - moment) / period
+    slack = 2.0 / keys["am_frequency_Hz"] / period if keys.get("am_waveform") == "burst" else 1e-6
+    assert turns == pytest.approx(round(turns), abs=slack) and turns > -slack
+    assert stretch[1] - stretch[0] == pytest.approx(min(max(period, 0.01), 0.1))
+
+
 CUSPS = AM | {"am_quantity": "arp", "am_frequency_Hz": 50, "start_s": 0.001, "ramp_s": 0.08}
+
+
+RECTANGLE = CUSPS | {"am_waveform": "rectangle", "am_waveform_duty": 0.25, "am_depth": 0.8, "ramp_s": 0.0}
 
 
 @pytest.mark.parametrize(
@@ -81,8 +104,9 @@ CUSPS = AM | {"am_quantity": "arp", "am_frequency_Hz": 50, "start_s": 0.001, "ra
         # After a step the drive is ahead by e^{-gt}, and 1 - e^{-1} just before the late one comes
         ({"start_s": 0.002}, (0.002,), np.sqrt(0.2358 / (np.pi * 40e3 / 25 * 0.01)), 1 - np.exp(-1)),
         (AM | {"am_frequency_Hz": 50, "stop_s": 0.1}, (0.0, 0.1), None, None),
+        (RECTANGLE, 0.001 + np.sort(np.concatenate([0.02 * np.arange(8), 0.02 * np.arange(8) + 0.005])), None, None),
     ],
-    ids=["cusps", "start", "start and stop"],
+    ids=["cusps", "start", "start and stop", "rectangle"],
 )
 def test_cost_of_no_ring_up_is_that_of_the_poles_equation(source, keys, jumps, rms, peak):
     stimulus = StimulusConfig(focus_m=tuple(FOCUS), **keys)

@@ -9,6 +9,8 @@ from palmfield.config import StimulusConfig
 from palmfield.errors import OutputError
 from palmfield.perception.force_threshold import FORCE_OBSERVER, force_level_dB_SL, force_near_peak_N, why_refused
 from palmfield.perception.registry import ALL_OBSERVERS
+from palmfield.stimulus.am_file import AmTable
+from palmfield.stimulus.resolved import resolved
 
 AM = {"modulation": "am", "am_quantity": "arp", "am_frequency_Hz": 200.0, "am_depth": 1.0}
 AREA = 144e-6
@@ -98,9 +100,16 @@ def test_sound_without_modulation_is_refused():
     assert "not modulated" in why_refused(StimulusConfig())
 
 
-def test_modulation_that_is_no_sine_is_refused(monkeypatch):
+def test_modulation_that_is_no_sine_is_refused():
     """A square wave has 8 / pi^2 of its power in the first line."""
-    from palmfield.perception import force_threshold
+    square = StimulusConfig(**AM, am_waveform="rectangle", am_waveform_duty=0.5)
+    assert "which has 81 % of this modulation's power" in why_refused(square)
+    course = AM | {"am_frequency_Hz": None, "am_waveform": "file", "am_file": "course.csv"}
+    table = AmTable("course", tuple(np.arange(1000) / 1000), tuple(np.sin(0.4 * np.pi * np.arange(1000))))
+    assert "follows a file's course" in why_refused(resolved(StimulusConfig(**course), am_table=table))
 
-    monkeypatch.setattr(force_threshold, "factors_at", lambda config, times: (times % 0.005 < 0.0025).astype(float))
-    assert "which has 81 % of this modulation's power" in why_refused(StimulusConfig(**AM))
+
+def test_it_applies_to_what_it_was_measured_with():
+    """A sine on a constant half under a Hann window of 1 s."""
+    bursts = {"am_waveform": "burst", "am_burst_length_s": 1.0, "am_burst_period_s": 3.0}
+    assert why_refused(StimulusConfig(**AM | bursts, am_normalisation="carrier", drive_amplitude=0.5**0.5)) is None

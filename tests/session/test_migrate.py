@@ -57,6 +57,18 @@ def test_every_other_byte_stays(small_scene, tmp_path):
     assert spec.skins[0].config.solver == "wedges" and spec.driver.board == "ideal" and spec.device == "cpu"
 
 
+def test_a_key_and_its_value_are_renamed_together(small_scene):
+    path = aged(small_scene(), ('"am_quantity" value="amplitude"', '"am_of" value="pressure"'))
+    with pytest.raises(SceneError, match="key 'am_of' is renamed: use am_quantity with value 'amplitude'"):
+        palmfield.load(path)
+    (change,) = migrate(path, overwrite=True).changes
+    assert "key 'am_of' of 'palmfield.stimulus' is now 'am_quantity', with value 'amplitude' for 'pressure'" in change
+    assert palmfield.load(path).runtime.spec.stimuli[0].config.am_quantity == "amplitude"
+    path = aged(small_scene(stimulus={"am_quantity": "arp"}), ("am_quantity", "am_of"))
+    migrate(path, overwrite=True)
+    assert palmfield.load(path).runtime.spec.stimuli[0].config.am_quantity == "arp"
+
+
 def test_nothing_is_replaced_unless_asked_for(small_scene):
     path = aged(small_scene(), OLD[0])
     before = path.read_bytes()

@@ -106,7 +106,7 @@ SOUNDS = {
         "stimulus.drive_amplitude": [0.4, 1.0, 0.5],
     },
     "bursts of a sine": {
-        "stimulus.am_waveform": "burst",
+        "stimulus.am_waveform": ["burst", "burst", "burst"],
         "stimulus.am_burst_length_s": [0.006, 0.005, 0.009],
         "stimulus.am_burst_period_s": [0.008, 0.005, 0.02],
     },

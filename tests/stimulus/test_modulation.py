@@ -182,10 +182,7 @@ def test_the_loudest_moment_is_one(form):
 
 
 def plain_levels(config, form, exponent):
-    """ARP over that of full drive of a modulation whose carrier has the asked quantity, over a period; growth 1 + m w.
-
-    carrier: duty, amplitude or ARP of the carrier
-    """
+    """A function: from duty, amplitude or ARP of the carrier to the ARP over a period, over that of full drive."""
     duration = {"burst": 0.03, "course": 0.05}.get(form, 0.005)
     times = duration * (np.arange(20_000) + 0.5) / 20_000
     growth = 1 + config.am_depth * np.array([plain_wave(config, FORMS[form][1], t) for t in times])
@@ -195,7 +192,7 @@ def plain_levels(config, form, exponent):
             return np.sin(np.pi * carrier * growth) ** exponent
         return (carrier * growth) ** (2 if config.am_quantity == "amplitude" else 1)
 
-    return arp, growth
+    return arp
 
 
 @pytest.mark.parametrize("form", sorted(FORMS))
@@ -206,7 +203,7 @@ def test_carrier_and_mean_are_what_drive_amplitude_says(form, quantity, depth):
     for normalisation in ("carrier", "mean"):
         more = {"drive_amplitude": amplitude, "am_normalisation": normalisation}
         config = made(form, quantity, depth, exponent, **more)
-        arp, growth = plain_levels(config, form, exponent)
+        arp = plain_levels(config, form, exponent)
         peak = peak_amplitude(config)
         if normalisation == "carrier":
             # The carrier alone sounds at the asked amplitude; its duty by the law's inverse
