@@ -25,7 +25,8 @@ FULL_DUTY = 0.5
 """Beyond it pulses grow softer again."""
 ROUNDING = 1e-9
 HARMONIC = 0.1
-"""Share of the largest line in the ARP above which a harmonic counts as one of the main frequencies."""
+"""Share of the largest line in the ARP, each over its frequency, above which a harmonic is a main frequency: skin moves
+less the faster it is pushed. A square wave of 200 Hz so asks for 600 Hz; a layer made for 1 kHz moves by 0.2 % otherwise."""
 MOST_HARMONICS = 8
 HIGHEST_HZ = 1000.0
 """Above this skin hardly answers, nor does anybody feel it."""
@@ -195,7 +196,7 @@ def am_frequencies(config: StimulusConfig) -> tuple[float, ...]:
         return harmonics + (envelope if am.waveform.name == "burst" else ())
     most = min(MOST_HARMONICS, max(1, math.floor(HIGHEST_HZ / frequency)))
     multiples = [n * frequency for n in range(1, most + 1)]
-    sizes = _lines(am, samples(am.waveform), multiples)
+    sizes = _lines(am, samples(am.waveform), multiples) / multiples
     return (frequency, *(f for f, size in zip(multiples[1:], sizes[1:], strict=True) if size > HARMONIC * sizes.max()))
 
 
