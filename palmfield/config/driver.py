@@ -1,10 +1,10 @@
 """Keys of palmfield.driver."""
 
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from palmfield.config.base import Config, Positive
+from palmfield.config.base import Config
 
 
 class DriverConfig(Config):
@@ -15,7 +15,7 @@ class DriverConfig(Config):
     board: Literal["ideal", "sonicsurface"] = Field(
         "ideal", description="ideal: continuous phase and amplitude at any rate; sonicsurface: decoded from its bytes"
     )
-    duty_exponent: Positive = Field(
+    duty_exponent: Annotated[float, Field(ge=0.5, le=4)] = Field(
         2.0,
         description="g of the pulses' law p/p_M = sin(pi duty)^(g/2), for am_quantity duty: 2 is that of rectangular "
         "pulses; 1.5 was measured on a device (Hasegawa and Shinoda 2018)",

@@ -24,9 +24,11 @@ POWERS = {"duty": 0, "amplitude": 2, "arp": 1}
 FULL_DUTY = 0.5
 """Beyond it pulses grow softer again."""
 ROUNDING = 1e-9
+SILENT = 1e-9
+"""Of full drive: an amplitude below it is silence, whose pulses have no course."""
 HARMONIC = 0.1
 """Share of the largest line in the ARP, each over its frequency, above which a harmonic is a main frequency: skin moves
-less the faster it is pushed. A square wave of 200 Hz so asks for 600 Hz; a layer made for 1 kHz moves by 0.2 % otherwise."""
+less the faster it is pushed. A square wave of 200 Hz so asks for 600 Hz; a layer for 1 kHz moves by 0.2 % otherwise."""
 MOST_HARMONICS = 8
 HIGHEST_HZ = 1000.0
 """Above this skin hardly answers, nor does anybody feel it."""
@@ -96,7 +98,7 @@ def peak_amplitude(config: StimulusConfig) -> float:
     """
     amplitude = _amplitude(config)
     am = modulation_of(config)
-    if am is None or amplitude == 0.0 or config.am_normalisation == "peak" or am.depth == 0.0:
+    if am is None or amplitude < SILENT or config.am_normalisation == "peak" or am.depth == 0.0:
         return amplitude
     if am.quantity == "duty":
         return float(relative_pressure(am.peak_duty, float(am.exponent)))
@@ -117,7 +119,7 @@ def _amplitude(config: StimulusConfig) -> float:
 def _peak_duty(config: StimulusConfig, form: Waveform, exponent: float) -> float:
     """Duty at the loudest moment; full for silence, which has none. Raises SceneError for more than full duty."""
     amplitude, depth = _amplitude(config), config.am_depth or 0.0
-    if amplitude == 0.0:
+    if amplitude < SILENT:
         return FULL_DUTY
     own = float(duty_cycle(amplitude, exponent))
     growth = 1.0 + depth * float(form.highest)
@@ -130,17 +132,20 @@ def _peak_duty(config: StimulusConfig, form: Waveform, exponent: float) -> float
         return min(own * growth, FULL_DUTY)
     period = samples(form)
 
-    def mean_arp(duty: float) -> float:
-        """Of pulses of this duty at the loudest moment, relative to full drive."""
+    def mean_arp(peak: float) -> float:
+        """Of pulses with this amplitude at the loudest moment, relative to full drive."""
+        duty = float(duty_cycle(peak, exponent))
         course = np.sin(np.pi * duty * (1.0 + depth * period.values) / growth) ** exponent
         return float(period.weights @ course)
 
-    most = mean_arp(FULL_DUTY)
+    most = mean_arp(1.0)
     if amplitude**2 > most * (1.0 + ROUNDING):
         raise _too_loud(config, f"pulses of more than duty {FULL_DUTY:g}, the most there is", math.sqrt(most))
     if amplitude**2 >= most:
         return FULL_DUTY
-    return float(brentq(lambda duty: mean_arp(duty) - amplitude**2, 0.0, FULL_DUTY, xtol=1e-15))
+    # At half the amplitude even the loudest moment has a quarter of the wanted ARP
+    peak = brentq(lambda peak: mean_arp(peak) - amplitude**2, 0.5 * amplitude, 1.0, xtol=ROUNDING * amplitude)
+    return float(duty_cycle(peak, exponent))
 
 
 def _too_loud(config: StimulusConfig, takes: str, limit: float) -> SceneError:
