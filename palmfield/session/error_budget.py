@@ -72,7 +72,7 @@ def field_error(model: HapticModel, skin: int, loudest: LoudestMoment, radiation
     posed = loudest.posed
     loads = radiation.on(posed, skin, "quadrature", loudest.drive).arp
     points = posed.skins[skin].quadrature[0][np.argsort(loads)[-LOUDEST_POINTS:]]
-    exact = posed.arrays.pressure64(points, loudest.drive)
+    exact = posed.arrays.with_echoes64(points, loudest.drive)
     fast = posed.arrays.field.pressure(points, loudest.drive).pressure
     largest = float(np.abs(exact).max())
     return 2.0 * float(np.abs(fast - exact).max()) / largest if largest > 0.0 else 0.0

@@ -40,6 +40,10 @@ def modelled(model: HapticModel, duration_s: float) -> list[Row]:
     for skin in model.skins:
         sound = skin.spec.config.body_sound
         rows.append(Row("sound at the body", f"body_sound {sound}", BODY_SOUNDS[sound], skin.spec.name))
+    if model.arrays.wall_m is not None:
+        trips = len(model.arrays.images) // len(model.arrays.groups)
+        about = f"images of the array after {trips} round trips of {2e3 * model.arrays.wall_m:.1f} mm, reflection 1"
+        rows.append(Row("echo", "array_face rigid", about))
     for stimulus in model.stimuli:
         rows += _ring_up(model, stimulus)
     for skin in model.skins:
