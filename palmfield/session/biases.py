@@ -11,11 +11,14 @@ from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.acoustics.validity import least_radius_m
 from palmfield.config.skin import OF_SHAPES
 from palmfield.outputs.budget_text import bias_text
+from palmfield.session.array_inputs import qualities
 from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.stimulus.schedule import main_frequencies
 from palmfield.types import Complex, Float
 
+HANDS = (*OF_SHAPES["hand"], "rigged")
+"""Shapes that are hands: what was measured on these is told of no other."""
 FEW_WAVELENGTHS = 2.0
 """Radius of curvature in wavelengths below which a wall is not locally flat for the sound."""
 CURVED, OPEN_HAND = 0.10, 0.04
@@ -80,17 +83,13 @@ def _linear(skin: SkinModel) -> list[Bias]:
 
 def response_biases(stimulus: StimulusModel) -> list[Bias]:
     """ARP goes with the pressure's square; sound that comes late or spread is never more than sound at once."""
-    response, result = stimulus.response, []
-    qualities = " and ".join(
-        f"{quality:g}"
-        for quality in np.unique(np.broadcast_to(response.pole.Q, response.delays_s.shape)[stimulus.transducers])
-    )
+    response, result, own = stimulus.response, [], qualities(stimulus)
     for what, there, error in (
         ("transducers' ring-up", response.on, response.ring_up),
         ("spread of the flight time", response.delayed, response.flight_time),
     ):
         if not there:
-            why = f"{error} of the pressure, measured on samples of the drive, Q {qualities}; the ARP has its square"
+            why = f"{error} of the pressure, measured on samples of the drive, {own}; the ARP has its square"
             result.append(Bias(what, -2.0 * error.rms, 0.0, why))
     return result
 
@@ -125,9 +124,16 @@ def _scattered(model: HapticModel, skin: int, posed: PosedScene, focus: Float) -
     size = CURVED if radius < FEW_WAVELENGTHS * length else OPEN_HAND
     why = (
         f"least radius of curvature under the focus {1e3 * radius:.0f} mm, {radius / length:.1f} wavelengths; the "
-        f"local law holds from {FEW_WAVELENGTHS:g}; {FACE_BY_FACE}. body_sound scattering computes it"
+        f"local law holds from {FEW_WAVELENGTHS:g}; {_measured(part)}. body_sound scattering computes it"
     )
     return [Bias("scattered sound", -size, size, why)]
+
+
+def _measured(skin: SkinModel) -> str:
+    """How far off the law was on hands; of another body nothing is known but its curvature."""
+    if skin.spec.config.shape in HANDS:
+        return FACE_BY_FACE
+    return "the figure is that of hands as curved, and more than half on skin turned away (docs/bench/scattering.md)"
 
 
 def _shadows(model: HapticModel, skin: int) -> list[Bias]:
@@ -138,7 +144,7 @@ def _shadows(model: HapticModel, skin: int) -> list[Bias]:
         if part.carrier.surface is None and bodies == 1:
             return [Bias("cast shadows", 0.0, 0.0, "a flat face casts none on itself")]
         why = "one part of the body does not shade another" + (", nor one body another" if bodies > 1 else "")
-        if config.shape in OF_SHAPES["hand"]:
+        if config.shape in HANDS:
             why += "; nothing on an open hand, all of the sound behind a finger"
         return [Bias("cast shadows", None, None, f"{why}. body_sound shadows computes them")]
     if config.body_sound == "shadows" and config.shadow_edges == "rays":
