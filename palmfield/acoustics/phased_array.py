@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 from palmfield.acoustics.air import density, sound_speed
 from palmfield.acoustics.arrays import LAYOUTS, combined, from_poses, layout, placed, with_faults
 from palmfield.acoustics.calibration_file import Calibration
+from palmfield.acoustics.echo import image_shifts
 from palmfield.acoustics.field import FieldEvaluator, Mode
 from palmfield.acoustics.reference import pressure64
 from palmfield.acoustics.transducer import ANY_P0, ANY_QUALITY, T4010A1_DIRECTIVITY
@@ -186,7 +187,7 @@ class MultiArrayField:
 
     groups: which transducers each evaluator has; evaluators: one a group
     air: for all; device: "cpu" or "cuda:N"; mode: as FieldEvaluator
-    count: how many transducers all groups have together
+    count: how many transducers all groups have together; a transducer that is in several sounds from several places
     """
 
     def __init__(self, groups: tuple[DirectivityGroup, ...], air: Air, device: str = "auto", mode: Mode = "fast"):
@@ -194,7 +195,7 @@ class MultiArrayField:
         self.groups, self.air, self.mode = groups, air, mode
         self.evaluators = tuple(FieldEvaluator(group.array, air, device, mode=mode) for group in groups)
         self.device = self.evaluators[0].device
-        self.count = sum(len(group.chosen) for group in groups)
+        self.count = len(np.unique(np.concatenate([group.chosen for group in groups])))
 
     def pressure(self, points: Float, drive: Complex, gradient: bool = False) -> Field:
         """As FieldEvaluator.pressure, for the drive of all transducers, shape (count,)."""
@@ -215,8 +216,10 @@ class PhasedArray:
     instances: the scene's arrays; the air, the kernels' precision and the frame are those of the first one
     placements: of each array, in the frame of the first one
     device: where the field is computed, "auto", "cpu" or "cuda:N"
+    wall_m: distance from the plane of the transducers to a flat wall that faces them, between which sound goes back and
+        forth (`palmfield.acoustics.echo`); None where what comes back is gone
     parts: transducers of each array in its own frame; slices: of each part, into the numbering of all transducers
-    groups: transducers by directivity, in the array frame
+    groups: transducers by directivity, in the array frame; images: of them, by what goes back and forth
     array: all transducers in one, for positions, directions and gains. Where directivities differ it has the widest
         piston of them and no table: take `pressure64` or `field` for the sound
     impedance: rho c^2 of the air [Pa]
@@ -226,12 +229,18 @@ class PhasedArray:
     heights: of the middle of each part along that direction [m], shape (parts,)
     """
 
-    def __init__(self, instances: Sequence[ArrayInstance], placements: Sequence[Placement], device: str = "auto"):
+    def __init__(
+        self,
+        instances: Sequence[ArrayInstance],
+        placements: Sequence[Placement],
+        device: str = "auto",
+        wall_m: float | None = None,
+    ):
         """Raises SceneError, which names the plugin, for an array that cannot be built."""
         first = instances[0].config
         self.air = Air(first.temperature_C, first.humidity_percent, first.pressure_Pa)
         self.precision: Mode = first.precision
-        self.device = device
+        self.device, self.wall_m = device, wall_m
         self.placements = tuple(placements)
         self.frames = tuple(placement.transform for placement in self.placements)
         self._lock = threading.Lock()
@@ -250,6 +259,7 @@ class PhasedArray:
             facing = np.array([part.normals.mean(axis=0) for part in moved])
             middles = np.array([part.positions.mean(axis=0) for part in moved])
             self.facing, self.heights = np.ascontiguousarray(facing.T), (middles * facing).sum(axis=1)
+            self.images = () if wall_m is None else self._images(wall_m, facing[0])
             if len(self.groups) > 1:
                 widest = max(part.piston_radius_m for part in moved)
                 moved = [replace(part, piston_radius_m=widest, directivity_table=None) for part in moved]
@@ -272,18 +282,28 @@ class PhasedArray:
         # Made once, whoever asks first: a second one would only cost time, but callers compare fields by identity
         with self._lock:
             if self._field is None:
-                self._field = MultiArrayField(self.groups, self.air, self.device, self.precision)
+                groups = self.groups + self.images
+                self._field = MultiArrayField(groups, self.air, self.device, self.precision)
             return self._field
 
     def pressure64(self, points: Float, drive: Complex) -> Complex:
-        """Complex peak pressure [Pa], shape (n,), at points [m], shape (n, 3), in float64 on the CPU.
+        """Complex peak pressure [Pa], shape (n,), at points [m], shape (n, 3), in float64 on the CPU, without echoes.
 
         drive: complex amplitudes of all transducers, 1 is full drive, shape (len(self),)
         """
-        total: Complex = np.zeros(len(points), complex)
-        for group in self.groups:
-            total += pressure64(points, group.array, drive[group.chosen], self.air)[0]
-        return total
+        return _sum64(self.groups, points, drive, self.air)
+
+    def with_echoes64(self, points: Float, drive: Complex) -> Complex:
+        """As `pressure64`, with what goes back and forth, as `field` has it."""
+        return _sum64(self.groups + self.images, points, drive, self.air)
+
+    def _images(self, wall_m: float, outward: Float) -> tuple[DirectivityGroup, ...]:
+        shifts = image_shifts(self.air, self.groups[0].array.frequency_Hz, wall_m, outward)
+        return tuple(
+            DirectivityGroup(replace(group.array, positions=group.array.positions + shift), group.chosen)
+            for shift in shifts
+            for group in self.groups
+        )
 
     def same(self, placements: Sequence[Placement]) -> bool:
         """Whether the arrays stand to one another as they do here, to a nanometre and a nanoradian."""
@@ -291,6 +311,13 @@ class PhasedArray:
         return placements == self.placements or all(
             same_place(a, b) for a, b in zip(self.placements, placements, strict=True)
         )
+
+
+def _sum64(groups: Sequence[DirectivityGroup], points: Float, drive: Complex, air: Air) -> Complex:
+    total: Complex = np.zeros(len(points), complex)
+    for group in groups:
+        total += pressure64(points, group.array, drive[group.chosen], air)[0]
+    return total
 
 
 def same_place(one: Placement, other: Placement) -> bool:

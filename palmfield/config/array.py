@@ -54,6 +54,10 @@ class ArrayConfig(Config):
     response: Literal["auto", "on", "off"] = Field(
         "auto", description="ring-up and flight time of the sound; auto drops them where their bound allows"
     )
+    array_face: Literal["absorbing", "rigid"] = Field(
+        "absorbing",
+        description="what becomes of sound that a flat disc sends back: gone, or reflected until it has died away",
+    )
     precision: Literal["fast", "accurate"] = Field(
         "fast", description="field: float32 throughout, or distances and phases in float64 at half the speed"
     )

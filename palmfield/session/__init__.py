@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING
 from palmfield.lazy_names import lazy_names
 
 if TYPE_CHECKING:
+    from palmfield.session.array_inputs import p0_band
     from palmfield.session.load import compiled
-    from palmfield.session.numerical_error import LoudestMoment, error_estimate, p0_band
+    from palmfield.session.numerical_error import LoudestMoment, error_estimate
     from palmfield.session.plan import Plan, warnings
     from palmfield.session.planning.rows import Row
     from palmfield.session.play import play_focus, play_scene, scene_frames
@@ -28,7 +29,8 @@ if TYPE_CHECKING:
     from palmfield.session.worlds import Worlds, WorldsSkin
 
 _WHERE = {
-    **dict.fromkeys(("LoudestMoment", "error_estimate", "p0_band"), "numerical_error"),
+    "p0_band": "array_inputs",
+    **dict.fromkeys(("LoudestMoment", "error_estimate"), "numerical_error"),
     "compiled": "load",
     **dict.fromkeys(("Plan", "warnings"), "plan"),
     "Row": "planning.rows",

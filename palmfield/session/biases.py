@@ -5,14 +5,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from palmfield.acoustics.air import sound_speed
+from palmfield.acoustics.echo import REST
 from palmfield.acoustics.nonlinear import arp_left, beam_steepening, fundamental_left
+from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.acoustics.validity import least_radius_m
 from palmfield.config.skin import OF_SHAPES
 from palmfield.outputs.budget_text import bias_text
+from palmfield.session.array_inputs import qualities
 from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
 from palmfield.simulation.posed_scene import PosedScene
+from palmfield.stimulus.schedule import main_frequencies
 from palmfield.types import Complex, Float
 
+HANDS = (*OF_SHAPES["hand"], "rigged")
+"""Shapes that are hands: what was measured on these is told of no other."""
 FEW_WAVELENGTHS = 2.0
 """Radius of curvature in wavelengths below which a wall is not locally flat for the sound."""
 CURVED, OPEN_HAND = 0.10, 0.04
@@ -21,6 +27,9 @@ FACE_BY_FACE = (
     "face by face 4 % of the ARP on an open hand, 8 % on a finger, 16 % in a cup, more than half on skin turned away "
     "(docs/bench/scattering.md)"
 )
+ECHO = "echo between body and array"
+ROUND_TRIPS = 8
+"""Of sound between a plate and the array that a band is made of: what comes later is a tenth of it or less."""
 NEAR_M = 6e-3
 """Half of a focus: the skin's curvature is looked at so far round it [m]."""
 
@@ -57,7 +66,7 @@ def biases(model: HapticModel, skin: int, stimulus: int, posed: PosedScene, driv
         *_nonlinear(posed, part, drive, focus),
         *_scattered(model, skin, posed, focus),
         *_shadows(model, skin),
-        *_echo(model, skin, posed, drive, focus),
+        *_echo(model, skin, stimulus, posed, drive, focus),
         Bias("streaming", None, None, "a wind of about 1 m/s: some 0.6 Pa more, slow, and cooling"),
         Bias("warm-up", None, None, "resonance and level drift over minutes: usually less sound than at the start"),
         Bias("coupling of transducers", None, None, "each sounds as if alone: either way"),
@@ -74,17 +83,13 @@ def _linear(skin: SkinModel) -> list[Bias]:
 
 def response_biases(stimulus: StimulusModel) -> list[Bias]:
     """ARP goes with the pressure's square; sound that comes late or spread is never more than sound at once."""
-    response, result = stimulus.response, []
-    qualities = " and ".join(
-        f"{quality:g}"
-        for quality in np.unique(np.broadcast_to(response.pole.Q, response.delays_s.shape)[stimulus.transducers])
-    )
+    response, result, own = stimulus.response, [], qualities(stimulus)
     for what, there, error in (
         ("transducers' ring-up", response.on, response.ring_up),
         ("spread of the flight time", response.delayed, response.flight_time),
     ):
         if not there:
-            why = f"{error} of the pressure, measured on samples of the drive, Q {qualities}; the ARP has its square"
+            why = f"{error} of the pressure, measured on samples of the drive, {own}; the ARP has its square"
             result.append(Bias(what, -2.0 * error.rms, 0.0, why))
     return result
 
@@ -119,9 +124,16 @@ def _scattered(model: HapticModel, skin: int, posed: PosedScene, focus: Float) -
     size = CURVED if radius < FEW_WAVELENGTHS * length else OPEN_HAND
     why = (
         f"least radius of curvature under the focus {1e3 * radius:.0f} mm, {radius / length:.1f} wavelengths; the "
-        f"local law holds from {FEW_WAVELENGTHS:g}; {FACE_BY_FACE}. body_sound scattering computes it"
+        f"local law holds from {FEW_WAVELENGTHS:g}; {_measured(part)}. body_sound scattering computes it"
     )
     return [Bias("scattered sound", -size, size, why)]
+
+
+def _measured(skin: SkinModel) -> str:
+    """How far off the law was on hands; of another body nothing is known but its curvature."""
+    if skin.spec.config.shape in HANDS:
+        return FACE_BY_FACE
+    return "the figure is that of hands as curved, and more than half on skin turned away (docs/bench/scattering.md)"
 
 
 def _shadows(model: HapticModel, skin: int) -> list[Bias]:
@@ -132,7 +144,7 @@ def _shadows(model: HapticModel, skin: int) -> list[Bias]:
         if part.carrier.surface is None and bodies == 1:
             return [Bias("cast shadows", 0.0, 0.0, "a flat face casts none on itself")]
         why = "one part of the body does not shade another" + (", nor one body another" if bodies > 1 else "")
-        if config.shape in OF_SHAPES["hand"]:
+        if config.shape in HANDS:
             why += "; nothing on an open hand, all of the sound behind a finger"
         return [Bias("cast shadows", None, None, f"{why}. body_sound shadows computes them")]
     if config.body_sound == "shadows" and config.shadow_edges == "rays":
@@ -144,17 +156,49 @@ def _shadows(model: HapticModel, skin: int) -> list[Bias]:
     return []
 
 
-def _echo(model: HapticModel, skin: int, posed: PosedScene, drive: Complex, focus: Float) -> list[Bias]:
-    """Sound that a flat body returns to a rigid array face comes again as from three times the distance."""
+def _echo(model: HapticModel, skin: int, stimulus: int, posed: PosedScene, drive: Complex, focus: Float) -> list[Bias]:
+    """Sound that a flat body returns to a rigid face comes again as from three times the distance, from five ..."""
     if model.skins[skin].carrier.surface is not None:
-        return [Bias("echo between body and array", None, None, "either way; less than on a flat plate")]
+        return [Bias(ECHO, None, None, "either way; less than on a flat plate")]
     arrays = posed.arrays
     normal = arrays.facing[:, 0]
     height = float(focus @ normal - arrays.heights[0])
-    there, again = np.abs(arrays.pressure64(np.array([focus, focus + 2.0 * height * normal]), drive))
-    size = 2.0 * float(again / there) if there > 0.0 else 0.0
+    trips = np.arange(ROUND_TRIPS + 1)
+    sounds = np.abs(arrays.pressure64(focus + 2.0 * height * trips[:, None] * normal, drive))
+    shares = sounds[1:] / sounds[0] if sounds[0] > 0.0 else np.zeros(ROUND_TRIPS)
+    if arrays.wall_m is not None:
+        return _echo_computed(model.stimuli[stimulus], arrays, drive, focus, shares)
+    together = float(shares.sum())
     why = (
-        f"a flat plate at {1e3 * height:.0f} mm and a rigid array face return {100 * again / max(there, 1e-300):.1f} % "
-        "of the pressure, either way as the distance changes by a quarter of a wavelength; nothing if the face absorbs"
+        f"an endless flat plate at {1e3 * height:.0f} mm and a rigid array face return {100 * shares[0]:.1f} % of the "
+        f"pressure after one round trip and {100 * together:.1f} % after {ROUND_TRIPS}, which add or cancel as the "
+        "distance changes by a quarter of a wavelength; less on a narrow disc, nothing if the face absorbs. array_face "
+        "rigid computes it"
     )
-    return [Bias("echo between body and array", -size, size, why)]
+    return [Bias(ECHO, (1.0 - min(together, 1.0)) ** 2 - 1.0, (1.0 + together) ** 2 - 1.0, why)]
+
+
+def _echo_computed(
+    stimulus: StimulusModel, arrays: PhasedArray, drive: Complex, focus: Float, shares: Float
+) -> list[Bias]:
+    """What is not computed of the echo. shares: of its pressure after 1, 2 ... round trips, over the direct sound's"""
+    assert arrays.wall_m is not None
+    alone, whole = (abs(of(focus[None], drive)[0]) ** 2 for of in (arrays.pressure64, arrays.with_echoes64))
+    change = float(alone / whole) - 1.0 if whole > 0.0 else 0.0
+    rims = (
+        "echoes are those of endless planes: less comes back from a disc or a board that ends, so that the truth lies "
+        f"between them and none; after {len(arrays.images) // len(arrays.groups)} round trips less than "
+        f"{100 * REST:g} % of the pressure is left"
+    )
+    trip_s = 2.0 * arrays.wall_m / sound_speed(arrays.air)
+    fastest_Hz = max(main_frequencies(stimulus.config), default=0.0)
+    turned = np.minimum(2.0, 2.0 * np.pi * fastest_Hz * trip_s * np.arange(1, ROUND_TRIPS + 1))
+    late = 2.0 * float(shares @ turned)
+    why = (
+        f"{1e3 * trip_s:.2f} ms a round trip, computed as if at once: nothing while the sound keeps still, here the "
+        f"change of a drive of {fastest_Hz:.3g} Hz"
+    )
+    return [
+        Bias("rims that end the echo", min(change, 0.0), max(change, 0.0), rims),
+        Bias("delay of the echo", -late, late, why),
+    ]

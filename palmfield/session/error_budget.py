@@ -10,15 +10,14 @@ from typing import Any
 
 import numpy as np
 
+from palmfield.config.skin import OF_SHAPES
+from palmfield.session.array_inputs import p0_band, p0_known, quality_known, stimulus_of
 from palmfield.session.biases import biases
 from palmfield.session.numerical_error import (
     Course,
     LoudestMoment,
     error_estimate,
     nearest_focus,
-    p0_band,
-    p0_known,
-    stimulus_of,
 )
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.radiation import Radiation
@@ -60,7 +59,7 @@ def error_budget(
         "quantity": QUANTITY,
         "numerical": estimate,
         "left_out": [asdict(bias) for bias in found],
-        "inputs": [*_level(model, stimulus), _material(model, skin, band), *_unknown_inputs(model, skin)],
+        "inputs": [*_level(model, stimulus), _material(model, skin, band), *_unknown_inputs(model, skin, stimulus)],
     }
 
 
@@ -72,7 +71,7 @@ def field_error(model: HapticModel, skin: int, loudest: LoudestMoment, radiation
     posed = loudest.posed
     loads = radiation.on(posed, skin, "quadrature", loudest.drive).arp
     points = posed.skins[skin].quadrature[0][np.argsort(loads)[-LOUDEST_POINTS:]]
-    exact = posed.arrays.pressure64(points, loudest.drive)
+    exact = posed.arrays.with_echoes64(points, loudest.drive)
     fast = posed.arrays.field.pressure(points, loudest.drive).pressure
     largest = float(np.abs(exact).max())
     return 2.0 * float(np.abs(fast - exact).max()) / largest if largest > 0.0 else 0.0
@@ -99,10 +98,17 @@ def _material(model: HapticModel, skin: int, band: tuple[float | None, float | N
     return {"what": "material", "low": band[0], "high": band[1], "kind": "inferred", "why": why}
 
 
-def _unknown_inputs(model: HapticModel, skin: int) -> list[dict[str, Any]]:
+def _unknown_inputs(model: HapticModel, skin: int, stimulus: int) -> list[dict[str, Any]]:
     """What else goes in and isn't carried through."""
     inputs = []
-    if model.skins[skin].carrier.surface is not None:
-        inputs.append(("depth to the bone", "its range by region is in docs/hands.md"))
-    inputs.append(("quality of the transducers", "12 to 35 until it is measured: it shapes onsets and fast modulation"))
-    return [{"what": what, "low": None, "high": None, "kind": "assumed", "why": why} for what, why in inputs]
+    part = model.skins[skin]
+    if part.spec.config.shape in OF_SHAPES["hand"]:
+        inputs.append(("depth to the bone", "assumed", "its range by region is in docs/hands.md"))
+    elif part.carrier.surface is not None:
+        depth_mm = 1e3 * part.spec.config.depth_m
+        inputs.append(("depth to the bone", "assumed", f"{depth_mm:g} mm everywhere by key depth_m; no range is known"))
+    known = quality_known(model, stimulus)
+    kinds = " and ".join(dict.fromkeys(one.kind for one in known))
+    ranges = "; ".join(f"{one.value:g} ({one.low:g} to {one.high:g}): {one.source}" for one in known)
+    inputs.append(("quality of the transducers", kinds, f"{ranges}; it shapes onsets and fast modulation"))
+    return [{"what": what, "low": None, "high": None, "kind": kind, "why": why} for what, kind, why in inputs]

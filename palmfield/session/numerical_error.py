@@ -1,6 +1,6 @@
-"""What the numbers of a finished run are worth: relative error of a skin's displacement by source, and the p0 band.
+"""What the numbers of a finished run are worth: relative error of a skin's displacement by source.
 
-Both are estimated at one moment, the loudest on the skin. Errors of the model itself (ARP law, material, linearity) are
+It is estimated at one moment, the loudest on the skin. Errors of the model itself (ARP law, material, linearity) are
 not in these; the plan names them.
 """
 
@@ -14,9 +14,8 @@ import numpy as np
 from palmfield import cache
 from palmfield.config.skin import EXPLICIT
 from palmfield.errors import SceneError
-from palmfield.simulation.build import nearest_stimulus
-from palmfield.simulation.emission import array_drives
-from palmfield.simulation.model import HapticModel, SkinModel, array_instances
+from palmfield.session.array_inputs import stimulus_of
+from palmfield.simulation.model import HapticModel, SkinModel
 from palmfield.simulation.posed_scene import PosedScene, PosedSkin, PosedSurface
 from palmfield.simulation.radiation import Radiation
 from palmfield.skin.approximation.estimate import ORDER, mesh_error
@@ -30,7 +29,7 @@ from palmfield.skin.scene_layer import SceneLayer
 from palmfield.skin.stepper import SkinStepper
 from palmfield.stimulus.schedule import frame_at
 from palmfield.threads import cores, share
-from palmfield.types import Complex, Estimate, Float
+from palmfield.types import Complex, Float
 
 T = TypeVar("T")
 Ends: TypeAlias = tuple[tuple[Sheet, ...], tuple[Sheet, ...]]
@@ -358,39 +357,3 @@ def _under_focus(model: HapticModel, skin: int, loudest: LoudestMoment) -> Float
         return posed.body.frame.inverse_points(focus)
     nearest = np.linalg.norm(nodes - focus, axis=1).argmin()
     return model.skins[skin].nodes[0][nearest]
-
-
-# -- band from an uncertain p0 -------------------------------------------------------------------------------------
-
-
-def stimulus_of(model: HapticModel, skin: int) -> int:
-    """Number of the stimulus whose sound a skin's layer is made for."""
-    nearest = nearest_stimulus(model.skins[skin].spec, model.stimuli)
-    return next(number for number, stimulus in enumerate(model.stimuli) if stimulus is nearest)
-
-
-def p0_band(model: HapticModel, stimulus: int) -> tuple[float, float] | None:
-    """Factors on the skin's motion at the low and high ends of every array's p0; None where arp_peak_Pa sets the level.
-
-    The pressures of the stimulus's arrays add up at its focus, each with its own p0, and the motion goes with the
-    square.
-    """
-    part, arrays = model.stimuli[stimulus], model.arrays
-    drive = array_drives(model, arrays)[stimulus].unit_drive(part.first_focus).amplitudes
-    pressures = []
-    for own in arrays.slices:
-        alone = np.zeros_like(drive)
-        alone[own] = drive[own]
-        pressures.append(arrays.pressure64(part.first_focus[None], alone)[0])
-    whole = abs(sum(pressures)) ** 2
-    if part.config.arp_peak_Pa is not None or whole == 0.0:
-        return None
-    known = [array.p0 for array in array_instances(model.spec)]
-    low, high = [p0.low / p0.value for p0 in known], [p0.high / p0.value for p0 in known]
-    return abs(np.dot(low, pressures)) ** 2 / whole, abs(np.dot(high, pressures)) ** 2 / whole
-
-
-def p0_known(model: HapticModel, stimulus: int) -> list[Estimate]:
-    """p0 of the arrays of a stimulus, each once where several have the same."""
-    instances = array_instances(model.spec)
-    return list(dict.fromkeys(instances[number].p0 for number in model.stimuli[stimulus].spec.arrays))

@@ -11,8 +11,9 @@ import numpy as np
 from palmfield.config.skin import EXPLICIT
 from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.errors import PalmfieldError
+from palmfield.session.array_inputs import p0_band, stimulus_of
 from palmfield.session.error_budget import error_budget
-from palmfield.session.numerical_error import Course, LoudestMoment, error_estimate, p0_band, stimulus_of
+from palmfield.session.numerical_error import Course, LoudestMoment, error_estimate
 from palmfield.session.sensation_levels import felt_levels
 from palmfield.session.simulation import Simulation
 from palmfield.simulation.forces import BodyForces

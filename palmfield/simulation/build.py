@@ -22,6 +22,7 @@ from palmfield.hand.rigged import joint_of_body
 from palmfield.hand.skinning import SkinnedHand, rigged_file, skinned_mesh
 from palmfield.hand.surface import hand_surface
 from palmfield.locked import Lazy
+from palmfield.simulation.array_face import wall_distance
 from palmfield.simulation.known_load import choose_stepper, first_stepper
 from palmfield.simulation.load_class import corner_Hz
 from palmfield.simulation.model import BodyModel, HapticModel, SkinModel, StimulusModel, array_instances
@@ -127,7 +128,8 @@ def _arrays(spec: SceneSpec) -> PhasedArray:
             instance.array(array.placement.sites)
         except SceneError as error:
             raise SceneError(f"plugin 'palmfield.array' instance '{array.name}': {error}") from None
-    arrays = PhasedArray(instances, [array.placement for array in spec.arrays], spec.device)
+    wall_m = wall_distance(spec, instances[0].array(spec.arrays[0].placement.sites))
+    arrays = PhasedArray(instances, [array.placement for array in spec.arrays], spec.device, wall_m)
     check_apart([array.name for array in spec.arrays], arrays)
     return arrays
 

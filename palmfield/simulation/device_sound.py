@@ -126,8 +126,8 @@ class _PathKnown(NamedTuple):
 
 
 def serves(model: HapticModel) -> bool:
-    """Whether a model's sound is computed here: on a GPU, but for boundary elements and precision 'accurate'."""
-    fast = model.arrays.precision == "fast"
+    """Whether a model's sound is computed here: on a GPU, but for echoes, boundary elements and 'accurate'."""
+    fast = model.arrays.precision == "fast" and model.arrays.wall_m is None
     solved = any(skin.spec.config.body_sound == "scattering" for skin in model.skins)
     return resolve(model.spec.device) != "cpu" and fast and not solved
 

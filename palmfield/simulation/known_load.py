@@ -132,7 +132,7 @@ def refusal(
     if skin.config.solver == "wedges":
         return "solver 'wedges' is asked for"
     if skin.moves:
-        return "a hand is moved by script"
+        return "a script moves something in the scene"
     sounding = [stimulus for stimulus in stimuli if not stimulus.silent]
     if not sounding:
         return "the stimulus is silent"

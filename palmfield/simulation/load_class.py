@@ -110,7 +110,7 @@ def class_stepper(model: HapticModel, skin: int, blocks: int | None = None) -> M
     posed = reference_scene(model)
     arrays, law = posed.arrays, part.spec.config.arp_law
     depends_on = (
-        *(arrays.array, arrays.air, arrays.placements, arrays.precision, model.board.name, law),
+        *(arrays.array, arrays.air, arrays.placements, arrays.wall_m, arrays.precision, model.board.name, law),
         *(*posed.skins[skin].quadrature, part.spec.patch_centre, _region_m(layer)),
     )
     span, points = (EDGES_SPAN, EDGES_POINTS) if _has_edges(part.spec) else (SPAN, POINTS)

@@ -106,7 +106,8 @@ class LoadPrefetch:
         model = self.model
         changing = any(part.config.path != "point" or part.response.delayed for part in model.stimuli)
         free = all(skin.spec.config.body_sound == "none" for skin in model.skins)
-        matrix = len(model.arrays.groups) == 1 and model.arrays.precision == "fast"
+        alike = len(model.arrays.groups) == 1 and model.arrays.wall_m is None
+        matrix = alike and model.arrays.precision == "fast"
         return changing and free and matrix
 
     def _predicted_rows(self, drives: Complex) -> slice | None:

@@ -33,6 +33,7 @@ from palmfield.hand.preset import load_preset
 from palmfield.hand.rigged import joint_of_body
 from palmfield.hand.skinning import bones_of_mesh, rigged_file
 from palmfield.mujoco_host.mujoco_view import ModelView
+from palmfield.simulation.array_face import refused
 from palmfield.simulation.spec import ArraySpec, ObstacleSpec, SceneSpec, SkinSpec, StimulusSpec, Triple
 from palmfield.skin.materials.catalogue import preset
 from palmfield.stimulus.am_file import AmTable, read_am_table
@@ -117,6 +118,7 @@ def read_scene(model: ModelView) -> tuple[SceneSpec, SceneBinding]:
     array_specs, array_sites, transducers = _arrays(arrays, model)
     skin_specs, skin_bindings = _skins(skins, model, array_sites[0])
     stimulus_specs, frame_sites = _stimuli(stimuli, model, array_specs, array_sites, skin_specs, skin_bindings)
+    _check_still(array_specs, skin_bindings, array_sites, model)
     spec = SceneSpec(
         arrays=array_specs,
         stimuli=stimulus_specs,
@@ -253,6 +255,20 @@ def _skins(
         specs.append(SkinSpec(name, config, Placement.of(relative(origin, frame)), centre, placed, moves))
         bindings.append(SkinBodies(instance, body, tuple(bones), tuple(number for _, number in obstacles)))
     return tuple(specs), tuple(bindings)
+
+
+def _check_still(
+    arrays: tuple[ArraySpec, ...], skins: tuple[SkinBodies, ...], sites: tuple[int, ...], model: ModelView
+) -> None:
+    """Refuse a rigid array face before what can move against it: echoes are computed for one distance."""
+    for array, site in zip(arrays, sites, strict=True):
+        if array.config.array_face == "absorbing":
+            continue
+        scripted = any(plugin == MotionConfig.plugin for _, plugin, _ in model.instances())
+        board = model.ancestors(model.site_body(site))
+        apart = [body for skin in skins for body in model.ancestors(skin.body) ^ board]
+        if scripted or any(map(model.can_move, apart)):
+            raise refused(array, "the body can move against the array", "a body without joints, mocap and motion")
 
 
 def _check_presets(config: SkinConfig, element: str) -> None:

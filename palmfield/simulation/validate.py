@@ -1,5 +1,6 @@
 """What board, boundary elements, bodies and machine cannot follow: refused before anything runs."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -11,6 +12,7 @@ from palmfield.acoustics.transfer import available_bytes
 from palmfield.drive.boards import Board, check
 from palmfield.drive.response import Pole
 from palmfield.errors import DeviceError, SceneError
+from palmfield.simulation.array_face import TILT_RAD
 from palmfield.simulation.model import SkinModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.spec import ArraySpec, SceneSpec, SkinSpec, StimulusSpec
@@ -26,6 +28,8 @@ MOST_SUBSTEPS = 10_000
 """Steps of a skin in one of MuJoCo's."""
 LEAST_APART_M = 1e-3
 """Between point sources, which have no width of their own, of two arrays."""
+STILL_ECHO_M = 1e-5
+"""So far a disc may move before a rigid array face: a two hundredth of what turns an echo's sign."""
 SURFACE_KEYS = ("shape", "hand", "mesh", "mesh_unit")
 """Keys that say what surface a body has; all skins on a body share them."""
 
@@ -173,7 +177,11 @@ def check_board(stimulus: StimulusSpec, board: Board, arrays: Sequence[ArraySpec
 
 
 def check_clear(posed: PosedScene) -> None:
-    """Raise SceneError where a body's surface, or an obstacle's, reaches into an array's board."""
+    """Raise SceneError where a body's surface, or an obstacle's, reaches into an array's board.
+
+    The same for a body that has left the place for which echoes from a rigid array face are computed.
+    """
+    _check_echo(posed)
     # Boxes tell it of most poses, and take no vertex
     hulls = []
     for body in posed.bodies:
@@ -198,6 +206,20 @@ def check_clear(posed: PosedScene) -> None:
     for skin in posed.skins:
         if not clear and skin.obstacles is not None:
             _check_clear(posed, "one of the obstacles", skin.obstacles[0], behind=True)
+
+
+def _check_echo(posed: PosedScene) -> None:
+    wall_m = posed.arrays.wall_m
+    if wall_m is None:
+        return
+    height = float(posed.bodies[0].frame.position[2]) - posed.arrays.boards[0].height
+    tilt = math.acos(max(-1.0, min(1.0, -float(posed.bodies[0].frame.rotation[2, 2]))))
+    if abs(height - wall_m) > STILL_ECHO_M or tilt > TILT_RAD:
+        raise SceneError(
+            f"plugin 'palmfield.array': key 'array_face' has value 'rigid', whose echoes are computed for a disc "
+            f"{1e3 * wall_m:.3f} mm before it, but the disc is {1e3 * height:.3f} mm before it and "
+            f"{math.degrees(tilt):.3g} degrees off; allowed: where the scene puts it; or array_face absorbing"
+        )
 
 
 def _check_clear(posed: PosedScene, what: str, points: Float, *, behind: bool) -> None:

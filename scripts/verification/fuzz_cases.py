@@ -3,53 +3,17 @@
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import trimesh
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
+from small_scene import small_scene_texts
 
 from palmfield.config import CONFIGS, Config
 
-ARRAYS = Path(__file__).resolve().parents[2] / "mjcf" / "arrays"
-PLAIN = """<mujoco model="plain">
-  <include file="ARRAYS/uhev1.xml"/>
-  <worldbody>
-    <body name="pad" pos="0 0 0.12" quat="0 1 0 0" gravcomp="1">
-      <joint name="slide" type="slide" axis="1 0 0" stiffness="400" damping="10"/>
-      <site name="centre" size="0.001"/>
-      <geom type="cylinder" size="0.02 0.004" pos="0 0 -0.004" contype="0" conaffinity="0"/>
-    </body>
-  </worldbody>
-</mujoco>
-""".replace("ARRAYS", str(ARRAYS))
-HAPTIC = """<mujoco model="small">
-  <include file="plain.xml"/>
-  <option timestep="0.001"/>
-  <custom>
-    <numeric name="palmfield_duration_s" data="0.01"/>
-    <text name="palmfield_device" data="cpu"/>
-  </custom>
-  <extension>
-    <plugin plugin="palmfield.array"><instance name="array"><config key="p0_Pa_m" value="2"/></instance></plugin>
-    <plugin plugin="palmfield.stimulus"><instance name="stimulus">
-      <config key="focus_m" value="0 0 0.12"/>
-      <config key="modulation" value="am"/><config key="am_quantity" value="amplitude"/>
-      <config key="am_frequency_Hz" value="200"/><config key="am_depth" value="1"/>
-    </instance></plugin>
-    <plugin plugin="palmfield.skin"><instance name="skin">
-      <config key="body" value="pad"/><config key="shape" value="disc"/>
-      <config key="radius_m" value="0.02"/><config key="thickness_m" value="0.008"/>
-      <config key="material" value="ecoflex_00-10"/><config key="element_m" value="0.006"/>
-      <config key="step_s" value="0.0005"/>
-    </instance></plugin>
-    <plugin plugin="palmfield.driver"><instance name="driver"><config key="board" value="ideal"/></instance></plugin>
-  </extension>
-  <sensor><plugin name="skin" plugin="palmfield.skin" instance="skin" objtype="site" objname="centre"/></sensor>
-</mujoco>
-"""
+PLAIN, HAPTIC = small_scene_texts(0.01, array={"p0_Pa_m": 2}, skin={"side": None})
 NEEDED: dict[str, dict[str, str]] = {
     "palmfield.skin": {"patch_site": "centre"},
     "palmfield.motion": {"keyframes": "motion.toml"},

@@ -149,3 +149,20 @@ def test_a_result_a_summary_and_a_picture_hold_the_budget(small_scene, tmp_path)
     assert written["mesh_error_relative"] == stored["numerical"]["mesh_error_relative"]
     memory = palmfield.run(small_scene(), progress=False)
     assert json.loads(memory.dataset.attrs["error_budget"])["skin"]["quantity"] == stored["quantity"]
+
+
+def test_the_quality_is_told_as_it_is_known(small_scene, moment, tmp_path):
+    """Until it is measured by the layout's range, then by the laboratory's."""
+    calibration = tmp_path / "ours.toml"
+    calibration.write_text(
+        '[p0]\nvalue = 2.0\nlow = 1.8\nhigh = 2.2\nsource = "ours"\n'
+        '[quality]\nvalue = 19\nlow = 18\nhigh = 21\nsource = "ring-down"\n'
+    )
+    told = []
+    for keys in ({}, {"calibration": calibration}):
+        scene = palmfield.load(small_scene(array=keys))
+        scene.step(3)
+        told.append(next(one for one in budget(scene, moment(scene))["inputs"] if one["what"].startswith("quality")))
+    assert told[0]["kind"] == "assumed" and "25 (12 to 35)" in told[0]["why"]
+    assert told[1]["kind"] == "measured" and "19 (18 to 21): ring-down" in told[1]["why"]
+    assert "12 to 35" not in told[1]["why"]

@@ -7,7 +7,8 @@ import pytest
 import trimesh
 
 import palmfield
-from palmfield.session.numerical_error import RATIO, Course, error_estimate, p0_band, p0_known
+from palmfield.session.array_inputs import p0_band, p0_known
+from palmfield.session.numerical_error import RATIO, Course, error_estimate
 from palmfield.simulation.emission import array_drives
 from palmfield.simulation.forces import BodyForces
 from palmfield.simulation.radiation import Radiation

@@ -107,6 +107,38 @@ def test_a_body_that_moves_is_told_its_own_inertia():
     assert 1000 * depth * 1e-3 * 0.95 < load < 1100 * depth * 1e-3 * 1.05
 
 
+HAND_STORIES, DISC_STORIES = (
+    (r"\bhands?\b", r"\bfingers?\b", r"\bcup\b"),
+    ("a flat face", "flat plate at", "this face is"),
+)
+
+
+def sayings(plan):
+    """What a plan says of sound and bodies: materials, and the study behind the mesh, are told of whatever body."""
+    rows = (*plan.modelled, *plan.left_out, *plan.besides)
+    return " ".join(f"{row.what} {row.size} {row.why}" for row in rows) + " ".join(plan.warnings)
+
+
+@pytest.mark.parametrize("path", sorted(set(SCENES.glob("*.xml")) - set(SCENES.glob("plain_*"))), ids=lambda p: p.stem)
+def test_a_plan_tells_stories_of_the_body_at_hand(path):
+    said = sayings(palmfield.plan(path, accuracy=0.5))
+    disc = path.stem.startswith("phantom")
+    assert [bool(re.search(story, said)) for story in HAND_STORIES] == [not disc] * len(HAND_STORIES)
+    assert [story in said for story in DISC_STORIES] == [disc] * len(DISC_STORIES)
+
+
+def test_a_disc_that_a_script_moves_is_no_hand(small_scene):
+    path = with_joint(small_scene(stimulus=STEADY), "", ' mocap="true"')
+    keys = '<config key="body" value="pad"/><config key="keyframes" value="down.toml"/>'
+    motion = f'<plugin plugin="palmfield.motion"><instance name="down">{keys}</instance></plugin>'
+    path.write_text(path.read_text().replace("</extension>", motion + "</extension>"))
+    key = "[[key]]\ntime_s = {}\nposition_m = [0.0, 0.0, {}]\nquaternion = [0.0, 1.0, 0.0, 0.0]\n"
+    (path.parent / "down.toml").write_text(key.format(0.0, 0.13) + key.format(0.1, 0.12))
+    said = sayings(palmfield.plan(path))
+    assert "a script moves something in the scene" in said
+    assert not any(re.search(story, said) for story in HAND_STORIES)
+
+
 def test_figures_of_scattering_are_those_of_the_page():
     by_face = {
         name: int(value)

@@ -8,8 +8,8 @@ from scipy.spatial import cKDTree
 from palmfield.acoustics import validity
 from palmfield.config.skin import EXPLICIT
 from palmfield.config.stimulus import AM_KEYS
+from palmfield.session.array_inputs import stimulus_of
 from palmfield.session.biases import response_biases
-from palmfield.session.numerical_error import stimulus_of
 from palmfield.session.planning.costs import scatterings
 from palmfield.session.planning.facts import first_drive
 from palmfield.session.planning.sight import out_of_sight

@@ -1,7 +1,7 @@
 """What error of the skin displacement a plan expects, from mesh, material and p0."""
 
 from palmfield.config.skin import EXPLICIT
-from palmfield.session.numerical_error import p0_band, p0_known
+from palmfield.session.array_inputs import p0_band, p0_known
 from palmfield.session.planning.rows import Row
 from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
 from palmfield.skin.explicit_layer import explicit_layer

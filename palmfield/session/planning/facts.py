@@ -1,7 +1,7 @@
 """What several parts of a plan ask of a model."""
 
 from palmfield.simulation.emission import array_drives
-from palmfield.simulation.model import HapticModel, StimulusModel, array_instances
+from palmfield.simulation.model import HapticModel
 from palmfield.types import Complex
 
 
@@ -14,10 +14,3 @@ def first_drive(model: HapticModel, stimulus: int) -> Complex:
 def pushed_faces(model: HapticModel) -> int:
     """Faces of the surfaces at which the sound pushes bodies; a disc is pushed at its skin's points."""
     return sum(0 if body.surface is None else len(body.surface.faces) for body in model.bodies)
-
-
-def qualities(model: HapticModel, stimulus: StimulusModel) -> str:
-    """Quality factors of the transducers that a stimulus drives, in words."""
-    instances = array_instances(model.spec)
-    factors = {instances[number].quality.value for number in stimulus.spec.arrays}
-    return "Q " + " and ".join(f"{factor:g}" for factor in sorted(factors))

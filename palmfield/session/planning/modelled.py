@@ -3,9 +3,10 @@
 from palmfield.acoustics.arp import LAWS
 from palmfield.acoustics.body_scattering import BODY_SOUNDS
 from palmfield.config.skin import EXPLICIT
+from palmfield.session.array_inputs import qualities
 from palmfield.session.numerical_error import RATIO
 from palmfield.session.planning.costs import estimate_s
-from palmfield.session.planning.facts import pushed_faces, qualities
+from palmfield.session.planning.facts import pushed_faces
 from palmfield.session.planning.rows import Row
 from palmfield.simulation.emission import array_drives
 from palmfield.simulation.known_load import SHARE
@@ -41,9 +42,15 @@ def modelled(model: HapticModel, duration_s: float) -> list[Row]:
         rows.append(Row("ARP", f"law {law}", LAWS[law].about, skin.spec.name))
     for skin in model.skins:
         sound = skin.spec.config.body_sound
-        rows.append(Row("sound at the body", f"body_sound {sound}", BODY_SOUNDS[sound], skin.spec.name))
+        flat = skin.carrier.surface is None and sound == "none"
+        about = "a flat face, lit by all transducers that it looks at" if flat else BODY_SOUNDS[sound]
+        rows.append(Row("sound at the body", f"body_sound {sound}", about, skin.spec.name))
+    if model.arrays.wall_m is not None:
+        trips = len(model.arrays.images) // len(model.arrays.groups)
+        about = f"images of the array after {trips} round trips of {2e3 * model.arrays.wall_m:.1f} mm, reflection 1"
+        rows.append(Row("echo", "array_face rigid", about))
     for stimulus in model.stimuli:
-        rows += _ring_up(model, stimulus)
+        rows += _ring_up(stimulus)
     for skin in model.skins:
         rows += _layer(skin)
     substeps = round(duration_s / model.step_s)
@@ -155,7 +162,7 @@ def _directivity(model: HapticModel) -> str:
     return " and ".join(words)
 
 
-def _ring_up(model: HapticModel, stimulus: StimulusModel) -> list[Row]:
+def _ring_up(stimulus: StimulusModel) -> list[Row]:
     response = stimulus.response
     if not response.on:
         return []
@@ -163,7 +170,7 @@ def _ring_up(model: HapticModel, stimulus: StimulusModel) -> list[Row]:
     return [
         Row(
             "transducers' ring-up",
-            f"one pole each, {qualities(model, stimulus)}{spread}",
+            f"one pole each, {qualities(stimulus)}{spread}",
             f"without, the pressure would be off by {response.ring_up}, measured on samples of the drive"
             + (f"; without the flight times by {response.flight_time}" if spread else ""),
             stimulus.spec.name,

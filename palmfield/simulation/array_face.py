@@ -1,0 +1,52 @@
+"""Key `array_face`: the way from a rigid array face to a flat disc, and what between the two is not computed."""
+
+import math
+
+from palmfield.acoustics.phased_array import BoardOutline
+from palmfield.errors import SceneError
+from palmfield.simulation.spec import ArraySpec, SceneSpec
+from palmfield.types import Array
+
+TILT_RAD = 5e-4
+"""Sound that has gone to and fro twice then is a seventieth of a wavelength off, 60 mm from the middle of the face."""
+
+
+def wall_distance(spec: SceneSpec, array: Array) -> float | None:
+    """From the plane of the transducers to the disc [m] where the array's face is rigid, None where it absorbs.
+
+    array: the first one's transducers in its own frame
+    Raises SceneError, with the reason and the way out, for all that images of the array can't follow.
+    """
+    rigid = next((array for array in spec.arrays if array.config.array_face == "rigid"), None)
+    if rigid is None:
+        return None
+    if len(spec.arrays) > 1:
+        raise refused(rigid, f"the scene has {len(spec.arrays)} arrays", "one array")
+    if len(spec.skins) > 1:
+        raise refused(rigid, f"the scene has {len(spec.skins)} skins", "one skin, a disc")
+    skin = spec.skins[0]
+    if skin.config.shape != "disc":
+        raise refused(rigid, f"skin '{skin.name}' has shape '{skin.config.shape}'", "shape disc, whose face is flat")
+    if skin.config.body_sound != "none" or skin.obstacles:
+        what = "obstacles" if skin.obstacles else f"body_sound '{skin.config.body_sound}'"
+        raise refused(rigid, f"skin '{skin.name}' has {what}", "body_sound none and nothing in the way")
+    board = BoardOutline.of(array)
+    if rigid.config.layout == "sites" or board.nearest is not None or array.normals[:, 2].min() < math.cos(TILT_RAD):
+        raise refused(rigid, f"layout '{rigid.config.layout}' is no flat face", "transducers of a board in one plane")
+    disc = skin.body.transform
+    tilt = math.acos(max(-1.0, min(1.0, float(-disc.rotation[2, 2]))))
+    if tilt > TILT_RAD:
+        raise refused(
+            rigid,
+            f"body '{skin.config.body}' is {math.degrees(tilt):.3g} degrees off facing the array",
+            f"a disc parallel to the board, to {math.degrees(TILT_RAD):.2g} degrees",
+        )
+    return float(disc.position[2]) - board.height
+
+
+def refused(array: ArraySpec, why: str, allowed: str) -> SceneError:
+    """What is said of a rigid face that can't be computed."""
+    return SceneError(
+        f"plugin 'palmfield.array' instance '{array.name}': key 'array_face' has value 'rigid', but {why}; allowed: "
+        f"{allowed}; or set array_face to absorbing: the error budget then holds a band for the echo"
+    )
