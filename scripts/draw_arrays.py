@@ -300,23 +300,9 @@ CSV = [
 CALIBRATION = [
     "## Calibrations",
     "",
-    "Key `calibration` names a TOML file. Measure with a microphone at several points, take p0 and its standard error "
-    "from `calibrate_p0`, widen the interval by what the readings share (the microphone's own calibration), and write "
-    "the file by `write_calibration` (`palmfield.acoustics.calibration_file`) or by hand:",
-    "",
-    "```toml",
-    "[p0]",
-    "value = 1.31",
-    "low = 1.22",
-    "high = 1.40",
-    'source = "our laboratory, 2026-10-01: 1/8 inch microphone at 20 points, 20 C"',
-    "",
-    "[quality]          # if it was measured",
-    "value = 21.0",
-    "low = 19.0",
-    "high = 23.0",
-    'source = "our laboratory, 2026-10-01: ring-down of 12 transducers"',
-    "```",
+    "Key `calibration` names a JSON file of what a laboratory measured of its own board: p0, polarity, phase and gain "
+    "of each transducer, resonance, and where the board really is. `palmfield calibrate` makes it from readings: see "
+    "[calibration.md](calibration.md).",
     "",
 ]
 NOTES = [

@@ -1,78 +1,211 @@
-"""A laboratory's calibration of an array as a TOML file: what the transducers were measured to do, and by whom."""
+"""A laboratory's calibration of one array as a JSON file: what its transducers were measured to do, and by whom."""
 
-import tomllib
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from scipy.spatial.transform import Rotation
 
 from palmfield.errors import OutputError, SceneError
-from palmfield.types import Estimate
+from palmfield.types import Array, Complex, Estimate, Float
 
-NUMBERS = ("value", "low", "high")
+Place = tuple[float, float, float]
+NonNegative = Annotated[float, Field(ge=0)]
+Positive = Annotated[float, Field(gt=0)]
 
 
-@dataclass(frozen=True)
-class Calibration:
-    """What has been measured of an array's transducers.
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
-    p0: peak pressure of one at 1 m on its axis at full drive [Pa m]; quality: of its resonance, None where it was not
-        measured
+
+class Elements(_Part):
+    """What was measured of each transducer, in the layout's order; all of one length n.
+
+    enabled: False for one that makes no sound; its other numbers count for nothing
+    polarity: -1 where it is wired the other way round; phase_rad: by how much it is late besides [rad], with its
+        standard error
+    gain: its amplitude relative to p0, with its standard error
+    position_m: where it is in the array's frame [m], where it was measured; address: in the board's byte order
+    resonance_Hz, quality: of its resonance, where they were measured one by one
     """
 
-    p0: Estimate
+    enabled: tuple[bool, ...]
+    polarity: tuple[Literal[-1, 1], ...]
+    phase_rad: tuple[float, ...]
+    phase_sd_rad: tuple[NonNegative, ...]
+    gain: tuple[NonNegative, ...]
+    gain_sd: tuple[NonNegative, ...]
+    position_m: tuple[Place, ...] | None = None
+    address: tuple[Annotated[int, Field(ge=0)], ...] | None = None
+    resonance_Hz: tuple[Positive, ...] | None = None
+    quality: tuple[Positive, ...] | None = None
+
+    def __len__(self) -> int:
+        return len(self.enabled)
+
+    @model_validator(mode="after")
+    def _of_one_length(self) -> Self:
+        for name in type(self).model_fields:
+            values = getattr(self, name)
+            if values is not None and len(values) != len(self):
+                raise ValueError(f"{name} has {len(values)} entries and enabled {len(self)}; give one for each")
+        if self.address is not None and sorted(self.address) != list(range(len(self))):
+            raise ValueError(f"address holds other numbers than 0 to {len(self) - 1}, each once")
+        return self
+
+
+class Pose(_Part):
+    """Where the board is in the frame that was meant for it, with standard errors.
+
+    offset_m: of its origin [m]; turn_rad: rotation vector [rad]
+    """
+
+    offset_m: Place = (0.0, 0.0, 0.0)
+    offset_sd_m: Place = (0.0, 0.0, 0.0)
+    turn_rad: Place = (0.0, 0.0, 0.0)
+    turn_sd_rad: Place = (0.0, 0.0, 0.0)
+
+
+class Level(_Part):
+    """How loud the sound is over the drive's level a: p = p0 a^exponent up to linear_to, and less above it.
+
+    exponent, with its standard error; linear_to: level from which more than 5 % is missing, 1 where nothing is
+    """
+
+    exponent: Positive
+    exponent_sd: NonNegative
+    linear_to: Annotated[float, Field(gt=0, le=1)]
+
+
+class WarmUp(_Part):
+    """Amplitude over time since it was switched on: 1 + drop exp(-t/time_s) of that in the end."""
+
+    drop: float
+    drop_sd: NonNegative
+    time_s: Positive
+
+
+class Calibration(_Part):
+    """What was measured of an array. What wasn't is None.
+
+    layout: of which array; p0: peak pressure of one transducer at 1 m on its axis at full drive [Pa m]
+    quality, resonance_Hz: of the transducers' resonance, all together
+    phase_offset_rad: by how much all of the board is late [rad], beside another board or a trigger
+    """
+
+    format: Literal["palmfield calibration"] = "palmfield calibration"
+    version: Literal[1] = 1
+    layout: str
+    p0: Estimate | None = None
     quality: Estimate | None = None
+    resonance_Hz: Estimate | None = None
+    elements: Elements | None = None
+    pose: Pose = Pose()
+    phase_offset_rad: float = 0.0
+    level: Level | None = None
+    warm_up: WarmUp | None = None
+
+    @model_validator(mode="after")
+    def _with_sources(self) -> Self:
+        for name in ("p0", "quality", "resonance_Hz"):
+            estimate = getattr(self, name)
+            if estimate is None:
+                continue
+            if not estimate.source.strip():
+                raise ValueError(f"{name} has no source; say who measured when, and with what")
+            if estimate.kind != "measured":
+                raise ValueError(f"{name} has kind '{estimate.kind}'; a calibration holds what was measured")
+        return self
 
 
 def read_calibration(path: str | Path) -> Calibration:
-    """The calibration in a TOML file.
+    """The calibration in a JSON file, whose parts are those of `Calibration` (docs/calibration.md).
 
-    Tables `p0` (in Pa m) and, if it was measured, `quality`, each with value, low, high (the 95 % interval) and source:
-    who measured when, and with what.
-    Raises SceneError for a file that cannot be read, and for a table, key or value that does not fit.
+    Raises SceneError for a file that cannot be read, and, with its place, for an entry that does not fit.
     """
     file = Path(path)
     try:
-        tables = tomllib.loads(file.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise SceneError(f"{file}: cannot be read: {error}; give a TOML file with a table [p0]") from None
-    unknown = sorted(set(tables) - {"p0", "quality"})
-    if unknown or "p0" not in tables:
-        fault = f"'{unknown[0]}' is unknown" if unknown else "table 'p0' is missing"
-        raise SceneError(f"{file}: {fault}; allowed: tables p0 and quality")
-    quality = _estimate(file, "quality", tables["quality"]) if "quality" in tables else None
-    return Calibration(_estimate(file, "p0", tables["p0"]), quality)
+        return Calibration.model_validate_json(file.read_bytes())
+    except OSError as error:
+        raise SceneError(f"{file}: cannot be read: {error}; give a calibration's JSON file") from None
+    except ValidationError as error:
+        raise SceneError(f"{file}: " + _told(error.errors()[0])) from None
 
 
-def _estimate(file: Path, name: str, table: Any) -> Estimate:
-    keys = (*NUMBERS, "source")
-    if not isinstance(table, Mapping) or set(table) != set(keys):
-        found = ", ".join(table) if isinstance(table, Mapping) else repr(table)
-        raise SceneError(f"{file}: table '{name}' has {found or 'no keys'}; give {', '.join(keys)}")
-    numbers = [table[key] for key in NUMBERS]
-    for key, number in zip(NUMBERS, numbers, strict=True):
-        if isinstance(number, bool) or not isinstance(number, int | float):
-            raise SceneError(f"{file}: {name}.{key} = {number!r}; give a number")
-    if not isinstance(table["source"], str) or not table["source"].strip():
-        raise SceneError(f"{file}: {name}.source = {table['source']!r}; say who measured when, and with what")
-    try:
-        value, low, high = (float(number) for number in numbers)
-        return Estimate(value, low, high, "measured", table["source"].strip())
-    except ValueError:
-        raise SceneError(
-            f"{file}: table '{name}' has low {low:g}, value {value:g} and high {high:g}; give 0 < low <= value <= high"
-        ) from None
+def _told(error: Any) -> str:
+    place = ".".join(str(step) for step in error["loc"])
+    text = error["msg"].removeprefix("Value error, ")
+    if error["type"] == "json_invalid":
+        return f"cannot be read: {text}; give a calibration's JSON file"
+    if error["type"] == "extra_forbidden":
+        return f"{place} is unknown; see docs/calibration.md for what there is"
+    if error["type"] == "missing":
+        return f"{place} is missing"
+    given = error["input"]
+    value = "" if isinstance(given, dict | list) or not place else f" = {given!r}"
+    return f"{place}{value}: {text}" if place else text
 
 
 def write_calibration(path: str | Path, calibration: Calibration) -> None:
     """Write a calibration that `read_calibration` reads back. Raises OutputError where it cannot be written."""
-    text = ""
-    for name, estimate in (("p0", calibration.p0), ("quality", calibration.quality)):
-        if estimate is not None:
-            text += f"[{name}]\n" + "".join(f"{key} = {float(getattr(estimate, key))!r}\n" for key in NUMBERS)
-            quoted = "".join(f"\\u{ord(c):04x}" if ord(c) < 32 or c in '"\\\x7f' else c for c in estimate.source)
-            text += f'source = "{quoted}"\n\n'
+    file, text = Path(path), calibration.model_dump_json(indent=1, exclude_none=True)
+    part = file.with_name(file.name + ".part")
     try:
-        Path(path).write_text(text, encoding="utf-8")
+        part.write_text(text + "\n", encoding="utf-8")
+        part.replace(file)
     except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error}; give a place that can be written to") from None
+        raise OutputError(f"{file}: cannot be written: {error}; give a place that can be written to") from None
+
+
+def turns(calibration: Calibration, count: int) -> Complex:
+    """What wiring and delays make of a unit drive of each transducer: a factor of magnitude 1, shape (count,).
+
+    A driver that knows them divides its drive by this. Raises SceneError for a calibration of another number.
+    """
+    late = np.full(count, calibration.phase_offset_rad)
+    elements = calibration.elements
+    if elements is None:
+        return np.exp(1j * late)
+    if len(elements) != count:
+        raise SceneError(f"the calibration is of {len(elements)} transducers, and the array has {count}")
+    return np.array(elements.polarity) * np.exp(1j * (late + np.array(elements.phase_rad)))
+
+
+def gains(calibration: Calibration, count: int) -> Float | None:
+    """Amplitude of each transducer relative to p0, 0 where it makes no sound; None where it wasn't measured.
+
+    Raises SceneError for a calibration of another number of transducers.
+    """
+    elements = calibration.elements
+    if elements is None:
+        return None
+    if len(elements) != count:
+        raise SceneError(f"the calibration is of {len(elements)} transducers, and the array has {count}")
+    return np.where(elements.enabled, elements.gain, 0.0)
+
+
+def calibrated(array: Array, calibration: Calibration) -> Array:
+    """The array as it was measured, under a driver that takes off the phases that it knows.
+
+    array: the layout; its p0 stays. Raises SceneError for a calibration of another layout or number of transducers.
+    """
+    if calibration.layout != array.name:
+        raise SceneError(f"the calibration is of layout '{calibration.layout}', and the array is '{array.name}'")
+    measured = gains(calibration, len(array))
+    positions, address = array.positions, array.address
+    if calibration.elements is not None:
+        if calibration.elements.position_m is not None:
+            positions = np.array(calibration.elements.position_m)
+        if calibration.elements.address is not None:
+            address = np.array(calibration.elements.address, np.int32)
+    turn = Rotation.from_rotvec(calibration.pose.turn_rad)
+    own = np.ones(len(array)) if array.gain is None else array.gain
+    return replace(
+        array,
+        positions=turn.apply(positions) + calibration.pose.offset_m,
+        normals=turn.apply(array.normals),
+        address=address,
+        gain=array.gain if measured is None else (own * measured).astype(complex),
+    )

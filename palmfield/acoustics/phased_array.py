@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from palmfield.acoustics.air import density, sound_speed
 from palmfield.acoustics.arrays import LAYOUTS, combined, from_poses, layout, placed, with_faults
-from palmfield.acoustics.calibration_file import Calibration
+from palmfield.acoustics.calibration_file import Calibration, calibrated
 from palmfield.acoustics.echo import image_shifts
 from palmfield.acoustics.field import FieldEvaluator, Mode
 from palmfield.acoustics.reference import pressure64
@@ -53,7 +53,7 @@ class ArrayInstance:
         else the layout's.
         """
         config, known = self.config, _known(self.config.layout)[0]
-        if self.calibration is not None:
+        if self.calibration is not None and self.calibration.p0 is not None:
             return self.calibration.p0
         if config.p0_Pa_m is None:
             return known
@@ -70,11 +70,24 @@ class ArrayInstance:
             return known
         return _given(config.quality, known.low, known.high, "quality")
 
+    def pole(self, count: int) -> tuple[Float, Float]:
+        """Resonance [Hz] and quality of each transducer, shapes (count,): as calibrated one by one or all together."""
+        known = self.calibration
+        f0 = np.full(count, self.config.resonance_Hz)
+        quality = np.full(count, self.quality.value)
+        if known is not None and known.resonance_Hz is not None:
+            f0 = np.full(count, known.resonance_Hz.value)
+        if known is not None and known.elements is not None:
+            f0 = f0 if known.elements.resonance_Hz is None else np.array(known.elements.resonance_Hz)
+            quality = quality if known.elements.quality is None else np.array(known.elements.quality)
+        return f0, quality
+
     def array(self, sites: tuple[tuple[Numbers, Numbers], ...] = ()) -> Array:
         """The transducers in the array's own frame.
 
         sites: position [m] and emitting direction of each transducer, for layout `sites`
-        Raises SceneError for faults that the array cannot have, and for a piston's radius where there is no piston.
+        Raises SceneError for faults that the array cannot have, for a piston's radius where there is no piston, and for
+        the calibration of another array.
         """
         config = self.config
         if config.layout == "sites":
@@ -97,6 +110,8 @@ class ArrayInstance:
                     f"directivity '{config.directivity}' has no piston: drop it or set directivity to piston"
                 )
             array = replace(array, piston_radius_m=config.piston_radius_m)
+        if self.calibration is not None:
+            array = calibrated(array, self.calibration)
         if config.dead or config.inverted:
             array = with_faults(array, config.dead, config.inverted)
         return array

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from palmfield.cli import completion
+from palmfield.cli.calibrate import calibrate
 from palmfield.cli.messages import LEVELS, complain, show_log
 from palmfield.errors import PalmfieldError, SceneError
 
@@ -396,6 +397,8 @@ def cache_clear() -> None:
 
     clear_cache()
 
+
+app.add_typer(calibrate, name="calibrate")
 
 bench = typer.Typer(
     no_args_is_help=True,

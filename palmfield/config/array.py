@@ -32,7 +32,7 @@ class ArrayConfig(Config):
     )
     site: str = Field("array", description="site whose frame is the array frame: z points out of the emitting face")
     calibration: str | None = Field(
-        None, description="TOML file of a laboratory's calibration: p0 and quality with their ranges (docs/arrays.md)"
+        None, description="JSON file of a laboratory's calibration of this array (docs/calibration.md)"
     )
     p0_Pa_m: Positive | None = Field(
         None, description="peak pressure of one transducer at 1 m at full drive (default: the layout's, docs/arrays.md)"
@@ -75,8 +75,6 @@ class ArrayConfig(Config):
                 raise ValueError("p0_low_Pa_m and p0_high_Pa_m are the range of key p0_Pa_m; give it too")
             if not low <= self.p0_Pa_m <= high:
                 raise ValueError("p0_low_Pa_m <= p0_Pa_m <= p0_high_Pa_m is needed")
-        if self.calibration is not None and (self.p0_Pa_m is not None or self.quality is not None):
-            raise ValueError("calibration says p0 and quality; drop keys p0_Pa_m and quality, or calibration")
         if (self.layout == "csv") != (self.transducers is not None):
             raise ValueError("layout 'csv' needs transducers, and transducers needs layout 'csv'")
         if (self.layout == "sites") != (self.sites is not None):

@@ -106,8 +106,8 @@ def transducer_response(
     displacement, relative; instances: of the arrays, as `drive.array.parts`; spread: whether flight times may differ
     """
     counts = [len(part) for part in drive.array.parts]
-    f0 = np.repeat([one.config.resonance_Hz for one in instances], counts)
-    quality = np.repeat([one.quality.value for one in instances], counts)
+    poles = [one.pole(count) for one, count in zip(instances, counts, strict=True)]
+    f0, quality = (np.concatenate(values) for values in zip(*poles, strict=True))
     pole = Pole(f0, quality, drive.array.array.frequency_Hz)
     focus = np.atleast_2d(focal_points.at(first_point(stimulus)))[0]
     chosen, gain = drive.chosen, drive.array.array.gain

@@ -136,7 +136,7 @@ def array_numbers(model: HapticModel) -> dict[str, dict[str, Any]]:
     for spec, array in zip(model.spec.arrays, array_instances(model.spec), strict=True):
         p0, quality = array.p0, array.quality
         result[spec.name] = {
-            "calibrated": array.calibration is not None,
+            "calibrated": array.p0.kind == "measured",
             "p0_Pa_m": p0.value,
             "p0_low_Pa_m": p0.low,
             "p0_high_Pa_m": p0.high,

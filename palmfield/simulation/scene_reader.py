@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from palmfield.acoustics.calibration_file import read_calibration
+from palmfield.acoustics.calibration_file import Calibration, read_calibration
 from palmfield.acoustics.transducer_file import read_transducers
 from palmfield.config import (
     ArrayConfig,
@@ -197,6 +197,8 @@ def _arrays(
         placement = Placement.of(relative(origin, pose), tuple(own))
         element = element_of(ArrayConfig, name)
         calibration = read_file(read_calibration, config, "calibration", element)
+        if calibration is not None:
+            check_calibrated_once(calibration, config, element)
         table = read_file(read_transducers, config, "transducers", element)
         specs.append(ArraySpec(name, config, placement, calibration, table))
     return tuple(specs), sites, transducers
@@ -211,6 +213,16 @@ def read_file(read: Callable[[str], T], config: Config, key: str, element: str) 
         return read(name)
     except SceneError as error:
         raise SceneError(f"{element}: key '{key}': {error}") from None
+
+
+def check_calibrated_once(calibration: Calibration, config: ArrayConfig, element: str) -> None:
+    """Raises SceneError where a key and the calibration say the same thing."""
+    for key, known in (("p0_Pa_m", calibration.p0), ("quality", calibration.quality)):
+        if known is not None and getattr(config, key) is not None:
+            raise SceneError(
+                f"{element}: key '{key}' has value {getattr(config, key):g}, and the file of key 'calibration' says "
+                f"{known.value:g}; drop one of them"
+            )
 
 
 def transducer_sites(config: ArrayConfig, name: str, model: ModelView) -> tuple[int, ...]:

@@ -1,65 +1,180 @@
 """Calibrations of arrays as files, and what the keys of a scene make of them."""
 
+import json
+from dataclasses import replace
+
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from palmfield.acoustics.calibration_file import Calibration, read_calibration, write_calibration
+from palmfield.acoustics.arrays import layout
+from palmfield.acoustics.calibration_file import (
+    Calibration,
+    Elements,
+    Level,
+    Pose,
+    WarmUp,
+    calibrated,
+    read_calibration,
+    turns,
+    write_calibration,
+)
+from palmfield.acoustics.focus import focus
 from palmfield.acoustics.layouts import LAYOUTS
 from palmfield.acoustics.phased_array import ArrayInstance
+from palmfield.acoustics.reference import pressure64
 from palmfield.acoustics.transducer import ANY_P0
 from palmfield.config import ArrayConfig
 from palmfield.errors import OutputError, SceneError
 from palmfield.transforms import IDENTITY, Placement
-from palmfield.types import Estimate
+from palmfield.types import Air, Estimate
 
 HERE = Placement.of(IDENTITY)
 LEVEL = Estimate(1.31, 1.22, 1.4, "measured", 'our laboratory, 1/8" microphone')
-FILE = '[p0]\nvalue = 1.31\nlow = 1.22\nhigh = 1.4\nsource = "us"\n'
+NUMBERS = st.floats(-3.0, 3.0)
+
+
+@st.composite
+def elements(draw, count=4):
+    many = {"min_size": count, "max_size": count}
+    values = {name: tuple(draw(st.lists(NUMBERS.map(abs), **many))) for name in ("gain", "gain_sd", "phase_sd_rad")}
+    return Elements(
+        enabled=tuple(draw(st.lists(st.booleans(), **many))),
+        polarity=tuple(draw(st.lists(st.sampled_from([-1, 1]), **many))),
+        phase_rad=tuple(draw(st.lists(NUMBERS, **many))),
+        address=draw(st.none() | st.permutations(range(count)).map(tuple)),
+        **values,
+    )
 
 
 @settings(max_examples=50, deadline=None)
-@given(st.floats(1e-3, 1e3), st.floats(1.0, 9.0), st.text(min_size=1).filter(str.strip))
-def test_what_is_written_is_read_back(tmp_path_factory, value, width, source):
-    path = tmp_path_factory.mktemp("calibration") / "array.toml"
+@given(st.floats(1e-3, 1e3), st.floats(1.0, 9.0), st.text(min_size=1).filter(str.strip), st.none() | elements())
+def test_what_is_written_is_read_back(tmp_path_factory, value, width, source, each):
+    path = tmp_path_factory.mktemp("calibration") / "array.json"
     written = Calibration(
-        Estimate(value, value / width, value * width, "measured", source.strip()),
-        Estimate(21.0, 19.0, 23.0, "measured", "ring-down"),
+        layout="uhev1",
+        p0=Estimate(value, value / width, value * width, "measured", source),
+        quality=Estimate(21.0, 19.0, 23.0, "measured", "ring-down"),
+        elements=each,
+        pose=Pose(offset_m=(1e-3, 0.0, -2e-3)),
+        phase_offset_rad=0.2,
+        level=Level(exponent=0.75, exponent_sd=0.01, linear_to=0.9),
+        warm_up=WarmUp(drop=0.05, drop_sd=0.01, time_s=300.0),
     )
     write_calibration(path, written)
     assert read_calibration(path) == written
 
 
+FILE = {
+    "format": "palmfield calibration", "version": 1, "layout": "uhev1",
+    "p0": {"value": 1.31, "low": 1.22, "high": 1.4, "kind": "measured", "source": "us"},
+}  # fmt: skip
+TWO = {
+    "enabled": [True, True], "polarity": [1, -1], "phase_rad": [0, 0], "phase_sd_rad": [0, 0],
+    "gain": [1, 1], "gain_sd": [0, 0],
+}  # fmt: skip
+
+
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("changed", "told"),
     [
-        ("[p0", "cannot be read"),
-        ("", "table 'p0' is missing"),
-        (FILE + "[gain]\n", "'gain' is unknown; allowed: tables p0 and quality"),
-        ("p0 = 1.3", "table 'p0' has 1.3; give value, low, high, source"),
-        (FILE.replace("low = 1.22\n", ""), "table 'p0' has value, high, source; give"),
-        (FILE.replace("1.22", '"1.22"'), "p0.low = '1.22'; give a number"),
-        (FILE.replace("1.22", "true"), "p0.low = True; give a number"),
-        (FILE.replace("1.22", "1.5"), "low 1.5, value 1.31 and high 1.4; give 0 < low <= value <= high"),
-        (FILE.replace("1.22", "-1"), "low -1, value 1.31"),
-        (FILE.replace("1.4", "inf"), "high inf"),
-        (FILE.replace("1.31", "nan"), "value nan"),
-        (FILE.replace("us", " "), "say who measured when"),
+        ({"gain": 2}, "gain is unknown"),
+        ({"layout": None}, "layout = None"),
+        ({"version": 2}, "version = 2"),
+        ({"p0": FILE["p0"] | {"low": 1.5}}, "1.5 <= 1.31 <= 1.4 does not hold"),
+        ({"p0": FILE["p0"] | {"value": "loud"}}, "p0.value = 'loud'"),
+        ({"p0": FILE["p0"] | {"source": " "}}, "say who measured when"),
+        ({"p0": FILE["p0"] | {"kind": "assumed"}}, "holds what was measured"),
+        ({"elements": TWO | {"polarity": [1, 2]}}, "elements.polarity.1 = 2"),
+        ({"elements": TWO | {"gain": [1]}}, "gain has 1 entries and enabled 2"),
+        ({"elements": TWO | {"gain": [1, -1]}}, "elements.gain.1 = -1"),
+        ({"elements": TWO | {"address": [0, 0]}}, "address holds other numbers than 0 to 1"),
+        ({"phase_offset_rad": float("nan")}, "phase_offset_rad"),
     ],
 )
-def test_a_bad_file_is_told_with_its_place(tmp_path, text, told):
-    path = tmp_path / "array.toml"
-    path.write_text(text)
+def test_a_bad_file_is_told_with_its_place(tmp_path, changed, told):
+    path = tmp_path / "array.json"
+    path.write_text(json.dumps(FILE))
+    assert read_calibration(path).p0.value == 1.31
+    path.write_text(json.dumps(FILE | changed))
     with pytest.raises(SceneError) as error:
         read_calibration(path)
-    assert str(path) in str(error.value) and told in str(error.value)
+    assert str(path) in str(error.value) and told in str(error.value) and "\n" not in str(error.value)
 
 
-def test_a_file_that_is_not_there_and_one_that_cannot_be_written(tmp_path):
+def test_a_file_that_is_not_there_that_is_no_json_and_one_that_cannot_be_written(tmp_path):
     with pytest.raises(SceneError, match="cannot be read"):
-        read_calibration(tmp_path / "none.toml")
+        read_calibration(tmp_path / "none.json")
+    (tmp_path / "old.toml").write_text("[p0]")
+    with pytest.raises(SceneError, match="JSON file"):
+        read_calibration(tmp_path / "old.toml")
     with pytest.raises(OutputError, match="cannot be written"):
-        write_calibration(tmp_path / "no" / "array.toml", Calibration(LEVEL))
+        write_calibration(tmp_path / "no" / "array.json", Calibration(layout="uhev1", p0=LEVEL))
+
+
+def measured_elements(count, **changed):
+    zeros, ones = (0.0,) * count, (1.0,) * count
+    numbers = {"enabled": (True,) * count, "polarity": (1,) * count, "phase_rad": zeros, "gain": ones}
+    return Elements(**(numbers | changed), phase_sd_rad=zeros, gain_sd=zeros)
+
+
+def test_a_driver_that_knows_the_wiring_takes_it_off_and_gains_and_faults_stay():
+    """The field of the board as wired, under what the driver makes of a focus, is that of the calibrated array."""
+    count, random = 256, np.random.default_rng(0)
+    enabled, gain = random.random(count) > 0.05, random.normal(1.0, 0.1, count)
+    polarity, phase = np.where(random.random(count) < 0.5, -1, 1), random.normal(0.0, 0.2, count)
+    calibration = Calibration(
+        layout="sonicsurface",
+        phase_offset_rad=0.3,
+        elements=measured_elements(
+            count, enabled=tuple(enabled.tolist()), gain=tuple(gain.tolist()), polarity=tuple(polarity.tolist()),
+            phase_rad=tuple(phase.tolist()),
+        ),
+    )  # fmt: skip
+    board = layout("sonicsurface")
+    asked = focus(board, Air(), (0.01, 0.0, 0.15))
+    wired = replace(board, gain=enabled * gain * polarity * np.exp(1j * (phase + 0.3)))
+    at = np.array([[0.01, 0.0, 0.15], [0.0, 0.02, 0.1]])
+    sent = pressure64(at, wired, asked / turns(calibration, count), Air())[0]
+    simulated = pressure64(at, calibrated(board, calibration), asked, Air())[0]
+    assert np.allclose(sent, simulated, rtol=1e-12)
+    assert abs(sent[0]) > 5.0 * abs(pressure64(at, wired, asked, Air())[0][0]), "as wired it does not focus"
+
+
+def test_the_boards_place_moves_its_transducers():
+    board = layout("sonicsurface")
+    moved = calibrated(
+        board, Calibration(layout="sonicsurface", pose=Pose(offset_m=(1e-3, 0, 0), turn_rad=(0, 0, 0.1)))
+    )
+    assert moved.positions[7] == pytest.approx(
+        [
+            np.cos(0.1) * board.positions[7, 0] - np.sin(0.1) * board.positions[7, 1] + 1e-3,
+            np.sin(0.1) * board.positions[7, 0] + np.cos(0.1) * board.positions[7, 1],
+            board.positions[7, 2],
+        ]
+    )
+
+
+@pytest.mark.parametrize(
+    ("calibration", "told"),
+    [
+        (Calibration(layout="uhev1"), "is of layout 'uhev1', and the array is 'sonicsurface'"),
+        (Calibration(layout="sonicsurface", elements=measured_elements(3)), "of 3 transducers, and the array has 256"),
+    ],
+)
+def test_the_calibration_of_another_board_is_refused(calibration, told):
+    with pytest.raises(SceneError, match=told):
+        known(layout="sonicsurface", calibration=calibration).array()
+
+
+def test_resonances_that_were_measured_reach_the_poles():
+    each = measured_elements(2, resonance_Hz=(40100.0, 39900.0), quality=(20.0, 30.0))
+    one = Estimate(40200.0, 40100.0, 40300.0, "measured", "sweep")
+    f0, quality = known(calibration=Calibration(layout="uhev1", elements=each)).pole(2)
+    assert f0.tolist() == [40100.0, 39900.0] and quality.tolist() == [20.0, 30.0]
+    f0, quality = known(calibration=Calibration(layout="uhev1", resonance_Hz=one)).pole(3)
+    assert f0.tolist() == [40200.0] * 3 and quality.tolist() == [LAYOUTS["uhev1"].quality.value] * 3
 
 
 def known(**keys):
@@ -73,9 +188,10 @@ def test_p0_is_that_of_the_layout_the_key_or_the_calibration():
     assert (given_alone.value, given_alone.low, given_alone.high) == (5.0, LAYOUTS["uhev1"].p0.low, 5.0)
     in_range = known(p0_Pa_m=5.0, p0_low_Pa_m=4.0, p0_high_Pa_m=6.0).p0
     assert (in_range.low, in_range.high, in_range.kind) == (4.0, 6.0, "assumed")
-    calibrated = known(calibration=Calibration(LEVEL))
-    assert calibrated.p0 is LEVEL and calibrated.array().p0_Pa_m == 1.31
-    assert known(quality=40).quality.high == 40.0 and calibrated.quality is LAYOUTS["uhev1"].quality
+    one = known(calibration=Calibration(layout="uhev1", p0=LEVEL))
+    assert one.p0 is LEVEL and one.array().p0_Pa_m == 1.31
+    assert known(quality=40).quality.high == 40.0 and one.quality is LAYOUTS["uhev1"].quality
+    assert known(calibration=Calibration(layout="uhev1")).p0 is LAYOUTS["uhev1"].p0
 
 
 @pytest.mark.parametrize(
@@ -84,7 +200,6 @@ def test_p0_is_that_of_the_layout_the_key_or_the_calibration():
         ({"p0_low_Pa_m": 1.0, "p0_high_Pa_m": 2.0}, "are the range of key p0_Pa_m"),
         ({"p0_Pa_m": 1.0, "p0_low_Pa_m": 1.0}, "belong together"),
         ({"p0_Pa_m": 3.0, "p0_low_Pa_m": 1.0, "p0_high_Pa_m": 2.0}, "is needed"),
-        ({"calibration": "a.toml", "p0_Pa_m": 1.0}, "calibration says p0 and quality"),
         ({"layout": "csv"}, "layout 'csv' needs transducers"),
         ({"transducers": "a.csv"}, "layout 'csv' needs transducers"),
     ],

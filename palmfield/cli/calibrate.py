@@ -1,0 +1,108 @@
+"""`palmfield calibrate`: from a laboratory's readings to a calibration file."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+calibrate = typer.Typer(
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    help="Measure what a real array does, and write it into a file that scenes and boards take.\n\n"
+    "Each measurement is a CSV file of readings and adds its part to the calibration (docs/calibration.md). Begin with "
+    "`palmfield calibrate kinds`, or without an array with `palmfield calibrate rehearse trial`.\n\n"
+    "Example: palmfield calibrate add elements readings.csv board.json --layout sonicsurface --source 'our lab'",
+)
+Layout = Annotated[str | None, typer.Option(help="the array, where the calibration is new (docs/arrays.md)")]
+
+
+@calibrate.command("kinds")
+def kinds() -> None:
+    """List the kinds of measurements: what is done, and the columns of their CSV files.
+
+    Example: palmfield calibrate kinds
+    """
+    from palmfield.drive.calibration.readings import MEASUREMENTS, OPTIONAL
+
+    for name, measurement in MEASUREMENTS.items():
+        print(f"{name}: {measurement.about}")
+        more = f"; also {', '.join(OPTIONAL[name])}" if name in OPTIONAL else ""
+        print(f"  columns {', '.join(measurement.columns)}{more}")
+
+
+@calibrate.command("add")
+def add(
+    kind: Annotated[str, typer.Argument(help="of the measurement: see `palmfield calibrate kinds`", metavar="KIND")],
+    readings: Annotated[Path, typer.Argument(help="CSV file", metavar="READINGS.csv")],
+    board: Annotated[Path, typer.Argument(help="the calibration, made if it is not there", metavar="BOARD.json")],
+    layout: Layout = None,
+    source: Annotated[str, typer.Option(help="who measured when, and with what")] = "",
+    focus: Annotated[
+        tuple[float, float, float] | None, typer.Option(help="that the board was told to make [m]", metavar="X Y Z")
+    ] = None,
+    plate: Annotated[tuple[float, float] | None, typer.Option(help="sides of the plate [m]", metavar="X Y")] = None,
+    level: Annotated[float, typer.Option(help="pressure relative to full drive at which it sounded")] = 1.0,
+    temperature: Annotated[float, typer.Option(help="of the air [C]")] = 20.0,
+    humidity: Annotated[float, typer.Option(help="of the air [%]")] = 50.0,
+    pressure: Annotated[float, typer.Option(help="of the air [Pa]")] = 101325.0,
+    microphone_error: Annotated[
+        float, typer.Option(help="of the microphone's own calibration, 95 %, relative (0.12 is 1 dB)")
+    ] = 0.12,
+    place_sd: Annotated[float, typer.Option(help="standard deviation of the microphone's places by axis [m]")] = 1e-3,
+    temperature_sd: Annotated[float, typer.Option(help="standard deviation of the temperature [K]")] = 1.0,
+) -> None:
+    """Put what readings say into a calibration, and print it with its uncertainty.
+
+    Examples: palmfield calibrate add elements elements.csv board.json --layout sonicsurface --source "our lab"
+
+    palmfield calibrate add plate plate.csv board.json --plate 0.1 0.1 --focus 0 0 0.15 --source "our lab, scale"
+    """
+    from palmfield.acoustics.air import check
+    from palmfield.drive.calibration.readings import MEASUREMENTS, Setting
+    from palmfield.errors import SceneError, did_you_mean
+    from palmfield.session.calibrate import add_readings
+    from palmfield.types import Air
+
+    if kind not in MEASUREMENTS:
+        raise SceneError(
+            f"kind '{kind}' is not known{did_you_mean(kind, MEASUREMENTS)}; allowed: {', '.join(MEASUREMENTS)}"
+        )
+    air = Air(temperature, humidity, pressure)
+    check(air)
+    setting = Setting(source, air, microphone_error, place_sd, temperature_sd, focus, plate, level)
+    for line in add_readings(kind, readings, board, layout, setting):
+        print(line)
+    print(f"wrote {board}")
+
+
+@calibrate.command("show")
+def show(
+    board: Annotated[Path, typer.Argument(help="the calibration", metavar="BOARD.json")],
+    png: Annotated[
+        Path | None, typer.Option(help="draw phase, polarity and gain over the board", metavar="FILE")
+    ] = None,
+) -> None:
+    """Say what a calibration holds and what is missing, and draw it.
+
+    Example: palmfield calibrate show board.json --png board.png
+    """
+    from palmfield.session.calibrate import described
+
+    for line in described(board, png):
+        print(line)
+
+
+@calibrate.command("rehearse")
+def rehearse(
+    folder: Annotated[Path, typer.Argument(help="for the files", metavar="DIR")],
+    layout: Annotated[str, typer.Option(help="the array (docs/arrays.md)")] = "sonicsurface",
+    seed: Annotated[int, typer.Option(help="of what is drawn at random")] = 0,
+) -> None:
+    """Write readings of an imaginary board, and truth.json, what it is like, to try a calibration without an array.
+
+    Example: palmfield calibrate rehearse trial
+    """
+    from palmfield.session.calibrate import rehearsed
+
+    for line in rehearsed(layout, folder, seed):
+        print(line)

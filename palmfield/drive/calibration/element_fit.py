@@ -1,0 +1,274 @@
+"""Polarity, phase and gain of each transducer, from sounding one at a time before a microphone at several places.
+
+The pressure of transducer n at place m is G_n D(angle) e^{b1 s + b2 s^2} e^{ikr - beta r}/r with s = sin^2(angle). All
+of this is fitted at once by Gauss-Newton steps: the complex factors G_n, where the microphone really was, the speed of
+sound, and how the directivity differs from the layout's (b1, b2). What is thought of the last three enters as a prior,
+and so does that delays beside polarity are a few degrees, by sin(2 (arg G - common phase))/2, which polarity leaves as
+it is. Without that prior a wrong speed of sound would pass for delays that grow towards the rim.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial.polynomial import polyval
+from numpy.typing import ArrayLike
+
+from palmfield.acoustics import check
+from palmfield.acoustics.air import absorption_Np_m, sound_speed
+from palmfield.acoustics.calibration_file import Elements
+from palmfield.acoustics.transducer import directivity_coefficients
+from palmfield.errors import PalmfieldError
+from palmfield.types import Air, Array, Complex, Float
+
+DELAYS_RAD = math.radians(15.0)
+"""Standard deviation that delays beside polarity are thought to have: 5 to 15 degrees on boards of hobbyists."""
+DIRECTIVITY = 0.3
+"""Standard deviation of b1 and b2: pistons and measured tables differ by 0.2 of the amplitude at 30 degrees."""
+DEAD = 0.25
+"""A transducer with less of the median's amplitude makes no sound that could be used."""
+STEPS = 60
+CONVERGED = 1e-7
+KELVIN = 273.15
+
+
+@dataclass(frozen=True)
+class ElementFit:
+    """What the readings say of the transducers.
+
+    elements: as a calibration takes them; p0_Pa_m: mean amplitude of those that sound, and its standard error from the
+        scatter alone, without the microphone's own calibration
+    moved_m: of the microphone from where it was thought to be, shape (m, 3); sound_speed_m_s: as fitted
+    misfit: rms of what the model leaves, relative to the rms reading
+    """
+
+    elements: Elements
+    p0_Pa_m: float
+    p0_sd_Pa_m: float
+    moved_m: Float
+    sound_speed_m_s: float
+    sound_speed_sd_m_s: float
+    misfit: float
+
+
+def fit_elements(
+    array: Array,
+    air: Air,
+    at: ArrayLike,
+    readings: ArrayLike,
+    *,
+    place_sd_m: float = 1e-3,
+    temperature_sd_K: float = 1.0,
+) -> ElementFit:
+    """Fit all transducers at once.
+
+    array: the layout; its p0 and gain are not used
+    at: where the microphone was thought to be, array frame [m], shape (m, 3), 3 places at least
+    readings: complex peak pressure of each transducer alone at full drive with phase 0 (a delay is +phase), shape
+        (m, n); NaN where there is none
+    place_sd_m, temperature_sd_K: standard deviations of the places, by axis, and of the air's temperature
+    Raises PalmfieldError for shapes that don't fit, readings that are infinite, a transducer without readings, fewer
+    than 3 places and places that are not in front of the array.
+    """
+    places = np.asarray(check.points(np.asarray(at, float), np.float64), float)
+    y = np.asarray(readings, np.complex128)
+    if y.shape != (len(places), len(array)):
+        raise PalmfieldError(
+            f"readings have shape {y.shape}: give ({len(places)}, {len(array)}), a row for each place and a column for "
+            "each transducer"
+        )
+    if len(places) < 3:
+        raise PalmfieldError(f"{len(places)} places of the microphone: give 3 at least, 8 are better")
+    if not (place_sd_m > 0.0 and temperature_sd_K > 0.0):
+        raise PalmfieldError(
+            f"place_sd_m = {place_sd_m:g} and temperature_sd_K = {temperature_sd_K:g}: give standard deviations above 0"
+        )
+    known = ~np.isnan(y)
+    if np.isinf(y).any() or not known.any(axis=0).all():
+        n = int(np.argmax(np.isinf(y).any(axis=0) | ~known.any(axis=0)))
+        raise PalmfieldError(f"transducer {n} has no finite reading: give one at some place at least, 0 for silence")
+    model = _Model(array, air, places, place_sd_m, temperature_sd_K)
+    if not model.in_front():
+        raise PalmfieldError("a place of the microphone is not in front of all transducers: give z > 0 [m]")
+    return _fitted(model, np.where(known, y, 0.0), known)
+
+
+class _Model:
+    """The model's pressures and their slopes; unknowns besides G_n: moves by axis, sound speed, b1 and b2, each /
+    sd."""
+
+    def __init__(self, array: Array, air: Air, places: Float, place_sd_m: float, temperature_sd_K: float):
+        self.array, self.places, self.place_sd_m = array, places, place_sd_m
+        self.speed = sound_speed(air)
+        self.speed_sd = 0.5 * self.speed / (KELVIN + air.temperature_C) * temperature_sd_K
+        self.turns = 2.0 * math.pi * array.frequency_Hz
+        self.absorption = absorption_Np_m(air, array.frequency_Hz)
+        self.quintic = directivity_coefficients(array, self.turns / self.speed)[0]
+        self.shape = len(places), len(array)
+        self.extra = 3 * len(places) + 3
+
+    def in_front(self) -> bool:
+        """Whether each place is in front of every transducer."""
+        way = self.places[:, None] - self.array.positions
+        return bool((np.einsum("mnj,nj->mn", way, self.array.normals) > 0.0).all())
+
+    def of(self, unknown: Float) -> tuple[Float, float, Float]:
+        """Moves [m], shape (m, 3), sound speed [m/s], and b1, b2."""
+        moves = unknown[: 3 * len(self.places)].reshape(-1, 3) * self.place_sd_m
+        return moves, self.speed + float(unknown[-3]) * self.speed_sd, unknown[-2:] * DIRECTIVITY
+
+    def pressures(self, unknown: Float) -> tuple[Complex, list[tuple[slice, Complex]]]:
+        """Pressure of a unit G_n, shape (m, n), and for each unknown the rows where it acts and its relative slope."""
+        moves, speed, bend = self.of(unknown)
+        way = (self.places + moves)[:, None] - self.array.positions
+        r = np.linalg.norm(way, axis=2)
+        along = way / r[..., None]
+        square = 1.0 - np.clip(np.einsum("mnj,nj->mn", along, self.array.normals), 0.0, 1.0) ** 2
+        k = self.turns / speed
+        wave = np.exp((1j * k - self.absorption) * r + bend[0] * square + bend[1] * square**2) / r
+        pressure = wave * polyval(square, self.quintic)
+        slopes: list[tuple[slice, Complex]] = []
+        for m in range(len(self.places)):
+            by_place = (1j * k - self.absorption - 1.0 / r[m]) * self.place_sd_m
+            slopes += [(slice(m, m + 1), (by_place * along[m, :, axis])[None]) for axis in range(3)]
+        slopes.append((slice(None), -1j * k * r / speed * self.speed_sd))
+        slopes.append((slice(None), DIRECTIVITY * square + 0j))
+        slopes.append((slice(None), DIRECTIVITY * square**2 + 0j))
+        return pressure, slopes
+
+
+def _fitted(model: _Model, y: Complex, known: np.ndarray) -> ElementFit:
+    count = y.shape[1]
+    unknown = np.zeros(model.extra)
+    pressure, slopes = model.pressures(unknown)
+    pressure = pressure * known
+    factor = _best_factors(pressure, y)
+    # Twice the angle is the same for both polarities
+    common = 0.5 * float(np.angle((factor**2).sum()))
+    freedom = max(2 * int(known.sum()) - 2 * count - model.extra, 1)
+    loudness = math.sqrt(float((np.abs(y) ** 2).sum()) / int(known.sum()))
+    if loudness == 0.0:
+        raise PalmfieldError("all readings are 0: nothing sounded, or nothing was recorded")
+    sigma = 0.1 * loudness
+    for _ in range(STEPS):
+        normal, right = _normal_equations(model, y, known, pressure, slopes, factor, unknown, common, sigma)
+        step = np.linalg.solve(normal, right)
+        factor = factor + step[:count] + 1j * step[count : 2 * count]
+        unknown = unknown + step[2 * count : -1]
+        common += float(step[-1])
+        pressure, slopes = model.pressures(unknown)
+        pressure = pressure * known
+        left = float((np.abs(y - pressure * factor) ** 2).sum())
+        sigma = max(math.sqrt(left / freedom), 1e-9 * loudness)
+        if np.abs(step[2 * count :]).max() < CONVERGED:
+            break
+    else:
+        raise PalmfieldError(
+            f"the fit of the transducers does not settle in {STEPS} steps: check the microphone's places "
+            "(array frame, m) and that a delay is a positive phase"
+        )
+    normal, _ = _normal_equations(model, y, known, pressure, slopes, factor, unknown, common, sigma)
+    covariance = np.asarray(np.linalg.inv(normal), float)
+    return _result(model, factor, unknown, common, covariance, math.sqrt(left / int(known.sum())) / loudness)
+
+
+def _best_factors(pressure: Complex, y: Complex) -> Complex:
+    return np.asarray((pressure.conj() * y).sum(axis=0) / np.maximum((np.abs(pressure) ** 2).sum(axis=0), 1e-300))
+
+
+def _alive(factor: Complex) -> np.ndarray:
+    return np.asarray(np.abs(factor) > DEAD * np.median(np.abs(factor)))
+
+
+def _normal_equations(
+    model: _Model,
+    y: Complex,
+    known: np.ndarray,
+    pressure: Complex,
+    slopes: list[tuple[slice, Complex]],
+    factor: Complex,
+    unknown: Float,
+    common: float,
+    sigma: float,
+) -> tuple[Float, Float]:
+    """J'J and J'r over real parts of G, imaginary parts of G, the model's unknowns and the common phase."""
+    count = len(factor)
+    size = 2 * count + model.extra + 1
+    normal, right = np.zeros((size, size)), np.zeros(size)
+    sound = pressure * factor / sigma
+    left = (y - pressure * factor) * known / sigma
+    unit = pressure / sigma
+    power = (np.abs(unit) ** 2).sum(axis=0)
+    real, imaginary = np.arange(count), np.arange(count, 2 * count)
+    normal[real, real] = normal[imaginary, imaginary] = power
+    toward = (unit.conj() * left).sum(axis=0)
+    right[:count], right[count : 2 * count] = toward.real, toward.imag
+    columns = np.zeros((model.extra, *y.shape), complex)
+    for row, (rows, slope) in enumerate(slopes):
+        columns[row, rows] = sound[rows] * slope
+    flat = columns.reshape(model.extra, -1)
+    low, high = 2 * count, 2 * count + model.extra
+    normal[low:high, low:high] = (flat.conj() @ flat.T).real
+    right[low:high] = (flat.conj() @ left.ravel()).real
+    cross = (unit.conj() * columns).sum(axis=1)
+    normal[low:high, :count], normal[low:high, count:low] = cross.real, cross.imag
+    normal[:low, low:high] = normal[low:high, :low].T
+    diagonal = np.arange(low, high)
+    normal[diagonal, diagonal] += 1.0
+    right[low:high] -= unknown
+    _add_prior_of_delays(normal, right, factor, common)
+    return normal, right
+
+
+def _add_prior_of_delays(normal: Float, right: Float, factor: Complex, common: float) -> None:
+    count, alive = len(factor), _alive(factor)
+    angle = np.angle(factor) - common
+    value = np.where(alive, 0.5 * np.sin(2.0 * angle) / DELAYS_RAD, 0.0)
+    slope = np.where(alive, np.cos(2.0 * angle) / DELAYS_RAD, 0.0)
+    square = np.maximum(np.abs(factor) ** 2, 1e-300)
+    by = np.stack([-slope * factor.imag / square, slope * factor.real / square, -slope])
+    at = np.stack([np.arange(count), np.arange(count, 2 * count), np.full(count, len(right) - 1)])
+    for i in range(3):
+        np.add.at(right, at[i], -by[i] * value)
+        for j in range(3):
+            np.add.at(normal, (at[i], at[j]), by[i] * by[j])
+
+
+def _result(
+    model: _Model, factor: Complex, unknown: Float, common: float, covariance: Float, misfit: float
+) -> ElementFit:
+    count, alive = len(factor), _alive(factor)
+    size = np.abs(factor)
+    p0 = float(size[alive].mean())
+    angle = np.angle(factor * np.exp(-1j * common))
+    polarity = np.where(np.abs(angle) < 0.5 * math.pi, 1, -1)
+    phase = np.angle(polarity * np.exp(1j * angle))
+    late = float(phase[alive].mean())
+    # Only differences of phases are known: what is common belongs to the recorder's trigger
+    square = np.maximum(size**2, 1e-300)
+    both = np.hstack([np.diag(-factor.imag / square), np.diag(factor.real / square)])
+    louder = np.hstack([np.diag(factor.real / np.sqrt(square)), np.diag(factor.imag / np.sqrt(square))])
+    mean = alive / alive.sum()
+    of_factors = covariance[: 2 * count, : 2 * count]
+    gain = size / p0
+    phases, sizes = both - mean @ both, louder / p0 - np.outer(gain, mean @ louder) / p0
+    phase_sd = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", phases, of_factors, phases), 0.0))
+    gain_sd = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", sizes, of_factors, sizes), 0.0))
+    p0_slope = mean @ louder
+    moves, speed, _ = model.of(unknown)
+    return ElementFit(
+        Elements(
+            enabled=tuple(alive.tolist()),
+            polarity=tuple(np.where(alive, polarity, 1).tolist()),
+            phase_rad=tuple(np.where(alive, phase - late, 0.0).tolist()),
+            phase_sd_rad=tuple(np.where(alive, phase_sd, 0.0).tolist()),
+            gain=tuple(np.where(alive, gain, 0.0).tolist()),
+            gain_sd=tuple(gain_sd.tolist()),
+        ),
+        p0,
+        float(np.sqrt(p0_slope @ of_factors @ p0_slope)),
+        moves,
+        speed,
+        float(np.sqrt(covariance[-4, -4])) * model.speed_sd,
+        misfit,
+    )

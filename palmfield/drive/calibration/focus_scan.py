@@ -1,0 +1,91 @@
+"""Where the board really is, from pressures about foci that it was told to make."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from palmfield.acoustics import check
+from palmfield.acoustics.calibration_file import Pose
+from palmfield.acoustics.focus import compensate, focus
+from palmfield.acoustics.reference import pressure64
+from palmfield.errors import PalmfieldError
+from palmfield.types import Air, Array, Float
+
+TURN_SD_RAD = math.radians(3.0)
+"""Standard deviation that the board's turns are thought to have, about each axis."""
+OFFSET_SD_M = 10e-3
+KELVIN = 273.15
+WITHIN_M = 0.03
+"""The loudest reading of a focus lies this near to it, or something else is wrong [m]."""
+
+
+def fit_pose(
+    array: Array, air: Air, foci_m: ArrayLike, at: ArrayLike, pressures_Pa: ArrayLike, temperature_sd_K: float = 1.0
+) -> Pose:
+    """Offset and turn of the board at which its foci would be where they were found, by least squares over amplitudes.
+
+    array: with gains as known, in the frame that was meant for it
+    foci_m: that the board was told to make for each reading, in that frame [m], shape (k, 3)
+    at: where the microphone was, in the same frame [m], shape (k, 3); pressures_Pa: amplitudes, shape (k,)
+    temperature_sd_K: standard deviation of the air's temperature: where sound is faster, foci lie nearer
+    Turns are told where three foci or more are apart from one another, else only offsets (turn 0).
+    Raises PalmfieldError for fewer than 8 readings, shapes that don't fit, readings below 0 or not finite, and for a
+    loudest reading farther than WITHIN_M from its focus.
+    """
+    told, where = check.points(np.asarray(foci_m, float), np.float64), check.points(np.asarray(at, float), np.float64)
+    seen = np.asarray(pressures_Pa, float)
+    if not (len(told) == len(where) == len(seen)) or len(seen) < 8:
+        raise PalmfieldError(f"{len(told)} foci, {len(where)} places and {len(seen)} readings: give 8 of each at least")
+    if not np.all(np.isfinite(seen) & (seen >= 0.0)) or seen.max() == 0.0:
+        raise PalmfieldError("pressures_Pa has values below 0 or not finite, or 0 only: give amplitudes")
+    foci, which = np.unique(told, axis=0, return_inverse=True)
+    drives = [compensate(array, focus(array, air, point)) for point in foci]
+    start = np.zeros(3)
+    for number, point in enumerate(foci):
+        own = np.flatnonzero(which == number)
+        gap = where[own[np.argmax(seen[own])]] - point
+        if np.linalg.norm(gap[:2]) > WITHIN_M:
+            raise PalmfieldError(
+                f"the loudest reading of the focus at {point.tolist()} m is {1e3 * float(np.linalg.norm(gap[:2])):.0f} "
+                "mm beside it: check that both are in the array frame, in metres"
+            )
+        start += gap * [1.0, 1.0, 0.0] / len(foci)
+    turning = len(foci) >= 3 and np.linalg.matrix_rank(foci - foci.mean(axis=0), tol=1e-3) >= 2
+
+    def left(unknown: Float) -> Float:
+        turn = unknown[3:] * TURN_SD_RAD if turning else np.zeros(3)
+        moved = replace(
+            array,
+            positions=Rotation.from_rotvec(turn).apply(array.positions) + unknown[:3] * OFFSET_SD_M,
+            normals=Rotation.from_rotvec(turn).apply(array.normals),
+        )
+        model = np.empty(len(where))
+        for number, drive in enumerate(drives):
+            own = which == number
+            model[own] = np.abs(pressure64(where[own], moved, drive, air)[0])
+        scale = float(model @ seen) / float(model @ model)
+        return np.asarray((seen - scale * model) / (0.03 * seen.max()))
+
+    def with_prior(unknown: Float) -> Float:
+        return np.concatenate([left(unknown), unknown])
+
+    found = least_squares(with_prior, np.concatenate([start / OFFSET_SD_M, np.zeros(3 if turning else 0)]), x_scale=0.1)
+    if not found.success:
+        raise PalmfieldError(f"the fit of the board's place does not settle ({found.message}): scan nearer to the foci")
+    rest = left(found.x)
+    noise = math.sqrt(float(rest @ rest) / max(len(rest) - len(found.x) - 1, 1))
+    errors = np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac))) * max(noise, 1e-9)
+    # A focus moves along its distance by as much of it as the speed of sound is off
+    warmth = 0.5 * temperature_sd_K / (KELVIN + air.temperature_C) * np.abs(foci).mean(axis=0)
+    turns = found.x[3:] * TURN_SD_RAD if turning else np.zeros(3)
+    turn_errors = errors[3:] * TURN_SD_RAD if turning else np.zeros(3)
+    return Pose(
+        offset_m=tuple((found.x[:3] * OFFSET_SD_M).tolist()),
+        offset_sd_m=tuple(np.hypot(errors[:3] * OFFSET_SD_M, warmth).tolist()),
+        turn_rad=tuple(turns.tolist()),
+        turn_sd_rad=tuple(turn_errors.tolist()),
+    )

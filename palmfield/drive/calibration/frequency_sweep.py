@@ -1,0 +1,103 @@
+"""Resonance and quality of the transducers, from a slow sweep of the carrier before a microphone at several places."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import least_squares
+
+from palmfield.acoustics import check
+from palmfield.acoustics.reference import pressure64
+from palmfield.errors import PalmfieldError
+from palmfield.types import Air, Array, Complex, Float
+
+LIMITS_HZ = 20e3, 80e3
+FEWEST = 8
+DELAY_SD_S = 6e-6
+"""Standard deviation that delays are thought to have from place to place: 2 mm of way [s]."""
+NOISE = 0.01
+"""Of readings, relative to a place's loudest: how much a delay is worth."""
+
+
+@dataclass(frozen=True)
+class SweepFit:
+    """resonance_Hz and quality of all transducers together, with standard errors that hold the places' scatter.
+
+    misfit: rms of what is left, relative to the rms reading. Where transducers differ in resonance, quality comes out
+    low: it is that of their sum.
+    """
+
+    resonance_Hz: float
+    resonance_sd_Hz: float
+    quality: float
+    quality_sd: float
+    misfit: float
+
+
+def fit_sweep(
+    array: Array, air: Air, drive: ArrayLike, at: ArrayLike, frequencies_Hz: ArrayLike, pressures_Pa: ArrayLike
+) -> SweepFit:
+    """One pole for all transducers, and a free factor for each place, by least squares over complex pressures.
+
+    p(m, f) = C_m e^{i 2 pi f t_m} P(f; f0, Q) S_m(f): S_m is the sum over the transducers of the sound at that
+    frequency with the drive's phases, P = g/(g - i 2 pi (f - f0)), g = pi f0/Q, and t_m what the recorder and the place
+    add. Fitted place by place as well: errors are those of the mean over places, since what spoils one place
+    (echoes, interference) is another at the next.
+
+    drive: complex amplitudes, the same at all frequencies, shape (n,); at: the microphone's places, array frame [m],
+    shape (m, 3), 8 at least; frequencies_Hz: shape (q,), 5 at least; pressures_Pa: complex (a delay is +phase), (m, q)
+    Raises PalmfieldError for fewer places or frequencies, shapes that don't fit, numbers that are not finite, and for a
+    resonance that comes out outside the sweep.
+    """
+    where = check.points(np.asarray(at, float), np.float64)
+    f, seen = np.asarray(frequencies_Hz, float), np.asarray(pressures_Pa, np.complex128)
+    if seen.shape != (len(where), len(f)) or len(where) < FEWEST or len(f) < 5:
+        raise PalmfieldError(
+            f"{len(where)} places, {len(f)} frequencies and readings of shape {seen.shape}: give {FEWEST} places and 5 "
+            "frequencies at least, and a reading for each"
+        )
+    if not np.isfinite(seen).all() or not np.all((f >= LIMITS_HZ[0]) & (f <= LIMITS_HZ[1])):
+        raise PalmfieldError(f"readings are not finite, or frequencies outside {LIMITS_HZ[0]:g} to {LIMITS_HZ[1]:g} Hz")
+    told = np.asarray(drive, np.complex128)
+    sound = np.column_stack([pressure64(where, replace(array, frequency_Hz=float(x)), told, air)[0] for x in f])
+    start = float(f[np.argmax(np.abs(seen).mean(axis=0))])
+    each = np.array([_pole(sound[m : m + 1], f, seen[m : m + 1], start)[:2] for m in range(len(where))])
+    resonance, quality, misfit = _pole(sound, f, seen, start)
+    if not f.min() < resonance < f.max():
+        raise PalmfieldError(
+            f"the resonance comes out as {resonance:.0f} Hz, outside the sweep ({f.min():.0f} to {f.max():.0f} Hz): "
+            "sweep to both sides of it"
+        )
+    errors = np.std(each, axis=0, ddof=1) / math.sqrt(len(where))
+    return SweepFit(resonance, float(errors[0]), quality, float(errors[1]), misfit)
+
+
+def _pole(sound: Complex, f: Float, seen: Complex, start: float) -> tuple[float, float, float]:
+    """Resonance [Hz], quality, and rms of what the model leaves, relative."""
+    scale = np.abs(seen).max(axis=1, keepdims=True)
+    places = len(seen)
+
+    def rest(unknown: Float) -> Complex:
+        late = np.exp(2j * math.pi * DELAY_SD_S * unknown[2:, None] * (f - start))
+        return _left(sound * late, f, seen, start + 100.0 * unknown[0], math.exp(unknown[1]))
+
+    def left(unknown: Float) -> Float:
+        noise = rest(unknown) / scale / NOISE
+        return np.concatenate([noise.real.ravel(), noise.imag.ravel(), unknown[2:]])
+
+    # Q from 5 to 200: what a transducer can have
+    low, high = [-50.0, math.log(5.0)], [50.0, math.log(200.0)]
+    found = least_squares(
+        left, [0.0, math.log(25.0)] + [0.0] * places, bounds=(low + [-np.inf] * places, high + [np.inf] * places)
+    )
+    misfit = float(np.sqrt((np.abs(rest(found.x)) ** 2).sum() / (np.abs(seen) ** 2).sum()))
+    return start + 100.0 * float(found.x[0]), math.exp(float(found.x[1])), misfit
+
+
+def _left(sound: Complex, f: Float, seen: Complex, resonance: float, quality: float) -> Complex:
+    """What the model with its best factor for each place leaves, (m, q)."""
+    damping = math.pi * resonance / quality
+    model = sound * (damping / (damping - 2j * math.pi * (f - resonance)))
+    factor = (model.conj() * seen).sum(axis=1) / (np.abs(model) ** 2).sum(axis=1)
+    return np.asarray(seen - factor[:, None] * model)

@@ -1,0 +1,53 @@
+"""How loud the sound is over the drive's level: exponent and saturation, from readings at rising levels."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from palmfield.acoustics.calibration_file import Level
+from palmfield.errors import PalmfieldError
+from palmfield.types import Float
+
+MISSING = 0.05
+"""Where more than this share of the pressure is missing the sound isn't linear any more."""
+
+
+def fit_level(levels: ArrayLike, pressures_Pa: ArrayLike) -> Level:
+    """p = p1 a^exponent of the readings below saturation, and the level at which more than MISSING is missing.
+
+    Fitted in logarithms over levels up to a limit; the limit is lowered from full drive until none of the readings
+    above
+    it that follow one another up to full drive would fit within MISSING. Forces are to be given as their square roots.
+
+    levels: of the drive, 0 < a <= 1, shape (n,), 5 different ones at least; pressures_Pa: amplitudes, shape (n,)
+    Raises PalmfieldError for levels and readings out of these ranges, and where fewer than 4 levels are linear.
+    """
+    a, p = np.asarray(levels, float), np.asarray(pressures_Pa, float)
+    if a.shape != p.shape or a.ndim != 1 or len(np.unique(a)) < 5:
+        raise PalmfieldError(
+            f"{len(np.unique(a))} different levels: give 5 at least, 10 are better, one reading for each"
+        )
+    bad = ~((a > 0.0) & (a <= 1.0) & (p > 0.0) & np.isfinite(p))
+    if bad.any():
+        i = int(np.argmax(bad))
+        raise PalmfieldError(
+            f"reading {i}: level {a[i]:g}, {p[i]:g} Pa; give levels above 0 to 1 and pressures above 0"
+        )
+    steps = np.unique(a)
+    for last in range(len(steps), 3, -1):
+        chosen = a <= steps[last - 1]
+        slope, error, offset = _line(np.log(a[chosen]), np.log(p[chosen]))
+        gone = 1.0 - p / np.exp(offset + slope * np.log(a))
+        # Readings scatter: the means at each level are judged, not single ones
+        missing = np.array([gone[a == step].mean() for step in steps])
+        if np.all(missing[:last] <= MISSING) and np.all(missing[last:] > MISSING):
+            return Level(exponent=slope, exponent_sd=error, linear_to=float(steps[last - 1]))
+    raise PalmfieldError(
+        f"the readings follow no power of the level within {100 * MISSING:g} % below any saturation: look for clipping "
+        "of the recorder, and for other sound"
+    )
+
+
+def _line(x: Float, y: Float) -> tuple[float, float, float]:
+    """Slope, its standard error, and offset of a straight line."""
+    (slope, offset), covariance = np.polyfit(x, y, 1, cov=True)
+    return float(slope), float(np.sqrt(covariance[0, 0])), float(offset)

@@ -1,0 +1,287 @@
+"""A laboratory's readings as CSV files, and the calibration with what each of them says (docs/calibration.md)."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from palmfield.acoustics.calibration_file import Calibration, calibrated
+from palmfield.acoustics.focus import focus
+from palmfield.drive.calibration.element_fit import fit_elements
+from palmfield.drive.calibration.focus_scan import fit_pose
+from palmfield.drive.calibration.frequency_sweep import fit_sweep
+from palmfield.drive.calibration.level_ladder import fit_level
+from palmfield.drive.calibration.plate_scale import fit_plate
+from palmfield.drive.calibration.warm_up import fit_warm_up
+from palmfield.errors import SceneError
+from palmfield.tables import read_table
+from palmfield.types import Air, Array, Complex, Estimate, Float
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What a laboratory says of a measurement besides its readings.
+
+    source: who measured when, and with what; microphone_error: 95 % of its own calibration's error, relative
+    place_sd_m, temperature_sd_K: standard deviations of the microphone's places, by axis, and of the temperature
+    focus_m: that the board was told to make, array frame [m]; plate_m: sides of the plate [m]
+    level: pressure relative to full drive at which it sounded
+    """
+
+    source: str
+    air: Air = field(default_factory=Air)
+    microphone_error: float = 0.12
+    place_sd_m: float = 1e-3
+    temperature_sd_K: float = 1.0
+    focus_m: tuple[float, float, float] | None = None
+    plate_m: tuple[float, float] | None = None
+    level: float = 1.0
+
+
+@dataclass(frozen=True)
+class Measured:
+    """calibration: with what the readings say put in; told: what they say, a line each"""
+
+    calibration: Calibration
+    told: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """A kind of measurement. about: what is done in the laboratory; columns: of its CSV file; put: readings into
+    calibration"""
+
+    about: str
+    columns: tuple[str, ...]
+    put: Callable[[Path, dict[str, Float], Calibration, Array, Setting], Measured]
+
+
+def put_elements(
+    file: Path, columns: dict[str, Float], calibration: Calibration, array: Array, setting: Setting
+) -> Measured:
+    """Transducers one by one: see `fit_elements`."""
+    element = _whole(file, columns, "element", len(array))
+    at, place = np.unique(_places(columns), axis=0, return_inverse=True)
+    seen = np.full((len(at), len(array)), np.nan, complex)
+    seen[place, element] = _complex(columns)
+    fit = fit_elements(
+        array, setting.air, at, seen, place_sd_m=setting.place_sd_m, temperature_sd_K=setting.temperature_sd_K
+    )
+    elements = fit.elements
+    if calibration.elements is not None:
+        kept = {
+            name: getattr(calibration.elements, name) for name in ("position_m", "address", "resonance_Hz", "quality")
+        }
+        elements = elements.model_copy(update=kept)
+    spread = math.hypot(1.96 * fit.p0_sd_Pa_m / fit.p0_Pa_m, setting.microphone_error)
+    p0 = _estimate(fit.p0_Pa_m, spread, setting.source)
+    dead = np.flatnonzero(~np.array(elements.enabled)).tolist()
+    turned = elements.polarity.count(-1)
+    alive = np.array(elements.enabled)
+    told = (
+        f"transducers: {len(array) - len(dead)} of {len(array)} sound, {turned} wired the other way round"
+        + (f"; silent: {', '.join(map(str, dead))}" if dead else ""),
+        f"phases: {_degrees(np.std(np.array(elements.phase_rad)[alive]))} deg rms, each known to "
+        f"{_degrees(np.median(np.array(elements.phase_sd_rad)[alive]))} deg",
+        f"gains: {100 * np.std(np.array(elements.gain)[alive]):.1f} % rms, each known to "
+        f"{100 * np.median(np.array(elements.gain_sd)[alive]):.1f} %",
+        f"p0 {p0.value:.3g} Pa m ({p0.low:.3g} to {p0.high:.3g})",
+        f"microphone {1e3 * float(np.sqrt((fit.moved_m**2).mean())):.2f} mm rms from where it was thought to be; sound "
+        f"{fit.sound_speed_m_s:.1f} +- {1.96 * fit.sound_speed_sd_m_s:.1f} m/s; {100 * fit.misfit:.1f} % of it is "
+        "not explained (echoes, noise, directivity)",
+    )
+    return Measured(calibration.model_copy(update={"elements": elements, "p0": p0}), told)
+
+
+def put_level(
+    file: Path, columns: dict[str, Float], calibration: Calibration, array: Array, setting: Setting
+) -> Measured:
+    """Rising levels: see `fit_level`. Forces count by their square roots."""
+    has = [name for name in ("pressure_Pa", "force_N") if name in columns]
+    if len(has) != 1:
+        raise SceneError(f"{file}: columns are {', '.join(columns)}; give level and either pressure_Pa or force_N")
+    seen = columns[has[0]]
+    level = fit_level(columns["level"], np.sqrt(np.maximum(seen, 0.0)) if has[0] == "force_N" else seen)
+    end = "to full drive" if level.linear_to == 1.0 else f"to level {level.linear_to:g}, and saturates above it"
+    told = f"pressure goes with the level to the power {level.exponent:.3f} +- {1.96 * level.exponent_sd:.3f} {end}"
+    return Measured(calibration.model_copy(update={"level": level}), (told,))
+
+
+def put_plate(
+    file: Path, columns: dict[str, Float], calibration: Calibration, array: Array, setting: Setting
+) -> Measured:
+    """Forces on a plate: see `fit_plate`."""
+    if setting.plate_m is None:
+        raise SceneError(f"{file}: the plate's sides are not told; give them (--plate 0.1 0.1, in metres)")
+    known = calibrated(array, calibration)
+    fit = fit_plate(
+        known, setting.air, _drive(known, setting), setting.plate_m, columns["distance_m"], columns["time_s"],
+        columns["on"], columns["force_N"], setting.level,
+    )  # fmt: skip
+    p0 = Estimate(fit.p0_Pa_m, fit.low_Pa_m, fit.high_Pa_m, "measured", setting.source)
+    told: tuple[str, ...] = (
+        f"p0 {p0.value:.3g} Pa m ({p0.low:.3g} to {p0.high:.3g}; scatter alone "
+        f"{100 * fit.p0_sd_Pa_m / fit.p0_Pa_m:.2g} %)",
+        f"fringes of {100 * fit.fringe:.0f} % of the force from sound between plate and array; the scale drifts by "
+        f"{1e6 * fit.drift_N_s:.3g} uN/s",
+    )
+    if calibration.p0 is not None and not calibration.p0.low <= p0.value <= calibration.p0.high:
+        before = calibration.p0
+        told += (
+            f"this lies outside what was measured before: {before.value:.3g} ({before.low:.3g} to {before.high:.3g})",
+        )
+    return Measured(calibration.model_copy(update={"p0": p0}), told)
+
+
+def put_focus(
+    file: Path, columns: dict[str, Float], calibration: Calibration, array: Array, setting: Setting
+) -> Measured:
+    """Pressures about foci: see `fit_pose`."""
+    names = ("focus_x_m", "focus_y_m", "focus_z_m")
+    if any(name in columns for name in names):
+        told = np.column_stack([_taken(file, columns, name) for name in names])
+    elif setting.focus_m is None:
+        raise SceneError(
+            f"{file}: the focus is not told; give columns {', '.join(names)}, or one focus (--focus X Y Z)"
+        )
+    else:
+        told = np.tile(setting.focus_m, (len(columns["x_m"]), 1))
+    pose = fit_pose(
+        calibrated(array, calibration.model_copy(update={"pose": type(calibration.pose)()})),
+        setting.air, told, _places(columns), columns["pressure_Pa"], setting.temperature_sd_K,
+    )  # fmt: skip
+    offset = ", ".join(
+        f"{1e3 * x:.2f} +- {1.96e3 * sd:.2f}" for x, sd in zip(pose.offset_m, pose.offset_sd_m, strict=True)
+    )
+    turn = ", ".join(
+        f"{_degrees(x)} +- {_degrees(1.96 * sd)}" for x, sd in zip(pose.turn_rad, pose.turn_sd_rad, strict=True)
+    )
+    lines: tuple[str, ...] = (f"the board is off by {offset} mm along x, y, z",)
+    lines += (f"and turned by {turn} deg about them",) if any(pose.turn_sd_rad) else (
+        "turns are not told: scan three foci that are apart",
+    )  # fmt: skip
+    return Measured(calibration.model_copy(update={"pose": pose}), lines)
+
+
+def put_sweep(
+    file: Path, columns: dict[str, Float], calibration: Calibration, array: Array, setting: Setting
+) -> Measured:
+    """A sweep of the carrier: see `fit_sweep`."""
+    at, place = np.unique(_places(columns), axis=0, return_inverse=True)
+    f, which = np.unique(columns["frequency_Hz"], return_inverse=True)
+    seen = np.full((len(at), len(f)), np.nan, complex)
+    seen[place, which] = _complex(columns)
+    if np.isnan(seen).any():
+        m, q = np.argwhere(np.isnan(seen))[0]
+        raise SceneError(
+            f"{file}: no reading at {at[m].tolist()} m and {f[q]:g} Hz; give one for each place and frequency"
+        )
+    known = calibrated(array, calibration)
+    fit = fit_sweep(known, setting.air, _drive(known, setting), at, f, seen)
+    quality = _estimate(fit.quality, 1.96 * fit.quality_sd / fit.quality, setting.source)
+    resonance = _estimate(fit.resonance_Hz, 1.96 * fit.resonance_sd_Hz / fit.resonance_Hz, setting.source)
+    told = (
+        f"resonance {resonance.value:.0f} Hz ({resonance.low:.0f} to {resonance.high:.0f}), Q {quality.value:.1f} "
+        f"({quality.low:.1f} to {quality.high:.1f}), of all transducers together; "
+        f"{100 * fit.misfit:.1f} % is not explained",
+    )
+    return Measured(calibration.model_copy(update={"quality": quality, "resonance_Hz": resonance}), told)
+
+
+def put_warm_up(
+    file: Path, columns: dict[str, Float], calibration: Calibration, array: Array, setting: Setting
+) -> Measured:
+    """The level since it was switched on: see `fit_warm_up`."""
+    warm_up = fit_warm_up(columns["time_s"], columns["pressure_Pa"])
+    within = warm_up.time_s * max(math.log(abs(warm_up.drop) / 0.01), 0.0)
+    told = (
+        f"the level begins {100 * warm_up.drop:+.1f} % (+- {196 * warm_up.drop_sd:.1f}) from that in the end, and is "
+        f"within 1 % after {within:.0f} s"
+    )
+    return Measured(calibration.model_copy(update={"warm_up": warm_up}), (told,))
+
+
+XYZ = ("x_m", "y_m", "z_m")
+MEASUREMENTS: dict[str, Measurement] = {
+    "elements": Measurement(
+        "one transducer at a time at full drive with phase 0, before a microphone at 3 places or more (8 are better)",
+        ("element", *XYZ, "pressure_Pa", "phase_deg"), put_elements,
+    ),
+    "level": Measurement("rising levels of the drive, before a microphone or a scale", ("level",), put_level),
+    "plate": Measurement(
+        "a plate on a scale across the axis at 4 distances or more within half a wavelength, on and off in turn",
+        ("distance_m", "time_s", "on", "force_N"), put_plate,
+    ),
+    "focus": Measurement("a microphone moved about one focus, or several", (*XYZ, "pressure_Pa"), put_focus),
+    "sweep": Measurement(
+        "the carrier swept from 38 to 42 kHz, before a microphone at 8 places or more",
+        (*XYZ, "frequency_Hz", "pressure_Pa", "phase_deg"), put_sweep,
+    ),
+    "warm_up": Measurement(
+        "the level since the array was switched on, until it stands still", ("time_s", "pressure_Pa"), put_warm_up
+    ),
+}  # fmt: skip
+"""Kinds of measurements, in the order in which they help one another."""
+OPTIONAL = {"level": ("pressure_Pa", "force_N"), "focus": ("focus_x_m", "focus_y_m", "focus_z_m")}
+
+
+def measured(kind: str, path: str | Path, calibration: Calibration, array: Array, setting: Setting) -> Measured:
+    """The calibration with what a file of readings says.
+
+    kind: a key of MEASUREMENTS; array: of the calibration's layout
+    Raises SceneError for a file that can't be read or lacks columns, PalmfieldError for readings that don't serve.
+    """
+    file, measurement = Path(path), MEASUREMENTS[kind]
+    columns, _ = read_table(file)
+    for name in measurement.columns:
+        _taken(file, columns, name)
+    allowed = {*measurement.columns, *OPTIONAL.get(kind, ())}
+    unknown = [name for name in columns if name not in allowed]
+    if unknown:
+        raise SceneError(f"{file}: column '{unknown[0]}' is unknown; allowed: {', '.join(sorted(allowed))}")
+    if not len(next(iter(columns.values()))):
+        raise SceneError(f"{file}: no readings; give a line for each")
+    return measurement.put(file, columns, calibration, array, setting)
+
+
+def _taken(file: Path, columns: dict[str, Float], name: str) -> Float:
+    if name not in columns:
+        raise SceneError(f"{file}: column '{name}' is missing; columns are: {', '.join(columns)}")
+    return columns[name]
+
+
+def _places(columns: dict[str, Float]) -> Float:
+    return np.column_stack([columns[name] for name in XYZ])
+
+
+def _complex(columns: dict[str, Float]) -> Complex:
+    return np.asarray(columns["pressure_Pa"] * np.exp(1j * np.radians(columns["phase_deg"])))
+
+
+def _whole(file: Path, columns: dict[str, Float], name: str, count: int) -> np.ndarray:
+    values = columns[name]
+    bad = (values != np.rint(values)) | (values < 0) | (values >= count)
+    if bad.any():
+        raise SceneError(f"{file}: {name} {values[bad][0]:g} is none of the array's; give 0 to {count - 1}")
+    return values.astype(int)
+
+
+def _drive(array: Array, setting: Setting) -> Complex:
+    if setting.focus_m is None:
+        raise SceneError("the focus that the board was told to make is not told; give it (--focus X Y Z, in metres)")
+    return focus(array, setting.air, setting.focus_m)
+
+
+def _estimate(value: float, relative: float, source: str) -> Estimate:
+    return Estimate(value, value / (1.0 + relative), value * (1.0 + relative), "measured", source)
+
+
+def _degrees(angle: float | np.floating) -> str:
+    return f"{math.degrees(float(angle)):.2f}"
+
+
+def columns_of(kind: str) -> Sequence[str]:
+    """All columns that a kind's file may have."""
+    return *MEASUREMENTS[kind].columns, *OPTIONAL.get(kind, ())

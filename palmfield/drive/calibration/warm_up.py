@@ -1,0 +1,38 @@
+"""How the sound gets softer while transducers and driver warm up."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import curve_fit
+
+from palmfield.acoustics.calibration_file import WarmUp
+from palmfield.errors import PalmfieldError
+
+
+def fit_warm_up(times_s: ArrayLike, pressures_Pa: ArrayLike) -> WarmUp:
+    """p = p1 (1 + drop exp(-t/time_s)) by least squares.
+
+    times_s: since the array was switched on, shape (n,), 6 at least; pressures_Pa: amplitudes, shape (n,)
+    Raises PalmfieldError for fewer readings, numbers out of range, and where the readings don't say how long it takes.
+    """
+    t, p = np.asarray(times_s, float), np.asarray(pressures_Pa, float)
+    if t.shape != p.shape or t.ndim != 1 or len(t) < 6:
+        raise PalmfieldError(f"{t.size} times and {p.size} readings: give 6 of each at least")
+    if not (np.isfinite(t).all() and np.all(np.isfinite(p) & (p > 0.0)) and t.min() >= 0.0 and np.ptp(t) > 0.0):
+        raise PalmfieldError("times_s must be 0 or more and differ, pressures_Pa above 0, all finite")
+    end, span = float(p[np.argmax(t)]), float(np.ptp(t))
+
+    def course(time: np.ndarray, last: float, drop: float, rate: float) -> np.ndarray:
+        return np.asarray(last * (1.0 + drop * np.exp(-time * np.exp(rate))))
+
+    try:
+        found, covariance = curve_fit(
+            course, t, p, [end, p[np.argmin(t)] / end - 1.0, np.log(3.0 / span)], maxfev=10_000
+        )
+    except RuntimeError:
+        raise PalmfieldError("the readings do not settle to one course: record until the level stands still") from None
+    time_s = float(np.exp(-found[2]))
+    if not (np.isfinite(covariance).all() and time_s < span):
+        raise PalmfieldError(
+            f"the level still changes at the end of {span:g} s, or doesn't change at all: record for longer"
+        )
+    return WarmUp(drop=float(found[1]), drop_sd=float(np.sqrt(covariance[1, 1])), time_s=time_s)

@@ -1,0 +1,89 @@
+"""Calibrations as files: readings put in, what they hold told, and a rehearsal."""
+
+import shlex
+from pathlib import Path
+
+from palmfield.acoustics.arrays import layout as known_layout
+from palmfield.acoustics.calibration_file import Calibration, Pose, read_calibration, write_calibration
+from palmfield.drive.calibration.readings import MEASUREMENTS, Setting, measured
+from palmfield.drive.calibration.rehearsal import FOCUS_M, PLATE_M, TRUTH, rehearse
+from palmfield.errors import SceneError
+from palmfield.types import Estimate
+
+NEEDS_FOCUS = ("plate", "focus", "sweep")
+
+
+def add_readings(kind: str, readings: Path, board: Path, layout: str | None, setting: Setting) -> list[str]:
+    """Put readings into the calibration file `board`, which is made if it isn't there; returns what they say.
+
+    kind: a key of `MEASUREMENTS`; layout: of the array, needed where the file is new
+    Raises SceneError for files, layouts and sources that don't fit, PalmfieldError for readings that don't serve,
+    OutputError where the file can't be written; it then stays as it was.
+    """
+    if not setting.source.strip():
+        raise SceneError("the source is not told; say who measured when, and with what (--source TEXT)")
+    if board.exists():
+        calibration = read_calibration(board)
+        if layout is not None and layout != calibration.layout:
+            raise SceneError(
+                f"{board} is of layout '{calibration.layout}', and --layout says '{layout}'; give another file"
+            )
+    elif layout is None:
+        raise SceneError(f"{board} is not there; to begin a new calibration name the array (--layout NAME)")
+    else:
+        calibration = Calibration(layout=layout)
+    result = measured(kind, readings, calibration, known_layout(calibration.layout), setting)
+    write_calibration(board, result.calibration)
+    return list(result.told)
+
+
+def described(board: Path, png: Path | None) -> list[str]:
+    """What a calibration file holds, a line each, and what is missing; draws it where `png` is given."""
+    calibration = read_calibration(board)
+    array = known_layout(calibration.layout)
+    lines = [f"calibration of {calibration.layout}, {len(array)} transducers"]
+    lines += [_estimate("p0", "Pa m", calibration.p0), _estimate("Q", "", calibration.quality)]
+    lines.append(_estimate("resonance", "Hz", calibration.resonance_Hz))
+    elements = calibration.elements
+    if elements is None:
+        lines.append("transducers one by one: not measured: an uncalibrated board does not focus")
+    else:
+        silent = elements.enabled.count(False)
+        lines.append(f"transducers one by one: {elements.polarity.count(-1)} turned, {silent} silent")
+    if calibration.pose == Pose():
+        lines.append("place of the board: not measured, taken as told")
+    else:
+        lines.append("place of the board: " + ", ".join(f"{1e3 * x:+.2f}" for x in calibration.pose.offset_m) + " mm")
+    level, warm_up = calibration.level, calibration.warm_up
+    lines.append(
+        "level: not measured"
+        if level is None
+        else f"level: to the power {level.exponent:.3f} up to {level.linear_to:g}"
+    )
+    lines.append(
+        "warm-up: not measured" if warm_up is None else f"warm-up: {100 * warm_up.drop:+.1f} %, {warm_up.time_s:.0f} s"
+    )
+    if png is not None:
+        from palmfield.outputs.calibration_picture import draw_calibration
+
+        lines.append(f"wrote {draw_calibration(calibration, array, png)}")
+    return lines
+
+
+def rehearsed(layout: str, folder: Path, seed: int) -> list[str]:
+    """Write a rehearsal's files; returns what was written and the commands to go on with."""
+    lines = [f"wrote {path}" for path in rehearse(known_layout(layout), folder, seed)]
+    lines.append(f"{TRUTH} says what the readings were made from. Now:")
+    for kind in MEASUREMENTS:
+        options = f" --focus {' '.join(map(str, FOCUS_M))}" if kind in NEEDS_FOCUS else ""
+        options += f" --plate {' '.join(map(str, PLATE_M))}" if kind == "plate" else ""
+        begin = f" --layout {layout}" if kind == next(iter(MEASUREMENTS)) else ""
+        files = f"{shlex.quote(str(folder / f'{kind}.csv'))} {shlex.quote(str(folder / 'board.json'))}"
+        lines.append(f"palmfield calibrate add {kind} {files}{begin}{options} --source rehearsal")
+    return lines
+
+
+def _estimate(name: str, unit: str, known: Estimate | None) -> str:
+    if known is None:
+        return f"{name}: not measured"
+    return f"{name}: {known.value:.4g} ({known.low:.4g} to {known.high:.4g}) {unit}".rstrip() + f", {known.source}"
