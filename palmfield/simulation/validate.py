@@ -28,6 +28,8 @@ LEAST_APART_M = 1e-3
 """Between point sources, which have no width of their own, of two arrays."""
 FACING = np.diag([1.0, -1.0, -1.0])
 """How an array stands that looks at another from above: its frame turned by half a turn about x."""
+LEAST_POINTS = 3
+"""On a turn of a path that is played in frames: fewer tell no path."""
 SURFACE_KEYS = ("shape", "hand", "mesh", "mesh_unit")
 """Keys that say what surface a body has; all skins on a body share them."""
 
@@ -161,7 +163,9 @@ def check_board(stimulus: StimulusSpec, board: Board) -> None:
     if board.exact:
         return
     config, element = stimulus.config, f"plugin 'palmfield.stimulus' instance '{stimulus.name}'"
-    rates = frame_rates(config)
+    # How long a path through sites is isn't known yet
+    of_sites = config.path == "sites"
+    rates = [config.control_rate_Hz] * (config.control_rate_Hz > 0.0) if of_sites else frame_rates(config)
     moving = config.path != "point" or stimulus.frame_moves
     gives = f"{board.name} gives {board.max_frame_rate_Hz:.1f}"
     if moving and not rates:
@@ -185,12 +189,15 @@ def check_board(stimulus: StimulusSpec, board: Board) -> None:
             f"{element}: key 'foci_m' has {len(config.foci_m) // 3} foci at once; board '{board.name}' takes one: use "
             "another board"
         )
-    turns = turn_rate_Hz(config) if config.path != "sites" else None
+    turns = None if of_sites else turn_rate_Hz(config)
+    needed = max(rates, default=0.0)
     turn = rates[0] / turns if turns else None
+    if turns and turn is not None and turn < LEAST_POINTS:
+        needed, turn = LEAST_POINTS * turns, float(LEAST_POINTS)
     wants_level = config.arp_peak_Pa is not None or config.drive_amplitude not in (None, 0.0, 1.0)
     check(
         board,
-        frame_rate_Hz=max(rates, default=0.0),
+        frame_rate_Hz=needed,
         points_per_turn=turn,
         modulated=config.modulation == "am" or config.burst_window == "hann",
         element=stimulus.name,

@@ -46,7 +46,7 @@ def test_every_key_has_a_meaning_and_every_quantity_a_unit():
     for config in CONFIGS:
         for key, key_unit, takes, _, meaning in table(config):
             assert meaning and takes
-            pure = {"am_depth", "drive_amplitude", "path_points", "accuracy", "quality"}
+            pure = {"am_depth", "drive_amplitude", "path_points", "accuracy", "quality", "pwm_exponent"}
             assert bool(key_unit) == ("number" in takes and key not in pure) or "whole" in takes, key
 
 
