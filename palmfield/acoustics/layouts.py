@@ -87,6 +87,18 @@ def sonicsurface() -> Array:
     return from_poses("sonicsurface", sites, normals, address=np.arange(256, dtype=np.int32))
 
 
+def openmpd() -> Array:
+    """In rows from low y, x runs fastest."""
+    normals = np.tile([0.0, 0.0, 1.0], (256, 1))
+    return from_poses("openmpd", grid(10.5e-3), normals, address=np.arange(256, dtype=np.int32))
+
+
+def ultraino() -> Array:
+    """64 transducers in the order of an Ultraino board's signals, in rows from low y, x runs fastest."""
+    normals = np.tile([0.0, 0.0, 1.0], (64, 1))
+    return from_poses("ultraino", lattice(8, 8, 10.5e-3), normals, address=np.arange(64, dtype=np.int32))
+
+
 def autd_board() -> Array:
     """An AUTD unit; origin at the centre of the rectangle of 18 x 14 sites, not at the centroid of the 249 in use."""
     sites = lattice(AUTD_COLUMNS, AUTD_ROWS, AUTD_PITCH_M)
@@ -228,6 +240,20 @@ LAYOUTS = {
         "SonicSurface (upnalab, MIT): positions and byte order. Pistons: as MA40S4S",
         (0.0, 0.0, 0.2),
         sonicsurface,
+    ),
+    "openmpd": Layout(
+        "OpenMPD (AcoustophoreticBoard): 16 x 16 elements, 10.5 mm pitch, in rows",
+        "OpenMPD (University College London): 256 transducers of 10 mm, 10.5 mm apart. Rows are an assumption: boards "
+        "differ in the order of their pins. Pistons: as MA40S4S",
+        (0.0, 0.0, 0.12),
+        openmpd,
+    ),
+    "ultraino": Layout(
+        "One Arduino Mega of Ultraino: 8 x 8 elements, 10.5 mm pitch, in the order of its signals",
+        "Ultraino (Marzo et al. 2018) drives 64 transducers a Mega; its users build arrays: grid and pitch are "
+        "assumptions. Pistons: as MA40S4S",
+        (0.0, 0.0, 0.08),
+        ultraino,
     ),
     "autd2018": Layout(
         "One unit of Hasegawa & Shinoda 2018: 249 elements, aperture printed as 180 x 140 mm",

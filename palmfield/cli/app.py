@@ -40,6 +40,12 @@ Keys = Annotated[
         autocompletion=completion.settings,
     ),
 ]
+BoardName = Annotated[
+    str | None,
+    typer.Option(
+        help="another board than the scene's, with its layout and rate (see `palmfield boards`)", metavar="BOARD"
+    ),
+]
 AsJson = Annotated[bool, typer.Option("--json", help="print JSON only, with units in the names, for other programs")]
 ANYWHERE = {"-v": 0, "--verbose": 0, "-q": 0, "--quiet": 0, "--log-level": 1}
 """Options of the whole program, which may also stand after a command, and how many values follow each."""
@@ -77,6 +83,7 @@ def run(
     device: Device = None,
     duration: Annotated[float | None, typer.Option(help="simulated time [s] [default: the scene's]")] = None,
     accuracy: Accuracy = None,
+    board: BoardName = None,
     keys: Keys = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace another run's results in the folder")] = False,
     as_json: AsJson = False,
@@ -93,7 +100,7 @@ def run(
 
     _check_duration(duration)
     run_scene(
-        scene, out or Path("out") / scene.stem, device=device, accuracy=accuracy, keys=_given(keys),
+        scene, out or Path("out") / scene.stem, device=device, accuracy=accuracy, board=board, keys=_given(keys),
         duration_s=duration, overwrite=overwrite, quiet=context.obj, as_json=as_json,
     )  # fmt: skip
 
@@ -122,6 +129,7 @@ def plan(
     device: Device = None,
     duration: Annotated[float | None, typer.Option(help="simulated time [s] [default: the scene's]")] = None,
     accuracy: Accuracy = None,
+    board: BoardName = None,
     keys: Keys = None,
     as_json: AsJson = False,
 ) -> None:
@@ -133,7 +141,9 @@ def plan(
     from palmfield.cli.as_json import print_json
 
     _check_duration(duration)
-    made = palmfield.plan(scene, device=device, accuracy=accuracy, keys=_given(keys), duration_s=duration)
+    made = palmfield.plan(
+        scene, device=device, accuracy=accuracy, board=board, keys=_given(keys), duration_s=duration
+    )  # fmt: skip
     if as_json:
         print_json(made.as_dict())
     else:
@@ -165,33 +175,148 @@ def drive(
     focus: Annotated[
         tuple[float, float, float] | None, typer.Option(help="a still focus in the array frame [m]", metavar="X Y Z")
     ] = None,
-    board: Annotated[str, typer.Option(help="which board: sonicsurface")] = "sonicsurface",
+    board: BoardName = None,
     port: Annotated[
         str | None, typer.Option(help="serial port or URL: /dev/ttyUSB0, COM3, socket://host:port, loop://")
     ] = None,
     record: Annotated[Path | None, typer.Option(help="write the bytes to this file instead")] = None,
+    log: Annotated[
+        Path | None, typer.Option(help="write what was sent when to this file, for decode and replay")
+    ] = None,
     duration: Annotated[float | None, typer.Option(help="how long to play [s] [default: the scene's, or 10]")] = None,
+    keys: Keys = None,
+    level: Annotated[float, typer.Option(help="with --focus: amplitude of all transducers, 0 to 1")] = 1.0,
+    am_frequency: Annotated[
+        float, typer.Option(help="with --focus: sine between silence and the level [Hz]; 0 for none")
+    ] = 0.0,
+    p0: Annotated[
+        float | None,
+        typer.Option(help="with --focus: peak pressure of a transducer at 1 m [Pa m] [default: the layout's]"),
+    ] = None,
+    temperature: Annotated[float, typer.Option(help="with --focus: of the air [C]")] = 20.0,
+    humidity: Annotated[float, typer.Option(help="with --focus: of the air, relative [%]")] = 50.0,
+    air_pressure: Annotated[float, typer.Option(help="with --focus: of the air [Pa]")] = 101325.0,
 ) -> None:
     """Play a scene, or one focus, on a real board; or record the bytes that it would get.
 
-    What is sent is what `palmfield run` simulates. A board that can't play the scene is refused with exit code 2. The
-    board is switched off at the end, on Ctrl-C and on errors. An uncalibrated board does not focus: about half of its
-    transducers are wired with inverted polarity.
+    What is sent is what `palmfield run` simulates, with hands and arrays where they are when each frame is emitted. A
+    board that can't play the scene is refused with exit code 2. The board is switched off at the end, on Ctrl-C and on
+    errors. An uncalibrated board does not focus: about half of its transducers are wired with inverted polarity.
 
     Examples: palmfield drive --focus 0 0 0.15 --port /dev/ttyUSB0 --duration 5
+
     palmfield drive mjcf/scenes/palm_circle_sonicsurface.xml --record circle.bin
+
+    palmfield drive mjcf/scenes/follow_fingertip.xml --board autd2018 --port socket://127.0.0.1:5000 --log sent.jsonl
     """
-    from palmfield.session.play import play_focus, play_scene
+    from palmfield.session.play import FocusSound, Target, play_focus, play_scene
+    from palmfield.types import Air
 
     if (scene is None) == (focus is None):
         raise SceneError("`palmfield drive` plays either a SCENE.xml or --focus X Y Z; give one of them")
     if (port is None) == (record is None):
         raise SceneError("`palmfield drive` needs either --port (a board) or --record (a file); give one of them")
     _check_duration(duration)
+    target = Target(port, record, log)
     if focus is not None:
-        print(play_focus(focus, board, port, record, 10.0 if duration is None else duration, progress=True))
+        sound = FocusSound(level, am_frequency, p0, Air(temperature, humidity, air_pressure))
+        own = {name.removeprefix("driver."): value for name, value in _given(keys).items()}
+        lasts = 10.0 if duration is None else duration
+        print(play_focus(focus, board or "sonicsurface", target, lasts, sound=sound, keys=own, progress=True))
     elif scene is not None:
-        print(play_scene(scene, board, port, record, duration, progress=True))
+        print(play_scene(scene, board, target, duration, keys=_given(keys), progress=True))
+
+
+@app.command()
+def boards(
+    name: Annotated[str | None, typer.Argument(help="one board", metavar="[BOARD]")] = None,
+    markdown: Annotated[bool, typer.Option(help="as the page docs/boards.md has it")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """List the boards that play a drive, with their limits; all of one, with what it can't guarantee.
+
+    Example: palmfield boards sonicsurface
+    """
+    from palmfield.cli.as_json import print_json
+    from palmfield.cli.boards import describe, facts
+    from palmfield.drive.boards import BOARDS, board_named
+
+    if as_json:
+        print_json({one.name: facts(one) for one in (BOARDS.values() if name is None else [board_named(name)])})
+    else:
+        describe(name, markdown)
+
+
+@app.command()
+def board(
+    name: Annotated[str, typer.Argument(help="which board (see `palmfield boards`)", metavar="BOARD")],
+    virtual: Annotated[bool, typer.Option("--virtual", help="start one that is not there and print its port")] = False,
+    by: Annotated[str, typer.Option(help="pty (a pseudo-terminal) or tcp")] = "pty",
+    tcp_port: Annotated[int, typer.Option(help="with --by tcp; 0 for any that is free")] = 0,
+    duration: Annotated[float | None, typer.Option(help="end after so long [s] [default: at Ctrl-C]")] = None,
+    drop: Annotated[float, typer.Option(help="share of bytes that are lost")] = 0.0,
+    flip: Annotated[float, typer.Option(help="share of bytes of which a bit is turned")] = 0.0,
+    stall: Annotated[
+        tuple[float, float] | None, typer.Option(help="take no bytes from T on for L [s]", metavar="T L")
+    ] = None,
+    unplug: Annotated[float | None, typer.Option(help="take the port away after so long [s]")] = None,
+    received: Annotated[Path | None, typer.Option(help="write the bytes that came to this file")] = None,
+) -> None:
+    """A virtual board: takes bytes at the pace of the real one's line, and says what sounded and what it noticed.
+
+    Example: palmfield board sonicsurface --virtual
+    """
+    from palmfield.cli.boards import describe, run_virtual
+
+    if not virtual:
+        describe(name, False)
+        return
+    run_virtual(
+        name, by, tcp_port, duration, drop=drop, flip=flip, stall=stall, unplug_s=unplug, received=received
+    )  # fmt: skip
+
+
+@app.command()
+def decode(
+    file: Annotated[Path, typer.Argument(help="of --log, or raw bytes of --record", metavar="FILE")],
+    board: Annotated[str | None, typer.Option(help="of raw bytes: for which board they are", metavar="BOARD")] = None,
+    layout: Annotated[str | None, typer.Option(help="of raw bytes: the array's layout [default: the board's]")] = None,
+    png: Annotated[Path | None, typer.Option(help="draw the foci", metavar="FILE")] = None,
+    csv: Annotated[Path | None, typer.Option(help="write all foci as a table", metavar="FILE")] = None,
+) -> None:
+    """Show the foci that bytes really make: through the board's virtual twin, fitted to what it emits.
+
+    Example: palmfield drive mjcf/scenes/palm_circle_sonicsurface.xml --record c.bin && palmfield decode c.bin --board
+    sonicsurface --png c.png
+    """
+    import numpy as np
+
+    from palmfield.outputs.foci_picture import draw_foci
+    from palmfield.session.decode import as_table, write_csv
+    from palmfield.session.decode import decode as decoded_file
+
+    decoded = decoded_file(file, board, layout)
+    print(as_table(decoded, most=40))
+    if csv is not None:
+        write_csv(decoded, csv)
+    if png is not None:
+        foci = np.array([row.focus for row in decoded.foci]).reshape(-1, 3)
+        draw_foci([row.time_s for row in decoded.foci], foci, png)
+
+
+@app.command()
+def replay(
+    file: Annotated[Path, typer.Argument(help="of --log, or raw bytes of --record", metavar="FILE")],
+    port: Annotated[str, typer.Option(help="serial port or URL")],
+    board: Annotated[str | None, typer.Option(help="of raw bytes: for which board they are", metavar="BOARD")] = None,
+) -> None:
+    """Send recorded bytes to a port again, at their times; the board is off at the end.
+
+    Example: palmfield replay sent.jsonl --port /dev/ttyUSB0
+    """
+    from palmfield.session.decode import replay as replay_file
+
+    print(replay_file(file, port, board))
 
 
 @app.command()

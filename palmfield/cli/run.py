@@ -21,6 +21,7 @@ def run_scene(
     *,
     device: str | None,
     accuracy: float | None,
+    board: str | None,
     keys: dict[str, str],
     duration_s: float | None,
     overwrite: bool,
@@ -32,7 +33,7 @@ def run_scene(
     quiet: neither bars nor the table
     """
     with Console(stderr=True, quiet=quiet).status(f"loading {scene}"):
-        simulation = palmfield.Simulation(scene, device=device, accuracy=accuracy, keys=keys)
+        simulation = palmfield.Simulation(scene, device=device, accuracy=accuracy, board=board, keys=keys)
     told = warnings(simulation, duration_s)
     for warning in told:
         LOG.warning(warning)

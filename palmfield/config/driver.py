@@ -1,10 +1,21 @@
 """Keys of palmfield.driver."""
 
-from typing import Annotated, ClassVar, Literal
+from pathlib import Path
+from pkgutil import iter_modules
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from palmfield.config.base import Config
+from palmfield.config.base import Config, NonNegative, Positive
+
+BOARDS_FOLDER = Path(__file__).parents[1] / "drive" / "boards"
+if TYPE_CHECKING:
+    BoardName = str
+else:
+    # Each file there is a board; its code lies in a layer above
+    BoardName = Literal[tuple(sorted(module.name for module in iter_modules([str(BOARDS_FOLDER)])))]
+Switch = Literal["on", "off"]
+Bits = Annotated[str, Field(pattern="^[01]{1,64}$")]
 
 
 class DriverConfig(Config):
@@ -12,11 +23,55 @@ class DriverConfig(Config):
     about: ClassVar[str] = "The board that plays the drive; what it can't play is not simulated either."
     renamed: ClassVar[dict[str, str]] = {"device": "board"}
 
-    board: Literal["ideal", "sonicsurface"] = Field(
-        "ideal", description="ideal: continuous phase and amplitude at any rate; sonicsurface: decoded from its bytes"
+    board: BoardName = Field(
+        "ideal",
+        description="ideal: any phase and amplitude at any rate; others are decoded from their bytes (boards.md)",
     )
     duty_exponent: Annotated[float, Field(ge=0.5, le=4)] = Field(
         2.0,
         description="g of the pulses' law p/p_M = sin(pi duty)^(g/2), for am_quantity duty: 2 is that of rectangular "
         "pulses; 1.5 was measured on a device (Hasegawa and Shinoda 2018)",
     )
+    compensate: Switch | None = Field(
+        None,
+        description="whether the bytes make up for transducers that are dead or inverted, or whose phase the scene "
+        "knows (default: on, but for board ideal)",
+    )
+    dither: Switch | None = Field(
+        None, description="boards of full or off: amplitudes between by a share of transducers that is on (default off)"
+    )
+    packet_header: Bits | None = Field(None, description="autd2018: bits before a packet's payload (default 10100101)")
+    packet_footer: Bits | None = Field(None, description="autd2018: bits after it (default 1011010)")
+    packet_bit_order: Literal["msb_first", "lsb_first"] | None = Field(
+        None, description="autd2018: which bit of each field comes first (default msb_first)"
+    )
+    packet_lsb_m: Positive | None = Field(
+        None, description="autd2018: what the lowest bit of a coordinate is (default 0.000025)"
+    )
+    pwm_exponent: Positive | None = Field(
+        None, description="autd2018: pressure goes with sin(pi duty)^(exponent/2) (default 2; the paper found 1.5)"
+    )
+    pwm_edge: Literal["leading", "trailing", "centre"] | None = Field(
+        None, description="autd2018: what of a pulse keeps its place as its width changes (default centre)"
+    )
+    hop_delay_s: NonNegative | None = Field(
+        None, description="autd2018: delay of each unit that a packet passes (default 4e-8)"
+    )
+    skew_s: NonNegative | None = Field(
+        None, description="autd2018: largest difference that the sync leaves between units (default 0)"
+    )
+    clock_drift_ppm: NonNegative | None = Field(
+        None, description="autd2018: largest difference of units' clocks (default 0)"
+    )
+    sync: Switch | None = Field(None, description="autd2018: whether clocks are set every 500 us (default on)")
+    board_sound_speed_m_s: Positive | None = Field(
+        None, description="autd2018: speed of sound with which units place the focus (default that of air at 20 C)"
+    )
+
+    @property
+    def board_keys(self) -> dict[str, Any]:
+        """Keys that are the board's own, those that are set."""
+        own = self.model_dump(exclude={"board", "compensate", "duty_exponent"}, exclude_none=True)
+        if "dither" in own:
+            own["dither"] = own["dither"] == "on"
+        return own

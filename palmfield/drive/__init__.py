@@ -10,47 +10,59 @@ from palmfield.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from palmfield.drive.array_drive import ArrayDrive, UnitDrive
-    from palmfield.drive.boards import BOARDS, Board, board_named
+    from palmfield.drive.board import Board, Emitted, Twin
+    from palmfield.drive.board_link import BoardLink
+    from palmfield.drive.boards import BOARDS, board_named
     from palmfield.drive.foci import Foci, solve_foci
-    from palmfield.drive.link import Link, RecordLink, open_link
-    from palmfield.drive.playback import Played, TimedFrame, frame_times, play_frames, timed_frames
+    from palmfield.drive.frame_log import FrameLog, read_log
+    from palmfield.drive.playback import Played, TimedFrame, frame_times, play_frames
     from palmfield.drive.response import Pole
     from palmfield.drive.response_error import ResponseError
     from palmfield.drive.shapes import bottle, twin_trap, vortex
     from palmfield.drive.transducer_response import TransducerResponse, commanded_drive
+    from palmfield.drive.transport import FileTransport, open_port
+    from palmfield.drive.virtual import VirtualBoard
 
 _WHERE = {
     **dict.fromkeys(("ArrayDrive", "UnitDrive"), "array_drive"),
-    **dict.fromkeys(("BOARDS", "Board", "board_named"), "boards"),
+    **dict.fromkeys(("Board", "Emitted", "Twin"), "board"),
+    "BoardLink": "board_link",
+    **dict.fromkeys(("BOARDS", "board_named"), "boards"),
     **dict.fromkeys(("Foci", "solve_foci"), "foci"),
-    **dict.fromkeys(("Link", "RecordLink", "open_link"), "link"),
-    **dict.fromkeys(("Played", "TimedFrame", "frame_times", "play_frames", "timed_frames"), "playback"),
+    **dict.fromkeys(("FrameLog", "read_log"), "frame_log"),
+    **dict.fromkeys(("Played", "TimedFrame", "frame_times", "play_frames"), "playback"),
     "Pole": "response",
     "ResponseError": "response_error",
     **dict.fromkeys(("bottle", "twin_trap", "vortex"), "shapes"),
     **dict.fromkeys(("TransducerResponse", "commanded_drive"), "transducer_response"),
+    **dict.fromkeys(("FileTransport", "open_port"), "transport"),
+    "VirtualBoard": "virtual",
 }
 __all__ = [
     "BOARDS",
     "ArrayDrive",
     "Board",
+    "BoardLink",
+    "Emitted",
+    "FileTransport",
     "Foci",
-    "Link",
+    "FrameLog",
     "Played",
     "Pole",
-    "RecordLink",
     "ResponseError",
     "TimedFrame",
     "TransducerResponse",
+    "Twin",
     "UnitDrive",
+    "VirtualBoard",
     "board_named",
     "bottle",
     "commanded_drive",
     "frame_times",
-    "open_link",
+    "open_port",
     "play_frames",
+    "read_log",
     "solve_foci",
-    "timed_frames",
     "twin_trap",
     "vortex",
 ]

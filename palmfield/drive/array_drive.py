@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from palmfield.acoustics.air import absorption_Np_m, sound_speed
 from palmfield.acoustics.focus import focus
 from palmfield.acoustics.reference import directivity
-from palmfield.drive.boards import Board, play
+from palmfield.drive.board import Board, play
 from palmfield.drive.foci import equally_loud, solve_foci
-from palmfield.errors import SceneError
+from palmfield.errors import DeviceError, SceneError
 from palmfield.stimulus.focal_points import FocalPoints
 from palmfield.types import Air, Array, Complex, Float, Int
 
@@ -76,6 +76,7 @@ class ArrayDrive:
         drive_amplitude: float | None,
         board: Board,
     ):
+        self.compensate = board.compensate and board.takes == "amplitudes"
         self.array, self.chosen, self.board, self.arp_peak_Pa = array, chosen, board, arp_peak_Pa
         whole = array.array
         self.count = len(whole)
@@ -122,12 +123,29 @@ class ArrayDrive:
             if not np.logical_or.reduce(facing):
                 self._refuse(point)
             phases = self._waves(distances) * facing
+        elif self.board.takes == "focus":
+            raise DeviceError(
+                f"plugin 'palmfield.stimulus': {len(point)} foci at once; board '{self.board.name}' takes one: set "
+                "another board"
+            )
         else:
             phases = self._several(point)
         level = self.amplitude
         if self.arp_peak_Pa is not None:
             level = self._level_of_several(point, phases) if point.ndim == 2 else float(self._levels(point[None])[0])
-        return UnitDrive(self._over_all(play(self.board, level * phases)), level)
+        if self.board.takes == "focus":
+            return UnitDrive(self.board.played_focus(point, level), level)
+        sent = level * phases if self.correction is None else level * phases * self.correction
+        return UnitDrive(play(self.board, self._over_all(sent)), level)
+
+    @cached_property
+    def correction(self) -> Complex | None:
+        """What makes up for the chosen transducers' gains, shape (n,): 0 for dead ones. None for nothing."""
+        gain = self.array.array.gain
+        if not self.compensate or gain is None:
+            return None
+        own = gain[self.chosen]
+        return np.where(own == 0.0, 0.0, np.exp(-1j * np.angle(own)))
 
     def unit_drives(
         self, points: Float, focal_points: FocalPoints, group: Int | None = None, audible: Bool | None = None
@@ -141,7 +159,7 @@ class ArrayDrive:
         Errors as unit_drive.
         """
         points = points.reshape(len(points), -1, 3)
-        if len(focal_points.offsets) or not self.board.exact:
+        if len(focal_points.offsets) or not self.board.exact or self.correction is not None:
             return self._one_by_one(points, focal_points, group, audible)
         foci = focal_points.along(points.reshape(-1, 3)).reshape(points.shape)
         mine = group if group is None or self.everything else group[self.chosen]
@@ -250,6 +268,7 @@ class ArrayDrive:
             low, high = np.searchsorted(self.chosen, [start, start + len(part)]).tolist()
             if low < high:
                 gain = np.ones(len(part)) if part.gain is None else part.gain
+                gain = np.abs(gain) if self.compensate else gain
                 result.append((part, slice(low, high), gain[self.chosen[low:high] - start]))
             start += len(part)
         return result
@@ -305,7 +324,8 @@ class ArrayDrive:
         return waves
 
     def _level_of_several(self, foci: Float, phases: Complex) -> float:
-        pressure = self.array.pressure64(foci, self._over_all(phases))
+        sent = phases if self.correction is None else phases * self.correction
+        pressure = self.array.pressure64(foci, self._over_all(sent))
         full = float((np.abs(pressure) ** 2).max()) / self.array.impedance
         return float(self._reached(np.array([full]), foci[None])[0])
 

@@ -1,86 +1,72 @@
-"""What a board is sent when: frames of bytes with their times, and the pace at which the line takes them."""
+"""When frames are due, and the pace at which a line takes them."""
 
 import math
 import signal
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from palmfield.config import StimulusConfig
-from palmfield.drive.boards import BOARDS, Board, board_named
-from palmfield.drive.link import FrameSink, RecordLink, line_time_s
-from palmfield.errors import DeviceError, did_you_mean
+from palmfield.drive.board import Line
 from palmfield.stimulus.schedule import frame_rates, jumps
-from palmfield.types import Complex
 
 REFRESH_S = 0.1
 """A frame that rests is sent again so often, so that a byte lost on the line does no lasting harm [s]."""
+ON_STEP = 1e-6
+"""Of a step: a moment that lies so near to the beginning of one counts as that."""
 
 
 class TimedFrame(NamedTuple):
-    """One frame. time_s: when it is due, since the start [s]; data: its bytes"""
+    """One frame. time_s: when it is to be emitted, its last byte on the line, since the start [s]; data: its bytes"""
 
     time_s: float
     data: bytes
 
 
-# -- frames --------------------------------------------------------------------------------------------------------
+class FrameSink(Protocol):
+    """What `play_frames` needs: a line with a clock. `palmfield.drive.board_link.BoardLink` is one."""
+
+    line: Line
+
+    def now(self) -> float:
+        """Seconds on this sink's clock."""
+
+    def wait_until(self, when: float) -> None:
+        """Return when the clock shows `when`."""
+
+    def start(self) -> None:
+        """Put the board into a known, silent state; the line is free when this returns."""
+
+    def write(self, frame: bytes) -> bool:
+        """Send one whole frame; False when it did not get through in time and must be sent again from its start."""
+
+    def off(self) -> None:
+        """Silence the board, unless nothing was sent since it was last silenced."""
 
 
-def playable_board(name: str) -> Board:
-    """The board of that name, which takes bytes. Raises DeviceError for others, with those that do."""
-    names = [board.name for board in BOARDS.values() if not board.exact]
-    if name not in names:
-        raise DeviceError(f"board '{name}' is not known{did_you_mean(name, names)}; allowed: {', '.join(names)}")
-    return board_named(name)
+def frame_times(stimuli: Sequence[StimulusConfig], duration_s: float, step_s: float | None = None) -> list[float]:
+    """When frames are due [s]: at points of paths and control ticks, at jumps, and every REFRESH_S while all rests.
 
-
-def frame_times(stimuli: Sequence[StimulusConfig], duration_s: float) -> list[float]:
-    """When frames are due [s]: at points of paths and control ticks, at jumps, and every REFRESH_S while all rests."""
+    step_s: of MuJoCo, where something moves: a pose is new where a step begins, so that frames that come less often
+        wait for the next one
+    """
     rates = [rate for stimulus in stimuli for rate in frame_rates(stimulus)]
-    step = 1.0 / max(rates) if rates else REFRESH_S
+    period_s = 1.0 / max(rates) if rates else REFRESH_S
     edges = {t for stimulus in stimuli for t in jumps(stimulus, 0.0, duration_s) if 0.0 < t < duration_s}
-    return sorted({k * step for k in range(math.ceil(duration_s / step - 1e-9))} | edges)
-
-
-def timed_frames(
-    board: Board, times: Iterable[float], drive_at: Callable[[float], Complex], duration_s: float
-) -> Iterator[TimedFrame]:
-    """The bytes of each frame; silence as off frames, and an off frame at the end.
-
-    drive_at: complex amplitudes of the board's transducers at a time [s], shape (n,)
-    Raises DeviceError for a board that takes no bytes, and what the board can't play as its `encode` does.
-    """
-    if board.encode is None:
-        raise DeviceError(f"board '{board.name}' takes no bytes; use board {_others(board)}")
-    for time_s in times:
-        drive = drive_at(time_s)
-        yield TimedFrame(time_s, board.encode(drive) if drive.any() else board.off_frame)
-    yield TimedFrame(duration_s, board.off_frame)
-
-
-def _others(board: Board) -> str:
-    return " or ".join(other.name for other in BOARDS.values() if not other.exact and other is not board)
-
-
-# -- playing -------------------------------------------------------------------------------------------------------
-
-
-def record(frames: Iterable[TimedFrame], path: str | Path) -> "Played":
-    """Write the bytes that the line would have carried into a file. Raises OutputError where it can't be written.
-
-    `play_frames` plays them on an open link.
-    """
-    with closing(RecordLink(path)) as link:
-        return play_frames(link, frames)
+    times = {k * period_s for k in range(math.ceil(duration_s / period_s - 1e-9))}
+    if step_s is not None and period_s >= step_s:
+        times = {math.ceil(time_s / step_s - ON_STEP) * step_s for time_s in times}
+    return sorted({time_s for time_s in times | edges if time_s < duration_s})
 
 
 @dataclass(frozen=True)
 class Played:
-    """How playing went. frames: sent whole; skipped: not sent because a newer one was due; late_s: worst delay [s]."""
+    """How playing went. frames: sent whole; skipped: not sent because a newer one was due
+
+    late_s: worst delay of a frame's last byte on the line, by the host's own clock
+    """
 
     frames: int
     skipped: int
@@ -91,12 +77,14 @@ def play_frames(
     link: FrameSink,
     frames: Iterable[tuple[float, bytes]],
     *,
+    duration_s: float = 0.0,
     on_progress: Callable[[Played], None] | None = None,
 ) -> Played:
-    """Send frames at their times, never faster than the line; when late, the newest frame that is due wins.
+    """Send frames so that they are emitted at their times, never faster than the line; the newest that is due wins.
 
-    frames: (time since the start [s], bytes of one frame that begins with 254), times rising. It is read one frame
-        ahead, so it must not wait for the world: give a schedule.
+    frames: (time of emission since the start [s], bytes of one frame), times rising. The start is when the first frame
+        can be emitted. It is read one frame ahead, so it must not wait for the world: give a schedule.
+    duration_s: how long the last frame goes on at least, since the start [s]
     on_progress: called after each frame that got through
     After a write timeout nothing is resumed: the next send begins with a frame's first byte. The board is silenced when
     this ends, also by an exception, Ctrl-C, SIGTERM or SIGHUP (the signals are caught in the main thread only).
@@ -104,39 +92,47 @@ def play_frames(
     """
     with _signals_as_exit():
         try:
-            return _play(link, iter(frames), on_progress)
+            link.start()
+            return _play(link, iter(frames), duration_s, on_progress)
         finally:
             link.off()
 
 
 def _play(
-    link: FrameSink, frames: Iterator[tuple[float, bytes]], on_progress: Callable[[Played], None] | None
+    link: FrameSink,
+    frames: Iterator[tuple[float, bytes]],
+    duration_s: float,
+    on_progress: Callable[[Played], None] | None,
 ) -> Played:
     sent, skipped, late_s = 0, 0, 0.0
-    start = link.now()
-    line_free = start
     current = next(frames, None)
+    line_free = link.now()
+    start = line_free + (0.0 if current is None else link.line.time_s(len(current[1])) - current[0])
     while current is not None:
         upcoming = next(frames, None)
-        due = start + current[0]
-        newer_due = start + upcoming[0] if upcoming is not None else math.inf
+        takes_s = link.line.time_s(len(current[1]))
+        due = start + current[0] - takes_s
+        newer_due = math.inf
+        if upcoming is not None:
+            newer_due = start + upcoming[0] - link.line.time_s(len(upcoming[1]))
         through = False
         if newer_due > max(line_free, link.now()):
             link.wait_until(max(due, line_free))
             began = link.now()
             through = link.write(current[1])
             while not through and newer_due > link.now():
+                began = link.now()
                 through = link.write(current[1])
             # The line, not the buffer that took the bytes, says when the next frame may start.
-            line_free = max(line_free, began) + line_time_s(current[1])
+            line_free = max(line_free, began) + takes_s
         if through:
-            sent, late_s = sent + 1, max(late_s, began - due)
+            sent, late_s = sent + 1, max(late_s, line_free - (start + current[0]))
             if on_progress is not None:
                 on_progress(Played(sent, skipped, late_s))
         else:
             skipped += 1
         current = upcoming
-    link.wait_until(line_free)
+    link.wait_until(max(line_free, start + duration_s))
     return Played(sent, skipped, late_s)
 
 

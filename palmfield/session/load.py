@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import mujoco
 import numpy as np
@@ -19,6 +19,7 @@ from palmfield.engine.modules import MODULES
 from palmfield.engine.motion_plugin import place
 from palmfield.errors import PalmfieldError, SceneError, did_you_mean
 from palmfield.session.mujoco_messages import in_words
+from palmfield.session.other_board import PluginKeys, exchange_board
 from palmfield.session.scene_text import SceneText, read_scene_text, sensors_without_objtype
 from palmfield.simulation.scene_reader import DEVICE
 
@@ -30,7 +31,7 @@ FILES = {
     "palmfield.motion": ("keyframes", "trajectory", "tracking"),
 }
 """Keys that name files, relative to the scene."""
-SKIN, DRIVER = "palmfield.skin", "palmfield.driver"
+SKIN = "palmfield.skin"
 
 Source: TypeAlias = str | Path | mujoco.MjSpec | mujoco.MjModel
 
@@ -47,7 +48,7 @@ def compiled(
 
     source: MJCF file, MjSpec (left as it is), or a compiled model, whose keys stay as they are
     device: where fields are computed (auto, cpu, cuda:N); accuracy: wanted relative error of the skin displacement, of
-        all skins; board: what plays the drive
+        all skins; board: what plays the drive, with its layout and rate (`palmfield.session.other_board`)
     keys: other values for keys by INSTANCE.key, or PLUGIN.key for all instances of a plugin, such as
         {"stimulus.focus_m": (0, 0, 0.19)}: numbers, text, sequences and arrays; None, "" or () takes a key out
     Raises SceneError (or DeviceError) with a one-line message that names element, key, value and what is allowed.
@@ -86,25 +87,26 @@ def _compiled_with(
     if device is not None:
         _set_text(spec, DEVICE, device)
     changes = _changes(spec, keys)
-    for plugin in spec.plugins:
-        config: dict[str, Any] = dict(plugin.config)
-        if plugin.plugin_name == SKIN and accuracy is not None:
+    plugins = [PluginKeys(plugin.name, plugin.plugin_name, dict(plugin.config)) for plugin in spec.plugins]
+    for _, plugin_name, config in plugins:
+        if plugin_name == SKIN and accuracy is not None:
             config["accuracy"] = as_text(accuracy)
-        if plugin.plugin_name == DRIVER and board is not None:
-            config["board"] = board
-        for key, value in changes.get(plugin.name, {}).items():
+    for instance, _, config in plugins:
+        for key, value in changes.get(instance, {}).items():
             written = "" if value is None else as_text(value)
             if written:
                 config[key] = written
             else:
                 config.pop(key, None)
+    if board is not None:
+        for change in exchange_board(name, plugins, board, spec.option.timestep):
+            LOG.info("board %s: %s", board, change)
+    for plugin, (_, _, config) in zip(spec.plugins, plugins, strict=True):
         _check_keys(plugin, config, scene)
         for key in FILES.get(plugin.plugin_name, ()):
             if config.get(key) and folder is not None and not Path(config[key]).is_absolute():
                 config[key] = str(folder / config[key])
         plugin.config = config
-    if board is not None and DRIVER not in [plugin.plugin_name for plugin in spec.plugins]:
-        raise SceneError(f"{name} has no plugin '{DRIVER}', so there is no board to replace by '{board}'")
     try:
         with compiling():
             return spec.compile()

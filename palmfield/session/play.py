@@ -1,7 +1,8 @@
 """Play a scene or a focus on a real board, or record the bytes."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import closing
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -10,103 +11,191 @@ from rich.progress import Progress
 
 from palmfield.acoustics.arrays import layout
 from palmfield.acoustics.focus import focus
+from palmfield.acoustics.reference import pressure64
 from palmfield.config.stimulus import too_far
-from palmfield.drive.boards import Board
-from palmfield.drive.link import open_link
-from palmfield.drive.playback import (
-    Played,
-    TimedFrame,
-    frame_times,
-    play_frames,
-    playable_board,
-    record,
-    timed_frames,
-)
+from palmfield.drive.board import Board, check
+from palmfield.drive.board_link import BoardLink
+from palmfield.drive.boards import playable_board
+from palmfield.drive.focal_peak import loudest_point
+from palmfield.drive.frame_log import FrameLog, LogHead
+from palmfield.drive.playback import REFRESH_S, Played, TimedFrame, frame_times, play_frames
+from palmfield.drive.transport import FileTransport, open_port
 from palmfield.errors import DeviceError, SceneError
 from palmfield.session.load import Source
 from palmfield.session.preview import Preview, preview
-from palmfield.types import Air, Complex
+from palmfield.session.sending import offset_words, peak_offset, sending
+from palmfield.simulation.frames import Frames
+from palmfield.types import Air, Float
+
+
+@dataclass(frozen=True)
+class Target:
+    """Where bytes go. port: of a board, or None; record: file for the bytes instead; log: file of what was sent when"""
+
+    port: str | None = None
+    record: Path | None = None
+    log: Path | None = None
+
+
+@dataclass(frozen=True)
+class FocusSound:
+    """How a focus that is played by itself sounds.
+
+    level: amplitude of all transducers, 0..1; am_frequency_Hz: of a sine between silence and that level, 0 for none
+    p0_Pa_m: as of layouts, None for the layout's own; air: in which the sound travels
+    layout: of the array, None for the board's first one
+    """
+
+    level: float = 1.0
+    am_frequency_Hz: float = 0.0
+    p0_Pa_m: float | None = None
+    air: Air = field(default_factory=Air)
+    layout: str | None = None
 
 
 def play_focus(
     point: tuple[float, float, float],
     board: str,
-    port: str | None,
-    record_to: Path | None,
+    target: Target,
     duration_s: float,
     *,
+    sound: FocusSound | None = None,
+    keys: Mapping[str, object] | None = None,
     progress: bool = False,
 ) -> str:
-    """Hold one focus (array frame [m]) for `duration_s`; returns what happened, in a sentence.
+    """Hold one focus (array frame [m]) for `duration_s`; returns what happened, in words.
 
-    progress: whether a bar is drawn on a terminal's standard error
-
-    Raises SceneError for a focus behind the array or too far for metres, DeviceError for an unknown or lost board.
+    keys: of the board, as palmfield.driver has them; progress: whether a bar is drawn on a terminal's standard error
+    Raises SceneError for a focus behind the array or too far for metres, DeviceError for an unknown or lost board, and
+    for a level or a modulation that it can't play.
     """
+    sound = sound or FocusSound()
     chosen = playable_board(board)
-    assert chosen.layout is not None
+    name = chosen.layouts[0] if sound.layout is None else sound.layout
+    if name not in chosen.layouts:
+        raise DeviceError(f"board '{board}' drives no layout '{name}'; allowed: {', '.join(chosen.layouts)}")
+    if chosen.arrays[0] > 1:
+        raise SceneError(f"board '{board}' drives {chosen.arrays[0]} arrays; give a scene that says where they stand")
     if (far := too_far(point)) is not None:
         raise SceneError(f"--focus has value {' '.join(f'{x:g}' for x in point)}, {far}")
-    drive = focus(layout(chosen.layout), Air(), np.array(point))
-    frames = timed_frames(chosen, frame_times([], duration_s), lambda time_s: drive, duration_s)
-    return _play(frames, chosen, duration_s, port, record_to, progress)
+    if not 0.0 <= sound.level <= 1.0:
+        raise SceneError(f"--level has value {sound.level:g}; allowed: 0 (off) to 1 (full drive)")
+    array = layout(name, sound.p0_Pa_m)
+    own = {key: value == "on" if key == "dither" else value for key, value in (keys or {}).items()}
+    chosen = chosen.with_keys(own).sized(len(array))
+    modulated = sound.am_frequency_Hz > 0.0 or sound.level not in (0.0, 1.0)
+    check(chosen, frame_rate_Hz=0.0, modulated=modulated, element="focus", modulation_Hz=sound.am_frequency_Hz)
+    place: Float = np.array(point)
+    unit = focus(array, sound.air, place)
+
+    def frame(time_s: float) -> bytes:
+        level = sound.level
+        if sound.am_frequency_Hz > 0.0:
+            level *= 0.5 * (1.0 + np.sin(2.0 * np.pi * sound.am_frequency_Hz * time_s))
+        if chosen.takes == "focus":
+            return chosen.encode_focus(place, level)
+        return chosen.encode(level * unit)
+
+    period_s = 1.0 / chosen.max_frame_rate_Hz if sound.am_frequency_Hz > 0.0 else REFRESH_S
+    times = period_s * np.arange(np.ceil(duration_s / period_s - 1e-9))
+    frames = (TimedFrame(float(time_s), frame(float(time_s))) for time_s in times)
+    played = chosen.decode(chosen.start + frame(0.0))[-1] if sound.level else np.zeros(len(array), np.complex128)
+    text = _send(
+        frames, chosen, duration_s, target, LogHead(board, len(array), name, sound.air, dict(keys or {})), progress
+    )
+    if not played.any():
+        return text
+    loudest = loudest_point(lambda points: pressure64(points, array, played, sound.air)[0], np.zeros(3), place)
+    peak = float(np.abs(pressure64(loudest[None], array, played, sound.air)[0])[0])
+    return f"{text}\n{offset_words(loudest - place)}: {peak:.0f} Pa there"
 
 
 def play_scene(
     scene: Source,
-    board: str,
-    port: str | None,
-    record_to: Path | None,
+    board: str | None,
+    target: Target,
     duration_s: float | None = None,
     *,
+    keys: Mapping[str, object] | None = None,
     progress: bool = False,
 ) -> str:
-    """Play a scene's stimulus; what moves in the scene stays where it is at the beginning.
+    """Play a scene's stimuli, with hands and arrays where its motions have them when each frame is emitted.
 
+    board: another one than the scene's, as `palmfield.load` takes it; keys: as there
     Raises SceneError for a bad scene, DeviceError where the board cannot play it or is lost.
     """
-    chosen = playable_board(board)
-    view = preview(scene, board=board)
+    if board is not None:
+        playable_board(board)
+    view = preview(scene, board=board, keys=keys)
+    model = view.runtime.model
+    if model.board.exact:
+        raise DeviceError(
+            f"{view.name} is played by board '{model.board.name}', which takes no bytes; give another by --board"
+        )
     duration = view.duration_s if duration_s is None else duration_s
-    return _play(scene_frames(view, duration), chosen, duration, port, record_to, progress)
+    spec = view.runtime.spec
+    own = spec.driver.model_dump(exclude={"board", "compensate"}, exclude_none=True)
+    head = LogHead(model.board.name, len(model.arrays), spec.arrays[0].config.layout, model.arrays.air, own)
+    said = [_send(scene_frames(view, duration), model.board, duration, target, head, progress)]
+    said.append(f"board {model.board.name}: {sending(model.board, model.configs)}")
+    for number, stimulus in enumerate(model.stimuli):
+        offset = peak_offset(model, number)
+        if offset is not None:
+            said.append(f"{stimulus.spec.name}: {offset_words(offset)}")
+    return "\n".join(said)
 
 
 def scene_frames(scene: Preview, duration_s: float) -> Iterator[TimedFrame]:
-    """The bytes of each frame of a scene, as the simulation emits them, and an off frame at the end."""
-    runtime = scene.runtime
-    posed, emission = runtime.posed, runtime.work.emission
+    """The bytes of each frame of a scene, with all where it is when that frame is emitted."""
+    model = scene.runtime.model
+    moves = scene.moves
+    times = frame_times(model.configs, duration_s, model.spec.timestep_s if moves else None)
+    if not moves:
+        frames = Frames(model, scene.runtime.work.emission)
+        for time_s in times:
+            yield TimedFrame(time_s, frames.at(scene.runtime.posed, time_s))
+        return
+    moving: Frames | None = None
+    for time_s, runtime, posed in scene.posed_at(times):
+        moving = moving or Frames(runtime.model, runtime.work.emission)
+        yield TimedFrame(time_s, moving.at(posed, time_s))
 
-    def drive_at(time_s: float) -> Complex:
-        return emission.commanded(posed, np.array([time_s]))[0]
 
-    configs = [stimulus.config for stimulus in runtime.model.stimuli]
-    return timed_frames(runtime.model.board, frame_times(configs, duration_s), drive_at, duration_s)
-
-
-def _play(
+def _send(
     frames: Iterator[TimedFrame],
     board: Board,
     duration_s: float,
-    port: str | None,
-    record_to: Path | None,
+    target: Target,
+    head: LogHead,
     progress: bool,
 ) -> str:
-    if record_to is not None:
-        played = record(frames, record_to)
-        return f"wrote {record_to}: {played.frames} frames for {duration_s:g} s"
-    if port is None:
+    """Send frames, and wait until their time is over; returns what happened, in a sentence."""
+    assert board.line is not None
+    if target.record is None and target.port is None:
         raise DeviceError("neither a port nor a file is given; give the port of a board, or a file for the bytes")
+    # An error of the scene comes before any file, and what takes long is done before the first frame is due
+    ready = list(frames)
+    log = None if target.log is None else FrameLog(target.log, head)
+    if target.record is not None:
+        with closing(BoardLink(board, FileTransport(target.record), simulated=True, log=log)) as link:
+            played = play_frames(link, ready, duration_s=duration_s)
+        skipped = f", {played.skipped} more were due than the line takes" if played.skipped else ""
+        return f"wrote {target.record}: {played.frames} frames for {duration_s:g} s{skipped}"
+    assert target.port is not None
     console = Console(stderr=True)
     hidden = not (progress and console.is_terminal)
-    with closing(open_link(port)) as link, Progress(console=console, disable=hidden, transient=True) as bar:
-        task = bar.add_task(f"playing {duration_s:g} s on {port}", total=duration_s)
+    with (
+        closing(BoardLink(board, open_port(target.port, board.line.baud), log=log)) as link,
+        Progress(console=console, disable=hidden, transient=True) as bar,
+    ):
+        task = bar.add_task(f"playing {duration_s:g} s on {target.port}", total=duration_s)
         begin = link.now()
 
         def show(played: Played) -> None:
             bar.update(task, completed=link.now() - begin)
 
-        played = play_frames(link, frames, on_progress=show)
+        played = play_frames(link, ready, on_progress=show, duration_s=duration_s)
     return (
-        f"played {played.frames} frames on {port} (skipped {played.skipped}, worst delay {1e3 * played.late_s:.0f} ms, "
-        f"limit {board.max_frame_rate_Hz:.1f} frames/s); the board is off"
+        f"played {played.frames} frames on {target.port} (skipped {played.skipped}, worst delay "
+        f"{1e3 * played.late_s:.0f} ms, limit {board.max_frame_rate_Hz:.1f} frames/s); the board is off"
     )

@@ -1,13 +1,14 @@
 """A scene to be looked at and not stepped: its model and poses, without the matrices of its skins."""
 
 import copy
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import mujoco
 
+from palmfield.drive.playback import ON_STEP
 from palmfield.engine.host import world_of
-from palmfield.engine.motion_plugin import place
+from palmfield.engine.motion_plugin import move, place
 from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.errors import SceneError
 from palmfield.session.load import Source, compiled
@@ -50,6 +51,27 @@ class Preview:
                 yield float(data.time), world.scene.posed
             except SceneError:
                 continue
+
+    def posed_at(self, times: Iterable[float]) -> Iterator[tuple[float, SceneRuntime, PosedScene]]:
+        """Each of some rising times [s], the runtime that is there, and the pose of MuJoCo's step that it lies in.
+
+        The scene is moved on a copy, as its dynamics and motions have it, without the push of the sound.
+        """
+        data = copy.copy(self.data)
+        world = world_of(data)
+        assert world is not None and world.scene is not None
+        runtime: SceneRuntime = world.scene
+        step_s = runtime.spec.timestep_s
+        for time_s in times:
+            while data.time + (1.0 - ON_STEP) * step_s <= time_s:
+                move(data)
+            yield time_s, runtime, runtime.posed
+
+    @property
+    def moves(self) -> bool:
+        """Whether bodies or arrays may move."""
+        spec, model = self.runtime.spec, self.data.model
+        return model.nv > 0 or model.nmocap > 0 or any(skin.moves for skin in spec.skins)
 
 
 def preview(

@@ -12,7 +12,8 @@ import numpy as np
 from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.config import SkinConfig, StimulusConfig
 from palmfield.drive.array_drive import ArrayDrive
-from palmfield.drive.boards import BOARDS, Board
+from palmfield.drive.board import Board
+from palmfield.drive.boards import BOARDS, board_of
 from palmfield.drive.response import Pole
 from palmfield.drive.transducer_response import transducer_response
 from palmfield.errors import SceneError
@@ -30,6 +31,7 @@ from palmfield.simulation.posed_scene import STILL
 from palmfield.simulation.spec import SceneSpec, SkinSpec, StimulusSpec
 from palmfield.simulation.validate import (
     check_apart,
+    check_arrays,
     check_board,
     check_bodies,
     check_body_sound,
@@ -91,8 +93,8 @@ def build(spec: SceneSpec, alike: HapticModel | None = None) -> HapticModel:
     Raises SceneError or DeviceError, with element, key, value and what is allowed, for what doesn't fit together.
     """
     check_bodies(spec)
-    board = BOARDS[spec.driver.board]
     arrays = _arrays(spec)
+    board = board_for(spec, arrays)
     names = list(dict.fromkeys(skin.config.body for skin in spec.skins))
     if alike is not None:
         bodies = alike.bodies
@@ -106,6 +108,12 @@ def build(spec: SceneSpec, alike: HapticModel | None = None) -> HapticModel:
     whole = tuple(whole_of(skin.layer) for skin in skins)
     model = HapticModel(spec, arrays, board, stimuli, bodies, skins, pole, response_on, (), whole)
     return replace(model, begin=tuple(Lazy(partial(first_stepper, model, number)) for number in range(len(skins))))
+
+
+def board_for(spec: SceneSpec, arrays: PhasedArray) -> Board:
+    """What plays the drive. Raises SceneError for arrays that it does not drive, DeviceError for keys it has not."""
+    check_arrays(BOARDS[spec.driver.board], spec.arrays)
+    return board_of(spec.driver, len(arrays))
 
 
 def whole_of(layer: SceneLayer) -> Lazy[WedgeStepper]:
@@ -172,7 +180,7 @@ def stimuli_of(
     scattering = any(skin.config.body_sound == "scattering" for skin in spec.skins)
     stimuli = []
     for stimulus in spec.stimuli:
-        check_board(stimulus, board, spec.arrays)
+        check_board(stimulus, board)
         carrier = None if stimulus.on_skin is None else carriers[stimulus.on_skin]
         stimuli.append(_stimulus(stimulus, spec, arrays, board, carrier, strictest, spread=not scattering))
     pole = stimuli[0].response.pole

@@ -248,7 +248,7 @@ def _moves_alone(model: HapticModel, drives: list[ArrayDrive]) -> bool:
     response = stimulus.response
     alike = not response.on or response.stepper.alike
     single = stimulus.config.path != "point" and len(stimulus.offsets) == 0
-    return single and alike and drive.everything and drive.board.exact
+    return single and alike and drive.everything and drive.board.exact and drive.correction is None
 
 
 def array_drives(model: HapticModel, arrays: PhasedArray) -> list[ArrayDrive]:

@@ -15,7 +15,7 @@ from scipy import sparse
 from palmfield.acoustics.phased_array import ArrayInstance, PhasedArray
 from palmfield.config import StimulusConfig
 from palmfield.config.skin import EXPLICIT
-from palmfield.drive.boards import Board
+from palmfield.drive.board import Board
 from palmfield.drive.response import Pole
 from palmfield.drive.transducer_response import TransducerResponse
 from palmfield.hand.posed_surface import FaceSampler, SkinBinding, face_samples

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from palmfield.acoustics.phased_array import HOUSING_M, PhasedArray
 from palmfield.acoustics.surface_load import CLEARANCE_M
 from palmfield.acoustics.transfer import available_bytes
-from palmfield.drive.boards import Board, check
+from palmfield.drive.board import Board, check
 from palmfield.drive.response import Pole
 from palmfield.errors import DeviceError, SceneError
 from palmfield.simulation.array_face import TILT_RAD
@@ -30,6 +30,10 @@ LEAST_APART_M = 1e-3
 """Between point sources, which have no width of their own, of two arrays."""
 STILL_ECHO_M = 1e-5
 """So far a disc may move before a rigid array face: a two hundredth of what turns an echo's sign."""
+FACING = np.diag([1.0, -1.0, -1.0])
+"""How an array stands that looks at another from above: its frame turned by half a turn about x."""
+LEAST_POINTS = 3
+"""On a turn of a path that is played in frames: fewer tell no path."""
 SURFACE_KEYS = ("shape", "hand", "mesh", "mesh_unit")
 """Keys that say what surface a body has; all skins on a body share them."""
 
@@ -129,50 +133,92 @@ def check_body_sound(skin: SkinSpec, stimuli: Sequence[StimulusSpec], pole: Pole
         raise SceneError(f"{name} with transducers that change together; set key 'response' of the array to off")
 
 
-def check_board(stimulus: StimulusSpec, board: Board, arrays: Sequence[ArraySpec]) -> None:
-    """Refuse a stimulus that the board cannot play (DeviceError) and a board on another array (SceneError)."""
-    if board.name == "ideal":
+def check_arrays(board: Board, arrays: Sequence[ArraySpec]) -> None:
+    """Refuse a board on arrays that it does not drive (SceneError)."""
+    if board.exact:
         return
-    if len(arrays) > 1:
+    least, most = board.arrays
+    if not least <= len(arrays) <= most:
+        drives = "one array" if most == 1 else f"{least} arrays" if least == most else f"{least} to {most} arrays"
         raise SceneError(
-            f"plugin 'palmfield.driver': board '{board.name}' drives one array; the scene has "
-            f"{len(arrays)} of 'palmfield.array': use board ideal"
+            f"plugin 'palmfield.driver': board '{board.name}' drives {drives}; the scene has {len(arrays)} of "
+            "'palmfield.array': use board ideal"
         )
+    for array in arrays:
+        layout = array.config.layout
+        if layout not in board.layouts:
+            own = "' or '".join(board.layouts)
+            raise SceneError(
+                f"plugin 'palmfield.driver': board '{board.name}' drives the layout '{own}' only; "
+                f"plugin 'palmfield.array' instance '{array.name}' has layout '{layout}': set it to "
+                f"'{board.layouts[0]}'"
+            )
+    if least == 2:
+        turn = arrays[1].placement.transform.rotation
+        if np.abs(turn - FACING).max() > 1e-3:
+            raise SceneError(
+                f"plugin 'palmfield.driver': board '{board.name}' has its second board facing the first; plugin "
+                f"'palmfield.array' instance '{arrays[1].name}': give its site quat='0 1 0 0' against the first one's"
+            )
+
+
+def check_board(stimulus: StimulusSpec, board: Board) -> None:
+    """Refuse a stimulus that the board cannot play (DeviceError)."""
+    if board.exact:
+        return
     config, element = stimulus.config, f"plugin 'palmfield.stimulus' instance '{stimulus.name}'"
-    rates = frame_rates(config)
+    # How long a path through sites is isn't known yet
+    of_sites = config.path == "sites"
+    rates = [config.control_rate_Hz] * (config.control_rate_Hz > 0.0) if of_sites else frame_rates(config)
     moving = config.path != "point" or stimulus.frame_moves
+    gives = f"{board.name} gives {board.max_frame_rate_Hz:.1f}"
     if moving and not rates:
         raise DeviceError(
             f"{element}: a path without steps, or a frame that moves, needs any number of frames/s; "
-            f"{board.name} gives {board.max_frame_rate_Hz:.1f}: set control_rate_Hz, or path_points and a rate, "
-            "so that they fit, or use board ideal"
+            f"{gives}: set control_rate_Hz, or path_points and a rate, so that they fit, or use board ideal"
         )
-    turns = turn_rate_Hz(config) if config.path != "sites" else None
-    turn = rates[0] / turns if turns else None
+    if stimulus.frame_moves and not config.control_rate_Hz:
+        raise DeviceError(
+            f"{element}: its frame moves, so that the points of its path move between them; {gives} frames/s: set "
+            "control_rate_Hz, or use board ideal"
+        )
     modulates = config.modulation == "am"
-    wants_level = config.arp_peak_Pa is not None or config.drive_amplitude not in (None, 0.0, 1.0)
-    wants_level = wants_level or (modulates and config.am_normalisation != "peak")
+    # Full rectangles are played by off and full, with a frame at each jump
     switched = modulates and config.am_waveform == "rectangle" and config.am_depth == 1.0
     modulated = (modulates and not switched) or config.burst_window == "hann"
-    rate = max(rates) if rates else 0.0
-    if modulated and not rates:
-        rate = 10 * (config.am_frequency_Hz or 0.0)
-    elif switched:
-        # A frame for each jump, which come in pairs as near as the shorter part of the period
-        duty = config.am_waveform_duty or 1.0
-        rate = max(rate, (config.am_frequency_Hz or 0.0) / min(duty, 1.0 - duty))
-    check(board, frame_rate_Hz=rate, points_per_turn=turn, modulated=modulated, element=stimulus.name)
-    if config.ramp_s > 0 or wants_level:
+    if (modulated or config.ramp_s > 0.0) and board.levels and not config.control_rate_Hz:
         raise DeviceError(
-            f"{element}: a ramp or a level between off and full needs continuous amplitude; "
-            f"{board.name} gives on or off: drop ramp_s, arp_peak_Pa, drive_amplitude and am_normalisation, or "
-            "use board ideal"
+            f"{element}: a level that changes without steps needs any number of frames/s; {gives}: set "
+            "control_rate_Hz, or use board ideal"
         )
-    layout = arrays[0].config.layout
-    if layout != board.layout:
-        raise SceneError(
-            f"plugin 'palmfield.driver': board '{board.name}' drives the layout '{board.layout}' only; "
-            f"plugin 'palmfield.array' instance '{arrays[0].name}' has layout '{layout}': set it to '{board.layout}'"
+    if board.takes == "focus" and len(config.foci_m):
+        raise DeviceError(
+            f"{element}: key 'foci_m' has {len(config.foci_m) // 3} foci at once; board '{board.name}' takes one: use "
+            "another board"
+        )
+    turns = None if of_sites else turn_rate_Hz(config)
+    needed = max(rates, default=0.0)
+    turn = rates[0] / turns if turns else None
+    if turns and turn is not None and turn < LEAST_POINTS:
+        needed, turn = LEAST_POINTS * turns, float(LEAST_POINTS)
+    if switched:
+        # Jumps come in pairs as near as the shorter part of the period
+        duty = config.am_waveform_duty or 1.0
+        needed = max(needed, (config.am_frequency_Hz or 0.0) / min(duty, 1.0 - duty))
+    wants_level = config.arp_peak_Pa is not None or config.drive_amplitude not in (None, 0.0, 1.0)
+    wants_level = wants_level or (modulates and config.am_normalisation != "peak")
+    check(
+        board,
+        frame_rate_Hz=needed,
+        points_per_turn=turn,
+        modulated=modulated,
+        element=stimulus.name,
+        modulation_Hz=(config.am_frequency_Hz or 0.0) if modulates and not switched else 0.0,
+    )
+    if not board.levels and (config.ramp_s > 0 or wants_level):
+        raise DeviceError(
+            f"{element}: a ramp or a level between off and full needs continuous amplitude; {board.name} gives on or "
+            "off: drop ramp_s, arp_peak_Pa, drive_amplitude and am_normalisation, or use key dither or board ideal"
         )
 
 

@@ -25,6 +25,8 @@ COUNTS = {
     "autd3_3x2": 1494,
     "autd3_4x2": 1992,
     "stratos_explore": 256,
+    "openmpd": 256,
+    "ultraino": 64,
     "two_bow_as_printed": 12,
     "two_bow_corrected": 12,
 }

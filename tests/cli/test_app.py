@@ -15,7 +15,7 @@ import typer.main
 from palmfield.acoustics.arrays import layout
 from palmfield.acoustics.focus import focus
 from palmfield.cli.app import app, main
-from palmfield.drive.boards.sonicsurface import FRAME_BYTES, OFF_FRAME, decode
+from palmfield.drive.boards.sonicsurface import BOARD, FRAME_BYTES, OFF_SEQUENCE
 from palmfield.outputs import instances, open_result
 from palmfield.types import Air
 
@@ -100,8 +100,9 @@ def test_drive_records_what_run_simulates(tmp_path, monkeypatch, capsys):
     code, out = call(monkeypatch, capsys, "drive", "--focus", 0.02, -0.01, 0.15, "--record", file, "--duration", 0.5)
     assert code == 0, out.err
     data = file.read_bytes()
-    assert len(data) % FRAME_BYTES == 0 and data.endswith(OFF_FRAME * 2)
-    emitted = decode(data)[0]
+    assert data.startswith(OFF_SEQUENCE) and data.endswith(OFF_SEQUENCE)
+    assert (len(data) - 2 * len(OFF_SEQUENCE)) % FRAME_BYTES == 0
+    emitted = BOARD.decode(data)[2]
     wanted = focus(layout("sonicsurface"), Air(), np.array([0.02, -0.01, 0.15]))
     assert np.abs(np.angle(emitted / wanted)).max() <= np.pi / 32 + 1e-9
 
@@ -114,7 +115,7 @@ def test_simulated_drive_is_decoded_from_the_recorded_bytes(tmp_path, monkeypatc
     # What the skin makes of it matters nothing here.
     quick = ("--duration", 0.03, "--device", "cpu", "--accuracy", 0.5)
     assert call(monkeypatch, capsys, "run", scene, "--out", out, *quick)[0] == 0
-    emitted = [frame for frame in decode(file.read_bytes()) if np.abs(frame).max() > 0]
+    emitted = [frame for frame in BOARD.decode(file.read_bytes()) if np.abs(frame).max() > 0]
     with open_result(out) as result:
         (ds,) = instances(result, "array").values()
         simulated = ds["drive_amplitude"].values * np.exp(1j * ds["drive_phase"].values)

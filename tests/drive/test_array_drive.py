@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from palmfield.acoustics.focus import focus
 from palmfield.drive.array_drive import KEPT, ArrayDrive, in_mm
 from palmfield.drive.boards import BOARDS
-from palmfield.drive.boards.sonicsurface import decode, encode
 from palmfield.drive.foci import solve_foci, transfer64
 from palmfield.errors import SceneError
 from palmfield.stimulus.focal_points import FocalPoints
@@ -98,7 +97,8 @@ def test_several_foci_are_equally_loud_and_as_loud_as_asked(source):
 def test_a_board_plays_the_phases_that_it_has(source):
     point = np.array([0.0, 0.01, 0.2])
     drive = drive_of(source, board="sonicsurface")
-    played = decode(encode(focus(source.array, source.air, point)))[-1]
+    board = BOARDS["sonicsurface"]
+    played = board.decode(board.encode(focus(source.array, source.air, point)))[-1]
     np.testing.assert_array_equal(drive.unit_drive(point).amplitudes, played)
     np.testing.assert_array_equal(drive.unit_drives(point[None], STILL)[0], played)
 

@@ -1,15 +1,11 @@
-"""Frames with their times, and files of them. The pace on a line is in test_link.py."""
+"""When frames are due. The pace on a line is in test_board_link.py, what frames hold in tests/session/test_play.py."""
 
-import numpy as np
 import pytest
 
 from palmfield.config import StimulusConfig
-from palmfield.drive.boards import BOARDS
-from palmfield.drive.boards.sonicsurface import FRAME_BYTES, OFF_FRAME, decode
-from palmfield.drive.playback import REFRESH_S, frame_times, playable_board, record, timed_frames
+from palmfield.drive.boards import BOARDS, playable_board
+from palmfield.drive.playback import frame_times
 from palmfield.errors import DeviceError
-
-BOARD = BOARDS["sonicsurface"]
 
 
 def test_what_rests_is_sent_again():
@@ -26,25 +22,15 @@ def test_frames_are_due_at_points_and_where_sound_begins_and_ends():
     assert {k / 40 for k in range(4)} <= {round(t, 9) for t in times}
 
 
-def test_silence_is_the_off_frame_and_so_is_the_end():
-    sound = np.exp(2j * np.pi * np.arange(256) / 32)
-    frames = list(timed_frames(BOARD, [0.0, 0.1], lambda t: sound if t > 0 else 0 * sound, 0.2))
-    assert [frame.time_s for frame in frames] == [0.0, 0.1, 0.2]
-    assert frames[0].data == frames[2].data == OFF_FRAME
-    np.testing.assert_allclose(decode(frames[1].data)[-1], sound, atol=1e-9)
-
-
-def test_a_record_holds_the_frames_and_ends_silent(tmp_path):
-    sound = np.ones(256, complex)
-    played = record(timed_frames(BOARD, frame_times([], 0.3), lambda t: sound, 0.3), tmp_path / "x.bin")
-    data = (tmp_path / "x.bin").read_bytes()
-    assert played.frames == 4 and played.skipped == 0 and REFRESH_S == 0.1
-    assert len(data) == FRAME_BYTES * (4 + 2) and data.endswith(OFF_FRAME * 2)
+def test_frames_of_what_moves_wait_for_the_next_step():
+    config = StimulusConfig(control_rate_Hz=80.0)
+    assert frame_times([config], 0.05) == pytest.approx([0.0, 0.0125, 0.025, 0.0375])
+    assert frame_times([config], 0.05, 0.001) == pytest.approx([0.0, 0.013, 0.025, 0.038])
+    assert frame_times([config], 0.05, 0.02) == pytest.approx([0.0, 0.0125, 0.025, 0.0375])
 
 
 @pytest.mark.parametrize("name", ["ideal", "toaster"])
 def test_only_boards_that_take_bytes_can_be_played_on(name):
-    with pytest.raises(DeviceError, match=f"board '{name}' is not known; allowed: sonicsurface"):
+    others = ", ".join(board for board in BOARDS if board != "ideal")
+    with pytest.raises(DeviceError, match=f"board '{name}' is not known; allowed: {others}"):
         playable_board(name)
-    with pytest.raises(DeviceError, match=r"takes no bytes; use board sonicsurface"):
-        next(timed_frames(BOARDS["ideal"], [0.0], lambda t: np.ones(1, complex), 1.0))

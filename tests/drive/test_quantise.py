@@ -7,7 +7,7 @@ from palmfield.acoustics.arrays import layout
 from palmfield.acoustics.focus import focus
 from palmfield.acoustics.reference import pressure64
 from palmfield.drive import quantise
-from palmfield.drive.boards import sonicsurface
+from palmfield.drive.boards import BOARDS
 from palmfield.drive.foci import transfer64
 from palmfield.errors import DeviceError
 from palmfield.types import Air, Complex
@@ -56,7 +56,8 @@ def test_without_steps_nothing_changes() -> None:
 def test_the_sonicsurface_plays_the_same_phases() -> None:
     """The board's own encoder and state machine, lag of every eighth address included in both directions."""
     drive = random_phases(256)
-    heard = sonicsurface.decode(sonicsurface.encode(drive))[-1]
+    board = BOARDS["sonicsurface"]
+    heard = board.decode(board.encode(drive))[-1]
     np.testing.assert_allclose(quantise.quantise(drive, phase_steps=32, amplitude_steps=1), heard, atol=1e-12)
 
 

@@ -1,15 +1,17 @@
 """What plays a drive. A board is a module of this package with a `BOARD`; key `board` of palmfield.driver names it."""
 
+from dataclasses import replace
 from importlib import import_module
 from pkgutil import iter_modules
 
-from palmfield.drive.boards.board import Board, check, play
-from palmfield.errors import DeviceError
+from palmfield.config import DriverConfig
+from palmfield.drive.board import Board
+from palmfield.errors import DeviceError, did_you_mean
 
 
 def _registered() -> dict[str, Board]:
-    modules = [import_module(f"{__name__}.{module.name}") for module in iter_modules(__path__)]
-    boards: list[Board] = [module.BOARD for module in modules if hasattr(module, "BOARD")]
+    modules = sorted(iter_modules(__path__), key=lambda module: module.name)
+    boards: list[Board] = [import_module(f"{__name__}.{module.name}").BOARD for module in modules]
     return {board.name: board for board in boards}
 
 
@@ -20,8 +22,28 @@ BOARDS = _registered()
 def board_named(name: str) -> Board:
     """The board of that name. Raises DeviceError where there is none."""
     if name not in BOARDS:
-        raise DeviceError(f"board '{name}' is not known; allowed: {', '.join(BOARDS)}")
+        near = did_you_mean(name, BOARDS)
+        raise DeviceError(f"board '{name}' is not known{near}; allowed: {', '.join(BOARDS)}")
     return BOARDS[name]
 
 
-__all__ = ["BOARDS", "Board", "board_named", "check", "play"]
+def playable_board(name: str) -> Board:
+    """The board of that name, which takes bytes. Raises DeviceError for others, with those that do."""
+    takes_bytes = [board.name for board in BOARDS.values() if not board.exact]
+    if name not in takes_bytes:
+        near = did_you_mean(name, takes_bytes)
+        raise DeviceError(f"board '{name}' is not known{near}; allowed: {', '.join(takes_bytes)}")
+    return board_named(name)
+
+
+def board_of(driver: DriverConfig, transducers: int) -> Board:
+    """The board of palmfield.driver's keys, with as many units as so many transducers take.
+
+    Raises DeviceError where it can't drive so many, and for a key that it does not have.
+    """
+    board = board_named(driver.board).with_keys(driver.board_keys).sized(transducers)
+    on = not board.exact if driver.compensate is None else driver.compensate == "on"
+    return replace(board, compensate=on)
+
+
+__all__ = ["BOARDS", "Board", "board_named", "board_of", "playable_board"]

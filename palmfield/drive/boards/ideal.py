@@ -1,7 +1,5 @@
 """No board: every amplitude and phase at once, as a simulation may."""
 
-import math
+from palmfield.drive.board import Board
 
-from palmfield.drive.boards.board import Board
-
-BOARD = Board("ideal", math.inf, "continuous", "plays every amplitude and phase at once and without rounding")
+BOARD = Board("ideal", "plays every amplitude and phase at once and without rounding", arrays=(1, 1_000_000))

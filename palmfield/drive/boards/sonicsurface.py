@@ -4,19 +4,18 @@ The protocol and the buffers follow the board's open firmware (upnalab/SonicSurf
 the one-step lag of every eighth address is what a simulation of that firmware shows.
 """
 
+import re
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from palmfield.drive.boards.board import Board
-from palmfield.errors import DeviceError
+from palmfield.drive.board import Board, Emitted, Twin, serial_line, switched
 from palmfield.types import Complex, Float
 
 EMITTERS = 256
 STEPS = 32
-BAUD = 230400
-BITS_PER_BYTE = 10  # 8N1: start, 8 data, stop
+LINE = serial_line(230400)
 
 OFF = 32
 STOP_CLOCKS = 150
@@ -27,80 +26,48 @@ SWAP = 253
 START = 254
 
 FRAME_BYTES = EMITTERS + 2
-FRAME_RATE_HZ = BAUD / BITS_PER_BYTE / FRAME_BYTES
+FRAME_RATE_HZ = 1.0 / LINE.time_s(FRAME_BYTES)
 OFF_FRAME = bytes([START]) + bytes([OFF]) * EMITTERS + bytes([SWAP])
+OFF_SEQUENCE = 2 * (bytes([START_CLOCKS, PRIMARY]) + OFF_FRAME)
+"""Ends what a program may have left: stopped clocks, the other board selected, a cut frame, a full second buffer."""
 
-LAG = (np.arange(EMITTERS) % 8 == 3).astype(np.int64)
+LAG: Float = (np.arange(EMITTERS) % 8 == 3).astype(np.float64)
+"""Steps by which addresses come late."""
 SECONDARY_LAG = 16.5
-UNIT_TOLERANCE = 1e-6
+CARRIER_HZ = 40e3
+PIECES = re.compile(rb"[\x96\x97\xc0\xc1\xfd\xfe]|[^\x96\x97\xc0\xc1\xfd\xfe]+")
+"""Commands, and runs of data between them."""
+
+
+def data_bytes(amplitudes: Complex, on: NDArray[np.bool_], lag: Float) -> bytes:
+    """Data of one frame in address order: round(32 arg / 2 pi - lag) mod 32, and 32 for what is off."""
+    step = np.rint(STEPS * np.angle(amplitudes) / (2 * np.pi) - lag).astype(np.int64)
+    return np.where(on, step % STEPS, OFF).astype(np.uint8).tobytes()
 
 
 @dataclass(frozen=True)
-class Calibration:
-    """How the emitters of one real board differ from ideal ones, in address order.
+class SonicSurface(Board):
+    def encode(self, amplitudes: ArrayLike) -> bytes:
+        """258 bytes: start, 256 data bytes, swap. Each amplitude is 0 (off) or has magnitude 1 (full drive)."""
+        return bytes([START]) + data_bytes(*switched(self, amplitudes), LAG) + bytes([SWAP])
 
-    polarity: +1 or -1 for a transducer wired the other way round, shape (256,)
-    phase_rad: extra phase of each emitter, positive for later [rad], shape (256,)
-    Raises DeviceError for other shapes and values.
-    """
-
-    polarity: Float
-    phase_rad: Float
-
-    def __post_init__(self) -> None:
-        for name, values in (("polarity", self.polarity), ("phase_rad", self.phase_rad)):
-            if np.shape(values) != (EMITTERS,):
-                raise DeviceError(f"calibration {name} has shape {np.shape(values)}; give ({EMITTERS},)")
-        if not np.all(np.abs(self.polarity) == 1):
-            raise DeviceError("calibration polarity has values other than +1 and -1; give the sign of each transducer")
-        if not np.all(np.isfinite(self.phase_rad)):
-            raise DeviceError("calibration phase_rad has values that are not finite; measure them or put 0")
-
-    def response(self) -> Complex:
-        """What each emitter makes of a unit drive: polarity e^{i phase}, shape (256,)."""
-        return np.asarray(self.polarity) * np.exp(1j * np.asarray(self.phase_rad))
+    def twin(self) -> "SonicSurfaceTwin":
+        return SonicSurfaceTwin()
 
 
-def encode(amplitude: ArrayLike, calibration: Calibration | None = None) -> bytes:
-    """One frame that makes the board emit `amplitude`, to the nearest of 32 phases.
-
-    amplitude: complex amplitude of each emitter, e^{-iwt} (a delay is +phase), shape (256,), in address order. Each is
-        0 (off) or has magnitude 1 (full drive): the board's duty is fixed at 50 %.
-    calibration: the board's own deviations, which are taken off; None for an ideal board
-    Returns 258 bytes: start, 256 data bytes, swap. Data byte = round(32 arg / 2 pi) mod 32, one less for the addresses
-    that lag; 32 for off.
-    Raises DeviceError for another shape or magnitude.
-    """
-    commanded = np.asarray(amplitude, dtype=np.complex128)
-    if commanded.shape != (EMITTERS,):
-        raise DeviceError(f"a SonicSurface frame has shape {commanded.shape}; give ({EMITTERS},)")
-    magnitude = np.abs(commanded)
-    on = magnitude != 0
-    bad = on & ~(np.abs(magnitude - 1) <= UNIT_TOLERANCE)
-    if bad.any():
-        address = int(np.flatnonzero(bad)[0])
-        raise DeviceError(
-            f"emitter {address} is asked for amplitude {magnitude[address]:.4g}; the SonicSurface has a fixed 50 % "
-            "duty, so only 0 (off) and 1 (full) can be sent: use drive amplitude 1, or board ideal"
-        )
-    if calibration is not None:
-        commanded = commanded / calibration.response()
-    step = np.rint(STEPS * np.angle(commanded) / (2 * np.pi)).astype(np.int64)
-    data = np.where(on, (step - LAG) % STEPS, OFF).astype(np.uint8)
-    return bytes([START]) + data.tobytes() + bytes([SWAP])
-
-
-class SonicSurfaceTwin:
+class SonicSurfaceTwin(Twin):
     """One SonicSurface as its firmware behaves: two buffers, a byte counter, and no reply.
 
     Both buffers hold phase 0 at power-up, so all 256 emitters sound before the first frame. A swap *exchanges* the
-    buffers: after a short frame the addresses that it left out play what they had two frames before.
+    buffers: after a short frame the addresses that it left out play what they had two frames before. Data beyond 256
+    bytes is flagged and dropped, as what the board does then is undefined.
     secondary: True for the second board of a pair, which takes the data after 193 and lags by 16.5 steps.
     """
 
-    def __init__(self, calibration: Calibration | None = None, secondary: bool = False) -> None:
-        self._response = np.ones(EMITTERS, dtype=np.complex128) if calibration is None else calibration.response()
-        self._lag = LAG + (SECONDARY_LAG if secondary else 0.0)
+    def __init__(self, secondary: bool = False) -> None:
+        super().__init__(EMITTERS, 1.0 / LINE.bytes_per_s)
+        self.lag = LAG + (SECONDARY_LAG if secondary else 0.0)
+        self.pins_high: NDArray[np.bool_] = np.zeros(EMITTERS, dtype=bool)
         self._selected_by = SECONDARY if secondary else PRIMARY
         self._selected = True
         self._clocks = True
@@ -110,54 +77,69 @@ class SonicSurfaceTwin:
 
     @property
     def emitted(self) -> Complex:
-        """What sounds now: complex amplitude of each emitter at the carrier, shape (256,). Zero while clocks stand."""
+        """Zero while clocks stand: pins that are high then are a DC load, and no sound."""
         if not self._clocks:
             return np.zeros(EMITTERS, dtype=np.complex128)
-        wave = np.exp(2j * np.pi * (self._front + self._lag) / STEPS)
-        return np.where(self._front == OFF, 0.0, wave * self._response)
+        wave = np.exp(2j * np.pi * (self._front + self.lag) / STEPS)
+        return np.where(self._front == OFF, 0.0, wave)
 
-    def feed(self, data: bytes) -> list[Complex]:
-        """Take bytes from the line; gives what is emitted after each byte that changes it (swap, clocks off and on).
-
-        Raises DeviceError when a frame has more than 256 data bytes: what the board then does is undefined.
-        """
-        frames = []
-        for byte in data:
-            if byte == SWAP:
+    def take(self, data: bytes) -> list[Emitted]:
+        changes = []
+        for match in PIECES.finditer(data):
+            piece = match[0]
+            self.time_s += len(piece) * self.byte_s
+            if piece[0] == SWAP:
                 self._front, self._back = self._back, self._front
                 self._counter = 0
-                frames.append(self.emitted)
-            elif byte in (STOP_CLOCKS, START_CLOCKS):
-                self._clocks = byte == START_CLOCKS
-                frames.append(self.emitted)
-            elif byte in (PRIMARY, SECONDARY):
-                self._selected = byte == self._selected_by
-            elif self._selected and byte == START:
+                changes.append(Emitted(self.time_s, self.emitted))
+            elif piece[0] in (STOP_CLOCKS, START_CLOCKS):
+                if self._clock(piece[0] == START_CLOCKS):
+                    changes.append(Emitted(self.time_s, self.emitted))
+            elif piece[0] in (PRIMARY, SECONDARY):
+                self._selected = piece[0] == self._selected_by
+            elif self._selected and piece[0] == START:
                 self._counter = 0
             elif self._selected:
-                if self._counter == EMITTERS:
-                    raise DeviceError(f"more than {EMITTERS} data bytes in one frame; start each frame with {START}")
-                self._back[self._counter] = byte if byte == OFF else byte % STEPS
-                self._counter += 1
-        return frames
+                self._store(piece)
+        return changes
+
+    def _clock(self, runs: bool) -> bool:
+        """Start or stop the clocks; whether that changes anything."""
+        was, self._clocks = self._clocks, runs
+        if runs:
+            self.pins_high[:] = False
+        elif was:
+            # The pulse of step s is high for half a turn from s on
+            turn = np.mod(self.time_s * CARRIER_HZ * STEPS - self._front - self.lag, STEPS)
+            self.pins_high = (self._front != OFF) & (turn < STEPS / 2)
+            held = int(self.pins_high.sum())
+            self.flag("dc", f"the shift clocks are stopped: {held} of {EMITTERS} pins stay high, which is DC on them")
+        return was != runs
+
+    def _store(self, piece: bytes) -> None:
+        room = EMITTERS - self._counter
+        values = np.frombuffer(piece[:room], dtype=np.uint8)
+        self._back[self._counter : self._counter + len(values)] = np.where(values == OFF, OFF, values % STEPS)
+        self._counter += len(values)
+        if len(piece) > room:
+            self.flag("overrun", f"{len(piece) - room} bytes beyond the {EMITTERS} of a frame: what plays is undefined")
 
 
-def decode(data: bytes, calibration: Calibration | None = None) -> list[Complex]:
-    """What a board that has just been switched on emits, one frame of shape (256,) for each change, lag included.
-
-    data: bytes as sent; calibration: the board's own deviations, None for an ideal board
-    Raises DeviceError when a frame has more than 256 data bytes.
-    """
-    return SonicSurfaceTwin(calibration).feed(data)
-
-
-BOARD = Board(
+BOARD = SonicSurface(
     "sonicsurface",
-    FRAME_RATE_HZ,
-    "on_off",
-    "SonicSurface, 256 emitters at 230400 baud: 32 phases, off or full (50 % duty), 89.3 frames/s",
-    layout="sonicsurface",
-    encode=encode,
-    decode=decode,
-    off_frame=OFF_FRAME,
+    "SonicSurface with its primary firmware, 256 emitters at 230400 baud: 32 phases, off or full (50 % duty), 89.3 "
+    "frames/s",
+    layouts=("sonicsurface",),
+    unit=EMITTERS,
+    line=LINE,
+    max_frame_rate_Hz=FRAME_RATE_HZ,
+    phase_steps=STEPS,
+    amplitude="on_off",
+    start=OFF_SEQUENCE,
+    stop=OFF_SEQUENCE,
+    when_host_dies="the SonicSurface keeps emitting its last frame until power is cut",
+    cannot_guarantee="It never answers and has no checksum, so that nobody knows whether a frame arrived; from "
+    "power-up until the first frame all 256 emitters sound; the start and stop bytes silence a lone board flashed "
+    "as secondary by its taking them for another's data, so such a board needs sonicsurface_pair.",
+    keys=("dither",),
 )

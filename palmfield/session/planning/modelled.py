@@ -8,6 +8,7 @@ from palmfield.session.numerical_error import RATIO
 from palmfield.session.planning.costs import estimate_s
 from palmfield.session.planning.facts import pushed_faces
 from palmfield.session.planning.rows import Row
+from palmfield.session.sending import offset_words, peak_offset, sending
 from palmfield.simulation.emission import array_drives
 from palmfield.simulation.known_load import SHARE
 from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
@@ -36,7 +37,14 @@ def modelled(model: HapticModel, duration_s: float) -> list[Row]:
         level = array_drives(model, model.arrays)[number].unit_drive(stimulus.first_focus).level
         about = f"board {model.board.name}: {model.board.description}"
         rows.append(Row("drive", f"amplitude {level:.3f} of full", about, stimulus.spec.name))
+        offset = peak_offset(model, number)
+        if offset is not None:
+            words = "the maximum of |p|; a focus has all sound in phase, which nearer points have louder"
+            rows.append(Row("loudest point", offset_words(offset), words, stimulus.spec.name))
         rows += _modulation(stimulus, level)
+    if not model.board.exact:
+        board = model.board
+        rows.append(Row("sending", str(sending(board, model.configs)), f"{board.line}; {board.when_host_dies}"))
     for skin in model.skins:
         law = skin.spec.config.arp_law
         rows.append(Row("ARP", f"law {law}", LAWS[law].about, skin.spec.name))

@@ -1,25 +1,27 @@
 """The link against a virtual board on a pseudo-terminal that takes bytes no faster than the real line."""
 
-import contextlib
-import os
 import signal
 import socket
 import subprocess
 import sys
 import threading
 import time
-import tty
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from palmfield.drive.boards.sonicsurface import BAUD, FRAME_RATE_HZ, OFF_FRAME, SonicSurfaceTwin, decode, encode
-from palmfield.drive.link import RecordLink, open_link
+from palmfield.drive.board_link import BoardLink
+from palmfield.drive.boards.sonicsurface import BOARD, FRAME_RATE_HZ, LINE, OFF_FRAME, OFF_SEQUENCE
 from palmfield.drive.playback import Played, play_frames
+from palmfield.drive.transport import FileTransport, open_port
+from palmfield.drive.virtual import VirtualBoard
 from palmfield.errors import DeviceError, OutputError
 
-LINE_BYTES_PER_S = BAUD / 10
+BAUD = 230400
+CHANGES = 2
+"""That the start sequence, as the stop sequence, makes of what is emitted: a swap, twice."""
 
 
 def turned(step: int) -> np.ndarray:
@@ -30,61 +32,23 @@ def step_of(emitted: np.ndarray) -> int:
     return round(np.angle(emitted[0]) * 32 / (2 * np.pi)) % 32
 
 
-class VirtualBoard:
-    """A board behind a pty. It reads at the line's rate; `pause` holds it, `unplug` takes it away."""
-
-    def __init__(self) -> None:
-        self.master, slave = os.openpty()
-        tty.setraw(slave)
-        self.port = os.ttyname(slave)
-        self._slave = slave
-        self.received = bytearray()
-        self.times: list[float] = []
-        self.emitted: list[np.ndarray] = []
-        self._board = SonicSurfaceTwin()
-        self.pause = threading.Event()
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._read, daemon=True)
-        self._thread.start()
-
-    def _read(self) -> None:
-        allowed, before = 0.0, time.monotonic()
-        os.set_blocking(self.master, False)
-        while not self._stop.is_set():
-            time.sleep(0.001)
-            now = time.monotonic()
-            allowed = min(allowed + (now - before) * LINE_BYTES_PER_S, 0.02 * LINE_BYTES_PER_S)
-            before = now
-            if self.pause.is_set() or allowed < 1:
-                continue
-            with contextlib.suppress(BlockingIOError):
-                data = os.read(self.master, int(allowed))
-                allowed -= len(data)
-                self.received += data
-                new = self._board.feed(data)
-                self.emitted += new
-                self.times += [now] * len(new)
-
-    def settle(self) -> None:
-        """Wait until nothing has come in for a while."""
-        seen = -1
-        while seen != len(self.received):
-            seen = len(self.received)
-            time.sleep(0.1)
-
-    def unplug(self) -> None:
-        self._stop.set()
-        self._thread.join()
-        os.close(self._slave)
-        os.close(self.master)
+def open_link(port: str) -> BoardLink:
+    return BoardLink(BOARD, open_port(port, BAUD))
 
 
 @pytest.fixture
 def board():
-    virtual = VirtualBoard()
-    yield virtual
-    with contextlib.suppress(OSError):
-        virtual.unplug()
+    with VirtualBoard(BOARD) as virtual:
+        yield virtual
+
+
+def encode(amplitudes: np.ndarray) -> bytes:
+    return BOARD.encode(amplitudes)
+
+
+def sounds(board: VirtualBoard) -> list[np.ndarray]:
+    """What was emitted between the start sequence and the stop sequence."""
+    return [change.amplitudes for change in board.emitted[CHANGES:-CHANGES]]
 
 
 def schedule(count: int, interval_s: float):
@@ -107,11 +71,9 @@ def test_frames_come_in_order_and_on_time_and_the_board_ends_silent(board):
         played = play_frames(link, schedule(30, 0.02))
     board.settle()
     assert (played.frames, played.skipped) == (30, 0)
-    assert [step_of(frame) for frame in board.emitted[:30]] == [n % 32 for n in range(30)]
-    assert len(board.emitted) == 32
-    assert not np.any(board.emitted[-1])
-    assert not np.any(board.emitted[-2])
-    intervals = np.diff(board.times[:30])
+    assert [step_of(frame) for frame in sounds(board)] == [n % 32 for n in range(30)]
+    assert not any(change.amplitudes.any() for change in board.emitted[:CHANGES] + board.emitted[-CHANGES:])
+    intervals = np.diff([change.time_s for change in board.emitted[CHANGES:-CHANGES]])
     assert np.median(intervals) == pytest.approx(0.02, abs=0.003)
 
 
@@ -123,31 +85,31 @@ def test_frames_faster_than_the_line_are_thinned_to_its_rate(board):
     # 0.8 s of line is 71.4 frames, less what a busy machine loses; never more.
     assert 50 <= played.frames <= 0.8 * FRAME_RATE_HZ + 1
     # The newest frame that was due is what went out, so each is newer than the one before.
-    assert np.all(np.diff([number_of(frame) for frame in board.emitted[: played.frames]]) > 0)
+    assert np.all(np.diff([number_of(frame) for frame in sounds(board)]) > 0)
     assert played.late_s < 0.2
-    assert len(board.received) == (played.frames + 2) * 258
+    assert len(board.received) == played.frames * 258 + 2 * len(OFF_SEQUENCE)
 
 
 def test_a_board_that_stalls_gets_whole_frames_again_and_the_newest(board):
     frames = schedule(120, 1 / 80)
     with open_link(board.port) as link:
-        timer_on = threading.Timer(0.2, board.pause.set)
-        timer_off = threading.Timer(1.9, board.pause.clear)
+        timer_on = threading.Timer(0.2, board.stall)
+        timer_off = threading.Timer(1.9, board.stall, (False,))
         timer_on.start()
         timer_off.start()
         playing = play_frames(link, frames)
         board.settle()
     timer_on.join()
     timer_off.join()
-    # SonicSurfaceTwin.feed raises on overlong frames in the reader thread, which then no longer empties the line.
     assert playing.skipped > 0
-    assert board.received.endswith(OFF_FRAME + OFF_FRAME)
-    assert not np.any(board.emitted[-1])
+    assert not board.flags
+    assert board.received.endswith(OFF_SEQUENCE)
+    assert not np.any(board.twin.emitted)
 
 
 def test_a_board_that_takes_nothing_is_given_up(board, monkeypatch):
-    monkeypatch.setattr("palmfield.drive.link.WRITE_TIMEOUT_S", 0.02)
-    board.pause.set()
+    monkeypatch.setattr("palmfield.drive.transport.WRITE_TIMEOUT_S", 0.02)
+    board.stall()
     link = open_link(board.port)
     with pytest.raises(DeviceError, match="lost the board on /dev/pts/"):
         play_frames(link, schedule(200, 1 / 80))
@@ -175,7 +137,7 @@ def test_unplugged_in_the_middle(board):
 
 def test_unplugged_before_close(board):
     link = open_link(board.port)
-    link.write(OFF_FRAME)
+    link.write(encode(turned(1)))
     board.unplug()
     with pytest.raises(DeviceError, match="lost the board"):
         link.close()
@@ -190,26 +152,27 @@ def test_an_exception_in_the_schedule_leaves_the_board_off(board):
     with pytest.raises(ZeroDivisionError), open_link(board.port) as link:
         play_frames(link, broken())
     board.settle()
-    assert board.received.endswith(OFF_FRAME + OFF_FRAME)
-    assert board.received.count(OFF_FRAME) == 2
+    assert board.received.endswith(OFF_SEQUENCE)
+    assert board.received.count(OFF_SEQUENCE) == 2
 
 
 def test_closing_silences_a_board_that_was_never_played(board):
     with open_link(board.port):
         pass
     board.settle()
-    assert bytes(board.received) == OFF_FRAME + OFF_FRAME
+    assert bytes(board.received) == OFF_SEQUENCE
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_killed_process_leaves_the_board_off(board, number):
     program = f"""
-from palmfield.drive.link import open_link
+from palmfield.drive.board_link import BoardLink
 from palmfield.drive.playback import play_frames
-from palmfield.drive.boards.sonicsurface import encode
+from palmfield.drive.transport import open_port
+from palmfield.drive.boards.sonicsurface import BOARD
 import numpy as np
-frame = encode(np.ones(256))
-with open_link({board.port!r}) as link:
+frame = BOARD.encode(np.ones(256))
+with BoardLink(BOARD, open_port({board.port!r}, 230400)) as link:
     play_frames(link, ((n * 0.02, frame) for n in range(10_000)))
 """
     # Under nohup, or in a shell's background, the signal would be ignored
@@ -218,14 +181,14 @@ with open_link({board.port!r}) as link:
         stderr=subprocess.DEVNULL,
         preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),
     )
-    while len(board.emitted) < 5:
+    while len(board.emitted) < 5 + CHANGES:
         assert process.poll() is None
         time.sleep(0.01)
     process.send_signal(number)
     assert process.wait(10) in (128 + number, -number)
     board.settle()
-    assert board.received.endswith(OFF_FRAME + OFF_FRAME)
-    assert not np.any(board.emitted[-1])
+    assert board.received.endswith(OFF_SEQUENCE)
+    assert not np.any(board.twin.emitted)
 
 
 def test_a_port_that_another_program_holds(board):
@@ -248,7 +211,7 @@ def test_loop_port():
     link = open_link("loop://")
     frame = encode(turned(3))
     assert link.write(frame)
-    assert link._stream.read(258) == frame
+    assert link.transport._stream.read(258) == frame
     # More than the loop's buffer of 4096 bytes, also where a busy machine skips half: nobody reads the echo.
     played = play_frames(link, schedule(40, 0.03))
     assert played.frames + played.skipped == 40
@@ -265,8 +228,8 @@ def test_socket_port():
             assert play_frames(link, schedule(3, 0.2)).frames == 3
             link.close()
             received = b"".join(iter(lambda: peer.recv(65536), b""))
-    emitted = decode(received)
-    assert [step_of(frame) for frame in emitted[:3]] == [0, 1, 2]
+    emitted = BOARD.decode(received)
+    assert [step_of(frame) for frame in emitted[CHANGES : CHANGES + 3]] == [0, 1, 2]
     assert not np.any(emitted[-2:])
 
 
@@ -280,50 +243,56 @@ def test_socket_peer_gone():
         link.close()
 
 
+def record(path: Path) -> BoardLink:
+    return BoardLink(BOARD, FileTransport(path), simulated=True)
+
+
 def test_record_holds_what_the_line_would_have_carried(tmp_path):
     path = tmp_path / "run.bin"
     began = time.monotonic()
-    with RecordLink(path) as link:
+    with record(path) as link:
         played = play_frames(link, schedule(2000, 0.001))
         assert not path.exists()
-        assert link.part.stat().st_size == (played.frames + 2) * 258
+        assert link.transport.part.stat().st_size == played.frames * 258 + 2 * len(OFF_SEQUENCE)
     assert time.monotonic() - began < 1.5
-    assert not link.part.exists()
+    assert not link.transport.part.exists()
     data = path.read_bytes()
-    assert len(data) == (played.frames + 2) * 258
-    assert data.endswith(OFF_FRAME + OFF_FRAME)
+    assert len(data) == played.frames * 258 + 2 * len(OFF_SEQUENCE)
+    assert data.startswith(OFF_SEQUENCE) and data.endswith(OFF_SEQUENCE)
     assert played.frames == pytest.approx(2.0 * FRAME_RATE_HZ, abs=2)
     assert played.frames + played.skipped == 2000
     # Deterministic, and on time to one line time.
-    with RecordLink(tmp_path / "again.bin") as link:
+    with record(tmp_path / "again.bin") as link:
         play_frames(link, schedule(2000, 0.001))
     assert (tmp_path / "again.bin").read_bytes() == data
     assert played.late_s <= 1 / FRAME_RATE_HZ
 
 
 def test_record_is_readable_while_running(tmp_path):
-    link = RecordLink(tmp_path / "run.bin")
+    link = record(tmp_path / "run.bin")
     link.write(OFF_FRAME)
     link.write(encode(turned(5)))
-    assert step_of(decode(link.part.read_bytes())[-1]) == 5
+    assert step_of(BOARD.decode(link.transport.part.read_bytes())[-1]) == 5
     link.close()
     link.close()
 
 
 def test_record_where_nothing_can_be_written(tmp_path):
     with pytest.raises(OutputError, match=r"cannot write .*No such file"):
-        RecordLink(tmp_path / "missing" / "run.bin")
+        record(tmp_path / "missing" / "run.bin")
 
 
 def test_record_on_a_full_disk(tmp_path):
     (tmp_path / "run.bin.part").symlink_to("/dev/full")
-    with pytest.raises(OutputError, match="No space left"), RecordLink(tmp_path / "run.bin") as link:
+    with pytest.raises(OutputError, match="No space left"), record(tmp_path / "run.bin") as link:
         play_frames(link, schedule(3, 0.0))
     assert not (tmp_path / "run.bin").exists()
 
 
 class SlowWire:
     """A link without a port, on a clock of its own, whose first `bad` writes time out."""
+
+    line = LINE
 
     def __init__(self, bad: int) -> None:
         self.clock = 0.0
@@ -335,6 +304,9 @@ class SlowWire:
 
     def wait_until(self, when: float) -> None:
         self.clock = max(self.clock, when)
+
+    def start(self) -> None:
+        pass
 
     def write(self, frame: bytes) -> bool:
         if self.bad:

@@ -1,0 +1,338 @@
+"""What a board is: its limits, its bytes, and its virtual twin that tells what comes out when."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Literal, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from palmfield.acoustics.air import sound_speed
+from palmfield.drive.quantise import phase_loss
+from palmfield.errors import DeviceError
+from palmfield.types import Air, Complex, Float
+
+AmplitudeKind = Literal["continuous", "on_off", "pulse_width"]
+HELD_BACK_S = 0.1
+"""Longer than any board holds whole frames back before it plays them, and shorter than any watchdog."""
+GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
+
+
+@dataclass(frozen=True)
+class Line:
+    """The way of bytes to a board. bytes_per_s: at which they go; baud: of a serial port, None where there is none."""
+
+    bytes_per_s: float
+    baud: int | None = None
+
+    def time_s(self, count: int) -> float:
+        """Time that so many bytes take [s]."""
+        return count / self.bytes_per_s
+
+    def __str__(self) -> str:
+        return f"{self.baud} baud, 8N1" if self.baud is not None else f"{self.bytes_per_s:g} bytes/s"
+
+
+def serial_line(baud: int) -> Line:
+    """A serial port with a start bit, 8 data bits and a stop bit."""
+    return Line(baud / 10.0, baud)
+
+
+class Emitted(NamedTuple):
+    """What a board emits from a moment on. time_s: on the clock of its line [s]; amplitudes: complex, shape (n,)"""
+
+    time_s: float
+    amplitudes: Complex
+
+
+class Flag(NamedTuple):
+    """Something that a virtual board noticed. kind: overrun, dc or garbled; text: in words"""
+
+    time_s: float
+    kind: str
+    text: str
+
+
+class Twin:
+    """A board just switched on that takes bytes and tells what is emitted when. It raises on no bytes, but flags them.
+
+    count: transducers; byte_s: time that a byte takes on the line [s]
+    time_s: when the last byte was in [s]; flags: what was noticed
+    """
+
+    def __init__(self, count: int, byte_s: float) -> None:
+        self.count, self.byte_s = count, byte_s
+        self.time_s = 0.0
+        self.flags: list[Flag] = []
+
+    @property
+    def emitted(self) -> Complex:
+        """What sounds now: complex amplitude of each transducer at the carrier, e^{-iwt}, shape (n,)."""
+        raise NotImplementedError
+
+    def feed(self, data: bytes, time_s: float | None = None) -> list[Emitted]:
+        """Take bytes from the line; returns what is emitted after each that changes it.
+
+        time_s: when the first bit of the first byte comes [s]; None, and an earlier time, is right after the last byte
+        """
+        if time_s is not None:
+            self.time_s = max(self.time_s, time_s)
+        return self.take(data)
+
+    def take(self, data: bytes) -> list[Emitted]:
+        """`feed` of bytes that follow one another; moves `time_s`."""
+        raise NotImplementedError
+
+    def until(self, time_s: float) -> list[Emitted]:
+        """What changes by itself up to a time [s], without bytes: frames that a board holds back, a watchdog."""
+        return []
+
+    def flag(self, kind: str, text: str) -> None:
+        self.flags.append(Flag(self.time_s, kind, text))
+
+
+@dataclass(frozen=True)
+class Board:
+    """What plays a drive: its limits, its bytes and their virtual twin. One file of `palmfield.drive.boards` each.
+
+    description: in words; layouts: of the arrays that it drives, the one that `--board` gives first; empty for any
+    unit, most_units: transducers of one unit, and how many units hang on one line; units: that there are
+    arrays: how many arrays of a scene it drives at once, (least, most)
+    line: how bytes reach it, None for a board without bytes; max_frame_rate_Hz: frames a second, inf for any
+    phase_steps: in a turn, None for any phase; amplitude, amplitude_steps: what amplitudes each transducer takes, and
+        how many above 0
+    takes: whether a frame tells each transducer's amplitude, or where one focus is and how loud
+    start, stop: byte sequences before the first frame and after the last; both silence it
+    when_host_dies, cannot_guarantee: in a sentence each
+    keys: of palmfield.driver that it takes besides `board`
+    dither: whether amplitudes are made of transducers that are on and off
+    compensate: whether what is sent makes up for dead and inverted transducers and known phases
+    """
+
+    name: str
+    description: str
+    layouts: tuple[str, ...] = ()
+    unit: int = 1
+    most_units: int = 1
+    units: int = 1
+    arrays: tuple[int, int] = (1, 1)
+    line: Line | None = None
+    max_frame_rate_Hz: float = math.inf
+    phase_steps: int | None = None
+    amplitude: AmplitudeKind = "continuous"
+    amplitude_steps: int | None = None
+    takes: Literal["amplitudes", "focus"] = "amplitudes"
+    start: bytes = b""
+    stop: bytes = b""
+    when_host_dies: str = ""
+    cannot_guarantee: str = ""
+    keys: tuple[str, ...] = ()
+    dither: bool = False
+    compensate: bool = False
+
+    @property
+    def exact(self) -> bool:
+        """Whether it emits exactly what it is asked for."""
+        return self.line is None
+
+    @property
+    def transducers(self) -> int:
+        """How many it drives."""
+        return self.unit * self.units
+
+    @property
+    def levels(self) -> bool:
+        """Whether it plays amplitudes between off and full."""
+        return self.amplitude != "on_off" or self.dither
+
+    @property
+    def frame_bytes(self) -> int:
+        """Bytes of one frame."""
+        if self.takes == "focus":
+            return len(self.encode_focus((0.0, 0.0, 0.2), 0.0))
+        return 0 if self.exact else len(self.encode(np.zeros(self.transducers)))
+
+    @property
+    def frame_time_s(self) -> float:
+        """Time that a frame takes on the line [s]."""
+        return 0.0 if self.line is None else self.line.time_s(self.frame_bytes)
+
+    @property
+    def phase_loss(self) -> float:
+        """Expected share of the focal pressure that the rounding of phases leaves."""
+        return 1.0 if self.phase_steps is None else phase_loss(self.phase_steps)
+
+    def sized(self, transducers: int) -> Self:
+        """This board with as many units as so many transducers take. Raises DeviceError where none fits."""
+        units, rest = divmod(transducers, self.unit)
+        if self.exact:
+            return self
+        if rest or not 1 <= units <= self.most_units:
+            several = f" to {self.unit * self.most_units} in steps of {self.unit}" if self.most_units > 1 else ""
+            raise DeviceError(
+                f"board '{self.name}' is asked for {transducers} transducers; allowed: {self.unit}{several}"
+            )
+        return replace(self, units=units)
+
+    def with_keys(self, keys: Mapping[str, Any]) -> Self:
+        """This board with values for some of its `keys`. Raises DeviceError for one that it does not have."""
+        for key in keys:
+            if key not in self.keys:
+                own = f"it takes {', '.join(self.keys)}" if self.keys else "it takes none besides board"
+                raise DeviceError(f"key '{key}' is not of board '{self.name}'; {own}")
+        return replace(self, **keys)
+
+    def encode(self, amplitudes: ArrayLike) -> bytes:
+        """The bytes of one frame.
+
+        amplitudes: complex amplitude of each transducer relative to full drive, e^{-iwt}, shape (n,)
+        Raises DeviceError for another shape and for what the board can't play.
+        """
+        raise DeviceError(f"board '{self.name}' takes {self._takes()}, no amplitudes; allowed: another board")
+
+    def encode_focus(self, focus: ArrayLike, level: float) -> bytes:
+        """The bytes of one frame of a board that takes a focus.
+
+        focus: in the array frame [m], shape (3,); level: amplitude of all transducers, 0..1
+        Raises DeviceError for what the board can't play.
+        """
+        raise DeviceError(f"board '{self.name}' takes {self._takes()}, no focus; allowed: amplitudes")
+
+    def twin(self) -> Twin:
+        """A virtual board just switched on. Raises DeviceError for a board without bytes."""
+        raise DeviceError(f"board '{self.name}' takes {self._takes()}, so that it has no virtual twin")
+
+    def decode(self, data: bytes) -> list[Complex]:
+        """What a board just switched on emits after each change, shape (n,) each."""
+        twin = self.twin()
+        changes = twin.feed(data, 0.0)
+        return [change.amplitudes for change in [*changes, *twin.until(twin.time_s + HELD_BACK_S)]]
+
+    def played_focus(self, focus: ArrayLike, level: float) -> Complex:
+        """What is emitted when a board that takes a focus is asked for one, shape (n,)."""
+        return self.decode(self.encode_focus(focus, level))[-1]
+
+    def _takes(self) -> str:
+        return "no bytes" if self.exact else "a focus" if self.takes == "focus" else "amplitudes"
+
+
+def play(board: Board, amplitudes: ArrayLike) -> Complex:
+    """What the board emits when asked for `amplitudes`.
+
+    amplitudes: complex amplitude of each transducer relative to full drive, e^{-iwt}, shape (n,), in the layout's order
+    Returns the same shape: unchanged where the board is exact, else through its bytes and its virtual twin.
+    Raises DeviceError for what the board cannot play.
+    """
+    if board.exact:
+        return np.array(amplitudes, dtype=np.complex128)
+    return board.decode(board.encode(amplitudes))[-1]
+
+
+# -- what codecs share -----------------------------------------------------------------------------------------------
+
+FULL = 1.0 + 1e-6
+"""Largest amplitude that counts as full drive."""
+
+
+def commanded(board: Board, amplitudes: ArrayLike) -> Complex:
+    """Amplitudes in the board's shape, (n,). Raises DeviceError for another shape, and above full drive."""
+    values = np.asarray(amplitudes, dtype=np.complex128)
+    if values.shape != (board.transducers,):
+        raise DeviceError(f"a frame of {board.name} has shape {values.shape}; give ({board.transducers},)")
+    magnitude = np.abs(values)
+    bad = ~(magnitude <= FULL)
+    if bad.any():
+        number = int(np.flatnonzero(bad)[0])
+        raise DeviceError(
+            f"transducer {number} is asked for amplitude {magnitude[number]:.4g}; allowed: 0 (off) to 1 (full drive)"
+        )
+    return values
+
+
+def switched(board: Board, amplitudes: ArrayLike) -> tuple[Complex, np.ndarray]:
+    """Amplitudes of a board that has off and full only, and which transducers are on, shapes (n,).
+
+    Raises DeviceError for an amplitude between, unless the board dithers: then as large a share of all transducers as
+    the amplitude is is on, always the same ones.
+    """
+    values = commanded(board, amplitudes)
+    magnitude = np.abs(values)
+    if board.dither:
+        return values, magnitude > thresholds(len(values))
+    on = magnitude != 0.0
+    bad = on & (magnitude < 1.0 - (FULL - 1.0))
+    if bad.any():
+        number = int(np.flatnonzero(bad)[0])
+        raise DeviceError(
+            f"transducer {number} is asked for amplitude {magnitude[number]:.4g}; {board.name} has a fixed "
+            "50 % duty, so only 0 (off) and 1 (full) can be sent: use drive amplitude 1, key dither, or board ideal"
+        )
+    return values, on
+
+
+def thresholds(count: int) -> Float:
+    """Amplitudes above which transducers are on, shape (count,): evenly spaced, neighbours far from one another."""
+    order = np.argsort(np.modf(GOLDEN * np.arange(count))[0], kind="stable")
+    result = np.empty(count)
+    result[order] = (np.arange(count) + 0.5) / count
+    return result
+
+
+REFERENCE_SPEED_m_s = sound_speed(Air())
+"""Of sound in the project's reference air, which boards that place a focus themselves reckon with."""
+
+
+# -- what a board can't play -----------------------------------------------------------------------------------------
+
+
+def check(
+    board: Board,
+    *,
+    frame_rate_Hz: float,
+    points_per_turn: float | None = None,
+    modulated: bool,
+    element: str,
+    modulation_Hz: float = 0.0,
+) -> None:
+    """Refuse a stimulus that the board cannot play.
+
+    frame_rate_Hz: drive frames a second that the stimulus needs, 0 when it stands still
+    points_per_turn: points on each turn of a closed path at that rate, None when there is no path
+    modulated: whether the amplitude takes values between 0 and full; modulation_Hz: how often a second, 0 if not known
+    element: what the scene calls the stimulus, for the message
+    Raises DeviceError that says what the scene needs and what the board gives.
+    """
+    rate = max(frame_rate_Hz, 2.0 * modulation_Hz)
+    needs_amplitude = modulated and not board.levels
+    too_fast = rate > board.max_frame_rate_Hz * (1.0 + 1e-9)
+    if not needs_amplitude and not too_fast:
+        return
+    amplitude = "continuous amplitude at " if needs_amplitude else ""
+    needs = f"stimulus '{element}' needs {amplitude}{rate:.4g} frames/s"
+    if modulation_Hz and rate == 2.0 * modulation_Hz:
+        needs += f" ({modulation_Hz:g} Hz, two frames a period)"
+    gives = f"{board.name} gives {'any' if board.levels else 'on/off'} amplitude"
+    gives += f" at {board.max_frame_rate_Hz:.1f} frames/s"
+    if points_per_turn is not None and too_fast:
+        needs += f" ({points_per_turn:.4g} points a turn)"
+        gives += f", {points_per_turn * board.max_frame_rate_Hz / rate:.2g} points a turn"
+    mends = ["board ideal"]
+    if needs_amplitude:
+        gives += f", so on/off AM up to {board.max_frame_rate_Hz / 2:.1f} Hz"
+        mends.append("modulation none or a rectangle of am_depth 1")
+        if "dither" in board.keys:
+            mends.append("key dither")
+    if too_fast:
+        mends.append(f"at most {math.floor(board.max_frame_rate_Hz)} frames/s")
+    raise DeviceError(f"{needs}; {gives}: use {' or '.join(mends)}")
+
+
+def control_rate_Hz(board: Board, timestep_s: float) -> float:
+    """Highest rate at which the board's frames begin with MuJoCo's steps, or with parts of them [1/s]."""
+    if board.exact:
+        return 0.0
+    period_s = 1.0 / board.max_frame_rate_Hz
+    if period_s < timestep_s:
+        return math.floor(board.max_frame_rate_Hz)
+    return 1.0 / (math.ceil(period_s / timestep_s - 1e-9) * timestep_s)

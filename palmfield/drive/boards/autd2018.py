@@ -1,0 +1,234 @@
+"""Packets of Hasegawa & Shinoda's 2018 units: where the focus is and how wide the pulses are, every 500 us.
+
+Units place the focus by themselves, so that a packet tells x, y, z (16 bits each, signed) and the pulse width (9 bits,
+0 to 320 ticks of a period's 640). What the paper leaves open is a key of the scene with the default of this file's
+`Autd2018`: header, footer, the order of bits and what the lowest bit of a coordinate is.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from palmfield.acoustics.arrays import layout
+from palmfield.drive.board import GOLDEN, Board, Emitted, Line, REFERENCE_SPEED_m_s, Twin
+from palmfield.drive.pulse_width import HASEGAWA_TICKS, Edge, edge_phase, relative_pressure, resample, widths
+from palmfield.errors import DeviceError
+from palmfield.types import Complex, Float
+
+TRANSDUCERS = 249
+PACKET_RATE_HZ = 2000.0
+PERIOD_S = 1.0 / PACKET_RATE_HZ
+CARRIER_HZ = 40e3
+COORDINATE_BITS, WIDTH_BITS = 16, 9
+FIELDS = (COORDINATE_BITS, COORDINATE_BITS, COORDINATE_BITS, WIDTH_BITS)
+PAYLOAD_BITS = sum(FIELDS)
+MOST = 2 ** (COORDINATE_BITS - 1) - 1
+CHILDREN = 3
+"""Units that each one passes packets on to."""
+LAYOUT_OF_UNITS = {1: "autd2018", 4: "autd2018_2x2"}
+
+
+@dataclass(frozen=True)
+class Autd2018(Board):
+    """packet_header, packet_footer: bits, as text; packet_bit_order: of each field; packet_lsb_m: of a coordinate [m]
+    pwm_exponent, pwm_edge: see `palmfield.drive.pulse_width`
+    hop_delay_s: of each unit that a packet passes [s]; skew_s: largest difference that the sync leaves between units
+    clock_drift_ppm: largest difference of units' clocks; sync: whether clocks are set every 500 us
+    board_sound_speed_m_s: with which units place the focus [m/s]
+    """
+
+    packet_header: str = "10100101"
+    packet_footer: str = "1011010"
+    packet_bit_order: Literal["msb_first", "lsb_first"] = "msb_first"
+    packet_lsb_m: float = 0.025e-3
+    pwm_exponent: float = 2.0
+    pwm_edge: Edge = "centre"
+    hop_delay_s: float = 40e-9
+    skew_s: float = 0.0
+    clock_drift_ppm: float = 0.0
+    sync: Literal["on", "off"] = "on"
+    board_sound_speed_m_s: float = REFERENCE_SPEED_m_s
+
+    def sized(self, transducers: int) -> "Autd2018":
+        sized = super().sized(transducers)
+        if sized.units not in LAYOUT_OF_UNITS:
+            raise DeviceError(
+                f"board '{self.name}' is asked for {transducers} transducers; allowed: "
+                + " or ".join(f"{TRANSDUCERS * units} ({name})" for units, name in LAYOUT_OF_UNITS.items())
+            )
+        return sized.ready()
+
+    def with_keys(self, keys: Mapping[str, Any]) -> "Autd2018":
+        return super().with_keys(keys).ready()
+
+    def ready(self) -> "Autd2018":
+        """With the line and the bytes of silence that its keys make."""
+        off = self.packet((0, 0, 0, 0))
+        return replace(self, line=Line(PACKET_RATE_HZ * len(off)), start=off, stop=off)
+
+    def packet(self, numbers: tuple[int, ...]) -> bytes:
+        """Bytes of one packet: header, fields and footer, filled up with 0 to whole bytes."""
+        bits = self.packet_header
+        for number, size in zip(numbers, FIELDS, strict=True):
+            field = format(number & (2**size - 1), f"0{size}b")
+            bits += field if self.packet_bit_order == "msb_first" else field[::-1]
+        bits += self.packet_footer
+        bits += "0" * (-len(bits) % 8)
+        return int(bits, 2).to_bytes(len(bits) // 8, "big")
+
+    def numbers(self, packet: bytes) -> tuple[int, ...] | None:
+        """x, y, z and pulse width of a packet, as whole numbers; None for what is no packet."""
+        bits = format(int.from_bytes(packet, "big"), f"0{8 * len(packet)}b")
+        begin, end = len(self.packet_header), len(self.packet_header) + PAYLOAD_BITS
+        if not bits.startswith(self.packet_header) or not bits[end:].startswith(self.packet_footer):
+            return None
+        numbers = []
+        for size in FIELDS:
+            field = bits[begin : begin + size]
+            value = int(field if self.packet_bit_order == "msb_first" else field[::-1], 2)
+            signed = size == COORDINATE_BITS and value > MOST
+            numbers.append(value - 2**size if signed else value)
+            begin += size
+        return tuple(numbers)
+
+    def encode_focus(self, focus: ArrayLike, level: float) -> bytes:
+        """9 bytes with the default header and footer: 57 payload bits."""
+        steps = np.rint(np.asarray(focus, float) / self.packet_lsb_m)
+        if steps.shape != (3,) or not np.all(np.abs(steps) <= MOST):
+            raise DeviceError(
+                f"focus {np.asarray(focus).tolist()} m is none that a packet of {self.name} can tell; allowed: three "
+                f"numbers within +-{MOST * self.packet_lsb_m:.4g} m (packet_lsb_m)"
+            )
+        width = int(widths(level, HASEGAWA_TICKS, self.pwm_exponent))
+        x, y, z = (int(step) for step in steps)
+        return self.packet((x, y, z, width))
+
+    def twin(self) -> "Autd2018Twin":
+        return Autd2018Twin(self)
+
+    @cached_property
+    def positions(self) -> Float:
+        """Of all transducers in the array frame [m], shape (n, 3)."""
+        return layout(LAYOUT_OF_UNITS[self.units]).positions
+
+    def unit_delays(self, since_sync_s: float) -> Float:
+        """How late each unit is [s], shape (units,): hops, skew, and what clocks have drifted."""
+        unit = np.arange(self.units)
+        depth = np.array([_depth(number) for number in range(self.units)])
+        spread = np.modf(GOLDEN * unit)[0]
+        drift = 1e-6 * self.clock_drift_ppm * (2.0 * spread - 1.0) * (unit > 0)
+        return self.hop_delay_s * depth + self.skew_s * spread + drift * since_sync_s
+
+    def focused(self, focus: Float, width: int, since_sync_s: float = 0.0) -> Complex:
+        """What units emit for a focus [m] and a pulse width in ticks, relative to full drive, shape (n,)."""
+        ticks = np.rint(
+            -HASEGAWA_TICKS * CARRIER_HZ * np.linalg.norm(focus - self.positions, axis=1) / self.board_sound_speed_m_s
+        )
+        duty = width / HASEGAWA_TICKS
+        late = np.repeat(self.unit_delays(since_sync_s), TRANSDUCERS)
+        phase = 2.0 * np.pi * (ticks / HASEGAWA_TICKS + CARRIER_HZ * late)
+        # A held edge turns the phase with the duty; half a period's pulse is where phases are counted from
+        phase = phase + edge_phase(duty, self.pwm_edge) - edge_phase(0.5, self.pwm_edge)
+        return relative_pressure(duty, self.pwm_exponent) * np.exp(1j * phase)
+
+
+def _depth(unit: int) -> int:
+    """Hops to a unit of a tree in which each passes packets on to three."""
+    depth = 0
+    while unit > 0:
+        unit, depth = (unit - 1) // CHILDREN, depth + 1
+    return depth
+
+
+def duty_course(packet_widths: ArrayLike) -> Float:
+    """Duty in each carrier period, shape (20 k,), for the pulse widths of k packets, in ticks.
+
+    Units smooth what comes at 2 kHz by an FIR low-pass; see `palmfield.drive.pulse_width.resample`.
+    """
+    duty = np.asarray(packet_widths, float) / HASEGAWA_TICKS
+    return np.clip(resample(duty, PACKET_RATE_HZ, carrier_Hz=CARRIER_HZ), 0.0, 0.5).astype(np.float64)
+
+
+class Autd2018Twin(Twin):
+    """Units that change at the sync after a packet. Silent at power-up; after a lost packet the last focus goes on."""
+
+    def __init__(self, board: Autd2018) -> None:
+        self._size = len(board.packet((0, 0, 0, 0)))
+        super().__init__(board.transducers, PERIOD_S / self._size)
+        self.board = board
+        self._bytes = bytearray()
+        self._state = np.array([0.0, 0.0, 0.0]), 0
+        self._since_s = 0.0
+        self._waiting: list[tuple[float, tuple[Float, int]]] = []
+
+    @property
+    def emitted(self) -> Complex:
+        return self.at(self.time_s)
+
+    def at(self, time_s: float) -> Complex:
+        """What is emitted at a time [s] with the packet that counts now: without sync clocks drift meanwhile."""
+        since_s = time_s % PERIOD_S if self.board.sync == "on" else time_s
+        focus, width = self._state
+        return self.board.focused(focus, width, since_s)
+
+    def take(self, data: bytes) -> list[Emitted]:
+        begin, changes, dropped = self.time_s, [], 0
+        for number, byte in enumerate(data):
+            self._bytes.append(byte)
+            if len(self._bytes) < self._size:
+                continue
+            self.time_s = begin + (number + 1) * self.byte_s
+            changes += self.until(self.time_s)
+            numbers = self.board.numbers(bytes(self._bytes))
+            if numbers is None:
+                del self._bytes[0]
+                dropped += 1
+                continue
+            self._bytes.clear()
+            *steps, width = numbers
+            if width > HASEGAWA_TICKS // 2:
+                self.flag("garbled", f"pulse width {width} is above {HASEGAWA_TICKS // 2} ticks: it is taken as that")
+            state = self.board.packet_lsb_m * np.array(steps, float), min(width, HASEGAWA_TICKS // 2)
+            due_s = self.time_s
+            if self.board.sync == "on":
+                due_s = math.ceil(self.time_s / PERIOD_S - 1e-6) * PERIOD_S
+            self._waiting.append((due_s, state))
+        self.time_s = begin + len(data) * self.byte_s
+        if dropped:
+            self.flag("garbled", f"{dropped} bytes are part of no packet")
+        return changes + self.until(self.time_s)
+
+    def until(self, time_s: float) -> list[Emitted]:
+        changes = []
+        while self._waiting and self._waiting[0][0] <= time_s + 1e-9:
+            due_s, self._state = self._waiting.pop(0)
+            changes.append(Emitted(due_s, self.at(due_s)))
+        return changes
+
+
+BOARD = Autd2018(
+    "autd2018",
+    "units of Hasegawa & Shinoda 2018, 249 transducers each: one focus in packets of 57 bits at 2 kHz, 640 phases, "
+    "320 pulse widths",
+    layouts=tuple(LAYOUT_OF_UNITS.values()),
+    unit=TRANSDUCERS,
+    most_units=max(LAYOUT_OF_UNITS),
+    max_frame_rate_Hz=PACKET_RATE_HZ,
+    phase_steps=HASEGAWA_TICKS,
+    amplitude="pulse_width",
+    amplitude_steps=HASEGAWA_TICKS // 2,
+    takes="focus",
+    when_host_dies="the units go on with the last packet's focus until power is cut",
+    cannot_guarantee="The paper leaves header, footer, order of bits and the lowest bit's meaning open, so that "
+    "a real unit may need other values of the packet_ keys; units place the focus themselves, by their own speed of "
+    "sound, and know nothing of dead or inverted transducers.",
+    keys=(
+        "packet_header", "packet_footer", "packet_bit_order", "packet_lsb_m", "pwm_exponent", "pwm_edge", "hop_delay_s",
+        "skew_s", "clock_drift_ppm", "sync", "board_sound_speed_m_s",
+    ),
+).ready()  # fmt: skip

@@ -1,0 +1,122 @@
+"""The SonicSurface's second firmware, "FPGA tactile modulation": the one for haptics.
+
+It switches the emitters in turn, so that an envelope arises whose rate a byte sets. 150, 151, 192 and 193 are data.
+"""
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from palmfield.drive.board import Board, Emitted, Line, Twin, switched
+from palmfield.drive.boards.sonicsurface import EMITTERS, FRAME_BYTES, OFF, START, SWAP
+from palmfield.drive.pulse_width import relative_pressure
+from palmfield.errors import DeviceError
+from palmfield.types import Complex
+
+STEPS = 16
+DUTY = 7 / 16
+UART_SLOW = 0.035
+LINE = Line(23040.0 * (1.0 - UART_SLOW), round(230400 * (1.0 - UART_SLOW)))
+"""Its receiver runs 3.5 % slow, so the port is opened at its own rate."""
+RATE = 160
+RATES = 32
+ENVELOPE_TOP_HZ = 1250.0
+DEFAULT_RATE = 10
+"""The firmware's own at power-up: an envelope of 113.6 Hz."""
+OFF_FRAME = bytes([START]) + bytes([OFF]) * EMITTERS + bytes([SWAP])
+LEVEL = float(relative_pressure(DUTY))
+PIECES = re.compile(rb"[\xa0-\xbf\xfd\xfe]|[^\xa0-\xbf\xfd\xfe]+")
+CLOSE = 0.01
+"""An envelope within 1 % of what is asked for is the one that is asked for."""
+
+
+def envelope_Hz(number: int) -> float:
+    """Rate of the envelope that byte 160 + number sets [Hz]."""
+    return ENVELOPE_TOP_HZ / (number + 1)
+
+
+def envelope_byte(frequency_Hz: float) -> int:
+    """The byte that sets an envelope. Raises DeviceError where none comes within 1 % of the frequency [Hz]."""
+    rates = np.array([envelope_Hz(number) for number in range(RATES)])
+    nearest = int(np.abs(np.log(rates / max(frequency_Hz, 1e-9))).argmin())
+    if abs(rates[nearest] / max(frequency_Hz, 1e-9) - 1.0) > CLOSE:
+        around = sorted(rates, key=lambda rate: abs(rate - frequency_Hz))[:2]
+        raise DeviceError(
+            f"an envelope of {frequency_Hz:g} Hz is none of sonicsurface_tactile's; the nearest are "
+            + " and ".join(f"{rate:.1f}" for rate in sorted(around))
+            + " Hz (1250/(n + 1))"
+        )
+    return RATE + nearest
+
+
+@dataclass(frozen=True)
+class SonicSurfaceTactile(Board):
+    def encode(self, amplitudes: ArrayLike) -> bytes:
+        """258 bytes, as of the primary firmware: data 2 round(16 arg / 2 pi), 32 for off."""
+        values, on = switched(self, amplitudes)
+        step = np.rint(STEPS * np.angle(values) / (2 * np.pi)).astype(np.int64) % STEPS
+        return bytes([START]) + np.where(on, 2 * step, OFF).astype(np.uint8).tobytes() + bytes([SWAP])
+
+    def twin(self) -> "TactileTwin":
+        return TactileTwin()
+
+
+class TactileTwin(Twin):
+    """Amplitudes are those while an emitter's turn lasts. envelope_Hz: at which the turns come round [Hz]"""
+
+    def __init__(self) -> None:
+        super().__init__(EMITTERS, 1.0 / LINE.bytes_per_s)
+        self.envelope_Hz = envelope_Hz(DEFAULT_RATE)
+        self._counter = 0
+        self._front = np.full(EMITTERS, OFF, dtype=np.uint8)
+        self._back = np.full(EMITTERS, OFF, dtype=np.uint8)
+
+    @property
+    def emitted(self) -> Complex:
+        """Relative to full drive of half a period's pulses."""
+        wave = LEVEL * np.exp(2j * np.pi * (self._front // 2) / STEPS)
+        return np.where(self._front == OFF, 0.0, wave)
+
+    def take(self, data: bytes) -> list[Emitted]:
+        changes = []
+        for match in PIECES.finditer(data):
+            piece = match[0]
+            self.time_s += len(piece) * self.byte_s
+            if piece[0] == SWAP:
+                self._front, self._back = self._back, self._front
+                self._counter = 0
+                changes.append(Emitted(self.time_s, self.emitted))
+            elif piece[0] == START:
+                self._counter = 0
+            elif RATE <= piece[0] < RATE + RATES:
+                self.envelope_Hz = envelope_Hz(piece[0] - RATE)
+            else:
+                room = EMITTERS - self._counter
+                values = np.frombuffer(piece[:room], dtype=np.uint8)
+                self._back[self._counter : self._counter + len(values)] = np.where(values == OFF, OFF, values % OFF)
+                self._counter += len(values)
+                if len(piece) > room:
+                    self.flag("overrun", f"{len(piece) - room} bytes beyond the {EMITTERS} of a frame")
+        return changes
+
+
+BOARD = SonicSurfaceTactile(
+    "sonicsurface_tactile",
+    "SonicSurface with the vendor's firmware for tactile modulation: 16 phases, off or full (duty 7/16), an envelope "
+    "of 1250/(n + 1) Hz made by switching emitters in turn, 86 frames/s",
+    layouts=("sonicsurface",),
+    unit=EMITTERS,
+    line=LINE,
+    max_frame_rate_Hz=1.0 / LINE.time_s(FRAME_BYTES),
+    phase_steps=STEPS,
+    amplitude="on_off",
+    start=bytes([RATE + DEFAULT_RATE]) + 2 * OFF_FRAME,
+    stop=2 * OFF_FRAME,
+    when_host_dies="the SonicSurface keeps emitting its last frame, with its envelope, until power is cut",
+    cannot_guarantee="The firmware adds a correction of phases that was measured on its authors' own board: build it "
+    "with that table at zero, or calibrate; it never answers, and its receiver runs 3.5 % slow, so that a port that "
+    "can't be set to 222336 baud may lose bytes.",
+    keys=("dither",),
+)

@@ -1,0 +1,124 @@
+"""Logs of what was sent to a board and when: text that can be read at any moment, and sent again.
+
+The first line is a JSON object: `palmfield_log` (1, the version), `board`, `keys` (of palmfield.driver), `transducers`,
+`array` (the layout's name) and `air` (temperature_C, humidity_percent, pressure_Pa). Each further line is a JSON object
+of one piece of bytes: `t`, when its first byte was given to the port [s, since the link was opened], `hex`, the bytes,
+and `cut` where a write timeout left it open how many of them went out.
+"""
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from palmfield.config import DriverConfig
+from palmfield.drive.board import Board
+from palmfield.drive.boards import board_of
+from palmfield.errors import OutputError, SceneError
+from palmfield.types import Air
+
+VERSION = 1
+
+
+@dataclass(frozen=True)
+class LogHead:
+    """For which board a log is. keys: of palmfield.driver besides `board`; array: name of the layout"""
+
+    board: str
+    transducers: int
+    array: str
+    air: Air = field(default_factory=Air)
+    keys: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def playable(self) -> Board:
+        """The board itself. Raises DeviceError for one that there is not."""
+        return board_of(DriverConfig.model_validate({"board": self.board, **self.keys}), self.transducers)
+
+
+class Piece(NamedTuple):
+    """Bytes that were sent together. time_s: when the first one was given to the port; whole: False where unknown"""
+
+    time_s: float
+    data: bytes
+    whole: bool = True
+
+
+class FrameLog:
+    """A log that is being written, line by line."""
+
+    def __init__(self, path: str | Path, head: LogHead) -> None:
+        """Raises OutputError where the file can't be made."""
+        self.path = Path(path)
+        try:
+            self._file = self.path.open("w", encoding="utf-8", buffering=1)
+        except OSError as error:
+            raise self._unwritable(error) from error
+        self._line({"palmfield_log": VERSION, **asdict(head)})
+
+    def add(self, time_s: float, data: bytes, *, whole: bool = True) -> None:
+        """Raises OutputError when the disk does not take it."""
+        self._line({"t": round(time_s, 7), "hex": data.hex(), **({} if whole else {"cut": True})})
+
+    def _line(self, value: Mapping[str, Any]) -> None:
+        try:
+            self._file.write(json.dumps(value) + "\n")
+        except OSError as error:
+            raise self._unwritable(error) from error
+
+    def close(self) -> None:
+        try:
+            self._file.close()
+        except OSError as error:
+            raise self._unwritable(error) from error
+
+    def _unwritable(self, error: OSError) -> OutputError:
+        return OutputError(f"cannot write {self.path}: {error.strerror}; choose a folder that exists and has room")
+
+
+def read_log(path: str | Path) -> tuple[LogHead, list[Piece]]:
+    """What a log holds; its last line may be cut, as it is while it is written.
+
+    Raises SceneError for a file that can't be read, or is no log of this version.
+    """
+    file = Path(path)
+    try:
+        lines = file.read_text(encoding="utf-8").split("\n")
+    except (OSError, UnicodeDecodeError) as error:
+        raise SceneError(
+            f"{file} can't be read as a log: {error}; give a file of --log, or --board for raw bytes"
+        ) from None
+    try:
+        head = json.loads(lines[0])
+        version = head.pop("palmfield_log")
+        if version != VERSION:
+            raise SceneError(f"{file} is a log of version {version}; allowed: {VERSION}")
+        air = Air(**head.pop("air"))
+        return LogHead(air=air, **head), list(_pieces(lines[1:]))
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise SceneError(
+            f"{file} is no log of frames: {error}; give a file of --log, or --board for raw bytes"
+        ) from None
+
+
+def _pieces(lines: list[str]) -> Iterator[Piece]:
+    for number, line in enumerate(lines):
+        if not line:
+            continue
+        try:
+            value = json.loads(line)
+        except ValueError:
+            if number == len(lines) - 1:
+                return
+            raise
+        yield Piece(float(value["t"]), bytes.fromhex(value["hex"]), not value.get("cut", False))
+
+
+def is_log(path: str | Path) -> bool:
+    """Whether a file begins as a log does."""
+    try:
+        with Path(path).open("rb") as file:
+            return file.read(16).startswith(b'{"palmfield_log"')
+    except OSError:
+        return False

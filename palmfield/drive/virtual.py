@@ -1,0 +1,183 @@
+"""A board that is not there: bytes come in by a pseudo-terminal or a TCP socket at the line's pace, and are emitted.
+
+It holds what the real one holds and tells what sounded when; faults can be put into the line.
+"""
+
+import contextlib
+import os
+import socket
+import threading
+import time
+from dataclasses import dataclass, field
+from random import Random
+from typing import Literal, Self
+
+from palmfield.drive.board import Board, Emitted, Flag
+from palmfield.errors import DeviceError
+
+TICK_S = 0.5e-3
+BURST_S = 20e-3
+"""Of the line's time that a thread which comes late may catch up with at once."""
+
+
+@dataclass
+class Faults:
+    """Of the line, each a share of bytes. drop: that are lost; flip: of which one bit is turned; seed: of the draws"""
+
+    drop: float = 0.0
+    flip: float = 0.0
+    seed: int = 0
+    draws: Random = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        for name, share in (("drop", self.drop), ("flip", self.flip)):
+            if not 0.0 <= share <= 1.0:
+                raise DeviceError(f"{name} has value {share:g}; allowed: a share of bytes, 0 to 1")
+        self.draws = Random(self.seed)
+
+    def through(self, data: bytes) -> bytes:
+        """What of some bytes arrives."""
+        if self.drop == self.flip == 0.0:
+            return data
+        draw = self.draws.random
+        kept = [byte for byte in data if draw() >= self.drop]
+        return bytes(byte ^ (1 << self.draws.randrange(8)) if draw() < self.flip else byte for byte in kept)
+
+
+class VirtualBoard:
+    """A board's virtual twin behind a port. Use as a context manager, or `unplug` it at the end.
+
+    port: to open, a device or a pyserial URL; received: all bytes so far, as they arrived
+    emitted: what sounded from when on, on `clock`; flags: what the board noticed
+    """
+
+    def __init__(
+        self, board: Board, *, by: Literal["pty", "tcp"] = "pty", tcp_port: int = 0, faults: Faults | None = None
+    ) -> None:
+        """tcp_port: 0 for any that is free.
+
+        Raises DeviceError for a system without pseudo-terminals, and for a port that is taken.
+        """
+        assert board.line is not None
+        self.board, self.line, self.faults = board, board.line, faults or Faults()
+        self.twin = board.twin()
+        self.received = bytearray()
+        self.emitted: list[Emitted] = []
+        self._began = time.monotonic()
+        self._stalled, self._ended = threading.Event(), threading.Event()
+        self._lock = threading.Lock()
+        self._free_s = 0.0
+        if by == "pty":
+            self._open_pty()
+        else:
+            self._open_socket(tcp_port)
+        self._thread = threading.Thread(target=self._read, daemon=True)
+        self._thread.start()
+
+    @property
+    def clock(self) -> float:
+        """Seconds since the board was switched on."""
+        return time.monotonic() - self._began
+
+    @property
+    def flags(self) -> list[Flag]:
+        return self.twin.flags
+
+    def stall(self, stalled: bool = True) -> None:
+        """Take no more bytes until told otherwise; what comes waits in the system's buffers."""
+        if stalled:
+            self._stalled.set()
+        else:
+            self._stalled.clear()
+
+    def settle(self, quiet_s: float = 0.1) -> None:
+        """Wait until nothing has come in for a while."""
+        seen = -1
+        while seen != len(self.received):
+            seen = len(self.received)
+            time.sleep(quiet_s)
+
+    def unplug(self) -> None:
+        """Take the port away; what the board emits goes on."""
+        if self._ended.is_set():
+            return
+        self._ended.set()
+        self._thread.join()
+        self._close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.unplug()
+
+    # -- its end of the line -----------------------------------------------------------------------------------------
+
+    def _open_pty(self) -> None:
+        try:
+            import tty
+        except ImportError:
+            raise DeviceError("this system has no pseudo-terminals; use by='tcp'") from None
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        self.port = os.ttyname(self._slave)
+
+    def _open_socket(self, tcp_port: int) -> None:
+        self._slave = -1
+        try:
+            self._server = socket.create_server(("127.0.0.1", tcp_port))
+        except OSError as error:
+            raise DeviceError(f"TCP port {tcp_port} can't be opened: {error}; allowed: a free one, or 0") from None
+        self._server.setblocking(False)
+        self._peer: socket.socket | None = None
+        self.port = f"socket://127.0.0.1:{self._server.getsockname()[1]}"
+
+    def _close(self) -> None:
+        if self._slave >= 0:
+            os.close(self._slave)
+            os.close(self._master)
+            return
+        if self._peer is not None:
+            self._peer.close()
+        self._server.close()
+
+    def _available(self, most: int) -> bytes:
+        """Bytes that are there now, at most so many."""
+        if self._slave >= 0:
+            with contextlib.suppress(BlockingIOError, OSError):
+                return os.read(self._master, most)
+            return b""
+        if self._peer is None:
+            with contextlib.suppress(BlockingIOError):
+                self._peer, _ = self._server.accept()
+                self._peer.setblocking(False)
+        if self._peer is not None:
+            with contextlib.suppress(BlockingIOError):
+                data = self._peer.recv(most)
+                if not data:
+                    self._peer.close()
+                    self._peer = None
+                return data
+        return b""
+
+    def _read(self) -> None:
+        allowed, before = 0.0, self.clock
+        while not self._ended.is_set():
+            time.sleep(TICK_S)
+            now = self.clock
+            allowed = min(allowed + (now - before) * self.line.bytes_per_s, max(BURST_S * self.line.bytes_per_s, 1.0))
+            before = now
+            if not self._stalled.is_set() and allowed >= 1.0:
+                data = self._available(int(allowed))
+                allowed -= len(data)
+                self._take(data, now)
+            self.emitted += self.twin.until(now)
+
+    def _take(self, data: bytes, now: float) -> None:
+        """Bytes that were read just now were on the line one after the other until now."""
+        if not data:
+            return
+        self.received += data
+        through = self.faults.through(data)
+        self.emitted += self.twin.feed(through, now - self.line.time_s(len(through)))

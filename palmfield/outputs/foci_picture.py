@@ -1,0 +1,39 @@
+"""A picture of decoded foci: where they lie, seen from above and from the side, and when."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from palmfield.errors import OutputError
+from palmfield.types import Float
+
+
+def draw_foci(times_s: Sequence[float], foci: Float, path: Path) -> None:
+    """Draw foci [m], shape (n, 3), NaN where there is none, by their times [s], into a PNG.
+
+    Raises OutputError where it can't be written.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9.0, 3.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    above, side, course = figure.subplots(1, 3)
+    moments, places = 1e3 * np.asarray(times_s), 1e3 * foci
+    dots = above.scatter(places[:, 0], places[:, 1], c=moments, s=12)
+    side.scatter(places[:, 0], places[:, 2], c=moments, s=12)
+    for axes, up in ((above, "y"), (side, "z")):
+        axes.set_xlabel("x [mm]")
+        axes.set_ylabel(f"{up} [mm]")
+        axes.set_aspect("equal", adjustable="datalim")
+    for number, name in enumerate("xyz"):
+        course.step(moments, places[:, number], where="post", label=name)
+    course.set_xlabel("time [ms]")
+    course.set_ylabel("focus [mm]")
+    course.legend()
+    figure.colorbar(dots, ax=side, label="time [ms]")
+    try:
+        figure.savefig(path, dpi=120)
+    except OSError as error:
+        raise OutputError(f"cannot write {path}: {error.strerror}; choose a folder that exists and has room") from None

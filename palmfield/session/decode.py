@@ -1,0 +1,160 @@
+"""The foci that a file's bytes really make: through the board's virtual twin, fitted to what it emits."""
+
+import csv
+import math
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from palmfield.acoustics.air import sound_speed
+from palmfield.acoustics.arrays import layout
+from palmfield.config import DriverConfig
+from palmfield.drive.board import Emitted, Flag
+from palmfield.drive.board_link import BoardLink
+from palmfield.drive.boards import board_of, playable_board
+from palmfield.drive.focus_fit import fitted_focus
+from palmfield.drive.frame_log import LogHead, Piece, is_log, read_log
+from palmfield.drive.transport import open_port
+from palmfield.errors import OutputError, SceneError
+from palmfield.types import Float
+
+FREQUENCY_HZ = 40e3
+GOOD_RAD = 1.0
+"""Phases that fit a focus worse than this on average make none."""
+
+
+@dataclass(frozen=True)
+class DecodedFocus:
+    """What sounds from a moment on. time_s: of its emission; focus: in the array frame [m], NaN where there is none
+
+    misfit_rad: rms of what phases differ by from that focus; sounding: transducers that are on; level: their mean
+    amplitude relative to full drive
+    """
+
+    time_s: float
+    focus: tuple[float, float, float]
+    misfit_rad: float
+    sounding: int
+    level: float
+
+
+@dataclass(frozen=True)
+class Decoded:
+    """head: for which board; foci: by time; flags: what the virtual board noticed"""
+
+    head: LogHead
+    foci: list[DecodedFocus]
+    flags: list[Flag]
+
+
+def pieces_of(path: str | Path, board: str | None, array: str | None = None) -> tuple[LogHead, list[Piece]]:
+    """What a log of `--log` holds, or a file of raw bytes, which needs a board's name; raw bytes follow one another.
+
+    array: name of the layout, None for the board's first one
+    Raises SceneError for a file that can't be read, and for raw bytes without a board, DeviceError for an unknown one.
+    """
+    if is_log(path):
+        return read_log(path)
+    file = Path(path)
+    try:
+        data = file.read_bytes()
+    except OSError as error:
+        raise SceneError(f"{file} can't be read: {error.strerror}; give a file of --record or --log") from None
+    if board is None:
+        raise SceneError(f"{file} is no log, so that its board isn't known; name it by --board")
+    chosen = playable_board(board)
+    name = array or chosen.layouts[0]
+    count = len(layout(name)) * chosen.arrays[0]
+    return LogHead(board, count, name), [Piece(0.0, data)]
+
+
+def decode(path: str | Path, board: str | None = None, array: str | None = None) -> Decoded:
+    """The foci that a file's bytes make; arguments and errors as `pieces_of`."""
+    head, pieces = pieces_of(path, board, array)
+    made = board_of(DriverConfig.model_validate({"board": head.board, **head.keys}), head.transducers)
+    twin = made.twin()
+    emitted: list[Emitted] = []
+    for piece in pieces:
+        emitted += [*twin.until(piece.time_s), *twin.feed(piece.data, piece.time_s)]
+    emitted += twin.until(twin.time_s + 1.0)
+    positions = layout(head.array).positions
+    wavenumber = 2.0 * math.pi * FREQUENCY_HZ / sound_speed(head.air)
+    foci: list[DecodedFocus] = []
+    near: Float | None = None
+    for one in emitted:
+        # Of several arrays the first one's focus is told: the others' places are the scene's
+        own = one.amplitudes[: len(positions)]
+        place, misfit = fitted_focus(positions, own, wavenumber, near)
+        near = place if misfit < GOOD_RAD else None
+        if not misfit < GOOD_RAD:
+            place = np.full(3, np.nan)
+        magnitude = np.abs(own)
+        on = int((magnitude > 1e-9).sum())
+        level = float(magnitude.sum() / on) if on else 0.0
+        x, y, z = place.tolist()
+        foci.append(DecodedFocus(one.time_s, (x, y, z), misfit, on, level))
+    return Decoded(head, foci, twin.flags)
+
+
+def as_table(decoded: Decoded, most: int | None = None) -> str:
+    """Rows of time, focus, misfit and level; most: of them that are shown."""
+    shown = decoded.foci if most is None else decoded.foci[:most]
+    lines = [f"board {decoded.head.board}, layout {decoded.head.array}: {len(decoded.foci)} changes of what is emitted"]
+    lines.append("  time [ms]   x [mm]   y [mm]   z [mm]  misfit [deg]  on   level")
+    for row in shown:
+        place = "".join(f" {1e3 * value:8.2f}" if math.isfinite(value) else "        -" for value in row.focus)
+        misfit = f"{math.degrees(row.misfit_rad):13.1f}" if math.isfinite(row.misfit_rad) else "            -"
+        lines.append(f"{1e3 * row.time_s:11.3f}{place} {misfit} {row.sounding:4d} {row.level:6.3f}")
+    if len(shown) < len(decoded.foci):
+        lines.append(f"and {len(decoded.foci) - len(shown)} more; --csv FILE has them all")
+    for flag in decoded.flags[:10]:
+        lines.append(f"at {1e3 * flag.time_s:.3f} ms {flag.kind}: {flag.text}")
+    if len(decoded.flags) > 10:
+        lines.append(f"and {len(decoded.flags) - 10} more like these")
+    return "\n".join(lines)
+
+
+def write_csv(decoded: Decoded, path: Path) -> None:
+    """All rows, with units in the names of columns. Raises OutputError where it can't be written."""
+    try:
+        with path.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(["time_s", "x_m", "y_m", "z_m", "misfit_rad", "sounding", "level"])
+            for row in decoded.foci:
+                writer.writerow([row.time_s, *row.focus, row.misfit_rad, row.sounding, row.level])
+    except OSError as error:
+        raise OutputError(f"cannot write {path}: {error.strerror}; choose a folder that exists and has room") from None
+
+
+def replay(path: str | Path, port: str, board: str | None = None) -> str:
+    """Send a file's bytes to a port, at their times, and silence the board; returns what happened, in a sentence.
+
+    Errors as `pieces_of`; DeviceError where the port can't be opened, or is lost.
+    """
+    head, pieces = pieces_of(path, board)
+    made = head.playable
+    assert made.line is not None
+    with BoardLink(made, open_port(port, made.line.baud)) as link:
+        begin, free, late_s, cut = link.now(), link.now(), 0.0, 0
+        for piece in pieces:
+            # Of what isn't known to have gone out whole a frame may be half: the next one begins with its start
+            if not piece.whole:
+                cut += 1
+                continue
+            link.wait_until(max(begin + piece.time_s, free))
+            late_s = max(late_s, link.now() - begin - piece.time_s)
+            for part in _parts(piece.data, made.frame_bytes):
+                while not link.write(part):
+                    time.sleep(0.0)
+                free = max(free, link.now()) + made.line.time_s(len(part))
+                link.wait_until(free - made.frame_time_s)
+        link.wait_until(free)
+    left = f", {cut} that were cut left out" if cut else ""
+    return f"replayed {len(pieces) - cut} pieces on {port} (worst delay {1e3 * late_s:.0f} ms{left}); the board is off"
+
+
+def _parts(data: bytes, size: int) -> list[bytes]:
+    """Raw bytes in parts that a port takes without waiting for long."""
+    return [data[at : at + size] for at in range(0, len(data), size)]

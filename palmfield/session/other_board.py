@@ -1,0 +1,110 @@
+"""A scene's keys for another board than the one that it names: the board, its layout, and the rate of its frames."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from palmfield.acoustics.air import density, sound_speed
+from palmfield.acoustics.arrays import LAYOUTS, layout
+from palmfield.acoustics.focus import focus as focusing
+from palmfield.acoustics.reference import pressure64
+from palmfield.drive.board import Board, control_rate_Hz
+from palmfield.drive.boards import board_named
+from palmfield.errors import SceneError
+from palmfield.types import Air
+
+AIR = Air()
+ARRAY, STIMULUS, DRIVER = "palmfield.array", "palmfield.stimulus", "palmfield.driver"
+OF_ONE_LAYOUT = (
+    "sites", "transducers", "calibration", "p0_Pa_m", "p0_low_Pa_m", "p0_high_Pa_m", "directivity", "piston_radius_m",
+    "dead", "inverted", "quality",
+)  # fmt: skip
+"""Keys that belong to the transducers of one layout."""
+OF_ONE_BOARD = ("board", "compensate")
+"""Keys of palmfield.driver that every board has."""
+
+
+class PluginKeys(NamedTuple):
+    """A plugin instance and the keys that it is given, which are changed in place."""
+
+    name: str
+    plugin: str
+    keys: dict[str, str]
+
+
+def exchange_board(scene: str, plugins: Sequence[PluginKeys], name: str, timestep_s: float) -> list[str]:
+    """Give a scene another board; returns what that changes, in words.
+
+    Arrays get the board's layout, without what is known of the old one's transducers; stimuli that change without steps
+    get the board's rate of frames. Raises DeviceError for a board that there is not, SceneError for a scene without
+    palmfield.driver.
+    """
+    board = board_named(name)
+    drivers = [plugin for plugin in plugins if plugin.plugin == DRIVER]
+    if not drivers:
+        raise SceneError(f"{scene} has no plugin '{DRIVER}', so there is no board to replace by '{name}'")
+    said = []
+    for driver in drivers:
+        before = driver.keys.get("board", "ideal")
+        if before == name:
+            continue
+        driver.keys["board"] = name
+        for key in [key for key in driver.keys if key not in OF_ONE_BOARD and key not in board.keys]:
+            said.append(f"driver: key '{key}' is not of board '{name}' and left out")
+            del driver.keys[key]
+    focus = next(
+        (plugin.keys["focus_m"] for plugin in plugins if plugin.plugin == STIMULUS and _in_array(plugin)), None
+    )
+    for array in plugins:
+        if array.plugin == ARRAY:
+            said += _exchange_layout(array, board, focus)
+    for stimulus in plugins:
+        if stimulus.plugin == STIMULUS and _without_steps(stimulus.keys) and not board.exact:
+            rate_Hz = control_rate_Hz(board, timestep_s)
+            stimulus.keys["control_rate_Hz"] = repr(rate_Hz)
+            said.append(f"{stimulus.name}: control_rate_Hz {rate_Hz:.4g}, as the board gets frames")
+    return said
+
+
+def _in_array(stimulus: PluginKeys) -> bool:
+    """Whether a stimulus tells its focus in the frame of the array."""
+    return stimulus.keys.get("frame", "array") == "array" and len(stimulus.keys.get("focus_m", "").split()) == 3
+
+
+def _exchange_layout(array: PluginKeys, board: Board, focus: str | None) -> list[str]:
+    before = array.keys.get("layout", "uhev1")
+    if not board.layouts or before in board.layouts:
+        return []
+    after = board.layouts[0]
+    array.keys["layout"] = after
+    dropped = [key for key in OF_ONE_LAYOUT if array.keys.pop(key, None) is not None]
+    text = f"{array.name}: layout {after} ({_size(after, focus)})"
+    if before in LAYOUTS:
+        text += f" instead of {before} ({_size(before, focus)})"
+    return [text + (f"; of the old one {', '.join(dropped)} are left out" if dropped else "")]
+
+
+def _size(name: str, focus: str | None) -> str:
+    """Count, aperture and p0 of a layout in words, and its ARP at a focus, or at its usual one, at full drive."""
+    made = layout(name)
+    wide, high = 1e3 * np.ptp(made.positions, axis=0)[:2]
+    place = np.array(LAYOUTS[name].focus_m if focus is None else [float(x) for x in focus.split()])
+    where = "its usual focus" if focus is None else "the focus"
+    text = f"{len(made)} transducers over {wide:.0f} x {high:.0f} mm, p0 {made.p0_Pa_m:g} Pa m"
+    try:
+        drive = focusing(made, AIR, place)
+    except SceneError:
+        return text
+    peak = abs(pressure64(place[None], made, drive, AIR)[0][0])
+    return f"{text}, {peak**2 / (density(AIR) * sound_speed(AIR) ** 2):.0f} Pa ARP at {where}"
+
+
+def _without_steps(keys: Mapping[str, str]) -> bool:
+    """Whether a stimulus changes, or may, without a rate of its own."""
+    if float(keys.get("control_rate_Hz", "0") or 0.0) > 0.0:
+        return False
+    path = keys.get("path", "point") != "point" and not float(keys.get("path_points", "0") or 0.0)
+    level = keys.get("modulation", "none") != "none" or keys.get("burst_window", "none") == "hann"
+    ramp = float(keys.get("ramp_s", "0") or 0.0) > 0.0
+    return path or level or ramp or keys.get("frame", "array") != "array" or keys.get("path_on", "plane") == "skin"

@@ -1,0 +1,79 @@
+"""What playing a scene on its board takes, before anything is sent: bytes, rates, latency, what rounding costs."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from palmfield.config import StimulusConfig
+from palmfield.drive.array_drive import only
+from palmfield.drive.board import Board
+from palmfield.drive.focal_peak import loudest_point
+from palmfield.simulation.emission import array_drives
+from palmfield.simulation.model import HapticModel
+from palmfield.stimulus.schedule import frame_rates
+from palmfield.types import Float
+
+
+@dataclass(frozen=True)
+class Sending:
+    """Of a board and the frames that it is sent.
+
+    frame_bytes; frames_s: that are due a second, 0 where only what rests is sent again; most_frames_s: that the line
+    takes; latency_s: from a frame's first byte to its sound, at best and at worst [s]; pressure_kept: share of the
+    focal pressure that the rounding of phases leaves, expected; amplitude_steps: above 0, None where any
+    """
+
+    board: str
+    frame_bytes: int
+    frames_s: float
+    most_frames_s: float
+    latency_s: tuple[float, float]
+    pressure_kept: float
+    amplitude_steps: int | None
+
+    def __str__(self) -> str:
+        due = f"{self.frames_s:.4g} frames/s due" if self.frames_s else "what rests is sent again 10 times a second"
+        steps = "off or full" if self.amplitude_steps == 1 else f"{self.amplitude_steps} levels above off"
+        low, high = self.latency_s
+        return (
+            f"{self.frame_bytes} bytes a frame, {due}, the line takes {self.most_frames_s:.4g}; latency "
+            f"{1e3 * low:.3g} to {1e3 * high:.3g} ms; phases keep {self.pressure_kept:.4f} of the pressure; {steps}"
+        )
+
+
+def sending(board: Board, stimuli: Sequence[StimulusConfig]) -> Sending:
+    """What a board with bytes is sent for some stimuli."""
+    rates = [rate for stimulus in stimuli for rate in frame_rates(stimulus)]
+    takes_s = board.frame_time_s
+    steps = 1 if not board.levels else board.transducers if board.dither else board.amplitude_steps
+    return Sending(
+        board.name,
+        board.frame_bytes,
+        max(rates, default=0.0),
+        board.max_frame_rate_Hz,
+        (takes_s, 2.0 * takes_s),
+        board.phase_loss,
+        steps,
+    )
+
+
+def peak_offset(model: HapticModel, number: int) -> Float | None:
+    """From a stimulus's first focus to where |p| of its sound is largest, array frame [m], shape (3,).
+
+    None in silence, and for several foci.
+    """
+    stimulus = model.stimuli[number]
+    focus = stimulus.first_focus
+    if stimulus.silent or focus.ndim != 1:
+        return None
+    drive = array_drives(model, model.arrays)[number].unit_drive(focus).amplitudes
+    middle = only(model.arrays.array, stimulus.transducers).positions.mean(axis=0)
+    return loudest_point(lambda points: model.arrays.pressure64(points, drive), middle, focus) - focus
+
+
+def offset_words(offset: Float) -> str:
+    """`peak_offset` in words."""
+    aside = float(np.hypot(*offset[:2]))
+    where = "nearer to" if offset[2] < 0.0 else "farther from"
+    return f"|p| is largest {1e3 * abs(offset[2]):.1f} mm {where} the array than the focus ({1e3 * aside:.1f} mm aside)"

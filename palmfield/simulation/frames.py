@@ -1,0 +1,60 @@
+"""What a board is sent at a moment of a scene: the bytes of one frame."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from palmfield.drive.array_drive import ArrayDrive
+from palmfield.drive.board import Board
+from palmfield.drive.boards import BOARDS
+from palmfield.drive.transducer_response import commanded_drive
+from palmfield.simulation.emission import Emission
+from palmfield.simulation.model import HapticModel
+from palmfield.simulation.posed_scene import PosedScene
+from palmfield.stimulus.schedule import frames_at
+from palmfield.types import Complex
+
+
+class Frames:
+    """The frames of a model's board. It belongs to one state, as the Emission that it takes ticks and points from."""
+
+    def __init__(self, model: HapticModel, emission: Emission):
+        self.model, self.emission = model, emission
+        # What is wanted of the transducers, before the board rounds it
+        self._exact: Board = replace(BOARDS["ideal"], compensate=model.board.compensate)
+        self._drives: dict[int, ArrayDrive] = {}
+        self._arrays: object = None
+
+    def at(self, posed: PosedScene, time_s: float) -> bytes:
+        """The bytes that make the board emit what the stimuli ask for at a time [s].
+
+        posed: where all is then. Raises SceneError for a focus that can't be made, DeviceError for what the board can't
+        play.
+        """
+        board = self.model.board
+        self.emission.begin(posed, time_s)
+        placed = self.emission.placed(posed, time_s)
+        if board.takes == "focus":
+            part, drive, points = placed[0]
+            where, factors = frames_at(part.config, np.array([time_s]))
+            focus, level = points.along(where)[0], float(np.sqrt(factors[0]))
+            if level > 0.0:
+                level *= drive.unit_drive_at(points, where[0]).level
+            return board.encode_focus(focus, level)
+        wanted: Complex = np.zeros(len(posed.arrays), np.complex128)
+        for number, (part, drive, points) in enumerate(placed):
+            own = self._wanted(number, drive, posed)
+            wanted += commanded_drive(part.config, own, None, np.array([time_s]), points)[0]
+        return board.encode(wanted)
+
+    def _wanted(self, number: int, drive: ArrayDrive, posed: PosedScene) -> ArrayDrive:
+        """The drive of a stimulus as it is asked for, with the arrays as they stand."""
+        if self._arrays is not posed.arrays:
+            self._arrays = posed.arrays
+            self._drives.clear()
+        if number not in self._drives:
+            config = self.model.stimuli[number].config
+            self._drives[number] = ArrayDrive(
+                posed.arrays, drive.chosen, config.arp_peak_Pa, config.drive_amplitude, self._exact
+            )
+        return self._drives[number]

@@ -1,0 +1,112 @@
+"""Virtual boards: paced as the real line, holding what the real ones hold, with faults in the line."""
+
+import time
+
+import numpy as np
+import pytest
+
+from palmfield.drive.board_link import BoardLink
+from palmfield.drive.boards import BOARDS
+from palmfield.drive.playback import play_frames
+from palmfield.drive.transport import open_port
+from palmfield.drive.virtual import Faults, VirtualBoard
+from palmfield.errors import DeviceError
+
+BOARD = BOARDS["sonicsurface"]
+TAKES_BYTES = [board for board in BOARDS.values() if not board.exact]
+
+
+def sounding(board) -> bytes:
+    if board.takes == "focus":
+        return board.encode_focus((0.0, 0.0, 0.2), 1.0)
+    return board.encode(np.exp(1j * np.arange(board.transducers)))
+
+
+@pytest.mark.parametrize("by", ["pty", "tcp"])
+@pytest.mark.parametrize("board", TAKES_BYTES, ids=lambda board: board.name)
+def test_every_board_plays_on_its_virtual_one_and_ends_silent(board, by):
+    frame = sounding(board)
+    with VirtualBoard(board, by=by) as virtual:
+        with BoardLink(board, open_port(virtual.port, board.line.baud)) as link:
+            played = play_frames(link, [(0.05 * n, frame) for n in range(4)])
+        virtual.settle()
+        assert played.frames == 4
+        assert bytes(virtual.received) == board.start + 4 * frame + board.stop
+        assert virtual.flags == []
+        wanted = board.decode(frame)[-1]
+        heard = [change for change in virtual.emitted if np.allclose(change.amplitudes, wanted, atol=1e-9)]
+        assert len(heard) == 4
+        assert not virtual.twin.emitted.any()
+
+
+def test_bytes_come_no_faster_than_the_line_carries_them():
+    frame = sounding(BOARD)
+    with VirtualBoard(BOARD) as virtual:
+        port = open_port(virtual.port, 230400)
+        for _ in range(40):
+            port.write(frame)
+        virtual.settle()
+        times = [change.time_s for change in virtual.emitted]
+        port.close()
+    assert len(times) == 40
+    # 39 frames of 258 bytes after the first one; a tick may let 20 ms through at once
+    assert times[-1] - times[0] >= 39 * 258 * 10 / 230400 - 0.02
+
+
+def test_lost_and_turned_bytes_are_those_that_were_asked_for():
+    data = bytes(range(256)) * 400
+    lost = Faults(drop=0.1).through(data)
+    assert len(lost) / len(data) == pytest.approx(0.9, abs=0.005)
+    turned = Faults(flip=0.1).through(data)
+    different = [a ^ b for a, b in zip(turned, data, strict=True) if a != b]
+    assert len(different) / len(data) == pytest.approx(0.1, abs=0.005)
+    assert all(bits.bit_count() == 1 for bits in different)
+    assert Faults(drop=0.1).through(data) == lost
+    assert Faults().through(data) == data
+    with pytest.raises(DeviceError, match="drop has value 2; allowed"):
+        Faults(drop=2.0)
+
+
+def test_a_line_that_loses_bytes_never_ends_a_board(tmp_path):
+    with VirtualBoard(BOARD, faults=Faults(drop=0.02, flip=0.02)) as virtual:
+        port = open_port(virtual.port, 230400)
+        for _ in range(60):
+            port.write(sounding(BOARD))
+        virtual.settle()
+        assert len(virtual.received) == 60 * 258 and virtual.emitted
+        port.close()
+
+
+def test_a_stall_holds_bytes_back_and_loses_none():
+    with VirtualBoard(BOARD) as virtual:
+        port = open_port(virtual.port, 230400)
+        virtual.stall()
+        for _ in range(5):
+            port.write(sounding(BOARD))
+        time.sleep(0.15)
+        assert not virtual.received
+        virtual.stall(False)
+        virtual.settle()
+        assert len(virtual.received) == 5 * 258
+        port.close()
+
+
+def test_after_an_unplug_writing_says_so_and_the_board_goes_on():
+    virtual = VirtualBoard(BOARD)
+    link = BoardLink(BOARD, open_port(virtual.port, 230400))
+    link.write(sounding(BOARD))
+    virtual.settle()
+    virtual.unplug()
+    with pytest.raises(DeviceError, match="keeps emitting its last frame until power is cut"):
+        for _ in range(50):
+            link.write(sounding(BOARD))
+            time.sleep(0.01)
+    assert virtual.twin.emitted.all()
+    link.close()
+
+
+def test_a_port_that_is_taken_is_refused():
+    with VirtualBoard(BOARD, by="tcp") as virtual:
+        number = int(virtual.port.rpartition(":")[2])
+        with pytest.raises(DeviceError, match=f"TCP port {number} can't be opened"):
+            VirtualBoard(BOARD, by="tcp", tcp_port=number)
