@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from scipy.spatial.transform import Rotation
 
 from palmfield.errors import OutputError, SceneError
-from palmfield.types import Array, Complex, Estimate, Float
+from palmfield.types import Array, Complex, Estimate
 
 Place = tuple[float, float, float]
 NonNegative = Annotated[float, Field(ge=0)]
@@ -159,41 +159,28 @@ def write_calibration(path: str | Path, calibration: Calibration) -> None:
         raise OutputError(f"{file}: cannot be written: {error}; give a place that can be written to") from None
 
 
-def turns(calibration: Calibration, count: int) -> Complex:
-    """What wiring and delays make of a unit drive of each transducer: a factor of magnitude 1, shape (count,).
+def response(calibration: Calibration, count: int) -> Complex | None:
+    """What each transducer makes of a unit drive, relative to p0, shape (count,): 0 where it makes no sound.
 
-    A driver that knows them divides its drive by this. Raises SceneError for a calibration of another number.
+    None where that wasn't measured. Raises SceneError for a calibration of another number of transducers.
     """
-    late = np.full(count, calibration.phase_offset_rad)
-    elements = calibration.elements
+    elements, offset = calibration.elements, calibration.phase_offset_rad
     if elements is None:
-        return np.exp(1j * late)
+        return None if offset == 0.0 else np.full(count, np.exp(1j * offset))
     if len(elements) != count:
         raise SceneError(f"the calibration is of {len(elements)} transducers, and the array has {count}")
-    return np.array(elements.polarity) * np.exp(1j * (late + np.array(elements.phase_rad)))
-
-
-def gains(calibration: Calibration, count: int) -> Float | None:
-    """Amplitude of each transducer relative to p0, 0 where it makes no sound; None where it wasn't measured.
-
-    Raises SceneError for a calibration of another number of transducers.
-    """
-    elements = calibration.elements
-    if elements is None:
-        return None
-    if len(elements) != count:
-        raise SceneError(f"the calibration is of {len(elements)} transducers, and the array has {count}")
-    return np.where(elements.enabled, elements.gain, 0.0)
+    sizes = np.where(elements.enabled, elements.gain, 0.0) * np.array(elements.polarity)
+    return np.asarray(sizes * np.exp(1j * (offset + np.array(elements.phase_rad))))
 
 
 def calibrated(array: Array, calibration: Calibration) -> Array:
-    """The array as it was measured, under a driver that takes off the phases that it knows.
+    """The array as it was measured.
 
     array: the layout; its p0 stays. Raises SceneError for a calibration of another layout or number of transducers.
     """
     if calibration.layout != array.name:
         raise SceneError(f"the calibration is of layout '{calibration.layout}', and the array is '{array.name}'")
-    measured = gains(calibration, len(array))
+    measured = response(calibration, len(array))
     positions, address = array.positions, array.address
     if calibration.elements is not None:
         if calibration.elements.position_m is not None:
@@ -207,5 +194,5 @@ def calibrated(array: Array, calibration: Calibration) -> Array:
         positions=turn.apply(positions) + calibration.pose.offset_m,
         normals=turn.apply(array.normals),
         address=address,
-        gain=array.gain if measured is None else (own * measured).astype(complex),
+        gain=array.gain if measured is None else own * measured,
     )

@@ -34,8 +34,8 @@ class DriverConfig(Config):
     )
     compensate: Switch | None = Field(
         None,
-        description="whether the bytes make up for transducers that are dead or inverted, or whose phase the scene "
-        "knows (default: on, but for board ideal)",
+        description="whether the drive makes up for transducers that are dead or inverted, or whose phase the scene "
+        "knows (default: on, but for board ideal on arrays without a calibration)",
     )
     dither: Switch | None = Field(
         None, description="boards of full or off: amplitudes between by a share of transducers that is on (default off)"

@@ -113,7 +113,7 @@ def build(spec: SceneSpec, alike: HapticModel | None = None) -> HapticModel:
 def board_for(spec: SceneSpec, arrays: PhasedArray) -> Board:
     """What plays the drive. Raises SceneError for arrays that it does not drive, DeviceError for keys it has not."""
     check_arrays(BOARDS[spec.driver.board], spec.arrays)
-    return board_of(spec.driver, len(arrays))
+    return board_of(spec.driver, len(arrays), calibrated=any(array.calibration is not None for array in spec.arrays))
 
 
 def whole_of(layer: SceneLayer) -> Lazy[WedgeStepper]:

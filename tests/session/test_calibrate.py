@@ -88,16 +88,25 @@ def test_a_rehearsal_does_not_write_over_other_files(trial: Path) -> None:
 
 
 def test_a_scene_takes_the_calibration(trial: Path) -> None:
-    """Its p0 becomes measured, its silent transducers are silent, and a second p0 by key is refused."""
+    """p0 becomes measured, the bytes make up for polarity and phase, and a second p0 by key is refused."""
     import palmfield
     from palmfield.session.summary import array_numbers
+    from palmfield.simulation.emission import array_drives
 
     scene = Path(palmfield.__file__).parents[1] / "mjcf" / "scenes" / "palm_circle_sonicsurface.xml"
     keys = {"array.calibration": str(trial / "board.json")}
     simulation = palmfield.Simulation(scene, keys=keys)
     told = next(iter(array_numbers(simulation.runtime.model).values()))
     assert told["calibrated"] and told["p0_kind"] == "measured"
-    gain = simulation.runtime.model.arrays.array.gain
-    assert gain is not None and np.sum(gain == 0.0) == 5 and np.all(gain.imag == 0.0)
+    model = simulation.runtime.model
+    gain = model.arrays.array.gain
+    assert gain is not None and np.sum(gain == 0.0) == 5 and np.sum(gain.real < 0.0) > 50
+    focus = np.atleast_2d(model.stimuli[0].first_focus)[:1]
+    for switch, low, high in (("on", 0.98, 1.0), ("off", 0.0, 0.4)):
+        model = palmfield.Simulation(scene, keys={**keys, "driver.compensate": switch}).runtime.model
+        drive = array_drives(model, model.arrays)[0].unit_drive(focus[0]).amplitudes
+        alone = [abs(model.arrays.pressure64(focus, np.where(np.arange(256) == n, drive, 0))[0]) for n in range(256)]
+        together = abs(model.arrays.pressure64(focus, drive)[0])
+        assert low < together / sum(alone) < high, "all in phase but for the rounding of 32 phases, or not at all"
     with pytest.raises(SceneError, match="drop one of them"):
         palmfield.Simulation(scene, keys={**keys, "array.p0_Pa_m": "2"})

@@ -36,13 +36,14 @@ def playable_board(name: str) -> Board:
     return board_named(name)
 
 
-def board_of(driver: DriverConfig, transducers: int) -> Board:
+def board_of(driver: DriverConfig, transducers: int, *, calibrated: bool = False) -> Board:
     """The board of palmfield.driver's keys, with as many units as so many transducers take.
 
+    calibrated: whether what an array's transducers do was measured, so that a driver can make up for it
     Raises DeviceError where it can't drive so many, and for a key that it does not have.
     """
     board = board_named(driver.board).with_keys(driver.board_keys).sized(transducers)
-    on = not board.exact if driver.compensate is None else driver.compensate == "on"
+    on = calibrated or not board.exact if driver.compensate is None else driver.compensate == "on"
     return replace(board, compensate=on)
 
 
