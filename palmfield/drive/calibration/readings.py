@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from palmfield.acoustics.calibration_file import Calibration, calibrated
-from palmfield.acoustics.focus import focus
+from palmfield.acoustics.focus import compensate, focus
 from palmfield.drive.calibration.element_fit import fit_elements
 from palmfield.drive.calibration.focus_scan import fit_pose
 from palmfield.drive.calibration.frequency_sweep import fit_sweep
@@ -271,7 +271,7 @@ def _whole(file: Path, columns: dict[str, Float], name: str, count: int) -> np.n
 def _drive(array: Array, setting: Setting) -> Complex:
     if setting.focus_m is None:
         raise SceneError("the focus that the board was told to make is not told; give it (--focus X Y Z, in metres)")
-    return focus(array, setting.air, setting.focus_m)
+    return compensate(array, focus(array, setting.air, setting.focus_m))
 
 
 def _estimate(value: float, relative: float, source: str) -> Estimate:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from palmfield.acoustics.calibration_file import Calibration, Elements, Pose, calibrated, write_calibration
-from palmfield.acoustics.focus import focus
+from palmfield.acoustics.focus import compensate, focus
 from palmfield.acoustics.phased_array import only
 from palmfield.acoustics.reference import pressure64
 from palmfield.drive.calibration.plate_scale import plate_force
@@ -81,7 +81,8 @@ def _readings(array: Array, truth: Calibration, random: np.random.Generator) -> 
     at = np.column_stack([random.uniform(-wide, wide, (PLACES, 2)), random.uniform(1.5 * wide, 3.0 * wide, PLACES)])
     each = _one_by_one(array, raw, at + random.normal(0.0, 1e-3, at.shape), real, random)
     number, place = np.tile(np.arange(len(array)), PLACES), np.repeat(np.arange(PLACES), len(array))
-    aimed = focus(array, told, FOCUS_M)
+    # The driver knows the wiring by now, from the transducers one by one
+    aimed = compensate(moved, focus(array, told, FOCUS_M))
     scan = np.array(FOCUS_M) + random.uniform(-1.0, 1.0, (60, 3)) * [0.012, 0.012, 0.04]
     found = np.abs(pressure64(scan, moved, aimed, real)[0])
     levels = np.repeat(np.linspace(0.1, 1.0, 10), 3)
