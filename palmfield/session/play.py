@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -83,6 +83,9 @@ def play_focus(
     array = layout(name, sound.p0_Pa_m)
     own = {key: value == "on" if key == "dither" else value for key, value in (keys or {}).items()}
     chosen = chosen.with_keys(own).sized(len(array))
+    if chosen.modulates and sound.am_frequency_Hz > 0.0:
+        # The board does that by itself, of any focus
+        chosen, sound = chosen.modulating(sound.am_frequency_Hz), replace(sound, am_frequency_Hz=0.0)
     modulated = sound.am_frequency_Hz > 0.0 or sound.level not in (0.0, 1.0)
     check(chosen, frame_rate_Hz=0.0, modulated=modulated, element="focus", modulation_Hz=sound.am_frequency_Hz)
     place: Float = np.array(point)

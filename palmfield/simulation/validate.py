@@ -158,6 +158,17 @@ def check_arrays(board: Board, arrays: Sequence[ArraySpec]) -> None:
             )
 
 
+def check_envelope(stimulus: StimulusSpec, board: Board) -> None:
+    """Refuse (DeviceError) a stimulus that doesn't ask for the envelope which the board makes by itself."""
+    config = stimulus.config
+    if config.modulation != "am":
+        raise DeviceError(
+            f"plugin 'palmfield.stimulus' instance '{stimulus.name}': key 'modulation' has value "
+            f"'{config.modulation}'; board '{board.name}' modulates whatever it plays: set modulation am with its am_frequency_Hz, for which "
+            "a sine stands for the board's envelope, or board sonicsurface"
+        )
+
+
 def check_board(stimulus: StimulusSpec, board: Board) -> None:
     """Refuse a stimulus that the board cannot play (DeviceError)."""
     if board.exact:
@@ -178,7 +189,8 @@ def check_board(stimulus: StimulusSpec, board: Board) -> None:
             f"{element}: its frame moves, so that the points of its path move between them; {gives} frames/s: set "
             "control_rate_Hz, or use board ideal"
         )
-    modulated = config.modulation == "am" or config.burst_window == "hann" or config.ramp_s > 0.0
+    am = config.modulation == "am" and not board.modulates
+    modulated = am or config.burst_window == "hann" or config.ramp_s > 0.0
     if modulated and board.levels and not config.control_rate_Hz:
         raise DeviceError(
             f"{element}: a level that changes without steps needs any number of frames/s; {gives}: set "
@@ -199,9 +211,9 @@ def check_board(stimulus: StimulusSpec, board: Board) -> None:
         board,
         frame_rate_Hz=needed,
         points_per_turn=turn,
-        modulated=config.modulation == "am" or config.burst_window == "hann",
+        modulated=am or config.burst_window == "hann",
         element=stimulus.name,
-        modulation_Hz=(config.am_frequency_Hz or 0.0) if config.modulation == "am" else 0.0,
+        modulation_Hz=(config.am_frequency_Hz or 0.0) if am else 0.0,
     )
     if not board.levels and (config.ramp_s > 0 or wants_level):
         raise DeviceError(

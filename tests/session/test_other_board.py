@@ -154,3 +154,21 @@ def test_faults_of_a_scene_reach_the_bytes_and_the_focus_is_as_without_those_tha
     share /= share.sum()
     assert sound["faults"] / sound["none"] == pytest.approx(1 - share[[5, 9]].sum(), abs=1e-3)
     assert sound["off"] / sound["none"] == pytest.approx(1 - share[[5, 9]].sum() - 2 * share[[3, 7]].sum(), abs=1e-3)
+
+
+def test_the_tactile_firmware_takes_its_own_rates_and_bytes_have_no_levels(small_scene):
+    scene = small_scene()
+    view = preview(scene, board="sonicsurface_tactile", keys={"stimulus.am_frequency_Hz": 1250 / 6})
+    board = view.runtime.model.board
+    assert board.start[0] == 160 + 5
+    twin = board.twin()
+    twin.feed(board.start)
+    assert twin.envelope_Hz == pytest.approx(208.33, abs=0.01)
+    frames = list(scene_frames(view, 0.3))
+    assert len(frames) == 3 and len({frame.data for frame in frames}) == 1
+    assert (np.abs(board.decode(frames[0].data)[-1]) > 0.9).all()
+    with pytest.raises(palmfield.DeviceError, match=r"the nearest are 178.6 and 208.3 Hz"):
+        preview(scene, board="sonicsurface_tactile")
+    steady = {f"stimulus.{key}": None for key in ("modulation", "am_of", "am_frequency_Hz", "am_depth")}
+    with pytest.raises(palmfield.DeviceError, match="modulates whatever it plays: set modulation am"):
+        preview(scene, board="sonicsurface_tactile", keys=steady)
