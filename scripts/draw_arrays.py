@@ -316,7 +316,16 @@ CALIBRATION = [
     "low = 19.0",
     "high = 23.0",
     'source = "our laboratory, 2026-10-01: ring-down of 12 transducers"',
+    "",
+    "[elements]         # if they were measured one by one: a value for each, in the layout's order",
+    "polarity = [1, -1, 1]",
+    "phase_deg = [3.0, -8.5, 0.0]     # by which it comes late",
+    "gain = [1.0, 0.93, 1.04]         # relative to p0",
+    "enabled = [true, true, false]",
     "```",
+    "",
+    "Polarity and phase are taken off what a board is sent, and a transducer that is not enabled is off "
+    "([boards](boards.md#faults-and-calibration)).",
     "",
 ]
 NOTES = [

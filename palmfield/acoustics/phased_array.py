@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from palmfield.acoustics.air import density, sound_speed
 from palmfield.acoustics.arrays import LAYOUTS, combined, from_poses, layout, placed, with_faults
-from palmfield.acoustics.calibration_file import Calibration
+from palmfield.acoustics.calibration_file import Calibration, Elements
 from palmfield.acoustics.field import FieldEvaluator, Mode
 from palmfield.acoustics.reference import pressure64
 from palmfield.acoustics.transducer import ANY_P0, ANY_QUALITY, T4010A1_DIRECTIVITY
@@ -96,9 +96,21 @@ class ArrayInstance:
                     f"directivity '{config.directivity}' has no piston: drop it or set directivity to piston"
                 )
             array = replace(array, piston_radius_m=config.piston_radius_m)
+        if self.calibration is not None and self.calibration.elements is not None:
+            array = with_response(array, self.calibration.elements)
         if config.dead or config.inverted:
             array = with_faults(array, config.dead, config.inverted)
         return array
+
+
+def with_response(array: Array, elements: Elements) -> Array:
+    """The array with what a calibration says of each transducer. Raises SceneError for another number of them."""
+    if len(elements.gain) != len(array):
+        raise SceneError(
+            f"key 'calibration': table 'elements' has {len(elements.gain)} transducers, and the array {len(array)}; "
+            "give a value for each"
+        )
+    return replace(array, gain=elements.response if array.gain is None else array.gain * elements.response)
 
 
 def _given(value: float, low: float, high: float, key: str) -> Estimate:

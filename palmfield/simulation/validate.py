@@ -164,8 +164,8 @@ def check_envelope(stimulus: StimulusSpec, board: Board) -> None:
     if config.modulation != "am":
         raise DeviceError(
             f"plugin 'palmfield.stimulus' instance '{stimulus.name}': key 'modulation' has value "
-            f"'{config.modulation}'; board '{board.name}' modulates whatever it plays: set modulation am with its am_frequency_Hz, for which "
-            "a sine stands for the board's envelope, or board sonicsurface"
+            f"'{config.modulation}'; board '{board.name}' modulates whatever it plays: set modulation am with its "
+            "am_frequency_Hz, for which a sine stands for the board's envelope, or board sonicsurface"
         )
 
 

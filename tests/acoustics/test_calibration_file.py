@@ -35,7 +35,7 @@ def test_what_is_written_is_read_back(tmp_path_factory, value, width, source):
     [
         ("[p0", "cannot be read"),
         ("", "table 'p0' is missing"),
-        (FILE + "[gain]\n", "'gain' is unknown; allowed: tables p0 and quality"),
+        (FILE + "[gain]\n", "'gain' is unknown; allowed: tables p0, quality and elements"),
         ("p0 = 1.3", "table 'p0' has 1.3; give value, low, high, source"),
         (FILE.replace("low = 1.22\n", ""), "table 'p0' has value, high, source; give"),
         (FILE.replace("1.22", '"1.22"'), "p0.low = '1.22'; give a number"),

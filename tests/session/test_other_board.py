@@ -8,12 +8,13 @@ import pytest
 import palmfield
 from palmfield.acoustics.air import density, sound_speed
 from palmfield.acoustics.arrays import layout
+from palmfield.acoustics.calibration_file import Calibration, Elements, read_calibration, write_calibration
 from palmfield.acoustics.reference import directivity
 from palmfield.drive.boards import BOARDS
 from palmfield.session.other_board import PluginKeys, exchange_board
-from palmfield.session.play import Target, play_scene, scene_frames
+from palmfield.session.play import FocusSound, Target, play_focus, play_scene, scene_frames
 from palmfield.session.preview import preview
-from palmfield.types import Air
+from palmfield.types import Air, Estimate
 
 SCENES = Path(__file__).parents[2] / "mjcf" / "scenes"
 BOARD_OF = {
@@ -172,3 +173,55 @@ def test_the_tactile_firmware_takes_its_own_rates_and_bytes_have_no_levels(small
     steady = {f"stimulus.{key}": None for key in ("modulation", "am_of", "am_frequency_Hz", "am_depth")}
     with pytest.raises(palmfield.DeviceError, match="modulates whatever it plays: set modulation am"):
         preview(scene, board="sonicsurface_tactile", keys=steady)
+
+
+def test_a_calibration_of_each_transducer_reaches_the_bytes_and_brings_the_focus_back(small_scene, tmp_path):
+    """The true board is the sum of the calibrated responses over distance; bytes by the protocol, decoded here."""
+    rng = np.random.default_rng(5)
+    polarity, phase = rng.choice([-1, 1], 256), rng.uniform(-0.6, 0.6, 256)
+    enabled = rng.random(256) > 0.02
+    file = tmp_path / "board.toml"
+    elements = Elements(tuple(polarity.tolist()), tuple(phase.tolist()), (1.0,) * 256, tuple(enabled.tolist()))
+    write_calibration(file, Calibration(Estimate(2.5, 2.4, 2.6, "measured", "test"), None, elements))
+    back = read_calibration(file).elements
+    np.testing.assert_allclose(back.response, elements.response, atol=1e-12)
+    point = np.array([0.01, 0.0, 0.12])
+    distance = np.linalg.norm(layout("sonicsurface").positions - point, axis=1)
+    k = 2 * np.pi * 40e3 / sound_speed(Air())
+
+    def heard(data: bytes) -> float:
+        steps = np.array([step + (number % 8 == 3) for number, step in enumerate(data[1:-1])], float)
+        sent = np.where(np.frombuffer(data[1:-1], np.uint8) == 32, 0.0, np.exp(2j * np.pi * steps / 32))
+        real = polarity * np.exp(1j * phase)
+        return abs((sent * real * np.exp(1j * k * distance)).sum())
+
+    still = {f"stimulus.{key}": None for key in ("modulation", "am_of", "am_frequency_Hz", "am_depth")}
+    still |= {"stimulus.focus_m": point, "array.layout": "sonicsurface", "driver.board": "sonicsurface"}
+    plain, known = (
+        next(iter(scene_frames(preview(small_scene(), keys=still | more), 0.01))).data
+        for more in ({}, {"array.calibration": str(file)})
+    )
+    assert heard(known) == pytest.approx(enabled.sum() * np.sinc(1 / 32), rel=2e-3)
+    assert heard(plain) < 0.3 * heard(known)
+    assert (np.frombuffer(known[1:-1], np.uint8) == 32).sum() == (~enabled).sum()
+    told = play_focus(
+        tuple(point), "sonicsurface", Target(record=tmp_path / "f.bin"), 0.05, sound=FocusSound(calibration=file)
+    )
+    assert "mm nearer" in told
+    assert known in (tmp_path / "f.bin").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ("polarity = [1, 0]", r"elements.polarity has 0 for transducer 1; allowed: 1 or -1"),
+        ("gain = [1.0]\nphase_deg = [1.0, 2.0]", "elements.phase_deg is no list as long as the others"),
+        ("volume = [1.0]", "table 'elements' has volume; allowed: polarity, phase_deg, gain, enabled"),
+        ("gain = [1.0, 1.0]", "table 'elements' has 2 transducers, and the array 256"),
+    ],
+)
+def test_a_calibration_that_does_not_fit_is_refused(table, words, small_scene, tmp_path):
+    file = tmp_path / "board.toml"
+    file.write_text(f'[p0]\nvalue = 2.5\nlow = 2.4\nhigh = 2.6\nsource = "test"\n[elements]\n{table}\n')
+    with pytest.raises(palmfield.SceneError, match=words):
+        preview(small_scene(), keys={"array.calibration": str(file)})
