@@ -185,6 +185,10 @@ class Board:
                 raise DeviceError(f"key '{key}' is not of board '{self.name}'; {own}")
         return replace(self, **keys)
 
+    def rounded(self, levels: Float) -> Float:
+        """What is emitted of levels 0..1 that all transducers share, of the same shape."""
+        return levels
+
     def modulating(self, frequency_Hz: float) -> Self:
         """This board with its own envelope at a rate [Hz]; only for one that `modulates`.
 
