@@ -304,6 +304,9 @@ CALIBRATION = [
     "of each transducer, resonance, and where the board really is. `palmfield calibrate` makes it from readings: see "
     "[calibration.md](calibration.md).",
     "",
+    "Polarity and phase are taken off what a board is sent, and a transducer that is not enabled is off "
+    "([boards](boards.md#faults-and-calibration)).",
+    "",
 ]
 NOTES = [
     "Other arrays: `from_poses` takes positions and axes, for example of the sites of an MJCF file; `placed` moves an "

@@ -24,9 +24,8 @@ class Elements(_Part):
     """What was measured of each transducer, in the layout's order; all of one length n.
 
     enabled: False for one that makes no sound; its other numbers count for nothing
-    polarity: -1 where it is wired the other way round; phase_rad: by how much it is late besides [rad], with its
-        standard error
-    gain: its amplitude relative to p0, with its standard error
+    polarity: -1 where it is wired the other way round; phase_rad: by how much it is late besides [rad]
+    gain: its amplitude relative to p0; phase_sd_rad, gain_sd: standard errors
     position_m: where it is in the array's frame [m], where it was measured; address: in the board's byte order
     resonance_Hz, quality: of its resonance, where they were measured one by one
     """
@@ -34,9 +33,9 @@ class Elements(_Part):
     enabled: tuple[bool, ...]
     polarity: tuple[Literal[-1, 1], ...]
     phase_rad: tuple[float, ...]
-    phase_sd_rad: tuple[NonNegative, ...]
     gain: tuple[NonNegative, ...]
-    gain_sd: tuple[NonNegative, ...]
+    phase_sd_rad: tuple[NonNegative, ...] | None = None
+    gain_sd: tuple[NonNegative, ...] | None = None
     position_m: tuple[Place, ...] | None = None
     address: tuple[Annotated[int, Field(ge=0)], ...] | None = None
     resonance_Hz: tuple[Positive, ...] | None = None

@@ -193,6 +193,9 @@ def drive(
         float | None,
         typer.Option(help="with --focus: peak pressure of a transducer at 1 m [Pa m] [default: the layout's]"),
     ] = None,
+    calibration: Annotated[
+        Path | None, typer.Option(help="with --focus: file of what was measured of the transducers (docs/arrays.md)")
+    ] = None,
     temperature: Annotated[float, typer.Option(help="with --focus: of the air [C]")] = 20.0,
     humidity: Annotated[float, typer.Option(help="with --focus: of the air, relative [%]")] = 50.0,
     air_pressure: Annotated[float, typer.Option(help="with --focus: of the air [Pa]")] = 101325.0,
@@ -219,7 +222,7 @@ def drive(
     _check_duration(duration)
     target = Target(port, record, log)
     if focus is not None:
-        sound = FocusSound(level, am_frequency, p0, Air(temperature, humidity, air_pressure))
+        sound = FocusSound(level, am_frequency, p0, Air(temperature, humidity, air_pressure), calibration=calibration)
         own = {name.removeprefix("driver."): value for name, value in _given(keys).items()}
         lasts = 10.0 if duration is None else duration
         print(play_focus(focus, board or "sonicsurface", target, lasts, sound=sound, keys=own, progress=True))

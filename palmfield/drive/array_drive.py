@@ -180,6 +180,15 @@ class ArrayDrive:
             drives *= facing * (levels if mine is None else levels[:, mine])
         return self._over_all(drives)
 
+    def played_levels(self, levels: Float, full: float) -> Float:
+        """Levels of a drive as the board plays them, of the same shape; full: amplitude of the drive at level 1, 0..1.
+
+        A board rounds them anew in each frame. Of several foci, whose transducers differ, they stay as they are.
+        """
+        if self.board.exact or self.board.amplitude != "pulse_width" or full == 0.0:
+            return levels
+        return self.board.rounded(levels * full) / self.board.rounded(np.array(full))
+
     def focusing(self, foci: Float, some: Int) -> Complex:
         """Drives exp(-i k d) of some of the chosen transducers for foci [m], shape (k, 3), each by itself, (k, n)."""
         offsets = foci[:, None, :] - self.places.T[some]

@@ -105,6 +105,7 @@ class Board:
     takes: whether a frame tells each transducer's amplitude, or where one focus is and how loud
     start, stop: byte sequences before the first frame and after the last; both silence it
     when_host_dies, cannot_guarantee: in a sentence each
+    modulates: whether the board makes an envelope by itself, which the scene must ask for
     keys: of palmfield.driver that it takes besides `board`
     dither: whether amplitudes are made of transducers that are on and off
     compensate: whether what is sent makes up for dead and inverted transducers and known phases
@@ -127,6 +128,7 @@ class Board:
     stop: bytes = b""
     when_host_dies: str = ""
     cannot_guarantee: str = ""
+    modulates: bool = False
     keys: tuple[str, ...] = ()
     dither: bool = False
     compensate: bool = False
@@ -182,6 +184,17 @@ class Board:
                 own = f"it takes {', '.join(self.keys)}" if self.keys else "it takes none besides board"
                 raise DeviceError(f"key '{key}' is not of board '{self.name}'; {own}")
         return replace(self, **keys)
+
+    def rounded(self, levels: Float) -> Float:
+        """What is emitted of levels 0..1 that all transducers share, of the same shape."""
+        return levels
+
+    def modulating(self, frequency_Hz: float) -> Self:
+        """This board with its own envelope at a rate [Hz]; only for one that `modulates`.
+
+        Raises DeviceError for a rate that it has not.
+        """
+        raise DeviceError(f"board '{self.name}' makes no envelope of {frequency_Hz:g} Hz; allowed: one that modulates")
 
     def encode(self, amplitudes: ArrayLike) -> bytes:
         """The bytes of one frame.

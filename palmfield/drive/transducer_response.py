@@ -173,6 +173,9 @@ def _commanded(
     if not np.logical_or.reduce(audible, axis=None):
         return np.zeros((len(points), drive.count), np.complex128)
     drives = drive.unit_drives(points, focal_points, group, audible)
+    if not len(focal_points.offsets) and (drive.arp_peak_Pa is None or len(points) == 1):
+        full = drive.amplitude if drive.arp_peak_Pa is None else drive.unit_drive_at(focal_points, points[0, 0]).level
+        levels = drive.played_levels(levels, full)
     drives *= levels if group is None else levels[:, group]
     return drives
 
@@ -288,6 +291,8 @@ def emitted_over(
         return EmittedCourse(None, nothing, None, np.zeros_like(emitted) if response.on else emitted)
     if stimulus.path == "point":
         unit = drive.unit_drive_at(focal_points, points[0, 0])
+        if not len(focal_points.offsets):
+            levels = drive.played_levels(levels, unit.level)
         return _of_one_unit(unit, levels, group, response, emitted, moments)
     commanded = _commanded(drive, points, levels, group, focal_points)
     if not response.on:

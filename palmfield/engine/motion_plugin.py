@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from palmfield.config import Config, MotionConfig
-from palmfield.engine.host import Module, World, compiling, world_of
+from palmfield.engine.host import Module, World, world_of
 from palmfield.errors import SceneError
 from palmfield.transforms import rotation_matrix
 from palmfield.types import Float
@@ -114,19 +114,4 @@ def place(data: mujoco.MjData) -> None:
     for module in world.modules.values():
         if isinstance(module, MotionModule):
             module.place()
-    mujoco.mj_kinematics(data.model, data)
-
-
-def move(data: mujoco.MjData) -> None:
-    """One of MuJoCo's steps in which hands move as their motions lead them and nothing sounds; updates all positions.
-
-    What the sound would push moves without that push. Raises SceneError from what a motion answers.
-    """
-    with compiling():
-        mujoco.mj_step(data.model, data)
-    world = world_of(data)
-    if world is not None:
-        for module in world.modules.values():
-            if isinstance(module, MotionModule):
-                module.advance()
     mujoco.mj_kinematics(data.model, data)

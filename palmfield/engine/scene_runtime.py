@@ -16,7 +16,7 @@ from palmfield.simulation.posed_scene import PosedScene, PoseLayout, posed_scene
 from palmfield.simulation.scene_reader import read_scene
 from palmfield.simulation.sensors import SensorPlace, SkinReading, fill, sensor_place
 from palmfield.simulation.state import HapticState, at_rest, check_arrays, stepper_of, untouched
-from palmfield.simulation.step import Workspace, gather, step
+from palmfield.simulation.step import Workspace, gather, step, step_sound
 from palmfield.simulation.validate import check_clear
 from palmfield.skin.stepper import SkinStepper
 from palmfield.types import Complex, Float
@@ -31,6 +31,7 @@ class SceneRuntime:
     outlets: what takes the force on each body's parts
     taken: which frames of MuJoCo's sites and bodies are taken, by number, and to which rows they go
     applied: mean force on each body over the present step [N], world axes, shape (3,) each
+    skins_rest: whether steps leave skins out: what moves gets the push of the sound all the same
     applied_parts: the same on the bones of each body, and torques about their origins [N m], shapes (b, 3)
     """
 
@@ -56,6 +57,7 @@ class SceneRuntime:
         self.taken: tuple[tuple[Literal["site", "body"], NDArray[np.int64], slice], ...]
         self.taken = ("site", self._sites, slice(0, sites)), ("body", self._bodies, slice(sites, None))
         self._positions, self._matrices = np.zeros((count, 3)), np.zeros((count, 9))
+        self.skins_rest = False
         self._posed: PosedScene = self.work.reference
         self._numbers = b""
         self._places: dict[str, SensorPlace] = {}
@@ -176,7 +178,11 @@ class SceneRuntime:
             self.check_timestep()
         if check_arrays(self.model, self.state):
             self.work.begin_run()
-        step(self.model, self.state, self.posed, end - self.spec.timestep_s, end, self.work)
+        begin = end - self.spec.timestep_s
+        if self.skins_rest:
+            step_sound(self.model, self.state, self.posed, begin, self.work)
+        else:
+            step(self.model, self.state, self.posed, begin, end, self.work)
 
     def check_timestep(self) -> None:
         """Raises SceneError for a time step of MuJoCo's that is no longer the one for which the skins are made."""

@@ -87,8 +87,9 @@ def decode(path: str | Path, board: str | None = None, array: str | None = None)
         # Of several arrays the first one's focus is told: the others' places are the scene's
         own = one.amplitudes[: len(positions)]
         place, misfit = fitted_focus(positions, own, wavenumber, near)
-        near = place if misfit < GOOD_RAD else None
-        if not misfit < GOOD_RAD:
+        if misfit < GOOD_RAD:
+            near = place
+        else:
             place = np.full(3, np.nan)
         magnitude = np.abs(own)
         on = int((magnitude > 1e-9).sum())

@@ -60,7 +60,7 @@ def exchange_board(scene: str, plugins: Sequence[PluginKeys], name: str, timeste
         if array.plugin == ARRAY:
             said += _exchange_layout(array, board, focus)
     for stimulus in plugins:
-        if stimulus.plugin == STIMULUS and _without_steps(stimulus.keys) and not board.exact:
+        if stimulus.plugin == STIMULUS and _without_steps(stimulus.keys, board) and not board.exact:
             rate_Hz = control_rate_Hz(board, timestep_s)
             stimulus.keys["control_rate_Hz"] = repr(rate_Hz)
             said.append(f"{stimulus.name}: control_rate_Hz {rate_Hz:.4g}, as the board gets frames")
@@ -100,11 +100,12 @@ def _size(name: str, focus: str | None) -> str:
     return f"{text}, {peak**2 / (density(AIR) * sound_speed(AIR) ** 2):.0f} Pa ARP at {where}"
 
 
-def _without_steps(keys: Mapping[str, str]) -> bool:
+def _without_steps(keys: Mapping[str, str], board: Board) -> bool:
     """Whether a stimulus changes, or may, without a rate of its own."""
     if float(keys.get("control_rate_Hz", "0") or 0.0) > 0.0:
         return False
     path = keys.get("path", "point") != "point" and not float(keys.get("path_points", "0") or 0.0)
-    level = keys.get("modulation", "none") != "none" or keys.get("burst_window", "none") == "hann"
+    level = keys.get("modulation", "none") != "none" and not board.modulates
+    level = level or keys.get("burst_window", "none") == "hann"
     ramp = float(keys.get("ramp_s", "0") or 0.0) > 0.0
     return path or level or ramp or keys.get("frame", "array") != "array" or keys.get("path_on", "plane") == "skin"

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +10,8 @@ from rich.console import Console
 from rich.progress import Progress
 
 from palmfield.acoustics.arrays import layout
-from palmfield.acoustics.focus import focus
+from palmfield.acoustics.calibration_file import calibrated, read_calibration
+from palmfield.acoustics.focus import compensate, focus
 from palmfield.acoustics.reference import pressure64
 from palmfield.config.stimulus import too_far
 from palmfield.drive.board import Board, check
@@ -43,7 +44,8 @@ class FocusSound:
 
     level: amplitude of all transducers, 0..1; am_frequency_Hz: of a sine between silence and that level, 0 for none
     p0_Pa_m: as of layouts, None for the layout's own; air: in which the sound travels
-    layout: of the array, None for the board's first one
+    layout: of the array, None for the board's first one; calibration: of its transducers, a file as of key
+    `calibration` of palmfield.array
     """
 
     level: float = 1.0
@@ -51,6 +53,7 @@ class FocusSound:
     p0_Pa_m: float | None = None
     air: Air = field(default_factory=Air)
     layout: str | None = None
+    calibration: Path | None = None
 
 
 def play_focus(
@@ -81,12 +84,20 @@ def play_focus(
     if not 0.0 <= sound.level <= 1.0:
         raise SceneError(f"--level has value {sound.level:g}; allowed: 0 (off) to 1 (full drive)")
     array = layout(name, sound.p0_Pa_m)
+    if sound.calibration is not None:
+        known = read_calibration(sound.calibration)
+        if known.p0 is not None and sound.p0_Pa_m is None:
+            array = replace(array, p0_Pa_m=known.p0.value)
+        array = calibrated(array, known)
     own = {key: value == "on" if key == "dither" else value for key, value in (keys or {}).items()}
     chosen = chosen.with_keys(own).sized(len(array))
+    if chosen.modulates and sound.am_frequency_Hz > 0.0:
+        # The board does that by itself, of any focus
+        chosen, sound = chosen.modulating(sound.am_frequency_Hz), replace(sound, am_frequency_Hz=0.0)
     modulated = sound.am_frequency_Hz > 0.0 or sound.level not in (0.0, 1.0)
     check(chosen, frame_rate_Hz=0.0, modulated=modulated, element="focus", modulation_Hz=sound.am_frequency_Hz)
     place: Float = np.array(point)
-    unit = focus(array, sound.air, place)
+    unit = compensate(array, focus(array, sound.air, place))
 
     def frame(time_s: float) -> bytes:
         level = sound.level

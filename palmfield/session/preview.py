@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import mujoco
 
 from palmfield.drive.playback import ON_STEP
-from palmfield.engine.host import world_of
-from palmfield.engine.motion_plugin import move, place
+from palmfield.engine.host import raise_errors, world_of
+from palmfield.engine.motion_plugin import place
 from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.errors import SceneError
 from palmfield.session.load import Source, compiled
@@ -55,16 +55,19 @@ class Preview:
     def posed_at(self, times: Iterable[float]) -> Iterator[tuple[float, SceneRuntime, PosedScene]]:
         """Each of some rising times [s], the runtime that is there, and the pose of MuJoCo's step that it lies in.
 
-        The scene is moved on a copy, as its dynamics and motions have it, without the push of the sound.
+        The scene is stepped on a copy, with all but its skins. Raises what a module raises in a step.
         """
         data = copy.copy(self.data)
         world = world_of(data)
         assert world is not None and world.scene is not None
         runtime: SceneRuntime = world.scene
+        runtime.skins_rest, world.quiet = True, True
         step_s = runtime.spec.timestep_s
         for time_s in times:
             while data.time + (1.0 - ON_STEP) * step_s <= time_s:
-                move(data)
+                mujoco.mj_step(data.model, data)
+                raise_errors(data)
+                mujoco.mj_kinematics(data.model, data)
             yield time_s, runtime, runtime.posed
 
     @property

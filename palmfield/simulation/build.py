@@ -36,6 +36,7 @@ from palmfield.simulation.validate import (
     check_bodies,
     check_body_sound,
     check_cost,
+    check_envelope,
     check_overlaps,
 )
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
@@ -113,7 +114,13 @@ def build(spec: SceneSpec, alike: HapticModel | None = None) -> HapticModel:
 def board_for(spec: SceneSpec, arrays: PhasedArray) -> Board:
     """What plays the drive. Raises SceneError for arrays that it does not drive, DeviceError for keys it has not."""
     check_arrays(BOARDS[spec.driver.board], spec.arrays)
-    return board_of(spec.driver, len(arrays), calibrated=any(array.calibration is not None for array in spec.arrays))
+    known = any(array.calibration is not None for array in spec.arrays)
+    board = board_of(spec.driver, len(arrays), calibrated=known)
+    if board.modulates:
+        for stimulus in spec.stimuli:
+            check_envelope(stimulus, board)
+            board = board.modulating(stimulus.config.am_frequency_Hz or 0.0)
+    return board
 
 
 def whole_of(layer: SceneLayer) -> Lazy[WedgeStepper]:

@@ -14,6 +14,8 @@ from palmfield.simulation.posed_scene import PosedScene
 from palmfield.stimulus.schedule import frames_at
 from palmfield.types import Complex
 
+UNMODULATED = {"modulation": "none", "am_of": None, "am_frequency_Hz": None, "am_depth": None}
+
 
 class Frames:
     """The frames of a model's board. It belongs to one state, as the Emission that it takes ticks and points from."""
@@ -22,6 +24,10 @@ class Frames:
         self.model, self.emission = model, emission
         # What is wanted of the transducers, before the board rounds it
         self._exact: Board = replace(BOARDS["ideal"], compensate=model.board.compensate)
+        # What modulates by itself is told the loudest moment all the time
+        self._configs = [
+            config.model_copy(update=UNMODULATED) if model.board.modulates else None for config in model.configs
+        ]
         self._drives: dict[int, ArrayDrive] = {}
         self._arrays: object = None
 
@@ -44,7 +50,7 @@ class Frames:
         wanted: Complex = np.zeros(len(posed.arrays), np.complex128)
         for number, (part, drive, points) in enumerate(placed):
             own = self._wanted(number, drive, posed)
-            wanted += commanded_drive(part.config, own, None, np.array([time_s]), points)[0]
+            wanted += commanded_drive(self._configs[number] or part.config, own, None, np.array([time_s]), points)[0]
         return board.encode(wanted)
 
     def _wanted(self, number: int, drive: ArrayDrive, posed: PosedScene) -> ArrayDrive:

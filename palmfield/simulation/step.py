@@ -140,6 +140,13 @@ def step(model: HapticModel, state: HapticState, posed: PosedScene, t0: float, t
         work.observer(StepTrace(times, posed, moments, course, begun, course.end, tuple(motions)))
 
 
+def step_sound(model: HapticModel, state: HapticState, posed: PosedScene, t0: float, work: Workspace) -> None:
+    """Carry the transducers alone over the MuJoCo step from t0 [s] on, in place; skins stay as they are."""
+    if model.response_on:
+        _, course = work.emission.over(posed, gather(state, work), t0, model.substeps)
+        scatter(state, course.end)
+
+
 def _step_skin(
     model: HapticModel,
     state: HapticState,

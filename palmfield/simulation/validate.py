@@ -162,6 +162,17 @@ def check_arrays(board: Board, arrays: Sequence[ArraySpec]) -> None:
             )
 
 
+def check_envelope(stimulus: StimulusSpec, board: Board) -> None:
+    """Refuse (DeviceError) a stimulus that doesn't ask for the envelope which the board makes by itself."""
+    config = stimulus.config
+    if config.modulation != "am":
+        raise DeviceError(
+            f"plugin 'palmfield.stimulus' instance '{stimulus.name}': key 'modulation' has value "
+            f"'{config.modulation}'; board '{board.name}' modulates whatever it plays: set modulation am with its "
+            "am_frequency_Hz, for which a sine stands for the board's envelope, or board sonicsurface"
+        )
+
+
 def check_board(stimulus: StimulusSpec, board: Board) -> None:
     """Refuse a stimulus that the board cannot play (DeviceError)."""
     if board.exact:
@@ -182,10 +193,10 @@ def check_board(stimulus: StimulusSpec, board: Board) -> None:
             f"{element}: its frame moves, so that the points of its path move between them; {gives} frames/s: set "
             "control_rate_Hz, or use board ideal"
         )
-    modulates = config.modulation == "am"
+    am = config.modulation == "am" and not board.modulates
     # Full rectangles are played by off and full, with a frame at each jump
-    switched = modulates and config.am_waveform == "rectangle" and config.am_depth == 1.0
-    modulated = (modulates and not switched) or config.burst_window == "hann"
+    switched = am and config.am_waveform == "rectangle" and config.am_depth == 1.0
+    modulated = (am and not switched) or config.burst_window == "hann"
     if (modulated or config.ramp_s > 0.0) and board.levels and not config.control_rate_Hz:
         raise DeviceError(
             f"{element}: a level that changes without steps needs any number of frames/s; {gives}: set "
@@ -206,14 +217,14 @@ def check_board(stimulus: StimulusSpec, board: Board) -> None:
         duty = config.am_waveform_duty or 1.0
         needed = max(needed, (config.am_frequency_Hz or 0.0) / min(duty, 1.0 - duty))
     wants_level = config.arp_peak_Pa is not None or config.drive_amplitude not in (None, 0.0, 1.0)
-    wants_level = wants_level or (modulates and config.am_normalisation != "peak")
+    wants_level = wants_level or (am and config.am_normalisation != "peak")
     check(
         board,
         frame_rate_Hz=needed,
         points_per_turn=turn,
         modulated=modulated,
         element=stimulus.name,
-        modulation_Hz=(config.am_frequency_Hz or 0.0) if modulates and not switched else 0.0,
+        modulation_Hz=(config.am_frequency_Hz or 0.0) if am and not switched else 0.0,
     )
     if not board.levels and (config.ramp_s > 0 or wants_level):
         raise DeviceError(

@@ -21,14 +21,12 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 import trimesh
-from check_shadows import HEIGHT_m, ROOT, Place, array, focused, moved, squares, wavelength
+from check_shadows import ROOT, HEIGHT_m, Place, array, focused, moved, squares, wavelength
 
 from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.acoustics.scattering import scatter, scattered_field
 from palmfield.acoustics.surface_arp import SurfaceArp
 from palmfield.outputs.style import COLOURS, save, style
-from palmfield.studies.bench.field import git_commit
-from palmfield.studies.bench.table import processor
 from palmfield.types import Float, Int
 
 HEADING = "## A finger over a palm, by boundary elements"

@@ -8,12 +8,13 @@ import pytest
 import palmfield
 from palmfield.acoustics.air import density, sound_speed
 from palmfield.acoustics.arrays import layout
+from palmfield.acoustics.calibration_file import Calibration, Elements, write_calibration
 from palmfield.acoustics.reference import directivity
 from palmfield.drive.boards import BOARDS
 from palmfield.session.other_board import PluginKeys, exchange_board
-from palmfield.session.play import Target, play_scene, scene_frames
+from palmfield.session.play import FocusSound, Target, play_focus, play_scene, scene_frames
 from palmfield.session.preview import preview
-from palmfield.types import Air
+from palmfield.types import Air, Estimate
 
 SCENES = Path(__file__).parents[2] / "mjcf" / "scenes"
 BOARD_OF = {
@@ -51,11 +52,13 @@ def test_every_shipped_scene_plays_and_is_simulated_as_its_bytes_say(name, tmp_p
     frames = list(scene_frames(view, 0.003))
     assert frames and all(len(frame.data) == model.board.frame_bytes for frame in frames)
     posed, emission = view.runtime.posed, view.runtime.work.emission
-    told = emission.commanded(posed, np.array([0.0]))[0]
-    played = model.board.decode(frames[0].data)[-1]
-    # Levels are rounded for each frame: half a step of the pulse width, whose slope is at most pi/2
-    step = 0.0 if model.board.amplitude_steps is None else np.pi / 4 / model.board.amplitude_steps + 1 / 255
-    np.testing.assert_allclose(played, told, atol=step + 1e-9)
+    several = any(len(stimulus.offsets) for stimulus in model.stimuli)
+    for frame in frames if not view.moves else frames[:1]:
+        told = emission.commanded(posed, np.array([frame.time_s]))[0]
+        played = model.board.decode(frame.data)[-1]
+        # Of several foci levels are rounded for each transducer: half a step of the pulse, whose slope is at most pi/2
+        step = np.pi / 4 / 128 + 1 / 255 if several else 0.0
+        np.testing.assert_allclose(played, told, atol=step + 1e-9)
 
 
 @pytest.mark.slow
@@ -116,7 +119,7 @@ def test_modulation_is_refused_with_the_frames_that_it_needs(tmp_path):
 
 def test_dithering_plays_an_amplitude(small_scene):
     keys = {"driver.dither": "on", "stimulus.modulation": None, "stimulus.drive_amplitude": 0.5}
-    keys |= {"stimulus.am_of": None, "stimulus.am_frequency_Hz": None, "stimulus.am_depth": None}
+    keys |= {"stimulus.am_quantity": None, "stimulus.am_frequency_Hz": None, "stimulus.am_depth": None}
     sim = palmfield.load(small_scene(), board="sonicsurface", keys=keys)
     assert np.mean(np.abs(sim.drive) > 0) == pytest.approx(0.5, abs=0.01)
     full = palmfield.load(small_scene(), board="sonicsurface", keys=keys | {"stimulus.drive_amplitude": 1})
@@ -127,7 +130,7 @@ def test_dithering_plays_an_amplitude(small_scene):
 
 
 def test_faults_of_a_scene_reach_the_bytes_and_the_focus_is_as_without_those_that_are_inverted(small_scene):
-    still = {"stimulus.modulation": None, "stimulus.am_of": None, "stimulus.am_frequency_Hz": None}
+    still = {"stimulus.modulation": None, "stimulus.am_quantity": None, "stimulus.am_frequency_Hz": None}
     still |= {"stimulus.am_depth": None, "array.layout": "sonicsurface", "driver.board": "sonicsurface"}
     scene = small_scene()
     data = {}
@@ -154,3 +157,67 @@ def test_faults_of_a_scene_reach_the_bytes_and_the_focus_is_as_without_those_tha
     share /= share.sum()
     assert sound["faults"] / sound["none"] == pytest.approx(1 - share[[5, 9]].sum(), abs=1e-3)
     assert sound["off"] / sound["none"] == pytest.approx(1 - share[[5, 9]].sum() - 2 * share[[3, 7]].sum(), abs=1e-3)
+
+
+def test_the_tactile_firmware_takes_its_own_rates_and_bytes_have_no_levels(small_scene):
+    scene = small_scene()
+    view = preview(scene, board="sonicsurface_tactile", keys={"stimulus.am_frequency_Hz": 1250 / 6})
+    board = view.runtime.model.board
+    assert board.start[0] == 160 + 5
+    twin = board.twin()
+    twin.feed(board.start)
+    assert twin.envelope_Hz == pytest.approx(208.33, abs=0.01)
+    frames = list(scene_frames(view, 0.3))
+    assert len(frames) == 3 and len({frame.data for frame in frames}) == 1
+    assert (np.abs(board.decode(frames[0].data)[-1]) > 0.9).all()
+    with pytest.raises(palmfield.DeviceError, match=r"the nearest are 178.6 and 208.3 Hz"):
+        preview(scene, board="sonicsurface_tactile")
+    steady = {f"stimulus.{key}": None for key in ("modulation", "am_quantity", "am_frequency_Hz", "am_depth")}
+    with pytest.raises(palmfield.DeviceError, match="modulates whatever it plays: set modulation am"):
+        preview(scene, board="sonicsurface_tactile", keys=steady)
+
+
+def test_a_calibration_of_each_transducer_reaches_the_bytes_and_brings_the_focus_back(small_scene, tmp_path):
+    """The true board is the sum of the calibrated responses over distance; bytes by the protocol, decoded here."""
+    rng = np.random.default_rng(5)
+    polarity, phase = rng.choice([-1, 1], 256), rng.uniform(-0.6, 0.6, 256)
+    enabled = rng.random(256) > 0.02
+    file = tmp_path / "board.json"
+    elements = Elements(
+        polarity=tuple(polarity.tolist()), phase_rad=tuple(phase.tolist()), gain=(1.0,) * 256,
+        enabled=tuple(enabled.tolist()),
+    )  # fmt: skip
+    p0 = Estimate(2.5, 2.4, 2.6, "measured", "test")
+    write_calibration(file, Calibration(layout="sonicsurface", p0=p0, elements=elements))
+    point = np.array([0.01, 0.0, 0.12])
+    distance = np.linalg.norm(layout("sonicsurface").positions - point, axis=1)
+    k = 2 * np.pi * 40e3 / sound_speed(Air())
+
+    def heard(data: bytes) -> float:
+        steps = np.array([step + (number % 8 == 3) for number, step in enumerate(data[1:-1])], float)
+        sent = np.where(np.frombuffer(data[1:-1], np.uint8) == 32, 0.0, np.exp(2j * np.pi * steps / 32))
+        real = polarity * np.exp(1j * phase)
+        return abs((sent * real * np.exp(1j * k * distance)).sum())
+
+    still = {f"stimulus.{key}": None for key in ("modulation", "am_quantity", "am_frequency_Hz", "am_depth")}
+    still |= {"stimulus.focus_m": point, "array.layout": "sonicsurface", "driver.board": "sonicsurface"}
+    plain, known = (
+        next(iter(scene_frames(preview(small_scene(), keys=still | more), 0.01))).data
+        for more in ({}, {"array.calibration": str(file)})
+    )
+    assert heard(known) == pytest.approx(enabled.sum() * np.sinc(1 / 32), rel=2e-3)
+    assert heard(plain) < 0.3 * heard(known)
+    assert (np.frombuffer(known[1:-1], np.uint8) == 32).sum() == (~enabled).sum()
+    told = play_focus(
+        tuple(point), "sonicsurface", Target(record=tmp_path / "f.bin"), 0.05, sound=FocusSound(calibration=file)
+    )
+    assert "mm nearer" in told
+    assert known in (tmp_path / "f.bin").read_bytes()
+
+
+def test_a_calibration_of_another_number_of_transducers_is_refused(small_scene, tmp_path):
+    file = tmp_path / "board.json"
+    few = Elements(polarity=(1, -1), phase_rad=(0.0, 0.0), gain=(1.0, 1.0), enabled=(True, True))
+    write_calibration(file, Calibration(layout="uhev1", elements=few))
+    with pytest.raises(palmfield.SceneError, match="of 2 transducers, and the array has 256"):
+        preview(small_scene(), keys={"array.calibration": str(file)})

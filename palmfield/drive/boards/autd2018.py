@@ -108,6 +108,10 @@ class Autd2018(Board):
         x, y, z = (int(step) for step in steps)
         return self.packet((x, y, z, width))
 
+    def rounded(self, levels: Float) -> Float:
+        duty = widths(np.minimum(levels, 1.0), HASEGAWA_TICKS, self.pwm_exponent) / HASEGAWA_TICKS
+        return relative_pressure(duty, self.pwm_exponent)
+
     def twin(self) -> "Autd2018Twin":
         return Autd2018Twin(self)
 

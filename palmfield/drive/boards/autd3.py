@@ -55,6 +55,9 @@ class Autd3(Board):
         both = np.stack([phase.reshape(-1, TRANSDUCERS), intensity.reshape(-1, TRANSDUCERS)], axis=1)
         return both.astype(np.uint8).tobytes()
 
+    def rounded(self, levels: Float) -> Float:
+        return LEVELS[LOWEST[np.searchsorted(BETWEEN, levels)]]
+
     def sized(self, transducers: int) -> "Autd3":
         sized = super().sized(transducers)
         off = bytes(FRAME_BYTES * sized.units)

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from palmfield.drive.board import Board, Emitted, Twin, commanded, serial_line
-from palmfield.drive.pulse_width import widths
-from palmfield.types import Complex
+from palmfield.drive.pulse_width import relative_pressure, widths
+from palmfield.types import Complex, Float
 
 TRANSDUCERS = 256
 STEPS = 128
@@ -36,6 +36,9 @@ class OpenMpd(Board):
         phases = start.astype(np.uint8)
         phases[0] |= FIRST
         return phases.tobytes() + width.astype(np.uint8).tobytes()
+
+    def rounded(self, levels: Float) -> Float:
+        return relative_pressure(widths(np.minimum(levels, 1.0), STEPS) / STEPS)
 
     def twin(self) -> "OpenMpdTwin":
         return OpenMpdTwin()

@@ -4,7 +4,7 @@ It switches the emitters in turn, so that an envelope arises whose rate a byte s
 """
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -58,6 +58,9 @@ class SonicSurfaceTactile(Board):
         values, on = switched(self, amplitudes)
         step = np.rint(STEPS * np.angle(values) / (2 * np.pi)).astype(np.int64) % STEPS
         return bytes([START]) + np.where(on, 2 * step, OFF).astype(np.uint8).tobytes() + bytes([SWAP])
+
+    def modulating(self, frequency_Hz: float) -> "SonicSurfaceTactile":
+        return replace(self, start=bytes([envelope_byte(frequency_Hz)]) + 2 * OFF_FRAME)
 
     def twin(self) -> "TactileTwin":
         return TactileTwin()
@@ -118,5 +121,6 @@ BOARD = SonicSurfaceTactile(
     cannot_guarantee="The firmware adds a correction of phases that was measured on its authors' own board: build it "
     "with that table at zero, or calibrate; it never answers, and its receiver runs 3.5 % slow, so that a port that "
     "can't be set to 222336 baud may lose bytes.",
+    modulates=True,
     keys=("dither",),
 )

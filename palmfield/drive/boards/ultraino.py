@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from palmfield.drive.board import Board, Emitted, Twin, commanded, serial_line
-from palmfield.drive.pulse_width import widths
-from palmfield.types import Complex
+from palmfield.drive.pulse_width import relative_pressure, widths
+from palmfield.types import Complex, Float
 
 SIGNALS = 64
 DIVISIONS = 10
@@ -77,6 +77,9 @@ class Ultraino(Board):
         off = sized.silence
         # A frame cut off leaves the next one's data in the wrong place; two whole ones then fill both buffers
         return replace(sized, start=3 * off, stop=3 * off, max_frame_rate_Hz=1.0 / LINE.time_s(len(off)))
+
+    def rounded(self, levels: Float) -> Float:
+        return relative_pressure(widths(np.minimum(levels, 1.0), DIVISIONS) / DIVISIONS)
 
     def twin(self) -> "UltrainoTwin":
         return UltrainoTwin(self.units)

@@ -70,6 +70,8 @@ def put_elements(
         array, setting.air, at, seen, place_sd_m=setting.place_sd_m, temperature_sd_K=setting.temperature_sd_K
     )
     elements = fit.elements
+    phase_sd, gain_sd = elements.phase_sd_rad, elements.gain_sd
+    assert phase_sd is not None and gain_sd is not None
     if calibration.elements is not None:
         kept = {
             name: getattr(calibration.elements, name) for name in ("position_m", "address", "resonance_Hz", "quality")
@@ -84,9 +86,9 @@ def put_elements(
         f"transducers: {len(array) - len(dead)} of {len(array)} sound, {turned} wired the other way round"
         + (f"; silent: {', '.join(map(str, dead))}" if dead else ""),
         f"phases: {_degrees(np.std(np.array(elements.phase_rad)[alive]))} deg rms, each known to "
-        f"{_degrees(np.median(np.array(elements.phase_sd_rad)[alive]))} deg",
+        f"{_degrees(np.median(np.array(phase_sd)[alive]))} deg",
         f"gains: {100 * np.std(np.array(elements.gain)[alive]):.1f} % rms, each known to "
-        f"{100 * np.median(np.array(elements.gain_sd)[alive]):.1f} %",
+        f"{100 * np.median(np.array(gain_sd)[alive]):.1f} %",
         f"p0 {p0.value:.3g} Pa m ({p0.low:.3g} to {p0.high:.3g})",
         f"microphone {1e3 * float(np.sqrt((fit.moved_m**2).mean())):.2f} mm rms from where it was thought to be; sound "
         f"{fit.sound_speed_m_s:.1f} +- {1.96 * fit.sound_speed_sd_m_s:.1f} m/s; {100 * fit.misfit:.1f} % of it is "
