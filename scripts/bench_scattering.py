@@ -241,6 +241,7 @@ def main() -> None:
             machine=device_name(device) if device != "cpu" else f"{processor()}, {os.cpu_count()} cores",
             warp=wp.config.version,
             commit=options.commit or git_commit(),
+            p0=layout("uhev1").p0_Pa_m,
             spheres="\n".join(spheres),
             costs="\n".join(costs),
             rows="\n".join(rows),
@@ -270,7 +271,7 @@ total field against that of the series. The mesh for ka = 1, 3 and pi is the one
 
 ## Bodies before the array
 
-Array uhev1 at full drive with p0 = 2.53 Pa m in lossless air, focused 200 mm above its middle, where the skin is.
+Array uhev1 at full drive with p0 = {p0:g} Pa m in lossless air, focused 200 mm above its middle, where the skin is.
 
 "Up" is the force of the sound at the wall, "far" that of the momentum through a sphere around the body; the latter is
 the better one. They differ by the error of the field on the surface. On smooth bodies that is small. At a sharp rim in

@@ -29,7 +29,7 @@ class DriverConfig(Config):
     )
     duty_exponent: Annotated[float, Field(ge=0.5, le=4)] = Field(
         2.0,
-        description="g of the pulses' law p/p_M = sin(pi duty)^(g/2), for am_quantity duty: 2 is that of rectangular "
+        description="g of the pulses' law p/p_M = sin(pi duty)^(g/2), of am_quantity duty and of board autd2018: 2 is that of rectangular "
         "pulses; 1.5 was measured on a device (Hasegawa and Shinoda 2018)",
     )
     compensate: Switch | None = Field(
@@ -47,9 +47,6 @@ class DriverConfig(Config):
     )
     packet_lsb_m: Positive | None = Field(
         None, description="autd2018: what the lowest bit of a coordinate is (default 0.000025)"
-    )
-    pwm_exponent: Positive | None = Field(
-        None, description="autd2018: pressure goes with sin(pi duty)^(exponent/2) (default 2; the paper found 1.5)"
     )
     pwm_edge: Literal["leading", "trailing", "centre"] | None = Field(
         None, description="autd2018: what of a pulse keeps its place as its width changes (default centre)"

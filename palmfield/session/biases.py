@@ -153,6 +153,13 @@ def _shadows(model: HapticModel, skin: int) -> list[Bias]:
         )
         why += "by nothing (docs/bench/shadows.md). shadow_edges knife_edge bends the sound"
         return [Bias("sound bent round edges", None, None, why)]
+    if config.body_sound == "shadows":
+        why = (
+            "a screen in a body's outline stands for the body: 10 to 20 mm behind a rod 16 mm thick |p|^2 is off by up "
+            "to a fifth of the free focus, either way, and by a fiftieth rms (docs/bench/shadows.md). body_sound "
+            "scattering computes it"
+        )
+        return [Bias("round bodies taken as screens", None, None, why)]
     return []
 
 

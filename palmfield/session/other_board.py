@@ -21,7 +21,7 @@ OF_ONE_LAYOUT = (
     "dead", "inverted", "quality",
 )  # fmt: skip
 """Keys that belong to the transducers of one layout."""
-OF_ONE_BOARD = ("board", "compensate")
+OF_ONE_BOARD = ("board", "compensate", "duty_exponent")
 """Keys of palmfield.driver that every board has."""
 
 

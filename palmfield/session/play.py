@@ -145,7 +145,7 @@ def play_scene(
         )
     duration = view.duration_s if duration_s is None else duration_s
     spec = view.runtime.spec
-    own = spec.driver.model_dump(exclude={"board", "compensate"}, exclude_none=True)
+    own = {key: value for key, value in spec.driver.model_dump(exclude_none=True).items() if key in model.board.keys}
     head = LogHead(model.board.name, len(model.arrays), spec.arrays[0].config.layout, model.arrays.air, own)
     said = [_send(scene_frames(view, duration), model.board, duration, target, head, progress)]
     said.append(f"board {model.board.name}: {sending(model.board, model.configs)}")

@@ -14,7 +14,7 @@ from palmfield.simulation.posed_scene import PosedScene
 from palmfield.stimulus.schedule import frames_at
 from palmfield.types import Complex
 
-UNMODULATED = {"modulation": "none", "am_of": None, "am_frequency_Hz": None, "am_depth": None}
+UNMODULATED = {"modulation": "none", "am_quantity": None, "am_frequency_Hz": None, "am_depth": None}
 
 
 class Frames:

@@ -171,6 +171,12 @@ def check_envelope(stimulus: StimulusSpec, board: Board) -> None:
             f"'{config.modulation}'; board '{board.name}' modulates whatever it plays: set modulation am with its "
             "am_frequency_Hz, for which a sine stands for the board's envelope, or board sonicsurface"
         )
+    if config.am_waveform != "sine" or config.am_quantity == "duty":
+        raise DeviceError(
+            f"plugin 'palmfield.stimulus' instance '{stimulus.name}': am_waveform {config.am_waveform} of am_quantity "
+            f"{config.am_quantity}; board '{board.name}' has an envelope of its own: set am_waveform sine and am_quantity "
+            "amplitude, which stand for it, or board sonicsurface"
+        )
 
 
 def check_board(stimulus: StimulusSpec, board: Board) -> None:

@@ -1,12 +1,11 @@
 #!/usr/bin/env python3
-"""Shadows with knife edges and by rays against a Kirchhoff screen, and against boundary elements on a finger.
+"""Shadows with knife edges and by rays against a Kirchhoff screen.
 
-python scripts/verification/check_shadows.py [--write docs/bench/shadows.md] [--commit HASH] [--no-elements]
+python scripts/verification/check_shadows.py [--write docs/bench/shadows.md] [--commit HASH]
 
-- Screen: an opaque strip (a finger's width) and a half plane between array and focus move across the beam. The truth
-  is Kirchhoff's integral over the opaque area in float64, point by point of the screen, for each transducer.
-- Elements: a round finger with rounded ends over a palm of 70 x 70 mm, both rigid, by boundary elements. The sound on
-  the palm without the finger, by elements too, is the reference for what the finger leaves of it.
+An opaque strip (a finger's width) and a half plane between array and focus move across the beam. The truth is
+Kirchhoff's integral over the opaque area in float64, point by point of the screen, for each transducer. A finger has
+its truth in scripts/verification/check_shadows_bem.py.
 
 Errors are those of |p|^2, as shares of the free focus's peak. A picture lies beside the page.
 """
@@ -22,16 +21,16 @@ import matplotlib.pyplot as plt
 import numpy as np
 import trimesh
 
-from palmfield.acoustics.body_scattering import Occlusion, boundary_mesh
+from palmfield.acoustics.body_scattering import Occlusion
 from palmfield.acoustics.knife_edge import Emitters, KnifeEdges
 from palmfield.acoustics.phased_array import ArrayInstance, PhasedArray
 from palmfield.acoustics.reference import pressure64
-from palmfield.acoustics.scattering import scatter
 from palmfield.acoustics.shadow_nodes import shadow_nodes
 from palmfield.acoustics.surface_arp import SurfaceArp, rows_of
 from palmfield.acoustics.surface_load import distance_to_arrays
 from palmfield.config import ArrayConfig
 from palmfield.outputs.style import COLOURS, save, style
+from palmfield.simulation.radiation import SKIN_SPACING_m
 from palmfield.studies.bench.field import git_commit
 from palmfield.studies.bench.table import processor
 from palmfield.transforms import IDENTITY, Placement
@@ -44,9 +43,9 @@ REACH_m = 0.09
 """Half the length of screens: the sound of all transducers passes nearer to their middle."""
 CELL_m = 5e-4
 STEP_m = 1e-4
-PALM_m, DEPTH_m = 0.07, 0.004
 SCREENS = (("strip of 16 mm", -0.008, 0.008), ("half plane", 0.0, 0.2))
-LEVELS = {"finger 40 mm below the palm": 0.16, "finger 80 mm below the palm": 0.12}
+ELEMENTS_HEADING = "## A finger over a palm, by boundary elements"
+"""Of the part of the page that another script writes."""
 
 
 class Place(NamedTuple):
@@ -92,12 +91,17 @@ def line(arrays: PhasedArray, count: int = 61) -> Place:
     return Place(points, normals, SurfaceArp(arrays.field, count))
 
 
-def squares(arrays: PhasedArray, place: Place, shape: tuple[Float, Int], shifts: Float) -> tuple[Float, Float]:
-    """|p|^2 at a place behind a shape moved along x, shapes (shifts, n): with knife edges, and by rays."""
+def squares(
+    arrays: PhasedArray, place: Place, shape: tuple[Float, Int], shifts: Float, spacing_m: float = SKIN_SPACING_m
+) -> tuple[Float, Float]:
+    """|p|^2 at a place behind a shape moved along x, shapes (shifts, n): with knife edges, and by rays.
+
+    spacing_m: of the nodes at which weights are computed
+    """
     vertices, faces = shape
     occlusion, drive = Occlusion(vertices, faces, "cpu"), focused(arrays)
     emitters = Emitters(arrays, rows_of(arrays.field), "cpu")
-    nodes = shadow_nodes(place.points, place.normals, 0.008)
+    nodes = shadow_nodes(place.points, place.normals, spacing_m)
     edges = KnifeEdges(occlusion.outline, emitters, nodes, len(place.points))
     bent, cut = [], []
     for shift in shifts:
@@ -111,11 +115,13 @@ def squares(arrays: PhasedArray, place: Place, shape: tuple[Float, Int], shifts:
     return np.array(bent), np.array(cut)
 
 
-def screen_integral(arrays: PhasedArray, points: Float, low_m: float, high_m: float) -> Complex:
+def screen_integral(
+    arrays: PhasedArray, points: Float, low_m: float, high_m: float, screen_m: float = SCREEN_m
+) -> Complex:
     """What an opaque screen between x = low and high leaves of each transducer's sound at points, shape (n, N).
 
-    Kirchhoff's integral with obliquity over the opaque area at SCREEN_m, in float64. Where the screen ends in y its sum
-    is faded out, so that its ends, which a half plane does not have, send nothing.
+    Kirchhoff's integral with obliquity over the opaque area at this height, in float64. Where the screen ends in y its
+    sum is faded out, so that its ends, which a half plane does not have, send nothing.
     """
     k = 2.0 * np.pi / wavelength(arrays)
     x = np.arange(low_m + 0.5 * CELL_m, high_m, CELL_m)
@@ -126,14 +132,14 @@ def screen_integral(arrays: PhasedArray, points: Float, low_m: float, high_m: fl
     if high_m - low_m > 0.05:
         far = x > high_m - 0.02
         fade[1][far] = np.cos(0.5 * np.pi * (x[far] - high_m + 0.02) / 0.02) ** 2
-    cells = np.stack([*np.meshgrid(x, y, indexing="ij"), np.full((len(x), len(y)), SCREEN_m)], axis=-1).reshape(-1, 3)
+    cells = np.stack([*np.meshgrid(x, y, indexing="ij"), np.full((len(x), len(y)), screen_m)], axis=-1).reshape(-1, 3)
     area = CELL_m**2 * np.outer(fade[1], fade[0]).ravel()
     onward = np.linalg.norm(cells[:, None] - points, axis=2)
     there = np.exp(1j * k * onward) / onward
-    rising = there * (points[:, 2] - SCREEN_m) / onward
+    rising = there * (points[:, 2] - screen_m) / onward
     away = np.linalg.norm(cells[:, None] - arrays.array.positions, axis=2).T
     arrives = area * np.exp(1j * k * away) / away
-    taken = 0.5 * ((arrives * SCREEN_m / away) @ there + arrives @ rising)
+    taken = 0.5 * ((arrives * screen_m / away) @ there + arrives @ rising)
     whole = np.linalg.norm(points[:, None] - arrays.array.positions, axis=2)
     left: Complex = 1.0 - k / (2j * np.pi) * taken.T * whole * np.exp(-1j * k * whole)
     return left
@@ -190,77 +196,16 @@ def row(name: str, bent: Float, cut: Float, true: Float, peak: float, step: floa
     )
 
 
-def finger(height_m: float) -> tuple[Float, Int]:
-    """A round finger with rounded ends along y, 16 mm thick and 50 mm long."""
-    body = trimesh.creation.capsule(height=0.034, radius=0.008, count=[24, 24])
-    turned = np.array(body.vertices)[:, [0, 2, 1]] * [1.0, 1.0, -1.0]
-    turned[:, 1] -= turned[:, 1].mean()
-    return moved(turned, z=height_m), np.array(body.faces, np.int32)
-
-
-def palm() -> tuple[Float, Int]:
-    """A flat box whose lower face is at the focus."""
-    box = trimesh.creation.box((PALM_m, PALM_m, DEPTH_m))
-    return moved(np.array(box.vertices), z=HEIGHT_m + 0.5 * DEPTH_m), np.array(box.faces, np.int32)
-
-
-def on_palm(arrays: PhasedArray, shape: tuple[Float, Int], points: Float) -> Float:
-    """|p|^2 / 4 of the total sound on a rigid body at points of the palm, by boundary elements."""
-    drive, k = focused(arrays), 2.0 * np.pi / wavelength(arrays)
-    vertices, faces = boundary_mesh(*shape, wavelength(arrays))
-    solved = scatter(vertices, faces, lambda where: arrays.field.pressure(where, drive).pressure, k, device="auto")
-    face = np.abs(solved.centroids[:, None] - points).sum(axis=2)
-    face[solved.normals[:, 2] > -0.9] = np.inf
-    face[solved.centroids[:, 2] < HEIGHT_m - 1e-4] = np.inf
-    nearest = face.argmin(axis=0)
-    along = ((points - solved.centroids[nearest]) * solved.gradient[nearest]).sum(axis=1)
-    return np.abs(solved.pressure[nearest] + along) ** 2 / 4.0
-
-
-def joined(one: tuple[Float, Int], other: tuple[Float, Int]) -> tuple[Float, Int]:
-    """Two bodies as one mesh."""
-    return np.concatenate([one[0], other[0]]), np.concatenate([one[1], other[1] + len(one[0])])
-
-
-def elements(arrays: PhasedArray, axes: list[plt.Axes]) -> list[str]:
-    """Rows of the table for a finger over a palm."""
-    place, rows = line(arrays, 25), []
-    free = on_palm(arrays, palm(), place.points)
-    peak = float(free.max())
-    for axis, (name, height) in zip(axes, LEVELS.items(), strict=True):
-        bent, cut, true = [], [], []
-        for shift in (0.0, 0.008, 0.016):
-            vertices, faces = finger(height)
-            shape = moved(vertices, x=shift), faces
-            true.append(on_palm(arrays, joined(palm(), shape), place.points))
-            one, other = squares(arrays, place, shape, np.zeros(1))
-            bent.append(one[0])
-            cut.append(other[0])
-            axis.plot(1e3 * place.points[:, 0], true[-1] / peak, color="black")
-            axis.plot(1e3 * place.points[:, 0], bent[-1] / peak, color=COLOURS[0])
-            axis.plot(1e3 * place.points[:, 0], cut[-1] / peak, color=COLOURS[1], linestyle=":")
-        fine = np.arange(-0.02, 0.02, STEP_m)
-        slid, jumped = squares(arrays, place, finger(height), fine)
-        rows.append(row(name, np.array(bent), np.array(cut), np.array(true), peak, most(slid), most(jumped)))
-        axis.set(title=name, xlabel="x on the palm, mm", ylabel="|p|², of the free peak")
-    return rows
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--write", type=Path)
     parser.add_argument("--commit", default=None)
-    parser.add_argument("--no-elements", action="store_true")
     options = parser.parse_args()
     arrays = array()
     with style():
-        lines = 1 if options.no_elements else 2
-        figure, axes = plt.subplots(lines, 2, figsize=(9, 3.3 * lines), layout="constrained", squeeze=False)
-        rows = screens(arrays, list(axes[0]))
+        figure, axes = plt.subplots(1, 2, figsize=(9, 3.3), layout="constrained")
+        rows = screens(arrays, list(axes))
         print("\n".join(rows), flush=True)
-        if not options.no_elements:
-            rows += elements(arrays, list(axes[1]))
-            print("\n".join(rows[2:]), flush=True)
         if options.write is None:
             return
         picture = ROOT / "docs" / "images" / "shadows.png"
@@ -268,23 +213,22 @@ def main() -> None:
     text = PAGE.format(
         rows="\n".join(rows),
         height=1e3 * SCREEN_m,
-        left_out="--no-elements " if options.no_elements else "",
-        elements=NO_ELEMENTS if options.no_elements else ELEMENTS,
         processor=processor(),
         commit=options.commit or git_commit(),
         page=options.write,
     )
-    options.write.write_text(text)
+    elements = options.write.read_text().partition(ELEMENTS_HEADING) if options.write.exists() else ("", "", "")
+    options.write.write_text(text + "".join(elements[1:]))
 
 
 PAGE = """# Shadows with edges, and how far they are from the truth
 
-Written by `python scripts/verification/check_shadows.py {left_out}--write {page}`, commit {commit}, {processor}.
+Written by `python scripts/verification/check_shadows.py --write {page}`, commit {commit}, {processor}.
 
 Board uhev1, focus 200 mm above its middle. |p|^2 on 24 mm either side of the focus, as shares of the free focus's peak:
 `knife_edge` is key `shadow_edges` at its default, where sound bends round each edge; `rays` leaves a point lit or dark.
 The truth behind the screens, which are {height:.0f} mm above the board and stand in 33 places up to 40 mm from the
-middle, is Kirchhoff's integral over their area in float64. {elements}
+middle, is Kirchhoff's integral over their area in float64.
 
 | in the way | knife edge, worst | rms | rays, worst | rms | most in 0.1 mm, knife edge | rays |
 |---|---|---|---|---|---|---|
@@ -293,12 +237,8 @@ middle, is Kirchhoff's integral over their area in float64. {elements}
 ![|p|² behind what is in the way](../images/shadows.png)
 
 Black is the truth, red is knife edges, dotted green is rays.
+
 """
-ELEMENTS = (
-    "That of the finger, 16 mm thick and\n50 mm long, is boundary elements on finger and palm, both rigid, in three "
-    "places from the middle to 16 mm beside it; they\nhave echoes between finger and palm, which no shadow has."
-)
-NO_ELEMENTS = "Boundary elements were\nleft out of this run."
 
 
 if __name__ == "__main__":

@@ -212,7 +212,7 @@ def test_without_sync_units_drift_apart_and_with_it_they_do_not():
 
 
 def test_an_exponent_changes_the_pulse_and_not_the_level():
-    board = BOARDS["autd2018"].with_keys({"pwm_exponent": 1.5})
+    board = BOARDS["autd2018"].with_keys({"duty_exponent": 1.5})
     packet = board.encode_focus((0.0, 0.0, 0.2), 0.5)
     width = board.numbers(packet)[3]
     # sin(pi d)^0.75 = 0.5
@@ -306,7 +306,7 @@ def test_an_unknown_board():
 
 def test_the_scenes_key_takes_the_boards_that_there_are():
     assert allowed(DriverConfig, "board").split(" | ") == list(BOARDS)
-    keys = set(DriverConfig.model_fields) - {"board", "compensate", "duty_exponent"}
+    keys = set(DriverConfig.model_fields) - {"board", "compensate"}
     assert keys == {key for board in BOARDS.values() for key in board.keys}
 
 

@@ -42,7 +42,9 @@ def board_of(driver: DriverConfig, transducers: int, *, calibrated: bool = False
     calibrated: whether what an array's transducers do was measured, so that a driver can make up for it
     Raises DeviceError where it can't drive so many, and for a key that it does not have.
     """
-    board = board_named(driver.board).with_keys(driver.board_keys).sized(transducers)
+    board = board_named(driver.board)
+    shared = {"duty_exponent": driver.duty_exponent} if "duty_exponent" in board.keys else {}
+    board = board.with_keys(driver.board_keys | shared).sized(transducers)
     on = calibrated or not board.exact if driver.compensate is None else driver.compensate == "on"
     return replace(board, compensate=on)
 

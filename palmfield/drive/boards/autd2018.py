@@ -36,7 +36,7 @@ LAYOUT_OF_UNITS = {1: "autd2018", 4: "autd2018_2x2"}
 @dataclass(frozen=True)
 class Autd2018(Board):
     """packet_header, packet_footer: bits, as text; packet_bit_order: of each field; packet_lsb_m: of a coordinate [m]
-    pwm_exponent, pwm_edge: see `palmfield.drive.pulse_width`
+    duty_exponent, pwm_edge: see `palmfield.drive.pulse_width`
     hop_delay_s: of each unit that a packet passes [s]; skew_s: largest difference that the sync leaves between units
     clock_drift_ppm: largest difference of units' clocks; sync: whether clocks are set every 500 us
     board_sound_speed_m_s: with which units place the focus [m/s]
@@ -46,7 +46,7 @@ class Autd2018(Board):
     packet_footer: str = "1011010"
     packet_bit_order: Literal["msb_first", "lsb_first"] = "msb_first"
     packet_lsb_m: float = 0.025e-3
-    pwm_exponent: float = 2.0
+    duty_exponent: float = 2.0
     pwm_edge: Edge = "centre"
     hop_delay_s: float = 40e-9
     skew_s: float = 0.0
@@ -104,13 +104,13 @@ class Autd2018(Board):
                 f"focus {np.asarray(focus).tolist()} m is none that a packet of {self.name} can tell; allowed: three "
                 f"numbers within +-{MOST * self.packet_lsb_m:.4g} m (packet_lsb_m)"
             )
-        width = int(widths(level, HASEGAWA_TICKS, self.pwm_exponent))
+        width = int(widths(level, HASEGAWA_TICKS, self.duty_exponent))
         x, y, z = (int(step) for step in steps)
         return self.packet((x, y, z, width))
 
     def rounded(self, levels: Float) -> Float:
-        duty = widths(np.minimum(levels, 1.0), HASEGAWA_TICKS, self.pwm_exponent) / HASEGAWA_TICKS
-        return relative_pressure(duty, self.pwm_exponent)
+        duty = widths(np.minimum(levels, 1.0), HASEGAWA_TICKS, self.duty_exponent) / HASEGAWA_TICKS
+        return relative_pressure(duty, self.duty_exponent)
 
     def twin(self) -> "Autd2018Twin":
         return Autd2018Twin(self)
@@ -138,7 +138,7 @@ class Autd2018(Board):
         phase = 2.0 * np.pi * (ticks / HASEGAWA_TICKS + CARRIER_HZ * late)
         # A held edge turns the phase with the duty; half a period's pulse is where phases are counted from
         phase = phase + edge_phase(duty, self.pwm_edge) - edge_phase(0.5, self.pwm_edge)
-        return relative_pressure(duty, self.pwm_exponent) * np.exp(1j * phase)
+        return relative_pressure(duty, self.duty_exponent) * np.exp(1j * phase)
 
 
 def _depth(unit: int) -> int:
@@ -232,7 +232,7 @@ BOARD = Autd2018(
     "a real unit may need other values of the packet_ keys; units place the focus themselves, by their own speed of "
     "sound, and know nothing of dead or inverted transducers.",
     keys=(
-        "packet_header", "packet_footer", "packet_bit_order", "packet_lsb_m", "pwm_exponent", "pwm_edge", "hop_delay_s",
+        "packet_header", "packet_footer", "packet_bit_order", "packet_lsb_m", "duty_exponent", "pwm_edge", "hop_delay_s",
         "skew_s", "clock_drift_ppm", "sync", "board_sound_speed_m_s",
     ),
 ).ready()  # fmt: skip
