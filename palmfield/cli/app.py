@@ -189,6 +189,9 @@ def drive(
     am_frequency: Annotated[
         float, typer.Option(help="with --focus: sine between silence and the level [Hz]; 0 for none")
     ] = 0.0,
+    layout: Annotated[
+        str | None, typer.Option(help="with --focus: of the array, of those that the board drives [default: its first]")
+    ] = None,
     p0: Annotated[
         float | None,
         typer.Option(help="with --focus: peak pressure of a transducer at 1 m [Pa m] [default: the layout's]"),
@@ -222,7 +225,7 @@ def drive(
     _check_duration(duration)
     target = Target(port, record, log)
     if focus is not None:
-        sound = FocusSound(level, am_frequency, p0, Air(temperature, humidity, air_pressure), calibration=calibration)
+        sound = FocusSound(level, am_frequency, p0, Air(temperature, humidity, air_pressure), layout, calibration)
         own = {name.removeprefix("driver."): value for name, value in _given(keys).items()}
         lasts = 10.0 if duration is None else duration
         print(play_focus(focus, board or "sonicsurface", target, lasts, sound=sound, keys=own, progress=True))

@@ -186,17 +186,18 @@ def _send(
         raise DeviceError("neither a port nor a file is given; give the port of a board, or a file for the bytes")
     # An error of the scene comes before any file, and what takes long is done before the first frame is due
     ready = list(frames)
-    log = None if target.log is None else FrameLog(target.log, head)
     if target.record is not None:
-        with closing(BoardLink(board, FileTransport(target.record), simulated=True, log=log)) as link:
+        file = FileTransport(target.record)
+        with closing(BoardLink(board, file, simulated=True, log=_log(target, head))) as link:
             played = play_frames(link, ready, duration_s=duration_s)
         skipped = f", {played.skipped} more were due than the line takes" if played.skipped else ""
         return f"wrote {target.record}: {played.frames} frames for {duration_s:g} s{skipped}"
     assert target.port is not None
     console = Console(stderr=True)
     hidden = not (progress and console.is_terminal)
+    port = open_port(target.port, board.line.baud)
     with (
-        closing(BoardLink(board, open_port(target.port, board.line.baud), log=log)) as link,
+        closing(BoardLink(board, port, log=_log(target, head))) as link,
         Progress(console=console, disable=hidden, transient=True) as bar,
     ):
         task = bar.add_task(f"playing {duration_s:g} s on {target.port}", total=duration_s)
@@ -210,3 +211,7 @@ def _send(
         f"played {played.frames} frames on {target.port} (skipped {played.skipped}, worst delay "
         f"{1e3 * played.late_s:.0f} ms, limit {board.max_frame_rate_Hz:.1f} frames/s); the board is off"
     )
+
+
+def _log(target: Target, head: LogHead) -> FrameLog | None:
+    return None if target.log is None else FrameLog(target.log, head)

@@ -21,7 +21,9 @@ from palmfield.types import Air
 
 SCENES = Path(__file__).parents[2] / "mjcf" / "scenes"
 
-COMMANDS = ("run", "plan", "info", "drive", "keys", "new", "migrate", "recover", "hand")
+COMMANDS = (
+    "run", "plan", "info", "drive", "boards", "board", "decode", "replay", "keys", "new", "migrate", "recover", "hand",
+)  # fmt: skip
 
 
 def call(monkeypatch, capsys, *arguments):

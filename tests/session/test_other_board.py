@@ -221,3 +221,55 @@ def test_a_calibration_of_another_number_of_transducers_is_refused(small_scene, 
     write_calibration(file, Calibration(layout="uhev1", elements=few))
     with pytest.raises(palmfield.SceneError, match="of 2 transducers, and the array has 256"):
         preview(small_scene(), keys={"array.calibration": str(file)})
+
+
+PAIR = """
+<mujoco>
+  <worldbody>
+    <site name="array"/><site name="above" pos="0 0 0.24" quat="{quat}"/>
+    <body name="pad" pos="0 0 0.12" quat="0 1 0 0"><site name="centre" size="0.001"/></body>
+  </worldbody>
+  <custom><numeric name="palmfield_duration_s" data="0.1"/></custom>
+  <extension>
+    <plugin plugin="palmfield.array">
+      <instance name="below"><config key="layout" value="sonicsurface"/></instance>
+      <instance name="above"><config key="layout" value="sonicsurface"/><config key="site" value="above"/></instance>
+    </plugin>
+    <plugin plugin="palmfield.stimulus">
+      <instance name="stimulus"><config key="focus_m" value="0.01 0.02 0.12"/></instance>
+    </plugin>
+    <plugin plugin="palmfield.skin"><instance name="skin">
+      <config key="body" value="pad"/><config key="shape" value="disc"/><config key="radius_m" value="0.02"/>
+      <config key="thickness_m" value="0.008"/><config key="material" value="ecoflex_00-10"/>
+      <config key="side" value="free"/><config key="element_m" value="0.006"/>
+    </instance></plugin>
+    <plugin plugin="palmfield.driver"><instance name="driver">
+      <config key="board" value="sonicsurface_pair"/>
+    </instance></plugin>
+  </extension>
+</mujoco>
+"""
+
+
+def test_two_boards_that_face_each_other_focus_where_the_vendors_map_has_their_transducers(tmp_path):
+    """Places by address in the vendor's frame (x, z over the board): the upper ones at -z, -x and 240 mm up."""
+    path = tmp_path / "pair.xml"
+    path.write_text(PAIR.format(quat="0 1 0 0"))
+    (frame, *_) = scene_frames(preview(path, device="cpu"), 0.05)
+    data = frame.data
+    below = layout("sonicsurface").positions
+    x, z = below[:, 0], -below[:, 1]
+    places = np.concatenate([below, np.column_stack([-z, x, np.full(256, 0.24)])])  # ours: X = x, Y = -z
+    steps = np.concatenate([np.frombuffer(data[2:258], np.uint8), np.frombuffer(data[260:516], np.uint8)]).astype(float)
+    lag = np.tile(np.arange(256) % 8 == 3, 2) + np.repeat([0.0, 16.5], 256)
+    wave = np.exp(2j * np.pi * (steps + lag) / 32)
+    distance = np.linalg.norm(places - [0.01, 0.02, 0.12], axis=1)
+    heard = abs((wave * np.exp(2j * np.pi * 40e3 / sound_speed(Air()) * distance)).sum())
+    assert heard == pytest.approx(512 * np.sinc(1 / 32), rel=2e-3)
+
+
+def test_two_boards_that_do_not_face_each_other_are_refused(tmp_path):
+    path = tmp_path / "pair.xml"
+    path.write_text(PAIR.format(quat="0 0 1 0"))
+    with pytest.raises(palmfield.SceneError, match="give its site quat='0 1 0 0' against the first one's"):
+        preview(path, device="cpu")

@@ -4,14 +4,17 @@ import re
 from pathlib import Path
 
 import mujoco
+import numpy as np
 import pytest
 
 import palmfield
 from palmfield.acoustics import body_scattering
+from palmfield.acoustics.air import sound_speed
 from palmfield.session.biases import FACE_BY_FACE
 from palmfield.session.plan import warnings
 from palmfield.session.planning.costs import SCATTER_ELEMENT_S, SCATTER_PAIR_S
 from palmfield.session.summary import estimated_budget
+from palmfield.types import Air
 
 STEADY = {"modulation": "none", "am_quantity": None, "am_frequency_Hz": None, "am_depth": None}
 SCATTERED = {
@@ -232,3 +235,19 @@ def test_planning_makes_no_matrices(small_scene):
 def test_no_shipped_scene_of_moving_hands_is_warned_of_a_far_focus(scene):
     told = warnings(scene)
     assert not any(words in text for text in told for words in ("no focus comes near", "turned away", "edge-on"))
+
+
+def test_plan_says_what_a_board_is_sent_and_where_the_sound_is_loudest(small_scene):
+    made = palmfield.plan(small_scene(), board="autd2018")
+    said = row(made.modelled, "sending").size
+    assert said.startswith("9 bytes a frame, 2000 frames/s due, the line takes 2000; latency 0.5 to 1 ms")
+    assert made.as_dict()["board"] == "autd2018" and made.as_dict()["sending"]["frame_bytes"] == 9
+    assert palmfield.plan(small_scene()).as_dict()["sending"] is None
+    arrays = palmfield.load(small_scene(), board="autd2018").runtime.model.arrays
+    distance = np.linalg.norm(arrays.array.positions - [0.0, 0.0, 0.12], axis=1)
+    drive = np.exp(-2j * np.pi * 40e3 / sound_speed(Air()) * distance)
+    heights = np.linspace(0.09, 0.13, 2001)
+    along = np.abs(arrays.pressure64(np.column_stack([np.zeros((2001, 2)), heights]), drive))
+    nearer_mm = 1e3 * (0.12 - heights[along.argmax()])
+    told = float(row(made.modelled, "loudest point").size.split("|p| is largest ")[1].split(" mm nearer")[0])
+    assert nearer_mm > 1.0 and told == pytest.approx(nearer_mm, abs=0.3)

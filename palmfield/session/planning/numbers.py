@@ -1,11 +1,13 @@
 """A plan's numbers for other programs, with units in the names."""
 
+from dataclasses import asdict
 from typing import Any
 
 from palmfield.config.skin import EXPLICIT
 from palmfield.session.duration import step_count
 from palmfield.session.planning.facts import first_drive
 from palmfield.session.preview import Preview
+from palmfield.session.sending import sending
 from palmfield.simulation.emission import array_drives
 from palmfield.skin.explicit_layer import explicit_layer
 from palmfield.stimulus.modulation import arp_lines
@@ -14,7 +16,8 @@ from palmfield.stimulus.modulation import arp_lines
 def plan_numbers(view: Preview) -> dict[str, Any]:
     """Of the run, and of each stimulus and skin by name.
 
-    duration_s, steps (MuJoCo's), timestep_s, skin_step_s, transducers, device
+    duration_s, steps (MuJoCo's), timestep_s, skin_step_s, transducers, device, board
+    sending: of a board with bytes, as `palmfield.session.sending.Sending`
     stimuli: name, drive_level (of full, at the loudest moment) and pressure_Pa at the first focus, focus_m in the frame
         of the first array, modulation: None, or am_frequency_Hz (None for a file's course) and the ARP over that at the
         loudest moment, arp_mean and the peak amplitudes arp_first and arp_second of its lines at f and 2 f
@@ -67,6 +70,8 @@ def plan_numbers(view: Preview) -> dict[str, Any]:
         "skin_step_s": float(model.step_s),
         "transducers": len(model.arrays),
         "device": model.spec.device,
+        "board": model.board.name,
+        "sending": None if model.board.exact else asdict(sending(model.board, model.configs)),
         "stimuli": stimuli,
         "skins": skins,
     }

@@ -1,0 +1,82 @@
+"""Commands about boards: a list, a virtual one, bytes to it, and what they were."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from palmfield.cli.app import main
+from palmfield.drive.boards import BOARDS
+
+
+def call(monkeypatch, capsys, *arguments):
+    monkeypatch.setattr(sys, "argv", ["palmfield", *map(str, arguments)])
+    with pytest.raises(SystemExit) as end:
+        main()
+    return end.value.code or 0, capsys.readouterr()
+
+
+def test_boards_are_listed_with_what_they_cannot_guarantee(monkeypatch, capsys):
+    code, out = call(monkeypatch, capsys, "boards")
+    assert code == 0 and [line.split()[0] for line in out.out.splitlines()] == list(BOARDS)
+    code, out = call(monkeypatch, capsys, "boards", "sonicsurface")
+    assert code == 0 and "keeps emitting its last frame until power is cut" in out.out
+    code, out = call(monkeypatch, capsys, "boards", "--json")
+    facts = json.loads(out.out)
+    assert facts["sonicsurface"]["stop_hex"] == 2 * ("97c0fe" + 256 * "20" + "fd")
+    code, out = call(monkeypatch, capsys, "boards", "toaster")
+    assert code == 2 and "'toaster' is not known" in out.err
+
+
+def test_a_focus_on_a_virtual_board_is_logged_decoded_and_replayed(monkeypatch, capsys, tmp_path):
+    received = tmp_path / "received.bin"
+    command = [sys.executable, "-m", "palmfield", "board", "sonicsurface", "--virtual", "--duration", "20"]
+    process = subprocess.Popen(
+        [*command, "--by", "tcp", "--received", str(received)], stdout=subprocess.PIPE, text=True
+    )
+    try:
+        assert process.stdout is not None
+        port = process.stdout.readline().strip()
+        assert port.startswith("socket://127.0.0.1:")
+        log = tmp_path / "sent.jsonl"
+        where = ("--focus", 0.01, -0.02, 0.16)
+        code, out = call(monkeypatch, capsys, "drive", *where, "--port", port, "--duration", 0.3, "--log", log)
+        assert code == 0 and "the board is off" in out.out, out.err
+        code, out = call(monkeypatch, capsys, "replay", log, "--port", port)
+        assert code == 0 and out.out.startswith("replayed"), out.err
+        said = process.communicate(timeout=40)[0]
+    finally:
+        process.kill()
+    assert "0 of 256 transducers sound at the end" in said
+    sent = b"".join(bytes.fromhex(json.loads(line)["hex"]) for line in log.read_text().splitlines()[1:])
+    assert received.read_bytes() == sent + sent + BOARDS["sonicsurface"].stop
+    png, csv = tmp_path / "foci.png", tmp_path / "foci.csv"
+    code, out = call(monkeypatch, capsys, "decode", log, "--png", png, "--csv", csv)
+    assert code == 0, out.err
+    assert png.stat().st_size > 5000
+    rows = np.genfromtxt(csv, delimiter=",", names=True)
+    sounding = rows[np.isfinite(rows["x_m"])]
+    assert len(sounding) == 3
+    np.testing.assert_allclose(sounding["x_m"], 0.01, atol=3e-4)
+    np.testing.assert_allclose(sounding["z_m"], 0.16, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("board", "ideal", "--virtual"), "board 'ideal' is not known"),
+        (("board", "sonicsurface", "--virtual", "--by", "smoke"), "--by has value 'smoke'; allowed: pty or tcp"),
+        (("decode", "none.bin", "--board", "sonicsurface"), "can't be read"),
+        (("drive", "--focus", 0, 0, 0.2, "--record", "x", "--level", 2), "--level has value 2; allowed"),
+        (("drive", "--focus", 0, 0, 0.2, "--record", "x", "--layout", "uhev1"), "drives no layout 'uhev1'; allowed"),
+        (("drive", "--focus", 0, 0, 0.2, "--record", "x", "--board", "sonicsurface_pair"), "give a scene that says"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(arguments, words, monkeypatch, capsys, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    code, out = call(monkeypatch, capsys, *arguments)
+    assert code == 2 and words in out.err
+    assert not list(Path(tmp_path).iterdir())
