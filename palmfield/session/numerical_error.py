@@ -37,6 +37,15 @@ Ends: TypeAlias = tuple[tuple[Sheet, ...], tuple[Sheet, ...]]
 
 RATIO = 1.25
 """Element sizes of the two meshes that are compared."""
+ALIKE = 1.3
+"""Triangles of one mesh over those of another, below which their difference is no measure of the error."""
+LEAST_RATIO = 1.1
+"""Least ratio of edges with which Richardson's rule is asked."""
+FEW, FEW_CHANGES, FEW_ORDER = 2000, 4, 1.0
+"""Unknowns below which a mesh has a handful of triangles under the spot, whose error falls unevenly: then the other one
+is finer by this power of RATIO, and the order is this, the least that was seen on discs of 13 and 15 mm."""
+MOST_CHANGES = 6
+"""How often the other mesh's elements are made finer or coarser at most, by RATIO, until the two differ."""
 FINER_BELOW = 15_000
 """Unknowns above which a finer mesh costs minutes and gigabytes."""
 MOST_AT_ONCE = 2
@@ -94,7 +103,7 @@ def error_estimate(
     materials: whether other materials are solved for as well
 
     mesh: of a solver of EXPLICIT its own estimate, of its elements or particles, and of its steps. Else the static and
-        harmonic response on the scene's mesh and on one RATIO finer (or coarser, for more than
+        harmonic response on the scene's mesh and on one RATIO or more finer (RATIO or more coarser, for more than
         FINER_BELOW unknowns and at least LAYERS rows of elements), by Richardson's rule; the larger of the two. The
         frequency is the stimulus's main one; half of the highest that mesh and step are made for where there is none,
         as the spectrum of a load that only starts and stops falls with frequency
@@ -250,7 +259,9 @@ def _estimate(
     materials: Ends | None,
 ) -> dict[str, float]:
     frequency, step_s = layer.demand.main_frequency_Hz, layer.sizes.step_s
-    low, high = (layer, layer.resized(1 / RATIO)) if finer else (layer.resized(RATIO), layer)
+    few = finer and layer.system.ndof < FEW
+    other, ratio = _other_mesh(layer, 1 / RATIO if finer else RATIO, FEW_CHANGES if few else 1)
+    low, high = (layer, other) if finer else (other, layer)
     exact_in_time = isinstance(small, ReducedStepper) and not left_small_model
     coarse = _Response(low, sound.on(low), point, scheme_too=not exact_in_time)
     fine = _Response(high, sound.on(high), point)
@@ -265,9 +276,14 @@ def _estimate(
         coarse.rest,
         *(other.rest for other in ends),
     )
-    mesh = mesh_error(np.array([coarse.static, coarse.harmonic]), np.array([fine.static, fine.harmonic]), RATIO)
+    mesh = mesh_error(
+        np.array([coarse.static, coarse.harmonic]),
+        np.array([fine.static, fine.harmonic]),
+        ratio,
+        order := FEW_ORDER if few else ORDER,
+    )
     if finer:
-        mesh *= RATIO**ORDER
+        mesh *= ratio**order
     step = 1.0 - float(np.sinc(frequency * step_s)) ** 2
     if not exact_in_time:
         step = abs(coarse.scheme - coarse.harmonic) / abs(coarse.harmonic)
@@ -284,6 +300,23 @@ def _estimate(
             references = own.static, own.harmonic
             reduction = max(reduction, *(abs(a - b) / abs(b) for a, b in zip(reduced, references, strict=True)))
     return _as_numbers(mesh, step, reduction, _edge_error(coarse, cut)) | _material_band(coarse, ends)
+
+
+def _other_mesh(layer: SceneLayer, factor: float, changes: int) -> tuple[SceneLayer, float]:
+    """A layer on elements of factor^changes times the size, or more, and the ratio of the edges of both, above 1.
+
+    Small discs have the same rings of triangles for many sizes: sizes go on until the meshes differ. Raises SceneError
+    as SceneLayer.
+    """
+    own, change = len(layer.system.mesh.surface_triangles6), factor**changes
+    for _ in range(MOST_CHANGES):
+        other = layer.resized(change)
+        more = len(other.system.mesh.surface_triangles6) / own
+        if not 1.0 / ALIKE < more < ALIKE:
+            break
+        change *= factor
+    edges = math.sqrt(max(more, 1.0 / more))
+    return other, float(np.clip(edges, LEAST_RATIO, max(change, 1.0 / change)))
 
 
 def _explicit_estimate(

@@ -20,6 +20,7 @@ PACKAGES = (
     "autd3-pattern==0.12.0",
     "numba>=0.60",
     "scikit-fem>=12",
+    "pypardiso>=0.4",  # a hundred times as quick as SuperLU on solids of quadratic hexahedra
     "threadpoolctl",
 )
 

@@ -9,21 +9,29 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from coverage_scenes import PRESETS, draw_scene, numbers_of
 from scipy.spatial import Delaunay
 
-from palmfield.skin.materials.catalogue import preset
 from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
 from palmfield.skin.mesh.body_mesh import Sizes, box_patch
 from palmfield.skin.problem import Body, Layer, Sheet, Slab, Spot
 from palmfield.types import Float, Patch
 
-FAMILIES = ("still", "moving", "rims", "sudden", "smooth", "depths", "contrast", "curved", "meshes")
+FAMILIES = ("still", "moving", "rims", "sudden", "smooth", "depths", "contrast", "curved", "meshes", "scenes")
 """Families of cases, taken in turn."""
-PRESETS = ("ecoflex_00-10", "gelatin_2", "palm", "finger_pad")
 CYCLE = 24
 """Times of the load in one of its periods."""
 CONTRAST = 100.0
-BETWEEN_TIMES_S = 5e-4
+ASKED_TIMES = 24
+ROUND = (0.02, 0.15)
+"""Range of the accuracies asked for of discs and endless bodies."""
+OTHER = (0.04, 0.15)
+"""The same of boxes, layers and scenes, whose truths cost far more."""
+CROSSINGS = (2.0, 6.0)
+"""Range of the times asked for, in those in which shear waves cross the spot or twice the depth, whichever is less."""
+LONGEST_S = 0.06
+BY_NAME = 2
+"""Solvers that a case is given to by name, beside `auto`."""
 
 Case = dict[str, Any]
 
@@ -45,41 +53,92 @@ def draw(seed: int, count: int) -> list[Case]:
 
 
 def draw_case(seed: int, number: int) -> Case:
-    """One case; every third of a family is round or a plain box, so that independent codes reach it."""
+    """One case: of a solver, or of a whole scene (coverage_scenes).
+
+    Sizes go together, so that no body is many widths of its spot across and no time many of its crossings: what a case
+    costs hardly depends on whether its spot is 1 or 300 mm wide.
+    """
     random = np.random.default_rng([seed, number])
-    family = FAMILIES[number % len(FAMILIES)]
+    family, turn = FAMILIES[number % len(FAMILIES)], number // len(FAMILIES)
+    head = {"key": f"{seed}-{number}", "family": family}
+    if family == "scenes":
+        return head | draw_scene(random, between(random, *OTHER))
     width = between(random, 5e-3, 20e-3)
-    depth = float(np.clip(width * between(random, 0.3, 1.5), 2e-3, 20e-3))
-    duration = between(random, 0.02, 0.06)
-    accuracy = between(random, 0.01, 0.1)
     if family == "still":
         width = between(random, 1e-3, 0.3)
-        depth = float(np.clip(width * between(random, 0.5, 2.0), 3e-3, 20e-3))
+    depth = float(np.clip(width * between(random, 0.3, 1.2), 1e-3, 20e-3))
     if family == "depths":
         depth = between(random, 1e-3, 50e-3)
-        width = float(np.clip(depth * between(random, 0.7, 3.0), 4e-3, 40e-3))
+        width = float(np.clip(depth * between(random, 0.7, 2.5), 2e-3, 60e-3))
     sheets = draw_sheets(random, depth, contrast=family == "contrast")
+    shape = shape_of(family, turn)
     body: Case
-    if family in ("curved", "meshes"):
+    if shape == "layer":
         body = draw_layer(random, width, depth, family == "meshes")
-    elif family == "moving" or (family == "rims" and number // len(FAMILIES) % 2):
-        side = pick(random, "fixed", "roller")
-        sizes = [width * between(random, 3.5, 6.0) for _ in range(2)]
-        body = {"shape": "box", "side": side, "size_m": sizes}
-    elif family in ("sudden", "smooth", "contrast") and number // len(FAMILIES) % 3 == 2:
+    elif shape == "box":
+        sizes = [width * between(random, 2.5, 4.0) for _ in range(2)]
+        body = {"shape": "box", "side": pick(random, "fixed", "roller"), "size_m": sizes}
+    elif shape == "infinite":
         body = {"shape": "infinite", "side": None}
     else:
-        wide = width * between(random, 1.2, 4.0)
-        radius = width * between(random, 0.3, 1.2) if family == "rims" else float(np.clip(wide, 0.012, 0.15))
-        body = {"shape": "disc", "side": pick(random, "fixed", "free", "roller"), "radius_m": radius}
+        radius = width * (between(random, 0.3, 1.2) if family == "rims" else between(random, 1.2, 2.5))
+        body = {"shape": "disc", "side": pick(random, "fixed", "free", "roller"), "radius_m": min(radius, 0.15)}
     body |= {"base": pick(random, "bonded", "bonded", "free_slip"), "sheets": sheets}
+    duration = min(LONGEST_S, crossing_s(sheets, width, depth) * between(random, *CROSSINGS))
     load = draw_load(random, family, width, duration, body)
-    times = (BETWEEN_TIMES_S * np.arange(1, 1 + round(duration / BETWEEN_TIMES_S))).tolist()
+    times = (duration / ASKED_TIMES * np.arange(1, 1 + ASKED_TIMES)).tolist()
     at = draw_points(random, body, load)
-    return {
-        "key": f"{seed}-{number}", "family": family, "body": body, "load": load, "times_s": times, "at_m": at,
-        "accuracy": accuracy,
+    accuracy = between(random, *(ROUND if shape in ("disc", "infinite") else OTHER))
+    return head | {
+        "body": body, "load": load, "times_s": times, "at_m": at, "accuracy": accuracy,
+        "solvers": draw_solvers(random, body, load), "by_scikit_fem": asked_of_scikit_fem(body, turn),
+        "by_others": turn == 0 or not asked_of_scikit_fem(body, turn),
     }  # fmt: skip
+
+
+def shape_of(family: str, turn: int) -> str:
+    """Shape of the body in the turn-th case of a family."""
+    if family in ("curved", "meshes"):
+        return "layer"
+    if family == "moving" or (family == "rims" and turn % 2):
+        return "box"
+    return "infinite" if family in ("sudden", "smooth", "contrast") and turn % 3 == 2 else "disc"
+
+
+def asked_of_scikit_fem(body: Case, turn: int) -> bool:
+    """Whether scikit-fem is asked for a truth: of all round cases, and of one in three of the others.
+
+    Of the others, and of the first of each family, another solver of ours is asked. A bent base that slips is none that
+    scikit-fem's script knows.
+    """
+    if body["shape"] in ("disc", "infinite"):
+        return True
+    return turn % 3 == 0 and not (body["shape"] == "layer" and body["base"] == "free_slip")
+
+
+def crossing_s(sheets: list[Case], width: float, depth: float) -> float:
+    """Time in which shear waves cross the spot or go down and up, whichever is less."""
+    down = 0.0
+    for sheet in sheets:
+        numbers = sheet["material"]
+        shear = numbers["shear_relaxed_Pa"] + sum(branch for branch, _ in numbers["branches"])
+        down += sheet["thickness_m"] * math.sqrt(numbers["density_kg_m3"] / shear)
+    return down / depth * min(width, 2.0 * depth)
+
+
+def draw_solvers(random: np.random.Generator, body: Case, load: Case) -> list[str]:
+    """`auto`, and BY_NAME of the solvers that are for such a body and load, each as likely."""
+    moves = np.ptp(np.asarray(load["centre_m"]), axis=0).any()
+    able = [] if body["shape"] == "infinite" else ["wedges", "spectral_elements", "particles"]
+    if not moves and body["shape"] != "infinite":
+        able.append("reduced")
+    if body["shape"] == "disc":
+        able.append("axisymmetric")
+    if body["shape"] == "infinite":
+        return ["auto", "lateral_waves", pick(random, "wedges", "spectral_elements")]
+    if body["side"] == "roller":
+        able.append("lateral_waves")
+    return ["auto", *(str(name) for name in random.choice(able, BY_NAME, replace=False))]
 
 
 def between(random: np.random.Generator, low: float, high: float) -> float:
@@ -94,13 +153,7 @@ def pick(random: np.random.Generator, *names: str) -> str:
 def draw_material(random: np.random.Generator) -> Case:
     which = random.integers(4)
     if which < 2:
-        material = preset(pick(random, *PRESETS))
-        return {
-            "density_kg_m3": material.density_kg_m3, "shear_relaxed_Pa": material.shear_relaxed_Pa,
-            "bulk_Pa": material.bulk_Pa, "viscosity_Pa_s": material.viscosity_Pa_s,
-            "bulk_relaxes": material.bulk_relaxes,
-            "branches": [[branch.shear_Pa, branch.time_s] for branch in material.branches],
-        }  # fmt: skip
+        return numbers_of(pick(random, *PRESETS))
     shear = between(random, 3e3, 50e3)
     bulk = bulk_from_poisson(0.5 - between(random, 5e-4, 0.05), shear)
     viscosity, branches = between(random, 0.3, 6.0), []
@@ -132,14 +185,14 @@ def draw_sheets(random: np.random.Generator, depth: float, contrast: bool) -> li
 
 def draw_layer(random: np.random.Generator, width: float, depth: float, rough: bool) -> Case:
     """A bent rectangle z = -(x^2 / R_x + y^2 / R_y) / 2 + a cos(k x) cos(k y); rough: triangles of any shape."""
-    sizes = [width * between(random, 3.5, 5.5) for _ in range(2)]
-    radii = [max(sizes) * between(random, 1.5, 6.0) for _ in range(2)]
+    sizes = [width * between(random, 2.5, 4.0) for _ in range(2)]
+    radii = [max(sizes) * between(random, 2.0, 6.0) for _ in range(2)]
     bump = [0.1 * depth * float(random.random()), 2.0 * math.pi / (2.0 * max(sizes))] if rough else [0.0, 0.0]
     seed = int(random.integers(1 << 30)) if rough else None
     side = pick(random, "fixed", "free")
     return {
         "shape": "layer", "side": side, "size_m": sizes, "radii_m": radii, "bump": bump, "depth_m": depth,
-        "edge_m": 0.8 * width, "triangles_seed": seed,
+        "edge_m": 0.6 * width, "triangles_seed": seed,
     }  # fmt: skip
 
 
@@ -152,21 +205,22 @@ def draw_load(random: np.random.Generator, family: str, width: float, duration: 
 
     round_body = body["shape"] in ("disc", "infinite")
     centre = np.zeros(2) if round_body else random.uniform(-0.3, 0.3, 2) * width
-    if family == "moving" or (family == "rims" and body["shape"] == "box"):
-        reach = 0.5 * min(body["size_m"])
+    if body["shape"] == "box":
+        reach, turn = 0.5 * min(body["size_m"]), random.uniform(0.0, math.pi)
+        # Slow spots move as far as they get in the time
         half = reach if family == "rims" else min(0.3 * reach, width)
-        turn, speed = random.uniform(0.0, math.pi), between(random, 0.3, 6.0)
-        end = min(2.0 * half / speed, 0.9 * duration)
-        path = np.array([-1.0, 1.0])[:, None] * half * np.array([math.cos(turn), math.sin(turn)])
-        path = np.vstack([path, path[-1:]])
-        return load([0.0, end, end + 2e-3], [1.0, 1.0, 0.0], path)
+        speed, end = between(random, 0.3, 6.0), 0.8 * duration
+        way = min(2.0 * half, speed * end)
+        along = np.array([math.cos(turn), math.sin(turn)])
+        path = np.array([-half, way - half, way - half])[:, None] * along
+        return load([0.0, min(end, way / speed), 0.95 * duration], [1.0, 1.0, 0.0], path)
     if family == "sudden":
         return load([0.0], [1.0], centre, "held")
     if family in ("smooth", "contrast", "depths") and random.random() < 0.7:
-        frequency = between(random, 20.0, 250.0)
+        frequency = between(random, max(20.0, 0.7 / duration), max(250.0, 2.0 / duration))
         times = np.arange(1 + math.ceil(CYCLE * duration * frequency)) / (CYCLE * frequency)
         return load(times, 0.5 - 0.5 * np.cos(2.0 * math.pi * frequency * times), centre)
-    return load([0.0, between(random, 1e-3, 1e-2)], [0.0, 1.0], centre)
+    return load([0.0, duration * between(random, 0.1, 0.6)], [0.0, 1.0], centre)
 
 
 def draw_points(random: np.random.Generator, body: Case, load: Case) -> list[list[float]]:

@@ -2,13 +2,14 @@
 
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
 import numpy as np
 from coverage_draw import Case, Problem, problem_of
+from coverage_scenes import run_scene
 
 from palmfield.errors import SceneError
 from palmfield.skin.problem import QUANTITIES
@@ -23,8 +24,15 @@ NAMES: tuple[Name, ...] = (
     "spectral_elements",
     "particles",
 )
-TRUTHS: tuple[Name, ...] = ("lateral_waves", "axisymmetric", "spectral_elements", "wedges")
-"""Solvers that give truths, the surest first."""
+TRUTHS: dict[str, tuple[Name, ...]] = {
+    "infinite": ("lateral_waves", "wedges"),
+    "disc": ("axisymmetric", "lateral_waves"),
+    "box": ("lateral_waves", "spectral_elements", "wedges"),
+    "layer": ("spectral_elements", "wedges"),
+}
+"""Solvers that give truths, by shape of the body, the surest first."""
+SAME_MESH = {"reduced": "wedges"}
+"""Solvers that share their mesh and matrices with one that gives truths."""
 FINER = 0.1
 """Accuracy of a truth in the case's own."""
 
@@ -35,27 +43,32 @@ class TooLongError(Exception):
 
 @contextmanager
 def at_most(seconds: float) -> Iterator[None]:
-    """Raises TooLongError in the body when it takes longer; main thread of a Unix process only."""
+    """Raises TooLongError in the body when it takes more processor time; main thread of a Unix process only."""
 
     def stop(number: int, frame: FrameType | None) -> None:
         raise TooLongError(f"given up after {seconds:.0f} s")
 
-    before = signal.signal(signal.SIGALRM, stop)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
+    before = signal.signal(signal.SIGPROF, stop)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
     try:
         yield
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.signal(signal.SIGPROF, before)
 
 
-def truths(case: Case, limit_s: float) -> list[dict[str, Any]]:
-    """Answers of up to two solvers at FINER of the accuracy; rows without one say why."""
+def truths(case: Case, auto: dict[str, Any], limit_s: float) -> list[dict[str, Any]]:
+    """The answer of another solver than `auto` took, at FINER of the accuracy; rows without one say why.
+
+    auto: row of `answers` of `auto`
+    """
+    took = {solver_of(auto)} if "solver" in auto else set()
+    took |= {SAME_MESH[name] for name in took if name in SAME_MESH}
     problem, rows = problem_of(case), []
     accuracy = max(1e-4, FINER * problem.accuracy)
-    for name in TRUTHS:
+    for name in (name for name in TRUTHS[case["body"]["shape"]] if name not in took):
         row: dict[str, Any] = {"key": case["key"], "by": name}
-        begin = time.perf_counter()
+        begin = time.process_time()
         try:
             with at_most(limit_s):
                 motion = solve(
@@ -66,43 +79,58 @@ def truths(case: Case, limit_s: float) -> list[dict[str, Any]]:
             row |= {"error": motion.error, "velocity_error": motion.velocity_error}
         except (SceneError, TooLongError, MemoryError) as error:
             row["missing"] = f"{type(error).__name__}: {error}"
-        rows.append(row | {"seconds": time.perf_counter() - begin})
-        if sum("error" in each and each["error"] <= 2.0 * accuracy for each in rows) == 2:
+        rows.append(row | {"seconds": time.process_time() - begin})
+        if row.get("error", 1.0) <= 2.0 * accuracy:
             break
     return rows
 
 
+def solver_of(row: dict[str, Any]) -> str:
+    """Name of the solver in the words of an answer."""
+    return str(row["solver"].replace(",", " ").replace(":", " ").split()[0])
+
+
 def answers(case: Case, limit_s: float, longest_s: float) -> list[dict[str, Any]]:
-    """A row for each solver: its answer and estimates, or why there is none, and whether that was known before."""
+    """A row for each solver: its answer and estimates, or why there is none, and whether that was known before.
+
+    limit_s: processor time of an answer; longest_s: predicted time of a solver by name that is still asked
+    """
+    if "scene" in case:
+        return [_limited(case, name, limit_s, lambda name=name: run_scene(case, name)) for name in case["solvers"]]
     problem = problem_of(case)
     predicted = {choice.name: choice for choice in _choices(problem)}
     rows = []
-    for name in NAMES:
-        row: dict[str, Any] = {"key": case["key"], "asked": name}
+    for name in case["solvers"]:
         choice = predicted.get(name)
         if choice is not None and choice.refusal is not None:
-            rows.append(row | {"refused": choice.refusal})
-            continue
-        if choice is not None and choice.seconds > longest_s:
-            rows.append(row | {"missing": f"predicted {choice.seconds:.3g} s, above {longest_s:g}"})
-            continue
-        begin = time.perf_counter(), time.process_time()
-        try:
-            with at_most(limit_s):
-                motion = solve(
-                    problem.body, problem.load, problem.times, problem.at, solver=name, accuracy=problem.accuracy,
-                    device="cpu",
-                )  # fmt: skip
-            row |= {"displacement_m": motion.displacement_m.tolist(), "velocity_m_s": motion.velocity_m_s.tolist()}
-            row |= {f"{quantity}_error": getattr(motion, f"{quantity}_error") for quantity in QUANTITIES}
-            row["solver"] = motion.solver
-        except SceneError as error:
-            row["refused_late"] = str(error)
-        except (TooLongError, MemoryError) as error:
-            row["missing"] = f"{type(error).__name__}: {error}"
-        row |= {"seconds": time.perf_counter() - begin[0], "processor_s": time.process_time() - begin[1]}
-        rows.append(row)
+            rows.append({"key": case["key"], "asked": name, "refused": choice.refusal})
+        elif choice is not None and choice.seconds > longest_s:
+            words = f"predicted {choice.seconds:.3g} s, above {longest_s:g}"
+            rows.append({"key": case["key"], "asked": name, "missing": words})
+        else:
+            rows.append(_limited(case, name, limit_s, lambda name=name: _answer(problem, name)))
     return rows
+
+
+def _limited(case: Case, name: str, limit_s: float, work: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    row, begin = {"key": case["key"], "asked": name}, time.process_time()
+    try:
+        with at_most(limit_s):
+            row |= work()
+    except SceneError as error:
+        row["refused_late"] = str(error)
+    except (TooLongError, MemoryError) as error:
+        row["missing"] = f"{type(error).__name__}: {error}"
+    return row | {"seconds": time.process_time() - begin}
+
+
+def _answer(problem: Problem, name: Name) -> dict[str, Any]:
+    motion = solve(
+        problem.body, problem.load, problem.times, problem.at, solver=name, accuracy=problem.accuracy, device="cpu"
+    )  # fmt: skip
+    row = {"displacement_m": motion.displacement_m.tolist(), "velocity_m_s": motion.velocity_m_s.tolist()}
+    row |= {f"{quantity}_error": getattr(motion, f"{quantity}_error") for quantity in QUANTITIES}
+    return row | {"solver": motion.solver}
 
 
 def _choices(problem: Problem) -> list[Any]:

@@ -9,13 +9,11 @@ from typing import Any
 
 import numpy as np
 from coverage_draw import FAMILIES
-from coverage_judge import NAMES, relative_error
+from coverage_judge import NAMES, SAME_MESH, relative_error, solver_of
 from scipy.stats import binomtest
 
 CONVERGED = 0.25
 """Error of a truth, as its own code states it, over that found in an answer, up to which the answer is judged by it."""
-SAME_MESH = {"reduced": "wedges"}
-"""Solvers that share their mesh and matrices with one that gives truths."""
 AGREEING = 1.5
 """Truths of two codes contradict one another where they differ by more than this times the sum of their errors."""
 
@@ -60,7 +58,7 @@ def _verdict(case: dict[str, Any], row: dict[str, Any], known: list[dict[str, An
     for key, kind in (("refused", "refused"), ("refused_late", "refused late"), ("missing", "no answer")):
         if key in row:
             return Verdict(**base, kind=kind, words=row[key])
-    own = row["solver"].replace(",", " ").replace(":", " ").split()[0]
+    own = solver_of(row)
     # A solver is no truth of its own answers, nor of those on the same mesh and matrices
     others = sorted((x for x in known if x["by"] not in (own, SAME_MESH.get(own))), key=lambda x: x["error"])
     estimate = float(row["displacement_error"])

@@ -78,7 +78,8 @@ def edge_is_felt(body: Body, load: Load, points: Float) -> bool:
 
 def motion_width(body: Body, load: Load) -> float:
     """Length [m] along the face that elements must resolve: the load's width, and where its pressure reaches the
-    body's sides at most the depth, over which what the sides do falls off; no less than a part of the body then."""
+    body's sides at most the depth, over which what the sides do falls off, or from the middle to the sides where that
+    is less; no less than a part of the body then."""
     width = load_width(load)
     if pressure_at_sides(body, load) < AT_SIDES:
         return width
@@ -86,7 +87,7 @@ def motion_width(body: Body, load: Load) -> float:
         extent = 0.5 * float(np.ptp(body.patch.vertices[:, :2], axis=0).min())
     else:
         extent = 0.5 * min(body.size_m) if body.size_m is not None else float(body.radius_m or math.inf)
-    return min(width, max(depth_of(body), extent / ACROSS))
+    return min(width, max(min(depth_of(body), extent), extent / ACROSS))
 
 
 def load_centre(load: Load) -> tuple[Float, float]:

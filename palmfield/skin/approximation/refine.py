@@ -27,6 +27,9 @@ FINEST_RATIO = 2.0
 """Largest ratio of the sizes of one mesh and the next finer."""
 LEAST_MORE = 1.1
 """Least ratio of two meshes' edges that Richardson's rule is trusted with."""
+ALIKE = 1.3
+"""Triangles of the finer mesh over the coarser's, below which their difference is no measure: of 43 and 41 on a small
+disc it told a fifth of the error."""
 SHRINK = 0.7
 """Extent of the smaller of two endless slabs."""
 WIDER = 2.0
@@ -128,8 +131,8 @@ def refine_until_converged(
     now, coarse, rows_error = refine_in_depth(body, now, run, coarse, accuracy, pinned, judged)
     fine = run(now)
     for _ in range(ROUNDS):
-        # Small bodies have the same few elements for many sizes
-        if pinned or not same_mesh(coarse, fine):
+        # Small bodies have the same few elements for many sizes, or nearly so
+        if pinned or fine.triangles >= ALIKE * coarse.triangles:
             break
         now = replace(now, sizes=resized(now.sizes, 1.0 / ratio_of(body, now.sizes), 1.0))
         fine = run(now)

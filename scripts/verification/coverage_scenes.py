@@ -1,0 +1,119 @@
+"""Whole scenes of a coverage run: a disc over an array, its load as plain data, and what `palmfield.run` says of it.
+
+The focus rests over the middle of the disc, where the sensor is, so that of the load only its mean round the axis moves
+what the sensor reads: that is what an independent code is given.
+"""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import palmfield
+from palmfield.errors import SceneError
+from palmfield.simulation.emission import array_drives
+from palmfield.simulation.radiation import Radiation
+from palmfield.skin.materials.catalogue import preset
+from palmfield.stimulus.schedule import frames_at
+from palmfield.types import Float
+
+SCENES = Path(__file__).parents[2] / "mjcf" / "scenes"
+PRESETS = ("ecoflex_00-10", "gelatin_2", "palm", "finger_pad")
+NAMED = ("reduced", "wedges", "spectral_elements")
+"""Solvers of which a scene is given to one by name, beside `auto`."""
+DURATION_S = 0.024
+STEP_S = 1e-3
+"""MuJoCo's step in these scenes: a sensor is read at the beginning of each."""
+FINE_S = 2.5e-5
+"""Times between which the load's course counts as linear."""
+ROUND = 32
+"""Places on a circle about the focus, over which pressures are averaged."""
+RADII = 160
+
+
+def draw_scene(random: np.random.Generator, accuracy: float) -> dict[str, Any]:
+    """A scene's file and keys, the solvers that it is given to, and its body in the words of the other cases."""
+
+    def between(low: float, high: float) -> float:
+        return float(np.exp(random.uniform(np.log(low), np.log(high))))
+
+    def pick(*names: str) -> str:
+        return names[int(random.integers(len(names)))]
+
+    radius, depth = between(0.010, 0.030), between(0.003, 0.012)
+    side, base = pick("fixed", "free", "roller"), pick("bonded", "bonded", "free_slip")
+    material = pick(*PRESETS)
+    keys: dict[str, Any] = {
+        "skin.radius_m": radius, "skin.thickness_m": depth, "skin.side": side, "skin.base": base,
+        "skin.accuracy": accuracy, "skin.material": material,
+    }  # fmt: skip
+    scene = "phantom_am200"
+    if random.random() < 0.6:
+        keys |= {"stimulus.am_frequency_Hz": between(50.0, 250.0), "stimulus.am_of": pick("pressure", "arp")}
+        keys |= {"stimulus.am_depth": float(random.uniform(0.5, 1.0))}
+    else:
+        scene = "phantom_step"
+        keys["stimulus.ramp_s"] = 0.0 if random.random() < 0.5 else between(1e-3, 8e-3)
+    sheets = [{"thickness_m": depth, "material": numbers_of(material)}]
+    times = (STEP_S * np.arange(1, round(DURATION_S / STEP_S))).tolist()
+    return {
+        "scene": scene, "keys": keys, "accuracy": accuracy, "solvers": ["auto", pick(*NAMED)],
+        "by_scikit_fem": True, "by_others": False,
+        "body": {"shape": "disc", "side": side, "base": base, "radius_m": radius, "sheets": sheets},
+        "times_s": times, "at_m": [[0.0, 0.0]],
+    }  # fmt: skip
+
+
+def numbers_of(name: str) -> dict[str, Any]:
+    """A preset as plain data."""
+    material = preset(name)
+    return {
+        "density_kg_m3": material.density_kg_m3, "shear_relaxed_Pa": material.shear_relaxed_Pa,
+        "bulk_Pa": material.bulk_Pa, "viscosity_Pa_s": material.viscosity_Pa_s, "bulk_relaxes": material.bulk_relaxes,
+        "branches": [[branch.shear_Pa, branch.time_s] for branch in material.branches],
+    }  # fmt: skip
+
+
+def with_load(case: dict[str, Any]) -> dict[str, Any]:
+    """A case of a scene with its load: pressure [Pa] by distance from the axis [m], and its factor over time."""
+    simulation = palmfield.load(SCENES / f"{case['scene']}.xml", keys=case["keys"])
+    runtime = simulation.runtime
+    model, posed = runtime.model, runtime.work.reference
+    drive = array_drives(model, model.arrays)[0].unit_drive(model.stimuli[0].reference_foci).amplitudes
+    radii = case["body"]["radius_m"] * np.linspace(0.0, 1.0, RADII)
+    angles = 2.0 * math.pi / ROUND * (0.5 + np.arange(ROUND))
+    x, y = radii[:, None] * np.cos(angles), radii[:, None] * np.sin(angles)
+    places = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+    frame = posed.bodies[0].frame
+    outward = frame.vectors(np.tile([0.0, 0.0, 1.0], (len(places), 1)))
+    arp = Radiation(model).at(posed, 0, "probe", frame.points(places), outward, drive).arp.reshape(x.shape)
+    config = model.stimuli[0].config
+    times = FINE_S * np.arange(1 + round(DURATION_S / FINE_S))
+    factors = frames_at(config, times)[1]
+    # What is there at once is there from the first time on
+    law, kept = ("held", [0]) if np.all(factors == factors[0]) else ("linear", range(len(times)))
+    profile = arp.mean(axis=1, dtype=float)
+    half = radii[int(np.argmax(profile < 0.5 * profile[0]))]
+    load = {
+        "fwhm_m": 2.0 * float(half), "law": law, "times_s": times[kept].tolist(), "peak_Pa": factors[kept].tolist(),
+        "centre_m": [[0.0, 0.0]] * len(kept), "radii_m": radii.tolist(), "profile_Pa": profile.tolist(),
+    }  # fmt: skip
+    return case | {"load": load}
+
+
+def run_scene(case: dict[str, Any], solver: str) -> dict[str, Any]:
+    """What the sensor in the middle read, as the only component of a displacement, and the budget's numerical line."""
+    keys = case["keys"] | ({} if solver == "auto" else {"skin.solver": solver})
+    simulation = palmfield.load(SCENES / f"{case['scene']}.xml", keys=keys)
+    result = palmfield.run(simulation, duration_s=DURATION_S)
+    budget = json.loads(result.dataset.attrs["error_budget"])["skin"]
+    if not isinstance(budget, dict):
+        raise SceneError(f"no error budget: {budget}")
+    values = result.dataset["sensors/skin"]["value"].sel(channel="normal_displacement_m").to_numpy()
+    moved: Float = np.zeros((len(case["times_s"]), 1, 3))
+    moved[:, 0, 2] = values[1 : 1 + len(moved)]
+    error = budget["numerical"]["displacement_error_relative"]
+    name = result.summary["skins"][0]["solver"]
+    return {"displacement_m": moved.tolist(), "displacement_error": error, "solver": name}
