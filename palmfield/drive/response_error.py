@@ -117,6 +117,38 @@ def response_errors(
     return _worst(ring_up), _worst(flight_time)
 
 
+def changes_of_motion(
+    stimulus: StimulusConfig, rate: complex, spread_s: float, frequency_Hz: float
+) -> tuple[float, float]:
+    """What ring-up, and flight times that differ, change of the largest displacement under a focus at rest, relative.
+
+    The skin is taken as an oscillator without loss, which is at rest when a window begins: a held load that comes late
+    or gradually pushes it as far as one that comes at once, but for what is as quick as the oscillator.
+
+    rate: of the transducers' pole [1/s]; spread_s: between the first and the last transducer's sound, even between them
+    frequency_Hz: of the oscillator, in which most of the skin's response lies
+    """
+    delay = (1.0 / rate).real
+    step = max(delay / SAMPLES_A_DELAY, SHORTEST_S)
+    lag, spread = max(1, round(delay / step)), max(1, round(spread_s / step))
+    along = math.cos(2.0 * math.pi * frequency_Hz * step)
+    changes = []
+    for begin, end in windows(stimulus, delay):
+        last = max(end, begin + 1.0 / frequency_Hz)
+        cells = np.arange(-SETTLED * lag, math.ceil((last - begin) / step))
+        levels = np.sqrt(frames_at(stimulus, np.asarray(begin + (cells + 0.5) * step))[1])
+        late = np.convolve(np.pad(levels, (spread - 1, 0), mode="edge"), np.full(spread, 1.0 / spread), mode="valid")
+        loads = [np.abs(levels) ** 2, np.abs(_rung(levels.astype(complex), rate * step)) ** 2, late**2]
+        own, *others = (
+            float(np.abs(lfilter([0.0, 1.0 - along, 1.0 - along], [1.0, -2.0 * along, 1.0], load)).max())
+            for load in loads
+        )
+        if own > 0.0:
+            changes.append([other / own - 1.0 for other in others])
+    ring_up, flight_time = zip(*changes, strict=True) if changes else ((0.0,), (0.0,))
+    return max(ring_up, key=abs), max(flight_time, key=abs)
+
+
 def _still(levels: Float, weights: Float, z: Complex, delays: Float, lag: int) -> tuple[Float, Float]:
     """Errors of the pressure at a still focus over time, shapes (k,), relative to full level.
 
