@@ -59,13 +59,14 @@ def radiation_pressure_Pa(pressure_Pa: float, air: Air) -> float:
 
 
 def warnings(
-    array: Array, points: ArrayLike, pressure: ArrayLike, air: Air, drive: Complex | None = None
+    array: Array, points: ArrayLike, pressure: ArrayLike, air: Air, beam: tuple[Complex, Float] | None = None
 ) -> list[str]:
     """What a linear far-field model gets wrong for this sound, one line each; empty where it holds.
 
     points: [m], array frame, shape (n, 3), or one, for example the focus, shape (3,)
     pressure: peak pressure at the points, complex or magnitude [Pa], shape (n,), or one number
-    drive: what makes it, complex amplitudes, shape (len(array),); by default one that is focused at the loudest point
+    beam: what makes it, complex amplitudes, shape (len(array),), and its focus, shape (3,), which may be elsewhere; by
+        default one that is focused at the loudest point
     Raises PalmfieldError for points or pressures that are not finite or don't match, SceneError for bad air or array.
     """
     check.array(array)
@@ -81,7 +82,7 @@ def warnings(
         return []
     loudest = int(np.argmax(loudness))
     peak = float(loudness[loudest])
-    return [*_too_near(array, where), *_too_loud(array, where[loudest], peak, air, drive)]
+    return [*_too_near(array, where), *_too_loud(array, where[loudest], peak, air, beam)]
 
 
 def _too_near(array: Array, points: np.ndarray) -> list[str]:
@@ -99,11 +100,13 @@ def _too_near(array: Array, points: np.ndarray) -> list[str]:
     ]
 
 
-def _too_loud(array: Array, point: np.ndarray, peak: float, air: Air, drive: Complex | None) -> list[str]:
+def _too_loud(
+    array: Array, point: np.ndarray, peak: float, air: Air, beam: tuple[Complex, Float] | None
+) -> list[str]:
     distance = np.linalg.norm(array.positions - point, axis=1)
     messages = []
-    if drive is not None:
-        sigma = beam_steepening(array, drive, point, air)
+    if beam is not None:
+        sigma = beam_steepening(array, *beam, air, until=point)
     else:
         sigma = steepening([peak, peak], float(distance.mean()), air, array.frequency_Hz)
         if sigma > 1.0:  # as loud all the way: a focused beam steepens less

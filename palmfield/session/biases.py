@@ -83,7 +83,7 @@ def biases(
     part, point = model.stimuli[stimulus], highest[0]
     return [
         *response_biases(part, model.skins[skin]),
-        *_nonlinear(posed, part, drive, point),
+        *_nonlinear(posed, part, drive, focus, point),
         *_scattered(model, skin, posed, drive, focus, highest),
         *_shadows(model, skin),
         *_echo(model, skin, stimulus, posed, drive, highest),
@@ -104,38 +104,43 @@ def _linear(skin: SkinModel) -> list[Bias]:
 def response_biases(stimulus: StimulusModel, skin: SkinModel) -> list[Bias]:
     """What ring-up and flight times that are left out do to a skin's displacement.
 
-    Of a focus at rest, what they do to an oscillator as quick as the skin. Of a moving one, the whole of the pressure's
+    Of a focus at rest, what they do to an oscillator: one of the main frequency, or of the highest that the layer is
+    made for, whichever changes more, as the skin answers at several at once. Of a moving one, the whole of the pressure's
     error, twice: ARP goes with its square, and sound that comes late or spread is never more than sound at once.
     """
     response, result, own = stimulus.response, [], qualities(stimulus)
-    frequency = skin.layer.demand.main_frequency_Hz
-    still = stimulus.config.path == "point"
+    demand = skin.layer.demand
+    frequencies = sorted({demand.main_frequency_Hz, demand.max_frequency_Hz})
+    which, still = " and ".join(f"{f:.3g}" for f in frequencies), stimulus.config.path == "point"
     changes: tuple[float, ...] = (-2.0 * response.ring_up.rms, -2.0 * response.flight_time.rms)
     if still:
         slowest = min(np.broadcast_to(response.pole.rate, response.delays_s.shape)[stimulus.transducers], key=np.real)
-        changes = changes_of_motion(stimulus.config, complex(slowest), response.spread_s, frequency)
+        found = [changes_of_motion(stimulus.config, complex(slowest), response.spread_s, f) for f in frequencies]
+        changes = tuple(max(of, key=abs) for of in zip(*found, strict=True))
     for what, there, error, change in (
         ("transducers' ring-up", response.on, response.ring_up, changes[0]),
         ("spread of the flight time", response.delayed, response.flight_time, changes[1]),
     ):
         if not there:
             why = f"{error} of the pressure, measured on samples of the drive, {own}; "
-            why += f"what that does to an oscillator of {frequency:.3g} Hz" if still else "the ARP has its square"
+            why += f"felt by oscillators of {which} Hz" if still else "the ARP has its square"
             result.append(Bias(what, min(change, 0.0), max(change, 0.0), why))
     return result
 
 
-def _nonlinear(posed: PosedScene, stimulus: StimulusModel, drive: Complex, point: Float) -> list[Bias]:
+def _nonlinear(
+    posed: PosedScene, stimulus: StimulusModel, drive: Complex, focus: Float, point: Float
+) -> list[Bias]:
     """Of the beam as far as the skin, be the focus before or behind it."""
     arrays = posed.arrays
     own = np.zeros_like(drive)
     own[stimulus.transducers] = drive[stimulus.transducers]
-    sigma = beam_steepening(arrays.array, own, point, arrays.air)
+    sigma = beam_steepening(arrays.array, own, focus, arrays.air, until=point)
     lost = arp_left(sigma) - 1.0
     line = 100.0 * (fundamental_left(sigma) - 1.0)
     why = (
-        f"sigma {sigma:.2f} along the beam to the skin; the 40 kHz line is {line:+.2g} %, but its harmonics press too, so "
-        "that the ARP loses only behind a shock, beyond sigma 1"
+        f"sigma {sigma:.2f} along the beam to the skin; the 40 kHz line is {line:+.2g} %, but its harmonics press too, "
+        "so that the ARP loses only behind a shock, beyond sigma 1"
     )
     return [Bias("nonlinear sound", lost, 0.0, why)]
 
@@ -160,8 +165,8 @@ def _scattered(
     size = TURNED if turned > TURNED_FROM_DEG else CURVED if curved else OPEN_HAND
     why = (
         f"least radius of curvature under the focus {1e3 * radius:.0f} mm, {radius / length:.1f} wavelengths; the "
-        f"local law holds from {FEW_WAVELENGTHS:g}; where the ARP is highest the skin is turned by {turned:.0f} degrees "
-        f"from the sound; {_measured(part)}. body_sound scattering computes it"
+        f"local law holds from {FEW_WAVELENGTHS:g}; where the ARP is highest the skin is turned by {turned:.0f} "
+        f"degrees from the sound; {_measured(part)}. body_sound scattering computes it"
     )
     return [Bias("scattered sound", -size, size, why)]
 
@@ -224,7 +229,8 @@ def _echo(
     arrays, (point, outward) = posed.arrays, highest
     normal = arrays.facing[:, 0] / np.linalg.norm(arrays.facing[:, 0])
     if (arrays.array.normals @ normal).min() < math.cos(math.radians(TILTED_DEG)):
-        return [Bias(ECHO, None, None, "either way; the transducers face in several directions, and no plane returns it")]
+        why = "either way; the transducers face in several directions, so that no plane returns it"
+        return [Bias(ECHO, None, None, why)]
     tilt_deg = math.degrees(math.acos(max(-1.0, min(1.0, float(-outward @ normal)))))
     if tilt_deg > TILTED_DEG:
         why = f"either way; the disc is tilted by {tilt_deg:.0f} degrees, so that its echo returns beside the place"
@@ -237,10 +243,10 @@ def _echo(
         return _echo_computed(model.stimuli[stimulus], arrays, drive, point, shares)
     together = float(shares.sum())
     why = (
-        f"an endless flat plate where the disc is, at {1e3 * height:.0f} mm, and a rigid array face return {100 * shares[0]:.1f} % of the "
-        f"pressure after one round trip and {100 * together:.1f} % after {ROUND_TRIPS}, which add or cancel as the "
-        "distance changes by a quarter of a wavelength; less on a narrow disc, nothing if the face absorbs. array_face "
-        "rigid computes it"
+        f"an endless flat plate in place of the disc, {1e3 * height:.0f} mm away, and a rigid array face return "
+        f"{100 * shares[0]:.1f} % of the pressure after one round trip and {100 * together:.1f} % after {ROUND_TRIPS}, "
+        "which add or cancel as the distance changes by a quarter of a wavelength; less on a narrow disc, nothing if "
+        "the face absorbs. array_face rigid computes it"
     )
     return [Bias(ECHO, (1.0 - min(together, 1.0)) ** 2 - 1.0, (1.0 + together) ** 2 - 1.0, why)]
 

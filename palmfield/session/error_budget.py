@@ -66,7 +66,11 @@ def error_budget(
         "quantity": QUANTITY,
         "numerical": estimate,
         "left_out": [asdict(bias) for bias in found],
-        "inputs": [*_level(model, stimulus, loudest, highest[0]), _material(model, skin, band), *_unknown_inputs(model, skin, stimulus)],
+        "inputs": [
+            *_level(model, stimulus, loudest, highest[0]),
+            _material(model, skin, band),
+            *_unknown_inputs(model, skin, stimulus),
+        ],
     }
 
 

@@ -78,9 +78,7 @@ def skin_numbers(
     if isinstance(stepper, ModalStepper) and not left_small_model:
         result["reduction_velocity_error_relative"] = runtime.work.outside[number].errors(stepper)[1]
     reference = runtime.work.reference
-    return result | felt_levels(
-        model, number, loudest, radiation, reference, times, normal, arp_peaks, begun_s=begun_s
-    )
+    return result | felt_levels(model, number, loudest, radiation, reference, times, normal, arp_peaks, begun_s=begun_s)
 
 
 def estimated_budget(simulation: Simulation, skin: int, loudest: LoudestMoment | None) -> dict[str, Any] | str | None:

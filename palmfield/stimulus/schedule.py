@@ -130,7 +130,7 @@ def silent_after_s(config: StimulusConfig) -> float | None:
 
 
 def steady_stretch_s(config: StimulusConfig) -> tuple[float, float]:
-    """From when until when [s] the level is what modulation, bursts and path alone make of it: neither ramp nor silence.
+    """From when until when [s] the level is what modulation, bursts and path alone make it: neither ramp nor silence.
 
     The end is inf where the sound goes on, and before the beginning where there is no such stretch.
     """

@@ -52,7 +52,7 @@ def advice(view: Preview) -> list[str]:
         drive = first_drive(model, number)
         point = _where_it_arrives(view, stimulus, drive)[None]
         pressure = model.arrays.pressure64(point, drive)
-        result += validity.warnings(model.arrays.array, point, pressure, model.arrays.air, drive)
+        result += validity.warnings(model.arrays.array, point, pressure, model.arrays.air, (drive, stimulus.first_focus))
     return list(dict.fromkeys(result))
 
 
