@@ -40,9 +40,7 @@ def steepening(pressures_Pa: ArrayLike, step_m: float, air: Air, frequency_Hz: f
     return float(per_Pa_m * np.trapezoid(loudness, dx=step_m))
 
 
-def beam_steepening(
-    array: Array, drive: Complex, focus: ArrayLike, air: Air, until: ArrayLike | None = None
-) -> float:
+def beam_steepening(array: Array, drive: Complex, focus: ArrayLike, air: Air, until: ArrayLike | None = None) -> float:
     """sigma along the straight line from the middle of the transducers that are driven to a focus.
 
     drive: complex amplitudes, shape (len(array),); focus: the point [m], array frame, shape (3,)

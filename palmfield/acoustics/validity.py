@@ -100,9 +100,7 @@ def _too_near(array: Array, points: np.ndarray) -> list[str]:
     ]
 
 
-def _too_loud(
-    array: Array, point: np.ndarray, peak: float, air: Air, beam: tuple[Complex, Float] | None
-) -> list[str]:
+def _too_loud(array: Array, point: np.ndarray, peak: float, air: Air, beam: tuple[Complex, Float] | None) -> list[str]:
     distance = np.linalg.norm(array.positions - point, axis=1)
     messages = []
     if beam is not None:

@@ -105,8 +105,9 @@ def response_biases(stimulus: StimulusModel, skin: SkinModel) -> list[Bias]:
     """What ring-up and flight times that are left out do to a skin's displacement.
 
     Of a focus at rest, what they do to an oscillator: one of the main frequency, or of the highest that the layer is
-    made for, whichever changes more, as the skin answers at several at once. Of a moving one, the whole of the pressure's
-    error, twice: ARP goes with its square, and sound that comes late or spread is never more than sound at once.
+    made for, whichever changes more, as the skin answers at several at once. Of a moving one, the whole of the
+    pressure's error, twice: ARP goes with its square, and sound that comes late or spread is never more than sound at
+    once.
     """
     response, result, own = stimulus.response, [], qualities(stimulus)
     demand = skin.layer.demand
@@ -128,9 +129,7 @@ def response_biases(stimulus: StimulusModel, skin: SkinModel) -> list[Bias]:
     return result
 
 
-def _nonlinear(
-    posed: PosedScene, stimulus: StimulusModel, drive: Complex, focus: Float, point: Float
-) -> list[Bias]:
+def _nonlinear(posed: PosedScene, stimulus: StimulusModel, drive: Complex, focus: Float, point: Float) -> list[Bias]:
     """Of the beam as far as the skin, be the focus before or behind it."""
     arrays = posed.arrays
     own = np.zeros_like(drive)

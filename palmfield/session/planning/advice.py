@@ -35,6 +35,7 @@ def advice(view: Preview) -> list[str]:
     for stimulus in model.stimuli:
         result += _keys_without_effect(stimulus)
         result += _path_off_the_skin(model, stimulus)
+        result += _hardly_begun(stimulus, view.duration_s)
     for scattering in scatterings(view):
         if scattering.moves:
             total_s = scattering.solutions * scattering.solution_s
@@ -52,7 +53,8 @@ def advice(view: Preview) -> list[str]:
         drive = first_drive(model, number)
         point = _where_it_arrives(view, stimulus, drive)[None]
         pressure = model.arrays.pressure64(point, drive)
-        result += validity.warnings(model.arrays.array, point, pressure, model.arrays.air, (drive, stimulus.first_focus))
+        beam = drive, stimulus.first_focus
+        result += validity.warnings(model.arrays.array, point, pressure, model.arrays.air, beam)
     return list(dict.fromkeys(result))
 
 
@@ -123,6 +125,19 @@ def _keys_without_effect(stimulus: StimulusModel) -> list[str]:
     return [
         f"{which} {', '.join(given)} of stimulus '{stimulus.spec.name}' {do} nothing: its modulation is 'none'; set "
         "modulation to am, or drop them"
+    ]
+
+
+def _hardly_begun(stimulus: StimulusModel, duration_s: float) -> list[str]:
+    """Whether the run ends while the sound still grows. duration_s: of the run, from MuJoCo's time 0"""
+    config = stimulus.config
+    lasts_s = duration_s - config.start_s
+    if not 0.0 < lasts_s < config.ramp_s:
+        return []
+    reached = 0.5 - 0.5 * math.cos(math.pi * lasts_s / config.ramp_s)
+    return [
+        f"the ramp of stimulus '{stimulus.spec.name}' takes {config.ramp_s:g} s, of which the run holds {lasts_s:g} s: "
+        f"the ARP reaches {100 * reached:.2g} % of its full size; set ramp_s shorter or the duration longer"
     ]
 
 

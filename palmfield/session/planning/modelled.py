@@ -3,6 +3,7 @@
 from palmfield.acoustics.arp import LAWS
 from palmfield.acoustics.body_scattering import BODY_SOUNDS
 from palmfield.config.skin import EXPLICIT
+from palmfield.outputs.summary_table import of_full
 from palmfield.session.array_inputs import qualities
 from palmfield.session.numerical_error import RATIO
 from palmfield.session.planning.costs import estimate_s
@@ -34,7 +35,7 @@ def modelled(model: HapticModel, duration_s: float) -> list[Row]:
     for number, stimulus in enumerate(model.stimuli):
         level = array_drives(model, model.arrays)[number].unit_drive(stimulus.first_focus).level
         about = f"board {model.board.name}: {model.board.description}"
-        rows.append(Row("drive", f"amplitude {level:.3f} of full", about, stimulus.spec.name))
+        rows.append(Row("drive", f"amplitude {of_full(level)}", about, stimulus.spec.name))
     for skin in model.skins:
         law = skin.spec.config.arp_law
         rows.append(Row("ARP", f"law {law}", LAWS[law].about, skin.spec.name))
