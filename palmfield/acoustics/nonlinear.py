@@ -40,22 +40,25 @@ def steepening(pressures_Pa: ArrayLike, step_m: float, air: Air, frequency_Hz: f
     return float(per_Pa_m * np.trapezoid(loudness, dx=step_m))
 
 
-def beam_steepening(array: Array, drive: Complex, focus: ArrayLike, air: Air) -> float:
-    """sigma at a point, along the straight line to it from the middle of the transducers that are driven.
+def beam_steepening(array: Array, drive: Complex, focus: ArrayLike, air: Air, until: ArrayLike | None = None) -> float:
+    """sigma along the straight line from the middle of the transducers that are driven to a focus.
 
     drive: complex amplitudes, shape (len(array),); focus: the point [m], array frame, shape (3,)
-    0 in silence and at a point that is no further than FIRST_M from that middle.
+    until: a point that is as far from that middle as what ends the beam, before or behind the focus; the focus itself
+        by default, shape (3,)
+    0 in silence and for an end that is no further than FIRST_M from that middle.
     """
     loud = np.abs(drive) if array.gain is None else np.abs(drive * array.gain)
     end = np.asarray(focus, float)
     if not loud.any():
         return 0.0
     start = loud @ array.positions / loud.sum()
-    length = float(np.linalg.norm(end - start))
+    direction = (end - start) / max(float(np.linalg.norm(end - start)), 1e-300)
+    length = float(np.linalg.norm((end if until is None else np.asarray(until, float)) - start))
     if length <= FIRST_M:
         return 0.0
     distances = np.linspace(FIRST_M, length, SAMPLES)
-    points = start + distances[:, None] * (end - start) / length
+    points = start + distances[:, None] * direction
     pressures, _ = pressure64(points, array, drive, air)
     return steepening(pressures, float(distances[1] - distances[0]), air, array.frequency_Hz)
 

@@ -10,7 +10,7 @@ from palmfield.acoustics.derived import angular_frequency
 from palmfield.acoustics.nonlinear import arp_left, beam_steepening, steepening
 from palmfield.acoustics.reference import pressure64
 from palmfield.errors import PalmfieldError
-from palmfield.types import Air, Array, Float
+from palmfield.types import Air, Array, Complex, Float
 
 AMPLITUDE_ERROR = 0.45
 """Largest error of a piston's far field times (d/b)^2, over angles to 85 degrees and for k b up to 3.3, the usual
@@ -58,11 +58,15 @@ def radiation_pressure_Pa(pressure_Pa: float, air: Air) -> float:
     return abs(pressure_Pa) ** 2 / (density(air) * sound_speed(air) ** 2)
 
 
-def warnings(array: Array, points: ArrayLike, pressure: ArrayLike, air: Air) -> list[str]:
+def warnings(
+    array: Array, points: ArrayLike, pressure: ArrayLike, air: Air, beam: tuple[Complex, Float] | None = None
+) -> list[str]:
     """What a linear far-field model gets wrong for this sound, one line each; empty where it holds.
 
     points: [m], array frame, shape (n, 3), or one, for example the focus, shape (3,)
     pressure: peak pressure at the points, complex or magnitude [Pa], shape (n,), or one number
+    beam: what makes it, complex amplitudes, shape (len(array),), and its focus, shape (3,), which may be elsewhere; by
+        default one that is focused at the loudest point
     Raises PalmfieldError for points or pressures that are not finite or don't match, SceneError for bad air or array.
     """
     check.array(array)
@@ -78,7 +82,7 @@ def warnings(array: Array, points: ArrayLike, pressure: ArrayLike, air: Air) -> 
         return []
     loudest = int(np.argmax(loudness))
     peak = float(loudness[loudest])
-    return [*_too_near(array, where), *_too_loud(array, where[loudest], peak, air)]
+    return [*_too_near(array, where), *_too_loud(array, where[loudest], peak, air, beam)]
 
 
 def _too_near(array: Array, points: np.ndarray) -> list[str]:
@@ -96,18 +100,21 @@ def _too_near(array: Array, points: np.ndarray) -> list[str]:
     ]
 
 
-def _too_loud(array: Array, point: np.ndarray, peak: float, air: Air) -> list[str]:
+def _too_loud(array: Array, point: np.ndarray, peak: float, air: Air, beam: tuple[Complex, Float] | None) -> list[str]:
     distance = np.linalg.norm(array.positions - point, axis=1)
     messages = []
-    sigma = steepening([peak, peak], float(distance.mean()), air, array.frequency_Hz)
-    if sigma > 1.0:  # as loud all the way: a focused beam steepens less
-        wavenumber = angular_frequency(array.frequency_Hz) / sound_speed(air)
-        drive = np.exp(-1j * wavenumber * distance)
-        loud = float(np.abs(pressure64(point[None], array, drive, air)[0][0]))
-        sigma = beam_steepening(array, drive, point, air) * peak / loud if loud > 0.0 else 0.0
+    if beam is not None:
+        sigma = beam_steepening(array, *beam, air, until=point)
+    else:
+        sigma = steepening([peak, peak], float(distance.mean()), air, array.frequency_Hz)
+        if sigma > 1.0:  # as loud all the way: a focused beam steepens less
+            wavenumber = angular_frequency(array.frequency_Hz) / sound_speed(air)
+            focused = np.exp(-1j * wavenumber * distance)
+            loud = float(np.abs(pressure64(point[None], array, focused, air)[0][0]))
+            sigma = beam_steepening(array, focused, point, air) * peak / loud if loud > 0.0 else 0.0
     if arp_left(sigma) < 1.0 - ARP_LOSS:
         messages.append(
-            f"sigma is {sigma:.2f} along a beam that is focused at {peak:.0f} Pa: it runs into a shock, behind which "
+            f"sigma is {sigma:.2f} along a beam that arrives with {peak:.0f} Pa: it runs into a shock, behind which "
             f"{100 * (1 - arp_left(sigma)):.0f} % of the ARP are lost that this linear field gives"
         )
     load = radiation_pressure_Pa(peak, air)

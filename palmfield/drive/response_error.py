@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
+from scipy.signal import bilinear, lfilter
 
 from palmfield.config import StimulusConfig
 from palmfield.stimulus.modulation import sharpest_s
@@ -23,6 +23,8 @@ LEAST_WINDOW_S = 10e-3
 MOST_WINDOW_S = 100e-3
 SETTLED = 10
 """Delays after which a pole has forgotten, to 5e-5, what was before."""
+LOSS, FORGOTTEN = 0.1, 8
+"""Damping ratio of the oscillator that stands for a skin, and periods after which it has forgotten how it began."""
 VALUES = 100_000
 """Most drives that are sampled; a path that would need more is sampled on some of the transducers."""
 FEWEST = 16
@@ -119,6 +121,37 @@ def response_errors(
             errors.append([_relative(error[inside], sound) for error in pair])
     ring_up, flight_time = zip(*errors, strict=True) if errors else ((), ())
     return _worst(ring_up), _worst(flight_time)
+
+
+def changes_of_motion(
+    stimulus: StimulusConfig, rate: complex, spread_s: float, frequency_Hz: float
+) -> tuple[float, float]:
+    """What ring-up, and flight times that differ, change of the largest displacement under a focus at rest, relative.
+
+    The skin is taken as an oscillator with little loss: a held load that comes late or gradually pushes it as far as
+    one that comes at once, but for what is as quick as the oscillator.
+
+    rate: of the transducers' pole [1/s]; spread_s: between the first and the last transducer's sound, even between them
+    frequency_Hz: of the oscillator, in which most of the skin's response lies
+    """
+    delay = (1.0 / rate).real
+    step = max(delay / SAMPLES_A_DELAY, SHORTEST_S)
+    spread = max(1, round(spread_s / step))
+    w = 2.0 * math.pi * frequency_Hz
+    oscillator = bilinear([w**2], [1.0, 2.0 * LOSS * w, w**2], 1.0 / step)
+    before = math.ceil(FORGOTTEN / (frequency_Hz * step))
+    changes = []
+    for begin, end in windows(stimulus, delay):
+        last = max(end, begin + 1.0 / frequency_Hz)
+        cells = np.arange(-before, math.ceil((last - begin) / step))
+        levels = np.sqrt(frames_at(stimulus, np.asarray(begin + (cells + 0.5) * step))[1])
+        late = np.convolve(np.pad(levels, (spread - 1, 0), mode="edge"), np.full(spread, 1.0 / spread), mode="valid")
+        loads = [levels**2, np.abs(_rung(levels.astype(complex), rate * step)) ** 2, late**2]
+        own, *others = (float(np.abs(lfilter(*oscillator, load))[before:].max()) for load in loads)
+        if own > 0.0:
+            changes.append([other / own - 1.0 for other in others])
+    ring_up, flight_time = zip(*changes, strict=True) if changes else ((0.0,), (0.0,))
+    return max(ring_up, key=abs), max(flight_time, key=abs)
 
 
 def _still(levels: Float, weights: Float, z: Complex, delays: Float, lag: int) -> tuple[Float, Float]:

@@ -1,26 +1,28 @@
 """A skin's error budget (`palmfield.session.error_budget.error_budget`) in words."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 Row = tuple[str, str]
 """Of a table: what, and its size."""
 PARTS = {"mesh": "mesh", "step": "time step", "reduction": "reduction", "edge": "cut edge", "field": "field in float32"}
 """Of the numerical error, by the beginning of its key in a skin's numbers."""
+COARSE = 0.05
+"""Relative band above which a number is told by two digits."""
 SHOWN = 5e-4
 """Relative bias below which nothing is told of what is left out."""
 
 
 def budget_rows(skin: Mapping[str, Any]) -> list[Row]:
-    """What a skin's motion is worth: of its displacement under the focus, in three kinds that are not added up."""
+    """What a skin's motion is worth: of its response under the focus, in three kinds that are not added up."""
     velocity = skin.get("reduction_velocity_error_relative")
     of_velocity = "" if velocity is None else f" ({100 * velocity:.2g} % of the velocity)"
     parts = [
-        f"{name} {100 * skin[f'{key}_error_relative']:.2g} %{of_velocity if key == 'reduction' else ''}"
+        f"{name} {figures(100 * skin[f'{key}_error_relative'], 1.0)} %{of_velocity if key == 'reduction' else ''}"
         for key, name in PARTS.items()
         if f"{key}_error_relative" in skin
     ]
-    rows = [("error, numerical", ", ".join(parts))]
+    rows = [("error, numerical", f"of the response under the focus: {', '.join(parts)}")]
     budget = skin.get("error_budget")
     if budget is None:
         return rows
@@ -32,6 +34,24 @@ def budget_rows(skin: Mapping[str, Any]) -> list[Row]:
     rest = [f"not carried through: {', '.join(unknown)}"] if unknown else []
     rows.append(("error, inputs", "; ".join([*known, *rest])))
     return rows
+
+
+def figures(value: float, band: float) -> str:
+    """A number with no more digits than its relative band leaves: 2 above 5 %, 3 above 0.5 %, else 4."""
+    digits = 2 if band > COARSE else 3 if band > COARSE / 10 else 4
+    text = f"{value:.{digits}g}"
+    return f"{float(text):.0f}" if "e" in text and 1.0 <= abs(value) < 1e6 else text
+
+
+def widest(budget: Mapping[str, Any] | None, kind: str, without: Sequence[str] = ()) -> float:
+    """The widest band of a kind of a budget's parts, left_out or inputs, relative; 0 where none is known.
+
+    Of inputs, half of what their factors leave open; of what is left out, the larger end. without: parts by name
+    """
+    parts = [one for one in (budget or {}).get(kind, ()) if one["low"] is not None and one["what"] not in without]
+    if kind == "inputs":
+        return max(((one["high"] - one["low"]) / 2.0 for one in parts), default=0.0)
+    return max((_largest(one) for one in parts), default=0.0)
 
 
 def _largest(bias: Mapping[str, Any]) -> float:
@@ -62,8 +82,8 @@ def in_a_line(budget: Mapping[str, Any] | str | None) -> str:
     """A budget's largest parts in one line, for pictures; nothing without a budget."""
     if not isinstance(budget, Mapping):
         return ""
-    parts = [f"numerical {100 * budget['numerical']['displacement_error_relative']:.2g} %"]
+    parts = [f"numerical {figures(100 * budget['numerical']['displacement_error_relative'], 1.0)} %"]
     largest = sorted(_told(budget), key=_largest, reverse=True)[:2]
     parts += [f"{one['what']} left out: {bias_text(one['low'], one['high'])}" for one in largest]
     parts += [f"{one['what']} x {one['low']:.2g} to {one['high']:.2g}" for one in _ranges(budget)]
-    return "Error of the displacement under the focus: " + "; ".join(parts)
+    return "Error of the skin's response under the focus: " + "; ".join(parts)

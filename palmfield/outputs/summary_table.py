@@ -8,7 +8,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from palmfield.outputs.budget_text import Row, budget_rows
+from palmfield.outputs.budget_text import COARSE, Row, budget_rows, figures, widest
 from palmfield.perception.registry import ALL_OBSERVERS
 
 WIDTH = 110
@@ -27,7 +27,7 @@ def format_summary(summary: Mapping[str, Any]) -> str:
     """
     skins, stimuli = summary["skins"], summary["stimuli"]
     drives = [
-        ("drive" if len(stimuli) == 1 else f"drive, {one['name']}", f"{one['drive_level']:.3f} of full")
+        ("drive" if len(stimuli) == 1 else f"drive, {one['name']}", of_full(one["drive_level"]))
         for one in stimuli
         if "drive_level" in one
     ] + array_rows(summary["arrays"])
@@ -54,12 +54,12 @@ def format_summary(summary: Mapping[str, Any]) -> str:
 def _sound(skin: Mapping[str, Any], drive_level: float) -> list[Row]:
     """drive_level: highest of all stimuli, relative to full"""
     rows: list[Row] = []
-    band = level_band(skin)
+    band = sound_band(skin)
     if "peak_pressure_Pa" in skin and skin["peak_pressure_dB_SPL"] is not None:
         spl = f"{skin['peak_pressure_dB_SPL']:.{0 if band > COARSE else 1}f} dB SPL"
         rows.append(("peak sound pressure", f"{figures(skin['peak_pressure_Pa'], band / 2.0)} Pa ({spl})"))
     elif "peak_pressure_Pa" in skin:
-        runs = f"no sound pushes this skin, though the array runs, at {drive_level:.3f} of full: see plan"
+        runs = f"no sound pushes this skin, though the array runs, at {of_full(drive_level)}: see plan"
         rows.append(("peak sound pressure", runs if drive_level > 0.0 else "0 Pa (silence: the array doesn't run)"))
     if "peak_arp_Pa" in skin:
         rows.append(("peak ARP", f"{figures(skin['peak_arp_Pa'], band)} Pa"))
@@ -68,15 +68,25 @@ def _sound(skin: Mapping[str, Any], drive_level: float) -> list[Row]:
     return rows
 
 
-COARSE = 0.05
-"""Relative band above which a number is told by two digits."""
+def unknown_or(band: float, skin: Mapping[str, Any]) -> float:
+    """A band, or inf of a skin without an error budget, where it isn't all that is known."""
+    return band if "error_budget" in skin else math.inf
 
 
-def figures(value: float, band: float) -> str:
-    """A number with no more digits than its relative band leaves: 2 above 5 %, 3 above 0.5 %, else 4."""
-    digits = 2 if band > COARSE else 3 if band > COARSE / 10 else 4
-    text = f"{value:.{digits}g}"
-    return f"{float(text):.0f}" if "e" in text and abs(value) < 1e6 and value else text
+def sound_band(skin: Mapping[str, Any]) -> float:
+    """Widest band of what is known of a skin's ARP, relative: of p0, and of what is left out of the sound."""
+    return unknown_or(max(level_band(skin), widest(skin.get("error_budget"), "left_out")), skin)
+
+
+def response_band(skin: Mapping[str, Any]) -> float:
+    """Widest band of what is known of a skin's motion per pascal of ARP, relative: of all but p0."""
+    budget, error = skin.get("error_budget"), skin.get("displacement_error_relative", 0.0)
+    return unknown_or(max(error, widest(budget, "left_out"), widest(budget, "inputs", ("p0",))), skin)
+
+
+def of_full(level: float) -> str:
+    """A drive relative to full, in words."""
+    return f"{level:.3f} of full" if level == 0.0 or level >= 1e-3 else f"{level:.2g} of full"
 
 
 def level_band(skin: Mapping[str, Any]) -> float:
@@ -100,19 +110,22 @@ def array_rows(arrays: Sequence[Mapping[str, Any]]) -> list[Row]:
 
 def _motion(skin: Mapping[str, Any]) -> list[Row]:
     error = skin.get("displacement_error_relative")
-    numerical = "" if error is None else f" (numerical {100 * error:.1f} %)"
-    band = max(level_band(skin), error or 0.0)
+    numerical = "" if error is None else f" (numerical {figures(100 * error, 1.0)} %)"
+    response = response_band(skin)
+    band = max(level_band(skin), response)
     rows: list[Row] = []
     if "solver" in skin:
         unknowns = f"{skin['dofs']} unknowns, " if "dofs" in skin else ""
         rows.append(("skin", f"{unknowns}solver {skin['solver']}"))
     if "displacement_per_arp_m_Pa" in skin:
-        per_pascal = figures(1e6 * skin["displacement_per_arp_m_Pa"], error or COARSE)
+        per_pascal = figures(1e6 * skin["displacement_per_arp_m_Pa"], response)
         rows.append(("peak skin displacement per ARP", f"{per_pascal} um/Pa{numerical}"))
     if "peak_displacement_m" in skin:
-        load = f" for {figures(skin['peak_arp_Pa'], level_band(skin))} Pa" if "peak_arp_Pa" in skin else ""
+        load = f" for {figures(skin['peak_arp_Pa'], sound_band(skin))} Pa" if "peak_arp_Pa" in skin else ""
         peak = figures(1e6 * skin["peak_displacement_m"], band)
-        rows.append(("peak skin displacement", f"{peak} um{load}{numerical}{_for_p0(skin)}"))
+        grazed = skin.get("peak_arp_Pa", 1.0) == 0.0 < skin["peak_displacement_m"]
+        note = "; of sound that only grazes it: no estimate stands behind it" if grazed else ""
+        rows.append(("peak skin displacement", f"{peak} um{load}{numerical}{_for_p0(skin)}{note}"))
         without = f"({figures(1e6 * skin['rms_displacement_without_dc_m'], band)} um without the mean)"
         rows.append(("rms skin displacement", f"{figures(1e6 * skin['rms_displacement_m'], band)} um {without}"))
     if error is not None:
@@ -180,5 +193,8 @@ def advice(skin: Mapping[str, Any]) -> str:
         "the layer's cut sides matter here: compare side fixed and free, or patch_radius_m": skin[
             "edge_error_relative"
         ],
+        "precision accurate of palmfield.array computes the field in double precision": skin.get(
+            "field_error_relative", 0.0
+        ),
     }
     return max(parts, key=lambda text: parts[text])

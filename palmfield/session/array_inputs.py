@@ -2,10 +2,14 @@
 
 import numpy as np
 
+from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.simulation.build import nearest_stimulus
 from palmfield.simulation.emission import array_drives
 from palmfield.simulation.model import HapticModel, StimulusModel, array_instances
-from palmfield.types import Estimate
+from palmfield.types import Complex, Estimate, Float
+
+PLACES = 201
+"""Within the ranges of p0 at which the ARP is looked at: sounds of several stimuli may cancel inside them."""
 
 
 def stimulus_of(model: HapticModel, skin: int) -> int:
@@ -15,24 +19,39 @@ def stimulus_of(model: HapticModel, skin: int) -> int:
 
 
 def p0_band(model: HapticModel, stimulus: int) -> tuple[float, float] | None:
-    """Factors on the skin's motion at the low and high ends of every array's p0; None where arp_peak_Pa sets the level.
+    """Factors on the ARP of a stimulus alone at its focus, at the low and high ends of every array's p0; None where
+    arp_peak_Pa sets the level, and in silence."""
+    part = model.stimuli[stimulus]
+    drive = array_drives(model, model.arrays)[stimulus].unit_drive(part.first_focus).amplitudes
+    return None if part.config.arp_peak_Pa is not None else p0_band_at(model, model.arrays, drive, part.first_focus)
 
-    The pressures of the stimulus's arrays add up at its focus, each with its own p0, and the motion goes with the
-    square.
+
+def p0_band_at(model: HapticModel, arrays: PhasedArray, drive: Complex, point: Float) -> tuple[float, float] | None:
+    """Factors on the ARP at a point while every array's p0 goes from the low to the high end of its range.
+
+    Pressures of arrays add up there, each with its own p0, and the ARP goes with the square of their sum. What a
+    stimulus with arp_peak_Pa drives keeps its pressure, since its drive follows p0. All arrays are at the same place of
+    their ranges at once. None where arp_peak_Pa sets the level of all that sounds, and in silence.
+
+    arrays: in one pose; drive: of all transducers, shape (N,); point: in the frame of the first array [m], shape (3,)
     """
-    part, arrays = model.stimuli[stimulus], model.arrays
-    drive = array_drives(model, arrays)[stimulus].unit_drive(part.first_focus).amplitudes
+    given = np.zeros(len(drive), bool)
+    for stimulus in model.stimuli:
+        given[stimulus.transducers] = stimulus.config.arp_peak_Pa is not None
+    fixed = arrays.pressure64(point[None], np.where(given, drive, 0.0))[0]
+    known = [array.p0 for array in array_instances(model.spec)]
     pressures = []
     for own in arrays.slices:
         alone = np.zeros_like(drive)
-        alone[own] = drive[own]
-        pressures.append(arrays.pressure64(part.first_focus[None], alone)[0])
-    whole = abs(sum(pressures)) ** 2
-    if part.config.arp_peak_Pa is not None or whole == 0.0:
+        alone[own] = np.where(given[own], 0.0, drive[own])
+        pressures.append(arrays.pressure64(point[None], alone)[0])
+    whole = abs(fixed + sum(pressures)) ** 2
+    if whole == 0.0 or not any(pressures):
         return None
-    known = [array.p0 for array in array_instances(model.spec)]
-    low, high = [p0.low / p0.value for p0 in known], [p0.high / p0.value for p0 in known]
-    return abs(np.dot(low, pressures)) ** 2 / whole, abs(np.dot(high, pressures)) ** 2 / whole
+    low, high = (np.array([getattr(p0, end) / p0.value for p0 in known]) for end in ("low", "high"))
+    places = np.linspace(0.0, 1.0, PLACES)[:, None]
+    factors = np.abs(fixed + (low + places * (high - low)) @ np.array(pressures)) ** 2 / whole
+    return float(factors.min()), float(factors.max())
 
 
 def p0_known(model: HapticModel, stimulus: int) -> list[Estimate]:

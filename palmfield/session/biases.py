@@ -1,5 +1,6 @@
 """What a scene leaves out, as estimated bias of its skins' motion: which way, and by how much where that is known."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,7 @@ from palmfield.acoustics.nonlinear import arp_left, beam_steepening, fundamental
 from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.acoustics.validity import least_radius_m
 from palmfield.config.skin import OF_SHAPES
+from palmfield.drive.response_error import changes_of_motion
 from palmfield.outputs.budget_text import bias_text
 from palmfield.session.array_inputs import qualities
 from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
@@ -21,12 +23,21 @@ HANDS = (*OF_SHAPES["hand"], "rigged")
 """Shapes that are hands: what was measured on these is told of no other."""
 FEW_WAVELENGTHS = 2.0
 """Radius of curvature in wavelengths below which a wall is not locally flat for the sound."""
-CURVED, OPEN_HAND = 0.10, 0.04
-"""Error of the local law on less than that, and on an open hand, of the ARP (docs/bench/scattering.md)."""
+TURNED, CURVED, OPEN_HAND = 0.60, 0.16, 0.04
+"""Error of the local law on skin that is turned away, on less than that radius or in a cup, and on an open hand, of the
+ARP face by face (docs/bench/scattering.md)."""
+TURNED_FROM_DEG = 45.0
+"""Angle from which the first is told; it was found at 60 degrees, the others near 0."""
+BENDING = ("articulated", "rigged")
+"""Shapes of hands that may bend into a cup."""
 FACE_BY_FACE = (
     "face by face 4 % of the ARP on an open hand, 8 % on a finger, 16 % in a cup, more than half on skin turned away "
     "(docs/bench/scattering.md)"
 )
+ROUND_BODY = 0.2
+"""Worst error of |p|^2 behind a rod, of the free focus's, against boundary elements (docs/bench/shadows.md)."""
+TILTED_DEG = 5.0
+"""Tilt of a disc from which its echo returns beside the place: it is told of no band then."""
 ECHO = "echo between body and array"
 ROUND_TRIPS = 8
 """Of sound between a plate and the array that a band is made of: what comes later is a tenth of it or less."""
@@ -36,7 +47,7 @@ NEAR_M = 6e-3
 
 @dataclass(frozen=True)
 class Bias:
-    """What leaving something out does to the displacement of the skin under the focus.
+    """What leaving something out does to the displacement of the skin where the sound is loudest.
 
     low, high: the true displacement's least and largest difference from the computed one, over the computed one; None
         where it is not estimated
@@ -54,19 +65,28 @@ class Bias:
         return "not estimated" if self.low is None or self.high is None else bias_text(self.low, self.high)
 
 
-def biases(model: HapticModel, skin: int, stimulus: int, posed: PosedScene, drive: Complex, focus: Float) -> list[Bias]:
+def biases(
+    model: HapticModel,
+    skin: int,
+    stimulus: int,
+    posed: PosedScene,
+    drive: Complex,
+    focus: Float,
+    highest: tuple[Float, Float],
+) -> list[Bias]:
     """What is left out of a skin's motion.
 
     stimulus: number of the one that the skin is made for; drive: of all transducers, shape (N,)
     focus: that stimulus's point, of several the nearest to the skin; array frame [m], shape (3,)
+    highest: where the ARP on the skin is highest, and the outward normal there; array frame, shapes (3,)
     """
-    part = model.stimuli[stimulus]
+    part, point = model.stimuli[stimulus], highest[0]
     return [
-        *response_biases(part),
-        *_nonlinear(posed, part, drive, focus),
-        *_scattered(model, skin, posed, focus),
+        *response_biases(part, model.skins[skin]),
+        *_nonlinear(posed, part, drive, focus, point),
+        *_scattered(model, skin, posed, drive, focus, highest),
         *_shadows(model, skin),
-        *_echo(model, skin, stimulus, posed, drive, focus),
+        *_echo(model, skin, stimulus, posed, drive, highest),
         Bias("streaming", None, None, "a wind of about 1 m/s: some 0.6 Pa more, slow, and cooling"),
         Bias("warm-up", None, None, "resonance and level drift over minutes: usually less sound than at the start"),
         Bias("coupling of transducers", None, None, "each sounds as if alone: either way"),
@@ -81,34 +101,52 @@ def _linear(skin: SkinModel) -> list[Bias]:
     return [Bias("large strain", None, None, "linear elasticity: less, where skin stiffens at strains above some 10 %")]
 
 
-def response_biases(stimulus: StimulusModel) -> list[Bias]:
-    """ARP goes with the pressure's square; sound that comes late or spread is never more than sound at once."""
+def response_biases(stimulus: StimulusModel, skin: SkinModel) -> list[Bias]:
+    """What ring-up and flight times that are left out do to a skin's displacement.
+
+    Of a focus at rest, what they do to an oscillator: one of the main frequency, or of the highest that the layer is
+    made for, whichever changes more, as the skin answers at several at once. Of a moving one, the whole of the
+    pressure's error, twice: ARP goes with its square, and sound that comes late or spread is never more than sound at
+    once.
+    """
     response, result, own = stimulus.response, [], qualities(stimulus)
-    for what, there, error in (
-        ("transducers' ring-up", response.on, response.ring_up),
-        ("spread of the flight time", response.delayed, response.flight_time),
+    demand = skin.layer.demand
+    frequencies = sorted({demand.main_frequency_Hz, demand.max_frequency_Hz})
+    which, still = " and ".join(f"{f:.3g}" for f in frequencies), stimulus.config.path == "point"
+    changes: tuple[float, ...] = (-2.0 * response.ring_up.rms, -2.0 * response.flight_time.rms)
+    if still:
+        slowest = min(np.broadcast_to(response.pole.rate, response.delays_s.shape)[stimulus.transducers], key=np.real)
+        found = [changes_of_motion(stimulus.config, complex(slowest), response.spread_s, f) for f in frequencies]
+        changes = tuple(max(of, key=abs) for of in zip(*found, strict=True))
+    for what, there, error, change in (
+        ("transducers' ring-up", response.on, response.ring_up, changes[0]),
+        ("spread of the flight time", response.delayed, response.flight_time, changes[1]),
     ):
         if not there:
-            why = f"{error} of the pressure, measured on samples of the drive, {own}; the ARP has its square"
-            result.append(Bias(what, -2.0 * error.rms, 0.0, why))
+            why = f"{error} of the pressure, measured on samples of the drive, {own}; "
+            why += f"felt by oscillators of {which} Hz" if still else "the ARP has its square"
+            result.append(Bias(what, min(change, 0.0), max(change, 0.0), why))
     return result
 
 
-def _nonlinear(posed: PosedScene, stimulus: StimulusModel, drive: Complex, focus: Float) -> list[Bias]:
+def _nonlinear(posed: PosedScene, stimulus: StimulusModel, drive: Complex, focus: Float, point: Float) -> list[Bias]:
+    """Of the beam as far as the skin, be the focus before or behind it."""
     arrays = posed.arrays
     own = np.zeros_like(drive)
     own[stimulus.transducers] = drive[stimulus.transducers]
-    sigma = beam_steepening(arrays.array, own, focus, arrays.air)
+    sigma = beam_steepening(arrays.array, own, focus, arrays.air, until=point)
     lost = arp_left(sigma) - 1.0
     line = 100.0 * (fundamental_left(sigma) - 1.0)
     why = (
-        f"sigma {sigma:.2f} along the beam; the 40 kHz line is {line:+.2g} %, but its harmonics press too, so "
-        "that the ARP loses only behind a shock, beyond sigma 1"
+        f"sigma {sigma:.2f} along the beam to the skin; the 40 kHz line is {line:+.2g} %, but its harmonics press too, "
+        "so that the ARP loses only behind a shock, beyond sigma 1"
     )
     return [Bias("nonlinear sound", lost, 0.0, why)]
 
 
-def _scattered(model: HapticModel, skin: int, posed: PosedScene, focus: Float) -> list[Bias]:
+def _scattered(
+    model: HapticModel, skin: int, posed: PosedScene, drive: Complex, focus: Float, highest: tuple[Float, Float]
+) -> list[Bias]:
     """The law takes the wall as flat and rigid."""
     part = model.skins[skin]
     if part.spec.config.body_sound == "scattering":
@@ -121,19 +159,29 @@ def _scattered(model: HapticModel, skin: int, posed: PosedScene, focus: Float) -
     radius = least_radius_m(place.nodes[0], focus, NEAR_M)
     if radius is None:
         return [Bias("scattered sound", None, None, "no focus is near the skin, so that no curvature is there to tell")]
-    size = CURVED if radius < FEW_WAVELENGTHS * length else OPEN_HAND
+    turned = _turned_deg(posed, drive, *highest)
+    curved = radius < FEW_WAVELENGTHS * length or part.spec.config.shape in BENDING
+    size = TURNED if turned > TURNED_FROM_DEG else CURVED if curved else OPEN_HAND
     why = (
         f"least radius of curvature under the focus {1e3 * radius:.0f} mm, {radius / length:.1f} wavelengths; the "
-        f"local law holds from {FEW_WAVELENGTHS:g}; {_measured(part)}. body_sound scattering computes it"
+        f"local law holds from {FEW_WAVELENGTHS:g}; where the ARP is highest the skin is turned by {turned:.0f} "
+        f"degrees from the sound; {_measured(part)}. body_sound scattering computes it"
     )
     return [Bias("scattered sound", -size, size, why)]
+
+
+def _turned_deg(posed: PosedScene, drive: Complex, point: Float, outward: Float) -> float:
+    """Between a skin's outward normal and the way back to the middle of the transducers that sound [degrees]."""
+    loud = np.abs(drive)
+    back = loud @ posed.arrays.array.positions / max(float(loud.sum()), 1e-300) - point
+    return math.degrees(math.acos(max(-1.0, min(1.0, float(outward @ back / np.linalg.norm(back))))))
 
 
 def _measured(skin: SkinModel) -> str:
     """How far off the law was on hands; of another body nothing is known but its curvature."""
     if skin.spec.config.shape in HANDS:
         return FACE_BY_FACE
-    return "the figure is that of hands as curved, and more than half on skin turned away (docs/bench/scattering.md)"
+    return "the figure is that of hands as curved and as turned (docs/bench/scattering.md)"
 
 
 def _shadows(model: HapticModel, skin: int) -> list[Bias]:
@@ -156,41 +204,58 @@ def _shadows(model: HapticModel, skin: int) -> list[Bias]:
     if config.body_sound == "shadows":
         why = (
             "a screen in a body's outline stands for the body: 10 to 20 mm behind a rod 16 mm thick |p|^2 is off by up "
-            "to a fifth of the free focus, either way, and by a fiftieth rms (docs/bench/shadows.md). body_sound "
-            "scattering computes it"
+            "to a fifth of the free focus, either way, and by a fiftieth rms; nothing where all transducers are seen "
+            "(docs/bench/shadows.md). body_sound scattering computes it"
         )
-        return [Bias("round bodies taken as screens", None, None, why)]
+        return [
+            Bias("round bodies taken as screens", -ROUND_BODY, ROUND_BODY, why),
+            Bias("echoes of what casts shadows", None, None, "sound that comes back from it onto skin that is near it"),
+        ]
     return []
 
 
-def _echo(model: HapticModel, skin: int, stimulus: int, posed: PosedScene, drive: Complex, focus: Float) -> list[Bias]:
+def _echo(
+    model: HapticModel,
+    skin: int,
+    stimulus: int,
+    posed: PosedScene,
+    drive: Complex,
+    highest: tuple[Float, Float],
+) -> list[Bias]:
     """Sound that a flat body returns to a rigid face comes again as from three times the distance, from five ..."""
     if model.skins[skin].carrier.surface is not None:
         return [Bias(ECHO, None, None, "either way; less than on a flat plate")]
-    arrays = posed.arrays
-    normal = arrays.facing[:, 0]
-    height = float(focus @ normal - arrays.heights[0])
+    arrays, (point, outward) = posed.arrays, highest
+    normal = arrays.facing[:, 0] / np.linalg.norm(arrays.facing[:, 0])
+    if (arrays.array.normals @ normal).min() < math.cos(math.radians(TILTED_DEG)):
+        why = "either way; the transducers face in several directions, so that no plane returns it"
+        return [Bias(ECHO, None, None, why)]
+    tilt_deg = math.degrees(math.acos(max(-1.0, min(1.0, float(-outward @ normal)))))
+    if tilt_deg > TILTED_DEG:
+        why = f"either way; the disc is tilted by {tilt_deg:.0f} degrees, so that its echo returns beside the place"
+        return [Bias(ECHO, None, None, why)]
+    height = float(point @ normal - arrays.heights[0])
     trips = np.arange(ROUND_TRIPS + 1)
-    sounds = np.abs(arrays.pressure64(focus + 2.0 * height * trips[:, None] * normal, drive))
+    sounds = np.abs(arrays.pressure64(point + 2.0 * height * trips[:, None] * normal, drive))
     shares = sounds[1:] / sounds[0] if sounds[0] > 0.0 else np.zeros(ROUND_TRIPS)
     if arrays.wall_m is not None:
-        return _echo_computed(model.stimuli[stimulus], arrays, drive, focus, shares)
+        return _echo_computed(model.stimuli[stimulus], arrays, drive, point, shares)
     together = float(shares.sum())
     why = (
-        f"an endless flat plate at {1e3 * height:.0f} mm and a rigid array face return {100 * shares[0]:.1f} % of the "
-        f"pressure after one round trip and {100 * together:.1f} % after {ROUND_TRIPS}, which add or cancel as the "
-        "distance changes by a quarter of a wavelength; less on a narrow disc, nothing if the face absorbs. array_face "
-        "rigid computes it"
+        f"an endless flat plate in place of the disc, {1e3 * height:.0f} mm away, and a rigid array face return "
+        f"{100 * shares[0]:.1f} % of the pressure after one round trip and {100 * together:.1f} % after {ROUND_TRIPS}, "
+        "which add or cancel as the distance changes by a quarter of a wavelength; less on a narrow disc, nothing if "
+        "the face absorbs. array_face rigid computes it"
     )
     return [Bias(ECHO, (1.0 - min(together, 1.0)) ** 2 - 1.0, (1.0 + together) ** 2 - 1.0, why)]
 
 
 def _echo_computed(
-    stimulus: StimulusModel, arrays: PhasedArray, drive: Complex, focus: Float, shares: Float
+    stimulus: StimulusModel, arrays: PhasedArray, drive: Complex, point: Float, shares: Float
 ) -> list[Bias]:
     """What is not computed of the echo. shares: of its pressure after 1, 2 ... round trips, over the direct sound's"""
     assert arrays.wall_m is not None
-    alone, whole = (abs(of(focus[None], drive)[0]) ** 2 for of in (arrays.pressure64, arrays.with_echoes64))
+    alone, whole = (abs(of(point[None], drive)[0]) ** 2 for of in (arrays.pressure64, arrays.with_echoes64))
     change = float(alone / whole) - 1.0 if whole > 0.0 else 0.0
     rims = (
         "echoes are those of endless planes: less comes back from a disc or a board that ends, so that the truth lies "

@@ -1,7 +1,8 @@
 """How far a run's motion of the skin can be trusted: numerical errors, what was left out, and what the inputs leave.
 
-All parts are of one quantity, the displacement of the skin under the focus at the loudest moment, relative to its size.
-They are of different kinds and are never added up into one number.
+All parts are of one quantity, the skin's response under the focus to the sound of the loudest moment: how far it would
+move there at rest and at the main frequency. It stands for the displacement that a run shows, which has its peak at
+another moment and perhaps beside that point. They are of different kinds and are never added up into one number.
 """
 
 import math
@@ -11,19 +12,24 @@ from typing import Any
 import numpy as np
 
 from palmfield.config.skin import OF_SHAPES
-from palmfield.session.array_inputs import p0_band, p0_known, quality_known, stimulus_of
+from palmfield.session.array_inputs import p0_band_at, p0_known, quality_known, stimulus_of
 from palmfield.session.biases import biases
 from palmfield.session.numerical_error import (
     Course,
     LoudestMoment,
     error_estimate,
+    loudest_place,
     nearest_focus,
 )
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.radiation import Radiation
 from palmfield.stimulus.schedule import frame_at
+from palmfield.types import Float
 
-QUANTITY = "displacement of the skin under the focus at the loudest moment, relative to its size"
+QUANTITY = (
+    "amplitude of the skin's displacement at its point nearest to the focus, at rest and at the main frequency, under "
+    "the sound of the run's loudest moment; relative to its size"
+)
 LOUDEST_POINTS = 64
 """Points of the skin at which the field is computed once more in double precision."""
 SOURCES = ("mesh", "step", "reduction", "edge", "field")
@@ -54,12 +60,17 @@ def error_budget(
     places = loudest.posed.focal_points(model.stimuli[stimulus], stimulus)
     foci = places.at(frame_at(model.stimuli[stimulus].config, loudest.time_s).focus)
     focus = nearest_focus(foci, loudest.posed.skins[skin].nodes[0])
-    found = biases(model, skin, stimulus, loudest.posed, loudest.drive, focus)
+    highest = loudest_place(loudest.posed, skin, radiation, loudest.drive)
+    found = biases(model, skin, stimulus, loudest.posed, loudest.drive, focus, highest)
     return {
         "quantity": QUANTITY,
         "numerical": estimate,
         "left_out": [asdict(bias) for bias in found],
-        "inputs": [*_level(model, stimulus), _material(model, skin, band), *_unknown_inputs(model, skin, stimulus)],
+        "inputs": [
+            *_level(model, stimulus, loudest, highest[0]),
+            _material(model, skin, band),
+            *_unknown_inputs(model, skin, stimulus),
+        ],
     }
 
 
@@ -77,16 +88,22 @@ def field_error(model: HapticModel, skin: int, loudest: LoudestMoment, radiation
     return 2.0 * float(np.abs(fast - exact).max()) / largest if largest > 0.0 else 0.0
 
 
-def _level(model: HapticModel, stimulus: int) -> list[dict[str, Any]]:
-    """p0 of the arrays that a stimulus drives."""
-    band = p0_band(model, stimulus)
-    known = p0_known(model, stimulus)
+def _level(model: HapticModel, nearest: int, loudest: LoudestMoment, point: Float) -> list[dict[str, Any]]:
+    """p0 of the arrays that sound at the loudest moment. nearest: the stimulus that the skin is made for"""
+    band = p0_band_at(model, loudest.posed.arrays, loudest.drive, point)
+    sounding = [
+        number for number, stimulus in enumerate(model.stimuli) if np.any(loudest.drive[stimulus.transducers])
+    ] or [nearest]
+    known = list(dict.fromkeys(p0 for number in sounding for p0 in p0_known(model, number)))
     kinds = " and ".join(dict.fromkeys(p0.kind for p0 in known))
     if band is None:
         why = "arp_peak_Pa sets the level"
         return [{"what": "p0", "low": 1.0, "high": 1.0, "kind": kinds, "why": why}]
+    given = [model.stimuli[number].config.arp_peak_Pa is not None for number in sounding]
+    law = "where the ARP is highest, of all stimuli together; those with arp_peak_Pa keep theirs" if any(given) else ""
     why = "; ".join(f"{p0.value:g} Pa m ({p0.low:g} to {p0.high:g}): {p0.source}" for p0 in known)
-    return [{"what": "p0", "low": band[0], "high": band[1], "kind": kinds, "why": f"exactly its square; {why}"}]
+    why = f"{law or 'exactly its square'}; {why}"
+    return [{"what": "p0", "low": band[0], "high": band[1], "kind": kinds, "why": why}]
 
 
 def _material(model: HapticModel, skin: int, band: tuple[float | None, float | None]) -> dict[str, Any]:

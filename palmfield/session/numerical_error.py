@@ -116,8 +116,9 @@ def error_estimate(
         what of the run's loads lay outside their class; 0 without either
     material_band_low, _high: factors on the displacement where all ranges of the layer's materials are at their stiff,
         and at their soft ends; missing where no range is known
-    edge: half the difference that fixed or free cut faces make to the harmonic response, also there: a layer on a hand
-        ends where the body goes on; 0 for a disc, whose side is its own
+    edge: half the difference that fixed or free cut faces make to the static or to the harmonic response, also there,
+        the larger: a layer on a hand ends where the body goes on. 1 where nothing else holds it at rest, 0 for a disc,
+        whose side is its own
 
     Kept in the cache (`palmfield.cache`). Raises SceneError where neither a finer nor a coarser mesh of the layer can
     be made.
@@ -274,7 +275,7 @@ def _estimate(
         *(other.swing for other in (*cut, *ends)),
         fine.rest,
         coarse.rest,
-        *(other.rest for other in ends),
+        *(other.rest for other in (*_held(cut), *ends)),
     )
     mesh = mesh_error(
         np.array([coarse.static, coarse.harmonic]),
@@ -328,7 +329,11 @@ def _explicit_estimate(
     own = _Response(layer, sound.on(layer), point)
     edge, cut, ends = 0.0, _other_sides(layer, sound, point), _other_materials(own, materials)
     if cut or ends:
-        _side_by_side(own.swing, *(other.swing for other in (*cut, *ends)), *(other.rest for other in (own, *ends)))
+        _side_by_side(
+            own.swing,
+            *(other.swing for other in (*cut, *ends)),
+            *(other.rest for other in (own, *_held(cut), *ends)),
+        )
         edge = _edge_error(own, cut)
     return _as_numbers(stepper.error, step, 0.0, edge) | _material_band(own, ends)
 
@@ -341,10 +346,22 @@ def _other_sides(layer: SceneLayer, sound: _Sound, point: Float) -> list[_Respon
     return [_Response(other, sound.on(other), point)]
 
 
+def _held(cut: Sequence[_Response]) -> list[_Response]:
+    """Those that rest anywhere: a layer that nothing holds, neither base nor side, flies away under a steady load."""
+    return [other for other in cut if other.layer.config.base != "free" or other.layer.config.side == "fixed"]
+
+
 def _edge_error(own: _Response, cut: Sequence[_Response]) -> float:
-    """Half of what other cut faces change of a layer's harmonic displacement."""
-    changes = [0.5 * abs(other.harmonic - own.harmonic) / abs(own.harmonic) for other in cut]
-    return max(changes, default=0.0)
+    """Half of what other cut faces change of a layer's displacement at rest or of its harmonic one, the larger.
+
+    All of it where at rest nothing else holds the layer.
+    """
+    held = _held(cut)
+    if len(held) < len(cut):
+        return 1.0
+    changes = [abs(other.harmonic - own.harmonic) / abs(own.harmonic) for other in cut]
+    changes += [abs(other.static - own.static) / abs(own.static) for other in held]
+    return 0.5 * max(changes, default=0.0)
 
 
 def _other_materials(own: _Response, ends: Ends | None) -> list[_Response]:
@@ -374,6 +391,16 @@ def nearest_focus(foci: Float, nodes: Float) -> Float:
     places = np.atleast_2d(foci)
     nearest: Float = places[int(np.argmin([np.linalg.norm(nodes - place, axis=1).min() for place in places]))]
     return nearest
+
+
+def loudest_place(posed: PosedScene, skin: int, radiation: Radiation, drive: Complex) -> tuple[Float, Float]:
+    """Where the ARP on a skin is highest under a drive of all transducers (N,): a node and its outward normal.
+
+    Both in the frame of the first array, shapes (3,) [m]; the first node's where no sound pushes any.
+    """
+    nodes, outwards = posed.skins[skin].nodes
+    highest = int(radiation.on(posed, skin, "nodes", drive).arp.argmax())
+    return nodes[highest], outwards[highest]
 
 
 def _under_focus(model: HapticModel, skin: int, loudest: LoudestMoment) -> Float:

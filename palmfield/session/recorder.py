@@ -62,6 +62,7 @@ class Recorder:
 
     loudest: by skin, the moment of the highest ARP on it so far, None where no sound pushed it
     peak_drive: largest amplitude that each transducer was told so far, relative to full drive, shape (N,)
+    begun_s: MuJoCo's clock when it started [s]
     """
 
     def __init__(self, runtime: SceneRuntime, world: World, sink: Sink):
@@ -71,7 +72,7 @@ class Recorder:
         self.peak_drive: Float = np.zeros(len(self.model.arrays))
         self._drive: Complex | None = None
         self._trace: StepTrace | None = None
-        self._zero_s = 0.0
+        self.begun_s = 0.0
         self._sensors = [
             (sensor.name, sensor.data) for skin in runtime.binding.skins for sensor in world.sensors(skin.instance)
         ]
@@ -79,7 +80,7 @@ class Recorder:
     def start(self) -> None:
         """Note the state before the first step, and watch those that follow."""
         work, posed = self.runtime.work, self.runtime.posed
-        now_s = self._zero_s = self.world.time
+        now_s = self.begun_s = self.world.time
         work.observe = tuple(skin.surface_vectors for skin in self.model.skins)
         motions = []
         for number, (stepper, numbers) in enumerate(self.runtime.skin_states()):
@@ -109,7 +110,7 @@ class Recorder:
             trace.times, trace.posed, emitted_at_ends(self.runtime.work.emission, trace, self.model.step_s), motions
         )
         posed = trace.posed
-        block["/"]["step_time"] = np.array([self.world.time - self.model.spec.timestep_s - self._zero_s])
+        block["/"]["step_time"] = np.array([self.world.time - self.model.spec.timestep_s - self.begun_s])
         frame = posed.array_frame
         for array, placement in zip(self.model.spec.arrays, posed.arrays.placements, strict=True):
             own = placement.transform
@@ -141,7 +142,7 @@ class Recorder:
     # -- one instant after the other -----------------------------------------------------------------------------
 
     def _block(self, times: Float, posed: PosedScene, emitted: Emitted, motions: list[Float]) -> Block:
-        block: Block = {"/": {"time": times - self._zero_s}}
+        block: Block = {"/": {"time": times - self.begun_s}}
         for number, skin in enumerate(self.model.skins):
             count = len(skin.nodes[0])
             motion = motions[number].reshape(len(times), 2, count, 3).astype(np.float32)
@@ -187,7 +188,7 @@ class Recorder:
                 frames.append(i)
         if not frames:
             return
-        block["/"]["frame_time"] = times[frames] - self._zero_s
+        block["/"]["frame_time"] = times[frames] - self.begun_s
         chosen = commanded[frames]
         self.peak_drive = np.maximum(self.peak_drive, np.abs(chosen).max(axis=0))
         for array, part in zip(self.model.spec.arrays, posed.arrays.slices, strict=True):
@@ -218,7 +219,7 @@ class Recorder:
                     arp = np.float32(moment.factor) * sound.arp
                     amplitude = np.float32(np.sqrt(moment.factor)) * sound.amplitude
                 block[group(kind, skin.spec.name)] = {
-                    "loudest_time": np.array(0.0 if moment is None else moment.time_s - self._zero_s),
+                    "loudest_time": np.array(0.0 if moment is None else moment.time_s - self.begun_s),
                     "loudest_arp": arp,
                     "loudest_pressure": amplitude,
                 }

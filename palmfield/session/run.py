@@ -263,6 +263,7 @@ def _numbers(
             times,
             np.asarray(normal_component(ds)),
             arp_peaks,
+            begun_s=recorder.begun_s,
         )
     run = recorder.loudest, recorder.peak_drive
     return scene_numbers(sim, *run), skins, stimulus_numbers(sim, *run)

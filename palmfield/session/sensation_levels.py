@@ -22,13 +22,15 @@ from palmfield.session.numerical_error import LoudestMoment
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.radiation import Radiation
-from palmfield.stimulus.schedule import main_frequencies
+from palmfield.stimulus.schedule import main_frequencies, steady_stretch_s
 from palmfield.types import Float, Int
 
 MOVED_SHARE = 0.5
 """Of the largest weighted amplitude on the skin: where it is exceeded the skin counts as moved, for area summation."""
+CLOCK_S = 1e-9
+"""By which a record may miss a moment of the schedule and yet count as there."""
 STILL_m = 1e-3
-"""A body that is further than this from its reference pose is not at rest."""
+"""A skin of which a point is further than this from its reference pose is not at rest."""
 
 
 def felt_levels(
@@ -40,29 +42,44 @@ def felt_levels(
     times: Float,
     normal: Float,
     arp_peaks: Float,
+    *,
+    begun_s: float = 0.0,
 ) -> dict[str, Any]:
     """Levels of one skin by all observers, units in the names: of contact ones as `contact_levels`, and of the force.
 
     loudest: of the run on the skin, None in silence; radiation: of the model; reference: everything in its reference
     pose; times: from the run's start, evenly spaced [s], shape (t,)
     normal: displacement along the outward normal [m], shape (t, S); arp_peaks: highest ARP on the skin [Pa], shape (t,)
+    begun_s: MuJoCo's clock at the run's start [s], by which stimuli start and stop
+    Lines are those of the stretch between ramp and silence (`steady_stretch_s`): what is silent has no level.
     Of the force observer `level_NAME_why` alone where it is refused; else also force_line_N (peak amplitude at the
-    main frequency) and force_mean_N, both on force_area_m2 round the highest ARP.
-    Nothing at all for less than two periods of the main frequency.
+    main frequency) and force_mean_N, both on force_area_m2 round the highest ARP. All observers are refused where no
+    sound pushes the skin, and where the stretch is shorter than two periods of the main frequency.
+    Nothing at all for a run that is shorter than these.
     """
-    frequencies = main_frequencies(model.stimuli[stimulus_of(model, skin)].config)
+    config = model.stimuli[stimulus_of(model, skin)].config
+    frequencies = lines_in(times, main_frequencies(config))
+    if not frequencies:
+        return {}
+    if loudest is None:
+        return _all_refused(frequencies[0], "no sound pushes this skin")
+    loudest_Pa = float(arp_peaks.max())
+    begin, end = steady_stretch_s(config)
+    steady = slice(*np.searchsorted(begun_s + times, [begin - CLOCK_S, end + CLOCK_S]))
+    times, normal, arp_peaks = times[steady], normal[steady], arp_peaks[steady]
     vertices, faces = model.skins[skin].nodes[0], model.skins[skin].faces
     motion = contact_levels(times, normal, frequencies, vertex_areas(vertices, faces))
-    if not motion:
-        return {}
     name = FORCE_OBSERVER.name
-    result: dict[str, Any] = {f"level_{name}_dB_SL": None, f"level_all_lines_{name}_dB_SL": None}
-    refusal = "no sound pushes this skin" if loudest is None else _refused(model, skin, loudest, radiation, reference)
-    if refusal is not None or loudest is None:
-        return motion | result | {f"level_{name}_why": f"refused: {refusal}"}
+    refusal = _refused(model, skin, loudest, radiation, reference)
+    if not motion:
+        lasts_ms = 1e3 * float(np.ptp(times)) if len(times) else 0.0
+        reason = f"{lasts_ms:.3g} ms of this run lie between ramp and silence, less than two periods of the sound"
+        return _all_refused(frequencies[0], reason) | _refusal(name, refusal or reason)
+    if refusal is not None:
+        return motion | _refusal(name, refusal)
     unit = radiation.on(loudest.posed, skin, "nodes", loudest.drive).arp
     force = loudest.factor * force_near_peak_N(vertices, faces, unit, FORCE_OBSERVER.area_m2)
-    course = force * arp_peaks / float(arp_peaks.max())
+    course = force * arp_peaks / loudest_Pa
     line = float(line_amplitudes(times, course[:, None], frequencies[0])[0])
     level = force_level_dB_SL(FORCE_OBSERVER, line)
     return motion | {
@@ -88,10 +105,7 @@ def contact_levels(times: Float, normal: Float, frequencies: list[float], areas:
     exceeds MOVED_SHARE of its largest.
     None where an observer's table does not reach; nothing at all for less than two periods of the main frequency.
     """
-    if not frequencies or len(times) < 2 or frequencies[0] * (times[-1] - times[0]) < 2.0:
-        return {}
-    step = float(times[1] - times[0])
-    frequencies = [f for f in frequencies if f * step <= 1 / 3]
+    frequencies = lines_in(times, frequencies)
     if not frequencies:
         return {}
     lines = np.array([line_amplitudes(times, normal, f) for f in frequencies])
@@ -108,6 +122,35 @@ def contact_levels(times: Float, normal: Float, frequencies: list[float], areas:
         result[f"level_{name}_spread_of"] = observer.spread_of
         result[f"level_{name}_why"] = _why(observer, frequencies[0], most[0])
     return result
+
+
+def lines_in(times: Float, frequencies: list[float]) -> list[float]:
+    """The frequencies [Hz] of which a record has three samples a period or more, none where it is shorter than two
+    periods of the first.
+
+    times: evenly spaced [s], shape (t,)
+    """
+    if not frequencies or len(times) < 2 or frequencies[0] * (times[-1] - times[0]) < 2.0:
+        return []
+    step = float(times[1] - times[0])
+    return [f for f in frequencies if f * step <= 1 / 3]
+
+
+def _refusal(name: str, reason: str) -> dict[str, Any]:
+    """What is told of an observer who is refused."""
+    return {
+        f"level_{name}_dB_SL": None,
+        f"level_all_lines_{name}_dB_SL": None,
+        f"level_{name}_why": f"refused: {reason}",
+    }
+
+
+def _all_refused(frequency: float, reason: str) -> dict[str, Any]:
+    """No level by any observer of a sound with a main frequency [Hz]."""
+    refusals: dict[str, Any] = {"main_frequency_Hz": frequency}
+    for name in (FORCE_OBSERVER.name, *OBSERVERS):
+        refusals |= _refusal(name, reason)
+    return refusals
 
 
 def moved_area_m2(observer: Observer, frequencies: list[float], lines: Float, areas: Float) -> float:
@@ -165,9 +208,9 @@ def _refused(
 
 
 def _moved_m(posed: PosedScene, reference: PosedScene, skin: int) -> float:
-    """How far the body of a skin is from where it is in the reference pose [m]."""
-    places = [scene.skins[skin].body.frame.position for scene in (posed, reference)]
-    return float(np.linalg.norm(places[0] - places[1]))
+    """How far the point of a skin that has moved most is from where it is in the reference pose [m]."""
+    places = [scene.skins[skin].nodes[0] for scene in (posed, reference)]
+    return float(np.linalg.norm(places[0] - places[1], axis=1).max())
 
 
 def region_at(hand: str, point: Float) -> str:

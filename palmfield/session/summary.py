@@ -11,9 +11,9 @@ import numpy as np
 from palmfield.config.skin import EXPLICIT
 from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.errors import PalmfieldError
-from palmfield.session.array_inputs import p0_band, stimulus_of
+from palmfield.session.array_inputs import p0_band_at
 from palmfield.session.error_budget import error_budget
-from palmfield.session.numerical_error import Course, LoudestMoment, error_estimate
+from palmfield.session.numerical_error import Course, LoudestMoment, error_estimate, loudest_place
 from palmfield.session.sensation_levels import felt_levels
 from palmfield.session.simulation import Simulation
 from palmfield.simulation.forces import BodyForces
@@ -37,13 +37,15 @@ def skin_numbers(
     times: Float,
     normal: Float,
     arp_peaks: Float,
+    *,
+    begun_s: float = 0.0,
 ) -> dict[str, Any]:
     """Of one skin: solver, force on its body, error estimate, p0 band and felt level, units in the names.
 
     loudest: the moment of the highest ARP on the skin, None for a run that was silent there
     budget: of `estimated_budget`
     times: of the run's records [s], shape (t,); normal: displacement along the outward normal [m], shape (t, S)
-    arp_peaks: highest ARP on the skin at these times [Pa], shape (t,)
+    arp_peaks: highest ARP on the skin at these times [Pa], shape (t,); begun_s: MuJoCo's clock at the run's start [s]
     `reduction_velocity_error_relative` is what modes state of the velocity; no other solver states it.
     An error estimate that fails leaves its reason in `displacement_error_missing`; the results stand without it.
     """
@@ -58,11 +60,11 @@ def skin_numbers(
         "solver_why": _why(model, number),
         "accuracy_wanted_relative": skin.spec.config.accuracy,
     }
-    stimulus = stimulus_of(model, number)
     if loudest is not None:
         force = _force_N(model, number, loudest, radiation)
         result["total_force_peak_N"] = loudest.factor * force
-        band = p0_band(model, stimulus)
+        highest, _ = loudest_place(loudest.posed, number, radiation, loudest.drive)
+        band = p0_band_at(model, loudest.posed.arrays, loudest.drive, highest)
         if band is not None:
             result |= {"p0_band_low": band[0], "p0_band_high": band[1]}
             result |= {"peak_displacement_low_m": peak * band[0], "peak_displacement_high_m": peak * band[1]}
@@ -76,7 +78,7 @@ def skin_numbers(
     if isinstance(stepper, ModalStepper) and not left_small_model:
         result["reduction_velocity_error_relative"] = runtime.work.outside[number].errors(stepper)[1]
     reference = runtime.work.reference
-    return result | felt_levels(model, number, loudest, radiation, reference, times, normal, arp_peaks)
+    return result | felt_levels(model, number, loudest, radiation, reference, times, normal, arp_peaks, begun_s=begun_s)
 
 
 def estimated_budget(simulation: Simulation, skin: int, loudest: LoudestMoment | None) -> dict[str, Any] | str | None:

@@ -135,6 +135,17 @@ def silent_after_s(config: StimulusConfig) -> float | None:
     return min((end for end in ends if end is not None), default=None)
 
 
+def steady_stretch_s(config: StimulusConfig) -> tuple[float, float]:
+    """From when until when [s] the level is what modulation, bursts and path alone make it: neither ramp nor silence.
+
+    The end is inf where the sound goes on, and before the beginning where there is no such stretch.
+    """
+    begin, end = config.start_s + config.ramp_s, silent_after_s(config)
+    if config.burst_count == 1 and config.burst_window != "rectangular":
+        return begin, -math.inf
+    return begin, math.inf if end is None else end
+
+
 def repeats(config: StimulusConfig) -> bool:
     """Whether the stimulus, once begun, comes round again until it stops.
 

@@ -148,7 +148,7 @@ def test_the_table_of_one_skin(one_skin):
     assert told["skin"] == "1512 unknowns, solver wedges"
     assert told["peak sound pressure"] == "1500 Pa (154 dB SPL)"
     assert told["p0"] == "uncalibrated: inferred, 1.27 Pa m (0.7 to 2.6)"
-    assert "(numerical 10.2 %)" in told["peak skin displacement"]
+    assert "(numerical 10 %)" in told["peak skin displacement"]
     assert "for the range of p0 1 to 14 um" in told["peak skin displacement"]
     assert told["accuracy"].startswith("NOT reached: 5 % wanted; the layer's cut sides")
 
@@ -187,3 +187,77 @@ def test_what_no_sound_pushes_is_no_silence_while_the_array_runs(one_skin):
     assert "silence" not in told and "the array runs, at 0.500 of full" in told
     found["stimuli"][0]["drive_level"] = 0.0
     assert "silence: the array doesn't run" in dict(_rows(format_summary(found)))["peak sound pressure"]
+
+
+def _part(what, low, high):
+    return {"what": what, "low": low, "high": high, "kind": "inferred", "why": ""}
+
+
+def budget_of(left_out=(), inputs=()):
+    """A skin's numbers with an error of 0.1 % and further bands."""
+    errors = {f"{name}_error_relative": 1e-3 for name in ("mesh", "step", "reduction", "edge", "displacement")}
+    budget = {"quantity": "", "numerical": errors, "left_out": list(left_out), "inputs": list(inputs)}
+    return errors | {"accuracy_wanted_relative": 0.05, "error_budget": budget}
+
+
+def told(one_skin, more):
+    """The table's rows of a skin of 1.23456 um for 12.3456 Pa."""
+    numbers = {"peak_displacement_m": 1.23456e-6, "peak_arp_Pa": 12.3456, "displacement_per_arp_m_Pa": 1e-7 * 1.000321}
+    texts: dict[str, str] = {}
+    for name, text in _rows(format_summary(summary(one_skin, RUN, {"palm": numbers | more}, {}))):
+        last = name or last
+        texts[last] = f"{texts.get(last, '')} {text}".strip()
+    return texts
+
+
+@pytest.mark.parametrize(
+    ("more", "moved", "pressed", "per_pascal"),
+    [
+        (budget_of(), "1.235 um", "12.35 Pa", "0.1 um/Pa"),
+        (budget_of(inputs=[_part("material", 0.98, 1.02)]), "1.23 um", "12.35 Pa", "0.1 um/Pa"),
+        (budget_of(inputs=[_part("material", 0.6, 1.6)]), "1.2 um", "12.35 Pa", "0.1 um/Pa"),
+        (budget_of(left_out=[_part("echo", -0.19, 0.0)]), "1.2 um", "12 Pa", "0.1 um/Pa"),
+        (budget_of(inputs=[_part("p0", 0.3, 4.2)]) | {"p0_band_low": 0.3, "p0_band_high": 4.2}, "1.2 um", "12 Pa",
+         "0.1 um/Pa"),
+        ({}, "1.2 um", "12 Pa", "0.1 um/Pa"),
+    ],
+)  # fmt: skip
+def test_digits_follow_the_widest_band_that_is_known(one_skin, more, moved, pressed, per_pascal):
+    rows = told(one_skin, more)
+    assert rows["peak skin displacement"].startswith(f"{moved} for {pressed}"), rows
+    assert rows["peak ARP"] == pressed
+    assert rows["peak skin displacement per ARP"].startswith(per_pascal)
+
+
+def test_the_band_of_p0_leaves_digits_per_pascal(one_skin):
+    known = {"p0_band_low": 0.3, "p0_band_high": 4.2, "displacement_per_arp_m_Pa": 1.23456e-7}
+    rows = told(one_skin, budget_of(inputs=[_part("p0", 0.3, 4.2)]) | known)
+    assert rows["peak skin displacement per ARP"].startswith("0.1235 um/Pa")
+
+
+def test_small_numbers_are_small_and_not_0(one_skin):
+    rows = told(one_skin, {"peak_displacement_m": 2.345e-11, "peak_arp_Pa": 3.12e-4, "total_force_peak_N": 4.56e-9})
+    assert rows["peak skin displacement"].startswith("2.3e-05 um for 0.00031 Pa")
+    assert rows["total force"] == "4.6e-06 mN"
+    drive = format_summary(summary(one_skin, RUN, {"palm": FULL}, {"pulse": {"drive_level": 1e-4}}))
+    assert dict(_rows(drive))["drive"] == "0.0001 of full"
+
+
+def test_large_errors_have_two_digits(one_skin):
+    rows = told(one_skin, budget_of() | {"displacement_error_relative": 0.8093, "mesh_error_relative": 1.234})
+    assert "(numerical 81 %)" in rows["peak skin displacement per ARP"]
+    assert "mesh 120 %" in rows["error, numerical"]
+
+
+def test_the_largest_source_of_an_error_has_its_advice(one_skin):
+    """Each of the five."""
+    words = []
+    for source in ("mesh", "step", "reduction", "edge", "field"):
+        more = budget_of() | {f"{source}_error_relative": 0.2, "displacement_error_relative": 0.2}
+        words.append(told(one_skin, more)["accuracy"])
+    assert len(set(words)) == 5 and "double precision" in words[4]
+
+
+def test_motion_without_sound_on_the_skin_says_that_nothing_stands_behind_it(one_skin):
+    rows = told(one_skin, {"peak_arp_Pa": 0.0})
+    assert "no estimate stands behind it" in rows["peak skin displacement"]

@@ -74,19 +74,19 @@ PALM = "mjcf/scenes/palm_am200.xml"
 COARSE = {"skin.accuracy": 0.5}
 
 
-def force_levels(scene, drive=1.0):
+def force_levels(scene, drive=1.0, until_s=0.05, begun_s=0.0):
     """Levels of a skin under its stimulus's full sound, with the course that its keys ask for and without motion.
 
-    drive: factor on what the transducers emit
+    drive: factor on what the transducers emit; until_s, begun_s: length of the record, and the clock at its start [s]
     """
     model, reference = scene.runtime.model, scene.runtime.work.reference
     emitted, radiation = drive * first_drive(model, 0), Radiation(model)
     loudest = LoudestMoment(0.0, scene.runtime.posed, emitted, 1.0)
-    times = np.arange(0.0, 0.05, 2.5e-4)
+    times = np.arange(0.0, until_s, 2.5e-4)
     peak = float(radiation.on(loudest.posed, 0, "nodes", emitted).arp.max())
     normal = np.zeros((len(times), len(model.skins[0].nodes[0])))
-    arp = peak * factors_at(model.stimuli[0].config, times)
-    return felt_levels(model, 0, loudest, radiation, reference, times, normal, arp)
+    arp = peak * factors_at(model.stimuli[0].config, begun_s + times)
+    return felt_levels(model, 0, loudest, radiation, reference, times, normal, arp, begun_s=begun_s)
 
 
 @pytest.fixture(scope="module")
@@ -142,3 +142,69 @@ def test_a_hand_that_was_moved_is_not_at_rest():
     scene.model.body("hand").pos += 0.002
     mujoco.mj_forward(scene.model, scene.data)
     assert "hand and focus at rest" in force_levels(scene)[FORCE + "_why"]
+
+
+def test_a_hand_that_was_turned_is_not_at_rest():
+    """About its own origin, so that the body's position stays."""
+    scene = palmfield.load(PALM, keys=COARSE)
+    body = scene.model.body("hand")
+    turned = np.zeros(4)
+    mujoco.mju_mulQuat(turned, body.quat, np.array([np.cos(0.1), np.sin(0.1), 0.0, 0.0]))
+    body.quat[:] = turned
+    mujoco.mj_forward(scene.model, scene.data)
+    assert "hand and focus at rest" in force_levels(scene)[FORCE + "_why"]
+
+
+def test_silence_ramps_and_another_clock_leave_the_force_as_it_is(palm):
+    """Line and mean are those of the sound, however much of the record is silent."""
+    whole = force_levels(palm)
+    for until_s, begun_s, keys in (
+        (0.15, 0.0, {"stimulus.stop_s": 0.05}),
+        (0.15, 0.0, {"stimulus.start_s": 0.1}),
+        (0.15, 0.0, {"stimulus.ramp_s": 0.1}),
+        (0.15, 2.0, {"stimulus.stop_s": 2.05}),
+    ):
+        scene = palmfield.load(PALM, keys=COARSE | keys)
+        part = force_levels(scene, until_s=until_s, begun_s=begun_s)
+        for key in ("force_line_N", "force_mean_N"):
+            assert part[key] / whole[key] == pytest.approx(1.0, rel=0.02), (keys, key)
+
+
+def test_motion_in_a_record_with_silence_is_that_of_its_sound(small_scene, moment):
+    """A sine while the sound lasts, and rest for twice as long: the level is that of the sine."""
+    levels = {}
+    for stop_s in (0.05, 0.012, None):
+        keys = {"stimulus.ramp_s": 0} | ({} if stop_s is None else {"stimulus.stop_s": stop_s})
+        scene = palmfield.load(small_scene(), keys=keys)
+        scene.step(2)
+        model, reference = scene.runtime.model, scene.runtime.work.reference
+        times = np.arange(0.0, 0.15 if stop_s else 0.05, 5e-4)
+        course = np.where(times < (stop_s or 1.0), np.sin(2 * np.pi * 200.0 * times), 0.0)
+        normal = np.zeros((len(times), len(model.skins[0].nodes[0])))
+        normal[:, 0] = 2e-6 * course
+        loudest = moment(scene)
+        levels[stop_s] = felt_levels(model, 0, loudest, Radiation(model), reference, times, normal, 1.0 + course)
+    for name in OBSERVERS:
+        key = f"level_{name}_dB_SL"
+        assert levels[0.05][key] == pytest.approx(levels[None][key], abs=0.3), name
+        # 12 ms hold two periods of 200 Hz
+        assert levels[0.012][key] == pytest.approx(levels[None][key], abs=0.5), name
+
+
+def test_too_short_a_sound_has_no_level_and_says_so(palm):
+    scene = palmfield.load(PALM, keys=COARSE | {"stimulus.stop_s": 0.008})
+    levels = force_levels(scene)
+    for name in ("hasegawa_2018", *OBSERVERS):
+        assert levels[f"level_{name}_dB_SL"] is None
+        assert levels[f"level_{name}_why"].startswith("refused: ") and "two periods" in levels[f"level_{name}_why"]
+
+
+def test_a_skin_that_no_sound_pushes_has_no_level(small_scene):
+    """What moves it then is none of this sound's."""
+    scene = palmfield.load(small_scene())
+    model, reference = scene.runtime.model, scene.runtime.work.reference
+    normal = np.repeat(MOTION, len(model.skins[0].nodes[0]), axis=1)
+    levels = felt_levels(model, 0, None, Radiation(model), reference, TIMES, normal, np.zeros(len(TIMES)))
+    for name in OBSERVERS:
+        assert levels[f"level_{name}_dB_SL"] is None
+        assert levels[f"level_{name}_why"] == "refused: no sound pushes this skin"

@@ -10,16 +10,18 @@ from palmfield.config.skin import EXPLICIT
 from palmfield.config.stimulus import AM_KEYS
 from palmfield.session.array_inputs import stimulus_of
 from palmfield.session.biases import response_biases
+from palmfield.session.numerical_error import loudest_place
 from palmfield.session.planning.costs import scatterings
 from palmfield.session.planning.facts import first_drive
 from palmfield.session.planning.sight import out_of_sight
 from palmfield.session.preview import Preview
 from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
+from palmfield.simulation.radiation import Radiation
 from palmfield.skin.explicit_layer import explicit_layer
 from palmfield.skin.from_config import cutoff_Hz
 from palmfield.skin.solver_choice import PREVIEW
 from palmfield.stimulus.schedule import frames_at, main_frequencies, turn_rate_Hz
-from palmfield.types import Float
+from palmfield.types import Complex, Float
 
 COURSE, POSES = 64, 16
 """Points of a path, and poses of hands that scripts move, in which its distance from a skin is looked at."""
@@ -33,6 +35,7 @@ def advice(view: Preview) -> list[str]:
     for stimulus in model.stimuli:
         result += _keys_without_effect(stimulus)
         result += _path_off_the_skin(model, stimulus)
+        result += _hardly_begun(stimulus, view.duration_s)
     for scattering in scatterings(view):
         if scattering.moves:
             total_s = scattering.solutions * scattering.solution_s
@@ -47,10 +50,23 @@ def advice(view: Preview) -> list[str]:
     for number in range(len(model.skins)):
         result += _dropped_response(model, number)
     for number, stimulus in enumerate(model.stimuli):
-        focus = stimulus.first_focus
-        pressure = model.arrays.pressure64(focus[None], first_drive(model, number))
-        result += validity.warnings(model.arrays.array, focus, pressure, model.arrays.air)
+        drive = first_drive(model, number)
+        point = _where_it_arrives(view, stimulus, drive)[None]
+        pressure = model.arrays.pressure64(point, drive)
+        beam = drive, stimulus.first_focus
+        result += validity.warnings(model.arrays.array, point, pressure, model.arrays.air, beam)
     return list(dict.fromkeys(result))
+
+
+def _where_it_arrives(view: Preview, stimulus: StimulusModel, drive: Complex) -> Float:
+    """Where a drive pushes skin most, be the focus before or behind it; the focus where it pushes none, shape (3,)."""
+    model, posed = view.runtime.model, view.runtime.work.reference
+    radiation = Radiation(model)
+    arps = [radiation.on(posed, number, "nodes", drive).arp for number in range(len(model.skins))]
+    loudest = int(np.argmax([arp.max() for arp in arps]))
+    if arps[loudest].max() == 0.0:
+        return stimulus.first_focus
+    return loudest_place(posed, loudest, radiation, drive)[0]
 
 
 def _dropped_response(model: HapticModel, number: int) -> list[str]:
@@ -61,7 +77,7 @@ def _dropped_response(model: HapticModel, number: int) -> list[str]:
         f"{bias.what} of stimulus '{stimulus.spec.name}' left out by key response of palmfield.array: the displacement "
         f"of skin '{skin.spec.name}' may be off by {bias.size}, where accuracy {100 * wanted:g} % is wanted; set "
         "response to auto or on"
-        for bias in response_biases(stimulus)
+        for bias in response_biases(stimulus, skin)
         if bias.low is not None and -bias.low > wanted
     ]
 
@@ -109,6 +125,19 @@ def _keys_without_effect(stimulus: StimulusModel) -> list[str]:
     return [
         f"{which} {', '.join(given)} of stimulus '{stimulus.spec.name}' {do} nothing: its modulation is 'none'; set "
         "modulation to am, or drop them"
+    ]
+
+
+def _hardly_begun(stimulus: StimulusModel, duration_s: float) -> list[str]:
+    """Whether the run ends while the sound still grows. duration_s: of the run, from MuJoCo's time 0"""
+    config = stimulus.config
+    lasts_s = duration_s - config.start_s
+    if not 0.0 < lasts_s < config.ramp_s:
+        return []
+    reached = 0.5 - 0.5 * math.cos(math.pi * lasts_s / config.ramp_s)
+    return [
+        f"the ramp of stimulus '{stimulus.spec.name}' takes {config.ramp_s:g} s, of which the run holds {lasts_s:g} s: "
+        f"the ARP reaches {100 * reached:.2g} % of its full size; set ramp_s shorter or the duration longer"
     ]
 
 

@@ -3,6 +3,7 @@
 from palmfield.acoustics.arp import LAWS
 from palmfield.acoustics.body_scattering import BODY_SOUNDS
 from palmfield.config.skin import EXPLICIT
+from palmfield.outputs.summary_table import of_full
 from palmfield.session.array_inputs import qualities
 from palmfield.session.numerical_error import RATIO
 from palmfield.session.planning.costs import estimate_s
@@ -36,7 +37,7 @@ def modelled(model: HapticModel, duration_s: float) -> list[Row]:
     for number, stimulus in enumerate(model.stimuli):
         level = array_drives(model, model.arrays)[number].unit_drive(stimulus.first_focus).level
         about = f"board {model.board.name}: {model.board.description}"
-        rows.append(Row("drive", f"amplitude {level:.3f} of full", about, stimulus.spec.name))
+        rows.append(Row("drive", f"amplitude {of_full(level)}", about, stimulus.spec.name))
         offset = peak_offset(model, number)
         if offset is not None:
             words = "the maximum of |p|; a focus has all sound in phase, which nearer points have louder"

@@ -71,7 +71,10 @@ def _skin(watched: Watched, world: int, number: int, times: Float) -> dict[str, 
     moved, moves = (part[:, vertex].astype(np.float64) for part in (displacement, velocity))
     model, work = watched.runtimes[world].model, watched.runtimes[world].work
     loudest, arp = watched.loudest[world][number], watched.arp[world, number]
-    levels = felt_levels(model, number, loudest, work.radiation, work.reference, watched.times, displacement, arp)
+    levels = felt_levels(
+        *(model, number, loudest, work.radiation, work.reference, watched.times, displacement, arp),
+        begun_s=watched.begun_s,
+    )
     frequency = levels.get("main_frequency_Hz")
     last = _last_period(watched.times, frequency)
     force = watched.forces[:, world, number]

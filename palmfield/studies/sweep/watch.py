@@ -53,7 +53,7 @@ class Watched:
         self.sensors: Float = np.zeros((steps, count, len(names)))
         # The highest ARP of a world's unit drive on a skin, with the pose for which it holds
         self._units: dict[tuple[int, int], tuple[PosedScene, float]] = {}
-        self._steps, self._zero_s = 0, simulation.time
+        self._steps, self.begun_s = 0, simulation.time
         operators = tuple(skin.layer.surface_operator for skin in model.skins)
         for number, runtime in enumerate(self.runtimes):
             runtime.work.observe = operators
@@ -79,7 +79,7 @@ class Watched:
             assert reader is not None
             self.motion[skin][world, 0] = stepper.read(numbers, reader)[0]
         posed, course = runtime.now()
-        self._hear(world, posed, emitted_at(course, np.array([0])), np.array([self._zero_s]), slice(0, 1))
+        self._hear(world, posed, emitted_at(course, np.array([0])), np.array([self.begun_s]), slice(0, 1))
 
     def _rows(self, count: int) -> slice:
         """Of the arrays over time: the substeps of the present step."""
@@ -88,7 +88,7 @@ class Watched:
     def _alone(self, world: int, trace: StepTrace) -> None:
         """Take the step of one world."""
         rows = self._rows(len(trace.times))
-        self.times[rows] = trace.times - self._zero_s
+        self.times[rows] = trace.times - self.begun_s
         for motion, seen in zip(self.motion, trace.motion, strict=True):
             assert seen is not None
             motion[world, rows] = seen
@@ -99,7 +99,7 @@ class Watched:
     def _together(self, trace: TogetherTrace) -> None:
         """Take the step of the worlds that have joined."""
         rows = self._rows(len(trace.times))
-        self.times[rows] = trace.times - self._zero_s
+        self.times[rows] = trace.times - self.begun_s
         last = trace.factors.argmax(axis=1)
         factors = trace.factors[np.arange(len(last)), last]
         for skin, motion in enumerate(self.motion):
