@@ -32,7 +32,15 @@ HAPTIC = """<!-- {name}: run with `palmfield run {name}.xml`, or watch with `pyt
   <extension>
     <plugin plugin="palmfield.array">
       <instance name="array">
-        <!-- Peak pressure of one transducer at 1 m. Calibrate it: published values differ by a factor of 6. -->
+        <config key="layout" value="uhev1"/>
+        <!-- Peak pressure of one transducer at 1 m, on which all results depend by its square. Of this layout 1.27 Pa m
+             is inferred, 0.7 to 2.6. Once you have measured yours, name your file by the first line, or give the
+             numbers by the others (docs/arrays.md).
+        <config key="calibration" value="my_array.toml"/>
+        <config key="p0_Pa_m" value="1.27"/>
+        <config key="p0_low_Pa_m" value="0.7"/>
+        <config key="p0_high_Pa_m" value="2.6"/>
+        -->
       </instance>
     </plugin>
     <plugin plugin="palmfield.stimulus">

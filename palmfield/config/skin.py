@@ -18,7 +18,18 @@ EXPLICIT = ("spectral_elements", "particles")
 OVERRIDES = ("density_kg_m3", "shear_relaxed_Pa", "shear_branch_Pa", "relaxation_time_s", "bulk_Pa")
 
 
-OF_SHAPES = {"hand": ("hand", "articulated"), "mesh": ("mesh", "rigged"), "mesh_unit": ("mesh", "rigged")}
+BODIES = ("hand", "articulated", "mesh", "rigged")
+"""Shapes on which a layer is laid; a disc is the layer itself."""
+OF_SHAPES = {
+    "hand": ("hand", "articulated"),
+    "mesh": ("mesh", "rigged"),
+    "mesh_unit": ("mesh", "rigged"),
+    "radius_m": ("disc",),
+    "thickness_m": ("disc",),
+    "patch_site": BODIES,
+    "patch_radius_m": BODIES,
+    "depth_m": BODIES,
+}
 """Keys that only some shapes look at: with another shape they would say nothing, silently."""
 WITH_A_UNIT = (".glb", ".gltf", ".pkl")
 """Mesh files whose format says what a unit is."""
@@ -134,6 +145,11 @@ class SkinConfig(Config):
         self._check_sheets()
         if self.obstacles and self.body_sound != "shadows":
             raise ValueError(f"obstacles cast shadows, body_sound is '{self.body_sound}': set it to shadows")
+        if "shadow_edges" in self.model_fields_set and self.body_sound != "shadows":
+            raise ValueError(
+                f"shadow_edges '{self.shadow_edges}' belongs to shadows, body_sound is '{self.body_sound}': drop it or "
+                "set body_sound to shadows"
+            )
         if self.side == "roller" and self.shape != "disc":
             raise ValueError("side 'roller' needs the symmetry of shape 'disc'; use fixed or free")
         return self
