@@ -30,7 +30,7 @@ COURSE, POSES = 64, 16
 SOUNDS, NODES = 16, 2000
 """Points of a path, and of a skin, at most, in which the sound is looked at that comes from a focus far away."""
 HARDLY = 0.05
-"""Of the focus's |p|^2: skin that gets less hardly moves."""
+"""Of the |p|^2 of a focus on it: skin that gets less hardly moves."""
 UNLIKELY = 3.0
 """So many times beyond what is known of any transducer a p0 is doubted."""
 
@@ -99,7 +99,9 @@ def _far_focus(view: Preview, number: int) -> list[str]:
     stimulus, spot_mm = model.stimuli[nearest[0]], 1e3 * skin.layer.demand.spot_fwhm_m
     share = 0.0 if stimulus.silent else _share_of_focus(model, number, *nearest)
     moves = (
-        "which then hardly moves" if share < HARDLY else f"on which |p|^2 reaches {100 * share:.0f} % of the focus's"
+        "which then hardly moves"
+        if share < HARDLY
+        else (f"whose loudest point gets {100 * share:.0f} % of the |p|^2 of a focus there")
     )
     return [
         f"no focus comes near skin '{skin.spec.name}': that of stimulus '{stimulus.spec.name}' stays "
@@ -109,18 +111,19 @@ def _far_focus(view: Preview, number: int) -> list[str]:
 
 
 def _share_of_focus(model: HapticModel, skin: int, stimulus: int, posed: PosedScene) -> float:
-    """The highest |p|^2 on a skin over that at the focus, in free air, for the points of a path."""
+    """The highest |p|^2 on a skin, in free air, over that of a focus at the same place, for the points of a path."""
     nodes = posed.skins[skin].nodes[0]
     nodes = nodes[:: -(-len(nodes) // NODES)]
     drive, places = array_drives(model, posed.arrays)[stimulus], posed.focal_points(model.stimuli[stimulus], stimulus)
     course, share = _course(model.stimuli[stimulus]), 0.0
     for point in course[:: -(-len(course) // SOUNDS)]:
         foci = np.atleast_2d(places.at(point))
-        amplitudes = drive.unit_drive(foci).amplitudes
-        at_focus, on_skin = (
-            np.max(np.abs(posed.arrays.pressure64(points, amplitudes))) ** 2 for points in (foci, nodes)
-        )
-        share = max(share, float(on_skin / at_focus))
+        away = drive.unit_drive(foci)
+        pressures = np.abs(posed.arrays.pressure64(nodes, away.amplitudes))
+        loudest = nodes[pressures.argmax()][None]
+        there = drive.unit_drive(loudest)
+        focused = abs(posed.arrays.pressure64(loudest, there.amplitudes)[0]) * away.level / there.level
+        share = max(share, float(pressures.max() / focused) ** 2)
     return share
 
 
