@@ -69,9 +69,13 @@ class SkinConfig(Config):
         None,
         description="site on the body, in the reference pose, at the middle of the skin layer (all shapes but disc)",
     )
-    patch_radius_m: Positive | None = Field(None, description="radius of the skin layer (default: the plan's)")
+    patch_radius_m: Positive | None = Field(
+        None, description="radius of the skin layer (default: the plan's; all shapes but disc)"
+    )
     depth_m: Positive = Field(
-        0.02, description="greatest depth of the layer; a hand's own depth to bone applies where it is less"
+        0.02,
+        description="greatest depth of the layer, of all shapes but disc; a hand's own depth to bone applies where it "
+        "is less",
     )
     material: str = Field("palm", description="a preset of palmfield.skin.materials.material")
     materials: Names = Field(
