@@ -20,10 +20,13 @@ class OutputError(PalmfieldError):
     """Results cannot be written or read back."""
 
 
-def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """` (did you mean 'x'?)` for what of the known words comes near; empty where none does."""
+def did_you_mean(word: str, known: Iterable[str], likeness: float = 0.6) -> str:
+    """` (did you mean 'x'?)` for what of the known words comes near; empty where none does.
+
+    likeness: least share of letters that they have in common, 0 to 1
+    """
     by_lower = {name.lower(): name for name in known}
-    near = difflib.get_close_matches(word.lower(), by_lower, n=1, cutoff=0.6)
+    near = difflib.get_close_matches(word.lower(), by_lower, n=1, cutoff=likeness)
     return f" (did you mean '{by_lower[near[0]]}'?)" if near else ""
 
 

@@ -12,6 +12,8 @@ from palmfield.types import Array, Float
 
 LENGTHS_m = {"m": 1.0, "mm": 1e-3}
 NORMAL = ("nx", "ny", "nz")
+MOST_GAIN = 2.0
+"""Transducers of one array differ by tenths; what is louder is a level, which p0 holds."""
 FARTHEST_m = 5.0
 """Beyond this from the array's frame a position is taken for one in another unit."""
 
@@ -40,9 +42,10 @@ def read_transducers(path: str | Path) -> TransducerTable:
     """The transducers in a CSV file with a line of column names.
 
     Columns: x_m, y_m, z_m or x_mm, y_mm, z_mm; if they don't all emit along z nx, ny, nz; gain (amplitude relative to
-    p0, 0 is dead, -1 is inverted) and phase_deg where they differ; address, its place in the board's byte order.
+    p0, -2 to 2; 0 is dead, -1 inverted) and phase_deg where they differ; address, its place in the board's byte order.
     Raises SceneError for a file that cannot be read, a missing, unknown or doubled column, two transducers at one
-    place, and, with line and column, for text, NaN, a direction of length 0 and addresses that are not 0 to n - 1.
+    place, and, with line and column, for text, NaN, a direction of length 0, gains beyond 2, and addresses that are not
+    0 to n - 1.
     """
     file = Path(path)
     columns, places = read_table(file)
@@ -65,6 +68,12 @@ def read_transducers(path: str | Path) -> TransducerTable:
         sizes, phases = (
             columns.pop(name, np.full(len(places), like)) for name, like in (("gain", 1.0), ("phase_deg", 0))
         )
+        loudest = int(np.argmax(np.abs(sizes)))
+        if abs(sizes[loudest]) > MOST_GAIN:
+            raise SceneError(
+                f"{file}: {places[loudest]}, column gain: {sizes[loudest]:g}; allowed: {-MOST_GAIN:g} to {MOST_GAIN:g} "
+                "relative to p0, which holds the level (key p0_Pa_m)"
+            )
         gains = tuple((sizes * np.exp(1j * np.radians(phases))).tolist())
     addresses = None
     if "address" in columns:

@@ -112,6 +112,11 @@ def _given(keys: list[str] | None) -> dict[str, str]:
         name, equals, value = text.partition("=")
         if not equals:
             raise SceneError(f"--set {text} has no value; write INSTANCE.KEY=VALUE, e.g. stimulus.path_speed_m_s=11")
+        if not value.strip():
+            raise SceneError(
+                f"--set {text} has no value behind the =; write INSTANCE.KEY=VALUE, or leave it out for what the scene "
+                "has"
+            )
         if name in result:
             raise SceneError(f"--set gives {name} twice, '{result[name]}' and '{value}'; allowed: each key once")
         result[name] = value
@@ -624,6 +629,17 @@ def main() -> None:
     except PalmfieldError as error:
         complain(str(error))
         sys.exit(2)
+    except (KeyboardInterrupt, Exception) as error:
+        if not _from_ctrl_c(error):
+            raise
+        complain("interrupted")
+        sys.exit(130)
+
+
+def _from_ctrl_c(error: BaseException) -> bool:
+    """Whether an error stands for Ctrl-C: libraries that it meets while they are loaded raise errors of their own."""
+    causes = (error.__cause__, error.__context__)
+    return isinstance(error, KeyboardInterrupt) or any(_from_ctrl_c(cause) for cause in causes if cause is not None)
 
 
 def _anywhere(arguments: list[str]) -> list[str]:

@@ -6,6 +6,7 @@ from typing import Any
 from palmfield.acoustics.air import absorption_Np_m, density, sound_speed
 from palmfield.outputs.netcdf import plain
 from palmfield.session.preview import Preview
+from palmfield.session.summary import array_numbers
 from palmfield.skin.materials.material import complex_shear
 
 
@@ -17,18 +18,22 @@ def print_json(facts: dict[str, Any]) -> None:
 def scene_facts(view: Preview) -> dict[str, Any]:
     """What a scene contains, as `palmfield info` tells it. Keys of plugins have the names that scenes set.
 
+    Of each array p0 [Pa m] and quality, with range and kind, as they count, whether its keys set them or not.
+
     Moduli are storage and loss at 200 Hz.
     """
     from palmfield.cli.describe import SOFTNESS_Hz
 
     model = view.runtime.model
     spec, air, carrier_Hz = model.spec, model.arrays.air, model.arrays.array.frequency_Hz
+    known = array_numbers(model)
     arrays = [
         {
             "name": array.name,
             "layout": part.name,
             "transducers": len(part),
             "carrier_Hz": part.frequency_Hz,
+            **known[array.name],
             "keys": array.config.model_dump(),
         }
         for array, part in zip(spec.arrays, model.arrays.parts, strict=True)

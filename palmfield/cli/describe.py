@@ -9,8 +9,9 @@ from palmfield.acoustics.air import absorption_Np_m, density, sound_speed
 from palmfield.acoustics.arp import LAWS
 from palmfield.session.preview import Preview
 from palmfield.simulation.emission import array_drives
-from palmfield.simulation.model import HapticModel, SkinModel
+from palmfield.simulation.model import HapticModel, SkinModel, array_instances
 from palmfield.skin.materials.material import complex_shear
+from palmfield.types import Estimate
 
 Rows = list[tuple[str, str]]
 SOFTNESS_Hz = 200.0
@@ -48,9 +49,16 @@ def _named(name: str, count: int, rows: Rows) -> Rows:
 
 def _arrays(model: HapticModel) -> Rows:
     rows: Rows = []
+    count = len(model.spec.arrays)
     for array, part in zip(model.spec.arrays, model.arrays.parts, strict=True):
-        about = f"{part.name}: {len(part)} transducers, {part.frequency_Hz / 1e3:g} kHz, p0 {part.p0_Pa_m:g} Pa m"
-        rows += _named(array.name, len(model.spec.arrays), [("array", about)])
+        about = f"{part.name}: {len(part)} transducers, {part.frequency_Hz / 1e3:g} kHz"
+        rows += _named(array.name, count, [("array", about)])
+    for array, instance in zip(model.spec.arrays, array_instances(model.spec), strict=True):
+        known = [("p0", instance.p0, " Pa m"), ("quality", instance.quality, "")]
+        told = [(what, _estimate(one, unit)) for what, one, unit in known]
+        if instance.calibration is None:
+            told[0] = told[0][0], f"uncalibrated: {told[0][1]}"
+        rows += _named(array.name, count, told)
     air, carrier_Hz = model.arrays.air, model.arrays.array.frequency_Hz
     rows.append(
         (
@@ -60,6 +68,11 @@ def _arrays(model: HapticModel) -> Rows:
         )
     )
     return [*rows, ("device", f"{model.spec.device} (palmfield_device) computes the fields")]
+
+
+def _estimate(one: Estimate, unit: str) -> str:
+    """A number with its range, and how it is known."""
+    return f"{one.value:g}{unit} ({one.low:g} to {one.high:g}), {one.kind}: {one.source}"
 
 
 def _drive(model: HapticModel, number: int) -> Rows:

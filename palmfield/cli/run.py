@@ -39,8 +39,12 @@ def run_scene(
         LOG.warning(warning)
     try:
         result = palmfield.run(simulation, out, duration_s=duration_s, overwrite=overwrite, progress=not quiet)
-    except KeyboardInterrupt:
-        complain(f"interrupted; what was computed is in {out}; `palmfield recover {out}` draws its pictures")
+    except KeyboardInterrupt as error:
+        if hasattr(error, "result"):
+            complain(f"interrupted; what was computed is in {out}; `palmfield recover {out}` draws its pictures")
+        else:
+            old = f"; what is in {out} is an earlier run's" if out.exists() else ""
+            complain(f"interrupted before anything was computed{old}")
         raise typer.Exit(130) from None
     if as_json:
         files = {name: str(path) for name, path in result.files.items()}

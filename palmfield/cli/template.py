@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from palmfield.acoustics.layouts import LAYOUTS
 from palmfield.data import folder
 from palmfield.errors import OutputError, SceneError
 
@@ -32,7 +33,15 @@ HAPTIC = """<!-- {name}: run with `palmfield run {name}.xml`, or watch with `pyt
   <extension>
     <plugin plugin="palmfield.array">
       <instance name="array">
-        <!-- Peak pressure of one transducer at 1 m. Calibrate it: published values differ by a factor of 6. -->
+        <config key="layout" value="{layout}"/>
+        <!-- Peak pressure of one transducer at 1 m, on which all results depend by its square. Of this layout {p0} Pa m
+             is {kind}, {low} to {high}. Once you have measured yours, name your file by the first line, or give the
+             numbers by the others (docs/arrays.md).
+        <config key="calibration" value="my_array.toml"/>
+        <config key="p0_Pa_m" value="{p0}"/>
+        <config key="p0_low_Pa_m" value="{low}"/>
+        <config key="p0_high_Pa_m" value="{high}"/>
+        -->
       </instance>
     </plugin>
     <plugin plugin="palmfield.stimulus">
@@ -86,7 +95,10 @@ def write_scene(name: str, where: Path = Path()) -> list[Path]:
         raise OutputError(f"{target} exists already; choose another name or move it away")
     parts = {path.name: path.read_text(encoding="utf-8") for path in (ARRAY, HAND)}
     names = {"name": name, "array": ARRAY.name, "hand": HAND.name}
-    texts = {f"{name}.xml": HAPTIC.format(**names), f"{name}_plain.xml": PLAIN.format(**names), **parts}
+    p0 = LAYOUTS[ARRAY.stem].p0
+    level = {"p0": f"{p0.value:g}", "low": f"{p0.low:g}", "high": f"{p0.high:g}", "kind": p0.kind}
+    haptic = HAPTIC.format(**names, **level, layout=ARRAY.stem)
+    texts = {f"{name}.xml": haptic, f"{name}_plain.xml": PLAIN.format(**names), **parts}
     try:
         target.mkdir(parents=True)
         for file, text in texts.items():

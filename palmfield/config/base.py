@@ -58,7 +58,8 @@ def parse(model: type[Config], values: dict[str, str], element: str) -> Config:
     try:
         return _validated(model, tuple(values.items()))
     except ValidationError as error:
-        raise SceneError(f"{element}: " + "; ".join(_explain(model, values, e) for e in error.errors())) from None
+        told = dict.fromkeys(_explain(model, values, e) for e in error.errors())
+        raise SceneError(f"{element}: " + "; ".join(told)) from None
 
 
 @lru_cache(maxsize=256)
@@ -87,13 +88,18 @@ def _explain(model: type[Config], values: dict[str, str], error: Any) -> str:
         return unknown_key(model, key)
     takes = allowed(model, key)
     near = did_you_mean(values[key], takes.split(" | ")) if " | " in takes else ""
-    return f"key '{key}' has value '{values[key]}'{near}; allowed: {takes}"
+    commas = "," in values[key] and isinstance(model.model_fields[key].default, tuple)
+    mend = f"; write '{' '.join(values[key].replace(',', ' ').split())}', with blanks in place of commas"
+    return f"key '{key}' has value '{values[key]}'{near}; allowed: {takes}" + (mend if commas else "")
 
 
 def unknown_key(model: type[Config], key: str) -> str:
     """What to say of a key that a module doesn't have."""
     near = did_you_mean(key, model.model_fields)
-    return f"unknown key '{key}'{near}; allowed: {', '.join(model.model_fields)}"
+    # A list of thirty keys hides the one that was meant
+    known = ", ".join(model.model_fields)
+    listed = f"what `palmfield keys {model.plugin.removeprefix('palmfield.')}` lists" if near else known
+    return f"unknown key '{key}'{near}; allowed: {listed}"
 
 
 def allowed(model: type[Config], key: str) -> str:

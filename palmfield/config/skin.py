@@ -18,7 +18,18 @@ EXPLICIT = ("spectral_elements", "particles")
 OVERRIDES = ("density_kg_m3", "shear_relaxed_Pa", "shear_branch_Pa", "relaxation_time_s", "bulk_Pa")
 
 
-OF_SHAPES = {"hand": ("hand", "articulated"), "mesh": ("mesh", "rigged"), "mesh_unit": ("mesh", "rigged")}
+BODIES = ("hand", "articulated", "mesh", "rigged")
+"""Shapes on which a layer is laid; a disc is the layer itself."""
+OF_SHAPES = {
+    "hand": ("hand", "articulated"),
+    "mesh": ("mesh", "rigged"),
+    "mesh_unit": ("mesh", "rigged"),
+    "radius_m": ("disc",),
+    "thickness_m": ("disc",),
+    "patch_site": BODIES,
+    "patch_radius_m": BODIES,
+    "depth_m": BODIES,
+}
 """Keys that only some shapes look at: with another shape they would say nothing, silently."""
 WITH_A_UNIT = (".glb", ".gltf", ".pkl")
 """Mesh files whose format says what a unit is."""
@@ -58,9 +69,13 @@ class SkinConfig(Config):
         None,
         description="site on the body, in the reference pose, at the middle of the skin layer (all shapes but disc)",
     )
-    patch_radius_m: Positive | None = Field(None, description="radius of the skin layer (default: the plan's)")
+    patch_radius_m: Positive | None = Field(
+        None, description="radius of the skin layer (default: the plan's; all shapes but disc)"
+    )
     depth_m: Positive = Field(
-        0.02, description="greatest depth of the layer; a hand's own depth to bone applies where it is less"
+        0.02,
+        description="greatest depth of the layer, of all shapes but disc; a hand's own depth to bone applies where it "
+        "is less",
     )
     material: str = Field("palm", description="a preset of palmfield.skin.materials.material")
     materials: Names = Field(
@@ -134,6 +149,11 @@ class SkinConfig(Config):
         self._check_sheets()
         if self.obstacles and self.body_sound != "shadows":
             raise ValueError(f"obstacles cast shadows, body_sound is '{self.body_sound}': set it to shadows")
+        if "shadow_edges" in self.model_fields_set and self.body_sound != "shadows":
+            raise ValueError(
+                f"shadow_edges '{self.shadow_edges}' belongs to shadows, body_sound is '{self.body_sound}': drop it or "
+                "set body_sound to shadows"
+            )
         if self.side == "roller" and self.shape != "disc":
             raise ValueError("side 'roller' needs the symmetry of shape 'disc'; use fixed or free")
         return self

@@ -45,7 +45,9 @@ PATH_KEYS = (*MOVING, *{key for keys in (*NEEDED.values(), *OPTIONAL.values()) f
 
 
 def too_far(focus_m: tuple[float, float, float]) -> str | None:
-    """What is wrong with a focus [m] that lies farther off than any can, with the likely unit; else None."""
+    """What is wrong with a focus [m] that is no place, or farther off than any, with the likely unit; else None."""
+    if not all(map(math.isfinite, focus_m)):
+        return "which is no place; allowed: three finite numbers, in metres"
     distance = math.dist(focus_m, (0.0, 0.0, 0.0))
     if distance <= FARTHEST_FOCUS_M:
         return None

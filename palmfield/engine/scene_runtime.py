@@ -14,7 +14,7 @@ from palmfield.simulation.build import model_of
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene, PoseLayout, posed_scene
 from palmfield.simulation.scene_reader import read_scene
-from palmfield.simulation.sensors import SensorPlace, SkinReading, fill, sensor_place
+from palmfield.simulation.sensors import SensorPlace, SkinReading, check_site, fill, sensor_place
 from palmfield.simulation.state import HapticState, at_rest, check_arrays, stepper_of, untouched
 from palmfield.simulation.step import Workspace, gather, step, step_sound
 from palmfield.simulation.validate import check_clear
@@ -257,8 +257,18 @@ class SceneRuntime:
     def place(self, skin: int, sensor: PluginSensor) -> SensorPlace:
         """Where a sensor reads, kept. Raises SceneError for one that is not on the skin's body or far from the skin."""
         known = self._places.get(sensor.name)
-        if known is not None:
-            return known
+        if known is None:
+            known = self._places[sensor.name] = sensor_place(self.model.skins[skin], *self._site(skin, sensor))
+        return known
+
+    def check_sensors(self) -> None:
+        """Refuse, before anything runs, sensors that no place of their skin would be read at; errors as `place`."""
+        for skin, bound in enumerate(self.binding.skins):
+            for sensor in self.view.sensors(bound.instance):
+                check_site(self.model.skins[skin], *self._site(skin, sensor))
+
+    def _site(self, skin: int, sensor: PluginSensor) -> tuple[Float, str]:
+        """A sensor's site on the resting body (body frame [m], shape (3,)), and how messages name the sensor."""
         bound, part = self.binding.skins[skin], self.model.skins[skin]
         element = f"plugin 'palmfield.skin' instance '{part.spec.name}': sensor '{sensor.name}'"
         owners = (bound.body, *bound.bones)
@@ -271,5 +281,4 @@ class SceneRuntime:
         site = model.site_position(sensor.target)
         if bound.bones:
             site = site + part.carrier.rest_origins[bound.bones.index(model.site_body(sensor.target))]
-        self._places[sensor.name] = place = sensor_place(part, site, element)
-        return place
+        return site, element

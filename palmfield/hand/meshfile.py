@@ -82,10 +82,10 @@ def examine(path: str | Path, unit: str = "auto", longest_edge_m: float | None =
     extent = float(np.ptp(finite, axis=0).max()) if len(finite) else 0.0
     if extent == 0.0:
         raise SceneError(f"mesh {file}: all {len(vertices)} vertices lie in one point; export it again")
-    used = vertices[np.unique(faces)]
-    used = used[np.isfinite(used).all(axis=1)]
-    length, breadth, _ = np.ptp(used @ plane_axes(used).T, axis=0)
     mended = repair(vertices, faces)
+    # Without what is dropped: a crumb at a fingertip is no part of the hand's length
+    used = mended.vertices[np.unique(mended.faces)] if len(mended.faces) else finite
+    length, breadth, _ = np.ptp(used @ plane_axes(used).T, axis=0)
     tips = DIGITS
     if unit == "auto" and by_format is None:
         tips = len(fingertips(mended.vertices, mended.faces)) if len(mended.faces) else 0

@@ -15,6 +15,7 @@ from palmfield.hand.holes import plane_axes
 from palmfield.hand.joint_tree import named_side
 from palmfield.hand.layer import inward_directions, unfolded
 from palmfield.hand.meshfile import Examined, examine, refusal
+from palmfield.hand.meshquery import exit_distances
 from palmfield.hand.repair import MOST_PLACES, Finding
 from palmfield.hand.selfcross import crossings
 from palmfield.hand.subdivide import EDGE_m
@@ -25,6 +26,8 @@ from palmfield.types import Float, Int, Surface
 
 VERDICTS = ("accepted", "accepted with doubts", "refused")
 HAND_SIZES = "hands are 130 to 260 mm long, forearms with a hand 360 to 560"
+THIN_SHARE, THIN_FACES = 0.025, 2000
+"""Half of a hand's skin has more than this share of its length below it; in how many faces that is looked at, about."""
 LAYERS_m = (0.001, 0.002, 0.003, 0.005)
 PALMAR_COSINE = 0.3
 
@@ -109,7 +112,24 @@ def _doubts(mesh: Examined, hand: Chirality, named: str) -> list[str]:
     length, breadth, _ = np.ptp(mesh.vertices @ plane_axes(mesh.vertices).T, axis=0)
     if not size_of_a_hand(float(length), float(breadth)):
         doubts.append(f"it is {1e3 * length:.0f} x {1e3 * breadth:.0f} mm long and broad; {HAND_SIZES}")
+    thickness = _thickness(mesh.vertices, mesh.faces)
+    if thickness < THIN_SHARE * length:
+        doubts.append(
+            f"half of its skin has {1e3 * thickness:.1f} mm or less below it, as a glove with an inner wall or a flat "
+            "sheet has; delete the inner wall and close the wrist"
+        )
     return doubts
+
+
+def _thickness(vertices: Float, faces: Int) -> float:
+    """How far it is through the body from half of its skin, by area, or less, straight in from the faces [m]."""
+    unit, area = face_normals(vertices, faces)
+    chosen = np.arange(0, len(faces), -(-len(faces) // THIN_FACES))
+    middle = vertices[faces[chosen]].mean(axis=1)
+    ways = exit_distances(vertices, faces, middle, -unit[chosen], float(np.ptp(vertices, axis=0).sum()))
+    order = np.argsort(ways)
+    share = np.cumsum(area[chosen][order])
+    return float(ways[order][np.searchsorted(share, 0.5 * share[-1])])
 
 
 def _folds(layers: list[dict[str, Any]], crossing: int) -> list[Finding]:

@@ -56,6 +56,18 @@ class ModelView:
         texts = (library().mj_id2name(self.address, int(_OBJECT[kind]), i) for i in range(count))
         return [name.decode() for name in texts if name]
 
+    def custom(self) -> list[tuple[str, str, int]]:
+        """Kind ("numeric", "text" or "tuple"), name and length of what the scene holds as <custom>."""
+        kinds = {"numeric": mujoco.mjtObj.mjOBJ_NUMERIC, "text": mujoco.mjtObj.mjOBJ_TEXT}
+        kinds["tuple"] = mujoco.mjtObj.mjOBJ_TUPLE
+        result = []
+        for kind, number in kinds.items():
+            sizes = getattr(self.raw, f"{kind}_size")
+            for i in range(getattr(self.raw, f"n{kind}")):
+                name = library().mj_id2name(self.address, int(number), i)
+                result.append((kind, name.decode() if name else "", int(sizes[i])))
+        return result
+
     def numeric(self, name: str, default: float) -> float:
         """First number of a custom numeric, or the default where the scene has none of that name."""
         number = library().mj_name2id(self.address, int(mujoco.mjtObj.mjOBJ_NUMERIC), name.encode())

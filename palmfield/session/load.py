@@ -14,7 +14,7 @@ import numpy as np
 
 from palmfield.config import Config, allowed, known_keys, unknown_key
 from palmfield.data import folder as data_folder
-from palmfield.engine.host import compiling, take_compile_error
+from palmfield.engine.host import compiling, take_compile_error, world_of
 from palmfield.engine.modules import MODULES
 from palmfield.engine.motion_plugin import place
 from palmfield.errors import PalmfieldError, SceneError, did_you_mean
@@ -62,12 +62,15 @@ def compiled(
                 "the scene is compiled (MjModel), so its keys can't be changed any more: give its file or its MjSpec "
                 "with the keys, or the model without"
             )
-        return "model", source, fresh_data(source, "model")
+        data = fresh_data(source, "model")
+        _check_sensor_places(data, "model", None)
+        return "model", source, data
     started = time.perf_counter()
     scene = opened(source)
     with _kept(scene.spec):
         model = _compiled_with(scene, device=device, accuracy=accuracy, board=board, keys=keys or {})
     data = fresh_data(model, scene.name, scene.text)
+    _check_sensor_places(data, scene.name, scene.text)
     LOG.debug("opened %s in %.2f s", scene.name, time.perf_counter() - started)
     return scene.name, model, data
 
@@ -84,6 +87,8 @@ def _compiled_with(
     name, spec, folder, text = scene
     _check_plugins(spec, name)
     _check_sensors(spec, name)
+    if text is not None:
+        _check_names(text)
     if device is not None:
         _set_text(spec, DEVICE, device)
     changes = _changes(spec, keys)
@@ -199,12 +204,35 @@ def _check_plugins(spec: mujoco.MjSpec, name: str) -> None:
         raise SceneError(f"{name} has no plugin '{SKIN}'; it is a plain MuJoCo scene (see `palmfield new`)")
 
 
+def _check_names(text: SceneText) -> None:
+    """Refuse instances of palmfield's without a name, which neither keys nor results could name."""
+    for one in text.elements:
+        holder = one.within("plugin") if one.tag == "instance" else None
+        plugin = "" if holder is None else holder.attributes.get("plugin", "")
+        if plugin in configs() and not one.attributes.get("name", "").strip():
+            raise SceneError(
+                f"{one.where}: <instance> of plugin '{plugin}' has name '{one.attributes.get('name', '')}'; allowed: a "
+                "name of its own, by which keys and results go"
+            )
+
+
 def _check_sensors(spec: mujoco.MjSpec, name: str) -> None:
     """Refuse a plugin sensor without objtype, on which MuJoCo 4.0 crashes while it compiles."""
     for sensor in spec.sensors:
         plugged = sensor.type == mujoco.mjtSensor.mjSENS_PLUGIN
         if plugged and sensor.objtype == mujoco.mjtObj.mjOBJ_UNKNOWN:
             raise _without_objtype(name, sensor.name, sensor.plugin.plugin_name)
+
+
+def _check_sensor_places(data: mujoco.MjData, name: str, text: SceneText | None) -> None:
+    """Refuse sensors off their skin, with file and line, before the run would; name, text: of the scene."""
+    world = world_of(data)
+    if world is None or world.scene is None:
+        return
+    try:
+        world.scene.check_sensors()
+    except SceneError as error:
+        raise SceneError(f"{_place(str(error), name, text)}: {error}") from None
 
 
 def _without_objtype(scene: str, sensor: str, plugin: str) -> SceneError:
@@ -218,6 +246,7 @@ def _changes(spec: mujoco.MjSpec, keys: Mapping[str, object]) -> dict[str, dict[
     """Values by instance name. Raises SceneError for an instance or plugin that the scene has not, and unknown keys."""
     models = configs()
     result: dict[str, dict[str, object]] = {}
+    given_as: dict[tuple[str, ...], str] = {}
     instances = {plugin.name for plugin in spec.plugins}
     # What is said of one instance counts before what is said of all of its plugin
     for given, value in sorted(keys.items(), key=lambda item: item[0].rpartition(".")[0] in instances):
@@ -232,6 +261,12 @@ def _changes(spec: mujoco.MjSpec, keys: Mapping[str, object]) -> dict[str, dict[
             near = did_you_mean(owner.removeprefix("palmfield."), short)
             raise SceneError(
                 f"key '{given}' is not of an instance or plugin of this scene{near}; it has: {', '.join(known)}"
+            )
+        other = given_as.setdefault((key, *(plugin.name for plugin in own)), given)
+        if other != given:
+            raise SceneError(
+                f"keys '{other}' and '{given}' both set {key} of instance '{own[0].name}', to '{keys[other]}' and "
+                f"'{value}'; give one of them"
             )
         for plugin in own:
             config = models.get(plugin.plugin_name)
@@ -301,7 +336,10 @@ def _place(message: str, name: str, text: SceneText | None) -> str:
     """
     meant = re.match(r"plugin '([^']+)' instance '([^']*)'(?:: (?:unknown )?key '(\w+)')?", message)
     element = text.key(meant[1], meant[2], meant[3] or "") if meant and text is not None else None
-    whole = re.match(r"(option|numeric|text) '(\w+)'", message)
+    sensor = re.search(r"instance '[^']*': sensor '([^']*)'", message)
+    if sensor and text is not None:
+        element = text.last("plugin", sensor[1]) or element
+    whole = re.match(r"(option|numeric|text|tuple) '([^']+)'", message)
     if whole and text is not None:
         element = text.last(whole[1], None if whole[1] == "option" else whole[2])
     return name if element is None else element.where

@@ -97,7 +97,9 @@ def _unknown_name(found: re.Match[str], element: Element | None, text: SceneText
     name = found[1]
     if element is None or text is None:
         return f"the scene has nothing named '{name}' ({found[2]}); give the name of one that it has"
-    attribute = next((key for key, value in element.attributes.items() if value == name), "")
+    # An element's own name may be that of what it refers to
+    fitting = [key for key, value in element.attributes.items() if value == name]
+    attribute = next((key for key in fitting if key != "name"), "".join(fitting[:1]))
     kind = element.attributes.get("objtype", "site") if attribute == "objname" else attribute.rstrip("0123456789")
     names = text.named(kind)
     kind = "plugin instance" if kind == "instance" else kind

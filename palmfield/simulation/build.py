@@ -140,7 +140,12 @@ def _arrays(spec: SceneSpec) -> PhasedArray:
     instances = array_instances(spec)
     for array, instance in zip(spec.arrays, instances, strict=True):
         try:
-            instance.array(array.placement.sites)
+            gain = instance.array(array.placement.sites).gain
+            if gain is not None and not gain.any():
+                raise SceneError(
+                    f"all {len(gain)} transducers are dead or have gain 0, so that no sound comes; allowed: one that "
+                    "sounds, at least"
+                )
         except SceneError as error:
             raise SceneError(f"plugin 'palmfield.array' instance '{array.name}': {error}") from None
     wall_m = wall_distance(spec, instances[0].array(spec.arrays[0].placement.sites))
@@ -283,7 +288,7 @@ def _skins(
     """The skins with their layers, which are made here if they are not known."""
     if layers is None:
         carriers = [bodies[names.index(skin.config.body)] for skin in spec.skins]
-        layers = layers_for(spec, demands_of(spec, stimuli, arrays, board, carriers), carriers)
+        layers = layers_for(spec, stimuli, demands_of(spec, stimuli, arrays, board, carriers), carriers)
     skins = []
     for skin, layer in zip(spec.skins, layers, strict=True):
         number = names.index(skin.config.body)
@@ -321,13 +326,18 @@ def demands_of(
     return demands
 
 
-def layers_for(spec: SceneSpec, demands: Sequence[LayerDemand], carriers: Sequence[BodyModel]) -> list[SceneLayer]:
+def layers_for(
+    spec: SceneSpec,
+    stimuli: tuple[StimulusModel, ...],
+    demands: Sequence[LayerDemand],
+    carriers: Sequence[BodyModel],
+) -> list[SceneLayer]:
     """The skins' layers; all have the time step of the one that needs the shortest. carriers: the body of each skin"""
     layers = []
     for skin, body, demand in zip(spec.skins, carriers, demands, strict=True):
         layers.append(_layer(skin, body, demand))
         # Before anything asks a layer for its mesh, which is slow itself where the elements are too small.
-        check_cost(skin, layers[-1], spec.timestep_s)
+        check_cost(skin, layers[-1], spec.timestep_s, nearest_stimulus(skin, stimuli))
     if len(layers) == 1:
         return layers
     step_s = _common_step([layer.sizes.step_s for layer in layers], spec)
@@ -373,7 +383,8 @@ def spot_fwhm(arrays: PhasedArray, board: Board, stimulus: StimulusModel) -> flo
     """Full width at half maximum of |p|^2 around a stimulus's first focus, along the array's x axis [m]."""
     focus = stimulus.first_focus
     config = stimulus.config
-    drive = ArrayDrive(arrays, stimulus.transducers, config.arp_peak_Pa, peak_amplitude(config), board)
+    # Of a stimulus that makes no sound: what its spot would be
+    drive = ArrayDrive(arrays, stimulus.transducers, config.arp_peak_Pa, peak_amplitude(config) or 1.0, board)
     amplitudes = drive.unit_drive(focus).amplitudes
     offsets, peak = np.linspace(0.0, 0.06, 241), None
     # In pieces: most spots end in the first

@@ -69,7 +69,7 @@ def build_worlds(
     else:
         asked = own if shared.demands is None else list(shared.demands)
         same = asked == own
-    layers = [skin.layer for skin in first.skins] if same else layers_for(first.spec, asked, carriers)
+    layers = [skin.layer for skin in first.skins] if same else layers_for(first.spec, first.stimuli, asked, carriers)
     skins = _skins(first, layers, sounding, len(set(loads.values()) - {None}), shared is not None and shared.modal)
     whole = first.whole if same else tuple(whole_of(layer) for layer in layers)
     begins: dict[tuple[int, object], Lazy[SkinStepper]] = {}

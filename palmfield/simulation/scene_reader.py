@@ -46,6 +46,10 @@ MOST_STEPS = 1e9
 """Of MuJoCo in a run."""
 DEVICE = "palmfield_device"
 """Custom text of a scene: where fields are computed, auto, cpu or cuda:N."""
+CUSTOM = {DURATION: "numeric", DEVICE: "text"}
+"""What palmfield reads of a scene's <custom>, and which kind it is."""
+NEAR_MISS = 0.85
+"""Names that are so like one of these are taken for it, misspelt; what begins as they do is always."""
 REST_M, REST_RAD = 1e-4, 1e-3
 """So far a body may stand from the joint whose skin it carries: a tenth of a layer's element, and rounding."""
 SAME_AIR = ("temperature_C", "humidity_percent", "pressure_Pa", "precision")
@@ -85,6 +89,7 @@ def read_scene(model: ModelView) -> tuple[SceneSpec, SceneBinding]:
 
     Raises SceneError with element, key, value and what is allowed for anything that doesn't fit together.
     """
+    _check_custom(model)
     named: dict[type[Config], list[tuple[int, str, Any]]] = {
         config: [
             (i, name, keys_of(config, model, i)) for i, plugin, name in model.instances() if plugin == config.plugin
@@ -404,6 +409,20 @@ def _path_skin(config: StimulusConfig, element: str, skins: tuple[SkinSpec, ...]
 def _on_body(model: ModelView, frame: Transform, site: str, element: str) -> Triple:
     x, y, z = relative(frame, model.reference_pose("site", model.find("site", site, element))).position.tolist()
     return x, y, z
+
+
+def _check_custom(model: ModelView) -> None:
+    """Raises SceneError for custom numbers and texts that look like palmfield's and would say nothing."""
+    for kind, name, length in model.custom() if model.complete else ():
+        near = did_you_mean(name, CUSTOM, NEAR_MISS)
+        if name not in CUSTOM and (near or name.lower().startswith("palmfield")):
+            near = near or did_you_mean(name, CUSTOM)
+            known = " and ".join(f"{own} '{one}'" for one, own in CUSTOM.items())
+            raise SceneError(f"{kind} '{name}' is none of palmfield's{near}; allowed: {known}")
+        if name in CUSTOM and kind != CUSTOM[name]:
+            raise SceneError(f"{kind} '{name}' is of another kind; allowed: <{CUSTOM[name]} name=\"{name}\" .../>")
+        if name == DURATION and length != 1:
+            raise SceneError(f"numeric '{name}' has {length} numbers; allowed: one, in seconds")
 
 
 def _device(model: ModelView) -> str:

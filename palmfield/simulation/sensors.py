@@ -4,10 +4,12 @@ from collections.abc import Callable
 from operator import attrgetter
 from typing import NamedTuple
 
+import numpy as np
+
 from palmfield.errors import SceneError
 from palmfield.hand.posed_surface import SkinBinding
 from palmfield.simulation.model import SkinModel
-from palmfield.skin.fem.probe import SurfaceProbe
+from palmfield.skin.fem.probe import SurfaceProbe, nearest_on_surface
 from palmfield.skin.stepper import Reader, SkinStepper
 from palmfield.types import Float
 
@@ -54,25 +56,31 @@ class SensorPlace:
         return known
 
 
-def sensor_place(skin: SkinModel, site: Float, element: str) -> SensorPlace:
-    """The place for a site of the resting body (body frame [m], shape (3,)).
+def check_site(skin: SkinModel, site: Float, element: str) -> None:
+    """Refuse a site of the resting body (body frame [m], shape (3,)) at which no sensor can read; needs no matrices.
 
     Raises SceneError, naming the element, for a site above or below the skin, and for one that is far from the layer.
     """
-    probe = skin.layer.probe(site)
-    above = float((site - probe.closest[0]) @ probe.normals[0])
+    closest, normals, *_ = nearest_on_surface(skin.layer.mesh, site[None])
+    above = float((site - closest[0]) @ normals[0])
     if abs(above) > OFF_SKIN_M:
         where = "above" if above > 0.0 else "below"
         raise SceneError(
             f"{element}: its site is {1e3 * abs(above):.1f} mm {where} the skin; allowed: at most "
             f"{1e3 * OFF_SKIN_M:g} mm off it, move it onto the skin"
         )
-    distance = float(probe.distance[0])
+    distance = float(np.linalg.norm(site - closest[0]))
     if distance > max(REACH_M, 2.0 * skin.layer.sizes.edge_coarse_m):
         raise SceneError(
             f"{element}: its site is {1e3 * distance:.0f} mm from the skin layer, whose rim it would read; put it on "
             "the layer, or patch_site nearer to it"
         )
+
+
+def sensor_place(skin: SkinModel, site: Float, element: str) -> SensorPlace:
+    """The place for a site of the resting body (body frame [m], shape (3,)). Raises SceneError as `check_site`."""
+    check_site(skin, site, element)
+    probe = skin.layer.probe(site)
     return SensorPlace(probe, skin.carrier.bind(probe.closest))
 
 

@@ -13,7 +13,7 @@ from palmfield.drive.board import Board, check
 from palmfield.drive.response import Pole
 from palmfield.errors import DeviceError, SceneError
 from palmfield.simulation.array_face import TILT_RAD
-from palmfield.simulation.model import SkinModel
+from palmfield.simulation.model import SkinModel, StimulusModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.spec import ArraySpec, SceneSpec, SkinSpec, StimulusSpec
 from palmfield.skin.scene_layer import SceneLayer
@@ -93,8 +93,11 @@ def check_overlaps(skins: Sequence[SkinModel]) -> None:
                 )
 
 
-def check_cost(skin: SkinSpec, layer: SceneLayer, timestep_s: float) -> None:
-    """Refuse elements and steps so small that the run can't end, by the layer's sizes alone: nothing is meshed."""
+def check_cost(skin: SkinSpec, layer: SceneLayer, timestep_s: float, stimulus: StimulusModel) -> None:
+    """Refuse elements and steps so small that the run can't end, by the layer's sizes alone: nothing is meshed.
+
+    stimulus: for whose spot the sizes are chosen
+    """
     element = f"plugin 'palmfield.skin' instance '{skin.name}'"
     substeps = timestep_s / layer.sizes.step_s
     if substeps > MOST_SUBSTEPS:
@@ -106,16 +109,28 @@ def check_cost(skin: SkinSpec, layer: SceneLayer, timestep_s: float) -> None:
     if unknowns > MOST_UNKNOWNS:
         raise SceneError(
             f"{element}: elements of {1e3 * layer.sizes.edge_fine_m:.3g} mm make about {unknowns:.2g} "
-            f"unknowns, whose factors take more memory than there is; allowed: at most {MOST_UNKNOWNS:.2g}; set "
-            "element_m or accuracy larger, or patch_radius_m smaller"
+            f"unknowns, whose factors take more memory than there is{_missed(skin, layer, stimulus)}; allowed: at most "
+            f"{MOST_UNKNOWNS:.2g}; set element_m or accuracy larger, or patch_radius_m smaller"
         )
     needed, there = FACTOR_BYTES * unknowns**1.4, available_bytes()
     if needed > there:
         raise SceneError(
             f"{element}: elements of {1e3 * layer.sizes.edge_fine_m:.3g} mm make about {unknowns:.2g} unknowns, whose "
-            f"factors take about {needed / 1e9:.3g} GB; there are {there / 1e9:.3g} GB free; set element_m or accuracy "
-            "larger, or patch_radius_m smaller"
+            f"factors take about {needed / 1e9:.3g} GB; there are {there / 1e9:.3g} GB free"
+            f"{_missed(skin, layer, stimulus)}; set element_m or accuracy larger, or patch_radius_m smaller"
         )
+
+
+def _missed(skin: SkinSpec, layer: SceneLayer, stimulus: StimulusModel) -> str:
+    """That the focus is beside the skin, where the layer's sizes come from a spot that isn't on it; empty elsewhere."""
+    centre = skin.body.transform.points(np.array(skin.patch_centre))
+    off_m, spot_m = float(np.linalg.norm(stimulus.first_focus - centre)), layer.demand.spot_fwhm_m
+    if off_m <= max(spot_m, sum(layer.demand.path_reach_m)):
+        return ""
+    return (
+        f" (the focus of stimulus '{stimulus.spec.name}' misses the skin: it is {1e3 * off_m:.3g} mm away from its "
+        f"middle, in a spot {1e3 * spot_m:.3g} mm wide, for which the layer is made; move it onto the skin)"
+    )
 
 
 def check_body_sound(skin: SkinSpec, stimuli: Sequence[StimulusSpec], pole: Pole, response_on: bool) -> None:

@@ -166,7 +166,10 @@ RULES: dict[str, tuple[str, st.SearchStrategy[dict[str, str]]]] = {
     "disc without size": ("skin", st.sampled_from(("radius_m", "thickness_m")).map(
         lambda gone: {key: DISC[key] for key in DISC if key != gone})),
     "key of another shape": ("skin", st.sampled_from(
-        (("mesh", "x.obj"), ("mesh_unit", "mm"), ("hand", "open_men_p05"))).map(lambda one: {**DISC, one[0]: one[1]})),
+        (("mesh", "x.obj"), ("mesh_unit", "mm"), ("hand", "open_men_p05"), ("depth_m", "0.004"),
+         ("patch_radius_m", "0.01"), ("patch_site", "centre"))).map(lambda one: {**DISC, one[0]: one[1]})),
+    "size of a disc": ("skin", st.sampled_from(("radius_m", "thickness_m")).flatmap(
+        lambda key: st.floats(0.001, 1.0).map(lambda value: {"patch_site": "centre", key: repr(value)}))),
     "mesh without its file": ("skin", st.sampled_from(("mesh", "rigged")).map(
         lambda shape: {"shape": shape, "patch_site": "centre"})),
     "mesh without a unit": ("skin", st.sampled_from(("a.obj", "a.stl", "a.ply")).map(
@@ -186,6 +189,8 @@ RULES: dict[str, tuple[str, st.SearchStrategy[dict[str, str]]]] = {
         lambda side: {**DISC, "base": "free", "side": side})),
     "roller on a hand": ("skin", st.just({"patch_site": "centre", "side": "roller"})),
     "obstacles without shadows": ("skin", st.sampled_from("abc").map(lambda name: {**DISC, "obstacles": name})),
+    "edges without shadows": ("skin", st.sampled_from(("rays", "knife_edge")).map(
+        lambda edges: {**DISC, "shadow_edges": edges})),
     "half a range of p0": ("array", POSITIVE.map(lambda p: {"p0_low_Pa_m": p})),
     "p0 outside its range": ("array", st.floats(3.0, 5.0).map(
         lambda p: {"p0_Pa_m": "2", "p0_low_Pa_m": repr(p), "p0_high_Pa_m": "6"})),
@@ -242,6 +247,8 @@ FORBIDDEN_EDITS: dict[str, tuple[str, str, str]] = {
     "negative timestep": ("scene.xml", 'timestep="0.001"', 'timestep="-0.001"'),
     "no duration": ("scene.xml", 'data="0.01"', 'data="0"'),
     "duration twice": ("scene.xml", "<custom>", '<custom><numeric name="palmfield_duration_s" data="1"/>'),
+    "setting misspelt": ("scene.xml", "palmfield_device", "palmfield_devise"),
+    "instance without a name": ("scene.xml", '<instance name="driver">', '<instance name="">'),
     "no device": ("scene.xml", 'data="cpu"', 'data="gpu"'),
     "step that doesn't divide": ("scene.xml", 'value="0.0005"', 'value="0.0003"'),
     "elements without end": ("scene.xml", 'value="0.006"', 'value="1e-9"'),

@@ -14,9 +14,12 @@ import typer.main
 
 from palmfield.acoustics.arrays import layout
 from palmfield.acoustics.focus import focus
+from palmfield.acoustics.layouts import LAYOUTS
 from palmfield.cli.app import app, main
 from palmfield.drive.boards.sonicsurface import BOARD, FRAME_BYTES, OFF_SEQUENCE
 from palmfield.outputs import instances, open_result
+from palmfield.session.preview import preview
+from palmfield.simulation.model import array_instances
 from palmfield.types import Air
 
 SCENES = Path(__file__).parents[2] / "mjcf" / "scenes"
@@ -89,6 +92,23 @@ def test_a_new_scene_can_be_moved_and_sent(tmp_path, monkeypatch, capsys):
         assert set(re.findall(r'file="([^"]*)"', text)) <= own
     code, out = call(monkeypatch, capsys, "info", moved / "first.xml")
     assert code == 0 and "uhev1" in out.out
+
+
+def test_a_new_scene_has_a_place_for_the_laboratorys_p0(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert call(monkeypatch, capsys, "new", "first")[0] == 0
+    scene = tmp_path / "first" / "first.xml"
+    text = scene.read_text()
+    begin, end = text.index("<!-- Peak pressure"), text.index("-->", text.index("<!-- Peak pressure"))
+    comment = text[begin:end]
+    own = LAYOUTS["uhev1"].p0
+    assert f"{own.value:g} Pa m" in comment and f"{own.low:g} to {own.high:g}" in " ".join(comment.split())
+    keys = re.findall(r'<config key="(\w+)" value="([^"]+)"/>', comment)
+    assert [key for key, _ in keys] == ["calibration", "p0_Pa_m", "p0_low_Pa_m", "p0_high_Pa_m"]
+    given = "".join(f'<config key="{key}" value="{value}"/>' for key, value in keys[1:])
+    scene.write_text(text[:begin] + given + text[end + len("-->") :])
+    p0 = array_instances(preview(scene, accuracy=0.5).runtime.spec)[0].p0
+    assert (p0.value, p0.low, p0.high) == (own.value, own.low, own.high) and "p0_Pa_m" in p0.source
 
 
 def test_new_refuses_a_path(monkeypatch, capsys):

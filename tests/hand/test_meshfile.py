@@ -166,6 +166,22 @@ def test_a_format_with_units_and_the_user_go_before(tmp_path):
     assert examine(path).unit == Unit("cm", 0.01, "inferred: a hand of 208.1 mm")
 
 
+def test_a_crumb_beyond_a_fingertip_is_no_part_of_the_length(tmp_path):
+    vertices, faces = foreign_hands.plain_hand()
+    tip = vertices[np.argmax(np.linalg.norm(vertices - vertices.mean(axis=0), axis=1))]
+    away = tip - vertices.mean(axis=0)
+    crumb = trimesh.creation.icosphere(subdivisions=2, radius=0.004)
+    crumb.apply_translation(tip + 0.015 * away / np.linalg.norm(away))
+    path = tmp_path / "hand.stl"
+    both = [trimesh.Trimesh(vertices, faces, process=False), crumb]
+    trimesh.Trimesh(*trimesh.util.append_faces([m.vertices for m in both], [m.faces for m in both])).apply_scale(
+        1e3
+    ).export(path)
+    examined = examine(path)
+    assert examined.unit == Unit("mm", 0.001, "inferred: a hand of 208.1 mm")
+    assert [finding.count for finding in examined.findings if finding.name == "crumbs"] == [1]
+
+
 def test_no_unit_is_guessed_without_five_fingertips(tmp_path):
     path = tmp_path / "ball.obj"
     ball(180.0).export(path)

@@ -228,6 +228,31 @@ def test_a_size_that_no_hand_has_is_doubted(tmp_path):
     assert any(re.match(r"it is 62 x \d+ mm long and broad; hands are 130 to 260", doubt) for doubt in card.doubts)
 
 
+def glove(wall_m):
+    """The skin beyond the wrist with a wall of even thickness below it, joined at the wrist."""
+    vertices, faces = hand()
+    outer = trimesh.Trimesh(vertices, faces[vertices[faces][:, :, 1].mean(axis=1) > vertices[:, 1].min() + 0.02])
+    count = len(outer.vertices)
+    edges, times = np.unique(np.sort(outer.edges, axis=1), axis=0, return_counts=True)
+    rim = set(map(tuple, edges[times == 1].tolist()))
+    joined = [(a, b) for a, b in outer.edges.tolist() if (min(a, b), max(a, b)) in rim]
+    strip = [face for a, b in joined for face in ((b, a, a + count), (b, a + count, b + count))]
+    points = np.concatenate([outer.vertices, outer.vertices - wall_m * outer.vertex_normals])
+    return points, np.concatenate([outer.faces, outer.faces[:, ::-1] + count, strip])
+
+
+def test_a_double_wall_is_doubted(tmp_path):
+    card = report_card(written(tmp_path / "glove.ply", *glove(0.002)), "mm")
+    assert card.facts["verdict"] == "accepted with doubts"
+    (doubt,) = [doubt for doubt in card.doubts if "inner wall" in doubt]
+    told = float(re.match(r"half of its skin has (\d+\.\d) mm or less below it", doubt)[1])
+    assert told == pytest.approx(2.0, abs=0.2)
+
+
+def test_a_solid_hand_has_no_double_wall(tmp_path):
+    assert not [doubt for doubt in report_card(written(tmp_path / "hand.ply", *plain())).doubts if "wall" in doubt]
+
+
 def test_marked_faces_are_those_at_the_places():
     vertices, faces = hand()
     marked = fault_faces(vertices, faces, index_tip()[None], 0.005)

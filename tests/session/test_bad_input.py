@@ -397,7 +397,7 @@ def test_keys_of_an_unknown_instance(key, small_scene):
 def test_keys_that_an_instance_has_not(owner, small_scene):
     refused(
         small_scene(),
-        f"{SKIN}unknown key 'radius_mm' (did you mean 'radius_m'?); allowed: body, shape, hand",
+        f"{SKIN}unknown key 'radius_mm' (did you mean 'radius_m'?); allowed: what `palmfield keys skin` lists",
         keys={f"{owner}.radius_mm": 20},
     )
 

@@ -59,7 +59,7 @@ BAD = {
     "'focus_m': focus"),
     "too loud": ({"stimulus": {"arp_peak_Pa": 1e6}}, "'stimulus': arp_peak_Pa 1e+06 is more than the array gives"),
     "missing am": ({"stimulus": {"am_depth": None}}, "modulation 'am' needs am_depth"),
-    "unknown key": ({"skin": {"radius_mm": 20}}, "unknown key 'radius_mm' (did you mean 'radius_m'?); allowed: body"),
+    "unknown key": ({"skin": {"radius_mm": 20}}, "unknown key 'radius_mm' (did you mean 'radius_m'?); allowed: what"),
     "no body": ({"skin": {"body": "paw"}}, "the scene has no body 'paw' (did you mean 'pad'?); it has: world"),
     "missing mesh": (
         {"skin": {"shape": "mesh", "mesh": "gone.obj", "mesh_unit": "mm", "patch_site": "centre"}}, "gone.obj",

@@ -6,6 +6,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from palmfield.acoustics import validity
+from palmfield.acoustics.layouts import LAYOUTS
+from palmfield.acoustics.transducer import ANY_P0
 from palmfield.config.skin import EXPLICIT
 from palmfield.config.stimulus import AM_KEYS
 from palmfield.session.array_inputs import stimulus_of
@@ -15,7 +17,9 @@ from palmfield.session.planning.costs import scatterings
 from palmfield.session.planning.facts import first_drive
 from palmfield.session.planning.sight import out_of_sight
 from palmfield.session.preview import Preview
-from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
+from palmfield.simulation.emission import array_drives
+from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel, array_instances
+from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.radiation import Radiation
 from palmfield.skin.explicit_layer import explicit_layer
 from palmfield.skin.from_config import cutoff_Hz
@@ -25,6 +29,12 @@ from palmfield.types import Complex, Float
 
 COURSE, POSES = 64, 16
 """Points of a path, and poses of hands that scripts move, in which its distance from a skin is looked at."""
+SOUNDS, NODES = 16, 2000
+"""Points of a path, and of a skin, at most, in which the sound is looked at that comes from a focus far away."""
+HARDLY = 0.05
+"""Of the |p|^2 of a focus on it: skin that gets less hardly moves."""
+UNLIKELY = 3.0
+"""So many times beyond what is known of any transducer a p0 is doubted."""
 
 
 def advice(view: Preview) -> list[str]:
@@ -32,7 +42,9 @@ def advice(view: Preview) -> list[str]:
     model = view.runtime.model
     result = [text for number in range(len(model.skins)) for text in _far_focus(view, number)]
     result += out_of_sight(view)
+    result += _unlikely_p0(model)
     for stimulus in model.stimuli:
+        result += _silence(view, stimulus)
         result += _keys_without_effect(stimulus)
         result += _path_off_the_skin(model, stimulus)
         result += _hardly_begun(stimulus, view.duration_s)
@@ -89,7 +101,7 @@ def _far_focus(view: Preview, number: int) -> list[str]:
     numbers = range(len(model.stimuli))
     active = [i for i in numbers if not model.stimuli[i].silent] or list(numbers)
     limit = max(skin.layer.demand.spot_fwhm_m, 2 * skin.layer.sizes.edge_coarse_m)
-    least, name = math.inf, ""
+    least, nearest = math.inf, (0, view.runtime.posed)
     for posed in view.poses(POSES):
         nodes = cKDTree(posed.skins[number].nodes[0])
         for i in active:
@@ -99,11 +111,72 @@ def _far_focus(view: Preview, number: int) -> list[str]:
             if distance <= limit:
                 return []
             if distance < least:
-                least, name = distance, model.stimuli[i].spec.name
+                least, nearest = distance, (i, posed)
+    stimulus, spot_mm = model.stimuli[nearest[0]], 1e3 * skin.layer.demand.spot_fwhm_m
+    share = 0.0 if stimulus.silent else _share_of_focus(model, number, *nearest)
+    moves = (
+        "which then hardly moves"
+        if share < HARDLY
+        else (f"whose loudest point gets {100 * share:.0f} % of the |p|^2 of a focus there")
+    )
     return [
-        f"no focus comes near skin '{skin.spec.name}': that of stimulus '{name}' stays {1e3 * least:.0f} mm away from "
-        "the skin layer, which then hardly moves"
+        f"no focus comes near skin '{skin.spec.name}': that of stimulus '{stimulus.spec.name}' stays "
+        f"{1e3 * least:.0f} mm away from the skin layer, {moves}; its elements are chosen for the {spot_mm:.2g} mm "
+        "wide spot at the focus: move the focus onto the skin, or set element_m and patch_radius_m"
     ]
+
+
+def _share_of_focus(model: HapticModel, skin: int, stimulus: int, posed: PosedScene) -> float:
+    """The highest |p|^2 on a skin, in free air, over that of a focus at the same place, for the points of a path."""
+    nodes = posed.skins[skin].nodes[0]
+    nodes = nodes[:: -(-len(nodes) // NODES)]
+    drive, places = array_drives(model, posed.arrays)[stimulus], posed.focal_points(model.stimuli[stimulus], stimulus)
+    course, share = _course(model.stimuli[stimulus]), 0.0
+    for point in course[:: -(-len(course) // SOUNDS)]:
+        foci = np.atleast_2d(places.at(point))
+        away = drive.unit_drive(foci)
+        pressures = np.abs(posed.arrays.pressure64(nodes, away.amplitudes))
+        loudest = nodes[pressures.argmax()][None]
+        there = drive.unit_drive(loudest)
+        focused = abs(posed.arrays.pressure64(loudest, there.amplitudes)[0]) * away.level / there.level
+        share = max(share, float(pressures.max() / focused) ** 2)
+    return share
+
+
+def _silence(view: Preview, stimulus: StimulusModel) -> list[str]:
+    """Whether a stimulus makes no sound in the run, by its level or by its times."""
+    config, name = stimulus.config, stimulus.spec.name
+    begin, end = float(view.data.time), float(view.data.time) + view.duration_s
+    if stimulus.silent:
+        level = "" if config.drive_amplitude is None else f": its drive_amplitude is {config.drive_amplitude:g}"
+        return [f"stimulus '{name}' makes no sound{level}"]
+    if config.start_s >= end:
+        return [
+            f"stimulus '{name}' makes no sound in this run: it starts at {config.start_s:g} s, and the run ends at "
+            f"{end:g} s; set start_s smaller, or run longer"
+        ]
+    if config.stop_s is not None and config.stop_s <= begin:
+        return [
+            f"stimulus '{name}' makes no sound in this run: it stops at {config.stop_s:g} s, and the run begins at "
+            f"{begin:g} s"
+        ]
+    return []
+
+
+def _unlikely_p0(model: HapticModel) -> list[str]:
+    """Whether p0 is far from that of any transducer that is known: most likely it is in another unit."""
+    result = []
+    known = [ANY_P0, *(layout.p0 for layout in LAYOUTS.values())]
+    least, most = min(one.low for one in known), max(one.high for one in known)
+    for array, instance in zip(model.spec.arrays, array_instances(model.spec), strict=True):
+        p0, whence = instance.p0.value, instance.p0.source
+        if least / UNLIKELY <= p0 <= UNLIKELY * most:
+            continue
+        result.append(
+            f"p0 of array '{array.name}' is {p0:g} Pa m ({whence}), that of known transducers {least:g} to {most:g}: "
+            "look at the unit, which is pascals at 1 m, peak, at full drive"
+        )
+    return result
 
 
 def _course(stimulus: StimulusModel) -> Float:

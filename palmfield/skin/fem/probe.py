@@ -27,15 +27,10 @@ class SurfaceProbe:
         points = np.asarray(points, dtype=float)
         if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
             raise SceneError(f"skin points have shape {points.shape}; give finite positions of shape (n, 3)")
-        corners = mesh.nodes[mesh.surface_triangles6[:, :3]]
-        triangle, self.closest = _closest(corners, points)
-        self.triangles = triangle
+        self.closest, self.normals, self.triangles, self.local = nearest_on_surface(mesh, points)
         self.distance = np.linalg.norm(points - self.closest, axis=1)
-        self.local: Float = points_to_barycentric(corners[triangle], self.closest)[:, 1:]
-        nodes = mesh.surface_triangles6[triangle]
+        nodes = mesh.surface_triangles6[self.triangles]
         shape = triangle_shape(self.local)
-        normals = np.einsum("pi,pic->pc", shape, mesh.surface_normals()[nodes])
-        self.normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
         rows = np.broadcast_to(np.arange(len(points))[:, None, None], (len(points), 6, 3))
         values = shape[..., None] * self.normals[:, None, :]
         nodal = sparse.coo_matrix(
@@ -47,6 +42,18 @@ class SurfaceProbe:
             (shape.ravel(), (np.repeat(np.arange(len(points)), 6), nodes.ravel())), shape=(len(points), len(mesh.nodes))
         )
         self.vectors = sparse.csr_matrix(sparse.kron(shares, sparse.identity(3)) @ system.dof_map)
+
+
+def nearest_on_surface(mesh: WedgeMesh, points: Float) -> tuple[Float, Float, Int, Float]:
+    """The closest points [m] of a mesh's surface, shape (n, 3), and the outward normals there, (n, 3).
+
+    Also what triangles they lie in, (n,), and where, as xi and eta, (n, 2). points: [m], shape (n, 3)
+    """
+    corners = mesh.nodes[mesh.surface_triangles6[:, :3]]
+    triangles, closest = _closest(corners, points)
+    local: Float = points_to_barycentric(corners[triangles], closest)[:, 1:]
+    normals = np.einsum("pi,pic->pc", triangle_shape(local), mesh.surface_normals()[mesh.surface_triangles6[triangles]])
+    return closest, normals / np.linalg.norm(normals, axis=1, keepdims=True), triangles, local
 
 
 def _closest(corners: Float, points: Float) -> tuple[Int, Float]:
