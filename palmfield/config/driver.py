@@ -29,8 +29,8 @@ class DriverConfig(Config):
     )
     duty_exponent: Annotated[float, Field(ge=0.5, le=4)] = Field(
         2.0,
-        description="g of the pulses' law p/p_M = sin(pi duty)^(g/2), of am_quantity duty and of board autd2018: 2 is that of rectangular "
-        "pulses; 1.5 was measured on a device (Hasegawa and Shinoda 2018)",
+        description="g of the pulses' law p/p_M = sin(pi duty)^(g/2), of am_quantity duty and board "
+        "autd2018: 2 is that of rectangular pulses; 1.5 was measured on a device (Hasegawa and Shinoda 2018)",
     )
     compensate: Switch | None = Field(
         None,

@@ -189,8 +189,8 @@ def check_envelope(stimulus: StimulusSpec, board: Board) -> None:
     if config.am_waveform != "sine" or config.am_quantity == "duty":
         raise DeviceError(
             f"plugin 'palmfield.stimulus' instance '{stimulus.name}': am_waveform {config.am_waveform} of am_quantity "
-            f"{config.am_quantity}; board '{board.name}' has an envelope of its own: set am_waveform sine and am_quantity "
-            "amplitude, which stand for it, or board sonicsurface"
+            f"{config.am_quantity}; board '{board.name}' has an envelope of its own: set am_waveform sine and "
+            "am_quantity amplitude, which stand for it, or board sonicsurface"
         )
 
 

@@ -232,7 +232,7 @@ BOARD = Autd2018(
     "a real unit may need other values of the packet_ keys; units place the focus themselves, by their own speed of "
     "sound, and know nothing of dead or inverted transducers.",
     keys=(
-        "packet_header", "packet_footer", "packet_bit_order", "packet_lsb_m", "duty_exponent", "pwm_edge", "hop_delay_s",
-        "skew_s", "clock_drift_ppm", "sync", "board_sound_speed_m_s",
+        "packet_header", "packet_footer", "packet_bit_order", "packet_lsb_m", "duty_exponent", "pwm_edge",
+        "hop_delay_s", "skew_s", "clock_drift_ppm", "sync", "board_sound_speed_m_s",
     ),
 ).ready()  # fmt: skip
