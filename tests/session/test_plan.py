@@ -232,3 +232,18 @@ def test_planning_makes_no_matrices(small_scene):
 def test_no_shipped_scene_of_moving_hands_is_warned_of_a_far_focus(scene):
     told = warnings(scene)
     assert not any(words in text for text in told for words in ("no focus comes near", "turned away", "edge-on"))
+
+
+def test_a_run_that_ends_in_its_ramp_is_warned_of(small_scene):
+    """A raised cosine of 0.15 s has reached (1 - cos(pi / 10)) / 2 of the ARP after 15 ms."""
+    said = " ".join(palmfield.plan(small_scene(stimulus={"ramp_s": 0.15})).warnings)
+    assert "ramp of stimulus 'stimulus' takes 0.15 s" in said and "reaches 2.4 %" in said
+    assert "ramp" not in " ".join(palmfield.plan(small_scene(stimulus={"ramp_s": 0.005})).warnings)
+
+
+def test_a_beam_is_warned_of_as_it_arrives_and_not_behind_the_skin(small_scene):
+    """A focus 1 m away, loud enough for a shock there, behind skin at 0.12 m, which it meets long before."""
+    path = small_scene(array={"p0_Pa_m": 6.0}, stimulus={"focus_m": "0 0 1"})
+    assert "shock" not in " ".join(palmfield.plan(path).warnings)
+    loud = small_scene(array={"p0_Pa_m": 12.0})
+    assert "shock" in " ".join(palmfield.plan(loud).warnings)
