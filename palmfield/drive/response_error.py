@@ -25,6 +25,8 @@ SETTLED = 10
 """Delays after which a pole has forgotten, to 5e-5, what was before."""
 LOSS, FORGOTTEN = 0.1, 8
 """Damping ratio of the oscillator that stands for a skin, and periods after which it has forgotten how it began."""
+SLOWEST_Hz = 5.0
+"""Slower oscillators feel less of a ring-up, and would take long to forget."""
 VALUES = 100_000
 """Most drives that are sampled; a path that would need more is sampled on some of the transducers."""
 FEWEST = 16
@@ -137,6 +139,7 @@ def changes_of_motion(
     delay = (1.0 / rate).real
     step = max(delay / SAMPLES_A_DELAY, SHORTEST_S)
     spread = max(1, round(spread_s / step))
+    frequency_Hz = max(frequency_Hz, SLOWEST_Hz)
     w = 2.0 * math.pi * frequency_Hz
     oscillator = bilinear([w**2], [1.0, 2.0 * LOSS * w, w**2], 1.0 / step)
     before = math.ceil(FORGOTTEN / (frequency_Hz * step))

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from palmfield.lazy_names import lazy_names
 
 if TYPE_CHECKING:
-    from palmfield.session.array_inputs import p0_band
+    from palmfield.session.array_inputs import p0_band, p0_band_at
     from palmfield.session.load import compiled
     from palmfield.session.numerical_error import LoudestMoment, error_estimate
     from palmfield.session.plan import Plan, warnings
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 _WHERE = {
     "p0_band": "array_inputs",
+    "p0_band_at": "array_inputs",
     **dict.fromkeys(("LoudestMoment", "error_estimate"), "numerical_error"),
     "compiled": "load",
     **dict.fromkeys(("Plan", "warnings"), "plan"),
@@ -60,6 +61,7 @@ __all__ = [
     "error_estimate",
     "felt_levels",
     "p0_band",
+    "p0_band_at",
     "play_focus",
     "play_scene",
     "scene_frames",

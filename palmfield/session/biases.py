@@ -242,7 +242,7 @@ def _echo(
         return _echo_computed(model.stimuli[stimulus], arrays, drive, point, shares)
     together = float(shares.sum())
     why = (
-        f"an endless flat plate in place of the disc, {1e3 * height:.0f} mm away, and a rigid array face return "
+        f"an endless flat plate at {1e3 * height:.0f} mm, where the disc is, and a rigid array face return "
         f"{100 * shares[0]:.1f} % of the pressure after one round trip and {100 * together:.1f} % after {ROUND_TRIPS}, "
         "which add or cancel as the distance changes by a quarter of a wavelength; less on a narrow disc, nothing if "
         "the face absorbs. array_face rigid computes it"

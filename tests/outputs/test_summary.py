@@ -204,6 +204,7 @@ def told(one_skin, more):
     """The table's rows of a skin of 1.23456 um for 12.3456 Pa."""
     numbers = {"peak_displacement_m": 1.23456e-6, "peak_arp_Pa": 12.3456, "displacement_per_arp_m_Pa": 1e-7 * 1.000321}
     texts: dict[str, str] = {}
+    last = ""
     for name, text in _rows(format_summary(summary(one_skin, RUN, {"palm": numbers | more}, {}))):
         last = name or last
         texts[last] = f"{texts.get(last, '')} {text}".strip()

@@ -169,3 +169,40 @@ def test_a_sudden_start_counts_its_onset(small_scene, moment) -> None:
     assert errors["step_error_relative"] > abs(scheme[0] - exact[0]) / abs(exact[0])
     sources = [errors[f"{name}_error_relative"] for name in SOURCES]
     assert errors["displacement_error_relative"] == pytest.approx(np.hypot.reduce(sources))
+
+
+def box_scene(small_scene, **skin):
+    """A patch on the lit face of a box, on springs."""
+    path = small_scene(
+        stimulus=STEADY,
+        skin={"shape": "mesh", "mesh": "box.obj", "mesh_unit": "mm", "patch_site": "centre", "patch_radius_m": 0.02,
+              "radius_m": None, "thickness_m": None, "element_m": 0.005} | skin,
+    )  # fmt: skip
+    box = trimesh.creation.box((60, 60, 30))
+    box.apply_translation((0, 0, -15))
+    box.export(path.with_name("box.obj"))
+    return path
+
+
+def test_a_cut_edge_counts_at_rest_as_well(small_scene, moment):
+    """Half of what a free side changes, at rest or at the main frequency, of whole solutions on the scene's mesh."""
+    keys = {"base": "springs", "base_normal_Pa_m": 3e5, "base_tangential_Pa_m": 3e4, "side": "fixed"}
+    scene = palmfield.load(box_scene(small_scene, **keys))
+    scene.step(3)
+    found = estimate(scene, moment(scene))["edge_error_relative"]
+    layer = scene.runtime.model.skins[0].layer
+    load, frequency = unit(scene), layer.demand.main_frequency_Hz
+    still, swung = [], []
+    for one in (layer, layer.resized(layer.resizing, side="free")):
+        force, read = one.quadrature.operator @ load, one.probe(np.zeros(3)).operator
+        still.append((read @ static(one.system, force))[0])
+        swung.append((read @ harmonic(one.system, force, frequency))[0])
+    changes = [0.5 * abs(other - own) / abs(own) for own, other in (still, swung)]
+    assert changes[0] > 1.2 * changes[1]
+    assert found == pytest.approx(changes[0], rel=0.02)
+
+
+def test_a_layer_that_only_its_cut_edge_holds_is_known_to_nothing(small_scene, moment):
+    scene = palmfield.load(box_scene(small_scene, base="free", side="fixed"))
+    scene.step(3)
+    assert estimate(scene, moment(scene))["edge_error_relative"] == 1.0

@@ -172,7 +172,7 @@ def test_plan_says_what_was_measured_of_the_drive(small_scene):
     assert not response.on
     said = row(palmfield.plan(scene).left_out, "transducers' ring-up")
     assert f"{100 * response.ring_up.rms:.2g} % rms, {100 * response.ring_up.peak:.2g} % at worst" in said.why
-    assert said.size == f"{-200 * response.ring_up.rms:.2g} to 0 %"
+    assert -2.0 * response.ring_up.rms < float(said.size.split()[0]) / 100.0 <= 0.0
     assert "measured on samples of the drive" in said.why
     ringing = palmfield.load(small_scene())
     said = row(palmfield.plan(ringing).modelled, "transducers' ring-up").why
@@ -237,6 +237,7 @@ def test_no_shipped_scene_of_moving_hands_is_warned_of_a_far_focus(scene):
     assert not any(words in text for text in told for words in ("no focus comes near", "turned away", "edge-on"))
 
 
+<<<<<<< HEAD
 def test_plan_says_what_a_board_is_sent_and_where_the_sound_is_loudest(small_scene):
     made = palmfield.plan(small_scene(), board="autd2018")
     said = row(made.modelled, "sending").size
@@ -251,3 +252,18 @@ def test_plan_says_what_a_board_is_sent_and_where_the_sound_is_loudest(small_sce
     nearer_mm = 1e3 * (0.12 - heights[along.argmax()])
     told = float(row(made.modelled, "loudest point").size.split("|p| is largest ")[1].split(" mm nearer")[0])
     assert nearer_mm > 1.0 and told == pytest.approx(nearer_mm, abs=0.3)
+=======
+def test_a_run_that_ends_in_its_ramp_is_warned_of(small_scene):
+    """A raised cosine of 0.15 s has reached (1 - cos(pi / 10)) / 2 of the ARP after 15 ms."""
+    said = " ".join(palmfield.plan(small_scene(stimulus={"ramp_s": 0.15})).warnings)
+    assert "ramp of stimulus 'stimulus' takes 0.15 s" in said and "reaches 2.4 %" in said
+    assert "ramp" not in " ".join(palmfield.plan(small_scene(stimulus={"ramp_s": 0.005})).warnings)
+
+
+def test_a_beam_is_warned_of_as_it_arrives_and_not_behind_the_skin(small_scene):
+    """A focus 1 m away, loud enough for a shock there, behind skin at 0.12 m, which it meets long before."""
+    path = small_scene(array={"p0_Pa_m": 6.0}, stimulus={"focus_m": "0 0 1"})
+    assert "shock" not in " ".join(palmfield.plan(path).warnings)
+    loud = small_scene(array={"p0_Pa_m": 12.0})
+    assert "shock" in " ".join(palmfield.plan(loud).warnings)
+>>>>>>> fixb
