@@ -237,7 +237,6 @@ def test_no_shipped_scene_of_moving_hands_is_warned_of_a_far_focus(scene):
     assert not any(words in text for text in told for words in ("no focus comes near", "turned away", "edge-on"))
 
 
-<<<<<<< HEAD
 def test_plan_says_what_a_board_is_sent_and_where_the_sound_is_loudest(small_scene):
     made = palmfield.plan(small_scene(), board="autd2018")
     said = row(made.modelled, "sending").size
@@ -252,7 +251,8 @@ def test_plan_says_what_a_board_is_sent_and_where_the_sound_is_loudest(small_sce
     nearer_mm = 1e3 * (0.12 - heights[along.argmax()])
     told = float(row(made.modelled, "loudest point").size.split("|p| is largest ")[1].split(" mm nearer")[0])
     assert nearer_mm > 1.0 and told == pytest.approx(nearer_mm, abs=0.3)
-=======
+
+
 def test_a_run_that_ends_in_its_ramp_is_warned_of(small_scene):
     """A raised cosine of 0.15 s has reached (1 - cos(pi / 10)) / 2 of the ARP after 15 ms."""
     said = " ".join(palmfield.plan(small_scene(stimulus={"ramp_s": 0.15})).warnings)
@@ -266,4 +266,3 @@ def test_a_beam_is_warned_of_as_it_arrives_and_not_behind_the_skin(small_scene):
     assert "shock" not in " ".join(palmfield.plan(path).warnings)
     loud = small_scene(array={"p0_Pa_m": 12.0})
     assert "shock" in " ".join(palmfield.plan(loud).warnings)
->>>>>>> fixb
