@@ -62,7 +62,8 @@ BAD = {
     "unknown key": ({"skin": {"radius_mm": 20}}, "unknown key 'radius_mm' (did you mean 'radius_m'?); allowed: what"),
     "no body": ({"skin": {"body": "paw"}}, "the scene has no body 'paw' (did you mean 'pad'?); it has: world"),
     "missing mesh": (
-        {"skin": {"shape": "mesh", "mesh": "gone.obj", "mesh_unit": "mm", "patch_site": "centre"}}, "gone.obj",
+        {"skin": {"shape": "mesh", "mesh": "gone.obj", "mesh_unit": "mm", "patch_site": "centre", "radius_m": None,
+                  "thickness_m": None}}, "gone.obj",
     ),
     "step": ({"skin": {"step_s": 0.0003}}, "must divide the timestep"),
     "am on board": ({"driver": {"board": "sonicsurface"}, "array": {"layout": "sonicsurface"}}, "sonicsurface gives"),
