@@ -138,7 +138,7 @@ def changes_of_motion(
     """
     delay = (1.0 / rate).real
     step = max(delay / SAMPLES_A_DELAY, SHORTEST_S)
-    spread = max(1, round(spread_s / step))
+    lag, spread = max(1, round(delay / step)), max(1, round(spread_s / step))
     frequency_Hz = max(frequency_Hz, SLOWEST_Hz)
     w = 2.0 * math.pi * frequency_Hz
     oscillator = bilinear([w**2], [1.0, 2.0 * LOSS * w, w**2], 1.0 / step)
@@ -149,10 +149,12 @@ def changes_of_motion(
         cells = np.arange(-before, math.ceil((last - begin) / step))
         levels = np.sqrt(frames_at(stimulus, np.asarray(begin + (cells + 0.5) * step))[1])
         late = np.convolve(np.pad(levels, (spread - 1, 0), mode="edge"), np.full(spread, 1.0 / spread), mode="valid")
-        loads = [levels**2, np.abs(_rung(levels.astype(complex), rate * step)) ** 2, late**2]
-        own, *others = (float(np.abs(lfilter(*oscillator, load))[before:].max()) for load in loads)
-        if own > 0.0:
-            changes.append([other / own - 1.0 for other in others])
+        rung = np.abs(_rung(levels.astype(complex), rate * step)) ** 2
+        # Each against what is as late as it: a mere delay changes no motion, but what a window holds of it
+        pairs = (rung, np.abs(_later(levels, lag)) ** 2), (late**2, np.abs(_later(levels, max(1, spread // 2))) ** 2)
+        sizes = [[float(np.abs(lfilter(*oscillator, load))[before:].max()) for load in pair] for pair in pairs]
+        if all(own > 0.0 for _, own in sizes):
+            changes.append([changed / own - 1.0 for changed, own in sizes])
     ring_up, flight_time = zip(*changes, strict=True) if changes else ((0.0,), (0.0,))
     return max(ring_up, key=abs), max(flight_time, key=abs)
 

@@ -266,3 +266,9 @@ def test_a_beam_is_warned_of_as_it_arrives_and_not_behind_the_skin(small_scene):
     assert "shock" not in " ".join(palmfield.plan(path).warnings)
     loud = small_scene(array={"p0_Pa_m": 12.0})
     assert "shock" in " ".join(palmfield.plan(loud).warnings)
+
+
+def test_a_plan_solves_for_no_scattering(small_scene, solutions):
+    """Where the sound arrives is looked at in free air."""
+    palmfield.plan(small_scene(stimulus=STEADY, skin={"body_sound": "scattering"}))
+    assert not solutions

@@ -12,20 +12,18 @@ from palmfield.config.skin import EXPLICIT
 from palmfield.config.stimulus import AM_KEYS
 from palmfield.session.array_inputs import stimulus_of
 from palmfield.session.biases import response_biases
-from palmfield.session.numerical_error import loudest_place
 from palmfield.session.planning.costs import scatterings
-from palmfield.session.planning.facts import first_drive
+from palmfield.session.planning.facts import first_drive, where_it_arrives
 from palmfield.session.planning.sight import out_of_sight
 from palmfield.session.preview import Preview
 from palmfield.simulation.emission import array_drives
 from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel, array_instances
 from palmfield.simulation.posed_scene import PosedScene
-from palmfield.simulation.radiation import Radiation
 from palmfield.skin.explicit_layer import explicit_layer
 from palmfield.skin.from_config import cutoff_Hz
 from palmfield.skin.solver_choice import PREVIEW
 from palmfield.stimulus.schedule import frames_at, main_frequencies, turn_rate_Hz
-from palmfield.types import Complex, Float
+from palmfield.types import Float
 
 COURSE, POSES = 64, 16
 """Points of a path, and poses of hands that scripts move, in which its distance from a skin is looked at."""
@@ -62,23 +60,14 @@ def advice(view: Preview) -> list[str]:
     for number in range(len(model.skins)):
         result += _dropped_response(model, number)
     for number, stimulus in enumerate(model.stimuli):
-        drive = first_drive(model, number)
-        point = _where_it_arrives(view, stimulus, drive)[None]
-        pressure = model.arrays.pressure64(point, drive)
+        drive, posed = first_drive(model, number), view.runtime.work.reference
+        places = [where_it_arrives(posed, skin, drive) for skin in range(len(model.skins))]
+        point, _, pressure = max(places, key=lambda place: place[2])
         beam = drive, stimulus.first_focus
+        if pressure == 0.0:
+            continue
         result += validity.warnings(model.arrays.array, point, pressure, model.arrays.air, beam)
     return list(dict.fromkeys(result))
-
-
-def _where_it_arrives(view: Preview, stimulus: StimulusModel, drive: Complex) -> Float:
-    """Where a drive pushes skin most, be the focus before or behind it; the focus where it pushes none, shape (3,)."""
-    model, posed = view.runtime.model, view.runtime.work.reference
-    radiation = Radiation(model)
-    arps = [radiation.on(posed, number, "nodes", drive).arp for number in range(len(model.skins))]
-    loudest = int(np.argmax([arp.max() for arp in arps]))
-    if arps[loudest].max() == 0.0:
-        return stimulus.first_focus
-    return loudest_place(posed, loudest, radiation, drive)[0]
 
 
 def _dropped_response(model: HapticModel, number: int) -> list[str]:

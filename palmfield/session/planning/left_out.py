@@ -5,12 +5,11 @@ import numpy as np
 from palmfield.acoustics.air import sound_speed
 from palmfield.session.array_inputs import stimulus_of
 from palmfield.session.biases import biases
-from palmfield.session.numerical_error import loudest_place, nearest_focus
-from palmfield.session.planning.facts import first_drive
+from palmfield.session.numerical_error import nearest_focus
+from palmfield.session.planning.facts import first_drive, where_it_arrives
 from palmfield.session.planning.rows import Row
 from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
 from palmfield.simulation.posed_scene import reference_scene
-from palmfield.simulation.radiation import Radiation
 from palmfield.skin.from_config import cutoff_Hz
 
 
@@ -21,8 +20,8 @@ def left_out(model: HapticModel) -> list[Row]:
         stimulus = stimulus_of(model, number)
         focus = nearest_focus(model.stimuli[stimulus].reference_foci, posed.skins[number].nodes[0])
         drive = first_drive(model, stimulus)
-        highest = loudest_place(posed, number, Radiation(model), drive)
-        found = biases(model, number, stimulus, posed, drive, focus, highest)
+        point, outward, _ = where_it_arrives(posed, number, drive)
+        found = biases(model, number, stimulus, posed, drive, focus, (point, outward))
         rows += [Row(one.what, one.size, one.why, skin.spec.name) for one in found]
     return rows
 
