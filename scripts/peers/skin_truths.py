@@ -21,6 +21,7 @@ from pathlib import Path
 import numpy as np
 import skfem as fem
 from pypardiso import PyPardisoSolver
+from pypardiso.pardiso_wrapper import PyPardisoError
 from scipy import sparse
 from skfem.helpers import ddot, div, dot, sym_grad
 
@@ -428,7 +429,7 @@ def main():
         signal.setitimer(signal.ITIMER_PROF, settings.limit)
         try:
             row = truth(case)
-        except (TooLongError, MemoryError, ValueError, RuntimeError) as error:
+        except (TooLongError, MemoryError, ValueError, RuntimeError, PyPardisoError) as error:
             row = {"missing": f"{type(error).__name__}: {error}"}
         finally:
             signal.setitimer(signal.ITIMER_PROF, 0.0)

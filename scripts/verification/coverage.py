@@ -49,6 +49,7 @@ def main() -> None:
     parser.add_argument("--limit", type=float, default=30.0, help="longest run [s]")
     parser.add_argument("--longest", type=float, default=10.0, help="longest prediction of a solver by name [s]")
     parser.add_argument("--out", type=Path, default=Path("docs/bench/skin_coverage.md"))
+    parser.add_argument("--frozen", help="commit of the code that the seed was drawn after, for the page")
     settings = parser.parse_args()
     path = settings.cases
     if settings.step == "draw":
@@ -64,7 +65,8 @@ def main() -> None:
         asked = [case for case in drawn["cases"] if case["by_others"] and case["key"] in answered]
         go_on(asked, known, lambda case: truths(case, answered[case["key"]], settings.limit))
     else:
-        write_report(drawn, rows_of(known) + rows_of(path.with_suffix(".peers.jsonl")), rows_of(given), settings.out)
+        truths_known = rows_of(known) + rows_of(path.with_suffix(".peers.jsonl"))
+        write_report(drawn, truths_known, rows_of(given), settings.out, settings.frozen)
 
 
 if __name__ == "__main__":

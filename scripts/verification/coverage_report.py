@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from coverage_draw import FAMILIES
+from coverage_draw import BY_NAME, CONTRAST, CROSSINGS, FAMILIES, LONGEST_S, OTHER, ROUND
 from coverage_judge import NAMES, SAME_MESH, relative_error, solver_of
 from scipy.stats import binomtest
 
@@ -137,8 +137,46 @@ def draw_costs(rows: list[Verdict], path: Path) -> None:
     figure.savefig(path, dpi=140)
 
 
-def write_report(drawn: dict[str, Any], truths: list[dict[str, Any]], answers: list[dict[str, Any]], out: Path) -> None:
-    """Write the page, and the picture beside it (the page's name, .png)."""
+def goals(rows: list[Verdict], peers: dict[str, int]) -> list[str]:
+    """Table of what the estimates are to reach, and what these verdicts of `auto` say of it.
+
+    peers: truths by scikit-fem of each family
+    """
+    judged = [row for row in rows if row.kind == "judged"]
+    covered = sum(row.estimate >= row.true for row in judged)
+    half = sum(row.estimate < 0.5 * row.true for row in judged)
+    ratios = [row.estimate / row.true for row in judged if row.true > 0.0]
+    refused = sum(row.kind == "refused" for row in rows)
+    late = sum(row.kind == "refused late" for row in rows)
+    families = {name: [row for row in rows if row.family == name] for name in FAMILIES}
+    worst = max(
+        (sum(row.kind == "refused" for row in each) / len(each) for each in families.values() if each), default=0
+    )
+    cells = [
+        ("estimate >= true error, of the judged", "97 %", band(covered, len(judged))),
+        ("the same, of all cases", "85 %", band(covered, len(rows))),
+        ("estimates below half of the true error", "none", str(half)),
+        ("median of estimate / true error", "<= 3", f"{np.median(ratios):.2g}" if ratios else "-"),
+        ("refused before the run, of all cases", "<= 10 %", band(refused, len(rows))),
+        ("the same in the family that has most", "<= 33 %", f"{100 * worst:.0f} %"),
+        ("refused late", "none", str(late)),
+        ("truths by scikit-fem", ">= 30", str(sum(peers.values()))),
+        ("the same in the family that has fewest", ">= 2", str(min(peers.values()))),
+    ]
+    return ["| of `auto` | goal | found |", "|---|---|---|", *(f"| {' | '.join(row)} |" for row in cells)]
+
+
+def write_report(
+    drawn: dict[str, Any],
+    truths: list[dict[str, Any]],
+    answers: list[dict[str, Any]],
+    out: Path,
+    frozen: str | None = None,
+) -> None:
+    """Write the page, and the picture beside it (the page's name, .png).
+
+    frozen: commit of the code that the seed was drawn after, where that is so
+    """
     rows = verdicts(drawn, truths, answers)
     auto = [row for row in rows if row.asked == "auto"]
     seen = {row.case for row in rows}
@@ -153,19 +191,35 @@ def write_report(drawn: dict[str, Any], truths: list[dict[str, Any]], answers: l
         f"    python scripts/verification/coverage.py draw CASES.json --seed {drawn['seed']} --count "
         f"{len(drawn['cases'])}",
         "",
-        "then its steps `truths`, `answers` and `report`, and `scripts/peers/skin_truths.py` in the peers' "
+        "then its steps `answers`, `truths` and `report`, and `scripts/peers/skin_truths.py` in the peers' "
         "environment.",
+        *([] if frozen is None else ["", f"The code was frozen at commit {frozen}; the seed is the time after that."]),
         "",
-        "Random bodies, materials and loads. True: relative L2 over the times at a point, the largest of the points, "
-        "of the difference from the surest truth of another code: another solver at a tenth of the accuracy, or "
-        "scikit-fem with its own mesh, elements and steps. An answer is judged where the truth's own error is at most "
-        f"{CONVERGED:g} of the larger of estimate and true error; else it counts as without a truth. Intervals hold "
-        "95 %.",
-        "",
-        f"Cases drawn: {len(drawn['cases'])}; answered or refused: {len(seen)}; looked at by other solvers for a "
-        f"truth: {len(tried)}. Truths by scikit-fem: {len(peers)} ("
+        f"**Cases drawn: {len(drawn['cases'])}; given to the solvers so far: {len(seen)}.** Looked at by another "
+        f"solver of ours for a truth: {len(tried)}. Truths by scikit-fem: {len(peers)} ("
         + ", ".join(f"{name} {count}" for name, count in by_family.items())
-        + ").",
+        + "). Cases that no solver was given yet stand in no table.",
+        "",
+        "Random bodies, materials and loads, in ten families. So that a case costs seconds whatever its scale, sizes "
+        "go together: spots of 1 to 300 mm on discs of 1.2 to 2.5 of their widths (over the rim: 0.3 to 1.2), at most "
+        "150 mm in radius, boxes and layers of 2.5 to 4 widths; depths of 0.3 to 1.2 widths, 1 to 20 mm (family "
+        f"depths: 1 to 50 mm); {CROSSINGS[0]:g} to {CROSSINGS[1]:g} times in which shear waves cross the spot or twice "
+        f"the depth, at most {1e3 * LONGEST_S:g} ms; accuracies of {100 * ROUND[0]:g} to {100 * ROUND[1]:g} % (boxes, "
+        f"layers and scenes from {100 * OTHER[0]:g} %). Contrast: sheets {CONTRAST:g} times as stiff as one another. "
+        "Scenes: a disc of 10 to 30 mm under a focus of an array, by `palmfield.run`; their estimate is the numerical "
+        f"line of the error budget. Each case is given to `auto` and to {BY_NAME} solvers by name (scenes: one), drawn "
+        "among those that are for such a body; one by name whose prediction is above 5 s is not run, and counts as no "
+        "answer.",
+        "",
+        "True: relative L2 over the times at a point, the largest of the points, of the difference from the surest "
+        "truth of another code: another solver at a tenth of the accuracy, or scikit-fem with its own mesh, elements "
+        "and steps, whose error follows from three solutions. An answer is judged where the truth's own error is at "
+        f"most {CONVERGED:g} of the larger of estimate and true error; else it counts as without a truth. Intervals "
+        "hold 95 %. Seconds are of one core's processor time.",
+        "",
+        "## Goals",
+        "",
+        *goals(auto, by_family),
         "",
         "## `auto`, by family",
         "",
@@ -177,7 +231,7 @@ def write_report(drawn: dict[str, Any], truths: list[dict[str, Any]], answers: l
         "",
         "## By solver",
         "",
-        *table("solver", {name: [row for row in rows if row.asked == name] for name in NAMES[1:]}),
+        *table("solver", {name: [row for row in rows if row.asked == name] for name in NAMES[1:]} | {"all": rows}),
         "",
         f"![True error against time of each solver]({picture.name})",
         "",
@@ -186,6 +240,8 @@ def write_report(drawn: dict[str, Any], truths: list[dict[str, Any]], answers: l
         *([f"- {line}" for line in contradictions(drawn, truths)] or ["None."]),
         "",
         "## Every case by `auto`",
+        "",
+        f"Numbers follow the seed, {drawn['seed']}.",
         "",
         "| case | family | what became of it | asked % | estimate % | true % | truth, its error % | s | who |",
         "|---|---|---|---|---|---|---|---|---|",
@@ -206,6 +262,7 @@ def _line(row: Verdict) -> str:
     truth = f"{row.by}, {percent(row.truth_error)}" if row.by else ""
     words = row.words.replace("|", "/").replace("\n", " ")[:90]
     return (
-        f"| {row.case} | {row.family} | {row.kind}{low} | {percent(row.accuracy)} | {percent(row.estimate)} "
+        f"| {row.case.rpartition('-')[2]} | {row.family} | {row.kind}{low} | {percent(row.accuracy)} "
+        f"| {percent(row.estimate)} "
         f"| {percent(row.true)} | {truth} | {seconds} | {words} |"
     )

@@ -160,7 +160,7 @@ def test_estimates_of_a_round_case_hold_by_every_solver(tmp_path, monkeypatch: p
     out = tmp_path / "page.md"
     coverage_report.write_report(drawn, known, rows, out)
     text = out.read_text()
-    assert "1-15" in text and "refused" in text and out.with_suffix(".png").stat().st_size > 5000
+    assert "| 15 | depths | judged |" in text and "refused" in text and out.with_suffix(".png").stat().st_size > 5000
 
 
 def test_a_scene_says_how_far_it_is_off_and_gives_its_load() -> None:
