@@ -202,7 +202,8 @@ def drive(
         typer.Option(help="with --focus: peak pressure of a transducer at 1 m [Pa m] [default: the layout's]"),
     ] = None,
     calibration: Annotated[
-        Path | None, typer.Option(help="with --focus: file of what was measured of the transducers (docs/calibration.md)")
+        Path | None,
+        typer.Option(help="with --focus: file of what was measured of the transducers (docs/calibration.md)"),
     ] = None,
     temperature: Annotated[float, typer.Option(help="with --focus: of the air [C]")] = 20.0,
     humidity: Annotated[float, typer.Option(help="with --focus: of the air, relative [%]")] = 50.0,

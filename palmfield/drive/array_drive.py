@@ -77,6 +77,7 @@ class ArrayDrive:
         board: Board,
     ):
         self.compensate = board.compensate and board.takes == "amplitudes"
+        self.rounds_levels = board.line is not None and board.amplitude == "pulse_width"
         self.array, self.chosen, self.board, self.arp_peak_Pa = array, chosen, board, arp_peak_Pa
         whole = array.array
         self.count = len(whole)
@@ -159,7 +160,7 @@ class ArrayDrive:
         Errors as unit_drive.
         """
         points = points.reshape(len(points), -1, 3)
-        if len(focal_points.offsets) or not self.board.exact or self.correction is not None:
+        if len(focal_points.offsets) or self.board.line is not None or self.correction is not None:
             return self._one_by_one(points, focal_points, group, audible)
         foci = focal_points.along(points.reshape(-1, 3)).reshape(points.shape)
         mine = group if group is None or self.everything else group[self.chosen]
@@ -185,7 +186,7 @@ class ArrayDrive:
 
         A board rounds them anew in each frame. Of several foci, whose transducers differ, they stay as they are.
         """
-        if self.board.exact or self.board.amplitude != "pulse_width" or full == 0.0:
+        if not self.rounds_levels or full == 0.0:
             return levels
         return self.board.rounded(levels * full) / self.board.rounded(np.array(full))
 

@@ -219,8 +219,12 @@ class Board:
     def decode(self, data: bytes) -> list[Complex]:
         """What a board just switched on emits after each change, shape (n,) each."""
         twin = self.twin()
-        changes = twin.feed(data, 0.0)
-        return [change.amplitudes for change in [*changes, *twin.until(twin.time_s + HELD_BACK_S)]]
+        emitted = []
+        for change in twin.take(data):
+            emitted.append(change.amplitudes)
+        for change in twin.until(twin.time_s + HELD_BACK_S):
+            emitted.append(change.amplitudes)
+        return emitted
 
     def played_focus(self, focus: ArrayLike, level: float) -> Complex:
         """What is emitted when a board that takes a focus is asked for one, shape (n,)."""
@@ -237,7 +241,7 @@ def play(board: Board, amplitudes: ArrayLike) -> Complex:
     Returns the same shape: unchanged where the board is exact, else through its bytes and its virtual twin.
     Raises DeviceError for what the board cannot play.
     """
-    if board.exact:
+    if board.line is None:
         return np.array(amplitudes, dtype=np.complex128)
     return board.decode(board.encode(amplitudes))[-1]
 
@@ -251,7 +255,7 @@ FULL = 1.0 + 1e-6
 def commanded(board: Board, amplitudes: ArrayLike) -> Complex:
     """Amplitudes in the board's shape, (n,). Raises DeviceError for another shape, and above full drive."""
     values = np.asarray(amplitudes, dtype=np.complex128)
-    if values.shape != (board.transducers,):
+    if values.shape != (board.unit * board.units,):
         raise DeviceError(f"a frame of {board.name} has shape {values.shape}; give ({board.transducers},)")
     magnitude = np.abs(values)
     bad = ~(magnitude <= FULL)

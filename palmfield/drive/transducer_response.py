@@ -173,7 +173,8 @@ def _commanded(
     if not np.logical_or.reduce(audible, axis=None):
         return np.zeros((len(points), drive.count), np.complex128)
     drives = drive.unit_drives(points, focal_points, group, audible)
-    if not len(focal_points.offsets) and (drive.arp_peak_Pa is None or len(points) == 1):
+    # Boards whose levels aren't rounded take no call here, which every step would make
+    if drive.rounds_levels and not len(focal_points.offsets) and (drive.arp_peak_Pa is None or len(points) == 1):
         full = drive.amplitude if drive.arp_peak_Pa is None else drive.unit_drive_at(focal_points, points[0, 0]).level
         levels = drive.played_levels(levels, full)
     drives *= levels if group is None else levels[:, group]
@@ -291,7 +292,7 @@ def emitted_over(
         return EmittedCourse(None, nothing, None, np.zeros_like(emitted) if response.on else emitted)
     if stimulus.path == "point":
         unit = drive.unit_drive_at(focal_points, points[0, 0])
-        if not len(focal_points.offsets):
+        if drive.rounds_levels and not len(focal_points.offsets):
             levels = drive.played_levels(levels, unit.level)
         return _of_one_unit(unit, levels, group, response, emitted, moments)
     commanded = _commanded(drive, points, levels, group, focal_points)

@@ -259,7 +259,8 @@ def check_clear(posed: PosedScene) -> None:
 
     The same for a body that has left the place for which echoes from a rigid array face are computed.
     """
-    _check_echo(posed)
+    if posed.arrays.wall_m is not None:
+        _check_echo(posed, posed.arrays.wall_m)
     # Boxes tell it of most poses, and take no vertex
     hulls = []
     for body in posed.bodies:
@@ -286,10 +287,7 @@ def check_clear(posed: PosedScene) -> None:
             _check_clear(posed, "one of the obstacles", skin.obstacles[0], behind=True)
 
 
-def _check_echo(posed: PosedScene) -> None:
-    wall_m = posed.arrays.wall_m
-    if wall_m is None:
-        return
+def _check_echo(posed: PosedScene, wall_m: float) -> None:
     height = float(posed.bodies[0].frame.position[2]) - posed.arrays.boards[0].height
     tilt = math.acos(max(-1.0, min(1.0, -float(posed.bodies[0].frame.rotation[2, 2]))))
     if abs(height - wall_m) > STILL_ECHO_M or tilt > TILT_RAD:

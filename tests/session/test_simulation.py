@@ -36,14 +36,13 @@ def test_emitted_has_the_phase_that_the_state_has(small_scene):
     assert not silent.emitted.any()
 
 
-def test_a_key_of_an_instance_counts_before_one_of_its_plugin(small_scene):
-    # The plugin's own name would do for this instance, which is called "skin"
+def test_a_key_of_an_instance_and_the_same_of_its_plugin_are_refused_where_there_is_no_other(small_scene):
     for keys in (
         {"skin.accuracy": 0.3, "palmfield.skin.accuracy": 0.5},
         {"palmfield.skin.accuracy": 0.5, "skin.accuracy": 0.3},
     ):
-        sim = palmfield.Simulation(small_scene(), keys=keys)
-        assert sim.runtime.spec.skins[0].config.accuracy == 0.3
+        with pytest.raises(palmfield.SceneError, match="both set accuracy of instance 'skin'"):
+            palmfield.Simulation(small_scene(), keys=keys)
 
 
 def test_a_start_elsewhere_forgets_what_was_held_at_a_control_tick(small_scene):
