@@ -51,7 +51,7 @@ def draw_scene(random: np.random.Generator, accuracy: float) -> dict[str, Any]:
     }  # fmt: skip
     scene = "phantom_am200"
     if random.random() < 0.6:
-        keys |= {"stimulus.am_frequency_Hz": between(50.0, 250.0), "stimulus.am_of": pick("pressure", "arp")}
+        keys |= {"stimulus.am_frequency_Hz": between(50.0, 250.0), "stimulus.am_quantity": pick("amplitude", "arp")}
         keys |= {"stimulus.am_depth": float(random.uniform(0.5, 1.0))}
     else:
         scene = "phantom_step"
