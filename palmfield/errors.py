@@ -20,6 +20,10 @@ class OutputError(PalmfieldError):
     """Results cannot be written or read back."""
 
 
+class MeasurementError(PalmfieldError):
+    """A metric or an instrument is asked for what the signal that it is given cannot tell."""
+
+
 def did_you_mean(word: str, known: Iterable[str], likeness: float = 0.6) -> str:
     """` (did you mean 'x'?)` for what of the known words comes near; empty where none does.
 

@@ -15,6 +15,7 @@ from matplotlib.tri import Triangulation
 from scipy.ndimage import uniform_filter1d
 
 from palmfield.acoustics.reference import pressure64
+from palmfield.metrics import wake_along_path
 from palmfield.outputs.frames import in_world, pose_at, to_local
 from palmfield.outputs.motion import normal_component
 from palmfield.outputs.schema import instances
@@ -329,20 +330,15 @@ def stroke_velocities(speed_m_s: float) -> dict[str, Float]:
 def wake_lengths(seen: dict[str, Float]) -> tuple[Float, Float, Float]:
     """Wake lengths [m] at each moment of `stroke_velocities`, and the envelope at the moment nearest to 75 % of way.
 
-    The envelope at a place of the path is the largest |normal velocity| of the skin within PATH_NEIGHBOURHOOD_M of it.
-    The wake reaches back from the focus as far as the envelope stays above WAKE_SHARE of its largest value behind the
-    focus. Returns lengths (n,), distances behind the focus [m] and the envelope there over its largest.
+    The wake is that of `palmfield.metrics.wake_along_path`, of nodes within PATH_NEIGHBOURHOOD_M. Returns lengths (n,),
+    distances behind the focus [m] and the envelope there over its largest.
     """
-    lengths, curves = [], []
-    for arc, velocity in zip(seen["arc"], np.abs(seen["velocity"]), strict=True):
-        gone = seen["places"] <= arc
-        envelope = np.where(seen["near"][gone], velocity, 0.0).max(axis=1)
-        envelope = envelope / envelope.max()
-        still = np.flatnonzero(envelope < WAKE_SHARE)
-        lengths.append(arc - (seen["places"][still[-1]] if len(still) else 0.0))
-        curves.append((arc - seen["places"][gone], envelope))
+    wakes = [
+        wake_along_path(arc, velocity, seen["places"], seen["near"], WAKE_SHARE)
+        for arc, velocity in zip(seen["arc"], seen["velocity"], strict=True)
+    ]
     middle = int(np.abs(seen["arc"] - 0.5 * (seen["arc"][0] + seen["arc"][-1])).argmin())
-    return np.array(lengths), *curves[middle]
+    return np.array([length for length, _, _ in wakes]), *wakes[middle][1:]
 
 
 def _middle_of_skin(run: Run) -> tuple[Float, Float]:

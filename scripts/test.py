@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Runs what CI runs, from a bare Python: ruff, mypy, the contract of imports, then pytest three times.
+"""Runs what CI runs, from a bare Python: ruff, mypy, the contract of imports, then pytest four times.
 
 Pytest's closing line is the last line.
 """
@@ -18,6 +18,8 @@ import _setup
 
 CHECKS = (("ruff", "check", "."), ("ruff", "format", "--check", "."), ("mypy",), ("lint-imports",))
 PYTEST = ("pytest", "-n", "auto", "--dist", "loadfile")
+IN_REAL_TIME = ("pytest", "-m", "wall_clock", "--reruns", "2")
+"""One test after the other, again where one failed: a machine that stands still for a moment makes a board late."""
 CORES = {"SkylakeX": "Haswell", "Cooperlake": "Haswell", "SapphireRapids": "Haswell", "Nehalem": "Prescott"}
 """OpenBLAS's names of kernels: which others to test with where it takes these; on other x86 processors "Nehalem"."""
 TELL_CORES = (
@@ -30,8 +32,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         description="Make .venv, install palmfield and its test tools in it, and run ruff check, ruff format --check, "
         "mypy, import-linter and pytest. Before that, pytest's smoke tests run in .venv-lowest, with the lowest "
-        "versions of dependencies that pyproject.toml allows (made and run on Python 3.11 alone); after it, its "
-        "numerics tests run once more with OpenBLAS's kernels for another processor. Stops at the first that fails.",
+        "versions of dependencies that pyproject.toml allows (made and run on Python 3.11 alone); after it, the "
+        "tests that play in real time (wall_clock) run alone, and "
+        "its numerics tests once more with OpenBLAS's kernels for another processor. Stops at the first that fails.",
         epilog="Tests run on all cores, those of a file one after the other. Anything else is passed "
         "on to pytest, for instance -k NAME, -m 'not slow', or a path from the "
         "repository's root; then it runs once, in .venv.",
@@ -45,7 +48,7 @@ def main() -> int:
     if passed_on:
         return run(python, *PYTEST, *passed_on)
     core = another_core(python)
-    if status := smoke_on_lowest() or run(python, *PYTEST):
+    if status := smoke_on_lowest() or run(python, *PYTEST, "-m", "not wall_clock") or run(python, *IN_REAL_TIME):
         return status
     return run(python, *PYTEST, "-m", "numerics", OPENBLAS_CORETYPE=core) if core else 0
 

@@ -23,6 +23,11 @@ def sound_speed(air: Air) -> float:
     return 331.3 * math.sqrt(1.0 + air.temperature_C / ZERO_CELSIUS_K)
 
 
+def sound_speed_sd(air: Air, temperature_sd_K: float) -> float:
+    """By how much the speed of sound is unsure [m/s] where the temperature is by its standard deviation [K]: dc/dT."""
+    return 0.5 * sound_speed(air) / (ZERO_CELSIUS_K + air.temperature_C) * temperature_sd_K
+
+
 def density(air: Air) -> float:
     """Density [kg/m3] of dry air at the same temperature and pressure. Raises SceneError for air outside AIR_LIMITS."""
     check(air)

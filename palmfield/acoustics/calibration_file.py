@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from scipy.spatial.transform import Rotation
 
+from palmfield.acoustics.placement import placed
 from palmfield.errors import OutputError, SceneError
 from palmfield.types import Array, Complex, Estimate
 
@@ -186,12 +187,7 @@ def calibrated(array: Array, calibration: Calibration) -> Array:
             positions = np.array(calibration.elements.position_m)
         if calibration.elements.address is not None:
             address = np.array(calibration.elements.address, np.int32)
-    turn = Rotation.from_rotvec(calibration.pose.turn_rad)
     own = np.ones(len(array)) if array.gain is None else array.gain
-    return replace(
-        array,
-        positions=turn.apply(positions) + calibration.pose.offset_m,
-        normals=turn.apply(array.normals),
-        address=address,
-        gain=array.gain if measured is None else own * measured,
-    )
+    gain = array.gain if measured is None else own * measured
+    turn = Rotation.from_rotvec(calibration.pose.turn_rad).as_matrix()
+    return placed(replace(array, positions=positions, address=address, gain=gain), calibration.pose.offset_m, turn)

@@ -8,7 +8,11 @@ import typer
 
 from palmfield.cli import completion
 from palmfield.cli.calibrate import calibrate
+from palmfield.cli.experiment import experiment
+from palmfield.cli.given import given_keys
 from palmfield.cli.messages import LEVELS, complain, show_log
+from palmfield.cli.stimulus import stimulus
+from palmfield.cli.track import track
 from palmfield.errors import PalmfieldError, SceneError
 
 app = typer.Typer(
@@ -100,27 +104,9 @@ def run(
 
     _check_duration(duration)
     run_scene(
-        scene, out or Path("out") / scene.stem, device=device, accuracy=accuracy, board=board, keys=_given(keys),
+        scene, out or Path("out") / scene.stem, device=device, accuracy=accuracy, board=board, keys=given_keys(keys),
         duration_s=duration, overwrite=overwrite, quiet=context.obj, as_json=as_json,
     )  # fmt: skip
-
-
-def _given(keys: list[str] | None) -> dict[str, str]:
-    """Keys as `palmfield.load` takes them. Raises SceneError for one without a value, and for one given twice."""
-    result: dict[str, str] = {}
-    for text in keys or ():
-        name, equals, value = text.partition("=")
-        if not equals:
-            raise SceneError(f"--set {text} has no value; write INSTANCE.KEY=VALUE, e.g. stimulus.path_speed_m_s=11")
-        if not value.strip():
-            raise SceneError(
-                f"--set {text} has no value behind the =; write INSTANCE.KEY=VALUE, or leave it out for what the scene "
-                "has"
-            )
-        if name in result:
-            raise SceneError(f"--set gives {name} twice, '{result[name]}' and '{value}'; allowed: each key once")
-        result[name] = value
-    return result
 
 
 def _check_duration(duration: float | None) -> None:
@@ -147,7 +133,7 @@ def plan(
 
     _check_duration(duration)
     made = palmfield.plan(
-        scene, device=device, accuracy=accuracy, board=board, keys=_given(keys), duration_s=duration
+        scene, device=device, accuracy=accuracy, board=board, keys=given_keys(keys), duration_s=duration
     )  # fmt: skip
     if as_json:
         print_json(made.as_dict())
@@ -167,7 +153,7 @@ def info(
     from palmfield.cli.describe import describe
     from palmfield.session.preview import preview
 
-    view = preview(scene, device=device, accuracy=accuracy, keys=_given(keys))
+    view = preview(scene, device=device, accuracy=accuracy, keys=given_keys(keys))
     if as_json:
         print_json(scene_facts(view))
     else:
@@ -212,8 +198,10 @@ def drive(
     """Play a scene, or one focus, on a real board; or record the bytes that it would get.
 
     What is sent is what `palmfield run` simulates, with hands and arrays where they are when each frame is emitted. A
-    board that can't play the scene is refused with exit code 2. The board is switched off at the end, on Ctrl-C and on
-    errors. An uncalibrated board does not focus: about half of its transducers are wired with inverted polarity.
+    board that can't play the scene is refused with exit code 2; where more than 1 % of the frames that were due could
+    not be sent, the exit code is 4. A process of its own sends them. The board is switched off at the end, on Ctrl-C,
+    on Ctrl-Z until `fg`, on errors, and when this program is killed. An uncalibrated board does not focus: about half
+    of its transducers are wired with inverted polarity.
 
     Examples: palmfield drive --focus 0 0 0.15 --port /dev/ttyUSB0 --duration 5
 
@@ -221,6 +209,7 @@ def drive(
 
     palmfield drive mjcf/scenes/follow_fingertip.xml --board autd2018 --port socket://127.0.0.1:5000 --log sent.jsonl
     """
+    from palmfield.cli.boards import show_performance
     from palmfield.session.play import FocusSound, Target, play_focus, play_scene
     from palmfield.types import Air
 
@@ -232,11 +221,37 @@ def drive(
     target = Target(port, record, log)
     if focus is not None:
         sound = FocusSound(level, am_frequency, p0, Air(temperature, humidity, air_pressure), layout, calibration)
-        own = {name.removeprefix("driver."): value for name, value in _given(keys).items()}
+        own = {name.removeprefix("driver."): value for name, value in given_keys(keys).items()}
         lasts = 10.0 if duration is None else duration
-        print(play_focus(focus, board or "sonicsurface", target, lasts, sound=sound, keys=own, progress=True))
-    elif scene is not None:
-        print(play_scene(scene, board, target, duration, keys=_given(keys), progress=True))
+        done = play_focus(focus, board or "sonicsurface", target, lasts, sound=sound, keys=own, progress=True)
+    else:
+        assert scene is not None
+        done = play_scene(scene, board, target, duration, keys=given_keys(keys), progress=True)
+    show_performance(done)
+
+
+@app.command()
+def safety(
+    scene: SceneFile,
+    out: Annotated[Path | None, typer.Option(help="write the page to this file", metavar="FILE.md")] = None,
+    duration: Annotated[float | None, typer.Option(help="of one play [s] [default: the scene's]")] = None,
+    board: BoardName = None,
+    keys: Keys = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="replace a file that is there")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """One page for an ethics board: levels at head and hand, what is audible, limits, what the board can't promise.
+
+    Levels have the band that p0's range makes of them. Say where a head may be by driver keys head_m and head_radius_m.
+
+    Example: palmfield safety mjcf/scenes/palm_circle_sonicsurface.xml --set driver.head_m="0 -0.3 0.5" --out sheet.md
+    """
+    from palmfield.cli.safety import show_sheet
+
+    _check_duration(duration)
+    show_sheet(
+        scene, out, board=board, keys=given_keys(keys), duration_s=duration, overwrite=overwrite, as_json=as_json
+    )
 
 
 @app.command()
@@ -326,9 +341,84 @@ def replay(
 
     Example: palmfield replay sent.jsonl --port /dev/ttyUSB0
     """
+    from palmfield.cli.boards import show_performance
     from palmfield.session.decode import replay as replay_file
 
-    print(replay_file(file, port, board))
+    show_performance(replay_file(file, port, board, progress=True))
+
+
+@app.command()
+def trial(
+    context: typer.Context,
+    scene: SceneFile,
+    out: Annotated[Path | None, typer.Option(help="folder for the results [default: out/SCENE_trial]")] = None,
+    board: BoardName = None,
+    port: Annotated[
+        str | None,
+        typer.Option(
+            help="of a real board, or `virtual` for one that is paced in real time [default: the board's twin, without "
+            "waiting: quick, and the same each time]"
+        ),
+    ] = None,
+    duration: Annotated[float | None, typer.Option(help="how long [s] [default: the scene's]")] = None,
+    motion: Annotated[
+        Path | None,
+        typer.Option(help="a recorded motion instead of the scene's: a table of poses, or a tracker's stream"),
+    ] = None,
+    live: Annotated[
+        str | None,
+        typer.Option(
+            help="follow a hand whose samples come in here, in place of the scene's motion (see `palmfield track`), by "
+            "udp or with tcp:[HOST:]PORT; always in real time",
+            metavar="[HOST:]PORT",
+        ),
+    ] = None,
+    align: Annotated[
+        Path | None, typer.Option(help="with --live: file of `palmfield track align`, where the tracker stands")
+    ] = None,
+    tracker_rate: Annotated[float, typer.Option(help="samples a second; 0 for one whenever a frame is made")] = 90.0,
+    tracker_latency: Annotated[float, typer.Option(help="from a sample's moment until it is there [ms]")] = 10.0,
+    tracker_noise: Annotated[float, typer.Option(help="of each coordinate, standard deviation [mm]")] = 0.0,
+    ahead: Annotated[
+        str,
+        typer.Option(
+            help="how far beyond its last sample the hand is predicted [ms]; 0: not at all; auto: to the middle of the "
+            "time in which a frame will sound"
+        ),
+    ] = "auto",
+    truth: Annotated[
+        Path | None,
+        typer.Option(help="calibration file of what the transducers really do, where the scene says otherwise"),
+    ] = None,
+    recording: Annotated[
+        Path | None,
+        typer.Option(help="a microphone's or vibrometer's CSV file to hold the trial against (docs/trials.md)"),
+    ] = None,
+    skin: Annotated[bool, typer.Option(help="step the skin, with and without what is lost")] = True,
+    keys: Keys = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="replace another trial in the folder")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Close the loop: tracker, focus, bytes, board, and the sound where the hand really is by then.
+
+    Says how far the focus is from the hand, what of the pressure is lost to latency, to what the board rounds, and to
+    transducers that are not as the scene says (--truth), and which frames were dropped; writes sent.jsonl (for decode
+    and replay), course.csv, trial.json and trial.png. Ctrl-C keeps what there is by then. A scene that its board can't
+    play is refused with exit code 2.
+
+    Examples: palmfield trial mjcf/scenes/follow_fingertip.xml --board autd2018
+
+    palmfield trial mjcf/scenes/follow_fingertip.xml --board sonicsurface --set stimulus.modulation=none --port virtual
+    """
+    from palmfield.cli.trial import run_trial
+
+    _check_duration(duration)
+    run_trial(
+        scene, out or Path("out") / f"{scene.stem}_trial", board=board, port=port, duration_s=duration, motion=motion,
+        live=live, align=align, rate_Hz=tracker_rate, latency_ms=tracker_latency, noise_mm=tracker_noise, ahead=ahead,
+        truth=truth, recording=recording, skin=skin, keys=given_keys(keys), overwrite=overwrite, quiet=context.obj,
+        as_json=as_json,
+    )  # fmt: skip
 
 
 @app.command()
@@ -536,6 +626,9 @@ def cache_clear() -> None:
 
 
 app.add_typer(calibrate, name="calibrate")
+app.add_typer(stimulus, name="stimulus")
+app.add_typer(experiment, name="experiment")
+app.add_typer(track, name="track")
 
 bench = typer.Typer(
     no_args_is_help=True,

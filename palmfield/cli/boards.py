@@ -4,10 +4,17 @@ import time
 from pathlib import Path
 from typing import Any, Literal
 
+import typer
+
+from palmfield.cli.messages import complain
 from palmfield.drive.board import Board
 from palmfield.drive.boards import BOARDS, playable_board
 from palmfield.drive.virtual import Faults, VirtualBoard
 from palmfield.errors import DeviceError
+from palmfield.session.play import Performance
+
+UNSENT_CODE = 4
+"""Exit code where more frames were due than could be sent."""
 
 
 def facts(board: Board) -> dict[str, Any]:
@@ -150,3 +157,11 @@ def describe(board: str | None, markdown: bool) -> None:
         known = playable_board(board)
         for key, value in facts(known).items():
             print(f"{key:<20}{value if not isinstance(value, list) else ', '.join(map(str, value)) or '-'}")
+
+
+def show_performance(done: Performance) -> None:
+    """Print how playing went. Raises typer.Exit where frames were left out."""
+    print(done)
+    if done.warning:
+        complain(f"warning: {done.warning}")
+        raise typer.Exit(UNSENT_CODE)

@@ -22,11 +22,11 @@ def kinds() -> None:
 
     Example: palmfield calibrate kinds
     """
-    from palmfield.drive.calibration.readings import MEASUREMENTS, OPTIONAL
+    from palmfield.drive.calibration.readings import MEASUREMENTS
 
     for name, measurement in MEASUREMENTS.items():
         print(f"{name}: {measurement.about}")
-        more = f"; also {', '.join(OPTIONAL[name])}" if name in OPTIONAL else ""
+        more = f"; also {', '.join(measurement.optional)}" if measurement.optional else ""
         print(f"  columns {', '.join(measurement.columns)}{more}")
 
 
@@ -58,7 +58,7 @@ def add(
     palmfield calibrate add plate plate.csv board.json --plate 0.1 0.1 --focus 0 0 0.15 --source "our lab, scale"
     """
     from palmfield.acoustics.air import check
-    from palmfield.drive.calibration.readings import MEASUREMENTS, Setting
+    from palmfield.drive.calibration.readings import MEASUREMENTS, Circumstances
     from palmfield.errors import SceneError, did_you_mean
     from palmfield.session.calibrate import add_readings
     from palmfield.types import Air
@@ -69,10 +69,42 @@ def add(
         )
     air = Air(temperature, humidity, pressure)
     check(air)
-    setting = Setting(source, air, microphone_error, place_sd, temperature_sd, focus, plate, level)
-    for line in add_readings(kind, readings, board, layout, setting):
+    circumstances = Circumstances(source, air, microphone_error, place_sd, temperature_sd, focus, plate, level)
+    for line in add_readings(kind, readings, board, layout, circumstances):
         print(line)
     print(f"wrote {board}")
+
+
+@calibrate.command("sound")
+def sound(
+    board: Annotated[str, typer.Argument(help="which board (see `palmfield boards`)", metavar="BOARD")],
+    port: Annotated[str | None, typer.Option(help="of the board")] = None,
+    record: Annotated[Path | None, typer.Option(help="file for the bytes instead")] = None,
+    element: Annotated[
+        list[int] | None, typer.Option(help="by number from 0, in the layout's order; may be repeated [default: all]")
+    ] = None,
+    dwell: Annotated[float, typer.Option(help="how long each sounds [s]")] = 0.5,
+    pause: Annotated[float, typer.Option(help="silence before each [s]")] = 0.2,
+    times: Annotated[Path, typer.Option(help="CSV file of element, from_s, to_s, to cut a recording by")] = Path(
+        "sounding.csv"
+    ),
+    log: Annotated[Path | None, typer.Option(help="file of what was sent when")] = None,
+) -> None:
+    """Sound one transducer after the other at full drive, as they are wired: what kind `elements` is measured on.
+
+    Examples: palmfield calibrate sound sonicsurface --port /dev/ttyUSB0
+
+    palmfield calibrate sound sonicsurface --port /dev/ttyUSB0 --element 17 --dwell 5
+    """
+    from palmfield.cli.boards import show_performance
+    from palmfield.session.one_by_one import sound_one_by_one
+    from palmfield.session.play import Target
+
+    done = sound_one_by_one(
+        board, Target(port, record, log), times, elements=element or None, dwell_s=dwell, pause_s=pause, progress=True
+    )
+    print(f"wrote {times}")
+    show_performance(done)
 
 
 @calibrate.command("show")

@@ -127,7 +127,7 @@ def unit(key: str) -> str:
     units = {
         "_kg_m3": "kg/m^3", "normal_Pa_m": "Pa/m", "tangential_Pa_m": "Pa/m", "_Pa_s_m": "Pa s/m", "_Pa_m": "Pa m",
         "_Pa": "Pa", "_m_s": "m/s", "_m": "m",
-        "_s": "s", "_Hz": "Hz", "_C": "C", "_percent": "%", "_deg": "deg", "_ppm": "ppm",
+        "_s": "s", "_Hz": "Hz", "_C": "C", "_percent": "%", "_deg": "deg", "_ppm": "ppm", "_dB": "dB",
     }  # fmt: skip
     return next((text for ending, text in units.items() if key.endswith(ending)), "")
 

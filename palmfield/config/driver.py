@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from palmfield.config.base import Config, NonNegative, Positive
+from palmfield.config.base import Config, NonNegative, Positive, Vector
 
 BOARDS_FOLDER = Path(__file__).parents[1] / "drive" / "boards"
 if TYPE_CHECKING:
@@ -15,6 +15,8 @@ else:
     # Each file there is a board; its code lies in a layer above
     BoardName = Literal[tuple(sorted(module.name for module in iter_modules([str(BOARDS_FOLDER)])))]
 Switch = Literal["on", "off"]
+SAFETY_KEYS = ("ramp_s", "on_time_s", "duty_limit", "head_m", "head_radius_m", "head_limit_dB")
+"""Keys about how loud and how long a board may sound, whichever it is; `palmfield safety` and `drive` heed them."""
 Bits = Annotated[str, Field(pattern="^[01]{1,64}$")]
 
 
@@ -64,11 +66,27 @@ class DriverConfig(Config):
     board_sound_speed_m_s: Positive | None = Field(
         None, description="autd2018: speed of sound with which units place the focus (default that of air at 20 C)"
     )
+    ramp_s: NonNegative = Field(
+        0.0, description="time in which a real board's sound rises at the beginning and falls at the end"
+    )
+    on_time_s: Positive | None = Field(
+        None, description="longest that a real board may sound in one play (default any)"
+    )
+    duty_limit: Annotated[float, Field(gt=0, le=1)] = Field(
+        1.0, description="largest share of any 10 s that a real board may sound"
+    )
+    head_m: Vector | None = Field(
+        None, description="middle of a ball in which a person's head may be, in the frame of the first array"
+    )
+    head_radius_m: Annotated[float, Field(gt=0, le=0.5)] = Field(0.1, description="radius of that ball")
+    head_limit_dB: Annotated[float, Field(ge=40, le=150)] | None = Field(
+        None, description="sound pressure level in that ball above which nothing is played (default: only warned of)"
+    )
 
     @property
     def board_keys(self) -> dict[str, Any]:
         """Keys that are the board's own, those that are set."""
-        own = self.model_dump(exclude={"board", "compensate", "duty_exponent"}, exclude_none=True)
+        own = self.model_dump(exclude={"board", "compensate", "duty_exponent", *SAFETY_KEYS}, exclude_none=True)
         if "dither" in own:
             own["dither"] = own["dither"] == "on"
         return own

@@ -6,7 +6,7 @@ from pydantic import Field, model_validator
 
 from palmfield.config.base import Config, NonNegative, Vector
 
-TRACKER = ("tracking_up", "tracking_origin_m", "ahead_s")
+TRACKER = ("tracking_up", "tracking_origin_m", "tracking_alignment", "ahead_s")
 SOURCES = ("keyframes", "trajectory", "tracking", "function")
 
 
@@ -23,6 +23,11 @@ class MotionConfig(Config):
     tracking: str | None = Field(None, description="CSV or NPZ file of a recorded OpenXR hand, which the hand follows")
     tracking_up: Literal["y", "z"] = Field("y", description="which axis of the tracker's space is up; OpenXR's is y")
     tracking_origin_m: Vector = Field((0.0, 0.0, 0.0), description="where the tracker's origin is in the scene")
+    tracking_alignment: str | None = Field(
+        None,
+        description="JSON file of `palmfield track align`, where the tracker stands to the scene's first array, in "
+        "place of tracking_up and tracking_origin_m",
+    )
     ahead_s: NonNegative = Field(0.0, description="tracking: predicted by so much, as a live system must")
     function: str | None = Field(None, description="package.module:function of time [s] that gives a pose")
     start_s: float = Field(0.0, description="the motion's time 0 in the scene")
@@ -43,4 +48,7 @@ class MotionConfig(Config):
         stray = [key for key in TRACKER if key in self.model_fields_set and self.tracking is None]
         if stray:
             raise ValueError(f"{stray[0]} belongs to tracking: drop it")
+        placed = [key for key in ("tracking_up", "tracking_origin_m") if key in self.model_fields_set]
+        if placed and self.tracking_alignment is not None:
+            raise ValueError(f"{placed[0]} and tracking_alignment both place the tracker: drop one")
         return self

@@ -18,6 +18,7 @@ NEEDED: dict[str, tuple[str, ...]] = {
     "letters": ("path_text", "path_height_m"),
     "polyline": ("path_through_m",),
     "sites": ("path_sites",),
+    "file": ("path_file",),
 }
 """Keys without which a path has no shape."""
 OPTIONAL: dict[str, tuple[str, ...]] = {
@@ -71,11 +72,11 @@ class StimulusConfig(Config):
     focus_m: Vector = Field((0.0, 0.0, 0.2), description="focus, or centre of its path, in `frame`")
     frame: str = Field("array", description="`array`, or the name of a site in whose frame focus and path are given")
     path: Literal[
-        "point", "circle", "line", "lm", "zigzag", "square", "z", "lissajous", "letters", "polyline", "sites"
+        "point", "circle", "line", "lm", "zigzag", "square", "z", "lissajous", "letters", "polyline", "sites", "file"
     ] = Field(
         "point",
         description="path of the focus about focus_m, in the frame's x-y plane; lm: lateral modulation, to and fro on "
-        "a short line; sites: through sites on the skin",
+        "a short line; sites: through sites on the skin; file: places and levels of one focus or several from a table",
     )
     path_on: Literal["plane", "skin"] = Field(
         "plane",
@@ -101,13 +102,17 @@ class StimulusConfig(Config):
     path_sites: Names = Field(
         (), description="path sites: two or more sites of the skin's body, on or near the surface"
     )
+    path_file: str | None = Field(
+        None, description="path file: CSV table of foci over time, played once from start_s (docs/stimuli.md)"
+    )
     path_rate_Hz: Positive | None = Field(
         None, description="turns a second; an open path's turn is there and back, unless path_end says otherwise"
     )
     path_speed_m_s: Positive | None = Field(None, description="speed along the path, in place of path_rate_Hz")
     path_end: Literal["back", "jump", "stop"] = Field(
         "back",
-        description="at the end of an open path: go back, jump to the start, or be silent; stop: also after one round",
+        description="at the end of an open path: go back, jump to the start, or be silent; stop: also after one round; "
+        "a file is played once (stop) unless it jumps",
     )
     path_points: Annotated[int, Field(ge=0, le=100000)] = Field(
         0, description="points a turn, each held until the next; 0 moves without steps"
@@ -193,13 +198,15 @@ class StimulusConfig(Config):
             return
         needed = NEEDED[self.path]
         missing = [key for key in needed if not getattr(self, key)]
-        if (self.path_rate_Hz is None) == (self.path_speed_m_s is None):
+        if self.path != "file" and (self.path_rate_Hz is None) == (self.path_speed_m_s is None):
             missing.append("path_rate_Hz (or path_speed_m_s, not both)")
         if missing:
             raise ValueError(f"path '{self.path}' needs {' and '.join(missing)}")
         stray = sorted(given - set(needed) - set(MOVING) - set(OPTIONAL.get(self.path, ())))
         if stray:
             raise ValueError(f"{stray[0]} does not belong to path '{self.path}', which takes {', '.join(needed)}")
+        if self.path == "file":
+            self._check_file()
         if self.path == "sites" and (self.path_on != "skin" or len(self.path_sites) < 2):
             raise ValueError("path 'sites' runs on the skin through two or more path_sites: set path_on to skin")
         if len(self.path_ratio) != 2 or min(self.path_ratio) < 1:
@@ -208,6 +215,15 @@ class StimulusConfig(Config):
             self._check_steps()
         if len(self.path_through_m) % 2:
             raise ValueError(f"path_through_m has {len(self.path_through_m)} numbers; give x and y of each corner")
+
+    def _check_file(self) -> None:
+        for key in ("focus_m", "foci_m", "path_rate_Hz", "path_speed_m_s", "path_points"):
+            if key in self.model_fields_set:
+                raise ValueError(f"{key} does not belong to path 'file', whose table has places and times: drop it")
+        if "path_end" in self.model_fields_set and self.path_end == "back":
+            raise ValueError("path_end is 'back'; allowed with path 'file': stop, jump (begins again)")
+        if self.path_on == "skin":
+            raise ValueError("path_on is 'skin'; the table of path 'file' has places in space: set path_on to plane")
 
     def _check_steps(self) -> None:
         if self.path_step_m is None:

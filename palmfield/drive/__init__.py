@@ -16,11 +16,12 @@ if TYPE_CHECKING:
     from palmfield.drive.foci import Foci, solve_foci
     from palmfield.drive.frame_log import FrameLog, read_log
     from palmfield.drive.playback import Played, TimedFrame, frame_times, play_frames
+    from palmfield.drive.ports import open_port
     from palmfield.drive.response import Pole
     from palmfield.drive.response_error import ResponseError
     from palmfield.drive.shapes import bottle, twin_trap, vortex
     from palmfield.drive.transducer_response import TransducerResponse, commanded_drive
-    from palmfield.drive.transport import FileTransport, open_port
+    from palmfield.drive.transport import FileTransport
     from palmfield.drive.virtual import VirtualBoard
 
 _WHERE = {
@@ -35,7 +36,8 @@ _WHERE = {
     "ResponseError": "response_error",
     **dict.fromkeys(("bottle", "twin_trap", "vortex"), "shapes"),
     **dict.fromkeys(("TransducerResponse", "commanded_drive"), "transducer_response"),
-    **dict.fromkeys(("FileTransport", "open_port"), "transport"),
+    "FileTransport": "transport",
+    "open_port": "ports",
     "VirtualBoard": "virtual",
 }
 __all__ = [

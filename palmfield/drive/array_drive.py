@@ -13,7 +13,7 @@ from palmfield.acoustics.air import absorption_Np_m, sound_speed
 from palmfield.acoustics.focus import focus
 from palmfield.acoustics.reference import directivity
 from palmfield.drive.board import Board, play
-from palmfield.drive.foci import equally_loud, solve_foci
+from palmfield.drive.foci import solve_foci, together
 from palmfield.errors import DeviceError, SceneError
 from palmfield.stimulus.focal_points import FocalPoints
 from palmfield.types import Air, Array, Complex, Float, Int
@@ -93,18 +93,19 @@ class ArrayDrive:
         # What palmfield.drive.transducer_response keeps for points that don't move
         self.delays: tuple[FocalPoints, tuple[Float, Int | None]] | None = None
 
-    def unit_drive(self, point: Float) -> UnitDrive:
+    def unit_drive(self, point: Float, loudness: Float | None = None) -> UnitDrive:
         """The drive for a focus at `point` (frame of the first array [m], shape (3,)) at the loudest moment.
 
-        Several points, shape (m, 3), become foci at once, equally loud (`palmfield.drive.foci`). A transducer that a
-        point is behind stays silent. The last KEPT drives are kept.
+        Several points, shape (m, 3), become foci at once (`palmfield.drive.foci`): equally loud, or with pressures as
+        `loudness` has them, 0 to 1, shape (m,). A transducer that a point is behind stays silent. The last KEPT drives
+        are kept.
         Raises SceneError for a focus that no transducer can make or a level that they cannot reach, DeviceError for
         what the board cannot play.
         """
-        key = point.tobytes()
+        key = point.tobytes() if loudness is None else point.tobytes() + loudness.tobytes()
         known = self._known.get(key)
         if known is None:
-            known = self._made(point)
+            known = self._made(point, loudness)
             if len(self._known) >= KEPT:
                 del self._known[next(iter(self._known))]
             self._known[key] = known
@@ -114,10 +115,15 @@ class ArrayDrive:
         """`unit_drive` for one of the stimulus's points, shape (3,), where it is now."""
         last, key = self._last, point.tobytes()
         if last is None or last[0] is not focal_points or last[1] != key:
-            self._last = last = focal_points, key, self.unit_drive(focal_points.at(point))
+            loudness = None if focal_points.table is None else focal_points.loudness(point)
+            self._last = last = focal_points, key, self.unit_drive(focal_points.at(point), loudness)
         return last[2]
 
-    def _made(self, point: Float) -> UnitDrive:
+    def _made(self, point: Float, loudness: Float | None) -> UnitDrive:
+        if loudness is not None:
+            # A focus that is silent now is none, and one that is left alone is made as one
+            point, loudness = point[loudness > 0.0], loudness[loudness > 0.0]
+            point = point if len(point) > 1 else point[0]
         if point.ndim == 1:
             distances, heights = self._rays(*point)
             facing = heights > 0.0
@@ -130,7 +136,7 @@ class ArrayDrive:
                 "another board"
             )
         else:
-            phases = self._several(point)
+            phases = self._several(point, loudness)
         level = self.amplitude
         if self.arp_peak_Pa is not None:
             level = self._level_of_several(point, phases) if point.ndim == 2 else float(self._levels(point[None])[0])
@@ -184,9 +190,10 @@ class ArrayDrive:
     def played_levels(self, levels: Float, full: float) -> Float:
         """Levels of a drive as the board plays them, of the same shape; full: amplitude of the drive at level 1, 0..1.
 
-        A board rounds them anew in each frame. Of several foci, whose transducers differ, they stay as they are.
+        Only for a board that rounds levels, which it does anew in each frame. Of several foci, whose transducers
+        differ, they stay as they are.
         """
-        if not self.rounds_levels or full == 0.0:
+        if full == 0.0:
             return levels
         return self.board.rounded(levels * full) / self.board.rounded(np.array(full))
 
@@ -303,15 +310,15 @@ class ArrayDrive:
 
     # -- several foci at once, and boards ----------------------------------------------------------------------------
 
-    def _several(self, foci: Float) -> Complex:
-        """Phases for foci at once [m], shape (m, 3), of the chosen transducers, shape (n,)."""
+    def _several(self, foci: Float, loudness: Float | None) -> Complex:
+        """Phases for foci at once [m], shape (m, 3), of the chosen transducers, shape (n,); loudness: shape (m,)"""
         distances, heights = self._rays(*foci.T[:, :, None])
         facing = np.logical_and.reduce(heights > 0.0, axis=0)
         if self._unchecked or np.add.reduce(facing) <= len(foci):
             self._check_several(foci, facing)
             self._unchecked = False
         phases = np.zeros(len(self.chosen), np.complex128)
-        phases[facing] = equally_loud(self._transfer(distances, heights)[:, facing])
+        phases[facing] = together(self._transfer(distances, heights)[:, facing], loudness)
         return phases
 
     def _check_several(self, foci: Float, facing: Bool) -> None:
@@ -352,7 +359,8 @@ class ArrayDrive:
                 key = points[i, j].tobytes()
                 unit = known.get(key)
                 if unit is None:
-                    unit = known[key] = self.unit_drive(focal_points.at(points[i, j])).amplitudes
+                    loudness = None if focal_points.table is None else focal_points.loudness(points[i, j])
+                    unit = known[key] = self.unit_drive(focal_points.at(points[i, j]), loudness).amplitudes
                 drives[i, taken] = unit[taken]
         return drives
 

@@ -1,6 +1,7 @@
 """What a board is: its limits, its bytes, and its virtual twin that tells what comes out when."""
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple, Self
@@ -54,7 +55,7 @@ class Flag(NamedTuple):
     text: str
 
 
-class Twin:
+class Twin(ABC):
     """A board just switched on that takes bytes and tells what is emitted when. It raises on no bytes, but flags them.
 
     count: transducers; byte_s: time that a byte takes on the line [s]
@@ -67,9 +68,9 @@ class Twin:
         self.flags: list[Flag] = []
 
     @property
+    @abstractmethod
     def emitted(self) -> Complex:
         """What sounds now: complex amplitude of each transducer at the carrier, e^{-iwt}, shape (n,)."""
-        raise NotImplementedError
 
     def feed(self, data: bytes, time_s: float | None = None) -> list[Emitted]:
         """Take bytes from the line; returns what is emitted after each that changes it.
@@ -80,9 +81,9 @@ class Twin:
             self.time_s = max(self.time_s, time_s)
         return self.take(data)
 
+    @abstractmethod
     def take(self, data: bytes) -> list[Emitted]:
         """`feed` of bytes that follow one another; moves `time_s`."""
-        raise NotImplementedError
 
     def until(self, time_s: float) -> list[Emitted]:
         """What changes by itself up to a time [s], without bytes: frames that a board holds back, a watchdog."""

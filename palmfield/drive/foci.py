@@ -194,12 +194,13 @@ def solve_transfer(
     return Foci(drive, matrix @ drive, targets, np.abs(matrix).sum(axis=1), len(residual) - 1, np.array(residual))
 
 
-def equally_loud(transfer: Complex) -> Complex:
-    """Drive by "gsw" for foci as loud as one another, shape (n,), as `solve_transfer` without its checks.
+def together(transfer: Complex, pressures: Float | None = None) -> Complex:
+    """Drive by "gsw" for foci at once, shape (n,), as `solve_transfer` without its checks.
 
     transfer: complex pressure from each transducer at full drive [Pa], shape (m, n), known to be good
+    pressures: wanted of each relative to the others, above 0, shape (m,); None for foci as loud as one another
     """
-    targets = np.ones(len(transfer))
+    targets = np.ones(len(transfer)) if pressures is None else pressures
     live = np.logical_or.reduce(transfer != 0.0, axis=0)
     matrix = transfer[:, live]
     drive = np.zeros(transfer.shape[1], np.complex128)

@@ -12,12 +12,13 @@ CLOSE_M = 1e-8
 
 
 def fitted_focus(
-    positions: Float, amplitudes: Complex, wavenumber: float, near: Float | None = None
+    positions: Float, amplitudes: Complex, wavenumber: float, near: Float | None = None, *, anywhere: bool = True
 ) -> tuple[Float, float]:
     """The focus [m], shape (3,), whose phases -k d fit best in the least-squares sense, and the rms of the rest [rad].
 
     positions: of the transducers [m], shape (n, 3), with the sound on the side of growing z; amplitudes: shape (n,),
     e^{-iwt}; those that are off don't count; near: where to begin, None to look everywhere within 0.6 m
+    anywhere: whether to look everywhere too where nothing near fits, which takes some 0.1 s
     NaN where fewer than four transducers sound.
     """
     on = np.abs(amplitudes) > 1e-9
@@ -26,7 +27,7 @@ def fitted_focus(
     places, phases = positions[on], np.angle(amplitudes[on])
     starts = [near] if near is not None else []
     best: tuple[Float, float] | None = None
-    for start in [*starts, None]:
+    for start in [*starts, None] if anywhere or near is None else starts:
         if best is not None and best[1] < 1.0:
             break
         begin = _coarse(places, phases, wavenumber) if start is None else start

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 from palmfield.config import DriverConfig
 from palmfield.drive.board import Board
 from palmfield.drive.boards import board_of
+from palmfield.drive.log_lines import log_line
 from palmfield.errors import OutputError, SceneError
 from palmfield.types import Air
 
@@ -55,15 +56,15 @@ class FrameLog:
             self._file = self.path.open("w", encoding="utf-8", buffering=1)
         except OSError as error:
             raise self._unwritable(error) from error
-        self._line({"palmfield_log": VERSION, **asdict(head)})
+        self._write(json.dumps({"palmfield_log": VERSION, **asdict(head)}) + "\n")
 
     def add(self, time_s: float, data: bytes, *, whole: bool = True) -> None:
         """Raises OutputError when the disk does not take it."""
-        self._line({"t": round(time_s, 7), "hex": data.hex(), **({} if whole else {"cut": True})})
+        self._write(log_line(time_s, data, whole=whole))
 
-    def _line(self, value: Mapping[str, Any]) -> None:
+    def _write(self, line: str) -> None:
         try:
-            self._file.write(json.dumps(value) + "\n")
+            self._file.write(line)
         except OSError as error:
             raise self._unwritable(error) from error
 

@@ -1,8 +1,7 @@
 """When frames are due, and the pace at which a line takes them."""
 
+import bisect
 import math
-import signal
-import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -10,6 +9,7 @@ from typing import NamedTuple, Protocol
 
 from palmfield.config import StimulusConfig
 from palmfield.drive.board import Line
+from palmfield.drive.exit_signals import handling, leave
 from palmfield.stimulus.schedule import frame_rates, jumps
 
 REFRESH_S = 0.1
@@ -19,10 +19,15 @@ ON_STEP = 1e-6
 
 
 class TimedFrame(NamedTuple):
-    """One frame. time_s: when it is to be emitted, its last byte on the line, since the start [s]; data: its bytes"""
+    """One frame.
+
+    time_s: when it is to be emitted, its last byte on the line, since the start [s]; data: its bytes
+    sounds: whether anything is on in it
+    """
 
     time_s: float
     data: bytes
+    sounds: bool = True
 
 
 class FrameSink(Protocol):
@@ -46,11 +51,18 @@ class FrameSink(Protocol):
         """Silence the board, unless nothing was sent since it was last silenced."""
 
 
-def frame_times(stimuli: Sequence[StimulusConfig], duration_s: float, step_s: float | None = None) -> list[float]:
+def frame_times(
+    stimuli: Sequence[StimulusConfig],
+    duration_s: float,
+    step_s: float | None = None,
+    besides: Sequence[float] = (),
+    least_s: float = 0.0,
+) -> list[float]:
     """When frames are due [s]: at points of paths and control ticks, at jumps, and every REFRESH_S while all rests.
 
     step_s: of MuJoCo, where something moves: a pose is new where a step begins, so that frames that come less often
         wait for the next one
+    besides: times at which frames are due as well where no other is within least_s [s]
     """
     rates = [rate for stimulus in stimuli for rate in frame_rates(stimulus)]
     period_s = 1.0 / max(rates) if rates else REFRESH_S
@@ -58,7 +70,20 @@ def frame_times(stimuli: Sequence[StimulusConfig], duration_s: float, step_s: fl
     times = {k * period_s for k in range(math.ceil(duration_s / period_s - 1e-9))}
     if step_s is not None and period_s >= step_s:
         times = {math.ceil(time_s / step_s - ON_STEP) * step_s for time_s in times}
-    return sorted({time_s for time_s in times | edges if time_s < duration_s})
+    due = sorted({time_s for time_s in times | edges if time_s < duration_s})
+    return filled(due, besides, least_s, duration_s)
+
+
+def filled(due: list[float], besides: Sequence[float], least_s: float, duration_s: float) -> list[float]:
+    """Times with those besides that lie at least so far from all others [s]."""
+    result = list(due)
+    for time_s in sorted(besides):
+        at = bisect.bisect_left(result, time_s)
+        before = time_s - result[at - 1] if at else math.inf
+        after = result[at] - time_s if at < len(result) else math.inf
+        if min(before, after) >= least_s * (1.0 - ON_STEP) and time_s < duration_s:
+            result.insert(at, time_s)
+    return result
 
 
 @dataclass(frozen=True)
@@ -75,7 +100,7 @@ class Played:
 
 def play_frames(
     link: FrameSink,
-    frames: Iterable[tuple[float, bytes]],
+    frames: Iterable[tuple[float, bytes] | TimedFrame],
     *,
     duration_s: float = 0.0,
     on_progress: Callable[[Played], None] | None = None,
@@ -90,7 +115,7 @@ def play_frames(
     this ends, also by an exception, Ctrl-C, SIGTERM or SIGHUP (the signals are caught in the main thread only).
     Raises DeviceError when the board is lost.
     """
-    with _signals_as_exit():
+    with signals_as_exit():
         try:
             link.start()
             return _play(link, iter(frames), duration_s, on_progress)
@@ -100,7 +125,7 @@ def play_frames(
 
 def _play(
     link: FrameSink,
-    frames: Iterator[tuple[float, bytes]],
+    frames: Iterator[tuple[float, bytes] | TimedFrame],
     duration_s: float,
     on_progress: Callable[[Played], None] | None,
 ) -> Played:
@@ -137,20 +162,7 @@ def _play(
 
 
 @contextmanager
-def _signals_as_exit() -> Iterator[None]:
+def signals_as_exit() -> Iterator[None]:
     """SIGTERM and SIGHUP end a process without running `finally`; as SystemExit they leave the board silent."""
-    if threading.current_thread() is not threading.main_thread():
+    with handling(dict.fromkeys(("SIGTERM", "SIGHUP"), leave)):
         yield
-        return
-
-    def leave(number: int, _frame: object) -> None:
-        raise SystemExit(128 + number)
-
-    numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    heeded = [number for number in numbers if signal.getsignal(number) is not signal.SIG_IGN]  # nohup ignores SIGHUP
-    before = {number: signal.signal(number, leave) for number in heeded}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -1,7 +1,11 @@
 """What carries bytes: serial ports and their URLs, pseudo-terminals, TCP sockets, and files. It knows no board."""
 
+import contextlib
 import errno
+import io
 import os
+import socket
+import time
 from pathlib import Path
 from typing import Protocol
 
@@ -14,6 +18,11 @@ WRITE_TIMEOUT_S = 0.25
 TIMEOUTS_BEFORE_LOST = 8
 VIRTUAL_BAUD = 115200
 """Of a port whose board has no baud rate: sockets and pseudo-terminals take any."""
+TAKEN_MARK = b"\x00pfVB\xff"
+"""Before each number that a virtual board sends back: bytes that it has taken so far, 8 bytes, lowest first."""
+TAKEN_BYTES = len(TAKEN_MARK) + 8
+TOLD_WITHIN_S = 0.06
+"""A virtual board tells its number more often than that."""
 
 # pyserial lets termios.error through, which is neither a SerialException nor an OSError and exists on POSIX only.
 LOST: tuple[type[Exception], ...] = (serial.SerialException, OSError)
@@ -43,7 +52,8 @@ class Transport(Protocol):
     def waiting(self) -> int:
         """Bytes that were written and are known not to be on the line yet: the board may hold more back.
 
-        A pseudo-terminal reports 0 with bytes unread. Raises PortLost when the other end is gone.
+        A pseudo-terminal reports 0 with bytes unread, unless a virtual board at its other end tells how many it took.
+        Raises PortLost when the other end is gone.
         """
         ...
 
@@ -63,12 +73,17 @@ class SerialTransport:
         self.name = name
         self._stream = stream
         self._timeouts = 0
+        self._is_socket = hasattr(stream, "_socket")
+        try:
+            self._fd: int | None = stream.fileno()
+        except (AttributeError, io.UnsupportedOperation):
+            self._fd = None
+        self._offered, self._taken, self._first_taken, self._heard = 0, 0, -1, b""
 
     def write(self, data: bytes) -> bool:
         """False after a write timeout: part of the bytes may be on the line, so never send the rest of them."""
         try:
-            if self._stream.in_waiting:  # fails after an unplug, when a write may still seem to work
-                self._stream.reset_input_buffer()  # what boards answer says nothing of frames
+            self._listen()
             self._stream.write(data)
         except serial.SerialTimeoutException as error:
             self._timeouts += 1
@@ -78,15 +93,70 @@ class SerialTransport:
         except LOST as error:
             raise PortLost(f"{self.name} is gone: {reason(error)}") from error
         self._timeouts = 0
+        self._offered += len(data)
         return True
+
+    def offer(self, data: bytes) -> int:
+        """How many of some bytes the system takes at once; never waits, but for ports that have no descriptor.
+
+        Never give it the rest of a frame: what took only a part is followed by a frame from its start. Raises PortLost
+        when the other end is gone.
+        """
+        if self._fd is None:
+            return len(data) if self.write(data) else 0
+        try:
+            self._listen()
+            taken = os.write(self._fd, data)
+        except BlockingIOError:
+            return 0
+        except LOST as error:
+            raise PortLost(f"{self.name} is gone: {reason(error)}") from error
+        self._offered += taken
+        return taken
+
+    @property
+    def tells(self) -> bool:
+        """Whether `waiting` knows of all bytes that are not on the line: a virtual board at the other end says it."""
+        return self._first_taken >= 0
 
     def waiting(self) -> int:
         try:
+            if self._fd is not None:
+                self._listen()
+            if self.tells:
+                return max(0, self._offered - (self._taken - self._first_taken))
             return int(getattr(self._stream, "out_waiting", 0))
         except (NotImplementedError, AttributeError):
             return 0
         except LOST as error:
             raise PortLost(f"{self.name} is gone: {reason(error)}") from error
+
+    def hear_first(self) -> None:
+        """Wait until a virtual board has told its number, where there is one; before anything is written."""
+        ends = time.monotonic() + TOLD_WITHIN_S
+        while not self.tells and time.monotonic() < ends:
+            time.sleep(2e-3)
+            self.waiting()
+
+    def _listen(self) -> None:
+        """What boards answer says nothing of frames; a virtual one tells what it took. Fails after an unplug."""
+        if not self._stream.in_waiting:
+            return
+        if self._fd is None:
+            self._stream.reset_input_buffer()
+            return
+        data = os.read(self._fd, 65536)
+        if not data and self._is_socket:
+            raise OSError(errno.EPIPE, os.strerror(errno.EPIPE))
+        self._heard = (self._heard + data)[-4 * TAKEN_BYTES :]
+        at = self._heard.rfind(TAKEN_MARK)
+        if at > len(self._heard) - TAKEN_BYTES:
+            at = self._heard.rfind(TAKEN_MARK, 0, at)
+        if at >= 0:
+            number = self._heard[at + len(TAKEN_MARK) : at + TAKEN_BYTES]
+            self._taken = int.from_bytes(number, "little")
+            if self._first_taken < 0 and self._offered == 0:
+                self._first_taken = self._taken
 
     def flush(self) -> None:
         try:
@@ -95,7 +165,21 @@ class SerialTransport:
             raise PortLost(f"{self.name} is gone: {reason(error)}") from error
 
     def close(self) -> None:
+        if self._is_socket and self._heard:
+            self._end_socket()
         self._stream.close()
+
+    def _end_socket(self) -> None:
+        """Closed with numbers of a virtual board unread, a socket would throw away what that has not read yet."""
+        connection = self._stream._socket
+        if connection is None:
+            return
+        with contextlib.suppress(*LOST):
+            connection.shutdown(socket.SHUT_WR)
+            connection.settimeout(WRITE_TIMEOUT_S)
+            ends = time.monotonic() + 2.0 * WRITE_TIMEOUT_S
+            while time.monotonic() < ends and connection.recv(65536):
+                pass
 
 
 class FileTransport:
@@ -145,8 +229,8 @@ class FileTransport:
         return OutputError(f"cannot write {self.path}: {error.strerror}; choose a folder that exists and has room")
 
 
-def open_port(port: str, baud: int | None) -> SerialTransport:
-    """Open a port, for this process alone where the system supports that.
+def open_serial(port: str, baud: int | None) -> SerialTransport:
+    """Open a serial port or URL, for this process alone where the system supports that.
 
     port: device (/dev/ttyUSB0, COM3) or pyserial URL (loop://, socket://host:port); baud: None where the board has none
     Raises DeviceError when it cannot be opened; the message names the ports there are.
@@ -158,6 +242,11 @@ def open_port(port: str, baud: int | None) -> SerialTransport:
     except CANNOT_OPEN as error:
         raise DeviceError(f"cannot open {port}: {reason(error)}; {_choices()}") from error
     return SerialTransport(port, stream)
+
+
+def may_be_virtual(port: str) -> bool:
+    """Whether a virtual board may be at a port's other end: pseudo-terminals, links to them, and sockets."""
+    return port.startswith("socket://") or os.path.realpath(port).startswith("/dev/pts/")
 
 
 def reason(error: Exception) -> str:

@@ -9,13 +9,18 @@ import socket
 import threading
 import time
 from dataclasses import dataclass, field
+from pathlib import Path
 from random import Random
 from typing import Literal, Self
 
 from palmfield.drive.board import Board, Emitted, Flag
+from palmfield.drive.transport import TAKEN_MARK, TOLD_WITHIN_S
 from palmfield.errors import DeviceError
 
 TICK_S = 0.5e-3
+TELLS_S = 4e-3
+"""It tells how many bytes it took as often where that changed, and ten times less often where it didn't [s]."""
+assert 10 * TELLS_S < TOLD_WITHIN_S
 BURST_S = 20e-3
 """Of the line's time that a thread which comes late may catch up with at once."""
 
@@ -44,17 +49,31 @@ class Faults:
         return bytes(byte ^ (1 << self.draws.randrange(8)) if draw() < self.flip else byte for byte in kept)
 
 
+THREAD_PRIORITY = 70
+
+
 class VirtualBoard:
     """A board's virtual twin behind a port. Use as a context manager, or `unplug` it at the end.
 
     port: to open, a device or a pyserial URL; received: all bytes so far, as they arrived
     emitted: what sounded from when on, on `clock`; flags: what the board noticed
+    Unlike a real board it answers: it tells how many bytes it has taken, as ports of real ones know what still waits.
     """
 
     def __init__(
-        self, board: Board, *, by: Literal["pty", "tcp"] = "pty", tcp_port: int = 0, faults: Faults | None = None
+        self,
+        board: Board,
+        *,
+        by: Literal["pty", "tcp"] = "pty",
+        tcp_port: int = 0,
+        faults: Faults | None = None,
+        link: str | Path | None = None,
+        tells: bool = True,
+        realtime: bool = False,
     ) -> None:
-        """tcp_port: 0 for any that is free.
+        """tcp_port: 0 for any that is free; link: name of the pseudo-terminal that stays the same when it is plugged
+        in again; tells: whether it says how many bytes it has taken; realtime: whether
+        its thread asks for priority, as a real board takes bytes whatever the host does.
 
         Raises DeviceError for a system without pseudo-terminals, and for a port that is taken.
         """
@@ -65,14 +84,13 @@ class VirtualBoard:
         self.emitted: list[Emitted] = []
         self._began = time.monotonic()
         self._stalled, self._ended = threading.Event(), threading.Event()
-        self._lock = threading.Lock()
+        self._by, self._tcp_port, self._link = by, tcp_port, None if link is None else Path(link)
+        self._taken, self._tells = 0, tells
         self._free_s = 0.0
-        if by == "pty":
-            self._open_pty()
-        else:
-            self._open_socket(tcp_port)
-        self._thread = threading.Thread(target=self._read, daemon=True)
-        self._thread.start()
+        self._losing = 0
+        self._realtime = realtime
+        self._ended.set()
+        self.plug()
 
     @property
     def clock(self) -> float:
@@ -90,6 +108,10 @@ class VirtualBoard:
         else:
             self._stalled.clear()
 
+    def lose(self, count: int) -> None:
+        """The next bytes on the line never arrive."""
+        self._losing = count
+
     def settle(self, quiet_s: float = 0.1) -> None:
         """Wait until nothing has come in for a while."""
         seen = -1
@@ -104,6 +126,18 @@ class VirtualBoard:
         self._ended.set()
         self._thread.join()
         self._close()
+
+    def plug(self) -> None:
+        """Give the port back after `unplug`; what the board emits has gone on meanwhile."""
+        if not self._ended.is_set():
+            return
+        if self._by == "pty":
+            self._open_pty()
+        else:
+            self._open_socket(self._tcp_port)
+        self._ended.clear()
+        self._thread = threading.Thread(target=self._read, daemon=True)
+        self._thread.start()
 
     def __enter__(self) -> Self:
         return self
@@ -122,6 +156,9 @@ class VirtualBoard:
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
         self.port = os.ttyname(self._slave)
+        if self._link is not None:
+            self._link.symlink_to(self.port)
+            self.port = str(self._link)
 
     def _open_socket(self, tcp_port: int) -> None:
         self._slave = -1
@@ -131,10 +168,13 @@ class VirtualBoard:
             raise DeviceError(f"TCP port {tcp_port} can't be opened: {error}; allowed: a free one, or 0") from None
         self._server.setblocking(False)
         self._peer: socket.socket | None = None
-        self.port = f"socket://127.0.0.1:{self._server.getsockname()[1]}"
+        self._tcp_port = self._server.getsockname()[1]
+        self.port = f"socket://127.0.0.1:{self._tcp_port}"
 
     def _close(self) -> None:
         if self._slave >= 0:
+            if self._link is not None:
+                self._link.unlink(missing_ok=True)
             os.close(self._slave)
             os.close(self._master)
             return
@@ -153,31 +193,54 @@ class VirtualBoard:
                 self._peer, _ = self._server.accept()
                 self._peer.setblocking(False)
         if self._peer is not None:
-            with contextlib.suppress(BlockingIOError):
+            try:
                 data = self._peer.recv(most)
-                if not data:
-                    self._peer.close()
-                    self._peer = None
-                return data
+            except BlockingIOError:
+                return b""
+            except OSError:
+                data = b""
+            if not data:
+                self._peer.close()
+                self._peer = None
+            return data
         return b""
 
     def _read(self) -> None:
-        allowed, before = 0.0, self.clock
+        if self._realtime and hasattr(os, "sched_setscheduler"):
+            with contextlib.suppress(OSError):
+                os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(THREAD_PRIORITY))
+        before = self.clock
+        told, told_s = -1, 0.0
         while not self._ended.is_set():
             time.sleep(TICK_S)
             now = self.clock
-            allowed = min(allowed + (now - before) * self.line.bytes_per_s, max(BURST_S * self.line.bytes_per_s, 1.0))
+            # What comes now came since the last look at the earliest: a line that idles saves up no time
+            begin = max(self._free_s, before, now - BURST_S)
             before = now
+            allowed = (now - begin) * self.line.bytes_per_s
             if not self._stalled.is_set() and allowed >= 1.0:
                 data = self._available(int(allowed))
-                allowed -= len(data)
-                self._take(data, now)
+                if data:
+                    self._take(data, begin)
+                    self._free_s = begin + self.line.time_s(len(data))
             self.emitted += self.twin.until(now)
+            if self._tells and now - told_s >= (TELLS_S if self._taken != told else 10.0 * TELLS_S):
+                told, told_s = self._taken, now
+                self._tell()
 
-    def _take(self, data: bytes, now: float) -> None:
-        """Bytes that were read just now were on the line one after the other until now."""
-        if not data:
-            return
+    def _tell(self) -> None:
+        """Say how many bytes were taken; what nobody reads is left out."""
+        number = TAKEN_MARK + self._taken.to_bytes(8, "little")
+        with contextlib.suppress(OSError):
+            if self._slave >= 0:
+                os.write(self._master, number)
+            elif self._peer is not None:
+                self._peer.send(number)
+
+    def _take(self, data: bytes, begin: float) -> None:
+        """Bytes that are on the line one after the other from `begin` on."""
+        self._taken += len(data)
         self.received += data
-        through = self.faults.through(data)
-        self.emitted += self.twin.feed(through, now - self.line.time_s(len(through)))
+        through = self.faults.through(data[self._losing :])
+        self._losing = max(0, self._losing - len(data))
+        self.emitted += self.twin.feed(through, begin)

@@ -12,25 +12,36 @@ SMOOTHING_ROUNDS = 12
 Size = Callable[[Float], Float]
 
 
-def graded_size(fine_m: float, coarse_m: float, fine_radius_m: float, radius_m: float) -> Size:
-    """Edge length as a function of the plane position: fine in the middle, growing linearly to coarse at the radius."""
+MIDDLE = (0.0, 0.0)
+
+
+def graded_size(
+    fine_m: float, coarse_m: float, fine_radius_m: float, radius_m: float, centre_m: tuple[float, float] = MIDDLE
+) -> Size:
+    """Edge length as a function of the plane position: fine about a place, growing linearly to coarse at the radius.
+
+    centre_m: the place; the radius is that about the origin, and so much farther about the place
+    """
+    centre = np.array(centre_m)
+    radius_m += float(np.linalg.norm(centre))
 
     def size(points: Float) -> Float:
-        r = np.linalg.norm(points, axis=1)
+        r = np.linalg.norm(points - centre, axis=1)
         grown = np.clip((r - fine_radius_m) / max(radius_m - fine_radius_m, 1e-9), 0.0, 1.0)
         return fine_m + (coarse_m - fine_m) * grown
 
     return size
 
 
-def triangulate(shape: Shape, size: Size, radius_m: float) -> tuple[Float, Int]:
+def triangulate(shape: Shape, size: Size, radius_m: float, centre_m: tuple[float, float] = MIDDLE) -> tuple[Float, Int]:
     """Points in the plane [m], shape (n, 2), and counter-clockwise faces, shape (m, 3).
 
+    radius_m: of the shape about the origin, at most; centre_m: of the rings of points that it begins with
     Points on the boundary loops stay fixed; the others move to the density-weighted centroid of their triangles
     (Chen & Holst 2011, doi 10.1016/j.cma.2010.11.007) with a fresh Delaunay triangulation each round.
     """
     boundary = np.concatenate([_resample(loop, size) for loop in shape.loops])
-    inner = _rings(size, radius_m)
+    inner = _rings(size, radius_m, centre_m)
     inner = inner[shape.at(inner) < -0.6 * size(inner)]
     fixed = len(boundary)
     points = np.concatenate([boundary, inner])
@@ -48,18 +59,19 @@ def triangulate(shape: Shape, size: Size, radius_m: float) -> tuple[Float, Int]:
     return _compact(points, _inside(points, shape))
 
 
-def _rings(size: Size, radius_m: float) -> Float:
-    """Concentric rings around the origin with the wanted spacing, a whole number of steps up to the radius."""
-    r = np.linspace(0.0, radius_m, 2000)
-    step = size(np.column_stack([r, np.zeros_like(r)]))
+def _rings(size: Size, radius_m: float, centre_m: tuple[float, float]) -> Float:
+    """Concentric rings around a place with the wanted spacing, a whole number of steps up to the radius."""
+    centre = np.array(centre_m)
+    r = np.linspace(0.0, radius_m + float(np.linalg.norm(centre)), 2000)
+    step = size(centre + np.column_stack([r, np.zeros_like(r)]))
     count = np.concatenate([[0.0], np.cumsum(np.diff(r) / (0.5 * np.sqrt(0.75) * (step[1:] + step[:-1])))])
     rings = max(2, round(count[-1]))
-    points = [np.zeros((1, 2))]
+    points = [centre[None]]
     for k in range(1, rings):
         radius = float(np.interp(count[-1] * k / rings, count, r))
         number = max(6, round(2.0 * np.pi * radius / float(np.interp(radius, r, step))))
         angle = 2.0 * np.pi * (np.arange(number) + 0.5 * k) / number
-        points.append(radius * np.stack([np.cos(angle), np.sin(angle)], axis=1))
+        points.append(centre + radius * np.stack([np.cos(angle), np.sin(angle)], axis=1))
     return np.concatenate(points)
 
 

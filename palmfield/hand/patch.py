@@ -27,6 +27,7 @@ def surface_patch(
     axis: ArrayLike | None = None,
     facing: ArrayLike | None = None,
     max_fraction: float = 0.45,
+    fine_at: ArrayLike | None = None,
 ) -> Patch:
     """Patch of a closed surface around `centre`, with a graded triangulation of its own and a layer under it.
 
@@ -37,6 +38,7 @@ def surface_patch(
     surface: closed mesh [m]; depth: skin thickness at its vertices [m], shape (n,), or one number
     centre: [m], shape (3,), at most 5 mm off the surface; moved to the nearest point of the surface
     fine_m, coarse_m: edge lengths within `fine_radius_m` and at the radius [m]; linear between
+    fine_at: the place round which edges are fine [m], shape (3,), seen along `facing`; default the centre
     max_depth_m: largest thickness [m]
     axis: passed on to the patch; facing: outward direction, shape (3,), default the normal at the centre
     max_fraction: largest thickness as a share of the way through the body along the inward direction. 0.45 leaves room
@@ -56,7 +58,9 @@ def surface_patch(
 
     region = facing_region(surface, origin, seed, outward, radius_m)
     shape = trace_shape(region, step_m=max(0.5 * fine_m, radius_m / 80.0), spike_m=0.75 * coarse_m)
-    plane, faces = triangulate(shape, graded_size(fine_m, coarse_m, fine_radius_m, radius_m), radius_m)
+    x, y = (0.0, 0.0) if fine_at is None else (region.frame[:2] @ (np.asarray(fine_at) - origin)).tolist()
+    size = graded_size(fine_m, coarse_m, fine_radius_m, radius_m, (x, y))
+    plane, faces = triangulate(shape, size, radius_m, (x, y))
     vertices, requested = _lift(region, plane, thickness)
 
     requested = np.minimum(requested, max_depth_m)

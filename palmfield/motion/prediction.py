@@ -56,8 +56,7 @@ class _Filter:
     Applications to Tracking and Navigation, section 6.3.2: discrete white-noise acceleration.
     """
 
-    def __init__(self, noise: float, acceleration: float, first_speed: float) -> None:
-        n = len(JOINTS)
+    def __init__(self, n: int, noise: float, acceleration: float, first_speed: float) -> None:
         self._noise2, self._acceleration2, self._first_speed2 = noise**2, acceleration**2, first_speed**2
         self.speed = np.zeros((n, 3))
         self._p = np.zeros((n, 3))
@@ -80,12 +79,14 @@ class _Filter:
 class Predictor:
     """Joints as the packets so far tell, for any time ahead of the last one."""
 
-    def __init__(self, noise: Noise, predict_s: float) -> None:
-        """predict_s: how long a joint without packets moves on at its speed before it is held [s]."""
-        n = len(JOINTS)
+    def __init__(self, noise: Noise, predict_s: float, n: int = len(JOINTS)) -> None:
+        """predict_s: how long a joint without packets moves on at its speed before it is held [s]
+
+        n: of joints, or of whatever frames are followed
+        """
         self._predict_s = predict_s
-        self._place = _Filter(noise.position_m, noise.accel_m_s2, 1.0)
-        self._turn = _Filter(noise.angle_rad, noise.accel_rad_s2, 10.0)
+        self._place = _Filter(n, noise.position_m, noise.accel_m_s2, 1.0)
+        self._turn = _Filter(n, noise.angle_rad, noise.accel_rad_s2, 10.0)
         self._position = np.zeros((n, 3))
         self._orientation = Rotation.identity(n)
         self._radius = np.zeros(n)

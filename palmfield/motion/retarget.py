@@ -1,6 +1,7 @@
 """A tracked hand's motion carried over to an articulated hand of other size."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,50 +84,89 @@ def retarget(hand: ArticulatedHand, stream: Stream) -> Retargeted:
     """
     packets = ordered(checked_stream(stream, "tracking stream"))
     valid = (packets.flags & POSITION_VALID) != 0
-    rigid, chains = np.array(RIGID), np.array(CHAINS)
-    usable = [n for n in range(len(packets)) if _fixes_palm(packets.positions[n, rigid][valid[n, rigid]])]
+    usable = [n for n in range(len(packets)) if fixes_palm(packets.positions[n], valid[n])]
     if len(usable) < 2:
         raise SceneError(
             f"hand retargeting: {len(usable)} of {len(packets)} packets have {FEWEST_PALM_JOINTS} valid joints in the "
             "palm that are not in a line; give two or more"
         )
-    ours = hand_joints(hand)
-    theirs = _palm_of(packets.positions[usable][:, rigid], valid[usable][:, rigid])
-    palm, scales = _palm_in_our_frame(ours.positions[rigid], theirs)
-    fit = _Fit(hand, ours)
-    wrist = JOINTS.index("wrist")
-    times, places, turns, angles = packets.times_s[usable], [], [], []
-    misses, palm_misses = [], []
-    before = fit.rest
-    for n in usable:
-        seen = valid[n, rigid]
-        turn, shift = _rigid(palm[seen], packets.positions[n, rigid][seen])
-        palm_misses.append(palm[seen] @ turn.T + shift - packets.positions[n, rigid][seen])
-        # Digits begin at the fitted palm: less noise than at knuckles by themselves, and there where one is lost.
-        joints, known = packets.positions[n].copy(), valid[n].copy()
-        joints[rigid], known[rigid] = palm @ turn.T + shift, True
-        steps = np.diff(joints[chains], axis=1) @ turn
-        both = known[chains[:, 1:]] & known[chains[:, :-1]]
-        before, miss = fit.angles(steps, both, before)
-        misses.append(miss)
-        places.append(joints[wrist] - turn @ ours.positions[wrist])
-        turns.append(turn)
-        angles.append(before)
-    tips = np.concatenate(misses)
-    table = np.array(angles)
+    follower = Follower(hand, packets.positions[usable], valid[usable])
+    followed = [follower.follow(packets.positions[n], valid[n]) for n in usable]
+    tips = np.concatenate([one.tip_misses for one in followed])
+    palm_misses = np.concatenate([one.palm_misses for one in followed])
+    table = np.array([one.angles_deg for one in followed])
     report = RetargetReport(
         frames=len(usable),
         skipped=len(packets) - len(usable),
-        scale_across=float(scales[0]),
-        scale_along=float(scales[1]),
+        scale_across=float(follower.scales[0]),
+        scale_along=float(follower.scales[1]),
         tip_rms_m=float(np.sqrt(np.mean(tips**2))) if len(tips) else 0.0,
         tip_max_m=float(tips.max()) if len(tips) else 0.0,
-        palm_rms_m=float(np.sqrt(np.mean(np.sum(np.concatenate(palm_misses) ** 2, axis=1)))),
-        at_limit=fit.at_limit(table),
+        palm_rms_m=float(np.sqrt(np.mean(np.sum(palm_misses**2, axis=1)))),
+        at_limit=follower.at_limit(table),
     )
-    quaternions = Rotation.from_matrix(np.array(turns)).as_quat(scalar_first=True)
-    names = [joint.name for joint in hand.joints]
-    return Retargeted(Curve(names, times, np.array(places), quaternions, table, rest=False), report)
+    quaternions = np.array([one.quaternion for one in followed])
+    places = np.array([one.position for one in followed])
+    curve = Curve(follower.names, packets.times_s[usable], places, quaternions, table, rest=False)
+    return Retargeted(curve, report)
+
+
+class Followed(NamedTuple):
+    """How a hand follows a packet.
+
+    position [m], quaternion (w first), angles_deg: of all joints, shape (joints,)
+    tip_misses: of the valid tips [m]; palm_misses: of the valid joints of the palm [m], shape (k, 3)
+    """
+
+    position: Float
+    quaternion: Float
+    angles_deg: Float
+    tip_misses: Float
+    palm_misses: Float
+
+
+class Follower:
+    """Fits a hand to one packet after another. names: of its joints; scales: of our palm to theirs, across and along"""
+
+    def __init__(self, hand: ArticulatedHand, positions: Float, valid: Bool) -> None:
+        """positions: of packets that tell the palm's shape [m], shape (n, 26, 3); valid: which are known, (n, 26).
+
+        Raises SceneError for a hand of the other side, and where no packet has all joints of the palm.
+        """
+        ours = hand_joints(hand)
+        rigid = np.array(RIGID)
+        theirs = _palm_of(positions[:, rigid], valid[:, rigid])
+        self._palm, self.scales = _palm_in_our_frame(ours.positions[rigid], theirs)
+        self._rigid, self._chains = rigid, np.array(CHAINS)
+        self._wrist = ours.positions[JOINTS.index("wrist")]
+        self._fit = _Fit(hand, ours)
+        self._before = self._fit.rest
+        self.names = [joint.name for joint in hand.joints]
+
+    def follow(self, positions: Float, valid: Bool) -> Followed:
+        """The pose for a packet, shapes (26, 3) [m] and (26,), which must fix the palm (`fixes_palm`)."""
+        seen = valid[self._rigid]
+        turn, shift = _rigid(self._palm[seen], positions[self._rigid][seen])
+        palm_misses = self._palm[seen] @ turn.T + shift - positions[self._rigid][seen]
+        # Digits begin at the fitted palm: less noise than at knuckles by themselves, and there where one is lost.
+        joints, known = positions.copy(), valid.copy()
+        joints[self._rigid], known[self._rigid] = self._palm @ turn.T + shift, True
+        steps = np.diff(joints[self._chains], axis=1) @ turn
+        both = known[self._chains[:, 1:]] & known[self._chains[:, :-1]]
+        self._before, tip_misses = self._fit.angles(steps, both, self._before)
+        place = joints[JOINTS.index("wrist")] - turn @ self._wrist
+        quaternion = Rotation.from_matrix(turn).as_quat(scalar_first=True)
+        return Followed(place, quaternion, self._before, tip_misses, palm_misses)
+
+    def at_limit(self, angles: Float) -> float:
+        """Share of angles, shape (frames, joints), within 0.01 degrees of an end of their range."""
+        return self._fit.at_limit(angles)
+
+
+def fixes_palm(positions: Float, valid: Bool) -> bool:
+    """Whether a packet, shapes (26, 3) [m] and (26,), tells how the palm is turned."""
+    rigid = np.array(RIGID)
+    return _fixes_palm(positions[rigid][valid[rigid]])
 
 
 def _fixes_palm(points: Float) -> bool:

@@ -15,12 +15,14 @@ from palmfield.hand.articulated import ArticulatedHand, articulate, checked_angl
 from palmfield.hand.poses import named_pose, posed_surface
 from palmfield.hand.preset import load_preset
 from palmfield.hand.skinning import SkinnedHand
+from palmfield.motion.alignment import read_alignment
 from palmfield.motion.keyframes import keyframes
 from palmfield.motion.pose import HandPose, numbers
 from palmfield.motion.prediction import resample
 from palmfield.motion.retarget import retarget
 from palmfield.motion.tracking import Stream, read_stream
 from palmfield.motion.trajectory import from_callable, read_trajectory
+from palmfield.transforms import IDENTITY, Transform
 from palmfield.types import Float
 
 KEY_FIELDS = ("time_s", "position_m", "quaternion", "turn_deg", "pose", "joints_deg")
@@ -35,8 +37,11 @@ class Motion:
     at: Callable[[float], HandPose]
 
 
-def motion_of(config: MotionConfig) -> Motion:
-    """The motion of a scene's keys. Raises SceneError for files and functions that can't be read or found."""
+def motion_of(config: MotionConfig, array: Transform = IDENTITY) -> Motion:
+    """The motion of a scene's keys; array: frame of the scene's first array in the world.
+
+    Raises SceneError for files and functions that can't be read or found.
+    """
     hand = None if config.hand is None else articulate(load_preset(config.hand))
     joints = hand or articulate(load_preset(DEFAULT_HAND))
     if config.keyframes is not None:
@@ -44,7 +49,7 @@ def motion_of(config: MotionConfig) -> Motion:
     elif config.trajectory is not None:
         source = read_trajectory(config.trajectory, joints)
     elif config.tracking is not None:
-        source = retarget(joints, _tracked(config))
+        source = retarget(joints, _tracked(config, array))
     else:
         assert config.function is not None
         source = from_callable(config.function, joints)
@@ -53,19 +58,30 @@ def motion_of(config: MotionConfig) -> Motion:
     return Motion(hand, at)
 
 
-def _tracked(config: MotionConfig) -> Stream:
+def tracker_frame(config: MotionConfig, array: Transform) -> Transform:
+    """The tracker's space in the world of a scene whose first array is at `array`.
+
+    Raises SceneError for an alignment that can't be read.
+    """
+    if config.tracking_alignment is not None:
+        position, rotation = read_alignment(config.tracking_alignment).transform
+        return Transform(array.points(position), array.rotation @ rotation)
+    turn = Rotation.from_euler("x", 90.0 if config.tracking_up == "y" else 0.0, degrees=True)
+    return Transform(np.array(config.tracking_origin_m), turn.as_matrix())
+
+
+def _tracked(config: MotionConfig, array: Transform) -> Stream:
     """The recorded stream in the scene's world; with ahead_s as a live system would have it that long before."""
     assert config.tracking is not None
     stream = read_stream(config.tracking)
-    if config.tracking_up == "y":
-        upright = Rotation.from_euler("x", 90.0, degrees=True)
-        turned = upright * Rotation.from_quat(stream.quaternions.reshape(-1, 4), scalar_first=True)
-        stream = replace(
-            stream,
-            positions=upright.apply(stream.positions.reshape(-1, 3)).reshape(stream.positions.shape),
-            quaternions=turned.as_quat(scalar_first=True).reshape(stream.quaternions.shape),
-        )
-    stream = replace(stream, positions=stream.positions + np.array(config.tracking_origin_m))
+    frame = tracker_frame(config, array)
+    turn = Rotation.from_matrix(frame.rotation)
+    turned = turn * Rotation.from_quat(stream.quaternions.reshape(-1, 4), scalar_first=True)
+    stream = replace(
+        stream,
+        positions=frame.points(stream.positions),
+        quaternions=turned.as_quat(scalar_first=True).reshape(stream.quaternions.shape),
+    )
     if config.ahead_s == 0.0:
         return stream
     clock = np.unique(stream.times_s)

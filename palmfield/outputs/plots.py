@@ -10,12 +10,12 @@ import xarray as xr
 from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
 
-from palmfield.errors import OutputError
+from palmfield.errors import MeasurementError, OutputError
+from palmfield.metrics.spectra import amplitude_spectrum, spectral_peaks
 from palmfield.outputs.budget_text import in_a_line
 from palmfield.outputs.frames import Loudest, foci_at, in_world, loudest, nearest, pose_at, to_local
 from palmfield.outputs.motion import at_vertices, extremes
 from palmfield.outputs.schema import has_records, instances
-from palmfield.outputs.spectrum import amplitude_spectrum, spectral_peaks
 from palmfield.outputs.style import COLOURS, save, style
 from palmfield.types import Float
 
@@ -201,7 +201,7 @@ def _probe_vertices(rest: Float, peak: Float) -> list[tuple[int, float]]:
 def _draw_spectra(axes: Any, time_s: Float, motion: Any) -> None:
     try:
         spectra = [amplitude_spectrum(time_s, course.astype(float)) for course in motion.T]
-    except OutputError as error:
+    except MeasurementError as error:
         axes.text(0.5, 0.5, f"no spectrum: {error}", ha="center", va="center", transform=axes.transAxes, wrap=True)
         axes.set_axis_off()
         return

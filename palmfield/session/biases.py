@@ -1,7 +1,6 @@
 """What a scene leaves out, as estimated bias of its skins' motion: which way, and by how much where that is known."""
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,8 +11,9 @@ from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.acoustics.validity import least_radius_m
 from palmfield.config.skin import OF_SHAPES
 from palmfield.drive.response_error import changes_of_motion
-from palmfield.outputs.budget_text import bias_text
+from palmfield.session.array_biases import array_biases
 from palmfield.session.array_inputs import qualities
+from palmfield.session.bias import Bias
 from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.stimulus.schedule import main_frequencies
@@ -45,26 +45,6 @@ NEAR_M = 6e-3
 """Half of a focus: the skin's curvature is looked at so far round it [m]."""
 
 
-@dataclass(frozen=True)
-class Bias:
-    """What leaving something out does to the displacement of the skin where the sound is loudest.
-
-    low, high: the true displacement's least and largest difference from the computed one, over the computed one; None
-        where it is not estimated
-    why: how the figure was found, or which way it goes
-    """
-
-    what: str
-    low: float | None
-    high: float | None
-    why: str
-
-    @property
-    def size(self) -> str:
-        """The range in words, with its sign."""
-        return "not estimated" if self.low is None or self.high is None else bias_text(self.low, self.high)
-
-
 def biases(
     model: HapticModel,
     skin: int,
@@ -88,8 +68,7 @@ def biases(
         *_shadows(model, skin),
         *_echo(model, skin, stimulus, posed, drive, highest),
         Bias("streaming", None, None, "a wind of about 1 m/s: some 0.6 Pa more, slow, and cooling"),
-        Bias("warm-up", None, None, "resonance and level drift over minutes: usually less sound than at the start"),
-        Bias("coupling of transducers", None, None, "each sounds as if alone: either way"),
+        *array_biases(model, stimulus, drive),
         *_linear(model.skins[skin]),
     ]
 

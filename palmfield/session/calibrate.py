@@ -5,7 +5,7 @@ from pathlib import Path
 
 from palmfield.acoustics.arrays import layout as known_layout
 from palmfield.acoustics.calibration_file import Calibration, Pose, read_calibration, write_calibration
-from palmfield.drive.calibration.readings import MEASUREMENTS, Setting, measured
+from palmfield.drive.calibration.readings import MEASUREMENTS, Circumstances, measured
 from palmfield.drive.calibration.rehearsal import FOCUS_M, PLATE_M, TRUTH, rehearse
 from palmfield.errors import SceneError
 from palmfield.types import Estimate
@@ -13,14 +13,14 @@ from palmfield.types import Estimate
 NEEDS_FOCUS = ("plate", "focus", "sweep")
 
 
-def add_readings(kind: str, readings: Path, board: Path, layout: str | None, setting: Setting) -> list[str]:
+def add_readings(kind: str, readings: Path, board: Path, layout: str | None, circumstances: Circumstances) -> list[str]:
     """Put readings into the calibration file `board`, which is made if it isn't there; returns what they say.
 
     kind: a key of `MEASUREMENTS`; layout: of the array, needed where the file is new
     Raises SceneError for files, layouts and sources that don't fit, PalmfieldError for readings that don't serve,
     OutputError where the file can't be written; it then stays as it was.
     """
-    if not setting.source.strip():
+    if not circumstances.source.strip():
         raise SceneError("the source is not told; say who measured when, and with what (--source TEXT)")
     if board.exists():
         calibration = read_calibration(board)
@@ -32,7 +32,7 @@ def add_readings(kind: str, readings: Path, board: Path, layout: str | None, set
         raise SceneError(f"{board} is not there; to begin a new calibration name the array (--layout NAME)")
     else:
         calibration = Calibration(layout=layout)
-    result = measured(kind, readings, calibration, known_layout(calibration.layout), setting)
+    result = measured(kind, readings, calibration, known_layout(calibration.layout), circumstances)
     write_calibration(board, result.calibration)
     return list(result.told)
 

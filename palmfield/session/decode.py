@@ -2,7 +2,6 @@
 
 import csv
 import math
-import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,14 +9,12 @@ import numpy as np
 
 from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.arrays import layout
-from palmfield.config import DriverConfig
-from palmfield.drive.board import Emitted, Flag
-from palmfield.drive.board_link import BoardLink
-from palmfield.drive.boards import board_of, playable_board
+from palmfield.drive.board import Board, Emitted, Flag
+from palmfield.drive.boards import playable_board
 from palmfield.drive.focus_fit import fitted_focus
 from palmfield.drive.frame_log import LogHead, Piece, is_log, read_log
-from palmfield.drive.transport import open_port
 from palmfield.errors import OutputError, SceneError
+from palmfield.session.play import Performance, play_on_port
 from palmfield.types import Float
 
 FREQUENCY_HZ = 40e3
@@ -73,8 +70,7 @@ def pieces_of(path: str | Path, board: str | None, array: str | None = None) -> 
 def decode(path: str | Path, board: str | None = None, array: str | None = None) -> Decoded:
     """The foci that a file's bytes make; arguments and errors as `pieces_of`."""
     head, pieces = pieces_of(path, board, array)
-    made = board_of(DriverConfig.model_validate({"board": head.board, **head.keys}), head.transducers)
-    twin = made.twin()
+    twin = head.playable.twin()
     emitted: list[Emitted] = []
     for piece in pieces:
         emitted += [*twin.until(piece.time_s), *twin.feed(piece.data, piece.time_s)]
@@ -129,7 +125,7 @@ def write_csv(decoded: Decoded, path: Path) -> None:
         raise OutputError(f"cannot write {path}: {error.strerror}; choose a folder that exists and has room") from None
 
 
-def replay(path: str | Path, port: str, board: str | None = None) -> str:
+def replay(path: str | Path, port: str, board: str | None = None, *, progress: bool = False) -> Performance:
     """Send a file's bytes to a port, at their times, and silence the board; returns what happened, in a sentence.
 
     Errors as `pieces_of`; DeviceError where the port can't be opened, or is lost.
@@ -137,25 +133,29 @@ def replay(path: str | Path, port: str, board: str | None = None) -> str:
     head, pieces = pieces_of(path, board)
     made = head.playable
     assert made.line is not None
-    with BoardLink(made, open_port(port, made.line.baud)) as link:
-        begin, free, late_s, cut = link.now(), link.now(), 0.0, 0
-        for piece in pieces:
-            # Of what isn't known to have gone out whole a frame may be half: the next one begins with its start
-            if not piece.whole:
-                cut += 1
-                continue
-            link.wait_until(max(begin + piece.time_s, free))
-            late_s = max(late_s, link.now() - begin - piece.time_s)
-            for part in _parts(piece.data, made.frame_bytes):
-                while not link.write(part):
-                    time.sleep(0.0)
-                free = max(free, link.now()) + made.line.time_s(len(part))
-                link.wait_until(free - made.frame_time_s)
-        link.wait_until(free)
-    left = f", {cut} that were cut left out" if cut else ""
-    return f"replayed {len(pieces) - cut} pieces on {port} (worst delay {1e3 * late_s:.0f} ms{left}); the board is off"
+    frames, cut = _frames(made, pieces)
+    ends = frames[-1][0] if frames else 0.0
+    done = play_on_port(frames, made, port, ends, progress=progress)
+    return done.saying(f"{cut} pieces that were cut are left out") if cut else done
 
 
-def _parts(data: bytes, size: int) -> list[bytes]:
-    """Raw bytes in parts that a port takes without waiting for long."""
-    return [data[at : at + size] for at in range(0, len(data), size)]
+def _frames(board: Board, pieces: list[Piece]) -> tuple[list[tuple[float, bytes]], int]:
+    """Pieces as frames with the times of their emission, and how many were cut.
+
+    Of what isn't known to have gone out whole a frame may be half: the next one begins with its start. The start and
+    the stop sequence are the player's own.
+    """
+    assert board.line is not None
+    whole = [piece for piece in pieces if piece.whole]
+    frames: list[tuple[float, bytes]] = []
+    for piece in whole:
+        time_s, data = piece.time_s, piece.data
+        if not frames:
+            data = data.removeprefix(board.start)
+        if piece is whole[-1]:
+            data = data.removesuffix(board.stop)
+        for at in range(0, len(data), board.frame_bytes):
+            part = data[at : at + board.frame_bytes]
+            time_s += board.line.time_s(len(part))
+            frames.append((time_s, part))
+    return frames, len(pieces) - len(whole)

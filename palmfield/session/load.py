@@ -27,8 +27,8 @@ LOG = logging.getLogger("palmfield.session")
 FILES = {
     "palmfield.array": ("calibration", "transducers"),
     "palmfield.skin": ("mesh",),
-    "palmfield.stimulus": ("am_file",),
-    "palmfield.motion": ("keyframes", "trajectory", "tracking"),
+    "palmfield.stimulus": ("am_file", "path_file"),
+    "palmfield.motion": ("keyframes", "trajectory", "tracking", "tracking_alignment"),
 }
 """Keys that name files, relative to the scene."""
 SKIN = "palmfield.skin"

@@ -1,6 +1,5 @@
 """Scenes of the last version in this one's words: what is renamed is rewritten, all else stays as it is."""
 
-import re
 from pathlib import Path
 from typing import NamedTuple
 
@@ -8,12 +7,11 @@ from palmfield.config import CONFIGS, Config
 from palmfield.errors import OutputError, SceneError
 from palmfield.outputs.store import write_whole
 from palmfield.session.load import no_scene
+from palmfield.session.scene_edit import Edit, edited, indent_of, tag_of, with_attribute, without
 from palmfield.session.scene_text import Element, elements_of, read_scene_text
 
 MOVED = {("palmfield.array", "compute"): "palmfield_device"}
 """Keys that are now a custom text of the whole scene."""
-TAG = re.compile(rb"""<(?:[^<>"']|"[^"]*"|'[^']*')*>""")
-"""An element's beginning; > may stand in a value."""
 
 
 class Migrated(NamedTuple):
@@ -26,14 +24,6 @@ class Migrated(NamedTuple):
     text: bytes
     changes: tuple[str, ...]
     others: tuple[Path, ...]
-
-
-class _Edit(NamedTuple):
-    """Bytes from start to end become others."""
-
-    start: int
-    end: int
-    new: bytes
 
 
 def migrated(path: Path) -> Migrated:
@@ -60,13 +50,13 @@ def migrated(path: Path) -> Migrated:
                     f"{element.where}: key '{key}' has value '{value}', and '{known[0]}' in line {known[1].line}, and "
                     f"is now the one text '{to}' of the whole scene; make them equal first"
                 )
-            edits.append(_without(data, element))
+            edits.append(without(data, element))
             continue
         new_key, new_value = _renamed(config, key, value)
         if (new_key, new_value) == (key, value):
             continue
-        edits += [_attribute(data, element, "key", new_key)] if new_key != key else []
-        edits += [_attribute(data, element, "value", new_value)] if new_value != value else []
+        edits += [with_attribute(data, element, "key", new_key)] if new_key != key else []
+        edits += [with_attribute(data, element, "value", new_value)] if new_value != value else []
         was, now = (f"key '{key}'", f"'{new_key}'") if new_key != key else (f"{key} '{value}'", f"'{new_value}'")
         if new_key != key and new_value != value:
             now += f", with value '{new_value}' for '{value}'"
@@ -81,7 +71,7 @@ def migrated(path: Path) -> Migrated:
         changes.append(what)
     included = dict.fromkeys(e.file for e in read_scene_text(path).elements if e.file != path)
     others = tuple(file for file in included if any(_is_old(*one) for one in _keys(elements_of(file))))
-    return Migrated(_edited(data, edits), tuple(changes), others)
+    return Migrated(edited(data, edits), tuple(changes), others)
 
 
 def migrate(path: Path, out: Path | None = None, *, overwrite: bool = False) -> Migrated:
@@ -128,59 +118,17 @@ def _renamed(config: type[Config], key: str, value: str) -> tuple[str, str]:
     return key, config.renamed.get(f"{key}={value}", value)
 
 
-def _attribute(data: bytes, element: Element, name: str, new: str) -> _Edit:
-    """Another value for an element's attribute."""
-    tag = _tag(data, element)
-    found = re.compile(rb"\b" + name.encode() + rb"\s*=\s*([\"'])(.*?)\1", re.DOTALL).search(tag[0])
-    assert found is not None
-    return _Edit(tag.start() + found.start(2), tag.start() + found.end(2), new.encode())
-
-
-def _tag(data: bytes, element: Element) -> re.Match[bytes]:
-    tag = TAG.match(data, element.offset)
-    assert tag is not None
-    return tag
-
-
-def _without(data: bytes, element: Element) -> _Edit:
-    """The element left out, with its line where it has that to itself."""
-    tag = _tag(data, element)
-    start, end = tag.start(), tag.end()
-    if not tag[0].endswith(b"/>"):
-        end = data.index(b">", data.index(b"</" + element.tag.encode(), end)) + 1
-    line_start = data.rfind(b"\n", 0, start) + 1
-    line_end = data.find(b"\n", end)
-    if line_end >= 0 and not data[line_start:start].strip() and not data[end:line_end].strip():
-        start, end = line_start, line_end + 1
-    return _Edit(start, end, b"")
-
-
-def _custom_text(data: bytes, elements: list[Element], name: str, value: str) -> _Edit:
+def _custom_text(data: bytes, elements: list[Element], name: str, value: str) -> Edit:
     """A custom text that is new: in the <custom> that is there, or in one of its own before the plugins."""
     quoted = value.replace("&", "&amp;").replace("<", "&lt;").replace('"', "&quot;")
     text = f'<text name="{name}" data="{quoted}"/>'.encode()
     custom = next((e for e in elements if e.tag == "custom"), None)
     if custom is None:
         extension = next(e for e in elements if e.tag == "extension")
-        indent = _indent(data, extension)
-        return _Edit(extension.offset, extension.offset, b"<custom>" + text + b"</custom>" + (indent or b"\n"))
-    tag = _tag(data, custom)
+        indent = indent_of(data, extension)
+        return Edit(extension.offset, extension.offset, b"<custom>" + text + b"</custom>" + (indent or b"\n"))
+    tag = tag_of(data, custom)
     if tag[0].endswith(b"/>"):
-        return _Edit(tag.end() - 2, tag.end(), b">" + text + b"</custom>")
+        return Edit(tag.end() - 2, tag.end(), b">" + text + b"</custom>")
     child = next((e for e in elements if e.parent is custom), None)
-    return _Edit(tag.end(), tag.end(), (_indent(data, child) if child is not None else b"") + text)
-
-
-def _indent(data: bytes, element: Element) -> bytes:
-    """The new line and the spaces before an element that begins one; nothing before others."""
-    start = data.rfind(b"\n", 0, element.offset)
-    before = data[start + 1 : element.offset]
-    if before.strip():
-        return b""
-    return (b"\r\n" if data[start - 1 : start] == b"\r" else b"\n") + before
-
-
-def _edited(data: bytes, edits: list[_Edit]) -> bytes:
-    for edit in sorted(edits, reverse=True):
-        data = data[: edit.start] + edit.new + data[edit.end :]
-    return data
+    return Edit(tag.end(), tag.end(), (indent_of(data, child) if child is not None else b"") + text)

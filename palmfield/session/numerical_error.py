@@ -18,16 +18,17 @@ from palmfield.session.array_inputs import stimulus_of
 from palmfield.simulation.model import HapticModel, SkinModel
 from palmfield.simulation.posed_scene import PosedScene, PosedSkin, PosedSurface
 from palmfield.simulation.radiation import Radiation
-from palmfield.skin.approximation.estimate import ORDER, mesh_error
+from palmfield.skin.approximation.estimate import ORDER, largest_change
+from palmfield.skin.approximation.richardson import error_of_coarser, error_of_finer
 from palmfield.skin.fem.influence import harmonic_influence, static_influence
 from palmfield.skin.from_config import softest_and_stiffest_sheets
 from palmfield.skin.problem import Sheet
 from palmfield.skin.reduction.modal_stepper import ModalStepper
-from palmfield.skin.reduction.onset import onset_error
+from palmfield.skin.reduction.point_model import TOLERANCE, PointModel, point_model
 from palmfield.skin.reduction.reduced_stepper import ReducedStepper
 from palmfield.skin.scene_layer import SceneLayer
 from palmfield.skin.stepper import SkinStepper
-from palmfield.stimulus.schedule import frame_at
+from palmfield.stimulus.schedule import frame_at, frames_at
 from palmfield.threads import cores, share
 from palmfield.types import Complex, Float
 
@@ -43,7 +44,15 @@ LEAST_RATIO = 1.1
 """Least ratio of edges with which Richardson's rule is asked."""
 FEW, FEW_CHANGES, FEW_ORDER = 2000, 4, 1.0
 """Unknowns below which a mesh has a handful of triangles under the spot, whose error falls unevenly: then the other one
-is finer by this power of RATIO, and the order is this, the least that was seen on discs of 13 and 15 mm."""
+is finer by this power of RATIO, and the order is this, the least that was seen on discs of 13 and 15 mm. A third mesh
+between the two tells where the first is right by chance: on discs of 25 and 30 mm the next two were farther off."""
+COURSE_ORDER = 1.5
+"""Order of the error over a course of time: two meshes ring out of step, the more the longer it rings. Lower than
+ORDER, as a small ratio of edges makes much of a little: on discs of palm and gelatin 1.8 to 3.3 was seen."""
+LONGEST_COURSE_S = 0.1
+"""After the sound begins, over which meshes and steps are compared [s]: what rings has faded, and repeats follow."""
+MOMENTS_A_STEP = 2
+"""Moments of such a course for each substep."""
 MOST_CHANGES = 6
 """How often the other mesh's elements are made finer or coarser at most, by RATIO, until the two differ."""
 FINER_BELOW = 15_000
@@ -74,10 +83,12 @@ class Course:
 
     left_small_model: whether the run went on from a small model or modes to the whole layer
     outside_class: what of the loads lay outside the class that the modes serve, in the energy norm
+    end_s: when the run ended, by MuJoCo's clock [s]
     """
 
     left_small_model: bool
     outside_class: float = 0.0
+    end_s: float = math.inf
 
 
 # -- error of the displacement -------------------------------------------------------------------------------------
@@ -104,11 +115,12 @@ def error_estimate(
 
     mesh: of a solver of EXPLICIT its own estimate, of its elements or particles, and of its steps. Else the static and
         harmonic response on the scene's mesh and on one RATIO or more finer (RATIO or more coarser, for more than
-        FINER_BELOW unknowns and at least LAYERS rows of elements), by Richardson's rule; the larger of the two. The
-        frequency is the stimulus's main one; half of the highest that mesh and step are made for where there is none,
-        as the spectrum of a load that only starts and stops falls with frequency
+        FINER_BELOW unknowns and at least LAYERS rows of elements), by Richardson's rule; and so the motion from the
+        sound's beginning on, as it rings, under the stimulus's level with the focus held where it is (L2 over time, to
+        the run's end, LONGEST_COURSE_S at most); the largest of these. The frequency is the stimulus's main one; half
+        of the highest that mesh and step are made for where there is none
     step: the discrete scheme's exact steady state against the continuous one, on the coarser mesh, where it costs less,
-        or what the substeps make of the stimulus's onset, if that is larger (palmfield.skin.reduction.onset).
+        or what the substeps make of the motion from the sound's beginning on, if that is larger.
         A small model is exact in time, and the steps of an explicit solver are far shorter; what they are given is the
         load's chords, of which a sine has sinc^2 of itself
     reduction: of a small model: its own estimate, or, where it is made for any course of the load, the difference from
@@ -128,16 +140,22 @@ def error_estimate(
     sound, point = _Sound(model, skin, loudest, radiation), _under_focus(model, skin, loudest)
     finer = compares_with_finer(layer, layer.system.ndof)
     ends = softest_and_stiffest_sheets(layer.config) if materials else None
-    ramp_s = model.stimuli[stimulus_of(model, skin)].config.ramp_s
+    config = model.stimuli[stimulus_of(model, skin)].config
+    lasted_s = float(np.clip(course.end_s - config.start_s, model.spec.timestep_s, LONGEST_COURSE_S))
+
+    def level(step_s: float) -> tuple[Float, Float]:
+        """Times from the sound's beginning on, `step_s` apart [s], and its level then."""
+        times: Float = step_s * np.arange(1 + max(1, round(lasted_s / step_s)), dtype=np.float64)
+        return times, frames_at(config, config.start_s + times)[1]
 
     def make() -> cache.Arrays:
         if stepper.name in EXPLICIT:
             result = _explicit_estimate(layer, stepper, sound, point, ends)
             return {name: np.array(value) for name, value in result.items()}
         try:
-            result = _estimate(layer, small, sound, point, finer, course.left_small_model, ramp_s, ends)
+            result = _estimate(layer, small, sound, point, finer, course.left_small_model, level, ends)
         except SceneError:
-            result = _estimate(layer, small, sound, point, not finer, course.left_small_model, ramp_s, ends)
+            result = _estimate(layer, small, sound, point, not finer, course.left_small_model, level, ends)
         return {name: np.array(value) for name, value in result.items()}
 
     posed, system = loudest.posed, layer.system
@@ -155,7 +173,8 @@ def error_estimate(
             layer.demand,
             layer.sizes,
             course.left_small_model,
-            ramp_s,
+            config,
+            lasted_s,
             materials,
         ),
         None if small is None else _numbers_of(small),
@@ -178,9 +197,13 @@ class _Response:
     """Displacement at a point of one mesh of a skin under one sound, by how pressure moves that point.
 
     pressure: ARP at the mesh's quadrature points at the factor 1 [Pa], shape (q,)
-    static, harmonic, scheme: of the point [m]; `rest` finds the first, `swing` the others, exact in time and by the
-        scheme of the whole layer; scheme_too: whether the last is wanted
+    static, harmonic, scheme: of the point [m], the first 0 for a body that nothing holds at rest; `rest` finds the
+        first, `swing` the others, exact in time and by the scheme of the whole layer
+    scheme_too: whether the last is wanted
+    small: of any course of time; `begin` finds it, and the first of the others with it
     """
+
+    small: PointModel
 
     def __init__(self, layer: SceneLayer, pressure: Float, point: Float, *, scheme_too: bool = False):
         self.layer, self.point, self.scheme_too = layer, point, scheme_too
@@ -192,7 +215,16 @@ class _Response:
         return _Response(layer, self.pressure, self.point)
 
     def rest(self) -> None:
+        if not self.layer.system.supported:
+            return
         self.static = float(static_influence(self.layer.system, self.layer.quadrature, self.point) @ self.pressure)
+
+    def begin(self) -> None:
+        layer = self.layer
+        force, read = layer.quadrature.operator @ self.pressure, layer.probe(self.point).operator.toarray()[0]
+        self.small = point_model(layer.system, force, read, layer.demand.max_frequency_Hz)
+        if layer.system.supported:
+            self.static = self.small.static()
 
     def swing(self) -> None:
         layer = self.layer
@@ -256,7 +288,7 @@ def _estimate(
     point: Float,
     finer: bool,
     left_small_model: bool,
-    ramp_s: float,
+    level: Callable[[float], tuple[Float, Float]],
     materials: Ends | None,
 ) -> dict[str, float]:
     frequency, step_s = layer.demand.main_frequency_Hz, layer.sizes.step_s
@@ -266,30 +298,41 @@ def _estimate(
     exact_in_time = isinstance(small, ReducedStepper) and not left_small_model
     coarse = _Response(low, sound.on(low), point, scheme_too=not exact_in_time)
     fine = _Response(high, sound.on(high), point)
+    between = []
+    if few:
+        middle = layer.resized(RATIO ** (-FEW_CHANGES // 2))
+        between.append(_Response(middle, sound.on(middle), point))
     cut = _other_sides(low, sound, point)
     ends = _other_materials(coarse, materials)
     # The dearest first, so that the cheaper ones fill the time beside it
     _side_by_side(
         fine.swing,
         coarse.swing,
-        *(other.swing for other in (*cut, *ends)),
-        fine.rest,
-        coarse.rest,
+        *(other.swing for other in (*between, *cut, *ends)),
+        fine.begin,
+        coarse.begin,
+        *(other.begin for other in between),
         *(other.rest for other in (*_held(cut), *ends)),
     )
-    mesh = mesh_error(
-        np.array([coarse.static, coarse.harmonic]),
-        np.array([fine.static, fine.harmonic]),
-        ratio,
-        order := FEW_ORDER if few else ORDER,
-    )
+    times, levels = level(step_s / MOMENTS_A_STEP)
+    moved = {response: response.small.moved(levels, times) for response in (coarse, fine, *between)}
+    mesh, ringing = _changes(coarse, fine, moved)
+    order = FEW_ORDER if few else ORDER
+    course_order = min(order, COURSE_ORDER)
+    error = max(error_of_finer(mesh, ratio, order), error_of_finer(ringing, ratio, course_order))
     if finer:
-        mesh *= ratio**order
+        error = max(error_of_coarser(mesh, ratio, order), error_of_coarser(ringing, ratio, course_order))
+    # Where sound from afar is too rough for a small model, its own error is the least that is stated
+    error = max(error, *(each.small.error for each in (coarse, fine) if each.small.error > TOLERANCE), 0.0)
+    for response in between:
+        more = len(high.system.mesh.surface_triangles6) / len(response.layer.system.mesh.surface_triangles6)
+        left = error_of_finer(max(_changes(response, fine, moved)), max(math.sqrt(more), LEAST_RATIO), order)
+        error = max(error, max(mesh, ringing) + left)
     step = 1.0 - float(np.sinc(frequency * step_s)) ** 2
     if not exact_in_time:
         step = abs(coarse.scheme - coarse.harmonic) / abs(coarse.harmonic)
-        force, read = low.quadrature.operator @ coarse.pressure, low.probe(point).operator.toarray()[0]
-        step = max(step, onset_error(low.system, force, read, step_s, ramp_s))
+        stepped = coarse.small.stepped(level(step_s)[1], step_s)
+        step = max(step, _change(stepped, moved[coarse][::MOMENTS_A_STEP]))
     reduction = 0.0
     if small is not None:
         own = coarse if low is layer else fine
@@ -297,10 +340,30 @@ def _estimate(
         if isinstance(small, ModalStepper) or small.any_course:
             pressure, read = own.pressure, layer.probe(point).operator
             pressure = pressure if small.points is None else pressure[small.points]
-            reduced = [small.harmonic(pressure, f, read)[0] for f in (0.0, frequency)]
-            references = own.static, own.harmonic
+            known: dict[float, complex] = {0.0: own.static} if layer.system.supported else {}
+            known[frequency] = own.harmonic
+            reduced = [small.harmonic(pressure, f, read)[0] for f in known]
+            references = known.values()
             reduction = max(reduction, *(abs(a - b) / abs(b) for a, b in zip(reduced, references, strict=True)))
-    return _as_numbers(mesh, step, reduction, _edge_error(coarse, cut)) | _material_band(coarse, ends)
+    return _as_numbers(error, step, reduction, _edge_error(coarse, cut)) | _material_band(coarse, ends)
+
+
+def _changes(one: _Response, other: _Response, moved: dict[_Response, Float]) -> tuple[float, float]:
+    """Relative difference of two meshes' answers at rest and at the main frequency, the larger, and over time.
+
+    Raises SceneError where the second doesn't move.
+    """
+    held = other.layer.system.supported
+    mine, theirs = (
+        np.array([response.static, response.harmonic] if held else [response.harmonic]) for response in (one, other)
+    )
+    return largest_change(mine, theirs), _change(moved[one], moved[other])
+
+
+def _change(course: Float, reference: Float) -> float:
+    """Difference of two courses over the second's size, L2 over time; 0 where that doesn't move."""
+    size = float(np.linalg.norm(reference))
+    return float(np.linalg.norm(course - reference)) / size if size > 0.0 else 0.0
 
 
 def _other_mesh(layer: SceneLayer, factor: float, changes: int) -> tuple[SceneLayer, float]:

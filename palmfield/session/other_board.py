@@ -9,6 +9,7 @@ from palmfield.acoustics.air import density, sound_speed
 from palmfield.acoustics.arrays import LAYOUTS, layout
 from palmfield.acoustics.focus import focus as focusing
 from palmfield.acoustics.reference import pressure64
+from palmfield.config.driver import SAFETY_KEYS
 from palmfield.drive.board import Board, control_rate_Hz
 from palmfield.drive.boards import board_named
 from palmfield.errors import SceneError
@@ -21,7 +22,7 @@ OF_ONE_LAYOUT = (
     "dead", "inverted", "quality",
 )  # fmt: skip
 """Keys that belong to the transducers of one layout."""
-OF_ONE_BOARD = ("board", "compensate", "duty_exponent")
+OF_ONE_BOARD = ("board", "compensate", "duty_exponent", *SAFETY_KEYS)
 """Keys of palmfield.driver that every board has."""
 
 

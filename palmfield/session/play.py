@@ -1,9 +1,12 @@
 """Play a scene or a focus on a real board, or record the bytes."""
 
-from collections.abc import Iterator, Mapping
+import logging
+import time
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from rich.console import Console
@@ -13,20 +16,28 @@ from palmfield.acoustics.arrays import layout
 from palmfield.acoustics.calibration_file import calibrated, read_calibration
 from palmfield.acoustics.focus import compensate, focus
 from palmfield.acoustics.reference import pressure64
+from palmfield.config import DriverConfig, parse
+from palmfield.config.driver import SAFETY_KEYS
 from palmfield.config.stimulus import too_far
 from palmfield.drive.board import Board, check
 from palmfield.drive.board_link import BoardLink
 from palmfield.drive.boards import playable_board
 from palmfield.drive.focal_peak import loudest_point
 from palmfield.drive.frame_log import FrameLog, LogHead
-from palmfield.drive.playback import REFRESH_S, Played, TimedFrame, frame_times, play_frames
-from palmfield.drive.transport import FileTransport, open_port
+from palmfield.drive.limits import SoundLimits
+from palmfield.drive.playback import REFRESH_S, TimedFrame, filled, frame_times, play_frames
+from palmfield.drive.player import Player, PlayReport
+from palmfield.drive.transport import FileTransport
 from palmfield.errors import DeviceError, SceneError
 from palmfield.session.load import Source
 from palmfield.session.preview import Preview, preview
+from palmfield.session.safety.exposure import Moment, at_head, check_head
+from palmfield.session.safety.scene_sound import scene_at_head
 from palmfield.session.sending import offset_words, peak_offset, sending
 from palmfield.simulation.frames import Frames
 from palmfield.types import Air, Float
+
+LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -36,6 +47,21 @@ class Target:
     port: str | None = None
     record: Path | None = None
     log: Path | None = None
+
+
+@dataclass(frozen=True)
+class Performance:
+    """What was played. text: in words; warning: what users are warned of, empty where there is nothing"""
+
+    text: str
+    warning: str = ""
+
+    def __str__(self) -> str:
+        return self.text
+
+    def saying(self, *more: str) -> "Performance":
+        """With more lines."""
+        return replace(self, text="\n".join((self.text, *more)))
 
 
 @dataclass(frozen=True)
@@ -65,7 +91,7 @@ def play_focus(
     sound: FocusSound | None = None,
     keys: Mapping[str, object] | None = None,
     progress: bool = False,
-) -> str:
+) -> Performance:
     """Hold one focus (array frame [m]) for `duration_s`; returns what happened, in words.
 
     keys: of the board, as palmfield.driver has them; progress: whether a bar is drawn on a terminal's standard error
@@ -89,7 +115,11 @@ def play_focus(
         if known.p0 is not None and sound.p0_Pa_m is None:
             array = replace(array, p0_Pa_m=known.p0.value)
         array = calibrated(array, known)
-    own = {key: value == "on" if key == "dither" else value for key, value in (keys or {}).items()}
+    given = dict(keys or {})
+    safe = {key: str(given.pop(key)) for key in SAFETY_KEYS if key in given}
+    driver = cast(DriverConfig, parse(DriverConfig, safe, "--focus with driver keys"))
+    limits = SoundLimits.of(driver)
+    own = {key: value == "on" if key == "dither" else value for key, value in given.items()}
     chosen = chosen.with_keys(own).sized(len(array))
     if chosen.modulates and sound.am_frequency_Hz > 0.0:
         # The board does that by itself, of any focus
@@ -99,26 +129,31 @@ def play_focus(
     place: Float = np.array(point)
     unit = compensate(array, focus(array, sound.air, place))
 
-    def frame(time_s: float) -> bytes:
-        level = sound.level
+    def frame(time_s: float, share: float = 1.0) -> TimedFrame:
+        level = sound.level * (share if chosen.levels else 1.0)
         if sound.am_frequency_Hz > 0.0:
             level *= 0.5 * (1.0 + np.sin(2.0 * np.pi * sound.am_frequency_Hz * time_s))
-        if chosen.takes == "focus":
-            return chosen.encode_focus(place, level)
-        return chosen.encode(level * unit)
+        data = chosen.encode_focus(place, level) if chosen.takes == "focus" else chosen.encode(level * unit)
+        return TimedFrame(time_s, data, level > 0.0)
 
     period_s = 1.0 / chosen.max_frame_rate_Hz if sound.am_frequency_Hz > 0.0 else REFRESH_S
-    times = period_s * np.arange(np.ceil(duration_s / period_s - 1e-9))
-    frames = (TimedFrame(float(time_s), frame(float(time_s))) for time_s in times)
-    played = chosen.decode(chosen.start + frame(0.0))[-1] if sound.level else np.zeros(len(array), np.complex128)
-    text = _send(
-        frames, chosen, duration_s, target, LogHead(board, len(array), name, sound.air, dict(keys or {})), progress
-    )
+    due = (period_s * np.arange(np.ceil(duration_s / period_s - 1e-9))).tolist()
+    times = filled(due, limits.ramp_times(chosen, duration_s), chosen.frame_time_s, duration_s)
+    frames = (frame(time_s, limits.level_at(time_s, duration_s)) for time_s in times)
+    played = chosen.decode(chosen.start + frame(0.0).data)[-1] if sound.level else np.zeros(len(array), np.complex128)
+    if driver.head_m is not None:
+        share = 0.375 if sound.am_frequency_Hz > 0.0 else 1.0  # mean square of (1 + sin)/2
+        moments = (
+            [Moment(lambda points: pressure64(points, array, played, sound.air)[0], share)] if played.any() else []
+        )
+        _warn(check_head(at_head(moments, driver, array.positions), driver))
+    head = LogHead(board, len(array), name, sound.air, given)
+    done = send(frames, chosen, duration_s, target, head, limits, progress)
     if not played.any():
-        return text
+        return done
     loudest = loudest_point(lambda points: pressure64(points, array, played, sound.air)[0], np.zeros(3), place)
     peak = float(np.abs(pressure64(loudest[None], array, played, sound.air)[0])[0])
-    return f"{text}\n{offset_words(loudest - place)}: {peak:.0f} Pa there"
+    return done.saying(f"{offset_words(loudest - place)}: {peak:.0f} Pa there")
 
 
 def play_scene(
@@ -129,7 +164,7 @@ def play_scene(
     *,
     keys: Mapping[str, object] | None = None,
     progress: bool = False,
-) -> str:
+) -> Performance:
     """Play a scene's stimuli, with hands and arrays where its motions have them when each frame is emitted.
 
     board: another one than the scene's, as `palmfield.load` takes it; keys: as there
@@ -147,71 +182,113 @@ def play_scene(
     spec = view.runtime.spec
     own = {key: value for key, value in spec.driver.model_dump(exclude_none=True).items() if key in model.board.keys}
     head = LogHead(model.board.name, len(model.arrays), spec.arrays[0].config.layout, model.arrays.air, own)
-    said = [_send(scene_frames(view, duration), model.board, duration, target, head, progress)]
-    said.append(f"board {model.board.name}: {sending(model.board, model.configs)}")
+    if spec.driver.head_m is not None:
+        _warn(check_head(scene_at_head(view, duration), spec.driver))
+    limits = SoundLimits.of(spec.driver)
+    done = send(scene_frames(view, duration), model.board, duration, target, head, limits, progress)
+    said = [f"board {model.board.name}: {sending(model.board, model.configs)}"]
     for number, stimulus in enumerate(model.stimuli):
         offset = peak_offset(model, number)
         if offset is not None:
             said.append(f"{stimulus.spec.name}: {offset_words(offset)}")
-    return "\n".join(said)
+    return done.saying(*said)
 
 
 def scene_frames(scene: Preview, duration_s: float) -> Iterator[TimedFrame]:
-    """The bytes of each frame of a scene, with all where it is when that frame is emitted."""
+    """The bytes of each frame of a scene, with all where it is when that frame is emitted, and the driver's ramp."""
     model = scene.runtime.model
     moves = scene.moves
-    times = frame_times(model.configs, duration_s, model.spec.timestep_s if moves else None)
+    limits = SoundLimits.of(model.spec.driver)
+    ramp = limits.ramp_times(model.board, duration_s)
+    times = frame_times(
+        model.configs, duration_s, model.spec.timestep_s if moves else None, ramp, model.board.frame_time_s
+    )
+
+    def share(time_s: float) -> float:
+        return limits.level_at(time_s, duration_s) if model.board.levels else 1.0
+
     if not moves:
         frames = Frames(model, scene.runtime.work.emission)
         for time_s in times:
-            yield TimedFrame(time_s, frames.at(scene.runtime.posed, time_s))
+            data = frames.at(scene.runtime.posed, time_s, share(time_s))
+            yield TimedFrame(time_s, data, frames.sounds)
         return
     moving: Frames | None = None
     for time_s, runtime, posed in scene.posed_at(times):
         moving = moving or Frames(runtime.model, runtime.work.emission)
-        yield TimedFrame(time_s, moving.at(posed, time_s))
+        data = moving.at(posed, time_s, share(time_s))
+        yield TimedFrame(time_s, data, moving.sounds)
 
 
-def _send(
+def send(
     frames: Iterator[TimedFrame],
     board: Board,
     duration_s: float,
     target: Target,
     head: LogHead,
+    limits: SoundLimits,
     progress: bool,
-) -> str:
+) -> Performance:
     """Send frames, and wait until their time is over; returns what happened, in a sentence."""
     assert board.line is not None
     if target.record is None and target.port is None:
         raise DeviceError("neither a port nor a file is given; give the port of a board, or a file for the bytes")
     # An error of the scene comes before any file, and what takes long is done before the first frame is due
     ready = list(frames)
+    limits.check([frame.time_s for frame in ready], [frame.sounds for frame in ready], duration_s)
+    said = [words] if (words := limits.in_words(board)) else []
     if target.record is not None:
         file = FileTransport(target.record)
-        with closing(BoardLink(board, file, simulated=True, log=_log(target, head))) as link:
+        log = None if target.log is None else FrameLog(target.log, head)
+        with closing(BoardLink(board, file, simulated=True, log=log)) as link:
             played = play_frames(link, ready, duration_s=duration_s)
+        report = PlayReport(played.frames, played.skipped, played.late_s)
         skipped = f", {played.skipped} more were due than the line takes" if played.skipped else ""
-        return f"wrote {target.record}: {played.frames} frames for {duration_s:g} s{skipped}"
+        text = f"wrote {target.record}: {played.frames} frames for {duration_s:g} s{skipped}"
+        return Performance(text, report.warning).saying(*said)
     assert target.port is not None
+    done = play_on_port(ready, board, target.port, duration_s, log=target.log, head=head, progress=progress)
+    return done.saying(*said)
+
+
+def _warn(lines: list[str]) -> None:
+    for line in lines:
+        LOG.warning(line)
+
+
+def play_on_port(
+    frames: Sequence[tuple[float, bytes] | TimedFrame],
+    board: Board,
+    port: str,
+    duration_s: float,
+    *,
+    log: Path | None = None,
+    head: LogHead | None = None,
+    progress: bool = False,
+) -> Performance:
+    """Play frames by a process of its own, `palmfield.drive.player`; returns what happened, in a sentence.
+
+    head: of the log. Raises DeviceError where the port can't be opened, or is lost.
+    """
+    if log is not None:
+        assert head is not None
+        FrameLog(log, head).close()
     console = Console(stderr=True)
     hidden = not (progress and console.is_terminal)
-    port = open_port(target.port, board.line.baud)
     with (
-        closing(BoardLink(board, port, log=_log(target, head))) as link,
+        Player(board, port, log=log, on_trouble=lambda text: console.print(f"palmfield: {text}")) as player,
         Progress(console=console, disable=hidden, transient=True) as bar,
     ):
-        task = bar.add_task(f"playing {duration_s:g} s on {target.port}", total=duration_s)
-        begin = link.now()
-
-        def show(played: Played) -> None:
-            bar.update(task, completed=link.now() - begin)
-
-        played = play_frames(link, ready, on_progress=show, duration_s=duration_s)
-    return (
-        f"played {played.frames} frames on {target.port} (skipped {played.skipped}, worst delay "
-        f"{1e3 * played.late_s:.0f} ms, limit {board.max_frame_rate_Hz:.1f} frames/s); the board is off"
+        task = bar.add_task(f"playing {duration_s:g} s on {port}", total=duration_s)
+        begin = time.monotonic()
+        report = player.play(
+            frames,
+            duration_s=duration_s,
+            on_progress=lambda *_: bar.update(task, completed=time.monotonic() - begin),
+        )
+    return Performance(
+        f"played {report.frames} frames on {port} (skipped {report.skipped}, worst delay "
+        f"{1e3 * report.late_s:.0f} ms, limit {board.max_frame_rate_Hz:.1f} frames/s; player at {report.priority}); "
+        "the board is off",
+        report.warning,
     )
-
-
-def _log(target: Target, head: LogHead) -> FrameLog | None:
-    return None if target.log is None else FrameLog(target.log, head)

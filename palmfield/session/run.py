@@ -311,7 +311,7 @@ def _attributes(sim: Simulation) -> dict[str, dict[str, Any]]:
     for part in model.stimuli:
         arrays = [model.spec.arrays[number].name for number in part.spec.arrays]
         # Ten thousand numbers of a file would be more than an attribute takes
-        keys = part.config.model_dump_json(exclude={"am_table"})
+        keys = part.config.model_dump_json(exclude={"am_table", "focus_table"})
         attributes[group("stimulus", part.spec.name)] = {"config": keys, "arrays": arrays}
     for skin in model.skins:
         layer, name = skin.layer, skin.spec.name

@@ -102,7 +102,8 @@ def estimated_errors(runtime: SceneRuntime, skin: int, loudest: LoudestMoment) -
 
 
 def _course(runtime: SceneRuntime, skin: int) -> Course:
-    return Course(_left_small_model(runtime, skin), runtime.work.outside[skin].energy_share)
+    outside = runtime.work.outside[skin].energy_share
+    return Course(_left_small_model(runtime, skin), outside, runtime.view.raw.time)
 
 
 def _or_reason(estimate: Callable[[], T]) -> T | str:

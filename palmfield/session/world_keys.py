@@ -10,14 +10,14 @@ import numpy as np
 from palmfield.config import CONFIGS, Config, StimulusConfig, parse
 from palmfield.errors import SceneError
 from palmfield.session.load import as_text
-from palmfield.simulation.scene_reader import am_table_of, element_of, with_files_found
+from palmfield.simulation.scene_reader import STIMULUS_FILES, am_table_of, element_of, focus_table_of, with_files_found
 from palmfield.simulation.spec import SceneSpec
 
 BY_PLUGIN: dict[str, type[Config]] = {config.plugin: config for config in CONFIGS}
 BOUND = ("arrays", "frame", "path_on", "on_skin", "path_sites")
 """Keys of a stimulus that name parts of the scene."""
-OF_TABLES = ("modulation", "am_file", "am_frequency_Hz")
-"""Keys that say which waveform is read, and whether it may be."""
+OF_TABLES = ("modulation", "am_file", "am_frequency_Hz", "path", "path_file")
+"""Keys that say which waveform and which foci are read, and whether they may be."""
 SHARED = {
     "palmfield.array": "all worlds share the arrays",
     "palmfield.skin": "all worlds share the skin's mesh and matrices",
@@ -85,11 +85,11 @@ def world_specs(
                 if values[world] is not None:
                     own[key] = as_text(values[world])
             element = f"world {world}: {element_of(StimulusConfig, stimulus.name)}"
-            config: Any = with_files_found(parse(StimulusConfig, own, element), ("am_file",), element)
-            table = stimulus.am_table
+            config: Any = with_files_found(parse(StimulusConfig, own, element), STIMULUS_FILES, element)
+            table, foci = stimulus.am_table, stimulus.focus_table
             if any(getattr(config, key) != getattr(stimulus.config, key) for key in OF_TABLES):
-                table = am_table_of(config, element)
-            stimuli.append(replace(stimulus, config=config, am_table=table))
+                table, foci = am_table_of(config, element), focus_table_of(config, element)
+            stimuli.append(replace(stimulus, config=config, am_table=table, focus_table=foci))
         specs.append(replace(spec, stimuli=tuple(stimuli)))
     return specs
 

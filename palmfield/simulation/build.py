@@ -18,6 +18,7 @@ from palmfield.drive.response import Pole
 from palmfield.drive.transducer_response import transducer_response
 from palmfield.errors import SceneError
 from palmfield.hand.meshfile import load_mesh
+from palmfield.hand.meshquery import barycentric, build_mesh, closest_faces
 from palmfield.hand.preset import load_preset
 from palmfield.hand.rigged import joint_of_body
 from palmfield.hand.skinning import SkinnedHand, rigged_file, skinned_mesh
@@ -51,6 +52,8 @@ from palmfield.types import Float
 
 LEAST_FREQUENCY_Hz = 200.0
 """Mesh and step resolve at least this, unless key max_frequency_Hz says otherwise."""
+NEAR = 0.25
+"""Of the spot's width, by which a focus may lie beside the middle of a layer that is meshed as if it didn't."""
 MOST_MODELS = 8
 _lock = threading.RLock()
 _models: list[HapticModel] = []
@@ -226,12 +229,14 @@ def _stimulus(
         body = scene.skins[spec.on_skin].body.transform
         path = _path_on(spec, carrier, body)
     length_m = float(path.arc_m[-1]) if config.path == "sites" and path is not None else None
-    config = resolved(config, length_m, spec.am_table, scene.driver.duty_exponent)
+    config = resolved(config, length_m, spec.am_table, scene.driver.duty_exponent, spec.focus_table)
     offsets = np.reshape(config.foci_m, (-1, 3))
+    if spec.focus_table is not None and spec.focus_table.foci > 1:
+        offsets = np.zeros((spec.focus_table.foci, 3))
     course = None
     if path is not None and carrier is not None and carrier.surface is not None and body is not None:
         course = SurfaceCourse(path, carrier.surface.vertices, carrier.surface.faces, body)
-    focal_points = FocalPoints(spec.frame.transform, offsets, course)
+    focal_points = FocalPoints(spec.frame.transform, offsets, course, spec.focus_table)
     transducers = np.concatenate([np.arange(arrays.slices[i].start, arrays.slices[i].stop) for i in spec.arrays])
     try:
         amplitude = peak_amplitude(config)
@@ -314,13 +319,15 @@ def demands_of(
         if highest is None:
             highest = max([LEAST_FREQUENCY_Hz, *frequencies])
         spot_m = spot_fwhm(arrays, board, stimulus)
+        beside, reach = path_reach(stimulus, skin, body, spot_m)
         demand = LayerDemand(
             spot_fwhm_m=spot_m,
             max_frequency_Hz=highest,
             main_frequency_Hz=next(iter(frequencies), 0.5 * highest),
-            path_reach_m=path_reach(stimulus, body, np.array(skin.patch_centre)),
+            path_reach_m=reach,
             timestep_s=spec.timestep_s,
             corner_Hz=max(corner_Hz(one, spot_m) for one in stimuli),
+            beside_m=beside,
         )
         demands.append(demand)
     return demands
@@ -398,16 +405,47 @@ def spot_fwhm(arrays: PhasedArray, board: Board, stimulus: StimulusModel) -> flo
     return 2 * float(offsets[-1])
 
 
-def path_reach(stimulus: StimulusModel, body: BodyModel, centre: Float) -> tuple[float, float]:
-    """How far a path goes from the focus's middle, and from the middle of the skin layer [m]."""
+def path_reach(
+    stimulus: StimulusModel, skin: SkinSpec, body: BodyModel, spot_m: float
+) -> tuple[tuple[float, float, float], tuple[float, float]]:
+    """Where a focus or path has its own middle, from that of a skin's layer, and how far it goes from both [m].
+
+    The first is 0 for a path on the skin, which is measured from the layer's middle, for a skin that moves, and for a
+    focus less than NEAR of its spot away, or one that misses the layer.
+    """
+    centre = np.array(skin.patch_centre)
     if stimulus.path is not None and body.surface is not None:
         places, _ = stimulus.path.at(stimulus.path.arc_m, body.surface.vertices, body.surface.faces)
         reach = float(np.linalg.norm(places - centre, axis=1).max())
-        return reach, reach
-    foci = np.reshape(stimulus.config.foci_m, (-1, 3))[:, :2]
-    offset = float(np.hypot(*foci.T).max(initial=0.0))
-    if stimulus.config.path_diameter_m:
-        return (0.5 * stimulus.config.path_diameter_m + offset,) * 2
+        return (0.0, 0.0, 0.0), (reach, reach)
+    middle, foci = np.array(stimulus.config.focus_m), np.reshape(stimulus.config.foci_m, (-1, 3))[:, :2]
+    reach = float(np.hypot(*foci.T).max(initial=0.0))
     path = plane_path(stimulus.config)
-    reach = offset + (0.0 if path is None else float(np.hypot(*path.points.T).max()))
-    return reach, reach
+    if (table := stimulus.spec.focus_table) is not None:
+        places = table.positions.reshape(-1, 3)
+        middle = 0.5 * (places.min(axis=0) + places.max(axis=0))
+        reach = float(np.linalg.norm(places - middle, axis=1).max())
+    elif stimulus.config.path_diameter_m:
+        reach += 0.5 * stimulus.config.path_diameter_m
+    elif path is not None:
+        reach += float(np.hypot(*path.points.T).max())
+    focus = stimulus.spec.frame.transform.points(middle)
+    beside = _on_skin(body, skin.body.transform.inverse_points(focus)) - centre
+    away = float(np.linalg.norm(beside))
+    widest = skin.config.radius_m or skin.config.patch_radius_m or max(reach, 4.0 * spot_m)
+    if skin.moves or not NEAR * spot_m < away < widest:
+        return (0.0, 0.0, 0.0), (reach, reach)
+    x, y, z = beside.tolist()
+    return (x, y, z), (reach, reach)
+
+
+def _on_skin(body: BodyModel, point: Float) -> Float:
+    """The place of a body's resting surface that is nearest to a point, body frame [m]; of a disc that above it."""
+    surface = body.surface
+    if surface is None:
+        return np.array([*point[:2], 0.0])
+    reach = float(np.linalg.norm(surface.vertices - point, axis=1).min()) * 1.01 + 1e-6
+    face = int(closest_faces(build_mesh(surface.vertices, surface.faces), point[None], reach)[0])
+    corners = surface.vertices[surface.faces[face]]
+    nearest: Float = barycentric(corners[None], point[None])[0] @ corners
+    return nearest

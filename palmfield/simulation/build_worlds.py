@@ -3,6 +3,7 @@
 The model of each world is a HapticModel, so that whatever steps one scene steps one world; worlds alike share one.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -129,8 +130,14 @@ def modal_choice(skin: SkinModel) -> StepperChoice:
 
 
 def strictest(demands: Sequence[LayerDemand]) -> LayerDemand:
-    """What serves all of some demands on a layer: absorbing sides are for the first one's main frequency."""
+    """What serves all of some demands on a layer: absorbing sides are for the first one's main frequency.
+
+    Elements are fine round the first one's focus, as far as to the others'.
+    """
     near, far = zip(*(demand.path_reach_m for demand in demands), strict=True)
+    near = tuple(
+        reach + math.dist(demand.beside_m, demands[0].beside_m) for reach, demand in zip(near, demands, strict=True)
+    )
     return replace(
         demands[0],
         spot_fwhm_m=min(demand.spot_fwhm_m for demand in demands),

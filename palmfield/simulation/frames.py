@@ -8,7 +8,7 @@ from palmfield.drive.array_drive import ArrayDrive
 from palmfield.drive.board import Board
 from palmfield.drive.boards import BOARDS
 from palmfield.drive.transducer_response import commanded_drive
-from palmfield.simulation.emission import Emission
+from palmfield.simulation.emission import Emission, PlacedStimulus
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.stimulus.schedule import frames_at
@@ -18,7 +18,12 @@ UNMODULATED = {"modulation": "none", "am_quantity": None, "am_frequency_Hz": Non
 
 
 class Frames:
-    """The frames of a model's board. It belongs to one state, as the Emission that it takes ticks and points from."""
+    """The frames of a model's board. It belongs to one state, as the Emission that it takes ticks and points from.
+
+    sounds: whether anything is on in the last one
+    """
+
+    sounds = False
 
     def __init__(self, model: HapticModel, emission: Emission):
         self.model, self.emission = model, emission
@@ -31,11 +36,11 @@ class Frames:
         self._drives: dict[int, ArrayDrive] = {}
         self._arrays: object = None
 
-    def at(self, posed: PosedScene, time_s: float) -> bytes:
+    def at(self, posed: PosedScene, time_s: float, share: float = 1.0) -> bytes:
         """The bytes that make the board emit what the stimuli ask for at a time [s].
 
-        posed: where all is then. Raises SceneError for a focus that can't be made, DeviceError for what the board can't
-        play.
+        posed: where all is then; share: of all amplitudes
+        Raises SceneError for a focus that can't be made, DeviceError for what the board can't play.
         """
         board = self.model.board
         self.emission.begin(posed, time_s)
@@ -46,12 +51,26 @@ class Frames:
             focus, level = points.along(where)[0], float(np.sqrt(factors[0]))
             if level > 0.0:
                 level *= drive.unit_drive_at(points, where[0]).level
-            return board.encode_focus(focus, level)
+            self.sounds = level * share > 0.0
+            return board.encode_focus(focus, level * share)
+        wanted = share * self._sum(placed, posed, time_s)
+        self.sounds = bool(wanted.any())
+        return board.encode(wanted)
+
+    def wanted(self, posed: PosedScene, time_s: float) -> Complex:
+        """What is wanted of the transducers at a time [s] before the board makes bytes of it, shape (N,).
+
+        Relative to full drive, e^{-iwt}, with all that the board is told to make up for. Errors as `at`.
+        """
+        self.emission.begin(posed, time_s)
+        return self._sum(self.emission.placed(posed, time_s), posed, time_s)
+
+    def _sum(self, placed: list[PlacedStimulus], posed: PosedScene, time_s: float) -> Complex:
         wanted: Complex = np.zeros(len(posed.arrays), np.complex128)
         for number, (part, drive, points) in enumerate(placed):
             own = self._wanted(number, drive, posed)
             wanted += commanded_drive(self._configs[number] or part.config, own, None, np.array([time_s]), points)[0]
-        return board.encode(wanted)
+        return wanted
 
     def _wanted(self, number: int, drive: ArrayDrive, posed: PosedScene) -> ArrayDrive:
         """The drive of a stimulus as it is asked for, with the arrays as they stand."""

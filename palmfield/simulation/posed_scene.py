@@ -223,7 +223,7 @@ class PosedScene:
             assert stimulus.spec.on_skin is not None
             body = self.skins[stimulus.spec.on_skin].body
             course = SurfaceCourse(stimulus.path, body.vertices, body.faces, body.frame)
-        return FocalPoints(self.frames[number], stimulus.offsets, course)
+        return FocalPoints(self.frames[number], stimulus.offsets, course, stimulus.spec.focus_table)
 
 
 def reference_scene(model: HapticModel) -> PosedScene:

@@ -37,7 +37,8 @@ from palmfield.simulation.array_face import refused
 from palmfield.simulation.spec import ArraySpec, ObstacleSpec, SceneSpec, SkinSpec, StimulusSpec, Triple
 from palmfield.skin.materials.catalogue import preset
 from palmfield.stimulus.am_file import AmTable, read_am_table
-from palmfield.transforms import Placement, Transform, relative
+from palmfield.stimulus.focus_table import FocusTable, read_focus_table
+from palmfield.transforms import IDENTITY, Placement, Transform, relative
 
 DURATION = "palmfield_duration_s"
 """Custom numeric of a scene: how long `palmfield run` runs it [s]."""
@@ -54,6 +55,8 @@ REST_M, REST_RAD = 1e-4, 1e-3
 """So far a body may stand from the joint whose skin it carries: a tenth of a layer's element, and rounding."""
 SAME_AIR = ("temperature_C", "humidity_percent", "pressure_Pa", "precision")
 """Keys that all arrays of a scene share."""
+STIMULUS_FILES = ("am_file", "path_file")
+"""Keys of a stimulus that name files."""
 
 T = TypeVar("T")
 AnyConfig = TypeVar("AnyConfig", bound=Config)
@@ -97,7 +100,7 @@ def read_scene(model: ModelView) -> tuple[SceneSpec, SceneBinding]:
         for config in (ArrayConfig, StimulusConfig, SkinConfig, DriverConfig)
     }
     stimuli = [
-        (i, name, with_files_found(config, ("am_file",), element_of(StimulusConfig, name)))
+        (i, name, with_files_found(config, STIMULUS_FILES, element_of(StimulusConfig, name)))
         for i, name, config in named[StimulusConfig]
     ]
     arrays = [
@@ -170,6 +173,17 @@ def with_files_found(config: AnyConfig, keys: Sequence[str], element: str) -> An
         except SceneError as error:
             raise SceneError(f"{element}: key '{key}': {error}") from None
     return config.model_copy(update=paths) if paths else config
+
+
+def first_array_frame(model: ModelView) -> Transform:
+    """Frame of the scene's first array in the world, in the reference configuration; the world where there is none."""
+    for number, plugin, name in model.instances():
+        if plugin == ArrayConfig.plugin:
+            site = keys_of(ArrayConfig, model, number).site
+            return model.reference_pose(
+                "site", model.find("site", site, f"{element_of(ArrayConfig, name)}: key 'site'")
+            )
+    return IDENTITY
 
 
 # -- the parts of a scene ------------------------------------------------------------------------------------------
@@ -330,7 +344,8 @@ def _stimuli(
         )
         placement = Placement.of(relative(origin, model.reference_pose("site", frame_site)))
         table = am_table_of(config, element)
-        specs.append(StimulusSpec(name, config, own, placement, on_skin, sites, frame_moves, table))
+        foci = focus_table_of(config, element)
+        specs.append(StimulusSpec(name, config, own, placement, on_skin, sites, frame_moves, table, foci))
         frames.append(frame_site)
     return tuple(specs), tuple(frames)
 
@@ -352,6 +367,26 @@ def am_table_of(config: StimulusConfig, element: str) -> AmTable | None:
     raise SceneError(
         f"{element}: key 'am_frequency_Hz' has value '{config.am_frequency_Hz:g}', but '{config.am_file}' holds a "
         "course in seconds (column time_s); drop am_frequency_Hz, or give a period (column turn)"
+    )
+
+
+def focus_table_of(config: StimulusConfig, element: str) -> FocusTable | None:
+    """The foci in the file of key path_file, None without.
+
+    Raises SceneError, with element and key, as `palmfield.stimulus.focus_table.read_focus_table`, and for a table in
+    another frame than key `frame` gives it.
+    """
+    table = read_file(read_focus_table, config, "path_file", element) if config.path == "file" else None
+    if table is None or (table.frame != "world" and (table.frame == "array") == (config.frame == "array")):
+        return table
+    mend = {
+        "array": "leave key 'frame' out",
+        "skin": "name a site of the hand by key 'frame', in whose frame the table then is",
+        "world": "`palmfield stimulus import` writes it into a scene in the array's frame",
+    }[table.frame]
+    raise SceneError(
+        f"{element}: key 'path_file' has value '{config.path_file}', whose head says frame {table.frame}, and key "
+        f"'frame' has value '{config.frame}'; {mend}"
     )
 
 

@@ -11,6 +11,7 @@ from palmfield.acoustics.transducer_file import TransducerTable
 from palmfield.config import ArrayConfig, DriverConfig, SkinConfig, StimulusConfig
 from palmfield.hand.collision_shapes import Obstacle
 from palmfield.stimulus.am_file import AmTable
+from palmfield.stimulus.focus_table import FocusTable
 from palmfield.transforms import Placement
 
 Triple = tuple[float, float, float]
@@ -39,7 +40,7 @@ class StimulusSpec:
     on_skin: number of the skin that its path runs on, None for a path in space
     path_sites: sites that the path runs through, in the frame of that skin's body [m]
     frame_moves: whether that frame, or the skin that the path runs on, can move against the arrays
-    am_table: the waveform in the file of key am_file, None without
+    am_table: the waveform in the file of key am_file, None without; focus_table: foci over time, of key path_file
     """
 
     name: str
@@ -50,6 +51,7 @@ class StimulusSpec:
     path_sites: tuple[Triple, ...]
     frame_moves: bool
     am_table: AmTable | None = None
+    focus_table: FocusTable | None = None
 
 
 @dataclass(frozen=True)

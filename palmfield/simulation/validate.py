@@ -17,6 +17,7 @@ from palmfield.simulation.model import SkinModel, StimulusModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.spec import ArraySpec, SceneSpec, SkinSpec, StimulusSpec
 from palmfield.skin.scene_layer import SceneLayer
+from palmfield.stimulus.resolved import resolved
 from palmfield.stimulus.schedule import frame_rates, turn_rate_Hz
 from palmfield.types import Float
 
@@ -198,7 +199,11 @@ def check_board(stimulus: StimulusSpec, board: Board) -> None:
     """Refuse a stimulus that the board cannot play (DeviceError)."""
     if board.exact:
         return
-    config, element = stimulus.config, f"plugin 'palmfield.stimulus' instance '{stimulus.name}'"
+    config, element = (
+        resolved(stimulus.config, focus_table=stimulus.focus_table),
+        f"plugin 'palmfield.stimulus' instance '{stimulus.name}'",
+    )
+    table = stimulus.focus_table
     # How long a path through sites is isn't known yet
     of_sites = config.path == "sites"
     rates = [config.control_rate_Hz] * (config.control_rate_Hz > 0.0) if of_sites else frame_rates(config)
@@ -217,18 +222,19 @@ def check_board(stimulus: StimulusSpec, board: Board) -> None:
     am = config.modulation == "am" and not board.modulates
     # Full rectangles are played by off and full, with a frame at each jump
     switched = am and config.am_waveform == "rectangle" and config.am_depth == 1.0
-    modulated = (am and not switched) or config.burst_window == "hann"
+    modulated = (am and not switched) or config.burst_window == "hann" or (table is not None and table.has_levels)
     if (modulated or config.ramp_s > 0.0) and board.levels and not config.control_rate_Hz:
         raise DeviceError(
             f"{element}: a level that changes without steps needs any number of frames/s; {gives}: set "
             "control_rate_Hz, or use board ideal"
         )
-    if board.takes == "focus" and len(config.foci_m):
+    several = len(config.foci_m) // 3 if table is None else table.foci
+    if board.takes == "focus" and several > 1:
+        key = "foci_m" if table is None else "path_file"
         raise DeviceError(
-            f"{element}: key 'foci_m' has {len(config.foci_m) // 3} foci at once; board '{board.name}' takes one: use "
-            "another board"
+            f"{element}: key '{key}' has {several} foci at once; board '{board.name}' takes one: use another board"
         )
-    turns = None if of_sites else turn_rate_Hz(config)
+    turns = None if of_sites or table is not None else turn_rate_Hz(config)
     needed = max(rates, default=0.0)
     turn = rates[0] / turns if turns else None
     if turns and turn is not None and turn < LEAST_POINTS:

@@ -207,7 +207,8 @@ class ElementLayer:
     def chosen(self) -> Plan:
         """Order and size of the elements."""
         load, config = planned_load(self.layer), self.layer.config
-        reach = min(self.layer.demand.path_reach_m[1], config.radius_m or math.inf)
+        demand = self.layer.demand
+        reach = min(demand.path_reach_m[1] + math.hypot(*demand.beside_m[:2]), config.radius_m or math.inf)
         return plan(self.body, load, load.centres()[0] + reach * np.array([[-1.0, -1.0], [1.0, 1.0]]), config.accuracy)
 
     @locked_cached_property

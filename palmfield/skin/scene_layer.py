@@ -36,7 +36,7 @@ T = TypeVar("T")
 class LayerSizes:
     """What a layer's elements and steps measure.
 
-    edge_fine_m, edge_coarse_m: element edges within fine_radius_m of the middle and at the rim [m]
+    edge_fine_m, edge_coarse_m: element edges within fine_radius_m of the focus's middle and at the rim [m]
     depth_fractions: of the rows of elements, 0 at the surface, 1 at the base, shape (L+1,)
     step_s: substep [s], an integer part of MuJoCo's step; radius_m: of the layer [m]
     """
@@ -58,6 +58,7 @@ class LayerDemand:
     path_reach_m: how far the focus goes from its own middle, and from the middle of the layer [m]
     timestep_s: MuJoCo's step [s]; longest_step_s: the substep is at most so long [s]
     corner_Hz: above which the load's spectrum falls, about; without end where that isn't known
+    beside_m: from the middle of the layer to the focus's own middle, body frame [m]; 0 where the skin moves, too
     """
 
     spot_fwhm_m: float
@@ -67,6 +68,7 @@ class LayerDemand:
     timestep_s: float
     longest_step_s: float = math.inf
     corner_Hz: float = math.inf
+    beside_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 def layer_sizes(
@@ -168,11 +170,13 @@ class SceneLayer:
     def patch(self) -> Patch:
         """The part of the surface that gets a layer. Raises SceneError where there is none to be made."""
         config, sizes = self.config, self.sizes
+        # Where all edges are alike there is no fine place, and the regular mesh about the middle is the better one
+        beside = self.demand.beside_m if sizes.edge_fine_m < sizes.edge_coarse_m else (0.0, 0.0, 0.0)
         if config.shape == "disc":
             assert config.radius_m and config.thickness_m
-            return disc_patch(
-                config.radius_m, config.thickness_m, sizes.edge_fine_m, sizes.edge_coarse_m, sizes.fine_radius_m
-            )
+            x, y, _ = beside
+            edges = sizes.edge_fine_m, sizes.edge_coarse_m, sizes.fine_radius_m
+            return disc_patch(config.radius_m, config.thickness_m, *edges, (x, y))
         assert self.surface is not None
         surface = self.surface
         # A hand knows where its bones are, so the layer may reach past the middle; any other body is all there is.
@@ -188,6 +192,7 @@ class SceneLayer:
                 sizes.fine_radius_m,
                 max_depth_m=config.depth_m,
                 max_fraction=fraction,
+                fine_at=self.centre_m + beside if any(beside) else None,
             )
         )
         through = patch.report["through_m"]

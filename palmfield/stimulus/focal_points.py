@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from palmfield.stimulus.focus_table import FocusTable
 from palmfield.stimulus.surface_path import SurfacePath
 from palmfield.transforms import Transform
 from palmfield.types import Float, Int
@@ -32,19 +33,25 @@ class FocalPoints(NamedTuple):
     """Where the stimulus's points are while body, arrays and the stimulus's frame keep still.
 
     frame: the stimulus's frame seen from the first array
-    offsets: of several foci at once from the stimulus's point [m], shape (m, 3); (0, 3) for a single focus
+    offsets: of several foci at once from the stimulus's point [m], shape (m, 3); (0, 3) for a single focus. Zeros for
+        those of a table, which has their places itself
     on_surface: the surface on which the path runs; None for points in `frame`
+    table: foci over time, of which a point is the time since the table's beginning [s], then 0, 0
     """
 
     frame: Transform
     offsets: Float = NO_OFFSETS
     on_surface: SurfaceCourse | None = None
+    table: FocusTable | None = None
 
     def at(self, point: Float) -> Float:
         """The focus [m], shape (3,), or several at once, shape (m, 3), for one of the stimulus's points, shape (3,).
 
         point: `palmfield.stimulus.schedule.Frame.focus`
         """
+        if self.table is not None:
+            foci = self.frame.points(self.table.positions_at(point[:1])[0])
+            return foci if len(foci) > 1 else foci[0]
         if len(self.offsets):
             return self.frame.points(point + self.offsets)
         return self.along(point[None])[0]
@@ -54,4 +61,14 @@ class FocalPoints(NamedTuple):
         if self.on_surface is not None:
             path, vertices, faces, body = self.on_surface
             return body.points(path.positions(points[:, 0], vertices, faces))
+        if self.table is not None:
+            return self.frame.points(self.table.positions_at(points[:, 0]).mean(axis=1))
         return self.frame.points(points)
+
+    def loudness(self, point: Float) -> Float | None:
+        """Pressure of several foci at once relative to the loudest, shape (m,); None where they are equally loud."""
+        if self.table is None or self.table.foci == 1:
+            return None
+        pressures = np.sqrt(self.table.arp_of_each(point[:1])[0])
+        most = pressures.max()
+        return pressures / most if most > 0.0 else None

@@ -3,18 +3,22 @@
 from functools import lru_cache
 from typing import Any
 
-from pydantic import Field
+from pydantic import ConfigDict, Field
 
 from palmfield.config import StimulusConfig
 from palmfield.config.base import Positive
 from palmfield.stimulus.am_file import AmTable
+from palmfield.stimulus.focus_table import FocusTable
 
 
 class ResolvedStimulus(StimulusConfig):
     """A stimulus whose course needs no file and no surface any more."""
 
+    model_config = ConfigDict(ser_json_bytes="base64")
+
     sites_length_m: Positive | None = Field(None, description="length of a path through sites along the surface")
     am_table: AmTable | None = Field(None, description="waveform that key am_file names")
+    focus_table: FocusTable | None = Field(None, description="foci over time that key path_file names")
     duty_exponent: Positive = Field(2.0, description="exponent of the device that plays it")
 
 
@@ -24,13 +28,15 @@ def resolved(
     sites_length_m: float | None = None,
     am_table: AmTable | None = None,
     duty_exponent: float = 2.0,
+    focus_table: FocusTable | None = None,
 ) -> StimulusConfig:
-    """The keys with the length of a path through sites [m], a file's waveform, and the device's exponent.
+    """The keys with the length of a path through sites [m], a file's waveform or foci, and the device's exponent.
 
     The keys themselves where none of these matters.
     """
-    known: dict[str, Any] = {"sites_length_m": sites_length_m, "am_table": am_table}
-    if config.modulation == "am" and config.am_quantity == "duty":
+    known: dict[str, Any] = {"sites_length_m": sites_length_m, "am_table": am_table, "focus_table": focus_table}
+    pulses = focus_table is not None and focus_table.quantity == "duty"
+    if pulses or (config.modulation == "am" and config.am_quantity == "duty"):
         known["duty_exponent"] = duty_exponent
     known = {key: value for key, value in known.items() if value is not None}
     if not known:

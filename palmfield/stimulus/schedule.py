@@ -13,7 +13,9 @@ from palmfield.config import StimulusConfig
 from palmfield.stimulus import curves as shapes
 from palmfield.stimulus.bursts import burst, onsets
 from palmfield.stimulus.curves import PlanePath, folded
+from palmfield.stimulus.focus_table import FocusTable
 from palmfield.stimulus.modulation import (
+    COURSE_POWER,
     HARMONIC,
     HIGHEST_HZ,
     MOST_HARMONICS,
@@ -33,6 +35,8 @@ TICK_S = 1e-12
 """Times nearer to each other than this are one and the same."""
 KEPT = 4096
 """Configurations: as many worlds, each with its own, don't drive one another out."""
+TABLE_SAMPLES, MOST_TABLE_SAMPLES, TABLE_PLACES = 1024, 1 << 16, 8
+"""Of a table of foci, by which its frequencies are told: moments, and places that the foci pass."""
 LM_SAMPLES = 512
 """Of a turn of lateral modulation, at least, by which its harmonics are told."""
 
@@ -41,7 +45,8 @@ LM_SAMPLES = 512
 class Frame:
     """What is asked of the array at one moment.
 
-    focus: position in the stimulus's frame [m]; for a path on the skin the arc length from its start, then 0, 0. (3,)
+    focus: position in the stimulus's frame [m]; for a path on the skin the arc length from its start, then 0, 0; for a
+        table the time since its beginning [s], then 0, 0. Shape (3,)
     arp_factor: radiation pressure relative to the loudest moment, 0..1 (the pressure goes with its square root)
     """
 
@@ -85,8 +90,20 @@ def _given(value: float | None) -> float:
     return value
 
 
+def table_of(config: StimulusConfig) -> FocusTable | None:
+    """The table of a path from a file, None for all others."""
+    return config.focus_table if config.path == "file" and isinstance(config, ResolvedStimulus) else None
+
+
+def _end(config: StimulusConfig) -> str:
+    """What happens at the end of the path: path_end, but that a table is played once."""
+    return "stop" if config.path == "file" and config.path_end == "back" else config.path_end
+
+
 def length_m(config: StimulusConfig) -> float:
     """Length of the path [m], one way if it is open; 0 for a point."""
+    if (table := table_of(config)) is not None:
+        return table.moved_m
     if isinstance(config, ResolvedStimulus) and config.sites_length_m is not None:
         return config.sites_length_m
     path = plane_path(config)
@@ -101,13 +118,16 @@ def is_closed(config: StimulusConfig) -> bool:
 
 def turn_m(config: StimulusConfig) -> float:
     """Length of a turn [m]: there and back on an open path, unless path_end says otherwise."""
-    return length_m(config) * (2.0 if not is_closed(config) and config.path_end == "back" else 1.0)
+    return length_m(config) * (2.0 if not is_closed(config) and _end(config) == "back" else 1.0)
 
 
 def turn_rate_Hz(config: StimulusConfig) -> float | None:
     """How often a second the path comes round, or would but for path_end; None for a point."""
     if config.path == "point":
         return None
+    if config.path == "file":
+        table = table_of(config)
+        return None if table is None else 1.0 / table.length_s
     if config.path_rate_Hz is not None:
         return config.path_rate_Hz
     return _given(config.path_speed_m_s) / turn_m(config)
@@ -117,13 +137,15 @@ def points_a_turn(config: StimulusConfig) -> int:
     """Points at which the focus rests in a turn of its path, 0 where it moves on; of lm there and back."""
     if config.path == "lm" and config.path_step_m is not None:
         return 2 * round(_given(config.path_width_m) / config.path_step_m)
+    if (table := table_of(config)) is not None:
+        return table.length_samples if table.between == "held" else 0
     return config.path_points
 
 
 def path_end_s(config: StimulusConfig) -> float | None:
     """Time [s] at which a path with path_end 'stop' is over, else None."""
     rate = turn_rate_Hz(config)
-    return None if rate is None or config.path_end != "stop" else config.start_s + 1.0 / rate
+    return None if rate is None or _end(config) != "stop" else config.start_s + 1.0 / rate
 
 
 def silent_after_s(config: StimulusConfig) -> float | None:
@@ -194,6 +216,11 @@ def frames_at(config: StimulusConfig, times: Float) -> tuple[Float, Float]:
     factors = arp_factors(timing.envelope, times)
     if config.path == "point":
         return foci, factors
+    if timing.table is not None:
+        since = _since_table(timing, timing.table, times)
+        foci[:, 0], foci[:, 1:] = since, 0.0
+        factors *= np.maximum.reduce(timing.table.arp_of_each(since, timing.duty_exponent), axis=1)
+        return foci, factors
     arcs = _arcs(timing, _floor(times, timing.point_rate, timing.start_s) if timing.point_rate > 0.0 else times)
     if timing.on_skin:
         foci[:, 0] = arcs
@@ -214,7 +241,7 @@ def frames_at(config: StimulusConfig, times: Float) -> tuple[Float, Float]:
 
 def factors_at(config: StimulusConfig, times: Float) -> Float:
     """The ARP factors of `frames_at` alone, shape (n,)."""
-    if config.path == "letters":
+    if config.path in ("letters", "file"):
         return frames_at(config, times)[1]
     _, timing = _timings.get(id(config)) or _timed(config)
     if timing.control_rate > 0.0:
@@ -424,6 +451,7 @@ class _Timing:
     runs: how the arc goes on: once, round (again from the start), or back and forth
     jump_rate: how often a second an open path jumps to its start, 0 for never; smooth: whether nothing jumps but at
         the edges; steady: whether the level is 1 from the end of the ramp to the first end
+    table: of foci over time; duty_exponent: of the device that plays it
     """
 
     focus: Float
@@ -443,6 +471,8 @@ class _Timing:
     jump_rate: float
     smooth: bool
     steady: bool
+    table: FocusTable | None
+    duty_exponent: float
 
 
 _timings: dict[int, tuple[StimulusConfig, _Timing]] = {}
@@ -456,7 +486,8 @@ def _timed(config: StimulusConfig) -> tuple[StimulusConfig, _Timing]:
     closed = is_closed(config)
     envelope = envelope_of(config)
     ends = tuple(t for t in (config.stop_s, path_end_s(config)) if t is not None)
-    jump_rate = rate if config.path_end == "jump" and not closed else 0.0
+    end, table = _end(config), table_of(config)
+    jump_rate = rate if end == "jump" and not closed else 0.0
     timing = _Timing(
         focus=_locked(np.array(config.focus_m, dtype=np.float64)),
         start_s=config.start_s,
@@ -471,12 +502,14 @@ def _timed(config: StimulusConfig) -> tuple[StimulusConfig, _Timing]:
         length_m=length_m(config),
         turn_rate=rate,
         radius_m=0.5 * (config.path_diameter_m or 0.0),
-        runs="once" if config.path_end == "stop" else "round" if closed or config.path_end == "jump" else "back",
+        runs="once" if end == "stop" else "round" if closed or end == "jump" else "back",
         jump_rate=jump_rate,
         smooth=not level_jumps(config) and jump_rate == 0.0,
         steady=config.modulation == config.burst_window == "none"
-        and config.path != "letters"
+        and config.path not in ("letters", "file")
         and config.control_rate_Hz == 0.0,
+        table=table,
+        duty_exponent=config.duty_exponent if isinstance(config, ResolvedStimulus) else 2.0,
     )
     if len(_timings) >= KEPT:
         _timings.clear()
@@ -497,6 +530,18 @@ def _grids(config: StimulusConfig) -> list[tuple[float, float]]:
 def _floor(times: Float, rate: float, first: float) -> Float:
     # A tick less than a nanosecond ahead counts as passed, so that t = k / rate lands on frame k.
     return first + np.floor((times - first + 1e-9) * rate) / rate
+
+
+def _since_table(timing: _Timing, table: FocusTable, times: Float) -> Float:
+    """Times since the table's beginning [s], 0 to its length, shape (n,)."""
+    since = np.maximum(times - timing.start_s, 0.0)
+    if timing.runs == "round":
+        since -= np.floor((since + 1e-9) / table.length_s) * table.length_s
+        since = np.maximum(since, 0.0)
+    if table.between == "held":
+        # The sample's number counts, so that a point has one time however often it comes round
+        since = np.floor((since + 1e-9) * table.rate_Hz) / table.rate_Hz
+    return np.minimum(since, table.length_s)
 
 
 def _arcs(timing: _Timing, times: Float) -> Float:
@@ -541,6 +586,8 @@ def main_frequencies(config: StimulusConfig) -> list[float]:
     rate = turn_rate_Hz(config)
     if rate is not None and config.path == "lm":
         frequencies += _lm_frequencies(config, rate)
+    elif (table := table_of(config)) is not None:
+        frequencies += _table_frequencies(table)
     elif rate is not None:
         # A focus of width w on a turn of length L gives a pulse train with about L / w harmonics of weight.
         count = max(1, round(turn_m(config) / SPOT_M))
@@ -552,6 +599,30 @@ def main_frequencies(config: StimulusConfig) -> list[float]:
             chosen = range(count // 4, count + 1, count // 4)
         frequencies += [rate * n for n in chosen if rate * n <= HIGHEST_HZ] or [HIGHEST_HZ]
     return sorted(set(frequencies))
+
+
+@lru_cache(maxsize=KEPT)
+def _table_frequencies(table: FocusTable) -> list[float]:
+    """The strongest line of what a table's foci do to places that they pass, and the frequency below which most lies.
+
+    Each place feels spots of SPOT_M that come and go, as loud as they are then [Hz]; () for foci that rest.
+    """
+    count = int(min(max(TABLE_SAMPLES, 4 * table.length_s * HIGHEST_HZ), MOST_TABLE_SAMPLES))
+    times: Float = np.asarray((np.arange(count) + 0.5) * (table.length_s / count), np.float64)
+    foci, loud = table.positions_at(times), table.arp_of_each(times)
+    # Not the ends, where a focus that moves begins and stops at once
+    rows = np.linspace(0, len(table.positions) - 1, TABLE_PLACES + 2)[1:-1]
+    passed = table.positions[np.rint(rows).astype(int)].reshape(-1, 3)
+    power = np.zeros(count // 2)
+    for place in np.unique(passed, axis=0):
+        distances = np.linalg.norm(foci - place, axis=2)
+        course = np.add.reduce(loud * np.exp(-4.0 * math.log(2.0) * (distances / SPOT_M) ** 2), axis=1)
+        power += np.abs(np.fft.rfft(course)[1 : len(power) + 1]) ** 2
+    if power.sum() <= (1e-9 * count) ** 2:
+        return []
+    lines = np.arange(1, len(power) + 1) / table.length_s
+    edge = lines[np.searchsorted(np.cumsum(power), COURSE_POWER * power.sum())]
+    return [min(float(f), HIGHEST_HZ) for f in (lines[int(power.argmax())], edge)]
 
 
 def _lm_frequencies(config: StimulusConfig, rate: float) -> list[float]:

@@ -41,6 +41,8 @@ STEPS_A_PERIOD = 100.0
 FASTER = 1.5
 """Fastest waves along an endless plate over shear waves, for its width; the three solutions differ in it."""
 MOST_UNKNOWNS = 90_000
+DIGITS = 6
+"""Of numbers in the file of truths."""
 BULK_INTORDER = 3
 """Of two points along each edge of a cell."""
 POSITIVE_DEFINITE, SOLVE = 2, 33
@@ -406,6 +408,15 @@ def worst(found, known):
     return float((off[moving] / size[moving]).max())
 
 
+def rounded(value):
+    """Plain data with its numbers rounded to DIGITS digits."""
+    if isinstance(value, float):
+        return float(f"{value:.{DIGITS}g}")
+    if isinstance(value, dict):
+        return {key: rounded(each) for key, each in value.items()}
+    return [rounded(each) for each in value] if isinstance(value, list) else value
+
+
 def give_up(number, frame):
     raise TooLongError("given up: too long")
 
@@ -435,7 +446,7 @@ def main():
             signal.setitimer(signal.ITIMER_PROF, 0.0)
         row = {"key": case["key"], "by": "scikit-fem", **row, "seconds": time.process_time() - begin}
         with settings.truths.open("a") as file:
-            file.write(json.dumps(row) + "\n")
+            file.write(json.dumps(rounded(row), separators=(",", ":")) + "\n")
         found = row.get("missing") or "error {error:.2g}, order {order:.2g}, {unknowns} unknowns".format(**row)
         print(f"{case['key']} {case['family']}: {found}, {row['seconds']:.0f} s", flush=True)
 

@@ -1,14 +1,17 @@
 """Are the skin solvers' error estimates true? Random cases, solvers' answers, whole scenes, and truths; writes a page.
 
-    python scripts/verification/coverage.py draw CASES.json --seed 1 --count 130
-    python scripts/verification/coverage.py answers CASES.json [--limit 30] [--longest 10]
-    python scripts/verification/coverage.py truths CASES.json [--limit 45]
-    PEERS/bin/python scripts/peers/skin_truths.py CASES.json CASES.peers.jsonl
-    python scripts/verification/coverage.py report CASES.json [--out docs/bench/skin_coverage.md]
+    python scripts/verification/coverage.py begin --seed 1 --count 130
+    python scripts/verification/coverage.py cases CASES.json
+    PEERS/bin/python scripts/peers/skin_truths.py CASES.json docs/bench/coverage/peers.jsonl
+    python scripts/verification/coverage.py answers [--limit 30] [--longest 10]
+    python scripts/verification/coverage.py truths [--limit 45]
+    python scripts/verification/coverage.py report [--out docs/bench/skin_coverage.md]
 
-`answers` gives each case to `auto` and to the solvers by name that were drawn for it, `truths`, of boxes and layers, to
-another solver than `auto` took, at a tenth of the accuracy; cases without an answer wait for its next call. All but the
-first and the last step append to files beside the cases, and go on where they ended. Limits are of processor time. Set
+`begin` writes the seed and the present commit, at which the code is frozen; the other steps refuse other code.
+`answers` gives each case to `auto` and to the solvers by name that were drawn for it, `truths`, of boxes, layers and
+scenes of hands and meshes, to another solver than `auto` took, at a tenth of the accuracy (scenes: SCENE_FINER); cases
+without an answer wait for its next call. All three append small lines to files in docs/bench/coverage, each case's
+together, and go on where they ended, also in a later checkout: commit the folder. Limits are of processor time. Set
 OMP_NUM_THREADS=1, MKL_NUM_THREADS=1, OPENBLAS_NUM_THREADS=1 and PALMFIELD_CACHE=off.
 """
 
@@ -22,6 +25,7 @@ from coverage_draw import Case, draw
 from coverage_judge import answers, truths
 from coverage_report import write_report
 from coverage_scenes import with_load
+from coverage_store import FOLDER, ChangedCodeError, begin, known_head, line
 
 
 def rows_of(path: Path) -> list[dict[str, Any]]:
@@ -35,38 +39,52 @@ def go_on(cases: list[Case], path: Path, work: Callable[[Case], list[dict[str, A
     for number, case in enumerate(left, 1):
         rows = work(case)
         with path.open("a") as file:
-            file.writelines(json.dumps(row) + "\n" for row in rows)
+            file.writelines(line(row) for row in rows)
         seconds = sum(row.get("seconds", 0.0) for row in rows)
         print(f"{number} of {len(left)}: {case['key']}, {case['family']}, {seconds:.1f} s", flush=True)
 
 
+def drawn_cases(seed: int, count: int) -> list[Case]:
+    """All cases of a run, those of discs in scenes with their load."""
+    return [with_load(case) if "scene" in case and case["by_scikit_fem"] else case for case in draw(seed, count)]
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("step", choices=("draw", "answers", "truths", "report"))
-    parser.add_argument("cases", type=Path)
+    parser.add_argument("step", choices=("begin", "cases", "answers", "truths", "report"))
+    parser.add_argument("cases", type=Path, nargs="?", help="of step cases: the file that scikit-fem's script reads")
+    parser.add_argument("--folder", type=Path, default=FOLDER, help="where the run is kept")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--count", type=int, default=130)
     parser.add_argument("--limit", type=float, default=30.0, help="longest run [s]")
     parser.add_argument("--longest", type=float, default=10.0, help="longest prediction of a solver by name [s]")
     parser.add_argument("--out", type=Path, default=Path("docs/bench/skin_coverage.md"))
-    parser.add_argument("--frozen", help="commit of the code that the seed was drawn after, for the page")
     settings = parser.parse_args()
-    path = settings.cases
-    if settings.step == "draw":
-        cases = [with_load(case) if "scene" in case else case for case in draw(settings.seed, settings.count)]
-        path.write_text(json.dumps({"seed": settings.seed, "cases": cases}))
+    folder = settings.folder
+    try:
+        head = begin(folder, settings.seed, settings.count) if settings.step == "begin" else known_head(folder)
+    except ChangedCodeError as error:
+        parser.error(str(error))
+    if settings.step == "begin":
         return
-    drawn = json.loads(path.read_text())
-    known, given = path.with_suffix(".truths.jsonl"), path.with_suffix(".answers.jsonl")
+    known, given = folder / "truths.jsonl", folder / "answers.jsonl"
+    if settings.step == "cases":
+        if settings.cases is None:
+            parser.error("step cases needs the file to write")
+        cases = drawn_cases(head["seed"], head["count"])
+        settings.cases.write_text(json.dumps({"seed": head["seed"], "cases": cases}))
+        return
+    cases = draw(head["seed"], head["count"])
     if settings.step == "answers":
-        go_on(drawn["cases"], given, lambda case: answers(case, settings.limit, settings.longest))
+        go_on(cases, given, lambda case: answers(case, settings.limit, settings.longest))
     elif settings.step == "truths":
         answered = {row["key"]: row for row in rows_of(given) if row["asked"] == "auto"}
-        asked = [case for case in drawn["cases"] if case["by_others"] and case["key"] in answered]
+        asked = [case for case in cases if case["by_others"] and case["key"] in answered]
         go_on(asked, known, lambda case: truths(case, answered[case["key"]], settings.limit))
     else:
-        truths_known = rows_of(known) + rows_of(path.with_suffix(".peers.jsonl"))
-        write_report(drawn, truths_known, rows_of(given), settings.out, settings.frozen)
+        truths_known = rows_of(known) + rows_of(folder / "peers.jsonl")
+        drawn = {"seed": head["seed"], "cases": cases}
+        write_report(drawn, truths_known, rows_of(given), settings.out, head["frozen"])
 
 
 if __name__ == "__main__":

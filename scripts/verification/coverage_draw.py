@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from coverage_scenes import PRESETS, draw_scene, numbers_of
+from coverage_scenes import PRESETS, draw_body_scene, draw_scene, numbers_of
 from scipy.spatial import Delaunay
 
 from palmfield.skin.materials.material import Branch, Material, bulk_from_poisson
@@ -62,7 +62,9 @@ def draw_case(seed: int, number: int) -> Case:
     family, turn = FAMILIES[number % len(FAMILIES)], number // len(FAMILIES)
     head = {"key": f"{seed}-{number}", "family": family}
     if family == "scenes":
-        return head | draw_scene(random, between(random, *OTHER))
+        accuracy, kind = between(random, *OTHER), ("disc", "hand", "mesh")[turn % 3]
+        drawn = draw_scene(random, accuracy) if kind == "disc" else draw_body_scene(random, accuracy, kind)
+        return head | drawn
     width = between(random, 5e-3, 20e-3)
     if family == "still":
         width = between(random, 1e-3, 0.3)

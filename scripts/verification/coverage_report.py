@@ -188,11 +188,10 @@ def write_report(
     lines = [
         "# Are the error estimates of the skin solvers true?",
         "",
-        f"    python scripts/verification/coverage.py draw CASES.json --seed {drawn['seed']} --count "
-        f"{len(drawn['cases'])}",
+        f"    python scripts/verification/coverage.py begin --seed {drawn['seed']} --count {len(drawn['cases'])}",
         "",
-        "then its steps `answers`, `truths` and `report`, and `scripts/peers/skin_truths.py` in the peers' "
-        "environment.",
+        "then its steps `cases`, `answers`, `truths` and `report`, and `scripts/peers/skin_truths.py` in the peers' "
+        "environment; [coverage](coverage/) keeps what was found.",
         *([] if frozen is None else ["", f"The code was frozen at commit {frozen}; the seed is the time after that."]),
         "",
         f"**Cases drawn: {len(drawn['cases'])}; given to the solvers so far: {len(seen)}.** Looked at by another "
@@ -206,7 +205,8 @@ def write_report(
         f"depths: 1 to 50 mm); {CROSSINGS[0]:g} to {CROSSINGS[1]:g} times in which shear waves cross the spot or twice "
         f"the depth, at most {1e3 * LONGEST_S:g} ms; accuracies of {100 * ROUND[0]:g} to {100 * ROUND[1]:g} % (boxes, "
         f"layers and scenes from {100 * OTHER[0]:g} %). Contrast: sheets {CONTRAST:g} times as stiff as one another. "
-        "Scenes: a disc of 10 to 30 mm under a focus of an array, by `palmfield.run`; their estimate is the numerical "
+        "Scenes: in turn a disc of 10 to 30 mm, a palm and a user's ellipsoid under a focus of an array, by "
+        "`palmfield.run`; their estimate is the numerical "
         f"line of the error budget. Each case is given to `auto` and to {BY_NAME} solvers by name (scenes: one), drawn "
         "among those that are for such a body; one by name whose prediction is above 5 s is not run, and counts as no "
         "answer.",

@@ -1,15 +1,19 @@
-"""Whole scenes of a coverage run: a disc over an array, its load as plain data, and what `palmfield.run` says of it.
+"""Whole scenes of a coverage run: a disc, a hand or a user's mesh over an array, and what `palmfield.run` says of it.
 
 The focus rests over the middle of the disc, where the sensor is, so that of the load only its mean round the axis moves
-what the sensor reads: that is what an independent code is given.
+what the sensor reads: that is what an independent code is given. Of hands and meshes another solver gives the truth, in
+the same scene.
 """
 
 import json
 import math
+import tempfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import trimesh
+from small_scene import small_scene_texts
 
 import palmfield
 from palmfield.errors import SceneError
@@ -66,6 +70,52 @@ def draw_scene(random: np.random.Generator, accuracy: float) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def draw_body_scene(random: np.random.Generator, accuracy: float, kind: str) -> dict[str, Any]:
+    """A scene of a hand's palm or of a user's ellipsoid, as a file beside a scene made for it; as `draw_scene`."""
+
+    def between(low: float, high: float) -> float:
+        return float(np.exp(random.uniform(np.log(low), np.log(high))))
+
+    frequency, patch = between(60.0, 250.0), between(0.016, 0.024)
+    keys: dict[str, Any] = {
+        "skin.accuracy": accuracy, "skin.patch_radius_m": patch, "stimulus.am_frequency_Hz": frequency,
+        "stimulus.am_depth": float(random.uniform(0.5, 1.0)),
+    }  # fmt: skip
+    case: dict[str, Any] = {"keys": keys, "accuracy": accuracy, "by_scikit_fem": False, "by_others": True}
+    if kind == "hand":
+        keys["skin.side"] = "fixed" if random.random() < 0.5 else "free"
+        scene = {"scene": "palm_am200"}
+    else:
+        half = [between(0.03, 0.05), between(0.03, 0.05), between(0.015, 0.03)]
+        skin = {
+            "depth_m": between(0.003, 0.008), "side": "fixed" if random.random() < 0.5 else "free",
+            "material": PRESETS[int(random.integers(len(PRESETS)))],
+        }  # fmt: skip
+        scene = {"scene": "ellipsoid", "half_m": half, "skin": skin}
+    times = (STEP_S * np.arange(1, round(DURATION_S / STEP_S))).tolist()
+    body = {"shape": "scene"}
+    return scene | case | {"solvers": ["auto", "wedges"], "body": body, "times_s": times, "at_m": [[0.0, 0.0]]}
+
+
+def opened(case: dict[str, Any], keys: dict[str, Any], folder: Path) -> palmfield.Simulation:
+    """The scene of a case with keys; folder: where that of a user's mesh is written."""
+    if "half_m" not in case:
+        return palmfield.load(SCENES / f"{case['scene']}.xml", keys=keys)
+    solid = trimesh.creation.icosphere(4, 1.0)
+    solid.apply_scale([1e3 * half for half in case["half_m"]])
+    # The skin's frame looks along its own z, from the ellipsoid's top
+    solid.apply_translation((0.0, 0.0, -1e3 * case["half_m"][2]))
+    solid.export(folder / "solid.obj")
+    skin = {
+        "shape": "mesh", "mesh": "solid.obj", "mesh_unit": "mm", "patch_site": "centre", "radius_m": None,
+        "thickness_m": None, "element_m": None, "step_s": None, **case["skin"],
+    }  # fmt: skip
+    plain, haptic = small_scene_texts(DURATION_S, skin=skin)
+    (folder / "plain.xml").write_text(plain)
+    (folder / "scene.xml").write_text(haptic)
+    return palmfield.load(folder / "scene.xml", keys=keys)
+
+
 def numbers_of(name: str) -> dict[str, Any]:
     """A preset as plain data."""
     material = preset(name)
@@ -103,17 +153,24 @@ def with_load(case: dict[str, Any]) -> dict[str, Any]:
     return case | {"load": load}
 
 
-def run_scene(case: dict[str, Any], solver: str) -> dict[str, Any]:
-    """What the sensor in the middle read, as the only component of a displacement, and the budget's numerical line."""
+def run_scene(case: dict[str, Any], solver: str, accuracy: float | None = None) -> dict[str, Any]:
+    """What the sensor in the middle read, as the only component of a displacement, and the budget's numerical line.
+
+    accuracy: in place of the case's own; discretisation_error: that line without cut edges, which are the body's own
+    """
     keys = case["keys"] | ({} if solver == "auto" else {"skin.solver": solver})
-    simulation = palmfield.load(SCENES / f"{case['scene']}.xml", keys=keys)
-    result = palmfield.run(simulation, duration_s=DURATION_S)
+    keys |= {} if accuracy is None else {"skin.accuracy": accuracy}
+    with tempfile.TemporaryDirectory() as folder:
+        simulation = opened(case, keys, Path(folder))
+        result = palmfield.run(simulation, duration_s=DURATION_S)
     budget = json.loads(result.dataset.attrs["error_budget"])["skin"]
     if not isinstance(budget, dict):
         raise SceneError(f"no error budget: {budget}")
     values = result.dataset["sensors/skin"]["value"].sel(channel="normal_displacement_m").to_numpy()
     moved: Float = np.zeros((len(case["times_s"]), 1, 3))
     moved[:, 0, 2] = values[1 : 1 + len(moved)]
-    error = budget["numerical"]["displacement_error_relative"]
+    numbers = budget["numerical"]
+    own = math.hypot(*(numbers[f"{name}_error_relative"] for name in ("mesh", "step", "reduction", "field")))
     name = result.summary["skins"][0]["solver"]
-    return {"displacement_m": moved.tolist(), "displacement_error": error, "solver": name}
+    error = numbers["displacement_error_relative"]
+    return {"displacement_m": moved.tolist(), "displacement_error": error, "discretisation_error": own, "solver": name}

@@ -535,10 +535,10 @@ MUTATIONS = (
     Mutation(
         "two-sided spectrum",
         "spectrum",
-        "palmfield/outputs/spectrum.py",
+        "palmfield/metrics/spectra.py",
         "amplitude = 2.0 * np.abs",
         "amplitude = 1.0 * np.abs",
-        "tests/outputs/test_spectrum.py::test_a_sine_on_a_bin_has_its_own_amplitude_and_dc_is_gone",
+        "tests/metrics/test_spectra.py::test_a_sine_on_a_bin_has_its_own_amplitude_and_dc_is_gone",
     ),
     Mutation(
         "peak for rms",

@@ -83,7 +83,8 @@ def test_every_command_that_the_pages_show_is_one_with_these_options():
     shown = commands()
     assert len(shown) > 15
     for words in shown:
-        command = words[:2] if words[0] in ("bench", "calibrate") else words[:1]
+        groups = ("bench", "calibrate", "experiment", "stimulus", "track")
+        command = words[:2] if words[0] in groups else words[:1]
         known = help_of(*command)
         for option in (word.split("=")[0] for word in words if word.startswith("--")):
             assert re.search(rf"{option}\b", known), f"palmfield {' '.join(words)}: no option {option}"

@@ -15,9 +15,12 @@ import pytest
 from palmfield.drive.board_link import BoardLink
 from palmfield.drive.boards.sonicsurface import BOARD, FRAME_RATE_HZ, LINE, OFF_FRAME, OFF_SEQUENCE
 from palmfield.drive.playback import Played, play_frames
-from palmfield.drive.transport import FileTransport, open_port
+from palmfield.drive.ports import open_port
+from palmfield.drive.transport import FileTransport
 from palmfield.drive.virtual import VirtualBoard
 from palmfield.errors import DeviceError, OutputError
+
+pytestmark = pytest.mark.wall_clock
 
 BAUD = 230400
 CHANGES = 2
@@ -168,7 +171,7 @@ def test_a_killed_process_leaves_the_board_off(board, number):
     program = f"""
 from palmfield.drive.board_link import BoardLink
 from palmfield.drive.playback import play_frames
-from palmfield.drive.transport import open_port
+from palmfield.drive.ports import open_port
 from palmfield.drive.boards.sonicsurface import BOARD
 import numpy as np
 frame = BOARD.encode(np.ones(256))

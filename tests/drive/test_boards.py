@@ -5,6 +5,7 @@ import pytest
 
 from palmfield.acoustics.arrays import layout
 from palmfield.config import DriverConfig, allowed
+from palmfield.config.driver import SAFETY_KEYS
 from palmfield.drive.board import check, control_rate_Hz, play
 from palmfield.drive.boards import BOARDS, board_named, board_of
 from palmfield.drive.boards.autd2018 import duty_course
@@ -316,7 +317,7 @@ def test_an_unknown_board():
 
 def test_the_scenes_key_takes_the_boards_that_there_are():
     assert allowed(DriverConfig, "board").split(" | ") == list(BOARDS)
-    keys = set(DriverConfig.model_fields) - {"board", "compensate"}
+    keys = set(DriverConfig.model_fields) - {"board", "compensate", *SAFETY_KEYS}
     assert keys == {key for board in BOARDS.values() for key in board.keys}
 
 

@@ -220,3 +220,17 @@ def test_a_part_too_narrow_for_the_edges_is_refused():
     rod = as_surface(trimesh.creation.cylinder(0.003, 0.1, sections=48))
     with pytest.raises(SceneError, match=r"narrower than 9\.0 mm"):
         surface_patch(rod, 0.001, (0.003, 0, 0), 0.02, 0.004, 0.006, 0.01, max_depth_m=0.001)
+
+
+def test_edges_are_fine_round_the_place_that_is_asked_for():
+    ball = as_surface(trimesh.creation.icosphere(5, 0.08))
+    place = np.array([0.02, 0.01, 0.0768])
+    patch = surface_patch(
+        ball, 0.006, (0, 0, 0.08), 0.05, 0.003, 0.009, 0.008, max_depth_m=0.01, facing=(0, 0, 1), fine_at=place
+    )
+    corners = patch.vertices[patch.faces]
+    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean(axis=1)
+    away = np.linalg.norm(corners.mean(axis=1) - place, axis=1)
+    assert edges[away < 0.007].mean() == pytest.approx(0.003, rel=0.25)
+    middle = np.linalg.norm(corners.mean(axis=1) - [0, 0, 0.08], axis=1) < 0.006
+    assert edges[middle].mean() > 1.2 * edges[away < 0.007].mean()

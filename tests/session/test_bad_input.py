@@ -10,6 +10,7 @@ from typing import get_args
 import mujoco
 import numpy as np
 import pytest
+from refusals import changed, refused
 
 import palmfield
 from palmfield.cli.app import main
@@ -23,24 +24,6 @@ SKIN = "plugin 'palmfield.skin' instance 'skin': "
 STIMULUS = "plugin 'palmfield.stimulus' instance 'stimulus': "
 QUICK_S = 2.0
 """A refusal takes less than this; it takes 0.15 s."""
-
-
-def refused(scene, *expected: str, **arguments) -> str:
-    """The one line that says why; it has all of the expected texts."""
-    with pytest.raises(PalmfieldError) as caught:
-        palmfield.load(scene, **arguments)
-    text = str(caught.value)
-    assert "\n" not in text
-    for part in expected:
-        assert part in text
-    return text
-
-
-def changed(path: Path, old: str, new: str) -> Path:
-    text = path.read_text()
-    assert old in text
-    path.write_text(text.replace(old, new))
-    return path
 
 
 def instance(path: Path, plugin: str) -> tuple[str, int, int]:

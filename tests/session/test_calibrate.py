@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from palmfield.acoustics.calibration_file import read_calibration
 from palmfield.cli.app import app
-from palmfield.drive.calibration.readings import MEASUREMENTS, columns_of
+from palmfield.drive.calibration.readings import MEASUREMENTS
 from palmfield.errors import SceneError
 
 RUN = CliRunner()
@@ -51,7 +51,9 @@ def test_it_is_shown_and_drawn(trial: Path) -> None:
 
 def test_kinds_are_listed_with_their_columns() -> None:
     said = RUN.invoke(app, ["calibrate", "kinds"]).output
-    assert all(name in said and all(column in said for column in columns_of(name)) for name in MEASUREMENTS)
+    assert all(
+        name in said and all(column in said for column in kind.all_columns) for name, kind in MEASUREMENTS.items()
+    )
 
 
 @pytest.mark.parametrize(

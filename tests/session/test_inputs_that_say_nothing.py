@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import changed, refused
 
 import palmfield
 from palmfield.acoustics.air import sound_speed
@@ -14,7 +15,6 @@ from palmfield.acoustics.reference import pressure64
 from palmfield.cli import run as cli_run
 from palmfield.cli.app import main
 from palmfield.config.stimulus import too_far
-from palmfield.errors import PalmfieldError
 from palmfield.session.plan import warnings
 from palmfield.session.preview import preview
 from palmfield.simulation.spec import SceneSpec
@@ -24,24 +24,6 @@ SKIN = "plugin 'palmfield.skin' instance 'skin': "
 STIMULUS = "plugin 'palmfield.stimulus' instance 'stimulus': "
 STEADY = {"modulation": None, "am_quantity": None, "am_frequency_Hz": None, "am_depth": None}
 HAND = {"shape": "hand", "radius_m": None, "thickness_m": None, "patch_site": "centre"}
-
-
-def refused(scene: object, *expected: str, **arguments: object) -> str:
-    """The one line that says why; it has all of the expected texts."""
-    with pytest.raises(PalmfieldError) as caught:
-        palmfield.load(scene, **arguments)
-    text = str(caught.value)
-    assert "\n" not in text
-    for part in expected:
-        assert part in text, text
-    return text
-
-
-def changed(path: Path, old: str, new: str) -> Path:
-    text = path.read_text()
-    assert old in text
-    path.write_text(text.replace(old, new))
-    return path
 
 
 def typed(line: list[str], monkeypatch: pytest.MonkeyPatch) -> int | str | None:

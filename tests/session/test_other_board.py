@@ -216,7 +216,7 @@ def test_a_calibration_of_each_transducer_reaches_the_bytes_and_brings_the_focus
     told = play_focus(
         tuple(point), "sonicsurface", Target(record=tmp_path / "f.bin"), 0.05, sound=FocusSound(calibration=file)
     )
-    assert "mm nearer" in told
+    assert "mm nearer" in told.text
     assert known in (tmp_path / "f.bin").read_bytes()
 
 

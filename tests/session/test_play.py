@@ -21,7 +21,7 @@ def test_frames_are_what_the_simulation_tells_the_transducers():
     frames = list(scene_frames(view, 0.03))
     assert len(frames) == 3
     emission, posed = view.runtime.work.emission, view.runtime.posed
-    for time_s, data in frames:
+    for time_s, data, _ in frames:
         told = emission.commanded(posed, np.array([time_s + 1e-4]))[0]
         np.testing.assert_allclose(BOARDS["sonicsurface"].decode(data)[-1], told, atol=1e-9)
 

@@ -363,7 +363,7 @@ def test_scripted_motions_lead_bodies_in_all_worlds(small_scene, tmp_path):
 @pytest.mark.parametrize("body_sound", ["shadows", "scattering"])
 def test_shadows_and_scattering_belong_to_their_world(body_sound, small_scene):
     """Buffers and trees are shared; answers are not."""
-    path = led(small_scene(array={"response": "off"}, skin={"solver": "wedges", "body_sound": body_sound}))
+    path = led(small_scene(array={"response": "off"}, skin=SHARED | {"solver": "wedges", "body_sound": body_sound}))
     poses = wandering(2, 4)
     keys = {"stimulus.focus_m": FOCI[:2]}
     together = palmfield.Simulation(path, worlds=2, keys=keys, poses={"pad": poses})

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import trimesh
 
 from palmfield.config import SkinConfig, parse
 from palmfield.errors import SceneError
@@ -143,3 +144,26 @@ def test_plan_promises_no_waves_below_the_cut_off(small_scene, skin, promised):
     if rows:
         depth = skin.get("thickness_m", 0.008)
         assert f"c_s/4h = {cutoff(preset('ecoflex_00-10'), depth):.0f} Hz" in rows[0].size
+
+
+BOX = {"shape": "mesh", "mesh": "box.obj", "mesh_unit": "mm", "patch_site": "centre", "patch_radius_m": 0.03,
+       "radius_m": None, "thickness_m": None, "element_m": 0.004}  # fmt: skip
+
+
+@pytest.mark.parametrize("skin", [{"radius_m": 0.04, "element_m": 0.004}, BOX], ids=["disc", "patch"])
+def test_elements_are_fine_where_the_focus_is(small_scene, skin) -> None:
+    """A focus 17 mm beside the middle of a layer: edges there are as asked, and wider on the other side."""
+    path = small_scene(stimulus={"focus_m": "0.015 0.008 0.12"}, skin=skin)
+    box = trimesh.creation.box((90, 90, 30))
+    box.apply_translation((0, 0, -15))
+    box.export(path.with_name("box.obj"))
+    model = load(path).runtime.model
+    layer, body = model.skins[0].layer, model.skins[0].spec.body.transform
+    focus = body.inverse_points(model.stimuli[0].first_focus)
+    corners = layer.patch.vertices[layer.patch.faces]
+    middles = corners.mean(axis=1)
+    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean(axis=1)
+    near = edges[np.linalg.norm((middles - focus)[:, :2], axis=1) < layer.demand.spot_fwhm_m]
+    opposite = edges[np.linalg.norm((middles + focus)[:, :2], axis=1) < layer.demand.spot_fwhm_m]
+    assert near.mean() == pytest.approx(layer.sizes.edge_fine_m, rel=0.15)
+    assert opposite.mean() > 1.3 * near.mean()

@@ -129,3 +129,20 @@ def test_turned_faces_and_zero_depth_are_errors():
 def test_bad_disc():
     with pytest.raises(SceneError, match="fine <= coarse"):
         disc_patch(0.06, 0.02, 0.01, 0.005, 0.01)
+
+
+def test_a_disc_is_fine_round_a_place_beside_its_centre():
+    """Edges near the place are as asked, at the rim coarser; the rim is a circle, and the area is the disc's."""
+    fine, place = 0.004, np.array([0.025, -0.01])
+    patch = disc_patch(0.06, 0.02, fine, 0.012, 0.01, (0.025, -0.01))
+    corners = patch.vertices[patch.faces][:, :, :2]
+    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    away = np.linalg.norm(corners.mean(axis=1) - place, axis=1)
+    assert edges[away < 0.008].mean() == pytest.approx(fine, rel=0.25)
+    assert edges[away > 0.05].mean() > 2.0 * fine
+    assert np.allclose(np.linalg.norm(patch.vertices[patch.rim], axis=1), 0.06)
+    (ax, ay), (bx, by) = ((corners[:, i] - corners[:, 0]).T for i in (1, 2))
+    twice = ax * by - ay * bx
+    assert twice.min() > 0.0 and 0.5 * twice.sum() == pytest.approx(np.pi * 0.06**2, rel=0.02)
+    # Fewer than as many as a disc that is fine all the way out there
+    assert len(patch.faces) < 0.7 * len(disc_patch(0.06, 0.02, fine, 0.012, 0.01 + 0.027).faces)

@@ -39,6 +39,19 @@ def test_the_error_is_within_what_is_said(found):
     assert gap(found.velocity_m_s, wanted.velocity_m_s) < 0.1
 
 
+def test_too_few_vectors_are_an_answer_with_its_error(monkeypatch):
+    """They were refused once all had been computed."""
+    from palmfield.skin.solvers import reduced as module
+
+    wanted = solve_axisymmetric(DISC, AM, TIMES, AT, accuracy=0.01)
+    monkeypatch.setattr(module, "MOST_VECTORS", 4)
+    monkeypatch.setattr(module, "SHARE", 1e-5)
+    motion = solve_reduced(DISC, AM, TIMES, AT, accuracy=0.1)
+    reduction = float(motion.error_source.split(" vectors ")[1].split(",")[0])
+    assert reduction > 1e-6
+    assert gap(motion.displacement_m, wanted.displacement_m) < motion.error
+
+
 def test_a_fine_patch_gets_coarser_triangles_and_moves_like_the_disc(found):
     patch = disc_patch(RADIUS, THICK, 0.0012, 0.0012, RADIUS)
     layer = Layer(patch, DISC.sheets)

@@ -1,7 +1,7 @@
 """Phase and intensity bytes of AUTD3 units, and the pulse widths that they stand for.
 
-The bytes are those that AUTD3's own software calls a pattern: `palmfield[autd3]` (autd3 0.12) takes them to real units,
-as its documentation says; here they are one unit's phases and then its intensities, unit after unit.
+The bytes are those that AUTD3's own software calls a pattern, one unit's phases and then its intensities, unit after
+unit; `palmfield.drive.autd3_units` takes them to real units.
 """
 
 from dataclasses import dataclass, replace
@@ -122,6 +122,5 @@ BOARD = Autd3(
     amplitude="pulse_width",
     amplitude_steps=AUTD3_LEVELS,
     when_host_dies="AUTD3 units switch off by themselves 0.5 s after the last frame",
-    cannot_guarantee="Its bytes go to units by AUTD3's own software, whose silencer (off here) spreads each change "
-    "over about ten carrier periods.",
+    cannot_guarantee="The silencer of AUTD3's own software is off, so that changes of level may be heard as clicks.",
 ).sized(TRANSDUCERS)

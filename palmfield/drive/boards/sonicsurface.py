@@ -45,6 +45,16 @@ def data_bytes(amplitudes: Complex, on: NDArray[np.bool_], lag: Float) -> bytes:
     return np.where(on, step % STEPS, OFF).astype(np.uint8).tobytes()
 
 
+def stored(twin: Twin, back: NDArray[np.uint8], counter: int, piece: bytes) -> int:
+    """Put data into the hidden buffer, shape (256,), from address `counter` on; returns where the next goes."""
+    room = EMITTERS - counter
+    values = np.frombuffer(piece[:room], dtype=np.uint8)
+    back[counter : counter + len(values)] = np.where(values == OFF, OFF, values % OFF)
+    if len(piece) > room:
+        twin.flag("overrun", f"{len(piece) - room} bytes beyond the {EMITTERS} of a frame: what plays is undefined")
+    return counter + len(values)
+
+
 @dataclass(frozen=True)
 class SonicSurface(Board):
     def encode(self, amplitudes: ArrayLike) -> bytes:
@@ -100,7 +110,7 @@ class SonicSurfaceTwin(Twin):
             elif self._selected and piece[0] == START:
                 self._counter = 0
             elif self._selected:
-                self._store(piece)
+                self._counter = stored(self, self._back, self._counter, piece)
         return changes
 
     def _clock(self, runs: bool) -> bool:
@@ -115,14 +125,6 @@ class SonicSurfaceTwin(Twin):
             held = int(self.pins_high.sum())
             self.flag("dc", f"the shift clocks are stopped: {held} of {EMITTERS} pins stay high, which is DC on them")
         return was != runs
-
-    def _store(self, piece: bytes) -> None:
-        room = EMITTERS - self._counter
-        values = np.frombuffer(piece[:room], dtype=np.uint8)
-        self._back[self._counter : self._counter + len(values)] = np.where(values == OFF, OFF, values % STEPS)
-        self._counter += len(values)
-        if len(piece) > room:
-            self.flag("overrun", f"{len(piece) - room} bytes beyond the {EMITTERS} of a frame: what plays is undefined")
 
 
 BOARD = SonicSurface(

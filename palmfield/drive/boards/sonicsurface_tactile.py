@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from palmfield.drive.board import Board, Emitted, Line, Twin, switched
-from palmfield.drive.boards.sonicsurface import EMITTERS, FRAME_BYTES, OFF, START, SWAP
+from palmfield.drive.boards.sonicsurface import EMITTERS, FRAME_BYTES, OFF, START, SWAP, stored
 from palmfield.drive.pulse_width import relative_pressure
 from palmfield.errors import DeviceError
 from palmfield.types import Complex
@@ -96,12 +96,7 @@ class TactileTwin(Twin):
             elif RATE <= piece[0] < RATE + RATES:
                 self.envelope_Hz = envelope_Hz(piece[0] - RATE)
             else:
-                room = EMITTERS - self._counter
-                values = np.frombuffer(piece[:room], dtype=np.uint8)
-                self._back[self._counter : self._counter + len(values)] = np.where(values == OFF, OFF, values % OFF)
-                self._counter += len(values)
-                if len(piece) > room:
-                    self.flag("overrun", f"{len(piece) - room} bytes beyond the {EMITTERS} of a frame")
+                self._counter = stored(self, self._back, self._counter, piece)
         return changes
 
 

@@ -15,7 +15,7 @@ from numpy.polynomial.polynomial import polyval
 from numpy.typing import ArrayLike
 
 from palmfield.acoustics import check
-from palmfield.acoustics.air import absorption_Np_m, sound_speed
+from palmfield.acoustics.air import absorption_Np_m, sound_speed, sound_speed_sd
 from palmfield.acoustics.calibration_file import Elements
 from palmfield.acoustics.transducer import directivity_coefficients
 from palmfield.errors import PalmfieldError
@@ -29,7 +29,6 @@ DEAD = 0.25
 """A transducer with less of the median's amplitude makes no sound that could be used."""
 STEPS = 60
 CONVERGED = 1e-7
-KELVIN = 273.15
 
 
 @dataclass(frozen=True)
@@ -100,7 +99,7 @@ class _Model:
     def __init__(self, array: Array, air: Air, places: Float, place_sd_m: float, temperature_sd_K: float):
         self.array, self.places, self.place_sd_m = array, places, place_sd_m
         self.speed = sound_speed(air)
-        self.speed_sd = 0.5 * self.speed / (KELVIN + air.temperature_C) * temperature_sd_K
+        self.speed_sd = sound_speed_sd(air, temperature_sd_K)
         self.turns = 2.0 * math.pi * array.frequency_Hz
         self.absorption = absorption_Np_m(air, array.frequency_Hz)
         self.quintic = directivity_coefficients(array, self.turns / self.speed)[0]

@@ -1,7 +1,6 @@
 """Where the board really is, from pressures about foci that it was told to make."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -9,8 +8,10 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from palmfield.acoustics import check
+from palmfield.acoustics.air import sound_speed, sound_speed_sd
 from palmfield.acoustics.calibration_file import Pose
 from palmfield.acoustics.focus import compensate, focus
+from palmfield.acoustics.placement import placed
 from palmfield.acoustics.reference import pressure64
 from palmfield.errors import PalmfieldError
 from palmfield.types import Air, Array, Float
@@ -18,7 +19,6 @@ from palmfield.types import Air, Array, Float
 TURN_SD_RAD = math.radians(3.0)
 """Standard deviation that the board's turns are thought to have, about each axis."""
 OFFSET_SD_M = 10e-3
-KELVIN = 273.15
 WITHIN_M = 0.03
 """The loudest reading of a focus lies this near to it, or something else is wrong [m]."""
 
@@ -58,11 +58,7 @@ def fit_pose(
 
     def left(unknown: Float) -> Float:
         turn = unknown[3:] * TURN_SD_RAD if turning else np.zeros(3)
-        moved = replace(
-            array,
-            positions=Rotation.from_rotvec(turn).apply(array.positions) + unknown[:3] * OFFSET_SD_M,
-            normals=Rotation.from_rotvec(turn).apply(array.normals),
-        )
+        moved = placed(array, unknown[:3] * OFFSET_SD_M, Rotation.from_rotvec(turn).as_matrix())
         model = np.empty(len(where))
         for number, drive in enumerate(drives):
             own = which == number
@@ -80,7 +76,7 @@ def fit_pose(
     noise = math.sqrt(float(rest @ rest) / max(len(rest) - len(found.x) - 1, 1))
     errors = np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac))) * max(noise, 1e-9)
     # A focus moves along its distance by as much of it as the speed of sound is off
-    warmth = 0.5 * temperature_sd_K / (KELVIN + air.temperature_C) * np.abs(foci).mean(axis=0)
+    warmth = sound_speed_sd(air, temperature_sd_K) / sound_speed(air) * np.abs(foci).mean(axis=0)
     turns = found.x[3:] * TURN_SD_RAD if turning else np.zeros(3)
     turn_errors = errors[3:] * TURN_SD_RAD if turning else np.zeros(3)
     return Pose(

@@ -9,6 +9,7 @@ from scipy.optimize import least_squares
 
 from palmfield.acoustics import check
 from palmfield.acoustics.reference import pressure64
+from palmfield.drive.response import Pole, envelope_response
 from palmfield.errors import PalmfieldError
 from palmfield.types import Air, Array, Complex, Float
 
@@ -95,9 +96,13 @@ def _pole(sound: Complex, f: Float, seen: Complex, start: float) -> tuple[float,
     return start + 100.0 * float(found.x[0]), math.exp(float(found.x[1])), misfit
 
 
+def response_at(frequencies_Hz: Float, resonance_Hz: float, quality: float) -> Complex:
+    """What transducers of one resonance make of a steady carrier, relative to that at resonance, shape (q,)."""
+    return envelope_response(frequencies_Hz - resonance_Hz, Pole(resonance_Hz, quality, resonance_Hz))[:, 0]
+
+
 def _left(sound: Complex, f: Float, seen: Complex, resonance: float, quality: float) -> Complex:
     """What the model with its best factor for each place leaves, (m, q)."""
-    damping = math.pi * resonance / quality
-    model = sound * (damping / (damping - 2j * math.pi * (f - resonance)))
+    model = sound * response_at(f, resonance, quality)
     factor = (model.conj() * seen).sum(axis=1) / (np.abs(model) ** 2).sum(axis=1)
     return np.asarray(seen - factor[:, None] * model)

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from palmfield.acoustics.air import density, sound_speed
+from palmfield.acoustics.air import sound_speed
+from palmfield.acoustics.arp import arp
 from palmfield.acoustics.reference import pressure64
 from palmfield.errors import PalmfieldError
-from palmfield.types import Air, Array, Complex, Float
+from palmfield.types import Air, Array, Complex, Field, Float
 
 LAW = 0.1
 """Share of the force that the local radiation-pressure law may be off on a plate of a few wavelengths [1]."""
@@ -102,17 +103,17 @@ def fit_plate(
 
 
 def plate_force(array: Array, air: Air, drive: Complex, size_m: tuple[float, float], distance_m: float) -> float:
-    """Force [N] that pushes a plate at a distance away, by the local law, |p|^2/(rho c^2) - rho |u_t|^2, in float64."""
-    speed, rho = sound_speed(air), density(air)
-    step = speed / array.frequency_Hz / PER_WAVELENGTH
+    """Force [N] that pushes a plate at a distance away, by the default law, from a field in float64."""
+    step = sound_speed(air) / array.frequency_Hz / PER_WAVELENGTH
     lines = [_midpoints(size, step) for size in size_m]
     x, y = np.meshgrid(*(line for line, _ in lines), indexing="ij")
     points = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, distance_m)])
     pressure, gradient = pressure64(points, array, drive, air, gradient=True)
     assert gradient is not None
-    along = (np.abs(gradient[:, :2]) ** 2).sum(axis=1) / (2.0 * math.pi * array.frequency_Hz * rho) ** 2
-    arp = np.abs(pressure) ** 2 / (rho * speed**2) - rho * along
-    return float(arp.sum() * lines[0][1] * lines[1][1])
+    sound = Field(pressure.astype(np.complex64), gradient.astype(np.complex64))
+    toward_array = np.tile([0.0, 0.0, -1.0], (len(points), 1))
+    pushes = arp(sound, toward_array, air, array.frequency_Hz, device="cpu")
+    return float(pushes.sum(dtype=float) * lines[0][1] * lines[1][1])
 
 
 def _midpoints(size: float, step: float) -> tuple[Float, float]:

@@ -1,7 +1,7 @@
 """A laboratory's readings as CSV files, and the calibration with what each of them says (docs/calibration.md)."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -19,9 +19,12 @@ from palmfield.errors import SceneError
 from palmfield.tables import read_table
 from palmfield.types import Air, Array, Complex, Estimate, Float
 
+XYZ = ("x_m", "y_m", "z_m")
+FOCUS_XYZ = ("focus_x_m", "focus_y_m", "focus_z_m")
+
 
 @dataclass(frozen=True)
-class Setting:
+class Circumstances:
     """What a laboratory says of a measurement besides its readings.
 
     source: who measured when, and with what; microphone_error: 95 % of its own calibration's error, relative
@@ -51,15 +54,20 @@ class Measured:
 @dataclass(frozen=True)
 class Measurement:
     """A kind of measurement. about: what is done in the laboratory; columns: of its CSV file; put: readings into
-    calibration"""
+    calibration; optional: columns that its file may have besides"""
 
     about: str
     columns: tuple[str, ...]
-    put: Callable[[Path, dict[str, Float], Calibration, Array, Setting], Measured]
+    put: Callable[[Path, dict[str, Float], Calibration, Array, Circumstances], Measured]
+    optional: tuple[str, ...] = ()
+
+    @property
+    def all_columns(self) -> tuple[str, ...]:
+        return *self.columns, *self.optional
 
 
 def put_elements(
-    file: Path, columns: dict[str, Float], calibration: Calibration, array: Array, setting: Setting
+    file: Path, columns: dict[str, Float], calibration: Calibration, array: Array, under: Circumstances
 ) -> Measured:
     """Transducers one by one: see `fit_elements`."""
     element = _whole(file, columns, "element", len(array))
@@ -67,7 +75,12 @@ def put_elements(
     seen = np.full((len(at), len(array)), np.nan, complex)
     seen[place, element] = _complex(columns)
     fit = fit_elements(
-        array, setting.air, at, seen, place_sd_m=setting.place_sd_m, temperature_sd_K=setting.temperature_sd_K
+        array,
+        under.air,
+        at,
+        seen,
+        place_sd_m=under.place_sd_m,
+        temperature_sd_K=under.temperature_sd_K,
     )
     elements = fit.elements
     phase_sd, gain_sd = elements.phase_sd_rad, elements.gain_sd
@@ -77,8 +90,8 @@ def put_elements(
             name: getattr(calibration.elements, name) for name in ("position_m", "address", "resonance_Hz", "quality")
         }
         elements = elements.model_copy(update=kept)
-    spread = math.hypot(1.96 * fit.p0_sd_Pa_m / fit.p0_Pa_m, setting.microphone_error)
-    p0 = _estimate(fit.p0_Pa_m, spread, setting.source)
+    spread = math.hypot(1.96 * fit.p0_sd_Pa_m / fit.p0_Pa_m, under.microphone_error)
+    p0 = _estimate(fit.p0_Pa_m, spread, under.source)
     dead = np.flatnonzero(~np.array(elements.enabled)).tolist()
     turned = elements.polarity.count(-1)
     alive = np.array(elements.enabled)
@@ -98,7 +111,7 @@ def put_elements(
 
 
 def put_level(
-    file: Path, columns: dict[str, Float], calibration: Calibration, array: Array, setting: Setting
+    file: Path, columns: dict[str, Float], calibration: Calibration, array: Array, under: Circumstances
 ) -> Measured:
     """Rising levels: see `fit_level`. Forces count by their square roots."""
     has = [name for name in ("pressure_Pa", "force_N") if name in columns]
@@ -112,17 +125,17 @@ def put_level(
 
 
 def put_plate(
-    file: Path, columns: dict[str, Float], calibration: Calibration, array: Array, setting: Setting
+    file: Path, columns: dict[str, Float], calibration: Calibration, array: Array, under: Circumstances
 ) -> Measured:
     """Forces on a plate: see `fit_plate`."""
-    if setting.plate_m is None:
+    if under.plate_m is None:
         raise SceneError(f"{file}: the plate's sides are not told; give them (--plate 0.1 0.1, in metres)")
     known = calibrated(array, calibration)
     fit = fit_plate(
-        known, setting.air, _drive(known, setting), setting.plate_m, columns["distance_m"], columns["time_s"],
-        columns["on"], columns["force_N"], setting.level,
+        known, under.air, _drive(known, under), under.plate_m, columns["distance_m"], columns["time_s"],
+        columns["on"], columns["force_N"], under.level,
     )  # fmt: skip
-    p0 = Estimate(fit.p0_Pa_m, fit.low_Pa_m, fit.high_Pa_m, "measured", setting.source)
+    p0 = Estimate(fit.p0_Pa_m, fit.low_Pa_m, fit.high_Pa_m, "measured", under.source)
     told: tuple[str, ...] = (
         f"p0 {p0.value:.3g} Pa m ({p0.low:.3g} to {p0.high:.3g}; scatter alone "
         f"{100 * fit.p0_sd_Pa_m / fit.p0_Pa_m:.2g} %)",
@@ -138,21 +151,20 @@ def put_plate(
 
 
 def put_focus(
-    file: Path, columns: dict[str, Float], calibration: Calibration, array: Array, setting: Setting
+    file: Path, columns: dict[str, Float], calibration: Calibration, array: Array, under: Circumstances
 ) -> Measured:
     """Pressures about foci: see `fit_pose`."""
-    names = ("focus_x_m", "focus_y_m", "focus_z_m")
-    if any(name in columns for name in names):
-        told = np.column_stack([_taken(file, columns, name) for name in names])
-    elif setting.focus_m is None:
+    if any(name in columns for name in FOCUS_XYZ):
+        told = np.column_stack([_taken(file, columns, name) for name in FOCUS_XYZ])
+    elif under.focus_m is None:
         raise SceneError(
-            f"{file}: the focus is not told; give columns {', '.join(names)}, or one focus (--focus X Y Z)"
+            f"{file}: the focus is not told; give columns {', '.join(FOCUS_XYZ)}, or one focus (--focus X Y Z)"
         )
     else:
-        told = np.tile(setting.focus_m, (len(columns["x_m"]), 1))
+        told = np.tile(under.focus_m, (len(columns["x_m"]), 1))
     pose = fit_pose(
         calibrated(array, calibration.model_copy(update={"pose": type(calibration.pose)()})),
-        setting.air, told, _places(columns), columns["pressure_Pa"], setting.temperature_sd_K,
+        under.air, told, _places(columns), columns["pressure_Pa"], under.temperature_sd_K,
     )  # fmt: skip
     offset = ", ".join(
         f"{1e3 * x:.2f} +- {1.96e3 * sd:.2f}" for x, sd in zip(pose.offset_m, pose.offset_sd_m, strict=True)
@@ -168,7 +180,7 @@ def put_focus(
 
 
 def put_sweep(
-    file: Path, columns: dict[str, Float], calibration: Calibration, array: Array, setting: Setting
+    file: Path, columns: dict[str, Float], calibration: Calibration, array: Array, under: Circumstances
 ) -> Measured:
     """A sweep of the carrier: see `fit_sweep`."""
     at, place = np.unique(_places(columns), axis=0, return_inverse=True)
@@ -181,9 +193,9 @@ def put_sweep(
             f"{file}: no reading at {at[m].tolist()} m and {f[q]:g} Hz; give one for each place and frequency"
         )
     known = calibrated(array, calibration)
-    fit = fit_sweep(known, setting.air, _drive(known, setting), at, f, seen)
-    quality = _estimate(fit.quality, 1.96 * fit.quality_sd / fit.quality, setting.source)
-    resonance = _estimate(fit.resonance_Hz, 1.96 * fit.resonance_sd_Hz / fit.resonance_Hz, setting.source)
+    fit = fit_sweep(known, under.air, _drive(known, under), at, f, seen)
+    quality = _estimate(fit.quality, 1.96 * fit.quality_sd / fit.quality, under.source)
+    resonance = _estimate(fit.resonance_Hz, 1.96 * fit.resonance_sd_Hz / fit.resonance_Hz, under.source)
     told = (
         f"resonance {resonance.value:.0f} Hz ({resonance.low:.0f} to {resonance.high:.0f}), Q {quality.value:.1f} "
         f"({quality.low:.1f} to {quality.high:.1f}), of all transducers together; "
@@ -193,7 +205,7 @@ def put_sweep(
 
 
 def put_warm_up(
-    file: Path, columns: dict[str, Float], calibration: Calibration, array: Array, setting: Setting
+    file: Path, columns: dict[str, Float], calibration: Calibration, array: Array, under: Circumstances
 ) -> Measured:
     """The level since it was switched on: see `fit_warm_up`."""
     warm_up = fit_warm_up(columns["time_s"], columns["pressure_Pa"])
@@ -205,18 +217,22 @@ def put_warm_up(
     return Measured(calibration.model_copy(update={"warm_up": warm_up}), (told,))
 
 
-XYZ = ("x_m", "y_m", "z_m")
 MEASUREMENTS: dict[str, Measurement] = {
     "elements": Measurement(
         "one transducer at a time at full drive with phase 0, before a microphone at 3 places or more (8 are better)",
         ("element", *XYZ, "pressure_Pa", "phase_deg"), put_elements,
     ),
-    "level": Measurement("rising levels of the drive, before a microphone or a scale", ("level",), put_level),
+    "level": Measurement(
+        "rising levels of the drive, before a microphone or a scale", ("level",), put_level,
+        ("pressure_Pa", "force_N"),
+    ),
     "plate": Measurement(
         "a plate on a scale across the axis at 4 distances or more within half a wavelength, on and off in turn",
         ("distance_m", "time_s", "on", "force_N"), put_plate,
     ),
-    "focus": Measurement("a microphone moved about one focus, or several", (*XYZ, "pressure_Pa"), put_focus),
+    "focus": Measurement(
+        "a microphone moved about one focus, or several", (*XYZ, "pressure_Pa"), put_focus, FOCUS_XYZ
+    ),
     "sweep": Measurement(
         "the carrier swept from 38 to 42 kHz, before a microphone at 8 places or more",
         (*XYZ, "frequency_Hz", "pressure_Pa", "phase_deg"), put_sweep,
@@ -226,10 +242,9 @@ MEASUREMENTS: dict[str, Measurement] = {
     ),
 }  # fmt: skip
 """Kinds of measurements, in the order in which they help one another."""
-OPTIONAL = {"level": ("pressure_Pa", "force_N"), "focus": ("focus_x_m", "focus_y_m", "focus_z_m")}
 
 
-def measured(kind: str, path: str | Path, calibration: Calibration, array: Array, setting: Setting) -> Measured:
+def measured(kind: str, path: str | Path, calibration: Calibration, array: Array, under: Circumstances) -> Measured:
     """The calibration with what a file of readings says.
 
     kind: a key of MEASUREMENTS; array: of the calibration's layout
@@ -239,13 +254,13 @@ def measured(kind: str, path: str | Path, calibration: Calibration, array: Array
     columns, _ = read_table(file)
     for name in measurement.columns:
         _taken(file, columns, name)
-    allowed = {*measurement.columns, *OPTIONAL.get(kind, ())}
-    unknown = [name for name in columns if name not in allowed]
+    unknown = [name for name in columns if name not in measurement.all_columns]
     if unknown:
-        raise SceneError(f"{file}: column '{unknown[0]}' is unknown; allowed: {', '.join(sorted(allowed))}")
+        allowed = ", ".join(sorted(measurement.all_columns))
+        raise SceneError(f"{file}: column '{unknown[0]}' is unknown; allowed: {allowed}")
     if not len(next(iter(columns.values()))):
         raise SceneError(f"{file}: no readings; give a line for each")
-    return measurement.put(file, columns, calibration, array, setting)
+    return measurement.put(file, columns, calibration, array, under)
 
 
 def _taken(file: Path, columns: dict[str, Float], name: str) -> Float:
@@ -270,10 +285,10 @@ def _whole(file: Path, columns: dict[str, Float], name: str, count: int) -> np.n
     return values.astype(int)
 
 
-def _drive(array: Array, setting: Setting) -> Complex:
-    if setting.focus_m is None:
+def _drive(array: Array, under: Circumstances) -> Complex:
+    if under.focus_m is None:
         raise SceneError("the focus that the board was told to make is not told; give it (--focus X Y Z, in metres)")
-    return compensate(array, focus(array, setting.air, setting.focus_m))
+    return compensate(array, focus(array, under.air, under.focus_m))
 
 
 def _estimate(value: float, relative: float, source: str) -> Estimate:
@@ -282,8 +297,3 @@ def _estimate(value: float, relative: float, source: str) -> Estimate:
 
 def _degrees(angle: float | np.floating) -> str:
     return f"{math.degrees(float(angle)):.2f}"
-
-
-def columns_of(kind: str) -> Sequence[str]:
-    """All columns that a kind's file may have."""
-    return *MEASUREMENTS[kind].columns, *OPTIONAL.get(kind, ())

@@ -10,6 +10,7 @@ from palmfield.acoustics.calibration_file import Calibration, Elements, Pose, ca
 from palmfield.acoustics.focus import compensate, focus
 from palmfield.acoustics.phased_array import only
 from palmfield.acoustics.reference import pressure64
+from palmfield.drive.calibration.frequency_sweep import response_at
 from palmfield.drive.calibration.plate_scale import plate_force
 from palmfield.drive.calibration.readings import XYZ
 from palmfield.errors import OutputError
@@ -127,8 +128,7 @@ def _on_scale(board: Array, aimed: Complex, air: Air, random: np.random.Generato
 def _swept(board: Array, aimed: Complex, air: Air, random: np.random.Generator) -> dict[str, Float]:
     at = np.array(FOCUS_M) + random.uniform(-1.0, 1.0, (PLACES, 3)) * [3e-3, 3e-3, 10e-3]
     f = np.linspace(38e3, 42e3, 41)
-    damping = math.pi * RESONANCE_HZ / QUALITY
-    pole = damping / (damping - 2j * math.pi * (f - RESONANCE_HZ))
+    pole = response_at(f, RESONANCE_HZ, QUALITY)
     seen = pole * np.column_stack([pressure64(at, replace(board, frequency_Hz=float(x)), aimed, air)[0] for x in f])
     noise = random.normal(size=(2, *seen.shape)) * NOISE * np.abs(seen).max()
     return (

@@ -76,8 +76,8 @@ def estimate_s(skin: SkinModel) -> float:
         # Its own estimate is among the solver's seconds.
         return (3 + edge + materials) * factor_s(dofs) if edge or materials else 0.0
     low, high = (dofs, more * dofs) if compares_with_finer(skin.layer, dofs) else (dofs / more, dofs)
-    # The time step's own and the onset's are left out where a small model steps
-    step = 0 if skin.choice.name == "reduced" else 4
+    # The time step's own is left out where a small model steps
+    step = 0 if skin.choice.name == "reduced" else 2
     return (3 + step + edge + materials) * factor_s(low) + 3 * factor_s(high)
 
 

@@ -6,17 +6,31 @@ import numpy as np
 from scipy.spatial import Delaunay
 
 from palmfield.errors import SceneError
-from palmfield.types import Patch
+from palmfield.hand.grading import graded_size, triangulate
+from palmfield.hand.region import Shape
+from palmfield.types import Float, Int, Patch
 
 STEEPEST = 0.4
 """Growth of the edge with distance from the centre above which rings of triangles turn into slivers."""
 
 
-def disc_patch(radius_m: float, thickness_m: float, fine_m: float, coarse_m: float, fine_radius_m: float) -> Patch:
+OUTLINE, GRID = 720, 257
+"""Points of a circle's outline, and of a grid along each side of its square."""
+
+
+def disc_patch(
+    radius_m: float,
+    thickness_m: float,
+    fine_m: float,
+    coarse_m: float,
+    fine_radius_m: float,
+    fine_at: tuple[float, float] = (0.0, 0.0),
+) -> Patch:
     """Disc of concentric rings of vertices, joined by Delaunay triangles.
 
     radius_m, thickness_m: of the disc [m]; fine_m: edge length within fine_radius_m of the centre [m]; coarse_m: edge
     length at the rim [m], reached linearly in the distance from the centre, but no faster than STEEPEST
+    fine_at: a place of the disc round which edges are fine instead of its centre [m]; then there are rings near it only
     Returns a Patch with its face at z = 0 looking along +z, `inward` along -z and `axis` +z.
     Raises SceneError unless all lengths are > 0, fine_m <= coarse_m <= radius_m and fine_radius_m <= radius_m.
     """
@@ -26,6 +40,23 @@ def disc_patch(radius_m: float, thickness_m: float, fine_m: float, coarse_m: flo
             f"{fine_radius_m} m: need 0 < fine <= coarse <= radius, 0 < fine radius <= radius and thickness > 0"
         )
 
+    sizes = radius_m, fine_m, coarse_m, fine_radius_m
+    points, faces = _round(*sizes, fine_at) if any(fine_at) else _ringed(*sizes)
+    a, b, c = (points[faces[:, i]] for i in range(3))
+    twice_area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
+    faces[twice_area < 0] = faces[twice_area < 0][:, ::-1]
+    count = len(points)
+    return Patch(
+        vertices=np.column_stack([points, np.zeros(count)]),
+        faces=faces.astype(np.int32),
+        inward=np.tile([0.0, 0.0, -1.0], (count, 1)),
+        depth=np.full(count, thickness_m),
+        rim=np.linalg.norm(points, axis=1) > radius_m * (1.0 - 1e-9),
+        axis=np.array([0.0, 0.0, 1.0]),
+    )
+
+
+def _ringed(radius_m: float, fine_m: float, coarse_m: float, fine_radius_m: float) -> tuple[Float, Int]:
     def edge(r: float) -> float:
         if r <= fine_radius_m:
             return fine_m
@@ -43,16 +74,21 @@ def disc_patch(radius_m: float, thickness_m: float, fine_m: float, coarse_m: flo
         angle = 2.0 * math.pi * (np.arange(count) + 0.5 * (number % 2)) / count
         rings.append(r * np.column_stack([np.cos(angle), np.sin(angle)]))
     points = np.concatenate(rings)
-    faces = Delaunay(points).simplices
-    a, b, c = (points[faces[:, i]] for i in range(3))
-    twice_area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
-    faces[twice_area < 0] = faces[twice_area < 0][:, ::-1]
-    count = len(points)
-    return Patch(
-        vertices=np.column_stack([points, np.zeros(count)]),
-        faces=faces.astype(np.int32),
-        inward=np.tile([0.0, 0.0, -1.0], (count, 1)),
-        depth=np.full(count, thickness_m),
-        rim=np.arange(count) >= count - len(rings[-1]),
-        axis=np.array([0.0, 0.0, 1.0]),
-    )
+    return points, Delaunay(points).simplices
+
+
+def _round(
+    radius_m: float, fine_m: float, coarse_m: float, fine_radius_m: float, fine_at: tuple[float, float]
+) -> tuple[Float, Int]:
+    """Vertices and faces of a disc that is fine round a place beside its centre."""
+    away = math.hypot(*fine_at)
+    grown = min(coarse_m, fine_m + STEEPEST * max(radius_m + away - fine_radius_m, 0.0))
+    size = graded_size(fine_m, grown, fine_radius_m, radius_m, fine_at)
+    turn = 2.0 * math.pi * np.arange(OUTLINE) / OUTLINE
+    outline = radius_m * np.column_stack([np.cos(turn), np.sin(turn)])
+    x = 1.05 * radius_m * np.linspace(-1.0, 1.0, GRID)
+    shape = Shape(x, np.hypot(x[None, :], x[:, None]) - radius_m, [outline])
+    points, faces = triangulate(shape, size, radius_m, fine_at)
+    rim = np.linalg.norm(points, axis=1) > radius_m * (1.0 - 1e-3)
+    points[rim] *= radius_m / np.linalg.norm(points[rim], axis=1)[:, None]
+    return points, faces

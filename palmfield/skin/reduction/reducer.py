@@ -31,7 +31,11 @@ T = TypeVar("T")
 
 
 class TooManyVectorsError(SceneError):
-    """A tolerance that a model of the largest size allowed does not reach."""
+    """A tolerance that a model of the largest size allowed does not reach. reached: that model's trial"""
+
+    def __init__(self, message: str, reached: object = None) -> None:
+        super().__init__(message)
+        self.reached = reached
 
 
 def grow_until(
@@ -64,7 +68,8 @@ def grow_until(
         if krylov.order > most_vectors:
             raise TooManyVectorsError(
                 f"reduced model of the skin: error {error:.2g} with {krylov.order} vectors, {tolerance:.2g} wanted; "
-                "use solver 'wedges'"
+                "use solver 'wedges'",
+                now,
             )
         before = now
 

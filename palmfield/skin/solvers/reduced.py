@@ -9,6 +9,7 @@ import itertools
 import math
 import time
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 
@@ -40,7 +41,7 @@ from palmfield.skin.reduction.dynamic_stiffness import DynamicStiffness
 from palmfield.skin.reduction.krylov import Krylov
 from palmfield.skin.reduction.reduced import Projection
 from palmfield.skin.reduction.reduced_stepper import ReducedStepper
-from palmfield.skin.reduction.reducer import SAFETY, SHIFT, grow_until
+from palmfield.skin.reduction.reducer import SAFETY, SHIFT, TooManyVectorsError, grow_until
 from palmfield.skin.solvers.wedges import GROWTH, expected_dofs, first_sizes, refusal_wedges, slowest_wave
 from palmfield.skin.stepper import SurfaceLoads
 from palmfield.types import Float, Int
@@ -187,8 +188,9 @@ def _run(
 
     try:
         moved, _ = grow_until(krylov, motion, change, tolerance, MOST_VECTORS)
-    except SceneError as reason:
-        raise SceneError(f"solver 'reduced': {reason}") from None
+    except TooManyVectorsError as limit:
+        # What it has cost gives an answer all the same, with the error that the last vectors leave
+        moved = cast(Float, limit.reached)
     triangles, levels = len(mesh.surface_triangles6), (mesh.levels - 1) // 2
     solution = MeshSolution(moved[0], moved[1], system.ndof, triangles, levels, normals)
     return solution, krylov.order, SAFETY * changes[-1]

@@ -1,5 +1,6 @@
 """Which waves a slab and a load call for."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -124,10 +125,11 @@ def build_waves(
     still: bool = False,
     panels: Float | None = None,
     threads: int | None = None,
+    farther: bool = False,
 ) -> tuple[WaveSet, Float | None]:
     """Waves for a load on a slab, for points (n, 2) and times up to horizon_s [s] after its begin; and the panels of
     wavenumbers of an endless slab, which a finer set may begin with. still: modes that come to rest at once, at the
-    static answer."""
+    static answer; farther: with a wavenumber of a disc or box beyond those that the resolution asks for."""
     if isinstance(load, Spot):
         k_end = resolution.cut(load.fwhm_m)
         sources = load.centres()
@@ -141,6 +143,9 @@ def build_waves(
 
         def profile(k: Float) -> Float:
             return np.interp(k, rings, sizes)
+
+    if farther and body.shape != "infinite":
+        k_end += next_wavenumber(body)
 
     def modes_at(k: float) -> FaceModes:
         share = float(profile(np.array([k]))[0] / profile(np.zeros(1))[0])
@@ -172,6 +177,13 @@ def build_waves(
     if isinstance(load, Spot):
         waves = replace(waves, weights=waves.weights * profile(np.linalg.norm(waves.vectors, axis=1)))
     return waves, panels
+
+
+def next_wavenumber(body: Slab) -> float:
+    """How far a slab's wavenumbers lie from one another, along its shortest side at least [rad/m]."""
+    if body.shape == "disc":
+        return math.pi / body.radius_m if body.radius_m else 0.0
+    return math.pi / min(body.size_m) if body.size_m else 0.0
 
 
 def reach(points: Float, sources: Float) -> float:

@@ -72,8 +72,9 @@ def solve_lateral_waves(
     accuracy: target relative error of accuracy_of, 1e-7 to 0.5; device: "auto", "cpu" or "cuda:0"
     tolerance: pins that of the wavenumbers, angles, depth modes and cut, each; then nothing is refined
     threads: on the CPU; None takes all cores
-    The error is told by a run with a fifth of the tolerance at up to four of the points; for a picture (fewer than
-    eight times, more than 32 points) by one with a third, over 200 of them together.
+    The error is told by a run with a fifth of the tolerance, and one wavenumber more on a disc or box, at up to four
+    of the points; for a picture (fewer than eight times, more than 32 points) by one with a third, over 200 of them
+    together.
     Raises SceneError where `refusal_lateral_waves` has a reason, and for times, points or an accuracy out of range.
     """
     slab = accepted(body, load)
@@ -167,7 +168,7 @@ def _solve(body: Slab, load: Load, requested: Float, points: Float, settings: Se
     for left in reversed(range(RETRIES)):
         chosen = pick(result.displacement)
         finer = max(share * part, FINEST)
-        check = run(body, load, requested, points[chosen], finer, settings, result.panels)
+        check = run(body, load, requested, points[chosen], finer, settings, result.panels, farther=True)
         some, known = (result.displacement[:, chosen], result.velocity[:, chosen]), (check.displacement, check.velocity)
         pairs = (*zip(some, known, strict=True), (some[0][..., 2:], known[0][..., 2:]))
         errors = at_sides + safety * np.array([relative_error(one, other, picture) for one, other in pairs])
@@ -196,15 +197,22 @@ def run(
     tolerance: float,
     settings: Settings,
     panels: Float | None = None,
+    *,
+    farther: bool = False,
 ) -> Run:
-    """One solution at one tolerance; panels: of a coarser run, to begin with."""
+    """One solution at one tolerance.
+
+    panels: of a coarser run, to begin with; farther: whether it goes a wavenumber of the body beyond the spot's, so
+    that a run with the same tolerance or a somewhat larger one has fewer of them
+    """
     line = timeline(load, requested)
     assert line is not None
     horizon = float(requested[-1] - load.times_s[0])
     resolution = choose(load, tolerance)
     waves, panels = build_waves(
-        body, load, points[:, :2], horizon, resolution, still=settings.still, panels=panels, threads=settings.threads
-    )
+        body, load, points[:, :2], horizon, resolution,
+        still=settings.still, panels=panels, threads=settings.threads, farther=farther,
+    )  # fmt: skip
     images = box_images(body, points[:, :2])
 
     def to_points(part: slice, amplitude: Complex) -> Float:

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from palmfield.errors import SceneError
-from palmfield.skin.approximation.load_scales import load_width, mean_frequency, passing_frequency
+from palmfield.skin.approximation.load_scales import mean_frequency, motion_width, passing_frequency
 from palmfield.skin.materials.material import shear_wave
 from palmfield.skin.problem import ONLY_WEDGES, Body, Foundation, Layer, Load, Slab, Springs, depth_of
 from palmfield.skin.solvers.particles.columns import FEWEST_CELLS
@@ -61,11 +61,12 @@ def law_error(body: Body, load: Load, spacing_m: float) -> float:
     """Relative error that particles at this spacing [m] had on discs against the exact layer
     (docs/bench/skin_particles.md).
 
-    0.65 (h / L)^2 + 0.6 (h_z / H)^2 + 4.6 (h / wavelength)^2: L = min(w, sqrt(w H)) of the spot's width w and the depth
-    H, h_z the spacing in depth, the shear wavelength at the load's mean frequency in its slowest sheet.
+    0.65 (h / L)^2 + 0.6 (h_z / H)^2 + 4.6 (h / wavelength)^2: L = min(w, sqrt(w H)) of the spot's width w, or what of a
+    narrow body has to be resolved under a wide one (`motion_width`), and the depth H, h_z the spacing in depth, the
+    shear wavelength at the load's mean frequency in its slowest sheet.
     """
     depth = depth_of(body)
-    width = load_width(load)
+    width = motion_width(body, load)
     length = min(width, math.sqrt(width * depth))
     below = min(spacing_m, depth / FEWEST_CELLS)
     frequency = max(mean_frequency(load), passing_frequency(load, width))
@@ -85,7 +86,7 @@ def choose_spacing(body: Body, load: Load, accuracy: float) -> float:
         raise SceneError(f"particles: accuracy is {accuracy}; give 0.002 to 1 (5 % is what they are good for)")
     accuracy = max(accuracy, FINEST)
     # Below two particles a width in the run that shows the error, it shows nothing.
-    high = min(length_of(body) / 4.0, load_width(load) / 3.0)
+    high = min(length_of(body) / 4.0, motion_width(body, load) / 3.0)
     low = 1e-3 * high
     if law_error(body, load, high) <= accuracy:
         return high

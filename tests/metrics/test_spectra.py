@@ -3,8 +3,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from palmfield.errors import OutputError
-from palmfield.outputs.spectrum import amplitude_spectrum, spectral_peaks
+from palmfield.errors import MeasurementError
+from palmfield.metrics.spectra import amplitude_spectrum, spectral_peaks
 
 
 def test_a_sine_on_a_bin_has_its_own_amplitude_and_dc_is_gone():
@@ -40,7 +40,7 @@ def test_silence_has_no_peak():
 
 
 def test_times_must_be_even_and_enough():
-    with pytest.raises(OutputError, match="not evenly spaced"):
+    with pytest.raises(MeasurementError, match="not evenly spaced"):
         amplitude_spectrum(np.array([0, 1, 2, 3, 4, 5, 6, 8.0]), np.zeros(8))
-    with pytest.raises(OutputError, match="at least 8"):
+    with pytest.raises(MeasurementError, match="at least 8"):
         amplitude_spectrum(np.arange(7.0), np.zeros(7))

@@ -1,0 +1,82 @@
+"""How loud sound is at a listener: levels, A-weighting, and the audible by-product of modulated ultrasound.
+
+Levels are of a free field: nothing stands where the listener would. Sources: IEC 61672-1 (A-weighting); Westervelt 1963
+and Berktay 1965 (sound of modulated ultrasound in air); Morse and Ingard 1968 (sound of a force on a small body).
+"""
+
+import math
+
+import numpy as np
+
+from palmfield.acoustics.air import density, sound_speed
+from palmfield.acoustics.nonlinear import NONLINEARITY
+from palmfield.acoustics.reference import directivity
+from palmfield.errors import PalmfieldError
+from palmfield.types import Air, Array, Complex, Float
+
+REFERENCE_PA = 20e-6
+PUBLIC_DB, OCCUPATIONAL_DB = 100.0, 110.0
+"""Above which users are warned: limits of interim guidelines for the 25 to 50 kHz bands, for the public and at work."""
+WORKING_DAY_S = 8 * 3600.0
+A_POLES_HZ = 20.598997, 107.65265, 737.86223, 12194.217
+ANGLES = np.linspace(0.0, 0.5 * np.pi, 361)
+
+
+def level_dB(rms_Pa: float) -> float:
+    """Sound pressure level over 20 uPa; -inf in silence."""
+    return 20.0 * math.log10(rms_Pa / REFERENCE_PA) if rms_Pa > 0.0 else -math.inf
+
+
+def a_weighting_dB(frequency_Hz: Float) -> Float:
+    """What A-weighting adds to a level at a frequency, -inf at 0 Hz."""
+    low, second, third, high = (pole**2 for pole in A_POLES_HZ)
+    square = np.asarray(frequency_Hz, float) ** 2
+    gain = high * square**2 / ((square + low) * (square + high) * np.sqrt((square + second) * (square + third)))
+    with np.errstate(divide="ignore"):
+        return 20.0 * np.log10(gain) + 2.0
+
+
+def dose_dB(mean_square_Pa2: float, duration_s: float) -> float:
+    """Level that would have the same energy over a working day of 8 h; mean_square_Pa2: over duration_s."""
+    return level_dB(math.sqrt(mean_square_Pa2 * duration_s / WORKING_DAY_S))
+
+
+def ball_points(middle: Float, radius_m: float, spacing_m: float) -> Float:
+    """Points of a grid in a ball, its middle among them [m], shape (n, 3)."""
+    steps = np.arange(-math.floor(radius_m / spacing_m), math.floor(radius_m / spacing_m) + 1) * spacing_m
+    grid = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
+    return np.asarray(middle, float) + grid[np.linalg.norm(grid, axis=1) <= radius_m * (1.0 + 1e-9)]
+
+
+def radiated_power_W(array: Array, drive: Complex, air: Air, frequency_Hz: float = 40e3) -> float:
+    """Power of the sound of all transducers, each as if it were alone.
+
+    drive: complex amplitude of each relative to full drive, shape (n,). Each one's |p|^2/(2 rho c) over the half space
+    before it. Raises PalmfieldError for another shape.
+    """
+    if drive.shape != (len(array),):
+        raise PalmfieldError(f"a drive has shape {drive.shape}; give ({len(array)},)")
+    beam = directivity(array, 2.0 * math.pi * frequency_Hz / sound_speed(air), np.cos(ANGLES))
+    solid = 2.0 * math.pi * float(np.trapezoid(beam**2 * np.sin(ANGLES), ANGLES))
+    gain = np.ones(len(array)) if array.gain is None else np.abs(array.gain)
+    squares = float(np.sum(np.abs(drive * gain) ** 2))
+    return squares * array.p0_Pa_m**2 * solid / (2.0 * density(air) * sound_speed(air))
+
+
+def demodulated_Pa(power_W: float, length_m: float, distance_m: float, frequency_Hz: Float, air: Air) -> Float:
+    """Peak pressure of the sound that ultrasound makes in air whose intensity goes up and down by all of itself.
+
+    power_W: of the ultrasound; length_m: of its beam; frequency_Hz: of the going up and down, shape (k,)
+    Westervelt's source is a point here: right for wavelengths longer than the beam, too loud for shorter ones.
+    """
+    w = 2.0 * math.pi * np.asarray(frequency_Hz, float)
+    return NONLINEARITY * w**2 * power_W * length_m / (4.0 * math.pi * sound_speed(air) ** 3 * distance_m)
+
+
+def force_sound_Pa(force_N: float, distance_m: float, frequency_Hz: Float, air: Air) -> Float:
+    """Peak pressure of the sound of a small body on which a force of this amplitude acts, along the force.
+
+    A dipole with its near field; frequency_Hz: shape (k,)
+    """
+    k = 2.0 * math.pi * np.asarray(frequency_Hz, float) / sound_speed(air)
+    return force_N * np.sqrt(k**2 + 1.0 / distance_m**2) / (4.0 * math.pi * distance_m)

@@ -1,0 +1,110 @@
+"""`palmfield stimulus`: tables of foci, and STMs of AUTD3 units, into scenes and out of them."""
+
+from pathlib import Path
+from typing import Annotated, cast
+
+import typer
+
+from palmfield.cli.given import given_keys
+
+stimulus = typer.Typer(
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    help="Take a stimulus into a scene, or out of one, as a plain table: when the foci are where and how loud.\n\n"
+    "A table is a CSV file with columns t, x, y, z, intensity (x1, y1, ... for several foci) and a head that says its "
+    "frame, rate, units and what the intensities are of (docs/stimuli.md). A .json file is an STM of AUTD3 units.\n\n"
+    "Example: palmfield stimulus export mjcf/scenes/palm_circle.xml circle.csv",
+)
+Which = Annotated[
+    str | None,
+    typer.Option("--stimulus", help="instance of palmfield.stimulus [default: the only one]", metavar="INSTANCE"),
+]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="replace files that are there")]
+SetKeys = Annotated[
+    list[str] | None,
+    typer.Option("--set", help="another value for a key, as of `palmfield run`", metavar="INSTANCE.KEY=VALUE"),
+]
+
+
+@stimulus.command("import")
+def import_command(
+    file: Annotated[Path, typer.Argument(help="table (.csv), or STM of AUTD3 units (.json)", metavar="FILE")],
+    scene: Annotated[Path, typer.Option(help="the scene that it is taken into, which stays as it is", metavar="SCENE")],
+    out: Annotated[
+        Path | None, typer.Option(help="scene to write, in SCENE's folder [default: SCENE_FILE.xml]", metavar="NEW.xml")
+    ] = None,
+    which: Which = None,
+    site: Annotated[
+        str | None, typer.Option(help="of a table of frame skin: site in whose frame it is", metavar="SITE")
+    ] = None,
+    repeat: Annotated[bool, typer.Option("--repeat", help="begin again at the end of the table")] = False,
+    overwrite: Overwrite = False,
+) -> None:
+    """Write a scene that plays the foci of FILE, and beside it the table that it reads.
+
+    Path, focus, modulation and bursts of the scene's stimulus go, as the table says where the foci are and how loud.
+    Its level (drive_amplitude or arp_peak_Pa: what intensity 1 is), start and end stay. The new scene works in plan,
+    run and drive as any other. A bad table is refused with line and column.
+
+    Example: palmfield stimulus import circle.csv --scene first/first.xml --repeat
+    """
+    from palmfield.session.stimulus_import import import_stimulus
+
+    done = import_stimulus(
+        file, scene, out, stimulus=which, site=site, repeat=repeat, overwrite=overwrite
+    )  # fmt: skip
+    foci = "one focus" if done.foci == 1 else f"{done.foci} foci at once"
+    print(f"{done.scene}: stimulus '{done.stimulus}' plays {done.table.name}: {foci}, {done.rows} rows, "
+          f"{done.length_s:g} s")  # fmt: skip
+    if done.dropped:
+        print(f"keys that went: {', '.join(done.dropped)}")
+    print(f"next: palmfield plan {done.scene}")
+
+
+@stimulus.command("export")
+def export_command(
+    scene: Annotated[Path, typer.Argument(help="MJCF scene with palmfield plugins", metavar="SCENE.xml")],
+    file: Annotated[Path, typer.Argument(help="table (.csv), or STM of AUTD3 units (.json)", metavar="FILE")],
+    which: Which = None,
+    rate: Annotated[
+        float | None,
+        typer.Option(help="samples a second [default: at which the stimulus steps, or 1000]", metavar="HZ"),
+    ] = None,
+    quantity: Annotated[
+        str | None, typer.Option(help="of the intensities: duty, amplitude or arp [default: arp, or a table's own]")
+    ] = None,
+    frame: Annotated[str, typer.Option(help="array, or skin: that of the stimulus's own site")] = "array",
+    duration: Annotated[float | None, typer.Option(help="how long [s] [default: the scene's]")] = None,
+    repeat: Annotated[bool, typer.Option("--repeat", help="of an STM: play it without end")] = False,
+    keys: SetKeys = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Write what a scene's stimulus does over time: where its foci are and how loud.
+
+    Each row is held for a sample; rows that repeat the last are left out. In the array's frame places follow hands and
+    arrays that move. AUTD3 units take rates of 40 kHz over a whole number.
+
+    Examples: palmfield stimulus export mjcf/scenes/palm_circle.xml circle.csv --rate 2000
+
+    palmfield stimulus export mjcf/scenes/palm_circle.xml circle.json --rate 1000 --duration 0.1 --repeat
+    """
+    from typing import get_args
+
+    from palmfield.errors import SceneError
+    from palmfield.session.stimulus_export import export_stimulus, exported
+    from palmfield.stimulus.focus_table import Quantity, TableFrame
+
+    if quantity is not None and quantity not in get_args(Quantity):
+        raise SceneError(f"--quantity has value '{quantity}'; allowed: {' | '.join(get_args(Quantity))}")
+    if frame not in get_args(TableFrame):
+        raise SceneError(f"--frame has value '{frame}'; allowed: array | skin")
+    result = exported(
+        scene, stimulus=which, rate_Hz=rate, quantity=cast(Quantity | None, quantity), frame=cast(TableFrame, frame),
+        duration_s=duration, keys=given_keys(keys),
+    )  # fmt: skip
+    export_stimulus(result, file, again=repeat, overwrite=overwrite)
+    table = result.table
+    print(f"{file}: {table.foci} x {len(table.samples)} rows at {table.rate_Hz:g} Hz, {table.length_s:g} s, "
+          f"intensities of {table.quantity}, frame {table.frame}, between rows {table.between}")  # fmt: skip
+    for warning in result.warnings:
+        print(f"note: {warning}")

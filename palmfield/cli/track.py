@@ -1,0 +1,144 @@
+"""`palmfield track`: live hands: replay a recording, listen and record, align a tracker, measure the latency."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from palmfield.errors import SceneError
+
+track = typer.Typer(
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    help="Hands that a tracker tells of over a socket, one JSON line a sample, by OpenXR's names or by LeapC's "
+    "(docs/trials.md). `palmfield trial SCENE --live PORT` follows them.\n\n"
+    "Example: palmfield track replay seen.npz --to 127.0.0.1:9100",
+)
+By = Annotated[str, typer.Option(help="udp (a sample a datagram) or tcp (a sample a line)")]
+
+
+@track.command("replay")
+def replay(
+    file: Annotated[Path, typer.Argument(help="a recorded stream, CSV or NPZ (docs/motion.md)", metavar="FILE")],
+    to: Annotated[str, typer.Option(help="who listens", metavar="HOST:PORT")],
+    by: By = "udp",
+    convention: Annotated[str, typer.Option(help="names, units and frames of the samples: openxr or leapc")] = "openxr",
+    speed: Annotated[float, typer.Option(help="2 for twice as fast")] = 1.0,
+    repeat: Annotated[int, typer.Option(help="how often, one after the other")] = 1,
+    stamp: Annotated[
+        bool, typer.Option("--stamp", help="samples bear the time of their sending on this machine's monotonic clock")
+    ] = False,
+) -> None:
+    """Send a recorded hand in real time to what listens for a tracker.
+
+    Example: palmfield track replay seen.npz --to 127.0.0.1:9100 --convention leapc
+    """
+    from palmfield.motion.replaying import address
+    from palmfield.motion.replaying import replay as send
+    from palmfield.motion.tracking import read_stream
+    from palmfield.motion.wire import CONVENTIONS
+
+    if convention not in CONVENTIONS:
+        raise SceneError(f"--convention has value '{convention}'; allowed: {', '.join(CONVENTIONS)}")
+    names: Literal["openxr", "leapc"] = "leapc" if convention == "leapc" else "openxr"
+    kind, where = checked_by(by), address(to)
+    sent = send(read_stream(file), where, by=kind, convention=names, speed=speed, repeat=repeat, stamp=stamp)
+    print(f"sent {sent} samples to {where[0]}:{where[1]} by {kind}")
+
+
+@track.command("record")
+def record(
+    out: Annotated[Path, typer.Argument(help="CSV or NPZ file to write", metavar="FILE")],
+    at: Annotated[str, typer.Option(help="where samples come in", metavar="[HOST:]PORT")] = "9100",
+    by: By = "udp",
+    duration: Annotated[float, typer.Option(help="from the first sample on [s]; Ctrl-C ends it earlier")] = 10.0,
+    wait: Annotated[float, typer.Option(help="for the first sample [s]")] = 30.0,
+) -> None:
+    """Listen for a tracker, and write what it tells; bad samples are told and left out.
+
+    Example: palmfield track record seen.npz --at 9100 --duration 20
+    """
+    import time
+
+    from palmfield.motion.listening import Listener
+    from palmfield.motion.replaying import address
+    from palmfield.motion.tracking import write_stream
+
+    host, port = address(at)
+    with Listener(host, port, checked_by(by)) as listener:
+        print(f"listening at {listener.host}:{listener.port} by {by}", flush=True)
+        try:
+            if listener.wait(wait):
+                time.sleep(duration)
+        except KeyboardInterrupt:
+            pass
+        for line in (listener.report(), *listener.told):
+            print(line)
+        if len(listener.taken) < 2:
+            raise SceneError(f"{len(listener.taken)} good samples came within {wait:g} s; two or more are needed")
+        write_stream(out, listener.stream())
+        print(f"wrote {out}")
+
+
+@track.command("align")
+def align(
+    points: Annotated[
+        Path, typer.Argument(help="CSV: array_x_m, array_y_m, array_z_m, tracker_x_m, ... of touches", metavar="POINTS")
+    ],
+    out: Annotated[Path, typer.Argument(help="JSON file to write", metavar="OUT.json")],
+) -> None:
+    """Where a tracker stands to an array, from three touched points or more.
+
+    Touch known places of the array with the index fingertip: three that are not in a line, better five at its corners
+    and middle. The table has a row for each: where the place is in the array's frame, and where the tracker has the
+    fingertip (joint index_tip), in metres. Key `tracking_alignment` of palmfield.motion and `palmfield trial --align`
+    take the file.
+
+    Example: palmfield track align touches.csv tracker.json
+    """
+    from palmfield.motion.alignment import align as fitted
+    from palmfield.motion.alignment import read_touches, write_alignment
+
+    made = fitted(read_touches(points))
+    write_alignment(out, made)
+    print(made)
+    print(f"wrote {out}")
+
+
+@track.command("latency")
+def latency(
+    scene: Annotated[
+        Path | None, typer.Argument(help="scene with a hand that is moved [default: follow_fingertip, unmodulated]")
+    ] = None,
+    board: Annotated[str | None, typer.Option(help="another board than the scene's", metavar="BOARD")] = None,
+    seconds: Annotated[float, typer.Option(help="how long [s]")] = 5.0,
+    rate: Annotated[float, typer.Option(help="samples a second")] = 90.0,
+    by: By = "udp",
+    as_json: Annotated[bool, typer.Option("--json", help="print JSON only")] = False,
+) -> None:
+    """Measure from a tracker's sample to the sound that follows from it: a loop through a virtual board.
+
+    Another process replays the scene's hand over a socket; samples are fitted, frames made, sent through a port and
+    emitted by a virtual board at its line's pace. A tracker's own delay comes on top.
+
+    Example: palmfield track latency --board sonicsurface --seconds 10
+    """
+    from palmfield.cli.as_json import print_json
+    from palmfield.data import folder
+    from palmfield.studies.trial.latency import measure_latency
+
+    keys: dict[str, object] = {}
+    if scene is None:
+        scene = folder("mjcf") / "scenes" / "follow_fingertip.xml"
+        keys, board = {"stimulus.modulation": "none"}, board or "sonicsurface"
+    found = measure_latency(scene, board=board, keys=keys, seconds=seconds, rate_Hz=rate, by=checked_by(by))
+    if as_json:
+        print_json(found.as_dict())
+    else:
+        print(found)
+
+
+def checked_by(by: str) -> Literal["udp", "tcp"]:
+    if by not in ("udp", "tcp"):
+        raise SceneError(f"--by has value '{by}'; allowed: udp, tcp")
+    return "tcp" if by == "tcp" else "udp"

@@ -1,0 +1,38 @@
+"""Signals that would end a process without running `finally`, so that a board went on sounding."""
+
+import contextlib
+import signal
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from types import FrameType
+
+Handler = Callable[[int, FrameType | None], None]
+
+
+def leave(number: int, _frame: FrameType | None) -> None:
+    """End as by an exception."""
+    raise SystemExit(128 + number)
+
+
+def in_main_thread() -> bool:
+    """Whether this is the thread that Python hands signals to."""
+    return threading.current_thread() is threading.main_thread()
+
+
+@contextlib.contextmanager
+def handling(handlers: Mapping[str, Handler]) -> Iterator[None]:
+    """In the block signals, by name, have these handlers, but for those that the process ignores or the system lacks.
+
+    SIGHUP is ignored under nohup. Nothing is handled elsewhere than in the main thread.
+    """
+    if not in_main_thread():
+        yield
+        return
+    known = {getattr(signal, name): new for name, new in handlers.items() if hasattr(signal, name)}
+    heeded = {number: new for number, new in known.items() if signal.getsignal(number) is not signal.SIG_IGN}
+    before = {number: signal.signal(number, new) for number, new in heeded.items()}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,87 @@
+"""What a user allows: how sound begins and ends, and how long it may last."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from palmfield.config import DriverConfig
+from palmfield.drive.board import Board
+from palmfield.drive.player.budget import WINDOW_S
+from palmfield.errors import DeviceError
+
+
+@dataclass(frozen=True)
+class SoundLimits:
+    """ramp_s: in which sound rises and falls, 0 for none; on_time_s: longest that a play may sound, None for any
+    duty: largest share of any WINDOW_S that it may sound
+    """
+
+    ramp_s: float = 0.0
+    on_time_s: float | None = None
+    duty: float = 1.0
+
+    @classmethod
+    def of(cls, driver: DriverConfig) -> "SoundLimits":
+        return cls(driver.ramp_s, driver.on_time_s, driver.duty_limit)
+
+    def level_at(self, time_s: float, duration_s: float) -> float:
+        """Factor on all amplitudes at a time of a play, 0 to 1: a raised cosine at either end."""
+        if self.ramp_s <= 0.0:
+            return 1.0
+        inside = min(time_s, duration_s - time_s) / min(self.ramp_s, 0.5 * duration_s)
+        return 0.5 - 0.5 * math.cos(math.pi * min(1.0, max(0.0, inside)))
+
+    def ramp_times(self, board: Board, duration_s: float) -> list[float]:
+        """When frames are due besides, so that the ramps have as many steps as the board can take."""
+        if self.ramp_s <= 0.0 or not board.levels:
+            return []
+        ramp_s = min(self.ramp_s, 0.5 * duration_s)
+        count = math.floor(ramp_s * board.max_frame_rate_Hz)
+        rise = [number / board.max_frame_rate_Hz for number in range(count + 1)]
+        return rise + [duration_s - time_s for time_s in rise if time_s > 0.0]
+
+    def in_words(self, board: Board) -> str:
+        """What of the ramp the board can do; empty without one."""
+        if self.ramp_s <= 0.0:
+            return ""
+        if not board.levels:
+            dither = ": key dither gives it some" if "dither" in board.keys else ""
+            return f"no ramp: {board.name} has no levels between off and full, so sound begins and ends at once{dither}"
+        return f"sound rises and falls within {1e3 * min(self.ramp_s, 1e3):g} ms"
+
+    def check(self, times_s: Sequence[float], sounds: Sequence[bool], duration_s: float) -> tuple[float, float]:
+        """How long frames sound [s], and the largest share of any WINDOW_S that they do.
+
+        Raises DeviceError where that is more than is allowed.
+        """
+        ends = [*times_s[1:], max(duration_s, times_s[-1])] if times_s else []
+        stretches = [(a, b) for a, b, on in zip(times_s, ends, sounds, strict=True) if on and b > a]
+        on_s = sum(b - a for a, b in stretches)
+        duty = _duty(stretches, duration_s)
+        if self.on_time_s is not None and on_s > self.on_time_s * (1.0 + 1e-9):
+            raise DeviceError(
+                f"it would sound for {on_s:.4g} s, and driver key on_time_s allows {self.on_time_s:g}: play for a "
+                "shorter time (--duration), or set on_time_s larger"
+            )
+        if duty > self.duty * (1.0 + 1e-9):
+            raise DeviceError(
+                f"it would sound {100 * duty:.3g} % of {min(WINDOW_S, duration_s):g} s, and driver key duty_limit "
+                f"allows {100 * self.duty:.3g} %: leave pauses (stop_s, bursts), or set duty_limit larger"
+            )
+        return on_s, duty
+
+
+def _duty(stretches: Sequence[tuple[float, float]], duration_s: float) -> float:
+    """Largest share of a window of WINDOW_S, or of the whole where that is shorter, that stretches cover."""
+    window = min(WINDOW_S, duration_s)
+    if not stretches or window <= 0.0:
+        return 0.0
+    most, first, whole = 0.0, 0, 0.0
+    # The largest cover begins where a stretch begins or ends where one ends; the latter is met by looking backwards
+    for last, (_, end) in enumerate(stretches):
+        whole += stretches[last][1] - stretches[last][0]
+        while stretches[first][1] <= end - window:
+            whole -= stretches[first][1] - stretches[first][0]
+            first += 1
+        most = max(most, whole - max(0.0, end - window - stretches[first][0]))
+    return min(1.0, most / window)

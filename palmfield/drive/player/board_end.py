@@ -1,0 +1,202 @@
+"""The player's end of a port: it hands whole frames over, counts what is on its way, and silences the board."""
+
+import os
+import time
+from array import array
+from collections import deque
+from typing import NamedTuple
+
+from palmfield.drive.log_lines import log_line
+from palmfield.drive.player.line_clock import TOLD_LATE_S, LineClock
+from palmfield.drive.player.messages import Job
+from palmfield.drive.ports import AUTD3, open_port
+from palmfield.drive.transport import PortLost, SerialTransport, Transport, may_be_virtual
+from palmfield.errors import DeviceError
+
+now_s = time.monotonic
+RETRY_S = 20e-3
+"""After the system took only a part of a frame, or nothing [s]."""
+MOST_KEPT = 1_000_000
+"""Delays of so many frames are kept."""
+
+
+class PortStuck(PortLost):
+    """A port that is there and takes no bytes."""
+
+
+class _OnItsWay(NamedTuple):
+    """A frame that was handed over. end: bytes handed over with it; number: of its lateness"""
+
+    end: int
+    due_s: float
+    number: int
+
+
+class BoardEnd:
+    """An open port and what went through it.
+
+    frames: handed over whole; cut: of which the system took only a part; late_s: of each frame, how long after its time
+    its last byte is on the line [s]; write_late_s: how long after it was due the system had it [s]
+    """
+
+    def __init__(self, job: Job) -> None:
+        """Raises DeviceError where the port can't be opened."""
+        self.job = job
+        self.start, self.stop = bytes.fromhex(job.start), bytes.fromhex(job.stop)
+        self.line = LineClock(1.0 / job.bytes_per_s)
+        self.frames = self.cut = 0
+        self.late_s, self.write_late_s = array("d"), array("d")
+        self._on_its_way: deque[_OnItsWay] = deque()
+        self._refused_s: float | None = None
+        self.sounding = True  # boards may sound from power-up on
+        self._log = os.open(job.log, os.O_WRONLY | os.O_APPEND) if job.log else -1
+        self._unwritten: deque[str] = deque()
+        self._port: Transport | None = self._open()
+        self.begin_s = now_s()
+
+    def _open(self) -> Transport:
+        port = open_port(self.job.port, self.job.baud)
+        if isinstance(port, SerialTransport) and may_be_virtual(self.job.port):
+            port.hear_first()
+        return port
+
+    def free_s(self, now: float) -> float:
+        """When the line is free. Raises PortLost when the port is gone, or has taken no bytes for long."""
+        self._hear(now)
+        if self.line.stuck_s(now) > self.job.lost_s and (self._refused_s is not None or self._on_its_way):
+            raise self._stuck()
+        return self.line.free_s(now)
+
+    @property
+    def retry_s(self) -> float:
+        """Not before this moment is the next frame handed over."""
+        return 0.0 if self._refused_s is None else self._refused_s + RETRY_S
+
+    def _stuck(self) -> PortStuck:
+        return PortStuck(f"{self.job.port} has taken no bytes for {self.job.lost_s:g} s")
+
+    def _hear(self, now: float) -> None:
+        port = self._open_port()
+        out = self.line.hear(port.waiting(), now, self._refused_s is not None)
+        while self._on_its_way and self._on_its_way[0].end <= out:
+            frame = self._on_its_way.popleft()
+            # The own clock is finer, unless the line stood
+            self.late_s[frame.number] = max(self.late_s[frame.number], now - TOLD_LATE_S - frame.due_s)
+
+    def hand(self, data: bytes, due_s: float, planned_s: float) -> bool:
+        """Hand over a frame; False where the system did not take all of it: then send a frame from its start.
+
+        due_s: when its last byte is wanted on the line; planned_s: when it was to be handed over, both on `now_s`
+        Raises PortLost when the port is gone.
+        """
+        began = now_s()
+        if not self._offer(data, began):
+            return False
+        self.frames += 1
+        if len(self.late_s) < MOST_KEPT:
+            self.write_late_s.append(now_s() - planned_s)
+            self.late_s.append(self.line.free_s(began) - due_s)
+        self._on_its_way.append(_OnItsWay(self.line.handed, due_s, len(self.late_s) - 1))
+        return True
+
+    def _offer(self, data: bytes, now: float) -> bool:
+        self.sounding = True
+        port = self._open_port()
+        taken = port.offer(data) if isinstance(port, SerialTransport) else len(data) * port.write(data)
+        if taken:
+            self.line.hand(taken, now)
+            if self._log >= 0:
+                self._unwritten.append(log_line(now - self.begin_s, data, whole=taken == len(data)))
+        whole = taken == len(data)
+        self._refused_s = None if whole else now
+        self.cut += 0 < taken < len(data)
+        return whole
+
+    def _open_port(self) -> Transport:
+        if self._port is None:
+            raise PortLost(f"{self.job.port} is closed")
+        return self._port
+
+    def send_start(self) -> None:
+        """What puts the board into a known, silent state. Raises PortLost."""
+        self._send_whole(self.start)
+        self.sounding = False
+
+    def send_stop(self) -> None:
+        """Silence the board; returns when the bytes are out. Raises PortLost."""
+        self._send_whole(self.stop)
+        self.sounding = False
+
+    def _send_whole(self, data: bytes) -> None:
+        if not data:
+            return
+        began = now_s()
+        while not self._offer(data, now_s()):
+            self._wait_for_line(began, RETRY_S)
+        while (rest := self.free_s(now_s()) - now_s()) > 0.0 or self._open_port().waiting():
+            self._wait_for_line(began, max(rest, 1e-3))
+        self._on_its_way.clear()
+
+    def _wait_for_line(self, began: float, rest: float) -> None:
+        now = now_s()
+        self._hear(now)
+        if self.line.stuck_s(now) > self.job.lost_s and now - began > self.job.lost_s:
+            raise self._stuck()
+        time.sleep(min(rest, RETRY_S))
+
+    # -- after the port was lost ---------------------------------------------------------------------------------------
+
+    def exists(self) -> bool:
+        """Whether the port is there: as a file, or, where none would come back as the same one, open."""
+        port = self.job.port
+        return self._port is not None or (not (self.is_url or port.startswith("/dev/pts/")) and os.path.exists(port))
+
+    @property
+    def is_url(self) -> bool:
+        return "://" in self.job.port or self.job.port.startswith(AUTD3)
+
+    def try_stop(self) -> bool:
+        """Silence the board by a port opened anew where it was lost; whether that went through."""
+        try:
+            if self._port is None:
+                self._port = self._open()
+                self.line = LineClock(self.line.byte_s)
+                self._on_its_way.clear()
+            self.send_stop()
+        except PortStuck:
+            return False
+        except PortLost:
+            self.close_port()
+            return False
+        except DeviceError:
+            return False
+        return True
+
+    def close_port(self) -> None:
+        if self._port is not None:
+            self._port.close()
+            self._port = None
+
+    # -- the log -------------------------------------------------------------------------------------------------------
+
+    def write_log(self, most: int = 1) -> None:
+        """Write so many of the lines that wait. A full disk ends the log, not the sound."""
+        while self._unwritten and most > 0:
+            try:
+                os.write(self._log, self._unwritten.popleft().encode())
+            except OSError as error:
+                self.log_error = error.strerror or "the disk took no more"
+                self._unwritten.clear()
+                os.close(self._log)
+                self._log = -1
+            most -= 1
+
+    log_error = ""
+
+    def close(self) -> None:
+        self.close_port()
+        if self._log >= 0:
+            self.write_log(len(self._unwritten))
+        if self._log >= 0:
+            os.close(self._log)
+            self._log = -1

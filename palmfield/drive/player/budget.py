@@ -1,0 +1,36 @@
+"""How long sound may last: altogether, and as a share of any stretch of time."""
+
+WINDOW_S = 10.0
+"""Over which a share of time with sound counts [s]."""
+
+
+class SoundBudget:
+    """on_time_s: longest altogether, 0 for any; duty: largest share of time that it sounds, over about window_s
+
+    Time that may sound is saved up at the rate `duty`, up to that share of the window, and used up by sound. Once it is
+    spent there is silence until half of it is back. said: why there may be no sound, in words
+    """
+
+    def __init__(self, on_time_s: float = 0.0, duty: float = 1.0, window_s: float = WINDOW_S) -> None:
+        self.on_time_s, self.duty, self.window_s = on_time_s, duty, window_s
+        self.said = ""
+        self.sounded_s = 0.0
+        self._saved_s = duty * window_s
+        self._last_s: float | None = None
+
+    def allows(self, now_s: float, sounds: bool) -> bool:
+        """Whether there may be sound from now on; sounds: whether there was since the last call."""
+        passed = 0.0 if self._last_s is None else now_s - self._last_s
+        self._last_s = now_s
+        most = self.duty * self.window_s
+        self._saved_s = min(most, self._saved_s + self.duty * passed)
+        if sounds:
+            self.sounded_s += passed
+            self._saved_s -= passed
+        if self.on_time_s and self.sounded_s >= self.on_time_s:
+            self.said = f"it has sounded for {self.on_time_s:g} s, all that on_time_s allows"
+        elif self.duty < 1.0 and self._saved_s <= 0.0:
+            self.said = f"it sounds more than {self.duty:g} of the time, which duty allows"
+        elif self._saved_s >= 0.5 * most or self.duty >= 1.0:
+            self.said = ""
+        return not self.said

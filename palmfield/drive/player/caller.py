@@ -1,0 +1,255 @@
+"""The caller's side of a player: it starts the process, gives it frames, and hears how they went."""
+
+import contextlib
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any, Self
+
+from palmfield.drive.board import Board
+from palmfield.drive.board_link import BoardLink
+from palmfield.drive.playback import TimedFrame
+from palmfield.drive.player.messages import END, FRAME, JOB, MUTE, SCHEDULE, Inbox, Job, LiveFrame, Schedule, packed
+from palmfield.drive.player.report import PlayReport
+from palmfield.drive.player.signals import signals_to
+from palmfield.drive.ports import open_port
+from palmfield.errors import DeviceError
+
+STARTS_WITHIN_S = 30.0
+PACKAGES = str(Path(__file__).parents[3])
+"""Where Python finds palmfield."""
+
+
+class Player:
+    """A board on a port, played by a process of its own. Use as a context manager: the board is silent at its end.
+
+    In the main thread SIGTERM, SIGHUP and SIGQUIT become SystemExit meanwhile, and Ctrl-Z silences the board before it
+    stops the program.
+
+    priority: that the process got, in words; silent: why live frames don't sound, empty where they do
+    begin_s: when its log begins, on time.monotonic() [s]
+    """
+
+    def __init__(
+        self,
+        board: Board,
+        port: str,
+        *,
+        log: str | Path | None = None,
+        on_trouble: Callable[[str], None] | None = None,
+        **settings: Any,
+    ) -> None:
+        """port: device or pyserial URL; log: a file that lines of a log are added to
+        on_trouble: gets a sentence when the port is lost and the player tries to silence the board
+        settings: other fields of `palmfield.drive.player.messages.Job`
+        Raises DeviceError for a board without bytes and for a port that can't be opened.
+        """
+        if board.line is None:
+            raise DeviceError(f"board '{board.name}' takes no bytes, so that no port plays it; allowed: another board")
+        self.board, self.port = board, port
+        self.priority = self.silent = ""
+        self.begin_s = 0.0
+        self._on_trouble = on_trouble
+        self._ended: dict[str, Any] | None = None
+        self._closed = self._lost = False
+        job = Job(
+            port, board.line.baud, board.line.bytes_per_s, board.start.hex(), board.stop.hex(),
+            log="" if log is None else str(log), **settings,
+        )  # fmt: skip
+        self._talk, talk = socket.socketpair()
+        self._alarm, alarm = socket.socketpair()
+        for end in (self._talk, self._alarm):
+            end.setblocking(False)
+        # A packet goes out at once, and a long schedule in few pieces
+        self._talk.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 20)
+        paths = [PACKAGES, *filter(None, [os.environ.get("PYTHONPATH")])]
+        # A session of its own: the terminal's signals go to the caller alone, which says what they mean
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "palmfield.drive.player.process", str(talk.fileno()), str(alarm.fileno())],
+            pass_fds=(talk.fileno(), alarm.fileno()), stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+            start_new_session=True, env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
+        )  # fmt: skip
+        talk.close()
+        alarm.close()
+        self._inbox = Inbox(self._talk)
+        silent_within_s = 0.05 + 2.0 * board.frame_time_s + board.line.time_s(len(board.stop))
+        self._signals = signals_to(self._alarm, silent_within_s)
+        self._signals.__enter__()
+        try:
+            self._send(JOB, job.packed())
+            ready = self._until("ready", time.monotonic() + STARTS_WITHIN_S)
+        except BaseException:
+            self.close()
+            raise
+        self.priority, self.begin_s = str(ready["priority"]), float(ready["begin_s"])
+
+    # -- frames --------------------------------------------------------------------------------------------------------
+
+    def play(
+        self,
+        frames: Iterable[tuple[float, bytes] | TimedFrame],
+        *,
+        duration_s: float = 0.0,
+        on_progress: Callable[[int, int], None] | None = None,
+        on_sound: Callable[[float], None] | None = None,
+    ) -> PlayReport:
+        """Send frames so that they are emitted at their times; returns when all are over and the board is silent.
+
+        frames: (time of emission since the start [s], bytes), times rising; duration_s: how long the last one goes on
+            at least, since the start [s]
+        on_progress: gets the numbers of frames sent and skipped, some times a second
+        on_sound: gets the moment at which the first frame is emitted, on time.monotonic() [s], as soon as it is on its
+            way, which is mostly before
+        The newest frame that is due wins. Raises DeviceError when the board is lost or the player has died.
+        """
+        listed = list(frames)
+        schedule = Schedule([one[0] for one in listed], [one[1] for one in listed], duration_s)
+        self._send(SCHEDULE, schedule.packed())
+        return _report(self._until("played", None, on_progress, on_sound)["played"])
+
+    def send(self, steps: Sequence[bytes], level: float = 1.0, made_s: float | None = None) -> None:
+        """Send a live frame, which sounds until a newer one comes, or fades out when none does for `stale_s`.
+
+        steps: the same frame at rising levels up to its own, all of one length, for the ramp; just itself where the
+            board has no levels
+        level: of its sound, 0 for silence; made_s: when what it shows was known, on time.monotonic() [s], None for now
+        Raises DeviceError when the board is lost or the player has died.
+        """
+        made = time.monotonic() if made_s is None else made_s
+        self._send(FRAME, LiveFrame(made, level, steps).packed())
+        self._take_lines()
+
+    def mute(self) -> None:
+        """Fade out what is live, until the next live frame."""
+        self._send(MUTE)
+        self._take_lines()
+
+    # -- what the player says ------------------------------------------------------------------------------------------
+
+    def _send(self, kind: bytes, data: bytes = b"") -> None:
+        view = memoryview(packed(kind, data))
+        while view:
+            try:
+                view = view[self._talk.send(view) :]
+            except BlockingIOError:
+                select.select([], [self._talk], [], 0.1)
+            except OSError:
+                self._inbox.read()
+                self._died()
+
+    def _until(
+        self,
+        key: str,
+        ends_s: float | None,
+        on_progress: Callable[[int, int], None] | None = None,
+        on_sound: Callable[[float], None] | None = None,
+    ) -> dict[str, Any]:
+        """The first line with that key. Raises DeviceError when the player fails or ends before."""
+        while ends_s is None or time.monotonic() < ends_s:
+            select.select([self._talk], [], [], 0.1)
+            for line in self._take_lines():
+                if key in line:
+                    return line
+                if "progress" in line and on_progress is not None:
+                    on_progress(*line["progress"])
+                if "sounds_s" in line and on_sound is not None:
+                    on_sound(float(line["sounds_s"]))
+            if self._ended is not None:
+                raise DeviceError(f"the player has ended: {self._ended['ended']}; the board is off")
+        raise DeviceError(f"the player's process said nothing for {STARTS_WITHIN_S:g} s; is the machine overloaded?")
+
+    def _take_lines(self) -> list[dict[str, Any]]:
+        self._inbox.read()
+        lines = []
+        for line in self._inbox.lines():
+            if "failed" in line:
+                raise DeviceError(line["failed"])
+            if "silent" in line:
+                self.silent = line["silent"]
+            if "trying" in line and self._on_trouble is not None:
+                self._on_trouble(f"{line['lost']}; trying to silence the board (Ctrl-C gives up)")
+            if "ended" in line:
+                self._ended = line
+            lines.append(line)
+        if self._ended is not None and not self._closed:
+            self._raise_end(self._ended)
+        if self._inbox.closed and self._ended is None:
+            self._died()
+        return lines
+
+    def _raise_end(self, end: dict[str, Any]) -> None:
+        """Why the player has ended by itself. Nothing where the caller wanted that."""
+        if self._lost or not (end["lost"] or end["broken"] or end["why_on"] or end["ended"].startswith("the player")):
+            return
+        self._lost = True
+        sounds = f"{self.board.when_host_dies}" if end["why_on"] else "the board is off"
+        why = f" ({end['why_on']})" if end["why_on"] else ""
+        if end["lost"]:
+            said = f"lost the board on {self.port} after {end['played']['frames']} frames: {end['lost']}"
+        else:
+            said = f"the player has ended: {end['broken'] or end['ended']}"
+        raise DeviceError(f"{said}; {sounds}{why}")
+
+    def _died(self) -> None:
+        """The process is gone without a word: the board is silenced from here. Raises DeviceError."""
+        if self._lost:
+            return
+        self._lost = True
+        code = self._process.wait(5.0)
+        how = f"by signal {signal.Signals(-code).name}" if code < 0 else f"with code {code}"
+        try:
+            with BoardLink(self.board, open_port(self.port, self.board.line.baud if self.board.line else None)):
+                pass
+        except DeviceError as error:
+            raise DeviceError(
+                f"the player's process on {self.port} was ended {how}, and the board could not be silenced "
+                f"({error}); {self.board.when_host_dies}"
+            ) from None
+        raise DeviceError(f"the player's process on {self.port} was ended {how}; the board is off")
+
+    def close(self) -> None:
+        """Silence the board and free the port; returns when that is done.
+
+        Raises DeviceError where the board could not be silenced and nobody was told yet.
+        """
+        if self._closed:
+            return
+        error: DeviceError | None = None
+        try:
+            with contextlib.suppress(DeviceError):
+                if self._ended is None and not self._inbox.closed:
+                    self._send(END)
+            while self._ended is None and not self._inbox.closed:
+                select.select([self._talk], [], [], 0.1)
+                try:
+                    self._take_lines()
+                except DeviceError as lost:
+                    error = error or lost
+            self._process.wait(5.0)
+        finally:
+            self._closed = True
+            self._signals.__exit__(None, None, None)
+            self._talk.close()
+            self._alarm.close()
+        if error is not None:
+            raise error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        if exception[0] is None:
+            self.close()
+            return
+        with contextlib.suppress(DeviceError):
+            self.close()
+
+
+def _report(line: dict[str, Any]) -> PlayReport:
+    return PlayReport(**line)

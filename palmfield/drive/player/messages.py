@@ -1,0 +1,153 @@
+"""What the caller and its player tell each other over a socket.
+
+To the player: a kind, a length and that many bytes. From it: JSON objects, one a line.
+"""
+
+import json
+import socket
+import struct
+from array import array
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, NamedTuple
+
+from palmfield.drive.player.budget import WINDOW_S
+
+HEAD = struct.Struct("<cI")
+JOB, SCHEDULE, FRAME, MUTE, END = b"J", b"S", b"F", b"M", b"E"
+"""Kinds: what to open; frames with their times; a live frame; no more live frames for now; no more at all."""
+FRAME_HEAD = struct.Struct("<dfH")
+SCHEDULE_HEAD = struct.Struct("<dI")
+
+
+@dataclass(frozen=True)
+class Job:
+    """What a player opens and how it plays. Bytes are in hexadecimal digits, times in seconds.
+
+    start, stop: byte sequences, both of which silence the board; realtime: whether it asks for priority over all else
+    log: file that lines of a log are added to, empty for none; refresh_s: how often what rests is sent again
+    lost_s: how long a line may take no bytes; replug_s: how long it waits for a port that is gone, to silence the board
+    patience_s: how long it tries to silence a board whose port is there and takes nothing; 0 for as long as it is
+    stale_s: after which a live frame is old; ramp_s: time from silence to full and back, of live frames
+    on_time_s: longest that live frames may sound altogether, 0 for any; duty: largest share of time, over duty_window_s
+    """
+
+    port: str
+    baud: int | None
+    bytes_per_s: float
+    start: str
+    stop: str
+    realtime: bool = True
+    log: str = ""
+    refresh_s: float = 0.1
+    lost_s: float = 2.0
+    replug_s: float = 5.0
+    patience_s: float = 0.0
+    stale_s: float = 0.1
+    ramp_s: float = 0.0
+    on_time_s: float = 0.0
+    duty: float = 1.0
+    duty_window_s: float = WINDOW_S
+
+    def packed(self) -> bytes:
+        return json.dumps(asdict(self)).encode()
+
+    @classmethod
+    def unpacked(cls, data: bytes) -> "Job":
+        return cls(**json.loads(data))
+
+
+class Schedule(NamedTuple):
+    """Frames and when each is emitted, its last byte on the line, since the start [s], rising; they end at duration_s.
+
+    The last frame sounds until duration_s.
+    """
+
+    times_s: Sequence[float]
+    frames: Sequence[bytes]
+    duration_s: float
+
+    def packed(self) -> bytes:
+        sizes = array("I", map(len, self.frames))
+        head = SCHEDULE_HEAD.pack(self.duration_s, len(sizes))
+        return head + array("d", self.times_s).tobytes() + sizes.tobytes() + b"".join(self.frames)
+
+    @classmethod
+    def unpacked(cls, data: bytes) -> "Schedule":
+        duration_s, count = SCHEDULE_HEAD.unpack_from(data)
+        times, sizes = array("d"), array("I")
+        at = SCHEDULE_HEAD.size
+        times.frombytes(data[at : at + 8 * count])
+        at += 8 * count
+        sizes.frombytes(data[at : at + sizes.itemsize * count])
+        at += sizes.itemsize * count
+        frames = []
+        for size in sizes:
+            frames.append(data[at : at + size])
+            at += size
+        return cls(times, frames, duration_s)
+
+
+class LiveFrame(NamedTuple):
+    """A frame that is to sound as soon as it can.
+
+    made_s: when what it shows was known, on time.monotonic() [s]; level: of its sound, 0 for silence
+    steps: the same frame at rising levels up to its own, all of one length; just itself where there is none between
+    """
+
+    made_s: float
+    level: float
+    steps: Sequence[bytes]
+
+    def packed(self) -> bytes:
+        return FRAME_HEAD.pack(self.made_s, self.level, len(self.steps)) + b"".join(self.steps)
+
+    @classmethod
+    def unpacked(cls, data: bytes) -> "LiveFrame":
+        made_s, level, count = FRAME_HEAD.unpack_from(data)
+        rest = data[FRAME_HEAD.size :]
+        size = len(rest) // count
+        return cls(made_s, level, [rest[at : at + size] for at in range(0, len(rest), size)])
+
+
+def packed(kind: bytes, data: bytes = b"") -> bytes:
+    """One message to the player."""
+    return HEAD.pack(kind, len(data)) + data
+
+
+class Inbox:
+    """Messages that come over a socket that never blocks. closed: whether the other side has closed it"""
+
+    def __init__(self, connection: socket.socket) -> None:
+        self._socket = connection
+        self._bytes = bytearray()
+        self.closed = False
+
+    def read(self) -> None:
+        """Take in all that is there."""
+        while not self.closed:
+            try:
+                data = self._socket.recv(1 << 20)
+            except BlockingIOError:
+                return
+            except OSError:
+                data = b""
+            self.closed = not data
+            self._bytes += data
+
+    def messages(self) -> Iterator[tuple[bytes, bytes]]:
+        """Kind and bytes of each message that is whole."""
+        while len(self._bytes) >= HEAD.size:
+            kind, size = HEAD.unpack_from(self._bytes)
+            if len(self._bytes) < HEAD.size + size:
+                return
+            data = bytes(self._bytes[HEAD.size : HEAD.size + size])
+            del self._bytes[: HEAD.size + size]
+            yield kind, data
+
+    def lines(self) -> Iterator[dict[str, Any]]:
+        """Each JSON object whose line is whole."""
+        while (end := self._bytes.find(b"\n")) >= 0:
+            line = bytes(self._bytes[:end])
+            del self._bytes[: end + 1]
+            yield json.loads(line)

@@ -1,0 +1,332 @@
+"""The player's process: `python -m palmfield.drive.player.process TALK ALARM`, numbers of two sockets of the caller's.
+
+It loads neither NumPy nor Warp nor MuJoCo. It plays what it is told to over the first socket. Over the second come
+numbers of the caller's signals, which the system writes there even while the caller is busy. The board is silenced when
+the caller says so, is gone or is stopped, and when a signal ends this process.
+"""
+
+import contextlib
+import json
+import os
+import select
+import signal
+import socket
+import sys
+import time
+from typing import Any
+
+from palmfield.drive.player.board_end import BoardEnd, PortStuck
+from palmfield.drive.player.budget import SoundBudget
+from palmfield.drive.player.messages import END, FRAME, JOB, MUTE, SCHEDULE, Inbox, Job, LiveFrame, Schedule
+from palmfield.drive.player.realtime import collect_no_garbage, take_priority
+from palmfield.drive.player.report import quantile
+from palmfield.drive.player.sources import LiveSource, ScheduleSource, Source
+from palmfield.drive.transport import PortLost
+from palmfield.errors import PalmfieldError
+
+now_s = time.monotonic
+SPIN_S = 80e-6
+"""Waits end so much before a moment; the rest is spent looking at the clock."""
+LOOK_S = 0.02
+"""How long a wait is at most: then the caller is looked at."""
+PARENT_S = 0.05
+PROGRESS_S = 0.1
+IDLE_S = 200e-6
+"""Time that a line of the log may take."""
+ENDS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
+STOPS, GOES_ON = int(getattr(signal, "SIGTSTP", 0)), int(getattr(signal, "SIGCONT", 0))
+
+
+class Caller:
+    """What the caller wants, by its messages, its signals, and whether it is there.
+
+    ended: why the player is to end, empty while it is not; signals: that asked for it; paused: is to be silent
+    """
+
+    def __init__(self, talk: socket.socket, alarm: socket.socket) -> None:
+        self.talk, self.alarm = talk, alarm
+        self.inbox = Inbox(talk)
+        self.ended, self.signals = "", 0
+        self._paused = self._stopped = False
+        self._parent, self._looked_s = os.getppid(), now_s()
+        self._closed: set[socket.socket] = set()
+
+    @property
+    def paused(self) -> bool:
+        return self._paused or self._stopped
+
+    def end(self, why: str, by_signal: bool = False) -> None:
+        self.ended = self.ended or why
+        self.signals += by_signal
+
+    def listen(self) -> list[tuple[bytes, bytes]]:
+        """Take in signals, and return the messages that have come."""
+        try:
+            for number in self.alarm.recv(64):
+                self._signal(number)
+        except BlockingIOError:
+            pass
+        self.inbox.read()
+        if self.inbox.closed:
+            self.end("the caller is gone")
+        self._look()
+        return list(self.inbox.messages())
+
+    def _signal(self, number: int) -> None:
+        if number in [getattr(signal, name, 0) for name in ENDS]:
+            self.end(f"the caller got {signal.Signals(number).name}", by_signal=True)
+        elif number in (STOPS, GOES_ON):
+            self._paused = number == STOPS
+
+    def _look(self) -> None:
+        """A caller that has ended while children of its own hold the sockets, or that is stopped (SIGSTOP)."""
+        now = now_s()
+        if now - self._looked_s < PARENT_S:
+            return
+        self._looked_s = now
+        if os.getppid() != self._parent:
+            self.end("the caller is gone")
+            return
+        with contextlib.suppress(OSError, IndexError), open(f"/proc/{self._parent}/stat", "rb") as file:
+            self._stopped = file.read().rpartition(b")")[2].split()[0] in (b"T", b"t")
+
+    def wait(self, until_s: float) -> bool:
+        """Wait until a moment, a message, or LOOK_S; whether the moment has come."""
+        rest = until_s - SPIN_S - now_s()
+        if rest > 0.0:
+            open_ones = [one for one in (self.talk, self.alarm) if one not in self._closed]
+            for one in select.select(open_ones, [], [], min(rest, LOOK_S))[0]:
+                # What is closed is always ready
+                with contextlib.suppress(OSError):
+                    if not one.recv(1, socket.MSG_PEEK):
+                        self._closed.add(one)
+                return False
+            if rest > LOOK_S:
+                return False
+        while now_s() < until_s:
+            pass
+        return True
+
+    def tell(self, **what: Any) -> None:
+        """Send a line; without waiting, as nobody may read it."""
+        with contextlib.suppress(OSError):
+            self.talk.send(json.dumps(what).encode() + b"\n")
+
+
+class Session:
+    """A board and its caller, until one of them is gone."""
+
+    def __init__(self, board: BoardEnd, caller: Caller, priority: str) -> None:
+        self.board, self.caller, self.priority = board, caller, priority
+        self.source: Source | None = None
+        self._told_s = 0.0
+        self._frames_before = 0
+        self._said = ""
+        self._first_sound_s: float | None = None
+        self._last_sound_s: float | None = None
+
+    def run(self) -> None:
+        """Play until the caller ends it. Raises PortLost."""
+        self.board.send_start()
+        self.caller.tell(ready=True, priority=self.priority, begin_s=self.board.begin_s)
+        while not self.caller.ended:
+            self._obey(self.caller.listen())
+            if self.caller.ended:
+                break
+            if self.caller.paused:
+                self._pause()
+                continue
+            if self.source is None:
+                self.board.free_s(now_s())  # raises where the port is gone
+                self.caller.wait(now_s() + LOOK_S)
+                continue
+            self._step(self.source)
+
+    def _obey(self, messages: list[tuple[bytes, bytes]]) -> None:
+        for kind, data in messages:
+            if kind == END:
+                self.caller.end("asked")
+            elif kind == SCHEDULE:
+                self._begin(ScheduleSource(Schedule.unpacked(data), self.board.line.byte_s, self._first_s()))
+            elif kind == FRAME:
+                if not isinstance(self.source, LiveSource):
+                    job = self.board.job
+                    budget = SoundBudget(job.on_time_s, job.duty, job.duty_window_s)
+                    live = LiveSource(
+                        self.board.line.byte_s, self.board.stop, ramp_s=job.ramp_s, stale_s=job.stale_s,
+                        refresh_s=job.refresh_s, budget=budget,
+                    )  # fmt: skip
+                    self._begin(live)
+                assert isinstance(self.source, LiveSource)
+                self.source.take(LiveFrame.unpacked(data))
+            elif kind == MUTE and isinstance(self.source, LiveSource):
+                self.source.muted = True
+
+    def _first_s(self) -> float:
+        return max(now_s(), self.board.free_s(now_s())) + 2e-3
+
+    def _begin(self, source: Source) -> None:
+        self.source = source
+        self._frames_before = self.board.frames
+        self._first_sound_s = self._last_sound_s = None
+
+    def _step(self, source: Source) -> None:
+        board = self.board
+        now = now_s()
+        choice = source.choose(now, board.free_s(now))
+        if choice is None:
+            board.send_stop()
+            self.source = None
+            self.caller.tell(played=self.report(source), off=True)
+            return
+        at = max(choice.at_s, board.retry_s)
+        if at > now:
+            if at - now > IDLE_S:
+                board.write_log()
+            self._tell_progress(source, now)
+            if not self.caller.wait(at):
+                return
+        if choice.data and board.hand(choice.data, choice.due_s, max(at, now)):
+            source.sent(now_s())
+            self._last_sound_s = board.line.free_s(now_s())
+            if self._first_sound_s is None:
+                self._first_sound_s = self._last_sound_s
+                self.caller.tell(sounds_s=self._first_sound_s)
+
+    def _pause(self) -> None:
+        """Silence while the caller is stopped, and then on from there."""
+        began = now_s()
+        if self.board.sounding:
+            self.board.send_stop()
+        while self.caller.paused and not self.caller.ended:
+            self._obey(self.caller.listen())
+            self.caller.wait(now_s() + LOOK_S)
+        if self.source is not None:
+            self.source.shift(now_s() - began)
+
+    def _tell_progress(self, source: Source, now: float) -> None:
+        if now - self._told_s < PROGRESS_S:
+            return
+        self._told_s = now
+        if isinstance(source, LiveSource) and source.said != self._said:
+            self._said = source.said
+            if self._said:
+                self.caller.tell(silent=self._said)
+        self.caller.tell(progress=[self.board.frames - self._frames_before, source.skipped])
+
+    def report(self, source: Source | None) -> dict[str, Any]:
+        """Of all frames of a source, as `PlayReport` has it."""
+        late = self.board.late_s[self._frames_before :]
+        handed = self.board.write_late_s[self._frames_before :]
+        return {
+            "frames": self.board.frames - self._frames_before,
+            "skipped": 0 if source is None else source.skipped,
+            "late_s": max(late, default=0.0),
+            "late_p99_s": quantile(late, 0.99),
+            "late_p50_s": quantile(late, 0.5),
+            "write_p99_s": quantile(handed, 0.99),
+            "write_worst_s": max(handed, default=0.0),
+            "cut": self.board.cut,
+            "seconds": now_s() - self.board.begin_s,
+            "priority": self.priority,
+            "first_s": self._first_sound_s,
+            "last_s": self._last_sound_s,
+        }
+
+
+def silence(board: BoardEnd, caller: Caller, lost: str) -> str:
+    """Silence the board, trying again as long as its port is there; returns why that failed, empty where it did not.
+
+    lost: why the port was lost, empty where it was not
+    """
+    began, told, signals = now_s(), False, caller.signals
+    gone_since: float | None = None
+    while True:
+        if board.exists() and board.try_stop():
+            return ""
+        caller.listen()
+        now = now_s()
+        if caller.signals > signals:
+            return "given up"
+        patience = board.job.patience_s
+        if board.exists():
+            gone_since = None
+            if patience and now - began > patience:
+                return f"the port has taken no bytes for {patience:g} s"
+        else:
+            gone_since = gone_since or now
+            # A URL has no file that would come back: it is opened anew
+            if board.is_url and board.try_stop():
+                return ""
+            if board.job.port.startswith("/dev/pts/"):
+                return "the port is gone"
+            if now - gone_since > board.job.replug_s:
+                return f"the port is gone and has not come back within {board.job.replug_s:g} s"
+        if not told:
+            told = True
+            caller.tell(lost=lost or "the port takes no bytes", trying=True)
+        caller.wait(now + LOOK_S)
+
+
+def main() -> int:
+    talk, alarm = (socket.socket(fileno=int(number)) for number in sys.argv[1:3])
+    for name in ("SIGTSTP", "SIGTTIN", "SIGTTOU", "SIGPIPE"):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
+    talk.setblocking(True)
+    caller = Caller(talk, alarm)
+    for name in ENDS:
+        if hasattr(signal, name):
+            number = getattr(signal, name)
+            signal.signal(number, lambda got, _: caller.end(f"the player got {signal.Signals(got).name}", True))
+    alarm.setblocking(False)
+    job = first_job(talk)
+    talk.setblocking(False)
+    collect_no_garbage()
+    priority = take_priority() if job.realtime else "normal priority (asked for)"
+    try:
+        board = BoardEnd(job)
+    except PalmfieldError as error:
+        caller.tell(failed=str(error))
+        return 1
+    session = Session(board, caller, priority)
+    lost, broken = "", ""
+    try:
+        session.run()
+    except PortLost as error:
+        lost = str(error)
+        if not isinstance(error, PortStuck):
+            board.close_port()
+    except PalmfieldError as error:
+        # Units that are opened by the first bytes, and are not there
+        board.close()
+        caller.tell(failed=str(error))
+        return 1
+    except BaseException as error:
+        broken = f"{type(error).__name__}: {error}"
+    why = silence(board, caller, lost) if board.sounding or lost or broken else ""
+    board.close()
+    talk.setblocking(True)
+    caller.tell(
+        ended=caller.ended, lost=lost, broken=broken, off=not why, why_on=why, played=session.report(session.source),
+        log_error=board.log_error,
+    )  # fmt: skip
+    return 0
+
+
+def first_job(talk: socket.socket) -> Job:
+    """The first message. Raises EOFError where the caller is gone before."""
+    inbox = Inbox(talk)
+    talk.setblocking(False)
+    while True:
+        select.select([talk], [], [])
+        inbox.read()
+        for kind, data in inbox.messages():
+            if kind == JOB:
+                return Job.unpacked(data)
+        if inbox.closed:
+            raise EOFError("the caller is gone")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,165 @@
+"""What a player sends next and when: of a schedule, and of live frames. The newest frame that is due wins."""
+
+import math
+from typing import NamedTuple, Protocol
+
+from palmfield.drive.player.budget import SoundBudget
+from palmfield.drive.player.messages import LiveFrame, Schedule
+
+CLOSE_S = 1e-6
+"""A line that is free within this of a frame's time is busy until then."""
+LIVE_AHEAD_S = 1e-3
+"""How long before the line is free a live frame is handed over, so that the line has no pause [s]."""
+
+
+class Choice(NamedTuple):
+    """at_s: when to hand it over; due_s: when its last byte is wanted on the line; data: empty to look again then"""
+
+    at_s: float
+    due_s: float
+    data: bytes
+
+
+class Source(Protocol):
+    """What is played. skipped: frames that were due and not sent, because a newer one was due too"""
+
+    skipped: int
+
+    def choose(self, now_s: float, free_s: float) -> Choice | None:
+        """The frame to send next, with the line free at a time; None where all is sent and its time is over."""
+
+    def sent(self, now_s: float) -> None:
+        """The chosen one is on its way."""
+
+    def shift(self, by_s: float) -> None:
+        """It was paused for so long."""
+
+
+class ScheduleSource:
+    """Frames whose times are known. One frame may wait for the line while another is on it."""
+
+    def __init__(self, schedule: Schedule, byte_s: float, now_s: float) -> None:
+        self.schedule, self.byte_s = schedule, byte_s
+        self.skipped = 0
+        self._next = 0
+        first = self._line_s(0) - schedule.times_s[0] if schedule.frames else 0.0
+        self.start_s = now_s + first
+
+    def _line_s(self, number: int) -> float:
+        return len(self.schedule.frames[number]) * self.byte_s
+
+    def choose(self, now_s: float, free_s: float) -> Choice | None:
+        times, frames, number = self.schedule.times_s, self.schedule.frames, self._next
+        if number == len(frames):
+            ends = max(self.start_s + self.schedule.duration_s, free_s)
+            return None if now_s >= ends else Choice(ends, ends, b"")
+        takes = self._line_s(number)
+        begins = self.start_s + times[number] - takes
+        while number + 1 < len(frames):
+            takes_next = self._line_s(number + 1)
+            begins_next = self.start_s + times[number + 1] - takes_next
+            if begins_next > max(begins, free_s, now_s):
+                break
+            number, begins, takes = number + 1, begins_next, takes_next
+            self.skipped += 1
+        self._next = number
+        # While the line is busy anyway a frame waits in the system's buffer, so that the line has no pause
+        at = begins if free_s < begins - CLOSE_S else free_s - takes
+        return Choice(at, begins + takes, frames[number])
+
+    def sent(self, now_s: float) -> None:
+        self._next += 1
+
+    def shift(self, by_s: float) -> None:
+        self.start_s += by_s
+        # What sounded before the pause sounds again
+        self._next = max(0, self._next - 1)
+
+    @property
+    def first_due_s(self) -> float:
+        return self.start_s + (self.schedule.times_s[0] if self.schedule.frames else 0.0)
+
+
+class LiveSource:
+    """The newest of frames that come as they are made; old ones fade out. Between silence and full there is a ramp.
+
+    said: why it is silent, empty where it isn't; muted: by the caller
+    """
+
+    def __init__(
+        self,
+        byte_s: float,
+        stop: bytes,
+        *,
+        ramp_s: float,
+        stale_s: float,
+        refresh_s: float,
+        budget: SoundBudget,
+    ) -> None:
+        self.byte_s, self.stop, self.budget = byte_s, stop, budget
+        self.ramp_s, self.stale_s, self.refresh_s = ramp_s, stale_s, refresh_s
+        self.skipped = 0
+        self.said = ""
+        self.muted = self.silent = False
+        self._newest: LiveFrame | None = None
+        self._unsent = False
+        self._gain, self._gain_s = 0.0, -math.inf
+        self._sent: tuple[bytes, float] = (b"", -math.inf)
+        self._choice: Choice | None = None
+        self.silent = True
+
+    def take(self, frame: LiveFrame) -> None:
+        """A newer frame than all before."""
+        self.skipped += self._unsent
+        self._newest, self._unsent, self.muted = frame, True, False
+
+    def choose(self, now_s: float, free_s: float) -> Choice | None:
+        frame = self._newest
+        if frame is None:
+            return Choice(now_s + self.refresh_s, now_s, b"")
+        gain = self._ramped(frame, now_s)
+        if gain <= 0.0:
+            if self.silent:
+                return Choice(now_s + self.refresh_s, now_s, b"")
+            data = self.stop
+        else:
+            data = frame.steps[max(0, math.ceil(gain * len(frame.steps) - 1e-9) - 1)]
+        due = (frame.made_s if self._unsent else now_s) + len(data) * self.byte_s
+        at = max(now_s, free_s - LIVE_AHEAD_S)
+        if data == self._sent[0] and not self._unsent:
+            # While a ramp lasts and until the frame is old somebody looks again soon
+            soon = now_s + min(0.01, max(1e-4, self.ramp_s / max(1, len(frame.steps))))
+            at = max(at, self._sent[1] + self.refresh_s)
+            if at > soon:
+                return Choice(soon, now_s, b"")
+        self._choice = Choice(at, due, data)
+        return self._choice
+
+    def _ramped(self, frame: LiveFrame, now_s: float) -> float:
+        """Share of its level that the newest frame has now: it rises and falls within the ramp's time."""
+        sounds = self._gain > 0.0 and frame.level > 0.0
+        within = self.budget.allows(now_s, sounds)
+        old = now_s - frame.made_s > self.stale_s
+        self.said = "" if within else self.budget.said
+        if old and not self.said:
+            self.said = f"no frame came for {self.stale_s:g} s"
+        target = 0.0 if self.muted or self.said else 1.0
+        passed = now_s - self._gain_s if self._gain_s > -math.inf else 0.0
+        self._gain_s = now_s
+        if self.ramp_s <= 0.0 or len(frame.steps) == 1:
+            self._gain = target
+        elif target > self._gain:
+            # The first step sounds at once
+            self._gain = min(target, max(self._gain, 1.0 / len(frame.steps)) + passed / self.ramp_s * (not self.silent))
+        else:
+            self._gain = max(target, self._gain - passed / self.ramp_s)
+        return self._gain
+
+    def sent(self, now_s: float) -> None:
+        assert self._choice is not None
+        self.silent = self._choice.data == self.stop
+        self._sent = self._choice.data, now_s
+        self._unsent = False
+
+    def shift(self, by_s: float) -> None:
+        self._gain, self._sent, self.silent = 0.0, (b"", -math.inf), True

@@ -1,0 +1,125 @@
+"""Numbers of a map over a surface: diameters, areas above a level, radial profiles; depth of halved pressure."""
+
+import itertools
+from typing import Literal
+
+import numpy as np
+from contourpy import contour_generator
+from numpy.typing import ArrayLike
+
+from palmfield.errors import MeasurementError
+from palmfield.metrics.checks import cell_areas, finite, grid, share
+from palmfield.types import Float
+
+Diameter = Literal["equal_area", "widest"]
+
+
+def area_above(values: ArrayLike, x_m: ArrayLike, y_m: ArrayLike, level: float) -> float:
+    """Area where a map reaches `level`, in the map's unit [m^2]; between the grid's places the map is linear.
+
+    values: shape (m, n) at x (m,) and y (n,) [m], both rising
+    """
+    field, x, y = grid(values, x_m, y_m)
+    total = 0.0
+    for corners in _filled(field, x, y, level):
+        ahead = np.roll(corners, -1, axis=0)
+        total += 0.5 * float((corners[:, 0] * ahead[:, 1] - ahead[:, 0] * corners[:, 1]).sum())
+    return abs(total)
+
+
+def spot_diameter(
+    values: ArrayLike, x_m: ArrayLike, y_m: ArrayLike, level_of_peak: float = 0.2, *, of: Diameter = "equal_area"
+) -> float:
+    """Diameter of the region where the magnitude of a map exceeds a share of its largest [m].
+
+    values: shape (m, n) at x (m,) and y (n,) [m], both rising
+    level_of_peak: share, above 0 and below 1
+    of: "equal_area", diameter of the circle of the region's area; "widest", largest distance of two of its points
+    Raises MeasurementError for a map of zeros and for a region that reaches the map's rim, where its size is not known.
+    """
+    share("level_of_peak", level_of_peak)
+    field, x, y = grid(np.abs(np.asarray(values, dtype=float)), x_m, y_m)
+    top = float(field.max())
+    if top == 0.0:
+        raise MeasurementError("the map is 0 everywhere and has no spot")
+    level = level_of_peak * top
+    rim = np.concatenate([field[0], field[-1], field[:, 0], field[:, -1]]).max()
+    if rim >= level:
+        raise MeasurementError(
+            f"at the map's rim {rim / top:.2g} of the peak is left, not less than {level_of_peak:g}: give a wider map"
+        )
+    if of == "equal_area":
+        return float(2.0 * np.sqrt(area_above(field, x, y, level) / np.pi))
+    if of != "widest":
+        raise MeasurementError(f"of is '{of}'; use equal_area or widest")
+    outline = np.concatenate([np.asarray(line) for line in contour_generator(x, y, field.T).lines(level)])
+    return float(np.sqrt(((outline[:, None] - outline) ** 2).sum(axis=2)).max())
+
+
+def radial_profile(
+    values: ArrayLike, points_m: ArrayLike, radii_m: ArrayLike, weights: ArrayLike | None = None
+) -> Float:
+    """Mean of a map over the angle, for rings about the origin, shape (k,); NaN for a ring without points.
+
+    values: shape (n,) at points (n, 2) or (n, 3), of which x and y count [m]
+    radii_m: ends of the rings, rising, shape (k + 1,); weights: area of each point, shape (n,), else all count alike
+    """
+    field, points, edges = (np.asarray(part, dtype=float) for part in (values, points_m, radii_m))
+    share_of = np.ones(len(field)) if weights is None else np.asarray(weights, dtype=float)
+    finite("values", field)
+    if points.ndim != 2 or points.shape[0] != len(field) or share_of.shape != field.shape:
+        raise MeasurementError(
+            f"points have shape {points.shape} and weights {share_of.shape}, but there are {len(field)} values"
+        )
+    if edges.ndim != 1 or len(edges) < 2 or not np.all(np.diff(edges) > 0.0):
+        raise MeasurementError("radii_m must be at least two lengths that rise")
+    radius = np.hypot(points[:, 0], points[:, 1])
+    total = np.histogram(radius, edges, weights=share_of * field)[0]
+    count = np.histogram(radius, edges, weights=share_of)[0]
+    return np.where(count > 0.0, total / np.where(count > 0.0, count, 1.0), np.nan)
+
+
+def share_within(values: ArrayLike, x_m: ArrayLike, y_m: ArrayLike, inside: ArrayLike) -> float:
+    """Share of a map's integral that lies where `inside` (m, n) is True, between 0 and 1 for maps of one sign."""
+    field, x, y = grid(values, x_m, y_m)
+    whole = cell_areas(x, y) * field
+    return float(whole[np.asarray(inside, dtype=bool)].sum() / whole.sum())
+
+
+def level_depth(depth_m: ArrayLike, values: ArrayLike, reference_m: float, level: float = 0.5) -> float:
+    """Distance beyond `reference_m` at which a curve first falls to `level` of what it is at the reference [m].
+
+    depth_m: distances from the array, rising [m], shape (n,); values: for example the pressure at the focus when it is
+        put at each, shape (n,), linear between
+    The halved-pressure depth has level 0.5 and the reference at which the paper normalises (argument, as it is not
+    always printed). Raises MeasurementError where the reference lies off the curve, or the curve never falls so low.
+    """
+    depth, curve = np.asarray(depth_m, dtype=float), np.asarray(values, dtype=float)
+    share("level", level)
+    if depth.ndim != 1 or curve.shape != depth.shape or len(depth) < 2 or not np.all(np.diff(depth) > 0.0):
+        raise MeasurementError(f"depths of shape {depth.shape} must rise and be as many as values {curve.shape}")
+    finite("values", curve)
+    if not depth[0] <= reference_m <= depth[-1]:
+        raise MeasurementError(f"reference_m is {reference_m:g} m; the curve goes from {depth[0]:g} to {depth[-1]:g} m")
+    goal = level * float(np.interp(reference_m, depth, curve))
+    low = np.flatnonzero((depth > reference_m) & (curve <= goal))
+    if len(low) == 0:
+        raise MeasurementError(
+            f"up to {depth[-1]:g} m the curve stays above {level:g} of its value at {reference_m:g} m: look farther"
+        )
+    after = int(low[0])
+    before = max(float(depth[after - 1]), reference_m)
+    high = float(np.interp(before, depth, curve))
+    part = (high - goal) / (high - curve[after])
+    return float(before + part * (depth[after] - before))
+
+
+def _filled(field: Float, x: Float, y: Float, level: float) -> list[Float]:
+    """Rings round where a map reaches a level; holes go the other way round."""
+    top = max(float(field.max()), level) + 1.0 + abs(level)
+    rings: list[Float] = []
+    for points, offsets in zip(
+        *contour_generator(x, y, field.T, fill_type="OuterOffset").filled(level, top), strict=True
+    ):
+        rings += [np.asarray(points[a:b]) for a, b in itertools.pairwise(offsets)]
+    return rings

@@ -1,0 +1,93 @@
+"""Averages over time in a frame that goes with the focus: along a straight way, or round a circle."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.interpolate import RegularGridInterpolator
+
+from palmfield.errors import MeasurementError
+from palmfield.metrics.checks import above_zero, even_step, finite, grid, trace
+from palmfield.types import Float
+
+
+def moving_frame_average(
+    times_s: ArrayLike,
+    values: ArrayLike,
+    x_m: ArrayLike,
+    y_m: ArrayLike,
+    focus_m: ArrayLike,
+    ahead_m: ArrayLike,
+    across_m: ArrayLike,
+    *,
+    square: bool = False,
+) -> Float:
+    """Mean over time of maps as seen from a focus, shape (a, b); NaN where a place is never on the map.
+
+    values: snapshots on a grid, shape (t, m, n), linear between its places; focus_m: where the focus is at each time
+    [m], shape (t, 2); the frame turns with its course, estimated from the places before and after
+    ahead_m, across_m: places of the answer [m], shapes (a,) along the course and (b,) to its left
+    square: of the squares, and the root of that
+    """
+    times, maps = trace(times_s, values, 2)
+    focus = np.asarray(focus_m, dtype=float)
+    if maps.ndim != 3 or focus.shape != (len(times), 2):
+        raise MeasurementError(
+            f"values have shape {maps.shape} and focus_m {focus.shape}; give (t, m, n) and ({len(times)}, 2)"
+        )
+    finite("focus_m", focus)
+    _, x, y = grid(maps[0], x_m, y_m)
+    course = np.gradient(focus, times, axis=0)
+    speed = np.linalg.norm(course, axis=1)
+    if speed.min() == 0.0:
+        raise MeasurementError(
+            f"the focus stands still at {times[speed.argmin()]:g} s and has no course: leave that out"
+        )
+    forward = course / speed[:, None]
+    left = np.stack([-forward[:, 1], forward[:, 0]], axis=1)
+    total = np.zeros((np.size(ahead_m), np.size(across_m)))
+    count = np.zeros(total.shape)
+    ahead, across = np.meshgrid(np.asarray(ahead_m, float), np.asarray(across_m, float), indexing="ij")
+    for number in range(len(times)):
+        places = focus[number] + ahead[..., None] * forward[number] + across[..., None] * left[number]
+        seen = RegularGridInterpolator((x, y), maps[number], bounds_error=False, fill_value=np.nan)(places)
+        there = np.isfinite(seen)
+        total += np.where(there, seen**2 if square else seen, 0.0)
+        count += there
+    mean = np.where(count > 0.0, total / np.maximum(count, 1.0), np.nan)
+    return np.asarray(np.sqrt(mean) if square else mean)
+
+
+def co_rotating_average(
+    times_s: ArrayLike,
+    values: ArrayLike,
+    turn_Hz: float,
+    angles_rad: ArrayLike,
+    *,
+    square: bool = False,
+) -> Float:
+    """Mean over time in the frame that turns with a focus on a circle, shape (r, n).
+
+    values: at polar places, shape (t, r, n): r radii, n even angles 2 pi j/n in the resting frame; times_s: even
+    turn_Hz: turns of the focus a second, counter-clockwise where above 0; it is at angle 0 at time 0
+    angles_rad: angles from the focus at which the mean is wanted, shape (n_out,); the last axis of the answer
+    square: of the squares, and the root of that
+    Between the angles it is the trigonometric interpolation of the snapshots, exact where they hold less than n/2 waves
+    round the circle. Raises MeasurementError for times that are not even and less than a turn.
+    """
+    times, maps = trace(times_s, values, 2)
+    if maps.ndim != 3:
+        raise MeasurementError(f"values have shape {maps.shape}; give (t, radii, angles)")
+    above_zero("the size of turn_Hz", abs(turn_Hz))
+    step = even_step(times)
+    if (times[-1] - times[0] + step) * abs(turn_Hz) < 1.0 - 1e-6:
+        raise MeasurementError(f"the record of {times[-1] - times[0]:g} s holds no turn of {turn_Hz:g} Hz")
+    angles = np.asarray(angles_rad, dtype=float)
+    count = maps.shape[2]
+    orders = np.fft.rfftfreq(count, 1.0 / count)
+    weight = np.where((orders == 0.0) | (2.0 * orders == count), 1.0, 2.0) / count
+    total = np.zeros((maps.shape[1], len(angles)))
+    for time, snapshot in zip(times, maps, strict=True):
+        turned = angles + 2.0 * np.pi * turn_Hz * time
+        seen = ((np.fft.rfft(snapshot, axis=1) * weight) @ np.exp(1j * np.outer(orders, turned))).real
+        total += seen**2 if square else seen
+    mean = total / len(times)
+    return np.asarray(np.sqrt(mean) if square else mean)

@@ -1,0 +1,148 @@
+"""Numbers of one signal over time: steady value, peak, overshoot, settling, peak to peak, RMS.
+
+All take times [s], shape (t,), and a signal in any unit, shape (t,), and raise MeasurementError for other shapes, NaN,
+and windows that hold less than two samples. A window is (start, end) [s] with both ends; None is the whole record.
+"""
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from palmfield.errors import MeasurementError
+from palmfield.metrics.checks import above_zero, share, trace
+from palmfield.types import Float
+
+Window = tuple[float, float] | None
+Of = Literal["magnitude", "negative", "positive"]
+
+
+def within(times_s: ArrayLike, values: ArrayLike, window_s: Window) -> tuple[Float, Float]:
+    """The samples of a window. values: shape (t, ...)."""
+    times, signal = trace(times_s, values)
+    if window_s is None:
+        return times, signal
+    step = float(np.median(np.diff(times)))
+    start, end = window_s
+    chosen = (times >= start - 1e-6 * step) & (times <= end + 1e-6 * step)
+    if chosen.sum() < 2:
+        raise MeasurementError(
+            f"the window from {start:g} to {end:g} s holds {chosen.sum()} samples of a record from {times[0]:g} to "
+            f"{times[-1]:g} s; it needs two"
+        )
+    return times[chosen], signal[chosen]
+
+
+def last_periods(times_s: ArrayLike, frequency_Hz: float, periods: int) -> tuple[float, float]:
+    """The window of the last whole periods of a record, without the sample that begins the next one [s].
+
+    Raises MeasurementError where the record is shorter.
+    """
+    times, _ = trace(times_s, np.zeros(np.shape(times_s)))
+    above_zero("frequency_Hz", frequency_Hz)
+    step = float(np.median(np.diff(times)))
+    length = periods / frequency_Hz
+    if periods < 1 or length > times[-1] - times[0] + step * (1.0 + 1e-6):
+        raise MeasurementError(
+            f"{periods} periods of {frequency_Hz:g} Hz take {length:g} s, the record {times[-1] - times[0]:g}; give "
+            "1 or more that fit"
+        )
+    return float(times[-1] - length + 0.5 * step), float(times[-1])
+
+
+def mean_value(times_s: ArrayLike, values: ArrayLike, window_s: Window = None) -> float:
+    """Mean over a window, of the samples, in the signal's unit."""
+    return float(within(times_s, values, window_s)[1].mean())
+
+
+def steady_value(times_s: ArrayLike, values: ArrayLike, window_s: tuple[float, float]) -> float:
+    """What a step ends at: the mean over a window near the stimulus' end, in the signal's unit."""
+    return mean_value(times_s, values, window_s)
+
+
+def peak(
+    times_s: ArrayLike, values: ArrayLike, window_s: Window = None, *, of: Of = "magnitude"
+) -> tuple[float, float]:
+    """Time [s] and value, with its sign, of the largest magnitude, or of the lowest or highest value."""
+    times, signal = within(times_s, values, window_s)
+    if of not in ("magnitude", "negative", "positive"):
+        raise MeasurementError(f"of is '{of}'; use magnitude, negative or positive")
+    size = {"magnitude": np.abs(signal), "negative": -signal, "positive": signal}[of]
+    place = int(size.argmax())
+    return float(times[place]), float(signal[place])
+
+
+def overshoot(times_s: ArrayLike, values: ArrayLike, steady: float, window_s: Window = None) -> float:
+    """How far a step goes beyond its steady value, relative to that value: (peak - steady)/steady; 0 where it doesn't.
+
+    steady: in the signal's unit, not 0, for example by `steady_value`; the peak is on its side of 0
+    """
+    if not (np.isfinite(steady) and steady != 0.0):
+        raise MeasurementError(f"the steady value is {steady}; an overshoot is relative to one that is not 0")
+    highest = float((within(times_s, values, window_s)[1] / steady).max())
+    return max(0.0, highest - 1.0)
+
+
+def settling_time(
+    times_s: ArrayLike,
+    values: ArrayLike,
+    steady: float,
+    band: float,
+    *,
+    start_s: float = 0.0,
+    end_s: float | None = None,
+) -> float:
+    """Time from `start_s` until the signal stays within band * |steady| of the steady value [s].
+
+    band: share of the steady value, above 0 and below 1; the last crossing is placed linearly between two samples
+    end_s: up to where the signal is looked at, for example where the stimulus ends
+    Raises MeasurementError where the signal is still outside the band at the end.
+    """
+    share("band", band)
+    if not (np.isfinite(steady) and steady != 0.0):
+        raise MeasurementError(f"the steady value is {steady}; a band is relative to one that is not 0")
+    times, signal = trace(times_s, values)
+    times, signal = within(times, signal, (start_s, times[-1] if end_s is None else end_s))
+    off = np.abs(signal - steady) / abs(steady)
+    outside = np.flatnonzero(off > band)
+    if len(outside) == 0:
+        return 0.0
+    last = int(outside[-1])
+    if last == len(times) - 1:
+        raise MeasurementError(
+            f"at {times[-1]:g} s the signal is still {100 * off[last]:.3g} % from its steady value, outside the band "
+            f"of {100 * band:g} %: record for longer, or give a wider band"
+        )
+    part = (off[last] - band) / (off[last] - off[last + 1])
+    return float(times[last] + part * (times[last + 1] - times[last]) - start_s)
+
+
+def peak_to_peak(times_s: ArrayLike, values: ArrayLike, window_s: Window = None) -> float:
+    """Largest less smallest value, in the signal's unit.
+
+    window_s: None is the whole record from rest, onset and all; `last_periods` gives the steady part. The two differ:
+    a modulated load from rest moves the skin's mean too.
+    """
+    return float(np.ptp(within(times_s, values, window_s)[1]))
+
+
+def rms(
+    times_s: ArrayLike, values: ArrayLike, window_s: Window = None, *, mean: Literal["kept", "removed"] = "kept"
+) -> float:
+    """Root of the mean square over a window, with its mean or without, in the signal's unit."""
+    signal = within(times_s, values, window_s)[1]
+    return float(np.sqrt(np.mean((signal - _mean(signal, mean)) ** 2)))
+
+
+def rms_map(
+    times_s: ArrayLike, values: ArrayLike, window_s: Window = None, *, mean: Literal["kept", "removed"] = "kept"
+) -> Float:
+    """`rms` of many signals at once: values of shape (t, ...) give the shape behind t."""
+    signal = within(times_s, values, window_s)[1]
+    return np.asarray(np.sqrt(np.mean((signal - _mean(signal, mean)) ** 2, axis=0)))
+
+
+def _mean(signal: Float, mean: str) -> Float:
+    if mean not in ("kept", "removed"):
+        raise MeasurementError(f"mean is '{mean}'; use kept or removed")
+    return signal.mean(axis=0) if mean == "removed" else np.zeros(signal.shape[1:])

@@ -1,0 +1,156 @@
+"""What a moving focus leaves behind it: the wake's length, its area, and the angle of its fronts.
+
+A snapshot is the normal velocity at one moment on a grid, shape (m, n), at x (m,) and y (n,) [m], both rising, with the
+focus at focus_x_m on y = 0 and running along +x. Thresholds are shares of the snapshot's largest magnitude. All raise
+MeasurementError for other shapes and for snapshots of zeros.
+"""
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from palmfield.errors import MeasurementError
+from palmfield.metrics.checks import grid, share
+from palmfield.metrics.maps import area_above
+from palmfield.skin.analytic.mach import mach_half_angle
+from palmfield.types import Float
+
+Until = Literal["last_above", "first_below"]
+Estimator = Literal["ridge", "slant_stack"]
+
+
+def wake_length(
+    normal_velocity: ArrayLike,
+    x_m: ArrayLike,
+    y_m: ArrayLike,
+    *,
+    focus_x_m: float,
+    threshold: float = 0.1,
+    lateral_m: float | None = None,
+    until: Until = "last_above",
+) -> float:
+    """Distance behind the focus over which the largest magnitude across the way reaches a threshold [m].
+
+    lateral_m: full width of the strip about the way that is looked at; None is the whole snapshot
+    until: "last_above", to the farthest place that reaches it; "first_below", to where it first falls below
+    The envelope is linear between the places along x. Where it reaches the threshold up to the snapshot's end the
+    length ends there: a lower bound.
+    """
+    share("threshold", threshold)
+    values, x, y = grid(normal_velocity, x_m, y_m)
+    inside = np.ones(len(y), bool) if lateral_m is None else np.abs(y) <= 0.5 * lateral_m * (1.0 + 1e-9)
+    if not inside.any():
+        raise MeasurementError(f"lateral_m is {lateral_m} m; the snapshot's nearest row is {np.abs(y).min():g} m off")
+    size = np.abs(values[:, inside])
+    behind = np.flatnonzero(x <= focus_x_m + 1e-6 * (x[1] - x[0]))[::-1]
+    if len(behind) < 2:
+        raise MeasurementError(
+            f"focus_x_m is {focus_x_m:g} m; the snapshot from {x[0]:g} m on has less than two places behind"
+        )
+    return _reach(focus_x_m - x[behind], size[behind].max(axis=1), threshold * _largest(values), until)
+
+
+def wake_along_path(
+    arc_m: float, velocity: ArrayLike, places_m: ArrayLike, near: ArrayLike, threshold: float = 0.1
+) -> tuple[float, Float, Float]:
+    """The wake along a curved way: its length [m], distances behind the focus [m] and the envelope there.
+
+    arc_m: how far the focus has gone; velocity: along the normals of nodes [m/s], shape (s,); places_m: arc lengths of
+    places on the way, rising, shape (k,); near: which nodes are looked at for each place, shape (k, s), bool
+    The envelope at a place is the largest magnitude of the nodes near it, over its largest value behind the focus. The
+    wake reaches back to the first place at which it is below the threshold, without interpolation.
+    """
+    share("threshold", threshold)
+    size, places = np.abs(np.asarray(velocity, dtype=float)), np.asarray(places_m, dtype=float)
+    gone = places <= arc_m
+    beside = np.asarray(near, dtype=bool)
+    if beside.shape != (len(places), len(size)) or not gone.any():
+        raise MeasurementError(
+            f"near has shape {beside.shape}; give ({len(places)}, {len(size)}), and places that lie behind {arc_m:g} m"
+        )
+    envelope = np.where(beside[gone], size, 0.0).max(axis=1)
+    envelope = envelope / _largest(envelope)
+    still = np.flatnonzero(envelope < threshold)
+    return float(arc_m - (places[still[-1]] if len(still) else 0.0)), arc_m - places[gone], envelope
+
+
+def wake_area(normal_velocity: ArrayLike, x_m: ArrayLike, y_m: ArrayLike, *, threshold: float = 0.1) -> float:
+    """Area where the magnitude of a snapshot reaches a threshold, ahead of the focus too [m^2]."""
+    share("threshold", threshold)
+    values, x, y = grid(normal_velocity, x_m, y_m)
+    size = np.abs(values)
+    return area_above(size, x, y, threshold * _largest(size))
+
+
+def mach_angle(
+    normal_velocity: ArrayLike,
+    x_m: ArrayLike,
+    y_m: ArrayLike,
+    *,
+    focus_x_m: float,
+    estimator: Estimator = "ridge",
+    distances_m: tuple[float, float] = (0.02, 0.06),
+    skip_m: float = 0.009,
+) -> float:
+    """Half-angle between the fronts behind a focus and its way [deg].
+
+    estimator: "ridge", at each place between the distances behind the focus the lateral place of the largest magnitude
+        on each side; a line through the focus is fitted to each side by least absolute deviations, and the two angles
+        are averaged. "slant_stack", `palmfield.skin.analytic.mach_half_angle` on the whole snapshot
+    distances_m: nearest and farthest place behind the focus that the ridge takes
+    skip_m: strip about the way that the slant stack leaves out
+    Raises MeasurementError where less than three places lie between the distances.
+    """
+    values, x, y = grid(normal_velocity, x_m, y_m)
+    _largest(values)
+    if estimator == "slant_stack":
+        return mach_half_angle(values, x, y, skip_m)
+    if estimator != "ridge":
+        raise MeasurementError(f"estimator is '{estimator}'; use ridge or slant_stack")
+    distance = focus_x_m - x
+    near, far = distances_m
+    chosen = (distance >= near * (1.0 - 1e-9)) & (distance <= far * (1.0 + 1e-9)) & (distance > 0.0)
+    if chosen.sum() < 3:
+        raise MeasurementError(
+            f"{chosen.sum()} places of the snapshot lie {near:g} to {far:g} m behind the focus; the fit needs three"
+        )
+    angles = []
+    for side in (y > 0.0, y < 0.0):
+        if not side.any():
+            raise MeasurementError(f"y goes from {y[0]:g} to {y[-1]:g} m; both sides of the way are needed")
+        places = np.abs(y[side])[np.abs(values[np.ix_(chosen, side)]).argmax(axis=1)]
+        angles.append(np.degrees(np.arctan(_slope(distance[chosen], places))))
+    return float(np.mean(angles))
+
+
+def _slope(distance: Float, place: Float) -> float:
+    """The m that makes sum |place - m distance| least: the median of place/distance with weights distance."""
+    ratio = place / distance
+    order = np.argsort(ratio)
+    weight = np.cumsum(distance[order])
+    return float(ratio[order][np.searchsorted(weight, 0.5 * weight[-1])])
+
+
+def _reach(distance: Float, envelope: Float, level: float, until: str) -> float:
+    """Where an envelope over rising distances ends, linear between them."""
+    above = envelope >= level
+    if until == "last_above":
+        last = int(np.flatnonzero(above)[-1]) if above.any() else -1
+    elif until == "first_below":
+        last = (int(np.flatnonzero(~above)[0]) if not above.all() else len(above)) - 1
+    else:
+        raise MeasurementError(f"until is '{until}'; use last_above or first_below")
+    if last < 0:
+        return 0.0
+    if last == len(distance) - 1:
+        return float(distance[-1])
+    part = (envelope[last] - level) / (envelope[last] - envelope[last + 1])
+    return float(distance[last] + part * (distance[last + 1] - distance[last]))
+
+
+def _largest(values: Float) -> float:
+    top = float(np.abs(values).max())
+    if top == 0.0:
+        raise MeasurementError("the snapshot is 0 everywhere and has no wake")
+    return top

@@ -1,0 +1,170 @@
+"""Where a tracker stands to an array: from points that a fingertip touched and whose places on the array are known."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from scipy.spatial.transform import Rotation
+
+from palmfield.errors import OutputError, SceneError
+from palmfield.tables import read_table
+from palmfield.transforms import Transform
+from palmfield.types import Float
+
+COLUMNS = tuple(f"{frame}_{axis}_m" for frame in ("array", "tracker") for axis in "xyz")
+FEWEST = 3
+LEAST_SPREAD_M = 0.02
+"""Of the points across the line that fits them best, from end to end; with less a turn about that line isn't told."""
+LARGEST_MISS_M = 0.02
+"""Points that fit worse are no touches of the places that are given."""
+TOUCH_SD_M = 1e-3
+"""Of a touch by axis, where there are too few points to tell."""
+ABOVE_M = 0.2
+Place = tuple[float, float, float]
+
+
+class Alignment(BaseModel):
+    """A tracker's space in an array's frame: x_array = turn(x_tracker) + position_m.
+
+    position_m: the tracker's origin; quaternion: w first; points: how many were touched; rms_m: what is left
+    touch_sd_m: of one touch by axis, from what is left where there are 4 points or more, else TOUCH_SD_M
+    turn_sd_rad: of the turn about its least known axis; sd_m: of a place 0.2 m over the points' middle, all axes
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    format: Literal["palmfield tracker alignment"] = "palmfield tracker alignment"
+    version: Literal[1] = 1
+    position_m: Place
+    quaternion: tuple[float, float, float, float]
+    points: Annotated[int, Field(ge=FEWEST)]
+    rms_m: Annotated[float, Field(ge=0)]
+    touch_sd_m: Annotated[float, Field(ge=0)]
+    turn_sd_rad: Annotated[float, Field(ge=0)]
+    sd_m: Annotated[float, Field(ge=0)]
+
+    @property
+    def transform(self) -> Transform:
+        """The tracker's space seen from the array."""
+        turn = Rotation.from_quat(self.quaternion, scalar_first=True).as_matrix()
+        return Transform(np.array(self.position_m), turn)
+
+    def __str__(self) -> str:
+        x, y, z = (1e3 * value for value in self.position_m)
+        turn = np.degrees(Rotation.from_quat(self.quaternion, scalar_first=True).magnitude())
+        source = "from what is left" if self.points > FEWEST else "taken for three points, whose rest tells little"
+        return (
+            f"the tracker's origin is at ({x:.1f}, {y:.1f}, {z:.1f}) mm of the array, turned by {turn:.1f} degrees\n"
+            f"{self.points} points, {1e3 * self.rms_m:.2f} mm left (rms); a touch is {1e3 * self.touch_sd_m:.2f} mm "
+            f"off by each axis ({source})\n"
+            f"uncertainty (sd): {np.degrees(self.turn_sd_rad):.2f} degrees, and {1e3 * self.sd_m:.2f} mm at "
+            f"{1e3 * ABOVE_M:.0f} mm over the points"
+        )
+
+
+@dataclass(frozen=True)
+class Touches:
+    """Places that were touched, in the array's frame and as the tracker has them [m], shapes (n, 3)."""
+
+    array: Float
+    tracker: Float
+
+
+def read_touches(path: str | Path) -> Touches:
+    """Touches from a CSV or NPZ table with COLUMNS. Raises SceneError for a file that is none."""
+    file = Path(path)
+    columns, _ = read_table(file)
+    missing = [name for name in COLUMNS if name not in columns]
+    if missing:
+        raise SceneError(f"{file}: column '{missing[0]}' is missing; use {', '.join(COLUMNS)}")
+    table = np.column_stack([columns[name] for name in COLUMNS])
+    return Touches(table[:, :3], table[:, 3:])
+
+
+def align(touches: Touches) -> Alignment:
+    """The turn and shift that bring the tracker's points to the array's, nearest in the mean square (Kabsch 1976).
+
+    Raises SceneError for fewer than three points, points in a line, and points that don't fit.
+    """
+    count = len(touches.array)
+    if count < FEWEST:
+        raise SceneError(f"{count} points were touched; give {FEWEST} or more that are not in a line")
+    for name, points in (("array", touches.array), ("tracker", touches.tracker)):
+        spread = _spread(points)
+        if spread < LEAST_SPREAD_M:
+            raise SceneError(
+                f"the {count} points of the {name} lie within {1e3 * spread:.2g} mm of a line; give points that are "
+                f"{1e3 * LEAST_SPREAD_M:g} mm or more off it, or the turn about it isn't known"
+            )
+    middle, seen = touches.array.mean(axis=0), touches.tracker.mean(axis=0)
+    turn = Rotation.align_vectors(touches.array - middle, touches.tracker - seen)[0]
+    position = middle - turn.apply(seen)
+    rest = touches.array - (turn.apply(touches.tracker) + position)
+    rms = float(np.sqrt(np.mean((rest**2).sum(axis=1))))
+    if rms > LARGEST_MISS_M:
+        raise SceneError(
+            f"the points are {1e3 * rms:.1f} mm off their places (rms); allowed: {1e3 * LARGEST_MISS_M:g} mm: look at "
+            "their order, and at the tracker's unit"
+        )
+    # Three coordinates a point, of which six numbers are taken
+    free = 3 * count - 6
+    touch = TOUCH_SD_M if count == FEWEST else float(np.sqrt((rest**2).sum() / free))
+    around = touches.array - middle
+    inertia = np.eye(3) * (around**2).sum() - around.T @ around
+    turns = touch**2 * np.linalg.inv(inertia)
+    normal = np.linalg.svd(around)[2][2]
+    arm = _cross(ABOVE_M * normal)
+    place = touch**2 / count * np.eye(3) + arm @ turns @ arm.T
+    return Alignment(
+        position_m=_three(position),
+        quaternion=tuple(turn.as_quat(scalar_first=True).tolist()),
+        points=count,
+        rms_m=rms,
+        touch_sd_m=touch,
+        turn_sd_rad=float(np.sqrt(np.linalg.eigvalsh(turns)[-1])),
+        sd_m=float(np.sqrt(np.trace(place))),
+    )
+
+
+def read_alignment(path: str | Path) -> Alignment:
+    """The alignment in a JSON file. Raises SceneError for a file that can't be read or holds something else."""
+    file = Path(path)
+    try:
+        made = Alignment.model_validate_json(file.read_bytes())
+    except OSError as error:
+        raise SceneError(f"{file} cannot be read: {error.strerror}; give a file of `palmfield track align`") from None
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(step) for step in first["loc"])
+        raise SceneError(f"{file}: {place}: {first['msg']}; give a file of `palmfield track align`") from None
+    length = float(np.linalg.norm(made.quaternion))
+    if abs(length - 1.0) > 1e-6:
+        raise SceneError(f"{file}: quaternion has length {length:g}; give one of length 1, w first")
+    return made
+
+
+def write_alignment(path: str | Path, alignment: Alignment) -> None:
+    """Write an alignment that `read_alignment` reads back. Raises OutputError where it can't be written."""
+    try:
+        Path(path).write_text(alignment.model_dump_json(indent=1) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise OutputError(f"cannot write {path}: {error.strerror}; choose a folder that exists and has room") from None
+
+
+def _spread(points: Float) -> float:
+    """How far points reach across the line that fits them best, from end to end [m]."""
+    around = points - points.mean(axis=0)
+    across = around @ np.linalg.svd(around, full_matrices=True)[2][1:].T
+    return float(np.linalg.norm(np.ptp(across, axis=0)))
+
+
+def _cross(vector: Float) -> Float:
+    x, y, z = vector
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def _three(values: Float) -> Place:
+    x, y, z = values.tolist()
+    return x, y, z

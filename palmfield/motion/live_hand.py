@@ -1,0 +1,152 @@
+"""A hand of ours that follows one which a tracker tells of just now."""
+
+import threading
+import time
+from typing import NamedTuple, Self
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from palmfield.errors import SceneError
+from palmfield.hand.articulated import ArticulatedHand
+from palmfield.motion.joints import POSITION_VALID
+from palmfield.motion.listening import Arrived, By, Listener
+from palmfield.motion.pose import HandPose
+from palmfield.motion.prediction import Noise, Predictor
+from palmfield.motion.retarget import RIGID, Bool, Follower, fixes_palm
+from palmfield.transforms import Transform
+from palmfield.types import Float
+
+PALM_SAMPLES = 5
+"""Samples with all joints of the palm from which its shape is taken."""
+PREDICT_S = 0.2
+STALE_S = 0.1
+"""A hand that was seen longer ago is taken for lost."""
+
+
+class LivePose(NamedTuple):
+    """pose: in the world; arrived_s: when its sample came [s, monotonic clock]; sample_s: of which time of the tracker
+    it is [s], without what it was predicted by"""
+
+    pose: HandPose
+    arrived_s: float
+    sample_s: float
+
+
+class LiveHand:
+    """Follows a tracker's samples in a thread of its own; the newest counts. Use as a context manager.
+
+    listener: takes the samples; newest: the last pose, None before the palm's shape is known
+    fitted: how many samples a pose was made of, and fit_s: how long each took [s]
+    """
+
+    def __init__(
+        self,
+        hand: ArticulatedHand,
+        to_world: Transform,
+        *,
+        ahead_s: float = 0.0,
+        host: str = "127.0.0.1",
+        port: int = 0,
+        by: By = "udp",
+    ) -> None:
+        """to_world: the tracker's space in the world; ahead_s: by how much each sample is predicted [s]
+
+        Raises DeviceError for an address that can't be listened at.
+        """
+        self._hand, self._to_world, self._ahead_s = hand, to_world, ahead_s
+        self._turn = Rotation.from_matrix(to_world.rotation)
+        self._filter = Predictor(Noise(), PREDICT_S)
+        self._lock, self._due, self._ended = threading.Lock(), threading.Event(), threading.Event()
+        self._last: Arrived | None = None
+        self._palms: list[tuple[Float, Bool]] = []
+        self._follower: Follower | None = None
+        self._error: SceneError | None = None
+        self.newest: LivePose | None = None
+        self.fit_s: list[float] = []
+        self._thread = threading.Thread(target=self._follow, daemon=True)
+        self.listener = Listener(host, port, by, self._take)
+        self._thread.start()
+
+    def wait(self, timeout_s: float) -> LivePose:
+        """The first pose. Raises SceneError where none comes in time, and for a hand of the other side."""
+        end = time.monotonic() + timeout_s
+        while time.monotonic() < end:
+            self.check()
+            if self.newest is not None:
+                return self.newest
+            time.sleep(0.002)
+        raise SceneError(
+            f"no hand was seen within {timeout_s:g} s at {self.listener.by} {self.listener.host}:{self.listener.port}: "
+            f"{self.listener.report()}" + (f"; {self.listener.told[0]}" if self.listener.told else "")
+        )
+
+    def check(self) -> None:
+        """Raise what the thread that follows has met: SceneError for a hand of the other side."""
+        if self._error is not None:
+            raise self._error
+
+    @property
+    def stale(self) -> bool:
+        """Whether the hand has not been seen for STALE_S."""
+        return self.newest is None or time.monotonic() - self.newest.arrived_s > STALE_S
+
+    def close(self) -> None:
+        self._ended.set()
+        self._due.set()
+        self.listener.close()
+        self._thread.join()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def _take(self, arrived: Arrived) -> None:
+        sample = arrived.sample
+        positions = self._to_world.points(sample.positions)
+        with self._lock:
+            self._last = arrived
+            if self._ahead_s > 0.0:
+                turned = self._turn * Rotation.from_quat(sample.quaternions, scalar_first=True)
+                quaternions = turned.as_quat(scalar_first=True)
+                self._filter.add(sample.time_s, positions, quaternions, sample.radii, sample.flags)
+        self._due.set()
+
+    def _follow(self) -> None:
+        while not self._ended.is_set():
+            self._due.wait()
+            self._due.clear()
+            with self._lock:
+                last = self._last
+                if last is None:
+                    continue
+                valid = (last.sample.flags & POSITION_VALID) != 0
+                positions = self._to_world.points(last.sample.positions)
+                if self._ahead_s > 0.0:
+                    ahead, *_ = self._filter.at(last.sample.time_s + self._ahead_s)
+                    positions = np.where(valid[:, None], ahead, positions)
+            began = time.perf_counter()
+            try:
+                pose = self._pose(positions, valid)
+            except SceneError as error:
+                self._error = error
+                return
+            if pose is not None:
+                self.fit_s.append(time.perf_counter() - began)
+                self.newest = LivePose(pose, last.time_s, last.sample.time_s)
+
+    def _pose(self, positions: Float, valid: Bool) -> HandPose | None:
+        if self._follower is None:
+            if valid[list(RIGID)].all():
+                self._palms.append((positions, valid))
+            if len(self._palms) < PALM_SAMPLES:
+                return None
+            places, known = (np.array(part) for part in zip(*self._palms, strict=True))
+            self._follower = Follower(self._hand, places, known)
+        if not fixes_palm(positions, valid):
+            return None
+        followed = self._follower.follow(positions, valid)
+        angles = dict(zip(self._follower.names, followed.angles_deg.tolist(), strict=True))
+        return HandPose(followed.position, followed.quaternion, angles)

@@ -1,0 +1,75 @@
+"""A recorded hand sent to whoever listens for a tracker, in real time."""
+
+import socket
+import time
+
+import numpy as np
+
+from palmfield.errors import DeviceError
+from palmfield.motion.listening import By
+from palmfield.motion.tracking import Stream, ordered
+from palmfield.motion.wire import Convention, Sample, write_sample
+
+CONNECT_S = 5.0
+
+
+def address(text: str) -> tuple[str, int]:
+    """HOST:PORT, or PORT of this machine. Raises DeviceError for anything else."""
+    host, colon, port = text.rpartition(":")
+    if not port.isdigit() or int(port) > 65535 or (colon and not host):
+        raise DeviceError(f"'{text}' is no address; give HOST:PORT, or PORT for this machine")
+    return host or "127.0.0.1", int(port)
+
+
+def replay(
+    stream: Stream,
+    to: tuple[str, int],
+    *,
+    by: By = "udp",
+    convention: Convention = "openxr",
+    speed: float = 1.0,
+    repeat: int = 1,
+    stamp: bool = False,
+) -> int:
+    """Send each packet when its time has come; returns how many were sent.
+
+    speed: 2 for twice as fast; repeat: how often the recording is sent, one after the other
+    stamp: whether samples bear the time at which they are sent, on this machine's monotonic clock, and not their own
+    Raises DeviceError where nobody takes them, and for a speed or number out of range.
+    """
+    if not 0.01 <= speed <= 100.0:
+        raise DeviceError(f"speed has value {speed:g}; allowed: 0.01 to 100")
+    if repeat < 1:
+        raise DeviceError(f"repeat has value {repeat}; allowed: 1 or more")
+    packets = ordered(stream)
+    spacing = float(np.median(np.diff(packets.times_s)))
+    span = float(packets.times_s[-1] - packets.times_s[0]) + spacing
+    sent = 0
+    try:
+        with _connected(to, by) as line:
+            begin = time.monotonic()
+            for turn in range(repeat):
+                for n, time_s in enumerate(packets.times_s):
+                    due = begin + (turn * span + float(time_s - packets.times_s[0])) / speed
+                    time.sleep(max(0.0, due - time.monotonic()))
+                    own = time.monotonic() if stamp else float(time_s) + turn * span
+                    parts = packets.positions[n], packets.quaternions[n], packets.radii[n], packets.flags[n]
+                    text = write_sample(Sample(own, *parts), convention)
+                    line.sendall(text.encode() + b"\n")
+                    sent += 1
+    except OSError as error:
+        raise DeviceError(
+            f"{to[0]}:{to[1]} takes no samples by {by} after {sent}: {error}; start what listens first"
+        ) from None
+    return sent
+
+
+def _connected(to: tuple[str, int], by: By) -> socket.socket:
+    if by == "tcp":
+        peer = socket.create_connection(to, CONNECT_S)
+        # A sample doesn't wait until the last one is acknowledged
+        peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        return peer
+    line = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    line.connect(to)
+    return line

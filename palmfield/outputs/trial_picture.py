@@ -1,0 +1,64 @@
+"""A picture of a trial: how far the sound is from the hand, what of its pressure is left, and both from above."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from palmfield.errors import OutputError
+from palmfield.types import Float
+
+LOSSES = (
+    ("late_Pa", "wanted_Pa", "left by latency", "C0"),
+    ("rounded_Pa", "late_Pa", "left by the board", "C1"),
+    ("heard_Pa", "rounded_Pa", "left by calibration", "C2"),
+    ("heard_Pa", "wanted_Pa", "left in all", "k"),
+)
+
+
+def draw_trial(names: Sequence[str], rows: Float, numbers: Mapping[str, Any], path: Path) -> None:
+    """Draw a trial's course into a PNG.
+
+    names, rows: columns and their values, shape (k, columns), as course.csv has them; numbers: as trial.json has them
+    Raises OutputError where it can't be written.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    column = {name: rows[:, number] for number, name in enumerate(names)}
+    moments = 1e3 * column["time_s"]
+    figure = Figure(figsize=(11.0, 6.4), layout="constrained")
+    FigureCanvasAgg(figure)
+    grid = figure.add_gridspec(2, 3)
+    error = figure.add_subplot(grid[0, :2])
+    kept = figure.add_subplot(grid[1, :2], sharex=error)
+    above, side = figure.add_subplot(grid[0, 2]), figure.add_subplot(grid[1, 2])
+    for name, label in (("lateral_error_m", "across the array's axis"), ("depth_error_m", "along it")):
+        error.plot(moments, 1e3 * column[name], lw=1.0, label=label)
+    error.axhline(0.0, color="0.8", lw=0.6, zorder=0)
+    error.set_ylabel("focus from the hand [mm]")
+    error.legend(loc="upper right", fontsize=8)
+    for after, before, label, colour in LOSSES:
+        if label == "left by calibration" and numbers.get("kept_calibration") is None:
+            continue
+        with np.errstate(divide="ignore", invalid="ignore"):
+            kept.plot(moments, column[after] / column[before], lw=1.0, color=colour, label=label)
+    kept.set_ylabel("share of the pressure")
+    kept.set_xlabel("time [ms]")
+    kept.axhline(1.0, color="0.8", lw=0.6, zorder=0)
+    kept.legend(loc="lower right", fontsize=8)
+    for axes, up in ((above, "y"), (side, "z")):
+        for what, style, label in (("true", "k-", "on the hand"), ("sounding", "C3.", "of the sound")):
+            axes.plot(1e3 * column[f"{what}_x_m"], 1e3 * column[f"{what}_{up}_m"], style, ms=3, lw=1.0, label=label)
+        axes.set_xlabel("x [mm]")
+        axes.set_ylabel(f"{up} [mm]")
+        axes.set_aspect("equal", adjustable="datalim")
+    above.legend(fontsize=8)
+    figure.suptitle(f"{Path(str(numbers['scene'])).stem} on {numbers['board']}", fontsize=11)
+    try:
+        figure.savefig(path, dpi=110)
+    except OSError as problem:
+        raise OutputError(
+            f"cannot write {path}: {problem.strerror}; choose a folder that exists and has room"
+        ) from None

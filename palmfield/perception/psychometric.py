@@ -1,0 +1,325 @@
+"""Psychometric functions: how often something is felt at each level, fitted to answers by maximum likelihood.
+
+p(x) = g + (1 - g - l) F(x): g the rate of guesses that are right, l the rate of lapses, and F from 0 to 1, with
+F = 1/2 at the threshold. What a spread is depends on F:
+
+normal    F = Phi((x - threshold) / spread), spread: its standard deviation
+logistic  F = 1 / (1 + exp(-(x - threshold) / spread))
+weibull   F = 1 - exp(-ln 2 (x / threshold)^(1 / spread)), x > 0: of levels that count as ratios
+
+from palmfield.perception.psychometric import fit
+found = fit(levels, trials, right, guess=0.5)
+print(found.threshold, found.threshold_interval)
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, NamedTuple, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import minimize
+from scipy.special import expit, ndtr, ndtri
+
+from palmfield.errors import OutputError
+from palmfield.types import Float
+
+Shape = Literal["normal", "logistic", "weibull"]
+MOST_LAPSES = 0.1
+"""Lapses that a fit may find, at most: beyond, answers say little of the level."""
+SURE = 1e-9
+"""Probabilities keep so far from 0 and 1, so that one answer against all odds has a likelihood."""
+ROUNDS = 60
+"""Of scoring, at most."""
+SETTLED = 1e-7
+LEAST_SPREAD, MOST_SPREAD = 1e-3, 10.0
+"""Of the range of levels: spreads that a fit may find."""
+BEYOND = 1.0
+"""Of the range of levels: so far outside it a threshold may be found."""
+
+
+@dataclass(frozen=True)
+class PsychometricFunction:
+    """threshold, spread: see the module; guess, lapse: rates, guess + lapse < 1"""
+
+    shape: Shape
+    threshold: float
+    spread: float
+    guess: float = 0.0
+    lapse: float = 0.0
+
+    def __post_init__(self) -> None:
+        _check_shape(self.shape)
+        _check_rates(self.guess, self.lapse)
+        if not (math.isfinite(self.threshold) and self.spread > 0.0):
+            raise OutputError(f"threshold {self.threshold}, spread {self.spread}; allowed: a number, and one above 0")
+        if self.shape == "weibull" and not self.threshold > 0.0:
+            raise OutputError(f"threshold {self.threshold:g}; allowed with shape 'weibull': above 0")
+
+    def __call__(self, x: ArrayLike) -> Float:
+        """Probability of a right answer (or of yes) at levels, of their shape."""
+        levels = np.asarray(x, np.float64)
+        share = FORMS[self.shape].share(_scaled(self.shape, levels), _scaled(self.shape, self.threshold), self.spread)
+        return np.asarray(self.guess + (1.0 - self.guess - self.lapse) * share)
+
+    def level_of(self, probability: float) -> float:
+        """The level at which the probability is this. Raises OutputError for one that the function never reaches."""
+        low, high = self.guess, 1.0 - self.lapse
+        if not low < probability < high:
+            raise OutputError(f"probability {probability:g}; allowed: between {low:g} and {high:g}")
+        z = FORMS[self.shape].inverse((probability - low) / (high - low))
+        place = _scaled(self.shape, self.threshold) + self.spread * z
+        return float(np.exp(place)) if self.shape == "weibull" else float(place)
+
+
+class _Form(NamedTuple):
+    """F, its slope against z = (x - threshold) / spread, and the z of a share; of levels as `_scaled` has them."""
+
+    share: Callable[[Float, float | Float, float | Float], Float]
+    slope: Callable[[Float], Float]
+    inverse: Callable[[float], float]
+
+
+def _weibull(z: Float) -> Float:
+    return np.asarray(-np.expm1(-math.log(2.0) * np.exp(np.minimum(z, 50.0))))
+
+
+def _weibull_slope(z: Float) -> Float:
+    power = math.log(2.0) * np.exp(np.minimum(z, 50.0))
+    return np.asarray(power * np.exp(-power))
+
+
+FORMS: dict[str, _Form] = {
+    "normal": _Form(
+        lambda x, m, s: np.asarray(ndtr((x - m) / s)),
+        lambda z: np.exp(-0.5 * z**2) / math.sqrt(2.0 * math.pi),
+        lambda share: float(ndtri(share)),
+    ),
+    "logistic": _Form(
+        lambda x, m, s: np.asarray(expit((x - m) / s)),
+        lambda z: np.asarray(expit(z) * expit(-z)),
+        lambda share: math.log(share / (1.0 - share)),
+    ),
+    "weibull": _Form(
+        lambda x, m, s: _weibull((x - m) / s),
+        _weibull_slope,
+        lambda share: math.log(-math.log1p(-share) / math.log(2.0)),
+    ),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A function that was fitted, and how well it is known.
+
+    function; threshold_interval, spread_interval: bootstrap percentiles of `confidence`, (low, high)
+    trials, right: of all levels together; deviance: 2 (log likelihood of the shares seen - of the function)
+    deviance_share: share of the bootstrap's samples with a larger deviance: below 0.05 the function doesn't fit
+    settled: whether the threshold lies between the levels, and the spread inside its bounds
+    """
+
+    function: PsychometricFunction
+    confidence: float
+    threshold_interval: tuple[float, float]
+    spread_interval: tuple[float, float]
+    trials: int
+    right: int
+    deviance: float
+    deviance_share: float
+    settled: bool
+
+    @property
+    def threshold(self) -> float:
+        """Of the function."""
+        return self.function.threshold
+
+    @property
+    def spread(self) -> float:
+        """Of the function."""
+        return self.function.spread
+
+
+def fit(
+    levels: ArrayLike,
+    trials: ArrayLike,
+    right: ArrayLike,
+    *,
+    guess: float,
+    lapse: float | None = 0.02,
+    spread: float | None = None,
+    shape: Shape = "normal",
+    samples: int = 1000,
+    confidence: float = 0.95,
+    seed: int = 0,
+) -> Fit:
+    """Fit a psychometric function to counts of answers, by maximum likelihood, with a parametric bootstrap.
+
+    levels: different ones, shape (k,), 2 or more; trials, right: at each of them, whole numbers, shape (k,)
+    guess: known from the task, 1/n for n alternatives; lapse: known, or None to be found, at most MOST_LAPSES
+    spread: known, or None to be found; of few trials, or those of a staircase, it comes out too small
+    samples: of the bootstrap, each answered anew by the fitted function at the same levels. It takes the levels as
+        chosen beforehand, which those of a staircase were not.
+    Raises OutputError for other shapes and counts, levels of one value, and answers that are all alike, which no
+    threshold can be told from.
+    Source: F. A. Wichmann, N. J. Hill, Percept. Psychophys. 63, 1293 and 1314 (2001).
+    """
+    x, n, k = _counts(levels, trials, right, shape)
+    _check_shape(shape)
+    _check_rates(guess, 0.0 if lapse is None else lapse)
+    if not 0.0 < confidence < 1.0 or samples < 2:
+        raise OutputError(f"confidence {confidence:g}, samples {samples}; allowed: between 0 and 1, and 2 or more")
+    if spread is not None and not 0.0 < spread < math.inf:
+        raise OutputError(f"spread {spread:g}; allowed: above 0, in the levels' unit, or None to be found")
+    if k.sum() in (0, n.sum()):
+        raise OutputError(
+            f"all {int(n.sum())} answers are {'right' if k.sum() else 'wrong'}, which leaves the threshold open; give "
+            "answers at levels where some are right and some wrong"
+        )
+    place = _scaled(shape, x)
+    bounds = _bounds(place, lapse, spread)
+    best = _fit_one(FORMS[shape], place, n, k, guess, bounds)
+    function = _function(shape, best, guess)
+    drawn = np.random.default_rng(seed).binomial(n.astype(int), function(x), (samples, len(x))).astype(np.float64)
+    found = _fit_many(FORMS[shape], place, n, drawn, guess, bounds, best)
+    tails = 50.0 * (1.0 - confidence)
+    thresholds = np.exp(found[:, 0]) if shape == "weibull" else found[:, 0]
+    low, high = np.percentile(thresholds, [tails, 100.0 - tails]).tolist()
+    narrow, wide = np.percentile(np.exp(found[:, 1]), [tails, 100.0 - tails]).tolist()
+    deviance = float(_deviance(FORMS[shape], place, n, k[None], best[None], guess)[0])
+    others = _deviance(FORMS[shape], place, n, drawn, found, guess)
+    bounded = spread is not None or bounds[1][0] + 1e-4 < best[1] < bounds[1][1] - 1e-4
+    inside = bounded and bool(place.min() <= best[0] <= place.max())
+    return Fit(
+        function, confidence, (low, high), (narrow, wide), int(n.sum()), int(k.sum()), deviance,
+        float(np.mean(others >= deviance - 1e-9)), inside,
+    )  # fmt: skip
+
+
+def _counts(levels: ArrayLike, trials: ArrayLike, right: ArrayLike, shape: str) -> tuple[Float, Float, Float]:
+    x, n, k = (np.asarray(one, np.float64) for one in (levels, trials, right))
+    if x.ndim != 1 or n.shape != x.shape or k.shape != x.shape or len(x) < 2:
+        raise OutputError(
+            f"levels, trials and right have shapes {x.shape}, {n.shape}, {k.shape}; allowed: (k,), k >= 2"
+        )
+    if not np.all(np.isfinite(x)) or len(np.unique(x)) < len(x) or (shape == "weibull" and x.min() <= 0.0):
+        raise OutputError(f"levels {x.tolist()}; allowed: different finite ones, of shape 'weibull' above 0")
+    if np.any((n < 0) | (n != np.rint(n)) | (k < 0) | (k > n) | (k != np.rint(k))):
+        row = int(np.argmax((n < 0) | (n != np.rint(n)) | (k < 0) | (k > n) | (k != np.rint(k))))
+        raise OutputError(f"{k[row]:g} right of {n[row]:g} at level {x[row]:g}; allowed: whole numbers, 0 to all")
+    return x, n, k
+
+
+def counts(levels: ArrayLike, right: ArrayLike) -> tuple[Float, Float, Float]:
+    """Different levels, how many trials there were at each, and how many right, from single trials, shapes (t,)."""
+    x, answers = np.asarray(levels, np.float64), np.asarray(right, np.float64)
+    values, which = np.unique(np.round(x, 12), return_inverse=True)
+    return values, np.bincount(which).astype(np.float64), np.bincount(which, answers).astype(np.float64)
+
+
+def _check_shape(shape: str) -> None:
+    if shape not in get_args(Shape):
+        raise OutputError(f"shape '{shape}' is unknown; allowed: {', '.join(get_args(Shape))}")
+
+
+def _check_rates(guess: float, lapse: float) -> None:
+    if guess < 0.0 or lapse < 0.0 or not guess + lapse < 1.0:
+        raise OutputError(f"guess {guess:g}, lapse {lapse:g}; allowed: 0 or more, together below 1")
+
+
+def _scaled(shape: str, x: float | Float) -> Float:
+    """Levels as F takes them: of a Weibull function their logarithms."""
+    levels = np.asarray(x, np.float64)
+    if shape != "weibull":
+        return levels
+    return np.log(np.maximum(levels, 1e-300))
+
+
+def _bounds(place: Float, lapse: float | None, spread: float | None) -> list[tuple[float, float]]:
+    """Of threshold, log spread and lapse; equal ones for what is known."""
+    low, high = float(place.min()), float(place.max())
+    wide = high - low
+    rates = (0.0, MOST_LAPSES) if lapse is None else (lapse, lapse)
+    spreads = math.log(LEAST_SPREAD * wide), math.log(MOST_SPREAD * wide)
+    if spread is not None:
+        spreads = math.log(spread), math.log(spread)
+    return [(low - BEYOND * wide, high + BEYOND * wide), spreads, rates]
+
+
+def _function(shape: Shape, values: Float, guess: float) -> PsychometricFunction:
+    threshold = math.exp(values[0]) if shape == "weibull" else float(values[0])
+    return PsychometricFunction(shape, threshold, math.exp(values[1]), guess, float(values[2]))
+
+
+def _probability(form: _Form, place: Float, values: Float, guess: float) -> Float:
+    """Of right answers, shape (m, k), for m sets of threshold, log spread and lapse, shape (m, 3)."""
+    share = form.share(place, values[:, :1], np.exp(values[:, 1:2]))
+    return np.clip(guess + (1.0 - guess - values[:, 2:]) * share, SURE, 1.0 - SURE)
+
+
+def _log_likelihood(form: _Form, place: Float, n: Float, right: Float, values: Float, guess: float) -> Float:
+    p = _probability(form, place, values, guess)
+    return np.add.reduce(right * np.log(p) + (n - right) * np.log1p(-p), axis=1)
+
+
+def _deviance(form: _Form, place: Float, n: Float, right: Float, values: Float, guess: float) -> Float:
+    shares = np.clip(right / np.maximum(n, 1.0), SURE, 1.0 - SURE)
+    saturated = np.add.reduce(right * np.log(shares) + (n - right) * np.log1p(-shares), axis=1)
+    return np.asarray(2.0 * (saturated - _log_likelihood(form, place, n, right, values, guess)))
+
+
+def _fit_one(form: _Form, place: Float, n: Float, k: Float, guess: float, bounds: list[tuple[float, float]]) -> Float:
+    """The likeliest threshold, log spread and lapse, shape (3,), from the two best of several beginnings."""
+    wide = float(np.ptp(place))
+    low, high = np.array(bounds).T
+    middles, spreads = np.meshgrid(
+        place.min() + wide * np.linspace(0.05, 0.95, 10), wide * np.array([0.03, 0.1, 0.3, 1.0])
+    )
+    firsts = np.stack([middles.ravel(), np.log(spreads.ravel()), np.full(middles.size, 0.02)], axis=1)
+    firsts = np.clip(firsts, low, high)
+    known = _log_likelihood(form, place, n, k[None], firsts, guess)
+    best, least = firsts[0], math.inf
+    for first in firsts[np.argsort(-known)[:2]]:
+        found = minimize(
+            lambda v: -float(_log_likelihood(form, place, n, k[None], v[None], guess)[0]),
+            first, method="L-BFGS-B", bounds=bounds,
+        )  # fmt: skip
+        if found.fun < least - 1e-9:
+            best, least = np.asarray(found.x, np.float64), float(found.fun)
+    return best
+
+
+def _fit_many(
+    form: _Form, place: Float, n: Float, right: Float, guess: float,
+    bounds: list[tuple[float, float]], first: Float,
+) -> Float:  # fmt: skip
+    """As `_fit_one` for many samples at once, right: shape (m, k); by Fisher scoring with damping, shape (m, 3)."""
+    low, high = np.array(bounds).T
+    free = np.flatnonzero(low < high)
+    values = np.tile(first, (len(right), 1))
+    damping = np.full(len(right), 1e-3)
+    known = _log_likelihood(form, place, n, right, values, guess)
+    for _ in range(ROUNDS):
+        p = _probability(form, place, values, guess)
+        z = (place - values[:, :1]) / np.exp(values[:, 1:2])
+        slope, range_ = form.slope(z), 1.0 - guess - values[:, 2:]
+        by = np.stack([-range_ * slope / np.exp(values[:, 1:2]), -range_ * slope * z, -(p - guess) / range_], axis=2)
+        weights = n / (p * (1.0 - p))
+        gradient = np.einsum("mk,mkj->mj", (right - n * p) / (p * (1.0 - p)), by)
+        held = ((values <= low) & (gradient < 0.0)) | ((values >= high) & (gradient > 0.0))
+        by = np.where(held[:, None, :], 0.0, by)[:, :, free]
+        gradient = np.where(held, 0.0, gradient)[:, free]
+        information = np.einsum("mk,mki,mkj->mij", weights, by, by)
+        diagonal = np.einsum("mii->mi", information)
+        scale = diagonal * damping[:, None] + 1e-9
+        step = np.linalg.solve(information + scale[:, :, None] * np.eye(len(free)), gradient[:, :, None])[:, :, 0]
+        trial = values.copy()
+        trial[:, free] = np.clip(values[:, free] + step, low[free], high[free])
+        likely = _log_likelihood(form, place, n, right, trial, guess)
+        better = likely >= known
+        moved = np.abs(trial - values).max(axis=1)
+        values[better], known[better] = trial[better], likely[better]
+        damping = np.where(better, np.maximum(0.2 * damping, 1e-9), np.minimum(10.0 * damping + 1e-6, 1e12))
+        if np.all(moved < SETTLED):
+            break
+    return values

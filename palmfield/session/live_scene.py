@@ -1,0 +1,53 @@
+"""A scene whose hand is put where somebody tells it to be, and not where its script has it."""
+
+import copy
+from collections.abc import Callable
+
+import mujoco
+
+from palmfield.engine.host import world_of
+from palmfield.engine.motion_plugin import MotionModule
+from palmfield.engine.scene_runtime import SceneRuntime
+from palmfield.errors import SceneError
+from palmfield.hand.articulated import ArticulatedHand
+from palmfield.motion.pose import HandPose
+from palmfield.motion.source import Motion
+from palmfield.session.preview import Preview
+from palmfield.simulation.posed_scene import PosedScene
+
+
+class LiveScene:
+    """A copy of a scene with the only articulated hand that it moves.
+
+    runtime: of the copy; hand: its joints; script: where the scene itself would have it; motion: name of its instance
+    """
+
+    def __init__(self, view: Preview) -> None:
+        """Raises SceneError for a scene that moves no hand, or several."""
+        self._data = copy.copy(view.data)
+        world = world_of(self._data)
+        assert world is not None and world.scene is not None
+        self.runtime: SceneRuntime = world.scene
+        names = {number: name for number, _, name in world.model.instances()}
+        moving = [
+            (names[number], module)
+            for number, module in world.modules.items()
+            if isinstance(module, MotionModule) and module.motion.hand is not None
+        ]
+        if len(moving) != 1:
+            raise SceneError(
+                f"{view.name} has {len(moving)} instances of plugin 'palmfield.motion' with key hand; a live hand "
+                "needs one"
+            )
+        self.motion, self._module = moving[0]
+        script = self._module.motion
+        assert script.hand is not None
+        self.hand: ArticulatedHand = script.hand
+        self.script: Callable[[float], HandPose] = script.at
+
+    def posed(self, pose: HandPose) -> PosedScene:
+        """The scene with the hand in a pose. Raises SceneError where it reaches into an array."""
+        self._module.motion = Motion(self.hand, lambda _: pose)
+        self._module.place()
+        mujoco.mj_kinematics(self._data.model, self._data)
+        return self.runtime.posed

@@ -1,0 +1,68 @@
+"""How loud the audible sound may be that comes of ultrasound whose intensity changes."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from palmfield.acoustics.air import absorption_Np_m, sound_speed
+from palmfield.acoustics.exposure import a_weighting_dB, demodulated_Pa, force_sound_Pa, level_dB
+from palmfield.types import Air, Float
+
+RATE_HZ, COUNT = 8192, 2048
+"""At which intensities are sampled, and how many there are: a quarter of a second, sound up to 4 kHz."""
+LOWEST_HZ = 20.0
+ROUND_OFF = 1e-9
+"""Of the mean power: what changes by less is still."""
+
+
+class Byproduct(NamedTuple):
+    """A-weighted levels: of sound made in the air along the beam, of the force on the hand, and of both; -inf for none
+
+    strongest_Hz: of what is loudest, 0 in silence
+    """
+
+    air_dBA: float
+    force_dBA: float
+    strongest_Hz: float
+
+    @property
+    def level_dBA(self) -> float:
+        """Both, whose energies add up."""
+        power = 10.0 ** (self.air_dBA / 10.0) + 10.0 ** (self.force_dBA / 10.0)
+        return 10.0 * math.log10(power) if power > 0.0 else -math.inf
+
+
+def lines(values: Float) -> tuple[Float, Float]:
+    """Frequencies [Hz] and peak amplitudes of what samples at RATE_HZ consist of, (k,); their energy is kept."""
+    window = np.hanning(len(values) + 1)[:-1]
+    spectrum = np.fft.rfft((values - values.mean()) * window)
+    frequencies = np.fft.rfftfreq(len(values), 1.0 / RATE_HZ)
+    peaks = 2.0 * np.abs(spectrum) / (len(values) * math.sqrt(float(np.mean(window**2))))
+    heard = frequencies >= LOWEST_HZ
+    return np.asarray(frequencies[heard], float), peaks[heard]
+
+
+def byproduct(powers_W: Float, distance_m: float, air: Air, carrier_Hz: float) -> Byproduct:
+    """Of ultrasound with this power at RATE_HZ, shape (k,), as if all of it came and went.
+
+    The beam is as long as absorption lets it be, 1/(2 alpha), and a hand that stops all of it takes the force 2 P/c:
+    both are upper estimates. distance_m: of the listener from the beam
+    """
+    if np.ptp(powers_W) <= ROUND_OFF * powers_W.mean():
+        return Byproduct(-math.inf, -math.inf, 0.0)
+    frequencies, peaks = lines(powers_W)
+    beam_m = 0.5 / absorption_Np_m(air, carrier_Hz)
+    air_Pa = np.array([
+        float(demodulated_Pa(power, beam_m, distance_m, f, air)) for f, power in zip(frequencies, peaks, strict=True)
+    ])  # fmt: skip
+    unit_Pa = force_sound_Pa(1.0, distance_m, frequencies, air)
+    weights = 10.0 ** (a_weighting_dB(frequencies) / 20.0)
+    air_Pa, force_Pa = weights * air_Pa, weights * unit_Pa * peaks * 2.0 / sound_speed(air)
+    both = air_Pa**2 + force_Pa**2
+    strongest = float(frequencies[both.argmax()]) if both.max() > 0.0 else 0.0
+    return Byproduct(_level(air_Pa), _level(force_Pa), strongest)
+
+
+def _level(peaks_Pa: Float) -> float:
+    return level_dB(math.sqrt(0.5 * float(np.sum(peaks_Pa**2))))

@@ -1,0 +1,132 @@
+"""How loud sound is where a person's head may be and where the hand is, over a play, and whether that is allowed."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palmfield.acoustics.exposure import OCCUPATIONAL_DB, PUBLIC_DB, ball_points, dose_dB, level_dB
+from palmfield.config import DriverConfig
+from palmfield.errors import DeviceError, SceneError
+from palmfield.types import Float
+
+Sound = NDArray[np.complexfloating[Any, Any]]
+
+SPACING_M = 10e-3
+"""Of the places in a head's ball that are looked at [m]; round the loudest one it is looked closer."""
+CLOSER_M, CLOSER_SPACING_M = 12e-3, 2e-3
+
+
+class Moment(NamedTuple):
+    """Sound at one moment. pressure: complex peak [Pa] at points [m], (n, 3) -> (n,); share: of the play's time"""
+
+    pressure: Callable[[Float], Sound]
+    share: float
+
+
+@dataclass(frozen=True)
+class Heard:
+    """Sound at the loudest place of a region, in a free field.
+
+    place: [m], shape (3,); peak_Pa: largest peak pressure; mean_square_Pa2: of its rms, over the play
+    band_dB: to the low and the high end of p0's range, from the levels here
+    """
+
+    place: Float
+    peak_Pa: float
+    mean_square_Pa2: float
+    band_dB: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def level_dB(self) -> float:
+        """Sound pressure level at the loudest moment."""
+        return level_dB(self.peak_Pa / math.sqrt(2.0))
+
+    @property
+    def mean_level_dB(self) -> float:
+        """Level of the same energy over the play."""
+        return level_dB(math.sqrt(self.mean_square_Pa2))
+
+    def dose_dB(self, duration_s: float) -> float:
+        """Level of the same energy over 8 h, of one play of this duration."""
+        return dose_dB(self.mean_square_Pa2, duration_s)
+
+    @property
+    def most_dB(self) -> float:
+        """`level_dB` with p0 at the high end of its range."""
+        return self.level_dB + self.band_dB[1]
+
+
+def loudest_in(moments: Sequence[Moment], points: Float) -> Heard:
+    """What is heard at the loudest of some points, shape (n, 3)."""
+    highest, where, which = -1.0, points[0], 0
+    for number, moment in enumerate(moments):
+        magnitudes = np.abs(moment.pressure(points))
+        best = int(magnitudes.argmax())
+        if magnitudes[best] > highest:
+            highest, where, which = float(magnitudes[best]), points[best], number
+    if highest <= 0.0:
+        return Heard(where, 0.0, 0.0)
+    return _at(moments, where, highest, which)
+
+
+def _at(moments: Sequence[Moment], place: Float, peak_Pa: float, which: int) -> Heard:
+    squares = [
+        0.5 * moment.share * float(np.abs(moment.pressure(place[None]))[0]) ** 2 for moment in moments
+    ]  # fmt: skip
+    return Heard(place, max(peak_Pa, float(np.abs(moments[which].pressure(place[None]))[0])), sum(squares))
+
+
+def at_head(moments: Sequence[Moment], driver: DriverConfig, transducers: Float) -> Heard:
+    """What is heard at the loudest place of the ball that keys head_m and head_radius_m declare.
+
+    transducers: their places [m], shape (n, 3)
+    Raises SceneError where no head is declared, and where transducers are in the ball.
+    """
+    if driver.head_m is None:
+        raise SceneError("no head is declared; give driver key head_m, the middle of a ball in which it may be [m]")
+    middle = np.array(driver.head_m)
+    nearest = float(np.linalg.norm(transducers - middle, axis=1).min())
+    if nearest <= driver.head_radius_m:
+        raise SceneError(
+            f"driver key head_m has value {' '.join(f'{x:g}' for x in driver.head_m)}, with a transducer {nearest:.3g} "
+            f"m from there; allowed: a ball of head_radius_m ({driver.head_radius_m:g} m) without any"
+        )
+    first = loudest_in(moments, ball_points(middle, driver.head_radius_m, SPACING_M))
+    around = ball_points(first.place, CLOSER_M, CLOSER_SPACING_M)
+    inside = around[np.linalg.norm(around - middle, axis=1) <= driver.head_radius_m * (1.0 + 1e-9)]
+    return loudest_in(moments, inside) if first.peak_Pa > 0.0 else first
+
+
+def with_band(heard: Heard, factors: tuple[float, float] | None) -> Heard:
+    """factors: on the square of the pressure at that place, at the ends of p0's range; None where there are none"""
+    if factors is None or min(factors) <= 0.0:
+        return heard
+    low, high = (10.0 * math.log10(factor) for factor in factors)
+    return Heard(heard.place, heard.peak_Pa, heard.mean_square_Pa2, (low, high))
+
+
+def check_head(heard: Heard, driver: DriverConfig) -> list[str]:
+    """What users are warned of at the head, in words.
+
+    Raises DeviceError where the level, with p0 at the high end of its range, is above key head_limit_dB.
+    """
+    if heard.peak_Pa <= 0.0:
+        return []
+    where = "(" + ", ".join(f"{1e3 * x:.0f}" for x in heard.place) + ") mm"
+    level = f"{heard.level_dB:.0f} dB SPL at {where} within head_radius_m of head_m"
+    if heard.band_dB[1] >= 0.5:
+        level += f", up to {heard.most_dB:.0f} dB as far as p0 is known"
+    if driver.head_limit_dB is not None and heard.most_dB > driver.head_limit_dB:
+        raise DeviceError(
+            f"it would make {level}; driver key head_limit_dB allows {driver.head_limit_dB:g}: play it softer "
+            "(drive_amplitude), keep the head farther away (head_m), or calibrate the array"
+        )
+    if heard.most_dB > OCCUPATIONAL_DB:
+        return [f"{level}: above {OCCUPATIONAL_DB:g} dB, an interim limit for people at work"]
+    if heard.most_dB > PUBLIC_DB:
+        return [f"{level}: above {PUBLIC_DB:g} dB, an interim limit for the public"]
+    return []

@@ -1,0 +1,62 @@
+"""Changes of single elements in a scene's file, byte for byte: comments and layout stay."""
+
+import re
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from palmfield.session.scene_text import Element
+
+TAG = re.compile(rb"""<(?:[^<>"']|"[^"]*"|'[^']*')*>""")
+"""An element's beginning; > may stand in a value."""
+
+
+class Edit(NamedTuple):
+    """Bytes from start to end become others."""
+
+    start: int
+    end: int
+    new: bytes
+
+
+def with_attribute(data: bytes, element: Element, name: str, new: str) -> Edit:
+    """Another value for an element's attribute."""
+    tag = tag_of(data, element)
+    found = re.compile(rb"\b" + name.encode() + rb"\s*=\s*([\"'])(.*?)\1", re.DOTALL).search(tag[0])
+    assert found is not None
+    return Edit(tag.start() + found.start(2), tag.start() + found.end(2), new.encode())
+
+
+def tag_of(data: bytes, element: Element) -> re.Match[bytes]:
+    """An element's beginning in its file."""
+    tag = TAG.match(data, element.offset)
+    assert tag is not None
+    return tag
+
+
+def without(data: bytes, element: Element) -> Edit:
+    """The element left out, with its line where it has that to itself."""
+    tag = tag_of(data, element)
+    start, end = tag.start(), tag.end()
+    if not tag[0].endswith(b"/>"):
+        end = data.index(b">", data.index(b"</" + element.tag.encode(), end)) + 1
+    line_start = data.rfind(b"\n", 0, start) + 1
+    line_end = data.find(b"\n", end)
+    if line_end >= 0 and not data[line_start:start].strip() and not data[end:line_end].strip():
+        start, end = line_start, line_end + 1
+    return Edit(start, end, b"")
+
+
+def indent_of(data: bytes, element: Element) -> bytes:
+    """The new line and the spaces before an element that begins one; nothing before others."""
+    start = data.rfind(b"\n", 0, element.offset)
+    before = data[start + 1 : element.offset]
+    if before.strip():
+        return b""
+    return (b"\r\n" if data[start - 1 : start] == b"\r" else b"\n") + before
+
+
+def edited(data: bytes, edits: Sequence[Edit]) -> bytes:
+    """The bytes of a file with edits that don't overlap."""
+    for edit in sorted(edits, reverse=True):
+        data = data[: edit.start] + edit.new + data[edit.end :]
+    return data

@@ -1,0 +1,172 @@
+"""What a scene's stimulus does over time, as a table of foci, or as an STM of AUTD3 units."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from palmfield.errors import OutputError, SceneError, did_you_mean
+from palmfield.session.load import Source
+from palmfield.session.preview import Preview, preview
+from palmfield.simulation.model import StimulusModel
+from palmfield.stimulus.autd3_stm import stm_of_table, write_foci_stm
+from palmfield.stimulus.duty_law import duty_cycle
+from palmfield.stimulus.focal_points import FocalPoints
+from palmfield.stimulus.focus_table import (
+    FULL_DUTY,
+    MOST_ROWS,
+    FocusTable,
+    Quantity,
+    TableFrame,
+    focus_table,
+    write_focus_table,
+)
+from palmfield.stimulus.schedule import frame_rates, frames_at, main_frequencies, silent_after_s, table_of
+from palmfield.transforms import IDENTITY
+from palmfield.types import Float
+
+USUAL_RATE_HZ = 1000.0
+
+
+@dataclass(frozen=True)
+class Exported:
+    """A stimulus as a table. table: without what follows its last sound; warnings: on what a table can't say"""
+
+    table: FocusTable
+    stimulus: str
+    warnings: tuple[str, ...]
+
+
+def exported(
+    scene: Source,
+    *,
+    stimulus: str | None = None,
+    rate_Hz: float | None = None,
+    quantity: Quantity | None = None,
+    frame: TableFrame = "array",
+    duration_s: float | None = None,
+    keys: Mapping[str, object] | None = None,
+) -> Exported:
+    """A stimulus's foci and levels as a table, each sample held.
+
+    stimulus: instance name, where there are several; rate_Hz: of the samples, by default that at which it steps (its
+    table's, a path's points, control ticks), else USUAL_RATE_HZ; quantity: of the intensities, by default its table's,
+    else ARP; frame: array, or skin for the frame of its site; duration_s: the scene's by default
+    A table that a scene plays as it stands is exported as it is, straight lines and all.
+    Raises SceneError for a bad scene, a stimulus or frame that it has not, a rate or duration out of range.
+    """
+    view = preview(scene, keys=keys)
+    model = view.runtime.model
+    names = [part.spec.name for part in model.stimuli]
+    if stimulus is not None and stimulus not in names:
+        near = did_you_mean(stimulus, names)
+        raise SceneError(f"{view.name} has no stimulus '{stimulus}'{near}; it has: {', '.join(names)}")
+    if stimulus is None and len(names) > 1:
+        raise SceneError(f"{view.name} has several stimuli; give --stimulus, one of: {', '.join(names)}")
+    number = 0 if stimulus is None else names.index(stimulus)
+    part = model.stimuli[number]
+    if frame == "world" or (frame == "skin" and (part.config.frame == "array" or part.path is not None)):
+        raise SceneError(
+            f"--frame has value '{frame}', but stimulus '{part.spec.name}' has frame '{part.config.frame}', path_on "
+            f"{part.config.path_on}; allowed: array{', and skin where frame is a site' if frame == 'skin' else ''}"
+        )
+    own = table_of(part.config)
+    warnings = _warnings(part, names)
+    if own is not None and rate_Hz is None and _plays_as_it_is(part, own, frame, quantity, duration_s):
+        return Exported(own, part.spec.name, warnings)
+    rate = _rate(part, own) if rate_Hz is None else rate_Hz
+    lasts = view.duration_s if duration_s is None else duration_s
+    end = silent_after_s(part.config)
+    count = math.ceil(min(lasts, math.inf if end is None else end) * rate - 1e-6)
+    if not 1 <= count <= MOST_ROWS:
+        raise SceneError(
+            f"{lasts:g} s at {rate:g} Hz are {count} rows; allowed: 1 to {MOST_ROWS}: give another --rate or --duration"
+        )
+    times: Float = np.arange(count) / rate
+    fastest = max(main_frequencies(part.config), default=0.0)
+    if 2.0 * fastest > rate:
+        warnings += (f"the stimulus changes at up to {fastest:g} Hz, which {rate:g} samples a second can't tell",)
+    points, factors = frames_at(part.config, times)
+    places = _places(view, number, times, points, frame)
+    loud = np.array([_each(part, one) for one in points]) * factors[:, None]
+    asked: Quantity = quantity or ("arp" if own is None else own.quantity)
+    exponent = model.spec.driver.duty_exponent
+    table = focus_table(
+        times, places, _intensities(loud, asked, exponent), rate_Hz=rate, frame=frame, quantity=asked
+    )  # fmt: skip
+    return Exported(table.without_repeats(), part.spec.name, warnings)
+
+
+def export_stimulus(result: Exported, path: Path, *, again: bool = False, overwrite: bool = False) -> None:
+    """Write a table (.csv) or an STM of AUTD3 units (.json; again: without end).
+
+    Raises OutputError for another kind of file or one that may not be replaced, SceneError for a table that AUTD3
+    units can't play.
+    """
+    if path.suffix.lower() not in (".csv", ".json"):
+        raise OutputError(
+            f"{path}: the file's kind is '{path.suffix}'; allowed: .csv (a table), .json (an STM of AUTD3)"
+        )
+    if path.exists() and not overwrite:
+        raise OutputError(f"{path} is there and would be replaced; give another file, or --overwrite")
+    if path.suffix.lower() == ".csv":
+        write_focus_table(path, result.table)
+    else:
+        write_foci_stm(path, stm_of_table(result.table, again=again))
+
+
+def _plays_as_it_is(
+    part: StimulusModel, own: FocusTable, frame: TableFrame, quantity: Quantity | None, duration_s: float | None
+) -> bool:
+    config = part.config
+    plain = config.modulation == config.burst_window == "none" and not config.control_rate_Hz
+    plain = plain and config.start_s == config.ramp_s == 0.0 and config.stop_s is None
+    return plain and own.frame == frame and quantity in (None, own.quantity) and duration_s is None
+
+
+def _rate(part: StimulusModel, own: FocusTable | None) -> float:
+    return own.rate_Hz if own is not None else max(frame_rates(part.config), default=USUAL_RATE_HZ)
+
+
+def _warnings(part: StimulusModel, names: list[str]) -> tuple[str, ...]:
+    config, said = part.config, []
+    if config.arp_peak_Pa is not None:
+        said.append(f"intensity 1 is arp_peak_Pa {config.arp_peak_Pa:g}, which the table doesn't say")
+    elif config.drive_amplitude not in (None, 1.0):
+        said.append(f"intensity 1 is drive_amplitude {config.drive_amplitude:g}, which the table doesn't say")
+    if len(names) > 1:
+        said.append(f"stimulus '{part.spec.name}' is one of {len(names)}, on arrays of its own")
+    return tuple(said)
+
+
+def _places(view: Preview, number: int, times: Float, points: Float, frame: TableFrame) -> Float:
+    """Places of the foci at some times [m], shape (n, foci, 3), in the array's frame or the stimulus's own."""
+    part = view.runtime.model.stimuli[number]
+    if frame == "skin":
+        own = FocalPoints(IDENTITY, part.offsets, None,
+                          part.spec.focus_table)  # fmt: skip
+        return np.array([np.atleast_2d(own.at(point)) for point in points])
+    if not part.spec.frame_moves:
+        held = view.runtime.posed.focal_points(part, number)
+        return np.array([np.atleast_2d(held.at(point)) for point in points])
+    result = []
+    for (_, _, posed), point in zip(view.posed_at(times), points, strict=True):
+        result.append(np.atleast_2d(posed.focal_points(part, number).at(point)))
+    return np.array(result)
+
+
+def _each(part: StimulusModel, point: Float) -> Float:
+    """ARP of each focus relative to the loudest, shape (foci,)."""
+    if (table := part.spec.focus_table) is not None:
+        each = table.arp_of_each(point[:1])[0]
+        return np.asarray(each / each.max()) if each.max() > 0.0 else np.zeros(table.foci)
+    return np.ones(max(1, len(part.offsets)))
+
+
+def _intensities(arp: Float, quantity: Quantity, exponent: float) -> Float:
+    if quantity == "arp":
+        return np.clip(arp, 0.0, 1.0)
+    amplitude = np.clip(np.sqrt(arp), 0.0, 1.0)
+    return amplitude if quantity == "amplitude" else duty_cycle(amplitude, exponent) / FULL_DUTY

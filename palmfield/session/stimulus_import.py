@@ -1,0 +1,188 @@
+"""A table of foci, or an STM of AUTD3 units, into a scene: a table beside it, and keys of a stimulus that play it."""
+
+import tempfile
+from dataclasses import dataclass, replace
+from pathlib import Path
+from xml.sax.saxutils import quoteattr
+
+import mujoco
+import numpy as np
+
+from palmfield.config.stimulus import AM_KEYS, PATH_KEYS
+from palmfield.errors import OutputError, SceneError, did_you_mean
+from palmfield.session.load import compiled, instances_of, no_scene, opened
+from palmfield.session.scene_edit import Edit, edited, indent_of, tag_of, without
+from palmfield.session.scene_text import Element, elements_of
+from palmfield.stimulus.autd3_stm import read_foci_stm, table_of_stm
+from palmfield.stimulus.focus_table import FocusTable, focus_table, read_focus_table, write_focus_table
+from palmfield.transforms import Transform
+
+ARRAY, STIMULUS, SKIN = "palmfield.array", "palmfield.stimulus", "palmfield.skin"
+REPLACED = (
+    "path", "path_on", "on_skin", "focus_m", "foci_m", "frame", "modulation", "burst_window", "burst_length_s",
+    "burst_period_s", "burst_count", *PATH_KEYS, *AM_KEYS,
+)  # fmt: skip
+"""Keys that say where the focus is and how loud, which the table says now; the level, start and end are the scene's."""
+
+
+@dataclass(frozen=True)
+class Imported:
+    """What an import has written. scene, table: the files; keys: of the stimulus, that are new; dropped: that went"""
+
+    scene: Path
+    table: Path
+    stimulus: str
+    keys: dict[str, str]
+    dropped: tuple[str, ...]
+    foci: int
+    rows: int
+    length_s: float
+
+
+def read_stimulus(path: Path) -> tuple[FocusTable, bool]:
+    """The table in a CSV file, or made of an STM in a JSON file, and whether it is played again and again.
+
+    Raises SceneError for another kind of file, and as `read_focus_table`, `read_foci_stm` and `table_of_stm`.
+    """
+    match path.suffix.lower():
+        case ".csv":
+            return read_focus_table(path), False
+        case ".json":
+            stm = read_foci_stm(path)
+            try:
+                return table_of_stm(stm), stm.loop == "infinite"
+            except SceneError as error:
+                raise SceneError(f"{path}: {error}") from None
+    raise SceneError(f"{path}: the file's kind is '{path.suffix}'; allowed: .csv (a table), .json (an STM of AUTD3)")
+
+
+def import_stimulus(
+    file: Path,
+    scene: Path,
+    out: Path | None = None,
+    *,
+    stimulus: str | None = None,
+    site: str | None = None,
+    repeat: bool = False,
+    overwrite: bool = False,
+) -> Imported:
+    """Write a scene whose stimulus plays a file, and the table that it plays beside it.
+
+    out: the new scene, in the scene's folder, SCENE_FILE.xml by default; stimulus: instance name, where there are
+    several; site: in whose frame a table of frame `skin` is; repeat: whether it begins again at its end, as an STM
+    without end always does; overwrite: whether files that are there may be replaced
+    Raises SceneError for a bad file or scene, for an array that moves where a table is in the world's frame, and for
+    what the new scene would be refused for; OutputError where a file may not be replaced.
+    """
+    if not scene.is_file():
+        raise SceneError(no_scene(scene))
+    table, again = read_stimulus(file)
+    target = scene.with_name(f"{scene.stem}_{file.stem}.xml") if out is None else out
+    if target.resolve().parent != scene.resolve().parent:
+        raise OutputError(f"--out has value {target}; allowed: a file in {scene.resolve().parent}, as what the scene "
+                          "includes is relative to it")  # fmt: skip
+    beside = target.with_name(f"{target.stem}_foci.csv")
+    for one in (target, beside):
+        if one.exists() and not overwrite:
+            raise OutputError(f"{one} is there and would be replaced; give another file by --out, or --overwrite")
+    name = _instance(scene, stimulus)
+    if table.frame == "world":
+        table = _in_array(table, scene, name)
+    elif table.frame == "skin":
+        site = _site(scene, site)
+    elif site is not None:
+        raise SceneError(f"--site has value '{site}', but the table's frame is '{table.frame}'; leave it out")
+    keys = {"path": "file", "path_file": beside.name}
+    keys |= {"path_end": "jump"} if again or repeat else {}
+    keys |= {"frame": site} if table.frame == "skin" and site is not None else {}
+    data, dropped = _rewritten(scene, name, keys)
+    with tempfile.TemporaryDirectory() as folder:
+        # The new scene is refused before any file is written
+        trial = Path(folder) / "foci.csv"
+        write_focus_table(trial, table)
+        changes: dict[str, object] = {f"{name}.{key}": None for key in dropped if key not in keys}
+        changes |= {f"{name}.{key}": value for key, value in keys.items()} | {f"{name}.path_file": str(trial)}
+        compiled(scene, keys=changes)
+    write_focus_table(beside, table)
+    try:
+        target.write_bytes(data)
+    except OSError as error:
+        raise OutputError(f"{target}: cannot be written: {error}; give a place that can be written to") from None
+    return Imported(target, beside, name, keys, dropped, table.foci, len(table.samples), table.length_s)
+
+
+def _instance(scene: Path, stimulus: str | None) -> str:
+    names = [one.name for one in instances_of(scene, {})[0] if one.plugin == STIMULUS]
+    if stimulus is None and len(names) == 1:
+        return names[0]
+    if stimulus in names:
+        return str(stimulus)
+    told = "has several stimuli" if stimulus is None else f"has no stimulus '{stimulus}'{did_you_mean(stimulus, names)}"
+    raise SceneError(f"{scene} {told}; give --stimulus, one of: {', '.join(names)}")
+
+
+def _site(scene: Path, site: str | None) -> str:
+    """The site in whose frame a table of frame `skin` is: the one that is named, or the only one on a skin's body."""
+    spec = opened(scene).spec
+    bodies = {one.keys.get("body") for one in instances_of(scene, {})[0] if one.plugin == SKIN}
+    sites = [one.name for one in spec.sites if one.parent.name in bodies]
+    if site is None and len(sites) == 1:
+        return sites[0]
+    known = [one.name for one in spec.sites if one.name]
+    if site in known:
+        return str(site)
+    what = "is not given" if site is None else f"has value '{site}'{did_you_mean(site, known)}"
+    raise SceneError(
+        f"the table's frame is 'skin', and --site {what}; allowed: a site of the hand in {scene}: "
+        f"{', '.join(sites or known)}"
+    )
+
+
+def _in_array(table: FocusTable, scene: Path, stimulus: str) -> FocusTable:
+    """A table in the world's frame in that of the first array that the stimulus drives."""
+    listed = instances_of(scene, {})[0]
+    named = next(one.keys.get("arrays", "") for one in listed if one.name == stimulus).split()
+    array = next(one for one in listed if one.plugin == ARRAY and (not named or one.name == named[0]))
+    _, model, data = compiled(scene)
+    mujoco.mj_kinematics(model, data)
+    site = model.site(array.keys.get("site", "array"))
+    body = int(site.bodyid[0])
+    if model.body_weldid[body] != 0 or model.body_mocapid[body] >= 0:
+        raise SceneError(
+            f"the table's frame is 'world', but array '{array.name}' of {scene} can move, so that it has no one place "
+            "there; give a table of frame array"
+        )
+    frame = Transform(data.site_xpos[site.id].copy(), data.site_xmat[site.id].reshape(3, 3).copy())
+    places = frame.inverse_points(table.positions.reshape(-1, 3)).reshape(table.positions.shape)
+    return replace(
+        focus_table(
+            table.times, np.round(places, 12), table.intensities, rate_Hz=table.rate_Hz, quantity=table.quantity,
+            between=table.between,
+        ),
+        frame="array",
+    )  # fmt: skip
+
+
+def _rewritten(scene: Path, stimulus: str, keys: dict[str, str]) -> tuple[bytes, tuple[str, ...]]:
+    """The scene's file with other keys of a stimulus, and the names of those that went."""
+    data, elements = scene.read_bytes(), elements_of(scene)
+    instance = next((e for e in elements if e.tag == "instance" and _is(e, stimulus)), None)
+    if instance is None:
+        raise SceneError(f"{scene} includes the file in which stimulus '{stimulus}' stands; import into that file")
+    own = [e for e in elements if e.parent is instance and e.tag == "config"]
+    gone = [e for e in own if e.attributes.get("key") in REPLACED]
+    edits = [without(data, element) for element in gone]
+    lines = [f"<config key={quoteattr(key)} value={quoteattr(value)}/>" for key, value in keys.items()]
+    start = tag_of(data, instance)
+    indent = indent_of(data, own[0]) if own else b""
+    text = b"".join(indent + line.encode() for line in lines)
+    if start[0].endswith(b"/>"):
+        edits.append(Edit(start.end() - 2, start.end(), b">" + text + b"</instance>"))
+    else:
+        edits.append(Edit(start.end(), start.end(), text))
+    return edited(data, edits), tuple(e.attributes["key"] for e in gone)
+
+
+def _is(element: Element, name: str) -> bool:
+    plugin = element.within("plugin")
+    return element.attributes.get("name") == name and plugin is not None and plugin.attributes.get("plugin") == STIMULUS

@@ -1,0 +1,141 @@
+"""How one point of a skin moves under one pressure whose level changes in any way: a small model of whole time courses.
+
+A load that begins makes a lightly damped skin ring at frequencies of its own, which rest and the main frequency say
+nothing of. The ring is seen in the time course alone, and a small model gives that for one real factorisation.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+
+from palmfield import cache
+from palmfield.blas import one_blas_thread
+from palmfield.errors import SceneError
+from palmfield.skin.fem.assembly import SkinSystem
+from palmfield.skin.fem.generalised_alpha import RHO_INF, Scheme
+from palmfield.skin.materials.material import Material
+from palmfield.skin.reduction.dynamic_stiffness import DynamicStiffness
+from palmfield.skin.reduction.krylov import Krylov
+from palmfield.skin.reduction.reduced import Projection, Reduced
+from palmfield.skin.reduction.reducer import SAFETY, SHIFT, TooManyVectorsError, grow_until
+from palmfield.types import Float
+
+WINDOW_S = 0.05
+"""After a sudden start, over which models of two sizes are compared [s]."""
+MOMENTS = 256
+TOLERANCE = 5e-3
+"""Relative error of the point's motion in that window at which the model is large enough."""
+MOST_VECTORS = 240
+
+
+@dataclass(frozen=True)
+class _Part:
+    stiffness: Any
+    material: Material
+
+
+@dataclass(frozen=True)
+class _SmallBody:
+    """A `palmfield.skin.fem.linear_body.LinearBody` of a few unknowns."""
+
+    mass: Any
+    damping: Any
+    elastic: Any
+    parts: list[_Part]
+
+
+class PointModel:
+    """Motion of one point under one shape of force.
+
+    projection: the body in the model's vectors, with that force and that reading; error: relative, see `point_model`
+    supported: whether something holds the body at rest
+    """
+
+    def __init__(self, projection: Projection, error: float, supported: bool) -> None:
+        self.projection, self.error, self.supported = projection, error, supported
+
+    def static(self) -> float:
+        """Displacement at rest under the force [m]. Raises SceneError for a body that nothing holds."""
+        if not self.supported:
+            raise SceneError("a static answer needs a support: nothing holds this body, neither base nor sides")
+        _, _, elastic, *stiffness = self.projection.matrices
+        moved = np.linalg.solve(elastic + sum(stiffness), self.projection.force[:, 0])
+        return float((self.projection.read @ moved)[0])
+
+    def moved(self, level: Float, times: Float) -> Float:
+        """Displacement [m] at times [s], rising, (t,), from rest at the first, exact in time.
+
+        level: factor of the force at these times, linear between them, (t,)
+        """
+        with one_blas_thread:
+            return np.asarray(Reduced(self.projection, 0.0).run(level[:, None], times)[0][:, 0], dtype=float)
+
+    def stepped(self, level: Float, step_s: float) -> Float:
+        """The same by the substeps of WedgeStepper, at the ends of steps of `step_s`, (t,)."""
+        mass, damping, elastic, *stiffness = (sparse.csr_matrix(matrix) for matrix in self.projection.matrices)
+        parts = [_Part(each, law) for each, law in zip(stiffness, self.projection.materials, strict=True)]
+        scheme = Scheme(_SmallBody(mass, damping, elastic, parts), step_s, RHO_INF)
+        force, read = self.projection.force[:, 0], np.asarray(self.projection.read)[0]
+        inverse = np.linalg.inv(scheme.effective().toarray())
+        pushes = [(inverse @ term.matrix.toarray(), term.row) for term in scheme.terms]
+        pushed = inverse @ force
+        state = np.zeros((scheme.state_rows, len(force)))
+        seen = np.zeros(len(level))
+        with one_blas_thread:
+            for n in range(1, len(level)):
+                mixed = scheme.alpha_f * level[n - 1] + (1.0 - scheme.alpha_f) * level[n]
+                x = mixed * pushed
+                for matrix, row in pushes:
+                    x = x + matrix @ (row @ state)
+                state = scheme.advance @ state + np.outer(scheme.follow, x)
+                seen[n] = read @ state[0]
+        return seen
+
+
+def point_model(system: SkinSystem, force: Float, read: Float, highest_Hz: float) -> PointModel:
+    """The motion of a point of a layer under a force, by one real factorisation.
+
+    force: of the load at full level, (n,) [N]; read: of the point, (n,); highest_Hz: highest frequency that matters
+    The error is SAFETY times what the last ROUND vectors or more change in the motion over WINDOW_S after a sudden
+    start, L2 over the window; above TOLERANCE where MOST_VECTORS don't reach that. Kept in the cache
+    (`palmfield.cache`).
+    Raises SceneError for a force or a reading of 0.
+    """
+    if not np.any(force) or not np.any(read):
+        raise SceneError("a force or a reading of 0 moves nothing: a point's model needs answers not 0")
+
+    def make() -> cache.Arrays:
+        dynamics = DynamicStiffness(system, system.elimination_order())
+        krylov = Krylov(dynamics, SHIFT * 2.0 * math.pi * highest_Hz, force[:, None])
+        times: Float = np.linspace(0.0, WINDOW_S, MOMENTS)
+
+        def model() -> PointModel:
+            vectors = krylov.vectors
+            pushed, seen = vectors.T @ force[:, None], (read @ vectors)[None]
+            return PointModel(Projection(krylov.projected, dynamics.materials, pushed, seen), 0.0, system.supported)
+
+        def trial() -> Float:
+            return model().moved(np.ones(MOMENTS), times)
+
+        changes = []
+
+        def change(now: Float, before: Float) -> float:
+            changes.append(float(np.linalg.norm(now - before) / np.linalg.norm(now)))
+            return changes[-1]
+
+        with one_blas_thread:
+            try:
+                _, error = grow_until(krylov, trial, change, TOLERANCE, MOST_VECTORS)
+            except TooManyVectorsError:
+                error = SAFETY * changes[-1]
+        small = model().projection
+        return {
+            "matrices": np.array(small.matrices), "force": small.force, "read": small.read, "error": np.array(error),
+        }  # fmt: skip
+
+    known = cache.kept("point-model", (system.made_of, force, read, highest_Hz), make)
+    projection = Projection(list(known["matrices"]), list(system.materials), known["force"], known["read"])
+    return PointModel(projection, float(known["error"]), system.supported)

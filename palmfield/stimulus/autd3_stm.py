@@ -1,0 +1,173 @@
+"""Spatio-temporal modulation of AUTD3 units (`FociStm` of autd3 0.12) as plain data in a JSON file, and as a table.
+
+autd3 has no file format of its own. The file holds what its constructors take, in their units and under their names:
+
+{"autd3_foci_stm": 1, "divide": 40, "loop": "infinite", "origin_mm": [-86.6, -66.7, 0.0],
+ "points": [{"points": [{"point": [86.6, 66.7, 200.0], "phase_offset": 0}], "intensity": 255}]}
+
+divide: of SamplingConfig, each entry of points is held for divide / 40 kHz; loop: LoopBehavior, "infinite" or "once"
+origin_mm: of autd3's geometry, the first transducer of the first unit, seen from the middle of all transducers, which
+is palmfield's array frame. Points are in millimetres; units round them to 0.025 mm.
+"""
+
+import json
+import math
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from palmfield.acoustics.arrays import layout
+from palmfield.errors import OutputError, SceneError
+from palmfield.stimulus.focus_table import FocusTable, focus_table
+from palmfield.types import Float
+
+CARRIER_HZ = 40e3
+LEVELS = 255
+MM = 1e3
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Triple = tuple[Number, Number, Number]
+
+
+class _Plain(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+class ControlPoint(_Plain):
+    """A focus [mm], and by how many 256ths of a turn its sound is shifted against the other foci's."""
+
+    point: Annotated[Triple, Field(strict=False)]
+    phase_offset: Annotated[int, Field(ge=0, le=255)] = 0
+
+
+class ControlPoints(_Plain):
+    """Foci at once, 1 to 8, and their common intensity, which the pulses make an amplitude of intensity / 255."""
+
+    points: Annotated[list[ControlPoint], Field(min_length=1, max_length=8)]
+    intensity: Annotated[int, Field(ge=0, le=LEVELS)] = LEVELS
+
+
+class FociStm(_Plain):
+    """The file as this module's description has it."""
+
+    autd3_foci_stm: Literal[1]
+    divide: Annotated[int, Field(ge=1, le=65535)]
+    loop: Literal["infinite", "once"] = "infinite"
+    origin_mm: Annotated[Triple, Field(strict=False)] | None = None
+    points: Annotated[list[ControlPoints], Field(min_length=1, max_length=65536)]
+
+
+def default_origin_mm() -> tuple[float, float, float]:
+    """Of one unit: its first transducer, seen from the middle of all 249 [mm]."""
+    x, y, z = (MM * layout("autd3").positions[0]).tolist()
+    return x, y, z
+
+
+def read_foci_stm(path: str | Path) -> FociStm:
+    """The file's content. Raises SceneError, with the entry's place, for what can't be read or isn't allowed."""
+    file = Path(path)
+    try:
+        return FociStm.model_validate(json.loads(file.read_text(encoding="utf-8")))
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"]) or "the whole"
+        raise SceneError(f"{file}: {place}: {first['msg']}, not {str(first['input'])[:60]}") from None
+    except json.JSONDecodeError as error:
+        raise SceneError(f"{file}: line {error.lineno}, column {error.colno}: {error.msg}; give JSON") from None
+    except (OSError, ValueError) as error:
+        raise SceneError(f"{file}: cannot be read: {error}; give a JSON file in UTF-8") from None
+
+
+def table_of_stm(stm: FociStm) -> FocusTable:
+    """Its foci in the array's frame, held; `loop` is left to key path_end.
+
+    Raises SceneError where foci at once differ in number or have phases of their own, which a stimulus finds itself.
+    """
+    counts = [len(entry.points) for entry in stm.points]
+    if min(counts) != max(counts):
+        row = next(i for i, count in enumerate(counts) if count != counts[0])
+        raise SceneError(f"points.{row}: {counts[row]} foci at once where the first has {counts[0]}; give as many")
+    for row, entry in enumerate(stm.points):
+        offsets = {point.phase_offset for point in entry.points}
+        if len(offsets) > 1:
+            raise SceneError(
+                f"points.{row}: phase offsets {', '.join(map(str, sorted(offsets)))}; allowed: equal ones, as "
+                "phases of foci at once are found when they are played"
+            )
+    origin = np.array(default_origin_mm() if stm.origin_mm is None else stm.origin_mm)
+    places = np.array([[point.point for point in entry.points] for entry in stm.points])
+    loud = np.repeat(np.array([[entry.intensity / LEVELS] for entry in stm.points]), counts[0], axis=1)
+    rate_Hz = CARRIER_HZ / stm.divide
+    times = np.arange(len(stm.points)) / rate_Hz
+    return focus_table(times, (places + origin) / MM, loud, rate_Hz=rate_Hz, quantity="amplitude")
+
+
+def stm_of_table(
+    table: FocusTable, origin_mm: tuple[float, float, float] | None = None, *, again: bool = False
+) -> FociStm:
+    """A table in the array's frame for AUTD3 units; intensities are rounded to 1/255 of full amplitude.
+
+    origin_mm: of autd3's geometry, None for one unit's; again: whether it is played again and again
+    Raises SceneError for a table in another frame, of straight lines, at a rate that is no whole part of 40 kHz, of
+    more foci than 8, and with foci at once of different intensities.
+    """
+    divide = CARRIER_HZ / table.rate_Hz
+    refused = ""
+    if table.frame != "array":
+        refused = f"frame is '{table.frame}'; allowed: array"
+    elif table.between != "held":
+        refused = "between is 'linear', and units hold each focus; sample it by `palmfield stimulus export --rate`"
+    elif abs(divide - round(divide)) > 1e-9 * divide or round(divide) > 65535:
+        near = sorted({CARRIER_HZ / max(1, n) for n in (math.floor(divide), math.ceil(divide))})
+        told = " or ".join(f"{rate:g}" for rate in near)
+        refused = f"rate_Hz is {table.rate_Hz:g}; allowed: 40 kHz over a whole number, such as {told}"
+    elif table.foci > 8:
+        refused = f"there are {table.foci} foci at once; allowed: 8"
+    every: Float = np.arange(table.length_samples) / table.rate_Hz
+    amplitudes = np.sqrt(table.arp_of_each(every))
+    if not refused and np.ptp(amplitudes, axis=1).max() > 0.0:
+        refused = "foci at once differ in intensity; allowed: one for all, as units take"
+    if refused:
+        raise SceneError(f"no STM of AUTD3 units can be made of the table: {refused}")
+    origin = default_origin_mm() if origin_mm is None else origin_mm
+    places = (MM * table.positions_at(every) - np.array(origin)).tolist()
+    levels = np.rint(LEVELS * amplitudes[:, 0]).astype(int).tolist()
+    points = [
+        ControlPoints(points=[ControlPoint(point=(x, y, z)) for x, y, z in foci], intensity=level)
+        for foci, level in zip(places, levels, strict=True)
+    ]
+    loop: Literal["infinite", "once"] = "infinite" if again else "once"
+    return FociStm(autd3_foci_stm=1, divide=round(divide), loop=loop, origin_mm=origin, points=points)
+
+
+def write_foci_stm(path: Path, stm: FociStm) -> None:
+    """Write the file, a line for each entry of points. Raises OutputError where it can't be written."""
+    content = stm.model_dump(mode="json")
+    entries = ",\n  ".join(json.dumps(entry) for entry in content.pop("points"))
+    head = json.dumps(content)[:-1]
+    try:
+        path.write_text(f'{head}, "points": [\n  {entries}\n]}}\n', encoding="utf-8")
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {error}; give a place that can be written to") from None
+
+
+def autd3_command(stm: FociStm, sound_speed_m_s: float) -> Any:
+    """autd3's own `FociStm`, to be sent by its client. Raises OutputError without the extra `autd3`."""
+    try:
+        from autd3 import commands, units, value
+    except ImportError:
+        raise OutputError("autd3 is not installed: pip install 'palmfield[autd3]'") from None
+    loop = value.LoopBehavior.Infinite if stm.loop == "infinite" else value.LoopBehavior.Once
+    option = commands.FociStmOption(sound_speed=sound_speed_m_s * units.m / units.s, loop_behavior=loop)
+    return commands.FociStm(value.SamplingConfig(stm.divide), control_points(stm), option)
+
+
+def control_points(stm: FociStm) -> list[Any]:
+    """autd3's own `ControlPoints`, which `FociStm` takes and which can be read again, as float32."""
+    from autd3 import value
+
+    return [
+        value.ControlPoints([value.ControlPoint(one.point, one.phase_offset) for one in entry.points], entry.intensity)
+        for entry in stm.points
+    ]

@@ -1,0 +1,389 @@
+"""Foci over time as a plain table: where each is and how loud, in which frame, and what lies between the rows.
+
+A CSV file with head lines that begin with #, then one line of column names, then numbers:
+
+# palmfield_stimulus: 1
+# frame: array
+# rate_Hz: 1000
+# quantity: arp
+# units: s, m
+# between: held
+t,x,y,z,intensity
+0.0,0.0,0.0,0.2,1.0
+0.001,0.002,0.0,0.2,1.0
+"""
+
+import csv
+import math
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Literal, NamedTuple, cast, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palmfield.config.stimulus import too_far
+from palmfield.errors import OutputError, SceneError, did_you_mean
+from palmfield.stimulus.duty_law import relative_pressure
+from palmfield.types import Float
+
+VERSION = 1
+TableFrame = Literal["array", "skin", "world"]
+Quantity = Literal["duty", "amplitude", "arp"]
+Between = Literal["held", "linear"]
+HEAD = ("palmfield_stimulus", "frame", "rate_Hz", "quantity", "units", "between")
+TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
+LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+MOST_ROWS, MOST_FOCI = 1_000_000, 32
+HIGHEST_RATE_HZ = 40e3
+FULL_DUTY = 0.5
+OFF_SAMPLE = 0.02
+"""Of a sample: so far from a whole number of them a row's time may be, as times are written with few digits."""
+SOONER_S = 1e-9
+"""A row that is nearer than this counts as reached, as ticks of `schedule` do."""
+
+
+@dataclass(frozen=True)
+class FocusTable:
+    """Foci over time, comparable.
+
+    frame: in which they are told; rate_Hz: rows lie at whole numbers of samples of this rate
+    quantity: what the intensities are of: amplitude of the sound, ARP, or the pulses' duty relative to 1/2
+    between: rows are held until the next one, the last for one sample; or joined by straight lines, the last is the end
+    foci: how many at once; rows: float64 numbers as bytes: sample, then x, y, z [m] and intensity 0..1 of each focus
+    """
+
+    frame: TableFrame
+    rate_Hz: float
+    quantity: Quantity
+    between: Between
+    foci: int
+    rows: bytes
+
+    def __hash__(self) -> int:
+        # Configurations are hashed in every step
+        return hash((self.rate_Hz, self.foci, len(self.rows), self.rows[:256]))
+
+    @cached_property
+    def _numbers(self) -> Float:
+        return np.frombuffer(self.rows, np.float64).reshape(-1, 1 + 4 * self.foci)
+
+    @cached_property
+    def samples(self) -> NDArray[np.int64]:
+        """Number of each row's sample, from 0, shape (n,)."""
+        return self._numbers[:, 0].astype(np.int64)
+
+    @cached_property
+    def times(self) -> Float:
+        """Of the rows since the table's beginning [s], shape (n,)."""
+        return self.samples / self.rate_Hz
+
+    @cached_property
+    def positions(self) -> Float:
+        """Of the foci in each row [m], shape (n, foci, 3)."""
+        return np.ascontiguousarray(self._numbers[:, 1:].reshape(-1, self.foci, 4)[..., :3])
+
+    @cached_property
+    def intensities(self) -> Float:
+        """Of the foci in each row, 0..1, shape (n, foci)."""
+        return np.ascontiguousarray(self._numbers[:, 1:].reshape(-1, self.foci, 4)[..., 3])
+
+    @cached_property
+    def length_samples(self) -> int:
+        """How long it lasts, in samples."""
+        return int(self.samples[-1]) + (1 if self.between == "held" else 0)
+
+    @property
+    def length_s(self) -> float:
+        """How long it lasts [s]."""
+        return self.length_samples / self.rate_Hz
+
+    def positions_at(self, since_s: Float) -> Float:
+        """Places of the foci at times since the table's beginning [s], shape (k,): [m], shape (k, foci, 3)."""
+        return self._at(self.positions, since_s)
+
+    def intensities_at(self, since_s: Float) -> Float:
+        """Intensities at such times, 0..1, shape (k, foci)."""
+        return self._at(self.intensities, since_s)
+
+    def arp_of_each(self, since_s: Float, duty_exponent: float = 2.0) -> Float:
+        """ARP of the foci at such times relative to intensity 1, shape (k, foci); duty_exponent: g, of pulses."""
+        intensities = self.intensities_at(since_s)
+        if self.quantity == "duty":
+            return relative_pressure(FULL_DUTY * intensities, duty_exponent) ** 2
+        return intensities**2 if self.quantity == "amplitude" else intensities
+
+    def _at(self, values: Float, since_s: Float) -> Float:
+        place = np.clip(since_s * self.rate_Hz, 0.0, float(self.samples[-1]))
+        row = self.samples.searchsorted(place + SOONER_S * self.rate_Hz, "right") - 1
+        if self.between == "held" or len(self.samples) == 1:
+            return np.asarray(values[row])
+        row = np.minimum(row, len(self.samples) - 2)
+        share = (place - self.samples[row]) / (self.samples[row + 1] - self.samples[row])
+        share = np.clip(share, 0.0, 1.0).reshape(-1, *[1] * (values.ndim - 1))
+        return np.asarray((1.0 - share) * values[row] + share * values[row + 1])
+
+    def without_repeats(self) -> "FocusTable":
+        """The same without held rows that repeat the one before, but for the last, which says how long it lasts."""
+        if self.between != "held":
+            return self
+        changes = np.append(True, np.any(np.diff(self._numbers[:, 1:], axis=0) != 0.0, axis=1))
+        changes[-1] = True
+        return replace(self, rows=np.ascontiguousarray(self._numbers[changes]).tobytes())
+
+    @cached_property
+    def has_levels(self) -> bool:
+        """Whether an intensity is neither 0 nor 1, or straight lines lead from one to another."""
+        values = np.unique(self.intensities)
+        return bool(np.any((values > 0.0) & (values < 1.0))) or (self.between == "linear" and len(values) > 1)
+
+    @cached_property
+    def moved_m(self) -> float:
+        """How far the focus that moves farthest goes from the first row to the last [m]."""
+        return float(np.linalg.norm(np.diff(self.positions, axis=0), axis=2).sum(axis=0).max(initial=0.0))
+
+
+def focus_table(
+    times_s: Float,
+    positions: Float,
+    intensities: Float,
+    *,
+    rate_Hz: float,
+    frame: TableFrame = "array",
+    quantity: Quantity = "arp",
+    between: Between = "held",
+    named: Callable[[int, str], str] = lambda row, column: f"row {row + 1}, column {column}",
+) -> FocusTable:
+    """A table from numbers.
+
+    times_s: of the rows [s], from 0, rising, shape (n,); positions: [m], shape (n, foci, 3)
+    intensities: 0..1, shape (n, foci); named: what a row (from 0) and a column are called in messages
+    Raises SceneError, with row and column, for times that are not 0, rise or lie on samples, for numbers that are not
+    finite, places farther than any focus, intensities outside 0..1, and for silence throughout.
+    """
+    times, places = np.asarray(times_s, np.float64), np.asarray(positions, np.float64)
+    loud = np.asarray(intensities, np.float64)
+    count, foci = len(times), places.shape[1] if places.ndim == 3 else 0
+    if not 1 <= count <= MOST_ROWS or places.shape != (count, foci, 3) or loud.shape != (count, foci):
+        raise SceneError(
+            f"a table has {count} times, positions of shape {places.shape} and intensities of shape {loud.shape}; "
+            f"allowed: 1 to {MOST_ROWS} rows of (n,), (n, foci, 3) and (n, foci)"
+        )
+    if not 1 <= foci <= MOST_FOCI:
+        raise SceneError(f"a table has {foci} foci; allowed: 1 to {MOST_FOCI}")
+    if quantity == "duty" and foci > 1:
+        raise SceneError(
+            f"quantity is 'duty', and there are {foci} foci at once; pulses are the transducers', which several foci "
+            "share; allowed: amplitude | arp"
+        )
+    if not 0.0 < rate_Hz <= HIGHEST_RATE_HZ:
+        raise SceneError(f"rate_Hz has value {rate_Hz:g}; allowed: above 0, at most {HIGHEST_RATE_HZ:g}")
+    names = _columns(foci)
+    wide = np.concatenate([times[:, None], np.concatenate([places, loud[..., None]], axis=2).reshape(count, -1)], 1)
+    wrong = np.argwhere(~np.isfinite(wide))
+    if len(wrong):
+        row, column = wrong[0]
+        raise SceneError(f"{named(int(row), names[column])}: {wide[row, column]:g}; give a finite number")
+    _check_times(times, rate_Hz, named)
+    for row, focus in zip(*np.nonzero((loud < 0.0) | (loud > 1.0)), strict=True):
+        told = named(int(row), names[4 + 4 * focus])
+        raise SceneError(f"{told}: {loud[row, focus]:g}; allowed: 0 (silent) to 1 (what the scene's level key sets)")
+    for row, focus in zip(*np.nonzero(np.linalg.norm(places, axis=2) > 10.0), strict=True):
+        axis = int(np.abs(places[row, focus]).argmax())
+        x, y, z = places[row, focus].tolist()
+        raise SceneError(f"{named(int(row), names[1 + 4 * focus + axis])}: a focus at {x:g} {y:g} {z:g} m, "
+                         f"{too_far((x, y, z))}; or name the unit in the head line units")  # fmt: skip
+    if not loud.any():
+        raise SceneError(f"{named(0, names[4])}: 0 here and throughout, which is silence; give intensities up to 1")
+    wide[:, 0] = np.rint(times * rate_Hz)
+    return FocusTable(frame, float(rate_Hz), quantity, between, foci, np.ascontiguousarray(wide).tobytes())
+
+
+def _check_times(times: Float, rate_Hz: float, named: Callable[[int, str], str]) -> None:
+    if times[0] != 0.0:
+        raise SceneError(f"{named(0, 't')}: {times[0]:g}; the first row is at 0: take {times[0]:g} off all times")
+    falling = np.flatnonzero(np.diff(times) <= 0.0)
+    if len(falling):
+        row = int(falling[0]) + 1
+        raise SceneError(f"{named(row, 't')}: {times[row]:g} after {times[row - 1]:g}; allowed: more than before")
+    places = times * rate_Hz
+    off = np.flatnonzero(np.abs(places - np.rint(places)) > OFF_SAMPLE)
+    same = np.flatnonzero(np.diff(np.rint(places)) < 1.0) + 1
+    if len(off) or len(same):
+        row = int(off[0] if len(off) else same[0])
+        raise SceneError(
+            f"{named(row, 't')}: {times[row]:.9g} s is sample {places[row]:.6g} of rate_Hz {rate_Hz:g}; allowed: whole "
+            "samples, one row each, of the rate in the head"
+        )
+
+
+def _columns(foci: int) -> list[str]:
+    numbers = [""] if foci == 1 else [str(number + 1) for number in range(foci)]
+    return ["t", *(f"{name}{number}" for number in numbers for name in ("x", "y", "z", "intensity"))]
+
+
+# -- files ---------------------------------------------------------------------------------------------------------
+
+
+class _Head(NamedTuple):
+    frame: TableFrame
+    rate_Hz: float
+    quantity: Quantity
+    between: Between
+    second: float
+    metre: float
+
+
+def read_focus_table(path: str | Path) -> FocusTable:
+    """The table in a CSV file, as this module's description has it.
+
+    Raises SceneError, with line and column, for a file that can't be read, head lines that are missing, unknown or
+    have another value than allowed, columns that are not t and x, y, z, intensity of each focus, and what
+    `focus_table` raises.
+    """
+    file = Path(path)
+    try:
+        lines = file.read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else error
+        raise SceneError(f"{file}: cannot be read: {reason}; give a CSV file in UTF-8") from None
+    heads = [(number, line) for number, line in enumerate(lines, 1) if line.lstrip().startswith("#")]
+    body = [(n, line) for n, line in enumerate(lines, 1) if line.strip() and not line.lstrip().startswith("#")]
+    if not body:
+        raise SceneError(f"{file}: there is no line of column names; begin as docs/stimuli.md shows")
+    head, names = _head(file, heads), _names(file, *body[0])
+    table = np.array([_row(file, number, line, names) for number, line in body[1:]])
+    if not len(table):
+        raise SceneError(f"{file}: there is no row below line {body[0][0]}; give one or more")
+    foci = (len(names) - 1) // 4
+    order = [names.index(name) for name in _columns(foci)]
+    own = table[:, order[1:]].reshape(len(table), foci, 4)
+    # Counted in decimals, so that 0.003 ms or 200 mm are the numbers that were meant
+    times = _scaled(table[:, order[0]], head.second)
+    return focus_table(
+        times, _scaled(own[..., :3], head.metre), own[..., 3], rate_Hz=head.rate_Hz, frame=head.frame,
+        quantity=head.quantity, between=head.between,
+        named=lambda row, column: f"{file}: line {body[1 + row][0]}, column {column}",
+    )  # fmt: skip
+
+
+def _scaled(values: Float, unit: float) -> Float:
+    return values if unit == 1.0 else values / round(1.0 / unit)
+
+
+def _head(file: Path, lines: Sequence[tuple[int, str]]) -> _Head:
+    found: dict[str, tuple[int, int, str]] = {}
+    for number, line in lines:
+        matched = re.match(r"\s*#\s*([A-Za-z_]+)\s*:\s*(.*?)\s*$", line)
+        if matched is None:
+            continue  # a remark
+        name, value = matched[1], matched[2]
+        if name not in HEAD:
+            raise SceneError(
+                f"{file}: line {number}, column {matched.start(1) + 1}: head line '{name}' is unknown"
+                f"{did_you_mean(name, HEAD)}; allowed: {', '.join(HEAD)} (a remark has no colon after its first word)"
+            )
+        if name in found:
+            raise SceneError(
+                f"{file}: line {number}: head line '{name}' is there twice, first in line {found[name][0]}"
+            )
+        found[name] = number, matched.start(2) + 1, value
+    missing = [name for name in HEAD if name not in found]
+    if missing:
+        raise SceneError(f"{file}: line 1: head line '# {missing[0]}: ...' is missing; give {_allowed(missing[0])}")
+
+    def one_of(name: str, allowed: Sequence[str]) -> str:
+        if found[name][2] not in allowed:
+            raise _bad(name)
+        return found[name][2]
+
+    def _bad(name: str) -> SceneError:
+        number, column, value = found[name]
+        return SceneError(f"{file}: line {number}, column {column}: {name} has value '{value}'; {_allowed(name)}")
+
+    one_of("palmfield_stimulus", [str(VERSION)])
+    try:
+        rate_Hz = float(found["rate_Hz"][2])
+    except ValueError:
+        raise _bad("rate_Hz") from None
+    if not 0.0 < rate_Hz <= HIGHEST_RATE_HZ:
+        raise _bad("rate_Hz")
+    units = [unit.strip() for unit in found["units"][2].split(",")]
+    if len(units) != 2 or units[0] not in TIMES or units[1] not in LENGTHS:
+        raise _bad("units")
+    return _Head(
+        cast(TableFrame, one_of("frame", get_args(TableFrame))), rate_Hz,
+        cast(Quantity, one_of("quantity", get_args(Quantity))), cast(Between, one_of("between", get_args(Between))),
+        TIMES[units[0]], LENGTHS[units[1]],
+    )  # fmt: skip
+
+
+def _allowed(name: str) -> str:
+    return (
+        "allowed: "
+        + {
+            "palmfield_stimulus": f"{VERSION}, the version of the format",
+            "frame": " | ".join(get_args(TableFrame)),
+            "rate_Hz": f"a number above 0, at most {HIGHEST_RATE_HZ:g}",
+            "quantity": " | ".join(get_args(Quantity)),
+            "units": f"of t ({', '.join(TIMES)}), a comma, and of x, y, z ({', '.join(LENGTHS)})",
+            "between": " | ".join(get_args(Between)),
+        }[name]
+    )
+
+
+def _names(file: Path, number: int, line: str) -> list[str]:
+    names = [name.strip() for name in line.split(",")]
+    foci = max(1, (len(names) - 1) // 4)
+    wanted = _columns(foci)
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise SceneError(f"{file}: line {number}, column {names.index(twice) + 1}: column '{twice}' is there twice")
+    stray = next((name for name in names if name not in wanted), None)
+    if stray is not None or len(names) != len(wanted):
+        missing = next((name for name in wanted if name not in names), wanted[-1])
+        told = f"column '{missing}' is missing" if stray is None else f"column '{stray}' is unknown"
+        raise SceneError(
+            f"{file}: line {number}: {told}; allowed: t, x, y, z, intensity, or t, x1, y1, z1, intensity1, x2, ..."
+        )
+    return names
+
+
+def _row(file: Path, number: int, line: str, names: Sequence[str]) -> list[float]:
+    cells = next(csv.reader([line]))
+    if len(cells) != len(names):
+        raise SceneError(f"{file}: line {number} has {len(cells)} values for {len(names)} columns; give one for each")
+    values = []
+    for name, cell in zip(names, cells, strict=True):
+        try:
+            values.append(float(cell))
+        except ValueError:
+            raise SceneError(
+                f"{file}: line {number}, column {name}: '{cell.strip()}' is not a number; give a number"
+            ) from None
+        if not math.isfinite(values[-1]):
+            raise SceneError(f"{file}: line {number}, column {name}: {values[-1]:g}; give a finite number")
+    return values
+
+
+def focus_table_text(table: FocusTable) -> str:
+    """The table as `read_focus_table` reads it, in seconds and metres with all digits."""
+    head = {
+        "palmfield_stimulus": VERSION, "frame": table.frame, "rate_Hz": f"{table.rate_Hz!r}",
+        "quantity": table.quantity, "units": "s, m", "between": table.between,
+    }  # fmt: skip
+    own = np.concatenate([table.positions, table.intensities[..., None]], axis=2).reshape(len(table.samples), -1)
+    rows = np.column_stack([table.times, own]).tolist()
+    lines = [f"# {name}: {head[name]}" for name in HEAD] + [",".join(_columns(table.foci))]
+    return "\n".join(lines + [",".join(map(repr, row)) for row in rows]) + "\n"
+
+
+def write_focus_table(path: Path, table: FocusTable) -> None:
+    """Write a table as `focus_table_text`. Raises OutputError where it can't be written."""
+    try:
+        path.write_text(focus_table_text(table), encoding="utf-8")
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {error}; give a place that can be written to") from None

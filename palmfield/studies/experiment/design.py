@@ -1,0 +1,228 @@
+"""An experiment as a file says it: scene, what is varied and asked, conditions, procedure, order. No physics."""
+
+import hashlib
+import json
+import math
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from palmfield.errors import OutputError, PalmfieldError
+from palmfield.perception.psychometric import PsychometricFunction, Shape
+from palmfield.studies.experiment.procedures import Adjustment, ConstantStimuli, Procedure, Staircase
+
+KINDS: dict[str, type[Any]] = {"staircase": Staircase, "constant": ConstantStimuli, "adjustment": Adjustment}
+Scalar = bool | float | int | str | list[float]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Number = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Varied(_Part):
+    """What the procedure varies.
+
+    key: dotted, as of --set; reference: its value in the other intervals of a task with several
+    scale: log for levels that count as ratios, told as 20 lg of them in dB; unit: of the level, for tables
+    """
+
+    key: str
+    reference: Number = 0.0
+    scale: Literal["log", "linear"] = "log"
+    unit: str = ""
+
+    def told(self, level: float) -> float:
+        """A level as fits and pictures have it: in dB re 1 for a scale of ratios, -inf for 0."""
+        if self.scale == "linear":
+            return level
+        return 20.0 * math.log10(level) if level > 0.0 else -math.inf
+
+    def level(self, told: float) -> float:
+        """The inverse of `told`."""
+        return told if self.scale == "linear" else float(10.0 ** (told / 20.0))
+
+
+class Task(_Part):
+    """What is asked after each trial.
+
+    kind: yes_no (was it felt?), or nafc (in which of several intervals was the target?); question: in words
+    gap_s: between intervals; guess: of yes_no, rate of yes where nothing is played, as fits have it
+    """
+
+    kind: Literal["yes_no", "nafc"] = "nafc"
+    intervals: Annotated[int, Field(ge=2, le=8)] = 2
+    gap_s: Annotated[float, Field(ge=0, le=60)] = 0.4
+    question: str = ""
+    guess: Annotated[float, Field(ge=0, lt=0.5)] = 0.0
+
+    @property
+    def chance(self) -> float:
+        """Rate of right answers by chance."""
+        return 1.0 / self.intervals if self.kind == "nafc" else self.guess
+
+
+class Condition(_Part):
+    """Other values of the scene's keys. name: of its own; keys: dotted, as of --set"""
+
+    name: str = Field(min_length=1)
+    keys: dict[str, Scalar] = {}
+
+
+class Simulated(_Part):
+    """An observer of known psychometric function. threshold, spread: in the units of the varied key, or in dB for a
+    scale of ratios; lapse: rate of wrong answers however loud it is; thresholds: of conditions that have others
+    """
+
+    threshold: Number
+    spread: Positive
+    shape: Shape = "normal"
+    lapse: Annotated[float, Field(ge=0, le=0.2)] = 0.02
+    thresholds: dict[str, Number] = {}
+
+    def function(self, condition: str) -> PsychometricFunction:
+        """Of detection, without guesses."""
+        return PsychometricFunction(self.shape, self.thresholds.get(condition, self.threshold), self.spread)
+
+
+class SkinObserver(_Part):
+    """An observer that feels what the simulated skin does.
+
+    observer: of `palmfield.perception`, whose level above threshold counts, at 0 dB felt in half of the cases
+    slope: b of 1 - exp(-ln 2 E^b), E the level as a ratio; lapse: as of Simulated; skin: instance, None for the first
+    """
+
+    observer: str = "bolanowski_1988"
+    slope: Positive = 2.0
+    lapse: Annotated[float, Field(ge=0, le=0.2)] = 0.02
+    skin: str | None = None
+
+
+class Trigger(_Part):
+    """A line that goes up as the sound begins. port: serial; line: DTR, RTS, or a byte that is sent; pulse_s: how
+    long it stays up
+    """
+
+    port: str
+    line: Literal["dtr", "rts", "byte"] = "dtr"
+    byte: Annotated[int, Field(ge=0, le=255)] = 1
+    pulse_s: Positive = 0.005
+
+
+class Design(_Part):
+    """An experiment. See docs/experiments.md for each key.
+
+    scene: file, relative to the experiment's own; blocks: how often each condition is run
+    order: in each block, trials of all conditions interleaved, or one condition after the other, both drawn by seed
+    """
+
+    name: str = Field(min_length=1)
+    scene: str
+    seed: Annotated[int, Field(ge=0)]
+    duration_s: Positive
+    varied: Varied
+    procedure: dict[str, Any]
+    conditions: Annotated[tuple[Condition, ...], Field(min_length=1)]
+    task: Task = Task()
+    keys: dict[str, Scalar] = {}
+    board: str | None = None
+    blocks: Annotated[int, Field(ge=1, le=1000)] = 1
+    order: Literal["interleaved", "blocked"] = "interleaved"
+    simulated: Simulated | None = None
+    skin: SkinObserver = SkinObserver()
+    lsl: bool = False
+    trigger: Trigger | None = None
+
+    @model_validator(mode="after")
+    def _fits(self) -> "Design":
+        names = [condition.name for condition in self.conditions]
+        if len(set(names)) < len(names):
+            raise ValueError(f"conditions are {', '.join(names)}; allowed: each name once")
+        varied = self.varied.key
+        twice = [key for keys in (self.keys, *(c.keys for c in self.conditions)) for key in keys if key == varied]
+        if twice:
+            raise ValueError(f"key '{varied}' is varied and set; allowed: one of both")
+        kind = self.procedure.get("kind")
+        if kind not in KINDS:
+            raise ValueError(f"procedure.kind is {kind!r}; allowed: {', '.join(KINDS)}")
+        if kind == "adjustment" and self.task.kind != "yes_no":
+            raise ValueError("task.kind is 'nafc'; allowed with procedure 'adjustment': yes_no, as one level is heard")
+        if self.procedure.get("scale", self.varied.scale) != self.varied.scale:
+            raise ValueError(
+                f"procedure.scale is '{self.procedure['scale']}' and varied.scale '{self.varied.scale}'; allowed: equal"
+            )
+        if "seed" in self.procedure:
+            raise ValueError("procedure.seed is given; allowed: seed of the whole experiment")
+        if self.simulated is not None and (stray := set(self.simulated.thresholds) - set(names)):
+            raise ValueError(f"simulated.thresholds names '{min(stray)}'; allowed: {', '.join(names)}")
+        self.procedure_of(0, 0)
+        return self
+
+    def procedure_of(self, block: int, condition: int) -> Procedure:
+        """The procedure of one run, with an order of its own."""
+        keys = {key: value for key, value in self.procedure.items() if key != "kind"}
+        kind = KINDS[self.procedure["kind"]]
+        if kind is not ConstantStimuli:
+            keys.setdefault("scale", self.varied.scale)
+        if kind is not Staircase:
+            keys["seed"] = (self.seed, block, condition)
+        from pydantic import TypeAdapter
+
+        try:
+            made: Procedure = TypeAdapter(kind).validate_python(keys)
+        except ValidationError as error:
+            raise ValueError(f"procedure.{_told(error)}") from None
+        except PalmfieldError as error:
+            raise ValueError(f"procedure: {error}") from None
+        return made
+
+    def digest(self, observer: str) -> str:
+        """Of all that must not change within an observer's log: all but other observers, markers and the board."""
+        others = {"simulated", "skin"} - {observer}
+        own = self.model_dump(mode="json", exclude=others | {"lsl", "trigger", "board"})
+        return hashlib.sha256(json.dumps(own, sort_keys=True).encode()).hexdigest()[:16]
+
+    def keys_at(self, condition: int, level: float) -> dict[str, object]:
+        """Keys of a presentation, as `palmfield.load` takes them."""
+        return {**self.keys, **self.conditions[condition].keys, self.varied.key: level}
+
+    def next_condition(self, block: int, number: int, unfinished: list[int]) -> int:
+        """The condition of a block's trial of a number, of those that have trials left."""
+        if self.order == "blocked":
+            order = np.random.default_rng((self.seed, 1, block)).permutation(len(self.conditions)).tolist()
+            return next(int(condition) for condition in order if condition in unfinished)
+        return unfinished[int(np.random.default_rng((self.seed, 2, block, number)).integers(len(unfinished)))]
+
+    def target(self, trial: int) -> int:
+        """The interval, from 1, that has the target in a trial of a number, from 0."""
+        if self.task.kind == "yes_no":
+            return 1
+        return 1 + int(np.random.default_rng((self.seed, 3, trial)).integers(self.task.intervals))
+
+
+def read_design(path: Path) -> Design:
+    """The experiment in a TOML or JSON file.
+
+    Raises OutputError, with the key, for what can't be read or isn't allowed.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+        content = tomllib.loads(text) if path.suffix.lower() == ".toml" else json.loads(text)
+    except (OSError, ValueError) as error:
+        raise OutputError(f"{path}: cannot be read: {error}; give a TOML file, or JSON (docs/experiments.md)") from None
+    try:
+        return Design.model_validate(content)
+    except ValidationError as error:
+        raise OutputError(f"{path}: {_told(error)}") from None
+
+
+def _told(error: ValidationError) -> str:
+    first = error.errors()[0]
+    place = ".".join(str(part) for part in first["loc"])
+    message = first["msg"].removeprefix("Value error, ")
+    given = "" if first["type"] in ("value_error", "missing") else f", not {str(first['input'])[:60]}"
+    return f"{place}{': ' if place else ''}{message}{given}"

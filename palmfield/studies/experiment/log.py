@@ -1,0 +1,201 @@
+"""The log of an experiment: one line of JSON a trial, on the disk before the next begins.
+
+The first line is the head: `palmfield_experiment` (1), design and its digest, scene's digest, participant, observer,
+versions. Each time the experiment goes on, a line with `session` says when, and what the wall's clock shows at 0 of the
+clock that all times are on. Each further line is a trial.
+"""
+
+import datetime
+import hashlib
+import json
+import os
+import time
+from collections.abc import Mapping
+from importlib.metadata import version
+from pathlib import Path
+from types import TracebackType
+from typing import Any, NamedTuple
+
+from filelock import FileLock, Timeout
+
+from palmfield.errors import OutputError
+from palmfield.session.scene_text import read_scene_text
+from palmfield.studies.experiment.design import Design
+from palmfield.studies.experiment.procedures import Answered
+
+VERSION = 1
+
+
+class Trial(NamedTuple):
+    """A trial that is logged. number: from 0; block, condition: from 0; content: its line"""
+
+    number: int
+    block: int
+    condition: int
+    answered: Answered
+    content: Mapping[str, Any]
+
+
+class Log(NamedTuple):
+    """What a log holds."""
+
+    head: Mapping[str, Any]
+    design: Design
+    sessions: int
+    trials: list[Trial]
+    whole_bytes: int
+
+
+def read_experiment_log(path: Path) -> Log:
+    """The log's content; a last line that is cut, as by a lost power supply, is left out.
+
+    Raises OutputError for a file that can't be read or is no log of this version.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise OutputError(
+            f"{path}: cannot be read: {error.strerror}; give the log of `palmfield experiment run`"
+        ) from None
+    whole = data[: data.rfind(b"\n") + 1]
+    rows = []
+    for number, line in enumerate(whole.decode("utf-8", errors="replace").splitlines(), 1):
+        try:
+            rows.append(json.loads(line))
+        except ValueError:
+            raise OutputError(f"{path}: line {number} is no JSON; give a log that nobody has edited") from None
+    if not rows or not isinstance(rows[0], dict) or rows[0].get("palmfield_experiment") != VERSION:
+        raise OutputError(
+            f"{path} is no log of an experiment of version {VERSION}; give one of `palmfield experiment run`"
+        )
+    head, design = rows[0], Design.model_validate(rows[0]["design"])
+    names = [condition.name for condition in design.conditions]
+    trials = []
+    for row in rows[1:]:
+        if "session" in row and "trial" not in row:
+            continue
+        answered = Answered(float(row["level"]), bool(row["right"]), str(row["answer"]))
+        trials.append(Trial(int(row["trial"]), int(row["block"]), names.index(row["condition"]), answered, row))
+    return Log(head, design, sum("trial" not in row for row in rows[1:]), trials, len(whole))
+
+
+def next_trial(design: Design, trials: list[Trial]) -> tuple[int, int, int, float] | None:
+    """Number, block, condition and level of the trial that follows some; None at the end."""
+    for block in range(design.blocks):
+        unfinished: list[int] = []
+        coming: dict[int, float] = {}
+        own = [trial for trial in trials if trial.block == block]
+        for condition in range(len(design.conditions)):
+            run = [trial.answered for trial in own if trial.condition == condition]
+            level = design.procedure_of(block, condition).next_level(run)
+            if level is not None:
+                unfinished.append(condition)
+                coming[condition] = level
+        if unfinished:
+            chosen = design.next_condition(block, len(own), unfinished)
+            return len(trials), block, chosen, coming[chosen]
+    return None
+
+
+class LogWriter:
+    """An experiment's log that is written or gone on with; nobody else can meanwhile. A context manager.
+
+    trials: so far, in turn; session: number of this one, from 1
+    """
+
+    def __init__(self, path: Path, design: Design, scene: Path, participant: str, observer: str, board: str) -> None:
+        """Raises OutputError where the file can't be written, holds another experiment, or is being written."""
+        self.path, self.design, self.participant = path, design, participant
+        head = {
+            "palmfield_experiment": VERSION, "name": design.name, "digest": design.digest(observer),
+            "scene_digest": _scene_digest(scene), "participant": participant, "observer": observer,
+            "board": board, "palmfield": version("palmfield"), "design": design.model_dump(mode="json"),
+        }  # fmt: skip
+        self._lock = FileLock(path.with_name(f"{path.name}.lock"))
+        try:
+            self._lock.acquire(timeout=0)
+        except Timeout:
+            raise OutputError(f"{path} is being written by another run; wait for it, or give another --log") from None
+        except OSError as error:
+            raise self._unwritable(error) from None
+        try:
+            self.trials: list[Trial] = []
+            self.session = 1
+            fresh = not path.exists() or path.stat().st_size == 0
+            if not fresh:
+                known = read_experiment_log(path)
+                self._check(known.head, head)
+                self.trials, self.session = known.trials, known.sessions + 1
+                os.truncate(path, known.whole_bytes)
+            self._file = path.open("a", encoding="utf-8")
+            if fresh:
+                self._line(head)
+            zero = time.time() - time.monotonic()
+            self._line({"session": self.session, "begun": _iso(time.time()), "clock_zero": _iso(zero)})
+        except OSError as error:
+            self._lock.release()
+            raise self._unwritable(error) from None
+        except BaseException:
+            self._lock.release()
+            raise
+
+    def _check(self, known: Mapping[str, Any], head: Mapping[str, Any]) -> None:
+        for key, what in (("digest", "design"), ("scene_digest", "scene"), ("participant", "participant"),
+                          ("observer", "observer"), ("board", "board")):  # fmt: skip
+            if known.get(key) != head[key]:
+                told = f"'{known.get(key)}', not '{head[key]}'"
+                if key == "digest":
+                    told = _difference(known["design"], head["design"])
+                raise OutputError(f"{self.path} holds trials of another {what} ({told}); give another --log")
+
+    def add(self, trial: Mapping[str, Any], condition: int, answered: Answered) -> None:
+        """Write a trial; it is on the disk when this returns. Raises OutputError where it can't be."""
+        self._line({**trial, "session": self.session})
+        self.trials.append(Trial(int(trial["trial"]), int(trial["block"]), condition, answered, trial))
+
+    def _line(self, value: Mapping[str, Any]) -> None:
+        try:
+            self._file.write(json.dumps(value) + "\n")
+            self._file.flush()
+            os.fsync(self._file.fileno())
+        except OSError as error:
+            raise self._unwritable(error) from None
+
+    def _unwritable(self, error: OSError) -> OutputError:
+        return OutputError(f"cannot write {self.path}: {error.strerror}; choose a folder that exists and has room")
+
+    def close(self) -> None:
+        self._file.close()
+        self._lock.release()
+        Path(self._lock.lock_file).unlink(missing_ok=True)
+
+    def __enter__(self) -> "LogWriter":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _scene_digest(scene: Path) -> str:
+    """Of the scene's file and those that it includes."""
+    text = read_scene_text(scene)
+    result = hashlib.sha256()
+    for file in (scene, *text.included):
+        result.update(file.read_bytes())
+    return result.hexdigest()[:16]
+
+
+def _difference(known: Any, own: Any, place: str = "") -> str:
+    """The first of what two designs say otherwise, with its key."""
+    if isinstance(known, dict) and isinstance(own, dict):
+        for key in {**known, **own}:
+            if known.get(key) != own.get(key):
+                return _difference(known.get(key), own.get(key), f"{place}.{key}" if place else key)
+        return "written by another version"
+    return f"{place}: {json.dumps(known)[:60]}, not {json.dumps(own)[:60]}"
+
+
+def _iso(seconds: float) -> str:
+    return datetime.datetime.fromtimestamp(seconds, datetime.UTC).isoformat(timespec="microseconds")

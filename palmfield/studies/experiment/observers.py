@@ -1,0 +1,200 @@
+"""Who answers: a person at the keyboard, an observer of known function, or one that feels the simulated skin."""
+
+import math
+import select
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple, Protocol, TextIO
+
+import numpy as np
+
+from palmfield.errors import OutputError, did_you_mean
+from palmfield.perception.registry import ALL_OBSERVERS
+from palmfield.session.duration import step_count
+from palmfield.session.simulation import Simulation
+from palmfield.studies.experiment.design import Design
+from palmfield.studies.sweep.point import measured
+from palmfield.types import Float
+
+NAMES = ("keyboard", "simulated", "skin")
+PRESS = {"yes_no": {"y": "yes", "n": "no"}, "adjustment": {"+": "stronger", "-": "weaker", "d": "done"}}
+
+
+class Shown(NamedTuple):
+    """A trial as an observer gets it. levels, keys: by interval, keys of the scene; target: from 1; number: from 0"""
+
+    number: int
+    condition: str
+    levels: tuple[float, ...]
+    keys: tuple[Mapping[str, object], ...]
+    target: int
+    adjusting: bool
+
+
+class Observer(Protocol):
+    """Answers trials: `yes` or `no`, the number of an interval, or `stronger`, `weaker`, `done`; and how late [s]."""
+
+    def answer(self, shown: Shown) -> tuple[str, float]: ...
+
+
+class Stopped(Exception):
+    """The participant has ended the session."""
+
+
+class Keyboard:
+    """A person at a terminal, who presses one key; of a file, lines are read. `q` ends the session."""
+
+    def __init__(self, design: Design, keys: TextIO | None = None, screen: TextIO | None = None) -> None:
+        self.design = design
+        self.keys, self.screen = keys or sys.stdin, screen or sys.stderr
+
+    def answer(self, shown: Shown) -> tuple[str, float]:
+        task = self.design.task
+        if shown.adjusting:
+            allowed = PRESS["adjustment"]
+            asked = "Stronger (+), weaker (-), or just felt (d)?"
+        elif task.kind == "yes_no":
+            allowed, asked = PRESS["yes_no"], "Did you feel it (y, n)?"
+        else:
+            allowed = {str(n): str(n) for n in range(1, task.intervals + 1)}
+            asked = f"In which interval was it ({', '.join(allowed)})?"
+        self._say(f"{task.question or asked} ")
+        begun = time.monotonic()
+        while True:
+            key = self._key()
+            if key in allowed:
+                self._say(f"{allowed[key]}\n")
+                return allowed[key], time.monotonic() - begun
+            if key == "q":
+                raise Stopped
+            if key.strip():
+                self._say(f"[{key}: press one of {', '.join(allowed)}; q ends] ")
+
+    def announce(self, interval: int, of: int) -> None:
+        """Say that an interval begins."""
+        if of > 1:
+            self._say(f"{interval} ")
+
+    def _say(self, text: str) -> None:
+        self.screen.write(text)
+        self.screen.flush()
+
+    def _key(self) -> str:
+        if not self.keys.isatty():
+            line = self.keys.readline()
+            if not line:
+                raise Stopped
+            return line.strip()
+        # Windows has no termios
+        try:
+            import termios
+            import tty
+        except ImportError:
+            return self.keys.readline().strip()
+        number = self.keys.fileno()
+        before = termios.tcgetattr(number)
+        try:
+            # What was pressed before the question is no answer to it
+            termios.tcflush(number, termios.TCIFLUSH)
+            tty.setcbreak(number)
+            while not select.select([self.keys], [], [], 0.5)[0]:
+                pass
+            return self.keys.read(1)
+        finally:
+            termios.tcsetattr(number, termios.TCSADRAIN, before)
+
+
+class SimulatedObserver:
+    """An observer of the function that the design has under `simulated`; answers follow from seed and trial alone."""
+
+    def __init__(self, design: Design) -> None:
+        if design.simulated is None:
+            raise OutputError(f"experiment '{design.name}' has no part `simulated`; give threshold and spread of one")
+        self.design, self.lapse = design, design.simulated.lapse
+
+    def detected(self, shown: Shown, interval: int) -> float:
+        """Probability that an interval's sound is felt."""
+        told = self.design.varied.told(shown.levels[interval])
+        assert self.design.simulated is not None
+        return 0.0 if told == -math.inf else float(self.design.simulated.function(shown.condition)(told))
+
+    def answer(self, shown: Shown) -> tuple[str, float]:
+        rng = np.random.default_rng((self.design.seed, 4, shown.number))
+        chances = [self.detected(shown, interval) for interval in range(len(shown.levels))]
+        felt = [bool(rng.random() < chance) for chance in chances]
+        # Who lapses guesses, and is right by chance: so often that lapses are wrong answers, as fits have them
+        lapsed = bool(rng.random() < self.lapse / (1.0 - self.design.task.chance))
+        guessed = int(rng.integers(len(chances)))
+        delay_s = float(rng.lognormal(math.log(0.5), 0.3))
+        if shown.adjusting:
+            # Just felt: a level that is felt where the last one, weaker by a step, was not
+            return ("done" if 0.3 < chances[0] < 0.7 else "weaker" if chances[0] >= 0.7 else "stronger"), delay_s
+        if self.design.task.kind == "yes_no":
+            yes = (felt[0] and not lapsed) or bool(rng.random() < self.design.task.guess)
+            return ("yes" if yes else "no"), delay_s
+        if lapsed or not any(felt):
+            return str(1 + guessed), delay_s
+        strongest = max((i for i in range(len(felt)) if felt[i]), key=lambda i: chances[i])
+        return str(1 + strongest), delay_s
+
+
+class FeelingObserver(SimulatedObserver):
+    """As SimulatedObserver, with the level above threshold of the simulated skin, by an observer of perception.
+
+    levels: [dB SL] by keys, as they were computed
+    """
+
+    def __init__(self, design: Design, scene: Path, board: str | None) -> None:
+        name = design.skin.observer
+        if name not in ALL_OBSERVERS:
+            known = ", ".join(ALL_OBSERVERS)
+            raise OutputError(f"skin.observer is '{name}'{did_you_mean(name, ALL_OBSERVERS)}; allowed: {known}")
+        self.design, self.lapse, self.scene, self.board = design, design.skin.lapse, scene, board
+        self.levels: dict[str, float] = {}
+
+    def detected(self, shown: Shown, interval: int) -> float:
+        level_dB = self.level_dB(shown.keys[interval])
+        strength = 10.0 ** (level_dB / 20.0)
+        return float(-np.expm1(-math.log(2.0) * min(strength**self.design.skin.slope, 700.0)))
+
+    def level_dB(self, keys: Mapping[str, object]) -> float:
+        """Level above threshold with some keys [dB SL]; -inf in silence.
+
+        Raises OutputError where the observer is refused, with its reason.
+        """
+        key = repr(sorted(keys.items()))
+        if key not in self.levels:
+            self.levels[key] = self._felt(keys)
+        return self.levels[key]
+
+    def _felt(self, keys: Mapping[str, object]) -> float:
+        sim = Simulation(self.scene, board=self.board, keys=keys)
+        names, wanted = list(sim.skins), self.design.skin.skin
+        if wanted is not None and wanted not in names:
+            raise OutputError(f"skin.skin is '{wanted}'{did_you_mean(wanted, names)}; allowed: {', '.join(names)}")
+        number = 0 if wanted is None else names.index(wanted)
+        steps = step_count(self.design.duration_s, sim.runtime.spec.timestep_s)
+        times: Float = np.arange(1.0, steps + 1.0) * sim.runtime.spec.timestep_s
+        (point,) = measured(sim, self.design.duration_s, times, errors=False)
+        if point["peak_arp"][number] == 0.0:
+            return -math.inf
+        which = list(ALL_OBSERVERS).index(self.design.skin.observer)
+        level = float(point["level"][number, which])
+        if math.isnan(level):
+            why = point["level_why"][number, which] or "duration_s is shorter than two periods of the main frequency"
+            raise OutputError(f"observer '{self.design.skin.observer}' has no level for {dict(keys)}: {why}")
+        return level
+
+
+def observer_of(name: str, design: Design, scene: Path, board: str | None) -> Observer:
+    """The observer of a name (NAMES). Raises OutputError for another one, and for parts of the design it lacks."""
+    match name:
+        case "keyboard":
+            return Keyboard(design)
+        case "simulated":
+            return SimulatedObserver(design)
+        case "skin":
+            return FeelingObserver(design, scene, board)
+    raise OutputError(f"--observer has value '{name}'; allowed: {', '.join(NAMES)}")

@@ -1,0 +1,135 @@
+"""Presentations: a scene's frames, made before they are due, sent to a board, and the times at which they sounded."""
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, NamedTuple, Self
+
+from palmfield.drive.board import Board
+from palmfield.drive.frame_log import FrameLog, LogHead
+from palmfield.drive.playback import TimedFrame
+from palmfield.drive.player import Player
+from palmfield.errors import DeviceError, OutputError
+from palmfield.session.play import scene_frames
+from palmfield.session.preview import preview
+
+Heard = Callable[[float], None]
+"""Told, as soon as it is known, when the first frame sounds [s, time.monotonic]."""
+MOST_KEPT = 256
+
+
+@dataclass(frozen=True)
+class Presentation:
+    """A scene's frames for its board. head: of a log"""
+
+    frames: tuple[TimedFrame, ...]
+    board: Board
+    head: LogHead
+    duration_s: float
+
+
+class Emission(NamedTuple):
+    """When frames of a presentation sounded: their last bytes were on the line [s, time.monotonic].
+
+    first_s, last_s: the first and the last of them; frames: how many; skipped: those that the line left out
+    log: file of all that was sent when; None without a board, where the times are when it would have been asked for
+    log_s: the first one's time on that file's clock [s]
+    """
+
+    first_s: float
+    last_s: float
+    frames: int
+    skipped: int
+    log: str | None
+    log_s: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """Rounded to microseconds."""
+        return {key: round(value, 6) if isinstance(value, float) else value for key, value in self._asdict().items()}
+
+
+def presentation(
+    scene: Path, board: str | None, keys: Mapping[str, object], duration_s: float
+) -> Presentation:  # fmt: skip
+    """The frames of a scene with other keys, as `drive` sends them.
+
+    Raises SceneError for a bad scene or key, DeviceError where the board can't play it or takes no bytes.
+    """
+    view = preview(scene, board=board, keys=keys)
+    model, spec = view.runtime.model, view.runtime.spec
+    if model.board.exact:
+        raise DeviceError(f"{view.name} is played by board '{model.board.name}', which takes no bytes; give --board")
+    own = {key: value for key, value in spec.driver.model_dump(exclude_none=True).items() if key in model.board.keys}
+    head = LogHead(model.board.name, len(model.arrays), spec.arrays[0].config.layout, model.arrays.air, own)
+    return Presentation(tuple(scene_frames(view, duration_s)), model.board, head, duration_s)
+
+
+class Sender:
+    """Sends presentations to a port, by a player's process that stays for all of them; nothing where there is no port.
+
+    This is the one place where an experiment sends. A context manager: the board is silent at its end.
+    """
+
+    def __init__(self, scene: Path, board: str | None, port: str | None, duration_s: float, log: Path) -> None:
+        """log: of frames, in a folder that is made when it is needed; a second player's is numbered"""
+        self.scene, self.board, self.port, self.duration_s, self.log = scene, board, port, duration_s, log
+        self._known: dict[str, Presentation] = {}
+        self._open: tuple[Board, Path, Player] | None = None
+        self._players = 0
+
+    def prepare(self, keys: Mapping[str, object]) -> Presentation | None:
+        """What is presented with some keys, made at the first time, None without a port."""
+        if self.port is None:
+            return None
+        key = repr(sorted(keys.items()))
+        if key not in self._known:
+            if len(self._known) >= MOST_KEPT:
+                del self._known[next(iter(self._known))]
+            self._known[key] = presentation(self.scene, self.board, keys, self.duration_s)
+        return self._known[key]
+
+    def send(self, what: Presentation | None, heard: Heard) -> Emission:
+        """Play a presentation to its end, and say when it sounded. Raises DeviceError when the board is lost."""
+        if what is None or self.port is None:
+            now = time.monotonic()
+            heard(now)
+            return Emission(now, now + self.duration_s, 0, 0, None, 0.0)
+        log, player = self._player(what, self.port)
+        report = player.play(what.frames, duration_s=what.duration_s, on_sound=heard)
+        if report.first_s is None or report.last_s is None:
+            raise DeviceError(f"nothing got through to {self.port} in {what.duration_s:g} s; give a longer duration_s")
+        file = f"{log.parent.name}/{log.name}"
+        begun_s = report.first_s - player.begin_s
+        return Emission(report.first_s, report.last_s, report.frames, report.skipped, file, begun_s)
+
+    def _player(self, what: Presentation, port: str) -> tuple[Path, Player]:
+        """The player of a presentation's board; another board has other bytes to start and stop, and one of its own."""
+        if self._open is not None and self._open[0] == what.board:
+            return self._open[1:]
+        self.close()
+        self._players += 1
+        number = f"_{self._players}" if self._players > 1 else ""
+        log = self.log.with_name(f"{self.log.stem}{number}{self.log.suffix}")
+        try:
+            log.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise OutputError(f"cannot make {log.parent}: {error.strerror}; choose a folder with room") from None
+        FrameLog(log, what.head).close()
+        self._open = what.board, log, Player(what.board, port, log=log)
+        return self._open[1:]
+
+    def close(self) -> None:
+        """Silence the board and free the port."""
+        if self._open is not None:
+            player, self._open = self._open[2], None
+            player.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

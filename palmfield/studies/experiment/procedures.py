@@ -1,0 +1,216 @@
+"""Which level comes next: staircases, constant stimuli, adjustment. All follow from the answers so far alone.
+
+A procedure keeps no state: it is asked with the trials of its run so far, so that an experiment that was cut off goes
+on where it was.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+from pydantic import ConfigDict, with_config
+
+from palmfield.errors import OutputError
+from palmfield.types import Float
+
+Scale = Literal["linear", "log"]
+
+
+class Answered(NamedTuple):
+    """A trial of one run. level; right: whether the answer was right, or yes; word: the answer of an adjustment"""
+
+    level: float
+    right: bool
+    word: str = ""
+
+
+@with_config(ConfigDict(extra="forbid", strict=False))
+@dataclass(frozen=True)
+class Staircase:
+    """A transformed up-down staircase (Levitt 1971): harder after `down` right answers in a row, easier after `up`
+    wrong ones in a row, of which one is 1.
+
+    start: first level; steps: sizes, each used until the next reversal, the last one to the end; up_ratio: by how much
+    a step to easier is larger than one to harder; scale: steps are added (linear), or are dB of a ratio (log: 20 lg)
+    low, high: levels beyond are not played; reversals, trials: it ends after as many, whichever comes first
+    skipped: first reversals that the estimate leaves out; harder: whether levels fall or rise as it gets harder
+    """
+
+    start: float
+    steps: tuple[float, ...]
+    up: int = 1
+    down: int = 2
+    up_ratio: float = 1.0
+    scale: Scale = "log"
+    low: float = -math.inf
+    high: float = math.inf
+    reversals: int = 10
+    trials: int = 100
+    skipped: int = 4
+    harder: Literal["lower", "higher"] = "lower"
+
+    def __post_init__(self) -> None:
+        if min(self.up, self.down) != 1 or max(self.up, self.down) > 8:
+            raise OutputError(f"up {self.up}, down {self.down}; allowed: 1 to 8, one of them 1")
+        if not self.steps or min(self.steps) <= 0.0 or not self.up_ratio > 0.0:
+            raise OutputError(f"steps {self.steps}, up_ratio {self.up_ratio:g}; allowed: one step or more, above 0")
+        if not self.low <= self.start <= self.high or (self.scale == "log" and not max(self.low, 0.0) < self.start):
+            raise OutputError(f"start {self.start:g}; allowed: {self.low:g} to {self.high:g}, of scale 'log' above 0")
+        if not 0 <= self.skipped < self.reversals or self.trials < 1:
+            raise OutputError(f"reversals {self.reversals}, skipped {self.skipped}, trials {self.trials}; allowed: "
+                              "fewer skipped than reversals, and one trial or more")  # fmt: skip
+
+    @property
+    def convergence(self) -> float:
+        """The share of right answers at which steps to harder and to easier balance.
+
+        With `down` right answers in a row p^down of the moves are to harder; up_ratio q makes that p^down = q/(1 + q).
+        Of 1 up 2 down it is 0.707, of 1 up 3 down 0.794, of 2 up 1 down 0.293 (Levitt 1971, table I).
+        """
+        to_harder = self.up_ratio / (1.0 + self.up_ratio)
+        if self.up == 1:
+            return float(to_harder ** (1.0 / self.down))
+        return 1.0 - float((1.0 - to_harder) ** (1.0 / self.up))
+
+    def next_level(self, run: Sequence[Answered]) -> float | None:
+        """The level of the next trial, None at the end."""
+        course = self._course(run)
+        return None if len(run) >= self.trials or len(course.turns) >= self.reversals else course.level
+
+    def turns(self, run: Sequence[Answered]) -> list[int]:
+        """Numbers of the trials, from 0, at which the staircase turned."""
+        return self._course(run).turns
+
+    def estimate(self, run: Sequence[Answered]) -> float:
+        """Mean of the levels at which it turned, an even number of them, by the scale; NaN with fewer than two.
+
+        It estimates the level of `convergence`.
+        """
+        levels = [run[turn].level for turn in self.turns(run)[self.skipped :]]
+        levels = levels[len(levels) % 2 :]
+        if not levels:
+            return math.nan
+        return float(np.exp(np.mean(np.log(levels)))) if self.scale == "log" else float(np.mean(levels))
+
+    def _course(self, run: Sequence[Answered]) -> "_Course":
+        level, heading, rights, wrongs = self.start, 0, 0, 0
+        turns: list[int] = []
+        for number, trial in enumerate(run):
+            rights, wrongs = (rights + 1, 0) if trial.right else (0, wrongs + 1)
+            # A right answer breaks a row of wrong ones, and the other way round
+            move = 1 if rights >= self.down else -1 if wrongs >= self.up else 0
+            if move == 0:
+                continue
+            rights = wrongs = 0
+            if heading and move != heading:
+                turns.append(number)
+            heading = move
+            level = self._moved(trial.level, move, self.steps[min(len(turns), len(self.steps) - 1)])
+        return _Course(level, turns)
+
+    def _moved(self, level: float, move: int, step: float) -> float:
+        size = step * (1.0 if move > 0 else self.up_ratio)
+        sign = -move if self.harder == "lower" else move
+        moved = level + sign * size if self.scale == "linear" else level * 10.0 ** (sign * size / 20.0)
+        return round(min(max(moved, self.low), self.high), 12)
+
+
+class _Course(NamedTuple):
+    level: float
+    turns: list[int]
+
+
+@with_config(ConfigDict(extra="forbid", strict=False))
+@dataclass(frozen=True)
+class ConstantStimuli:
+    """Each level as often, in an order drawn for each repetition. levels; repeats; seed: of the order"""
+
+    levels: tuple[float, ...]
+    repeats: int
+    seed: tuple[int, ...] = (0,)
+
+    def __post_init__(self) -> None:
+        if len(set(self.levels)) < 2 or len(set(self.levels)) < len(self.levels) or self.repeats < 1:
+            raise OutputError(f"levels {list(self.levels)}, repeats {self.repeats}; allowed: two different levels or "
+                              "more, each once, and one repeat or more")  # fmt: skip
+
+    def order(self) -> Float:
+        """Levels of all trials, shape (repeats * levels,)."""
+        rng = np.random.default_rng(self.seed)
+        return np.concatenate([rng.permutation(np.array(self.levels)) for _ in range(self.repeats)])
+
+    def next_level(self, run: Sequence[Answered]) -> float | None:
+        """The level of the next trial, None at the end."""
+        order = self.order()
+        return float(order[len(run)]) if len(run) < len(order) else None
+
+
+@with_config(ConfigDict(extra="forbid", strict=False))
+@dataclass(frozen=True)
+class Adjustment:
+    """A participant makes a level stronger and weaker until it is just felt, several times from drawn beginnings.
+
+    low, high: between which it begins and stays; step, scale: as of a staircase; settings: how many
+    presses: at most, of one setting, then the next begins. Answers are `stronger`, `weaker`, and `done`.
+    """
+
+    low: float
+    high: float
+    step: float
+    settings: int = 4
+    presses: int = 60
+    scale: Scale = "log"
+    seed: tuple[int, ...] = (0,)
+
+    def __post_init__(self) -> None:
+        if not (self.low < self.high and self.step > 0.0) or (self.scale == "log" and self.low <= 0.0):
+            raise OutputError(f"low {self.low:g}, high {self.high:g}, step {self.step:g}; allowed: low below high, of "
+                              "scale 'log' above 0, and a step above 0")  # fmt: skip
+        if self.settings < 1 or self.presses < 1:
+            raise OutputError(f"settings {self.settings}, presses {self.presses}; allowed: 1 or more")
+
+    def next_level(self, run: Sequence[Answered]) -> float | None:
+        """The level of the next presentation, None at the end."""
+        begun = self._begin(run)
+        setting = sum(1 for _ in self._ends(run))
+        if setting >= self.settings:
+            return None
+        if begun == len(run):
+            rng = np.random.default_rng((*self.seed, setting))
+            share = float(rng.random())
+            if self.scale == "linear":
+                return round(self.low + share * (self.high - self.low), 12)
+            return round(self.low * (self.high / self.low) ** share, 12)
+        sign = {"stronger": 1.0, "weaker": -1.0}.get(run[-1].word, 0.0)
+        last = run[-1].level
+        moved = last + sign * self.step if self.scale == "linear" else last * 10.0 ** (sign * self.step / 20.0)
+        return round(min(max(moved, self.low), self.high), 12)
+
+    def settings_of(self, run: Sequence[Answered]) -> list[float]:
+        """Levels at which `done` was said."""
+        return [run[end].level for end in self._ends(run) if run[end].word == "done"]
+
+    def estimate(self, run: Sequence[Answered]) -> float:
+        """Mean of the settings by the scale, NaN without one."""
+        levels = self.settings_of(run)
+        if not levels:
+            return math.nan
+        return float(np.exp(np.mean(np.log(levels)))) if self.scale == "log" else float(np.mean(levels))
+
+    def _ends(self, run: Sequence[Answered]) -> list[int]:
+        """Numbers of the trials with which settings ended."""
+        ends, begin = [], 0
+        for number, trial in enumerate(run):
+            if trial.word == "done" or number - begin + 1 >= self.presses:
+                ends.append(number)
+                begin = number + 1
+        return ends
+
+    def _begin(self, run: Sequence[Answered]) -> int:
+        ends = self._ends(run)
+        return ends[-1] + 1 if ends else 0
+
+
+Procedure = Staircase | ConstantStimuli | Adjustment

@@ -1,0 +1,195 @@
+"""What a log says: thresholds by condition, of the procedure and of a fitted psychometric function, with intervals."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from palmfield.errors import OutputError
+from palmfield.perception.psychometric import Fit, Shape, counts, fit
+from palmfield.studies.experiment.design import Design
+from palmfield.studies.experiment.log import Log, Trial, next_trial, read_experiment_log
+from palmfield.studies.experiment.procedures import Adjustment, Answered, Staircase
+
+STEEP = 0.5
+"""Of the smallest distance between levels: a function with a smaller spread goes up between two of them."""
+
+
+class _Settings(NamedTuple):
+    shape: Shape
+    lapse: float | None
+    spread: float | None
+    confidence: float
+
+
+@dataclass(frozen=True)
+class ConditionReport:
+    """One condition. runs: its trials by block; estimates: of the procedure by block, in the varied key's own unit
+
+    levels: told as fits have them (dB re 1 for a scale of ratios); shares, trials: of right answers (or yes) there
+    fit: None where there is none, with why
+    """
+
+    name: str
+    runs: tuple[tuple[Answered, ...], ...]
+    estimates: tuple[float, ...]
+    levels: tuple[float, ...]
+    trials: tuple[int, ...]
+    shares: tuple[float, ...]
+    fit: Fit | None
+    why: str
+
+    @property
+    def answered(self) -> int:
+        """How many trials there are."""
+        return sum(len(run) for run in self.runs)
+
+
+@dataclass(frozen=True)
+class Report:
+    """A log. convergence: share of right answers that staircases converge to, None for other procedures
+
+    spread_known: whether the fits were told their spread
+    """
+
+    log: Log
+    conditions: tuple[ConditionReport, ...]
+    convergence: float | None
+    finished: bool
+    spread_known: bool
+
+    @property
+    def design(self) -> Design:
+        """Of the log."""
+        return self.log.design
+
+
+def report_of(
+    path: Path,
+    *,
+    shape: Shape = "normal",
+    lapse: float | None = 0.02,
+    spread: float | None = None,
+    confidence: float = 0.95,
+) -> Report:
+    """The report of an experiment's log, finished or not.
+
+    shape, lapse, spread, confidence: of the fit (`palmfield.perception.psychometric.fit`); lapse and spread (dB where
+        the scale is of ratios) None to be found
+    Raises OutputError for a file that is no log, and as the fit for shape, lapse and confidence.
+    """
+    log = read_experiment_log(path)
+    design = log.design
+    if shape == "weibull" and design.varied.scale == "log":
+        raise OutputError("shape 'weibull' is for levels of ratios, which this log's scale 'log' tells in dB; allowed: "
+                          "normal, logistic")  # fmt: skip
+    settings = _Settings(shape, lapse, spread, confidence)
+    conditions = tuple(
+        _condition(design, number, [trial for trial in log.trials if trial.condition == number], settings)
+        for number in range(len(design.conditions))
+    )
+    procedure = design.procedure_of(0, 0)
+    convergence = procedure.convergence if isinstance(procedure, Staircase) else None
+    return Report(log, conditions, convergence, next_trial(design, log.trials) is None, spread is not None)
+
+
+def _condition(design: Design, number: int, trials: Sequence[Trial], settings: _Settings) -> ConditionReport:
+    runs, estimates = [], []
+    for block in range(design.blocks):
+        run = [trial.answered for trial in trials if trial.block == block]
+        procedure = design.procedure_of(block, number)
+        runs.append(tuple(run))
+        if isinstance(procedure, Staircase | Adjustment):
+            estimates.append(procedure.estimate(run))
+    adjusted = design.procedure["kind"] == "adjustment"
+    # Steps of ratios meet again but for rounding
+    told = [(round(design.varied.told(one.level), 6), one.right) for run in runs for one in run]
+    silent = sum(not math.isfinite(level) for level, _ in told)
+    heard = [(level, right) for level, right in told if math.isfinite(level)]
+    name = design.conditions[number].name
+    if not heard or adjusted:
+        why = "settings are no answers to levels" if adjusted else "no trial yet"
+        return ConditionReport(name, tuple(runs), tuple(estimates), (), (), (), None, why)
+    levels, count, right = counts([level for level, _ in heard], [right for _, right in heard])
+    found, notes = None, [f"{silent} trials of level 0 are left out"] if silent else []
+    try:
+        found = fit(levels, count, right, guess=design.task.chance, **settings._asdict())
+        if not found.settled:
+            notes.append("the threshold lies outside the levels, or the spread at its bound: too few answers near it")
+        elif settings.spread is None and found.spread < STEEP * float(np.diff(levels).min()):
+            notes.append("the spread is small against the distances of levels, so that it is only known to be small")
+    except OutputError as error:
+        notes.append(str(error))
+    return ConditionReport(
+        name, tuple(runs), tuple(estimates), tuple(levels.tolist()), tuple(count.astype(int).tolist()),
+        tuple((right / count).tolist()), found, "; ".join(notes),
+    )  # fmt: skip
+
+
+def as_dict(report: Report) -> dict[str, Any]:
+    """The report with units in the names, for other programs."""
+    varied, head = report.design.varied, report.log.head
+    rows = []
+    for one in report.conditions:
+        row: dict[str, Any] = {
+            "condition": one.name, "trials": one.answered,
+            "estimates": [None if math.isnan(value) else value for value in one.estimates],
+        }  # fmt: skip
+        if one.fit is not None:
+            low, high = (varied.level(told) for told in one.fit.threshold_interval)
+            row |= {
+                "threshold": varied.level(one.fit.threshold), "threshold_low": low, "threshold_high": high,
+                "confidence": one.fit.confidence, "deviance": one.fit.deviance,
+                ("spread_dB" if varied.scale == "log" else "spread"): one.fit.spread,
+                "deviance_share": one.fit.deviance_share, "lapse": one.fit.function.lapse, "settled": one.fit.settled,
+            }  # fmt: skip
+        rows.append(row | ({"note": one.why} if one.why else {}))
+    return {
+        "experiment": head["name"], "participant": head["participant"], "observer": head["observer"],
+        "board": head["board"], "digest": head["digest"], "sessions": report.log.sessions,
+        "trials": len(report.log.trials), "finished": report.finished, "varied": varied.key, "unit": varied.unit,
+        "guess": report.design.task.chance, "convergence": report.convergence, "conditions": rows,
+    }  # fmt: skip
+
+
+def as_text(report: Report) -> str:
+    """The report as a table in words."""
+    head, varied = report.log.head, report.design.varied
+    state = "finished" if report.finished else "not finished"
+    lines = [
+        f"{head['name']}: participant {head['participant']}, observer {head['observer']}, board {head['board']}; "
+        f"{len(report.log.trials)} trials in {report.log.sessions} "
+        f"session{'' if report.log.sessions == 1 else 's'}, {state}",
+    ]
+    if report.convergence is not None:
+        lines.append(f"staircases converge to {100 * report.convergence:.1f} % right; their estimate is of that level")
+    half = 0.5 * (1.0 + report.design.task.chance)
+    unit = f" [{varied.unit}]" if varied.unit else ""
+    lines.append(f"threshold of {varied.key}{unit}: where F = 1/2, {100 * half:.0f} % right but for lapses")
+    width = max(9, *(len(one.name) for one in report.conditions))
+    lines.append(f"{'condition':<{width}}  trials  threshold  interval               spread  procedure's estimates")
+    for one in report.conditions:
+        threshold = interval = spread = "-"
+        if one.fit is not None:
+            low, high = (varied.level(told) for told in one.fit.threshold_interval)
+            threshold, interval = f"{varied.level(one.fit.threshold):.4g}", f"{low:.4g} to {high:.4g}"
+            spread = f"{one.fit.spread:.3g}{' dB' if varied.scale == 'log' else ''}"
+        told = ", ".join("-" if math.isnan(value) else f"{value:.4g}" for value in one.estimates) or "-"
+        lines.append(f"{one.name:<{width}}  {one.answered:>6}  {threshold:>9}  {interval:<21}  {spread:<6}  {told}")
+    for one in report.conditions:
+        if one.why:
+            lines.append(f"note: {one.name}: {one.why}")
+        if one.fit is not None and one.fit.deviance_share < 0.05:
+            lines.append(
+                f"note: {one.name}: the function does not fit: only {100 * one.fit.deviance_share:.0f} % of its own "
+                f"samples have a deviance above {one.fit.deviance:.1f}"
+            )
+    if isinstance(report.design.procedure_of(0, 0), Staircase) and not report.spread_known:
+        lines.append(
+            "note: spreads of a staircase's trials come out too small, and intervals too narrow: give --spread if it "
+            "is known (docs/experiments.md)"
+        )
+    return "\n".join(lines)

@@ -1,0 +1,166 @@
+"""An experiment from its next trial to its end: levels, presentations, answers, log."""
+
+import datetime
+import logging
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from palmfield.drive.board import Board
+from palmfield.drive.virtual import VirtualBoard
+from palmfield.errors import DeviceError, OutputError, PalmfieldError
+from palmfield.session.load import no_scene
+from palmfield.session.preview import preview
+from palmfield.studies.experiment.design import Design, read_design
+from palmfield.studies.experiment.log import LogWriter, Trial, next_trial
+from palmfield.studies.experiment.markers import Markers
+from palmfield.studies.experiment.observers import Keyboard, Observer, Shown, Stopped, observer_of
+from palmfield.studies.experiment.presentation import Sender
+from palmfield.studies.experiment.procedures import Answered
+
+OnTrial = Callable[[Trial, float], None]
+"""Told of each trial that is logged, and how long the last ones took on average [s]."""
+
+
+@dataclass(frozen=True)
+class Done:
+    """How a session went. trials: of the log; new: of this session; finished: whether the experiment has ended"""
+
+    log: Path
+    trials: int
+    new: int
+    finished: bool
+
+
+def run_experiment(
+    experiment: Path,
+    log: Path,
+    *,
+    participant: str,
+    observer: str = "keyboard",
+    port: str | None = None,
+    virtual: bool = False,
+    board: str | None = None,
+    answers: Observer | None = None,
+    on_trial: OnTrial | None = None,
+) -> Done:
+    """Run an experiment, or go on with one: every trial is in the log before the next begins.
+
+    observer: keyboard, simulated or skin; answers: one of your own in its place, under this name
+    port: of the board; virtual: a virtual board instead; neither: nothing is played, for observers that need no sound
+    board: another one than the design's or the scene's, as `palmfield.load` takes it
+    Raises OutputError for a bad design and a log of another, SceneError and DeviceError as `drive` does.
+    """
+    design = read_design(experiment)
+    scene = experiment.parent / design.scene
+    if not scene.is_file():
+        raise OutputError(f"{experiment}: scene: {no_scene(scene)}")
+    if port is not None and virtual:
+        raise DeviceError(f"a port ({port}) and --virtual are given; allowed: one of them")
+    plays = virtual or port is not None
+    if observer == "keyboard" and answers is None and not plays:
+        raise DeviceError("a person needs a board to feel anything; give --port, or --virtual to rehearse")
+    wanted = board or design.board
+    with ExitStack() as opened:
+        # Values that a key can't have, and what the board can't play, are refused before anything begins
+        boards = [_checked(design, experiment, scene, wanted, 0)]
+        opened.enter_context(_said_once())
+        boards += [_checked(design, experiment, scene, wanted, one) for one in range(1, len(design.conditions))]
+        if plays and boards[0].exact:
+            raise DeviceError(f"{scene} is played by board '{boards[0].name}', which takes no bytes; give --board")
+        name = boards[0].name if plays else wanted or "none"
+        writer = opened.enter_context(LogWriter(log, design, scene, participant, observer, name))
+        markers = opened.enter_context(Markers.of(design))
+        if virtual:
+            port = opened.enter_context(VirtualBoard(boards[0])).port
+        frames = log.with_name(f"{log.name}.frames") / f"session_{writer.session}.jsonl"
+        sender = opened.enter_context(Sender(scene, wanted, port, design.duration_s, frames))
+        who = answers or observer_of(observer, design, scene, wanted)
+        before, begun, finished = len(writer.trials), time.monotonic(), True
+        session = _Session(design, writer, sender, who, markers)
+        try:
+            while session.trial():
+                if on_trial is not None:
+                    on_trial(writer.trials[-1], (time.monotonic() - begun) / (len(writer.trials) - before))
+        except Stopped:
+            finished = False
+        return Done(log, len(writer.trials), len(writer.trials) - before, finished)
+
+
+@contextmanager
+def _said_once() -> Iterator[None]:
+    """Meanwhile the scene doesn't say again what another board changes, as it would in every trial."""
+    log = logging.getLogger("palmfield.session")
+    before = log.level
+    log.setLevel(logging.WARNING)
+    try:
+        yield
+    finally:
+        log.setLevel(before)
+
+
+def _checked(design: Design, experiment: Path, scene: Path, board: str | None, condition: int) -> Board:
+    """The board that plays a condition, after a look at its first level and its reference."""
+    first = design.procedure_of(0, condition).next_level([])
+    assert first is not None
+    levels = [first, design.varied.reference] if design.task.kind == "nafc" else [first]
+    try:
+        views = [preview(scene, board=board, keys=design.keys_at(condition, level)) for level in levels]
+    except PalmfieldError as error:
+        raise type(error)(f"{experiment}: condition '{design.conditions[condition].name}': {error}") from None
+    return views[0].runtime.model.board
+
+
+class _Session:
+    """Trials one after another."""
+
+    def __init__(self, design: Design, writer: LogWriter, sender: Sender, who: Observer, markers: Markers) -> None:
+        self.design, self.writer, self.sender, self.who, self.markers = design, writer, sender, who, markers
+
+    def trial(self) -> bool:
+        """Make and log the next trial; False where there is none."""
+        coming = next_trial(self.design, self.writer.trials)
+        if coming is None:
+            return False
+        number, block, condition, level = coming
+        design, varied = self.design, self.design.varied
+        adjusting = design.procedure["kind"] == "adjustment"
+        target = design.target(number)
+        count = design.task.intervals if design.task.kind == "nafc" else 1
+        levels = tuple(level if interval == target else varied.reference for interval in range(1, count + 1))
+        keys = tuple(design.keys_at(condition, one) for one in levels)
+        ready = [self.sender.prepare(one) for one in keys]
+        asked_at = datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")
+        presented: list[dict[str, Any]] = []
+        for interval, what in enumerate(ready, 1):
+            if interval > 1 and what is not None:
+                time.sleep(design.task.gap_s)
+            if isinstance(self.who, Keyboard):
+                self.who.announce(interval, count)
+            text = f"trial {number} interval {interval} condition {design.conditions[condition].name}"
+
+            def heard(when: float, text: str = f"{text} level {levels[interval - 1]:g}") -> None:
+                self.markers.mark(text, when)
+
+            emission = self.sender.send(what, heard)
+            presented.append({"interval": interval, "level": levels[interval - 1], **emission.as_dict()})
+            late_s = self.markers.trigger_late_s
+            if late_s is not None:
+                presented[-1]["trigger_late_s"] = round(late_s, 6)
+        name = design.conditions[condition].name
+        word, delay_s = self.who.answer(Shown(number, name, levels, keys, target, adjusting))
+        right = word in ("yes", "done") if design.task.kind == "yes_no" else word == str(target)
+        answered = Answered(level, right, word)
+        self.writer.add(
+            {
+                "trial": number, "block": block, "condition": name, "level": level,
+                "target": target if design.task.kind == "nafc" else None, "answer": word, "right": right,
+                "response_time_s": round(delay_s, 4), "asked_at": asked_at,
+                "participant": self.writer.participant, "presentations": presented,
+            },
+            condition, answered,
+        )  # fmt: skip
+        return True

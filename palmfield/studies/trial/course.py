@@ -1,0 +1,95 @@
+"""Where all of a scene is at any time of a trial, between MuJoCo's steps too."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from palmfield.acoustics.phased_array import PhasedArray
+from palmfield.drive.playback import ON_STEP
+from palmfield.session.preview import Preview
+from palmfield.simulation.model import HapticModel
+from palmfield.simulation.posed_scene import PosedScene, PosedSkin, PosedSurface
+from palmfield.transforms import Transform
+from palmfield.types import Float
+
+NO_OBSTACLES = np.zeros((0, 3)), np.zeros((0, 3, 3))
+
+
+class Frames(NamedTuple):
+    """Frames that move, seen from the first array: those of the stimuli, then those of the bodies.
+
+    positions: [m], shape (m, 3); rotations: axes as columns, shape (m, 3, 3)
+    """
+
+    positions: Float
+    rotations: Float
+
+
+class SceneCourse:
+    """The scene's poses at MuJoCo's steps, and straight between two of them; before and after, the first and the last.
+
+    model: of the scene; step_s: between poses [s]; end_s: time of the last one [s]
+    """
+
+    def __init__(self, view: Preview, duration_s: float) -> None:
+        """Steps a copy of the scene, with all but its skins. Raises what a module raises in a step."""
+        self.step_s = view.runtime.spec.timestep_s
+        count = math.ceil(duration_s / self.step_s - ON_STEP) + 1 if view.moves else 1
+        self.model: HapticModel = view.runtime.model
+        self._rows: list[Frames] = []
+        self._bones: list[list[tuple[Float, Float]]] = []
+        self._outer: list[tuple[Transform, PhasedArray]] = []
+        if view.moves:
+            for _, runtime, posed in view.posed_at(self.step_s * np.arange(count)):
+                self.model = runtime.model
+                self._add(posed)
+        else:
+            self._add(view.runtime.posed)
+        self.end_s = (count - 1) * self.step_s
+
+    @property
+    def moves(self) -> bool:
+        """Whether anything may move."""
+        return len(self._rows) > 1
+
+    def frames(self, time_s: float) -> Frames:
+        """Where the stimuli's frames and the bodies are at a time [s]."""
+        row, share = self._place(time_s)
+        before = self._rows[row]
+        if share == 0.0:
+            return before
+        after = self._rows[row + 1]
+        first = Rotation.from_matrix(before.rotations)
+        turn = (Rotation.from_matrix(after.rotations) * first.inv()).as_rotvec()
+        rotations = (Rotation.from_rotvec(share * turn) * first).as_matrix()
+        return Frames((1.0 - share) * before.positions + share * after.positions, rotations)
+
+    def posed(self, time_s: float, frames: Frames | None = None) -> PosedScene:
+        """The scene at a time [s], or with some frames elsewhere: as far as focuses need it, without obstacles."""
+        row, _ = self._place(time_s)
+        positions, rotations = self.frames(time_s) if frames is None else frames
+        of_stimuli = len(self.model.stimuli)
+        parts = [Transform(*pair) for pair in zip(positions, rotations, strict=True)]
+        bodies = []
+        for number, frame in enumerate(parts[of_stimuli:]):
+            first = self.model.skins[self.model.carried(number)[0]]
+            bodies.append(PosedSurface(self.model.bodies[number], first, frame, self._bones[row][number]))
+        skins = [PosedSkin(skin, bodies[skin.body], NO_OBSTACLES) for skin in self.model.skins]
+        outer, arrays = self._outer[row]
+        return PosedScene(outer, arrays, parts[:of_stimuli], bodies, skins)
+
+    def _place(self, time_s: float) -> tuple[int, float]:
+        """The pose before a time [s], and how far on the way to the next one it is."""
+        at = min(max(time_s / self.step_s, 0.0), float(len(self._rows) - 1))
+        nearest = round(at)
+        if abs(at - nearest) < ON_STEP:
+            return nearest, 0.0
+        return int(at), at - int(at)
+
+    def _add(self, posed: PosedScene) -> None:
+        parts = [*posed.frames, *(body.frame for body in posed.bodies)]
+        self._rows.append(Frames(np.array([one.position for one in parts]), np.array([one.rotation for one in parts])))
+        self._bones.append([(body.bone_positions, body.bone_rotations) for body in posed.bodies])
+        self._outer.append((posed.array_frame, posed.arrays))

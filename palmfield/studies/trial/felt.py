@@ -1,0 +1,124 @@
+"""What a hand's skin does under the sound of a trial: the scene stepped with what the board emitted."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from palmfield.drive.board import Emitted
+from palmfield.drive.transducer_response import EmittedCourse
+from palmfield.interrupts import interrupts_held
+from palmfield.session.duration import step_count
+from palmfield.session.simulation import Simulation
+from palmfield.simulation.emission import SILENCE, Emission, MeanDrives
+from palmfield.simulation.model import HapticModel
+from palmfield.simulation.posed_scene import PosedScene
+from palmfield.stimulus.schedule import Moments, substep_moments
+from palmfield.types import Complex, Float
+
+
+class PlayedEmission(Emission):
+    """What a board emitted, in place of what a scene's stimuli ask for."""
+
+    def __init__(self, model: HapticModel, emitted: Sequence[Emitted]) -> None:
+        """emitted: what sounds from when on, by rising times; silence before."""
+        super().__init__(model)
+        self.holds = False
+        self._times: Float = np.array([one.time_s for one in emitted])
+        nothing = np.zeros(len(model.arrays), np.complex128)
+        self._rows: Complex = np.array([nothing, *(one.amplitudes for one in emitted)])
+
+    def sounding(self, times: Float) -> Complex:
+        """What sounds at some times [s], shape (k, N)."""
+        return self._rows[np.searchsorted(self._times, times + 1e-9, "right")]
+
+    def begin(self, posed: PosedScene, time_s: float) -> None:
+        return
+
+    def over(self, posed: PosedScene, emitted: Complex, t0: float, count: int) -> tuple[Moments, EmittedCourse]:
+        moments = substep_moments((), t0, self.model.step_s, count, hold=True)
+        rows = self.sounding(moments.times)
+        return moments, EmittedCourse(None, None, rows, rows[-1])
+
+    def path_step(self, posed: PosedScene, t0: float, count: int) -> None:
+        return None
+
+    def now(self, posed: PosedScene, emitted: Complex, time_s: float) -> EmittedCourse:
+        rows = self.sounding(np.array([time_s]))
+        return EmittedCourse(None, None, rows, rows[0])
+
+    def commanded(self, posed: PosedScene, times: Float) -> Complex:
+        return self.sounding(times)
+
+    def mean_drives(self, posed: PosedScene, emitted: Complex, t0: float) -> MeanDrives:
+        _, course = self.over(posed, emitted, t0, self.model.substeps)
+        assert course.emitted is not None
+        if not course.emitted.any():
+            return SILENCE
+        rows, which = np.unique(course.emitted, axis=0, return_inverse=True)
+        return MeanDrives(rows, np.bincount(which.ravel(), minlength=len(rows)) / len(which.ravel()))
+
+
+class Felt(NamedTuple):
+    """A skin over a trial, at the ends of MuJoCo's steps.
+
+    times: [s], shape (k,); arp: largest ARP [Pa], shape (k,)
+    motion: displacement [m] and velocity [m/s] along the outward normal at the places that were asked for, (p, 2, k)
+    """
+
+    times: Float
+    arp: Float
+    motion: Float
+
+    @property
+    def push(self) -> Float:
+        """Displacement into the skin at the first place [m], shape (k,)."""
+        return -self.motion[0, 0]
+
+
+def felt(
+    scene: str | Path,
+    emitted: Sequence[Emitted],
+    duration_s: float,
+    *,
+    board: str | None,
+    keys: Mapping[str, object],
+    accuracy: float | None = None,
+    places: Float,
+    skin: str | None = None,
+) -> Felt:
+    """Step a scene with what a board emitted; skin: by name, None for the first.
+
+    places: where motion is wanted, array frame at the beginning [m], shape (p, 3): the skin's nodes nearest to them
+    Ctrl-C ends it early with what there is by then. Errors as `palmfield.Simulation`.
+    """
+    sim = Simulation(scene, device="cpu", accuracy=accuracy, board=board, keys=keys)
+    name = skin or sim.skins[0]
+    number = sim.skins.index(name)
+    choice = sim.runtime.model.skins[number].choice.name
+    if choice == "reduced":
+        # A small model serves the scene's own sound alone; modes serve any
+        sim = Simulation(scene, device="cpu", accuracy=accuracy, board=board, keys={**keys, f"{name}.solver": "modal"})
+    work = sim.runtime.work
+    work.emission = work.prefetch.emission = PlayedEmission(sim.runtime.model, emitted)
+    part = sim.skin(name)
+    there = sim.runtime.posed.skins[number].nodes[0]
+    nodes = np.linalg.norm(there[None] - places[:, None], axis=2).argmin(axis=1)
+    normals = part.rest_normal[nodes]
+    times, arps, rows = [], [], []
+    for lazy in sim.runtime.model.begin:
+        _ = lazy.value
+    try:
+        with interrupts_held() as check:
+            for _ in range(step_count(duration_s, sim.model.opt.timestep)):
+                sim.step()
+                both = part.displacement[nodes], part.velocity[nodes]
+                times.append(sim.time)
+                arps.append(float(part.arp.max()))
+                rows.append([np.einsum("pi,pi->p", one, normals) for one in both])
+                check()
+    except KeyboardInterrupt:
+        pass
+    motion = np.array(rows).reshape(-1, 2, len(nodes)).transpose(2, 1, 0)
+    return Felt(np.array(times), np.array(arps), motion)

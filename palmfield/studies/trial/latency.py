@@ -1,0 +1,157 @@
+"""How long it takes from a tracker's sample to the sound that follows from it, measured by a loop on this machine."""
+
+import subprocess
+import sys
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from palmfield.drive.board import Board
+from palmfield.errors import DeviceError, SceneError
+from palmfield.motion.listening import By
+from palmfield.motion.tracking import Stream, stream_of, write_stream
+from palmfield.session.live_scene import LiveScene
+from palmfield.session.preview import Preview, preview
+from palmfield.studies.trial.belief import Tracker
+from palmfield.studies.trial.live import Live, LivePlayed, play_live
+from palmfield.studies.trial.sending import Heard
+from palmfield.types import Float
+
+LEAD_S = 1.0
+"""For so long samples go on before and after."""
+ALLOWED_S = 0.040
+"""From movement to touch, above which a lag is noticed (quoted by Hasegawa & Shinoda 2018)."""
+TRACKERS_OWN_S = 0.008, 0.011
+
+
+@dataclass(frozen=True)
+class Latency:
+    """From the moment at which a sample is sent until the board emits what was made of it, over the frames of a loop.
+
+    frames, dropped: sent, and due but not sent; samples: that came; p50_ms, p95_ms, largest_ms: of the latency
+    fit_ms: of fitting the hand to a sample, median; line_ms: of a frame on the line
+    """
+
+    board: str
+    seconds: float
+    rate_Hz: float
+    by: str
+    frames: int
+    dropped: int
+    samples: int
+    p50_ms: float
+    p95_ms: float
+    largest_ms: float
+    line_ms: float
+    notes: tuple[str, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return asdict(self)
+
+    def __str__(self) -> str:
+        low, high = (1e3 * value for value in TRACKERS_OWN_S)
+        lines = [
+            f"from a sample's sending to its sound on a virtual {self.board}, {self.frames} frames in "
+            f"{self.seconds:g} s, as many as the line takes ({self.dropped} dropped), {self.samples} samples at "
+            f"{self.rate_Hz:g} a second by {self.by}:",
+            f"median {self.p50_ms:.1f} ms, 95 % {self.p95_ms:.1f} ms, largest {self.largest_ms:.1f} ms; of these "
+            f"{self.line_ms:.1f} ms are a frame on the line",
+            f"with a tracker's own {low:g} to {high:g} ms {self.p95_ms + low:.0f} to {self.p95_ms + high:.0f} ms at "
+            f"95 %; a lag of {1e3 * ALLOWED_S:g} ms is noticed",
+        ]
+        return "\n".join([*lines, *self.notes])
+
+
+def measure_latency(
+    scene: str | Path,
+    *,
+    board: str | None = None,
+    keys: Mapping[str, object] | None = None,
+    seconds: float = 5.0,
+    rate_Hz: float = 90.0,
+    by: By = "udp",
+) -> Latency:
+    """Send the hand of a scene's motion from another process to a virtual board that follows it.
+
+    Samples bear the time at which they are sent, on the clock that both processes share. Raises SceneError for a scene
+    without a moved hand, DeviceError for a board without bytes.
+    """
+    if not 0.2 <= seconds <= 600.0:
+        raise SceneError(f"--seconds has value {seconds:g}; allowed: 0.2 to 600")
+    if not 1.0 <= rate_Hz <= 1000.0:
+        raise SceneError(f"--rate has value {rate_Hz:g}; allowed: 1 to 1000")
+    view = preview(scene, device="cpu", board=board, keys=keys)
+    played_by = view.runtime.model.board
+    if not played_by.exact:
+        # As many frames as the line takes
+        at_line_rate = {"stimulus.control_rate_Hz": played_by.max_frame_rate_Hz}
+        view = preview(scene, device="cpu", board=board, keys={**(keys or {}), **at_line_rate})
+    else:
+        raise DeviceError(
+            f"{view.name} is played by board '{played_by.name}', which has no line; give another by --board"
+        )
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "hand.npz"
+        write_stream(file, scene_stream(view, rate_Hz, seconds + 2.0 * LEAD_S))
+        started: list[subprocess.Popen[bytes]] = []
+
+        def begin(host: str, port: int) -> None:
+            words = ["track", "replay", str(file), "--to", f"{host}:{port}", "--by", by, "--stamp", "--repeat", "20"]
+            run = "from palmfield.cli.app import main; main()"
+            started.append(
+                subprocess.Popen(
+                    [sys.executable, "-c", run, *words], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+                )
+            )
+
+        try:
+            live = Live(by=by, up="z", wait_s=60.0, on_listening=begin)
+            played = play_live(view, live, Tracker(latency_s=0.0, ahead_s=0.0), seconds, view.runtime.model.sounding)
+        finally:
+            for process in started:
+                process.kill()
+                process.wait()
+    late = latencies(played, played_by)
+    if not len(late):
+        raise DeviceError("no frame of a sample was emitted; let nothing else use this machine")
+    return Latency(
+        board=played_by.name,
+        seconds=seconds,
+        rate_Hz=rate_Hz,
+        by=by,
+        frames=len(played.sent.frames),
+        dropped=played.sent.dropped,
+        samples=len(played.stream),
+        p50_ms=1e3 * float(np.median(late)),
+        p95_ms=1e3 * float(np.percentile(late, 95)),
+        largest_ms=1e3 * float(late.max()),
+        line_ms=1e3 * played_by.frame_time_s,
+        notes=tuple(played.notes),
+    )
+
+
+def latencies(played: LivePlayed, board: Board) -> Float:
+    """Of each frame that was emitted, from its sample's moment to its sound [s]."""
+    heard = Heard(played.sent, board)
+    result: dict[int, float] = {}
+    for time_s in heard.times:
+        found = heard.at(float(time_s))
+        if found is not None:
+            result.setdefault(found[1].number, float(time_s) - found[1].frame.seen_s)
+    return np.array(list(result.values()))
+
+
+def scene_stream(view: Preview, rate_Hz: float, seconds: float) -> Stream:
+    """What a tracker without error, z up, would see of the hand that a scene moves, to and fro."""
+    scene = LiveScene(view)
+    times = np.arange(0.0, seconds, 1.0 / rate_Hz)
+    # There and back, so that it goes on without a jump
+    phase = times % (2.0 * view.duration_s)
+    own = np.where(phase > view.duration_s, 2.0 * view.duration_s - phase, phase)
+    stream = stream_of(scene.hand, scene.script, own)
+    return Stream(times, stream.positions, stream.quaternions, stream.radii, stream.flags)

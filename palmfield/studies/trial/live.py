@@ -1,0 +1,154 @@
+"""A board that follows a hand which a tracker tells of just now, and what is known of that hand afterwards."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from palmfield.drive.frame_log import FrameLog
+from palmfield.drive.playback import frame_times
+from palmfield.motion.alignment import read_alignment
+from palmfield.motion.listening import By
+from palmfield.motion.live_hand import STALE_S, LiveHand
+from palmfield.motion.tracking import Stream
+from palmfield.session.live_scene import LiveScene
+from palmfield.session.preview import Preview
+from palmfield.simulation.emission import Emission
+from palmfield.simulation.frames import Frames
+from palmfield.simulation.posed_scene import PosedScene
+from palmfield.studies.trial.belief import Tracker
+from palmfield.studies.trial.field import focus_in
+from palmfield.studies.trial.sending import VIRTUAL, MadeFrame, Sent, send
+from palmfield.transforms import Transform
+
+FIT_S = 5e-3
+"""What fitting the hand to a sample takes, about."""
+
+
+@dataclass(frozen=True)
+class Live:
+    """Where a tracker's samples come in, and where the tracker stands.
+
+    host, port, by: of the socket, port 0 for any that is free; align: file of `palmfield track align`; None: the
+        tracker's origin is that of the scene, and `up` its axis that goes up
+    wait_s: for the first sample [s]; on_listening: told the address once it is listened at
+    """
+
+    host: str = "127.0.0.1"
+    port: int = 0
+    by: By = "udp"
+    align: Path | None = None
+    up: Literal["y", "z"] = "y"
+    wait_s: float = 30.0
+    on_listening: Callable[[str, int], None] = lambda host, port: None
+
+    def frame(self, array: Transform) -> Transform:
+        """The tracker's space in the world. array: frame of the first array. Raises SceneError for a bad file."""
+        if self.align is not None:
+            position, rotation = read_alignment(self.align).transform
+            return Transform(array.points(position), array.rotation @ rotation)
+        turn = Rotation.from_euler("x", 90.0 if self.up == "y" else 0.0, degrees=True)
+        return Transform(np.zeros(3), turn.as_matrix())
+
+    def keys(self, name: str, stream: Path, start_s: float) -> dict[str, object]:
+        """Keys that make a scene's motion, an instance by its name, what the tracker told."""
+        own: dict[str, object] = dict.fromkeys(("keyframes", "trajectory", "function"))
+        own |= {"tracking": str(stream.resolve()), "start_s": start_s, "follow": "exact", "tracking_origin_m": None}
+        own["tracking_up"] = None if self.align is not None else self.up
+        own["tracking_alignment"] = None if self.align is None else str(self.align.resolve())
+        return {f"{name}.{key}": value for key, value in own.items()}
+
+
+@dataclass(frozen=True)
+class LivePlayed:
+    """What was sent to a board that followed a hand.
+
+    motion: name of the scene's palmfield.motion; stream: the tracker's good samples, in its own space
+    start_s: the tracker's time 0 in the trial's time [s]
+    notes: of the samples, with the first bad ones, of fitting the hand to them, and of frames that were silent
+    times: when frames were due [s]
+    """
+
+    sent: Sent
+    motion: str
+    stream: Stream
+    start_s: float
+    notes: list[str]
+    times: list[float] = field(repr=False)
+
+
+def play_live(
+    view: Preview,
+    live: Live,
+    tracker: Tracker,
+    duration_s: float,
+    number: int,
+    *,
+    port: str | None = None,
+    log: FrameLog | None = None,
+    on_progress: Callable[[float], None] | None = None,
+) -> LivePlayed:
+    """Follow a tracked hand with a board for some time, in real time.
+
+    tracker: its own latency, and by how much a sample is predicted, None: to the middle of a frame made of it at once
+    number: of the stimulus that is followed; port: of a board, by default a virtual one
+    While the hand is lost frames are silent. Ctrl-C ends it early. Raises SceneError where no hand is seen in time, or
+    one of the other side, DeviceError for an address or a port that can't be opened.
+    """
+    scene = LiveScene(view)
+    runtime = scene.runtime
+    model, board = runtime.model, runtime.model.board
+    # A live hand's poses are not tied to MuJoCo's steps
+    times = frame_times(model.configs, duration_s)
+    period_s = float(np.median(np.diff(times))) if len(times) > 1 else board.frame_time_s
+    ahead_s = tracker.ahead_s
+    if ahead_s is None:
+        ahead_s = tracker.latency_s + FIT_S + board.frame_time_s + 0.5 * period_s
+    frames = Frames(model, Emission(model))
+    array = view.runtime.posed.array_frame
+    posed_of: list[tuple[object, PosedScene]] = []
+    silenced = 0
+    with LiveHand(
+        scene.hand, live.frame(array), ahead_s=ahead_s, host=live.host, port=live.port, by=live.by
+    ) as follower:
+        live.on_listening(follower.listener.host, follower.listener.port)
+        follower.wait(live.wait_s)
+
+        def make(now_s: float, due_s: float) -> MadeFrame:
+            nonlocal silenced
+            follower.check()
+            newest = follower.newest
+            assert newest is not None
+            if not posed_of or posed_of[0][0] is not newest:
+                posed_of[:] = [(newest, scene.posed(newest.pose))]
+            posed = posed_of[0][1]
+            focus = focus_in(model, number, posed, due_s)
+            # On the tracker's clock, until it is known how that goes with this machine's
+            seen_s = newest.sample_s
+            if follower.stale:
+                silenced += 1
+                wanted = np.zeros(len(model.arrays), np.complex128)
+                focused = board.takes == "focus"
+                return MadeFrame(
+                    board.encode_focus(focus, 0.0) if focused else board.encode(wanted), wanted, focus, seen_s
+                )
+            wanted = frames.wanted(posed, due_s)
+            return MadeFrame(frames.at(posed, due_s), wanted, focus, seen_s)
+
+        sent = send(board, times, make, duration_s, port=port or VIRTUAL, log=log, on_progress=on_progress)
+        listener = follower.listener
+        start_s = listener.offset_s() - tracker.latency_s - sent.zero_s
+        sent.frames = [replace(one, frame=one.frame._replace(seen_s=one.frame.seen_s + start_s)) for one in sent.frames]
+        fitted = 1e3 * np.array(follower.fit_s)
+        notes = [
+            f"tracker: {listener.report()}",
+            *(f"tracker: {text}" for text in listener.told),
+            f"tracker: a sample took {np.median(fitted):.1f} ms to fit the hand to ({fitted.max():.1f} at most)",
+        ]
+        if silenced:
+            notes.append(f"tracker: {silenced} frames were silent, as the hand was not seen for {1e3 * STALE_S:g} ms")
+        stream = listener.stream()
+    return LivePlayed(sent, scene.motion, stream, start_s, notes, times)

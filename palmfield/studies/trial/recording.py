@@ -1,0 +1,218 @@
+"""A microphone's or vibrometer's recording, held against what a trial computes at its place.
+
+A CSV file: head lines `# quantity: pressure`, `# unit: Pa`, `# place_m: 0 0 0.15`, then `t,value` and its rows, t in
+seconds. pressure is the peak amplitude of the carrier at the place; displacement and velocity are the skin's along its
+outward normal, at its point nearest to the place as the trial begins. The place is in the array's frame.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from palmfield.errors import SceneError, did_you_mean
+from palmfield.session.array_inputs import p0_band
+from palmfield.studies.trial.felt import Felt
+from palmfield.studies.trial.field import Moment, TrueSound
+from palmfield.studies.trial.sending import Heard
+from palmfield.types import Float
+
+Quantity = Literal["pressure", "displacement", "velocity"]
+UNITS: dict[str, dict[str, float]] = {
+    "pressure": {"Pa": 1.0, "kPa": 1e3, "mPa": 1e-3},
+    "displacement": {"m": 1.0, "mm": 1e-3, "um": 1e-6, "nm": 1e-9},
+    "velocity": {"m/s": 1.0, "mm/s": 1e-3, "um/s": 1e-6},
+}
+"""What a value of 1 is in Pa, m and m/s."""
+HEAD = ("quantity", "unit", "place_m")
+SHIFT = 0.25
+"""Of a recording's length: by so much its clock may differ from the trial's."""
+FEWEST = 16
+
+
+@dataclass(frozen=True)
+class Recording:
+    """times: [s], shape (n,), rising; values: [Pa, m or m/s], shape (n,); place_m: array frame [m]"""
+
+    quantity: Quantity
+    times: Float
+    values: Float
+    place_m: tuple[float, float, float]
+    name: str = "recording"
+
+
+@dataclass(frozen=True)
+class Compared:
+    """A recording against what was computed at its place, aligned in time.
+
+    shift_s: by how much later the recording shows what is computed; overlap_s: for how long both are there
+    rms: of the difference, relative to the computed course's own; correlation: of both, less their means
+    ratio: recorded over computed amplitude, by least squares; band: where it would lie for every p0 of its range,
+        were all else right (ARP and motion go with the square of p0)
+    """
+
+    name: str
+    quantity: str
+    shift_s: float
+    overlap_s: float
+    rms: float
+    correlation: float
+    ratio: float
+    band: tuple[float, float]
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {**self.__dict__, "band": list(self.band)}
+
+    def __str__(self) -> str:
+        low, high = self.band
+        return (
+            f"recording       {self.name}: {self.quantity}, shifted by {1e3 * self.shift_s:+.2f} ms, "
+            f"{self.overlap_s:.3g} s in common\n"
+            f"                correlation {self.correlation:.3f}, rms difference {100 * self.rms:.1f} % of what is "
+            f"computed; {self.ratio:.3f} of it in amplitude ({low:.2g} to {high:.2g} by what is known of p0)"
+        )
+
+
+def read_recording(path: str | Path) -> Recording:
+    """A recording from a file as the head of this module tells.
+
+    Raises SceneError, with the line, for a file that can't be read, a head that lacks something or has another unit,
+    text, numbers that are not finite, and times that don't rise.
+    """
+    file = Path(path)
+    try:
+        lines = file.read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise SceneError(f"recording {file} cannot be read: {error}; give a CSV file (UTF-8)") from None
+    head: dict[str, str] = {}
+    begin = 0
+    for begin, line in enumerate(lines):  # noqa: B007
+        if not line.startswith("#"):
+            break
+        name, _, value = line[1:].partition(":")
+        if name.strip() in HEAD:
+            head[name.strip()] = value.strip()
+    for name in HEAD:
+        if name not in head:
+            raise SceneError(
+                f"recording {file}: the head has no '# {name}: ...'; begin with lines '# quantity: pressure', "
+                "'# unit: Pa', '# place_m: 0 0 0.15'"
+            )
+    quantity = head["quantity"]
+    if quantity not in UNITS:
+        near = did_you_mean(quantity, UNITS)
+        raise SceneError(f"recording {file}: quantity is '{quantity}'{near}; allowed: {', '.join(UNITS)}")
+    if head["unit"] not in UNITS[quantity]:
+        raise SceneError(
+            f"recording {file}: unit of {quantity} is '{head['unit']}'; allowed: {', '.join(UNITS[quantity])}"
+        )
+    if [cell.strip() for cell in lines[begin].split(",")] != ["t", "value"] if lines else True:
+        raise SceneError(f"recording {file}: line {begin + 1} is no line of names; give 't,value' after the head")
+    rows = [_row(file, number, line) for number, line in enumerate(lines[begin + 1 :], begin + 2) if line.strip()]
+    table = np.array(rows).reshape(-1, 2)
+    if len(table) < FEWEST:
+        raise SceneError(f"recording {file} has {len(table)} rows; give {FEWEST} or more")
+    late = np.flatnonzero(np.diff(table[:, 0]) <= 0.0)
+    if len(late):
+        n = int(late[0])
+        raise SceneError(f"recording {file}: t = {table[n + 1, 0]:g} s comes after {table[n, 0]:g} s; let t rise")
+    scale = UNITS[quantity][head["unit"]]
+    kind: Quantity = quantity  # type: ignore[assignment]
+    return Recording(kind, table[:, 0], scale * table[:, 1], _place(file, head["place_m"]), file.name)
+
+
+def _row(file: Path, number: int, line: str) -> list[float]:
+    cells = line.split(",")
+    try:
+        values = [float(cell) for cell in cells]
+    except ValueError:
+        raise SceneError(f"recording {file}: line {number} is '{line}'; give two numbers, t and value") from None
+    if len(values) != 2 or not np.isfinite(values).all():
+        raise SceneError(f"recording {file}: line {number} is '{line}'; give two finite numbers, t and value")
+    return values
+
+
+def _place(file: Path, text: str) -> tuple[float, float, float]:
+    try:
+        x, y, z = (float(part) for part in text.replace(",", " ").split())
+    except ValueError:
+        raise SceneError(
+            f"recording {file}: place_m is '{text}'; give three numbers [m] in the array's frame"
+        ) from None
+    if not np.isfinite([x, y, z]).all() or max(abs(x), abs(y), abs(z)) > 10.0:
+        raise SceneError(f"recording {file}: place_m is '{text}'; give three finite numbers in metres")
+    return x, y, z
+
+
+def compare(
+    recording: Recording, moments: Sequence[Moment], sound: TrueSound, heard: Heard, skin: Felt | None
+) -> Compared:
+    """A recording against the same quantity of a trial. Raises SceneError for motion of a skin that was not stepped."""
+    if recording.quantity == "pressure":
+        times = np.array([one.time_s for one in moments])
+        values = _pressures(times, np.array(recording.place_m), sound, heard)
+        power = 0.5
+    else:
+        if skin is None:
+            raise SceneError(f"recording of {recording.quantity} needs the skin's motion: leave out --no-skin")
+        times, values = skin.times, skin.motion[-1][0 if recording.quantity == "displacement" else 1]
+        power = 1.0
+    shift, overlap, rms, correlation, ratio = aligned(recording.times, recording.values, times, values)
+    low, high = p0_band(sound.model, sound.number) or (1.0, 1.0)
+    return Compared(
+        recording.name, recording.quantity, shift, overlap, rms, correlation, ratio, (low**power, high**power)
+    )
+
+
+def _pressures(times: Float, place: Float, sound: TrueSound, heard: Heard) -> Float:
+    """|p| [Pa] at a place that keeps still, shape (k,)."""
+    values: Float = np.zeros(len(times))
+    known: tuple[object, float] = (None, 0.0)
+    flight_s = sound.flight_s(place)
+    for n, time_s in enumerate(times):
+        found = heard.at(float(time_s) - flight_s)
+        if found is None:
+            continue
+        amplitudes = found[0].amplitudes
+        if known[0] is not amplitudes:
+            arrays = sound.true_arrays(sound.course.posed(float(time_s)).arrays)
+            known = amplitudes, float(np.abs(arrays.pressure64(place[None], amplitudes)[0]))
+        values[n] = known[1]
+    return values
+
+
+def aligned(
+    times: Float, values: Float, computed_times: Float, computed: Float
+) -> tuple[float, float, float, float, float]:
+    """Shift [s], overlap [s], relative rms difference, correlation and ratio of a recorded course to a computed one.
+
+    The shift is where the correlation of both, less their means, is largest, within SHIFT of the recording's length.
+    Raises SceneError where they have too little in common, or one of them doesn't change.
+    """
+    step = max(float(np.median(np.diff(computed_times))), float(np.median(np.diff(times)))) / 4.0
+    most = SHIFT * (times[-1] - times[0])
+    best: tuple[float, float] | None = None
+    grid = np.arange(computed_times[0], computed_times[-1], step)
+    ours = np.interp(grid, computed_times, computed)
+    for shift in np.arange(-most, most + step, step):
+        inside = (grid + shift >= times[0]) & (grid + shift <= times[-1])
+        if inside.sum() < FEWEST or inside.sum() < 0.5 * min(len(grid), (times[-1] - times[0]) / step):
+            continue
+        theirs = np.interp(grid[inside] + shift, times, values)
+        a, b = ours[inside] - ours[inside].mean(), theirs - theirs.mean()
+        size = float(np.sqrt((a @ a) * (b @ b)))
+        if size > 0.0 and (best is None or a @ b / size > best[1]):
+            best = float(shift), float(a @ b / size)
+    if best is None:
+        raise SceneError(
+            "the recording can't be aligned: it has less than half of its time in common, or never changes"
+        )
+    shift, correlation = best
+    inside = (grid + shift >= times[0]) & (grid + shift <= times[-1])
+    theirs, own = np.interp(grid[inside] + shift, times, values), ours[inside]
+    rms = float(np.sqrt(np.mean((theirs - own) ** 2) / np.mean(own**2)))
+    ratio = float((own @ theirs) / (own @ own))
+    return shift, float(inside.sum() * step), rms, correlation, ratio

@@ -1,0 +1,241 @@
+"""A trial in numbers, in words and as a table."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from palmfield.acoustics.calibration_file import Calibration
+from palmfield.drive.board import Board
+from palmfield.studies.trial.belief import Tracker
+from palmfield.studies.trial.felt import Felt
+from palmfield.studies.trial.field import Moment, TrueSound
+from palmfield.studies.trial.recording import Compared
+from palmfield.studies.trial.sending import VIRTUAL, Sent
+from palmfield.types import Float
+
+COLUMNS = (
+    "time_s", "true_x_m", "true_y_m", "true_z_m", "believed_x_m", "believed_y_m", "believed_z_m", "sounding_x_m",
+    "sounding_y_m", "sounding_z_m", "lateral_error_m", "depth_error_m", "age_s", "frame", "level", "wanted_Pa",
+    "late_Pa", "rounded_Pa", "heard_Pa", "push_m", "arp_max_Pa",
+)  # fmt: skip
+
+
+class Spread(NamedTuple):
+    """Of values over a trial; NaN where there are none."""
+
+    mean: float
+    p95: float
+    largest: float
+
+
+class Share(NamedTuple):
+    """What is left of the pressure at the hand, 1 where nothing is lost; mean over the trial, and the least."""
+
+    mean: float
+    least: float
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """A trial in numbers.
+
+    lateral_mm, depth_mm, distance_mm: from where the focus should be on the hand to where it is: across the array's
+        axis, along it, and in all; without_focus: share of moments in which the sound makes none
+    age_ms: of the tracker's sample of which the sound at the hand was made
+    kept_late, kept_rounded, kept_calibration, kept: share of the pressure at the hand that is left by latency, of that
+        by what the board makes of it, of that by transducers that are not as the scene says, and by all; ARP goes with
+        their squares; kept_calibration is None where nothing is known of the real transducers
+    wanted_Pa: mean |p| at the hand without any loss, at full level
+    push_um, push_ideal_um: displacement of the skin where the focus should be as the trial begins, rms, and without any
+        loss; None where it was not stepped
+    """
+
+    scene: str
+    board: str
+    port: str
+    stimulus: str
+    duration_s: float
+    ended_s: float
+    interrupted: bool
+    tracker_rate_Hz: float
+    tracker_latency_ms: float
+    tracker_noise_mm: float
+    ahead_ms: float | None
+    frames_due: int
+    frames_sent: int
+    frames_dropped: int
+    late_ms: float
+    lateral_mm: Spread
+    depth_mm: Spread
+    distance_mm: Spread
+    without_focus: float
+    age_ms: Spread
+    kept_late: Share
+    kept_rounded: Share
+    kept_calibration: Share | None
+    kept: Share
+    wanted_Pa: float
+    push_um: float | None
+    push_ideal_um: float | None
+    flags: tuple[str, ...]
+    notes: tuple[str, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON, with units in the names."""
+        plain = asdict(self)
+        for name, value in plain.items():
+            if isinstance(value, Spread | Share):
+                plain[name] = {key: _plain(number) for key, number in value._asdict().items()}
+            elif isinstance(value, float):
+                plain[name] = _plain(value)
+        return plain
+
+
+def _plain(number: float) -> float | None:
+    return float(number) if np.isfinite(number) else None
+
+
+def numbers_of(
+    scene: str,
+    board: Board,
+    sound: TrueSound,
+    sent: Sent,
+    moments: Sequence[Moment],
+    tracker: Tracker,
+    duration_s: float,
+    skin: Felt | None,
+    skin_ideal: Felt | None,
+    port: str | None,
+    truth: Calibration | None,
+    notes: Sequence[str] = (),
+) -> Numbers:
+    """A trial's numbers; arguments as `palmfield.studies.trial.run.Trial` and `trial` have them."""
+    names, rows = table_of(moments, None)
+    column = dict(zip(names, rows.T, strict=True))
+    lateral, depth = 1e3 * column["lateral_error_m"], 1e3 * np.abs(column["depth_error_m"])
+    wanted, late = column["wanted_Pa"], column["late_Pa"]
+    rounded, heard = column["rounded_Pa"], column["heard_Pa"]
+    compared = wanted[np.isfinite(wanted)]
+    return Numbers(
+        scene=scene,
+        board=board.name,
+        port="its twin, without waiting" if port is None else port,
+        stimulus=sound.model.stimuli[sound.number].spec.name,
+        duration_s=duration_s,
+        ended_s=sent.end_s,
+        interrupted=sent.interrupted,
+        tracker_rate_Hz=tracker.rate_Hz,
+        tracker_latency_ms=1e3 * tracker.latency_s,
+        tracker_noise_mm=1e3 * tracker.noise_m,
+        ahead_ms=None if tracker.ahead_s is None else 1e3 * tracker.ahead_s,
+        frames_due=sent.due,
+        frames_sent=len(sent.frames),
+        frames_dropped=sent.dropped,
+        late_ms=1e3 * sent.late_s,
+        lateral_mm=_spread(lateral),
+        depth_mm=_spread(depth),
+        distance_mm=_spread(np.hypot(lateral, depth)),
+        without_focus=float(np.mean(~np.isfinite(lateral))) if len(lateral) else 1.0,
+        age_ms=_spread(1e3 * column["age_s"]),
+        kept_late=_share(late, wanted),
+        kept_rounded=_share(rounded, late),
+        kept_calibration=None if truth is None else _share(heard, rounded),
+        kept=_share(heard, wanted),
+        wanted_Pa=float(compared.mean()) if len(compared) else np.nan,
+        push_um=_rms_um(skin),
+        push_ideal_um=_rms_um(skin_ideal),
+        flags=tuple(sent.flags),
+        notes=tuple(notes),
+    )
+
+
+def _rms_um(skin: Felt | None) -> float | None:
+    return None if skin is None or not len(skin.times) else 1e6 * float(np.sqrt(np.mean(skin.push**2)))
+
+
+def _spread(values: Float) -> Spread:
+    known = values[np.isfinite(values)]
+    if not len(known):
+        return Spread(np.nan, np.nan, np.nan)
+    return Spread(float(known.mean()), float(np.percentile(known, 95)), float(known.max()))
+
+
+def _share(after: Float, before: Float) -> Share:
+    known = np.isfinite(after) & np.isfinite(before) & (before > 0.0)
+    if not known.any():
+        return Share(np.nan, np.nan)
+    ratio = after[known] / before[known]
+    return Share(float(ratio.mean()), float(ratio.min()))
+
+
+def table_of(moments: Sequence[Moment], skin: Felt | None) -> tuple[tuple[str, ...], Float]:
+    """Names of columns and the course in rows, shape (k, columns); the skin's are NaN where it was not stepped."""
+    rows = []
+    for one in moments:
+        miss = one.sounding - one.true
+        push, arp = np.nan, np.nan
+        if skin is not None and len(skin.times):
+            step = int(np.searchsorted(skin.times, one.time_s - 1e-9))
+            if step < len(skin.times):
+                push, arp = float(skin.push[step]), float(skin.arp[step])
+        error = float(np.hypot(miss[0], miss[1])), float(miss[2])
+        where = [*one.true, *one.believed, *one.sounding, *error]
+        rows.append([one.time_s, *where, one.age_s, one.frame, one.level, *one.pressures, push, arp])
+    return COLUMNS, np.array(rows, dtype=np.float64).reshape(-1, len(COLUMNS))
+
+
+def as_text(numbers: Numbers, compared: Compared | None) -> str:
+    """What a trial says, line by line."""
+    n = numbers
+    cut = f", ended by Ctrl-C at {n.ended_s:.3g} s" if n.interrupted else ""
+    lines = [
+        f"trial of {n.scene}: {n.duration_s:g} s of stimulus '{n.stimulus}' on board {n.board} "
+        f"({'paced in real time' if n.port == VIRTUAL else n.port}){cut}",
+        f"tracker         {_tracker(n)}",
+        f"frames          {n.frames_due} due, {n.frames_sent} sent, {n.frames_dropped} dropped; the worst "
+        f"{n.late_ms:.1f} ms late",
+        f"age of sample   {_of(n.age_ms)} ms when it is felt",
+        f"focus error     lateral {_of(n.lateral_mm)} mm, depth {_of(n.depth_mm)} mm",
+    ]
+    if n.without_focus > 0.0:
+        lines.append(f"                no focus in {100.0 * n.without_focus:.1f} % of the time")
+    lines += [
+        f"pressure kept   {_kept(n.kept)} of {n.wanted_Pa:.0f} Pa at the hand",
+        f"  by latency    {_kept(n.kept_late)}",
+        f"  by the board  {_kept(n.kept_rounded)}: what it rounds, and what it makes of a focus by itself",
+    ]
+    if n.kept_calibration is None:
+        lines.append("  by calibration  not known: transducers are taken for what the scene says of them (--truth)")
+    else:
+        lines.append(f"  by calibration {_kept(n.kept_calibration)}")
+    if n.push_um is not None and n.push_ideal_um:
+        lines.append(
+            f"skin            moved by {n.push_um:.3g} um (rms) where the focus should be, "
+            f"{n.push_um / n.push_ideal_um:.3f} of what it would be without these losses"
+        )
+    lines += [f"board noticed   {flag}" for flag in n.flags[:5]]
+    if len(n.flags) > 5:
+        lines.append(f"                and {len(n.flags) - 5} more like these")
+    lines += n.notes
+    if compared is not None:
+        lines += str(compared).split("\n")
+    return "\n".join(lines)
+
+
+def _tracker(n: Numbers) -> str:
+    rate = "a sample whenever it is asked" if n.tracker_rate_Hz == 0.0 else f"{n.tracker_rate_Hz:g} samples/s"
+    ahead = "predicted to the middle of each frame"
+    if n.ahead_ms is not None:
+        ahead = "taken as they are" if n.ahead_ms == 0.0 else f"predicted {n.ahead_ms:g} ms ahead"
+    noise = f", noise {n.tracker_noise_mm:g} mm" if n.tracker_noise_mm else ""
+    return f"{rate}, {n.tracker_latency_ms:g} ms late{noise}, {ahead}"
+
+
+def _of(spread: Spread) -> str:
+    return f"{spread.mean:.2f} (95 %: {spread.p95:.2f}, largest {spread.largest:.2f})"
+
+
+def _kept(share: Share) -> str:
+    return f"{share.mean:.4f} (least {share.least:.4f}; of the ARP {share.mean**2:.4f})"

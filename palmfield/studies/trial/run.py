@@ -1,0 +1,332 @@
+"""A trial of a scene: hand, tracker, focus, bytes, board, sound at the hand's true place, and skin."""
+
+import json
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from palmfield.acoustics.calibration_file import Calibration, read_calibration, write_calibration
+from palmfield.drive.board import Board, Emitted
+from palmfield.drive.frame_log import FrameLog, LogHead
+from palmfield.drive.playback import frame_times
+from palmfield.errors import DeviceError, OutputError
+from palmfield.interrupts import interrupts_held
+from palmfield.motion.tracking import write_stream
+from palmfield.outputs.trial_picture import draw_trial
+from palmfield.session.preview import Preview, preview
+from palmfield.simulation.emission import Emission
+from palmfield.simulation.frames import Frames
+from palmfield.studies.trial.belief import Belief, Tracker
+from palmfield.studies.trial.course import SceneCourse
+from palmfield.studies.trial.felt import Felt, felt
+from palmfield.studies.trial.field import Moment, TrueSound, focus_in, last_due, level_of, same_level
+from palmfield.studies.trial.live import Live, play_live
+from palmfield.studies.trial.recording import Compared, Recording, compare
+from palmfield.studies.trial.report import Numbers, as_text, numbers_of, table_of
+from palmfield.studies.trial.sending import Heard, MadeFrame, Sent, send
+from palmfield.tables import write_table
+
+FINEST_S = 1e-3
+"""Between two moments at which the sound at the hand is computed, at most."""
+FILES = "sent.jsonl", "course.csv", "trial.json", "trial.png"
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What a trial gives.
+
+    numbers: of the whole; moments: of its course; sent: what went to the board; skin, skin_ideal: what the skin did,
+    and would have done without latency, rounding and calibration error, None where it wasn't asked for
+    compared: with a recording; files: written, by name; interrupted: whether Ctrl-C ended it early
+    """
+
+    numbers: Numbers
+    moments: list[Moment]
+    sent: Sent
+    skin: Felt | None
+    skin_ideal: Felt | None
+    compared: Compared | None = None
+    files: dict[str, Path] = field(default_factory=dict)
+
+    @property
+    def interrupted(self) -> bool:
+        return self.sent.interrupted
+
+    def __str__(self) -> str:
+        return as_text(self.numbers, self.compared)
+
+
+def trial(
+    scene: str | Path,
+    *,
+    board: str | None = None,
+    port: str | None = None,
+    tracker: Tracker | None = None,
+    keys: Mapping[str, object] | None = None,
+    duration_s: float | None = None,
+    truth: str | Path | None = None,
+    recording: Recording | None = None,
+    live: Live | None = None,
+    skin: bool = True,
+    flight: bool = True,
+    out: str | Path | None = None,
+    overwrite: bool = False,
+    progress: bool = False,
+) -> Trial:
+    """Close the loop over a scene, and say how far the sound is from the hand and what that costs.
+
+    board, keys: as `palmfield.load` takes them; port: as `palmfield.studies.trial.sending.send`
+    tracker: by default 90 Hz, 10 ms late, predicted to the middle of each frame
+    live: where a tracker's samples come in, instead of the scene's own motion; always in real time
+    truth: calibration file of what the transducers really do, where it is not what the scene says
+    skin: whether the skin is stepped; flight: whether the time that sound takes to the hand counts
+    out: folder for FILES, made where missing; None for none
+    Ctrl-C ends it early with what there is by then (`interrupted`). Raises SceneError for a bad scene, DeviceError
+    where its board can't play it or is lost, OutputError where the folder holds another trial.
+    """
+    folder = None if out is None else _folder(Path(out), overwrite)
+    given = dict(keys or {})
+    view = preview(scene, device="cpu", board=board, keys=given)
+    real = None if truth is None else read_calibration(truth)
+    played = view.runtime.model.board
+    if played.exact and (port is not None or live is not None):
+        raise DeviceError(
+            f"{view.name} is played by board '{played.name}', which takes no bytes, so that it has no port; give "
+            "another by --board"
+        )
+    duration = view.duration_s if duration_s is None else duration_s
+    watched = tracker or Tracker()
+    with TemporaryDirectory() as spare, _bar(progress) as told:
+        log = None if folder is None or played.exact else FrameLog(folder / "sent.jsonl", _head(view))
+        if live is None:
+            done = _scripted(view, watched, duration, real, flight, port, log, told)
+        else:
+            kept = Path(spare) if folder is None else folder
+            done = _followed(view, scene, board, given, live, watched, duration, real, flight, port, log, kept, told)
+            given |= done.keys
+        sent, heard = done.sent, Heard(done.sent, played)
+        moments = _course(sent, _moments(done.sound.course, duration), done.times, heard, done.sound, told)
+        motion = ideal_motion = None
+        if skin and moments and not sent.interrupted:
+            told("stepping the skin under what was emitted", None)
+            motion, ideal_motion = _skins(scene, board, given, done, moments, real, recording)
+    numbers = numbers_of(
+        view.name, played, done.sound, sent, moments, watched, duration, motion, ideal_motion, port, real, done.notes
+    )
+    compared = None
+    if recording is not None and not sent.interrupted:
+        compared = compare(recording, moments, done.sound, heard, motion)
+    result = Trial(numbers, moments, sent, motion, ideal_motion, compared)
+    return result if folder is None else replace(result, files=_written(result, folder, log is not None))
+
+
+class _Done(NamedTuple):
+    """What was sent, over which course. times: when frames were due [s]; notes: of the tracker, in words
+
+    keys: with which the scene moves as it did
+    """
+
+    sound: TrueSound
+    sent: Sent
+    times: list[float]
+    notes: list[str]
+    keys: dict[str, object]
+
+
+def _scripted(
+    view: Preview,
+    tracker: Tracker,
+    duration_s: float,
+    truth: Calibration | None,
+    flight: bool,
+    port: str | None,
+    log: FrameLog | None,
+    told: "Told",
+) -> _Done:
+    """Send a scene whose motion is known, to a system that knows what a tracker would have told."""
+    told("stepping the scene", None)
+    course = SceneCourse(view, duration_s)
+    sound = TrueSound(course, course.model.sounding, truth, flight=flight)
+    board = course.model.board
+    times = _due(course, board, duration_s)
+    make = _maker(course, sound, Belief(course, tracker), times, duration_s)
+    told("sending", duration_s)
+    sent = send(board, times, make, duration_s, port=port, log=log, on_progress=lambda at: told(None, at))
+    return _Done(sound, sent, times, [], {})
+
+
+def _followed(
+    view: Preview,
+    scene: str | Path,
+    board: str | None,
+    keys: Mapping[str, object],
+    live: Live,
+    tracker: Tracker,
+    duration_s: float,
+    truth: Calibration | None,
+    flight: bool,
+    port: str | None,
+    log: FrameLog | None,
+    folder: Path,
+    told: "Told",
+) -> _Done:
+    """Send a scene with the hand of a live tracker; then the scene moves as that has told it."""
+    told("following the hand", duration_s)
+    number = view.runtime.model.sounding
+    played = play_live(
+        view, live, tracker, duration_s, number, port=port, log=log, on_progress=lambda at: told(None, at)
+    )
+    told("stepping the scene as the tracker saw it", None)
+    write_stream(folder / "tracked.npz", played.stream)
+    own = live.keys(played.motion, folder / "tracked.npz", played.start_s)
+    course = SceneCourse(preview(scene, device="cpu", board=board, keys={**keys, **own}), duration_s)
+    return _Done(TrueSound(course, number, truth, flight=flight), played.sent, played.times, played.notes, own)
+
+
+def _maker(
+    course: SceneCourse, sound: TrueSound, belief: Belief, times: list[float], duration_s: float
+) -> Callable[[float, float], MadeFrame]:
+    """What makes each frame of what is known when it is made."""
+    frames = Frames(course.model, Emission(course.model))
+    exact = course.model.board.exact
+    ends = np.append(times[1:], duration_s)
+    flight_s = sound.flight_s(sound.focus(0.0, 0.0))
+
+    def make(now_s: float, due_s: float) -> MadeFrame:
+        nonlocal flight_s
+        until_s = float(ends[np.searchsorted(times, due_s)])
+        middle_s = due_s if exact else 0.5 * (due_s + until_s)
+        known = belief.at(now_s, middle_s + flight_s)
+        wanted = frames.wanted(known.posed, due_s)
+        data = b"" if exact else frames.at(known.posed, due_s)
+        focus = focus_in(course.model, sound.number, known.posed, due_s)
+        flight_s = sound.flight_s(focus)
+        return MadeFrame(data, wanted, focus, known.seen_s)
+
+    return make
+
+
+def _moments(course: SceneCourse, duration_s: float) -> list[float]:
+    """Times at which the sound at the hand is computed [s]."""
+    parts = max(1, round(course.step_s / FINEST_S))
+    step_s = course.step_s / parts
+    return [step_s * n for n in range(int(duration_s / step_s + 1e-6))]
+
+
+def _due(course: SceneCourse, board: Board, duration_s: float) -> list[float]:
+    """When frames are due [s]; of a board without limits, whenever the sound is looked at."""
+    if board.exact and course.moves:
+        return _moments(course, duration_s)
+    return frame_times(course.model.configs, duration_s, course.step_s if course.moves else None)
+
+
+def _course(
+    sent: Sent, moments_s: list[float], times: list[float], heard: Heard, sound: TrueSound, told: "Told"
+) -> list[Moment]:
+    """The sound at the hand over the trial, as far as it went; Ctrl-C keeps what is computed by then."""
+    loudest = max((level_of(one.frame.wanted) for one in sent.frames), default=0.0)
+    moments = []
+    told("computing the sound at the hand", moments_s[-1] if moments_s else None)
+    try:
+        with interrupts_held() as check:
+            for time_s in moments_s:
+                if time_s > sent.end_s:
+                    break
+                moment = sound.moment(time_s, times, heard, loudest)
+                if moment is not None:
+                    moments.append(moment)
+                told(None, time_s)
+                check()
+    except KeyboardInterrupt:
+        sent.interrupted = True
+    return moments
+
+
+def _skins(
+    scene: str | Path,
+    board: str | None,
+    keys: dict[str, object],
+    done: _Done,
+    moments: list[Moment],
+    truth: Calibration | None,
+    recording: Recording | None,
+) -> tuple[Felt, Felt]:
+    """The skin under what was emitted by the array as it is, and under the sound for the hand's true place."""
+    end_s = moments[-1].time_s
+    # Where the focus should be, and where something was recorded
+    places = np.array([moments[0].true, *([] if recording is None else [recording.place_m])])
+    sound, times = done.sound, done.times
+    grid = sorted({*times, *(one.time_s for one in moments)})
+    ideal = [Emitted(time_s, sound.ideal(time_s, last_due(times, time_s))) for time_s in grid if time_s <= end_s]
+    flight_s = sound.flight_s(moments[len(moments) // 2].true)
+    emitted = [Emitted(one.time_s + flight_s, one.amplitudes) for one in done.sent.emitted]
+    with TemporaryDirectory() as made:
+        own = dict(keys)
+        if truth is not None:
+            spec = sound.model.spec.arrays[0]
+            file = Path(made) / "as_it_is.json"
+            write_calibration(file, same_level(truth, spec.calibration))
+            own[f"{spec.name}.calibration"] = str(file)
+        played = felt(scene, emitted, end_s, board=board, keys=own, places=places)
+    return played, felt(scene, ideal, end_s, board=board, keys=keys, places=places)
+
+
+def _head(view: Preview) -> LogHead:
+    model, spec = view.runtime.model, view.runtime.spec
+    own = {key: value for key, value in spec.driver.model_dump(exclude_none=True).items() if key in model.board.keys}
+    return LogHead(model.board.name, len(model.arrays), spec.arrays[0].config.layout, model.arrays.air, own)
+
+
+def _folder(out: Path, overwrite: bool) -> Path:
+    """The folder, made. Raises OutputError where it holds another trial, or can't be made."""
+    there = [name for name in FILES if (out / name).exists()]
+    if there and not overwrite:
+        raise OutputError(f"{out} holds another trial ({there[0]}); give another folder, or --overwrite")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"cannot make {out}: {error.strerror}; choose a folder that can be written to") from None
+    return out
+
+
+def _written(result: Trial, folder: Path, logged: bool) -> dict[str, Path]:
+    """Write the course, the numbers and the picture."""
+    files = {name: folder / name for name in FILES if name != "sent.jsonl" or logged}
+    names, rows = table_of(result.moments, result.skin)
+    write_table(files["course.csv"], names, rows)
+    numbers = result.numbers.as_dict()
+    if result.compared is not None:
+        numbers["recording"] = result.compared.as_dict()
+    try:
+        files["trial.json"].write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise OutputError(f"cannot write {files['trial.json']}: {error.strerror}; choose another folder") from None
+    draw_trial(names, rows, numbers, files["trial.png"])
+    return files
+
+
+Told = Callable[[str | None, float | None], None]
+
+
+@contextmanager
+def _bar(show: bool) -> Iterator[Told]:
+    """Tells on a terminal's standard error what is done, and how far it is."""
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, disable=not (show and console.is_terminal), transient=True) as bar:
+        task = bar.add_task("opening the scene", total=None)
+
+        def told(what: str | None, number: float | None) -> None:
+            if what is None:
+                bar.update(task, completed=number or 0.0)
+            else:
+                bar.reset(task, description=what, total=number)
+
+        yield told

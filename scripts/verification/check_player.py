@@ -1,0 +1,126 @@
+#!/usr/bin/env python3
+"""How late the player is beside a busy solver, with real-time priority and without, and next to a plain writer thread.
+
+python scripts/verification/check_player.py [--seconds 60] [--write docs/bench/player.md] [--load WORDS] [--commit HASH]
+
+Four runs of so many seconds: AUTD packets at 2 kHz and SonicSurface frames at line rate, each with priority and
+without. Exit code 1 where a goal is missed.
+"""
+
+import argparse
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+from player_runs import AutdRun, Late, SonicRun, Stream, play_sonic, stream_autd, svds
+
+from palmfield import Simulation
+from palmfield.studies.bench.field import git_commit
+from palmfield.studies.bench.table import processor
+
+ROOT = Path(__file__).resolve().parents[2]
+SCENE = ROOT / "mjcf" / "scenes" / "follow_fingertip.xml"
+P99_S = 200e-6
+SHARE_OF_THREAD = 1.0 / 3.0
+UNSENT = 0.01
+ABOUT = """The solver is busy in the caller's own process: one thread steps scene `follow_fingertip`, another computes
+singular values of small matrices, so that both cores have work. AUTD packets (9 bytes, 2,000 a second) go to a
+pseudo-terminal by the player and, at the same time, to a second one by a plain thread of the caller's process, which
+sleeps, writes, and leaves nothing out. Packets carry numbers: lost is what was handed over and did not come out at
+the other end.
+
+*Line* is by how much the last byte of a packet is late, by the moments of hand-over and the line's rate; *hand-over*
+is how long after it was planned the system had a packet. They are told apart because these packets fill their line: a
+delay of the line, once there, stays for the rest of the run, while hand-over is on time again at once. The player
+hands a packet over while the one before it is on the line, so that it may be 0.5 ms late (a SonicSurface's frame 11
+ms) before the line is. Where it is later by a packet or more the newest wins and those before it are skipped."""
+
+
+def ms(late: Late) -> str:
+    return f"{1e3 * late.p99_s:.3f} | {1e3 * late.worst_s:.3f}"
+
+
+def stream_row(how: str, one: Stream) -> str:
+    return f"| {how} | {ms(one.line)} | {ms(one.handed)} | {one.sent} | {one.skipped} | {one.lost} |"
+
+
+def sonic_row(how: str, run: SonicRun) -> str:
+    report = run.report
+    line, handed = Late(report.late_p99_s, report.late_s), Late(report.write_p99_s, report.write_worst_s)
+    due = report.frames + report.skipped
+    return (
+        f"| {how} | {due} | {report.skipped} ({100 * report.unsent:.2f} %) | {run.whole} | {ms(line)} | {ms(handed)} |"
+    )
+
+
+def goals(autd: tuple[AutdRun, AutdRun], sonic: tuple[SonicRun, SonicRun]) -> list[tuple[str, str, bool]]:
+    """What is wanted, what came, and whether that is met; the first of each pair is with priority."""
+    p99, missing = autd[0].player.line.p99_s, autd[0].player.skipped + autd[0].player.lost
+    mine, threads = autd[1].player.line.p99_s, autd[1].thread.line.p99_s
+    unsent, unsent_without = sonic[0].report.skipped, sonic[1].report.unsent
+    share = mine / threads
+    return [
+        ("AUTD, priority: line's p99 at most 0.2 ms", f"{1e3 * p99:.3f} ms", p99 <= P99_S),
+        ("AUTD, priority: no packet skipped or lost", f"{missing}", missing == 0),
+        ("AUTD, no priority: line's p99 at most 1/3 of the thread's", f"{share:.3f} of it", share <= SHARE_OF_THREAD),
+        ("SonicSurface, priority: none due and unsent", f"{unsent}", unsent == 0),
+        ("SonicSurface, no priority: at most 1 % unsent", f"{100 * unsent_without:.2f} %", unsent_without <= UNSENT),
+    ]
+
+
+def page(seconds: float, load: str, commit: str) -> tuple[str, bool]:
+    """The page, and whether all goals are met."""
+    steps = []
+    simulation = Simulation(SCENE)
+    simulation.step()
+
+    def stepping(ended: threading.Event) -> None:
+        count = 0
+        while not ended.is_set():
+            simulation.step()
+            count += 1
+        steps.append(count)
+
+    works: list[Callable[[threading.Event], None]] = [stepping, svds]
+    autd = stream_autd(seconds, works, True), stream_autd(seconds, works, False)
+    sonic = play_sonic(seconds, works, True), play_sonic(seconds, works, False)
+    wanted = goals(autd, sonic)
+    lines = [
+        "# The player's lateness", "",
+        f"Written by `python scripts/verification/check_player.py --seconds {seconds:g} --write docs/bench/player.md`, "
+        f"commit {commit}, {processor()}; beside it on the machine: {load}.",
+        f"Priority that the player got: {autd[0].report.priority}. The scene made {', '.join(map(str, steps))} steps "
+        "in the four runs (AUTD with priority and without, SonicSurface the same).",
+        "", ABOUT, "", f"## AUTD at 2 kHz for {seconds:g} s", "",
+        "| by | line p99 [ms] | worst | hand-over p99 [ms] | worst | sent | skipped | lost |",
+        "|---|---|---|---|---|---|---|---|",
+        stream_row("player with priority", autd[0].player), stream_row("thread, in the same run", autd[0].thread),
+        stream_row("player without", autd[1].player), stream_row("thread, in the same run", autd[1].thread),
+        "", f"## SonicSurface at line rate for {seconds:g} s", "",
+        "| player | due | unsent | heard whole | line p99 [ms] | worst | hand-over p99 [ms] | worst |",
+        "|---|---|---|---|---|---|---|---|",
+        sonic_row("with priority", sonic[0]), sonic_row("without", sonic[1]),
+        "", "## Goals", "", "| goal | came | |", "|---|---|---|",
+        *(f"| {what} | {came} | {'met' if met else '**missed**'} |" for what, came, met in wanted),
+    ]  # fmt: skip
+    return "\n".join(lines) + "\n", all(met for _, _, met in wanted)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=60.0, help="of each of the four runs")
+    parser.add_argument("--write", type=Path, help="the page")
+    parser.add_argument("--load", default="nothing that was told", help="what else the machine does, in words")
+    parser.add_argument("--commit", default="", help="for the head, where no git is [default: git's]")
+    given = parser.parse_args()
+    print(f"four runs of {given.seconds:g} s, some {4 * given.seconds + 15:.0f} s in all", file=sys.stderr, flush=True)
+    text, met = page(given.seconds, given.load, given.commit or git_commit())
+    print(text)
+    if given.write is not None:
+        given.write.write_text(text)
+    return int(not met)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,81 @@
+"""A coverage run kept in the repository: a head with seed and frozen commit, and one small line for each answer.
+
+What is kept is what the page is made of: displacements in SI units rounded to DIGITS digits. Cases are drawn again from
+the seed. Whoever checks out the frozen commit, or a later one whose CODE is the same, goes on where the run ended.
+"""
+
+import json
+import subprocess
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[2]
+FOLDER = ROOT / "docs" / "bench" / "coverage"
+CODE = ("palmfield", "warp_kernels", "mjcf", "scripts/verification", "scripts/peers")
+"""What a run's answers and truths follow from, relative to the repository."""
+DIGITS = 6
+UNUSED = ("velocity_m_s",)
+"""Parts of a row that no page is made of."""
+
+
+class ChangedCodeError(Exception):
+    """A run that was begun with other code."""
+
+
+def rounded(value: Any) -> Any:
+    """Plain data with all its numbers rounded to DIGITS digits."""
+    if isinstance(value, float):
+        return float(f"{value:.{DIGITS}g}")
+    if isinstance(value, dict):
+        return {key: rounded(each) for key, each in value.items()}
+    return [rounded(each) for each in value] if isinstance(value, list) else value
+
+
+def line(row: dict[str, Any]) -> str:
+    """One row of answers or truths as a line of JSON, without UNUSED."""
+    kept = {key: value for key, value in row.items() if key not in UNUSED}
+    return json.dumps(rounded(kept), separators=(",", ":")) + "\n"
+
+
+def begin(folder: Path, seed: int, count: int, root: Path = ROOT) -> dict[str, Any]:
+    """Write the head of a new run; the code is frozen at the present commit.
+
+    Raises ChangedCodeError where a run is there already, or the working tree's code is not that of the commit.
+    """
+    head = folder / "head.json"
+    if head.exists():
+        raise ChangedCodeError(
+            f"{head} holds the run of seed {json.loads(head.read_text())['seed']}: remove its folder"
+        )
+    frozen = _git(root, "rev-parse", "HEAD")
+    check_code(frozen, root)
+    folder.mkdir(parents=True, exist_ok=True)
+    facts = {"seed": seed, "count": count, "frozen": frozen}
+    head.write_text(json.dumps(facts) + "\n")
+    return facts
+
+
+def known_head(folder: Path, root: Path = ROOT) -> dict[str, Any]:
+    """The head of the run in a folder. Raises ChangedCodeError where there is none, or the code is another."""
+    head = folder / "head.json"
+    if not head.exists():
+        raise ChangedCodeError(f"no run in {folder}: begin one with step 'begin'")
+    facts: dict[str, Any] = json.loads(head.read_text())
+    check_code(facts["frozen"], root)
+    return facts
+
+
+def check_code(frozen: str, root: Path = ROOT) -> None:
+    """Raise ChangedCodeError where CODE in the working tree differs from that at a commit."""
+    changed = _git(root, "diff", "--name-only", frozen, "--", *CODE).split()
+    changed += _git(root, "ls-files", "--others", "--exclude-standard", "--", *CODE).split()
+    if changed:
+        names = ", ".join(changed[:3]) + (f" and {len(changed) - 3} more" if len(changed) > 3 else "")
+        raise ChangedCodeError(f"the code is not that of commit {frozen[:7]}, with which the run was begun: {names}")
+
+
+def _git(root: Path, *words: str) -> str:
+    done = subprocess.run(["git", "-C", str(root), *words], capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise ChangedCodeError(f"git {words[0]}: {done.stderr.strip()}")
+    return done.stdout.strip()

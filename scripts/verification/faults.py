@@ -1,0 +1,372 @@
+"""Faults of a line, a host and its processes, on a virtual SonicSurface: what the player makes of them.
+
+check_faults.py makes a table of them; the tests assert it.
+"""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from palmfield.drive.boards import BOARDS
+from palmfield.drive.player import Player
+from palmfield.drive.player.report import PlayReport
+from palmfield.drive.virtual import VirtualBoard
+from palmfield.errors import DeviceError
+
+BOARD = BOARDS["sonicsurface"]
+RATE_HZ = 88.0
+FRAME_S = BOARD.frame_time_s
+START, SWAP = 254, 253
+
+
+@dataclass
+class Outcome:
+    """off: whether the board was silent at the end; torn: frames that were played with too few bytes or too many
+    said: what the caller was told; report: of the player, where it ended well
+    emitted_s, late_s: of numbered frames, when they sounded on the board's clock and how late [s]
+    """
+
+    off: bool
+    torn: int
+    said: str = ""
+    report: PlayReport | None = None
+    emitted_s: list[float] = field(default_factory=list)
+    late_s: list[float] = field(default_factory=list)
+    numbers: dict[str, float] = field(default_factory=dict)
+
+    def late_between(self, start_s: float, end_s: float) -> float:
+        """Largest delay of frames that were emitted then, on the board's clock [s]."""
+        return max(late for at, late in zip(self.emitted_s, self.late_s, strict=True) if start_s <= at < end_s)
+
+
+def turned(step: int) -> np.ndarray:
+    return np.full(256, np.exp(2j * np.pi * step / 32))
+
+
+def numbered(number: int) -> bytes:
+    """A frame that tells its number, below 1024."""
+    drive = turned(number % 32)
+    drive[-1] = turned(number // 32)[-1]
+    return BOARD.encode(drive)
+
+
+def number_of(emitted: np.ndarray) -> int:
+    steps = np.rint(np.angle(emitted[[0, -1]]) * 32 / (2 * np.pi)).astype(int) % 32
+    return int(steps[0] + 32 * steps[1])
+
+
+def frames(seconds: float, rate_Hz: float = RATE_HZ) -> list[tuple[float, bytes]]:
+    return [(n / rate_Hz, numbered(n)) for n in range(round(seconds * rate_Hz))]
+
+
+def torn_frames(received: bytes) -> int:
+    """Swaps of buffers behind another number of bytes than a frame's: half a frame, or a resumed one."""
+    count = 0
+    data = -1
+    for byte in received:
+        if byte == START:
+            data = 0
+        elif byte == SWAP:
+            count += data != 256
+            data = -1
+        elif data >= 0 and byte <= 32:
+            data += 1
+    return count
+
+
+def outcome(board: VirtualBoard, rate_Hz: float = RATE_HZ, **more: Any) -> Outcome:
+    """What came of it, once the line is quiet."""
+    board.settle(0.2)
+    heard = [(change.time_s, number_of(change.amplitudes)) for change in board.emitted if change.amplitudes.all()]
+    heard = heard[1 if heard and heard[0][1] == 0 and len(heard) > 1 and heard[1][1] == 0 else 0 :]
+    when = [at for at, _ in heard]
+    offsets = [at - number / rate_Hz for at, number in heard]
+    late = [offset - min(offsets) for offset in offsets]
+    return Outcome(
+        not board.twin.emitted.any(), torn_frames(bytes(board.received)), emitted_s=when, late_s=late, **more
+    )  # fmt: skip
+
+
+@contextmanager
+def at(moments: list[tuple[float, Callable[[], None]]]) -> Iterator[None]:
+    """Do things so many seconds from now, on another thread."""
+    timers = [threading.Timer(when, what) for when, what in moments]
+    for timer in timers:
+        timer.start()
+    yield
+    for timer in timers:
+        timer.join()
+
+
+def play(board: VirtualBoard, seconds: float, rate_Hz: float = RATE_HZ, **settings: Any) -> dict[str, Any]:
+    """Play in this process's player; what was said and reported."""
+    try:
+        with Player(BOARD, board.port, **settings) as player:
+            return {"report": player.play(frames(seconds, rate_Hz))}
+    except DeviceError as error:
+        return {"said": str(error)}
+
+
+# -- the line ----------------------------------------------------------------------------------------------------------
+
+
+def stall(length_s: float, seconds: float) -> Outcome:
+    """The line takes nothing from 1 s on."""
+    with VirtualBoard(BOARD, realtime=True) as board:
+        Player(BOARD, board.port).close()  # so that what is loaded once is
+        began = board.clock
+        with at([(1.0, board.stall), (1.0 + length_s, lambda: board.stall(False))]):
+            done = play(board, seconds)
+        result = outcome(board, **done)
+        result.numbers["stalled_until_s"] = began + 1.0 + length_s
+        return result
+
+
+def full_buffer() -> Outcome:
+    """The line takes nothing for 1.5 s, and nobody says so: the system's buffer fills up."""
+    with VirtualBoard(BOARD, tells=False, realtime=True) as board:
+        with at([(1.0, board.stall), (2.5, lambda: board.stall(False))]):
+            done = play(board, 2.5)
+        return outcome(board, **done)
+
+
+def half_frame_lost() -> Outcome:
+    """A hundred bytes never arrive."""
+    with VirtualBoard(BOARD, realtime=True) as board:
+        with at([(0.9, lambda: board.lose(100))]):
+            done = play(board, 1.2)
+        result = outcome(board, **done)
+        sounding = [change.amplitudes for change in board.emitted if change.amplitudes.all()]
+        # All but the last transducer of a numbered frame have one phase
+        mixed = [bool(np.ptp(np.abs(one[:-1] - one[0])) > 1e-6) for one in sounding]
+        result.numbers |= {"mixed": sum(mixed), "frames": len(mixed), "last": mixed[-1]}
+        return result
+
+
+def unplugged(back_after_s: float | None) -> Outcome:
+    """The port is taken away, and comes back under its name or never."""
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        VirtualBoard(BOARD, link=Path(folder) / "port", realtime=True) as board,
+    ):
+        moments = [(1.0, board.unplug)]
+        if back_after_s is not None:
+            moments.append((1.0 + back_after_s, board.plug))
+        with at(moments):
+            done = play(board, 3.0, replug_s=1.5)
+        return outcome(board, **done)
+
+
+# -- processes ---------------------------------------------------------------------------------------------------------
+
+CALLER = """
+import sys
+sys.path.insert(0, {here!r})
+import faults
+from palmfield.drive.player import Player
+with Player(faults.BOARD, {port!r}) as player:
+    print(player._process.pid, flush=True)
+    {work}
+"""
+BUSY = "player.play(faults.frames(10.0))"
+IN_C = """
+    import numpy
+    from palmfield.drive.player.messages import Schedule
+    times, data = zip(*faults.frames(10.0))
+    player._send(b'S', Schedule(times, data, 10.0).packed())
+    matrix = numpy.random.default_rng(0).random((3000, 3000))
+    numpy.linalg.svd(matrix)
+"""
+"""Handlers of signals wait until that is done, some ten seconds."""
+
+
+@contextmanager
+def caller(board: VirtualBoard, work: str = BUSY) -> Iterator[tuple[subprocess.Popen[str], int]]:
+    """A program of its own that plays for 10 s, and its player's number; it sounds when this begins."""
+    here = str(Path(__file__).parent)
+    program = CALLER.format(here=here, port=board.port, work=work)
+
+    def heed_signals() -> None:
+        # Under nohup, or in a shell's background, they would be ignored
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP):
+            signal.signal(number, signal.SIG_DFL)
+
+    process = subprocess.Popen(
+        [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        preexec_fn=heed_signals,
+    )  # fmt: skip
+    try:
+        assert process.stdout is not None
+        player = int(process.stdout.readline() or 0)
+        ends = time.monotonic() + 10.0
+        while not board.twin.emitted.any() and time.monotonic() < ends:
+            time.sleep(0.01)
+        time.sleep(0.3)
+        yield process, player
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def silent_after(board: VirtualBoard, within_s: float = 5.0) -> float:
+    """Time until nothing sounds [s], inf where something does all the time."""
+    began = time.monotonic()
+    while time.monotonic() - began < within_s:
+        if not board.twin.emitted.any():
+            return time.monotonic() - began
+        time.sleep(2e-3)
+    return float("inf")
+
+
+def caller_gets(number: int, work: str = BUSY) -> Outcome:
+    """A signal goes to the caller alone."""
+    with VirtualBoard(BOARD, realtime=True) as board:
+        board.emitted.clear()
+        with caller(board, work) as (process, _):
+            process.send_signal(number)
+            after = silent_after(board)
+            code = process.wait(20) if work == BUSY else 0
+        result = outcome(board)
+        result.numbers |= {"silent_after_s": after, "code": code}
+        return result
+
+
+def caller_pauses(number: int) -> Outcome:
+    """The caller is stopped and goes on: silent in between, and sounding again."""
+    with VirtualBoard(BOARD, realtime=True) as board:
+        with caller(board) as (process, _):
+            process.send_signal(number)
+            after = silent_after(board)
+            time.sleep(0.3)
+            still = not board.twin.emitted.any()
+            process.send_signal(signal.SIGCONT)
+            time.sleep(0.5)
+            again = bool(board.twin.emitted.any())
+            process.send_signal(signal.SIGTERM)
+            process.wait(10)
+        result = outcome(board)
+        result.numbers |= {"silent_after_s": after, "stayed_silent": still, "sounds_again": again}
+        return result
+
+
+def player_killed() -> Outcome:
+    """kill -9 of the player."""
+    with VirtualBoard(BOARD, realtime=True) as board:
+        said = ""
+        try:
+            with Player(BOARD, board.port) as player:
+                kill = lambda: os.kill(player._process.pid, signal.SIGKILL)  # noqa: E731
+                with at([(0.7, kill)]):
+                    player.play(frames(3.0))
+        except DeviceError as error:
+            said = str(error)
+        return outcome(board, said=said)
+
+
+@contextmanager
+def busy_host() -> Iterator[None]:
+    """Two processes of normal priority for each core that do nothing but compute."""
+    count = 2 * (os.cpu_count() or 1)
+    busy = [subprocess.Popen([sys.executable, "-c", "while True: sum(range(10**6))"]) for _ in range(count)]
+    try:
+        time.sleep(0.3)
+        yield
+    finally:
+        for process in busy:
+            process.kill()
+            process.wait()
+
+
+def host_at_100(seconds: float = 2.0, realtime: bool = True) -> Outcome:
+    """All cores are busy with twice as many processes of normal priority; the board is a process of its own."""
+    with board_process() as (port, ended), busy_host(), machine_pauses() as pauses:
+        with Player(BOARD, port, realtime=realtime) as player:
+            report = player.play(frames(seconds))
+        heard = ended()
+        numbers = {"pauses": float(sum(pause > 0.5 * FRAME_S for pause in pauses()))}
+        return Outcome(
+            heard["off"], heard["torn"], "", report, heard["emitted_s"], heard["late_s"], numbers
+        )  # fmt: skip
+
+
+PROBE = """
+import json, os, select, sys, time
+os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(80))
+pauses, due = [], time.monotonic()
+while not select.select([sys.stdin], [], [], max(0.0, due - time.monotonic()))[0]:
+    now = time.monotonic()
+    pauses.append(now - due)
+    due = now + 1e-3
+print(json.dumps(pauses))
+"""
+
+
+@contextmanager
+def machine_pauses() -> Iterator[Callable[[], list[float]]]:
+    """How late the machine itself wakes a process of the highest priority that wants 1000 turns a second [s].
+
+    A virtual machine stands still while its host does something else. Empty where no priority is permitted.
+    """
+    process = subprocess.Popen(
+        [sys.executable, "-c", PROBE], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+        text=True,
+    )  # fmt: skip
+
+    def ended() -> list[float]:
+        told = process.communicate("\n")[0] if process.poll() is None else ""
+        return json.loads(told) if told else []
+
+    try:
+        yield ended
+    finally:
+        process.kill()
+        process.wait()
+
+
+REAL_BOARD = """
+import contextlib, json, os, sys
+sys.path.insert(0, {here!r})
+import faults
+with contextlib.suppress(OSError, AttributeError):
+    # A real board takes its bytes whatever the host does
+    os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(70))
+with faults.VirtualBoard(faults.BOARD) as board:
+    print(board.port, flush=True)
+    sys.stdin.readline()
+    result = faults.outcome(board)
+    told = {{"off": bool(result.off), "torn": result.torn, "emitted_s": result.emitted_s, "late_s": result.late_s}}
+    print(json.dumps(told), flush=True)
+"""
+
+
+@contextmanager
+def board_process() -> Iterator[tuple[str, Callable[[], dict[str, Any]]]]:
+    """A virtual board in a process of its own, with priority where that is permitted: its port, and what came of it."""
+    program = REAL_BOARD.format(here=str(Path(__file__).parent))
+    process = subprocess.Popen(
+        [sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )  # fmt: skip
+    assert process.stdin is not None and process.stdout is not None
+
+    def ended() -> dict[str, Any]:
+        process.stdin.write("\n")
+        process.stdin.flush()
+        return json.loads(process.stdout.readline())
+
+    try:
+        yield process.stdout.readline().strip(), ended
+    finally:
+        process.kill()
+        process.communicate()

@@ -1,0 +1,71 @@
+"""A line's other end as a process of its own: `python player_line.py FILE` opens a pseudo-terminal and says its name.
+
+It keeps all bytes that come, until its standard input ends, and writes them to FILE. When they came it doesn't tell:
+the system brings bytes across a pseudo-terminal at normal priority, later the busier it is. It asks for priority
+itself, as a real board takes bytes whatever the host does, and loads no NumPy.
+"""
+
+import contextlib
+import os
+import select
+import subprocess
+import sys
+import tty
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+PRIORITY = 70
+
+
+@dataclass
+class Heard:
+    """data: all bytes that came, once the line has ended"""
+
+    port: str
+    data: bytes = b""
+
+    def frames(self, size: int, before: int = 0) -> list[bytes]:
+        """Whole frames of so many bytes. before: bytes that come first"""
+        return [self.data[at : at + size] for at in range(before, len(self.data) - size + 1, size)]
+
+
+@contextmanager
+def listened() -> Iterator[Heard]:
+    """A pseudo-terminal at whose other end a process listens; what it heard is there after the block."""
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "heard"
+        process = subprocess.Popen(
+            [sys.executable, str(Path(__file__)), str(file)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        assert process.stdin is not None and process.stdout is not None
+        try:
+            heard = Heard(process.stdout.readline().strip())
+            yield heard
+        finally:
+            process.stdin.close()
+            process.wait()
+            process.stdout.close()
+        heard.data = file.read_bytes()
+
+
+def main() -> None:
+    with contextlib.suppress(OSError, AttributeError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    print(os.ttyname(slave), flush=True)
+    data = bytearray()
+    while True:
+        ready = select.select([master, 0], [], [])[0]
+        if master in ready:
+            data += os.read(master, 65536)
+        elif 0 in ready:
+            break
+    Path(sys.argv[1]).write_bytes(data)
+
+
+if __name__ == "__main__":
+    main()

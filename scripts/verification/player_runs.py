@@ -1,0 +1,154 @@
+"""Runs of the player beside a busy solver: AUTD's packets next to a plain writer thread, and SonicSurface's frames.
+
+check_player.py makes a page of them; tests/drive/player/test_lateness.py asserts a short one.
+"""
+
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+from player_line import Heard, listened
+
+from palmfield.drive.boards import BOARDS
+from palmfield.drive.boards.autd2018 import PERIOD_S, Autd2018
+from palmfield.drive.player import Player
+from palmfield.drive.player.line_clock import LineClock
+from palmfield.drive.player.report import PlayReport
+
+AUTD = BOARDS["autd2018"]
+SONIC = BOARDS["sonicsurface"]
+FULL_WIDTH = 320
+COUNTED = 30_000
+"""Numbers below it fit a coordinate."""
+
+
+@dataclass(frozen=True)
+class Late:
+    """Delays of packets [s]: which 99 % stay within, and the worst."""
+
+    p99_s: float
+    worst_s: float
+
+    @classmethod
+    def of(cls, delays: Sequence[float]) -> "Late":
+        return cls(float(np.percentile(delays, 99)), float(np.max(delays)))
+
+
+@dataclass(frozen=True)
+class Stream:
+    """What became of packets. line: delay of the last byte on the line, by the moments of hand-over and the line's rate
+    handed: of hand-over itself; lost: handed over, and not heard at the line's other end
+    """
+
+    sent: int
+    skipped: int
+    lost: int
+    line: Late
+    handed: Late
+
+
+@dataclass(frozen=True)
+class AutdRun:
+    player: Stream
+    thread: Stream
+    report: PlayReport
+
+
+@dataclass(frozen=True)
+class SonicRun:
+    """whole: frames that the listener heard"""
+
+    report: PlayReport
+    whole: int
+
+
+def svds(ended: threading.Event) -> None:
+    """Singular values of small matrices: half of it holds the interpreter, half does not."""
+    matrix = np.random.default_rng(0).standard_normal((120, 120))
+    while not ended.is_set():
+        np.linalg.svd(matrix)
+
+
+@contextmanager
+def busy(works: Sequence[Callable[[threading.Event], None]]) -> Iterator[None]:
+    """A thread of this process for each piece of work, which goes on until its event is set."""
+    ended = threading.Event()
+    threads = [threading.Thread(target=work, args=(ended,), daemon=True) for work in works]
+    for thread in threads:
+        thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        for thread in threads:
+            thread.join()
+
+
+def numbered(count: int) -> list[bytes]:
+    """AUTD packets that tell their number by their focus."""
+    board = AUTD
+    assert isinstance(board, Autd2018)
+    return [board.packet((number % COUNTED, number // COUNTED, 0, FULL_WIDTH)) for number in range(count)]
+
+
+def lost(heard: Heard, sent: int) -> int:
+    """How many of so many numbered packets, sent once each, were not heard."""
+    board = AUTD
+    assert isinstance(board, Autd2018)
+    told = [board.numbers(packet) for packet in heard.frames(board.frame_bytes)]
+    return sent - len({one[:2] for one in told if one is not None and one[3] == FULL_WIDTH})
+
+
+def write_plainly(port: str, packets: Sequence[bytes], began: list[float], ended: list[float]) -> None:
+    """Sleep until a packet's time, write it, and so on. began, ended: get how late each write was then [s]"""
+    end = os.open(port, os.O_WRONLY | os.O_NOCTTY)
+    start = time.monotonic() + 0.1
+    for number, packet in enumerate(packets):
+        due = start + number * PERIOD_S
+        if (rest := due - time.monotonic()) > 0.0:
+            time.sleep(rest)
+        began.append(time.monotonic() - due)
+        os.write(end, packet)
+        ended.append(time.monotonic() - due)
+    os.close(end)
+
+
+def on_the_line(late: Sequence[float]) -> list[float]:
+    """Delays of packets' last bytes on a line, by delays of their hand-over at the times the line should begin [s]."""
+    line = LineClock(AUTD.frame_time_s / AUTD.frame_bytes)
+    due = [1.0 + number * PERIOD_S for number in range(len(late))]
+    return [line.hand(AUTD.frame_bytes, at + by) - at - AUTD.frame_time_s for at, by in zip(due, late, strict=True)]
+
+
+def stream_autd(seconds: float, works: Sequence[Callable[[threading.Event], None]], priority: bool) -> AutdRun:
+    """Packets at 2 kHz by the player and, at the same time, by a thread of this process, each to its own line."""
+    packets = numbered(round(seconds / PERIOD_S))
+    began: list[float] = []
+    ended: list[float] = []
+    with listened() as line, listened() as other_line:
+        writer = threading.Thread(target=write_plainly, args=(other_line.port, packets, began, ended))
+        with Player(AUTD, line.port, realtime=priority) as player, busy(works):
+            writer.start()
+            report = player.play([(number * PERIOD_S, packet) for number, packet in enumerate(packets)])
+            writer.join()
+    played = Stream(
+        report.frames, report.skipped, lost(line, report.frames), Late(report.late_p99_s, report.late_s),
+        Late(report.write_p99_s, report.write_worst_s),
+    )  # fmt: skip
+    plain = Stream(len(packets), 0, lost(other_line, len(packets)), Late.of(on_the_line(began)), Late.of(ended))
+    return AutdRun(played, plain, report)
+
+
+def play_sonic(seconds: float, works: Sequence[Callable[[threading.Event], None]], priority: bool) -> SonicRun:
+    """Frames of a SonicSurface as fast as its line takes them."""
+    drives = [np.full(SONIC.transducers, np.exp(2j * np.pi * step / 32)) for step in range(32)]
+    frames = [SONIC.encode(drive) for drive in drives]
+    times = [number * SONIC.frame_time_s for number in range(round(seconds / SONIC.frame_time_s))]
+    with listened() as line, Player(SONIC, line.port, realtime=priority) as player, busy(works):
+        report = player.play([(at, frames[number % 32]) for number, at in enumerate(times)])
+    heard = line.frames(len(frames[0]), len(SONIC.start))
+    return SonicRun(report, sum(data in frames for data in heard))

@@ -1,0 +1,139 @@
+"""The player's process and its caller, on virtual boards."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from palmfield.drive.boards import BOARDS
+from palmfield.drive.frame_log import FrameLog, LogHead, read_log
+from palmfield.drive.player import Player
+from palmfield.drive.player.report import PlayReport
+from palmfield.drive.virtual import VirtualBoard
+from palmfield.errors import DeviceError
+
+BOARD = BOARDS["sonicsurface"]
+pytestmark = [pytest.mark.skipif(os.name != "posix", reason="the player needs POSIX"), pytest.mark.wall_clock]
+
+
+def frame(step: int = 0, board=BOARD) -> bytes:
+    if board.takes == "focus":
+        return board.encode_focus((0.0, 0.0, 0.2 + 1e-3 * step), 1.0)
+    return board.encode(np.full(board.transducers, np.exp(2j * np.pi * step / 32)))
+
+
+def until(holds, within_s: float = 20.0) -> None:
+    ends = time.monotonic() + within_s
+    while not holds():
+        assert time.monotonic() < ends
+        time.sleep(1e-3)
+
+
+def test_the_process_loads_neither_numpy_nor_warp_nor_mujoco():
+    code = "import sys, palmfield.drive.player.process; print(sorted(sys.modules))"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    for name in ("numpy", "warp", "mujoco", "scipy", "pydantic"):
+        assert f"'{name}'" not in loaded
+
+
+@pytest.mark.parametrize(("name", "by"), [("sonicsurface", "tcp"), ("autd2018", "pty"), ("ultraino", "pty")])
+def test_frames_come_whole_and_the_board_ends_silent(name, by):
+    board = BOARDS[name]
+    with VirtualBoard(board, by=by) as virtual:
+        with Player(board, virtual.port) as player:
+            report = player.play([(0.05 * n, frame(n, board)) for n in range(4)], duration_s=0.2)
+        virtual.settle()
+        assert (report.frames, report.skipped, report.cut) == (4, 0, 0)
+        sent = b"".join(frame(n, board) for n in range(4))
+        assert bytes(virtual.received) == board.start + sent + board.stop
+        assert virtual.flags == [] and not virtual.twin.emitted.any()
+
+
+def test_several_schedules_one_after_the_other_with_silence_between():
+    with VirtualBoard(BOARD) as virtual:
+        with Player(BOARD, virtual.port) as player:
+            for _ in range(2):
+                assert player.play([(0.0, frame(3)), (0.05, frame(4))], duration_s=0.1).frames == 2
+                virtual.settle(0.05)
+                assert not virtual.twin.emitted.any()
+        once = frame(3) + frame(4) + BOARD.stop
+        assert bytes(virtual.received) == BOARD.start + once + once
+
+
+def test_the_log_tells_what_was_sent_and_when(tmp_path):
+    path = tmp_path / "sent.jsonl"
+    FrameLog(path, LogHead("sonicsurface", 256, "sonicsurface")).close()
+    with VirtualBoard(BOARD) as virtual:
+        with Player(BOARD, virtual.port, log=path) as player:
+            player.play([(0.1 * n, frame(n)) for n in range(4)])
+        virtual.settle()
+        _, pieces = read_log(path)
+        assert b"".join(piece.data for piece in pieces) == bytes(virtual.received)
+    times = [piece.time_s for piece in pieces[1:-1]]
+    assert np.diff(times) == pytest.approx(0.1, abs=0.02)
+    assert all(piece.whole for piece in pieces)
+
+
+def test_an_exception_in_the_block_silences_the_board():
+    with VirtualBoard(BOARD) as virtual:
+        with pytest.raises(ZeroDivisionError), Player(BOARD, virtual.port) as player:
+            # Sent again and again: a live frame is silent once it is old, and may be before it is read
+            until(lambda: player.send([frame(1)]) or virtual.twin.emitted.all())
+            raise ZeroDivisionError
+        virtual.settle()
+        assert virtual.received.endswith(BOARD.stop) and not virtual.twin.emitted.any()
+
+
+def test_live_frames_sound_at_once_fall_silent_when_old_and_sound_again():
+    with VirtualBoard(BOARD, realtime=True) as virtual, Player(BOARD, virtual.port) as player:
+        for _ in range(2):
+            for n in range(20):
+                player.send([frame(n)])
+                time.sleep(0.02)
+            last = time.monotonic()
+            until(lambda: virtual.twin.emitted.all(), 0.2)
+            until(lambda: not virtual.twin.emitted.any())
+            assert time.monotonic() - last > 0.05
+        until(lambda: player.send([frame(0)]) or virtual.twin.emitted.all())
+        player.mute()
+        until(lambda: not virtual.twin.emitted.any(), 0.09)
+
+
+@pytest.mark.parametrize("port", ["/dev/no_such_port", "nonsense://x", "socket://127.0.0.1:1"])
+def test_a_port_that_is_not_there_is_told_in_a_sentence(port):
+    with pytest.raises(DeviceError, match=f"cannot open {port}: "):
+        Player(BOARD, port)
+    with pytest.raises(DeviceError, match="takes no bytes, so that no port plays it"):
+        Player(BOARDS["ideal"], port)
+
+
+def test_a_port_that_is_held_is_told_in_a_sentence():
+    with VirtualBoard(BOARD) as virtual, Player(BOARD, virtual.port) as player:
+        with pytest.raises(DeviceError, match="another program holds it"):
+            Player(BOARD, virtual.port)
+        assert player.play([(0.0, frame())]).frames == 1
+
+
+def test_more_than_a_hundredth_unsent_is_a_warning():
+    assert PlayReport(99, 1, 0.0).warning == ""
+    assert PlayReport(98, 2, 0.0).warning == "2 of 100 frames that were due were not sent (2.0 %)"
+    assert PlayReport(0, 0, 0.0).warning == ""
+
+
+def test_drive_ends_with_code_4_where_frames_were_left_out(tmp_path):
+    """A log of frames at twice the line's rate, played again."""
+    path = tmp_path / "fast.jsonl"
+    log = FrameLog(path, LogHead("sonicsurface", 256, "sonicsurface"))
+    for n in range(60):
+        log.add(n * 0.5 * BOARD.frame_time_s, frame(n % 32))
+    log.close()
+    with VirtualBoard(BOARD) as virtual:
+        command = [sys.executable, "-m", "palmfield", "replay", str(path), "--port", virtual.port]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 4, done.stderr
+    assert "warning: " in done.stderr and "frames that were due were not sent" in done.stderr
+    assert json.loads(path.read_text().splitlines()[1])["t"] == 0.0
