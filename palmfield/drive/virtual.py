@@ -214,8 +214,9 @@ class VirtualBoard:
         while not self._ended.is_set():
             time.sleep(TICK_S)
             now = self.clock
-            # What comes now came since the last look at the earliest: a line that idles saves up no time
-            begin = max(self._free_s, before, now - BURST_S)
+            # What comes now came since the last look at the earliest: a line that idles saves up no time, and one that
+            # is full loses none of the byte that was on it then
+            begin = max(self._free_s, before - self.line.time_s(1), now - BURST_S)
             before = now
             allowed = (now - begin) * self.line.bytes_per_s
             if not self._stalled.is_set() and allowed >= 1.0:
