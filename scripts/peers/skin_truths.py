@@ -1,13 +1,14 @@
 """Truths for skin cases by scikit-fem, with nothing of palmfield: own meshes, elements and steps; from the case file.
 
-    ~/.cache/palmfield-peers/bin/python scripts/peers/skin_truths.py CASES.json TRUTHS.jsonl [--limit 120]
+    ~/.cache/palmfield-peers/bin/python scripts/peers/skin_truths.py CASES.json TRUTHS.jsonl [--limit 120] [--finer 1]
 
 A round body under a spot in its middle is solved in r and z by quadratic quadrilaterals of nine nodes, an endless one
 as a disc so wide that no wave comes back; boxes and bent layers by quadratic hexahedra of 27. The bulk's part is
 integrated by two points along each edge, so that nothing locks. In time it is the trapezoid rule, the branches with
 it; a load that is there at once accelerates the body at rest from the first step on. Every case is solved three times,
 finer in space and time; the error of the finest follows from the two differences and the order that they show. Rows
-are appended, so that a run goes on where it ended.
+are appended, so that a run goes on where it ended; round bodies may be solved again with all sizes and steps --finer
+times as small, where an estimate is so small that their error hides it.
 """
 
 import argparse
@@ -269,10 +270,14 @@ def bent(body, places):
     return np.stack([x, y, face]) - z * inward
 
 
+def is_round(case):
+    return case["body"]["shape"] in ("disc", "infinite")
+
+
 def finest_size(case):
     """Largest elements of the finest solution."""
     width, depth = case["load"]["fwhm_m"], sum(sheet["thickness_m"] for sheet in case["body"]["sheets"])
-    if case["body"]["shape"] in ("disc", "infinite"):
+    if is_round(case):
         return ROUND_SIZE * min(width, 2.0 * depth)
     return OTHER_SIZE * min(width, 1.5 * depth)
 
@@ -289,7 +294,7 @@ def step_of(case):
     depth, width = sum(sheet["thickness_m"] for sheet in sheets), load["fwhm_m"]
     slowness = [math.sqrt(s["material"]["density_kg_m3"] / instant(s["material"])) for s in sheets]
     mean = sum(s["thickness_m"] * slow for s, slow in zip(sheets, slowness, strict=True)) / depth
-    count = ROUND_STEPS if case["body"]["shape"] in ("disc", "infinite") else OTHER_STEPS
+    count = ROUND_STEPS if is_round(case) else OTHER_STEPS
     steps = [mean * min(width, 2.0 * depth) / count]
     peaks = np.asarray(load["peak_Pa"])
     tops = np.flatnonzero((peaks[1:-1] > peaks[:-2]) & (peaks[1:-1] >= peaks[2:])) + 1
@@ -298,13 +303,13 @@ def step_of(case):
     return min(steps)
 
 
-def solved(case, scale):
-    """Displacement at the case's times and points, (t, n, 3), by elements and steps `scale` times as large."""
+def solved(case, scale, finer):
+    """Displacement at the case's times and points, (t, n, 3), by elements and steps scale / finer times as large."""
     body, load = case["body"], case["load"]
     sheets = body["sheets"]
     materials = [sheet["material"] for sheet in sheets]
-    size = scale * finest_size(case)
-    if body["shape"] in ("disc", "infinite"):
+    size = scale * finest_size(case) / finer
+    if is_round(case):
         matrices, forces, free, readers = axisymmetric(case, size)
         push = None
     else:
@@ -314,7 +319,7 @@ def solved(case, scale):
     times = np.asarray(case["times_s"])
     between = times[1] - times[0] if len(times) > 1 else times[0]
     # A whole number of steps between the times asked for, in the ratios of the scales
-    count = round(FINEST_STEPS / scale) * math.ceil(between / (step_of(case) * FINEST_STEPS))
+    count = round(FINEST_STEPS / scale) * math.ceil(between * finer / (step_of(case) * FINEST_STEPS))
     step = between / count
     knots = np.asarray(load["times_s"])
     clock = np.arange(count * len(times) + 1) * step
@@ -382,19 +387,18 @@ def instant(material):
 
 def eligible(case):
     """Why a case isn't solved here, or None."""
-    body, load = case["body"], case["load"]
     if not case["by_scikit_fem"]:
         return "not asked for"
-    if body["shape"] in ("disc", "infinite") and np.any(np.asarray(load["centre_m"])):
+    if is_round(case) and np.any(np.asarray(case["load"]["centre_m"])):
         return "a disc under a spot beside its axis"
     return None
 
 
-def truth(case):
+def truth(case, finer):
     why = eligible(case)
     if why is not None:
         return {"missing": why}
-    coarsest, coarse, (fine, unknowns) = [solved(case, scale) for scale in SCALES]
+    coarsest, coarse, (fine, unknowns) = [solved(case, scale, finer) for scale in SCALES]
     first, second = worst(coarse[0], coarsest[0]), worst(fine, coarse[0])
     order = float(np.clip(math.log(first / second) / math.log(SCALES[1] / SCALES[2]), *ORDERS))
     error = second / ((SCALES[1] / SCALES[2]) ** order - 1.0)
@@ -426,25 +430,28 @@ def main():
     parser.add_argument("cases", type=Path)
     parser.add_argument("truths", type=Path)
     parser.add_argument("--limit", type=float, default=120.0, help="longest processor time for a case [s]")
+    parser.add_argument("--finer", type=float, default=1.0, help="how many times as fine round bodies are solved")
     settings = parser.parse_args()
     done = set()
     if settings.truths.exists():
-        done = {json.loads(line)["key"] for line in settings.truths.read_text().splitlines()}
+        rows = map(json.loads, settings.truths.read_text().splitlines())
+        done = {(row["key"], row.get("finer", 1.0)) for row in rows}
     signal.signal(signal.SIGPROF, give_up)
     # What is solved quickly comes first
     cases = json.loads(settings.cases.read_text())["cases"]
-    for case in sorted(cases, key=lambda case: case["body"]["shape"] not in ("disc", "infinite")):
-        if case["key"] in done:
+    for case in sorted(cases, key=lambda case: not is_round(case)):
+        finer = settings.finer if is_round(case) else 1.0
+        if (case["key"], finer) in done:
             continue
         begin = time.process_time()
         signal.setitimer(signal.ITIMER_PROF, settings.limit)
         try:
-            row = truth(case)
+            row = truth(case, finer)
         except (TooLongError, MemoryError, ValueError, RuntimeError, PyPardisoError) as error:
             row = {"missing": f"{type(error).__name__}: {error}"}
         finally:
             signal.setitimer(signal.ITIMER_PROF, 0.0)
-        row = {"key": case["key"], "by": "scikit-fem", **row, "seconds": time.process_time() - begin}
+        row = {"key": case["key"], "by": "scikit-fem", "finer": finer, **row, "seconds": time.process_time() - begin}
         with settings.truths.open("a") as file:
             file.write(json.dumps(rounded(row), separators=(",", ":")) + "\n")
         found = row.get("missing") or "error {error:.2g}, order {order:.2g}, {unknowns} unknowns".format(**row)

@@ -1,17 +1,18 @@
 """Are the skin solvers' error estimates true? Random cases, solvers' answers, whole scenes, and truths; writes a page.
 
     python scripts/verification/coverage.py begin --seed 1 --count 130
-    python scripts/verification/coverage.py cases CASES.json
+    python scripts/verification/coverage.py cases CASES.json [--left]
     PEERS/bin/python scripts/peers/skin_truths.py CASES.json docs/bench/coverage/peers.jsonl
     python scripts/verification/coverage.py answers [--limit 30] [--longest 10]
     python scripts/verification/coverage.py truths [--limit 45]
     python scripts/verification/coverage.py report [--out docs/bench/skin_coverage.md]
 
-`begin` writes the seed and the present commit, at which the code is frozen; the other steps refuse other code.
+`begin` writes the seed and the present commit, at which the code is frozen; `answers` and `truths` refuse other code.
 `answers` gives each case to `auto` and to the solvers by name that were drawn for it, `truths`, of boxes, layers and
 scenes of hands and meshes, to another solver than `auto` took, at a tenth of the accuracy (scenes: SCENE_FINER); cases
 without an answer wait for its next call. All three append small lines to files in docs/bench/coverage, each case's
-together, and go on where they ended, also in a later checkout: commit the folder. Limits are of processor time. Set
+together, and go on where they ended, also in a later checkout: commit the folder. `cases --left` are those without a
+truth that counts yet, all but scenes for scikit-fem. Limits are of processor time. Set
 OMP_NUM_THREADS=1, MKL_NUM_THREADS=1, OPENBLAS_NUM_THREADS=1 and PALMFIELD_CACHE=off.
 """
 
@@ -23,9 +24,9 @@ from typing import Any
 
 from coverage_draw import Case, draw
 from coverage_judge import answers, truths
-from coverage_report import write_report
+from coverage_report import verdicts, write_report
 from coverage_scenes import with_load
-from coverage_store import FOLDER, ChangedCodeError, begin, known_head, line
+from coverage_store import CODE, DRAWN, FOLDER, ChangedCodeError, begin, known_head, line
 
 
 def rows_of(path: Path) -> list[dict[str, Any]]:
@@ -49,10 +50,19 @@ def drawn_cases(seed: int, count: int) -> list[Case]:
     return [with_load(case) if "scene" in case and case["by_scikit_fem"] else case for case in draw(seed, count)]
 
 
+def left(cases: list[Case], known: list[dict[str, Any]], given: list[dict[str, Any]]) -> list[Case]:
+    """Cases that scikit-fem can solve and of which the answer of `auto` has no truth that counts."""
+    found = verdicts({"cases": cases}, known, given)
+    keys = {one.case for one in found if one.asked == "auto" and one.kind == "no truth"}
+    able = [case for case in cases if case["key"] in keys and case["body"]["shape"] != "scene"]
+    return [case | {"by_scikit_fem": True} for case in able]
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("step", choices=("begin", "cases", "answers", "truths", "report"))
     parser.add_argument("cases", type=Path, nargs="?", help="of step cases: the file that scikit-fem's script reads")
+    parser.add_argument("--left", action="store_true", help="of step cases: only those without a truth that counts")
     parser.add_argument("--folder", type=Path, default=FOLDER, help="where the run is kept")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--count", type=int, default=130)
@@ -62,16 +72,20 @@ def main() -> None:
     settings = parser.parse_args()
     folder = settings.folder
     try:
-        head = begin(folder, settings.seed, settings.count) if settings.step == "begin" else known_head(folder)
+        if settings.step == "begin":
+            begin(folder, settings.seed, settings.count)
+            return
+        head = known_head(folder, code=CODE if settings.step in ("answers", "truths") else DRAWN)
     except ChangedCodeError as error:
         parser.error(str(error))
-    if settings.step == "begin":
-        return
     known, given = folder / "truths.jsonl", folder / "answers.jsonl"
+    all_known = rows_of(known) + rows_of(folder / "peers.jsonl")
     if settings.step == "cases":
         if settings.cases is None:
             parser.error("step cases needs the file to write")
         cases = drawn_cases(head["seed"], head["count"])
+        if settings.left:
+            cases = left(cases, all_known, rows_of(given))
         settings.cases.write_text(json.dumps({"seed": head["seed"], "cases": cases}))
         return
     cases = draw(head["seed"], head["count"])
@@ -82,9 +96,8 @@ def main() -> None:
         asked = [case for case in cases if case["by_others"] and case["key"] in answered]
         go_on(asked, known, lambda case: truths(case, answered[case["key"]], settings.limit))
     else:
-        truths_known = rows_of(known) + rows_of(folder / "peers.jsonl")
         drawn = {"seed": head["seed"], "cases": cases}
-        write_report(drawn, truths_known, rows_of(given), settings.out, head["frozen"])
+        write_report(drawn, all_known, rows_of(given), settings.out, head["frozen"])
 
 
 if __name__ == "__main__":

@@ -11,8 +11,13 @@ from typing import Any
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "docs" / "bench" / "coverage"
-CODE = ("palmfield", "warp_kernels", "mjcf", "scripts/verification", "scripts/peers")
-"""What a run's answers and truths follow from, relative to the repository."""
+DRAWN = ("scripts/verification/coverage_draw.py",)
+"""What a run's cases follow from, relative to the repository."""
+CODE = (
+    "palmfield", "warp_kernels", "mjcf", "scripts/verification/coverage_judge.py",
+    "scripts/verification/coverage_scenes.py", "scripts/verification/small_scene.py", *DRAWN,
+)  # fmt: skip
+"""What answers and our own truths follow from; the code of scikit-fem's may grow more exact later."""
 DIGITS = 6
 UNUSED = ("velocity_m_s",)
 """Parts of a row that no page is made of."""
@@ -55,20 +60,20 @@ def begin(folder: Path, seed: int, count: int, root: Path = ROOT) -> dict[str, A
     return facts
 
 
-def known_head(folder: Path, root: Path = ROOT) -> dict[str, Any]:
-    """The head of the run in a folder. Raises ChangedCodeError where there is none, or the code is another."""
+def known_head(folder: Path, root: Path = ROOT, code: tuple[str, ...] = CODE) -> dict[str, Any]:
+    """The head of the run in a folder. Raises ChangedCodeError where there is none, or that code is another."""
     head = folder / "head.json"
     if not head.exists():
         raise ChangedCodeError(f"no run in {folder}: begin one with step 'begin'")
     facts: dict[str, Any] = json.loads(head.read_text())
-    check_code(facts["frozen"], root)
+    check_code(facts["frozen"], root, code)
     return facts
 
 
-def check_code(frozen: str, root: Path = ROOT) -> None:
-    """Raise ChangedCodeError where CODE in the working tree differs from that at a commit."""
-    changed = _git(root, "diff", "--name-only", frozen, "--", *CODE).split()
-    changed += _git(root, "ls-files", "--others", "--exclude-standard", "--", *CODE).split()
+def check_code(frozen: str, root: Path = ROOT, code: tuple[str, ...] = CODE) -> None:
+    """Raise ChangedCodeError where the code in the working tree differs from that at a commit."""
+    changed = _git(root, "diff", "--name-only", frozen, "--", *code).split()
+    changed += _git(root, "ls-files", "--others", "--exclude-standard", "--", *code).split()
     if changed:
         names = ", ".join(changed[:3]) + (f" and {len(changed) - 3} more" if len(changed) > 3 else "")
         raise ChangedCodeError(f"the code is not that of commit {frozen[:7]}, with which the run was begun: {names}")
