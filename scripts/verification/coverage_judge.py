@@ -113,8 +113,8 @@ def _scene_truth(case: Case, limit_s: float) -> dict[str, Any]:
 
 def nodes_of(found: dict[str, Any]) -> int:
     """Number of nodes in the words of a solver of elements."""
-    words = str(found["solver"]).split()
-    return int(words[words.index("nodes,") - 1])
+    words = str(found["solver"]).replace(",", "").split()
+    return int(words[words.index("nodes") - 1])
 
 
 def solver_of(row: dict[str, Any]) -> str:
