@@ -41,7 +41,7 @@ STEPS_A_PERIOD = 100.0
 """Time steps in a period of a load that swings."""
 FASTER = 1.5
 """Fastest waves along an endless plate over shear waves, for its width; the three solutions differ in it."""
-MOST_UNKNOWNS = 90_000
+MOST_UNKNOWNS = 120_000
 DIGITS = 6
 """Of numbers in the file of truths."""
 BULK_INTORDER = 3
