@@ -7,7 +7,7 @@ import xarray as xr
 
 from palmfield.errors import MeasurementError, OutputError, did_you_mean
 from palmfield.instruments.agreement import agreement
-from palmfield.instruments.frequency_wavenumber import FrequencyWavenumber, frequency_wavenumber
+from palmfield.instruments.frequency_wavenumber import frequency_wavenumber
 from palmfield.instruments.registration import Registration, registration
 from palmfield.instruments.scan import Scan, of_record
 from palmfield.instruments.settings import read_settings
@@ -69,13 +69,12 @@ def compare(
         if near.sum() < 2:
             raise MeasurementError(
                 f"{scan.name}: {near.sum()} of {len(near)} points lie within {1e3 * OFF_M:g} mm of the skin, the "
-                f"nearest at {1e3 * place.residual_m.min():.3g} mm; give the scan in the resting body's frame, or fiducials"
+                f"nearest at {1e3 * place.residual_m.min():.3g} mm; give it in the resting body's frame, or fiducials"
             )
         ours = _through_instrument(data, scan.at_points(near), place, settings)
     count = len(ours.times_s)
     theirs = Scan(scan.quantity, scan.times_s[:count], scan.points[near], scan.values[:count, near], name=scan.name)
     numbers = agreement(theirs.times_s, theirs.values, ours.values, most_delay_s=most_delay_s)
-    spectra = [_spectrum(one) for one in (theirs, ours)]
     done = Comparison(
         scan.name, name, scan.quantity, place, near, ours, numbers, settings is None,
         float(scan.times_s[-1] - theirs.times_s[-1]), most_delay_s,
@@ -89,6 +88,7 @@ def compare(
     write_report(done, folder)
     write_scan(folder / "computed.csv", ours)
     draw_agreement(theirs, ours, numbers, folder / "agreement.png")
+    spectra = [frequency_wavenumber(one.times_s, one.values, one.points) for one in (theirs, ours)]
     draw_wavenumbers(spectra, ("measured", "computed"), folder / "wavenumbers.png")
     return done
 
@@ -143,7 +143,3 @@ def _straight(normal: Float) -> Vibrometer:
     x, y, z = (float(part) for part in normal / np.linalg.norm(normal))
     along = int(np.abs(normal).argmin())
     return Vibrometer(normal=(x, y, z), x_axis=(float(along == 0), float(along == 1), float(along == 2)))
-
-
-def _spectrum(scan: Scan) -> FrequencyWavenumber:
-    return frequency_wavenumber(scan.times_s, scan.values, scan.points)
