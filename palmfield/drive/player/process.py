@@ -186,7 +186,7 @@ class Session:
             self._tell_progress(source, now)
             if not self.caller.wait(at):
                 return
-        if choice.data and board.hand(choice.data, choice.due_s, max(at, now)):
+        if choice.data and board.hand(choice.data, choice.due_s, max(at, now), choice.number):
             source.sent(now_s())
             self._last_sound_s = board.line.free_s(now_s())
             if self._first_sound_s is None:
@@ -231,6 +231,7 @@ class Session:
             "priority": self.priority,
             "first_s": self._first_sound_s,
             "last_s": self._last_sound_s,
+            "on_line": self.board.on_line(),
         }
 
 

@@ -118,8 +118,9 @@ def trial(
             told("stepping the skin under what was emitted", None)
             motion, ideal_motion = _skins(scene, board, given, done, moments, real, recording)
     numbers = numbers_of(
-        view.name, played, done.sound, sent, moments, watched, duration, motion, ideal_motion, port, real, done.notes
-    )
+        view.name, played, done.sound, sent, moments, watched, duration, motion, ideal_motion, port, real,
+        [*sent.notes, *done.notes],
+    )  # fmt: skip
     compared = None
     if recording is not None and not sent.interrupted:
         compared = compare(recording, moments, done.sound, heard, motion)
@@ -194,7 +195,7 @@ def _maker(
     course: SceneCourse, sound: TrueSound, belief: Belief, times: list[float], duration_s: float
 ) -> Callable[[float, float], MadeFrame]:
     """What makes each frame of what is known when it is made."""
-    frames = Frames(course.model, Emission(course.model))
+    frames, afterwards = (Frames(course.model, Emission(course.model)) for _ in range(2))
     exact = course.model.board.exact
     ends = np.append(times[1:], duration_s)
     flight_s = sound.flight_s(sound.focus(0.0, 0.0))
@@ -204,11 +205,10 @@ def _maker(
         until_s = float(ends[np.searchsorted(times, due_s)])
         middle_s = due_s if exact else 0.5 * (due_s + until_s)
         known = belief.at(now_s, middle_s + flight_s)
-        wanted = frames.wanted(known.posed, due_s)
         data = b"" if exact else frames.at(known.posed, due_s)
         focus = focus_in(course.model, sound.number, known.posed, due_s)
         flight_s = sound.flight_s(focus)
-        return MadeFrame(data, wanted, focus, known.seen_s)
+        return MadeFrame(data, focus, known.seen_s, lambda: afterwards.wanted(known.posed, due_s))
 
     return make
 

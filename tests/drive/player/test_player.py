@@ -103,6 +103,36 @@ def test_live_frames_sound_at_once_fall_silent_when_old_and_sound_again():
         until(lambda: not virtual.twin.emitted.any(), 0.09)
 
 
+def test_it_tells_when_each_live_frame_was_on_the_line():
+    with VirtualBoard(BOARD, realtime=True, decodes=False) as virtual:
+        with Player(BOARD, virtual.port, tells_frames=True, stale_s=5.0, refresh_s=50.0) as player:
+            begin = time.monotonic() + 0.05
+            due = [begin + 0.05 * n for n in range(8)]
+            for number, due_s in enumerate(due):
+                player.send([frame(number)], due_s=due_s)
+            until(lambda: time.monotonic() > due[-1] + 0.05)
+        virtual.settle()
+        assert not virtual.emitted
+        virtual.decode()
+        offset = time.monotonic() - virtual.clock
+    told = dict(player.report.on_line)
+    assert player.report.frames == len(told)
+    assert len(told) >= 1 and len(told) + player.report.skipped == 8
+    heard = [one for one in virtual.emitted if one.amplitudes.any()]
+    assert len(heard) == len(told)
+    for (number, on_line_s), one in zip(told.items(), heard, strict=True):
+        np.testing.assert_allclose(one.amplitudes, BOARD.decode(frame(number))[-1])
+        assert on_line_s > due[number] - 1e-3
+        # What the player tells and when the board has heard it are two clocks' opinions of one moment
+        assert abs(one.time_s + offset - on_line_s) < 0.5
+
+
+def test_without_posix_it_says_what_else_there_is(monkeypatch):
+    monkeypatch.setattr("palmfield.drive.player.caller.POSIX", False)
+    with pytest.raises(DeviceError, match="needs Linux or macOS; here bytes can be written to a file"):
+        Player(BOARD, "COM3")
+
+
 @pytest.mark.parametrize("port", ["/dev/no_such_port", "nonsense://x", "socket://127.0.0.1:1"])
 def test_a_port_that_is_not_there_is_told_in_a_sentence(port):
     with pytest.raises(DeviceError, match=f"cannot open {port}: "):
