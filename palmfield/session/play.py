@@ -28,6 +28,7 @@ from palmfield.drive.player import Player
 from palmfield.drive.recording import record
 from palmfield.errors import DeviceError, SceneError
 from palmfield.session.load import Source
+from palmfield.session.log_head import log_head
 from palmfield.session.preview import Preview, preview
 from palmfield.session.safety.exposure import Moment, at_head, check_head
 from palmfield.session.safety.scene_sound import scene_at_head
@@ -145,7 +146,9 @@ def play_focus(
             [Moment(lambda points: pressure64(points, array, played, sound.air)[0], share)] if played.any() else []
         )
         _warn(check_head(at_head(moments, driver, array.positions), driver))
-    head = LogHead(board, len(array), name, sound.air, given)
+    limited = driver.model_dump(include=set(SAFETY_KEYS), exclude_none=True, exclude_defaults=True)
+    loudness = array.p0_Pa_m
+    head = LogHead(board, len(array), name, sound.air, given, limited, p0_Pa_m=loudness, p0_high_Pa_m=loudness)
     done = send(frames, chosen, duration_s, target, head, limits, progress)
     if not played.any():
         return done
@@ -178,8 +181,7 @@ def play_scene(
         )
     duration = view.duration_s if duration_s is None else duration_s
     spec = view.runtime.spec
-    own = {key: value for key, value in spec.driver.model_dump(exclude_none=True).items() if key in model.board.keys}
-    head = LogHead(model.board.name, len(model.arrays), spec.arrays[0].config.layout, model.arrays.air, own)
+    head = log_head(model)
     if spec.driver.head_m is not None:
         _warn(check_head(scene_at_head(view, duration), spec.driver))
     limits = SoundLimits.of(spec.driver)

@@ -145,6 +145,12 @@ class LiveSource:
             self._show(self._taken, frame)
         self._taken += 1
 
+    def fade(self) -> None:
+        """From now on nothing is shown any more, and what sounds falls silent."""
+        self.muted = True
+        self.skipped += len(self._waiting)
+        self._waiting.clear()
+
     def _show(self, number: int, frame: LiveFrame) -> None:
         self.skipped += self._unsent
         self._number, self._newest, self._unsent = number, frame, True

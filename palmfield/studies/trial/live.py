@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from palmfield.drive.frame_log import FrameLog
+from palmfield.drive.limits import SoundLimits
 from palmfield.drive.playback import frame_times
 from palmfield.motion.alignment import read_alignment
 from palmfield.motion.listening import By
@@ -133,10 +134,14 @@ def play_live(
                 wanted = np.zeros(len(model.arrays), np.complex128)
                 focused = board.takes == "focus"
                 data = board.encode_focus(focus, 0.0) if focused else board.encode(wanted)
-                return MadeFrame(data, focus, seen_s, lambda: wanted)
-            return MadeFrame(frames.at(posed, due_s), focus, seen_s, lambda: afterwards.wanted(posed, due_s))
+                return MadeFrame(data, focus, seen_s, lambda: wanted, sounds=False)
+            data = frames.at(posed, due_s)
+            return MadeFrame(data, focus, seen_s, lambda: afterwards.wanted(posed, due_s), frames.sounds)
 
-        sent = send(board, times, make, duration_s, port=port or VIRTUAL, log=log, on_progress=on_progress)
+        limits = SoundLimits.of(model.spec.driver)
+        sent = send(
+            board, times, make, duration_s, port=port or VIRTUAL, log=log, limits=limits, on_progress=on_progress
+        )
         listener = follower.listener
         start_s = listener.offset_s() - tracker.latency_s - sent.zero_s
         for one in sent.frames:

@@ -14,6 +14,7 @@ import numpy as np
 
 from palmfield.drive.board import HELD_BACK_S, Board, Emitted, Line
 from palmfield.drive.frame_log import FrameLog
+from palmfield.drive.limits import SoundLimits
 from palmfield.drive.player import Player
 from palmfield.drive.player.messages import Schedule
 from palmfield.drive.player.sources import on_the_line
@@ -43,12 +44,15 @@ class MadeFrame:
 
     data: its bytes, none for a board without a line; focus: that it is for, array frame [m], shape (3,)
     seen_s: time of the last sample that it was made from [s]
+    sounds: whether anything is on in it
     wanted: what is asked of the transducers before bytes, shape (N,); computed when it is first read, as no board
         waits for it
     """
 
-    def __init__(self, data: bytes, focus: Float, seen_s: float, want: Callable[[], Complex]) -> None:
-        self.data, self.focus, self.seen_s = data, focus, seen_s
+    def __init__(
+        self, data: bytes, focus: Float, seen_s: float, want: Callable[[], Complex], sounds: bool = True
+    ) -> None:
+        self.data, self.focus, self.seen_s, self.sounds = data, focus, seen_s, sounds
         self._want: Callable[[], Complex] | None = want
 
     @cached_property
@@ -115,6 +119,7 @@ def send(
     *,
     port: str | None = None,
     log: FrameLog | None = None,
+    limits: SoundLimits | None = None,
     on_progress: Callable[[float], None] | None = None,
 ) -> Sent:
     """Make and send the frames that are due at some times [s], rising; the newest that is due wins.
@@ -122,6 +127,7 @@ def send(
     port: of a board; VIRTUAL for a virtual one, paced in real time; None for a virtual twin that takes no time, so that
         a trial is quick and repeats to the last digit
     duration_s: how long the last frame goes on [s]; log: is closed; on_progress: told the trial's time [s]
+    limits: by which a player falls silent where so much sound is spent
     What a real board emits is what its twin makes of the bytes at the times when they were on the line. Ctrl-C ends it
     early, and the board is off in the end. Raises DeviceError where the port can't be opened or is lost, and for a port
     where there is no POSIX.
@@ -134,7 +140,7 @@ def send(
         sent = _play_on_twin(board, times_s, make, duration_s, log, told)
     elif port == VIRTUAL:
         with VirtualBoard(board, decodes=False, realtime=True) as virtual:
-            sent = _play_on_port(board, virtual.port, times_s, make, duration_s, log, told)
+            sent = _play_on_port(board, virtual.port, times_s, make, duration_s, log, limits, told)
             virtual.settle()
             virtual.decode()
             offset = time.monotonic() - virtual.clock - sent.zero_s
@@ -142,7 +148,7 @@ def send(
         sent.emitted = _not_early(board, sent.frames, emitted)
         sent.flags = [f"at {flag.time_s + offset:.3f} s {flag.kind}: {flag.text}" for flag in virtual.flags]
     else:
-        sent = _play_on_port(board, port, times_s, make, duration_s, log, told)
+        sent = _play_on_port(board, port, times_s, make, duration_s, log, limits, told)
         _emit_by_twin(board, sent, duration_s)
     for one in sent.frames:
         one.frame.wanted  # noqa: B018 - in the order in which they were made
@@ -240,14 +246,19 @@ def _play_on_port(
     make: Make,
     duration_s: float,
     log: FrameLog | None,
+    limits: SoundLimits | None,
     told: Callable[[float], None],
 ) -> Sent:
     """Make frames here, and have them sent by a player, which says when each was on the line."""
+    within = limits or SoundLimits()
     if log is not None:
         log.close()
     path = None if log is None else log.path
     given: list[tuple[int, float, MadeFrame]] = []
-    player = Player(board, port, log=path, stale_s=STALE_S, refresh_s=10.0 * STALE_S, tells_frames=True)
+    player = Player(
+        board, port, log=path, stale_s=STALE_S, refresh_s=10.0 * STALE_S, tells_frames=True,
+        on_time_s=within.on_time_s or 0.0, duty=within.duty,
+    )  # fmt: skip
     try:
         sent = _make_and_give(player, times_s, make, duration_s, given, told)
     finally:
@@ -261,6 +272,8 @@ def _play_on_port(
     sent.end_s = sent.end_s if sent.interrupted else max(sent.end_s, ended_s)
     late = len(given) - len(sent.frames)
     sent.notes.append(f"sent by a player at {player.priority}; {late} frames that were made came too late for the line")
+    if player.silent:
+        sent.notes.append(f"the player fell silent: {player.silent}")
     return sent
 
 
@@ -289,7 +302,7 @@ def _make_and_give(
             time.sleep(max(0.0, begins[number] - making.ahead_s - time.monotonic()))
             now = time.monotonic()
             frame = make(now - sent.zero_s, due_s)
-            player.send([frame.data], made_s=now, due_s=sent.zero_s + due_s)
+            player.send([frame.data], float(frame.sounds), made_s=now, due_s=sent.zero_s + due_s)
             given.append((number, now - sent.zero_s, frame))
             making.add(time.monotonic() - now)
             told(now - sent.zero_s)

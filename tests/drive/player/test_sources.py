@@ -160,6 +160,23 @@ def test_sound_rises_and_falls_within_the_ramp():
     assert sent[-1][0] == pytest.approx(0.39 + 0.1 + 0.1, abs=0.03)
 
 
+def test_what_fades_falls_within_the_ramp_and_shows_nothing_newer():
+    source = live(ramp_s=0.1)
+    feed = fed(source, 0.01, 0.0, 1.0, steps=5)
+
+    def until_fade(now: float) -> None:
+        if now < 0.5:
+            feed(now)
+        elif not source.muted:
+            source.take(LiveFrame(now, 1.0, [frame(9)], due_s=0.7))
+            source.fade()
+
+    sent = play(source, until_s=0.8, on_time=until_fade)
+    fall = [data[1] for at, _, _, data in sent if at > 0.5 and data != STOP]
+    assert all(b <= a for a, b in pairwise(fall)) and set(fall) >= {3, 2, 1}
+    assert sent[-1][3] == STOP and sent[-1][0] == pytest.approx(0.6, abs=0.03) and source.silent
+
+
 def test_frames_that_are_due_wait_for_their_time_and_the_newest_that_is_due_wins():
     """Ten are given at once, each 20 ms after the one before; nobody plays from 0.105 to 0.165 s."""
     source = live()
