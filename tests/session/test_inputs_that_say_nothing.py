@@ -217,6 +217,24 @@ def test_a_skin_behind_the_focus_hardly_moves(small_scene):
     assert "which then hardly moves" in said and "for the 4.5 mm wide spot at the focus" in said
 
 
+def test_a_focus_off_the_skin_is_told_alike_whatever_sets_its_level(small_scene):
+    """20 Pa are in the array's reach at 60 mm, where the focus is, and not at 200, where the skin is."""
+    keys, told = {**STEADY, "focus_m": "0 0 0.06"}, []
+    for level in ({"arp_peak_Pa": 20}, {"drive_amplitude": 1}, {"drive_amplitude": 0.1}):
+        path = small_scene(stimulus=keys | level)
+        changed(path.parent / "plain.xml", 'pos="0 0 0.12"', 'pos="0 0 0.2"')
+        told.append(course_of(path, "no focus comes near skin 'skin'"))
+    assert len(set(told)) == 1 and "stays 140 mm away" in told[0]
+
+
+def test_a_focus_off_the_skin_is_told_for_a_board_that_takes_one_focus(small_scene):
+    keys = {**STEADY, "focus_m": "0 0 0.2", "drive_amplitude": 1, "arp_peak_Pa": None}
+    path = small_scene(
+        array={"layout": "autd2018"}, stimulus={**keys, "control_rate_Hz": 1000}, driver={"board": "autd2018"}
+    )
+    assert "stays 80 mm away" in course_of(path, "no focus comes near skin 'skin'")
+
+
 def test_a_layer_too_large_for_a_focus_far_aside_says_that_it_misses(small_scene, monkeypatch):
     monkeypatch.setattr("palmfield.simulation.validate.available_bytes", lambda: 10**5)
     path = small_scene(stimulus={"focus_m": "1 1 1"}, skin={"element_m": 0.00351})
