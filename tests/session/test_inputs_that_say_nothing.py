@@ -291,6 +291,32 @@ def test_a_p0_that_one_may_have_is_not(p0, small_scene):
     assert not [text for text in warnings(small_scene(array={"p0_Pa_m": p0})) if "p0 of array" in text]
 
 
+# -- arrays in another unit ----------------------------------------------------------------------------------------
+
+
+def test_places_in_another_unit_are_refused_or_doubted(small_scene, tmp_path):
+    """Metres under names of millimetres are refused; pistons that stand in one another are told; a board's are not."""
+    keys = {"layout": "csv", "transducers": "own.csv"}
+    for scale, told in ((1e-3, "0.0105 mm apart"), (0.5, "5.25 mm apart, and their pistons 9 mm wide"), (1.0, None)):
+        places = [(10.5 * scale * x, 10.5 * scale * y) for x in range(-4, 5) for y in range(-4, 5)]
+        (tmp_path / "own.csv").write_text("x_mm,y_mm,z_mm\n" + "".join(f"{x},{y},0\n" for x, y in places))
+        scene = small_scene(array=keys)
+        if scale == 1e-3:
+            assert "allowed: at least 1.0 mm; look at the unit" in refused(scene, told)
+        elif told:
+            course_of(scene, told)
+            assert not [
+                text for text in warnings(small_scene(array=keys | {"piston_radius_m": 0.0025})) if "wide" in text
+            ]
+        else:
+            assert not [text for text in warnings(scene) if "apart" in text]
+
+
+def test_a_humidity_that_is_a_share_is_doubted(small_scene):
+    assert "look at the unit" in course_of(small_scene(array={"humidity_percent": 0.5}), "humidity_percent of array")
+    assert not [text for text in warnings(small_scene(array={"humidity_percent": 5})) if "humidity" in text]
+
+
 # -- Ctrl-C --------------------------------------------------------------------------------------------------------
 
 

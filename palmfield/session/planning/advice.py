@@ -7,8 +7,6 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from palmfield.acoustics import validity
-from palmfield.acoustics.layouts import LAYOUTS
-from palmfield.acoustics.transducer import ANY_P0
 from palmfield.config.skin import EXPLICIT
 from palmfield.config.stimulus import AM_KEYS
 from palmfield.drive.array_drive import ArrayDrive
@@ -16,12 +14,13 @@ from palmfield.drive.boards.ideal import BOARD as IDEAL
 from palmfield.session.array_inputs import stimulus_of
 from palmfield.session.biases import response_biases
 from palmfield.session.duration import step_count
+from palmfield.session.planning.array_advice import array_advice
 from palmfield.session.planning.costs import scatterings
 from palmfield.session.planning.facts import first_drive, where_it_arrives
 from palmfield.session.planning.pins import coarse_pins
 from palmfield.session.planning.sight import out_of_sight
 from palmfield.session.preview import Preview
-from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel, array_instances
+from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.skin.explicit_layer import explicit_layer
 from palmfield.skin.from_config import cutoff_Hz
@@ -37,8 +36,6 @@ HARDLY = 0.05
 """Of the |p|^2 of a focus on it: skin that gets less hardly moves."""
 ROUNDED = 0.01
 """Of its duration, by which MuJoCo's steps may change a run without a word."""
-UNLIKELY = 3.0
-"""So many times beyond what is known of any transducer a p0 is doubted."""
 
 
 def advice(view: Preview) -> list[str]:
@@ -47,7 +44,7 @@ def advice(view: Preview) -> list[str]:
     result = [text for number in range(len(model.skins)) for text in _far_focus(view, number)]
     result += out_of_sight(view)
     result += _rounded_duration(view)
-    result += _unlikely_p0(model)
+    result += array_advice(model)
     for stimulus in model.stimuli:
         result += _silence(view, stimulus)
         result += _keys_without_effect(stimulus)
@@ -187,22 +184,6 @@ def _rounded_duration(view: Preview) -> list[str]:
         f"the run takes {steps * step_s:.3g} s in place of {view.duration_s:.3g} s, which is {count} of MuJoCo's: "
         f"option timestep is {step_s:g} s; set one that divides the duration"
     ]
-
-
-def _unlikely_p0(model: HapticModel) -> list[str]:
-    """Whether p0 is far from that of any transducer that is known: most likely it is in another unit."""
-    result = []
-    known = [ANY_P0, *(layout.p0 for layout in LAYOUTS.values())]
-    least, most = min(one.low for one in known), max(one.high for one in known)
-    for array, instance in zip(model.spec.arrays, array_instances(model.spec), strict=True):
-        p0, whence = instance.p0.value, instance.p0.source
-        if least / UNLIKELY <= p0 <= UNLIKELY * most:
-            continue
-        result.append(
-            f"p0 of array '{array.name}' is {p0:g} Pa m ({whence}), that of known transducers {least:g} to {most:g}: "
-            "look at the unit, which is pascals at 1 m, peak, at full drive"
-        )
-    return result
 
 
 def _course(stimulus: StimulusModel) -> Float:
