@@ -27,13 +27,13 @@ class Plate(Settings):
     """The face of a jig. Raises MeasurementError for values out of their limits."""
 
     instrument: ClassVar[str] = "plate"
-    shape: Literal["rectangle", "disc"] = Field("rectangle")
-    width_m: Positive = Field(0.012, description="along x_axis; the diameter of a disc")
-    height_m: Positive = Field(0.012, description="across; of a rectangle only")
-    centre_m: Vector3 = Field((0.0, 0.0, 0.2))
-    normal: Vector3 = Field((0.0, 0.0, -1.0), description="outward, against the sound")
-    x_axis: Vector3 = Field((1.0, 0.0, 0.0))
-    spacing_m: Positive = Field(1e-3, description="of the places where the pressure is asked for, at most")
+    shape: Literal["rectangle", "disc"] = Field(default="rectangle")
+    width_m: Positive = Field(default=0.012, description="along x_axis; the diameter of a disc")
+    height_m: Positive = Field(default=0.012, description="across; of a rectangle only")
+    centre_m: Vector3 = Field(default=(0.0, 0.0, 0.2))
+    normal: Vector3 = Field(default=(0.0, 0.0, -1.0), description="outward, against the sound")
+    x_axis: Vector3 = Field(default=(1.0, 0.0, 0.0))
+    spacing_m: Positive = Field(default=1e-3, description="of the places where the pressure is asked for, at most")
 
 
 class PlateForce(NamedTuple):
@@ -139,10 +139,12 @@ class Scale(Settings):
     """A scale. Raises MeasurementError for values out of their limits."""
 
     instrument: ClassVar[str] = "scale"
-    direction: Vector3 = Field((0.0, 0.0, -1.0), description="along which force counts as weight")
-    resolution_N: NonNegative = Field(0.0, description="readings are multiples of it; 0: none (1 mg is 9.8e-6 N)")
-    time_constant_s: NonNegative = Field(0.0, description="of its settling, one pole; 0: at once")
-    tared: bool = Field(True, description="readings are differences from the first")
+    direction: Vector3 = Field(default=(0.0, 0.0, -1.0), description="along which force counts as weight")
+    resolution_N: NonNegative = Field(
+        default=0.0, description="readings are multiples of it; 0: none (1 mg is 9.8e-6 N)"
+    )
+    time_constant_s: NonNegative = Field(default=0.0, description="of its settling, one pole; 0: at once")
+    tared: bool = Field(default=True, description="readings are differences from the first")
 
 
 def scale_reading(times_s: ArrayLike, force_N: ArrayLike, settings: Scale) -> Float:

@@ -26,17 +26,18 @@ class Microphone(Settings):
     """A microphone. Raises MeasurementError for values out of their limits."""
 
     instrument: ClassVar[str] = "microphone"
-    diameter_m: NonNegative = Field(0.0, description="of the diaphragm; 0: a point")
-    facing: Vector3 = Field((0.0, 0.0, -1.0), description="outward normal of the diaphragm")
+    diameter_m: NonNegative = Field(default=0.0, description="of the diaphragm; 0: a point")
+    facing: Vector3 = Field(default=(0.0, 0.0, -1.0), description="outward normal of the diaphragm")
     diaphragm: Literal["piston", "membrane"] = Field(
-        "piston", description="all of it weighs alike, or as a clamped membrane moves, 1 - (r/a)^2"
+        default="piston", description="all of it weighs alike, or as a clamped membrane moves, 1 - (r/a)^2"
     )
     face: Literal["free", "doubling"] = Field(
-        "free", description="free: the sound as without the microphone; doubling: a wall's, twice the sound from ahead"
+        default="free",
+        description="free: the sound as without the microphone; doubling: a wall's, twice the sound from ahead",
     )
-    low_Hz: Positive | None = Field(None, description="lower end of its band, -3 dB")
-    high_Hz: Positive | None = Field(None, description="upper end of its band, -3 dB")
-    order: int = Field(2, ge=1, le=12, description="of the band's Butterworth filters")
+    low_Hz: Positive | None = Field(default=None, description="lower end of its band, -3 dB")
+    high_Hz: Positive | None = Field(default=None, description="upper end of its band, -3 dB")
+    order: int = Field(default=2, ge=1, le=12, description="of the band's Butterworth filters")
 
 
 def diaphragm_points(settings: Microphone, rings: int = 6) -> tuple[Float, Float]:

@@ -23,25 +23,37 @@ class Vibrometer(Settings):
     """How a vibrometer stands and what it is set to. Raises MeasurementError for values out of their limits."""
 
     instrument: ClassVar[str] = "vibrometer"
-    incidence_deg: float = Field(0.0, ge=0, lt=90, description="angle between the beam to aim_m and the normal there")
-    azimuth_deg: float = Field(0.0, description="of the head about the normal, from x_axis, counter-clockwise")
-    distance_m: Positive | None = Field(None, description="of the head from aim_m; none: all beams are parallel")
-    aim_m: Vector3 = Field((0.0, 0.0, 0.0), description="where the middle beam hits the surface")
-    normal: Vector3 = Field((0.0, 0.0, 1.0), description="outward, at aim_m")
-    x_axis: Vector3 = Field((1.0, 0.0, 0.0), description="azimuth 0, as seen along the normal")
-    as_normal: bool = Field(True, description="readings are divided by the cosine of incidence_deg")
-    reading: Literal["velocity", "displacement"] = Field("displacement", description="displacement is integrated")
-    sampling_rate_Hz: Positive = Field(128e3, description="of the record")
-    duration_s: Positive | None = Field(None, description="of the record; none: as long as the motion lasts")
-    trigger_s: float = Field(0.0, description="when the record begins, in the motion's time")
-    flight_s: NonNegative = Field(0.0, description="by which motion is later than it was computed: the sound's flight")
-    highpass_Hz: Positive | None = Field(None, description="Butterworth high-pass on the velocity; none: no filter")
-    highpass_order: int = Field(2, ge=1, le=12)
-    lowpass_Hz: Positive | None = Field(None, description="Butterworth low-pass on the velocity; none: no filter")
-    lowpass_order: int = Field(5, ge=1, le=12)
-    phase: Phase = Field("causal", description="of both filters")
-    noise_m_s_rtHz: NonNegative = Field(0.0, description="density of the velocity's white noise")
-    averages: int = Field(1, ge=1, description="records of which the mean is taken: noise falls with the root")
+    incidence_deg: float = Field(
+        default=0.0, ge=0, lt=90, description="angle between the beam to aim_m and the normal there"
+    )
+    azimuth_deg: float = Field(default=0.0, description="of the head about the normal, from x_axis, counter-clockwise")
+    distance_m: Positive | None = Field(
+        default=None, description="of the head from aim_m; none: all beams are parallel"
+    )
+    aim_m: Vector3 = Field(default=(0.0, 0.0, 0.0), description="where the middle beam hits the surface")
+    normal: Vector3 = Field(default=(0.0, 0.0, 1.0), description="outward, at aim_m")
+    x_axis: Vector3 = Field(default=(1.0, 0.0, 0.0), description="azimuth 0, as seen along the normal")
+    as_normal: bool = Field(default=True, description="readings are divided by the cosine of incidence_deg")
+    reading: Literal["velocity", "displacement"] = Field(
+        default="displacement", description="displacement is integrated"
+    )
+    sampling_rate_Hz: Positive = Field(default=128e3, description="of the record")
+    duration_s: Positive | None = Field(default=None, description="of the record; none: as long as the motion lasts")
+    trigger_s: float = Field(default=0.0, description="when the record begins, in the motion's time")
+    flight_s: NonNegative = Field(
+        default=0.0, description="by which motion is later than it was computed: the sound's flight"
+    )
+    highpass_Hz: Positive | None = Field(
+        default=None, description="Butterworth high-pass on the velocity; none: no filter"
+    )
+    highpass_order: int = Field(default=2, ge=1, le=12)
+    lowpass_Hz: Positive | None = Field(
+        default=None, description="Butterworth low-pass on the velocity; none: no filter"
+    )
+    lowpass_order: int = Field(default=5, ge=1, le=12)
+    phase: Phase = Field(default="causal", description="of both filters")
+    noise_m_s_rtHz: NonNegative = Field(default=0.0, description="density of the velocity's white noise")
+    averages: int = Field(default=1, ge=1, description="records of which the mean is taken: noise falls with the root")
 
 
 def lines_of_sight(points_m: ArrayLike, settings: Vibrometer) -> Float:
