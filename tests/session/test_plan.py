@@ -236,7 +236,7 @@ def test_keys_that_make_a_skin_coarser_are_told(small_scene):
     (said,) = [text for text in plan.warnings if "coarser" in text]
     assert all(name in said for name in coarse) and "max_frequency_Hz 100 for a stimulus of" in said
     error = row(plan.error, "mesh and time step")
-    assert "keys make it coarser" in error.why and error.size.startswith("not estimated")
+    assert "keys make it coarser" in error.why and error.size == "5 % wanted"
     fine = {"skin.element_m": 0.9 * chosen["edge_fine_m"], "skin.step_s": 0.0001}
     assert not [text for text in palmfield.plan(scene, keys=fine).warnings if "coarser" in text]
 

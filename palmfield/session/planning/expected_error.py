@@ -29,7 +29,7 @@ def _mesh_row(skin: SkinModel, pinned: list[str]) -> Row:
     wanted = f"{100 * skin.spec.config.accuracy:g} % wanted"
     if pinned:
         why = f"keys make it coarser than that takes: {', '.join(pinned)}; the run estimates what was reached"
-        return Row("mesh and time step", f"not estimated; {wanted}", why, skin.spec.name)
+        return Row("mesh and time step", wanted, why, skin.spec.name)
     if skin.choice.name not in EXPLICIT:
         why = "sizes follow a convergence study on a disc (docs/bench/skin_c0.md); the run estimates what was reached"
         return Row("mesh and time step", wanted, why, skin.spec.name)
