@@ -313,7 +313,7 @@ class ArrayDrive:
                 )
             raise SceneError(
                 f"plugin 'palmfield.stimulus': arp_peak_Pa {target:g} is more than the array gives at "
-                f"{in_mm(foci[worst])}: {full_Pa[worst]:.3g} Pa at full drive with "
+                f"{in_mm(foci[worst])}: {told_below(full_Pa[worst], target)} Pa at full drive with "
                 f"p0_Pa_m {self.array.array.p0_Pa_m:g}"
             )
         return np.sqrt(target / full_Pa)
@@ -391,3 +391,9 @@ def in_mm(point: Sequence[float] | Float) -> str:
     if np.ndim(point) == 2:
         return " and ".join(in_mm(one) for one in np.asarray(point))
     return "(" + ", ".join(f"{1e3 * float(x):.1f}" for x in point) + ") mm"
+
+
+def told_below(value: float, limit: float) -> str:
+    """A number below a limit in three digits, or in as many more as it takes to tell the two apart, as text."""
+    told = (f"{value:.{digits}g}" for digits in range(3, 18))
+    return next((text for text in told if float(text) < limit), f"{value!r}")
