@@ -1,7 +1,7 @@
 """Scans as MATLAB files.
 
-Variables: `time_s` (t), `points_m` (n by 3), `velocity_m_s` or `displacement_m` (t by n), and `sights` (n by 3), which may
-be missing. Files up to version 7 are read by SciPy, and 7.3, which is HDF5, by h5py; written is version 5.
+Variables: `time_s` (t), `points_m` (n by 3), `velocity_m_s` or `displacement_m` (t by n), and `sights` (n by 3), which
+may be missing. Files up to version 7 are read by SciPy, and 7.3, which is HDF5, by h5py; written is version 5.
 """
 
 from pathlib import Path
