@@ -104,11 +104,12 @@ def vibrometer_record(
     Time 0 is the trigger. sights: measured lines of sight, shape (n, 3), in place of those of the settings
     seed: of the noise; None: another each time
     Coordinates: time [s]; x, y, z [m] and sight_x, sight_y, sight_z of each point.
-    Raises MeasurementError for a record that ends after the motion, and for one of fewer than four samples.
+    Raises MeasurementError for points seen from behind, and for records that outlast the motion or hold fewer than four samples.
     """
     beams = lines_of_sight(motion.points, settings) if sights is None else np.asarray(sights, dtype=float)
     if beams.shape != motion.points.shape:
         raise MeasurementError(f"lines of sight have shape {beams.shape}; the points have {motion.points.shape}")
+    _check_seen(motion, beams)
     seen = along_beam(motion.velocity_m_s, beams, settings)
     rate = settings.sampling_rate_Hz
     start = settings.trigger_s - settings.flight_s
@@ -122,6 +123,17 @@ def vibrometer_record(
         rng = np.random.default_rng(seed)
         signal = signal + white_noise(signal.shape, settings.noise_m_s_rtHz, rate, settings.averages, rng)
     return labelled(times, chain(signal, settings), motion.points, beams, settings.reading)
+
+
+def _check_seen(motion: SurfaceMotion, beams: Float) -> None:
+    across = np.einsum("ni,ni->n", motion.normals, beams)
+    worst = int(across.argmin())
+    if across[worst] <= 0.0:
+        place, normal = (", ".join(f"{x:.3g}" for x in part[worst]) for part in (motion.points, motion.normals))
+        raise MeasurementError(
+            f"vibrometer: point {worst} at ({place}) m, whose outward normal is ({normal}), turns away from the head; "
+            "mend normal, aim_m or incidence_deg, or leave the point out"
+        )
 
 
 def chain(velocity: ArrayLike, settings: Vibrometer) -> Float:

@@ -77,6 +77,11 @@ def test_a_head_needs_directions():
         lines_of_sight([[0.0, 0.0, 0.0]], Vibrometer(normal=(0.0, 0.0, 0.0)))
 
 
+def test_a_point_that_turns_its_back_to_the_head_is_named():
+    with pytest.raises(MeasurementError, match=r"point 0 at \(0, 0, 0\) m, whose outward normal is \(0, 0, 1\), turns"):
+        vibrometer_record(moving(lambda t: only(t, z=1.0)), Vibrometer(normal=(0, 0, -1), sampling_rate_Hz=RATE))
+
+
 # -- filters and integration ---------------------------------------------------------------------------------------
 
 
