@@ -11,6 +11,7 @@ from refusals import changed, refused
 
 import palmfield
 from palmfield.acoustics.air import sound_speed
+from palmfield.acoustics.calibration_file import Calibration, Elements, Pose, write_calibration
 from palmfield.acoustics.reference import pressure64
 from palmfield.cli import run as cli_run
 from palmfield.cli.app import main
@@ -18,7 +19,7 @@ from palmfield.config.stimulus import too_far
 from palmfield.session.plan import warnings
 from palmfield.session.preview import preview
 from palmfield.simulation.spec import SceneSpec
-from palmfield.types import Air, Float
+from palmfield.types import Air, Estimate, Float
 
 SKIN = "plugin 'palmfield.skin' instance 'skin': "
 STIMULUS = "plugin 'palmfield.stimulus' instance 'stimulus': "
@@ -315,6 +316,30 @@ def test_places_in_another_unit_are_refused_or_doubted(small_scene, tmp_path):
 def test_a_humidity_that_is_a_share_is_doubted(small_scene):
     assert "look at the unit" in course_of(small_scene(array={"humidity_percent": 0.5}), "humidity_percent of array")
     assert not [text for text in warnings(small_scene(array={"humidity_percent": 5})) if "humidity" in text]
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"gain": 5.0}, "has gains about 5, which are relative to p0"),
+        ({"gain": 0.2}, "has gains about 0.2, which are relative to p0"),
+        ({"offset_m": (0.3, 0.4, 0.0)}, "has its board 0.5 m off: look at its frame"),
+        ({"high": 900.0}, "has a p0 of 1.2 to 900 Pa m, so wide that it says nothing"),
+        ({}, None),
+    ],
+)
+def test_a_calibration_of_no_board_is_doubted(changes, told, small_scene, tmp_path):
+    count = 256
+    elements = Elements(
+        enabled=(True,) * count, polarity=(1,) * count, phase_rad=(0.0,) * count,
+        gain=(changes.get("gain", 1.1),) * count,
+    )  # fmt: skip
+    p0 = Estimate(1.3, 1.2, changes.get("high", 1.4), "measured", "ours")
+    pose = Pose(offset_m=changes.get("offset_m", (1e-3, 0.0, 0.0)))
+    calibration = Calibration(layout="uhev1", p0=p0, elements=elements, pose=pose)
+    write_calibration(tmp_path / "ours.json", calibration)
+    said = [text for text in warnings(small_scene(array={"calibration": "ours.json"})) if "calibration of" in text]
+    assert said == [] if told is None else len(said) == 1 and told in said[0]
 
 
 # -- Ctrl-C --------------------------------------------------------------------------------------------------------
