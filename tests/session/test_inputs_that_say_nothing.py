@@ -342,6 +342,30 @@ def test_a_calibration_of_no_board_is_doubted(changes, told, small_scene, tmp_pa
     assert said == [] if told is None else len(said) == 1 and told in said[0]
 
 
+@pytest.mark.parametrize(
+    ("rate_Hz", "told"),
+    [(150, "what is played is 50 Hz"), (390, "played is 190 Hz"), (400, "depends on when"), (401, None), (0, None)],
+)
+def test_frames_too_rare_for_a_modulation_are_told(rate_Hz, told, small_scene):
+    said = [text for text in warnings(small_scene(stimulus={"control_rate_Hz": rate_Hz})) if "frames a second" in text]
+    assert said == [] if told is None else len(said) == 1 and told in said[0]
+
+
+@pytest.mark.parametrize(
+    ("keys", "told"),
+    [
+        ({"density_kg_m3": 1.03}, "has a density of 1.03 kg/m^3, that of skins and phantoms 500 to 3000"),
+        ({"shear_relaxed_Pa": 12}, "has a relaxed shear modulus of 12 Pa"),
+        ({"bulk_Pa": 1000}, "look at bulk_Pa"),
+        ({}, None),
+    ],
+)
+def test_a_material_that_no_skin_is_of_is_doubted(keys, told, small_scene):
+    """K = 1000 Pa beside the preset's shear modulus is a solid that grows thicker as it is drawn out."""
+    said = [text for text in warnings(small_scene(skin=keys)) if text.startswith("material ")]
+    assert said == [] if told is None else len(said) == 1 and told in said[0]
+
+
 # -- Ctrl-C --------------------------------------------------------------------------------------------------------
 
 
