@@ -336,15 +336,21 @@ def replay(
     file: Annotated[Path, typer.Argument(help="of --log, or raw bytes of --record", metavar="FILE")],
     port: Annotated[str, typer.Option(help="serial port or URL")],
     board: Annotated[str | None, typer.Option(help="of raw bytes: for which board they are", metavar="BOARD")] = None,
+    keys: Keys = None,
 ) -> None:
     """Send recorded bytes to a port again, at their times; the board is off at the end.
 
-    Example: palmfield replay sent.jsonl --port /dev/ttyUSB0
+    How long they may sound and how loud at a head, as a log has it of its scene or --set driver.KEY=VALUE says, is
+    checked before: what isn't allowed is refused with exit code 2.
+
+    Examples: palmfield replay sent.jsonl --port /dev/ttyUSB0
+
+    palmfield replay sent.jsonl --port /dev/ttyUSB0 --set driver.on_time_s=5
     """
     from palmfield.cli.boards import show_performance
-    from palmfield.session.decode import replay as replay_file
+    from palmfield.session.replay import replay as replay_file
 
-    show_performance(replay_file(file, port, board, progress=True))
+    show_performance(replay_file(file, port, board, keys=given_keys(keys), progress=True))
 
 
 @app.command()
@@ -601,6 +607,7 @@ def compare_command(
     ] = False,
     most_delay: Annotated[float, typer.Option(help="delays are sought within plus and minus this [s]")] = 5e-3,
     out: Annotated[Path | None, typer.Option(help="folder for the report [default: DIR/compare]")] = None,
+    as_uff: Annotated[bool, typer.Option("--as-uff", help="write ours as computed.uff too")] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace another comparison in the folder")] = False,
     as_json: AsJson = False,
 ) -> None:
@@ -615,7 +622,8 @@ def compare_command(
     folder = run if run.is_dir() else run.parent
     compare_scan(
         run, measured, instrument=instrument, skin=skin, fiducials=fiducials, as_placed=as_placed,
-        most_delay_s=most_delay, out=out or folder / "compare", overwrite=overwrite, quiet=context.obj, as_json=as_json,
+        most_delay_s=most_delay, out=out or folder / "compare", as_uff=as_uff, overwrite=overwrite, quiet=context.obj,
+        as_json=as_json,
     )  # fmt: skip
 
 

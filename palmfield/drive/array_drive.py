@@ -119,7 +119,13 @@ class ArrayDrive:
             self._last = last = focal_points, key, self.unit_drive(focal_points.at(point), loudness)
         return last[2]
 
-    def _made(self, point: Float, loudness: Float | None) -> UnitDrive:
+    def level_at(self, focal_points: FocalPoints, point: Float) -> float:
+        """`unit_drive_at(...).level` of a board that takes a focus, without what the board makes of it."""
+        loudness = None if focal_points.table is None else focal_points.loudness(point)
+        return self._asked(focal_points.at(point), loudness)[2]
+
+    def _asked(self, point: Float, loudness: Float | None) -> tuple[Float, Complex, float]:
+        """The focus or foci that sound, what the transducers' sound needs there, and the level."""
         if loudness is not None:
             # A focus that is silent now is none, and one that is left alone is made as one
             point, loudness = point[loudness > 0.0], loudness[loudness > 0.0]
@@ -140,6 +146,10 @@ class ArrayDrive:
         level = self.amplitude
         if self.arp_peak_Pa is not None:
             level = self._level_of_several(point, phases) if point.ndim == 2 else float(self._levels(point[None])[0])
+        return point, phases, level
+
+    def _made(self, point: Float, loudness: Float | None) -> UnitDrive:
+        point, phases, level = self._asked(point, loudness)
         if self.board.takes == "focus":
             return UnitDrive(self.board.played_focus(point, level), level)
         sent = level * phases if self.correction is None else level * phases * self.correction

@@ -1,7 +1,9 @@
 """Logs of what was sent to a board and when: text that can be read at any moment, and sent again.
 
 The first line is a JSON object: `palmfield_log` (1, the version), `board`, `keys` (of palmfield.driver), `transducers`,
-`array` (the layout's name) and `air` (temperature_C, humidity_percent, pressure_Pa). Each further line is a JSON object
+`array` (the layout's name), `air` (temperature_C, humidity_percent, pressure_Pa), `limits` (keys of palmfield.driver
+about how loud and how long it may sound), `p0_Pa_m` and `p0_high_Pa_m` (of the first array, with the high end of what
+is known of it; null where it is the layout's). Each further line is a JSON object
 of one piece of bytes: `t`, when its first byte was given to the port [s, since the link was opened], `hex`, the bytes,
 and `cut` where a write timeout left it open how many of them went out.
 """
@@ -24,13 +26,20 @@ VERSION = 1
 
 @dataclass(frozen=True)
 class LogHead:
-    """For which board a log is. keys: of palmfield.driver besides `board`; array: name of the layout"""
+    """For which board a log is.
+
+    keys: of palmfield.driver besides `board`; array: name of the layout; limits: SAFETY_KEYS of palmfield.driver that
+    are set; p0_Pa_m, p0_high_Pa_m: of the array's transducers, and the high end of its range, None for the layout's
+    """
 
     board: str
     transducers: int
     array: str
     air: Air = field(default_factory=Air)
     keys: Mapping[str, Any] = field(default_factory=dict)
+    limits: Mapping[str, Any] = field(default_factory=dict)
+    p0_Pa_m: float | None = None
+    p0_high_Pa_m: float | None = None
 
     @property
     def playable(self) -> Board:

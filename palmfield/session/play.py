@@ -3,7 +3,6 @@
 import logging
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import cast
@@ -20,16 +19,16 @@ from palmfield.config import DriverConfig, parse
 from palmfield.config.driver import SAFETY_KEYS
 from palmfield.config.stimulus import too_far
 from palmfield.drive.board import Board, check
-from palmfield.drive.board_link import BoardLink
 from palmfield.drive.boards import playable_board
 from palmfield.drive.focal_peak import loudest_point
 from palmfield.drive.frame_log import FrameLog, LogHead
 from palmfield.drive.limits import SoundLimits
-from palmfield.drive.playback import REFRESH_S, TimedFrame, filled, frame_times, play_frames
-from palmfield.drive.player import Player, PlayReport
-from palmfield.drive.transport import FileTransport
+from palmfield.drive.playback import REFRESH_S, TimedFrame, filled, frame_times
+from palmfield.drive.player import Player
+from palmfield.drive.recording import record
 from palmfield.errors import DeviceError, SceneError
 from palmfield.session.load import Source
+from palmfield.session.log_head import log_head
 from palmfield.session.preview import Preview, preview
 from palmfield.session.safety.exposure import Moment, at_head, check_head
 from palmfield.session.safety.scene_sound import scene_at_head
@@ -147,7 +146,9 @@ def play_focus(
             [Moment(lambda points: pressure64(points, array, played, sound.air)[0], share)] if played.any() else []
         )
         _warn(check_head(at_head(moments, driver, array.positions), driver))
-    head = LogHead(board, len(array), name, sound.air, given)
+    limited = driver.model_dump(include=set(SAFETY_KEYS), exclude_none=True, exclude_defaults=True)
+    loudness = array.p0_Pa_m
+    head = LogHead(board, len(array), name, sound.air, given, limited, p0_Pa_m=loudness, p0_high_Pa_m=loudness)
     done = send(frames, chosen, duration_s, target, head, limits, progress)
     if not played.any():
         return done
@@ -180,8 +181,7 @@ def play_scene(
         )
     duration = view.duration_s if duration_s is None else duration_s
     spec = view.runtime.spec
-    own = {key: value for key, value in spec.driver.model_dump(exclude_none=True).items() if key in model.board.keys}
-    head = LogHead(model.board.name, len(model.arrays), spec.arrays[0].config.layout, model.arrays.air, own)
+    head = log_head(model)
     if spec.driver.head_m is not None:
         _warn(check_head(scene_at_head(view, duration), spec.driver))
     limits = SoundLimits.of(spec.driver)
@@ -238,13 +238,10 @@ def send(
     limits.check([frame.time_s for frame in ready], [frame.sounds for frame in ready], duration_s)
     said = [words] if (words := limits.in_words(board)) else []
     if target.record is not None:
-        file = FileTransport(target.record)
         log = None if target.log is None else FrameLog(target.log, head)
-        with closing(BoardLink(board, file, simulated=True, log=log)) as link:
-            played = play_frames(link, ready, duration_s=duration_s)
-        report = PlayReport(played.frames, played.skipped, played.late_s)
-        skipped = f", {played.skipped} more were due than the line takes" if played.skipped else ""
-        text = f"wrote {target.record}: {played.frames} frames for {duration_s:g} s{skipped}"
+        report = record(board, ready, target.record, duration_s=duration_s, log=log)
+        skipped = f", {report.skipped} more were due than the line takes" if report.skipped else ""
+        text = f"wrote {target.record}: {report.frames} frames for {duration_s:g} s{skipped}"
         return Performance(text, report.warning).saying(*said)
     assert target.port is not None
     done = play_on_port(ready, board, target.port, duration_s, log=target.log, head=head, progress=progress)
