@@ -323,7 +323,7 @@ def test_a_humidity_that_is_a_share_is_doubted(small_scene):
     [
         ({"gain": 5.0}, "has gains about 5, which are relative to p0"),
         ({"gain": 0.2}, "has gains about 0.2, which are relative to p0"),
-        ({"offset_m": (0.3, 0.4, 0.0)}, "has its board 0.5 m off: look at its frame"),
+        ({"offset_m": (0.3, 0.4, 0.0)}, "has its board 0.5 m off: look at the unit"),
         ({"high": 900.0}, "has a p0 of 1.2 to 900 Pa m, so wide that it says nothing"),
         ({}, None),
     ],
