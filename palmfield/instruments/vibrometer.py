@@ -104,7 +104,7 @@ def vibrometer_record(
     Time 0 is the trigger. sights: measured lines of sight, shape (n, 3), in place of those of the settings
     seed: of the noise; None: another each time
     Coordinates: time [s]; x, y, z [m] and sight_x, sight_y, sight_z of each point.
-    Raises MeasurementError for points seen from behind, and for records that outlast the motion or hold fewer than four samples.
+    Raises MeasurementError for points seen from behind, and records that outlast the motion or hold under four samples.
     """
     beams = lines_of_sight(motion.points, settings) if sights is None else np.asarray(sights, dtype=float)
     if beams.shape != motion.points.shape:
