@@ -606,6 +606,42 @@ def sweep(
     )  # fmt: skip
 
 
+@app.command("compare")
+def compare_command(
+    context: typer.Context,
+    run: Annotated[Path, typer.Argument(help="folder of a run, or its result.nc", metavar="DIR")],
+    measured: Annotated[Path, typer.Argument(help="file of a scan (docs/compare.md)", metavar="MEASURED")],
+    instrument: Annotated[
+        Path | None, typer.Option(help="how it was measured: TOML file with a table [vibrometer]", metavar="FILE.toml")
+    ] = None,
+    skin: Annotated[str | None, typer.Option(help="which skin, where the run has several", metavar="NAME")] = None,
+    fiducials: Annotated[
+        Path | None,
+        typer.Option(help="points of the scan and where they are on the skin: x_m ... skin_z_m", metavar="FILE.csv"),
+    ] = None,
+    as_placed: Annotated[
+        bool, typer.Option("--as-placed", help="leave the scan where the file or fiducials put it")
+    ] = False,
+    most_delay: Annotated[float, typer.Option(help="delays are sought within plus and minus this [s]")] = 5e-3,
+    out: Annotated[Path | None, typer.Option(help="folder for the report [default: DIR/compare]")] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="replace another comparison in the folder")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Hold a vibrometer's scan against a run: gain, delay, difference and coherence at each point, and wavenumbers.
+
+    The scan is moved onto the skin, and ours passes the same instrument.
+
+    Example: palmfield compare out/palm scan.csv --instrument head.toml
+    """
+    from palmfield.cli.compare import compare_scan
+
+    folder = run if run.is_dir() else run.parent
+    compare_scan(
+        run, measured, instrument=instrument, skin=skin, fiducials=fiducials, as_placed=as_placed,
+        most_delay_s=most_delay, out=out or folder / "compare", overwrite=overwrite, quiet=context.obj, as_json=as_json,
+    )  # fmt: skip
+
+
 @app.command()
 def recover(out: Annotated[Path, typer.Argument(help="folder of a run that was cut off", metavar="DIR")]) -> None:
     """Assemble the results of a run that was cut off into DIR/result.nc, marked incomplete, and draw its pictures.

@@ -102,7 +102,7 @@ def unknown_key(model: type[Config], key: str) -> str:
     return f"unknown key '{key}'{near}; allowed: {listed}"
 
 
-def allowed(model: type[Config], key: str) -> str:
+def allowed(model: type[BaseModel], key: str) -> str:
     """What a key takes, in words, e.g. `number > 0` or `bonded | free_slip`."""
     schema = model.model_json_schema()["properties"][key]
     options = [o for o in schema.get("anyOf", [schema]) if o.get("type") != "null"]
@@ -116,6 +116,8 @@ def allowed(model: type[Config], key: str) -> str:
         return "three finite numbers" if option.get("maxItems") == 3 else kinds[item["type"]]
     if option.get("type") == "string":
         return f"text like {option['pattern']}" if "pattern" in option else "text"
+    if option.get("type") == "boolean":
+        return "true | false"
     words = "whole number" if option.get("type") == "integer" else "finite number"
     signs = {"exclusiveMinimum": ">", "minimum": ">=", "exclusiveMaximum": "<", "maximum": "<="}
     bounds = [f"{sign} {option[name]:g}" for name, sign in signs.items() if name in option]

@@ -207,12 +207,14 @@ def write_report(
         f"layers and scenes from {100 * OTHER[0]:g} %). Contrast: sheets {CONTRAST:g} times as stiff as one another. "
         "Scenes: in turn a disc of 10 to 30 mm, a palm and a user's ellipsoid under a focus of an array, by "
         "`palmfield.run`; their estimate is the numerical "
-        f"line of the error budget. Each case is given to `auto` and to {BY_NAME} solvers by name (scenes: one), drawn "
-        "among those that are for such a body; one by name whose prediction is above 5 s is not run, and counts as no "
+        "line of the error budget, of palms and ellipsoids without the cut edges, which the truth has as well. "
+        f"Each case is given to `auto` and to {BY_NAME} solvers by name (scenes: one), drawn "
+        "among those that are for such a body; one by name whose prediction is above 10 s is not run, and counts as no "
         "answer.",
         "",
         "True: relative L2 over the times at a point, the largest of the points, of the difference from the surest "
-        "truth of another code: another solver at a tenth of the accuracy, or scikit-fem with its own mesh, elements "
+        "truth of another code: another solver at a tenth of the accuracy (of palms and ellipsoids at a quarter, its "
+        "error from two meshes), or scikit-fem with its own mesh, elements "
         "and steps, whose error follows from three solutions. An answer is judged where the truth's own error is at "
         f"most {CONVERGED:g} of the larger of estimate and true error; else it counts as without a truth. Intervals "
         "hold 95 %. Seconds are of one core's processor time.",

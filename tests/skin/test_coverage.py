@@ -231,7 +231,24 @@ def test_a_users_mesh_in_a_scene_answers() -> None:
     case["keys"] |= {"skin.accuracy": 0.15, "skin.patch_radius_m": 0.016}
     found = run_scene(case, "auto")
     assert len(found["displacement_m"]) == len(case["times_s"]) and np.ptp(found["displacement_m"]) > 0.0
-    assert 0.0 < found["discretisation_error"] <= found["displacement_error"]
+    assert 0.0 < found["displacement_error"] < 1.0
+
+
+def test_a_scenes_truth_knows_its_error_from_two_meshes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Displacements that are off by the square of the elements' edges."""
+    nodes = {0.06: 1000, 0.03: 8000}
+
+    def by_edges(case, solver, accuracy):
+        count = nodes[round(accuracy, 6)]
+        moved = [[[0.0, 0.0, 1.0 + count ** (-2.0 / 3.0)]]] * 3
+        return {"displacement_m": moved, "solver": f"{solver}: 9 elements of order 2, {count} nodes, a bulk modulus"}
+
+    monkeypatch.setattr(coverage_judge, "run_scene", by_edges)
+    (found,) = coverage_judge.truths({"key": "1-19", "scene": "ellipsoid", "accuracy": 0.12}, {}, 10.0)
+    assert found["by"] == "spectral_elements" and found["error"] == pytest.approx(1.0 / 400.0, rel=5e-3)
+    nodes[0.06] = 7000
+    (found,) = coverage_judge.truths({"key": "1-19", "scene": "ellipsoid", "accuracy": 0.12}, {}, 10.0)
+    assert "edges are 1.05 times as fine" in found["missing"]
 
 
 @pytest.mark.parametrize(("number", "solver"), [(42, "particles"), (74, "reduced")])

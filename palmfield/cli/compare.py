@@ -1,0 +1,33 @@
+"""What `palmfield compare` does with its options."""
+
+from pathlib import Path
+
+from palmfield.cli.as_json import print_json
+from palmfield.studies.compare.run import FILES, compare
+
+
+def compare_scan(
+    run: Path,
+    measured: Path,
+    *,
+    instrument: Path | None,
+    skin: str | None,
+    fiducials: Path | None,
+    as_placed: bool,
+    most_delay_s: float,
+    out: Path,
+    overwrite: bool,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Compare, print what it says, and where its files are."""
+    done = compare(
+        run, measured, instrument=instrument, skin=skin, fiducials=fiducials, onto_surface=not as_placed,
+        most_delay_s=most_delay_s, out=out, overwrite=overwrite,
+    )  # fmt: skip
+    if as_json:
+        print_json(done.as_dict())
+        return
+    print(done)
+    for name in () if quiet else FILES:
+        print(f"wrote {out / name}")
