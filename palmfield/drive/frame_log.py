@@ -2,9 +2,10 @@
 
 The first line is a JSON object: `palmfield_log` (1, the version), `board`, `keys` (of palmfield.driver), `transducers`,
 `array` (the layout's name), `air` (temperature_C, humidity_percent, pressure_Pa) and, where they are known to differ
-from the layout's, `positions_m`, where the first array's transducers are, and `turns_rad`, the phase that each adds to
-what it is told. Each further line is a JSON object of one piece of bytes: `t`, when its first byte was given to the
-port [s, since the link was opened], `hex`, the bytes, and `cut` where a write timeout left it open how many went out.
+from the layout's, `positions_m`, where the first array's transducers are, `turns_rad`, the phase that each adds to what
+it is told, and `address`, the places of all transducers in the board's byte order. Each further line is a JSON object
+of one piece of bytes: `t`, when its first byte was given to the port [s, since the link was opened], `hex`, the bytes,
+and `cut` where a write timeout left it open how many went out.
 """
 
 import json
@@ -32,6 +33,7 @@ class LogHead:
 
     Of the first array, None where it is as the layout says: turns_rad, phases that transducers add to what they are
     told (polarity, delays) [rad], shape (n,); positions_m, where they are in the array frame, shape (n, 3)
+    address: of all transducers, their places in the board's byte order; None for the layout's order
     """
 
     board: str
@@ -41,13 +43,15 @@ class LogHead:
     keys: Mapping[str, Any] = field(default_factory=dict)
     turns_rad: Sequence[float] | None = None
     positions_m: Sequence[Sequence[float]] | None = None
+    address: Sequence[int] | None = None
 
-    def measured(self, array: Array) -> "LogHead":
-        """With what is known of the first array's transducers."""
+    def measured(self, array: Array, places: Sequence[int] = ()) -> "LogHead":
+        """With what is known of the first array's transducers; places: `address`, empty for the layout's order."""
         plain = layout(self.array)
         turns = None if array.gain is None else np.angle(array.gain).round(6).tolist()
         same = array.positions.shape == plain.positions.shape and np.array_equal(array.positions, plain.positions)
-        return replace(self, turns_rad=turns, positions_m=None if same else array.positions.round(9).tolist())
+        moved = None if same else array.positions.round(9).tolist()
+        return replace(self, turns_rad=turns, positions_m=moved, address=list(places) or None)
 
     @property
     def elements(self) -> tuple[Float, Complex]:
@@ -64,7 +68,8 @@ class LogHead:
     @property
     def playable(self) -> Board:
         """The board itself. Raises DeviceError for one that there is not."""
-        return board_of(DriverConfig.model_validate({"board": self.board, **self.keys}), self.transducers)
+        driver = DriverConfig.model_validate({"board": self.board, **self.keys})
+        return board_of(driver, self.transducers, address=self.address)
 
 
 class Piece(NamedTuple):
@@ -128,6 +133,8 @@ def read_log(path: str | Path) -> tuple[LogHead, list[Piece]]:
         air = Air(**head.pop("air"))
         read = LogHead(air=air, **head)
         _ = read.elements
+        if read.address is not None and sorted(read.address) != list(range(read.transducers)):
+            raise ValueError(f"address holds other numbers than 0 to {read.transducers - 1}, each once")
         return read, list(_pieces(lines[1:]))
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise SceneError(

@@ -10,8 +10,9 @@ import numpy as np
 from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.arrays import layout
 from palmfield.acoustics.calibration_file import calibrated, read_calibration
+from palmfield.config import DriverConfig
 from palmfield.drive.board import Board, Emitted, Flag
-from palmfield.drive.boards import playable_board
+from palmfield.drive.boards import board_of, playable_board
 from palmfield.drive.focus_fit import fitted_focus
 from palmfield.drive.frame_log import LogHead, Piece, is_log, read_log
 from palmfield.errors import OutputError, SceneError
@@ -75,7 +76,9 @@ def pieces_of(
 def _measured(head: LogHead, calibration: Path | None) -> LogHead:
     if calibration is None:
         return head
-    return head.measured(calibrated(layout(head.array), read_calibration(calibration)))
+    array = calibrated(layout(head.array), read_calibration(calibration))
+    driver = DriverConfig.model_validate({"board": head.board})
+    return head.measured(array, board_of(driver, head.transducers, address=array.address).places)
 
 
 def decode(
@@ -86,7 +89,7 @@ def decode(
     What transducers are known to add to their phases, by the log or by a calibration, is in the foci.
     """
     head, pieces = pieces_of(path, board, array, calibration)
-    twin = head.playable.twin()
+    twin = head.playable.wired_twin()
     emitted: list[Emitted] = []
     for piece in pieces:
         emitted += [*twin.until(piece.time_s), *twin.feed(piece.data, piece.time_s)]

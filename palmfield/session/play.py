@@ -118,7 +118,7 @@ def play_focus(
     texts = {key: str(value) for key, value in (keys or {}).items()}
     driver = cast(DriverConfig, parse(DriverConfig, {**texts, "board": board}, "--focus with driver keys"))
     limits = SoundLimits.of(driver)
-    chosen = board_of(driver, len(array), calibrated=sound.calibration is not None)
+    chosen = board_of(driver, len(array), calibrated=sound.calibration is not None, address=array.address)
     said = []
     if chosen.modulates:
         # The board does that by itself, of any focus
@@ -161,7 +161,7 @@ def play_focus(
         band = (1.0, 1.0) if sound.p0_Pa_m is not None else ((p0.low / p0.value) ** 2, (p0.high / p0.value) ** 2)
         moments = [Moment(at_loudest, share)] if played.any() else []
         _warn(check_head(with_band(at_head(moments, driver, array.positions), band), driver))
-    head = LogHead(board, len(array), name, sound.air, driver.of_board(chosen.keys)).measured(array)
+    head = LogHead(board, len(array), name, sound.air, driver.of_board(chosen.keys)).measured(array, chosen.places)
     done = send(frames, chosen, duration_s, target, head, limits, progress).saying(*said)
     if not played.any():
         return done
@@ -215,7 +215,7 @@ def log_head(model: HapticModel) -> LogHead:
     """The head of a log of a scene's frames."""
     spec, own = model.spec, model.spec.driver.of_board(model.board.keys)
     head = LogHead(model.board.name, len(model.arrays), spec.arrays[0].config.layout, model.arrays.air, own)
-    return head.measured(model.arrays.parts[0])
+    return head.measured(model.arrays.parts[0], model.board.places)
 
 
 def scene_frames(scene: Preview, duration_s: float) -> Iterator[TimedFrame]:

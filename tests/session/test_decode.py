@@ -2,18 +2,23 @@
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import palmfield
+from palmfield.acoustics.air import sound_speed
+from palmfield.acoustics.arrays import layout
 from palmfield.acoustics.calibration_file import Calibration, Elements, Pose, write_calibration
-from palmfield.drive.boards import BOARDS
+from palmfield.config import DriverConfig
+from palmfield.drive.boards import BOARDS, board_of
 from palmfield.drive.frame_log import FrameLog, LogHead, read_log
 from palmfield.drive.virtual import VirtualBoard
 from palmfield.session.decode import as_table, decode, replay, write_csv
-from palmfield.session.play import FocusSound, Target, play_focus, play_scene
+from palmfield.session.play import FocusSound, Target, play_focus, play_scene, scene_frames
+from palmfield.session.preview import preview
 from palmfield.types import Air
 
 SCENES = Path(__file__).parents[2] / "mjcf" / "scenes"
@@ -250,3 +255,75 @@ def test_a_board_that_modulates_by_itself_says_so(tmp_path):
     asked = FocusSound(am_frequency_Hz=1250 / 6)
     told = play_focus(POINT, "sonicsurface_tactile", Target(record=tmp_path / "y.bin"), 0.1, sound=asked)
     assert "modulates whatever" not in told.text
+
+
+def rewired(path: Path) -> tuple[Path, np.ndarray]:
+    """A calibration of a SonicSurface whose transducers hang on other places of its byte order."""
+    address = np.random.default_rng(8).permutation(256)
+    elements = Elements(
+        polarity=(1,) * 256, phase_rad=(0.0,) * 256, gain=(1.0,) * 256, enabled=(True,) * 256,
+        address=tuple(address.tolist()),
+    )  # fmt: skip
+    write_calibration(path, Calibration(layout="sonicsurface", elements=elements))
+    return path, address
+
+
+def heard_at(point: tuple[float, float, float], data: bytes, address: np.ndarray) -> float:
+    """|sum| at a point of unit sources, each fed by the byte of its address, late by its lag; 256 where all agree."""
+    steps = np.frombuffer(data[1:-1], np.uint8).astype(float) + (np.arange(256) % 8 == 3)
+    distance = np.linalg.norm(layout("sonicsurface").positions - point, axis=1)
+    wave = np.exp(2j * np.pi * (steps[address] / 32 + 40e3 * distance / sound_speed(Air())))
+    return abs(wave.sum())
+
+
+def test_addresses_of_a_calibration_are_the_places_of_its_bytes(tmp_path):
+    """Of a focus and of a scene alike; the log tells them, raw bytes need the file."""
+    file, address = rewired(tmp_path / "board.json")
+    target = Target(record=tmp_path / "x.bin", log=tmp_path / "x.jsonl")
+    play_focus(POINT, "sonicsurface", target, 0.1, sound=FocusSound(calibration=file))
+    start = len(BOARDS["sonicsurface"].start)
+    data = target.record.read_bytes()[start : start + 258]
+    assert heard_at(POINT, data, address) > 0.995 * 256
+    assert heard_at(POINT, data, np.arange(256)) < 0.3 * 256
+    np.testing.assert_allclose(sounding(target.log)[0].focus, POINT, atol=3e-4)
+    assert not sounding(target.record, "sonicsurface")
+    by_file = decode(target.record, "sonicsurface", calibration=file).foci[2]
+    np.testing.assert_allclose(by_file.focus, POINT, atol=3e-4)
+
+
+def test_addresses_reach_a_scenes_bytes_and_what_is_simulated(tmp_path):
+    file, address = rewired(tmp_path / "board.json")
+    keys = {"array.calibration": str(file), "skin.accuracy": 0.5}
+    view = preview(SCENES / "palm_step_sonicsurface.xml", keys=keys, device="cpu")
+    model = view.runtime.model
+    told = view.runtime.work.emission
+    (frame, *_) = scene_frames(view, 0.05)
+    point = model.stimuli[0].first_focus
+    assert heard_at(tuple(point), frame.data, address) > 0.995 * 256
+    told.begin(view.runtime.posed, 0.0)
+    np.testing.assert_allclose(
+        model.board.decode(frame.data)[-1], told.commanded(view.runtime.posed, np.array([0.0]))[0], atol=1e-9
+    )
+
+
+@pytest.mark.parametrize(
+    "name", ["sonicsurface", "sonicsurface_pair", "sonicsurface_tactile", "openmpd", "ultraino", "autd3"]
+)
+def test_a_rewired_board_emits_what_it_is_asked_for(name):
+    """Byte order is the twin's; a virtual board and `decode` give the layout's."""
+    rng = np.random.default_rng(9)
+    plain = BOARDS[name]
+    places = rng.permutation(plain.transducers)
+    board = replace(plain, places=tuple(places.tolist()))
+    drive = np.exp(2j * np.pi * rng.random(plain.transducers))
+    emitted = board.decode(board.encode(drive))[-1]
+    assert np.abs(np.angle(emitted / drive)).max() <= np.pi / plain.phase_steps * (1 + 1e-9)
+    in_bytes = np.empty_like(drive)
+    in_bytes[places] = drive
+    assert board.encode(drive) == plain.encode(in_bytes)
+
+
+def test_a_board_that_places_its_focus_itself_refuses_addresses():
+    driver = DriverConfig.model_validate({"board": "autd2018"})
+    with pytest.raises(palmfield.DeviceError, match="addresses of a calibration can't reach it"):
+        board_of(driver, 249, address=np.arange(249)[::-1])

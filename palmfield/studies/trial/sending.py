@@ -152,7 +152,7 @@ def send(
             sent.flags = [f"at {flag.time_s + offset:.3f} s {flag.kind}: {flag.text}" for flag in virtual.flags]
         return sent
     assert board.line is not None
-    tap = _Tap(board.twin(), None if port is None else open_port(port, board.line.baud))
+    tap = _Tap(board.wired_twin(), None if port is None else open_port(port, board.line.baud))
     link = BoardLink(board, tap, simulated=port is None, log=log)
     # Twins count from when they are switched on
     zero = link.now()
