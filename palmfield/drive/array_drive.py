@@ -145,7 +145,7 @@ class ArrayDrive:
         else:
             sent = level * phases if self.correction is None else level * phases * self.correction
             played = play(self.board, self._over_all(sent))
-        if level > 0.0 and not played.any():
+        if level > 0.0 and not np.logical_or.reduce(played):
             raise DeviceError(
                 f"plugin 'palmfield.stimulus': each transducer is asked for amplitude {level:.3g} at the loudest "
                 f"moment, which board '{self.board.name}' rounds to silence: set a larger drive_amplitude (or "

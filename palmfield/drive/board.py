@@ -249,7 +249,7 @@ class Board:
 
     def decode(self, data: bytes) -> list[Complex]:
         """What a board just switched on emits after each change, shape (n,) each."""
-        twin = self.wired_twin()
+        twin = self.wired_twin() if self.places else self.twin()
         emitted = []
         for change in twin.take(data):
             emitted.append(change.amplitudes)
