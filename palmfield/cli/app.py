@@ -361,15 +361,21 @@ def replay(
     file: Annotated[Path, typer.Argument(help="of --log, or raw bytes of --record", metavar="FILE")],
     port: Annotated[str, typer.Option(help="serial port or URL")],
     board: Annotated[str | None, typer.Option(help="of raw bytes: for which board they are", metavar="BOARD")] = None,
+    keys: Keys = None,
 ) -> None:
     """Send recorded bytes to a port again, at their times; the board is off at the end.
 
-    Example: palmfield replay sent.jsonl --port /dev/ttyUSB0
+    How long they may sound and how loud at a head, as a log has it of its scene or --set driver.KEY=VALUE says, is
+    checked before: what isn't allowed is refused with exit code 2.
+
+    Examples: palmfield replay sent.jsonl --port /dev/ttyUSB0
+
+    palmfield replay sent.jsonl --port /dev/ttyUSB0 --set driver.on_time_s=5
     """
     from palmfield.cli.boards import show_performance
-    from palmfield.session.decode import replay as replay_file
+    from palmfield.session.replay import replay as replay_file
 
-    show_performance(replay_file(file, port, board, progress=True))
+    show_performance(replay_file(file, port, board, keys=given_keys(keys), progress=True))
 
 
 @app.command()

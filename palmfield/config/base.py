@@ -1,5 +1,6 @@
 """What the keys of all modules share: their model, their types, and how a bad value is told."""
 
+import re
 from functools import lru_cache
 from typing import Annotated, Any, ClassVar
 
@@ -21,6 +22,9 @@ Vector = Annotated[tuple[float, float, float], BeforeValidator(split)]
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
+
+
+JOINED, NUMBER = re.compile(r"\d_\d"), re.compile(r"number|decimals")
 
 
 class Config(BaseModel):
@@ -53,6 +57,7 @@ def parse(model: type[Config], values: dict[str, str], element: str) -> Config:
     Raises SceneError with element, key, value and what is allowed, or what to do instead.
     """
     advice = [text for key, value in values.items() for text in _advice(model, key, value)]
+    advice += [text for key, value in values.items() for text in _joined(model, key, value)]
     if advice:
         raise SceneError(f"{element}: " + "; ".join(advice))
     try:
@@ -78,6 +83,14 @@ def _advice(model: type[Config], key: str, value: str) -> list[str]:
     if both in model.renamed:
         return [f"key '{key}' has value '{value}', which is renamed: use {model.renamed[both]}"]
     return [f"key '{key}' has value '{value}', {model.refused[both]}"] if both in model.refused else []
+
+
+def _joined(model: type[Config], key: str, value: str) -> list[str]:
+    """Digits joined by an underscore are a number to Python, and a slip in a scene."""
+    if key not in model.model_fields or not JOINED.search(value):
+        return []
+    takes = allowed(model, key)
+    return [f"key '{key}' has value '{value}'; allowed: {takes}"] if NUMBER.search(takes) else []
 
 
 def _explain(model: type[Config], values: dict[str, str], error: Any) -> str:

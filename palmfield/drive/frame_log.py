@@ -1,11 +1,13 @@
 """Logs of what was sent to a board and when: text that can be read at any moment, and sent again.
 
 The first line is a JSON object: `palmfield_log` (1, the version), `board`, `keys` (of palmfield.driver), `transducers`,
-`array` (the layout's name), `air` (temperature_C, humidity_percent, pressure_Pa) and, where they are known to differ
-from the layout's, `positions_m`, where the first array's transducers are, `turns_rad`, the phase that each adds to what
-it is told, and `address`, the places of all transducers in the board's byte order. Each further line is a JSON object
-of one piece of bytes: `t`, when its first byte was given to the port [s, since the link was opened], `hex`, the bytes,
-and `cut` where a write timeout left it open how many went out.
+`array` (the layout's name), `air` (temperature_C, humidity_percent, pressure_Pa), `limits` (keys of palmfield.driver
+about how loud and how long it may sound), `p0_Pa_m` and `p0_high_Pa_m` (of the first array, with the high end of what
+is known of it; null where it is the layout's), and, null where they are as the layout says: `positions_m`, where the
+first array's transducers are, `turns_rad`, the phase that each adds to what it is told, and `address`, the places of
+all transducers in the board's byte order. Each further line is a JSON object of one piece of bytes:
+`t`, when its first byte was given to the port [s, since the link was opened], `hex`, the bytes, and `cut` where a write
+timeout left it open how many went out.
 """
 
 import json
@@ -29,8 +31,10 @@ VERSION = 1
 
 @dataclass(frozen=True)
 class LogHead:
-    """For which board a log is. keys: of palmfield.driver besides `board`; array: name of the layout
+    """For which board a log is.
 
+    keys: of palmfield.driver besides `board`; array: name of the layout; limits: SAFETY_KEYS of palmfield.driver that
+    are set; p0_Pa_m, p0_high_Pa_m: of the array's transducers, and the high end of its range, None for the layout's
     Of the first array, None where it is as the layout says: turns_rad, phases that transducers add to what they are
     told (polarity, delays) [rad], shape (n,); positions_m, where they are in the array frame, shape (n, 3)
     address: of all transducers, their places in the board's byte order; None for the layout's order
@@ -41,6 +45,9 @@ class LogHead:
     array: str
     air: Air = field(default_factory=Air)
     keys: Mapping[str, Any] = field(default_factory=dict)
+    limits: Mapping[str, Any] = field(default_factory=dict)
+    p0_Pa_m: float | None = None
+    p0_high_Pa_m: float | None = None
     turns_rad: Sequence[float] | None = None
     positions_m: Sequence[Sequence[float]] | None = None
     address: Sequence[int] | None = None

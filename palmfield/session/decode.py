@@ -11,12 +11,11 @@ from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.arrays import layout
 from palmfield.acoustics.calibration_file import calibrated, read_calibration
 from palmfield.config import DriverConfig
-from palmfield.drive.board import Board, Emitted, Flag
+from palmfield.drive.board import Emitted, Flag
 from palmfield.drive.boards import board_of, playable_board
 from palmfield.drive.focus_fit import fitted_focus
 from palmfield.drive.frame_log import LogHead, Piece, is_log, read_log
 from palmfield.errors import OutputError, SceneError
-from palmfield.session.play import Performance, play_on_port
 from palmfield.types import Float
 
 FREQUENCY_HZ = 40e3
@@ -146,39 +145,3 @@ def write_csv(decoded: Decoded, path: Path) -> None:
                 writer.writerow([row.time_s, *row.focus, row.misfit_rad, row.sounding, row.level])
     except OSError as error:
         raise OutputError(f"cannot write {path}: {error.strerror}; choose a folder that exists and has room") from None
-
-
-def replay(path: str | Path, port: str, board: str | None = None, *, progress: bool = False) -> Performance:
-    """Send a file's bytes to a port, at their times, and silence the board; returns what happened, in a sentence.
-
-    Errors as `pieces_of`; DeviceError where the port can't be opened, or is lost.
-    """
-    head, pieces = pieces_of(path, board)
-    made = head.playable
-    assert made.line is not None
-    frames, cut = _frames(made, pieces)
-    ends = frames[-1][0] if frames else 0.0
-    done = play_on_port(frames, made, port, ends, progress=progress)
-    return done.saying(f"{cut} pieces that were cut are left out") if cut else done
-
-
-def _frames(board: Board, pieces: list[Piece]) -> tuple[list[tuple[float, bytes]], int]:
-    """Pieces as frames with the times of their emission, and how many were cut.
-
-    Of what isn't known to have gone out whole a frame may be half: the next one begins with its start. The start and
-    the stop sequence are the player's own.
-    """
-    assert board.line is not None
-    whole = [piece for piece in pieces if piece.whole]
-    frames: list[tuple[float, bytes]] = []
-    for piece in whole:
-        time_s, data = piece.time_s, piece.data
-        if not frames:
-            data = data.removeprefix(board.start)
-        if piece is whole[-1]:
-            data = data.removesuffix(board.stop)
-        for at in range(0, len(data), board.frame_bytes):
-            part = data[at : at + board.frame_bytes]
-            time_s += board.line.time_s(len(part))
-            frames.append((time_s, part))
-    return frames, len(pieces) - len(whole)

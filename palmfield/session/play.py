@@ -3,7 +3,6 @@
 import logging
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import cast
@@ -17,24 +16,24 @@ from palmfield.acoustics.calibration_file import calibrated, read_calibration
 from palmfield.acoustics.focus import compensate, focus
 from palmfield.acoustics.reference import pressure64
 from palmfield.config import DriverConfig, parse
+from palmfield.config.driver import SAFETY_KEYS
 from palmfield.config.stimulus import too_far
 from palmfield.drive.board import Board, check
-from palmfield.drive.board_link import BoardLink
 from palmfield.drive.boards import board_of, playable_board
 from palmfield.drive.focal_peak import loudest_point
 from palmfield.drive.frame_log import FrameLog, LogHead
 from palmfield.drive.limits import SoundLimits
-from palmfield.drive.playback import REFRESH_S, TimedFrame, filled, frame_times, play_frames
-from palmfield.drive.player import Player, PlayReport
-from palmfield.drive.transport import FileTransport
+from palmfield.drive.playback import REFRESH_S, TimedFrame, filled, frame_times
+from palmfield.drive.player import Player
+from palmfield.drive.recording import record
 from palmfield.errors import DeviceError, SceneError
 from palmfield.session.load import Source
+from palmfield.session.log_head import log_head
 from palmfield.session.preview import Preview, preview
 from palmfield.session.safety.exposure import Moment, at_head, check_head, with_band
 from palmfield.session.safety.scene_sound import scene_at_head
 from palmfield.session.sending import offset_words, peak_offset, sending
 from palmfield.simulation.frames import Frames
-from palmfield.simulation.model import HapticModel
 from palmfield.types import Air, Complex, Float
 
 LOG = logging.getLogger(__name__)
@@ -161,7 +160,11 @@ def play_focus(
         band = (1.0, 1.0) if sound.p0_Pa_m is not None else ((p0.low / p0.value) ** 2, (p0.high / p0.value) ** 2)
         moments = [Moment(at_loudest, share)] if played.any() else []
         _warn(check_head(with_band(at_head(moments, driver, array.positions), band), driver))
-    head = LogHead(board, len(array), name, sound.air, driver.of_board(chosen.keys)).measured(array, chosen.places)
+    limited = driver.model_dump(include=set(SAFETY_KEYS), exclude_none=True, exclude_defaults=True)
+    own, loudness = driver.of_board(chosen.keys), array.p0_Pa_m
+    high = loudness if sound.p0_Pa_m is not None else loudness * p0.high / p0.value
+    head = LogHead(board, len(array), name, sound.air, own, limited, p0_Pa_m=loudness, p0_high_Pa_m=high)
+    head = head.measured(array, chosen.places)
     done = send(frames, chosen, duration_s, target, head, limits, progress).saying(*said)
     if not played.any():
         return done
@@ -211,13 +214,6 @@ def play_scene(
     return done.saying(*said)
 
 
-def log_head(model: HapticModel) -> LogHead:
-    """The head of a log of a scene's frames."""
-    spec, own = model.spec, model.spec.driver.of_board(model.board.keys)
-    head = LogHead(model.board.name, len(model.arrays), spec.arrays[0].config.layout, model.arrays.air, own)
-    return head.measured(model.arrays.parts[0], model.board.places)
-
-
 def scene_frames(scene: Preview, duration_s: float) -> Iterator[TimedFrame]:
     """The bytes of each frame of a scene, with all where it is when that frame is emitted, and the driver's ramp."""
     model = scene.runtime.model
@@ -262,13 +258,10 @@ def send(
     limits.check([frame.time_s for frame in ready], [frame.sounds for frame in ready], duration_s)
     said = [words] if (words := limits.in_words(board)) else []
     if target.record is not None:
-        file = FileTransport(target.record)
         log = None if target.log is None else FrameLog(target.log, head)
-        with closing(BoardLink(board, file, simulated=True, log=log)) as link:
-            played = play_frames(link, ready, duration_s=duration_s)
-        report = PlayReport(played.frames, played.skipped, played.late_s)
-        skipped = f", {played.skipped} more were due than the line takes" if played.skipped else ""
-        text = f"wrote {target.record}: {played.frames} frames for {duration_s:g} s{skipped}"
+        report = record(board, ready, target.record, duration_s=duration_s, log=log)
+        skipped = f", {report.skipped} more were due than the line takes" if report.skipped else ""
+        text = f"wrote {target.record}: {report.frames} frames for {duration_s:g} s{skipped}"
         return Performance(text, report.warning).saying(*said)
     assert target.port is not None
     done = play_on_port(ready, board, target.port, duration_s, log=target.log, head=head, progress=progress)

@@ -15,8 +15,7 @@ from palmfield.acoustics.calibration_file import Calibration, Elements, Pose, wr
 from palmfield.config import DriverConfig
 from palmfield.drive.boards import BOARDS, board_of
 from palmfield.drive.frame_log import FrameLog, LogHead, read_log
-from palmfield.drive.virtual import VirtualBoard
-from palmfield.session.decode import as_table, decode, replay, write_csv
+from palmfield.session.decode import as_table, decode, write_csv
 from palmfield.session.play import FocusSound, Target, play_focus, play_scene, scene_frames
 from palmfield.session.preview import preview
 from palmfield.types import Air
@@ -139,17 +138,6 @@ def test_table_and_csv_have_every_row(tmp_path):
     assert float(rows[2]["z_m"]) == pytest.approx(POINT[2], abs=1e-3)
     assert as_table(decoded).count("\n") == len(rows) + 1
     assert "and 6 more" in as_table(decoded, most=1)
-
-
-def test_what_was_sent_is_sent_again(tmp_path):
-    log, raw = tmp_path / "x.jsonl", tmp_path / "x.bin"
-    play_focus(POINT, "sonicsurface", Target(record=raw, log=log), 0.25)
-    for path in (log, raw):
-        with VirtualBoard(BOARDS["sonicsurface"]) as virtual:
-            told = replay(path, virtual.port, "sonicsurface")
-            virtual.settle()
-            assert bytes(virtual.received) == raw.read_bytes()
-            assert told.text.startswith("played 3 frames") and not virtual.twin.emitted.any()
 
 
 def measured_board(path: Path) -> Path:

@@ -217,6 +217,24 @@ def test_a_skin_behind_the_focus_hardly_moves(small_scene):
     assert "which then hardly moves" in said and "for the 4.5 mm wide spot at the focus" in said
 
 
+def test_a_focus_off_the_skin_is_told_alike_whatever_sets_its_level(small_scene):
+    """20 Pa are in the array's reach at 60 mm, where the focus is, and not at 200, where the skin is."""
+    keys, told = {**STEADY, "focus_m": "0 0 0.06"}, []
+    for level in ({"arp_peak_Pa": 20}, {"drive_amplitude": 1}, {"drive_amplitude": 0.1}):
+        path = small_scene(stimulus=keys | level)
+        changed(path.parent / "plain.xml", 'pos="0 0 0.12"', 'pos="0 0 0.2"')
+        told.append(course_of(path, "no focus comes near skin 'skin'"))
+    assert len(set(told)) == 1 and "stays 140 mm away" in told[0]
+
+
+def test_a_focus_off_the_skin_is_told_for_a_board_that_takes_one_focus(small_scene):
+    keys = {**STEADY, "focus_m": "0 0 0.2", "drive_amplitude": 1, "arp_peak_Pa": None}
+    path = small_scene(
+        array={"layout": "autd2018"}, stimulus={**keys, "control_rate_Hz": 1000}, driver={"board": "autd2018"}
+    )
+    assert "stays 80 mm away" in course_of(path, "no focus comes near skin 'skin'")
+
+
 def test_a_layer_too_large_for_a_focus_far_aside_says_that_it_misses(small_scene, monkeypatch):
     monkeypatch.setattr("palmfield.simulation.validate.available_bytes", lambda: 10**5)
     path = small_scene(stimulus={"focus_m": "1 1 1"}, skin={"element_m": 0.00351})
@@ -271,6 +289,32 @@ def test_a_p0_that_no_transducer_has_is_doubted(p0, small_scene):
 @pytest.mark.parametrize("p0", [0.5, 2.53, 12])
 def test_a_p0_that_one_may_have_is_not(p0, small_scene):
     assert not [text for text in warnings(small_scene(array={"p0_Pa_m": p0})) if "p0 of array" in text]
+
+
+# -- arrays in another unit ----------------------------------------------------------------------------------------
+
+
+def test_places_in_another_unit_are_refused_or_doubted(small_scene, tmp_path):
+    """Metres under names of millimetres are refused; pistons that stand in one another are told; a board's are not."""
+    keys = {"layout": "csv", "transducers": "own.csv"}
+    for scale, told in ((1e-3, "0.0105 mm apart"), (0.5, "5.25 mm apart, and their pistons 9 mm wide"), (1.0, None)):
+        places = [(10.5 * scale * x, 10.5 * scale * y) for x in range(-4, 5) for y in range(-4, 5)]
+        (tmp_path / "own.csv").write_text("x_mm,y_mm,z_mm\n" + "".join(f"{x},{y},0\n" for x, y in places))
+        scene = small_scene(array=keys)
+        if scale == 1e-3:
+            assert "allowed: at least 1.0 mm; look at the unit" in refused(scene, told)
+        elif told:
+            course_of(scene, told)
+            assert not [
+                text for text in warnings(small_scene(array=keys | {"piston_radius_m": 0.0025})) if "wide" in text
+            ]
+        else:
+            assert not [text for text in warnings(scene) if "apart" in text]
+
+
+def test_a_humidity_that_is_a_share_is_doubted(small_scene):
+    assert "look at the unit" in course_of(small_scene(array={"humidity_percent": 0.5}), "humidity_percent of array")
+    assert not [text for text in warnings(small_scene(array={"humidity_percent": 5})) if "humidity" in text]
 
 
 # -- Ctrl-C --------------------------------------------------------------------------------------------------------

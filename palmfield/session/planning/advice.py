@@ -1,23 +1,26 @@
 """What a user should know before the run, in words."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from palmfield.acoustics import validity
-from palmfield.acoustics.layouts import LAYOUTS
-from palmfield.acoustics.transducer import ANY_P0
 from palmfield.config.skin import EXPLICIT
 from palmfield.config.stimulus import AM_KEYS
+from palmfield.drive.array_drive import ArrayDrive
+from palmfield.drive.boards.ideal import BOARD as IDEAL
 from palmfield.session.array_inputs import stimulus_of
 from palmfield.session.biases import response_biases
+from palmfield.session.duration import step_count
+from palmfield.session.planning.array_advice import array_advice
 from palmfield.session.planning.costs import scatterings
 from palmfield.session.planning.facts import first_drive, where_it_arrives
+from palmfield.session.planning.pins import coarse_pins
 from palmfield.session.planning.sight import out_of_sight
 from palmfield.session.preview import Preview
-from palmfield.simulation.emission import array_drives
-from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel, array_instances
+from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.skin.explicit_layer import explicit_layer
 from palmfield.skin.from_config import cutoff_Hz
@@ -31,8 +34,8 @@ SOUNDS, NODES = 16, 2000
 """Points of a path, and of a skin, at most, in which the sound is looked at that comes from a focus far away."""
 HARDLY = 0.05
 """Of the |p|^2 of a focus on it: skin that gets less hardly moves."""
-UNLIKELY = 3.0
-"""So many times beyond what is known of any transducer a p0 is doubted."""
+ROUNDED = 0.01
+"""Of its duration, by which MuJoCo's steps may change a run without a word."""
 
 
 def advice(view: Preview) -> list[str]:
@@ -40,7 +43,8 @@ def advice(view: Preview) -> list[str]:
     model = view.runtime.model
     result = [text for number in range(len(model.skins)) for text in _far_focus(view, number)]
     result += out_of_sight(view)
-    result += _unlikely_p0(model)
+    result += _rounded_duration(view)
+    result += array_advice(model)
     for stimulus in model.stimuli:
         result += _silence(view, stimulus)
         result += _keys_without_effect(stimulus)
@@ -56,6 +60,7 @@ def advice(view: Preview) -> list[str]:
     for skin in model.skins:
         result += _own_mesh(skin, view)
     for number in range(len(model.skins)):
+        result += _coarse(model, number)
         result += _below_cutoff(model, number)
     for number in range(len(model.skins)):
         result += _dropped_response(model, number)
@@ -68,6 +73,17 @@ def advice(view: Preview) -> list[str]:
             continue
         result += validity.warnings(model.arrays.array, point, pressure, model.arrays.air, beam)
     return list(dict.fromkeys(result))
+
+
+def _coarse(model: HapticModel, number: int) -> list[str]:
+    """Whether keys make a skin coarser than its accuracy takes."""
+    skin, pinned = model.skins[number].spec, coarse_pins(model, number)
+    if not pinned:
+        return []
+    return [
+        f"skin '{skin.name}' is made coarser than accuracy {100 * skin.config.accuracy:g} % takes: "
+        f"{', '.join(pinned)}; the run estimates what that costs; drop the keys, or set accuracy larger"
+    ]
 
 
 def _dropped_response(model: HapticModel, number: int) -> list[str]:
@@ -116,19 +132,24 @@ def _far_focus(view: Preview, number: int) -> list[str]:
 
 
 def _share_of_focus(model: HapticModel, skin: int, stimulus: int, posed: PosedScene) -> float:
-    """The highest |p|^2 on a skin, in free air, over that of a focus at the same place, for the points of a path."""
+    """The highest |p|^2 on a skin, in free air, over that of a focus at the same place, for the points of a path.
+
+    Both at full drive of the same transducers, whatever level the stimulus sets and its board plays: a level that is
+    right for the focus may be out of reach at the skin.
+    """
     nodes = posed.skins[skin].nodes[0]
     nodes = nodes[:: -(-len(nodes) // NODES)]
-    drive, places = array_drives(model, posed.arrays)[stimulus], posed.focal_points(model.stimuli[stimulus], stimulus)
-    course, share = _course(model.stimuli[stimulus]), 0.0
+    part, board = model.stimuli[stimulus], replace(IDEAL, compensate=model.board.compensate)
+    drive = ArrayDrive(posed.arrays, part.transducers, None, None, board)
+    course, share = _course(part), 0.0
+    places = posed.focal_points(part, stimulus)
     for point in course[:: -(-len(course) // SOUNDS)]:
-        foci = np.atleast_2d(places.at(point))
-        away = drive.unit_drive(foci)
-        pressures = np.abs(posed.arrays.pressure64(nodes, away.amplitudes))
-        loudest = nodes[pressures.argmax()][None]
-        there = drive.unit_drive(loudest)
-        focused = abs(posed.arrays.pressure64(loudest, there.amplitudes)[0]) * away.level / there.level
-        share = max(share, float(pressures.max() / focused) ** 2)
+        pressures = np.abs(posed.arrays.pressure64(nodes, drive.unit_drive(places.at(point)).amplitudes))
+        loudest = nodes[pressures.argmax()]
+        in_front = np.any((loudest @ drive.normals) > np.einsum("ij,ij->j", drive.places, drive.normals))
+        if in_front and pressures.max() > 0.0:
+            focused = np.abs(posed.arrays.pressure64(loudest[None], drive.unit_drive(loudest).amplitudes)[0])
+            share = max(share, float(pressures.max() / focused) ** 2)
     return share
 
 
@@ -152,20 +173,17 @@ def _silence(view: Preview, stimulus: StimulusModel) -> list[str]:
     return []
 
 
-def _unlikely_p0(model: HapticModel) -> list[str]:
-    """Whether p0 is far from that of any transducer that is known: most likely it is in another unit."""
-    result = []
-    known = [ANY_P0, *(layout.p0 for layout in LAYOUTS.values())]
-    least, most = min(one.low for one in known), max(one.high for one in known)
-    for array, instance in zip(model.spec.arrays, array_instances(model.spec), strict=True):
-        p0, whence = instance.p0.value, instance.p0.source
-        if least / UNLIKELY <= p0 <= UNLIKELY * most:
-            continue
-        result.append(
-            f"p0 of array '{array.name}' is {p0:g} Pa m ({whence}), that of known transducers {least:g} to {most:g}: "
-            "look at the unit, which is pascals at 1 m, peak, at full drive"
-        )
-    return result
+def _rounded_duration(view: Preview) -> list[str]:
+    """Whether MuJoCo's steps make the run longer or shorter than it was meant."""
+    step_s = view.runtime.model.spec.timestep_s
+    steps = step_count(view.duration_s, step_s)
+    if abs(steps * step_s - view.duration_s) <= ROUNDED * view.duration_s:
+        return []
+    count = "one step" if steps == 1 else f"{steps} steps"
+    return [
+        f"the run takes {steps * step_s:.3g} s in place of {view.duration_s:.3g} s, which is {count} of MuJoCo's: "
+        f"option timestep is {step_s:g} s; set one that divides the duration"
+    ]
 
 
 def _course(stimulus: StimulusModel) -> Float:

@@ -12,7 +12,8 @@ from palmfield.drive.frame_log import FrameLog, LogHead
 from palmfield.drive.playback import TimedFrame
 from palmfield.drive.player import Player
 from palmfield.errors import DeviceError, OutputError
-from palmfield.session.play import log_head, scene_frames
+from palmfield.session.log_head import log_head
+from palmfield.session.play import scene_frames
 from palmfield.session.preview import preview
 
 Heard = Callable[[float], None]
