@@ -8,7 +8,7 @@ from typing import cast
 
 import numpy as np
 
-from palmfield.acoustics.arrays import layout
+from palmfield.acoustics.arrays import LAYOUTS, layout
 from palmfield.acoustics.reference import pressure64
 from palmfield.config import DriverConfig, parse
 from palmfield.config.driver import SAFETY_KEYS
@@ -18,7 +18,7 @@ from palmfield.drive.limits import SoundLimits
 from palmfield.errors import DeviceError, SceneError
 from palmfield.session.decode import pieces_of
 from palmfield.session.play import Performance, play_on_port
-from palmfield.session.safety.exposure import Moment, at_head, check_head
+from palmfield.session.safety.exposure import Moment, at_head, check_head, with_band
 from palmfield.session.safety.scene_sound import MOMENTS, moments_of
 from palmfield.types import Complex
 
@@ -79,7 +79,8 @@ def check_limits(head: LogHead, board: Board, frames: list[tuple[float, bytes]],
     SoundLimits.of(driver).check(times, [bool(one.amplitudes.any()) for one in emitted], last - first)
     if driver.head_m is None:
         return []
-    array = layout(head.array, head.p0_high_Pa_m)
+    array = layout(head.array, head.p0_Pa_m)
+    most_Pa_m = head.p0_high_Pa_m or max(array.p0_Pa_m, LAYOUTS[head.array].p0.high)
     if len(array) != head.transducers:
         where = f"the log has bytes for {head.transducers} transducers of several arrays, and not where they stand"
         if driver.head_limit_dB is not None:
@@ -96,7 +97,8 @@ def check_limits(head: LogHead, board: Board, frames: list[tuple[float, bytes]],
         return Moment(lambda points: pressure64(points, array, amplitudes, head.air)[0], share)
 
     moments = [heard(amplitudes, share) for amplitudes, share in shares.values() if amplitudes.any()]
-    return check_head(at_head(moments, driver, array.positions), driver)
+    loudest = with_band(at_head(moments, driver, array.positions), (1.0, (most_Pa_m / array.p0_Pa_m) ** 2))
+    return check_head(loudest, driver)
 
 
 def _emitted(board: Board, frames: list[tuple[float, bytes]]) -> list[Emitted]:
