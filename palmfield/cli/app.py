@@ -630,6 +630,7 @@ def compare_command(
     ] = False,
     most_delay: Annotated[float, typer.Option(help="delays are sought within plus and minus this [s]")] = 5e-3,
     out: Annotated[Path | None, typer.Option(help="folder for the report [default: DIR/compare]")] = None,
+    as_uff: Annotated[bool, typer.Option("--as-uff", help="write ours as computed.uff too")] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace another comparison in the folder")] = False,
     as_json: AsJson = False,
 ) -> None:
@@ -644,7 +645,8 @@ def compare_command(
     folder = run if run.is_dir() else run.parent
     compare_scan(
         run, measured, instrument=instrument, skin=skin, fiducials=fiducials, as_placed=as_placed,
-        most_delay_s=most_delay, out=out or folder / "compare", overwrite=overwrite, quiet=context.obj, as_json=as_json,
+        most_delay_s=most_delay, out=out or folder / "compare", as_uff=as_uff, overwrite=overwrite, quiet=context.obj,
+        as_json=as_json,
     )  # fmt: skip
 
 

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from palmfield.cli.as_json import print_json
+from palmfield.outputs.scan_files import write_scan
 from palmfield.studies.compare.run import FILES, compare
 
 
@@ -16,6 +17,7 @@ def compare_scan(
     as_placed: bool,
     most_delay_s: float,
     out: Path,
+    as_uff: bool,
     overwrite: bool,
     quiet: bool,
     as_json: bool,
@@ -25,9 +27,11 @@ def compare_scan(
         run, measured, instrument=instrument, skin=skin, fiducials=fiducials, onto_surface=not as_placed,
         most_delay_s=most_delay_s, out=out, overwrite=overwrite,
     )  # fmt: skip
+    if as_uff:
+        write_scan(out / "computed.uff", done.computed)
     if as_json:
         print_json(done.as_dict())
         return
     print(done)
-    for name in () if quiet else FILES:
+    for name in () if quiet else (*FILES, *(["computed.uff"] if as_uff else [])):
         print(f"wrote {out / name}")

@@ -87,3 +87,80 @@ def test_a_scan_is_checked_when_it_is_made():
         Scan("velocity", one.times_s, one.points, one.values, 0.0 * one.points)
     few = one.at_points(np.array([0, 2]))
     assert few.values.shape == (64, 2) and few.sights.shape == (2, 3)
+
+
+# -- UFF -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("binary", [True, False])
+@pytest.mark.parametrize("sights", [True, False])
+def test_uff_comes_back(tmp_path, binary, sights):
+    pyuff = pytest.importorskip("pyuff")
+    from palmfield.outputs.scan_files.uff import write_uff
+
+    one = scan("displacement", sights, count=300)
+    write_uff(tmp_path / "a.uff", one, binary=binary)
+    back = read_scan(tmp_path / "a.uff")
+    assert back.quantity == "displacement" and back.points == pytest.approx(one.points, abs=1e-12)
+    assert back.times_s == pytest.approx(one.times_s, rel=1e-5)
+    assert back.values == pytest.approx(one.values, rel=1e-6 if binary else 1e-10, abs=1e-15)
+    assert (back.sights is None) != sights and (not sights or back.sights == pytest.approx(one.sights, abs=1e-8))
+    # As other software reads it
+    kinds = list(pyuff.UFF(str(tmp_path / "a.uff")).get_set_types())
+    assert kinds[:2] == [164, 2411] and kinds.count(82) == 2 and kinds.count(58) == 300
+
+
+def test_uff_of_others_with_millimetres_single_nodes_and_turned_axes(tmp_path):
+    pyuff = pytest.importorskip("pyuff")
+    times = np.arange(32) / 1e3
+    record = np.sin(2 * np.pi * 100 * times)
+    common = {"type": 58, "binary": 0, "func_type": 1, "ref_node": 0, "ref_dir": 0, "x": times, "data": record,
+              "abscissa_spacing": 1, "abscissa_min": 0.0, "abscissa_inc": 1e-3, "abscissa_spec_data_type": 17,
+              "ordinate_spec_data_type": 11, "orddenom_spec_data_type": 0}  # fmt: skip
+    sets = [
+        {"type": 164, "units_code": 5, "length": 1000.0, "force": 1000.0, "temp": 1.0, "temp_offset": 0.0},
+        {"type": 15, "node_nums": np.array([7, 9]), "x": np.array([0.0, 5.0]), "y": np.zeros(2), "z": np.ones(2)},
+        {**common, "rsp_node": 7, "rsp_dir": 3}, {**common, "rsp_node": 9, "rsp_dir": -3},
+    ]  # fmt: skip
+    pyuff.UFF(str(tmp_path / "b.uff")).write_sets(sets, mode="overwrite")
+    back = read_scan(tmp_path / "b.uff")
+    assert back.points == pytest.approx(np.array([[0, 0, 1e-3], [5e-3, 0, 1e-3]]))
+    assert back.values[:, 0] == pytest.approx(1e-3 * record, abs=1e-8)
+    assert back.values[:, 1] == pytest.approx(-1e-3 * record, abs=1e-8)
+    sets[3]["rsp_node"] = 8
+    pyuff.UFF(str(tmp_path / "b.uff")).write_sets(sets, mode="overwrite")
+    with pytest.raises(MeasurementError, match="of node 8, which has no place"):
+        read_scan(tmp_path / "b.uff")
+    sets[2]["ordinate_spec_data_type"] = 12
+    pyuff.UFF(str(tmp_path / "b.uff")).write_sets(sets, mode="overwrite")
+    with pytest.raises(MeasurementError, match="data types 11, 12; allowed: one of 8"):
+        read_scan(tmp_path / "b.uff")
+
+
+def test_uff_that_is_none_is_told(tmp_path):
+    pytest.importorskip("pyuff")
+    (tmp_path / "a.uff").write_text("not a universal file\n")
+    with pytest.raises(MeasurementError, match=r"give a UFF file|not readable"):
+        read_scan(tmp_path / "a.uff")
+    with pytest.raises(MeasurementError, match="it is no file"):
+        read_scan(tmp_path / "none.uff")
+    with pytest.raises(OutputError, match="cannot be written"):
+        write_scan(tmp_path / "no" / "a.uff", scan())
+
+
+def test_shapes_come_back(tmp_path):
+    pytest.importorskip("pyuff")
+    from palmfield.outputs.scan_files.uff import Shape, read_shapes, write_shapes
+
+    one = scan(count=6)
+    rng = np.random.default_rng(0)
+    shapes = [Shape("velocity", f, one.points, rng.normal(size=6) + 1j * rng.normal(size=6)) for f in (200.0, 400.0)]
+    write_shapes(tmp_path / "s.uff", shapes)
+    back = read_shapes(tmp_path / "s.uff")
+    assert [shape.frequency_Hz for shape in back] == [200.0, 400.0]
+    for found, made in zip(back, shapes, strict=True):
+        assert found.amplitudes == pytest.approx(made.amplitudes, abs=1e-5) and found.quantity == "velocity"
+    with pytest.raises(MeasurementError, match="has no time responses"):
+        read_scan(tmp_path / "s.uff")
+    with pytest.raises(OutputError, match="at the same points"):
+        write_shapes(tmp_path / "s.uff", [])

@@ -4,10 +4,11 @@ from pathlib import Path
 
 from palmfield.errors import MeasurementError, OutputError
 from palmfield.instruments.scan import Scan
+from palmfield.outputs.scan_files.uff import read_uff, write_uff
 from palmfield.outputs.scan_files.wide_csv import read_csv, write_csv
 
-READERS = {".csv": read_csv}
-WRITERS = {".csv": write_csv}
+READERS = {".csv": read_csv, ".uff": read_uff, ".unv": read_uff}
+WRITERS = {".csv": write_csv, ".uff": write_uff, ".unv": write_uff}
 
 
 def read_scan(path: str | Path) -> Scan:
