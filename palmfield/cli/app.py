@@ -630,6 +630,16 @@ def compare_command(
     ] = False,
     most_delay: Annotated[float, typer.Option(help="delays are sought within plus and minus this [s]")] = 5e-3,
     out: Annotated[Path | None, typer.Option(help="folder for the report [default: DIR/compare]")] = None,
+    mode: Annotated[
+        float | None, typer.Option(help="fit the guided mode of both scans at this frequency", metavar="HZ")
+    ] = None,
+    source: Annotated[
+        tuple[float, float, float] | None,
+        typer.Option(help="of the mode, on the skin [m] [default: where ours moves most]", metavar="X Y Z"),
+    ] = None,
+    source_radius: Annotated[
+        float, typer.Option(help="left out about the source [m]: 1.5 times the spot's width")
+    ] = 0.016,
     as_uff: Annotated[bool, typer.Option("--as-uff", help="write ours as computed.uff too")] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace another comparison in the folder")] = False,
     as_json: AsJson = False,
@@ -645,7 +655,8 @@ def compare_command(
     folder = run if run.is_dir() else run.parent
     compare_scan(
         run, measured, instrument=instrument, skin=skin, fiducials=fiducials, as_placed=as_placed,
-        most_delay_s=most_delay, out=out or folder / "compare", as_uff=as_uff, overwrite=overwrite, quiet=context.obj,
+        most_delay_s=most_delay, mode_Hz=mode, source_m=source, source_radius_m=source_radius,
+        out=out or folder / "compare", as_uff=as_uff, overwrite=overwrite, quiet=context.obj,
         as_json=as_json,
     )  # fmt: skip
 

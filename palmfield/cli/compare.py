@@ -16,6 +16,9 @@ def compare_scan(
     fiducials: Path | None,
     as_placed: bool,
     most_delay_s: float,
+    mode_Hz: float | None,
+    source_m: tuple[float, float, float] | None,
+    source_radius_m: float,
     out: Path,
     as_uff: bool,
     overwrite: bool,
@@ -25,7 +28,8 @@ def compare_scan(
     """Compare, print what it says, and where its files are."""
     done = compare(
         run, measured, instrument=instrument, skin=skin, fiducials=fiducials, onto_surface=not as_placed,
-        most_delay_s=most_delay_s, out=out, overwrite=overwrite,
+        most_delay_s=most_delay_s, mode_Hz=mode_Hz, source_m=source_m, source_radius_m=source_radius_m,
+        out=out, overwrite=overwrite,
     )  # fmt: skip
     if as_uff:
         write_scan(out / "computed.uff", done.computed)

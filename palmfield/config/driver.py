@@ -51,6 +51,9 @@ class DriverConfig(Config):
     packet_lsb_m: Positive | None = Field(
         None, description="autd2018: what the lowest bit of a coordinate is (default 0.000025)"
     )
+    packet_baud: Annotated[int, Field(gt=0)] | None = Field(
+        None, description="autd2018: rate of the serial line to the first unit [baud] (default 230400)"
+    )
     pwm_edge: Literal["leading", "trailing", "centre"] | None = Field(
         None, description="autd2018: what of a pulse keeps its place as its width changes (default centre)"
     )

@@ -1,7 +1,9 @@
 """Files of scans come back as they went out, and what is wrong in them is named."""
 
+import h5py
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 from palmfield.errors import MeasurementError, OutputError
 from palmfield.instruments.scan import Scan
@@ -164,3 +166,44 @@ def test_shapes_come_back(tmp_path):
         read_scan(tmp_path / "s.uff")
     with pytest.raises(OutputError, match="at the same points"):
         write_shapes(tmp_path / "s.uff", [])
+
+
+# -- MATLAB --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("sights", [True, False])
+def test_mat_comes_back_to_the_last_digit(tmp_path, sights):
+    one = scan("displacement", sights)
+    write_scan(tmp_path / "a.mat", one)
+    back = read_scan(tmp_path / "a.mat")
+    assert back.quantity == "displacement" and (back.sights is None) != sights
+    for name in ("times_s", "points", "values"):
+        assert np.array_equal(getattr(back, name), getattr(one, name))
+
+
+def test_mat_of_version_7_3_is_hdf5(tmp_path):
+    one = scan()
+    with h5py.File(tmp_path / "a.mat", "w", userblock_size=512) as file:
+        for name, values in (("time_s", one.times_s[:, None]), ("points_m", one.points), ("velocity_m_s", one.values)):
+            file[name] = values.T
+    with (tmp_path / "a.mat").open("r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
+    assert np.array_equal(read_scan(tmp_path / "a.mat").values, one.values)
+
+
+def test_what_is_wrong_in_a_mat_is_named(tmp_path):
+    one = scan()
+    good = {"time_s": one.times_s, "points_m": one.points, "velocity_m_s": one.values}
+    for change, words in (
+        ({"velocity_m_s": None}, "has neither; give one of velocity_m_s, displacement_m"),
+        ({"displacement_m": one.values}, "has velocity_m_s and displacement_m"),
+        ({"points_m": None}, "has no variable 'points_m'"),
+        ({"points_m": one.points[:2]}, "give shapes"),
+        ({"velocity_m_s": one.values + 1j}, "velocity_m_s is not of real numbers"),
+    ):
+        savemat(tmp_path / "a.mat", {name: value for name, value in (good | change).items() if value is not None})
+        with pytest.raises(MeasurementError, match=words):
+            read_scan(tmp_path / "a.mat")
+    (tmp_path / "a.mat").write_bytes(b"no such thing")
+    with pytest.raises(MeasurementError, match="cannot be read"):
+        read_scan(tmp_path / "a.mat")

@@ -4,11 +4,12 @@ from pathlib import Path
 
 from palmfield.errors import MeasurementError, OutputError
 from palmfield.instruments.scan import Scan
+from palmfield.outputs.scan_files.matlab import read_mat, write_mat
 from palmfield.outputs.scan_files.uff import read_uff, write_uff
 from palmfield.outputs.scan_files.wide_csv import read_csv, write_csv
 
-READERS = {".csv": read_csv, ".uff": read_uff, ".unv": read_uff}
-WRITERS = {".csv": write_csv, ".uff": write_uff, ".unv": write_uff}
+READERS = {".csv": read_csv, ".uff": read_uff, ".unv": read_uff, ".mat": read_mat}
+WRITERS = {".csv": write_csv, ".uff": write_uff, ".unv": write_uff, ".mat": write_mat}
 
 
 def read_scan(path: str | Path) -> Scan:

@@ -10,8 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from palmfield.errors import OutputError
 from palmfield.instruments.agreement import Agreement
+from palmfield.instruments.guided_mode import GuidedMode
 from palmfield.instruments.registration import Registration
 from palmfield.instruments.scan import Scan
+from palmfield.studies.compare.waves import as_dict, in_words
 from palmfield.tables import write_table
 from palmfield.types import Float
 
@@ -26,7 +28,7 @@ class Comparison:
     measured, skin: their names; quantity: what was read; place: where the scan lies on the skin
     near: which of its points are close enough to be compared, shape (points,), bool; computed: ours, at these
     numbers: of these points; bare: no instrument was told; cut_s: how much of the scan is later than the run [s]
-    most_delay_s: within what delays were sought
+    most_delay_s: within what delays were sought; modes: the guided mode at mode_Hz, measured and computed, if asked for
     """
 
     measured: str
@@ -39,6 +41,8 @@ class Comparison:
     bare: bool
     cut_s: float
     most_delay_s: float
+    mode_Hz: float | None = None
+    modes: tuple[GuidedMode, GuidedMode] | None = None
 
     @property
     def loud(self) -> np.ndarray:
@@ -72,8 +76,15 @@ class Comparison:
                 name: dict(zip(("median", "low_quartile", "high_quartile"), self.median(name), strict=True))
                 for name in ("gain", "delay_s", "l2", "l2_shape", "coherence")
             },
+            **self._modes(),
             "ambiguous_delays": int(self.numbers.ambiguous[self.loud].sum()),
         }
+
+    def _modes(self) -> dict[str, Any]:
+        if self.modes is None:
+            return {}
+        measured, computed = (as_dict(mode) for mode in self.modes)
+        return {"guided_mode": {"frequency_Hz": self.mode_Hz, "measured": measured, "computed": computed}}
 
     def __str__(self) -> str:
         place, numbers = self.place, self.as_dict()
@@ -104,6 +115,9 @@ class Comparison:
             )
         lines.append(f"                medians of the {numbers['points_in_medians']} points that move more than "
                      f"{QUIET:g} of the loudest")  # fmt: skip
+        if self.modes is not None and self.mode_Hz is not None:
+            for name, mode in zip(("measured", "computed"), self.modes, strict=True):
+                lines.append(f"{f'{self.mode_Hz:g} Hz wave':16}{name} {in_words(mode, self.mode_Hz)}")
         if self.bare:
             lines.append("instrument      none told: ours is seen along the skin's mean normal, or the scan's lines of "
                          "sight, without filters")  # fmt: skip

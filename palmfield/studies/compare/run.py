@@ -18,6 +18,7 @@ from palmfield.outputs.scan_files import read_scan, write_scan
 from palmfield.outputs.schema import instances
 from palmfield.outputs.store import open_result
 from palmfield.studies.compare.report import Comparison, write_report
+from palmfield.studies.compare.waves import guided_modes
 from palmfield.tables import read_table
 from palmfield.types import Float
 
@@ -36,6 +37,9 @@ def compare(
     fiducials: str | Path | None = None,
     onto_surface: bool = True,
     most_delay_s: float = 5e-3,
+    mode_Hz: float | None = None,
+    source_m: tuple[float, float, float] | None = None,
+    source_radius_m: float = 0.016,
     out: str | Path | None = None,
     overwrite: bool = False,
 ) -> Comparison:
@@ -47,6 +51,8 @@ def compare(
     skin: which one, where the run has several; fiducials: CSV file of columns PAIR_COLUMNS, points in the scan's frame
         and where they are on the skin at rest
     onto_surface: move the scan onto the skin, as far as the skin tells where it lies
+    mode_Hz: a frequency at which the guided mode of both is fitted; source_m: its source on the skin [m], None: where
+        ours moves most; source_radius_m: what is left out about it, 1.5 times the width of the spot
     out: folder for FILES; None: nothing is written
     Raises MeasurementError for scans, settings and fiducials that don't fit, OutputError for the run and for a folder
     that has such files already.
@@ -75,9 +81,13 @@ def compare(
     count = len(ours.times_s)
     theirs = Scan(scan.quantity, scan.times_s[:count], scan.points[near], scan.values[:count, near], name=scan.name)
     numbers = agreement(theirs.times_s, theirs.values, ours.values, most_delay_s=most_delay_s)
+    modes = None
+    if mode_Hz is not None:
+        source = None if source_m is None else np.asarray(source_m, dtype=float)
+        modes = guided_modes(theirs, ours, mode_Hz, source, source_radius_m)
     done = Comparison(
         scan.name, name, scan.quantity, place, near, ours, numbers, settings is None,
-        float(scan.times_s[-1] - theirs.times_s[-1]), most_delay_s,
+        float(scan.times_s[-1] - theirs.times_s[-1]), most_delay_s, mode_Hz, modes,
     )  # fmt: skip
     if folder is None:
         return done

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from scipy.special import hankel1
 from typer.testing import CliRunner
 
 import palmfield
@@ -15,6 +16,7 @@ from palmfield.instruments.scan import Scan, of_record
 from palmfield.outputs import instances, open_result
 from palmfield.outputs.scan_files import read_scan, write_scan
 from palmfield.studies.compare.run import FILES, compare
+from palmfield.studies.compare.waves import guided_modes, in_words
 
 GAIN, DELAY_S = 1.3, 0.4e-3
 TURN = Rotation.from_euler("xy", [2.0, -1.0], degrees=True).as_matrix()
@@ -105,3 +107,30 @@ def test_fiducials_are_read_and_wrong_ones_named(run, tmp_path):
     (tmp_path / "f.csv").write_text(head.replace("skin_y_m", "y2") + lines)
     with pytest.raises(MeasurementError, match="has no column 'skin_y_m'"):
         compare(run / "run", scan, fiducials=tmp_path / "f.csv")
+
+
+def test_the_guided_mode_of_both_scans_is_told(run):
+    done = compare(run / "run", run / "scan.csv", instrument=run / "head.toml", mode_Hz=200.0, source_radius_m=0.005)
+    told = done.as_dict()["guided_mode"]
+    # 24 mm hold less than two waves of this skin
+    assert not told["measured"]["resolved"] and not told["computed"]["resolved"]
+    assert "200 Hz wave     measured not resolved: " in str(done)
+
+
+def test_two_scans_of_one_mode_show_its_speed_and_length():
+    points = disc_grid(0.06, 0.005)
+    tilt = Rotation.from_euler("y", 20.0, degrees=True).as_matrix()
+    times = np.arange(800) / 8e3
+    k = 210.0 + 40.0j
+    ring = hankel1(0, k * np.maximum(np.linalg.norm(points - [0.005, 0.0, 0.0], axis=1), 1e-3))
+    record = np.real(np.exp(-2j * np.pi * 200.0 * times)[:, None] * ring)
+    noise = 0.02 * np.random.default_rng(0).normal(size=record.shape)
+    sights = np.tile(tilt @ [0.0, 0.0, 1.0], (len(points), 1))
+    scans = [Scan("velocity", times, points @ tilt.T, values, sights) for values in (record + noise, record)]
+    for mode in guided_modes(*scans, 200.0, None, 0.016):
+        assert mode.wavenumber_rad_m == pytest.approx(k, rel=0.01)
+    assert "m/s, 1/e length 25" in in_words(mode, 200.0)
+    bent = [Scan("velocity", times, one.points + np.outer(points[:, 0] ** 2 * 4, tilt[:, 2]), one.values, sights)
+            for one in scans]  # fmt: skip
+    with pytest.raises(MeasurementError, match="is fitted on flat skin"):
+        guided_modes(*bent, 200.0, None, 0.016)
