@@ -290,7 +290,7 @@ def commanded(board: Board, amplitudes: ArrayLike) -> Complex:
         raise DeviceError(f"a frame of {board.name} has shape {values.shape}; give ({board.transducers},)")
     magnitude = np.abs(values)
     bad = ~(magnitude <= FULL)
-    if bad.any():
+    if np.logical_or.reduce(bad):
         number = int(np.flatnonzero(bad)[0])
         raise DeviceError(
             f"transducer {number} is asked for amplitude {magnitude[number]:.4g}; allowed: 0 (off) to 1 (full drive)"
@@ -314,7 +314,7 @@ def switched(board: Board, amplitudes: ArrayLike) -> tuple[Complex, np.ndarray]:
         return values, magnitude > thresholds(len(values))
     on = magnitude != 0.0
     bad = on & (magnitude < 1.0 - (FULL - 1.0))
-    if bad.any():
+    if np.logical_or.reduce(bad):
         number = int(np.flatnonzero(bad)[0])
         raise DeviceError(
             f"transducer {number} is asked for amplitude {magnitude[number]:.4g}; {board.name} has a fixed "
