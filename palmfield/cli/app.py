@@ -470,6 +470,8 @@ def keys(
     from palmfield.cli.as_json import print_json
     from palmfield.cli.keys import as_dict, as_markdown, as_text
 
+    if as_json and markdown:
+        raise SceneError("--json and --markdown ask for two forms; give one of them")
     if as_json:
         print_json(as_dict(plugin))
     else:

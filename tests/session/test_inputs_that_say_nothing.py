@@ -11,6 +11,7 @@ from refusals import changed, refused
 
 import palmfield
 from palmfield.acoustics.air import sound_speed
+from palmfield.acoustics.calibration_file import Calibration, Elements, Pose, write_calibration
 from palmfield.acoustics.reference import pressure64
 from palmfield.cli import run as cli_run
 from palmfield.cli.app import main
@@ -18,7 +19,7 @@ from palmfield.config.stimulus import too_far
 from palmfield.session.plan import warnings
 from palmfield.session.preview import preview
 from palmfield.simulation.spec import SceneSpec
-from palmfield.types import Air, Float
+from palmfield.types import Air, Estimate, Float
 
 SKIN = "plugin 'palmfield.skin' instance 'skin': "
 STIMULUS = "plugin 'palmfield.stimulus' instance 'stimulus': "
@@ -315,6 +316,54 @@ def test_places_in_another_unit_are_refused_or_doubted(small_scene, tmp_path):
 def test_a_humidity_that_is_a_share_is_doubted(small_scene):
     assert "look at the unit" in course_of(small_scene(array={"humidity_percent": 0.5}), "humidity_percent of array")
     assert not [text for text in warnings(small_scene(array={"humidity_percent": 5})) if "humidity" in text]
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"gain": 5.0}, "has gains about 5, which are relative to p0"),
+        ({"gain": 0.2}, "has gains about 0.2, which are relative to p0"),
+        ({"offset_m": (0.3, 0.4, 0.0)}, "has its board 0.5 m off: look at the unit"),
+        ({"high": 900.0}, "has a p0 of 1.2 to 900 Pa m, so wide that it says nothing"),
+        ({}, None),
+    ],
+)
+def test_a_calibration_of_no_board_is_doubted(changes, told, small_scene, tmp_path):
+    count = 256
+    elements = Elements(
+        enabled=(True,) * count, polarity=(1,) * count, phase_rad=(0.0,) * count,
+        gain=(changes.get("gain", 1.1),) * count,
+    )  # fmt: skip
+    p0 = Estimate(1.3, 1.2, changes.get("high", 1.4), "measured", "ours")
+    pose = Pose(offset_m=changes.get("offset_m", (1e-3, 0.0, 0.0)))
+    calibration = Calibration(layout="uhev1", p0=p0, elements=elements, pose=pose)
+    write_calibration(tmp_path / "ours.json", calibration)
+    said = [text for text in warnings(small_scene(array={"calibration": "ours.json"})) if "calibration of" in text]
+    assert said == [] if told is None else len(said) == 1 and told in said[0]
+
+
+@pytest.mark.parametrize(
+    ("rate_Hz", "told"),
+    [(150, "what is played is 50 Hz"), (390, "played is 190 Hz"), (400, "depends on when"), (401, None), (0, None)],
+)
+def test_frames_too_rare_for_a_modulation_are_told(rate_Hz, told, small_scene):
+    said = [text for text in warnings(small_scene(stimulus={"control_rate_Hz": rate_Hz})) if "frames a second" in text]
+    assert said == [] if told is None else len(said) == 1 and told in said[0]
+
+
+@pytest.mark.parametrize(
+    ("keys", "told"),
+    [
+        ({"density_kg_m3": 1.03}, "has a density of 1.03 kg/m^3, that of skins and phantoms 500 to 3000"),
+        ({"shear_relaxed_Pa": 12}, "has a relaxed shear modulus of 12 Pa"),
+        ({"bulk_Pa": 1000}, "look at bulk_Pa"),
+        ({}, None),
+    ],
+)
+def test_a_material_that_no_skin_is_of_is_doubted(keys, told, small_scene):
+    """K = 1000 Pa beside the preset's shear modulus is a solid that grows thicker as it is drawn out."""
+    said = [text for text in warnings(small_scene(skin=keys)) if text.startswith("material ")]
+    assert said == [] if told is None else len(said) == 1 and told in said[0]
 
 
 # -- Ctrl-C --------------------------------------------------------------------------------------------------------

@@ -17,6 +17,8 @@ from palmfield.session.duration import step_count
 from palmfield.session.planning.array_advice import array_advice
 from palmfield.session.planning.costs import scatterings
 from palmfield.session.planning.facts import first_drive, where_it_arrives
+from palmfield.session.planning.in_the_way import in_the_way
+from palmfield.session.planning.material_advice import material_advice
 from palmfield.session.planning.pins import coarse_pins
 from palmfield.session.planning.sight import out_of_sight
 from palmfield.session.preview import Preview
@@ -43,13 +45,16 @@ def advice(view: Preview) -> list[str]:
     model = view.runtime.model
     result = [text for number in range(len(model.skins)) for text in _far_focus(view, number)]
     result += out_of_sight(view)
+    result += in_the_way(view)
     result += _rounded_duration(view)
     result += array_advice(model)
+    result += material_advice(model)
     for stimulus in model.stimuli:
         result += _silence(view, stimulus)
         result += _keys_without_effect(stimulus)
         result += _path_off_the_skin(model, stimulus)
         result += _hardly_begun(stimulus, view.duration_s)
+        result += _held_too_long(stimulus)
     for scattering in scatterings(view):
         if scattering.moves:
             total_s = scattering.solutions * scattering.solution_s
@@ -96,6 +101,23 @@ def _dropped_response(model: HapticModel, number: int) -> list[str]:
         "response to auto or on"
         for bias in response_biases(stimulus, skin)
         if bias.low is not None and -bias.low > wanted
+    ]
+
+
+def _held_too_long(stimulus: StimulusModel) -> list[str]:
+    """Whether control_rate_Hz holds a modulation so long that another one is played; rectangles get frames at jumps."""
+    config = stimulus.config
+    rate, frequency = config.control_rate_Hz, config.am_frequency_Hz
+    if config.modulation != "am" or config.am_waveform == "rectangle" or not config.am_depth or frequency is None:
+        return []
+    if not 0.0 < rate <= 2.0 * frequency:
+        return []
+    played = f"what is played is {abs(frequency - rate * round(frequency / rate)):g} Hz"
+    if rate == 2.0 * frequency:
+        played = "how deep it is played depends on when the frames fall"
+    return [
+        f"stimulus '{stimulus.spec.name}' gets {rate:g} frames a second (control_rate_Hz), two at most in a period "
+        f"of its {frequency:g} Hz: {played}; set control_rate_Hz larger, or am_frequency_Hz smaller"
     ]
 
 

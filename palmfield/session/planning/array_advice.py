@@ -1,5 +1,7 @@
 """What a user should know of a scene's arrays before the run: numbers that look as if in another unit."""
 
+import numpy as np
+
 from palmfield.acoustics.layouts import LAYOUTS
 from palmfield.acoustics.transducer import ANY_P0
 from palmfield.simulation.model import HapticModel, array_instances
@@ -9,13 +11,19 @@ TOUCHING = 0.99
 """Of two pistons' radii, below which their middles are doubted."""
 DRY_PERCENT = 1.0
 """No room is drier: below it the humidity is taken for a share."""
+MEDIAN_GAIN = 2.0
+"""Transducers whose middle one is so many times louder or softer than p0 have their level in the wrong place."""
+FAR_OFF_M = 0.05
+"""A board that a calibration moves farther was measured in another frame, or in another unit."""
+WIDE = 10.0
+"""Ends of a range whose ratio is more say that nothing was measured."""
 UNLIKELY = 3.0
 """So many times beyond what is known of any transducer a p0 is doubted."""
 
 
 def array_advice(model: HapticModel) -> list[str]:
     """Warnings of arrays."""
-    return _unlikely_p0(model) + _crowded(model) + _dry(model)
+    return _unlikely_p0(model) + _crowded(model) + _dry(model) + _calibrations(model)
 
 
 def _unlikely_p0(model: HapticModel) -> list[str]:
@@ -55,3 +63,31 @@ def _dry(model: HapticModel) -> list[str]:
         for array in model.spec.arrays
         if 0.0 < array.config.humidity_percent <= DRY_PERCENT
     ]
+
+
+def _calibrations(model: HapticModel) -> list[str]:
+    """Whether a laboratory's calibration says what no board is like: levels and places in another unit."""
+    result = []
+    for array, instance in zip(model.spec.arrays, array_instances(model.spec), strict=True):
+        known = instance.calibration
+        if known is None:
+            continue
+        says = f"the calibration of array '{array.name}'"
+        if known.elements is not None:
+            middle = float(np.median(np.array(known.elements.gain)[np.array(known.elements.enabled)]))
+            if not 1.0 / MEDIAN_GAIN <= middle <= MEDIAN_GAIN:
+                result.append(
+                    f"{says} has gains about {middle:.3g}, which are relative to p0: put the level into p0, or leave "
+                    "them at about 1"
+                )
+        off_m = float(np.linalg.norm(known.pose.offset_m))
+        if off_m > FAR_OFF_M:
+            result.append(
+                f"{says} has its board {off_m:.3g} m off: look at the unit, which is metres, and at the frame"
+            )
+        if known.p0 is not None and known.p0.high > WIDE * known.p0.low:
+            result.append(
+                f"{says} has a p0 of {known.p0.low:g} to {known.p0.high:g} Pa m, so wide that it says nothing: measure "
+                "it again"
+            )
+    return result
