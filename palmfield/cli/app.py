@@ -39,7 +39,8 @@ Keys = Annotated[
     typer.Option(
         "--set",
         help="another value for a key of one instance, or of all instances of a plugin, e.g. "
-        "stimulus.path_speed_m_s=11 (see `palmfield keys`); give it several times for several keys",
+        "stimulus.path_speed_m_s=11 (see `palmfield keys`); give it several times for several keys. A file that is "
+        "in the current folder is taken from there, others are relative to the scene",
         metavar="INSTANCE.KEY=VALUE",
         autocompletion=completion.settings,
     ),
