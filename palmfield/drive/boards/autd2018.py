@@ -238,8 +238,8 @@ BOARD = Autd2018(
     takes="focus",
     when_host_dies="the units go on with the last packet's focus until power is cut",
     cannot_guarantee="The paper leaves header, footer, order of bits, the lowest bit's meaning and the line's rate "
-    "open, so that a real unit may need other values of the packet_ keys; units place the focus themselves, by their own "
-    "speed of sound, and know nothing of dead or inverted transducers.",
+    "open, so that a real unit may need other values of the packet_ keys; units place the focus themselves, by their "
+    "own speed of sound, and know nothing of dead or inverted transducers.",
     keys=(
         "packet_header", "packet_footer", "packet_bit_order", "packet_lsb_m", "packet_baud", "duty_exponent",
         "pwm_edge", "hop_delay_s", "skew_s", "clock_drift_ppm", "sync", "board_sound_speed_m_s",
