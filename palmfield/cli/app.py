@@ -39,7 +39,8 @@ Keys = Annotated[
     typer.Option(
         "--set",
         help="another value for a key of one instance, or of all instances of a plugin, e.g. "
-        "stimulus.path_speed_m_s=11 (see `palmfield keys`); give it several times for several keys",
+        "stimulus.path_speed_m_s=11 (see `palmfield keys`); give it several times for several keys. A file that is "
+        "in the current folder is taken from there, others are relative to the scene",
         metavar="INSTANCE.KEY=VALUE",
         autocompletion=completion.settings,
     ),
@@ -162,6 +163,7 @@ def info(
 
 @app.command()
 def drive(
+    context: typer.Context,
     scene: Annotated[Path | None, typer.Argument(help="scene to play", metavar="[SCENE.xml]")] = None,
     focus: Annotated[
         tuple[float, float, float] | None, typer.Option(help="a still focus in the array frame [m]", metavar="X Y Z")
@@ -215,6 +217,8 @@ def drive(
 
     if (scene is None) == (focus is None):
         raise SceneError("`palmfield drive` plays either a SCENE.xml or --focus X Y Z; give one of them")
+    if scene is not None:
+        _refuse_focus_options(context)
     if (port is None) == (record is None):
         raise SceneError("`palmfield drive` needs either --port (a board) or --record (a file); give one of them")
     _check_duration(duration)
@@ -228,6 +232,24 @@ def drive(
         assert scene is not None
         done = play_scene(scene, board, target, duration, keys=given_keys(keys), progress=True)
     show_performance(done)
+
+
+OF_A_FOCUS = {
+    "level": "stimulus.drive_amplitude", "am_frequency": "stimulus.am_frequency_Hz", "layout": "array.layout",
+    "p0": "array.p0_Pa_m", "calibration": "array.calibration", "temperature": "array.temperature_C",
+    "humidity": "array.humidity_percent", "air_pressure": "array.pressure_Pa",
+}  # fmt: skip
+"""Options of `drive` that say what a scene's keys say."""
+
+
+def _refuse_focus_options(context: typer.Context) -> None:
+    """Raises SceneError for an option that belongs to --focus, beside a scene."""
+    for name, key in OF_A_FOCUS.items():
+        source = context.get_parameter_source(name)
+        if source is not None and source.name == "COMMANDLINE":
+            raise SceneError(
+                f"--{name.replace('_', '-')} belongs to --focus; a scene says it itself: use --set {key}=VALUE"
+            )
 
 
 @app.command()
@@ -308,6 +330,10 @@ def decode(
     file: Annotated[Path, typer.Argument(help="of --log, or raw bytes of --record", metavar="FILE")],
     board: Annotated[str | None, typer.Option(help="of raw bytes: for which board they are", metavar="BOARD")] = None,
     layout: Annotated[str | None, typer.Option(help="of raw bytes: the array's layout [default: the board's]")] = None,
+    calibration: Annotated[
+        Path | None,
+        typer.Option(help="file of what the transducers do [default: as the log's scene knew them]", metavar="FILE"),
+    ] = None,
     png: Annotated[Path | None, typer.Option(help="draw the foci", metavar="FILE")] = None,
     csv: Annotated[Path | None, typer.Option(help="write all foci as a table", metavar="FILE")] = None,
 ) -> None:
@@ -322,7 +348,7 @@ def decode(
     from palmfield.session.decode import as_table, write_csv
     from palmfield.session.decode import decode as decoded_file
 
-    decoded = decoded_file(file, board, layout)
+    decoded = decoded_file(file, board, layout, calibration)
     print(as_table(decoded, most=40))
     if csv is not None:
         write_csv(decoded, csv)

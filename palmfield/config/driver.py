@@ -1,5 +1,6 @@
 """Keys of palmfield.driver."""
 
+from collections.abc import Container
 from pathlib import Path
 from pkgutil import iter_modules
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
@@ -85,6 +86,10 @@ class DriverConfig(Config):
     head_limit_dB: Annotated[float, Field(ge=40, le=150)] | None = Field(
         None, description="sound pressure level in that ball above which nothing is played (default: only warned of)"
     )
+
+    def of_board(self, keys: Container[str]) -> dict[str, Any]:
+        """Values of some keys as they are written, those that are set."""
+        return {key: value for key, value in self.model_dump(exclude_none=True).items() if key in keys}
 
     @property
     def board_keys(self) -> dict[str, Any]:

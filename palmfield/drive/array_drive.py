@@ -151,9 +151,17 @@ class ArrayDrive:
     def _made(self, point: Float, loudness: Float | None) -> UnitDrive:
         point, phases, level = self._asked(point, loudness)
         if self.board.takes == "focus":
-            return UnitDrive(self.board.played_focus(point, level), level)
-        sent = level * phases if self.correction is None else level * phases * self.correction
-        return UnitDrive(play(self.board, self._over_all(sent)), level)
+            played = self.board.played_focus(point, level)
+        else:
+            sent = level * phases if self.correction is None else level * phases * self.correction
+            played = play(self.board, self._over_all(sent))
+        if level > 0.0 and not np.logical_or.reduce(played):
+            raise DeviceError(
+                f"plugin 'palmfield.stimulus': each transducer is asked for amplitude {level:.3g} at the loudest "
+                f"moment, which board '{self.board.name}' rounds to silence: set a larger drive_amplitude (or "
+                "arp_peak_Pa), or another board"
+            )
+        return UnitDrive(played, level)
 
     @cached_property
     def correction(self) -> Complex | None:

@@ -81,7 +81,7 @@ class VirtualBoard:
         """
         assert board.line is not None
         self.board, self.line, self.faults = board, board.line, faults or Faults()
-        self.twin = board.twin()
+        self.twin = board.wired_twin()
         self.received = bytearray()
         self.emitted: list[Emitted] = []
         self._began = time.monotonic()

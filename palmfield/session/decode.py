@@ -9,8 +9,10 @@ import numpy as np
 
 from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.arrays import layout
+from palmfield.acoustics.calibration_file import calibrated, read_calibration
+from palmfield.config import DriverConfig
 from palmfield.drive.board import Emitted, Flag
-from palmfield.drive.boards import playable_board
+from palmfield.drive.boards import board_of, playable_board
 from palmfield.drive.focus_fit import fitted_focus
 from palmfield.drive.frame_log import LogHead, Piece, is_log, read_log
 from palmfield.errors import OutputError, SceneError
@@ -45,14 +47,17 @@ class Decoded:
     flags: list[Flag]
 
 
-def pieces_of(path: str | Path, board: str | None, array: str | None = None) -> tuple[LogHead, list[Piece]]:
+def pieces_of(
+    path: str | Path, board: str | None, array: str | None = None, calibration: Path | None = None
+) -> tuple[LogHead, list[Piece]]:
     """What a log of `--log` holds, or a file of raw bytes, which needs a board's name; raw bytes follow one another.
 
-    array: name of the layout, None for the board's first one
+    array: name of the layout, None for the board's first one; calibration: file of what its transducers do
     Raises SceneError for a file that can't be read, and for raw bytes without a board, DeviceError for an unknown one.
     """
     if is_log(path):
-        return read_log(path)
+        head, pieces = read_log(path)
+        return _measured(head, calibration), pieces
     file = Path(path)
     try:
         data = file.read_bytes()
@@ -63,25 +68,43 @@ def pieces_of(path: str | Path, board: str | None, array: str | None = None) -> 
     chosen = playable_board(board)
     name = array or chosen.layouts[0]
     count = len(layout(name)) * chosen.arrays[0]
-    return LogHead(board, count, name), [Piece(0.0, data)]
+    head = LogHead(board, count, name)
+    return _measured(head, calibration), [Piece(0.0, data)]
 
 
-def decode(path: str | Path, board: str | None = None, array: str | None = None) -> Decoded:
-    """The foci that a file's bytes make; arguments and errors as `pieces_of`."""
-    head, pieces = pieces_of(path, board, array)
-    twin = head.playable.twin()
+def _measured(head: LogHead, calibration: Path | None) -> LogHead:
+    if calibration is None:
+        return head
+    array = calibrated(layout(head.array), read_calibration(calibration))
+    driver = DriverConfig.model_validate({"board": head.board})
+    return head.measured(array, board_of(driver, head.transducers, address=array.address).places)
+
+
+def decode(
+    path: str | Path, board: str | None = None, array: str | None = None, calibration: Path | None = None
+) -> Decoded:
+    """The foci that a file's bytes make; arguments and errors as `pieces_of`.
+
+    What transducers are known to add to their phases, by the log or by a calibration, is in the foci.
+    """
+    head, pieces = pieces_of(path, board, array, calibration)
+    twin = head.playable.wired_twin()
     emitted: list[Emitted] = []
     for piece in pieces:
         emitted += [*twin.until(piece.time_s), *twin.feed(piece.data, piece.time_s)]
     emitted += twin.until(twin.time_s + 1.0)
-    positions = layout(head.array).positions
+    positions, turns = head.elements
     wavenumber = 2.0 * math.pi * FREQUENCY_HZ / sound_speed(head.air)
     foci: list[DecodedFocus] = []
     near: Float | None = None
+    known: dict[bytes, tuple[Float, float]] = {}
     for one in emitted:
         # Of several arrays the first one's focus is told: the others' places are the scene's
-        own = one.amplitudes[: len(positions)]
-        place, misfit = fitted_focus(positions, own, wavenumber, near)
+        own = one.amplitudes[: len(positions)] * turns
+        key = own.tobytes()
+        if key not in known:
+            known[key] = fitted_focus(positions, own, wavenumber, near)
+        place, misfit = known[key]
         if misfit < GOOD_RAD:
             near = place
         else:

@@ -8,10 +8,11 @@ from palmfield.simulation.model import HapticModel, array_instances
 def log_head(model: HapticModel) -> LogHead:
     """The head of a log of a model's frames, with the limits that its driver sets."""
     spec, driver = model.spec, model.spec.driver
-    own = {key: value for key, value in driver.model_dump(exclude_none=True).items() if key in model.board.keys}
+    own = driver.of_board(model.board.keys)
     limits = driver.model_dump(include=set(SAFETY_KEYS), exclude_none=True, exclude_defaults=True)
     p0 = array_instances(spec)[0].p0
     name = spec.arrays[0].config.layout
-    return LogHead(
+    head = LogHead(
         model.board.name, len(model.arrays), name, model.arrays.air, own, limits, p0_Pa_m=p0.value, p0_high_Pa_m=p0.high
     )
+    return head.measured(model.arrays.parts[0], model.board.places)

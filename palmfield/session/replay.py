@@ -2,12 +2,13 @@
 
 import logging
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
 import numpy as np
 
-from palmfield.acoustics.arrays import layout
+from palmfield.acoustics.arrays import LAYOUTS, layout
 from palmfield.acoustics.reference import pressure64
 from palmfield.config import DriverConfig, parse
 from palmfield.config.driver import SAFETY_KEYS
@@ -17,7 +18,7 @@ from palmfield.drive.limits import SoundLimits
 from palmfield.errors import DeviceError, SceneError
 from palmfield.session.decode import pieces_of
 from palmfield.session.play import Performance, play_on_port
-from palmfield.session.safety.exposure import Moment, at_head, check_head
+from palmfield.session.safety.exposure import Moment, at_head, check_head, with_band
 from palmfield.session.safety.scene_sound import MOMENTS, moments_of
 from palmfield.types import Complex
 
@@ -66,9 +67,9 @@ def _text(value: object) -> str:
 def check_limits(head: LogHead, board: Board, frames: list[tuple[float, bytes]], driver: DriverConfig) -> list[str]:
     """What users are warned of, in words, before frames are sent.
 
-    Levels at the head are those of the layout's transducers, all alike, at the high end of p0's range as far as the log
-    has it. Raises DeviceError for what the driver's keys don't allow, and for a limit at the head where the log doesn't
-    know where its arrays stand.
+    Levels at the head are those of transducers where the log has them, with the phases that it knows and all equally
+    loud, at the high end of p0's range as far as the log has it. Raises DeviceError for what the driver's keys don't
+    allow, and for a limit at the head where the log doesn't know where its arrays stand.
     """
     emitted = _emitted(board, frames)
     if not emitted:
@@ -78,12 +79,15 @@ def check_limits(head: LogHead, board: Board, frames: list[tuple[float, bytes]],
     SoundLimits.of(driver).check(times, [bool(one.amplitudes.any()) for one in emitted], last - first)
     if driver.head_m is None:
         return []
-    array = layout(head.array, head.p0_high_Pa_m)
+    array = layout(head.array, head.p0_Pa_m)
+    most_Pa_m = head.p0_high_Pa_m or max(array.p0_Pa_m, LAYOUTS[head.array].p0.high)
     if len(array) != head.transducers:
         where = f"the log has bytes for {head.transducers} transducers of several arrays, and not where they stand"
         if driver.head_limit_dB is not None:
             raise DeviceError(f"{where}, so that head_limit_dB can't be kept: play the scene itself (palmfield drive)")
         return [f"{where}: the level at the head is not known"]
+    places, turns = head.elements
+    array = replace(array, positions=places, gain=turns)
     shares: dict[bytes, tuple[Complex, float]] = {}
     for time_s in moments_of(MOMENTS, last - first):
         now = emitted[int(np.searchsorted(times, time_s, "right")) - 1].amplitudes
@@ -93,13 +97,14 @@ def check_limits(head: LogHead, board: Board, frames: list[tuple[float, bytes]],
         return Moment(lambda points: pressure64(points, array, amplitudes, head.air)[0], share)
 
     moments = [heard(amplitudes, share) for amplitudes, share in shares.values() if amplitudes.any()]
-    return check_head(at_head(moments, driver, array.positions), driver)
+    loudest = with_band(at_head(moments, driver, array.positions), (1.0, (most_Pa_m / array.p0_Pa_m) ** 2))
+    return check_head(loudest, driver)
 
 
 def _emitted(board: Board, frames: list[tuple[float, bytes]]) -> list[Emitted]:
     """What a board makes of frames, by its twin."""
     assert board.line is not None
-    twin = board.twin()
+    twin = board.wired_twin()
     emitted: list[Emitted] = []
     for time_s, data in frames:
         begins = time_s - board.line.time_s(len(data))

@@ -128,6 +128,20 @@ def test_another_board_keeps_what_is_allowed():
     )  # fmt: skip
 
 
+def test_a_modulated_focus_is_as_loud_at_the_head_as_its_loudest_moment(tmp_path):
+    """Its first frame is half as loud, by which a limit must not go."""
+    head = {"head_m": "0 -0.3 0.5", "head_limit_dB": "134"}
+    target = Target(record=tmp_path / "x.bin")
+    for modulation_Hz in (0.0, 200.0):
+        sound = FocusSound(am_frequency_Hz=modulation_Hz)
+        with pytest.raises(palmfield.DeviceError, match=r"133 dB SPL .* up to 13\d dB as far as p0 is known"):
+            play_focus(POINT, "autd3", target, 0.1, sound=sound, keys=head)
+    # A pressure that is given has no range, and the level then is below the limit
+    play_focus(POINT, "autd3", target, 0.1, sound=FocusSound(p0_Pa_m=layout("autd3").p0_Pa_m), keys=head)
+    said = play_focus(POINT, "autd3", target, 0.1, sound=FocusSound(am_frequency_Hz=200.0)).text
+    assert said.splitlines()[-1] == play_focus(POINT, "autd3", target, 0.1).text.splitlines()[-1]
+
+
 def test_the_loudest_place_is_found_among_many_that_are_nearly_as_loud():
     """Beside a focus and below it, where lobes cross: against every place of a grid of 2 mm, in float64."""
     array = layout("sonicsurface", 2.0)

@@ -184,7 +184,7 @@ class _Twin:
     """A board's twin that is fed with what is on the line, at times since it was switched on."""
 
     def __init__(self, board: Board, log: FrameLog | None = None) -> None:
-        self.board, self.twin, self.log = board, board.twin(), log
+        self.board, self.twin, self.log = board, board.wired_twin(), log
         self.emitted: list[Emitted] = []
 
     def feed(self, data: bytes, begins_s: float) -> None:
