@@ -277,7 +277,7 @@ def test_no_shipped_scene_of_moving_hands_is_warned_of_a_far_focus(scene):
 def test_plan_says_what_a_board_is_sent_and_where_the_sound_is_loudest(small_scene):
     made = palmfield.plan(small_scene(), board="autd2018")
     said = row(made.modelled, "sending").size
-    assert said.startswith("9 bytes a frame, 2000 frames/s due, the line takes 2000; latency 0.5 to 1 ms")
+    assert said.startswith("9 bytes a frame, 2000 frames/s due, the line takes 2000; latency 0.391 to 0.781 ms")
     assert made.as_dict()["board"] == "autd2018" and made.as_dict()["sending"]["frame_bytes"] == 9
     assert palmfield.plan(small_scene()).as_dict()["sending"] is None
     arrays = palmfield.load(small_scene(), board="autd2018").runtime.model.arrays
