@@ -14,6 +14,8 @@ from palmfield.types import Float
 UNREADABLE = (OSError, EOFError, ValueError, NotImplementedError, BadZipFile, zlib.error, csv.Error)
 """What open, csv, zipfile and NumPy raise for a broken file; undecodable text is a ValueError."""
 
+SEPARATORS = {";": "semicolons", "\t": "tabs"}
+
 
 def read_table(file: Path, gaps: Sequence[str] = ()) -> tuple[dict[str, Float], list[str]]:
     """Columns of numbers of a CSV file with a header, or of an NPZ file; and what to call each row in messages.
@@ -63,6 +65,7 @@ def _csv(file: Path) -> tuple[dict[str, Float], list[str]]:
     with file.open(newline="", encoding="utf-8-sig") as text:
         reader = csv.reader(text)
         header = [name.strip() for name in next(reader, [])]
+        _check_header(file, header)
         twice = [name for name in header if header.count(name) > 1]
         if not header or twice:
             fault = f"column '{twice[0]}' is there twice" if twice else "the file is empty"
@@ -78,6 +81,15 @@ def _csv(file: Path) -> tuple[dict[str, Float], list[str]]:
             places.append(place)
     table = np.array(rows, dtype=np.float64).reshape(-1, len(header))
     return {name: table[:, n] for n, name in enumerate(header)}, places
+
+
+def _check_header(file: Path, header: Sequence[str]) -> None:
+    """Raises SceneError for a first line that other programs' tables have."""
+    for mark, name in SEPARATORS.items():
+        if any(mark in column for column in header):
+            raise SceneError(f"{file}: columns are separated by {name}; separate them by commas, decimals by points")
+    if header and header[0].startswith("#"):
+        raise SceneError(f"{file}: line 1 is a remark, '{header[0]}'; begin with one line of different column names")
 
 
 def _number(file: Path, place: str, column: str, cell: str) -> float:

@@ -202,13 +202,13 @@ def test_numerics_run_on_kernels_that_are_not_this_machines_own(machine, own, ot
     assert ("numerics run once only" in capsys.readouterr().out) == (other is None)
 
 
-@pytest.mark.parametrize("failing", [None, "ruff", "mypy", "lint-imports", "smoke", "whole", "numerics"])
+@pytest.mark.parametrize("failing", [None, "ruff", "mypy", "lint-imports", "smoke", "whole", "wall_clock", "numerics"])
 def test_any_stage_that_fails_is_the_exit_status_and_the_last(failing, monkeypatch):
     test = script("test", monkeypatch)
     ran = []
 
     def run(_, tool, *options, **variables):
-        marked = [name for name in ("smoke", "numerics") if name in options]
+        marked = [name for name in ("smoke", "wall_clock", "numerics") if name in options]
         stage = tool if tool != "pytest" else marked[0] if marked else "whole"
         ran.append(stage)
         return 3 if stage == failing else 0
@@ -219,7 +219,7 @@ def test_any_stage_that_fails_is_the_exit_status_and_the_last(failing, monkeypat
     monkeypatch.setattr(test._setup, "OLDEST", sys.version_info[:2])
     monkeypatch.setattr(sys, "argv", ["test.py"])
     assert test.main() == (0 if failing is None else 3)
-    stages = ["ruff", "ruff", "mypy", "lint-imports", "smoke", "whole", "numerics"]
+    stages = ["ruff", "ruff", "mypy", "lint-imports", "smoke", "whole", "wall_clock", "numerics"]
     assert ran == stages[: stages.index(failing) + 1 if failing else None]
     monkeypatch.setattr(sys, "argv", ["test.py", "-k", "name"])
     ran.clear()

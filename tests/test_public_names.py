@@ -13,7 +13,7 @@ import palmfield
 FOLDER = Path(palmfield.__file__).parent
 PACKAGES = (
     "session", "engine", "simulation", "outputs", "drive", "perception", "stimulus", "acoustics", "skin", "motion",
-    "hand", "metrics", "mujoco_host", "config",
+    "hand", "instruments", "metrics", "mujoco_host", "config",
 )  # fmt: skip
 
 

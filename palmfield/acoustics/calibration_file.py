@@ -1,5 +1,6 @@
 """A laboratory's calibration of one array as a JSON file: what its transducers were measured to do, and by whom."""
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -15,6 +16,13 @@ from palmfield.types import Array, Complex, Estimate
 Place = tuple[float, float, float]
 NonNegative = Annotated[float, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0)]
+
+RANGES = {
+    "phase_rad": (-2.0 * math.pi, 2.0 * math.pi, ", in radians"),
+    "resonance_Hz": (20e3, 80e3, ", in hertz"),
+    "quality": (1.0, 1000.0, ""),
+}
+"""What a file's numbers may be, and their unit: of the last two as of the scene's keys."""
 
 
 class _Part(BaseModel):
@@ -127,16 +135,34 @@ def read_calibration(path: str | Path) -> Calibration:
     """
     file = Path(path)
     try:
-        return Calibration.model_validate_json(file.read_bytes())
+        calibration = Calibration.model_validate_json(file.read_bytes())
     except OSError as error:
         raise SceneError(f"{file}: cannot be read: {error}; give a calibration's JSON file") from None
     except ValidationError as error:
         raise SceneError(f"{file}: " + _told(error.errors()[0])) from None
+    _check_units(file, calibration)
+    return calibration
+
+
+def _check_units(file: Path, calibration: Calibration) -> None:
+    """Raises SceneError for numbers that no transducer has, and any has in another unit."""
+    known = {name: getattr(calibration, name, None) for name in RANGES}
+    numbers = {f"{name}.value": (name, found.value) for name, found in known.items() if found is not None}
+    elements = calibration.elements
+    if elements is not None:
+        for name in RANGES:
+            values = getattr(elements, name) or ()
+            sounding = (number for number in range(len(values)) if elements.enabled[number])
+            numbers |= {f"elements.{name}.{number}": (name, values[number]) for number in sounding}
+    for place, (name, value) in numbers.items():
+        low, high, unit = RANGES[name]
+        if not low <= value <= high:
+            raise SceneError(f"{file}: {place} = {value:g}; allowed: {low:.5g} to {high:.5g}{unit}")
 
 
 def _told(error: Any) -> str:
     place = ".".join(str(step) for step in error["loc"])
-    text = error["msg"].removeprefix("Value error, ")
+    text = error["msg"].removeprefix("Value error, ").replace("Input should be", "allowed:")
     if error["type"] == "json_invalid":
         return f"cannot be read: {text}; give a calibration's JSON file"
     if error["type"] == "extra_forbidden":

@@ -1,5 +1,6 @@
 """Arrays from a CSV file with a line for each transducer."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -54,11 +55,12 @@ def read_transducers(path: str | Path) -> TransducerTable:
     units = [unit for unit in LENGTHS_m if any(f"{axis}_{unit}" in columns for axis in "xyz")]
     if len(units) != 1:
         raise SceneError(f"{file}: columns are {', '.join(columns)}; give x_m, y_m, z_m or x_mm, y_mm, z_mm")
-    positions = np.stack([_taken(file, columns, f"{axis}_{units[0]}") for axis in "xyz"], 1) * LENGTHS_m[units[0]]
+    coordinates = [f"{axis}_{units[0]}" for axis in "xyz"]
+    positions = _taken(file, columns, coordinates) * LENGTHS_m[units[0]]
     _check_places(file, positions, places)
     normals = np.tile([0.0, 0.0, 1.0], (len(places), 1))
     if any(name in columns for name in NORMAL):
-        normals = np.stack([_taken(file, columns, name) for name in NORMAL], 1)
+        normals = _taken(file, columns, NORMAL)
         lengths = np.linalg.norm(normals, axis=1)
         if lengths.min() < 1e-6:
             n = int(np.argmin(lengths))
@@ -89,10 +91,13 @@ def read_transducers(path: str | Path) -> TransducerTable:
     return TransducerTable(_rows(positions), _rows(normals), gains, addresses)
 
 
-def _taken(file: Path, columns: dict[str, Float], name: str) -> Float:
-    if name not in columns:
-        raise SceneError(f"{file}: column '{name}' is missing; columns are: {', '.join(columns)}")
-    return columns.pop(name)
+def _taken(file: Path, columns: dict[str, Float], names: Sequence[str]) -> Float:
+    """Columns that belong together, which are taken out of the table, shape (rows, names)."""
+    missing = [name for name in names if name not in columns]
+    if missing:
+        together = f"{', '.join(names)} belong together"
+        raise SceneError(f"{file}: column '{missing[0]}' is missing; {together}; columns are: {', '.join(columns)}")
+    return np.stack([columns.pop(name) for name in names], 1)
 
 
 def _check_places(file: Path, positions: Float, places: list[str]) -> None:

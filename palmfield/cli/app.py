@@ -39,7 +39,8 @@ Keys = Annotated[
     typer.Option(
         "--set",
         help="another value for a key of one instance, or of all instances of a plugin, e.g. "
-        "stimulus.path_speed_m_s=11 (see `palmfield keys`); give it several times for several keys",
+        "stimulus.path_speed_m_s=11 (see `palmfield keys`); give it several times for several keys. A file that is "
+        "in the current folder is taken from there, others are relative to the scene",
         metavar="INSTANCE.KEY=VALUE",
         autocompletion=completion.settings,
     ),
@@ -162,6 +163,7 @@ def info(
 
 @app.command()
 def drive(
+    context: typer.Context,
     scene: Annotated[Path | None, typer.Argument(help="scene to play", metavar="[SCENE.xml]")] = None,
     focus: Annotated[
         tuple[float, float, float] | None, typer.Option(help="a still focus in the array frame [m]", metavar="X Y Z")
@@ -215,6 +217,8 @@ def drive(
 
     if (scene is None) == (focus is None):
         raise SceneError("`palmfield drive` plays either a SCENE.xml or --focus X Y Z; give one of them")
+    if scene is not None:
+        _refuse_focus_options(context)
     if (port is None) == (record is None):
         raise SceneError("`palmfield drive` needs either --port (a board) or --record (a file); give one of them")
     _check_duration(duration)
@@ -228,6 +232,24 @@ def drive(
         assert scene is not None
         done = play_scene(scene, board, target, duration, keys=given_keys(keys), progress=True)
     show_performance(done)
+
+
+OF_A_FOCUS = {
+    "level": "stimulus.drive_amplitude", "am_frequency": "stimulus.am_frequency_Hz", "layout": "array.layout",
+    "p0": "array.p0_Pa_m", "calibration": "array.calibration", "temperature": "array.temperature_C",
+    "humidity": "array.humidity_percent", "air_pressure": "array.pressure_Pa",
+}  # fmt: skip
+"""Options of `drive` that say what a scene's keys say."""
+
+
+def _refuse_focus_options(context: typer.Context) -> None:
+    """Raises SceneError for an option that belongs to --focus, beside a scene."""
+    for name, key in OF_A_FOCUS.items():
+        source = context.get_parameter_source(name)
+        if source is not None and source.name == "COMMANDLINE":
+            raise SceneError(
+                f"--{name.replace('_', '-')} belongs to --focus; a scene says it itself: use --set {key}=VALUE"
+            )
 
 
 @app.command()
@@ -308,6 +330,10 @@ def decode(
     file: Annotated[Path, typer.Argument(help="of --log, or raw bytes of --record", metavar="FILE")],
     board: Annotated[str | None, typer.Option(help="of raw bytes: for which board they are", metavar="BOARD")] = None,
     layout: Annotated[str | None, typer.Option(help="of raw bytes: the array's layout [default: the board's]")] = None,
+    calibration: Annotated[
+        Path | None,
+        typer.Option(help="file of what the transducers do [default: as the log's scene knew them]", metavar="FILE"),
+    ] = None,
     png: Annotated[Path | None, typer.Option(help="draw the foci", metavar="FILE")] = None,
     csv: Annotated[Path | None, typer.Option(help="write all foci as a table", metavar="FILE")] = None,
 ) -> None:
@@ -322,7 +348,7 @@ def decode(
     from palmfield.session.decode import as_table, write_csv
     from palmfield.session.decode import decode as decoded_file
 
-    decoded = decoded_file(file, board, layout)
+    decoded = decoded_file(file, board, layout, calibration)
     print(as_table(decoded, most=40))
     if csv is not None:
         write_csv(decoded, csv)
@@ -336,15 +362,21 @@ def replay(
     file: Annotated[Path, typer.Argument(help="of --log, or raw bytes of --record", metavar="FILE")],
     port: Annotated[str, typer.Option(help="serial port or URL")],
     board: Annotated[str | None, typer.Option(help="of raw bytes: for which board they are", metavar="BOARD")] = None,
+    keys: Keys = None,
 ) -> None:
     """Send recorded bytes to a port again, at their times; the board is off at the end.
 
-    Example: palmfield replay sent.jsonl --port /dev/ttyUSB0
+    How long they may sound and how loud at a head, as a log has it of its scene or --set driver.KEY=VALUE says, is
+    checked before: what isn't allowed is refused with exit code 2.
+
+    Examples: palmfield replay sent.jsonl --port /dev/ttyUSB0
+
+    palmfield replay sent.jsonl --port /dev/ttyUSB0 --set driver.on_time_s=5
     """
     from palmfield.cli.boards import show_performance
-    from palmfield.session.decode import replay as replay_file
+    from palmfield.session.replay import replay as replay_file
 
-    show_performance(replay_file(file, port, board, progress=True))
+    show_performance(replay_file(file, port, board, keys=given_keys(keys), progress=True))
 
 
 @app.command()
@@ -439,6 +471,8 @@ def keys(
     from palmfield.cli.as_json import print_json
     from palmfield.cli.keys import as_dict, as_markdown, as_text
 
+    if as_json and markdown:
+        raise SceneError("--json and --markdown ask for two forms; give one of them")
     if as_json:
         print_json(as_dict(plugin))
     else:
@@ -578,6 +612,55 @@ def sweep(
         scene, out or Path("out") / f"{scene.stem}_sweep", settings or [], random_points=random, sobol_points=sobol,
         table=table, seed=seed, workers=workers, scheduler=scheduler, device=device, accuracy=accuracy,
         duration_s=duration, errors=errors, picture=picture, yes=yes, quiet=context.obj,
+    )  # fmt: skip
+
+
+@app.command("compare")
+def compare_command(
+    context: typer.Context,
+    run: Annotated[Path, typer.Argument(help="folder of a run, or its result.nc", metavar="DIR")],
+    measured: Annotated[Path, typer.Argument(help="file of a scan (docs/compare.md)", metavar="MEASURED")],
+    instrument: Annotated[
+        Path | None, typer.Option(help="how it was measured: TOML file with a table [vibrometer]", metavar="FILE.toml")
+    ] = None,
+    skin: Annotated[str | None, typer.Option(help="which skin, where the run has several", metavar="NAME")] = None,
+    fiducials: Annotated[
+        Path | None,
+        typer.Option(help="points of the scan and where they are on the skin: x_m ... skin_z_m", metavar="FILE.csv"),
+    ] = None,
+    as_placed: Annotated[
+        bool, typer.Option("--as-placed", help="leave the scan where the file or fiducials put it")
+    ] = False,
+    most_delay: Annotated[float, typer.Option(help="delays are sought within plus and minus this [s]")] = 5e-3,
+    out: Annotated[Path | None, typer.Option(help="folder for the report [default: DIR/compare]")] = None,
+    mode: Annotated[
+        float | None, typer.Option(help="fit the guided mode of both scans at this frequency", metavar="HZ")
+    ] = None,
+    source: Annotated[
+        tuple[float, float, float] | None,
+        typer.Option(help="of the mode, on the skin [m] [default: where ours moves most]", metavar="X Y Z"),
+    ] = None,
+    source_radius: Annotated[
+        float, typer.Option(help="left out about the source [m]: 1.5 times the spot's width")
+    ] = 0.016,
+    as_uff: Annotated[bool, typer.Option("--as-uff", help="write ours as computed.uff too")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="replace another comparison in the folder")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Hold a vibrometer's scan against a run: gain, delay, difference and coherence at each point, and wavenumbers.
+
+    The scan is moved onto the skin, and ours passes the same instrument.
+
+    Example: palmfield compare out/palm scan.csv --instrument head.toml
+    """
+    from palmfield.cli.compare import compare_scan
+
+    folder = run if run.is_dir() else run.parent
+    compare_scan(
+        run, measured, instrument=instrument, skin=skin, fiducials=fiducials, as_placed=as_placed,
+        most_delay_s=most_delay, mode_Hz=mode, source_m=source, source_radius_m=source_radius,
+        out=out or folder / "compare", as_uff=as_uff, overwrite=overwrite, quiet=context.obj,
+        as_json=as_json,
     )  # fmt: skip
 
 

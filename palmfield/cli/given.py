@@ -1,10 +1,18 @@
 """Values of keys that are given on the command line, option --set."""
 
+import logging
+from pathlib import Path
+
 from palmfield.errors import SceneError
+
+LOG = logging.getLogger("palmfield.cli")
 
 
 def given_keys(keys: list[str] | None) -> dict[str, str]:
-    """Keys as `palmfield.load` takes them. Raises SceneError for one without a value, and for one given twice."""
+    """Keys as `palmfield.load` takes them; a file that is in the current folder is taken from there, and told.
+
+    Other files are relative to the scene. Raises SceneError for a key without a value, and for one given twice.
+    """
     result: dict[str, str] = {}
     for text in keys or ():
         name, equals, value = text.partition("=")
@@ -17,5 +25,18 @@ def given_keys(keys: list[str] | None) -> dict[str, str]:
             )
         if name in result:
             raise SceneError(f"--set gives {name} twice, '{result[name]}' and '{value}'; allowed: each key once")
-        result[name] = value
+        result[name] = _file(name, value)
     return result
+
+
+def _file(name: str, value: str) -> str:
+    """The value of a key, a file's whole path where it names one in the current folder."""
+    from palmfield.session.load import FILES
+
+    if name.rpartition(".")[2] not in {key for keys in FILES.values() for key in keys}:
+        return value
+    here = Path(value).expanduser()
+    if here.is_absolute() or not here.is_file():
+        return value
+    LOG.info(f"--set {name}: {here.resolve()}, of the current folder")
+    return str(here.resolve())

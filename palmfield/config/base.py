@@ -1,5 +1,6 @@
 """What the keys of all modules share: their model, their types, and how a bad value is told."""
 
+import re
 from functools import lru_cache
 from typing import Annotated, Any, ClassVar
 
@@ -21,6 +22,9 @@ Vector = Annotated[tuple[float, float, float], BeforeValidator(split)]
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
+
+
+JOINED, NUMBER = re.compile(r"\d_\d"), re.compile(r"number|decimals")
 
 
 class Config(BaseModel):
@@ -53,6 +57,7 @@ def parse(model: type[Config], values: dict[str, str], element: str) -> Config:
     Raises SceneError with element, key, value and what is allowed, or what to do instead.
     """
     advice = [text for key, value in values.items() for text in _advice(model, key, value)]
+    advice += [text for key, value in values.items() for text in _joined(model, key, value)]
     if advice:
         raise SceneError(f"{element}: " + "; ".join(advice))
     try:
@@ -80,6 +85,14 @@ def _advice(model: type[Config], key: str, value: str) -> list[str]:
     return [f"key '{key}' has value '{value}', {model.refused[both]}"] if both in model.refused else []
 
 
+def _joined(model: type[Config], key: str, value: str) -> list[str]:
+    """Digits joined by an underscore are a number to Python, and a slip in a scene."""
+    if key not in model.model_fields or not JOINED.search(value):
+        return []
+    takes = allowed(model, key)
+    return [f"key '{key}' has value '{value}'; allowed: {takes}"] if NUMBER.search(takes) else []
+
+
 def _explain(model: type[Config], values: dict[str, str], error: Any) -> str:
     if not error["loc"]:
         return error["msg"].removeprefix("Value error, ")
@@ -102,7 +115,7 @@ def unknown_key(model: type[Config], key: str) -> str:
     return f"unknown key '{key}'{near}; allowed: {listed}"
 
 
-def allowed(model: type[Config], key: str) -> str:
+def allowed(model: type[BaseModel], key: str) -> str:
     """What a key takes, in words, e.g. `number > 0` or `bonded | free_slip`."""
     schema = model.model_json_schema()["properties"][key]
     options = [o for o in schema.get("anyOf", [schema]) if o.get("type") != "null"]
@@ -116,6 +129,8 @@ def allowed(model: type[Config], key: str) -> str:
         return "three finite numbers" if option.get("maxItems") == 3 else kinds[item["type"]]
     if option.get("type") == "string":
         return f"text like {option['pattern']}" if "pattern" in option else "text"
+    if option.get("type") == "boolean":
+        return "true | false"
     words = "whole number" if option.get("type") == "integer" else "finite number"
     signs = {"exclusiveMinimum": ">", "minimum": ">=", "exclusiveMaximum": "<", "maximum": "<="}
     bounds = [f"{sign} {option[name]:g}" for name, sign in signs.items() if name in option]

@@ -1,5 +1,6 @@
 """Keys of palmfield.driver."""
 
+from collections.abc import Container
 from pathlib import Path
 from pkgutil import iter_modules
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
@@ -50,6 +51,9 @@ class DriverConfig(Config):
     packet_lsb_m: Positive | None = Field(
         None, description="autd2018: what the lowest bit of a coordinate is (default 0.000025)"
     )
+    packet_baud: Annotated[int, Field(gt=0)] | None = Field(
+        None, description="autd2018: rate of the serial line to the first unit [baud] (default 230400)"
+    )
     pwm_edge: Literal["leading", "trailing", "centre"] | None = Field(
         None, description="autd2018: what of a pulse keeps its place as its width changes (default centre)"
     )
@@ -82,6 +86,10 @@ class DriverConfig(Config):
     head_limit_dB: Annotated[float, Field(ge=40, le=150)] | None = Field(
         None, description="sound pressure level in that ball above which nothing is played (default: only warned of)"
     )
+
+    def of_board(self, keys: Container[str]) -> dict[str, Any]:
+        """Values of some keys as they are written, those that are set."""
+        return {key: value for key, value in self.model_dump(exclude_none=True).items() if key in keys}
 
     @property
     def board_keys(self) -> dict[str, Any]:

@@ -11,12 +11,12 @@ from palmfield.lazy_names import lazy_names
 if TYPE_CHECKING:
     from palmfield.drive.array_drive import ArrayDrive, UnitDrive
     from palmfield.drive.board import Board, Emitted, Twin
-    from palmfield.drive.board_link import BoardLink
     from palmfield.drive.boards import BOARDS, board_named
     from palmfield.drive.foci import Foci, solve_foci
     from palmfield.drive.frame_log import FrameLog, read_log
-    from palmfield.drive.playback import Played, TimedFrame, frame_times, play_frames
+    from palmfield.drive.playback import TimedFrame, frame_times
     from palmfield.drive.ports import open_port
+    from palmfield.drive.recording import record
     from palmfield.drive.response import Pole
     from palmfield.drive.response_error import ResponseError
     from palmfield.drive.shapes import bottle, twin_trap, vortex
@@ -27,29 +27,27 @@ if TYPE_CHECKING:
 _WHERE = {
     **dict.fromkeys(("ArrayDrive", "UnitDrive"), "array_drive"),
     **dict.fromkeys(("Board", "Emitted", "Twin"), "board"),
-    "BoardLink": "board_link",
     **dict.fromkeys(("BOARDS", "board_named"), "boards"),
     **dict.fromkeys(("Foci", "solve_foci"), "foci"),
     **dict.fromkeys(("FrameLog", "read_log"), "frame_log"),
-    **dict.fromkeys(("Played", "TimedFrame", "frame_times", "play_frames"), "playback"),
+    **dict.fromkeys(("TimedFrame", "frame_times"), "playback"),
     "Pole": "response",
     "ResponseError": "response_error",
     **dict.fromkeys(("bottle", "twin_trap", "vortex"), "shapes"),
     **dict.fromkeys(("TransducerResponse", "commanded_drive"), "transducer_response"),
     "FileTransport": "transport",
     "open_port": "ports",
+    "record": "recording",
     "VirtualBoard": "virtual",
 }
 __all__ = [
     "BOARDS",
     "ArrayDrive",
     "Board",
-    "BoardLink",
     "Emitted",
     "FileTransport",
     "Foci",
     "FrameLog",
-    "Played",
     "Pole",
     "ResponseError",
     "TimedFrame",
@@ -62,8 +60,8 @@ __all__ = [
     "commanded_drive",
     "frame_times",
     "open_port",
-    "play_frames",
     "read_log",
+    "record",
     "solve_foci",
     "twin_trap",
     "vortex",

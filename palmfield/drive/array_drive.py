@@ -119,7 +119,13 @@ class ArrayDrive:
             self._last = last = focal_points, key, self.unit_drive(focal_points.at(point), loudness)
         return last[2]
 
-    def _made(self, point: Float, loudness: Float | None) -> UnitDrive:
+    def level_at(self, focal_points: FocalPoints, point: Float) -> float:
+        """`unit_drive_at(...).level` of a board that takes a focus, without what the board makes of it."""
+        loudness = None if focal_points.table is None else focal_points.loudness(point)
+        return self._asked(focal_points.at(point), loudness)[2]
+
+    def _asked(self, point: Float, loudness: Float | None) -> tuple[Float, Complex, float]:
+        """The focus or foci that sound, what the transducers' sound needs there, and the level."""
         if loudness is not None:
             # A focus that is silent now is none, and one that is left alone is made as one
             point, loudness = point[loudness > 0.0], loudness[loudness > 0.0]
@@ -140,10 +146,22 @@ class ArrayDrive:
         level = self.amplitude
         if self.arp_peak_Pa is not None:
             level = self._level_of_several(point, phases) if point.ndim == 2 else float(self._levels(point[None])[0])
+        return point, phases, level
+
+    def _made(self, point: Float, loudness: Float | None) -> UnitDrive:
+        point, phases, level = self._asked(point, loudness)
         if self.board.takes == "focus":
-            return UnitDrive(self.board.played_focus(point, level), level)
-        sent = level * phases if self.correction is None else level * phases * self.correction
-        return UnitDrive(play(self.board, self._over_all(sent)), level)
+            played = self.board.played_focus(point, level)
+        else:
+            sent = level * phases if self.correction is None else level * phases * self.correction
+            played = play(self.board, self._over_all(sent))
+        if level > 0.0 and not np.logical_or.reduce(played):
+            raise DeviceError(
+                f"plugin 'palmfield.stimulus': each transducer is asked for amplitude {level:.3g} at the loudest "
+                f"moment, which board '{self.board.name}' rounds to silence: set a larger drive_amplitude (or "
+                "arp_peak_Pa), or another board"
+            )
+        return UnitDrive(played, level)
 
     @cached_property
     def correction(self) -> Complex | None:
@@ -303,7 +321,7 @@ class ArrayDrive:
                 )
             raise SceneError(
                 f"plugin 'palmfield.stimulus': arp_peak_Pa {target:g} is more than the array gives at "
-                f"{in_mm(foci[worst])}: {full_Pa[worst]:.3g} Pa at full drive with "
+                f"{in_mm(foci[worst])}: {told_below(full_Pa[worst], target)} Pa at full drive with "
                 f"p0_Pa_m {self.array.array.p0_Pa_m:g}"
             )
         return np.sqrt(target / full_Pa)
@@ -381,3 +399,9 @@ def in_mm(point: Sequence[float] | Float) -> str:
     if np.ndim(point) == 2:
         return " and ".join(in_mm(one) for one in np.asarray(point))
     return "(" + ", ".join(f"{1e3 * float(x):.1f}" for x in point) + ") mm"
+
+
+def told_below(value: float, limit: float) -> str:
+    """A number below a limit in three digits, or in as many more as it takes to tell the two apart, as text."""
+    told = (f"{value:.{digits}g}" for digits in range(3, 18))
+    return next((text for text in told if float(text) < limit), f"{value!r}")

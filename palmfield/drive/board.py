@@ -93,6 +93,30 @@ class Twin(ABC):
         self.flags.append(Flag(self.time_s, kind, text))
 
 
+class RewiredTwin(Twin):
+    """The twin of a board whose transducers hang on other places than the layout's order has them."""
+
+    def __init__(self, inner: Twin, places: tuple[int, ...]) -> None:
+        super().__init__(inner.count, inner.byte_s)
+        self.inner, self.places = inner, np.array(places)
+        self.flags = inner.flags
+
+    @property
+    def emitted(self) -> Complex:
+        return self.inner.emitted[self.places]
+
+    def take(self, data: bytes) -> list[Emitted]:
+        changes = self.inner.feed(data, self.time_s)
+        self.time_s = self.inner.time_s
+        return self._in_order(changes)
+
+    def until(self, time_s: float) -> list[Emitted]:
+        return self._in_order(self.inner.until(time_s))
+
+    def _in_order(self, changes: list[Emitted]) -> list[Emitted]:
+        return [Emitted(one.time_s, one.amplitudes[self.places]) for one in changes]
+
+
 @dataclass(frozen=True)
 class Board:
     """What plays a drive: its limits, its bytes and their virtual twin. One file of `palmfield.drive.boards` each.
@@ -110,6 +134,7 @@ class Board:
     keys: of palmfield.driver that it takes besides `board`
     dither: whether amplitudes are made of transducers that are on and off
     compensate: whether what is sent makes up for dead and inverted transducers and known phases
+    places: of each transducer in the board's byte order, where that is not the layout's; empty where it is
     """
 
     name: str
@@ -133,6 +158,7 @@ class Board:
     keys: tuple[str, ...] = ()
     dither: bool = False
     compensate: bool = False
+    places: tuple[int, ...] = ()
 
     @property
     def exact(self) -> bool:
@@ -214,12 +240,16 @@ class Board:
         raise DeviceError(f"board '{self.name}' takes {self._takes()}, no focus; allowed: amplitudes")
 
     def twin(self) -> Twin:
-        """A virtual board just switched on. Raises DeviceError for a board without bytes."""
+        """A virtual board just switched on, transducers in byte order. Raises DeviceError for a board without bytes."""
         raise DeviceError(f"board '{self.name}' takes {self._takes()}, so that it has no virtual twin")
+
+    def wired_twin(self) -> Twin:
+        """A `twin` whose transducers are in the layout's order, wherever the board has them."""
+        return RewiredTwin(self.twin(), self.places) if self.places else self.twin()
 
     def decode(self, data: bytes) -> list[Complex]:
         """What a board just switched on emits after each change, shape (n,) each."""
-        twin = self.twin()
+        twin = self.wired_twin() if self.places else self.twin()
         emitted = []
         for change in twin.take(data):
             emitted.append(change.amplitudes)
@@ -254,17 +284,21 @@ FULL = 1.0 + 1e-6
 
 
 def commanded(board: Board, amplitudes: ArrayLike) -> Complex:
-    """Amplitudes in the board's shape, (n,). Raises DeviceError for another shape, and above full drive."""
+    """Amplitudes in the board's byte order, shape (n,). Raises DeviceError for another shape, and above full drive."""
     values = np.asarray(amplitudes, dtype=np.complex128)
     if values.shape != (board.unit * board.units,):
         raise DeviceError(f"a frame of {board.name} has shape {values.shape}; give ({board.transducers},)")
     magnitude = np.abs(values)
     bad = ~(magnitude <= FULL)
-    if bad.any():
+    if np.logical_or.reduce(bad):
         number = int(np.flatnonzero(bad)[0])
         raise DeviceError(
             f"transducer {number} is asked for amplitude {magnitude[number]:.4g}; allowed: 0 (off) to 1 (full drive)"
         )
+    if board.places:
+        ordered = np.empty_like(values)
+        ordered[list(board.places)] = values
+        return ordered
     return values
 
 
@@ -280,7 +314,7 @@ def switched(board: Board, amplitudes: ArrayLike) -> tuple[Complex, np.ndarray]:
         return values, magnitude > thresholds(len(values))
     on = magnitude != 0.0
     bad = on & (magnitude < 1.0 - (FULL - 1.0))
-    if bad.any():
+    if np.logical_or.reduce(bad):
         number = int(np.flatnonzero(bad)[0])
         raise DeviceError(
             f"transducer {number} is asked for amplitude {magnitude[number]:.4g}; {board.name} has a fixed "

@@ -1,12 +1,19 @@
 """Where the focus is that some amplitudes make: the point to which their phases fit best."""
 
+from functools import lru_cache
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from palmfield.types import Complex, Float
 
 REACH_M = 0.6
 NEAREST_M = 0.04
-COARSE = (25, 25, 24)
+COARSE, FINER = (25, 25, 24), (9, 9, 9)
+FINE_M = 4e-3
+MOST_ROUGH, FEWEST_ROUGH = 256, 32
+"""Of how many transducers, at most and at least, phases are looked at until a place is known to millimetres."""
 ROUNDS = 30
 CLOSE_M = 1e-8
 
@@ -18,7 +25,7 @@ def fitted_focus(
 
     positions: of the transducers [m], shape (n, 3), with the sound on the side of growing z; amplitudes: shape (n,),
     e^{-iwt}; those that are off don't count; near: where to begin, None to look everywhere within 0.6 m
-    anywhere: whether to look everywhere too where nothing near fits, which takes some 0.1 s
+    anywhere: whether to look everywhere too where nothing near fits, which takes some 20 ms
     NaN where fewer than four transducers sound.
     """
     on = np.abs(amplitudes) > 1e-9
@@ -30,33 +37,58 @@ def fitted_focus(
     for start in [*starts, None] if anywhere or near is None else starts:
         if best is not None and best[1] < 1.0:
             break
-        begin = _coarse(places, phases, wavenumber) if start is None else start
+        begin = _coarse(positions, np.where(on, amplitudes, 0.0), wavenumber) if start is None else start
         found = _refined(places, phases, wavenumber, begin)
         best = found if best is None or found[1] < best[1] else best
     assert best is not None
     return best
 
 
-def _coarse(places: Float, phases: Float, wavenumber: float) -> Float:
+def _coarse(places: Float, amplitudes: Complex, wavenumber: float) -> Float:
     """The point of a grid, then of finer ones, where the sound of all transducers comes most in step."""
+    sounding = np.flatnonzero(amplitudes)
+    # What doesn't change from frame to frame finds its grid ready
+    some = _spread(np.arange(len(places)))
+    some = some if np.count_nonzero(amplitudes[some]) >= min(len(sounding), FEWEST_ROUGH) else _spread(sounding)
+    places, wave = places[some], np.exp(1j * np.angle(amplitudes[some])) * (amplitudes[some] != 0.0)
+    low, high = _region(places)
+    points, steering = _steering(places.tobytes(), wavenumber)
+    best = points[int(np.abs(steering @ wave.astype(np.complex64)).argmax())]
+    spacing = (high - low) / (np.array(COARSE) - 1)
+    while spacing.max() >= FINE_M:
+        points = _grid(np.maximum(best - 2.0 * spacing, [-np.inf, -np.inf, low[2]]), best + 2.0 * spacing, FINER)
+        sums = np.exp(1j * wavenumber * np.linalg.norm(points[:, None] - places, axis=2)) @ wave
+        best, spacing = points[int(np.abs(sums).argmax())], 0.5 * spacing
+    return best
+
+
+def _spread(numbers: NDArray[np.signedinteger[Any]]) -> NDArray[np.signedinteger[Any]]:
+    """At most MOST_ROUGH of some numbers, evenly."""
+    return numbers[np.unique(np.linspace(0, len(numbers) - 1, min(len(numbers), MOST_ROUGH)).astype(int))]
+
+
+def _region(places: Float) -> tuple[Float, Float]:
+    """Corners of the box in which a focus is looked for [m]."""
     low, high = places.min(axis=0) - 0.05, places.max(axis=0) + 0.05
     low[2], high[2] = places[:, 2].max() + NEAREST_M, places[:, 2].max() + REACH_M
-    while True:
-        axes = [np.linspace(a, b, n) for a, b, n in zip(low, high, COARSE, strict=True)]
-        best, best_sum = low, -1.0
-        for z in axes[2]:
-            x, y = np.meshgrid(axes[0], axes[1], indexing="ij")
-            points = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, z)])
-            distances = np.linalg.norm(points[:, None] - places, axis=2)
-            sums = np.abs(np.exp(1j * (phases + wavenumber * distances)).sum(axis=1))
-            if sums.max() > best_sum:
-                best, best_sum = points[int(sums.argmax())], float(sums.max())
-        spacing = np.array([axis[1] - axis[0] for axis in axes])
-        if spacing.max() < 4e-3:
-            return np.asarray(best)
-        floor = places[:, 2].max() + NEAREST_M
-        low, high = best - 2.0 * spacing, best + 2.0 * spacing
-        low[2] = max(low[2], floor)
+    return low, high
+
+
+def _grid(low: Float, high: Float, counts: tuple[int, int, int]) -> Float:
+    axes = [np.linspace(a, b, n) for a, b, n in zip(low, high, counts, strict=True)]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+@lru_cache(maxsize=2)
+def _steering(places: bytes, wavenumber: float) -> tuple[Float, NDArray[np.complex64]]:
+    """The first grid, shape (n, 3), and by what each transducer's sound turns on its way there, shape (n, m)."""
+    whence = np.frombuffer(places).reshape(-1, 3)
+    points = _grid(*_region(whence), COARSE)
+    turns = np.empty((len(points), len(whence)), np.complex64)
+    for row in range(0, len(points), COARSE[2]):
+        distance = np.linalg.norm(points[row : row + COARSE[2], None] - whence, axis=2)
+        turns[row : row + COARSE[2]] = np.exp(1j * wavenumber * distance)
+    return points, turns
 
 
 def _refined(places: Float, phases: Float, wavenumber: float, start: Float) -> tuple[Float, float]:

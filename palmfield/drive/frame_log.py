@@ -1,41 +1,82 @@
 """Logs of what was sent to a board and when: text that can be read at any moment, and sent again.
 
 The first line is a JSON object: `palmfield_log` (1, the version), `board`, `keys` (of palmfield.driver), `transducers`,
-`array` (the layout's name) and `air` (temperature_C, humidity_percent, pressure_Pa). Each further line is a JSON object
-of one piece of bytes: `t`, when its first byte was given to the port [s, since the link was opened], `hex`, the bytes,
-and `cut` where a write timeout left it open how many of them went out.
+`array` (the layout's name), `air` (temperature_C, humidity_percent, pressure_Pa), `limits` (keys of palmfield.driver
+about how loud and how long it may sound), `p0_Pa_m` and `p0_high_Pa_m` (of the first array, with the high end of what
+is known of it; null where it is the layout's), and, null where they are as the layout says: `positions_m`, where the
+first array's transducers are, `turns_rad`, the phase that each adds to what it is told, and `address`, the places of
+all transducers in the board's byte order. Each further line is a JSON object of one piece of bytes:
+`t`, when its first byte was given to the port [s, since the link was opened], `hex`, the bytes, and `cut` where a write
+timeout left it open how many went out.
 """
 
 import json
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
+from palmfield.acoustics.arrays import layout
 from palmfield.config import DriverConfig
 from palmfield.drive.board import Board
 from palmfield.drive.boards import board_of
 from palmfield.drive.log_lines import log_line
 from palmfield.errors import OutputError, SceneError
-from palmfield.types import Air
+from palmfield.types import Air, Array, Complex, Float
 
 VERSION = 1
 
 
 @dataclass(frozen=True)
 class LogHead:
-    """For which board a log is. keys: of palmfield.driver besides `board`; array: name of the layout"""
+    """For which board a log is.
+
+    keys: of palmfield.driver besides `board`; array: name of the layout; limits: SAFETY_KEYS of palmfield.driver that
+    are set; p0_Pa_m, p0_high_Pa_m: of the array's transducers, and the high end of its range, None for the layout's
+    Of the first array, None where it is as the layout says: turns_rad, phases that transducers add to what they are
+    told (polarity, delays) [rad], shape (n,); positions_m, where they are in the array frame, shape (n, 3)
+    address: of all transducers, their places in the board's byte order; None for the layout's order
+    """
 
     board: str
     transducers: int
     array: str
     air: Air = field(default_factory=Air)
     keys: Mapping[str, Any] = field(default_factory=dict)
+    limits: Mapping[str, Any] = field(default_factory=dict)
+    p0_Pa_m: float | None = None
+    p0_high_Pa_m: float | None = None
+    turns_rad: Sequence[float] | None = None
+    positions_m: Sequence[Sequence[float]] | None = None
+    address: Sequence[int] | None = None
+
+    def measured(self, array: Array, places: Sequence[int] = ()) -> "LogHead":
+        """With what is known of the first array's transducers; places: `address`, empty for the layout's order."""
+        plain = layout(self.array)
+        turns = None if array.gain is None else np.angle(array.gain).round(6).tolist()
+        same = array.positions.shape == plain.positions.shape and np.array_equal(array.positions, plain.positions)
+        moved = None if same else array.positions.round(9).tolist()
+        return replace(self, turns_rad=turns, positions_m=moved, address=list(places) or None)
+
+    @property
+    def elements(self) -> tuple[Float, Complex]:
+        """Where the first array's transducers are [m], shape (n, 3), and how each turns what it is told, shape (n,)."""
+        plain = layout(self.array).positions
+        places = plain if self.positions_m is None else np.array(self.positions_m, float)
+        turns = np.zeros(len(plain)) if self.turns_rad is None else np.array(self.turns_rad, float)
+        if places.shape != plain.shape or turns.shape != plain.shape[:1]:
+            raise ValueError(
+                f"positions_m and turns_rad have shapes {places.shape} and {turns.shape} for {len(plain)} transducers"
+            )
+        return places, np.exp(1j * turns)
 
     @property
     def playable(self) -> Board:
         """The board itself. Raises DeviceError for one that there is not."""
-        return board_of(DriverConfig.model_validate({"board": self.board, **self.keys}), self.transducers)
+        driver = DriverConfig.model_validate({"board": self.board, **self.keys})
+        return board_of(driver, self.transducers, address=self.address)
 
 
 class Piece(NamedTuple):
@@ -56,7 +97,8 @@ class FrameLog:
             self._file = self.path.open("w", encoding="utf-8", buffering=1)
         except OSError as error:
             raise self._unwritable(error) from error
-        self._write(json.dumps({"palmfield_log": VERSION, **asdict(head)}) + "\n")
+        told = {key: value for key, value in asdict(head).items() if value is not None}
+        self._write(json.dumps({"palmfield_log": VERSION, **told}) + "\n")
 
     def add(self, time_s: float, data: bytes, *, whole: bool = True) -> None:
         """Raises OutputError when the disk does not take it."""
@@ -96,7 +138,11 @@ def read_log(path: str | Path) -> tuple[LogHead, list[Piece]]:
         if version != VERSION:
             raise SceneError(f"{file} is a log of version {version}; allowed: {VERSION}")
         air = Air(**head.pop("air"))
-        return LogHead(air=air, **head), list(_pieces(lines[1:]))
+        read = LogHead(air=air, **head)
+        _ = read.elements
+        if read.address is not None and sorted(read.address) != list(range(read.transducers)):
+            raise ValueError(f"address holds other numbers than 0 to {read.transducers - 1}, each once")
+        return read, list(_pieces(lines[1:]))
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise SceneError(
             f"{file} is no log of frames: {error}; give a file of --log, or --board for raw bytes"

@@ -70,16 +70,18 @@ class VirtualBoard:
         link: str | Path | None = None,
         tells: bool = True,
         realtime: bool = False,
+        decodes: bool = True,
     ) -> None:
         """tcp_port: 0 for any that is free; link: name of the pseudo-terminal that stays the same when it is plugged
         in again; tells: whether it says how many bytes it has taken; realtime: whether
-        its thread asks for priority, as a real board takes bytes whatever the host does.
+        its thread asks for priority, as a real board takes bytes whatever the host does; decodes: whether bytes are
+        decoded as they come, or else when `decode` is called, so that nothing else is held up meanwhile
 
         Raises DeviceError for a system without pseudo-terminals, and for a port that is taken.
         """
         assert board.line is not None
         self.board, self.line, self.faults = board, board.line, faults or Faults()
-        self.twin = board.twin()
+        self.twin = board.wired_twin()
         self.received = bytearray()
         self.emitted: list[Emitted] = []
         self._began = time.monotonic()
@@ -89,6 +91,8 @@ class VirtualBoard:
         self._free_s = 0.0
         self._losing = 0
         self._realtime = realtime
+        self._decodes = decodes
+        self._undecoded: list[tuple[bytes, float]] = []
         self._ended.set()
         self.plug()
 
@@ -118,6 +122,13 @@ class VirtualBoard:
         while seen != len(self.received):
             seen = len(self.received)
             time.sleep(quiet_s)
+
+    def decode(self) -> None:
+        """Where bytes are not decoded as they come: find out now what sounded when, and what the board noticed."""
+        for data, begin in self._undecoded:
+            self.emitted += [*self.twin.until(begin), *self.twin.feed(data, begin)]
+        self._undecoded.clear()
+        self.emitted += self.twin.until(self.clock)
 
     def unplug(self) -> None:
         """Take the port away; what the board emits goes on."""
@@ -224,7 +235,8 @@ class VirtualBoard:
                 if data:
                     self._take(data, begin)
                     self._free_s = begin + self.line.time_s(len(data))
-            self.emitted += self.twin.until(now)
+            if self._decodes:
+                self.emitted += self.twin.until(now)
             if self._tells and now - told_s >= (TELLS_S if self._taken != told else 10.0 * TELLS_S):
                 told, told_s = self._taken, now
                 self._tell()
@@ -244,4 +256,7 @@ class VirtualBoard:
         self.received += data
         through = self.faults.through(data[self._losing :])
         self._losing = max(0, self._losing - len(data))
-        self.emitted += self.twin.feed(through, begin)
+        if self._decodes:
+            self.emitted += self.twin.feed(through, begin)
+        else:
+            self._undecoded.append((through, begin))

@@ -101,8 +101,7 @@ def settling_time(
     share("band", band)
     if not (np.isfinite(steady) and steady != 0.0):
         raise MeasurementError(f"the steady value is {steady}; a band is relative to one that is not 0")
-    times, signal = trace(times_s, values)
-    times, signal = within(times, signal, (start_s, times[-1] if end_s is None else end_s))
+    times, signal = within(times_s, values, (start_s, np.inf if end_s is None else end_s))
     off = np.abs(signal - steady) / abs(steady)
     outside = np.flatnonzero(off > band)
     if len(outside) == 0:

@@ -36,6 +36,8 @@ def wake_length(
     until: "last_above", to the farthest place that reaches it; "first_below", to where it first falls below
     The envelope is linear between the places along x. Where it reaches the threshold up to the snapshot's end the
     length ends there: a lower bound.
+    For a straight way on a grid. `wake_along_path` is for ways that turn, on the nodes of a skin: there the threshold
+    is a share of what lies behind the focus alone, and the length is told to the next place and not between two.
     """
     share("threshold", threshold)
     values, x, y = grid(normal_velocity, x_m, y_m)
@@ -60,6 +62,8 @@ def wake_along_path(
     places on the way, rising, shape (k,); near: which nodes are looked at for each place, shape (k, s), bool
     The envelope at a place is the largest magnitude of the nodes near it, over its largest value behind the focus. The
     wake reaches back to the first place at which it is below the threshold, without interpolation.
+    Not `wake_length` along another line: places on a curved way share nodes, so that an envelope between two of them
+    means nothing, and nodes ahead of the focus belong to other parts of the way. The scenarios' figures are of this.
     """
     share("threshold", threshold)
     size, places = np.abs(np.asarray(velocity, dtype=float)), np.asarray(places_m, dtype=float)

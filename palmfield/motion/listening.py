@@ -14,6 +14,7 @@ import numpy as np
 from palmfield.errors import DeviceError
 from palmfield.motion.tracking import Stream
 from palmfield.motion.wire import BadSample, Sample, read_sample
+from palmfield.realtime import follower
 
 By = Literal["udp", "tcp"]
 LONGEST_LINE = 65536
@@ -64,7 +65,7 @@ class Listener:
             raise DeviceError(f"{host}:{port} can't be listened at: {error}; give an address of this machine") from None
         self._socket.settimeout(LOOK_S)
         self.host, self.port = self._socket.getsockname()[:2]
-        self._thread = threading.Thread(target=self._listen, daemon=True)
+        self._thread = follower(self._listen)
         self._thread.start()
 
     def wait(self, timeout_s: float) -> bool:

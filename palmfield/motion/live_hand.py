@@ -14,6 +14,7 @@ from palmfield.motion.listening import Arrived, By, Listener
 from palmfield.motion.pose import HandPose
 from palmfield.motion.prediction import Noise, Predictor
 from palmfield.motion.retarget import RIGID, Bool, Follower, fixes_palm
+from palmfield.realtime import follower
 from palmfield.transforms import Transform
 from palmfield.types import Float
 
@@ -64,7 +65,7 @@ class LiveHand:
         self._error: SceneError | None = None
         self.newest: LivePose | None = None
         self.fit_s: list[float] = []
-        self._thread = threading.Thread(target=self._follow, daemon=True)
+        self._thread = follower(self._follow)
         self.listener = Listener(host, port, by, self._take)
         self._thread.start()
 

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import minimize
 from scipy.special import expit, ndtr, ndtri
+from scipy.stats import chi2
 
 from palmfield.errors import OutputError
 from palmfield.types import Float
@@ -37,6 +38,11 @@ LEAST_SPREAD, MOST_SPREAD = 1e-3, 10.0
 """Of the range of levels: spreads that a fit may find."""
 BEYOND = 1.0
 """Of the range of levels: so far outside it a threshold may be found."""
+ADAPTIVE_SHARE = 1.73
+"""Of the deviance that chi squared allows. In simulated staircases of 25 to 120 trials, 1 up 2 down, of steps of 4 and
+2 dB and spreads of 1 to 6 dB, 95 % of true thresholds' deviances lay below 4.5 to 7.5, not 3.84: this gives 6.6."""
+PROFILED, PROFILED_SPREADS = 601, 61
+"""Thresholds and spreads at which a profile is looked at."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +119,8 @@ FORMS: dict[str, _Form] = {
 class Fit:
     """A function that was fitted, and how well it is known.
 
-    function; threshold_interval, spread_interval: bootstrap percentiles of `confidence`, (low, high)
+    function; threshold_interval, spread_interval: bootstrap percentiles of `confidence`, (low, high); of levels that
+    followed from answers the threshold's is that of the profile likelihood
     trials, right: of all levels together; deviance: 2 (log likelihood of the shares seen - of the function)
     deviance_share: share of the bootstrap's samples with a larger deviance: below 0.05 the function doesn't fit
     settled: whether the threshold lies between the levels, and the spread inside its bounds
@@ -149,6 +156,7 @@ def fit(
     lapse: float | None = 0.02,
     spread: float | None = None,
     shape: Shape = "normal",
+    adaptive: bool = False,
     samples: int = 1000,
     confidence: float = 0.95,
     seed: int = 0,
@@ -158,6 +166,9 @@ def fit(
     levels: different ones, shape (k,), 2 or more; trials, right: at each of them, whole numbers, shape (k,)
     guess: known from the task, 1/n for n alternatives; lapse: known, or None to be found, at most MOST_LAPSES
     spread: known, or None to be found; of few trials, or those of a staircase, it comes out too small
+    adaptive: whether the levels followed from the answers, as a staircase's do. Then, with the spread to be found, the
+        threshold's interval is that of the profile likelihood: all thresholds at which some spread makes the answers
+        nearly as likely. Deviances of `confidence` were too small a limit in simulations, see ADAPTIVE_SHARE.
     samples: of the bootstrap, each answered anew by the fitted function at the same levels. It takes the levels as
         chosen beforehand, which those of a staircase were not.
     Raises OutputError for other shapes and counts, levels of one value, and answers that are all alike, which no
@@ -185,6 +196,9 @@ def fit(
     tails = 50.0 * (1.0 - confidence)
     thresholds = np.exp(found[:, 0]) if shape == "weibull" else found[:, 0]
     low, high = np.percentile(thresholds, [tails, 100.0 - tails]).tolist()
+    if adaptive and spread is None:
+        low, high = _profiled(FORMS[shape], place, n, k, guess, bounds, best, confidence)
+        low, high = (math.exp(low), math.exp(high)) if shape == "weibull" else (low, high)
     narrow, wide = np.percentile(np.exp(found[:, 1]), [tails, 100.0 - tails]).tolist()
     deviance = float(_deviance(FORMS[shape], place, n, k[None], best[None], guess)[0])
     others = _deviance(FORMS[shape], place, n, drawn, found, guess)
@@ -194,6 +208,24 @@ def fit(
         function, confidence, (low, high), (narrow, wide), int(n.sum()), int(k.sum()), deviance,
         float(np.mean(others >= deviance - 1e-9)), inside,
     )  # fmt: skip
+
+
+def _profiled(
+    form: _Form, place: Float, n: Float, k: Float, guess: float,
+    bounds: list[tuple[float, float]], best: Float, confidence: float,
+) -> tuple[float, float]:  # fmt: skip
+    """The interval of the threshold from the profile likelihood, for levels that followed from answers."""
+    limit = ADAPTIVE_SHARE * float(chi2.ppf(confidence, 1))
+    thresholds = np.append(np.linspace(*bounds[0], PROFILED), best[0])
+    spreads = np.append(np.linspace(*bounds[1], PROFILED_SPREADS), best[1])
+    lapses = np.unique(np.append(np.linspace(*bounds[2], 5), best[2]))
+    likely = np.full(len(thresholds), -math.inf)
+    for lapse in lapses:
+        values = np.stack(np.meshgrid(thresholds, spreads, [lapse], indexing="ij"), axis=-1).reshape(-1, 3)
+        known = _log_likelihood(form, place, n, k[None], values, guess).reshape(len(thresholds), -1)
+        likely = np.maximum(likely, known.max(axis=1))
+    held = thresholds[2.0 * (likely.max() - likely) <= limit]
+    return float(held.min()), float(held.max())
 
 
 def _counts(levels: ArrayLike, trials: ArrayLike, right: ArrayLike, shape: str) -> tuple[Float, Float, Float]:

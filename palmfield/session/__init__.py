@@ -15,7 +15,8 @@ from palmfield.lazy_names import lazy_names
 if TYPE_CHECKING:
     from palmfield.session.array_inputs import p0_band, p0_band_at
     from palmfield.session.load import compiled
-    from palmfield.session.numerical_error import LoudestMoment, error_estimate
+    from palmfield.session.loudest_moment import LoudestMoment
+    from palmfield.session.numerical_error import error_estimate
     from palmfield.session.plan import Plan, warnings
     from palmfield.session.planning.rows import Row
     from palmfield.session.play import play_focus, play_scene, scene_frames
@@ -31,7 +32,8 @@ if TYPE_CHECKING:
 _WHERE = {
     "p0_band": "array_inputs",
     "p0_band_at": "array_inputs",
-    **dict.fromkeys(("LoudestMoment", "error_estimate"), "numerical_error"),
+    "LoudestMoment": "loudest_moment",
+    "error_estimate": "numerical_error",
     "compiled": "load",
     **dict.fromkeys(("Plan", "warnings"), "plan"),
     "Row": "planning.rows",

@@ -85,14 +85,14 @@ def response_biases(stimulus: StimulusModel, skin: SkinModel) -> list[Bias]:
 
     Of a focus at rest, what they do to an oscillator: one of the main frequency, or of the highest that the layer is
     made for, whichever changes more, as the skin answers at several at once. Of a moving one, the whole of the
-    pressure's error, twice: ARP goes with its square, and sound that comes late or spread is never more than sound at
-    once.
+    pressure's error, twice, and no more than all of it: ARP goes with its square, and sound that comes late or spread
+    is never more than sound at once.
     """
     response, result, own = stimulus.response, [], qualities(stimulus)
     demand = skin.layer.demand
     frequencies = sorted({demand.main_frequency_Hz, demand.max_frequency_Hz})
     which, still = " and ".join(f"{f:.3g}" for f in frequencies), stimulus.config.path == "point"
-    changes: tuple[float, ...] = (-2.0 * response.ring_up.rms, -2.0 * response.flight_time.rms)
+    changes = tuple(max(-1.0, -2.0 * error.rms) for error in (response.ring_up, response.flight_time))
     if still:
         slowest = min(np.broadcast_to(response.pole.rate, response.delays_s.shape)[stimulus.transducers], key=np.real)
         found = [changes_of_motion(stimulus.config, complex(slowest), response.spread_s, f) for f in frequencies]

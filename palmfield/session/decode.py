@@ -9,12 +9,13 @@ import numpy as np
 
 from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.arrays import layout
-from palmfield.drive.board import Board, Emitted, Flag
-from palmfield.drive.boards import playable_board
+from palmfield.acoustics.calibration_file import calibrated, read_calibration
+from palmfield.config import DriverConfig
+from palmfield.drive.board import Emitted, Flag
+from palmfield.drive.boards import board_of, playable_board
 from palmfield.drive.focus_fit import fitted_focus
 from palmfield.drive.frame_log import LogHead, Piece, is_log, read_log
 from palmfield.errors import OutputError, SceneError
-from palmfield.session.play import Performance, play_on_port
 from palmfield.types import Float
 
 FREQUENCY_HZ = 40e3
@@ -46,14 +47,17 @@ class Decoded:
     flags: list[Flag]
 
 
-def pieces_of(path: str | Path, board: str | None, array: str | None = None) -> tuple[LogHead, list[Piece]]:
+def pieces_of(
+    path: str | Path, board: str | None, array: str | None = None, calibration: Path | None = None
+) -> tuple[LogHead, list[Piece]]:
     """What a log of `--log` holds, or a file of raw bytes, which needs a board's name; raw bytes follow one another.
 
-    array: name of the layout, None for the board's first one
+    array: name of the layout, None for the board's first one; calibration: file of what its transducers do
     Raises SceneError for a file that can't be read, and for raw bytes without a board, DeviceError for an unknown one.
     """
     if is_log(path):
-        return read_log(path)
+        head, pieces = read_log(path)
+        return _measured(head, calibration), pieces
     file = Path(path)
     try:
         data = file.read_bytes()
@@ -64,25 +68,43 @@ def pieces_of(path: str | Path, board: str | None, array: str | None = None) -> 
     chosen = playable_board(board)
     name = array or chosen.layouts[0]
     count = len(layout(name)) * chosen.arrays[0]
-    return LogHead(board, count, name), [Piece(0.0, data)]
+    head = LogHead(board, count, name)
+    return _measured(head, calibration), [Piece(0.0, data)]
 
 
-def decode(path: str | Path, board: str | None = None, array: str | None = None) -> Decoded:
-    """The foci that a file's bytes make; arguments and errors as `pieces_of`."""
-    head, pieces = pieces_of(path, board, array)
-    twin = head.playable.twin()
+def _measured(head: LogHead, calibration: Path | None) -> LogHead:
+    if calibration is None:
+        return head
+    array = calibrated(layout(head.array), read_calibration(calibration))
+    driver = DriverConfig.model_validate({"board": head.board})
+    return head.measured(array, board_of(driver, head.transducers, address=array.address).places)
+
+
+def decode(
+    path: str | Path, board: str | None = None, array: str | None = None, calibration: Path | None = None
+) -> Decoded:
+    """The foci that a file's bytes make; arguments and errors as `pieces_of`.
+
+    What transducers are known to add to their phases, by the log or by a calibration, is in the foci.
+    """
+    head, pieces = pieces_of(path, board, array, calibration)
+    twin = head.playable.wired_twin()
     emitted: list[Emitted] = []
     for piece in pieces:
         emitted += [*twin.until(piece.time_s), *twin.feed(piece.data, piece.time_s)]
     emitted += twin.until(twin.time_s + 1.0)
-    positions = layout(head.array).positions
+    positions, turns = head.elements
     wavenumber = 2.0 * math.pi * FREQUENCY_HZ / sound_speed(head.air)
     foci: list[DecodedFocus] = []
     near: Float | None = None
+    known: dict[bytes, tuple[Float, float]] = {}
     for one in emitted:
         # Of several arrays the first one's focus is told: the others' places are the scene's
-        own = one.amplitudes[: len(positions)]
-        place, misfit = fitted_focus(positions, own, wavenumber, near)
+        own = one.amplitudes[: len(positions)] * turns
+        key = own.tobytes()
+        if key not in known:
+            known[key] = fitted_focus(positions, own, wavenumber, near)
+        place, misfit = known[key]
         if misfit < GOOD_RAD:
             near = place
         else:
@@ -123,39 +145,3 @@ def write_csv(decoded: Decoded, path: Path) -> None:
                 writer.writerow([row.time_s, *row.focus, row.misfit_rad, row.sounding, row.level])
     except OSError as error:
         raise OutputError(f"cannot write {path}: {error.strerror}; choose a folder that exists and has room") from None
-
-
-def replay(path: str | Path, port: str, board: str | None = None, *, progress: bool = False) -> Performance:
-    """Send a file's bytes to a port, at their times, and silence the board; returns what happened, in a sentence.
-
-    Errors as `pieces_of`; DeviceError where the port can't be opened, or is lost.
-    """
-    head, pieces = pieces_of(path, board)
-    made = head.playable
-    assert made.line is not None
-    frames, cut = _frames(made, pieces)
-    ends = frames[-1][0] if frames else 0.0
-    done = play_on_port(frames, made, port, ends, progress=progress)
-    return done.saying(f"{cut} pieces that were cut are left out") if cut else done
-
-
-def _frames(board: Board, pieces: list[Piece]) -> tuple[list[tuple[float, bytes]], int]:
-    """Pieces as frames with the times of their emission, and how many were cut.
-
-    Of what isn't known to have gone out whole a frame may be half: the next one begins with its start. The start and
-    the stop sequence are the player's own.
-    """
-    assert board.line is not None
-    whole = [piece for piece in pieces if piece.whole]
-    frames: list[tuple[float, bytes]] = []
-    for piece in whole:
-        time_s, data = piece.time_s, piece.data
-        if not frames:
-            data = data.removeprefix(board.start)
-        if piece is whole[-1]:
-            data = data.removesuffix(board.stop)
-        for at in range(0, len(data), board.frame_bytes):
-            part = data[at : at + board.frame_bytes]
-            time_s += board.line.time_s(len(part))
-            frames.append((time_s, part))
-    return frames, len(pieces) - len(whole)

@@ -14,13 +14,8 @@ import numpy as np
 from palmfield.config.skin import OF_SHAPES
 from palmfield.session.array_inputs import p0_band_at, p0_known, quality_known, stimulus_of
 from palmfield.session.biases import biases
-from palmfield.session.numerical_error import (
-    Course,
-    LoudestMoment,
-    error_estimate,
-    loudest_place,
-    nearest_focus,
-)
+from palmfield.session.loudest_moment import LoudestMoment, loudest_place, nearest_focus
+from palmfield.session.numerical_error import Course, error_estimate
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.radiation import Radiation
 from palmfield.stimulus.schedule import frame_at

@@ -3,7 +3,6 @@
 import logging
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import cast
@@ -12,7 +11,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import Progress
 
-from palmfield.acoustics.arrays import layout
+from palmfield.acoustics.arrays import LAYOUTS, layout
 from palmfield.acoustics.calibration_file import calibrated, read_calibration
 from palmfield.acoustics.focus import compensate, focus
 from palmfield.acoustics.reference import pressure64
@@ -20,22 +19,22 @@ from palmfield.config import DriverConfig, parse
 from palmfield.config.driver import SAFETY_KEYS
 from palmfield.config.stimulus import too_far
 from palmfield.drive.board import Board, check
-from palmfield.drive.board_link import BoardLink
-from palmfield.drive.boards import playable_board
+from palmfield.drive.boards import board_of, playable_board
 from palmfield.drive.focal_peak import loudest_point
 from palmfield.drive.frame_log import FrameLog, LogHead
 from palmfield.drive.limits import SoundLimits
-from palmfield.drive.playback import REFRESH_S, TimedFrame, filled, frame_times, play_frames
-from palmfield.drive.player import Player, PlayReport
-from palmfield.drive.transport import FileTransport
+from palmfield.drive.playback import REFRESH_S, TimedFrame, filled, frame_times
+from palmfield.drive.player import Player
+from palmfield.drive.recording import record
 from palmfield.errors import DeviceError, SceneError
 from palmfield.session.load import Source
+from palmfield.session.log_head import log_head
 from palmfield.session.preview import Preview, preview
-from palmfield.session.safety.exposure import Moment, at_head, check_head
+from palmfield.session.safety.exposure import Moment, at_head, check_head, with_band
 from palmfield.session.safety.scene_sound import scene_at_head
 from palmfield.session.sending import offset_words, peak_offset, sending
 from palmfield.simulation.frames import Frames
-from palmfield.types import Air, Float
+from palmfield.types import Air, Complex, Float
 
 LOG = logging.getLogger(__name__)
 
@@ -109,51 +108,74 @@ def play_focus(
         raise SceneError(f"--focus has value {' '.join(f'{x:g}' for x in point)}, {far}")
     if not 0.0 <= sound.level <= 1.0:
         raise SceneError(f"--level has value {sound.level:g}; allowed: 0 (off) to 1 (full drive)")
-    array = layout(name, sound.p0_Pa_m)
+    array, p0 = layout(name, sound.p0_Pa_m), LAYOUTS[name].p0
     if sound.calibration is not None:
         known = read_calibration(sound.calibration)
         if known.p0 is not None and sound.p0_Pa_m is None:
-            array = replace(array, p0_Pa_m=known.p0.value)
+            array, p0 = replace(array, p0_Pa_m=known.p0.value), known.p0
         array = calibrated(array, known)
-    given = dict(keys or {})
-    safe = {key: str(given.pop(key)) for key in SAFETY_KEYS if key in given}
-    driver = cast(DriverConfig, parse(DriverConfig, safe, "--focus with driver keys"))
+    texts = {key: str(value) for key, value in (keys or {}).items()}
+    driver = cast(DriverConfig, parse(DriverConfig, {**texts, "board": board}, "--focus with driver keys"))
     limits = SoundLimits.of(driver)
-    own = {key: value == "on" if key == "dither" else value for key, value in given.items()}
-    chosen = chosen.with_keys(own).sized(len(array))
-    if chosen.modulates and sound.am_frequency_Hz > 0.0:
+    chosen = board_of(driver, len(array), calibrated=sound.calibration is not None, address=array.address)
+    said = []
+    if chosen.modulates:
         # The board does that by itself, of any focus
-        chosen, sound = chosen.modulating(sound.am_frequency_Hz), replace(sound, am_frequency_Hz=0.0)
+        if sound.am_frequency_Hz > 0.0:
+            chosen, sound = chosen.modulating(sound.am_frequency_Hz), replace(sound, am_frequency_Hz=0.0)
+        else:
+            said.append(f"{board} modulates whatever it plays, at its own rate; give another by --am-frequency")
     modulated = sound.am_frequency_Hz > 0.0 or sound.level not in (0.0, 1.0)
     check(chosen, frame_rate_Hz=0.0, modulated=modulated, element="focus", modulation_Hz=sound.am_frequency_Hz)
     place: Float = np.array(point)
-    unit = compensate(array, focus(array, sound.air, place))
+    unit = focus(array, sound.air, place)
+    if chosen.compensate:
+        unit = compensate(array, unit)
+    played = np.zeros(len(array), np.complex128)
+    if sound.level > 0.0:
+        played = chosen.decode(chosen.start + _bytes(chosen, place, unit, sound.level))[-1]
+    if sound.level > 0.0 and not played.any():
+        raise DeviceError(
+            f"--level has value {sound.level:g}, which {board} rounds to silence; allowed: 0, or a level that one of "
+            f"its {chosen.amplitude_steps or chosen.transducers} steps comes near to"
+        )
 
-    def frame(time_s: float, share: float = 1.0) -> TimedFrame:
+    def frame(time_s: float, share: float) -> TimedFrame:
         level = sound.level * (share if chosen.levels else 1.0)
         if sound.am_frequency_Hz > 0.0:
             level *= 0.5 * (1.0 + np.sin(2.0 * np.pi * sound.am_frequency_Hz * time_s))
-        data = chosen.encode_focus(place, level) if chosen.takes == "focus" else chosen.encode(level * unit)
-        return TimedFrame(time_s, data, level > 0.0)
+        return TimedFrame(time_s, _bytes(chosen, place, unit, level), level > 0.0)
 
     period_s = 1.0 / chosen.max_frame_rate_Hz if sound.am_frequency_Hz > 0.0 else REFRESH_S
     due = (period_s * np.arange(np.ceil(duration_s / period_s - 1e-9))).tolist()
     times = filled(due, limits.ramp_times(chosen, duration_s), chosen.frame_time_s, duration_s)
     frames = (frame(time_s, limits.level_at(time_s, duration_s)) for time_s in times)
-    played = chosen.decode(chosen.start + frame(0.0).data)[-1] if sound.level else np.zeros(len(array), np.complex128)
+
+    def at_loudest(points: Float) -> Complex:
+        return pressure64(points, array, played, sound.air)[0]
+
     if driver.head_m is not None:
         share = 0.375 if sound.am_frequency_Hz > 0.0 else 1.0  # mean square of (1 + sin)/2
-        moments = (
-            [Moment(lambda points: pressure64(points, array, played, sound.air)[0], share)] if played.any() else []
-        )
-        _warn(check_head(at_head(moments, driver, array.positions), driver))
-    head = LogHead(board, len(array), name, sound.air, given)
-    done = send(frames, chosen, duration_s, target, head, limits, progress)
+        # A pressure that is given is taken as it is
+        band = (1.0, 1.0) if sound.p0_Pa_m is not None else ((p0.low / p0.value) ** 2, (p0.high / p0.value) ** 2)
+        moments = [Moment(at_loudest, share)] if played.any() else []
+        _warn(check_head(with_band(at_head(moments, driver, array.positions), band), driver))
+    limited = driver.model_dump(include=set(SAFETY_KEYS), exclude_none=True, exclude_defaults=True)
+    own, loudness = driver.of_board(chosen.keys), array.p0_Pa_m
+    high = loudness if sound.p0_Pa_m is not None else loudness * p0.high / p0.value
+    head = LogHead(board, len(array), name, sound.air, own, limited, p0_Pa_m=loudness, p0_high_Pa_m=high)
+    head = head.measured(array, chosen.places)
+    done = send(frames, chosen, duration_s, target, head, limits, progress).saying(*said)
     if not played.any():
         return done
-    loudest = loudest_point(lambda points: pressure64(points, array, played, sound.air)[0], np.zeros(3), place)
-    peak = float(np.abs(pressure64(loudest[None], array, played, sound.air)[0])[0])
+    loudest = loudest_point(at_loudest, np.zeros(3), place)
+    peak = float(np.abs(at_loudest(loudest[None]))[0])
     return done.saying(f"{offset_words(loudest - place)}: {peak:.0f} Pa there")
+
+
+def _bytes(board: Board, place: Float, unit: Complex, level: float) -> bytes:
+    """One frame of a focus [m], shape (3,), with amplitudes `unit` at full level."""
+    return board.encode_focus(place, level) if board.takes == "focus" else board.encode(level * unit)
 
 
 def play_scene(
@@ -179,9 +201,7 @@ def play_scene(
             f"{view.name} is played by board '{model.board.name}', which takes no bytes; give another by --board"
         )
     duration = view.duration_s if duration_s is None else duration_s
-    spec = view.runtime.spec
-    own = {key: value for key, value in spec.driver.model_dump(exclude_none=True).items() if key in model.board.keys}
-    head = LogHead(model.board.name, len(model.arrays), spec.arrays[0].config.layout, model.arrays.air, own)
+    spec, head = view.runtime.spec, log_head(model)
     if spec.driver.head_m is not None:
         _warn(check_head(scene_at_head(view, duration), spec.driver))
     limits = SoundLimits.of(spec.driver)
@@ -238,13 +258,10 @@ def send(
     limits.check([frame.time_s for frame in ready], [frame.sounds for frame in ready], duration_s)
     said = [words] if (words := limits.in_words(board)) else []
     if target.record is not None:
-        file = FileTransport(target.record)
         log = None if target.log is None else FrameLog(target.log, head)
-        with closing(BoardLink(board, file, simulated=True, log=log)) as link:
-            played = play_frames(link, ready, duration_s=duration_s)
-        report = PlayReport(played.frames, played.skipped, played.late_s)
-        skipped = f", {played.skipped} more were due than the line takes" if played.skipped else ""
-        text = f"wrote {target.record}: {played.frames} frames for {duration_s:g} s{skipped}"
+        report = record(board, ready, target.record, duration_s=duration_s, log=log)
+        skipped = f", {report.skipped} more were due than the line takes" if report.skipped else ""
+        text = f"wrote {target.record}: {report.frames} frames for {duration_s:g} s{skipped}"
         return Performance(text, report.warning).saying(*said)
     assert target.port is not None
     done = play_on_port(ready, board, target.port, duration_s, log=target.log, head=head, progress=progress)

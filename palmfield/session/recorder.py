@@ -11,7 +11,7 @@ from palmfield.engine.host import World, world_of
 from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.hand.triangles import vertex_normals
 from palmfield.outputs.schema import Arrays, group, sensor_channels
-from palmfield.session.numerical_error import LoudestMoment
+from palmfield.session.loudest_moment import LoudestMoment
 from palmfield.simulation.emission import Emission
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene

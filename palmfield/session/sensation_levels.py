@@ -18,7 +18,7 @@ from palmfield.hand.triangles import face_normals
 from palmfield.perception.force_threshold import FORCE_OBSERVER, force_level_dB_SL, force_near_peak_N, why_refused
 from palmfield.perception.observers import OBSERVERS, Observer, level_dB_SL, line_amplitudes, threshold_m
 from palmfield.session.array_inputs import stimulus_of
-from palmfield.session.numerical_error import LoudestMoment
+from palmfield.session.loudest_moment import LoudestMoment
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.radiation import Radiation

@@ -13,7 +13,8 @@ from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.errors import PalmfieldError
 from palmfield.session.array_inputs import p0_band_at
 from palmfield.session.error_budget import error_budget
-from palmfield.session.numerical_error import Course, LoudestMoment, error_estimate, loudest_place
+from palmfield.session.loudest_moment import LoudestMoment, loudest_place
+from palmfield.session.numerical_error import Course, error_estimate
 from palmfield.session.sensation_levels import felt_levels
 from palmfield.session.simulation import Simulation
 from palmfield.simulation.forces import BodyForces

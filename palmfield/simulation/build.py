@@ -118,7 +118,7 @@ def board_for(spec: SceneSpec, arrays: PhasedArray) -> Board:
     """What plays the drive. Raises SceneError for arrays that it does not drive, DeviceError for keys it has not."""
     check_arrays(BOARDS[spec.driver.board], spec.arrays)
     known = any(array.calibration is not None for array in spec.arrays)
-    board = board_of(spec.driver, len(arrays), calibrated=known)
+    board = board_of(spec.driver, len(arrays), calibrated=known, address=arrays.array.address)
     if board.modulates:
         for stimulus in spec.stimuli:
             check_envelope(stimulus, board)

@@ -50,7 +50,7 @@ class Frames:
             where, factors = frames_at(part.config, np.array([time_s]))
             focus, level = points.along(where)[0], float(np.sqrt(factors[0]))
             if level > 0.0:
-                level *= drive.unit_drive_at(points, where[0]).level
+                level *= drive.level_at(points, where[0])
             self.sounds = level * share > 0.0
             return board.encode_focus(focus, level * share)
         wanted = share * self._sum(placed, posed, time_s)

@@ -28,7 +28,7 @@ FACTOR_BYTES = 180.0
 MOST_SUBSTEPS = 10_000
 """Steps of a skin in one of MuJoCo's."""
 LEAST_APART_M = 1e-3
-"""Between point sources, which have no width of their own, of two arrays."""
+"""Between transducers: those of two arrays may be point sources, which have no width of their own."""
 STILL_ECHO_M = 1e-5
 """So far a disc may move before a rigid array face: a two hundredth of what turns an echo's sign."""
 FACING = np.diag([1.0, -1.0, -1.0])
@@ -62,9 +62,18 @@ def check_bodies(spec: SceneSpec) -> None:
 
 
 def check_apart(names: Sequence[str], arrays: PhasedArray) -> None:
-    """Refuse arrays that stand in one place: transducers of two are nearer than their faces allow."""
+    """Refuse arrays that stand in one place: transducers of two are nearer than their faces allow.
+
+    Within one array, whose places come from one file or model, only what no transducer allows.
+    """
     positions = [arrays.array.positions[part] for part in arrays.slices]
     for number, name in enumerate(names):
+        own = pitch_m(positions[number])
+        if own < LEAST_APART_M:
+            raise SceneError(
+                f"plugin 'palmfield.array' instance '{name}': two of its transducers are {1e3 * own:.3g} mm apart; "
+                f"allowed: at least {1e3 * LEAST_APART_M:.1f} mm; look at the unit of their places"
+            )
         for other in range(number):
             distance = float(cKDTree(positions[other]).query(positions[number])[0].min())
             radii = arrays.parts[number].piston_radius_m + arrays.parts[other].piston_radius_m
@@ -75,6 +84,11 @@ def check_apart(names: Sequence[str], arrays: PhasedArray) -> None:
                     f"'{names[other]}' (two are {1e3 * distance:.1f} mm apart; allowed: at least {1e3 * least:.1f} "
                     "mm); give it a site of its own by key 'site', or drop one of the two"
                 )
+
+
+def pitch_m(positions: Float) -> float:
+    """Least distance of two transducers [m], from their places, shape (n, 3); without end of one alone."""
+    return float(cKDTree(positions).query(positions, k=[2])[0].min()) if len(positions) > 1 else math.inf
 
 
 def check_overlaps(skins: Sequence[SkinModel]) -> None:

@@ -85,7 +85,7 @@ def layer_sizes(
     """Sizes of a scene's layer for its target accuracy; see LayerDemand.
 
     sheets: of the layer, thicknesses as shares; resizing: factor of all element sizes; element: how messages name it
-    Raises SceneError for a step_s that doesn't divide the timestep.
+    Raises SceneError for a step_s that doesn't divide the timestep, and for a timestep without end.
     """
     needs = slowest(sheets, max_frequency_Hz), spot_fwhm_m, max_frequency_Hz
     *_, step, radius = choose_sizes(*needs, config.accuracy)
@@ -107,6 +107,11 @@ def layer_sizes(
     coarse = min(coarse, (0.5 if config.shape == "disc" else 0.25) * radius)
     fine = min(fine, coarse)
     step = config.step_s or step
+    if not math.isfinite(timestep_s / step):
+        raise SceneError(
+            f"{element}: MuJoCo's timestep of {timestep_s:g} s has more of the skin's steps of {step:.2g} s than can "
+            "be counted; set timestep smaller"
+        )
     count = math.ceil(timestep_s / step - 1e-9)
     if config.step_s is not None and abs(count * config.step_s - timestep_s) > 1e-9:
         raise SceneError(f"{element}: step_s {config.step_s:g} must divide the timestep {timestep_s:g}")

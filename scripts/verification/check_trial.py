@@ -146,6 +146,9 @@ def page(seconds: float, write: Path | None, commit: str) -> tuple[str, Latency]
         rows.append(
             row("in real time, predicted", trial(SCENE, **SONIC, tracker=tracked(None), skin=False, port="virtual"))
         )
+        rows.append(
+            row("in real time, predicted", trial(SCENE, **AUTD, tracker=tracked(None), skin=False, port="virtual"))
+        )
         rows.append(row("in real time, a live hand from another process, predicted", live(folder)))
         text = reports(folder, write)
         loops = [measure_latency(SCENE, **SONIC, seconds=seconds, by=by) for by in ("udp", "tcp")]

@@ -3,6 +3,7 @@
 check_player.py makes a page of them; tests/drive/player/test_lateness.py asserts a short one.
 """
 
+import math
 import os
 import threading
 import time
@@ -11,6 +12,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
+from faults import machine_pauses
 from player_line import Heard, listened
 
 from palmfield.drive.boards import BOARDS
@@ -53,9 +55,12 @@ class Stream:
 
 @dataclass(frozen=True)
 class AutdRun:
+    """pauses: packets' times that passed while the machine itself stood still for more than half of one"""
+
     player: Stream
     thread: Stream
     report: PlayReport
+    pauses: int
 
 
 @dataclass(frozen=True)
@@ -135,18 +140,19 @@ def stream_autd(seconds: float, works: Sequence[Callable[[threading.Event], None
     packets = numbered(round(seconds / PERIOD_S))
     began: list[float] = []
     ended: list[float] = []
-    with listened() as line, listened() as other_line:
+    with listened() as line, listened() as other_line, machine_pauses() as pauses:
         writer = threading.Thread(target=write_plainly, args=(other_line.port, packets, began, ended))
         with Player(AUTD, line.port, realtime=priority) as player, busy(works):
             writer.start()
             report = player.play([(number * PERIOD_S, packet) for number, packet in enumerate(packets)])
             writer.join()
+        stood = sum(math.ceil(pause / PERIOD_S - 0.5) for pause in pauses())
     played = Stream(
         report.frames, report.skipped, lost(line, report.frames), Late(report.late_p99_s, report.late_s),
         Late(report.write_p99_s, report.write_worst_s),
     )  # fmt: skip
     plain = Stream(len(packets), 0, lost(other_line, len(packets)), Late.of(on_the_line(began)), Late.of(ended))
-    return AutdRun(played, plain, report)
+    return AutdRun(played, plain, report, stood)
 
 
 def play_sonic(seconds: float, works: Sequence[Callable[[threading.Event], None]], priority: bool) -> SonicRun:

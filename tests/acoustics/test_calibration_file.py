@@ -90,6 +90,11 @@ TWO = {
         ({"elements": TWO | {"gain": [1, -1]}}, "elements.gain.1 = -1"),
         ({"elements": TWO | {"address": [0, 0]}}, "address holds other numbers than 0 to 1"),
         ({"phase_offset_rad": float("nan")}, "phase_offset_rad"),
+        ({"phase_offset_rad": float("nan")}, "allowed: a finite number"),
+        ({"elements": TWO | {"phase_rad": [0, 180]}}, "phase_rad.1 = 180; allowed: -6.2832 to 6.2832, in radians"),
+        ({"elements": TWO | {"resonance_Hz": [40.1, 39.9]}}, "elements.resonance_Hz.0 = 40.1; allowed: 20000 to"),
+        ({"elements": TWO | {"quality": [25, 1e6]}}, "elements.quality.1 = 1e+06; allowed: 1 to 1000"),
+        ({"quality": FILE["p0"] | {"value": 1e6, "low": 1, "high": 1e7}}, "quality.value = 1e+06; allowed: 1 to"),
     ],
 )
 def test_a_bad_file_is_told_with_its_place(tmp_path, changed, told):
@@ -100,6 +105,13 @@ def test_a_bad_file_is_told_with_its_place(tmp_path, changed, told):
     with pytest.raises(SceneError) as error:
         read_calibration(path)
     assert str(path) in str(error.value) and told in str(error.value) and "\n" not in str(error.value)
+
+
+def test_numbers_of_a_transducer_that_is_off_count_for_nothing(tmp_path):
+    path = tmp_path / "array.json"
+    elements = TWO | {"phase_rad": [0, 180], "quality": [25, 1e6]}
+    path.write_text(json.dumps(FILE | {"elements": elements | {"enabled": [True, False]}}))
+    assert read_calibration(path).elements.quality == (25.0, 1e6)
 
 
 def test_a_file_that_is_not_there_that_is_no_json_and_one_that_cannot_be_written(tmp_path):

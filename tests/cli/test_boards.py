@@ -65,6 +65,9 @@ def test_a_focus_on_a_virtual_board_is_logged_decoded_and_replayed(monkeypatch, 
     np.testing.assert_allclose(sounding["z_m"], 0.16, atol=1e-3)
 
 
+CIRCLE = Path(__file__).parents[2] / "mjcf" / "scenes" / "palm_circle_sonicsurface.xml"
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -74,6 +77,8 @@ def test_a_focus_on_a_virtual_board_is_logged_decoded_and_replayed(monkeypatch, 
         (("drive", "--focus", 0, 0, 0.2, "--record", "x", "--level", 2), "--level has value 2; allowed"),
         (("drive", "--focus", 0, 0, 0.2, "--record", "x", "--layout", "uhev1"), "drives no layout 'uhev1'; allowed"),
         (("drive", "--focus", 0, 0, 0.2, "--record", "x", "--board", "sonicsurface_pair"), "give a scene that says"),
+        (("drive", CIRCLE, "--record", "x", "--calibration", "b.json"), "use --set array.calibration=VALUE"),
+        (("drive", CIRCLE, "--record", "x", "--temperature", 30), "use --set array.temperature_C=VALUE"),
     ],
 )
 def test_what_makes_no_sense_is_refused(arguments, words, monkeypatch, capsys, tmp_path):

@@ -76,6 +76,11 @@ def test_keys_are_those_of_the_models(monkeypatch, capsys):
     assert [one["plugin"] for one in told(monkeypatch, capsys, "keys", "skin")["plugins"]] == ["palmfield.skin"]
 
 
+def test_two_forms_at_once_are_refused(monkeypatch, capsys):
+    code, out = call(monkeypatch, capsys, "keys", "--json", "--markdown")
+    assert code == 2 and not out.out and "give one of them" in out.err
+
+
 def test_a_refusal_leaves_standard_output_empty(small_scene, monkeypatch, capsys):
     for command in ("run", "plan", "info"):
         code, out = call(monkeypatch, capsys, command, small_scene(skin={"base": "glued"}), "--json")

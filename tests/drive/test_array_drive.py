@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from palmfield.acoustics.focus import focus
-from palmfield.drive.array_drive import KEPT, ArrayDrive, in_mm
+from palmfield.drive.array_drive import KEPT, ArrayDrive, in_mm, told_below
 from palmfield.drive.boards import BOARDS
 from palmfield.drive.foci import solve_foci, transfer64
 from palmfield.errors import SceneError
@@ -146,3 +146,16 @@ def test_dead_transducers_are_named(mixed):
 def test_places_in_words():
     assert in_mm([0, 0.0125, 0.2]) == "(0.0, 12.5, 200.0) mm"
     assert in_mm(np.zeros((2, 3))) == "(0.0, 0.0, 0.0) mm and (0.0, 0.0, 0.0) mm"
+
+
+@pytest.mark.parametrize(
+    ("value", "limit", "told"),
+    [
+        (9.8213, 12.0, "9.82"),
+        (11.9987, 12.0, "11.999"),
+        (0.5337, 12.0, "0.534"),
+        (12.0 - 2e-15, 12.0, "11.999999999999998"),
+    ],
+)
+def test_a_number_below_a_limit_is_told_below_it(value, limit, told):
+    assert told_below(value, limit) == told

@@ -8,7 +8,6 @@ from typer.testing import CliRunner
 
 from palmfield.cli.app import app
 from palmfield.drive import autd3_units
-from palmfield.drive.board_link import BoardLink
 from palmfield.drive.boards import BOARDS
 from palmfield.drive.ports import open_port
 from palmfield.errors import DeviceError
@@ -48,12 +47,13 @@ def test_units_emit_what_the_twin_says(units: int, autd3: SimpleNamespace) -> No
 def test_frames_reach_emulated_units(autd3: SimpleNamespace) -> None:
     board = BOARD.sized(249 * 2)
     transport = open_port("autd3:emulator", None)
-    with BoardLink(board, transport) as link:
-        link.start()
-        before = _processed(transport)
-        for _ in range(50):
-            link.write(board.encode(np.ones(498)))
-        after = _processed(transport)
+    transport.write(board.start)
+    before = _processed(transport)
+    for _ in range(50):
+        transport.write(board.encode(np.ones(498)))
+    after = _processed(transport)
+    transport.write(board.stop)
+    transport.close()
     assert [b - a for a, b in zip(before, after, strict=True)] == [51, 51]  # the question itself is one
 
 

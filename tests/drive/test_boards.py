@@ -202,6 +202,13 @@ def test_packets_with_other_keys_are_read_with_them_only():
     assert twin.feed(packet * 3) == [] and not twin.emitted.any()
 
 
+def test_a_line_that_carries_no_2000_packets_a_second_is_refused():
+    with pytest.raises(DeviceError, match="packet_baud has value 115200; allowed: at least 180000, which carries 2000"):
+        board_of(DriverConfig(board="autd2018", packet_baud=115200), 249)
+    board = board_of(DriverConfig(board="autd2018", packet_baud=1_000_000), 249)
+    assert board.frame_time_s == pytest.approx(90e-6) and board.twin().byte_s == pytest.approx(1e-5)
+
+
 def test_without_sync_units_drift_apart_and_with_it_they_do_not():
     keys = {"clock_drift_ppm": 20.0, "skew_s": 1e-6}
     for sync in ("on", "off"):

@@ -1,4 +1,4 @@
-"""When frames are due. The pace on a line is in test_board_link.py, what frames hold in tests/session/test_play.py."""
+"""When frames are due. A line's pace is in player/test_sources.py, what frames hold in tests/session/test_play.py."""
 
 import pytest
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from palmfield.engine.scene_runtime import present_drive
-from palmfield.session.numerical_error import LoudestMoment
+from palmfield.session.loudest_moment import LoudestMoment
 from palmfield.session.simulation import Simulation
 
 OTHER_PAD = '<body name="other" pos="{place}" quat="0 1 0 0"><site name="middle" size="0.001"/></body>'

@@ -42,6 +42,16 @@ def test_a_timestep_that_is_none(value, small_scene):
     refused(path, f"option 'timestep' has value {value}; allowed: seconds > 0")
 
 
+def test_a_timestep_that_steps_of_the_skin_cannot_fill(small_scene, meshing_fails):
+    path = changed(small_scene(), 'timestep="0.001"', 'timestep="1e308"')
+    refused(path, "MuJoCo's timestep of 1e+308 s has more of the skin's steps", "set timestep smaller")
+
+
+@pytest.mark.parametrize(("key", "value"), [("focus_m", "0 0 0.1_2"), ("am_frequency_Hz", "2_00")])
+def test_digits_that_an_underscore_joins(key, value, small_scene):
+    refused(small_scene(stimulus={key: value}), f"key '{key}' has value '{value}'; allowed: ")
+
+
 def test_a_timestep_of_0_in_a_spec(small_scene):
     spec = mujoco.MjSpec.from_file(str(small_scene()))
     spec.option.timestep = 0.0

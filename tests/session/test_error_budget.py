@@ -16,7 +16,8 @@ from palmfield.outputs.store import open_result
 from palmfield.session.array_inputs import p0_band_at
 from palmfield.session.biases import ECHO, Bias, biases
 from palmfield.session.error_budget import SOURCES, error_budget, field_error
-from palmfield.session.numerical_error import Course, loudest_place
+from palmfield.session.loudest_moment import loudest_place
+from palmfield.session.numerical_error import Course
 from palmfield.session.planning.facts import first_drive
 from palmfield.simulation.emission import array_drives
 from palmfield.simulation.posed_scene import reference_scene

@@ -11,6 +11,7 @@ from refusals import changed, refused
 
 import palmfield
 from palmfield.acoustics.air import sound_speed
+from palmfield.acoustics.calibration_file import Calibration, Elements, Pose, write_calibration
 from palmfield.acoustics.reference import pressure64
 from palmfield.cli import run as cli_run
 from palmfield.cli.app import main
@@ -18,7 +19,7 @@ from palmfield.config.stimulus import too_far
 from palmfield.session.plan import warnings
 from palmfield.session.preview import preview
 from palmfield.simulation.spec import SceneSpec
-from palmfield.types import Air, Float
+from palmfield.types import Air, Estimate, Float
 
 SKIN = "plugin 'palmfield.skin' instance 'skin': "
 STIMULUS = "plugin 'palmfield.stimulus' instance 'stimulus': "
@@ -217,6 +218,24 @@ def test_a_skin_behind_the_focus_hardly_moves(small_scene):
     assert "which then hardly moves" in said and "for the 4.5 mm wide spot at the focus" in said
 
 
+def test_a_focus_off_the_skin_is_told_alike_whatever_sets_its_level(small_scene):
+    """20 Pa are in the array's reach at 60 mm, where the focus is, and not at 200, where the skin is."""
+    keys, told = {**STEADY, "focus_m": "0 0 0.06"}, []
+    for level in ({"arp_peak_Pa": 20}, {"drive_amplitude": 1}, {"drive_amplitude": 0.1}):
+        path = small_scene(stimulus=keys | level)
+        changed(path.parent / "plain.xml", 'pos="0 0 0.12"', 'pos="0 0 0.2"')
+        told.append(course_of(path, "no focus comes near skin 'skin'"))
+    assert len(set(told)) == 1 and "stays 140 mm away" in told[0]
+
+
+def test_a_focus_off_the_skin_is_told_for_a_board_that_takes_one_focus(small_scene):
+    keys = {**STEADY, "focus_m": "0 0 0.2", "drive_amplitude": 1, "arp_peak_Pa": None}
+    path = small_scene(
+        array={"layout": "autd2018"}, stimulus={**keys, "control_rate_Hz": 1000}, driver={"board": "autd2018"}
+    )
+    assert "stays 80 mm away" in course_of(path, "no focus comes near skin 'skin'")
+
+
 def test_a_layer_too_large_for_a_focus_far_aside_says_that_it_misses(small_scene, monkeypatch):
     monkeypatch.setattr("palmfield.simulation.validate.available_bytes", lambda: 10**5)
     path = small_scene(stimulus={"focus_m": "1 1 1"}, skin={"element_m": 0.00351})
@@ -271,6 +290,80 @@ def test_a_p0_that_no_transducer_has_is_doubted(p0, small_scene):
 @pytest.mark.parametrize("p0", [0.5, 2.53, 12])
 def test_a_p0_that_one_may_have_is_not(p0, small_scene):
     assert not [text for text in warnings(small_scene(array={"p0_Pa_m": p0})) if "p0 of array" in text]
+
+
+# -- arrays in another unit ----------------------------------------------------------------------------------------
+
+
+def test_places_in_another_unit_are_refused_or_doubted(small_scene, tmp_path):
+    """Metres under names of millimetres are refused; pistons that stand in one another are told; a board's are not."""
+    keys = {"layout": "csv", "transducers": "own.csv"}
+    for scale, told in ((1e-3, "0.0105 mm apart"), (0.5, "5.25 mm apart, and their pistons 9 mm wide"), (1.0, None)):
+        places = [(10.5 * scale * x, 10.5 * scale * y) for x in range(-4, 5) for y in range(-4, 5)]
+        (tmp_path / "own.csv").write_text("x_mm,y_mm,z_mm\n" + "".join(f"{x},{y},0\n" for x, y in places))
+        scene = small_scene(array=keys)
+        if scale == 1e-3:
+            assert "allowed: at least 1.0 mm; look at the unit" in refused(scene, told)
+        elif told:
+            course_of(scene, told)
+            assert not [
+                text for text in warnings(small_scene(array=keys | {"piston_radius_m": 0.0025})) if "wide" in text
+            ]
+        else:
+            assert not [text for text in warnings(scene) if "apart" in text]
+
+
+def test_a_humidity_that_is_a_share_is_doubted(small_scene):
+    assert "look at the unit" in course_of(small_scene(array={"humidity_percent": 0.5}), "humidity_percent of array")
+    assert not [text for text in warnings(small_scene(array={"humidity_percent": 5})) if "humidity" in text]
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"gain": 5.0}, "has gains about 5, which are relative to p0"),
+        ({"gain": 0.2}, "has gains about 0.2, which are relative to p0"),
+        ({"offset_m": (0.3, 0.4, 0.0)}, "has its board 0.5 m off: look at the unit"),
+        ({"high": 900.0}, "has a p0 of 1.2 to 900 Pa m, so wide that it says nothing"),
+        ({}, None),
+    ],
+)
+def test_a_calibration_of_no_board_is_doubted(changes, told, small_scene, tmp_path):
+    count = 256
+    elements = Elements(
+        enabled=(True,) * count, polarity=(1,) * count, phase_rad=(0.0,) * count,
+        gain=(changes.get("gain", 1.1),) * count,
+    )  # fmt: skip
+    p0 = Estimate(1.3, 1.2, changes.get("high", 1.4), "measured", "ours")
+    pose = Pose(offset_m=changes.get("offset_m", (1e-3, 0.0, 0.0)))
+    calibration = Calibration(layout="uhev1", p0=p0, elements=elements, pose=pose)
+    write_calibration(tmp_path / "ours.json", calibration)
+    said = [text for text in warnings(small_scene(array={"calibration": "ours.json"})) if "calibration of" in text]
+    assert said == [] if told is None else len(said) == 1 and told in said[0]
+
+
+@pytest.mark.parametrize(
+    ("rate_Hz", "told"),
+    [(150, "what is played is 50 Hz"), (390, "played is 190 Hz"), (400, "depends on when"), (401, None), (0, None)],
+)
+def test_frames_too_rare_for_a_modulation_are_told(rate_Hz, told, small_scene):
+    said = [text for text in warnings(small_scene(stimulus={"control_rate_Hz": rate_Hz})) if "frames a second" in text]
+    assert said == [] if told is None else len(said) == 1 and told in said[0]
+
+
+@pytest.mark.parametrize(
+    ("keys", "told"),
+    [
+        ({"density_kg_m3": 1.03}, "has a density of 1.03 kg/m^3, that of skins and phantoms 500 to 3000"),
+        ({"shear_relaxed_Pa": 12}, "has a relaxed shear modulus of 12 Pa"),
+        ({"bulk_Pa": 1000}, "look at bulk_Pa"),
+        ({}, None),
+    ],
+)
+def test_a_material_that_no_skin_is_of_is_doubted(keys, told, small_scene):
+    """K = 1000 Pa beside the preset's shear modulus is a solid that grows thicker as it is drawn out."""
+    said = [text for text in warnings(small_scene(skin=keys)) if text.startswith("material ")]
+    assert said == [] if told is None else len(said) == 1 and told in said[0]
 
 
 # -- Ctrl-C --------------------------------------------------------------------------------------------------------

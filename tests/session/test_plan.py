@@ -6,6 +6,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from refusals import changed
 
 import palmfield
 from palmfield.acoustics import body_scattering
@@ -223,6 +224,42 @@ def test_a_plan_of_a_simulation_takes_its_keys_and_moment(small_scene):
         palmfield.plan(scene, accuracy=0.2)
 
 
+def test_keys_that_make_a_skin_coarser_are_told(small_scene):
+    """And keys that make it finer, or as fine, are not."""
+    scene = small_scene(skin={"element_m": None, "step_s": None}, stimulus={"am_frequency_Hz": 200})
+    chosen = palmfield.plan(scene).numbers["skins"][0]
+    assert not [text for text in warnings(scene) if "coarser" in text]
+    assert "sizes follow a convergence study" in row(palmfield.plan(scene).error, "mesh and time step").why
+    coarse = {"element_m": 0.03, "step_s": 0.001, "max_frequency_Hz": 100}
+    keys = {f"skin.{name}": value for name, value in coarse.items()}
+    plan = palmfield.plan(scene, keys=keys)
+    (said,) = [text for text in plan.warnings if "coarser" in text]
+    assert all(name in said for name in coarse) and "max_frequency_Hz 100 for a stimulus of" in said
+    error = row(plan.error, "mesh and time step")
+    assert "keys make it coarser" in error.why and error.size == "5 % wanted"
+    fine = {"skin.element_m": 0.9 * chosen["edge_fine_m"], "skin.step_s": 0.0001}
+    assert not [text for text in palmfield.plan(scene, keys=fine).warnings if "coarser" in text]
+
+
+def test_a_run_that_steps_make_longer_or_shorter_is_told(small_scene):
+    path = changed(small_scene(), 'timestep="0.001"', 'timestep="0.2"')
+    told = {}
+    for duration_s in (0.4, 0.05, 0.5):
+        plan = palmfield.plan(path, duration_s=duration_s)
+        told[duration_s] = [text for text in plan.warnings if "of MuJoCo's" in text]
+        assert plan.numbers["steps"] == {0.4: 2, 0.05: 1, 0.5: 2}[duration_s]
+    assert told[0.4] == []
+    assert "takes 0.2 s in place of 0.05 s, which is one step of MuJoCo's: option timestep is 0.2 s" in told[0.05][0]
+    assert "takes 0.4 s in place of 0.5 s, which is 2 steps" in told[0.5][0]
+
+
+def test_what_part_of_a_surface_is_modelled_is_said_as_it_is(small_scene):
+    assert row(palmfield.plan(small_scene()).modelled, "skin layer").why.startswith("the whole disc;")
+    palm, pinned = SCENES / "palm_am200.xml", SCENES / "tap_button.xml"
+    assert "where waves matter" in row(palmfield.plan(palm, accuracy=0.5).modelled, "skin layer").why
+    assert "key patch_radius_m" in row(palmfield.plan(pinned, accuracy=0.5).modelled, "skin layer").why
+
+
 def test_planning_makes_no_matrices(small_scene):
     view = palmfield.session.preview.preview(small_scene())
     palmfield.plan(small_scene())
@@ -240,7 +277,7 @@ def test_no_shipped_scene_of_moving_hands_is_warned_of_a_far_focus(scene):
 def test_plan_says_what_a_board_is_sent_and_where_the_sound_is_loudest(small_scene):
     made = palmfield.plan(small_scene(), board="autd2018")
     said = row(made.modelled, "sending").size
-    assert said.startswith("9 bytes a frame, 2000 frames/s due, the line takes 2000; latency 0.5 to 1 ms")
+    assert said.startswith("9 bytes a frame, 2000 frames/s due, the line takes 2000; latency 0.391 to 0.781 ms")
     assert made.as_dict()["board"] == "autd2018" and made.as_dict()["sending"]["frame_bytes"] == 9
     assert palmfield.plan(small_scene()).as_dict()["sending"] is None
     arrays = palmfield.load(small_scene(), board="autd2018").runtime.model.arrays

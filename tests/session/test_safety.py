@@ -126,3 +126,48 @@ def test_another_board_keeps_what_is_allowed():
     assert (driver.board, driver.head_m, driver.on_time_s, driver.duty_limit) == (
         "autd2018", (0.0, 0.0, 0.6), 3.0, 0.5,
     )  # fmt: skip
+
+
+def test_a_modulated_focus_is_as_loud_at_the_head_as_its_loudest_moment(tmp_path):
+    """Its first frame is half as loud, by which a limit must not go."""
+    head = {"head_m": "0 -0.3 0.5", "head_limit_dB": "134"}
+    target = Target(record=tmp_path / "x.bin")
+    for modulation_Hz in (0.0, 200.0):
+        sound = FocusSound(am_frequency_Hz=modulation_Hz)
+        with pytest.raises(palmfield.DeviceError, match=r"133 dB SPL .* up to 13\d dB as far as p0 is known"):
+            play_focus(POINT, "autd3", target, 0.1, sound=sound, keys=head)
+    # A pressure that is given has no range, and the level then is below the limit
+    play_focus(POINT, "autd3", target, 0.1, sound=FocusSound(p0_Pa_m=layout("autd3").p0_Pa_m), keys=head)
+    said = play_focus(POINT, "autd3", target, 0.1, sound=FocusSound(am_frequency_Hz=200.0)).text
+    assert said.splitlines()[-1] == play_focus(POINT, "autd3", target, 0.1).text.splitlines()[-1]
+
+
+def test_the_loudest_place_is_found_among_many_that_are_nearly_as_loud():
+    """Beside a focus and below it, where lobes cross: against every place of a grid of 2 mm, in float64."""
+    array = layout("sonicsurface", 2.0)
+    drive = np.exp(-2j * np.pi * 40e3 / 343.0 * np.linalg.norm(array.positions - [0.03, 0.02, 0.12], axis=1))
+    head = DriverConfig(head_m=(0.0, -0.1, 0.2), head_radius_m=0.06)
+    moments = [Moment(lambda points: pressure64(points, array, drive, Air())[0], 1.0)]
+    heard = at_head(moments, head, array.positions)
+    steps = np.arange(-0.06, 0.0601, 2e-3)
+    ball = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)
+    ball = ball[np.linalg.norm(ball, axis=1) <= 0.06] + [0.0, -0.1, 0.2]
+    peaks = np.abs(pressure64(ball, array, drive, Air())[0])
+    assert heard.peak_Pa >= peaks.max() * (1 - 1e-9)
+    assert heard.peak_Pa < peaks.max() * 1.03
+    assert np.linalg.norm(heard.place - [0.0, -0.1, 0.2]) <= 0.06 * (1 + 1e-9)
+    # It is the loudest place that is compared, not a mean over the ball
+    assert 20 * math.log10(heard.peak_Pa / np.sqrt(np.mean(peaks**2))) > 3.0
+
+
+def test_what_is_loud_at_one_moment_only_is_what_counts():
+    array = layout("sonicsurface", 2.0)
+    soft, loud = np.full(256, 0.01 + 0j), np.ones(256, complex)
+    head = DriverConfig(head_m=(0.0, 0.0, 0.5), head_radius_m=0.05)
+
+    def moment(drive):
+        return Moment(lambda points: pressure64(points, array, drive, Air())[0], 0.01)
+
+    short = at_head([*[moment(soft)] * 20, moment(loud)], head, array.positions)
+    assert short.peak_Pa == at_head([moment(loud)], head, array.positions).peak_Pa
+    assert short.mean_level_dB < short.level_dB - 15.0

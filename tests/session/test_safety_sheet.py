@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 from palmfield.acoustics.air import absorption_Np_m, density, sound_speed
 from palmfield.acoustics.exposure import a_weighting_dB
 from palmfield.cli.app import app
+from palmfield.errors import OutputError
 from palmfield.session.preview import preview
 from palmfield.session.safety.byproduct import COUNT, RATE_HZ, byproduct
 from palmfield.session.safety.sheet import safety_sheet
@@ -89,3 +90,27 @@ def test_a_drive_in_steps_has_no_figure(small_scene):
     assert sheet.byproduct is not None and math.isfinite(sheet.byproduct.level_dBA)
     assert "Not estimated: the drive changes in steps" in as_markdown(sheet)
     assert as_dict(sheet)["audible_dBA"] is None
+
+
+def test_maps_and_course_have_the_levels_of_the_sheet(small_scene, tmp_path):
+    path, page = small_scene(stimulus=STILL), tmp_path / "sheet.md"
+    keys = {"driver.head_m": "0 -0.3 0.5", "driver.head_limit_dB": "90"}
+    sheet = safety_sheet(preview(path, keys=keys), 0.02)
+    head, skin = sheet.maps
+    assert head.limits_dB == {"public": 100.0, "at work": 110.0, "head_limit_dB": 90.0} and skin.limits_dB == {}
+    # The plane goes through the loudest place, at which the picture's mark is
+    nearest = np.linalg.norm(head.places_m - head.loudest_m, axis=1).argmin()
+    assert head.levels_dB[nearest] == pytest.approx(sheet.head.level_dB, abs=0.5)
+    assert head.levels_dB.max() <= sheet.head.level_dB + 0.05
+    assert skin.levels_dB.max() == pytest.approx(sheet.hands[0].heard.level_dB, abs=1e-3)
+    nearest = np.linalg.norm(skin.places_m - skin.loudest_m, axis=1).argmin()
+    assert nearest == skin.levels_dB.argmax()
+    assert sheet.course.levels_dB["head"].max() == pytest.approx(sheet.head.level_dB, abs=1e-3)
+    assert sheet.course.levels_dB["skin"].max() == pytest.approx(sheet.hands[0].heard.level_dB, abs=1e-3)
+    words = ["safety", str(path), "--out", str(page), "--set", "driver.head_m=0 -0.3 0.5"]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0, done.output
+    assert "![levels at the head and the hand](sheet.png)" in page.read_text()
+    assert "never a mean" in page.read_text() and (tmp_path / "sheet.png").stat().st_size > 20_000
+    again = CliRunner().invoke(app, words)
+    assert isinstance(again.exception, OutputError) and "is there already" in str(again.exception)

@@ -6,7 +6,7 @@ import pytest
 
 import palmfield
 from palmfield.perception.observers import OBSERVERS
-from palmfield.session.numerical_error import LoudestMoment
+from palmfield.session.loudest_moment import LoudestMoment
 from palmfield.session.planning.facts import first_drive
 from palmfield.session.sensation_levels import contact_levels, felt_levels, moved_area_m2, region_at, vertex_areas
 from palmfield.simulation.radiation import Radiation

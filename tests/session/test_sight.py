@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import changed
 
 import palmfield
 from palmfield.outputs.summary_table import format_summary
@@ -121,3 +122,26 @@ def test_looking_costs_less_than_opening(small_scene):
 
 def test_every_kind_has_its_words():
     assert all("{skin}" in words and "{stimulus}" in words for words in KINDS.values())
+
+
+SLAB = '<body name="slab" pos="{} 0 0.06"><geom type="box" size="0.1 0.1 0.002"{}/></body></worldbody>'
+
+
+@pytest.mark.parametrize(
+    ("x", "more", "keys", "told"),
+    [
+        (0.0, "", {}, "a geom of body 'slab' stands in 100 % of the ways from the array to skin 'skin'"),
+        (0.1, "", {}, "% of the ways from the array to skin 'skin', and sound goes through it: name the body in key"),
+        (0.0, ' rgba="1 1 1 0"', {}, None),
+        (0.3, "", {}, None),
+        (0.0, "", {"skin.body_sound": "shadows", "skin.obstacles": "slab"}, None),
+    ],
+    ids=["before it", "half before it", "invisible", "aside", "named"],
+)
+def test_what_no_skin_names_is_told_where_sound_goes_through_it(x, more, keys, told, small_scene):
+    path = small_scene()
+    changed(path.parent / "plain.xml", "</worldbody>", SLAB.format(x, more))
+    said = [text for text in warnings(palmfield.load(path, keys=keys)) if "stands in" in text]
+    assert said == [] if told is None else len(said) == 1 and told in said[0]
+    if x == 0.1:
+        assert 30.0 < float(said[0].split(" stands in ")[1].split(" %")[0]) < 70.0

@@ -13,7 +13,7 @@ from palmfield.acoustics.reference import pressure64
 from palmfield.config import ArrayConfig
 from palmfield.errors import PalmfieldError, SceneError
 from palmfield.session.biases import ECHO, biases
-from palmfield.session.numerical_error import loudest_place
+from palmfield.session.loudest_moment import loudest_place
 from palmfield.session.planning.facts import first_drive
 from palmfield.simulation.posed_scene import reference_scene
 from palmfield.simulation.radiation import Radiation

@@ -4,6 +4,9 @@ from dataclasses import replace
 from importlib import import_module
 from pkgutil import iter_modules
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from palmfield.config import DriverConfig
 from palmfield.drive.board import Board
 from palmfield.errors import DeviceError, did_you_mean
@@ -36,17 +39,29 @@ def playable_board(name: str) -> Board:
     return board_named(name)
 
 
-def board_of(driver: DriverConfig, transducers: int, *, calibrated: bool = False) -> Board:
+def board_of(
+    driver: DriverConfig, transducers: int, *, calibrated: bool = False, address: ArrayLike | None = None
+) -> Board:
     """The board of palmfield.driver's keys, with as many units as so many transducers take.
 
     calibrated: whether what an array's transducers do was measured, so that a driver can make up for it
+    address: place of each transducer in the board's byte order, shape (transducers,); None for the layout's order
     Raises DeviceError where it can't drive so many, and for a key that it does not have.
     """
     board = board_named(driver.board)
     shared = {"duty_exponent": driver.duty_exponent} if "duty_exponent" in board.keys else {}
     board = board.with_keys(driver.board_keys | shared).sized(transducers)
     on = calibrated or not board.exact if driver.compensate is None else driver.compensate == "on"
-    return replace(board, compensate=on)
+    places = () if address is None else tuple(np.asarray(address).tolist())
+    if len(places) != transducers or places == tuple(range(transducers)):
+        # Of several arrays none, or all, have addresses
+        places = ()
+    if places and board.takes == "focus":
+        raise DeviceError(
+            f"board '{board.name}' places its focus itself, so that addresses of a calibration can't reach it; leave "
+            "them out"
+        )
+    return replace(board, compensate=on, places=() if board.exact else places)
 
 
 __all__ = ["BOARDS", "Board", "board_named", "board_of", "playable_board"]

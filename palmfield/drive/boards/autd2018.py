@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from palmfield.acoustics.arrays import layout
-from palmfield.drive.board import GOLDEN, Board, Emitted, Line, REFERENCE_SPEED_m_s, Twin
+from palmfield.drive.board import GOLDEN, Board, Emitted, REFERENCE_SPEED_m_s, Twin, serial_line
 from palmfield.drive.pulse_width import HASEGAWA_TICKS, Edge, edge_phase, relative_pressure, resample, widths
 from palmfield.errors import DeviceError
 from palmfield.types import Complex, Float
@@ -36,6 +36,8 @@ LAYOUT_OF_UNITS = {1: "autd2018", 4: "autd2018_2x2"}
 @dataclass(frozen=True)
 class Autd2018(Board):
     """packet_header, packet_footer: bits, as text; packet_bit_order: of each field; packet_lsb_m: of a coordinate [m]
+    packet_baud: of the serial line to the first unit, which the paper doesn't tell; the default is the lowest usual
+        rate that carries 2,000 packets a second
     duty_exponent, pwm_edge: see `palmfield.drive.pulse_width`
     hop_delay_s: of each unit that a packet passes [s]; skew_s: largest difference that the sync leaves between units
     clock_drift_ppm: largest difference of units' clocks; sync: whether clocks are set every 500 us
@@ -46,6 +48,7 @@ class Autd2018(Board):
     packet_footer: str = "1011010"
     packet_bit_order: Literal["msb_first", "lsb_first"] = "msb_first"
     packet_lsb_m: float = 0.025e-3
+    packet_baud: int = 230400
     duty_exponent: float = 2.0
     pwm_edge: Edge = "centre"
     hop_delay_s: float = 40e-9
@@ -67,9 +70,15 @@ class Autd2018(Board):
         return super().with_keys(keys).ready()
 
     def ready(self) -> "Autd2018":
-        """With the line and the bytes of silence that its keys make."""
+        """With the line and the bytes of silence that its keys make. Raises DeviceError for too slow a line."""
         off = self.packet((0, 0, 0, 0))
-        return replace(self, line=Line(PACKET_RATE_HZ * len(off)), start=off, stop=off)
+        line = serial_line(self.packet_baud)
+        if line.bytes_per_s < PACKET_RATE_HZ * len(off):
+            raise DeviceError(
+                f"packet_baud has value {self.packet_baud}; allowed: at least {10.0 * PACKET_RATE_HZ * len(off):g}, "
+                f"which carries {PACKET_RATE_HZ:g} packets of {len(off)} bytes a second"
+            )
+        return replace(self, line=line, start=off, stop=off)
 
     def packet(self, numbers: tuple[int, ...]) -> bytes:
         """Bytes of one packet: header, fields and footer, filled up with 0 to whole bytes."""
@@ -163,7 +172,7 @@ class Autd2018Twin(Twin):
 
     def __init__(self, board: Autd2018) -> None:
         self._size = len(board.packet((0, 0, 0, 0)))
-        super().__init__(board.transducers, PERIOD_S / self._size)
+        super().__init__(board.transducers, 10.0 / board.packet_baud)
         self.board = board
         self._bytes = bytearray()
         self._state = np.array([0.0, 0.0, 0.0]), 0
@@ -228,11 +237,11 @@ BOARD = Autd2018(
     amplitude_steps=HASEGAWA_TICKS // 2,
     takes="focus",
     when_host_dies="the units go on with the last packet's focus until power is cut",
-    cannot_guarantee="The paper leaves header, footer, order of bits and the lowest bit's meaning open, so that "
-    "a real unit may need other values of the packet_ keys; units place the focus themselves, by their own speed of "
-    "sound, and know nothing of dead or inverted transducers.",
+    cannot_guarantee="The paper leaves header, footer, order of bits, the lowest bit's meaning and the line's rate "
+    "open, so that a real unit may need other values of the packet_ keys; units place the focus themselves, by their "
+    "own speed of sound, and know nothing of dead or inverted transducers.",
     keys=(
-        "packet_header", "packet_footer", "packet_bit_order", "packet_lsb_m", "duty_exponent", "pwm_edge",
-        "hop_delay_s", "skew_s", "clock_drift_ppm", "sync", "board_sound_speed_m_s",
+        "packet_header", "packet_footer", "packet_bit_order", "packet_lsb_m", "packet_baud", "duty_exponent",
+        "pwm_edge", "hop_delay_s", "skew_s", "clock_drift_ppm", "sync", "board_sound_speed_m_s",
     ),
 ).ready()  # fmt: skip

@@ -122,5 +122,5 @@ BOARD = OpenMpd(
     stop=2 * OFF_FRAME,
     when_host_dies="the OpenMPD board goes on with its last frame until power is cut",
     cannot_guarantee="It has no checksum and never answers; its transducers are taken in rows of the layout, so that a "
-    "board with another order of pins needs a layout of its own.",
+    "board with another order of pins needs a calibration that tells each one's address.",
 )

@@ -141,7 +141,8 @@ BOARD = SonicSurface(
     stop=OFF_SEQUENCE,
     when_host_dies="the SonicSurface keeps emitting its last frame until power is cut",
     cannot_guarantee="It never answers and has no checksum, so that nobody knows whether a frame arrived; from "
-    "power-up until the first frame all 256 emitters sound; the start and stop bytes silence a lone board flashed "
-    "as secondary by its taking them for another's data, so such a board needs sonicsurface_pair.",
+    "power-up until the first frame all 256 emitters sound; a lone board flashed as secondary takes all of "
+    "this for another's data and goes on with what it had, start and stop bytes included, so that such a board needs "
+    "sonicsurface_pair.",
     keys=("dither",),
 )

@@ -37,6 +37,7 @@ class BoardEnd:
 
     frames: handed over whole; cut: of which the system took only a part; late_s: of each frame, how long after its time
     its last byte is on the line [s]; write_late_s: how long after it was due the system had it [s]
+    told: of each frame with a number that number, when it was due, and its place in late_s
     """
 
     def __init__(self, job: Job) -> None:
@@ -46,6 +47,7 @@ class BoardEnd:
         self.line = LineClock(1.0 / job.bytes_per_s)
         self.frames = self.cut = 0
         self.late_s, self.write_late_s = array("d"), array("d")
+        self.told: list[tuple[int, float, int]] = []
         self._on_its_way: deque[_OnItsWay] = deque()
         self._refused_s: float | None = None
         self.sounding = True  # boards may sound from power-up on
@@ -83,10 +85,11 @@ class BoardEnd:
             # The own clock is finer, unless the line stood
             self.late_s[frame.number] = max(self.late_s[frame.number], now - TOLD_LATE_S - frame.due_s)
 
-    def hand(self, data: bytes, due_s: float, planned_s: float) -> bool:
+    def hand(self, data: bytes, due_s: float, planned_s: float, number: int = -1) -> bool:
         """Hand over a frame; False where the system did not take all of it: then send a frame from its start.
 
         due_s: when its last byte is wanted on the line; planned_s: when it was to be handed over, both on `now_s`
+        number: of a frame whose time on the line is asked for later, by `on_line`
         Raises PortLost when the port is gone.
         """
         began = now_s()
@@ -96,8 +99,14 @@ class BoardEnd:
         if len(self.late_s) < MOST_KEPT:
             self.write_late_s.append(now_s() - planned_s)
             self.late_s.append(self.line.free_s(began) - due_s)
+            if number >= 0 and self.job.tells_frames:
+                self.told.append((number, due_s, len(self.late_s) - 1))
         self._on_its_way.append(_OnItsWay(self.line.handed, due_s, len(self.late_s) - 1))
         return True
+
+    def on_line(self) -> list[tuple[int, float]]:
+        """Of each numbered frame that number and when its last byte was on the line, on `now_s` [s]."""
+        return [(number, due_s + self.late_s[row]) for number, due_s, row in self.told]
 
     def _offer(self, data: bytes, now: float) -> bool:
         self.sounding = True

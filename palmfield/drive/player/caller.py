@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any, Self
 
 from palmfield.drive.board import Board
-from palmfield.drive.board_link import BoardLink
 from palmfield.drive.playback import TimedFrame
 from palmfield.drive.player.messages import END, FRAME, JOB, MUTE, SCHEDULE, Inbox, Job, LiveFrame, Schedule, packed
 from palmfield.drive.player.report import PlayReport
@@ -22,6 +21,7 @@ from palmfield.drive.ports import open_port
 from palmfield.errors import DeviceError
 
 STARTS_WITHIN_S = 30.0
+POSIX = os.name == "posix"
 PACKAGES = str(Path(__file__).parents[3])
 """Where Python finds palmfield."""
 
@@ -33,7 +33,7 @@ class Player:
     stops the program.
 
     priority: that the process got, in words; silent: why live frames don't sound, empty where they do
-    begin_s: when its log begins, on time.monotonic() [s]
+    begin_s: when its log begins, on time.monotonic() [s]; report: of what is played last, once this is closed
     """
 
     def __init__(
@@ -48,13 +48,19 @@ class Player:
         """port: device or pyserial URL; log: a file that lines of a log are added to
         on_trouble: gets a sentence when the port is lost and the player tries to silence the board
         settings: other fields of `palmfield.drive.player.messages.Job`
-        Raises DeviceError for a board without bytes and for a port that can't be opened.
+        Raises DeviceError for a board without bytes, for a port that can't be opened, and where there is no POSIX.
         """
+        if not POSIX:
+            raise DeviceError(
+                "a board is played by a process of its own, which needs Linux or macOS; here bytes can be written to a "
+                "file (--record)"
+            )
         if board.line is None:
             raise DeviceError(f"board '{board.name}' takes no bytes, so that no port plays it; allowed: another board")
         self.board, self.port = board, port
         self.priority = self.silent = ""
         self.begin_s = 0.0
+        self.report: PlayReport | None = None
         self._on_trouble = on_trouble
         self._ended: dict[str, Any] | None = None
         self._closed = self._lost = False
@@ -113,16 +119,18 @@ class Player:
         self._send(SCHEDULE, schedule.packed())
         return _report(self._until("played", None, on_progress, on_sound)["played"])
 
-    def send(self, steps: Sequence[bytes], level: float = 1.0, made_s: float | None = None) -> None:
+    def send(self, steps: Sequence[bytes], level: float = 1.0, made_s: float | None = None, due_s: float = 0.0) -> None:
         """Send a live frame, which sounds until a newer one comes, or fades out when none does for `stale_s`.
 
         steps: the same frame at rising levels up to its own, all of one length, for the ramp; just itself where the
             board has no levels
         level: of its sound, 0 for silence; made_s: when what it shows was known, on time.monotonic() [s], None for now
+        due_s: when its last byte is wanted on the line, on that clock, later than that of all before: it waits for it,
+            and of several the newest that is due wins; 0: as soon as it can
         Raises DeviceError when the board is lost or the player has died.
         """
         made = time.monotonic() if made_s is None else made_s
-        self._send(FRAME, LiveFrame(made, level, steps).packed())
+        self._send(FRAME, LiveFrame(made, level, steps, due_s).packed())
         self._take_lines()
 
     def mute(self) -> None:
@@ -175,7 +183,7 @@ class Player:
             if "trying" in line and self._on_trouble is not None:
                 self._on_trouble(f"{line['lost']}; trying to silence the board (Ctrl-C gives up)")
             if "ended" in line:
-                self._ended = line
+                self._ended, self.report = line, _report(line["played"])
             lines.append(line)
         if self._ended is not None and not self._closed:
             self._raise_end(self._ended)
@@ -204,8 +212,7 @@ class Player:
         code = self._process.wait(5.0)
         how = f"by signal {signal.Signals(-code).name}" if code < 0 else f"with code {code}"
         try:
-            with BoardLink(self.board, open_port(self.port, self.board.line.baud if self.board.line else None)):
-                pass
+            _silence(self.board, self.port)
         except DeviceError as error:
             raise DeviceError(
                 f"the player's process on {self.port} was ended {how}, and the board could not be silenced "
@@ -249,6 +256,17 @@ class Player:
             return
         with contextlib.suppress(DeviceError):
             self.close()
+
+
+def _silence(board: Board, port: str) -> None:
+    """Raises DeviceError where that can't be done."""
+    transport = open_port(port, None if board.line is None else board.line.baud)
+    try:
+        while board.stop and not transport.write(board.stop):
+            pass
+        transport.flush()
+    finally:
+        transport.close()
 
 
 def _report(line: dict[str, Any]) -> PlayReport:

@@ -16,7 +16,7 @@ from palmfield.drive.player.budget import WINDOW_S
 HEAD = struct.Struct("<cI")
 JOB, SCHEDULE, FRAME, MUTE, END = b"J", b"S", b"F", b"M", b"E"
 """Kinds: what to open; frames with their times; a live frame; no more live frames for now; no more at all."""
-FRAME_HEAD = struct.Struct("<dfH")
+FRAME_HEAD = struct.Struct("<ddfH")
 SCHEDULE_HEAD = struct.Struct("<dI")
 
 
@@ -30,6 +30,7 @@ class Job:
     patience_s: how long it tries to silence a board whose port is there and takes nothing; 0 for as long as it is
     stale_s: after which a live frame is old; ramp_s: time from silence to full and back, of live frames
     on_time_s: longest that live frames may sound altogether, 0 for any; duty: largest share of time, over duty_window_s
+    tells_frames: whether it reports of each live frame when its last byte was on the line
     """
 
     port: str
@@ -48,6 +49,7 @@ class Job:
     on_time_s: float = 0.0
     duty: float = 1.0
     duty_window_s: float = WINDOW_S
+    tells_frames: bool = False
 
     def packed(self) -> bytes:
         return json.dumps(asdict(self)).encode()
@@ -89,25 +91,27 @@ class Schedule(NamedTuple):
 
 
 class LiveFrame(NamedTuple):
-    """A frame that is to sound as soon as it can.
+    """A frame that is made while others sound.
 
     made_s: when what it shows was known, on time.monotonic() [s]; level: of its sound, 0 for silence
     steps: the same frame at rising levels up to its own, all of one length; just itself where there is none between
+    due_s: when its last byte is wanted on the line, on that clock, later than that of all before; 0: as soon as it can
     """
 
     made_s: float
     level: float
     steps: Sequence[bytes]
+    due_s: float = 0.0
 
     def packed(self) -> bytes:
-        return FRAME_HEAD.pack(self.made_s, self.level, len(self.steps)) + b"".join(self.steps)
+        return FRAME_HEAD.pack(self.made_s, self.due_s, self.level, len(self.steps)) + b"".join(self.steps)
 
     @classmethod
     def unpacked(cls, data: bytes) -> "LiveFrame":
-        made_s, level, count = FRAME_HEAD.unpack_from(data)
+        made_s, due_s, level, count = FRAME_HEAD.unpack_from(data)
         rest = data[FRAME_HEAD.size :]
         size = len(rest) // count
-        return cls(made_s, level, [rest[at : at + size] for at in range(0, len(rest), size)])
+        return cls(made_s, level, [rest[at : at + size] for at in range(0, len(rest), size)], due_s)
 
 
 def packed(kind: bytes, data: bytes = b"") -> bytes:

@@ -141,6 +141,18 @@ class Session:
                 self.caller.wait(now_s() + LOOK_S)
                 continue
             self._step(self.source)
+        self._fade()
+
+    def _fade(self) -> None:
+        """What is live falls silent within its ramp, unless the caller asks again to end, or is stopped."""
+        source, signals = self.source, self.caller.signals
+        if not isinstance(source, LiveSource) or source.ramp_s <= 0.0:
+            return
+        source.fade()
+        ends = now_s() + source.ramp_s
+        while not source.silent and now_s() < ends and self.caller.signals == signals and not self.caller.paused:
+            self.caller.listen()
+            self._step(source)
 
     def _obey(self, messages: list[tuple[bytes, bytes]]) -> None:
         for kind, data in messages:
@@ -186,7 +198,7 @@ class Session:
             self._tell_progress(source, now)
             if not self.caller.wait(at):
                 return
-        if choice.data and board.hand(choice.data, choice.due_s, max(at, now)):
+        if choice.data and board.hand(choice.data, choice.due_s, max(at, now), choice.number):
             source.sent(now_s())
             self._last_sound_s = board.line.free_s(now_s())
             if self._first_sound_s is None:
@@ -231,6 +243,7 @@ class Session:
             "priority": self.priority,
             "first_s": self._first_sound_s,
             "last_s": self._last_sound_s,
+            "on_line": self.board.on_line(),
         }
 
 

@@ -16,6 +16,8 @@ class PlayReport:
     seconds: that frames went out for; priority: that the player had, in words
     first_s, last_s: when the last bytes of the first and the last frame were on the line, on time.monotonic() [s]; None
         where nothing was sent, and of a record
+    on_line: of live frames, where the player was asked to tell: their numbers, in the order in which they were given to
+        it, and when the last byte of each was on the line, on time.monotonic() [s]
     """
 
     frames: int
@@ -30,6 +32,7 @@ class PlayReport:
     priority: str = ""
     first_s: float | None = None
     last_s: float | None = None
+    on_line: Sequence[tuple[int, float]] = ()
 
     @property
     def unsent(self) -> float:

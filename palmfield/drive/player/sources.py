@@ -1,6 +1,8 @@
 """What a player sends next and when: of a schedule, and of live frames. The newest frame that is due wins."""
 
 import math
+from collections import deque
+from collections.abc import Iterator
 from typing import NamedTuple, Protocol
 
 from palmfield.drive.player.budget import SoundBudget
@@ -13,11 +15,15 @@ LIVE_AHEAD_S = 1e-3
 
 
 class Choice(NamedTuple):
-    """at_s: when to hand it over; due_s: when its last byte is wanted on the line; data: empty to look again then"""
+    """at_s: when to hand it over; due_s: when its last byte is wanted on the line; data: empty to look again then
+
+    number: of the frame among all, from 0 on; -1 for what is sent again or by the way
+    """
 
     at_s: float
     due_s: float
     data: bytes
+    number: int = -1
 
 
 class Source(Protocol):
@@ -65,7 +71,7 @@ class ScheduleSource:
         self._next = number
         # While the line is busy anyway a frame waits in the system's buffer, so that the line has no pause
         at = begins if free_s < begins - CLOSE_S else free_s - takes
-        return Choice(at, begins + takes, frames[number])
+        return Choice(at, begins + takes, frames[number], number)
 
     def sent(self, now_s: float) -> None:
         self._next += 1
@@ -80,8 +86,25 @@ class ScheduleSource:
         return self.start_s + (self.schedule.times_s[0] if self.schedule.frames else 0.0)
 
 
+def on_the_line(schedule: Schedule, byte_s: float, free_s: float) -> Iterator[Choice]:
+    """The frames of a schedule that a line takes, each with `at_s`, when its first byte is on the line.
+
+    byte_s: time of a byte on the line [s]; free_s: when the line is free [s], at which the schedule begins
+    """
+    source, now = ScheduleSource(schedule, byte_s, free_s), free_s
+    while (choice := source.choose(now, max(free_s, now))) is not None:
+        now = max(now, choice.at_s)
+        if choice.data:
+            begins = max(free_s, now)
+            yield choice._replace(at_s=begins)
+            free_s = begins + len(choice.data) * byte_s
+            source.sent(now)
+
+
 class LiveSource:
     """The newest of frames that come as they are made; old ones fade out. Between silence and full there is a ramp.
+
+    Frames that are due at a time wait for it, and of these the newest that is due wins.
 
     said: why it is silent, empty where it isn't; muted: by the caller
     """
@@ -101,6 +124,9 @@ class LiveSource:
         self.skipped = 0
         self.said = ""
         self.muted = self.silent = False
+        self._waiting: deque[tuple[int, LiveFrame]] = deque()
+        self._taken = 0
+        self._number = -1
         self._newest: LiveFrame | None = None
         self._unsent = False
         self._gain, self._gain_s = 0.0, -math.inf
@@ -110,10 +136,52 @@ class LiveSource:
 
     def take(self, frame: LiveFrame) -> None:
         """A newer frame than all before."""
+        self.muted = False
+        if frame.due_s > 0.0:
+            self._waiting.append((self._taken, frame))
+        else:
+            self.skipped += len(self._waiting)
+            self._waiting.clear()
+            self._show(self._taken, frame)
+        self._taken += 1
+
+    def fade(self) -> None:
+        """From now on nothing is shown any more, and what sounds falls silent."""
+        self.muted = True
+        self.skipped += len(self._waiting)
+        self._waiting.clear()
+
+    def _show(self, number: int, frame: LiveFrame) -> None:
         self.skipped += self._unsent
-        self._newest, self._unsent, self.muted = frame, True, False
+        self._number, self._newest, self._unsent = number, frame, True
+
+    def _show_due(self, now_s: float, free_s: float) -> float:
+        """Show the frame that is to be handed over by now; returns when the next one that waits is [s]."""
+        while len(self._waiting) > 1 and self._begins_s(1) <= max(self._begins_s(0), free_s, now_s):
+            self._waiting.popleft()
+            self.skipped += 1
+        if not self._waiting:
+            return math.inf
+        begins = self._begins_s(0)
+        # One frame waits in the system's buffer while another is on the line, as of a schedule
+        at = begins if free_s < begins - CLOSE_S else free_s - self._line_s(0)
+        if at > now_s:
+            return at
+        self._show(*self._waiting.popleft())
+        return self._begins_s(0) if self._waiting else math.inf
+
+    def _line_s(self, waiting: int) -> float:
+        return len(self._waiting[waiting][1].steps[0]) * self.byte_s
+
+    def _begins_s(self, waiting: int) -> float:
+        return self._waiting[waiting][1].due_s - self._line_s(waiting)
 
     def choose(self, now_s: float, free_s: float) -> Choice | None:
+        next_s = self._show_due(now_s, free_s)
+        choice = self._of_newest(now_s, free_s)
+        return choice if choice.at_s <= max(next_s, now_s) else Choice(next_s, now_s, b"")
+
+    def _of_newest(self, now_s: float, free_s: float) -> Choice:
         frame = self._newest
         if frame is None:
             return Choice(now_s + self.refresh_s, now_s, b"")
@@ -124,22 +192,24 @@ class LiveSource:
             data = self.stop
         else:
             data = frame.steps[max(0, math.ceil(gain * len(frame.steps) - 1e-9) - 1)]
-        due = (frame.made_s if self._unsent else now_s) + len(data) * self.byte_s
-        at = max(now_s, free_s - LIVE_AHEAD_S)
+        timed = self._unsent and frame.due_s > 0.0
+        due = frame.due_s if timed else (frame.made_s if self._unsent else now_s) + len(data) * self.byte_s
+        at = now_s if timed else max(now_s, free_s - LIVE_AHEAD_S)
         if data == self._sent[0] and not self._unsent:
             # While a ramp lasts and until the frame is old somebody looks again soon
             soon = now_s + min(0.01, max(1e-4, self.ramp_s / max(1, len(frame.steps))))
             at = max(at, self._sent[1] + self.refresh_s)
             if at > soon:
                 return Choice(soon, now_s, b"")
-        self._choice = Choice(at, due, data)
+        self._choice = Choice(at, due, data, self._number if self._unsent else -1)
         return self._choice
 
     def _ramped(self, frame: LiveFrame, now_s: float) -> float:
         """Share of its level that the newest frame has now: it rises and falls within the ramp's time."""
         sounds = self._gain > 0.0 and frame.level > 0.0
         within = self.budget.allows(now_s, sounds)
-        old = now_s - frame.made_s > self.stale_s
+        # What is made for a later moment is old after that
+        old = now_s - max(frame.made_s, frame.due_s) > self.stale_s
         self.said = "" if within else self.budget.said
         if old and not self.said:
             self.said = f"no frame came for {self.stale_s:g} s"

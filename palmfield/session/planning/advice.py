@@ -1,23 +1,28 @@
 """What a user should know before the run, in words."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from palmfield.acoustics import validity
-from palmfield.acoustics.layouts import LAYOUTS
-from palmfield.acoustics.transducer import ANY_P0
 from palmfield.config.skin import EXPLICIT
 from palmfield.config.stimulus import AM_KEYS
+from palmfield.drive.array_drive import ArrayDrive
+from palmfield.drive.boards.ideal import BOARD as IDEAL
 from palmfield.session.array_inputs import stimulus_of
 from palmfield.session.biases import response_biases
+from palmfield.session.duration import step_count
+from palmfield.session.planning.array_advice import array_advice
 from palmfield.session.planning.costs import scatterings
 from palmfield.session.planning.facts import first_drive, where_it_arrives
+from palmfield.session.planning.in_the_way import in_the_way
+from palmfield.session.planning.material_advice import material_advice
+from palmfield.session.planning.pins import coarse_pins
 from palmfield.session.planning.sight import out_of_sight
 from palmfield.session.preview import Preview
-from palmfield.simulation.emission import array_drives
-from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel, array_instances
+from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.skin.explicit_layer import explicit_layer
 from palmfield.skin.from_config import cutoff_Hz
@@ -31,8 +36,8 @@ SOUNDS, NODES = 16, 2000
 """Points of a path, and of a skin, at most, in which the sound is looked at that comes from a focus far away."""
 HARDLY = 0.05
 """Of the |p|^2 of a focus on it: skin that gets less hardly moves."""
-UNLIKELY = 3.0
-"""So many times beyond what is known of any transducer a p0 is doubted."""
+ROUNDED = 0.01
+"""Of its duration, by which MuJoCo's steps may change a run without a word."""
 
 
 def advice(view: Preview) -> list[str]:
@@ -40,12 +45,16 @@ def advice(view: Preview) -> list[str]:
     model = view.runtime.model
     result = [text for number in range(len(model.skins)) for text in _far_focus(view, number)]
     result += out_of_sight(view)
-    result += _unlikely_p0(model)
+    result += in_the_way(view)
+    result += _rounded_duration(view)
+    result += array_advice(model)
+    result += material_advice(model)
     for stimulus in model.stimuli:
         result += _silence(view, stimulus)
         result += _keys_without_effect(stimulus)
         result += _path_off_the_skin(model, stimulus)
         result += _hardly_begun(stimulus, view.duration_s)
+        result += _held_too_long(stimulus)
     for scattering in scatterings(view):
         if scattering.moves:
             total_s = scattering.solutions * scattering.solution_s
@@ -56,6 +65,7 @@ def advice(view: Preview) -> list[str]:
     for skin in model.skins:
         result += _own_mesh(skin, view)
     for number in range(len(model.skins)):
+        result += _coarse(model, number)
         result += _below_cutoff(model, number)
     for number in range(len(model.skins)):
         result += _dropped_response(model, number)
@@ -70,6 +80,17 @@ def advice(view: Preview) -> list[str]:
     return list(dict.fromkeys(result))
 
 
+def _coarse(model: HapticModel, number: int) -> list[str]:
+    """Whether keys make a skin coarser than its accuracy takes."""
+    skin, pinned = model.skins[number].spec, coarse_pins(model, number)
+    if not pinned:
+        return []
+    return [
+        f"skin '{skin.name}' is made coarser than accuracy {100 * skin.config.accuracy:g} % takes: "
+        f"{', '.join(pinned)}; the run estimates what that costs; drop the keys, or set accuracy larger"
+    ]
+
+
 def _dropped_response(model: HapticModel, number: int) -> list[str]:
     """Whether ring-up or flight time are left out by key, and would change more than the accuracy."""
     skin, stimulus = model.skins[number], model.stimuli[stimulus_of(model, number)]
@@ -80,6 +101,23 @@ def _dropped_response(model: HapticModel, number: int) -> list[str]:
         "response to auto or on"
         for bias in response_biases(stimulus, skin)
         if bias.low is not None and -bias.low > wanted
+    ]
+
+
+def _held_too_long(stimulus: StimulusModel) -> list[str]:
+    """Whether control_rate_Hz holds a modulation so long that another one is played; rectangles get frames at jumps."""
+    config = stimulus.config
+    rate, frequency = config.control_rate_Hz, config.am_frequency_Hz
+    if config.modulation != "am" or config.am_waveform == "rectangle" or not config.am_depth or frequency is None:
+        return []
+    if not 0.0 < rate <= 2.0 * frequency:
+        return []
+    played = f"what is played is {abs(frequency - rate * round(frequency / rate)):g} Hz"
+    if rate == 2.0 * frequency:
+        played = "how deep it is played depends on when the frames fall"
+    return [
+        f"stimulus '{stimulus.spec.name}' gets {rate:g} frames a second (control_rate_Hz), two at most in a period "
+        f"of its {frequency:g} Hz: {played}; set control_rate_Hz larger, or am_frequency_Hz smaller"
     ]
 
 
@@ -116,19 +154,24 @@ def _far_focus(view: Preview, number: int) -> list[str]:
 
 
 def _share_of_focus(model: HapticModel, skin: int, stimulus: int, posed: PosedScene) -> float:
-    """The highest |p|^2 on a skin, in free air, over that of a focus at the same place, for the points of a path."""
+    """The highest |p|^2 on a skin, in free air, over that of a focus at the same place, for the points of a path.
+
+    Both at full drive of the same transducers, whatever level the stimulus sets and its board plays: a level that is
+    right for the focus may be out of reach at the skin.
+    """
     nodes = posed.skins[skin].nodes[0]
     nodes = nodes[:: -(-len(nodes) // NODES)]
-    drive, places = array_drives(model, posed.arrays)[stimulus], posed.focal_points(model.stimuli[stimulus], stimulus)
-    course, share = _course(model.stimuli[stimulus]), 0.0
+    part, board = model.stimuli[stimulus], replace(IDEAL, compensate=model.board.compensate)
+    drive = ArrayDrive(posed.arrays, part.transducers, None, None, board)
+    course, share = _course(part), 0.0
+    places = posed.focal_points(part, stimulus)
     for point in course[:: -(-len(course) // SOUNDS)]:
-        foci = np.atleast_2d(places.at(point))
-        away = drive.unit_drive(foci)
-        pressures = np.abs(posed.arrays.pressure64(nodes, away.amplitudes))
-        loudest = nodes[pressures.argmax()][None]
-        there = drive.unit_drive(loudest)
-        focused = abs(posed.arrays.pressure64(loudest, there.amplitudes)[0]) * away.level / there.level
-        share = max(share, float(pressures.max() / focused) ** 2)
+        pressures = np.abs(posed.arrays.pressure64(nodes, drive.unit_drive(places.at(point)).amplitudes))
+        loudest = nodes[pressures.argmax()]
+        in_front = np.any((loudest @ drive.normals) > np.einsum("ij,ij->j", drive.places, drive.normals))
+        if in_front and pressures.max() > 0.0:
+            focused = np.abs(posed.arrays.pressure64(loudest[None], drive.unit_drive(loudest).amplitudes)[0])
+            share = max(share, float(pressures.max() / focused) ** 2)
     return share
 
 
@@ -152,20 +195,17 @@ def _silence(view: Preview, stimulus: StimulusModel) -> list[str]:
     return []
 
 
-def _unlikely_p0(model: HapticModel) -> list[str]:
-    """Whether p0 is far from that of any transducer that is known: most likely it is in another unit."""
-    result = []
-    known = [ANY_P0, *(layout.p0 for layout in LAYOUTS.values())]
-    least, most = min(one.low for one in known), max(one.high for one in known)
-    for array, instance in zip(model.spec.arrays, array_instances(model.spec), strict=True):
-        p0, whence = instance.p0.value, instance.p0.source
-        if least / UNLIKELY <= p0 <= UNLIKELY * most:
-            continue
-        result.append(
-            f"p0 of array '{array.name}' is {p0:g} Pa m ({whence}), that of known transducers {least:g} to {most:g}: "
-            "look at the unit, which is pascals at 1 m, peak, at full drive"
-        )
-    return result
+def _rounded_duration(view: Preview) -> list[str]:
+    """Whether MuJoCo's steps make the run longer or shorter than it was meant."""
+    step_s = view.runtime.model.spec.timestep_s
+    steps = step_count(view.duration_s, step_s)
+    if abs(steps * step_s - view.duration_s) <= ROUNDED * view.duration_s:
+        return []
+    count = "one step" if steps == 1 else f"{steps} steps"
+    return [
+        f"the run takes {steps * step_s:.3g} s in place of {view.duration_s:.3g} s, which is {count} of MuJoCo's: "
+        f"option timestep is {step_s:g} s; set one that divides the duration"
+    ]
 
 
 def _course(stimulus: StimulusModel) -> Float:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 from palmfield.acoustics.air import sound_speed
 from palmfield.acoustics.body_scattering import boundary_mesh
 from palmfield.config.skin import EXPLICIT
-from palmfield.session.numerical_error import RATIO, compares_with_finer
+from palmfield.session.numerics.mesh_error import RATIO, compares_with_finer
 from palmfield.session.planning.facts import pushed_faces
 from palmfield.session.preview import Preview
 from palmfield.simulation.model import HapticModel, SkinModel

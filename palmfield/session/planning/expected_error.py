@@ -2,6 +2,7 @@
 
 from palmfield.config.skin import EXPLICIT
 from palmfield.session.array_inputs import p0_band, p0_known
+from palmfield.session.planning.pins import coarse_pins
 from palmfield.session.planning.rows import Row
 from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel
 from palmfield.skin.explicit_layer import explicit_layer
@@ -13,9 +14,9 @@ from palmfield.skin.materials.material import Material
 def expected_errors(model: HapticModel) -> list[Row]:
     """Rows of each source of error: of each skin, then of each stimulus."""
     rows = []
-    for skin in model.skins:
+    for number, skin in enumerate(model.skins):
         name = skin.spec.name
-        rows.append(_mesh_row(skin))
+        rows.append(_mesh_row(skin, coarse_pins(model, number)))
         for sheet in skin.layer.sheets:
             rows.append(_material_row(sheet.material, softest_and_stiffest_sheets(skin.spec.config) is not None, name))
     for number, stimulus in enumerate(model.stimuli):
@@ -23,9 +24,12 @@ def expected_errors(model: HapticModel) -> list[Row]:
     return rows
 
 
-def _mesh_row(skin: SkinModel) -> Row:
-    """What elements or particles cost in error."""
+def _mesh_row(skin: SkinModel, pinned: list[str]) -> Row:
+    """What elements or particles cost in error. pinned: as of `coarse_pins`"""
     wanted = f"{100 * skin.spec.config.accuracy:g} % wanted"
+    if pinned:
+        why = f"keys make it coarser than that takes: {', '.join(pinned)}; the run estimates what was reached"
+        return Row("mesh and time step", wanted, why, skin.spec.name)
     if skin.choice.name not in EXPLICIT:
         why = "sizes follow a convergence study on a disc (docs/bench/skin_c0.md); the run estimates what was reached"
         return Row("mesh and time step", wanted, why, skin.spec.name)

@@ -5,7 +5,7 @@ import numpy as np
 from palmfield.acoustics.air import sound_speed
 from palmfield.session.array_inputs import stimulus_of
 from palmfield.session.biases import biases
-from palmfield.session.numerical_error import nearest_focus
+from palmfield.session.loudest_moment import nearest_focus
 from palmfield.session.planning.facts import first_drive, where_it_arrives
 from palmfield.session.planning.rows import Row
 from palmfield.simulation.model import HapticModel, SkinModel, StimulusModel

@@ -5,7 +5,7 @@ from palmfield.acoustics.body_scattering import BODY_SOUNDS
 from palmfield.config.skin import EXPLICIT
 from palmfield.outputs.summary_table import of_full
 from palmfield.session.array_inputs import qualities
-from palmfield.session.numerical_error import RATIO
+from palmfield.session.numerics.mesh_error import RATIO
 from palmfield.session.planning.costs import estimate_s
 from palmfield.session.planning.facts import pushed_faces
 from palmfield.session.planning.rows import Row
@@ -101,6 +101,11 @@ def _layer(skin: SkinModel) -> list[Row]:
     thinned = f", thinner than asked at {100 * share:.0f} % of its vertices (curved rims and webs)" if share else ""
     base = "on a foundation" if skin.spec.config.foundation else skin.spec.config.base
     estimate = f"the same load on elements {RATIO} x smaller or larger, static and harmonic"
+    whole = "the part of the surface where waves matter at this accuracy"
+    if skin.carrier.surface is None:
+        whole = "the whole disc"
+    elif skin.spec.config.patch_radius_m is not None:
+        whole = "the part of the surface that key patch_radius_m takes"
     own = []
     if skin.choice.name in EXPLICIT:
         resolution, why = explicit_layer(layer).resolution, "below the same face; loads and results are on the wedges'"
@@ -110,8 +115,7 @@ def _layer(skin: SkinModel) -> list[Row]:
         Row(
             "skin layer",
             f"radius {1e3 * sizes.radius_m:.0f} mm, {1e3 * depth.min():.1f}-{1e3 * depth.max():.1f} mm deep",
-            f"the part of the surface where waves matter at this accuracy{thinned}; sides "
-            f"{skin.spec.config.side}, base {base}; of " + sheets_in_words(layer.sheets),
+            f"{whole}{thinned}; sides {skin.spec.config.side}, base {base}; of " + sheets_in_words(layer.sheets),
             name,
         ),
         Row(

@@ -16,8 +16,10 @@ from palmfield.types import Float
 Sound = NDArray[np.complexfloating[Any, Any]]
 
 SPACING_M = 10e-3
-"""Of the places in a head's ball that are looked at [m]; round the loudest one it is looked closer."""
-CLOSER_M, CLOSER_SPACING_M = 12e-3, 2e-3
+"""Of the places in a head's ball that are looked at [m]; round the loudest ones it is looked closer."""
+CANDIDATES = 8
+"""So many of them: an interference pattern has many places that are nearly as loud."""
+CLOSER_M, CLOSER_SPACING_M, FINEST_SPACING_M = 12e-3, 2e-3, 0.5e-3
 
 
 class Moment(NamedTuple):
@@ -60,17 +62,34 @@ class Heard:
         return self.level_dB + self.band_dB[1]
 
 
-def loudest_in(moments: Sequence[Moment], points: Float) -> Heard:
-    """What is heard at the loudest of some points, shape (n, 3)."""
-    highest, where, which = -1.0, points[0], 0
+def peaks_at(moments: Sequence[Moment], points: Float) -> tuple[Float, NDArray[np.intp]]:
+    """The largest peak pressure at each of some points [Pa], and the number of the moment of that, shapes (n,)."""
+    peaks, which = np.zeros(len(points)), np.zeros(len(points), np.intp)
     for number, moment in enumerate(moments):
         magnitudes = np.abs(moment.pressure(points))
-        best = int(magnitudes.argmax())
-        if magnitudes[best] > highest:
-            highest, where, which = float(magnitudes[best]), points[best], number
-    if highest <= 0.0:
-        return Heard(where, 0.0, 0.0)
-    return _at(moments, where, highest, which)
+        louder = magnitudes > peaks
+        peaks[louder], which[louder] = magnitudes[louder], number
+    return peaks, which
+
+
+def loudest_in(moments: Sequence[Moment], points: Float) -> Heard:
+    """What is heard at the loudest of some points, shape (n, 3)."""
+    peaks, which = peaks_at(moments, points)
+    best = int(peaks.argmax())
+    if peaks[best] <= 0.0:
+        return Heard(points[0], 0.0, 0.0)
+    return _at(moments, points[best], float(peaks[best]), int(which[best]))
+
+
+def _apart(points: Float, peaks: Float) -> Float:
+    """The loudest points that lie CLOSER_M apart, CANDIDATES at most, shape (c, 3)."""
+    result: list[Float] = []
+    for number in np.argsort(-peaks):
+        if all(np.linalg.norm(points[number] - other) > CLOSER_M for other in result):
+            result.append(points[number])
+        if len(result) == CANDIDATES:
+            break
+    return np.array(result)
 
 
 def _at(moments: Sequence[Moment], place: Float, peak_Pa: float, which: int) -> Heard:
@@ -95,10 +114,19 @@ def at_head(moments: Sequence[Moment], driver: DriverConfig, transducers: Float)
             f"driver key head_m has value {' '.join(f'{x:g}' for x in driver.head_m)}, with a transducer {nearest:.3g} "
             f"m from there; allowed: a ball of head_radius_m ({driver.head_radius_m:g} m) without any"
         )
-    first = loudest_in(moments, ball_points(middle, driver.head_radius_m, SPACING_M))
-    around = ball_points(first.place, CLOSER_M, CLOSER_SPACING_M)
-    inside = around[np.linalg.norm(around - middle, axis=1) <= driver.head_radius_m * (1.0 + 1e-9)]
-    return loudest_in(moments, inside) if first.peak_Pa > 0.0 else first
+
+    def inside(points: Float) -> Float:
+        away = points - middle
+        distances = np.linalg.norm(away, axis=1, keepdims=True)
+        return np.asarray(middle + away * np.minimum(1.0, driver.head_radius_m / np.maximum(distances, 1e-9)))
+
+    coarse = ball_points(middle, driver.head_radius_m, SPACING_M)
+    peaks, _ = peaks_at(moments, coarse)
+    if not peaks.any():
+        return Heard(middle, 0.0, 0.0)
+    near = [ball_points(place, CLOSER_M, CLOSER_SPACING_M) for place in _apart(coarse, peaks)]
+    closer = loudest_in(moments, inside(np.concatenate(near)))
+    return loudest_in(moments, inside(ball_points(closer.place, CLOSER_SPACING_M, FINEST_SPACING_M)))
 
 
 def with_band(heard: Heard, factors: tuple[float, float] | None) -> Heard:

@@ -9,9 +9,11 @@ from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.config import DriverConfig
 from palmfield.drive.board import Board
 from palmfield.errors import DeviceError
+from palmfield.outputs.safety_picture import LevelCourse, LevelMap
 from palmfield.session.preview import Preview
 from palmfield.session.safety.byproduct import COUNT, RATE_HZ, Byproduct, byproduct
 from palmfield.session.safety.exposure import Heard, at_head, check_head
+from palmfield.session.safety.maps import course, head_map, skin_map
 from palmfield.session.safety.scene_sound import MOMENTS, banded, moments_of, power_W, sound_of
 from palmfield.simulation.model import array_instances
 from palmfield.simulation.posed_scene import PosedScene
@@ -37,7 +39,8 @@ class SafetySheet:
 
     head_declared: whether the scene says where a head is; head_said: what users are warned of there, in words
     distance_m: of the head's ball from the beam, 0 where it is in it, and byproduct is None there
-    sounding_share: of the moments; p0: of each array
+    sounding_share: of the moments; p0: of each array; moves: whether the scene's hands or arrays do
+    maps, course: levels over the head and the skins, and over the play, for a picture
     """
 
     scene: str
@@ -53,6 +56,9 @@ class SafetySheet:
     byproduct: Byproduct | None
     sounding_share: float
     carrier_Hz: float
+    moves: bool
+    maps: tuple[LevelMap, ...]
+    course: LevelCourse
 
 
 @dataclass
@@ -65,6 +71,7 @@ class _Loudest:
     radiation: Radiation | None = None
     drive: Complex | None = None
     time_s: float = 0.0
+    points: Float | None = None
 
 
 def safety_sheet(view: Preview, duration_s: float) -> SafetySheet:
@@ -78,6 +85,8 @@ def safety_sheet(view: Preview, duration_s: float) -> SafetySheet:
     loudest = [_Loudest() for _ in model.skins]
     drives: list[tuple[PhasedArray, Complex]] = []
     squares = np.zeros(len(model.skins))
+    at_skins = [np.zeros(len(skin.quadrature[0])) for skin in view.runtime.posed.skins]
+    over_play = np.zeros((len(model.skins), MOMENTS))
     for time_s, runtime, posed in view.posed_at(times) if view.moves else still:
         runtime.work.emission.begin(posed, float(time_s))
         drive = runtime.work.emission.commanded(posed, np.array([time_s]))[0]
@@ -88,15 +97,19 @@ def safety_sheet(view: Preview, duration_s: float) -> SafetySheet:
             points = posed.skins[number].quadrature[0]
             peaks = np.abs(posed.arrays.field.pressure(points, drive).pressure)
             most = int(peaks.argmax())
+            at_skins[number] = np.maximum(at_skins[number], peaks)
+            over_play[number, len(drives) - 1] = peaks[most]
             squares[number] += 0.5 * float(peaks[most]) ** 2 / MOMENTS
             if peaks[most] > best.peak_Pa:
                 loudest[number] = _Loudest(
-                    float(peaks[most]), points[most].copy(), posed, runtime.work.radiation, drive, float(time_s)
-                )
+                    float(peaks[most]), points[most].copy(), posed, runtime.work.radiation, drive, float(time_s),
+                    points.copy(),
+                )  # fmt: skip
     driver = model.spec.driver
     placed = driver if driver.head_m is not None else driver.model_copy(update={"head_m": DEFAULT_HEAD_M})
-    head = banded(view, drives, at_head(sound_of(drives), placed, model.arrays.array.positions))
-    hands = []
+    moments = sound_of(drives)
+    head = banded(view, drives, at_head(moments, placed, model.arrays.array.positions))
+    hands, maps = [], [head_map(moments, placed, head, model.arrays.array.positions)]
     for number, best in enumerate(loudest):
         name = model.skins[number].spec.name
         if best.posed is None or best.radiation is None or best.drive is None or best.place is None:
@@ -105,13 +118,17 @@ def safety_sheet(view: Preview, duration_s: float) -> SafetySheet:
         heard = Heard(best.place, best.peak_Pa, float(squares[number]))
         arp = best.radiation.on(best.posed, number, "quadrature", best.drive).arp
         hands.append(AtHand(name, banded(view, [(best.posed.arrays, best.drive)], heard), float(arp.max())))
+        assert best.points is not None
+        maps.append(skin_map(name, best.points, at_skins[number], heard))
     first = max(loudest, key=lambda best: best.peak_Pa, default=_Loudest())
     distance, sound = _audible(view, placed, first)
     on = sum(bool(drive.any()) for _, drive in drives) / len(drives)
+    skins = {skin.spec.name: own for skin, own in zip(model.skins, over_play, strict=True)}
     known = {array.name: one.p0 for array, one in zip(model.spec.arrays, array_instances(model.spec), strict=True)}
     return SafetySheet(
         view.name, duration_s, placed, model.board, known, driver.head_m is not None, head, _said(head, placed),
-        tuple(hands), distance, sound, on, model.arrays.array.frequency_Hz,
+        tuple(hands), distance, sound, on, model.arrays.array.frequency_Hz, view.moves, tuple(maps),
+        course(times, [sound_of([one])[0] if one[1].any() else None for one in drives], placed, head, skins),
     )  # fmt: skip
 
 

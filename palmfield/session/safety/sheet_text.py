@@ -11,8 +11,8 @@ from palmfield.session.safety.scene_sound import MOMENTS
 from palmfield.session.safety.sheet import SafetySheet
 
 
-def as_markdown(sheet: SafetySheet) -> str:
-    """The page."""
+def as_markdown(sheet: SafetySheet, picture: str | None = None) -> str:
+    """The page. picture: where that of its levels lies, from the page; None for none"""
     driver, board, head = sheet.driver, sheet.board, sheet.head
     assert driver.head_m is not None
     where = ", ".join(f"{1e3 * x:.0f}" for x in driver.head_m)
@@ -56,6 +56,8 @@ def as_markdown(sheet: SafetySheet) -> str:
         "them by up to 6 dB, or throw a beam to where none is now. "
         "Transducers' ring-up and sound that nonlinearity takes away are left out.",
         *(f"- {said}" for said in sheet.head_said),
+        *_looked_at(sheet),
+        *(() if picture is None else ("", f"![levels at the head and the hand]({picture})")),
         "",
         "## Level of the array",
         "",
@@ -77,6 +79,20 @@ def as_markdown(sheet: SafetySheet) -> str:
         *_board(sheet),
     ]
     return "\n".join(lines) + "\n"
+
+
+def _looked_at(sheet: SafetySheet) -> list[str]:
+    """Over what the loudest places were sought."""
+    if sheet.moves:
+        said = f"its hands and arrays are where its motion has them at each of the {MOMENTS} moments"
+    else:
+        said = f"nothing in it moves, and its sound is looked at in {MOMENTS} moments"
+    warned = "with p0 at the high end of its range" if sheet.head.band_dB[1] > 0.0 else "as far as p0 is known"
+    return [
+        "",
+        f"Of one play of the scene: {said}. What is compared with limits is the loudest place of a region at its "
+        f"loudest moment, {warned}, and never a mean.",
+    ]
 
 
 def _level(level_dB: float, heard: Heard) -> str:

@@ -12,6 +12,7 @@ from palmfield.drive.frame_log import FrameLog, LogHead
 from palmfield.drive.playback import TimedFrame
 from palmfield.drive.player import Player
 from palmfield.errors import DeviceError, OutputError
+from palmfield.session.log_head import log_head
 from palmfield.session.play import scene_frames
 from palmfield.session.preview import preview
 
@@ -58,12 +59,10 @@ def presentation(
     Raises SceneError for a bad scene or key, DeviceError where the board can't play it or takes no bytes.
     """
     view = preview(scene, board=board, keys=keys)
-    model, spec = view.runtime.model, view.runtime.spec
+    model = view.runtime.model
     if model.board.exact:
         raise DeviceError(f"{view.name} is played by board '{model.board.name}', which takes no bytes; give --board")
-    own = {key: value for key, value in spec.driver.model_dump(exclude_none=True).items() if key in model.board.keys}
-    head = LogHead(model.board.name, len(model.arrays), spec.arrays[0].config.layout, model.arrays.air, own)
-    return Presentation(tuple(scene_frames(view, duration_s)), model.board, head, duration_s)
+    return Presentation(tuple(scene_frames(view, duration_s)), model.board, log_head(model), duration_s)
 
 
 class Sender:

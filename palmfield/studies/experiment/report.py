@@ -114,9 +114,10 @@ def _condition(design: Design, number: int, trials: Sequence[Trial], settings: _
         why = "settings are no answers to levels" if adjusted else "no trial yet"
         return ConditionReport(name, tuple(runs), tuple(estimates), (), (), (), None, why)
     levels, count, right = counts([level for level, _ in heard], [right for _, right in heard])
+    adaptive = design.procedure["kind"] == "staircase"
     found, notes = None, [f"{silent} trials of level 0 are left out"] if silent else []
     try:
-        found = fit(levels, count, right, guess=design.task.chance, **settings._asdict())
+        found = fit(levels, count, right, guess=design.task.chance, adaptive=adaptive, **settings._asdict())
         if not found.settled:
             notes.append("the threshold lies outside the levels, or the spread at its bound: too few answers near it")
         elif settings.spread is None and found.spread < STEEP * float(np.diff(levels).min()):
@@ -189,7 +190,7 @@ def as_text(report: Report) -> str:
             )
     if isinstance(report.design.procedure_of(0, 0), Staircase) and not report.spread_known:
         lines.append(
-            "note: spreads of a staircase's trials come out too small, and intervals too narrow: give --spread if it "
-            "is known (docs/experiments.md)"
+            "note: spreads of a staircase's trials come out too small, and intervals of thresholds are made wide: "
+            "give --spread if it is known (docs/experiments.md)"
         )
     return "\n".join(lines)

@@ -5,7 +5,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from palmfield.session.numerical_error import LoudestMoment
+from palmfield.session.loudest_moment import LoudestMoment
 from palmfield.session.recorder import Emitted, emitted_at, emitted_at_ends, world_with
 from palmfield.session.simulation import Simulation
 from palmfield.session.worlds import Worlds

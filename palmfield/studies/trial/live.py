@@ -1,7 +1,7 @@
 """A board that follows a hand which a tracker tells of just now, and what is known of that hand afterwards."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from palmfield.drive.frame_log import FrameLog
+from palmfield.drive.limits import SoundLimits
 from palmfield.drive.playback import frame_times
 from palmfield.motion.alignment import read_alignment
 from palmfield.motion.listening import By
@@ -107,7 +108,7 @@ def play_live(
     ahead_s = tracker.ahead_s
     if ahead_s is None:
         ahead_s = tracker.latency_s + FIT_S + board.frame_time_s + 0.5 * period_s
-    frames = Frames(model, Emission(model))
+    frames, afterwards = (Frames(model, Emission(model)) for _ in range(2))
     array = view.runtime.posed.array_frame
     posed_of: list[tuple[object, PosedScene]] = []
     silenced = 0
@@ -132,16 +133,19 @@ def play_live(
                 silenced += 1
                 wanted = np.zeros(len(model.arrays), np.complex128)
                 focused = board.takes == "focus"
-                return MadeFrame(
-                    board.encode_focus(focus, 0.0) if focused else board.encode(wanted), wanted, focus, seen_s
-                )
-            wanted = frames.wanted(posed, due_s)
-            return MadeFrame(frames.at(posed, due_s), wanted, focus, seen_s)
+                data = board.encode_focus(focus, 0.0) if focused else board.encode(wanted)
+                return MadeFrame(data, focus, seen_s, lambda: wanted, sounds=False)
+            data = frames.at(posed, due_s)
+            return MadeFrame(data, focus, seen_s, lambda: afterwards.wanted(posed, due_s), frames.sounds)
 
-        sent = send(board, times, make, duration_s, port=port or VIRTUAL, log=log, on_progress=on_progress)
+        limits = SoundLimits.of(model.spec.driver)
+        sent = send(
+            board, times, make, duration_s, port=port or VIRTUAL, log=log, limits=limits, on_progress=on_progress
+        )
         listener = follower.listener
         start_s = listener.offset_s() - tracker.latency_s - sent.zero_s
-        sent.frames = [replace(one, frame=one.frame._replace(seen_s=one.frame.seen_s + start_s)) for one in sent.frames]
+        for one in sent.frames:
+            one.frame.seen_s += start_s
         fitted = 1e3 * np.array(follower.fit_s)
         notes = [
             f"tracker: {listener.report()}",

@@ -1,6 +1,7 @@
 """A trial of a scene: hand, tracker, focus, bytes, board, sound at the hand's true place, and skin."""
 
 import json
+import logging
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -14,13 +15,17 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 
 from palmfield.acoustics.calibration_file import Calibration, read_calibration, write_calibration
 from palmfield.drive.board import Board, Emitted
-from palmfield.drive.frame_log import FrameLog, LogHead
+from palmfield.drive.frame_log import FrameLog
+from palmfield.drive.limits import SoundLimits
 from palmfield.drive.playback import frame_times
 from palmfield.errors import DeviceError, OutputError
 from palmfield.interrupts import interrupts_held
 from palmfield.motion.tracking import write_stream
 from palmfield.outputs.trial_picture import draw_trial
+from palmfield.session.log_head import log_head
 from palmfield.session.preview import Preview, preview
+from palmfield.session.safety.exposure import check_head
+from palmfield.session.safety.scene_sound import scene_at_head
 from palmfield.simulation.emission import Emission
 from palmfield.simulation.frames import Frames
 from palmfield.studies.trial.belief import Belief, Tracker
@@ -33,6 +38,7 @@ from palmfield.studies.trial.report import Numbers, as_text, numbers_of, table_o
 from palmfield.studies.trial.sending import Heard, MadeFrame, Sent, send
 from palmfield.tables import write_table
 
+LOG = logging.getLogger(__name__)
 FINEST_S = 1e-3
 """Between two moments at which the sound at the hand is computed, at most."""
 FILES = "sent.jsonl", "course.csv", "trial.json", "trial.png"
@@ -89,7 +95,8 @@ def trial(
     skin: whether the skin is stepped; flight: whether the time that sound takes to the hand counts
     out: folder for FILES, made where missing; None for none
     Ctrl-C ends it early with what there is by then (`interrupted`). Raises SceneError for a bad scene, DeviceError
-    where its board can't play it or is lost, OutputError where the folder holds another trial.
+    where its board can't play it or is lost, and on a port
+    where it would be too loud at a head (key head_limit_dB), OutputError where the folder holds another trial.
     """
     folder = None if out is None else _folder(Path(out), overwrite)
     given = dict(keys or {})
@@ -102,9 +109,13 @@ def trial(
             "another by --board"
         )
     duration = view.duration_s if duration_s is None else duration_s
+    driver = view.runtime.spec.driver
+    if port is not None and driver.head_m is not None:
+        for line in check_head(scene_at_head(view, duration), driver):
+            LOG.warning(line)
     watched = tracker or Tracker()
     with TemporaryDirectory() as spare, _bar(progress) as told:
-        log = None if folder is None or played.exact else FrameLog(folder / "sent.jsonl", _head(view))
+        log = None if folder is None or played.exact else FrameLog(folder / "sent.jsonl", log_head(view.runtime.model))
         if live is None:
             done = _scripted(view, watched, duration, real, flight, port, log, told)
         else:
@@ -118,8 +129,9 @@ def trial(
             told("stepping the skin under what was emitted", None)
             motion, ideal_motion = _skins(scene, board, given, done, moments, real, recording)
     numbers = numbers_of(
-        view.name, played, done.sound, sent, moments, watched, duration, motion, ideal_motion, port, real, done.notes
-    )
+        view.name, played, done.sound, sent, moments, watched, duration, motion, ideal_motion, port, real,
+        [*sent.notes, *done.notes],
+    )  # fmt: skip
     compared = None
     if recording is not None and not sent.interrupted:
         compared = compare(recording, moments, done.sound, heard, motion)
@@ -158,7 +170,10 @@ def _scripted(
     times = _due(course, board, duration_s)
     make = _maker(course, sound, Belief(course, tracker), times, duration_s)
     told("sending", duration_s)
-    sent = send(board, times, make, duration_s, port=port, log=log, on_progress=lambda at: told(None, at))
+    limits = SoundLimits.of(course.model.spec.driver)
+    sent = send(
+        board, times, make, duration_s, port=port, log=log, limits=limits, on_progress=lambda at: told(None, at)
+    )
     return _Done(sound, sent, times, [], {})
 
 
@@ -194,7 +209,7 @@ def _maker(
     course: SceneCourse, sound: TrueSound, belief: Belief, times: list[float], duration_s: float
 ) -> Callable[[float, float], MadeFrame]:
     """What makes each frame of what is known when it is made."""
-    frames = Frames(course.model, Emission(course.model))
+    frames, afterwards = (Frames(course.model, Emission(course.model)) for _ in range(2))
     exact = course.model.board.exact
     ends = np.append(times[1:], duration_s)
     flight_s = sound.flight_s(sound.focus(0.0, 0.0))
@@ -204,11 +219,11 @@ def _maker(
         until_s = float(ends[np.searchsorted(times, due_s)])
         middle_s = due_s if exact else 0.5 * (due_s + until_s)
         known = belief.at(now_s, middle_s + flight_s)
-        wanted = frames.wanted(known.posed, due_s)
         data = b"" if exact else frames.at(known.posed, due_s)
         focus = focus_in(course.model, sound.number, known.posed, due_s)
         flight_s = sound.flight_s(focus)
-        return MadeFrame(data, wanted, focus, known.seen_s)
+        sounds = exact or frames.sounds
+        return MadeFrame(data, focus, known.seen_s, lambda: afterwards.wanted(known.posed, due_s), sounds)
 
     return make
 
@@ -276,12 +291,6 @@ def _skins(
             own[f"{spec.name}.calibration"] = str(file)
         played = felt(scene, emitted, end_s, board=board, keys=own, places=places)
     return played, felt(scene, ideal, end_s, board=board, keys=keys, places=places)
-
-
-def _head(view: Preview) -> LogHead:
-    model, spec = view.runtime.model, view.runtime.spec
-    own = {key: value for key, value in spec.driver.model_dump(exclude_none=True).items() if key in model.board.keys}
-    return LogHead(model.board.name, len(model.arrays), spec.arrays[0].config.layout, model.arrays.air, own)
 
 
 def _folder(out: Path, overwrite: bool) -> Path:

@@ -90,17 +90,71 @@ def test_an_exception_in_the_block_silences_the_board():
 
 def test_live_frames_sound_at_once_fall_silent_when_old_and_sound_again():
     with VirtualBoard(BOARD, realtime=True) as virtual, Player(BOARD, virtual.port) as player:
+        made = []
+
+        def sounds_after_another():
+            made.append(time.monotonic())
+            player.send([frame(len(made) % 32)])
+            return virtual.twin.emitted.all()
+
         for _ in range(2):
-            for n in range(20):
-                player.send([frame(n)])
-                time.sleep(0.02)
-            last = time.monotonic()
-            until(lambda: virtual.twin.emitted.all(), 0.2)
+            until(sounds_after_another)
             until(lambda: not virtual.twin.emitted.any())
-            assert time.monotonic() - last > 0.05
+            assert time.monotonic() - made[-1] > 0.05
         until(lambda: player.send([frame(0)]) or virtual.twin.emitted.all())
         player.mute()
         until(lambda: not virtual.twin.emitted.any(), 0.09)
+
+
+def test_it_tells_when_each_live_frame_was_on_the_line():
+    with VirtualBoard(BOARD, realtime=True, decodes=False) as virtual:
+        with Player(BOARD, virtual.port, tells_frames=True, stale_s=5.0, refresh_s=50.0) as player:
+            begin = time.monotonic() + 0.05
+            due = [begin + 0.05 * n for n in range(8)]
+            for number, due_s in enumerate(due):
+                player.send([frame(number)], due_s=due_s)
+            until(lambda: time.monotonic() > due[-1] + 0.05)
+        virtual.settle()
+        assert not virtual.emitted
+        virtual.decode()
+        offset = time.monotonic() - virtual.clock
+    told = dict(player.report.on_line)
+    assert player.report.frames == len(told)
+    assert len(told) >= 1 and len(told) + player.report.skipped == 8
+    heard = [one for one in virtual.emitted if one.amplitudes.any()]
+    assert len(heard) == len(told)
+    for (number, on_line_s), one in zip(told.items(), heard, strict=True):
+        np.testing.assert_allclose(one.amplitudes, BOARD.decode(frame(number))[-1])
+        assert on_line_s > due[number] - 1e-3
+        # What the player tells and when the board has heard it are two clocks' opinions of one moment
+        assert abs(one.time_s + offset - on_line_s) < 0.5
+
+
+@pytest.mark.parametrize("ramp_s", [0.0, 0.4])
+def test_a_live_source_that_ends_early_falls_within_its_ramp(ramp_s):
+    """By AUTD, which has levels: none but full and silence without a ramp."""
+    board = BOARDS["autd2018"]
+    steps = [board.encode_focus((0.0, 0.0, 0.2), level) for level in (0.2, 0.4, 0.6, 0.8, 1.0)]
+    with VirtualBoard(board, realtime=True) as virtual:
+        with Player(board, virtual.port, ramp_s=ramp_s, stale_s=60.0) as player:
+            player.send(steps)
+            until(lambda: abs(virtual.twin.emitted).max() > 0.99)
+            full, began = len(virtual.emitted), time.monotonic()
+        ended_s = time.monotonic() - began
+        virtual.settle()
+        levels = [round(float(abs(one.amplitudes).max()), 1) for one in virtual.emitted[full:]]
+    assert levels[-1] == 0.0
+    between = [level for level in levels if 0.0 < level < 0.9]
+    if ramp_s:
+        assert set(between) >= {0.6, 0.4} and between == sorted(between, reverse=True) and ended_s > 0.2
+    else:
+        assert not between
+
+
+def test_without_posix_it_says_what_else_there_is(monkeypatch):
+    monkeypatch.setattr("palmfield.drive.player.caller.POSIX", False)
+    with pytest.raises(DeviceError, match="needs Linux or macOS; here bytes can be written to a file"):
+        Player(BOARD, "COM3")
 
 
 @pytest.mark.parametrize("port", ["/dev/no_such_port", "nonsense://x", "socket://127.0.0.1:1"])

@@ -7,7 +7,7 @@ import pytest
 from palmfield.drive.player.budget import SoundBudget
 from palmfield.drive.player.line_clock import LineClock
 from palmfield.drive.player.messages import Job, LiveFrame, Schedule
-from palmfield.drive.player.sources import LiveSource, ScheduleSource
+from palmfield.drive.player.sources import LiveSource, ScheduleSource, on_the_line
 
 BYTE_S = 1e-3
 FRAME_S = 10 * BYTE_S
@@ -160,6 +160,64 @@ def test_sound_rises_and_falls_within_the_ramp():
     assert sent[-1][0] == pytest.approx(0.39 + 0.1 + 0.1, abs=0.03)
 
 
+def test_what_fades_falls_within_the_ramp_and_shows_nothing_newer():
+    source = live(ramp_s=0.1)
+    feed = fed(source, 0.01, 0.0, 1.0, steps=5)
+
+    def until_fade(now: float) -> None:
+        if now < 0.5:
+            feed(now)
+        elif not source.muted:
+            source.take(LiveFrame(now, 1.0, [frame(9)], due_s=0.7))
+            source.fade()
+
+    sent = play(source, until_s=0.8, on_time=until_fade)
+    fall = [data[1] for at, _, _, data in sent if at > 0.5 and data != STOP]
+    assert all(b <= a for a, b in pairwise(fall)) and set(fall) >= {3, 2, 1}
+    assert sent[-1][3] == STOP and sent[-1][0] == pytest.approx(0.6, abs=0.03) and source.silent
+
+
+def test_frames_that_are_due_wait_for_their_time_and_the_newest_that_is_due_wins():
+    """Ten are given at once, each 20 ms after the one before; nobody plays from 0.105 to 0.165 s."""
+    source = live()
+    for number in range(10):
+        source.take(LiveFrame(0.0, 1.0, [frame(number)], due_s=0.03 + 0.02 * number))
+    sent = play(source, until_s=0.4, busy=[(0.105, 0.165)])
+    shown = [(int.from_bytes(data, "big"), ends, due) for _, ends, due, data in sent if data != STOP]
+    numbers = [number for number, *_ in shown]
+    # The last one is sent again after 0.1 s, as it rests
+    assert numbers == [0, 1, 2, 3, 4, 7, 8, 9, 9] and source.skipped == 2
+    late = [ends - due for number, ends, due in shown[:8] if number != 7]
+    assert late == pytest.approx([0.0] * 7, abs=1e-9)
+    # Old by then, as nothing newer was given
+    assert sent[-1][3] == STOP and sent[-1][0] == pytest.approx(0.21 + 0.1, abs=0.012)
+
+
+def test_a_frame_without_a_time_takes_the_place_of_all_that_wait():
+    source = live()
+    for number in range(3):
+        source.take(LiveFrame(0.0, 1.0, [frame(number)], due_s=0.05 + 0.02 * number))
+
+    def interrupt(now: float) -> None:
+        if now >= 0.06 and not done:
+            done.append(now)
+            source.take(LiveFrame(now, 1.0, [frame(9)]))
+
+    done: list[float] = []
+    sent = play(source, until_s=0.15, on_time=interrupt)
+    assert [int.from_bytes(data, "big") for *_, data in sent] == [0, 9] and source.skipped == 2
+
+
+def test_frames_on_paper_are_those_that_a_line_takes():
+    times = [0.0, 0.02, 0.021, 0.04, 0.0401, 0.0402, 0.06]
+    schedule = Schedule(times, [frame(n) for n in range(len(times))], 0.0)
+    paper = list(on_the_line(schedule, BYTE_S, 0.0))
+    sent = play(scheduled(times))
+    assert [one.data for one in paper] == [data for *_, data in sent]
+    assert [one.at_s + FRAME_S for one in paper] == pytest.approx([ends for _, ends, _, _ in sent])
+    assert [one.number for one in paper] == [0, 1, 2, 3, 5, 6]
+
+
 def test_no_more_sound_than_the_budget_gives():
     source = live(budget=SoundBudget(on_time_s=0.5))
     sent = play(source, until_s=2.0, on_time=fed(source, 0.02, 0.0, 2.0))
@@ -180,5 +238,7 @@ def test_messages_come_back_as_they_were():
     assert list(back.times_s) == [0.0, 0.25] and back.frames == [b"abc", b"de"] and back.duration_s == 1.5
     one = LiveFrame(12.5, 0.5, [b"ab", b"cd", b"ef"])
     assert LiveFrame.unpacked(one.packed()) == one
+    timed = one._replace(due_s=12.75)
+    assert LiveFrame.unpacked(timed.packed()) == timed
     job = Job("/dev/x", None, 18000.0, "a5", "a5", duty=0.25)
     assert Job.unpacked(job.packed()) == job

@@ -198,8 +198,22 @@ def test_a_virtual_board_in_real_time_gives_the_foci_of_its_frames(moving_scene)
     for frame, one in zip(sent.frames, sounding, strict=True):
         np.testing.assert_allclose(one.amplitudes, BOARDS["sonicsurface"].decode(frame.frame.data)[-1])
     for one in result.moments:
-        if one.time_s > 0.1:
+        # Before its first pose the scene keeps still
+        if one.time_s - one.age_s > 0.0:
             np.testing.assert_allclose(one.true - one.believed, SPEED_m_s * one.age_s, atol=2e-5)
+
+
+@pytest.mark.wall_clock
+def test_on_a_port_the_drivers_limits_hold(moving_scene):
+    keys = {"driver.on_time_s": "0.05"}
+    result = trial(moving_scene(), board="sonicsurface", port="virtual", keys=keys, skin=False, duration_s=0.25)
+    assert any(
+        "fell silent: it has sounded for 0.05 s, all that on_time_s allows" in text for text in result.sent.notes
+    )
+    assert result.numbers.frames_sent < result.numbers.frames_due
+    too_loud = {"driver.head_m": "0 0 0.5", "driver.head_limit_dB": "60"}
+    with pytest.raises(palmfield.DeviceError, match="head_limit_dB allows 60"):
+        trial(moving_scene(), board="sonicsurface", port="virtual", keys=too_loud, skin=False, duration_s=0.1)
 
 
 def test_what_cannot_be_tried_is_refused(moving_scene):

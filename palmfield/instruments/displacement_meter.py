@@ -1,0 +1,86 @@
+"""A laser displacement meter, by triangulation: it reads how far along its beam the surface is."""
+
+import math
+from typing import ClassVar
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike
+from pydantic import Field
+
+from palmfield.errors import MeasurementError
+from palmfield.instruments.settings import NonNegative, Positive, Settings, Vector3
+from palmfield.instruments.signal_chain import sampled
+from palmfield.instruments.surface_motion import SurfaceMotion
+
+
+class DisplacementMeter(Settings):
+    """A displacement meter. Raises MeasurementError for values out of their limits."""
+
+    instrument: ClassVar[str] = "displacement_meter"
+    beam: Vector3 = Field(default=(0.0, 0.0, 1.0), description="from the surface to the head")
+    spot_m: NonNegative = Field(
+        default=0.0, description="diameter of the light's spot at 1/e^2 of its middle; 0: a point"
+    )
+    sampling_rate_Hz: Positive = Field(default=10e3)
+    averaged: int = Field(
+        default=1, ge=1, description="readings of which each is the mean of this one and those before"
+    )
+    range_m: Positive | None = Field(default=None, description="readings end at plus and minus this; none: they don't")
+    resolution_m: NonNegative = Field(default=0.0, description="readings are multiples of it; 0: none")
+    repeatability_m: NonNegative = Field(default=0.0, description="standard deviation of one reading")
+
+
+def spot_weights(points_m: ArrayLike, at_m: ArrayLike, settings: DisplacementMeter) -> np.ndarray:
+    """Shares of points about a place in the spot's mean, shape (n,): a Gaussian of the light's intensity.
+
+    The points stand for equal areas. Without a spot only the nearest point counts.
+    Raises MeasurementError where less than four points lie within the spot.
+    """
+    points = np.asarray(points_m, dtype=float)
+    beam = np.array(settings.beam) / np.linalg.norm(settings.beam)
+    away = points - np.asarray(at_m, dtype=float)
+    distance = np.linalg.norm(away - np.outer(away @ beam, beam), axis=1)
+    if settings.spot_m == 0.0:
+        return np.asarray(np.arange(len(points)) == distance.argmin(), dtype=float)
+    within = int((distance <= 0.5 * settings.spot_m).sum())
+    if within < 4:
+        raise MeasurementError(
+            f"{within} points lie within the spot of {settings.spot_m:g} m; give motion at four or more, or spot_m 0"
+        )
+    weights = np.exp(-8.0 * (distance / settings.spot_m) ** 2)
+    return np.asarray(weights / weights.sum())
+
+
+def displacement_reading(
+    motion: SurfaceMotion, at_m: ArrayLike, settings: DisplacementMeter, *, seed: int | None = None
+) -> xr.DataArray:
+    """What the meter shows of the surface at a place [m] over time, dimension (time,), in metres, towards the head.
+
+    Where the surface moves along itself and the beam is not along its normal, the beam meets another point of it: the
+    reading is (u . n)/(b . n) for motion u, normal n and beam b, and not u . b, which a vibrometer reads.
+    In this order: mean over the spot, sampling, mean of the last readings, noise, range, resolution.
+    Raises MeasurementError for a beam of no length or along the surface, and as `spot_weights`.
+    """
+    beam = np.array(settings.beam)
+    if not np.linalg.norm(beam) > 0.0:
+        raise MeasurementError(f"displacement_meter: beam is {settings.beam}; give a direction")
+    across = motion.normals @ (beam / np.linalg.norm(beam))
+    weights = spot_weights(motion.points, at_m, settings)
+    if np.abs(across[weights > 1e-6]).min() < 1e-3:
+        raise MeasurementError(f"displacement_meter: beam {settings.beam} lies along the surface; give another")
+    chosen = weights > 1e-12
+    read = np.einsum("tni,ni->tn", motion.displacement_m[:, chosen], motion.normals[chosen]) / across[chosen]
+    rate = settings.sampling_rate_Hz
+    times = np.arange(math.floor((motion.times_s[-1] - motion.times_s[0]) * rate + 1e-6) + 1) / rate
+    signal = sampled(motion.times_s, read @ weights[chosen], motion.times_s[0] + times)
+    if settings.averaged > 1:
+        held = np.concatenate([np.full(settings.averaged - 1, signal[0]), signal])
+        signal = np.convolve(held, np.full(settings.averaged, 1.0 / settings.averaged), mode="valid")
+    signal = signal + np.random.default_rng(seed).normal(0.0, settings.repeatability_m, len(signal))
+    if settings.range_m is not None:
+        signal = np.clip(signal, -settings.range_m, settings.range_m)
+    if settings.resolution_m > 0.0:
+        signal = settings.resolution_m * np.round(signal / settings.resolution_m)
+    attributes = {"units": "m", "long_name": "distance along the beam", "sign": "positive towards the head"}
+    return xr.DataArray(signal, {"time": motion.times_s[0] + times}, ("time",), "displacement", attributes)

@@ -1,0 +1,175 @@
+"""Force of radiation pressure on what weighs it: a plate in the field (a jig), a scale under a body.
+
+Pressures are acoustic radiation pressures (ARP) [Pa], positive where they push into the plate.
+"""
+
+import math
+from collections.abc import Callable
+from typing import ClassVar, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydantic import Field
+from scipy.signal import lfilter
+
+from palmfield.errors import MeasurementError
+from palmfield.instruments.settings import NonNegative, Positive, Settings, Vector3
+from palmfield.metrics.checks import even_step, finite, trace
+from palmfield.types import Float
+
+ArpAt = Callable[[Float, Float], Float]
+"""ARP [Pa] at places [m] with outward normals, both of shape (n, 3): shape (n,)."""
+SPLITS = 8
+"""A triangle of a mesh is cut into the square of so many, of which those count whose middle lies on the plate."""
+
+
+class Plate(Settings):
+    """The face of a jig. Raises MeasurementError for values out of their limits."""
+
+    instrument: ClassVar[str] = "plate"
+    shape: Literal["rectangle", "disc"] = Field(default="rectangle")
+    width_m: Positive = Field(default=0.012, description="along x_axis; the diameter of a disc")
+    height_m: Positive = Field(default=0.012, description="across; of a rectangle only")
+    centre_m: Vector3 = Field(default=(0.0, 0.0, 0.2))
+    normal: Vector3 = Field(default=(0.0, 0.0, -1.0), description="outward, against the sound")
+    x_axis: Vector3 = Field(default=(1.0, 0.0, 0.0))
+    spacing_m: Positive = Field(default=1e-3, description="of the places where the pressure is asked for, at most")
+
+
+class PlateForce(NamedTuple):
+    """Force into a plate, and the same from places twice as far apart [N].
+
+    Of a rule of second order a third of their difference is the error of the first.
+    """
+
+    force_N: float
+    coarser_N: float
+
+    @property
+    def change(self) -> float:
+        """Of the force with places twice as far apart, relative to it."""
+        return abs(self.force_N - self.coarser_N) / abs(self.force_N) if self.force_N else math.inf
+
+
+def plate_force(arp_at: ArpAt, plate: Plate) -> PlateForce:
+    """Area integral of the ARP over a plate.
+
+    arp_at: for example `palmfield.acoustics.arp.arp` of a field; for a plate narrower than some wavelengths the law
+        leaves out what its edges do to the sound.
+    """
+    fine, coarse = (_integral(arp_at, plate, spacing) for spacing in (plate.spacing_m, 2.0 * plate.spacing_m))
+    return PlateForce(fine, coarse)
+
+
+def _integral(arp_at: ArpAt, plate: Plate, spacing: float) -> float:
+    normal, along, across = _axes(plate)
+    if plate.shape == "rectangle":
+        places = [_middles(length, spacing) for length in (plate.width_m, plate.height_m)]
+        x, y = (grid.ravel() for grid in np.meshgrid(*(at for at, _ in places), indexing="ij"))
+        weights = np.full(x.size, places[0][1] * places[1][1])
+    else:
+        radius = 0.5 * plate.width_m
+        rings = max(2, math.ceil(radius / spacing))
+        nodes, shares = np.polynomial.legendre.leggauss(rings)
+        radii = radius * np.sqrt(0.5 * (1.0 + nodes))
+        angles = 2.0 * math.pi * np.arange(6 * rings) / (6 * rings)
+        x, y = (np.outer(radii, turn(angles)).ravel() for turn in (np.cos, np.sin))
+        weights = np.repeat(0.5 * shares * math.pi * radius**2 / len(angles), len(angles))
+    points = np.array(plate.centre_m) + x[:, None] * along + y[:, None] * across
+    pressure = np.asarray(arp_at(points, np.tile(normal, (len(points), 1))), dtype=float)
+    if pressure.shape != weights.shape:
+        raise MeasurementError(f"arp_at gave shape {pressure.shape} for {len(weights)} places")
+    finite("the ARP", pressure)
+    return float(pressure @ weights)
+
+
+def _middles(length: float, spacing: float) -> tuple[Float, float]:
+    count = max(2, math.ceil(length / spacing * (1.0 - 1e-9)))
+    return ((np.arange(count) + 0.5) / count - 0.5) * length, length / count
+
+
+def _axes(plate: Plate) -> tuple[Float, Float, Float]:
+    normal, along = np.array(plate.normal), np.array(plate.x_axis)
+    across = np.cross(normal, along)
+    if not np.linalg.norm(across) > 1e-9 * np.linalg.norm(normal) * np.linalg.norm(along):
+        raise MeasurementError(
+            f"plate: x_axis {plate.x_axis} lies along the normal {plate.normal}, or one has no length"
+        )
+    normal, across = normal / np.linalg.norm(normal), across / np.linalg.norm(across)
+    return normal, np.cross(across, normal), across
+
+
+def mesh_force(arp: ArrayLike, vertices: ArrayLike, faces: ArrayLike, plate: Plate) -> Float:
+    """Force along the plate's normal on the part of a mesh that lies before a plate [N], shape (...,).
+
+    arp: [Pa] at the vertices, shape (..., v), as `arp` of a skin in a result; vertices: [m], (v, 3); faces: (f, 3)
+    The ARP is linear between vertices; triangles are cut where the outline, seen along its normal, crosses them.
+    """
+    pressure, corners = np.asarray(arp, dtype=float), np.asarray(vertices, dtype=float)[np.asarray(faces)]
+    normal, along, across = _axes(plate)
+    area = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) @ normal
+    shares = _cuts()
+    middles = np.einsum("kc,fci->fki", shares, corners) - np.array(plate.centre_m)
+    x, y = np.abs(middles @ along), np.abs(middles @ across)
+    if plate.shape == "rectangle":
+        inside = (x <= 0.5 * plate.width_m) & (y <= 0.5 * plate.height_m)
+    else:
+        inside = np.hypot(x, y) <= 0.5 * plate.width_m
+    parts = np.einsum("fk,kc->fc", inside.astype(float), shares) / len(shares) * np.abs(area)[:, None]
+    weights = np.zeros(len(np.asarray(vertices)))
+    np.add.at(weights, np.asarray(faces), parts)
+    if pressure.shape[-1:] != weights.shape:
+        raise MeasurementError(f"arp has shape {pressure.shape}, but there are {len(weights)} vertices")
+    return np.asarray(pressure @ weights)
+
+
+def _cuts() -> Float:
+    """Shares of a triangle's corners in the middles of the equal triangles that it is cut into, shape (k, 3)."""
+    low, high = [], []
+    for i in range(SPLITS):
+        for j in range(SPLITS - i):
+            low.append((i + 1.0 / 3.0, j + 1.0 / 3.0))
+            if j < SPLITS - i - 1:
+                high.append((i + 2.0 / 3.0, j + 2.0 / 3.0))
+    first, second = np.array(low + high).T / SPLITS
+    return np.column_stack([first, second, 1.0 - first - second])
+
+
+class Scale(Settings):
+    """A scale. Raises MeasurementError for values out of their limits."""
+
+    instrument: ClassVar[str] = "scale"
+    direction: Vector3 = Field(default=(0.0, 0.0, -1.0), description="along which force counts as weight")
+    resolution_N: NonNegative = Field(
+        default=0.0, description="readings are multiples of it; 0: none (1 mg is 9.8e-6 N)"
+    )
+    time_constant_s: NonNegative = Field(default=0.0, description="of its settling, one pole; 0: at once")
+    tared: bool = Field(default=True, description="readings are differences from the first")
+
+
+def scale_reading(times_s: ArrayLike, force_N: ArrayLike, settings: Scale) -> Float:
+    """What a scale shows of a force over time, shape (t, 3), as `force` of /forces in a result: shape (t,) [N].
+
+    The pole is exact for a force that is linear between samples. Raises MeasurementError for a direction of no length.
+    """
+    times, force = trace(times_s, force_N)
+    direction = np.array(settings.direction)
+    if force.shape != (len(times), 3) or not np.linalg.norm(direction) > 0.0:
+        raise MeasurementError(
+            f"force has shape {force.shape} and direction {settings.direction}; give (t, 3), no zeros"
+        )
+    weight = force @ (direction / np.linalg.norm(direction))
+    if settings.tared:
+        weight = weight - weight[0]
+    if settings.time_constant_s > 0.0:
+        weight = _one_pole(weight, even_step(times) / settings.time_constant_s)
+    if settings.resolution_N > 0.0:
+        weight = settings.resolution_N * np.round(weight / settings.resolution_N)
+    return np.asarray(weight)
+
+
+def _one_pole(values: Float, step: float) -> Float:
+    keep = math.exp(-step)
+    mean = -math.expm1(-step) / step
+    # y' = x - y with x linear over a step: y1 = keep y0 + (mean - keep) x0 + (1 - mean) x1
+    return np.asarray(lfilter([1.0 - mean, mean - keep], [1.0, -keep], values, zi=[mean * values[0]])[0])

@@ -1,0 +1,63 @@
+"""The spectrum of a scan over frequency and wavenumber along its surface."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.signal.windows import hann
+
+from palmfield.errors import MeasurementError
+from palmfield.instruments.scan_grids import pitch
+from palmfield.metrics.checks import even_step, trace
+from palmfield.types import Float
+
+DIRECTIONS = 48
+WAVENUMBERS = 120
+MOST_LINES = 240
+
+
+class FrequencyWavenumber(NamedTuple):
+    """Amplitude over frequency [Hz], (f,), and wavenumber [rad/m], (k,), rms over all directions: shape (f, k)."""
+
+    frequency_Hz: Float
+    wavenumber_rad_m: Float
+    amplitude: Float
+
+
+def on_plane(points_m: ArrayLike) -> Float:
+    """Points on the plane that lies best among them, about their middle [m], shape (n, 2)."""
+    points = np.asarray(points_m, dtype=float)
+    centred = points - points.mean(axis=0)
+    axes = np.linalg.svd(centred, full_matrices=False)[2]
+    return np.asarray(centred @ axes[:2].T)
+
+
+def frequency_wavenumber(
+    times_s: ArrayLike, values: ArrayLike, points_m: ArrayLike, *, most_Hz: float | None = None
+) -> FrequencyWavenumber:
+    """Of records of shape (t, n) at points of shape (n, 3), which are laid on a plane first.
+
+    most_Hz: highest frequency; None: that below which 99.9 % of the power lies
+    Hann window over time. Wavenumbers end at pi over the points' pitch, where a grid begins to fold back.
+    """
+    times, signal = trace(times_s, values, 16)
+    if signal.ndim != 2:
+        raise MeasurementError(f"records have shape {signal.shape}; give (t, n)")
+    flat = on_plane(points_m)
+    window = hann(len(times), sym=False)[:, None]
+    spectrum = 2.0 * np.fft.rfft((signal - signal.mean(axis=0)) * window, axis=0) / window.sum()
+    frequency = np.fft.rfftfreq(len(times), even_step(times))
+    power = np.cumsum((np.abs(spectrum) ** 2).sum(axis=1))
+    highest = most_Hz or frequency[int(np.searchsorted(power, 0.999 * power[-1]))] * 1.1
+    chosen = np.flatnonzero((frequency > 0.0) & (frequency <= highest))
+    if len(chosen) == 0:
+        raise MeasurementError(f"no line lies up to {highest:g} Hz; the record's lines are {frequency[1]:g} Hz apart")
+    chosen = chosen[:: max(1, len(chosen) // MOST_LINES)]
+    wavenumber = np.linspace(0.0, np.pi / pitch(points_m), WAVENUMBERS)
+    angles = np.pi * np.arange(2 * DIRECTIONS) / DIRECTIONS
+    total = np.zeros((len(chosen), WAVENUMBERS))
+    for angle in angles:
+        along = flat @ np.array([np.cos(angle), np.sin(angle)])
+        waves = np.exp(-1j * np.outer(along, wavenumber)) / len(flat)
+        total += np.abs(spectrum[chosen] @ waves) ** 2
+    return FrequencyWavenumber(np.asarray(frequency[chosen], float), wavenumber, np.sqrt(total / len(angles)))

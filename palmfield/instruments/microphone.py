@@ -1,0 +1,122 @@
+"""A microphone that is moved through a sound field: its diaphragm averages, its face doubles, its band cuts off.
+
+Pressures are complex peak amplitudes of the carrier, e^{-i w t}.
+"""
+
+import math
+from collections.abc import Callable
+from typing import ClassVar, Literal
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike
+from pydantic import Field
+from scipy.signal import butter, freqs_zpk
+
+from palmfield.errors import MeasurementError
+from palmfield.instruments.settings import NonNegative, Positive, Settings, Vector3
+from palmfield.metrics.checks import even_step, trace
+from palmfield.types import Complex, Float
+
+PressureAt = Callable[[Float], Complex]
+"""Pressure [Pa] at places [m] of shape (n, 3), shape (n,)."""
+
+
+class Microphone(Settings):
+    """A microphone. Raises MeasurementError for values out of their limits."""
+
+    instrument: ClassVar[str] = "microphone"
+    diameter_m: NonNegative = Field(default=0.0, description="of the diaphragm; 0: a point")
+    facing: Vector3 = Field(default=(0.0, 0.0, -1.0), description="outward normal of the diaphragm")
+    diaphragm: Literal["piston", "membrane"] = Field(
+        default="piston", description="all of it weighs alike, or as a clamped membrane moves, 1 - (r/a)^2"
+    )
+    face: Literal["free", "doubling"] = Field(
+        default="free",
+        description="free: the sound as without the microphone; doubling: a wall's, twice the sound from ahead",
+    )
+    low_Hz: Positive | None = Field(default=None, description="lower end of its band, -3 dB")
+    high_Hz: Positive | None = Field(default=None, description="upper end of its band, -3 dB")
+    order: int = Field(default=2, ge=1, le=12, description="of the band's Butterworth filters")
+
+
+def diaphragm_points(settings: Microphone, rings: int = 6) -> tuple[Float, Float]:
+    """Places of a diaphragm about its middle [m], shape (m, 3), and their weights, which add up to 1, shape (m,).
+
+    Gauss-Legendre in the square of the radius and even angles: a plane wave's average is exact to 1e-6 up to k a = 6.
+    Raises MeasurementError for a facing of no length.
+    """
+    facing = np.array(settings.facing)
+    length = float(np.linalg.norm(facing))
+    if not length > 0.0:
+        raise MeasurementError(f"microphone: facing is {settings.facing}; give a direction")
+    if settings.diameter_m == 0.0:
+        return np.zeros((1, 3)), np.ones(1)
+    nodes, weights = np.polynomial.legendre.leggauss(rings)
+    squares = 0.5 * (1.0 + nodes)
+    share = 0.5 * weights * (1.0 if settings.diaphragm == "piston" else 2.0 * (1.0 - squares))
+    angles = 2.0 * math.pi * np.arange(4 * rings) / (4 * rings)
+    facing = facing / length
+    sideways = np.cross(facing, np.eye(3)[int(np.abs(facing).argmin())])
+    sideways /= np.linalg.norm(sideways)
+    across = np.cross(facing, sideways)
+    radii = 0.5 * settings.diameter_m * np.sqrt(squares)
+    ring = np.cos(angles)[:, None] * sideways + np.sin(angles)[:, None] * across
+    places = (radii[:, None, None] * ring).reshape(-1, 3)
+    return places, np.repeat(share / len(angles), len(angles))
+
+
+def microphone_scan(pressure_at: PressureAt, places_m: ArrayLike, settings: Microphone) -> xr.DataArray:
+    """The pressure that a microphone reads at places of its diaphragm's middle [Pa], complex, dimension (point,).
+
+    pressure_at: the sound without the microphone, for example `palmfield.acoustics.pressure` at points
+    The mean over the diaphragm, twice that where its face doubles. Sound that comes round the microphone's body from
+    behind, and the rise between no doubling and doubling where the diaphragm is as small as a wave, are left out.
+    """
+    places = np.asarray(places_m, dtype=float)
+    if places.ndim != 2 or places.shape[1] != 3 or not np.isfinite(places).all():
+        raise MeasurementError(f"places of a microphone have shape {places.shape}; give finite numbers, shape (n, 3)")
+    offsets, weights = diaphragm_points(settings)
+    sound = np.asarray(pressure_at((places[:, None] + offsets).reshape(-1, 3)))
+    if sound.shape != (len(places) * len(offsets),):
+        raise MeasurementError(f"pressure_at gave shape {sound.shape} for {len(places) * len(offsets)} places")
+    read = sound.reshape(len(places), -1) @ weights * face_factor(settings)
+    coordinates = {axis: ("point", places[:, n], {"units": "m"}) for n, axis in enumerate("xyz")}
+    attributes = {"units": "Pa", "long_name": "peak amplitude of the carrier as the microphone reads it"}
+    return xr.DataArray(read, coordinates, ("point",), "pressure", attributes)
+
+
+def face_factor(settings: Microphone) -> float:
+    """2 in pressure, 4 in its square, where the face doubles; else 1."""
+    return 2.0 if settings.face == "doubling" else 1.0
+
+
+def through_band(times_s: ArrayLike, envelope: ArrayLike, carrier_Hz: float, settings: Microphone) -> Complex:
+    """A carrier's complex envelope over time [Pa], shape (t, ...), as the microphone's band leaves it.
+
+    Each part of the envelope at f is one of the sound at carrier_Hz + f, and is multiplied by the response there.
+    The record counts as periodic; it must have even steps. Raises MeasurementError for others.
+    """
+    times = np.asarray(times_s, dtype=float)
+    values = np.asarray(envelope, dtype=complex)
+    trace(times, np.abs(values))
+    step = even_step(times)
+    # e^{-i w t}: a part e^{-i 2 pi f t} of the envelope is sound at carrier + f
+    frequencies = carrier_Hz - np.fft.fftfreq(len(times), step)
+    response = band_response(frequencies, settings).reshape(-1, *[1] * (values.ndim - 1))
+    return np.asarray(np.fft.ifft(np.fft.fft(values, axis=0) * response, axis=0))
+
+
+def band_response(frequency_Hz: ArrayLike, settings: Microphone) -> Complex:
+    """Complex response of the band at frequencies [Hz], e^{-i w t}, so that a delay is +phase; shape as theirs."""
+    frequencies = np.asarray(frequency_Hz, dtype=float)
+    low, high = settings.low_Hz, settings.high_Hz
+    if low is not None and high is not None and low >= high:
+        raise MeasurementError(f"microphone: low_Hz is {low:g} and high_Hz {high:g}; allowed: low_Hz below high_Hz")
+    total = np.ones(frequencies.shape, dtype=complex)
+    for edge, kind in ((low, "highpass"), (high, "lowpass")):
+        if edge is not None:
+            zeros, poles, gain = butter(settings.order, 2.0 * math.pi * edge, kind, analog=True, output="zpk")
+            # SciPy's phasors go with e^{+i w t}
+            total *= freqs_zpk(zeros, poles, gain, worN=2.0 * math.pi * frequencies)[1].conj()
+    return total

@@ -1,0 +1,102 @@
+"""Where a measured scan's points lie on a surface: a rigid motion from the scan's own frame to the surface's."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from palmfield.errors import MeasurementError
+from palmfield.instruments.surface_motion import on_mesh
+from palmfield.transforms import IDENTITY, Transform
+from palmfield.types import Float, Int
+
+ROUNDS = 60
+LEAST_DIRECTION = 1e-2
+"""A motion is not told by the surface where the points leave it by less than this share of what they move."""
+SETTLED_M = 1e-9
+
+
+class Registration(NamedTuple):
+    """A scan's place on a surface.
+
+    transform: from the scan's frame to the surface's; residual_m: distance of each point from the surface, shape (n,)
+    fiducials_m: distance of each fiducial from its partner, shape (k,), empty without them
+    undetermined: of three shifts and three turns, how many the surface does not tell; these stay as they were given
+    """
+
+    transform: Transform
+    residual_m: Float
+    fiducials_m: Float
+    undetermined: int
+
+    @property
+    def rms_m(self) -> float:
+        """Root of the mean square distance from the surface [m]."""
+        return float(np.sqrt(np.mean(self.residual_m**2)))
+
+
+def by_fiducials(measured_m: ArrayLike, surface_m: ArrayLike) -> Transform:
+    """The rigid motion that takes points nearest to their partners, shapes (k, 3), k >= 3 (Kabsch 1976).
+
+    Raises MeasurementError for fewer points, and for points on one line.
+    """
+    theirs, ours = np.asarray(measured_m, dtype=float), np.asarray(surface_m, dtype=float)
+    if theirs.shape != ours.shape or theirs.ndim != 2 or theirs.shape[1] != 3 or len(theirs) < 3:
+        raise MeasurementError(
+            f"fiducials have shapes {theirs.shape} and {ours.shape}; give pairs of (k, 3), three or more"
+        )
+    spread = np.linalg.svd(theirs - theirs.mean(axis=0), compute_uv=False)
+    if spread[1] < 1e-3 * max(spread[0], 1e-300):
+        raise MeasurementError("the fiducials lie on one line, about which nothing tells a turn; give others")
+    turn, _ = Rotation.align_vectors(ours - ours.mean(axis=0), theirs - theirs.mean(axis=0))
+    rotation = turn.as_matrix()
+    return Transform(ours.mean(axis=0) - rotation @ theirs.mean(axis=0), rotation)
+
+
+def to_surface(points_m: ArrayLike, vertices: Float, faces: Int, begin: Transform = IDENTITY) -> tuple[Transform, int]:
+    """The rigid motion near `begin` that brings points onto a mesh, and how many of six directions it does not tell.
+
+    Least squares of the distances along the surface's normals, point to plane (Chen & Medioni 1992), until nothing
+    moves. Directions in which the points slide along the surface, on a plane two shifts and one turn, are left alone.
+    """
+    points = np.asarray(points_m, dtype=float)
+    corners = np.asarray(vertices, dtype=float)[np.asarray(faces)]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)
+    transform, undetermined = begin, 6
+    for _ in range(ROUNDS):
+        at = transform.points(points)
+        found = on_mesh(vertices, faces, at)
+        normals = across[found.triangle]
+        gaps = np.einsum("ni,ni->n", at - found.nearest, normals)
+        middle = at.mean(axis=0)
+        # Turns count by what they move the outermost points, so that all six columns are lengths
+        radius = max(float(np.linalg.norm(at - middle, axis=1).max()), 1e-9)
+        columns = np.hstack([normals, np.cross(at - middle, normals) / radius]) / np.sqrt(len(at))
+        left, sizes, right = np.linalg.svd(columns, full_matrices=False)
+        told = sizes > LEAST_DIRECTION
+        undetermined = int(6 - told.sum())
+        inverse = np.where(told, 1.0 / np.where(told, sizes, 1.0), 0.0)
+        step = -right.T @ (inverse * (left.T @ (gaps / np.sqrt(len(at)))))
+        turn = Rotation.from_rotvec(step[3:] / radius).as_matrix()
+        position = turn @ (transform.position - middle) + middle + step[:3]
+        transform = Transform(position, turn @ transform.rotation)
+        if np.abs(step).max() < SETTLED_M:
+            break
+    return transform, undetermined
+
+
+def registration(
+    points_m: ArrayLike, vertices: Float, faces: Int, *, pairs: tuple[ArrayLike, ArrayLike] | None = None,
+    surface: bool = True,
+) -> Registration:  # fmt: skip
+    """A scan's place: by fiducials where there are pairs (measured, on the surface), then onto the surface."""
+    begin = IDENTITY if pairs is None else by_fiducials(*pairs)
+    transform, undetermined = to_surface(points_m, vertices, faces, begin) if surface else (begin, 6)
+    residual = on_mesh(vertices, faces, transform.points(np.asarray(points_m, dtype=float))).distance_m
+    apart = np.zeros(0)
+    if pairs is not None:
+        measured, ours = (np.asarray(part, dtype=float) for part in pairs)
+        apart = np.linalg.norm(transform.points(measured) - ours, axis=1)
+    return Registration(transform, residual, apart, undetermined)

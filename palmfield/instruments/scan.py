@@ -1,0 +1,82 @@
+"""A scan: what a vibrometer, real or virtual, has recorded at the points of a grid."""
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+import xarray as xr
+
+from palmfield.errors import MeasurementError
+from palmfield.metrics.checks import even_step, trace
+from palmfield.types import Float
+
+Quantity = Literal["displacement", "velocity"]
+QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
+UNITS: dict[Quantity, dict[str, float]] = {
+    "displacement": {"m": 1.0, "mm": 1e-3, "um": 1e-6, "nm": 1e-9},
+    "velocity": {"m/s": 1.0, "mm/s": 1e-3, "um/s": 1e-6},
+}
+"""What a value of 1 is in m and m/s."""
+
+
+@dataclass(frozen=True)
+class Scan:
+    """Records of points, all with the same times.
+
+    quantity: what was read along the beams; times_s: evenly spaced, from the trigger [s], shape (t,)
+    points: [m], shape (n, 3), in a frame of the scan's own; values: [m or m/s], shape (t, n)
+    sights: unit vectors from the points to the head, shape (n, 3), or None where they are not known
+    name: for messages and pictures
+    Raises MeasurementError for other shapes, less than 16 samples, uneven times, numbers that are not finite, points
+    that lie in one place, and lines of sight without a length.
+    """
+
+    quantity: Quantity
+    times_s: Float
+    points: Float
+    values: Float
+    sights: Float | None = None
+    name: str = "scan"
+
+    def __post_init__(self) -> None:
+        if self.quantity not in QUANTITIES:
+            raise MeasurementError(f"{self.name}: quantity is '{self.quantity}'; allowed: {', '.join(QUANTITIES)}")
+        try:
+            times, values = trace(self.times_s, self.values, 16)
+            even_step(times)
+        except MeasurementError as error:
+            raise MeasurementError(f"{self.name}: {error}") from None
+        points = np.asarray(self.points, dtype=float)
+        if values.ndim != 2 or points.shape != (values.shape[1], 3) or not np.isfinite(points).all():
+            raise MeasurementError(
+                f"{self.name}: values are {values.shape}, points {points.shape}; give shapes (t, n) and (n, 3), finite"
+            )
+        for name, value in (("times_s", times), ("values", values), ("points", points)):
+            object.__setattr__(self, name, value)
+        if self.sights is not None:
+            sights = np.asarray(self.sights, dtype=float)
+            lengths = np.linalg.norm(sights, axis=-1, keepdims=True)
+            if sights.shape != points.shape or not (np.isfinite(lengths).all() and lengths.min() > 0.0):
+                raise MeasurementError(
+                    f"{self.name}: sights have shape {sights.shape}; give directions, {points.shape}"
+                )
+            object.__setattr__(self, "sights", sights / lengths)
+
+    @property
+    def rate_Hz(self) -> float:
+        """Samples a second."""
+        return 1.0 / even_step(self.times_s)
+
+    def at_points(self, chosen: "np.ndarray") -> "Scan":
+        """The scan of some of its points, by number or as a mask."""
+        sights = None if self.sights is None else self.sights[chosen]
+        return Scan(self.quantity, self.times_s, self.points[chosen], self.values[:, chosen], sights, self.name)
+
+
+def of_record(record: xr.DataArray, name: str = "palmfield") -> Scan:
+    """The scan that a virtual vibrometer's record is."""
+    points, sights = (
+        np.column_stack([record[f"{prefix}{axis}"].values for axis in "xyz"]) for prefix in ("", "sight_")
+    )
+    quantity: Quantity = "velocity" if record.name == "velocity" else "displacement"
+    return Scan(quantity, record["time"].values, points, record.values, sights, name)

@@ -1,0 +1,48 @@
+"""Places that a scan goes through, on the plane z = 0 of its own frame."""
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
+
+from palmfield.errors import MeasurementError
+from palmfield.metrics.checks import above_zero
+from palmfield.types import Float
+
+
+def rectangle_grid(width_m: float, height_m: float, pitch_m: float) -> Float:
+    """Square grid with a place in the middle, of at most width_m along x and height_m along y [m], shape (n, 3)."""
+    for name, value in (("width_m", width_m), ("height_m", height_m), ("pitch_m", pitch_m)):
+        above_zero(name, value)
+    along = [pitch_m * np.arange(-n, n + 1) for n in (_half(width_m, pitch_m), _half(height_m, pitch_m))]
+    x, y = np.meshgrid(*along, indexing="ij")
+    return np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+
+
+def disc_grid(radius_m: float, pitch_m: float) -> Float:
+    """The places of such a grid that lie on a disc about its middle [m], shape (n, 3)."""
+    grid = rectangle_grid(2.0 * radius_m, 2.0 * radius_m, pitch_m)
+    return grid[np.hypot(grid[:, 0], grid[:, 1]) <= radius_m * (1.0 + 1e-9)]
+
+
+def line_grid(length_m: float, count: int, azimuth_deg: float = 0.0) -> Float:
+    """`count` evenly spaced places on a line through the middle [m], shape (count, 3)."""
+    above_zero("length_m", length_m)
+    if count < 2:
+        raise MeasurementError(f"a line of {count} places is asked for; give 2 or more")
+    along = np.linspace(-0.5 * length_m, 0.5 * length_m, count)
+    angle = math.radians(azimuth_deg)
+    return np.column_stack([along * math.cos(angle), along * math.sin(angle), np.zeros(count)])
+
+
+def pitch(points_m: ArrayLike) -> float:
+    """Median distance of a place to its nearest neighbour [m]."""
+    points = np.asarray(points_m, dtype=float)
+    if points.ndim != 2 or len(points) < 2:
+        raise MeasurementError(f"points have shape {points.shape}; a pitch takes two or more")
+    return float(np.median(cKDTree(points).query(points, k=2)[0][:, 1]))
+
+
+def _half(length_m: float, pitch_m: float) -> int:
+    return math.floor(0.5 * length_m / pitch_m * (1.0 + 1e-9))

@@ -1,0 +1,70 @@
+"""What an instrument is set to: keys with their limits, from Python or from a table of a TOML file."""
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from palmfield.config.base import allowed
+from palmfield.errors import MeasurementError, did_you_mean
+
+Vector3 = Annotated[tuple[float, float, float], Field()]
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+
+
+class Settings(BaseModel):
+    """Base of the settings of instruments. A key that is unknown or out of its limits is a MeasurementError.
+
+    instrument: what messages call it, which is also its table in a TOML file
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    instrument: ClassVar[str]
+
+    def __init__(self, **values: Any):
+        try:
+            super().__init__(**values)
+        except ValidationError as error:
+            told = dict.fromkeys(_explained(type(self), values, one) for one in error.errors())
+            raise MeasurementError(f"{self.instrument}: " + "; ".join(told)) from None
+
+
+Model = TypeVar("Model", bound=Settings)
+
+
+def _explained(model: type[Settings], values: dict[str, Any], error: Any) -> str:
+    if not error["loc"]:
+        return str(error["msg"]).removeprefix("Value error, ")
+    key = str(error["loc"][0])
+    if key not in model.model_fields:
+        near = did_you_mean(key, model.model_fields)
+        return f"unknown key '{key}'{near}; allowed: {', '.join(model.model_fields)}"
+    takes = allowed(model, key)
+    near = did_you_mean(str(values[key]), takes.split(" | ")) if " | " in takes else ""
+    return f"key '{key}' has value {values[key]!r}{near}; allowed: {takes}"
+
+
+def read_settings(path: str | Path, model: type[Model]) -> Model:
+    """Settings from the table of a TOML file that has the instrument's name.
+
+    Raises MeasurementError for a file that can't be read, is no TOML, lacks the table or has others, or has wrong keys.
+    """
+    file = Path(path)
+    try:
+        table = tomllib.loads(file.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise MeasurementError(f"{file}: cannot be read: {error}; give a TOML file") from None
+    except tomllib.TOMLDecodeError as error:
+        raise MeasurementError(f"{file}: is no TOML: {error}") from None
+    name = model.instrument
+    for other in table:
+        if other != name:
+            raise MeasurementError(f"{file}: has [{other}]{did_you_mean(other, [name])}; allowed: [{name}]")
+    if not isinstance(table.get(name), dict):
+        raise MeasurementError(f"{file}: has no table [{name}]; begin with it, and put keys below")
+    try:
+        return model(**table[name])
+    except MeasurementError as error:
+        raise MeasurementError(f"{file}: {error}") from None

@@ -1,0 +1,95 @@
+"""What the electronics of an instrument do to signals over time: filters, integration, sampling, noise.
+
+Signals are float64 of shape (t, ...), evenly sampled, time along the first axis. All functions raise MeasurementError
+for other shapes, NaN, and rates and frequencies that are not above 0.
+"""
+
+import math
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.integrate import cumulative_trapezoid
+from scipy.interpolate import CubicSpline
+from scipy.signal import butter, sosfilt, sosfiltfilt
+
+from palmfield.errors import MeasurementError
+from palmfield.metrics.checks import above_zero, even_step, finite, trace
+from palmfield.types import Float
+
+Phase = Literal["causal", "zero_phase"]
+ORDERS = (1, 12)
+ANTI_ALIAS_ORDER = 8
+ANTI_ALIAS_SHARE = 0.4
+"""Before sampling at a lower rate a zero-phase Butterworth low-pass stands at this share of that rate."""
+
+
+def highpass(signal: ArrayLike, rate_Hz: float, cutoff_Hz: float, order: int, *, phase: Phase = "causal") -> Float:
+    """A Butterworth high-pass of `order`, -3 dB at cutoff_Hz, of a signal that is at rest before it begins.
+
+    phase: "causal", run forward once, as a device does it; "zero_phase", forward and backward (SciPy's `sosfiltfilt`):
+        no delay, the magnitude squared, so -6 dB at cutoff_Hz, and motion before its cause
+    """
+    return _butterworth(signal, rate_Hz, cutoff_Hz, order, phase, "highpass")
+
+
+def lowpass(signal: ArrayLike, rate_Hz: float, cutoff_Hz: float, order: int, *, phase: Phase = "causal") -> Float:
+    """As `highpass`, a low-pass."""
+    return _butterworth(signal, rate_Hz, cutoff_Hz, order, phase, "lowpass")
+
+
+def _butterworth(signal: ArrayLike, rate_Hz: float, cutoff_Hz: float, order: int, phase: str, kind: str) -> Float:
+    values = np.asarray(signal, dtype=float)
+    finite("the signal", values)
+    above_zero("rate_Hz", rate_Hz)
+    above_zero("cutoff_Hz", cutoff_Hz)
+    if cutoff_Hz >= 0.5 * rate_Hz:
+        raise MeasurementError(f"cutoff_Hz is {cutoff_Hz:g}; allowed: below half the rate, {0.5 * rate_Hz:g} Hz")
+    if not ORDERS[0] <= order <= ORDERS[1]:
+        raise MeasurementError(f"order of a filter is {order}; allowed: {ORDERS[0]} to {ORDERS[1]}")
+    # Second-order sections: coefficients of the whole polynomial lose all digits at 50 Hz of 128 kHz
+    sections = butter(order, cutoff_Hz, kind, fs=rate_Hz, output="sos")
+    if phase == "causal":
+        return np.asarray(sosfilt(sections, values, axis=0))
+    if phase != "zero_phase":
+        raise MeasurementError(f"phase is '{phase}'; use causal or zero_phase")
+    padded = min(len(values) - 1, math.ceil(3.0 * rate_Hz / cutoff_Hz))
+    return np.asarray(sosfiltfilt(sections, values, axis=0, padtype="constant", padlen=padded))
+
+
+def integrated(signal: ArrayLike, rate_Hz: float) -> Float:
+    """The integral over time from the first sample on, by trapezoids, 0 there."""
+    values = np.asarray(signal, dtype=float)
+    finite("the signal", values)
+    above_zero("rate_Hz", rate_Hz)
+    return np.asarray(cumulative_trapezoid(values, dx=1.0 / rate_Hz, axis=0, initial=0.0))
+
+
+def sampled(times_s: ArrayLike, signal: ArrayLike, at_s: ArrayLike) -> Float:
+    """A signal at other, evenly spaced times, shape (len(at_s), ...): a cubic spline through its samples.
+
+    Where the signal is sampled faster than `at_s`, a zero-phase Butterworth low-pass of order 8 at 0.4 of the new rate
+    comes first, so that nothing folds back. Before its first time the signal has its first value.
+    Raises MeasurementError for times after its last, which nothing is known of.
+    """
+    times, values = trace(times_s, signal, 4)
+    at = np.asarray(at_s, dtype=float)
+    step = even_step(at)
+    if at[-1] > times[-1] + 1e-6 * step:
+        raise MeasurementError(
+            f"a record until {at[-1]:g} s is asked of motion that ends at {times[-1]:g} s; simulate for longer, or "
+            "record for less"
+        )
+    fine = float(np.median(np.diff(times)))
+    if fine < 0.999 * step:
+        even_step(times)
+        band = ANTI_ALIAS_SHARE / step
+        values = lowpass(values, 1.0 / fine, band, ANTI_ALIAS_ORDER, phase="zero_phase")
+    return np.asarray(CubicSpline(times, values, axis=0)(np.clip(at, times[0], times[-1])))
+
+
+def white_noise(
+    shape: tuple[int, ...], density: float, rate_Hz: float, averages: int, rng: np.random.Generator
+) -> Float:
+    """Noise of a one-sided density [unit/sqrt(Hz)] up to half the rate: deviation density sqrt(rate/2/averages)."""
+    return rng.normal(0.0, density * math.sqrt(0.5 * rate_Hz / averages), shape)

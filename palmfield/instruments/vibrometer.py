@@ -1,0 +1,158 @@
+"""A scanning laser vibrometer: it reads the velocity along its beam, point by point, through a chain of electronics.
+
+The frame is the surface's own. A beam's line of sight is the unit vector from a point to the head, so that motion
+towards the head is positive.
+"""
+
+import math
+from typing import ClassVar, Literal
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike
+from pydantic import Field
+
+from palmfield.errors import MeasurementError
+from palmfield.instruments.settings import NonNegative, Positive, Settings, Vector3
+from palmfield.instruments.signal_chain import Phase, highpass, integrated, lowpass, sampled, white_noise
+from palmfield.instruments.surface_motion import SurfaceMotion
+from palmfield.types import Float
+
+
+class Vibrometer(Settings):
+    """How a vibrometer stands and what it is set to. Raises MeasurementError for values out of their limits."""
+
+    instrument: ClassVar[str] = "vibrometer"
+    incidence_deg: float = Field(
+        default=0.0, ge=0, lt=90, description="angle between the beam to aim_m and the normal there"
+    )
+    azimuth_deg: float = Field(default=0.0, description="of the head about the normal, from x_axis, counter-clockwise")
+    distance_m: Positive | None = Field(
+        default=None, description="of the head from aim_m; none: all beams are parallel"
+    )
+    aim_m: Vector3 = Field(default=(0.0, 0.0, 0.0), description="where the middle beam hits the surface")
+    normal: Vector3 = Field(default=(0.0, 0.0, 1.0), description="outward, at aim_m")
+    x_axis: Vector3 = Field(default=(1.0, 0.0, 0.0), description="azimuth 0, as seen along the normal")
+    as_normal: bool = Field(default=True, description="readings are divided by the cosine of incidence_deg")
+    reading: Literal["velocity", "displacement"] = Field(
+        default="displacement", description="displacement is integrated"
+    )
+    sampling_rate_Hz: Positive = Field(default=128e3, description="of the record")
+    duration_s: Positive | None = Field(default=None, description="of the record; none: as long as the motion lasts")
+    trigger_s: float = Field(default=0.0, description="when the record begins, in the motion's time")
+    flight_s: NonNegative = Field(
+        default=0.0, description="by which motion is later than it was computed: the sound's flight"
+    )
+    highpass_Hz: Positive | None = Field(
+        default=None, description="Butterworth high-pass on the velocity; none: no filter"
+    )
+    highpass_order: int = Field(default=2, ge=1, le=12)
+    lowpass_Hz: Positive | None = Field(
+        default=None, description="Butterworth low-pass on the velocity; none: no filter"
+    )
+    lowpass_order: int = Field(default=5, ge=1, le=12)
+    phase: Phase = Field(default="causal", description="of both filters")
+    noise_m_s_rtHz: NonNegative = Field(default=0.0, description="density of the velocity's white noise")
+    averages: int = Field(default=1, ge=1, description="records of which the mean is taken: noise falls with the root")
+
+
+def lines_of_sight(points_m: ArrayLike, settings: Vibrometer) -> Float:
+    """Unit vectors from points [m], shape (n, 3), to the head, shape (n, 3).
+
+    Raises MeasurementError for a normal of no length, and an x_axis along it.
+    """
+    points = np.atleast_2d(np.asarray(points_m, dtype=float))
+    middle = middle_beam(settings)
+    if settings.distance_m is None:
+        return np.tile(middle, (len(points), 1))
+    beams = np.array(settings.aim_m) + settings.distance_m * middle - points
+    return np.asarray(beams / np.linalg.norm(beams, axis=1, keepdims=True))
+
+
+def middle_beam(settings: Vibrometer) -> Float:
+    """The line of sight of the point that the head is aimed at, shape (3,)."""
+    normal = np.array(settings.normal)
+    length = np.linalg.norm(normal)
+    if not length > 0.0:
+        raise MeasurementError(f"vibrometer: normal is {settings.normal}; give a direction")
+    normal = normal / length
+    along = np.array(settings.x_axis) - (normal @ np.array(settings.x_axis)) * normal
+    if np.linalg.norm(along) < 1e-6 * max(float(np.linalg.norm(settings.x_axis)), 1e-300):
+        raise MeasurementError(f"vibrometer: x_axis {settings.x_axis} lies along the normal; give another direction")
+    along = along / np.linalg.norm(along)
+    incidence, azimuth = math.radians(settings.incidence_deg), math.radians(settings.azimuth_deg)
+    sideways = math.cos(azimuth) * along + math.sin(azimuth) * np.cross(normal, along)
+    return np.asarray(math.cos(incidence) * normal + math.sin(incidence) * sideways)
+
+
+def along_beam(motion: ArrayLike, sights: ArrayLike, settings: Vibrometer) -> Float:
+    """What a beam sees of vectors of shape (t, n, 3), by lines of sight of shape (n, 3): shape (t, n).
+
+    Where settings.as_normal, divided by the cosine of incidence_deg: what a surface without motion along itself moves
+    along its normal, seen by parallel beams. Motion along the surface enters with the tangent: 1 at 45 degrees.
+    """
+    seen = np.einsum("tni,ni->tn", np.asarray(motion, dtype=float), np.asarray(sights, dtype=float))
+    return np.asarray(seen / math.cos(math.radians(settings.incidence_deg)) if settings.as_normal else seen)
+
+
+def vibrometer_record(
+    motion: SurfaceMotion, settings: Vibrometer, *, sights: ArrayLike | None = None, seed: int | None = None
+) -> xr.DataArray:
+    """What the vibrometer records of each point, dimensions (time, point), in m/s or m by settings.reading.
+
+    In this order: velocity along the beam, low-pass against folding, sampling, noise, high-pass, low-pass, integration.
+    Time 0 is the trigger. sights: measured lines of sight, shape (n, 3), in place of those of the settings
+    seed: of the noise; None: another each time
+    Coordinates: time [s]; x, y, z [m] and sight_x, sight_y, sight_z of each point.
+    Raises MeasurementError for points seen from behind, and records that outlast the motion or hold under four samples.
+    """
+    beams = lines_of_sight(motion.points, settings) if sights is None else np.asarray(sights, dtype=float)
+    if beams.shape != motion.points.shape:
+        raise MeasurementError(f"lines of sight have shape {beams.shape}; the points have {motion.points.shape}")
+    _check_seen(motion, beams)
+    seen = along_beam(motion.velocity_m_s, beams, settings)
+    rate = settings.sampling_rate_Hz
+    start = settings.trigger_s - settings.flight_s
+    lasts = motion.times_s[-1] - start if settings.duration_s is None else settings.duration_s
+    count = math.floor(lasts * rate * (1.0 + 1e-12) + 1e-6) + (settings.duration_s is None)
+    if count < 4:
+        raise MeasurementError(f"a record of {lasts:g} s holds {count} samples at {rate:g} Hz; it takes four or more")
+    times = np.arange(count) / rate
+    signal = sampled(motion.times_s, seen, start + times)
+    if settings.noise_m_s_rtHz > 0.0:
+        rng = np.random.default_rng(seed)
+        signal = signal + white_noise(signal.shape, settings.noise_m_s_rtHz, rate, settings.averages, rng)
+    return labelled(times, chain(signal, settings), motion.points, beams, settings.reading)
+
+
+def _check_seen(motion: SurfaceMotion, beams: Float) -> None:
+    across = np.einsum("ni,ni->n", motion.normals, beams)
+    worst = int(across.argmin())
+    if across[worst] <= 0.0:
+        place, normal = (", ".join(f"{x:.3g}" for x in part[worst]) for part in (motion.points, motion.normals))
+        raise MeasurementError(
+            f"vibrometer: point {worst} at ({place}) m, whose outward normal is ({normal}), turns away from the head; "
+            "mend normal, aim_m or incidence_deg, or leave the point out"
+        )
+
+
+def chain(velocity: ArrayLike, settings: Vibrometer) -> Float:
+    """Filters and integration of settings, on velocities along the beam at the sampling rate, shape (t, n)."""
+    signal = np.asarray(velocity, dtype=float)
+    rate = settings.sampling_rate_Hz
+    if settings.highpass_Hz is not None:
+        signal = highpass(signal, rate, settings.highpass_Hz, settings.highpass_order, phase=settings.phase)
+    if settings.lowpass_Hz is not None:
+        signal = lowpass(signal, rate, settings.lowpass_Hz, settings.lowpass_order, phase=settings.phase)
+    return integrated(signal, rate) if settings.reading == "displacement" else signal
+
+
+def labelled(times_s: Float, values: Float, points_m: Float, sights: Float, reading: str) -> xr.DataArray:
+    """A record with its times, places and lines of sight."""
+    units = "m" if reading == "displacement" else "m s-1"
+    coordinates = {"time": ("time", times_s, {"units": "s", "long_name": "from the trigger"})}
+    for column, axis in enumerate("xyz"):
+        coordinates[axis] = ("point", points_m[:, column], {"units": "m"})
+        coordinates[f"sight_{axis}"] = ("point", sights[:, column], {"units": "1"})
+    attributes = {"units": units, "long_name": f"{reading} along the beam", "sign": "positive towards the head"}
+    return xr.DataArray(values, coordinates, ("time", "point"), reading, attributes)

@@ -1,0 +1,104 @@
+"""A picture of a safety sheet: levels over a head's ball and over the skins, with limits, and over the play."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from palmfield.errors import OutputError
+from palmfield.types import Float
+
+if TYPE_CHECKING:
+    from matplotlib.tri import Triangulation
+
+SHOWN_DB = 40.0
+"""Below the loudest place: what is softer has the colour of that."""
+FAR = 4.0
+"""Of the median: edges longer than that join places with nothing between."""
+
+
+@dataclass(frozen=True)
+class LevelMap:
+    """The highest level of a play at each place of a region, seen in a plane.
+
+    places_m: in the plane [m], shape (n, 2); levels_dB: shape (n,); loudest_m: the loudest place, shape (2,)
+    loudest_dB: the level there; limits_dB: by what they are; axes: what the plane's two directions are, in words
+    """
+
+    name: str
+    places_m: Float
+    levels_dB: Float
+    loudest_m: Float
+    loudest_dB: float
+    limits_dB: Mapping[str, float]
+    axes: tuple[str, str]
+
+
+@dataclass(frozen=True)
+class LevelCourse:
+    """The level at the loudest place of each region at moments of a play. levels_dB: by region, shapes (k,)"""
+
+    times_s: Float
+    levels_dB: Mapping[str, Float]
+
+
+def draw_levels(title: str, maps: Sequence[LevelMap], course: LevelCourse, path: Path) -> None:
+    """Draw maps side by side, and the course below them, into a PNG. Raises OutputError where it can't be written."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(max(8.0, 4.6 * len(maps)), 7.0), layout="constrained")
+    FigureCanvasAgg(figure)
+    grid = figure.add_gridspec(2, len(maps), height_ratios=[3, 2])
+    for number, one in enumerate(maps):
+        axes = figure.add_subplot(grid[0, number])
+        mesh = _meshed(1e3 * one.places_m)
+        seen = np.maximum(one.levels_dB, one.loudest_dB - SHOWN_DB)
+        shown = axes.tripcolor(mesh, seen, shading="gouraud", cmap="viridis")
+        figure.colorbar(shown, ax=axes, label="dB SPL")
+        limits = {what: limit for what, limit in one.limits_dB.items() if seen.min() < limit < seen.max()}
+        if limits:
+            ordered = sorted(limits.items(), key=lambda pair: pair[1])
+            lines = axes.tricontour(mesh, seen, levels=[limit for _, limit in ordered], colors="w", linewidths=1.0)
+            axes.clabel(lines, fmt=lambda value: f"{value:g} dB", fontsize=7)
+        axes.plot(*(1e3 * one.loudest_m), "r+", ms=10, mew=1.5)
+        above = [f"{limit:g} ({what})" for what, limit in one.limits_dB.items() if one.loudest_dB > limit]
+        said = "above " + ", ".join(above) if above else "below its limits" if one.limits_dB else "no limit is set"
+        axes.set_title(f"{one.name}: {one.loudest_dB:.0f} dB at +\n{said}", fontsize=8)
+        axes.set_xlabel(f"{one.axes[0]} [mm]")
+        axes.set_ylabel(f"{one.axes[1]} [mm]")
+        axes.set_aspect("equal")
+    over = figure.add_subplot(grid[1, :])
+    for number, (name, levels) in enumerate(course.levels_dB.items()):
+        over.plot(course.times_s, levels, ".-", ms=3, lw=0.8, color=f"C{number}", label=f"loudest place of {name}")
+    for what, limit in {what: limit for one in maps for what, limit in one.limits_dB.items()}.items():
+        place: dict[str, Any] = {"xycoords": ("axes fraction", "data"), "ha": "right", "va": "bottom"}
+        over.axhline(limit, color="C3", lw=0.9, ls="--")
+        over.annotate(f"head: {what}", (1.0, limit), fontsize=7, color="C3", **place)
+    known = np.concatenate([*course.levels_dB.values(), [limit for one in maps for limit in one.limits_dB.values()]])
+    known = known[np.isfinite(known)]
+    if len(known):
+        over.set_ylim(max(known.min(), known.max() - 2.0 * SHOWN_DB) - 3.0, known.max() + 5.0)
+    over.set_xlabel("time of the play [s]")
+    over.set_ylabel("dB SPL")
+    over.legend(loc="lower left", fontsize=8)
+    figure.suptitle(title, fontsize=11)
+    try:
+        figure.savefig(path, dpi=110)
+    except OSError as problem:
+        raise OutputError(
+            f"cannot write {path}: {problem.strerror}; choose a folder that exists and has room"
+        ) from None
+
+
+def _meshed(places: Float) -> "Triangulation":
+    """Triangles between places, shape (n, 2), none of them across what is no part of the region."""
+    from matplotlib.tri import Triangulation
+
+    mesh = Triangulation(*places.T)
+    corners = places[mesh.triangles]
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    mesh.set_mask(longest > FAR * np.median(longest))
+    return mesh

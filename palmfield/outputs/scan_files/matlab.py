@@ -1,0 +1,64 @@
+"""Scans as MATLAB files.
+
+Variables: `time_s` (t), `points_m` (n by 3), `velocity_m_s` or `displacement_m` (t by n), and `sights` (n by 3), which
+may be missing. Files up to version 7 are read by SciPy, and 7.3, which is HDF5, by h5py; written is version 5.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from scipy.io import loadmat, savemat
+
+from palmfield.errors import MeasurementError, OutputError
+from palmfield.instruments.scan import Quantity, Scan
+
+VALUES: dict[str, Quantity] = {"velocity_m_s": "velocity", "displacement_m": "displacement"}
+NAMES = {quantity: name for name, quantity in VALUES.items()}
+KNOWN = ("time_s", "points_m", "sights", *VALUES)
+
+
+def read_mat(file: Path) -> Scan:
+    """A scan from a MATLAB file. Raises MeasurementError for one without these variables, or with others' shapes."""
+    try:
+        found = _variables(file)
+    except Exception as error:
+        # SciPy raises what it meets in a broken file, from ValueError to zlib's own errors
+        raise MeasurementError(f"{file}: cannot be read: {error}; give a MATLAB file") from None
+    there = [name for name in VALUES if name in found]
+    if len(there) != 1:
+        raise MeasurementError(f"{file}: has {' and '.join(there) or 'neither'}; give one of {', '.join(VALUES)}")
+    for name in ("time_s", "points_m"):
+        if name not in found:
+            raise MeasurementError(f"{file}: has no variable '{name}'; give {', '.join(KNOWN)}")
+    for name in KNOWN:
+        if name in found and (np.asarray(found[name]).dtype.kind not in "fiu"):
+            raise MeasurementError(f"{file}: variable {name} is not of real numbers")
+    arrays = {name: np.asarray(found[name], dtype=float) for name in KNOWN if name in found}
+    return Scan(
+        VALUES[there[0]],
+        arrays["time_s"].ravel(),
+        arrays["points_m"],
+        arrays[there[0]],
+        arrays.get("sights"),
+        file.name,
+    )
+
+
+def _variables(file: Path) -> dict[str, Any]:
+    try:
+        return dict(loadmat(file, variable_names=KNOWN))
+    except NotImplementedError:
+        with h5py.File(file) as opened:
+            # MATLAB stores columns first, so that HDF5 sees its arrays turned over
+            return {name: np.asarray(opened[name]).T for name in KNOWN if name in opened}
+
+
+def write_mat(file: Path, scan: Scan) -> None:
+    """Write a scan so that `read_mat` reads it back unchanged. Raises OutputError where it can't be written."""
+    variables = {"time_s": scan.times_s[:, None], "points_m": scan.points, NAMES[scan.quantity]: scan.values}
+    try:
+        savemat(file, variables | ({} if scan.sights is None else {"sights": scan.sights}), appendmat=False)
+    except OSError as error:
+        raise OutputError(f"{file}: cannot be written: {error}; give a place that can be written to") from None

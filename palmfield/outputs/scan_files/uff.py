@@ -1,0 +1,218 @@
+"""Scans and shapes as Universal File Format, which vibrometers' software reads and writes, by pyuff (extra [uff]).
+
+Read are nodes (data sets 15 and 2411), units (164), functions at nodes (58, and 58b in binary), and shapes (55).
+Written are 164, 2411, trace lines (82), 58 or 58b, and 55. A function's fourth line holds the beam: `sight x y z`.
+"""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from palmfield.errors import MeasurementError, OutputError
+from palmfield.instruments.scan import Quantity, Scan
+from palmfield.types import Complex, Float
+
+KINDS: dict[int, Quantity] = {8: "displacement", 11: "velocity"}
+NUMBERS = {quantity: number for number, quantity in KINDS.items()}
+TIME_RESPONSE = 1
+SIGHT = "sight "
+LONGEST_LINE = 250
+LONGEST_PATH = 80
+"""pyuff passes on files with any path; messages of it are cut at so many letters."""
+
+
+class Shape(NamedTuple):
+    """Complex amplitudes along the beams at one frequency, e^{-i w t}. points: [m], (n, 3); amplitudes: (n,)"""
+
+    quantity: Quantity
+    frequency_Hz: float
+    points: Float
+    amplitudes: Complex
+
+
+def _pyuff() -> Any:
+    try:
+        import pyuff
+    except ModuleNotFoundError:
+        raise OutputError("files of UFF need the extra [uff]: pip install 'palmfield[uff]'") from None
+    return pyuff
+
+
+def _sets(file: Path) -> list[dict[str, Any]]:
+    if not file.is_file():
+        raise MeasurementError(f"{file}: cannot be read: it is no file; give a UFF file")
+    pyuff = _pyuff()
+    try:
+        opened = pyuff.UFF(str(file))
+        wanted = {15, 2411, 164, 58, 55}
+        # pyuff raises plain Exceptions, and reads what it doesn't know as nothing
+        found = [opened.read_sets(n) for n, kind in enumerate(opened.get_set_types()) if int(kind) in wanted]
+    except Exception as error:
+        text = " ".join(str(error).split())[:LONGEST_PATH]
+        raise MeasurementError(f"{file}: is not readable as UFF: {text or type(error).__name__}") from None
+    if not found:
+        raise MeasurementError(f"{file}: holds no data sets 15, 2411, 58 or 55; give a UFF file of a scan")
+    return [one for one in found if one]
+
+
+def _nodes(file: Path, sets: list[dict[str, Any]]) -> tuple[dict[int, Float], float]:
+    """Places of nodes [m] by number, and what a length of 1 in the file is [m]."""
+    factors = [float(one["length"]) for one in sets if one["type"] == 164]
+    metre = 1.0 / factors[-1] if factors else 1.0
+    places: dict[int, Float] = {}
+    for one in sets:
+        if one["type"] in (15, 2411):
+            table = np.column_stack([one["x"], one["y"], one["z"]]) * metre
+            places |= {int(number): place for number, place in zip(one["node_nums"], table, strict=True)}
+    if not places:
+        raise MeasurementError(f"{file}: has no nodes (data sets 15 or 2411), so that no place is known")
+    return places, metre
+
+
+def read_uff(file: Path) -> Scan:
+    """The time responses of displacement or velocity in a file, as one scan.
+
+    Raises MeasurementError for files without them, with several quantities, different times or nodes without a place.
+    """
+    sets = _sets(file)
+    places, metre = _nodes(file, sets)
+    functions = [one for one in sets if one["type"] == 58 and int(one.get("func_type", 0)) == TIME_RESPONSE]
+    if not functions:
+        raise MeasurementError(f"{file}: has no time responses (data set 58 of function type 1)")
+    kinds = {int(one["ordinate_spec_data_type"]) for one in functions}
+    if len(kinds) != 1 or not kinds <= set(KINDS):
+        raise MeasurementError(
+            f"{file}: time responses are of data types {', '.join(map(str, sorted(kinds)))}; allowed: one of 8 "
+            "(displacement) and 11 (velocity)"
+        )
+    first = functions[0]
+    times = np.asarray(first["x"], dtype=float)
+    if first.get("abscissa_spacing") == 1:
+        times = float(first["abscissa_min"]) + float(first["abscissa_inc"]) * np.arange(len(times))
+    values, points, sights = [], [], []
+    for one in functions:
+        node = int(one["rsp_node"])
+        if node not in places:
+            raise MeasurementError(f"{file}: a time response is of node {node}, which has no place")
+        record = np.asarray(one["data"])
+        if len(record) != len(times) or np.abs(np.asarray(one["x"]) - np.asarray(first["x"])).max() > 1e-9:
+            raise MeasurementError(f"{file}: the times of node {node} are not those of node {int(first['rsp_node'])}")
+        # A direction of the node's axes; towards -3 is what moves away along z
+        values.append((-metre if int(one.get("rsp_dir", 0)) < 0 else metre) * record.real)
+        points.append(places[node])
+        sights.append(_sight(str(one.get("id4", ""))))
+    known = all(sight is not None for sight in sights)
+    return Scan(
+        KINDS[kinds.pop()], times, np.array(points), np.array(values).T, np.array(sights) if known else None, file.name
+    )
+
+
+def _sight(text: str) -> list[float] | None:
+    if not text.startswith(SIGHT):
+        return None
+    try:
+        numbers = [float(part) for part in text[len(SIGHT) :].split()]
+    except ValueError:
+        return None
+    return numbers if len(numbers) == 3 else None
+
+
+def _geometry(points: Float) -> list[dict[str, Any]]:
+    count = len(points)
+    numbers = np.arange(1, count + 1)
+    zeros = np.zeros(count, dtype=int)
+    lines = [
+        {"type": 82, "trace_num": n + 1, "id": "scan", "color": 1, "nodes": numbers[begin : begin + LONGEST_LINE]}
+        for n, begin in enumerate(range(0, count, LONGEST_LINE - 1))
+        if len(numbers[begin : begin + LONGEST_LINE]) > 1
+    ]
+    return [
+        {"type": 164, "units_code": 1, "units_description": "SI", "temp_mode": 1, "length": 1.0, "force": 1.0,
+         "temp": 1.0, "temp_offset": 0.0},
+        {"type": 2411, "node_nums": numbers, "def_cs": zeros, "disp_cs": zeros, "color": zeros, "x": points[:, 0],
+         "y": points[:, 1], "z": points[:, 2]},
+        *lines,
+    ]  # fmt: skip
+
+
+def write_uff(file: Path, scan: Scan, *, binary: bool = True) -> None:
+    """Write a scan: units, nodes, trace lines, and a time response for each point, as 58b or, not binary, as 58.
+
+    Times are single precision in a header, which is 1e-6 of the step. Raises OutputError where it can't be written.
+    """
+    step = 1.0 / scan.rate_Hz
+    number = NUMBERS[scan.quantity]
+    functions = []
+    for n in range(len(scan.points)):
+        beam = "NONE" if scan.sights is None else SIGHT + " ".join(f"{x:.9g}" for x in scan.sights[n])
+        functions.append(
+            {"type": 58, "binary": int(binary), "func_type": TIME_RESPONSE, "rsp_node": n + 1, "rsp_dir": 3,
+             "ref_node": 0, "ref_dir": 0, "rsp_ent_name": "NONE", "ref_ent_name": "NONE", "data": scan.values[:, n],
+             "x": scan.times_s, "id1": f"{scan.quantity} along the beam", "id2": "palmfield", "id3": "NONE",
+             "id4": beam, "id5": "NONE", "ver_num": 1, "load_case_id": 0, "ord_data_type": 4,
+             "abscissa_spacing": 1, "abscissa_min": float(scan.times_s[0]), "abscissa_inc": step,
+             "num_pts": len(scan.times_s), "z_axis_value": 0.0, "abscissa_spec_data_type": 17,
+             "orddenom_spec_data_type": 0, "abscissa_axis_lab": "Time",
+             "abscissa_axis_units_lab": "s", "ordinate_spec_data_type": number,
+             "ordinate_axis_lab": scan.quantity, "ordinate_axis_units_lab": "m/s" if number == 11 else "m"}
+        )  # fmt: skip
+    _write(file, [*_geometry(scan.points), *functions])
+
+
+def _write(file: Path, sets: list[dict[str, Any]]) -> None:
+    pyuff = _pyuff()
+    try:
+        # Found out before pyuff appends to the file, set by set
+        file.write_bytes(b"")
+        pyuff.UFF(str(file)).write_sets(sets, mode="overwrite")
+    except OSError as error:
+        raise OutputError(f"{file}: cannot be written: {error}; give a place that can be written to") from None
+    except Exception as error:
+        raise OutputError(f"{file}: cannot be written: {' '.join(str(error).split())[:LONGEST_PATH]}") from None
+
+
+def read_shapes(file: Path) -> list[Shape]:
+    """The complex shapes (data set 55, frequency response, displacement or velocity) of a file, along z of each node.
+
+    UFF's phasors go with e^{+i w t}; amplitudes are turned to e^{-i w t}. Raises MeasurementError as `read_uff`.
+    """
+    sets = _sets(file)
+    places, metre = _nodes(file, sets)
+    shapes = []
+    for one in sets:
+        if one["type"] != 55 or int(one["spec_data_type"]) not in KINDS or "freq" not in one:
+            continue
+        numbers = [int(number) for number in one["node_nums"]]
+        lost = [number for number in numbers if number not in places]
+        if lost:
+            raise MeasurementError(f"{file}: a shape has node {lost[0]}, which has no place")
+        amplitudes = metre * np.conj(np.asarray(one["r3"], dtype=complex))
+        points = np.array([places[number] for number in numbers])
+        shapes.append(
+            Shape(KINDS[int(one["spec_data_type"])], float(one["freq"]), points, np.asarray(amplitudes, complex))
+        )
+    if not shapes:
+        raise MeasurementError(f"{file}: has no shapes of displacement or velocity at a frequency (data set 55)")
+    return shapes
+
+
+def write_shapes(file: Path, shapes: list[Shape]) -> None:
+    """Write shapes at one scan's points: units, nodes, trace lines and a data set 55 each.
+
+    Raises OutputError for none, for shapes at different points, and where the file can't be written.
+    """
+    if not shapes or any(not np.array_equal(shapes[0].points, one.points) for one in shapes):
+        raise OutputError("shapes of one file are at the same points; give one or more")
+    sets = _geometry(np.asarray(shapes[0].points, dtype=float))
+    for n, shape in enumerate(shapes):
+        silent: ArrayLike = np.zeros(len(shape.points), dtype=complex)
+        sets.append(
+            {"type": 55, "id1": f"{shape.quantity} along the beam", "id2": "NONE", "id3": "NONE", "id4": "NONE",
+             "id5": "NONE", "model_type": 1, "analysis_type": 5, "data_ch": 2, "spec_data_type":
+             NUMBERS[shape.quantity], "data_type": 5, "n_data_per_node": 3, "load_case": 1, "freq_step_n": n + 1,
+             "freq": shape.frequency_Hz, "node_nums": np.arange(1, len(shape.points) + 1), "r1": silent, "r2": silent,
+             "r3": np.asarray(shape.amplitudes).conj()}
+        )  # fmt: skip
+    _write(file, sets)

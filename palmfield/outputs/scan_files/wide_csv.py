@@ -1,0 +1,113 @@
+"""Scans as CSV: a column of times, and one for each point.
+
+# quantity: velocity
+# unit: mm/s
+time_s,P1,P2,P3
+x_m,0,0.005,0.01
+y_m,0,0,0
+z_m,0,0,0
+sight_x,0.7071,0.7071,0.7071      (the three lines of sight_x, sight_y, sight_z may be left out)
+...
+0,0.013,0.012,-0.001
+7.8125e-06,0.013,0.011,-0.001
+"""
+
+import csv
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from palmfield.errors import MeasurementError, OutputError, did_you_mean
+from palmfield.instruments.scan import QUANTITIES, UNITS, Quantity, Scan
+from palmfield.tables import UNREADABLE
+
+PLACES = ("x_m", "y_m", "z_m")
+SIGHTS = ("sight_x", "sight_y", "sight_z")
+
+
+def read_csv(file: Path) -> Scan:
+    """A scan from a CSV file. Raises MeasurementError with line and column for what is wrong in it."""
+    head: dict[str, str] = {}
+    rows: list[tuple[int, list[str]]] = []
+    try:
+        with file.open(newline="", encoding="utf-8-sig") as text:
+            for number, line in enumerate(text, 1):
+                if line.startswith("#"):
+                    name, _, value = line[1:].partition(":")
+                    head[name.strip()] = value.strip()
+                elif line.strip():
+                    rows.append((number, [cell.strip() for cell in next(csv.reader([line]))]))
+    except UNREADABLE as error:
+        raise MeasurementError(f"{file}: cannot be read: {error}; give a CSV file (UTF-8)") from None
+    quantity, factor = _quantity(file, head)
+    if not rows or rows[0][1][0] != "time_s" or len(rows[0][1]) < 2:
+        found = rows[0][1][0] if rows else "nothing"
+        raise MeasurementError(
+            f"{file}: begins with '{found}'; the first line of values is time_s and the points' names"
+        )
+    names = rows[0][1][1:]
+    labelled: dict[str, list[float]] = {}
+    numbers: list[list[float]] = []
+    for line_number, cells in rows[1:]:
+        if len(cells) != len(names) + 1:
+            raise MeasurementError(
+                f"{file}: line {line_number} has {len(cells)} values for {len(names) + 1} columns; give one for each"
+            )
+        if cells[0] in (*PLACES, *SIGHTS):
+            labelled[cells[0]] = [_number(file, line_number, n, c) for n, c in zip(names, cells[1:], strict=True)]
+        else:
+            columns = zip(("time_s", *names), cells, strict=True)
+            numbers.append([_number(file, line_number, n, c) for n, c in columns])
+    for name in PLACES if not set(SIGHTS) & set(labelled) else (*PLACES, *SIGHTS):
+        if name not in labelled:
+            raise MeasurementError(f"{file}: has no line '{name},...'; give the points' {', '.join(PLACES)}")
+    table = np.array(numbers).reshape(-1, len(names) + 1)
+    for first, second in pairwise(range(len(table))):
+        if table[second, 0] <= table[first, 0]:
+            raise MeasurementError(f"{file}: time {table[second, 0]:g} follows {table[first, 0]:g}; times must rise")
+    points, sights = (
+        np.array([labelled[name] for name in part]).T if part[0] in labelled else None for part in (PLACES, SIGHTS)
+    )
+    assert points is not None
+    return Scan(quantity, table[:, 0], points, factor * table[:, 1:], sights, file.name)
+
+
+def _quantity(file: Path, head: dict[str, str]) -> tuple[Quantity, float]:
+    example = "begin with lines '# quantity: velocity' and '# unit: mm/s'"
+    for name in ("quantity", "unit"):
+        if name not in head:
+            raise MeasurementError(f"{file}: has no line '# {name}: ...'; {example}")
+    if head["quantity"] not in QUANTITIES:
+        near = did_you_mean(head["quantity"], QUANTITIES)
+        raise MeasurementError(f"{file}: quantity is '{head['quantity']}'{near}; allowed: {', '.join(QUANTITIES)}")
+    quantity: Quantity = "velocity" if head["quantity"] == "velocity" else "displacement"
+    if head["unit"] not in UNITS[quantity]:
+        raise MeasurementError(f"{file}: unit of {quantity} is '{head['unit']}'; allowed: {', '.join(UNITS[quantity])}")
+    return quantity, UNITS[quantity][head["unit"]]
+
+
+def _number(file: Path, line: int, column: str, cell: str) -> float:
+    try:
+        value = float(cell)
+    except ValueError:
+        raise MeasurementError(f"{file}: line {line}, column {column}: '{cell}' is not a number") from None
+    if not np.isfinite(value):
+        raise MeasurementError(f"{file}: line {line}, column {column}: {cell}; give a finite number")
+    return value
+
+
+def write_csv(file: Path, scan: Scan) -> None:
+    """Write a scan so that `read_csv` reads it back unchanged. Raises OutputError where it can't be written."""
+    unit = "m/s" if scan.quantity == "velocity" else "m"
+    try:
+        with file.open("w", newline="", encoding="utf-8") as text:
+            text.write(f"# quantity: {scan.quantity}\n# unit: {unit}\n")
+            writer = csv.writer(text)
+            writer.writerow(["time_s", *(f"P{n + 1}" for n in range(len(scan.points)))])
+            for names, columns in ((PLACES, scan.points), (SIGHTS, scan.sights)):
+                if columns is not None:
+                    writer.writerows([name, *row] for name, row in zip(names, columns.T.tolist(), strict=True))
+            writer.writerows(np.column_stack([scan.times_s, scan.values]).tolist())
+    except OSError as error:
+        raise OutputError(f"{file}: cannot be written: {error}; give a place that can be written to") from None

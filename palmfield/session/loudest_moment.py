@@ -1,0 +1,58 @@
+"""The moment of a run at which the ARP on a skin was highest, and the places that belong to it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from palmfield.simulation.model import HapticModel
+from palmfield.simulation.posed_scene import PosedScene
+from palmfield.simulation.radiation import Radiation
+from palmfield.stimulus.schedule import frame_at
+from palmfield.types import Complex, Float
+
+
+@dataclass(frozen=True)
+class LoudestMoment:
+    """The moment of a run at which the ARP on a skin was highest.
+
+    time_s: when, by MuJoCo's clock [s]; posed: where everything was
+    drive: what all transducers emitted, relative to full drive, shape (N,); factor: of its ARP
+    """
+
+    time_s: float
+    posed: PosedScene
+    drive: Complex
+    factor: float
+
+
+def nearest_focus(foci: Float, nodes: Float) -> Float:
+    """The one of some points, shape (3,) or (k, 3), that is nearest to a skin's nodes, shape (S, 3); shape (3,)."""
+    places = np.atleast_2d(foci)
+    nearest: Float = places[int(np.argmin([np.linalg.norm(nodes - place, axis=1).min() for place in places]))]
+    return nearest
+
+
+def loudest_place(posed: PosedScene, skin: int, radiation: Radiation, drive: Complex) -> tuple[Float, Float]:
+    """Where the ARP on a skin is highest under a drive of all transducers (N,): a node and its outward normal.
+
+    Both in the frame of the first array, shapes (3,) [m]; the first node's where no sound pushes any.
+    """
+    nodes, outwards = posed.skins[skin].nodes
+    highest = int(radiation.on(posed, skin, "nodes", drive).arp.argmax())
+    return nodes[highest], outwards[highest]
+
+
+def place_under_focus(model: HapticModel, skin: int, loudest: LoudestMoment) -> Float:
+    """The place of the resting skin that is nearest to a focus at the loudest moment, body frame [m], shape (3,)."""
+    posed = loudest.posed.skins[skin]
+    nodes = posed.nodes[0]
+    foci = []
+    for number, stimulus in enumerate(model.stimuli):
+        if not stimulus.silent:
+            places = loudest.posed.focal_points(stimulus, number)
+            foci += list(np.atleast_2d(places.at(frame_at(stimulus.config, loudest.time_s).focus)))
+    focus = nearest_focus(np.array(foci), nodes)
+    if posed.body.model.hand is None:
+        return posed.body.frame.inverse_points(focus)
+    nearest = np.linalg.norm(nodes - focus, axis=1).argmin()
+    return model.skins[skin].nodes[0][nearest]

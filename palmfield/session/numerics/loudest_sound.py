@@ -1,0 +1,58 @@
+"""The sound of a run's loudest moment, on whatever mesh a skin's layer is given."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+
+from palmfield.session.loudest_moment import LoudestMoment
+from palmfield.simulation.model import HapticModel, SkinModel
+from palmfield.simulation.posed_scene import PosedScene, PosedSkin, PosedSurface
+from palmfield.simulation.radiation import Radiation
+from palmfield.skin.scene_layer import SceneLayer
+from palmfield.types import Float
+
+T = TypeVar("T")
+
+
+class LoudestSound:
+    """ARP of the loudest moment on other meshes of a skin's layer."""
+
+    def __init__(self, model: HapticModel, skin: int, loudest: LoudestMoment, radiation: Radiation):
+        self.model, self.skin, self.loudest, self.radiation = model, skin, loudest, radiation
+        self.on_own: Float = self._arp(radiation, loudest.posed)
+
+    def on(self, layer: SceneLayer) -> Float:
+        """ARP [Pa] at a layer's quadrature points, shape (q,)."""
+        model, skin, posed = self.model, self.skin, self.loudest.posed
+        part = model.skins[skin]
+        if layer is part.layer:
+            return self.on_own
+        other = SkinModel(part.spec, part.body, part.carrier, layer, part.choice, part.still_m)
+        place, body = posed.skins[skin], posed.bodies[part.body]
+        disc = part.carrier.surface is None
+        if disc:
+            # The boundary of a disc is that of its skin's mesh; any other body's is its own.
+            body = PosedSurface(part.carrier, other, body.frame, (body.bone_positions, body.bone_rotations))
+        obstacles = place.obstacle_positions, place.obstacle_rotations
+        varied_model = replace(model, skins=_exchanged(model.skins, skin, other))
+        varied = PosedScene(
+            posed.array_frame,
+            posed.arrays,
+            posed.frames,
+            _exchanged(posed.bodies, part.body, body),
+            _exchanged(posed.skins, skin, PosedSkin(other, body, obstacles)),
+        )
+        radiation, solved = Radiation(varied_model), self.radiation.scattered_fields()
+        if skin in solved and not disc:
+            radiation.adopt({skin: (varied, *solved[skin][1:])})
+        return self._arp(radiation, varied)
+
+    def _arp(self, radiation: Radiation, posed: PosedScene) -> Float:
+        return radiation.on(posed, self.skin, "quadrature", self.loudest.drive).arp.astype(np.float64)
+
+
+def _exchanged(parts: Sequence[T], number: int, other: T) -> tuple[T, ...]:
+    """The parts, with another one in one's place."""
+    return (*parts[:number], other, *parts[number + 1 :])

@@ -1,0 +1,5 @@
+"""A measured scan held against a run.
+
+from palmfield.studies.compare.run import compare
+print(compare("out/palm", "scan.csv"))
+"""

@@ -1,0 +1,149 @@
+"""What a comparison says: in words, as JSON, as a table of points."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from palmfield.errors import OutputError
+from palmfield.instruments.agreement import Agreement
+from palmfield.instruments.guided_mode import GuidedMode
+from palmfield.instruments.registration import Registration
+from palmfield.instruments.scan import Scan
+from palmfield.studies.compare.waves import as_dict, in_words
+from palmfield.tables import write_table
+from palmfield.types import Float
+
+QUIET = 0.1
+"""Points whose measured rms is below this share of the loudest are left out of medians."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A measured scan against a run's skin.
+
+    measured, skin: their names; quantity: what was read; place: where the scan lies on the skin
+    near: which of its points are close enough to be compared, shape (points,), bool; computed: ours, at these
+    numbers: of these points; bare: no instrument was told; cut_s: how much of the scan is later than the run [s]
+    most_delay_s: within what delays were sought; modes: the guided mode at mode_Hz, measured and computed, if asked for
+    """
+
+    measured: str
+    skin: str
+    quantity: str
+    place: Registration
+    near: np.ndarray
+    computed: Scan
+    numbers: Agreement
+    bare: bool
+    cut_s: float
+    most_delay_s: float
+    mode_Hz: float | None = None
+    modes: tuple[GuidedMode, GuidedMode] | None = None
+
+    @property
+    def loud(self) -> np.ndarray:
+        """Which of the compared points move enough to count in medians."""
+        return np.asarray(self.numbers.level >= QUIET)
+
+    def median(self, name: str) -> tuple[float, float, float]:
+        """Median and quartiles of one of the numbers, of the points that move enough."""
+        low, middle, high = np.quantile(getattr(self.numbers, name)[self.loud], [0.25, 0.5, 0.75])
+        return float(middle), float(low), float(high)
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        turn = Rotation.from_matrix(self.place.transform.rotation)
+        return {
+            "measured": self.measured,
+            "skin": self.skin,
+            "quantity": self.quantity,
+            "points": len(self.near),
+            "points_compared": int(self.near.sum()),
+            "points_in_medians": int(self.loud.sum()),
+            "position_m": self.place.transform.position.tolist(),
+            "rotation_vector_deg": np.degrees(turn.as_rotvec()).tolist(),
+            "residual_rms_m": self.place.rms_m,
+            "residual_largest_m": float(self.place.residual_m.max()),
+            "fiducials_m": self.place.fiducials_m.tolist(),
+            "undetermined_directions": self.place.undetermined,
+            "cut_off_s": self.cut_s,
+            "instrument_told": not self.bare,
+            **{
+                name: dict(zip(("median", "low_quartile", "high_quartile"), self.median(name), strict=True))
+                for name in ("gain", "delay_s", "l2", "l2_shape", "coherence")
+            },
+            **self._modes(),
+            "ambiguous_delays": int(self.numbers.ambiguous[self.loud].sum()),
+        }
+
+    def _modes(self) -> dict[str, Any]:
+        if self.modes is None:
+            return {}
+        measured, computed = (as_dict(mode) for mode in self.modes)
+        return {"guided_mode": {"frequency_Hz": self.mode_Hz, "measured": measured, "computed": computed}}
+
+    def __str__(self) -> str:
+        place, numbers = self.place, self.as_dict()
+        left_out = len(self.near) - int(self.near.sum())
+        rms, most = 1e3 * place.rms_m, 1e3 * place.residual_m.max()
+        lines = [
+            f"scan            {self.measured}: {self.quantity} at {len(self.near)} points"
+            + (f", {left_out} of them off the skin and left out" if left_out else ""),
+            f"registration    {rms:.2f} mm rms from skin '{self.skin}', {most:.2f} "
+            f"at most; moved by {1e3 * np.linalg.norm(place.transform.position):.2f} mm and "
+            f"{np.linalg.norm(numbers['rotation_vector_deg']):.2f} deg",
+        ]
+        if len(place.fiducials_m):
+            lines.append(f"                fiducials {1e3 * np.sqrt(np.mean(place.fiducials_m**2)):.2f} mm rms apart")
+        elif place.undetermined:
+            lines.append(
+                f"                {place.undetermined} of 6 directions are not told by the skin's shape, and stay as "
+                "the file has them: give fiducials"
+            )
+        for name, unit, factor in (("gain", "", 1.0), ("delay_s", " ms", 1e3), ("l2", "", 1.0), ("l2_shape", "", 1.0),
+                                   ("coherence", "", 1.0)):  # fmt: skip
+            middle, low, high = (factor * value for value in self.median(name))
+            lines.append(f"{LABELS[name]:16}{middle:.3f}{unit}, half of the points {low:.3f} to {high:.3f}")
+        count = numbers["ambiguous_delays"]
+        if count:
+            lines.append(
+                f"                {count} points fit nearly as well with another delay, as periodic motion does"
+            )
+        lines.append(f"                medians of the {numbers['points_in_medians']} points that move more than "
+                     f"{QUIET:g} of the loudest")  # fmt: skip
+        if self.modes is not None and self.mode_Hz is not None:
+            for name, mode in zip(("measured", "computed"), self.modes, strict=True):
+                lines.append(f"{f'{self.mode_Hz:g} Hz wave':16}{name} {in_words(mode, self.mode_Hz)}")
+        if self.bare:
+            lines.append("instrument      none told: ours is seen along the skin's mean normal, or the scan's lines of "
+                         "sight, without filters")  # fmt: skip
+        if self.cut_s > 0.0:
+            lines.append(f"cut off         the last {self.cut_s:.4g} s of the scan, which the run has not simulated")
+        return "\n".join(lines)
+
+
+LABELS = {
+    "gain": "gain",
+    "delay_s": "delay",
+    "l2": "difference",
+    "l2_shape": "of the shape",
+    "coherence": "coherence",
+}
+COLUMNS = ("point", "x_m", "y_m", "z_m", "skin_x_m", "skin_y_m", "skin_z_m", "residual_m", *Agreement._fields)
+
+
+def write_report(done: Comparison, folder: Path) -> None:
+    """compare.json and points.csv, a line for each compared point. Raises OutputError where they can't be written."""
+    try:
+        (folder / "compare.json").write_text(json.dumps(done.as_dict(), indent=1) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be written: {error.strerror}; choose another folder") from None
+    number = np.flatnonzero(done.near)
+    on_skin = done.computed.points
+    measured: Float = done.place.transform.inverse_points(on_skin)
+    columns = [number, measured, on_skin, done.place.residual_m[done.near], *done.numbers]
+    write_table(folder / "points.csv", COLUMNS, np.column_stack([np.asarray(part, dtype=float) for part in columns]))

@@ -1,0 +1,155 @@
+"""A measured scan against a run: registered to its skin, ours through the same instrument, told point by point."""
+
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from palmfield.errors import MeasurementError, OutputError, did_you_mean
+from palmfield.instruments.agreement import agreement
+from palmfield.instruments.frequency_wavenumber import frequency_wavenumber
+from palmfield.instruments.registration import Registration, registration
+from palmfield.instruments.scan import Scan, of_record
+from palmfield.instruments.settings import read_settings
+from palmfield.instruments.surface_motion import of_skin
+from palmfield.instruments.vibrometer import Vibrometer, vibrometer_record
+from palmfield.outputs.compare_picture import draw_agreement, draw_wavenumbers
+from palmfield.outputs.scan_files import read_scan, write_scan
+from palmfield.outputs.schema import instances
+from palmfield.outputs.store import open_result
+from palmfield.studies.compare.report import Comparison, write_report
+from palmfield.studies.compare.waves import guided_modes
+from palmfield.tables import read_table
+from palmfield.types import Float
+
+OFF_M = 5e-3
+"""A measured point farther from the skin than this is left out [m]."""
+PAIR_COLUMNS = ("x_m", "y_m", "z_m", "skin_x_m", "skin_y_m", "skin_z_m")
+FILES = ("compare.json", "points.csv", "computed.csv", "agreement.png", "wavenumbers.png")
+
+
+def compare(
+    run: str | Path,
+    measured: str | Path | Scan,
+    *,
+    instrument: str | Path | Vibrometer | None = None,
+    skin: str | None = None,
+    fiducials: str | Path | None = None,
+    onto_surface: bool = True,
+    most_delay_s: float = 5e-3,
+    mode_Hz: float | None = None,
+    source_m: tuple[float, float, float] | None = None,
+    source_radius_m: float = 0.016,
+    out: str | Path | None = None,
+    overwrite: bool = False,
+) -> Comparison:
+    """Hold a measured scan against a run's skin.
+
+    run: folder of a run, or its result.nc; measured: file of a scan (`palmfield.outputs.scan_files.READERS`), or a Scan
+    instrument: TOML file with a table [vibrometer], or settings; sampling rate, length and quantity are the scan's own,
+        and its lines of sight where it has some. None: seen along the normal of the first array's side, without filters
+    skin: which one, where the run has several; fiducials: CSV file of columns PAIR_COLUMNS, points in the scan's frame
+        and where they are on the skin at rest
+    onto_surface: move the scan onto the skin, as far as the skin tells where it lies
+    mode_Hz: a frequency at which the guided mode of both is fitted; source_m: its source on the skin [m], None: where
+        ours moves most; source_radius_m: what is left out about it, 1.5 times the width of the spot
+    out: folder for FILES; None: nothing is written
+    Raises MeasurementError for scans, settings and fiducials that don't fit, OutputError for the run and for a folder
+    that has such files already.
+    """
+    folder = None if out is None else Path(out)
+    if folder is not None and not overwrite and any((folder / name).exists() for name in FILES):
+        raise OutputError(f"{folder} holds another comparison; give --overwrite, or another folder by --out")
+    scan = measured if isinstance(measured, Scan) else read_scan(measured)
+    settings = read_settings(instrument, Vibrometer) if isinstance(instrument, str | Path) else instrument
+    with open_result(run) as result:
+        name, data = _skin(result, skin)
+        place = registration(
+            scan.points,
+            data["rest_position"].values,
+            data["face"].values,
+            pairs=_pairs(fiducials),
+            surface=onto_surface,
+        )
+        near = place.residual_m <= OFF_M
+        if near.sum() < 2:
+            raise MeasurementError(
+                f"{scan.name}: {near.sum()} of {len(near)} points lie within {1e3 * OFF_M:g} mm of the skin, the "
+                f"nearest at {1e3 * place.residual_m.min():.3g} mm; give it in the resting body's frame, or fiducials"
+            )
+        ours = _through_instrument(data, scan.at_points(near), place, settings)
+    count = len(ours.times_s)
+    theirs = Scan(scan.quantity, scan.times_s[:count], scan.points[near], scan.values[:count, near], name=scan.name)
+    numbers = agreement(theirs.times_s, theirs.values, ours.values, most_delay_s=most_delay_s)
+    modes = None
+    if mode_Hz is not None:
+        source = None if source_m is None else np.asarray(source_m, dtype=float)
+        modes = guided_modes(theirs, ours, mode_Hz, source, source_radius_m)
+    done = Comparison(
+        scan.name, name, scan.quantity, place, near, ours, numbers, settings is None,
+        float(scan.times_s[-1] - theirs.times_s[-1]), most_delay_s, mode_Hz, modes,
+    )  # fmt: skip
+    if folder is None:
+        return done
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{folder} cannot be made: {error.strerror}; choose another folder") from None
+    write_report(done, folder)
+    write_scan(folder / "computed.csv", ours)
+    draw_agreement(theirs, ours, numbers, folder / "agreement.png")
+    spectra = [frequency_wavenumber(one.times_s, one.values, one.points) for one in (theirs, ours)]
+    draw_wavenumbers(spectra, ("measured", "computed"), folder / "wavenumbers.png")
+    return done
+
+
+def _skin(result: xr.DataTree, name: str | None) -> tuple[str, xr.Dataset]:
+    skins = instances(result, "skin")
+    if not skins:
+        raise OutputError("the result has no skin to hold a scan against")
+    if name is None:
+        if len(skins) > 1:
+            raise MeasurementError(f"the run has skins {', '.join(skins)}; name one by --skin")
+        name = next(iter(skins))
+    if name not in skins:
+        raise MeasurementError(f"skin '{name}' is not in the run{did_you_mean(name, skins)}; it has {', '.join(skins)}")
+    return name, skins[name]
+
+
+def _pairs(file: str | Path | None) -> tuple[Float, Float] | None:
+    if file is None:
+        return None
+    columns, _ = read_table(Path(file))
+    for name in PAIR_COLUMNS:
+        if name not in columns:
+            raise MeasurementError(f"{file}: has no column '{name}'; give {', '.join(PAIR_COLUMNS)}")
+    table = np.column_stack([columns[name] for name in PAIR_COLUMNS])
+    return table[:, :3], table[:, 3:]
+
+
+def _through_instrument(data: xr.Dataset, scan: Scan, place: Registration, settings: Vibrometer | None) -> Scan:
+    """Our motion at the scan's places, as its instrument reads it, at the scan's times as long as the run lasts."""
+    motion = of_skin(data, place.transform.points(scan.points), OFF_M)
+    head = settings or _straight(motion.normals.mean(axis=0))
+    rate = scan.rate_Hz
+    trigger = head.trigger_s + float(scan.times_s[0])
+    room = motion.times_s[-1] - (trigger - head.flight_s)
+    count = min(len(scan.times_s), int(np.floor(room * rate + 1e-6)) + 1)
+    if count < 16:
+        raise MeasurementError(
+            f"{scan.name}: {max(count, 0)} of its samples lie within the run, which ends at {motion.times_s[-1]:g} s; "
+            "simulate for longer, or mend trigger_s"
+        )
+    chosen = head.model_copy(
+        update={"sampling_rate_Hz": rate, "duration_s": count / rate, "reading": scan.quantity, "trigger_s": trigger}
+    )
+    sights = None if scan.sights is None else place.transform.vectors(scan.sights)
+    record = vibrometer_record(motion, chosen, sights=sights)
+    return Scan(**{**of_record(record).__dict__, "times_s": record["time"].values + scan.times_s[0]})
+
+
+def _straight(normal: Float) -> Vibrometer:
+    """Seen along a direction, without filters."""
+    x, y, z = (float(part) for part in normal / np.linalg.norm(normal))
+    along = int(np.abs(normal).argmin())
+    return Vibrometer(normal=(x, y, z), x_axis=(float(along == 0), float(along == 1), float(along == 2)))

@@ -1,0 +1,63 @@
+"""The guided mode of a measured and of a computed scan, side by side."""
+
+from typing import Any
+
+import numpy as np
+
+from palmfield.errors import MeasurementError
+from palmfield.instruments.guided_mode import GuidedMode, guided_mode_fit, line_amplitudes
+from palmfield.instruments.scan import Scan
+from palmfield.types import Float
+
+FLAT = 0.02
+"""Share of a scan's width by which its points may leave a plane."""
+
+
+def guided_modes(
+    measured: Scan, computed: Scan, frequency_Hz: float, source_m: Float | None, radius_m: float
+) -> tuple[GuidedMode, GuidedMode]:
+    """The mode at one frequency of both scans, which are at the same points of the skin, seen along the computed beams.
+
+    source_m: on the skin [m], (3,); None: where the computed scan moves most; radius_m: what is left out about it
+    Raises MeasurementError for skin that is not flat, and as `line_amplitudes` and `guided_mode_fit`.
+    """
+    assert computed.sights is not None
+    points = computed.points
+    centre = points.mean(axis=0)
+    axes = np.linalg.svd(points - centre, full_matrices=False)[2]
+    normal = axes[2] * np.sign((computed.sights @ axes[2]).sum())
+    basis = np.stack([axes[0], np.cross(normal, axes[0]), normal])
+    placed = (points - centre) @ basis.T
+    width = float(np.ptp(placed[:, :2], axis=0).max())
+    if np.abs(placed[:, 2]).max() > FLAT * width:
+        raise MeasurementError(
+            f"the skin leaves a plane by {1e3 * np.abs(placed[:, 2]).max():.3g} mm over {1e3 * width:.3g} mm; a guided "
+            "mode is fitted on flat skin"
+        )
+    amplitudes = [line_amplitudes(scan.times_s, scan.values, frequency_Hz) for scan in (measured, computed)]
+    source = points[np.abs(amplitudes[1]).argmax()] if source_m is None else np.asarray(source_m, dtype=float)
+    at = ((source - centre) @ basis.T)[:2]
+    sights = computed.sights @ basis.T
+    first, second = (guided_mode_fit(one, placed, at, radius_m, sights=sights) for one in amplitudes)
+    return first, second
+
+
+def in_words(mode: GuidedMode, frequency_Hz: float) -> str:
+    """Speed and 1/e length, or why there are none."""
+    if mode.wavenumber_rad_m is None:
+        return f"not resolved: {mode.reason}"
+    k = mode.wavenumber_rad_m
+    return (
+        f"{2.0 * np.pi * frequency_Hz / k.real:.3g} m/s, 1/e length {1e3 / k.imag:.3g} mm (k {k.real:.4g} + "
+        f"{k.imag:.3g}i rad/m, +-{100 * mode.deviation:.2g} % by noise)"
+    )
+
+
+def as_dict(mode: GuidedMode) -> dict[str, Any]:
+    """For JSON."""
+    k = mode.wavenumber_rad_m
+    return {
+        "resolved": k is not None, "reason": mode.reason, "wavenumber_real_rad_m": None if k is None else k.real,
+        "wavenumber_imaginary_rad_m": None if k is None else k.imag, "deviation_relative": mode.deviation,
+        "waves_in_width": mode.waves, "points_a_wave": mode.points_a_wave, "misfit": mode.misfit,
+    }  # fmt: skip

@@ -1,0 +1,209 @@
+"""Files of scans come back as they went out, and what is wrong in them is named."""
+
+import h5py
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from palmfield.errors import MeasurementError, OutputError
+from palmfield.instruments.scan import Scan
+from palmfield.outputs.scan_files import read_scan, write_scan
+
+GOOD = """# quantity: velocity
+# unit: mm/s
+time_s,P1,P2
+x_m,0,0.005
+y_m,0,0
+z_m,0,0
+""" + "".join(f"{0.001 * n:g},{n},{-n}\n" for n in range(16))
+
+
+def scan(quantity="velocity", sights=True, count=5):
+    rng = np.random.default_rng(2)
+    points = rng.uniform(-0.05, 0.05, (count, 3))
+    towards = np.array([0.0, 0.3, 0.5]) - points
+    return Scan(quantity, np.arange(64) / 12_800, points, rng.normal(0, 1e-4, (64, count)), towards if sights else None)
+
+
+@pytest.mark.parametrize("quantity", ["velocity", "displacement"])
+@pytest.mark.parametrize("sights", [True, False])
+def test_csv_comes_back_to_the_last_digit(tmp_path, quantity, sights):
+    one = scan(quantity, sights)
+    write_scan(tmp_path / "scan.csv", one)
+    back = read_scan(tmp_path / "scan.csv")
+    assert back.quantity == quantity and back.name == "scan.csv"
+    for name in ("times_s", "points", "values"):
+        assert np.array_equal(getattr(back, name), getattr(one, name))
+    assert (back.sights is None) != sights and (not sights or back.sights == pytest.approx(one.sights, abs=1e-15))
+
+
+def test_units_become_si(tmp_path):
+    (tmp_path / "a.csv").write_text(GOOD)
+    found = read_scan(tmp_path / "a.csv")
+    assert found.values[3] == pytest.approx([3e-3, -3e-3]) and found.rate_Hz == pytest.approx(1e3)
+    assert found.points[1] == pytest.approx([0.005, 0, 0])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("# quantity: velocity\n", "", "has no line '# quantity"),
+        ("quantity: velocity", "quantity: velocty", r"quantity is 'velocty' \(did you mean 'velocity'\?\); allowed"),
+        ("unit: mm/s", "unit: inch/s", "unit of velocity is 'inch/s'; allowed: m/s, mm/s, um/s"),
+        ("time_s,P1,P2", "t,P1,P2", "begins with 't'"),
+        ("y_m,0,0\n", "", "has no line 'y_m"),
+        ("z_m,0,0\n", "z_m,0,0\nsight_x,1,1\n", "has no line 'sight_y"),
+        ("0.003,3,-3", "0.003,3", "line 10 has 2 values for 3 columns"),
+        ("0.003,3,-3", "0.003,x,-3", "line 10, column P1: 'x' is not a number"),
+        ("0.003,3,-3", "0.003,nan,-3", "line 10, column P1: nan; give a finite number"),
+        ("0.003,3,-3", "0.001,3,-3", "times must rise"),
+        ("0.003,3,-3", "0.0033,3,-3", "not evenly spaced"),
+        ("0.015,15,-15\n", "", "at least 16"),
+    ],
+)
+def test_what_is_wrong_in_a_csv_is_named(tmp_path, old, new, words):
+    assert old in GOOD
+    (tmp_path / "a.csv").write_text(GOOD.replace(old, new))
+    with pytest.raises(MeasurementError, match=words):
+        read_scan(tmp_path / "a.csv")
+
+
+def test_files_of_other_kinds_and_places_are_refused(tmp_path):
+    with pytest.raises(MeasurementError, match=r"the file's kind is '.xlsx'; allowed: .csv"):
+        read_scan(tmp_path / "a.xlsx")
+    with pytest.raises(MeasurementError, match="cannot be read"):
+        read_scan(tmp_path / "none.csv")
+    with pytest.raises(OutputError, match=r"kind is '.xlsx'"):
+        write_scan(tmp_path / "a.xlsx", scan())
+    with pytest.raises(OutputError, match="cannot be written"):
+        write_scan(tmp_path / "no" / "a.csv", scan())
+
+
+def test_a_scan_is_checked_when_it_is_made():
+    one = scan()
+    with pytest.raises(MeasurementError, match="quantity is 'force'"):
+        Scan("force", one.times_s, one.points, one.values)
+    with pytest.raises(MeasurementError, match="points"):
+        Scan("velocity", one.times_s, one.points[:2], one.values)
+    with pytest.raises(MeasurementError, match="give directions"):
+        Scan("velocity", one.times_s, one.points, one.values, 0.0 * one.points)
+    few = one.at_points(np.array([0, 2]))
+    assert few.values.shape == (64, 2) and few.sights.shape == (2, 3)
+
+
+# -- UFF -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("binary", [True, False])
+@pytest.mark.parametrize("sights", [True, False])
+def test_uff_comes_back(tmp_path, binary, sights):
+    pyuff = pytest.importorskip("pyuff")
+    from palmfield.outputs.scan_files.uff import write_uff
+
+    one = scan("displacement", sights, count=300)
+    write_uff(tmp_path / "a.uff", one, binary=binary)
+    back = read_scan(tmp_path / "a.uff")
+    assert back.quantity == "displacement" and back.points == pytest.approx(one.points, abs=1e-12)
+    assert back.times_s == pytest.approx(one.times_s, rel=1e-5)
+    assert back.values == pytest.approx(one.values, rel=1e-6 if binary else 1e-10, abs=1e-15)
+    assert (back.sights is None) != sights and (not sights or back.sights == pytest.approx(one.sights, abs=1e-8))
+    # As other software reads it
+    kinds = list(pyuff.UFF(str(tmp_path / "a.uff")).get_set_types())
+    assert kinds[:2] == [164, 2411] and kinds.count(82) == 2 and kinds.count(58) == 300
+
+
+def test_uff_of_others_with_millimetres_single_nodes_and_turned_axes(tmp_path):
+    pyuff = pytest.importorskip("pyuff")
+    times = np.arange(32) / 1e3
+    record = np.sin(2 * np.pi * 100 * times)
+    common = {"type": 58, "binary": 0, "func_type": 1, "ref_node": 0, "ref_dir": 0, "x": times, "data": record,
+              "abscissa_spacing": 1, "abscissa_min": 0.0, "abscissa_inc": 1e-3, "abscissa_spec_data_type": 17,
+              "ordinate_spec_data_type": 11, "orddenom_spec_data_type": 0}  # fmt: skip
+    sets = [
+        {"type": 164, "units_code": 5, "length": 1000.0, "force": 1000.0, "temp": 1.0, "temp_offset": 0.0},
+        {"type": 15, "node_nums": np.array([7, 9]), "x": np.array([0.0, 5.0]), "y": np.zeros(2), "z": np.ones(2)},
+        {**common, "rsp_node": 7, "rsp_dir": 3}, {**common, "rsp_node": 9, "rsp_dir": -3},
+    ]  # fmt: skip
+    pyuff.UFF(str(tmp_path / "b.uff")).write_sets(sets, mode="overwrite")
+    back = read_scan(tmp_path / "b.uff")
+    assert back.points == pytest.approx(np.array([[0, 0, 1e-3], [5e-3, 0, 1e-3]]))
+    assert back.values[:, 0] == pytest.approx(1e-3 * record, abs=1e-8)
+    assert back.values[:, 1] == pytest.approx(-1e-3 * record, abs=1e-8)
+    sets[3]["rsp_node"] = 8
+    pyuff.UFF(str(tmp_path / "b.uff")).write_sets(sets, mode="overwrite")
+    with pytest.raises(MeasurementError, match="of node 8, which has no place"):
+        read_scan(tmp_path / "b.uff")
+    sets[2]["ordinate_spec_data_type"] = 12
+    pyuff.UFF(str(tmp_path / "b.uff")).write_sets(sets, mode="overwrite")
+    with pytest.raises(MeasurementError, match="data types 11, 12; allowed: one of 8"):
+        read_scan(tmp_path / "b.uff")
+
+
+def test_uff_that_is_none_is_told(tmp_path):
+    pytest.importorskip("pyuff")
+    (tmp_path / "a.uff").write_text("not a universal file\n")
+    with pytest.raises(MeasurementError, match=r"give a UFF file|not readable"):
+        read_scan(tmp_path / "a.uff")
+    with pytest.raises(MeasurementError, match="it is no file"):
+        read_scan(tmp_path / "none.uff")
+    with pytest.raises(OutputError, match="cannot be written"):
+        write_scan(tmp_path / "no" / "a.uff", scan())
+
+
+def test_shapes_come_back(tmp_path):
+    pytest.importorskip("pyuff")
+    from palmfield.outputs.scan_files.uff import Shape, read_shapes, write_shapes
+
+    one = scan(count=6)
+    rng = np.random.default_rng(0)
+    shapes = [Shape("velocity", f, one.points, rng.normal(size=6) + 1j * rng.normal(size=6)) for f in (200.0, 400.0)]
+    write_shapes(tmp_path / "s.uff", shapes)
+    back = read_shapes(tmp_path / "s.uff")
+    assert [shape.frequency_Hz for shape in back] == [200.0, 400.0]
+    for found, made in zip(back, shapes, strict=True):
+        assert found.amplitudes == pytest.approx(made.amplitudes, abs=1e-5) and found.quantity == "velocity"
+    with pytest.raises(MeasurementError, match="has no time responses"):
+        read_scan(tmp_path / "s.uff")
+    with pytest.raises(OutputError, match="at the same points"):
+        write_shapes(tmp_path / "s.uff", [])
+
+
+# -- MATLAB --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("sights", [True, False])
+def test_mat_comes_back_to_the_last_digit(tmp_path, sights):
+    one = scan("displacement", sights)
+    write_scan(tmp_path / "a.mat", one)
+    back = read_scan(tmp_path / "a.mat")
+    assert back.quantity == "displacement" and (back.sights is None) != sights
+    for name in ("times_s", "points", "values"):
+        assert np.array_equal(getattr(back, name), getattr(one, name))
+
+
+def test_mat_of_version_7_3_is_hdf5(tmp_path):
+    one = scan()
+    with h5py.File(tmp_path / "a.mat", "w", userblock_size=512) as file:
+        for name, values in (("time_s", one.times_s[:, None]), ("points_m", one.points), ("velocity_m_s", one.values)):
+            file[name] = values.T
+    with (tmp_path / "a.mat").open("r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
+    assert np.array_equal(read_scan(tmp_path / "a.mat").values, one.values)
+
+
+def test_what_is_wrong_in_a_mat_is_named(tmp_path):
+    one = scan()
+    good = {"time_s": one.times_s, "points_m": one.points, "velocity_m_s": one.values}
+    for change, words in (
+        ({"velocity_m_s": None}, "has neither; give one of velocity_m_s, displacement_m"),
+        ({"displacement_m": one.values}, "has velocity_m_s and displacement_m"),
+        ({"points_m": None}, "has no variable 'points_m'"),
+        ({"points_m": one.points[:2]}, "give shapes"),
+        ({"velocity_m_s": one.values + 1j}, "velocity_m_s is not of real numbers"),
+    ):
+        savemat(tmp_path / "a.mat", {name: value for name, value in (good | change).items() if value is not None})
+        with pytest.raises(MeasurementError, match=words):
+            read_scan(tmp_path / "a.mat")
+    (tmp_path / "a.mat").write_bytes(b"no such thing")
+    with pytest.raises(MeasurementError, match="cannot be read"):
+        read_scan(tmp_path / "a.mat")
