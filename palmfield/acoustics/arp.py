@@ -57,6 +57,9 @@ LAWS = {
 }
 """Laws that take the incident field, by the value of the scene's key `arp_law`. A new one is a line here."""
 
+ALPHA_RANGE = 1.0, 2.0
+"""Of the factor alpha: from a wall that takes all sound in to one that sends all back."""
+
 TOTAL_FIELD = ArpLaw(
     "|p|^2/(4 rho c^2) - rho |u_t|^2/4 of the total field's peak amplitudes on a rigid wall, lit or not: the mean "
     "Lagrangian <p^2>/(2 rho c^2) - rho <u^2>/2",
@@ -67,7 +70,13 @@ TOTAL_FIELD = ArpLaw(
 
 
 def arp(
-    field: Field, normals: ArrayLike, air: Air, frequency_Hz: float, *, law: str = "default", device: str = "auto"
+    field: Field,
+    normals: ArrayLike,
+    air: Air,
+    frequency_Hz: float,
+    *,
+    law: str | ArpLaw = "default",
+    device: str = "auto",
 ) -> Float32:
     """Normal traction of the sound on a surface [Pa], shape (n,), positive when it pushes inwards.
 
@@ -76,11 +85,11 @@ def arp(
 
     field: incident pressure and gradient, n points
     normals: unit outward normals of the surface, in the field's frame, shape (n, 3)
-    law: a key of LAWS; device: where it is computed
+    law: a key of LAWS or a law itself, such as `alpha_law`; device: where it is computed
     Raises SceneError for an unknown law or bad air, PalmfieldError for a field without gradient, for normals of another
     shape or length, and for a field that is not finite.
     """
-    check_law(law)
+    law = law_named(law)
     check.frequency(frequency_Hz)
     if field.gradient is None:
         raise PalmfieldError(
@@ -115,13 +124,12 @@ def arp(
 
 
 @lru_cache(maxsize=64)
-def law_weights(law: str, air: Air) -> tuple[float, float, float]:
+def law_weights(law: str | ArpLaw, air: Air) -> tuple[float, float, float]:
     """Weights of |p|^2, of -|grad p/k|^2 along the surface and of |grad p/k|^2 across it [1/Pa].
 
     Raises SceneError for an unknown law or bad air.
     """
-    check_law(law)
-    kind, scale = LAWS[law], 1.0 / (density(air) * sound_speed(air) ** 2)
+    kind, scale = law_named(law), 1.0 / (density(air) * sound_speed(air) ** 2)
     return scale * kind.pressure, scale * kind.along, scale * kind.across
 
 
@@ -135,10 +143,31 @@ def wall_pressure(pressure: Complex, gradient: Complex, wavenumber: float, air: 
     return np.asarray(scale * (TOTAL_FIELD.pressure * np.abs(pressure) ** 2 - TOTAL_FIELD.along * along))
 
 
-def check_law(law: str) -> None:
-    """Raise SceneError for a law that is not in LAWS."""
+def law_named(law: str | ArpLaw) -> ArpLaw:
+    """The law of this name in LAWS; a law itself comes back as it is. Raises SceneError for a name not in LAWS."""
+    if isinstance(law, ArpLaw):
+        return law
     if law not in LAWS:
         raise SceneError(f"ARP law '{law}' is unknown: use one of {', '.join(LAWS)}")
+    return LAWS[law]
+
+
+def alpha_law(alpha: float) -> ArpLaw:
+    """ARP = alpha p_rms^2/(rho c^2) on lit points, eq 1 of Hasegawa & Shinoda 2018.
+
+    alpha: 1 + R of skin that reflects a share R of the sound's energy: 1 to 2, which is LAWS["alpha"]
+    Raises SceneError for an alpha outside 1..2.
+    """
+    least, most = ALPHA_RANGE
+    if not least <= alpha <= most:
+        raise SceneError(f"alpha of the ARP law is {alpha:g}; allowed: {least:g} (nothing reflected) to {most:g} (all)")
+    if alpha == most:
+        return LAWS["alpha"]
+    return ArpLaw(
+        f"{alpha:g} p_rms^2/(rho c^2) on lit points: of a plane wave at normal incidence, of whose energy the skin "
+        f"reflects {100.0 * (alpha - 1.0):.3g} %, overstates focused beams",
+        pressure=0.5 * alpha,
+    )
 
 
 def unit_normals(normals: ArrayLike, count: int) -> Float32:

@@ -13,7 +13,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from palmfield.acoustics.air import absorption_Np_m, sound_speed
-from palmfield.acoustics.arp import law_weights
+from palmfield.acoustics.arp import ArpLaw, law_weights
 from palmfield.acoustics.field import off_axis
 from palmfield.acoustics.knife_edge import Emitters
 from palmfield.acoustics.phased_array import PhasedArray
@@ -162,11 +162,11 @@ def _unit(count: int) -> NDArray[np.float64]:
 
 
 class Surface(NamedTuple):
-    """Points of one body. points: which of all; law: a key of `palmfield.acoustics.arp.LAWS`; mesh: what casts shadows
-    on them and cuts them off, None for nothing; shades: what it leaves where sound bends, None where it doesn't"""
+    """Points of one body. points: which of all; law: one of `palmfield.acoustics.arp`, or its key; mesh: what casts
+    shadows on them and cuts them off, None for nothing; shades: what it leaves where sound bends, else None"""
 
     points: slice
-    law: str
+    law: str | ArpLaw
     mesh: wp.Mesh | None
     shades: Shades | None = None
 

@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 
 from palmfield.acoustics.air import sound_speed
-from palmfield.acoustics.arp import law_weights, unit_normals
+from palmfield.acoustics.arp import ArpLaw, law_weights, unit_normals
 from palmfield.acoustics.groups import axes
 from palmfield.acoustics.phased_array import MultiArrayField
 from palmfield.device import recorded
@@ -49,7 +49,7 @@ class SpannedFields:
 
 
 def spanned_fields(
-    field: MultiArrayField, points: Float, normals: Float, basis: Complex, law: str = "default"
+    field: MultiArrayField, points: Float, normals: Float, basis: Complex, law: str | ArpLaw = "default"
 ) -> SpannedFields:
     """Fields of the rows of V^H at points [m], shape (n, 3), with unit outward normals, in the array frame.
 

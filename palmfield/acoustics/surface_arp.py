@@ -10,7 +10,7 @@ import warp as wp
 import warp_kernels.arp as kernels
 from palmfield.acoustics import check
 from palmfield.acoustics.air import sound_speed
-from palmfield.acoustics.arp import SurfaceSound, law_weights
+from palmfield.acoustics.arp import ArpLaw, SurfaceSound, law_weights
 from palmfield.acoustics.field import UNSHADED, FieldEvaluator, falling, in_unit
 from palmfield.acoustics.phased_array import DirectivityGroup, MultiArrayField
 from palmfield.acoustics.transfer import Transfer, arp_frames, matrix_bytes, memory_limit, too_steep
@@ -60,11 +60,11 @@ class SurfaceArp:
 
     It belongs to one simulation's state and is used by one thread at a time; on the CPU it takes helper threads.
 
-    field: of the arrays; count: of points; law: a key of `palmfield.acoustics.arp.LAWS`
+    field: of the arrays; count: of points; law: one of `palmfield.acoustics.arp` or its key
     threads: on the CPU, 1 or more; None is all cores that this process may use
     """
 
-    def __init__(self, field: MultiArrayField, count: int, law: str = "default", threads: int | None = None):
+    def __init__(self, field: MultiArrayField, count: int, law: str | ArpLaw = "default", threads: int | None = None):
         """Raises SceneError for an unknown law."""
         self.field, self.count, self.law = field, count, law
         device = field.device

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import qr
 
 from palmfield.acoustics import check
-from palmfield.acoustics.arp import arp, check_law, law_weights, unit_normals
+from palmfield.acoustics.arp import ArpLaw, arp, law_named, law_weights, unit_normals
 from palmfield.acoustics.field import CUBIC_REACH_Np, FieldEvaluator, distances, polynomial_fall
 from palmfield.acoustics.groups import axes
 from palmfield.blas import one_blas_thread
@@ -116,7 +116,7 @@ class Transfer:
         right = self._matrix[:, 0] + 1j * self._matrix[:, 4]
         return np.asarray(left @ (right if basis is None else basis.conj().T @ right), np.complex64)
 
-    def arp(self, drives: ArrayLike, law: str = "default", out: Float32 | None = None) -> Float32:
+    def arp(self, drives: ArrayLike, law: str | ArpLaw = "default", out: Float32 | None = None) -> Float32:
         """ARP [Pa], shape (frames, points), for drives of shape (frames, transducers); see `palmfield.acoustics.arp`.
 
         out: array to fill and return, float32; memory used before has no new pages for the system to clear
@@ -188,7 +188,7 @@ class Transfer:
                     if count > 0 and width > 0 and (count, width, weights) not in room.launches:
                         room.record(count, width, weights)
 
-    def arp_on_gpu(self, drives: ArrayLike, law: str = "default") -> Any:
+    def arp_on_gpu(self, drives: ArrayLike, law: str | ArpLaw = "default") -> Any:
         """As `arp`, but computed and left on the evaluator's GPU: a Warp array of shape (frames, points)."""
         weights = wp.vec3(*law_weights(law, self.evaluator.air))
         left, basis = self.reduced(drives)
@@ -337,7 +337,7 @@ def too_steep(evaluator: FieldEvaluator, points: NDArray[np.floating]) -> bool:
 
 
 def arp_frames(
-    evaluator: FieldEvaluator, points: ArrayLike, normals: ArrayLike, drives: ArrayLike, law: str = "default"
+    evaluator: FieldEvaluator, points: ArrayLike, normals: ArrayLike, drives: ArrayLike, law: str | ArpLaw = "default"
 ) -> Float32:
     """ARP [Pa] of many drive frames on the same points, shape (frames, points), by the cheaper way.
 
@@ -349,7 +349,7 @@ def arp_frames(
     drives: complex amplitudes, shape (frames, transducers)
     Raises what `palmfield.acoustics.arp.arp` and FieldEvaluator raise.
     """
-    check_law(law)
+    law = law_named(law)
     array = evaluator.array
     frames = check.frames(drives, array)
     where = check.points(points, np.float64)

@@ -6,7 +6,6 @@ from rich.console import Console
 from rich.table import Table
 
 from palmfield.acoustics.air import absorption_Np_m, density, sound_speed
-from palmfield.acoustics.arp import LAWS
 from palmfield.session.preview import Preview
 from palmfield.simulation.emission import array_drives
 from palmfield.simulation.model import HapticModel, SkinModel, array_instances
@@ -102,5 +101,5 @@ def _skin(skin: SkinModel) -> Rows:
     return [
         *rows,
         ("solver", f"{skin.choice.name}: {skin.choice.why}"),
-        ("ARP law", f"{config.arp_law}: {LAWS[config.arp_law].about}"),
+        ("ARP law", f"{config.arp_law}: {skin.spec.arp_law.about}"),
     ]

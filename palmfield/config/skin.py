@@ -102,6 +102,11 @@ class SkinConfig(Config):
     )
     side: Side = Field("fixed", description="cut faces of the layer; absorbing lets waves out; a disc takes roller too")
     arp_law: ArpLaw = Field("default", description="radiation-pressure law (see `palmfield info`)")
+    arp_alpha: Annotated[float, Field(ge=1, le=2)] | None = Field(
+        None,
+        description="arp_law alpha: ARP over p_rms^2/(rho c^2), 1 + R of skin that reflects a share R of the sound's "
+        "energy (default 2); arp_peak_Pa of a stimulus is |p|^2/(rho c^2) whatever alpha is",
+    )
     body_sound: Literal["none", "shadows", "scattering"] = Field(
         "none", description="what other parts of the body do to the sound: nothing, shadows, boundary elements"
     )
@@ -153,6 +158,11 @@ class SkinConfig(Config):
             raise ValueError(
                 f"shadow_edges '{self.shadow_edges}' belongs to shadows, body_sound is '{self.body_sound}': drop it or "
                 "set body_sound to shadows"
+            )
+        if self.arp_alpha is not None and self.arp_law != "alpha":
+            raise ValueError(
+                f"arp_alpha {self.arp_alpha:g} belongs to arp_law 'alpha', arp_law is '{self.arp_law}': drop it or set "
+                "arp_law to alpha"
             )
         if self.side == "roller" and self.shape != "disc":
             raise ValueError("side 'roller' needs the symmetry of shape 'disc'; use fixed or free")

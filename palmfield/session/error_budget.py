@@ -119,6 +119,11 @@ def _unknown_inputs(model: HapticModel, skin: int, stimulus: int) -> list[dict[s
     elif part.carrier.surface is not None:
         depth_mm = 1e3 * part.spec.config.depth_m
         inputs.append(("depth to the bone", "assumed", f"{depth_mm:g} mm everywhere by key depth_m; no range is known"))
+    if part.spec.config.arp_law == "alpha":
+        alpha = 2.0 * part.spec.arp_law.pressure
+        key = "arp_law" if part.spec.config.arp_alpha is None else "arp_alpha"
+        why = f"{alpha:g} by key {key}; allowed: 1 to 2, and the ARP on the skin is in proportion to it"
+        inputs.append(("alpha of the ARP", "assumed", why))
     known = quality_known(model, stimulus)
     kinds = " and ".join(dict.fromkeys(one.kind for one in known))
     ranges = "; ".join(f"{one.value:g} ({one.low:g} to {one.high:g}): {one.source}" for one in known)

@@ -323,6 +323,9 @@ def _attributes(sim: Simulation) -> dict[str, dict[str, Any]]:
             "mesh": json.dumps(mesh),
             "arp_law": skin.spec.config.arp_law,
         }
+        if skin.spec.config.arp_law == "alpha":
+            # p_rms^2 is |p|^2/2 of the peak amplitude, which the law's weight is of
+            attributes[group("skin", name)]["arp_alpha"] = 2.0 * skin.spec.arp_law.pressure
         attributes[group("body", name)] = {"body": skin.carrier.name}
         attributes[group("surface", name)] = {"body": skin.carrier.name}
     return attributes

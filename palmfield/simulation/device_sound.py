@@ -656,10 +656,10 @@ class DeviceWork:
 
     def _surface(self, skin: int, own: slice, meshes: dict[int, Occlusion]) -> Surface:
         """A skin's surface as its sound is computed."""
-        config = self.model.skins[skin].spec.config
-        if config.body_sound != "shadows":
-            return Surface(own, config.arp_law, None)
-        return Surface(own, config.arp_law, meshes[_mesh_number(self.model, skin)].mesh)
+        spec = self.model.skins[skin].spec
+        if spec.config.body_sound != "shadows":
+            return Surface(own, spec.arp_law, None)
+        return Surface(own, spec.arp_law, meshes[_mesh_number(self.model, skin)].mesh)
 
     def _meshes(self, reference: PosedScene) -> dict[int, Occlusion]:
         """What casts shadows, by the number of a skin on which it does; skins without obstacles share one."""

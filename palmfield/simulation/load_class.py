@@ -108,7 +108,7 @@ def class_stepper(model: HapticModel, skin: int, blocks: int | None = None) -> M
     part = model.skins[skin]
     layer, accuracy = part.layer, part.spec.config.accuracy
     posed = reference_scene(model)
-    arrays, law = posed.arrays, part.spec.config.arp_law
+    arrays, law = posed.arrays, part.spec.arp_law
     depends_on = (
         *(arrays.array, arrays.air, arrays.placements, arrays.wall_m, arrays.precision, model.board.name, law),
         *(*posed.skins[skin].quadrature, part.spec.patch_centre, _region_m(layer)),
@@ -135,7 +135,7 @@ def examples(model: HapticModel, skin: int, posed: PosedScene) -> Float:
     """
     rng = np.random.default_rng(0)
     arrays, layer = posed.arrays, model.skins[skin].layer
-    surface = SurfaceArp(arrays.field, len(layer.quadrature.weights), model.skins[skin].spec.config.arp_law)
+    surface = SurfaceArp(arrays.field, len(layer.quadrature.weights), model.skins[skin].spec.arp_law)
     frame = posed.skins[skin].body.frame
     centre = frame.points(np.array(model.skins[skin].spec.patch_centre))
     gap = float(np.linalg.norm(arrays.array.positions - centre, axis=1).min())

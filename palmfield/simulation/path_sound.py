@@ -67,7 +67,7 @@ class PathSound:
         points, normals = self.radiation.points(posed, skin, role)
         if basis is None or len(points) == 0:
             return None
-        return spanned_fields(model.arrays.field, points, normals, basis, model.skins[skin].spec.config.arp_law)
+        return spanned_fields(model.arrays.field, points, normals, basis, model.skins[skin].spec.arp_law)
 
 
 def serves(model: HapticModel) -> bool:

@@ -161,7 +161,7 @@ class Radiation:
         key = skin, role, count
         known = self._evaluators.get(key)
         if known is None or known[0] is not posed.arrays:
-            law = self.model.skins[skin].spec.config.arp_law
+            law = self.model.skins[skin].spec.arp_law
             known = self._evaluators[key] = posed.arrays, SurfaceArp(posed.arrays.field, count, law)
         return known[1]
 

@@ -6,6 +6,7 @@ those of MuJoCo's reference configuration.
 
 from dataclasses import dataclass
 
+from palmfield.acoustics.arp import LAWS, ArpLaw, alpha_law
 from palmfield.acoustics.calibration_file import Calibration
 from palmfield.acoustics.transducer_file import TransducerTable
 from palmfield.config import ArrayConfig, DriverConfig, SkinConfig, StimulusConfig
@@ -76,6 +77,11 @@ class SkinSpec:
     patch_centre: Triple
     obstacles: tuple[ObstacleSpec, ...]
     moves: bool
+
+    @property
+    def arp_law(self) -> ArpLaw:
+        """The radiation-pressure law of keys arp_law and arp_alpha."""
+        return LAWS[self.config.arp_law] if self.config.arp_alpha is None else alpha_law(self.config.arp_alpha)
 
 
 @dataclass(frozen=True)

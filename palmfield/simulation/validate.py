@@ -52,7 +52,7 @@ def check_bodies(spec: SceneSpec) -> None:
                 f"{element}: key 'body' has value '{skin.config.body}', whose disc instance '{other.name}' already is; "
                 "allowed: a body of its own for each disc"
             )
-        for key in (*SURFACE_KEYS, "body_sound", "arp_law"):
+        for key in (*SURFACE_KEYS, "body_sound", "arp_law", "arp_alpha"):
             if getattr(skin.config, key) != getattr(other.config, key):
                 raise SceneError(
                     f"{element}: key '{key}' has value '{getattr(skin.config, key)}', and "

@@ -81,7 +81,7 @@ class Trials:
         self.step_s = model.step_s
         self.times: Float = self.step_s * np.arange(round(LENGTH_S / self.step_s) + 1, dtype=np.float64)
         self._drive = array_drives(model, model.arrays)[0]
-        self._arp = SurfaceArp(model.arrays.field, len(self.points), skin.spec.config.arp_law)
+        self._arp = SurfaceArp(model.arrays.field, len(self.points), skin.spec.arp_law)
         self._one = self._amplitudes(self.centre + np.array([0.003, -0.002, 0.0]))
         self._spot = self._many(self._one[None])[0]
 

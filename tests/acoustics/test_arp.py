@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from palmfield.acoustics.air import density, sound_speed
-from palmfield.acoustics.arp import LAWS, arp
+from palmfield.acoustics.arp import LAWS, alpha_law, arp
 from palmfield.acoustics.arrays import layout
 from palmfield.acoustics.field import FieldEvaluator
 from palmfield.acoustics.focus import focus
@@ -42,6 +42,27 @@ def test_alpha_law_is_right_at_normal_incidence_only() -> None:
         field = plane_wave(np.array([np.sin(t), 0.0, np.cos(t)]))
         found = arp(field, normals, AIR, FREQUENCY_HZ, law="alpha", device="cpu")
         np.testing.assert_allclose(found, 2 * energy, rtol=1e-4)
+
+
+@pytest.mark.parametrize("alpha", [1.0, 1.4, 2.0])
+def test_alpha_is_one_plus_the_share_of_the_energy_that_comes_back(alpha: float) -> None:
+    """The momentum that a plane wave brings and that its echo takes away, over time: (1 + R) p_rms^2/(rho c^2)."""
+    brought = (100.0**2 / 2.0) / (RHO * C**2)
+    taken = (alpha - 1.0) * brought
+    field = plane_wave(np.array([0.0, 0.0, 1.0]))
+    found = arp(field, np.tile([0.0, 0.0, -1.0], (7, 1)), AIR, FREQUENCY_HZ, law=alpha_law(alpha), device="cpu")
+    np.testing.assert_allclose(found, brought + taken, rtol=1e-4)
+
+
+def test_alpha_of_two_is_the_law_by_its_name() -> None:
+    assert alpha_law(2.0) is LAWS["alpha"]
+    assert "1.4 p_rms^2" in alpha_law(1.4).about and "reflects 40 %" in alpha_law(1.4).about
+
+
+@pytest.mark.parametrize("alpha", [0.99, 2.01, float("nan"), -1.0])
+def test_alpha_outside_its_range_is_refused(alpha: float) -> None:
+    with pytest.raises(SceneError, match=rf"alpha of the ARP law is {alpha:g}; allowed: 1 .* to 2"):
+        alpha_law(alpha)
 
 
 @pytest.mark.parametrize("law", LAWS)

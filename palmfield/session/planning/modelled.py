@@ -1,6 +1,5 @@
 """What a plan says is modelled, and how."""
 
-from palmfield.acoustics.arp import LAWS
 from palmfield.acoustics.body_scattering import BODY_SOUNDS
 from palmfield.config.skin import EXPLICIT
 from palmfield.outputs.summary_table import of_full
@@ -47,8 +46,7 @@ def modelled(model: HapticModel, duration_s: float) -> list[Row]:
         board = model.board
         rows.append(Row("sending", str(sending(board, model.configs)), f"{board.line}; {board.when_host_dies}"))
     for skin in model.skins:
-        law = skin.spec.config.arp_law
-        rows.append(Row("ARP", f"law {law}", LAWS[law].about, skin.spec.name))
+        rows.append(Row("ARP", f"law {skin.spec.config.arp_law}", skin.spec.arp_law.about, skin.spec.name))
     for skin in model.skins:
         sound = skin.spec.config.body_sound
         flat = skin.carrier.surface is None and sound == "none"
