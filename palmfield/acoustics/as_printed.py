@@ -1,0 +1,35 @@
+"""Formulas of sound as papers print them where they are wrong, each beside its corrected form.
+
+They are here so that a paper's own numbers can be had; nothing else in palmfield uses them.
+"""
+
+import numpy as np
+
+from palmfield.acoustics import check
+from palmfield.acoustics.air import density, sound_speed
+from palmfield.errors import PalmfieldError
+from palmfield.types import Air, Field, Float
+
+
+def incident_lagrangian_as_printed(field: Field, air: Air, frequency_Hz: float) -> Float:
+    """Chilles et al. 2019 (doi 10.1109/WHC.2019.8816097): <p^2>/(2 rho c^2) - rho <u.u>/2 [Pa], shape (n,).
+
+    They print u^2.u for u.u and take it of the sound that the array sends, without the echo, as a load on the skin. In
+    sound that only travels the two terms are equal, so that a plane wave pushes nothing; what is left at a focus comes
+    from its convergence: 2.3 % of the right pressure, with their array at 200 mm. On a rigid wall the formula holds for
+    the total field, and a plane wave pushes with 2 <p^2>/(rho c^2) of its own pressure. Corrected:
+    `palmfield.acoustics.arp.arp`, law default.
+
+    field: incident pressure [Pa], shape (n,), and gradient [Pa/m], shape (n, 3), peak amplitudes
+    air: theirs is rho 1.225 kg/m3 and c 343 m/s
+    Raises PalmfieldError for a field without gradient or that is not finite, SceneError for bad air or frequency.
+    """
+    check.frequency(frequency_Hz)
+    if field.gradient is None:
+        raise PalmfieldError("the field has no gradient, but the velocity needs it: compute it with gradient=True")
+    for name, values in (("pressure", field.pressure), ("gradient", field.gradient)):
+        if not np.isfinite(values).all():
+            raise PalmfieldError(f"field {name}[{check.first_bad(values)}] is not finite: mend the points or the drive")
+    rho, c = density(air), sound_speed(air)
+    speed = np.linalg.norm(field.gradient.astype(np.complex128), axis=1) / (2.0 * np.pi * frequency_Hz * rho)
+    return np.asarray(np.abs(field.pressure.astype(np.complex128)) ** 2 / (4.0 * rho * c**2) - rho * speed**2 / 4.0)
