@@ -85,6 +85,30 @@ def test_bursts_of_the_arp_leave_its_mean_and_have_half_a_line_while_they_last()
     assert arp_lines(config) == pytest.approx((1 / peak, 0.4 / peak / 2 / 4, 0.0), rel=1e-9, abs=1e-9)
 
 
+def test_hasegawas_stimulus_has_the_lines_of_its_closed_form():
+    """(1 + h sin)/2 under a Hann window h of t0 = 1 s, every 3 s: a half, and the window's own transform beside f.
+
+    A line n/T of h sin is t0/T |W((f - n/T) t0)| with W(x) = sinc(x)/(2 (1 - x^2)); the mirror image lies 400 Hz away.
+    """
+    length, period, frequency = 1.0, 3.0, 200.0
+    bursts = {"am_burst_length_s": length, "am_burst_period_s": period}
+    config = am("arp", "burst", 1.0, frequency, am_normalisation="carrier", drive_amplitude=0.5**0.5, **bursts)
+    t = (np.arange(24_000) + 0.5) * (period / 24_000)
+    # Relative to full drive, whose ARP is 1: the loudest moment's is drive^2
+    course = arp_factors(envelope_of(config), t) * peak_amplitude(config) ** 2
+    lines = 2.0 * np.abs(np.fft.rfft(course)) / len(t)
+    assert lines[0] / 2.0 == pytest.approx(0.5, rel=1e-9)
+    at = np.arange(590, 611)
+    x = (at / period - frequency) * length
+    window = np.where(np.abs(np.abs(x) - 1.0) < 1e-9, 0.25, np.sinc(x) / (2.0 - 2.0 * x**2 + 1e-30))
+    np.testing.assert_allclose(lines[at], 0.5 * length / period * np.abs(window), atol=1e-6)
+    # What the plan prints is the same, over the loudest moment's ARP
+    told = arp_lines(config)
+    assert told.mean * peak_amplitude(config) ** 2 == pytest.approx(0.5, rel=1e-9)
+    assert told.first * peak_amplitude(config) ** 2 == pytest.approx(1.0 / 12.0, rel=1e-9)
+    assert told.second == pytest.approx(0.0, abs=1e-9)
+
+
 def test_a_course_has_a_mean_and_no_lines():
     lines = arp_lines(am("arp", "file", 0.5, table=COURSE))
     # From the start: held for 10 ms, then two straight pieces of 20 ms
