@@ -203,9 +203,10 @@ def caller(board: VirtualBoard, work: str = BUSY) -> Iterator[tuple[subprocess.P
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP):
             signal.signal(number, signal.SIG_DFL)
 
+    # In a group of its own: one whose parents are all of it or of another session can't be stopped by SIGTSTP
     process = subprocess.Popen(
         [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        preexec_fn=heed_signals,
+        preexec_fn=heed_signals, process_group=0,
     )  # fmt: skip
     try:
         assert process.stdout is not None
