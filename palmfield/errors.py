@@ -24,6 +24,11 @@ class MeasurementError(PalmfieldError):
     """A metric or an instrument is asked for what the signal that it is given cannot tell."""
 
 
+def unwritable(path: object, error: OSError) -> OutputError:
+    """What to raise where a file can't be written, from what the system said."""
+    return OutputError(f"cannot write {path}: {error.strerror or error}; choose a folder that exists and has room")
+
+
 def did_you_mean(word: str, known: Iterable[str], likeness: float = 0.6) -> str:
     """` (did you mean 'x'?)` for what of the known words comes near; empty where none does.
 

@@ -15,10 +15,11 @@ import pytest
 CLONE = Path(__file__).resolve().parents[1]
 SOURCES = ("palmfield", "warp_kernels", "mjcf", "hand_models")
 FILES = ("pyproject.toml", "setup.py", "MANIFEST.in", "README.md", "LICENSE")
+TOLERANCES = "docs/gallery/tolerances.toml"
 TELL = """
 import palmfield.data
 print(palmfield.data.__file__)
-for name in ("mjcf", "hand_models"):
+for name in ("mjcf", "hand_models", "gallery"):
     print(palmfield.data.folder(name))
 import warp_kernels
 print(warp_kernels.__file__)
@@ -32,7 +33,8 @@ def source(tmp_path_factory):
     copy.mkdir()
     for name in SOURCES:
         shutil.copytree(CLONE / name, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
-    for name in FILES:
+    (copy / TOLERANCES).parent.mkdir(parents=True)
+    for name in (*FILES, TOLERANCES):
         shutil.copy(CLONE / name, copy / name)
     return copy
 
@@ -79,6 +81,7 @@ def test_the_wheel_finds_its_data_without_the_clone(wheel, tmp_path):
         str(site / "palmfield" / "data.py"),
         str(site / "palmfield" / "_data" / "mjcf"),
         str(site / "palmfield" / "_data" / "hand_models"),
+        str(site / "palmfield" / "_data" / "gallery"),
         str(site / "warp_kernels" / "__init__.py"),
     ]
     for name in ("mjcf", "hand_models"):
@@ -130,6 +133,7 @@ def test_an_editable_install_finds_the_data_beside_its_source(source, tmp_path):
         str(source / "palmfield" / "data.py"),
         str(source / "mjcf"),
         str(source / "hand_models"),
+        str(source / "docs" / "gallery"),
         str(source / "warp_kernels" / "__init__.py"),
     ]
 

@@ -91,6 +91,11 @@ def run(
     board: BoardName = None,
     keys: Keys = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace another run's results in the folder")] = False,
+    plots: Annotated[
+        str | None,
+        typer.Option(help="pictures instead of the usual three (see `palmfield plot --list`)", metavar="KIND,..."),
+    ] = None,
+    no_plots: Annotated[bool, typer.Option("--no-plots", help="draw none")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Simulate a scene and write result.nc, summary.json, pictures and scene.usdc.
@@ -104,9 +109,12 @@ def run(
     from palmfield.cli.run import run_scene
 
     _check_duration(duration)
+    if plots is not None and no_plots:
+        raise SceneError("--plots and --no-plots say the contrary; give one of them")
+    kinds = [] if no_plots else None if plots is None else [kind for kind in plots.split(",") if kind]
     run_scene(
         scene, out or Path("out") / scene.stem, device=device, accuracy=accuracy, board=board, keys=given_keys(keys),
-        duration_s=duration, overwrite=overwrite, quiet=context.obj, as_json=as_json,
+        duration_s=duration, overwrite=overwrite, plots=kinds, quiet=context.obj, as_json=as_json,
     )  # fmt: skip
 
 
@@ -482,17 +490,25 @@ def keys(
 @app.command()
 def new(
     name: Annotated[str, typer.Argument(help="name of the scene; writes the folder NAME here")],
+    stimulus: Annotated[
+        str | None,
+        typer.Option(
+            help="a standard stimulus, see `palmfield stimulus standard` [default: AM at 200 Hz]", metavar="NAME"
+        ),
+    ] = None,
 ) -> None:
-    """Write a commented scene that runs: a hand over an array and a 200 Hz focus on the palm.
+    """Write a commented scene that runs: a hand over an array and a 200 Hz focus on the palm, or another stimulus.
 
     NAME/NAME_plain.xml opens in any MuJoCo; NAME/NAME.xml adds the haptics and opens where palmfield is installed. The
     folder has all that they refer to, so that it can be moved and sent.
 
-    Example: palmfield new first && palmfield run first/first.xml
+    Examples: palmfield new first && palmfield run first/first.xml
+
+    palmfield new pressed --stimulus lm_small_steps
     """
     from palmfield.cli.template import write_scene
 
-    for path in write_scene(name):
+    for path in write_scene(name, stimulus=stimulus):
         print(f"wrote {path}")
     print(f"next: palmfield run {Path(name) / name}.xml")
 
@@ -662,6 +678,117 @@ def compare_command(
         out=out or folder / "compare", as_uff=as_uff, overwrite=overwrite, quiet=context.obj,
         as_json=as_json,
     )  # fmt: skip
+
+
+@app.command("plot")
+def plot_command(
+    context: typer.Context,
+    run: Annotated[Path | None, typer.Argument(help="folder of a run, or its result.nc", metavar="[DIR]")] = None,
+    kinds: Annotated[
+        list[str] | None,
+        typer.Argument(help="which (see --list) [default: all that the run holds]", metavar="[KIND]..."),
+    ] = None,
+    time_ms: Annotated[
+        float | None, typer.Option("--time", help="of maps and drives [ms] [default: when most happens]", metavar="MS")
+    ] = None,
+    place: Annotated[
+        list[str] | None,
+        typer.Option(help="point of the skin in the world as the run begins [mm]; may be repeated", metavar="X,Y,Z"),
+    ] = None,
+    limits: Annotated[
+        str | None, typer.Option(help="ends of the colours or of the axis, in its unit", metavar="LOW,HIGH")
+    ] = None,
+    skin: Annotated[str | None, typer.Option(help="which skin, where the run has several", metavar="NAME")] = None,
+    quantity: Annotated[str, typer.Option(help="of the skin's motion: displacement or velocity")] = "displacement",
+    observer: Annotated[str | None, typer.Option(help="of levels [default: each]", metavar="NAME")] = None,
+    suffix: Annotated[str, typer.Option("--format", help="png, svg or pdf")] = "png",
+    out: Annotated[Path | None, typer.Option(help="folder for the pictures [default: DIR/plots]")] = None,
+    listed: Annotated[bool, typer.Option("--list", help="say which kinds there are, and draw none")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Draw pictures of a run for a paper: field, drives, maps of motion and of levels, courses, spectra, wavefronts.
+
+    PNG at 300 dpi, SVG or PDF. What a run doesn't hold is left out and said, or refused where it was named.
+
+    Examples: palmfield plot out/palm
+
+    palmfield plot out/palm motion wavefronts --time 12.5 --format svg
+    """
+    from palmfield.cli.plot import list_kinds, plot
+    from palmfield.outputs.pictures.asked import asked_for
+
+    if listed:
+        list_kinds(as_json)
+        return
+    if run is None:
+        raise SceneError("plot needs DIR, the folder of a run; `palmfield plot --list` says what it can draw")
+    asked = asked_for(time_ms, place or (), limits, skin, quantity, observer)
+    plot(run, kinds or (), asked, out=out, suffix=suffix, quiet=context.obj, as_json=as_json)
+
+
+@app.command("render")
+def render_command(
+    context: typer.Context,
+    run: Annotated[Path, typer.Argument(help="folder of a run, or its result.nc", metavar="DIR")],
+    video: Annotated[Path, typer.Option(help="the film to write, an MP4", metavar="FILE.mp4")],
+    start_ms: Annotated[float | None, typer.Option("--from", help="[ms] [default: the run's begin]")] = None,
+    end_ms: Annotated[float | None, typer.Option("--to", help="[ms] [default: the run's end]")] = None,
+    slow: Annotated[float, typer.Option(help="times slower than it was: at 200 a second of film is 5 ms")] = 200.0,
+    magnify: Annotated[
+        float | None, typer.Option(help="of the motion [default: the largest is seen as about 2 mm]")
+    ] = None,
+    show: Annotated[str, typer.Option(help="the colours: displacement, velocity or arp")] = "displacement",
+    limits: Annotated[
+        str | None, typer.Option(help="ends of the colours, in um, um/s or Pa", metavar="LOW,HIGH")
+    ] = None,
+    size: Annotated[str, typer.Option(help="[pixels]", metavar="WIDTHxHEIGHT")] = "960x720",
+    as_json: AsJson = False,
+) -> None:
+    """Make a film of a run: the hand with the motion or the ARP on its skin, slowed down and magnified.
+
+    Takes about a second a frame; Ctrl-C keeps what is drawn by then. Needs the extra `video`.
+
+    Example: palmfield render out/palm --video palm.mp4 --from 20 --to 40
+    """
+    from palmfield.cli.render import render, size_of
+    from palmfield.outputs.film import Cut
+    from palmfield.outputs.pictures.asked import asked_for
+
+    ends = asked_for(None, (), limits, None, "displacement", None).limits
+    start, end = (None if at is None else 1e-3 * at for at in (start_ms, end_ms))
+    cut = Cut(start, end, slow, magnify, show, ends, size_of(size))
+    render(run, video, cut, quiet=context.obj, as_json=as_json)
+
+
+@app.command("papers")
+def papers_command(
+    context: typer.Context,
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(help="chilles2019, reardon2023, mizushima2024, hasegawa2018, or all", metavar="[PAPER]..."),
+    ] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="coarser runs, for answers in minutes")] = False,
+    out: Annotated[Path, typer.Option(help="folder for pages, figures and rows.json")] = Path("out/papers"),
+    device: Annotated[str, typer.Option(help="where kernels run that can run on a GPU: cpu or cuda")] = "cpu",
+    only: Annotated[
+        list[str] | None,
+        typer.Option(help="only this number of docs/gallery/tolerances.toml, printed; may be repeated", metavar="ID"),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Compute what four papers claim, each number beside the paper's, held against tolerances fixed beforehand.
+
+    Writes a page, figures and rows.json for each paper, and index.html over all. Exit code 4 where a number failed.
+
+    Example: palmfield papers chilles2019 --quick
+    """
+    from palmfield.cli.papers import compute_numbers, compute_papers
+
+    if only:
+        raise typer.Exit(compute_numbers(only, quick=quick, device=device, as_json=as_json))
+    raise typer.Exit(
+        compute_papers(names or (), quick=quick, out=out, device=device, quiet=context.obj, as_json=as_json)
+    )
 
 
 @app.command()

@@ -25,6 +25,7 @@ def run_scene(
     keys: dict[str, str],
     duration_s: float | None,
     overwrite: bool,
+    plots: list[str] | None,
     quiet: bool,
     as_json: bool,
 ) -> None:
@@ -38,7 +39,9 @@ def run_scene(
     for warning in told:
         LOG.warning(warning)
     try:
-        result = palmfield.run(simulation, out, duration_s=duration_s, overwrite=overwrite, progress=not quiet)
+        result = palmfield.run(
+            simulation, out, duration_s=duration_s, overwrite=overwrite, progress=not quiet, plots=plots
+        )
     except KeyboardInterrupt as error:
         if hasattr(error, "result"):
             complain(f"interrupted; what was computed is in {out}; `palmfield recover {out}` draws its pictures")

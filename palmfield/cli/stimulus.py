@@ -108,3 +108,34 @@ def export_command(
           f"intensities of {table.quantity}, frame {table.frame}, between rows {table.between}")  # fmt: skip
     for warning in result.warnings:
         print(f"note: {warning}")
+
+
+@stimulus.command("standard")
+def standard_command(
+    name: Annotated[str | None, typer.Argument(help="one of them [default: a list of all]", metavar="NAME")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="for other programs")] = False,
+) -> None:
+    """Show the standard stimuli: what experiments have used, with source, published outcome and keys.
+
+    `palmfield new SCENE --stimulus NAME` writes a scene with one of them.
+
+    Example: palmfield stimulus standard lm_small_steps
+    """
+    from palmfield.cli.as_json import print_json
+    from palmfield.stimulus.standard import names, standard
+
+    shown = [standard(one) for one in ([name] if name is not None else names())]
+    if as_json:
+        print_json({"stimuli": [one.model_dump() for one in shown]} if name is None else shown[0].model_dump())
+    elif name is None:
+        width = max(map(len, names()))
+        for one in shown:
+            print(f"{one.name:<{width}}  {one.about}")
+    else:
+        (one,) = shown
+        print(f"{one.name}: {one.about}\nsource: {one.source} (read: {one.read})\npublished: {one.published}")
+        if one.assumed:
+            print(f"chosen here: {one.assumed}")
+        print(f"played for {one.duration_s:g} s, keys of palmfield.stimulus:")
+        for key, value in one.texts().items():
+            print(f'  <config key="{key}" value="{value}"/>')

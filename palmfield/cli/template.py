@@ -1,10 +1,12 @@
 """The scene that `palmfield new` writes."""
 
+import textwrap
 from pathlib import Path
 
 from palmfield.acoustics.layouts import LAYOUTS
 from palmfield.data import folder
 from palmfield.errors import OutputError, SceneError
+from palmfield.stimulus.standard import standard
 
 ARRAY = folder("mjcf") / "arrays" / "uhev1.xml"
 HAND = folder("mjcf") / "hands" / "open_men_p50.xml"
@@ -26,7 +28,7 @@ HAPTIC = """<!-- {name}: run with `palmfield run {name}.xml`, or watch with `pyt
   <include file="{name}_plain.xml"/>
   <option timestep="0.001"/>
   <custom>
-    <numeric name="palmfield_duration_s" data="0.1"/>
+    <numeric name="palmfield_duration_s" data="{duration}"/>
     <!-- Where fields are computed: auto, cpu or cuda:N. -->
     <text name="palmfield_device" data="auto"/>
   </custom>
@@ -49,11 +51,7 @@ HAPTIC = """<!-- {name}: run with `palmfield run {name}.xml`, or watch with `pyt
         <!-- The focus, in the array frame: z points out of the emitting face. A scene may hold several arrays, stimuli
              and skins: each is one more instance, and results go by its name. -->
         <config key="focus_m" value="0 0 0.2"/>
-        <!-- Amplitude modulation of the sound pressure by a sine; with am_quantity arp, of the radiation pressure. -->
-        <config key="modulation" value="am"/>
-        <config key="am_quantity" value="amplitude"/>
-        <config key="am_frequency_Hz" value="200"/>
-        <config key="am_depth" value="1"/>
+        {stimulus}
         <!-- The level: full drive unless you set drive_amplitude (0..1) or arp_peak_Pa. -->
       </instance>
     </plugin>
@@ -82,11 +80,17 @@ HAPTIC = """<!-- {name}: run with `palmfield run {name}.xml`, or watch with `pyt
 """
 
 
-def write_scene(name: str, where: Path = Path()) -> list[Path]:
+USUAL_S = 0.1
+ABOUT_AM = "Amplitude modulation of the sound pressure by a sine; with am_quantity arp, of the radiation pressure."
+
+
+def write_scene(name: str, where: Path = Path(), stimulus: str | None = None) -> list[Path]:
     """Write the folder NAME with NAME.xml, NAME_plain.xml and the array and hand that they include; returns the paths.
 
+    stimulus: a standard one (`palmfield.stimulus.standard`), for as long as it is worth playing; AM at 200 Hz without
     The folder can be moved and sent: its files name each other, and nothing outside.
-    Raises SceneError for a name that is no file name, OutputError where the folder exists or can't be written.
+    Raises SceneError for a name that is no file name and an unknown stimulus, OutputError where the folder exists or
+    can't be written.
     """
     if not name.replace("_", "").replace("-", "").isalnum():
         raise SceneError(f"scene name '{name}' is not usable; allowed: letters, digits, - and _")
@@ -97,7 +101,16 @@ def write_scene(name: str, where: Path = Path()) -> list[Path]:
     names = {"name": name, "array": ARRAY.name, "hand": HAND.name}
     p0 = LAYOUTS[ARRAY.stem].p0
     level = {"p0": f"{p0.value:g}", "low": f"{p0.low:g}", "high": f"{p0.high:g}", "kind": p0.kind}
-    haptic = HAPTIC.format(**names, **level, layout=ARRAY.stem)
+    chosen = standard(stimulus or "am_200")
+    comment = ABOUT_AM
+    if stimulus is not None:
+        comment = f"{chosen.name}: {chosen.about} {chosen.source} Published: {chosen.published}"
+        comment += f" Chosen here: {chosen.assumed}" if chosen.assumed else ""
+    keys = [f'<config key="{key}" value="{value}"/>' for key, value in chosen.texts().items()]
+    told = textwrap.fill(f"<!-- {comment} -->", 112, subsequent_indent="     ", break_on_hyphens=False)
+    block = "\n".join([*told.splitlines(), *keys]).replace("\n", "\n" + 8 * " ")
+    duration = f"{USUAL_S if stimulus is None else chosen.duration_s:g}"
+    haptic = HAPTIC.format(**names, **level, layout=ARRAY.stem, stimulus=block, duration=duration)
     texts = {f"{name}.xml": haptic, f"{name}_plain.xml": PLAIN.format(**names), **parts}
     try:
         target.mkdir(parents=True)

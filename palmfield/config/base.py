@@ -1,8 +1,9 @@
 """What the keys of all modules share: their model, their types, and how a bad value is told."""
 
+import json
 import re
 from functools import lru_cache
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
@@ -43,6 +44,9 @@ class Config(BaseModel):
     refused: ClassVar[dict[str, str]] = {}
 
 
+T = TypeVar("T", bound=Config)
+
+
 def known_keys(model: type[Config]) -> list[str]:
     """All keys that a scene may hold without MuJoCo refusing it: those that there are, and renamed ones."""
     gone = [name for name in model.renamed if "=" not in name and name not in model.model_fields]
@@ -65,6 +69,23 @@ def parse(model: type[Config], values: dict[str, str], element: str) -> Config:
     except ValidationError as error:
         told = dict.fromkeys(_explain(model, values, e) for e in error.errors())
         raise SceneError(f"{element}: " + "; ".join(told)) from None
+
+
+def recorded(model: type[T], text: str) -> T:
+    """The configuration that `model_dump_json` has written, for example into a result.
+
+    Values that are those of a key that isn't given are left out, as some keys may not be given beside others.
+    Raises SceneError for what isn't such a text.
+    """
+    try:
+        held = json.loads(text)
+        # As JSON has them: tuples are lists there
+        usual = json.loads(model.model_construct().model_dump_json())
+        given = {key: value for key, value in held.items() if value != usual.get(key)}
+        # As JSON again, in which bytes of tables are text
+        return model.model_validate_json(json.dumps(given))
+    except (ValueError, AttributeError) as error:
+        raise SceneError(f"keys of plugin '{model.plugin}' can't be read back: {error}; run the scene again") from None
 
 
 @lru_cache(maxsize=256)

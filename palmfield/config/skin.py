@@ -18,12 +18,14 @@ EXPLICIT = ("spectral_elements", "particles")
 OVERRIDES = ("density_kg_m3", "shear_relaxed_Pa", "shear_branch_Pa", "relaxation_time_s", "bulk_Pa")
 
 
-BODIES = ("hand", "articulated", "mesh", "rigged")
+BODIES = ("hand", "articulated", "mesh", "rigged", "cylinder")
 """Shapes on which a layer is laid; a disc is the layer itself."""
 OF_SHAPES = {
     "hand": ("hand", "articulated"),
     "mesh": ("mesh", "rigged"),
     "mesh_unit": ("mesh", "rigged"),
+    "cylinder_radius_m": ("cylinder",),
+    "cylinder_length_m": ("cylinder",),
     "radius_m": ("disc",),
     "thickness_m": ("disc",),
     "patch_site": BODIES,
@@ -31,6 +33,8 @@ OF_SHAPES = {
     "depth_m": BODIES,
 }
 """Keys that only some shapes look at: with another shape they would say nothing, silently."""
+THICKEST = 0.85
+"""Layer on a cylinder's bone over the cylinder's radius, at most: elements get thin towards its axis."""
 WITH_A_UNIT = (".glb", ".gltf", ".pkl")
 """Mesh files whose format says what a unit is."""
 
@@ -48,9 +52,10 @@ class SkinConfig(Config):
     }
 
     body: str = Field("hand", description="body that carries the surface; its frame is the surface's frame")
-    shape: Literal["hand", "articulated", "disc", "mesh", "rigged"] = Field(
+    shape: Literal["hand", "articulated", "disc", "mesh", "rigged", "cylinder"] = Field(
         "hand",
-        description="parametric hand in one piece or on its bones, flat disc, mesh file in one piece or on its joints",
+        description="parametric hand in one piece or on its bones, flat disc, mesh file in one piece or on its joints, "
+        "cylinder with a rigid bone inside a layer of depth_m",
     )
     hand: str = Field(
         "open_men_p50", description="shapes hand and articulated: a preset in hand_models/ or the path of a .toml file"
@@ -63,6 +68,10 @@ class SkinConfig(Config):
         description="shapes mesh, rigged: the unit; auto: metres for glTF and MANO, which need no key, else what "
         "makes it a hand",
     )
+    cylinder_radius_m: Length | None = Field(
+        None, description="shape cylinder: radius of the skin's face; its axis is the body's x, its middle the origin"
+    )
+    cylinder_length_m: Length | None = Field(None, description="shape cylinder: length")
     radius_m: Length | None = Field(None, description="shape disc: radius; the loaded face is z = 0, looking along +z")
     thickness_m: Length | None = Field(None, description="shape disc: thickness")
     patch_site: str | None = Field(
@@ -137,6 +146,7 @@ class SkinConfig(Config):
     def _complete(self) -> Self:
         if self.shape == "disc" and (self.radius_m is None or self.thickness_m is None):
             raise ValueError("shape 'disc' needs radius_m and thickness_m")
+        self._check_cylinder()
         self._check_surface()
         if self.shape != "disc" and self.patch_site is None:
             raise ValueError(f"shape '{self.shape}' needs patch_site")
@@ -167,6 +177,17 @@ class SkinConfig(Config):
         if self.side == "roller" and self.shape != "disc":
             raise ValueError("side 'roller' needs the symmetry of shape 'disc'; use fixed or free")
         return self
+
+    def _check_cylinder(self) -> None:
+        if self.shape != "cylinder":
+            return
+        if self.cylinder_radius_m is None or self.cylinder_length_m is None:
+            raise ValueError("shape 'cylinder' needs cylinder_radius_m and cylinder_length_m")
+        if self.depth_m > THICKEST * self.cylinder_radius_m:
+            raise ValueError(
+                f"depth_m {self.depth_m:g} leaves no bone in a cylinder of cylinder_radius_m "
+                f"{self.cylinder_radius_m:g}; allowed: at most {THICKEST * self.cylinder_radius_m:.4g}"
+            )
 
     def _check_surface(self) -> None:
         for key, shapes in OF_SHAPES.items():

@@ -21,7 +21,12 @@ NEEDED: dict[str, tuple[str, ...]] = {
     "file": ("path_file",),
 }
 """Keys without which a path has no shape."""
+ZIGZAG = ("path_zigzag_width_m", "path_zigzag_speed_m_s")
+"""Keys of a zigzag about a path that is not closed."""
 OPTIONAL: dict[str, tuple[str, ...]] = {
+    "line": ZIGZAG,
+    "polyline": ZIGZAG,
+    "sites": ZIGZAG,
     "lm": ("path_step_m", "path_direction_deg"),
     "zigzag": ("path_corners",),
     "lissajous": ("path_ratio", "path_phase_deg"),
@@ -34,7 +39,8 @@ AM_WAVEFORMS: dict[str, tuple[str, ...]] = {
     "file": ("am_file",),
 }
 """Keys without which a waveform has no shape."""
-OF_WAVEFORMS = ("am_waveform_duty", "am_burst_length_s", "am_burst_period_s", "am_file")
+AM_OPTIONAL: dict[str, tuple[str, ...]] = {"hann": ("am_waveform_duty",), "burst": ("am_burst_phase_deg",)}
+OF_WAVEFORMS = ("am_waveform_duty", "am_burst_length_s", "am_burst_period_s", "am_burst_phase_deg", "am_file")
 AM_KEYS = ("am_quantity", "am_frequency_Hz", "am_depth", "am_waveform", "am_normalisation", *OF_WAVEFORMS)
 FARTHEST_FOCUS_M = 10.0
 """No array focuses there: at 40 kHz air takes 13 dB on the way."""
@@ -93,6 +99,12 @@ class StimulusConfig(Config):
     path_step_m: Positive | None = Field(
         None, description="lm: the focus rests at points so far apart, path_width_m for two; without, it moves on"
     )
+    path_zigzag_width_m: Positive | None = Field(
+        None, description="line, polyline, sites: the focus runs a zigzag of this width about the path"
+    )
+    path_zigzag_speed_m_s: Positive | None = Field(
+        None, description="speed of that zigzag across the path; path_speed_m_s is the one along it"
+    )
     path_direction_deg: float = Field(0.0, description="lm: direction of its line, from the frame's x towards its y")
     path_corners: Annotated[int, Field(ge=1, le=1000)] = Field(3, description="corners of the zigzag between its ends")
     path_ratio: Numbers = Field((1, 2), description="oscillations of the lissajous along x and along y in one turn")
@@ -146,6 +158,11 @@ class StimulusConfig(Config):
     am_burst_length_s: Positive | None = Field(None, description="length of a burst of the modulation's sine")
     am_burst_period_s: Positive | None = Field(
         None, description="from one such burst's beginning to the next one's; between bursts the carrier sounds on"
+    )
+    am_burst_phase_deg: Annotated[float, Field(ge=-360, le=360)] | None = Field(
+        None,
+        description="phase of a burst's sine in the middle of the burst: 90 is a crest there, -90 a trough; left out, "
+        "the sine begins with the burst at 0",
     )
     am_file: str | None = Field(
         None, description="CSV file with columns turn (0..1) and w: a period; or time_s and w: a course from start_s"
@@ -213,6 +230,8 @@ class StimulusConfig(Config):
             raise ValueError(f"path_ratio is {self.path_ratio}; give two whole numbers of 1 or more")
         if self.path == "lm":
             self._check_steps()
+        if any(getattr(self, key) is not None for key in ZIGZAG):
+            self._check_zigzag()
         if len(self.path_through_m) % 2:
             raise ValueError(f"path_through_m has {len(self.path_through_m)} numbers; give x and y of each corner")
 
@@ -224,6 +243,14 @@ class StimulusConfig(Config):
             raise ValueError("path_end is 'back'; allowed with path 'file': stop, jump (begins again)")
         if self.path_on == "skin":
             raise ValueError("path_on is 'skin'; the table of path 'file' has places in space: set path_on to plane")
+
+    def _check_zigzag(self) -> None:
+        missing = [key for key in (*ZIGZAG, "path_speed_m_s") if getattr(self, key) is None]
+        if missing:
+            raise ValueError(
+                f"a zigzag about path '{self.path}' needs {' and '.join(missing)}; allowed: width, speed across and "
+                "speed along the path together"
+            )
 
     def _check_steps(self) -> None:
         if self.path_step_m is None:
@@ -249,7 +276,7 @@ class StimulusConfig(Config):
         if missing:
             of = "" if self.am_waveform == "sine" else f" of am_waveform '{self.am_waveform}'"
             raise ValueError(f"modulation 'am'{of} needs {', '.join(missing)}")
-        takes = (*AM_WAVEFORMS[self.am_waveform], *(("am_waveform_duty",) if self.am_waveform == "hann" else ()))
+        takes = (*AM_WAVEFORMS[self.am_waveform], *AM_OPTIONAL.get(self.am_waveform, ()))
         stray = [key for key in OF_WAVEFORMS if getattr(self, key) is not None and key not in takes]
         if stray:
             raise ValueError(

@@ -23,7 +23,7 @@ from palmfield.config import DriverConfig
 from palmfield.drive.board import Board
 from palmfield.drive.boards import board_of
 from palmfield.drive.log_lines import log_line
-from palmfield.errors import OutputError, SceneError
+from palmfield.errors import SceneError, unwritable
 from palmfield.types import Air, Array, Complex, Float
 
 VERSION = 1
@@ -96,7 +96,7 @@ class FrameLog:
         try:
             self._file = self.path.open("w", encoding="utf-8", buffering=1)
         except OSError as error:
-            raise self._unwritable(error) from error
+            raise unwritable(self.path, error) from error
         told = {key: value for key, value in asdict(head).items() if value is not None}
         self._write(json.dumps({"palmfield_log": VERSION, **told}) + "\n")
 
@@ -108,16 +108,13 @@ class FrameLog:
         try:
             self._file.write(line)
         except OSError as error:
-            raise self._unwritable(error) from error
+            raise unwritable(self.path, error) from error
 
     def close(self) -> None:
         try:
             self._file.close()
         except OSError as error:
-            raise self._unwritable(error) from error
-
-    def _unwritable(self, error: OSError) -> OutputError:
-        return OutputError(f"cannot write {self.path}: {error.strerror}; choose a folder that exists and has room")
+            raise unwritable(self.path, error) from error
 
 
 def read_log(path: str | Path) -> tuple[LogHead, list[Piece]]:

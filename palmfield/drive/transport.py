@@ -12,7 +12,7 @@ from typing import Protocol
 import serial
 from serial.tools.list_ports import comports
 
-from palmfield.errors import DeviceError, OutputError
+from palmfield.errors import DeviceError, OutputError, unwritable
 
 WRITE_TIMEOUT_S = 0.25
 TIMEOUTS_BEFORE_LOST = 8
@@ -193,7 +193,7 @@ class FileTransport:
         try:
             self._file = self.part.open("wb", buffering=0)
         except OSError as error:
-            raise self._unwritable(error) from error
+            raise unwritable(self.path, error) from error
 
     def write(self, data: bytes) -> bool:
         """Always True; raises OutputError when the disk does not take it, or did not before."""
@@ -204,7 +204,7 @@ class FileTransport:
                 data = data[self._file.write(data) :]
         except OSError as error:
             self._file.close()  # what lacks bytes keeps the name .part
-            raise self._unwritable(error) from error
+            raise unwritable(self.path, error) from error
         return True
 
     def waiting(self) -> int:
@@ -221,12 +221,9 @@ class FileTransport:
             self._file.close()
             os.replace(self.part, self.path)
         except OSError as error:
-            raise self._unwritable(error) from error
+            raise unwritable(self.path, error) from error
         finally:
             self._file.close()
-
-    def _unwritable(self, error: OSError) -> OutputError:
-        return OutputError(f"cannot write {self.path}: {error.strerror}; choose a folder that exists and has room")
 
 
 def open_serial(port: str, baud: int | None) -> SerialTransport:

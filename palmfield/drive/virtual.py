@@ -16,6 +16,7 @@ from typing import Literal, Self
 from palmfield.drive.board import Board, Emitted, Flag
 from palmfield.drive.transport import TAKEN_MARK, TOLD_WITHIN_S
 from palmfield.errors import DeviceError
+from palmfield.realtime import realtime
 
 TICK_S = 0.5e-3
 TELLS_S = 4e-3
@@ -147,7 +148,7 @@ class VirtualBoard:
         else:
             self._open_socket(self._tcp_port)
         self._ended.clear()
-        self._thread = threading.Thread(target=self._read, daemon=True)
+        self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
     def __enter__(self) -> Self:
@@ -216,10 +217,11 @@ class VirtualBoard:
             return data
         return b""
 
+    def _run(self) -> None:
+        with realtime(THREAD_PRIORITY) if self._realtime else contextlib.nullcontext():
+            self._read()
+
     def _read(self) -> None:
-        if self._realtime and hasattr(os, "sched_setscheduler"):
-            with contextlib.suppress(OSError):
-                os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(THREAD_PRIORITY))
         before = self.clock
         told, told_s = -1, 0.0
         while not self._ended.is_set():

@@ -3,6 +3,7 @@
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -83,6 +84,36 @@ class ArticulatedHand:
     def bone(self, name: str) -> int:
         """Index of a bone."""
         return [bone.name for bone in self.bones].index(name)
+
+    @cached_property
+    def origins(self) -> Float:
+        """Of the bones in the rest pose [m], shape (bones, 3)."""
+        return np.array([bone.origin for bone in self.bones])
+
+    @cached_property
+    def pivots(self) -> Float:
+        """Of the joints in the rest pose [m], shape (joints, 3)."""
+        return np.array([joint.pivot for joint in self.joints])
+
+    @cached_property
+    def axes(self) -> Float:
+        """Of the joints in the rest pose, shape (joints, 3)."""
+        return np.array([joint.axis for joint in self.joints])
+
+    @cached_property
+    def rest_deg(self) -> Float:
+        """Angles of the joints in the rest pose [deg], shape (joints,)."""
+        return np.array([joint.rest_deg for joint in self.joints])
+
+    @cached_property
+    def turns_from(self) -> list[tuple[int, int]]:
+        """Of each joint its bone, and the bone whose frame it turns from: the bone itself for the second of two."""
+        seen: set[int] = set()
+        pairs = []
+        for joint in self.joints:
+            pairs.append((joint.bone, joint.bone if joint.bone in seen else self.bones[joint.bone].parent))
+            seen.add(joint.bone)
+        return pairs
 
 
 def articulate(preset: HandPreset) -> ArticulatedHand:
@@ -170,23 +201,16 @@ def bone_poses(hand: ArticulatedHand, angles_deg: Mapping[str, float]) -> tuple[
 
 def poses_at(hand: ArticulatedHand, angles_deg: Float) -> tuple[Float, Float]:
     """`bone_poses` for angles [deg] in the order of the joints, shape (joints,), whatever their range."""
-    rotations = np.tile(np.eye(3), (len(hand.bones), 1, 1))
-    shifts = np.zeros((len(hand.bones), 3))
-    # A point x of the rest pose comes to rotations[b] @ x + shifts[b].
-    turns = Rotation.from_rotvec(
-        np.array(
-            [np.deg2rad(a - joint.rest_deg) * joint.axis for joint, a in zip(hand.joints, angles_deg, strict=True)]
-        )
-    ).as_matrix()
-    done = set()
-    for joint, turn in zip(hand.joints, turns, strict=True):
-        before = joint.bone if joint.bone in done else hand.bones[joint.bone].parent
-        done.add(joint.bone)
-        rotation, shift = rotations[before], shifts[before]
-        shifts[joint.bone] = rotation @ (joint.pivot - turn @ joint.pivot) + shift
-        rotations[joint.bone] = rotation @ turn
-    origins = np.array([bone.origin for bone in hand.bones])
-    return np.einsum("bij,bj->bi", rotations, origins) + shifts, rotations
+    turns = np.zeros((len(hand.joints), 4, 4))
+    turns[:, :3, :3] = Rotation.from_rotvec(np.deg2rad(angles_deg - hand.rest_deg)[:, None] * hand.axes).as_matrix()
+    turns[:, :3, 3] = hand.pivots - np.einsum("jab,jb->ja", turns[:, :3, :3], hand.pivots)
+    turns[:, 3, 3] = 1.0
+    # A point x of the rest pose comes to moved[b] @ (x, 1)
+    moved = np.tile(np.eye(4), (len(hand.bones), 1, 1))
+    for (bone, before), turn in zip(hand.turns_from, turns, strict=True):
+        moved[bone] = moved[before] @ turn
+    rotations = moved[:, :3, :3]
+    return np.einsum("bij,bj->bi", rotations, hand.origins) + moved[:, :3, 3], rotations
 
 
 def posed_landmark(hand: ArticulatedHand, name: str, positions: Float, rotations: Float) -> Float:

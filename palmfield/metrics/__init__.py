@@ -11,7 +11,7 @@ from palmfield.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from palmfield.metrics.energy import average_residual_energy, energy_density, focal_energy_ratio, mse, ssim, strip
-    from palmfield.metrics.maps import area_above, level_depth, radial_profile, share_within, spot_diameter
+    from palmfield.metrics.maps import area_above, half_width, level_depth, radial_profile, share_within, spot_diameter
     from palmfield.metrics.moving_frames import co_rotating_average, moving_frame_average
     from palmfield.metrics.spectra import (
         amplitude_spectrum,
@@ -38,7 +38,9 @@ _WHERE = {
     **dict.fromkeys(
         ("average_residual_energy", "energy_density", "focal_energy_ratio", "mse", "ssim", "strip"), "energy"
     ),
-    **dict.fromkeys(("area_above", "level_depth", "radial_profile", "share_within", "spot_diameter"), "maps"),
+    **dict.fromkeys(
+        ("area_above", "half_width", "level_depth", "radial_profile", "share_within", "spot_diameter"), "maps"
+    ),
     **dict.fromkeys(("co_rotating_average", "moving_frame_average"), "moving_frames"),
     **dict.fromkeys(
         ("amplitude_spectrum", "harmonics", "spectral_centroid", "spectral_peaks", "strongest_line"), "spectra"
@@ -67,6 +69,7 @@ __all__ = [
     "co_rotating_average",
     "energy_density",
     "focal_energy_ratio",
+    "half_width",
     "harmonics",
     "last_periods",
     "level_depth",

@@ -12,6 +12,7 @@ from palmfield.metrics.checks import cell_areas, finite, grid, share
 from palmfield.types import Float
 
 Diameter = Literal["equal_area", "widest"]
+Lobe = Literal["outermost", "central"]
 
 
 def area_above(values: ArrayLike, x_m: ArrayLike, y_m: ArrayLike, level: float) -> float:
@@ -112,6 +113,45 @@ def level_depth(depth_m: ArrayLike, values: ArrayLike, reference_m: float, level
     high = float(np.interp(before, depth, curve))
     part = (high - goal) / (high - curve[after])
     return float(before + part * (depth[after] - before))
+
+
+def half_width(at_m: ArrayLike, values: ArrayLike, level: float = 0.5, *, of: Lobe = "outermost") -> float:
+    """Distance from the largest value of a curve to where it falls below a share of it, mean of both sides [m].
+
+    at_m: places along a line, rising [m], shape (n,); values: 0 or above, shape (n,), linear between places
+    of: "outermost", the last place on each side that still reaches the level: with fringes the width of their envelope;
+        "central", the first place that no longer does: that of the fringe in the middle
+    Half the full width at half maximum of a curve with one hump. Raises MeasurementError for other shapes, a curve of
+    zeros, and one that still reaches the level at an end, where its width is not known.
+    """
+    share("level", level)
+    places, curve = np.asarray(at_m, dtype=float), np.asarray(values, dtype=float)
+    if places.ndim != 1 or curve.shape != places.shape or len(places) < 3 or not np.all(np.diff(places) > 0.0):
+        raise MeasurementError(f"places of shape {places.shape} must rise and be as many as values {curve.shape}")
+    finite("values", curve)
+    if of not in ("outermost", "central"):
+        raise MeasurementError(f"of is '{of}'; use outermost or central")
+    top = int(curve.argmax())
+    goal = level * float(curve[top])
+    if goal <= 0.0:
+        raise MeasurementError("the curve is 0 everywhere and has no width")
+    reached = curve >= goal
+    if reached[0] or reached[-1]:
+        raise MeasurementError(
+            f"at an end of the curve, {places[0]:g} or {places[-1]:g} m, it still reaches {level:g} of its largest "
+            "value: give a longer one"
+        )
+    below = np.flatnonzero(~reached)
+    if of == "central":
+        low, high = int(below[below < top][-1]), int(below[below > top][0])
+    else:
+        inside = np.flatnonzero(reached)
+        low, high = int(inside[0]) - 1, int(inside[-1]) + 1
+    ends = [
+        places[out] + (goal - curve[out]) / (curve[within] - curve[out]) * (places[within] - places[out])
+        for out, within in ((low, low + 1), (high, high - 1))
+    ]
+    return float(0.5 * (ends[1] - ends[0]))
 
 
 def _filled(field: Float, x: Float, y: Float, level: float) -> list[Float]:

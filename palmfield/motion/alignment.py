@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy.spatial.transform import Rotation
 
-from palmfield.errors import OutputError, SceneError
+from palmfield.errors import SceneError, unwritable
 from palmfield.tables import read_table
 from palmfield.transforms import Transform
 from palmfield.types import Float
@@ -150,7 +150,7 @@ def write_alignment(path: str | Path, alignment: Alignment) -> None:
     try:
         Path(path).write_text(alignment.model_dump_json(indent=1) + "\n", encoding="utf-8")
     except OSError as error:
-        raise OutputError(f"cannot write {path}: {error.strerror}; choose a folder that exists and has room") from None
+        raise unwritable(path, error) from None
 
 
 def _spread(points: Float) -> float:

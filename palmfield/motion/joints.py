@@ -73,5 +73,5 @@ def hand_joints(hand: ArticulatedHand) -> HandJoints:
 
 def joints_at(hand: ArticulatedHand, joints: HandJoints, origins: Float, rotations: Float) -> Float:
     """Positions [m], shape (26, 3), where the bones are at `origins` [m], shape (bones, 3), and `rotations`."""
-    at_rest = np.array([hand.bones[bone].origin for bone in joints.bones])
-    return origins[joints.bones] + np.einsum("jab,jb->ja", rotations[joints.bones], joints.positions - at_rest)
+    arms = joints.positions - hand.origins[joints.bones]
+    return origins[joints.bones] + np.einsum("jab,jb->ja", rotations[joints.bones], arms)

@@ -126,14 +126,19 @@ class Predictor:
         self._turn.start(new)
         self._turned_s[valid] = time_s
 
+    def frames(self, time_s: float) -> tuple[Float, Rotation]:
+        """Positions [m], shape (n, 3), and orientations of the joints at a time [s]."""
+        # A joint that was never seen has been so since minus infinity, and its speed is 0
+        ahead = np.where(np.isfinite(self._placed_s), np.minimum(time_s - self._placed_s, self._predict_s), 0.0)
+        ahead_turn = np.where(np.isfinite(self._turned_s), np.minimum(time_s - self._turned_s, self._predict_s), 0.0)
+        positions = self._position + self._place.speed * ahead[:, None]
+        return positions, Rotation.from_rotvec(self._turn.speed * ahead_turn[:, None]) * self._orientation
+
     def at(self, time_s: float) -> tuple[Float, Float, Float, Int, Float]:
         """Positions, quaternions (w first), radii, flags and ages [s] of the joints at a time [s]."""
+        positions, turned = self.frames(time_s)
         age = time_s - self._placed_s
         known, known_turn = np.isfinite(self._placed_s), np.isfinite(self._turned_s)
-        ahead = np.where(known, np.minimum(age, self._predict_s), 0.0)
-        ahead_turn = np.where(known_turn, np.minimum(time_s - self._turned_s, self._predict_s), 0.0)
-        positions = self._position + self._place.speed * ahead[:, None]
-        turned = Rotation.from_rotvec(self._turn.speed * ahead_turn[:, None]) * self._orientation
         # Seen by the tracker are only joints that need no prediction over a gap.
         fresh, fresh_turn = known & (age <= self._predict_s), known_turn & (time_s - self._turned_s <= self._predict_s)
         flags = POSITION_VALID * known + ORIENTATION_VALID * known_turn

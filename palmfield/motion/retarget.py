@@ -1,6 +1,7 @@
 """A tracked hand's motion carried over to an articulated hand of other size."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -234,6 +235,17 @@ def _turned_and_scaled(target: Float, centred: Float) -> tuple[Float, Float, flo
     return turned, scales, float(np.sqrt(np.mean(np.sum(miss**2, axis=1))))
 
 
+class _Placed(NamedTuple):
+    """The hand at some angles. origins: of bones [m], shape (bones, 3); rotations: shape (bones, 3, 3)
+
+    joints: and tip beyond the root of each digit [m], shape (5, 3, 3)
+    """
+
+    origins: Float
+    rotations: Float
+    joints: Float
+
+
 class _Fit:
     """Joint angles of the digits of our hand, frame by frame."""
 
@@ -274,13 +286,16 @@ class _Fit:
         targets = roots[:, None] + np.cumsum(self._lengths[:, :, None] * onward, axis=1)
         start = np.clip(before[self._moving], self._low, self._high)
 
+        # The solver asks for misses and slopes of the same angles, one after the other
+        at = lru_cache(maxsize=1)(lambda angles: self._placed(np.frombuffer(angles)))
+
         def misses(x: Float) -> Float:
-            parts = self._places(x) - targets
+            parts = at(x.tobytes()).joints - targets
             return np.concatenate([(parts * known[:, :, None]).ravel(), TO_BEFORE_m_deg * (x - start)])
 
         def slopes(x: Float) -> Float:
             return np.concatenate(
-                [self._slopes(x) * np.repeat(known.ravel(), 3)[:, None], TO_BEFORE_m_deg * np.eye(len(x))]
+                [self._slopes(at(x.tobytes())) * np.repeat(known.ravel(), 3)[:, None], TO_BEFORE_m_deg * np.eye(len(x))]
             )
 
         scale = np.full(len(start), 10.0)
@@ -288,7 +303,7 @@ class _Fit:
             misses, start, slopes, bounds=(self._low, self._high), x_scale=scale, xtol=1e-6, ftol=1e-6
         )
         x = np.clip(solution.x, self._low, self._high)
-        tips = np.linalg.norm(self._places(x)[:, -1] - targets[:, -1], axis=1)[known[:, -1]]
+        tips = np.linalg.norm(at(x.tobytes()).joints[:, -1] - targets[:, -1], axis=1)[known[:, -1]]
         return self._all(x), tips
 
     def at_limit(self, angles: Float) -> float:
@@ -301,18 +316,17 @@ class _Fit:
         angles[self._moving] = x
         return angles
 
-    def _places(self, x: Float) -> Float:
-        """Joints and tip beyond the root of each digit [m], shape (5, 3, 3)."""
+    def _placed(self, x: Float) -> _Placed:
         origins, rotations = poses_at(self._hand, self._all(x))
-        return joints_at(self._hand, self._joints, origins, rotations)[self._chains[:, 1:]]
+        joints = joints_at(self._hand, self._joints, origins, rotations)[self._chains[:, 1:]]
+        return _Placed(origins, rotations, joints)
 
-    def _slopes(self, x: Float) -> Float:
-        """Of `_places` by the angles [m/deg], shape (45, moving)."""
-        origins, rotations = poses_at(self._hand, self._all(x))
-        places = joints_at(self._hand, self._joints, origins, rotations)[self._chains[:, 1:]]
-        axes = np.einsum("nab,nb->na", rotations[self._turned_with], self._axes)
-        arms = places[self._digits] - origins[self._bones][:, None]
-        slopes = np.zeros((*places.shape, len(x)))
+    def _slopes(self, at: _Placed) -> Float:
+        """Of the joints' places by the angles [m/deg], shape (45, moving)."""
+        axes = np.einsum("nab,nb->na", at.rotations[self._turned_with], self._axes)
+        arms = at.joints[self._digits] - at.origins[self._bones][:, None]
+        count = len(self._moving)
+        slopes = np.zeros((*at.joints.shape, count))
         # Each hinge moves what lies beyond it on its own digit.
-        slopes[self._digits, :, :, np.arange(len(x))] = self._beyond[:, :, None] * np.cross(axes[:, None], arms)
-        return slopes.reshape(-1, len(x))
+        slopes[self._digits, :, :, np.arange(count)] = self._beyond[:, :, None] * np.cross(axes[:, None], arms)
+        return slopes.reshape(-1, count)

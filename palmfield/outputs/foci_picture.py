@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 
-from palmfield.errors import OutputError
 from palmfield.types import Float
 
 
@@ -14,11 +13,11 @@ def draw_foci(times_s: Sequence[float], foci: Float, path: Path) -> None:
 
     Raises OutputError where it can't be written.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(9.0, 3.6), layout="constrained")
-    FigureCanvasAgg(figure)
+    from palmfield.outputs.style import save
+
+    figure = Figure(figsize=(9.0, 3.6), dpi=120, layout="constrained")
     above, side, course = figure.subplots(1, 3)
     moments, places = 1e3 * np.asarray(times_s), 1e3 * foci
     dots = above.scatter(places[:, 0], places[:, 1], c=moments, s=12)
@@ -33,7 +32,4 @@ def draw_foci(times_s: Sequence[float], foci: Float, path: Path) -> None:
     course.set_ylabel("focus [mm]")
     course.legend()
     figure.colorbar(dots, ax=side, label="time [ms]")
-    try:
-        figure.savefig(path, dpi=120)
-    except OSError as error:
-        raise OutputError(f"cannot write {path}: {error.strerror}; choose a folder that exists and has room") from None
+    save(figure, path, dpi=120)

@@ -3,69 +3,61 @@
 import json
 import textwrap
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
-from matplotlib.tri import Triangulation
 
 from palmfield.errors import MeasurementError, OutputError
 from palmfield.metrics.spectra import amplitude_spectrum, spectral_peaks
 from palmfield.outputs.budget_text import in_a_line
-from palmfield.outputs.frames import Loudest, foci_at, in_world, loudest, nearest, pose_at, to_local
+from palmfield.outputs.frames import Loudest, foci_at, in_world, loudest, to_local
 from palmfield.outputs.motion import at_vertices, extremes
 from palmfield.outputs.schema import has_records, instances
+from palmfield.outputs.skin_view import SkinView, draw_patch, probe_vertices, seen_from_array
 from palmfield.outputs.style import COLOURS, save, style
 from palmfield.types import Float
 
 DPI = 150
-DISTANCES_M = (0.010, 0.020)
 NARROW = 1.5
 
 
-class _View(NamedTuple):
-    """A skin as an array sees it when the sound on the skin is loudest.
-
-    array: its name; pose: of the array, shape (7,); vertices: of the skin in the array's frame [m], shape (n, 3)
-    """
-
-    array: str
-    pose: Float
-    vertices: Float
-    loudest: Loudest
-
-
 def plot_pressure(result: xr.DataTree, path: Path) -> None:
-    """PNG of peak pressure amplitude and ARP on each skin at its loudest instant, seen from the array that it faces.
+    """`pressure_picture` as a PNG. Raises OutputError as it does, and where `path` cannot be written."""
+    with style():
+        save(pressure_picture(result), path, DPI)
+
+
+def pressure_picture(result: xr.DataTree) -> Figure:
+    """Peak pressure amplitude and ARP on each skin at its loudest instant, seen from the array that it faces.
 
     result: of `open_result` or `tree`, with a skin and loudest_pressure or arp, and an array. One row a skin.
-    Raises OutputError where none of these is there, and where `path` cannot be written.
+    Raises OutputError where none of these is there.
     """
     skins = {name: skin for name, skin in instances(result, "skin").items() if _pressures(skin, loudest(skin))}
     if not skins:
         raise OutputError("the result holds neither loudest_pressure nor arp; run at least one step before plotting")
     if not instances(result, "array"):
         raise OutputError("the result holds no array, from which the skin is seen; keep the groups /array")
-    views = {name: _seen_from_array(result, name, skin) for name, skin in skins.items()}
+    views = {name: seen_from_array(result, name, skin) for name, skin in skins.items()}
     foci = _foci_of_skins(result)
     columns = max(len(_pressures(skin, views[name].loudest)) for name, skin in skins.items())
-    with style():
-        figure = Figure(figsize=(0.6 + 4.4 * columns, 4.4 * len(skins)), dpi=DPI, layout="constrained")
-        rows: list[Any] = [figure] if len(skins) == 1 else list(figure.subfigures(len(skins), 1, squeeze=False)[:, 0])
-        for row, (name, skin) in zip(rows, skins.items(), strict=True):
-            stimuli = instances(result, "stimulus")
-            _draw_skin(row, skin, views[name], [(stimuli[key], own) for key, own in foci[name].items()])
-            height = float(np.median(views[name].vertices[:, 2])) * 1e3
-            whose = f" '{name}'" if len(skins) > 1 else ""
-            seer = f"array '{views[name].array}'" if len(instances(result, "array")) > 1 else "the array"
-            row.suptitle(
-                f"Skin patch{whose} at t = {views[name].loudest.time_s * 1e3:.2f} ms, seen from {seer}\n"
-                f"(along its +z, so x runs left; the array is {height:.0f} mm nearer to you)",
-                fontsize=9,
-                color="#555555",
-            )
-        save(figure, path, DPI)
+    figure = Figure(figsize=(0.6 + 4.4 * columns, 4.4 * len(skins)), dpi=DPI, layout="constrained")
+    rows: list[Any] = [figure] if len(skins) == 1 else list(figure.subfigures(len(skins), 1, squeeze=False)[:, 0])
+    for row, (name, skin) in zip(rows, skins.items(), strict=True):
+        stimuli = instances(result, "stimulus")
+        _draw_skin(row, skin, views[name], [(stimuli[key], own) for key, own in foci[name].items()])
+        height = float(np.median(views[name].vertices[:, 2])) * 1e3
+        whose = f" '{name}'" if len(skins) > 1 else ""
+        seer = f"array '{views[name].array}'" if len(instances(result, "array")) > 1 else "the array"
+        row.suptitle(
+            f"Skin patch{whose} at t = {views[name].loudest.time_s * 1e3:.2f} ms, seen from {seer}\n"
+            f"(along its +z, so x runs left; the array is {height:.0f} mm nearer to you)",
+            fontsize=9,
+            color="#555555",
+        )
+    return figure
 
 
 def plot_displacement(result: xr.DataTree, path: Path) -> None:
@@ -101,18 +93,6 @@ def _pressures(skin: xr.Dataset, when: Loudest) -> list[tuple[str, str, Float]]:
     return panels
 
 
-def _seen_from_array(result: xr.DataTree, name: str, skin: xr.Dataset) -> _View:
-    """A skin seen from the array in whose direction its normals point most."""
-    when, body = loudest(skin), instances(result, "body").get(name)
-    vertices = in_world(skin, body, when.time_s)
-    corners = vertices[skin["face"].values]
-    outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).sum(axis=0)
-    poses = {key: pose_at(array, when.time_s) for key, array in instances(result, "array").items()}
-    ways = {key: pose[:3] - vertices.mean(axis=0) for key, pose in poses.items()}
-    best = max(poses, key=lambda key: float(ways[key] @ outward) / max(float(np.linalg.norm(ways[key])), 1e-9))
-    return _View(best, poses[best], to_local(vertices, poses[best]), when)
-
-
 def _foci_of_skins(result: xr.DataTree) -> dict[str, dict[str, list[int]]]:
     """For each skin and stimulus, the numbers of the focal points that are nearer to it than to any other skin."""
     by_skin: dict[str, dict[str, list[int]]] = {name: {} for name in instances(result, "skin")}
@@ -130,12 +110,21 @@ def _foci_of_skins(result: xr.DataTree) -> dict[str, dict[str, list[int]]]:
     return by_skin
 
 
-def _draw_skin(figure: Any, skin: xr.Dataset, view: _View, stimuli: list[tuple[xr.Dataset, list[int]]]) -> None:
+def _draw_skin(figure: Any, skin: xr.Dataset, view: SkinView, stimuli: list[tuple[xr.Dataset, list[int]]]) -> None:
     """stimuli: with the numbers of their focal points that are drawn here"""
     panels = _pressures(skin, view.loudest)
     columns = figure.subplots(1, len(panels), squeeze=False)[0]
     for axes, (title, colours, values) in zip(columns, panels, strict=True):
-        _draw_patch(figure, axes, skin["face"].values, view.vertices, values, colours)
+        draw_patch(
+            figure,
+            axes,
+            skin["face"].values,
+            view.vertices,
+            np.nan_to_num(values),
+            colours,
+            (0.0, max(float(np.nanmax(values)), 1e-9)),
+            "Pa",
+        )
         for stimulus, numbers in stimuli:
             _draw_foci(axes, stimulus, view, numbers)
         if axes.get_legend_handles_labels()[0]:
@@ -146,7 +135,7 @@ def _draw_skin(figure: Any, skin: xr.Dataset, view: _View, stimuli: list[tuple[x
         axes.set_title(f"{title}{gap}max {_number(np.nanmax(values))} Pa")
 
 
-def _draw_foci(axes: Any, stimulus: xr.Dataset, view: _View, numbers: list[int]) -> None:
+def _draw_foci(axes: Any, stimulus: xr.Dataset, view: SkinView, numbers: list[int]) -> None:
     """The way of some focal points while they sound, and where they are when loudest."""
     foci = stimulus["foci"].values[:, numbers]
     way: Float = to_local(foci.reshape(-1, 3), view.pose).reshape(foci.shape)
@@ -160,23 +149,9 @@ def _draw_foci(axes: Any, stimulus: xr.Dataset, view: _View, numbers: list[int])
         axes.plot(*(to_local(now, view.pose)[:, :2].T * 1e3), "+", color="white", ms=12, mew=1.6, label=label)
 
 
-def _draw_patch(figure: Any, axes: Any, faces: Any, seen: Float, values: Float, colours: str) -> None:
-    """The patch in the array's x and y, far triangles first so that near ones cover them."""
-    order = np.argsort(-seen[faces].mean(axis=1)[:, 2])
-    triangles = Triangulation(seen[:, 0] * 1e3, seen[:, 1] * 1e3, faces[order])
-    drawn = axes.tripcolor(
-        triangles, np.nan_to_num(values), shading="gouraud", cmap=colours, vmin=0.0, vmax=max(np.nanmax(values), 1e-9)
-    )
-    axes.set(xlabel="array x [mm]", ylabel="array y [mm]", aspect="equal")
-    axes.grid(visible=False)
-    # Looking along +z with y up, +x points left.
-    axes.invert_xaxis()
-    figure.colorbar(drawn, ax=axes, shrink=0.85, pad=0.02, label="Pa")
-
-
 def _draw_motion(figure: Any, skin: xr.Dataset, whose: str) -> None:
     time_s = skin["time"].values
-    vertices = _probe_vertices(skin["rest_position"].values, extremes(skin).peak)
+    vertices = probe_vertices(skin["rest_position"].values, extremes(skin).peak)
     motion = at_vertices(skin, [vertex for vertex, _ in vertices])
     above, below = figure.subplots(2, 1)
     for (_, distance), course, colour in zip(vertices, motion.T, COLOURS, strict=False):
@@ -187,15 +162,6 @@ def _draw_motion(figure: Any, skin: xr.Dataset, whose: str) -> None:
     above.legend(loc="upper right", ncols=3)
     above.margins(x=0, y=0.2)
     _draw_spectra(below, time_s, motion)
-
-
-def _probe_vertices(rest: Float, peak: Float) -> list[tuple[int, float]]:
-    """(vertex, distance [m]) of the largest |u| and of those nearest to 10 and 20 mm from it (small patch: less)."""
-    first = int(peak.argmax())
-    distance = np.linalg.norm(rest - rest[first], axis=1)
-    scale = min(1.0, 0.9 * float(distance.max()) / DISTANCES_M[-1])
-    others = [nearest(distance, scale * target) for target in DISTANCES_M]
-    return [(first, 0.0)] + [(v, float(distance[v])) for v in others if v != first]
 
 
 def _draw_spectra(axes: Any, time_s: Float, motion: Any) -> None:

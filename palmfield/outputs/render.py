@@ -69,16 +69,16 @@ def render_scene(result: xr.DataTree, path: Path, size: tuple[int, int] = (960, 
     is nothing to show and where `path` cannot be written.
     """
     scene = _scene(result)
-    parts = [part for pose, positions in scene.arrays.values() for part in _array_parts(positions, pose)]
+    parts = [part for pose, positions in scene.arrays.values() for part in array_parts(positions, pose)]
     for mesh in scene.others:
         mesh.unmerge_vertices()
         parts.append(Part(mesh, (0.55, 0.60, 0.68), 0.2, 1.0))
     width, height = size
-    painted = _joined([mesh for mesh, _ in scene.bodies])
+    painted = joined([mesh for mesh, _ in scene.bodies])
     level = np.concatenate([pressure for _, pressure in scene.bodies]) / max(scene.peak_Pa, 1e-9)
     solids = np.concatenate([painted.vertices, *(part.mesh.vertices for part in parts)])
     camera = _camera(scene, painted, level, solids, (0.0, 0.09 * height, 0.9 * width, 0.91 * height))
-    image = _cast(painted, level, parts, camera, size)
+    image = cast(painted, level, parts, camera, size)
     with style():
         figure = Figure(figsize=(width / DPI, height / DPI), dpi=DPI)
         picture = figure.add_axes((0.0, 0.0, 1.0, 1.0))
@@ -200,7 +200,7 @@ def _draw_guides(picture: Axes, camera: Camera, scene: Scene, stimulus: xr.Datas
                 picture.plot(*np.array([corner, focus]).T, "--", color="#4338ca", lw=0.7, alpha=0.45)
 
 
-def _array_parts(positions: Float, pose: Float) -> list[Part]:
+def array_parts(positions: Float, pose: Float) -> list[Part]:
     """Cases and grilles of the transducers, and the board behind them, in the world."""
     gap = float(cKDTree(positions).query(positions, k=2)[0][:, 1].min()) if len(positions) > 1 else 0.010
     radius, tall = 0.46 * gap, 0.7 * gap
@@ -228,22 +228,33 @@ def _copies(mesh: trimesh.Trimesh, positions: Float) -> trimesh.Trimesh:
     return trimesh.Trimesh(vertices, faces, process=False)
 
 
-def _joined(meshes: list[trimesh.Trimesh]) -> trimesh.Trimesh:
+def joined(meshes: list[trimesh.Trimesh]) -> trimesh.Trimesh:
     starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
     faces = [mesh.faces + start for mesh, start in zip(meshes, starts[:-1], strict=True)]
     return trimesh.Trimesh(np.concatenate([m.vertices for m in meshes]), np.concatenate(faces), process=False)
 
 
-def _cast(painted: trimesh.Trimesh, level: Float, parts: list[Part], camera: Camera, size: tuple[int, int]) -> Float:
-    """sRGB image, shape (height, width, 3), in [0, 1]; level: place in the colour map by vertex of what is painted."""
+def cast(
+    painted: trimesh.Trimesh,
+    level: Float,
+    parts: list[Part],
+    camera: Camera,
+    size: tuple[int, int],
+    colours: ListedColormap = COLOURS,
+    quality: tuple[int, int] = (SUPERSAMPLING, AMBIENT_RAYS),
+) -> Float:
+    """sRGB image, shape (height, width, 3), in [0, 1].
+
+    level: place in the colour map by vertex of what is painted, 0 to 1; quality: samples a pixel's side, rays of shade
+    """
     meshes = [painted, *(part.mesh for part in parts)]
     offsets = np.cumsum([0, *(len(m.vertices) for m in meshes)])
     points = np.concatenate([m.vertices for m in meshes])
     faces = np.concatenate([m.faces + start for m, start in zip(meshes, offsets[:-1], strict=True)])
     normals = np.concatenate([painted.vertex_normals, *(np.repeat(p.mesh.face_normals, 3, axis=0) for p in parts)])
     counts = [len(part.mesh.vertices) for part in parts]
-    colours = np.repeat([_linear(np.array(part.colour)) for part in parts], counts, axis=0)
-    albedo = np.concatenate([np.zeros((len(level), 3)), colours])
+    own = np.repeat([_linear(np.array(part.colour)) for part in parts], counts, axis=0) if parts else np.zeros((0, 3))
+    albedo = np.concatenate([np.zeros((len(level), 3)), own])
     gloss = np.repeat([0.06, *(part.gloss for part in parts)], [len(level), *counts])
     opacity = np.repeat([1.0, *(part.opacity for part in parts)], [len(m.faces) for m in meshes])
     levels = np.concatenate([level, np.full(sum(counts), -1.0)])
@@ -269,12 +280,11 @@ def _cast(painted: trimesh.Trimesh, level: Float, parts: list[Part], camera: Cam
             corners,
             *vectors[1:],
             *(wp.array(a, dtype=float, device=device) for a in (levels, gloss, opacity)),
-            wp.array(_linear(np.asarray(COLOURS.colors)[:, :3]), dtype=wp.vec3, device=device),
+            wp.array(_linear(np.asarray(colours.colors)[:, :3]), dtype=wp.vec3, device=device),
             *(wp.vec3(*v) for v in (camera.eye, corner, right, down, key, fill, camera.up)),
             AMBIENT_REACH_M,
             *size,
-            SUPERSAMPLING,
-            AMBIENT_RAYS,
+            *quality,
         ],
         outputs=[image],
         device=device,

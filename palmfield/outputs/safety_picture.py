@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from palmfield.errors import OutputError
 from palmfield.types import Float
 
 if TYPE_CHECKING:
@@ -46,11 +45,11 @@ class LevelCourse:
 
 def draw_levels(title: str, maps: Sequence[LevelMap], course: LevelCourse, path: Path) -> None:
     """Draw maps side by side, and the course below them, into a PNG. Raises OutputError where it can't be written."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(max(8.0, 4.6 * len(maps)), 7.0), layout="constrained")
-    FigureCanvasAgg(figure)
+    from palmfield.outputs.style import save
+
+    figure = Figure(figsize=(max(8.0, 4.6 * len(maps)), 7.0), dpi=110, layout="constrained")
     grid = figure.add_gridspec(2, len(maps), height_ratios=[3, 2])
     for number, one in enumerate(maps):
         axes = figure.add_subplot(grid[0, number])
@@ -85,12 +84,7 @@ def draw_levels(title: str, maps: Sequence[LevelMap], course: LevelCourse, path:
     over.set_ylabel("dB SPL")
     over.legend(loc="lower left", fontsize=8)
     figure.suptitle(title, fontsize=11)
-    try:
-        figure.savefig(path, dpi=110)
-    except OSError as problem:
-        raise OutputError(
-            f"cannot write {path}: {problem.strerror}; choose a folder that exists and has room"
-        ) from None
+    save(figure, path, dpi=110)
 
 
 def _meshed(places: Float) -> "Triangulation":

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from palmfield.errors import OutputError
+from palmfield.errors import OutputError, unwritable
 from palmfield.interrupts import interrupts_held
 from palmfield.outputs.netcdf import (
     UNREADABLE,
@@ -138,16 +138,16 @@ class Store:
             self.partial.mkdir(parents=True)
         except FileExistsError as error:
             refuse_occupied(self.out, overwrite)
-            raise _unwritable(self.out, error) from error
+            raise unwritable(self.out, error) from error
         except OSError as error:
-            raise _unwritable(self.out, error) from error
+            raise unwritable(self.out, error) from error
         own = dict(attributes or {})
         own["/"] = root_attributes() | {"run_id": uuid.uuid4().hex} | dict(own.get("/", {}))
         try:
             _write_sealed(self.partial / "static.nc", image(self._blocks.static, own))
         except OSError as error:
             shutil.rmtree(self.partial)
-            raise _unwritable(self.out, error) from error
+            raise unwritable(self.out, error) from error
 
     def append(self, block: Arrays) -> None:
         """Take a block, which is copied; it is flushed to disk after 8 MB or 2 s.
@@ -292,11 +292,7 @@ def write_whole(path: Path, data: bytes) -> None:
     try:
         _write(path, data)
     except OSError as error:
-        raise _unwritable(path, error) from error
-
-
-def _unwritable(path: Path, error: OSError) -> OutputError:
-    return OutputError(f"cannot write {path}: {error.strerror or error}; choose a folder on a disk with room for it")
+        raise unwritable(path, error) from error
 
 
 def _write(path: Path, data: bytes) -> None:

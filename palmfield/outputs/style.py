@@ -8,7 +8,7 @@ import matplotlib as mpl
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from palmfield.errors import OutputError
+from palmfield.errors import OutputError, unwritable
 
 RC: Any = {
     "font.family": "DejaVu Sans",
@@ -38,14 +38,27 @@ def style() -> Any:
     return mpl.rc_context(RC)
 
 
+FORMATS = ("png", "svg", "pdf")
+
+
 def save(figure: Figure, path: Path, dpi: int = 150) -> None:
-    """Write a PNG in one atomic step. Raises OutputError where it cannot be written."""
+    """Write a picture in one atomic step, in the format of its suffix (FORMATS); text of SVG and PDF stays text.
+
+    dpi: what a PNG says of its size; its pixels are those of the figure's own dpi
+    Raises OutputError for another format, and where it cannot be written.
+    """
     path = Path(path)
-    temporary = path.with_name(f".{path.name}.tmp")
+    kind = path.suffix[1:].lower()
+    if kind not in FORMATS:
+        raise OutputError(f"cannot write {path}: format '{kind}' is none of a picture's; allowed: {', '.join(FORMATS)}")
+    temporary = path.with_name(f".{path.stem}.tmp.{kind}")
     try:
-        FigureCanvasAgg(figure).print_png(str(temporary), pil_kwargs={"dpi": (dpi, dpi)})
+        if kind == "png":
+            FigureCanvasAgg(figure).print_png(str(temporary), pil_kwargs={"dpi": (dpi, dpi)})
+        else:
+            FigureCanvasAgg(figure)
+            with mpl.rc_context({"svg.fonttype": "none", "pdf.fonttype": 42}):
+                figure.savefig(temporary, format=kind)
         os.replace(temporary, path)
     except OSError as error:
-        raise OutputError(
-            f"cannot write {path}: {error.strerror or error}; choose a folder on a disk with room for it"
-        ) from error
+        raise unwritable(path, error) from error

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from palmfield.errors import OutputError
 from palmfield.types import Float
 
 LOSSES = (
@@ -23,13 +22,13 @@ def draw_trial(names: Sequence[str], rows: Float, numbers: Mapping[str, Any], pa
     names, rows: columns and their values, shape (k, columns), as course.csv has them; numbers: as trial.json has them
     Raises OutputError where it can't be written.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+
+    from palmfield.outputs.style import save
 
     column = {name: rows[:, number] for number, name in enumerate(names)}
     moments = 1e3 * column["time_s"]
-    figure = Figure(figsize=(11.0, 6.4), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = Figure(figsize=(11.0, 6.4), dpi=110, layout="constrained")
     grid = figure.add_gridspec(2, 3)
     error = figure.add_subplot(grid[0, :2])
     kept = figure.add_subplot(grid[1, :2], sharex=error)
@@ -56,9 +55,4 @@ def draw_trial(names: Sequence[str], rows: Float, numbers: Mapping[str, Any], pa
         axes.set_aspect("equal", adjustable="datalim")
     above.legend(fontsize=8)
     figure.suptitle(f"{Path(str(numbers['scene'])).stem} on {numbers['board']}", fontsize=11)
-    try:
-        figure.savefig(path, dpi=110)
-    except OSError as problem:
-        raise OutputError(
-            f"cannot write {path}: {problem.strerror}; choose a folder that exists and has room"
-        ) from None
+    save(figure, path, dpi=110)

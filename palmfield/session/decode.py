@@ -15,7 +15,7 @@ from palmfield.drive.board import Emitted, Flag
 from palmfield.drive.boards import board_of, playable_board
 from palmfield.drive.focus_fit import fitted_focus
 from palmfield.drive.frame_log import LogHead, Piece, is_log, read_log
-from palmfield.errors import OutputError, SceneError
+from palmfield.errors import SceneError, unwritable
 from palmfield.types import Float
 
 FREQUENCY_HZ = 40e3
@@ -144,4 +144,4 @@ def write_csv(decoded: Decoded, path: Path) -> None:
             for row in decoded.foci:
                 writer.writerow([row.time_s, *row.focus, row.misfit_rad, row.sounding, row.level])
     except OSError as error:
-        raise OutputError(f"cannot write {path}: {error.strerror}; choose a folder that exists and has room") from None
+        raise unwritable(path, error) from None

@@ -5,7 +5,7 @@ import logging
 import platform
 import resource
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
@@ -17,9 +17,10 @@ import xarray as xr
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from palmfield.errors import OutputError
+from palmfield.errors import MeasurementError, OutputError
 from palmfield.interrupts import interrupts_held
 from palmfield.outputs.motion import normal_component, pieces
+from palmfield.outputs.pictures.draw import checked_kinds, draw_pictures
 from palmfield.outputs.plots import plot_displacement, plot_pressure
 from palmfield.outputs.render import render_scene
 from palmfield.outputs.schema import group, instances
@@ -81,12 +82,15 @@ def run(
     duration_s: float | None = None,
     progress: bool = False,
     overwrite: bool = False,
+    plots: Sequence[str] | None = None,
 ) -> Result:
     """Simulate a scene from its present state and write result.nc, summary.json, pictures and scene.usdc.
 
     scene: a file, an MjSpec, or a Simulation; out: folder, made where missing; None keeps the result in memory
     duration_s: simulated time [s], the scene's own by default; progress: whether bars are drawn on a terminal's
         standard error; overwrite: whether the folder may hold another run's results
+    plots: kinds of pictures (`palmfield.outputs.pictures.kinds.KINDS`) that are drawn to OUT/plots instead of the usual
+        ones, none for an empty list
     Ctrl-C, a full disk or an error in a module end the run early: what was computed by then is assembled and marked
     incomplete, and the error is raised afterwards (KeyboardInterrupt as such). It carries that Result as its attribute
     `result`, so that a run kept in memory is not lost either (in an interactive session: `sys.last_value.result`).
@@ -95,6 +99,8 @@ def run(
     started = time.perf_counter()
     if duration_s is not None:
         check_duration(duration_s)
+    if plots:
+        checked_kinds(plots)
     if out is not None:
         # Before anything is computed; the store looks again.
         refuse_occupied(Path(out), overwrite)
@@ -143,7 +149,7 @@ def run(
                     raise ended
                 whole = _whole_summary(sim, recorder, budgets, tree, _ending(tree) | _spent(started))
                 if out is not None:
-                    files |= draw(tree, Path(out), bar)
+                    files |= draw(tree, Path(out), bar, plots)
                     whole |= _spent(started)
                     write_json(files["summary.json"], whole)
     return replace(result, summary=whole)
@@ -185,11 +191,23 @@ def recover(out: str | Path, *, progress: bool = False) -> dict[str, Path]:
             return {"result.nc": path, "summary.json": target} | draw(tree, out, bar)
 
 
-def draw(tree: xr.DataTree, out: Path, bar: Progress) -> dict[str, Path]:
-    """Write each picture and the USD scene that the data allow; what can't be drawn is said and left out."""
-    files = {}
+def draw(tree: xr.DataTree, out: Path, bar: Progress, plots: Sequence[str] | None = None) -> dict[str, Path]:
+    """Write the pictures that are asked for, or the usual ones, and the USD scene, as far as the data allow.
+
+    What can't be drawn is said and left out.
+    """
+    files: dict[str, Path] = {}
     task = bar.add_task("drawing", total=len(PICTURES))
+    for kind in plots or ():
+        bar.update(task, description=f"drawing {kind}")
+        try:
+            drawn, _ = draw_pictures(tree, out / "plots", [kind])
+            files |= {f"plots/{path.name}": path for path in drawn.values()}
+        except (OutputError, MeasurementError) as error:
+            LOG.warning("no picture %s: %s", kind, error)
     for name, make in PICTURES:
+        if plots is not None and name.endswith(".png"):
+            continue
         bar.update(task, description=f"writing {name}")
         try:
             make(tree, out / name)

@@ -16,6 +16,7 @@ from palmfield.hand.preset import load_preset
 from palmfield.hand.surface import hand_surface
 from palmfield.hand.triangles import face_normals
 from palmfield.perception.force_threshold import FORCE_OBSERVER, force_level_dB_SL, force_near_peak_N, why_refused
+from palmfield.perception.maps import lines_in
 from palmfield.perception.observers import OBSERVERS, Observer, level_dB_SL, line_amplitudes, threshold_m
 from palmfield.session.array_inputs import stimulus_of
 from palmfield.session.loudest_moment import LoudestMoment
@@ -122,18 +123,6 @@ def contact_levels(times: Float, normal: Float, frequencies: list[float], areas:
         result[f"level_{name}_spread_of"] = observer.spread_of
         result[f"level_{name}_why"] = _why(observer, frequencies[0], most[0])
     return result
-
-
-def lines_in(times: Float, frequencies: list[float]) -> list[float]:
-    """The frequencies [Hz] of which a record has three samples a period or more, none where it is shorter than two
-    periods of the first.
-
-    times: evenly spaced [s], shape (t,)
-    """
-    if not frequencies or len(times) < 2 or frequencies[0] * (times[-1] - times[0]) < 2.0:
-        return []
-    step = float(times[1] - times[0])
-    return [f for f in frequencies if f * step <= 1 / 3]
 
 
 def _refusal(name: str, reason: str) -> dict[str, Any]:

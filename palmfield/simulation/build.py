@@ -41,12 +41,13 @@ from palmfield.simulation.validate import (
     check_overlaps,
 )
 from palmfield.skin.fem.wedge_stepper import WedgeStepper
+from palmfield.skin.mesh.cylinder import round_body
 from palmfield.skin.scene_layer import LayerDemand, SceneLayer
 from palmfield.stimulus.focal_points import FocalPoints, SurfaceCourse
 from palmfield.stimulus.modulation import peak_amplitude
 from palmfield.stimulus.resolved import resolved
-from palmfield.stimulus.schedule import frame_at, main_frequencies, plane_path
-from palmfield.stimulus.surface_path import SurfacePath, drawn, through
+from palmfield.stimulus.schedule import frame_at, main_frequencies, plane_path, zigzag_stroke_m
+from palmfield.stimulus.surface_path import SurfacePath, drawn, through, zigzag_through
 from palmfield.transforms import Transform
 from palmfield.types import Float
 
@@ -172,6 +173,9 @@ def _new_body(skin: SkinConfig) -> BodyModel:
     if skin.shape == "mesh":
         assert skin.mesh
         return BodyModel(skin.body, load_mesh(Path(skin.mesh), skin.unit), None, skin.depth_m)
+    if skin.shape == "cylinder":
+        assert skin.cylinder_radius_m and skin.cylinder_length_m
+        return BodyModel(skin.body, round_body(skin.cylinder_radius_m, skin.cylinder_length_m), None, skin.depth_m)
     if skin.shape == "rigged":
         assert skin.mesh
         mesh = rigged_file(skin.mesh, skin.unit)
@@ -266,7 +270,11 @@ def _path_on(spec: StimulusSpec, carrier: BodyModel, body: Transform) -> Surface
         raise SceneError(f"{element}, but the skin's shape is a flat disc: set path_on to plane")
     try:
         if spec.config.path == "sites":
-            return through(carrier.surface, np.array(spec.path_sites))
+            sites, stroke = np.array(spec.path_sites), zigzag_stroke_m(spec.config)
+            if stroke is None:
+                return through(carrier.surface, sites)
+            assert spec.config.path_zigzag_width_m is not None
+            return zigzag_through(carrier.surface, sites, spec.config.path_zigzag_width_m, stroke)
         path = plane_path(spec.config)
         assert path is not None
         frame = spec.frame.transform

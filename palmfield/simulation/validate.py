@@ -35,7 +35,7 @@ FACING = np.diag([1.0, -1.0, -1.0])
 """How an array stands that looks at another from above: its frame turned by half a turn about x."""
 LEAST_POINTS = 3
 """On a turn of a path that is played in frames: fewer tell no path."""
-SURFACE_KEYS = ("shape", "hand", "mesh", "mesh_unit")
+SURFACE_KEYS = ("shape", "hand", "mesh", "mesh_unit", "cylinder_radius_m", "cylinder_length_m")
 """Keys that say what surface a body has; all skins on a body share them."""
 
 

@@ -185,7 +185,7 @@ class SceneLayer:
         assert self.surface is not None
         surface = self.surface
         # A hand knows where its bones are, so the layer may reach past the middle; any other body is all there is.
-        fraction = 0.45 if config.shape in ("mesh", "rigged") else 0.6
+        fraction = 0.45 if config.shape in ("mesh", "rigged", "cylinder") else 0.6
         patch = self.with_keys(
             lambda: surface_patch(
                 surface,

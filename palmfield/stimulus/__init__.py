@@ -11,7 +11,17 @@ from palmfield.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from palmfield.stimulus.bursts import burst, onsets
-    from palmfield.stimulus.curves import PlanePath, circle, line, lissajous, polyline, square, z_shape, zigzag
+    from palmfield.stimulus.curves import (
+        PlanePath,
+        circle,
+        line,
+        lissajous,
+        polyline,
+        square,
+        z_shape,
+        zigzag,
+        zigzagged,
+    )
     from palmfield.stimulus.focal_points import FocalPoints, SurfaceCourse
     from palmfield.stimulus.schedule import (
         Frame,
@@ -22,16 +32,18 @@ if TYPE_CHECKING:
         plane_path,
         substep_moments,
     )
-    from palmfield.stimulus.surface_path import SurfacePath, drawn, through
+    from palmfield.stimulus.surface_path import SurfacePath, drawn, through, zigzag_through
 
 _WHERE = {
     **dict.fromkeys(("burst", "onsets"), "bursts"),
-    **dict.fromkeys(("PlanePath", "circle", "line", "lissajous", "polyline", "square", "z_shape", "zigzag"), "curves"),
+    **dict.fromkeys(
+        ("PlanePath", "circle", "line", "lissajous", "polyline", "square", "z_shape", "zigzag", "zigzagged"), "curves"
+    ),
     **dict.fromkeys(("FocalPoints", "SurfaceCourse"), "focal_points"),
     **dict.fromkeys(
         ("Frame", "Moments", "frame_at", "frames_at", "main_frequencies", "plane_path", "substep_moments"), "schedule"
     ),
-    **dict.fromkeys(("SurfacePath", "drawn", "through"), "surface_path"),
+    **dict.fromkeys(("SurfacePath", "drawn", "through", "zigzag_through"), "surface_path"),
 }
 __all__ = [
     "FocalPoints",
@@ -56,5 +68,7 @@ __all__ = [
     "through",
     "z_shape",
     "zigzag",
+    "zigzag_through",
+    "zigzagged",
 ]
 __getattr__, __dir__ = lazy_names(__name__, _WHERE)

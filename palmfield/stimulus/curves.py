@@ -116,6 +116,33 @@ def zigzag(width_m: float, height_m: float, turns: int) -> PlanePath:
     return PlanePath(np.stack([np.linspace(-0.5 * width, 0.5 * width, count), y], axis=1), closed=False)
 
 
+def zigzag_about(length_m: float, width_m: float, stroke_m: float) -> tuple[Float, Float]:
+    """Corners of a zigzag about a way: how far along it each lies, and how far to its left, shape (k,) both [m].
+
+    stroke_m: how far along the way a stroke across the whole width goes. It begins at the right edge; the last stroke
+    ends with the way. Raises SceneError for bad sizes.
+    """
+    length, width, stroke = _size("zigzag", length_m=length_m, width_m=width_m, stroke_m=stroke_m)
+    along = np.append(np.arange(0.0, length * (1.0 - 1e-9), stroke), length)
+    turned = along / stroke
+    return along, width * np.abs(turned - 2.0 * np.round(0.5 * turned)) - 0.5 * width
+
+
+def zigzagged(path: PlanePath, width_m: float, stroke_m: float) -> PlanePath:
+    """A zigzag of this width about an open path, as `zigzag_about` has it: straight strokes from edge to edge.
+
+    Raises SceneError for bad sizes, and for a closed path, on which its two ends would not meet.
+    """
+    if path.closed:
+        raise SceneError("zigzag: the path is closed, and both ends of a zigzag about it would not meet; open it")
+    along, left = zigzag_about(path.length_m, width_m, stroke_m)
+    segment = np.minimum(path.corner_arcs.searchsorted(along, "right") - 1, len(path.slopes) - 1)
+    slopes = path.slopes[segment]
+    sideways = np.stack([-slopes[:, 1], slopes[:, 0]], axis=1)
+    # The end is the path's own: at(length) is where an open path turns back
+    return PlanePath(path.at(along) + left[:, None] * sideways, closed=False)
+
+
 def square(side_m: float) -> PlanePath:
     """A square with sides along x and y, from its lower left corner (-x, -y) counter-clockwise.
 

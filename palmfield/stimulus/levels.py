@@ -74,6 +74,7 @@ def _modulations(modulations: Sequence[Modulation]) -> Modulation:
         duty=_column([form.duty for form in forms]),
         burst_length_s=_column([form.burst_length_s for form in forms]),
         burst_period_s=_column([form.burst_period_s for form in forms]),
+        burst_phase=_column([form.burst_phase for form in forms]),
     )
     return modulations[0]._replace(
         waveform=waveform,

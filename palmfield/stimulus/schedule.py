@@ -65,7 +65,7 @@ def plane_path(config: StimulusConfig) -> PlanePath | None:
         case "circle":
             return shapes.circle(_given(c.path_diameter_m))
         case "line":
-            return shapes.line(_given(c.path_width_m))
+            return _zigzagged(c, shapes.line(_given(c.path_width_m)))
         case "lm":
             return shapes.line(_given(c.path_width_m), c.path_direction_deg)
         case "zigzag":
@@ -81,8 +81,20 @@ def plane_path(config: StimulusConfig) -> PlanePath | None:
         case "letters":
             return shapes.letters(c.path_text or "", _given(c.path_height_m))
         case "polyline":
-            return shapes.polyline(np.reshape(c.path_through_m, (-1, 2)))
+            return _zigzagged(c, shapes.polyline(np.reshape(c.path_through_m, (-1, 2))))
     return None
+
+
+def zigzag_stroke_m(config: StimulusConfig) -> float | None:
+    """How far along the path a stroke of the zigzag about it goes [m]; None without one."""
+    if config.path_zigzag_width_m is None:
+        return None
+    return _given(config.path_speed_m_s) * config.path_zigzag_width_m / _given(config.path_zigzag_speed_m_s)
+
+
+def _zigzagged(config: StimulusConfig, path: PlanePath) -> PlanePath:
+    stroke = zigzag_stroke_m(config)
+    return path if stroke is None else shapes.zigzagged(path, _given(config.path_zigzag_width_m), stroke)
 
 
 def _given(value: float | None) -> float:
@@ -130,7 +142,7 @@ def turn_rate_Hz(config: StimulusConfig) -> float | None:
         return None if table is None else 1.0 / table.length_s
     if config.path_rate_Hz is not None:
         return config.path_rate_Hz
-    return _given(config.path_speed_m_s) / turn_m(config)
+    return math.hypot(_given(config.path_speed_m_s), config.path_zigzag_speed_m_s or 0.0) / turn_m(config)
 
 
 def points_a_turn(config: StimulusConfig) -> int:

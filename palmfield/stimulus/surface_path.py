@@ -15,7 +15,7 @@ from trimesh.triangles import closest_point, points_to_barycentric
 from palmfield.errors import SceneError
 from palmfield.hand.geodesic import Piece, shortest_way
 from palmfield.hand.triangles import directed_edges, face_normals, vertex_normals
-from palmfield.stimulus.curves import PlanePath, folded
+from palmfield.stimulus.curves import PlanePath, folded, zigzag_about
 from palmfield.types import Float, Int, Surface
 
 REACH_m = 0.02
@@ -168,6 +168,31 @@ def through(surface: Surface, waypoints: ArrayLike) -> SurfacePath:
     for i, (one, other) in enumerate(pairwise(places)):
         if np.linalg.norm(other[1] - one[1]) < 1e-9:
             raise SceneError(f"waypoints {i} and {i + 1} are the same point of the surface; leave one out")
+    pieces = [shortest_way(surface, one, other, i) for i, (one, other) in enumerate(pairwise(places))]
+    return _skin_path(surface, _joined(pieces), False)
+
+
+def zigzag_through(surface: Surface, waypoints: ArrayLike, width_m: float, stroke_m: float) -> SurfacePath:
+    """A zigzag along a surface about the shortest way through points in turn, an open path.
+
+    Its corners lie on both sides of that way, half of width_m along a straight line of the surface at right angles to
+    it, a stroke each stroke_m along it; strokes are the shortest ways from corner to corner. It begins on the right, as
+    seen from outside. Raises SceneError as `through`, for bad sizes, and where the surface ends within the width.
+    """
+    line = through(surface, waypoints)
+    mesh = _mesh(surface)
+    along, left = zigzag_about(line.length_m, width_m, stroke_m)
+    corners = np.einsum("ni,nij->nj", line.barycentric, surface.vertices[surface.faces[line.faces]])
+    # Points of the way that coincide have no direction
+    starts = np.flatnonzero(np.diff(line.arc_m) > TOUCH_m)
+    places = []
+    for arc, offset in zip(along, left, strict=True):
+        n = int(starts[max(line.arc_m[starts].searchsorted(arc, "right") - 1, 0)])
+        ahead = corners[n + 1] - corners[n]
+        ahead = ahead / np.linalg.norm(ahead)
+        place = _Place(int(line.faces[n]), corners[n] + (arc - line.arc_m[n]) * ahead, ahead)
+        _, end = _walk(mesh, place, np.array([[0.0, offset]]))
+        places.append((end.face, end.position))
     pieces = [shortest_way(surface, one, other, i) for i, (one, other) in enumerate(pairwise(places))]
     return _skin_path(surface, _joined(pieces), False)
 

@@ -24,6 +24,7 @@ class Waveform(NamedTuple):
     name: of key am_waveform; table: of a file
     highest: its largest value; duty: share of the period that a rectangle is up or a Hann pulse lasts
     burst_length_s, burst_period_s: of bursts; 1 otherwise
+    burst_phase: of a burst's sine at its beginning [rad]
     """
 
     name: str
@@ -33,6 +34,7 @@ class Waveform(NamedTuple):
     duty: float | Float
     burst_length_s: float | Float
     burst_period_s: float | Float
+    burst_phase: float | Float = 0.0
 
 
 class Samples(NamedTuple):
@@ -51,13 +53,17 @@ def waveform_of(config: StimulusConfig) -> Waveform:
     table = config.am_table if isinstance(config, ResolvedStimulus) else None
     frequency = config.am_frequency_Hz or 1.0
     length, period = config.am_burst_length_s or 1.0, config.am_burst_period_s or 1.0
-    highest = 1.0
+    highest, phase = 1.0, 0.0
     if config.am_waveform == "burst":
-        highest = _highest_of_burst(frequency * length)
+        if config.am_burst_phase_deg is not None:
+            phase = math.radians(config.am_burst_phase_deg) - math.pi * frequency * length
+        highest = _highest_of_burst(frequency * length, phase)
     elif config.am_waveform == "file":
         assert table is not None
         highest = max(table.values)
-    return Waveform(config.am_waveform, table, frequency, highest, config.am_waveform_duty or 1.0, length, period)
+    return Waveform(
+        config.am_waveform, table, frequency, highest, config.am_waveform_duty or 1.0, length, period, phase
+    )
 
 
 def wave(form: Waveform, since: Float) -> Float:
@@ -76,7 +82,7 @@ def wave(form: Waveform, since: Float) -> Float:
         case "burst":
             into = since - np.floor(since / form.burst_period_s) * form.burst_period_s
             window = 0.5 - 0.5 * np.cos(2 * math.pi * into / form.burst_length_s)
-            sine = np.sin(2 * math.pi * form.frequency_Hz * into)
+            sine = np.sin(2 * math.pi * form.frequency_Hz * into + form.burst_phase)
             return np.where(into < form.burst_length_s, window * sine, 0.0)
     assert form.table is not None
     if form.table.of == "period":
@@ -114,11 +120,11 @@ def samples(form: Waveform) -> Samples:
 
 
 @lru_cache(maxsize=256)
-def _highest_of_burst(cycles: float) -> float:
-    """Largest value of sin(2 pi cycles x) under a Hann window over x = 0..1."""
+def _highest_of_burst(cycles: float, phase: float) -> float:
+    """Largest value of sin(2 pi cycles x + phase) under a Hann window over x = 0..1."""
 
     def negative(x: float | Float) -> float | Float:
-        return -(0.5 - 0.5 * np.cos(2 * math.pi * x)) * np.sin(2 * math.pi * cycles * x)
+        return -(0.5 - 0.5 * np.cos(2 * math.pi * x)) * np.sin(2 * math.pi * cycles * x + phase)
 
     # The highest crest lies within a period of the window's middle
     near = 0.5 + np.linspace(-1.0, 1.0, 257) * min(1.0 / cycles, 0.5)

@@ -1,6 +1,5 @@
 """The page of a coverage run: counts with binomial bands, every case with what became of it, and error against cost."""
 
-import json
 import math
 from collections import defaultdict
 from dataclasses import dataclass
@@ -253,7 +252,6 @@ def write_report(
     ]
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text("\n".join(lines) + "\n")
-    out.with_suffix(".json").write_text(json.dumps({"rows": [vars(row) for row in rows]}, indent=0))
     draw_costs(rows, picture)
 
 

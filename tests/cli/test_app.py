@@ -6,6 +6,7 @@ import subprocess
 import sys
 from itertools import pairwise
 from pathlib import Path
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -20,6 +21,7 @@ from palmfield.drive.boards.sonicsurface import BOARD, FRAME_BYTES, OFF_SEQUENCE
 from palmfield.outputs import instances, open_result
 from palmfield.session.preview import preview
 from palmfield.simulation.model import array_instances
+from palmfield.stimulus.standard import names, standard
 from palmfield.types import Air
 
 SCENES = Path(__file__).parents[2] / "mjcf" / "scenes"
@@ -77,6 +79,30 @@ def test_new_scene_runs(tmp_path, monkeypatch, capsys):
     assert code == 0 and json.loads(Path("o/summary.json").read_text())["steps"] == 5
     code, out = call(monkeypatch, capsys, "new", "first")
     assert code == 2 and "exists already" in out.err
+
+
+@pytest.mark.parametrize("name", names())
+def test_a_new_scene_plays_a_standard_stimulus(name, tmp_path, monkeypatch, capsys):
+    """The scene's keys are those of the file, and nothing else is changed."""
+    monkeypatch.chdir(tmp_path)
+    assert call(monkeypatch, capsys, "new", "first", "--stimulus", name)[0] == 0
+    spec = preview(tmp_path / "first" / "first.xml", accuracy=0.5).runtime.spec
+    (stimulus,) = spec.stimuli
+    assert stimulus.config == standard(name).config
+    root = ElementTree.parse(tmp_path / "first" / "first.xml").getroot()
+    duration = root.find("./custom/numeric[@name='palmfield_duration_s']")
+    assert float(duration.get("data")) == standard(name).duration_s
+
+
+def test_standard_stimuli_are_shown(monkeypatch, capsys):
+    code, out = call(monkeypatch, capsys, "stimulus", "standard")
+    assert code == 0 and [line.split()[0] for line in out.out.splitlines()] == list(names())
+    code, out = call(monkeypatch, capsys, "stimulus", "standard", "lm_small_steps")
+    assert code == 0 and "0.027 N" in out.out and '<config key="path_step_m" value="0.0002"/>' in out.out
+    code, out = call(monkeypatch, capsys, "stimulus", "standard", "lm_small_steps", "--json")
+    assert code == 0 and json.loads(out.out)["keys"]["path"] == "lm"
+    code, out = call(monkeypatch, capsys, "new", "x", "--stimulus", "lm_small_step")
+    assert code == 2 and "lm_small_steps" in out.err
 
 
 def test_a_new_scene_can_be_moved_and_sent(tmp_path, monkeypatch, capsys):

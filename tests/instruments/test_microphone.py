@@ -6,6 +6,7 @@ from scipy.special import j1, jv
 
 from palmfield.errors import MeasurementError
 from palmfield.instruments import Microphone, microphone_scan, through_band
+from palmfield.instruments.microphone import angle_response
 
 K = 2.0 * np.pi * 40e3 / 343.0
 
@@ -81,3 +82,25 @@ def test_wrong_settings_are_told():
         Microphone(diameter_m=-1)
     with pytest.raises(MeasurementError, match="places of a microphone"):
         microphone_scan(wave(0.0), [[0.0, 0.0]], Microphone())
+
+
+def test_a_body_much_smaller_than_a_wave_shifts_the_phase_alone():
+    """Of a rigid sphere p = 1 + 3/2 i k a cos(gamma) to first order, gamma from the wave's direction (Rayleigh)."""
+    cosine = np.array([1.0, 0.5, 0.0, -1.0])
+    ka = 1e-3
+    found = angle_response(cosine, 2e-3, ka / 1e-3)
+    assert found == pytest.approx(1.0 + 1.5j * ka * (1.0 - cosine), abs=1e-5)
+
+
+def test_a_large_body_doubles_from_ahead_and_shades_from_behind():
+    found = np.abs(angle_response(np.array([1.0, 0.8, np.cos(2.8)]), 0.02, 3000.0))
+    assert found[1] == pytest.approx(1.0, abs=0.05)
+    assert found[2] < 0.3
+
+
+def test_a_point_hears_all_alike_and_odd_cosines_are_refused():
+    assert angle_response([0.3, -1.0], 0.0, 700.0) == pytest.approx(1.0)
+    with pytest.raises(MeasurementError, match="-1 to 1"):
+        angle_response([1.2], 3e-3, 700.0)
+    with pytest.raises(MeasurementError, match="wavenumber"):
+        angle_response([1.0], 3e-3, 0.0)

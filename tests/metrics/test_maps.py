@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from palmfield.errors import MeasurementError
 from palmfield.metrics import (
@@ -9,6 +10,7 @@ from palmfield.metrics import (
     average_residual_energy,
     energy_density,
     focal_energy_ratio,
+    half_width,
     level_depth,
     mse,
     radial_profile,
@@ -129,3 +131,33 @@ def test_ssim_is_the_mean_of_the_formula_over_windows():
     assert ssim(a, 3.0 * a) == pytest.approx(1.0)
     with pytest.raises(MeasurementError, match="11 places"):
         ssim(a[:8], b[:8])
+
+
+def test_half_width_of_a_hump_is_half_its_full_width():
+    at = np.linspace(-0.02, 0.03, 2001)
+    assert half_width(at, np.exp(-4.0 * np.log(2.0) * ((at - 0.004) / 0.012) ** 2)) == pytest.approx(0.006, rel=1e-4)
+    # a triangle that falls twice as fast on one side: (1 + 2)/2 of the short half-width
+    slope = np.where(at < 0.0, 1.0 + at / 0.004, 1.0 - at / 0.008)
+    assert half_width(at, np.maximum(slope, 0.0)) == pytest.approx(0.003, rel=1e-3)
+
+
+def test_half_width_of_fringes_is_that_of_the_envelope_or_of_the_middle_one():
+    """Fringes 8 mm apart under a Gaussian of half-width 11 mm: the crests at +-8 mm reach half, those at +-16 don't."""
+    at = np.linspace(-0.05, 0.05, 20_001)
+
+    def curve(x):
+        return np.exp(-np.log(2.0) * (x / 0.011) ** 2) * np.cos(np.pi * x / 0.008) ** 2
+
+    central = brentq(lambda x: curve(x) - 0.5, 0.0, 0.004)
+    outermost = brentq(lambda x: curve(x) - 0.5, 0.0079, 0.012)
+    assert half_width(at, curve(at), of="central") == pytest.approx(central, rel=1e-5)
+    assert half_width(at, curve(at)) == pytest.approx(outermost, rel=1e-5)
+
+
+def test_half_width_refuses_a_curve_that_ends_too_soon():
+    with pytest.raises(MeasurementError, match=r"0\.01 m, it still reaches 0\.5"):
+        half_width([-0.01, 0.0, 0.01], [0.1, 1.0, 0.6])
+    with pytest.raises(MeasurementError, match="0 everywhere"):
+        half_width([0.0, 1.0, 2.0], [0.0, 0.0, 0.0])
+    with pytest.raises(MeasurementError, match="outermost or central"):
+        half_width([0.0, 1.0, 2.0], [0.0, 1.0, 0.0], of="inner")

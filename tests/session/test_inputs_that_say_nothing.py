@@ -53,7 +53,7 @@ def test_a_hand_has_no_size_of_a_disc(key, small_scene):
 
 @pytest.mark.parametrize(("key", "value"), [("depth_m", 0.005), ("patch_radius_m", 0.01), ("patch_site", "centre")])
 def test_a_disc_has_no_layer_laid_on_it(key, value, small_scene):
-    shapes = "'hand' or 'articulated' or 'mesh' or 'rigged'"
+    shapes = "'hand' or 'articulated' or 'mesh' or 'rigged' or 'cylinder'"
     refused(small_scene(skin={key: value}), f"{SKIN}{key} belongs to shape {shapes}, shape is 'disc': drop it")
 
 

@@ -80,6 +80,26 @@ def test_a_circle_on_a_ball_keeps_its_length_and_lies_on_it(small_scene):
     sim.step()
 
 
+def test_a_zigzag_about_a_line_on_a_ball_has_both_speeds(small_scene):
+    """16 mm at 1.6 m/s along take 10 ms, in which 2 m/s across make five strokes of 4 mm."""
+    path = on_a_ball(
+        small_scene, path="line", path_width_m=0.016, path_speed_m_s=1.6, path_zigzag_width_m=0.004,
+        path_zigzag_speed_m_s=2.0,
+    )  # fmt: skip
+    sim = load(path)
+    stimulus, _, places = places_of(sim)
+    times = np.linspace(0.0, 0.01, 401)
+    foci = places.along(frames_at(stimulus, times)[0])
+    assert np.linalg.norm(foci - [0.0, 0.0, 0.14], axis=1) == pytest.approx(0.02, rel=2e-3)
+    speed = np.linalg.norm(np.diff(foci, axis=0), axis=1).sum() / 0.01
+    assert speed == pytest.approx(np.hypot(1.6, 2.0), rel=0.01)
+    across = np.arcsin(foci[:, 1] / 0.02) * 0.02
+    turns = np.flatnonzero(np.diff(np.sign(np.diff(across))))
+    assert np.diff(times[turns]) == pytest.approx(0.002, rel=0.1)
+    assert abs(foci[-1] - foci[0])[0] == pytest.approx(2.0 * 0.02 * np.sin(0.4), rel=0.01)
+    sim.step()
+
+
 @pytest.mark.parametrize(
     ("stimulus", "words"),
     [

@@ -22,6 +22,7 @@ SMOOTH = [
     AM | {"am_waveform": "hann"},
     AM | {"am_waveform": "burst", "am_burst_length_s": 0.005, "am_burst_period_s": 0.007},
     AM | {"am_waveform": "burst", "am_burst_length_s": 0.006, "am_burst_period_s": 0.006, "am_depth": 0.3},
+    AM | {"am_waveform": "burst", "am_burst_length_s": 0.006, "am_burst_period_s": 0.006, "am_burst_phase_deg": 90.0},
 ]
 
 

@@ -109,6 +109,24 @@ def test_hasegawas_stimulus_has_the_lines_of_its_closed_form():
     assert told.second == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.parametrize("frequency", [5.0, 30.0, 200.0])
+def test_a_burst_with_a_crest_in_its_middle_is_eq_8_of_hasegawa(frequency):
+    """F/F_M = h(t) cos(2 pi f (t - t0/2))/2 + 1/2 with the Hann window h of t0 = 1 s, by the paper's own words."""
+    bursts = {"am_burst_length_s": 1.0, "am_burst_period_s": 1.0, "am_burst_phase_deg": 90.0}
+    config = am("arp", "burst", 1.0, frequency, am_normalisation="carrier", drive_amplitude=0.5**0.5, **bursts)
+    t = (np.arange(5000) + 0.5) / 5000
+    window = 0.5 - 0.5 * np.cos(2.0 * np.pi * t)
+    exact = 0.5 * window * np.cos(2.0 * np.pi * frequency * (t - 0.5)) + 0.5
+    assert arp_factors(envelope_of(config), t) * peak_amplitude(config) ** 2 == pytest.approx(exact, abs=1e-9)
+    # in the middle of the window the force reaches F_M
+    assert peak_amplitude(config) == pytest.approx(1.0, abs=1e-9)
+
+
+def test_a_phase_belongs_to_bursts():
+    with pytest.raises(ValueError, match=r"am_burst_phase_deg does not belong to am_waveform 'sine'"):
+        am("arp", "sine", am_burst_phase_deg=90.0)
+
+
 def test_a_course_has_a_mean_and_no_lines():
     lines = arp_lines(am("arp", "file", 0.5, table=COURSE))
     # From the start: held for 10 ms, then two straight pieces of 20 ms
@@ -138,7 +156,9 @@ def plain_wave(config, table, t):
         into = t % config.am_burst_period_s
         inside = into < config.am_burst_length_s
         window = math.sin(math.pi * into / config.am_burst_length_s) ** 2
-        return window * math.sin(2 * math.pi * f * into) if inside else 0.0
+        middle = config.am_burst_phase_deg
+        phase = 0.0 if middle is None else math.radians(middle) - math.pi * f * config.am_burst_length_s
+        return window * math.sin(2 * math.pi * f * into + phase) if inside else 0.0
     moments, values = list(table.moments), list(table.values)
     if table.of == "period":
         t = (t * f) % 1.0
@@ -156,7 +176,7 @@ FORMS = {
     "sine": ({}, None),
     "rectangle": ({"am_waveform_duty": 0.3}, None),
     "hann": ({"am_waveform_duty": 0.6}, None),
-    "burst": ({"am_burst_length_s": 0.02, "am_burst_period_s": 0.03}, None),
+    "burst": ({"am_burst_length_s": 0.02, "am_burst_period_s": 0.03, "am_burst_phase_deg": -60.0}, None),
     "period": ({}, PERIOD),
     "course": ({}, COURSE),
 }
@@ -179,7 +199,9 @@ def test_the_level_is_that_of_the_plain_course(form, quantity, depth, t):
         assume(min(abs((t * f - x + 0.5) % 1.0 - 0.5) for x in (0.0, 0.3)) > 1e-5)
     if form == "burst":
         fine = np.linspace(0.0, 0.02, 200_001)
-        highest = float((np.sin(np.pi * fine / 0.02) ** 2 * np.sin(2 * np.pi * f * fine)).max())
+        # -60 degrees in the middle of the burst
+        sine = np.sin(2 * np.pi * f * (fine - 0.01) - np.pi / 3)
+        highest = float((np.sin(np.pi * fine / 0.02) ** 2 * sine).max())
     else:
         highest = HIGHEST.get(form, 1.0)
     share = (1 + depth * plain_wave(config, FORMS[form][1], t)) / (1 + depth * highest)

@@ -15,7 +15,7 @@ from palmfield.hand.preset import load_preset
 from palmfield.hand.surface import hand_surface
 from palmfield.hand.triangles import unique_edges, vertex_normals
 from palmfield.stimulus.curves import circle, letters, line, polyline, square, z_shape
-from palmfield.stimulus.surface_path import drawn, through
+from palmfield.stimulus.surface_path import drawn, through, zigzag_through
 from palmfield.types import Surface
 
 pytestmark = pytest.mark.numerics
@@ -206,6 +206,42 @@ def test_on_a_plate_the_way_through_points_is_straight_between_them():
     assert not path.closed
     positions, _ = path.at([0.0, length[0], length.sum()], surface.vertices, surface.faces)
     assert np.abs(positions - points).max() < 2e-5
+
+
+def test_on_a_cylinder_a_zigzag_is_that_of_the_unrolled_sheet():
+    surface, radius = tube(sides=256, rings=81)
+    turn = round(1.2 / (2 * math.pi / 256)) * 2 * math.pi / 256
+    ends = np.array([[RADIUS_m * math.cos(a), RADIUS_m * math.sin(a), 0.0] for a in (0.0, turn)])
+    path = zigzag_through(surface, ends, 0.02, 0.016)
+    along = radius * turn
+    positions, _ = path.at(np.linspace(0.0, path.length_m, 2001), surface.vertices, surface.faces)
+    unrolled = RADIUS_m * np.arctan2(positions[:, 1], positions[:, 0])
+    # Round the axis towards +y, seen from outside with z up, +z is to the left
+    inside = np.arange(2001) * (path.length_m / 2000) / math.hypot(0.016, 0.02)
+    left = 0.02 * np.abs(inside - 2.0 * np.round(0.5 * inside)) - 0.01
+    assert positions[:, 2] == pytest.approx(left, abs=2e-4)
+    assert unrolled == pytest.approx(inside * 0.016, abs=2e-4)
+    assert path.length_m == pytest.approx(along / 0.016 * math.hypot(0.016, 0.02), rel=2e-3)
+    lies_on_its_triangles(path, surface)
+
+
+def test_a_zigzag_wider_than_an_open_surface_is_refused():
+    with pytest.raises(SceneError, match="edge"):
+        zigzag_through(plate(), [[-0.03, 0.0, 0.0], [0.03, 0.0, 0.0]], 0.12, 0.01)
+
+
+def test_on_the_hand_a_zigzag_stays_its_width_about_the_way(hand):
+    """Thenar to the index finger's pad, 1 cm wide: narrower than the finger."""
+    ends = [hand.landmarks["thenar"], hand.landmarks["index_pad"]]
+    way = through(hand.surface, ends)
+    path = zigzag_through(hand.surface, ends, 0.01, 0.016)
+    on_way, _ = way.at(np.linspace(0.0, way.length_m, 2000), hand.surface.vertices, hand.surface.faces)
+    on_path, _ = path.at(np.linspace(0.0, path.length_m, 2000), hand.surface.vertices, hand.surface.faces)
+    apart = np.linalg.norm(on_path[:, None] - on_way[None], axis=2).min(axis=1)
+    assert 0.0048 < apart.max() < 0.0055
+    flat = way.length_m / 0.016 * math.hypot(0.016, 0.01)
+    assert path.length_m == pytest.approx(flat, rel=0.03)
+    lies_on_its_triangles(path, hand.surface)
 
 
 def test_on_the_hand_no_way_is_longer_than_along_the_edges(hand):

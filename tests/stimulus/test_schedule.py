@@ -205,6 +205,14 @@ def test_bursts_of_a_modulated_path(window):
         ({"path_rate_Hz": 1}, "path_rate_Hz belongs to a path"),
         ({"path_on": "skin"}, "path_on belongs to a path"),
         ({"path": "sites", "path_sites": "a b", "path_speed_m_s": 1}, "set path_on to skin"),
+        (
+            {"path": "line", "path_width_m": 0.1, "path_rate_Hz": 1, "path_zigzag_width_m": 0.02},
+            "needs path_zigzag_speed_m_s and path_speed_m_s",
+        ),
+        (
+            {"path": "circle", "path_diameter_m": 0.1, "path_speed_m_s": 1, "path_zigzag_width_m": 0.02},
+            "path_zigzag_width_m does not belong",
+        ),
         ({"path": "polyline", "path_through_m": "0 0 1", "path_rate_Hz": 1}, "3 numbers"),
         ({"foci_m": "0 0 0.1"}, "two foci or more"),
         ({"burst_length_s": 0.1}, "burst_length_s belongs to bursts"),

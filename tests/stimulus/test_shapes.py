@@ -6,7 +6,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from palmfield.errors import SceneError
-from palmfield.stimulus.curves import PlanePath, circle, letters, line, lissajous, polyline, square, z_shape, zigzag
+from palmfield.stimulus.curves import (
+    PlanePath,
+    circle,
+    letters,
+    line,
+    lissajous,
+    polyline,
+    square,
+    z_shape,
+    zigzag,
+    zigzagged,
+)
 from palmfield.stimulus.letters import GLYPHS
 
 SHAPES = [
@@ -142,3 +153,27 @@ def test_bad_sizes_are_named(make, part):
 def test_a_path_of_ones_own_needs_points_and_closed_only():
     path = PlanePath(np.array([[0.0, 0.0], [0.0, 0.01]]), closed=False)
     assert np.allclose(path.at(0.004), [[0.0, 0.004]])
+
+
+def test_a_zigzag_about_a_line_runs_from_edge_to_edge_and_ends_with_the_line():
+    """2 cm wide at 2.5 m/s across and 4 m/s along, a stroke each 3.2 cm of 10: three and an eighth."""
+    path = zigzagged(line(0.1), 0.02, 0.032)
+    strokes = 0.1 / 0.032
+    assert path.points[:4] == pytest.approx(
+        np.array([[-0.05, -0.01], [-0.018, 0.01], [0.014, -0.01], [0.046, 0.01]]), abs=1e-12
+    )
+    assert path.points[4] == pytest.approx([0.05, 0.01 - 0.02 * (strokes - 3.0)], abs=1e-12)
+    assert path.length_m == pytest.approx(strokes * math.hypot(0.032, 0.02), rel=1e-12)
+
+
+def test_a_zigzag_about_a_polyline_lies_beside_the_leg_that_it_is_at():
+    path = zigzagged(polyline([[0.0, 0.0], [0.04, 0.0], [0.04, 0.04]]), 0.01, 0.01)
+    middle = np.array([0.02, 0.02])
+    assert path.points[1] + middle == pytest.approx([0.01, 0.005], abs=1e-12)
+    assert path.points[6] + middle == pytest.approx([0.045, 0.02], abs=1e-12)
+    assert path.points[7] + middle == pytest.approx([0.035, 0.03], abs=1e-12)
+
+
+def test_a_zigzag_about_a_closed_path_is_refused():
+    with pytest.raises(SceneError, match="closed"):
+        zigzagged(circle(0.1), 0.01, 0.01)

@@ -172,7 +172,7 @@ class Autd2018Twin(Twin):
 
     def __init__(self, board: Autd2018) -> None:
         self._size = len(board.packet((0, 0, 0, 0)))
-        super().__init__(board.transducers, 10.0 / board.packet_baud)
+        super().__init__(board.transducers, serial_line(board.packet_baud).time_s(1))
         self.board = board
         self._bytes = bytearray()
         self._state = np.array([0.0, 0.0, 0.0]), 0

@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from palmfield.skin.fem.body import build
     from palmfield.skin.fem.factor import Factor, factorise
     from palmfield.skin.fem.foundation import fit_foundation
-    from palmfield.skin.fem.load import PressureHistory, SurfaceQuadrature
+    from palmfield.skin.fem.load import PressureHistory, SurfaceQuadrature, face_points
     from palmfield.skin.fem.probe import SurfaceProbe, surface_motion, surface_vectors
     from palmfield.skin.fem.solver import harmonic, harmonic_discrete, static
     from palmfield.skin.fem.wedge_stepper import WedgeStepper
@@ -19,7 +19,7 @@ _WHERE = {
     "build": "body",
     **dict.fromkeys(("Factor", "factorise"), "factor"),
     "fit_foundation": "foundation",
-    **dict.fromkeys(("PressureHistory", "SurfaceQuadrature"), "load"),
+    **dict.fromkeys(("PressureHistory", "SurfaceQuadrature", "face_points"), "load"),
     **dict.fromkeys(("SurfaceProbe", "surface_motion", "surface_vectors"), "probe"),
     **dict.fromkeys(("harmonic", "harmonic_discrete", "static"), "solver"),
     "WedgeStepper": "wedge_stepper",
@@ -33,6 +33,7 @@ __all__ = [
     "WedgeStepper",
     "assemble",
     "build",
+    "face_points",
     "factorise",
     "fit_foundation",
     "harmonic",

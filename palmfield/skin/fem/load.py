@@ -16,7 +16,7 @@ from palmfield.skin.mesh.element import triangle_rule, triangle_shape
 from palmfield.skin.mesh.wedges import WedgeMesh
 from palmfield.skin.problem import GAUSSIAN, Load, Spot, Traction
 from palmfield.skin.stepper import SurfaceLoads
-from palmfield.types import Float, Int
+from palmfield.types import Float, Int, Patch
 
 MOST_HALVINGS = 4
 """Quarterings of a triangle under a traction's points, at most."""
@@ -78,6 +78,22 @@ def quartered_rule(halvings: int) -> tuple[Float, Float]:
         parts = [0.5 * points + corner for corner in np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]])]
         points, weights = np.concatenate([*parts, 0.5 - 0.5 * points]), np.tile(0.25 * weights, 4)
     return points, weights
+
+
+def face_points(patch: Patch, halvings: int = 1) -> tuple[Float, Float]:
+    """Points of a patch and the area that each stands for, for a Traction on it: shapes (q, 3) [m] and (q,) [m2].
+
+    They are those of the quadrature of its own triangles, each cut into 4^halvings, so that forces at the points are
+    the load itself also on a body all round, where pressures are not made linear between points (`sampled`).
+    halvings: how often the triangles are going to be quartered, which wedges do once or twice. On elements smaller than
+        the points lie apart they are single forces, under which a bonded thin layer moved 6 times too far.
+    """
+    points, weights = quartered_rule(halvings)
+    corners = patch.vertices[patch.faces]
+    shares = np.column_stack([1.0 - points.sum(axis=1), points])
+    places = np.einsum("qc,fcd->fqd", shares, corners).reshape(-1, 3)
+    areas = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    return places, np.outer(areas, weights / weights.sum()).ravel()
 
 
 def sampled(mesh: WedgeMesh, system: SkinSystem, load: Traction) -> sparse.csr_matrix:

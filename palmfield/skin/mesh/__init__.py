@@ -6,6 +6,7 @@ from palmfield.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from palmfield.skin.mesh.body_mesh import Sizes, box_patch, graded_fractions, quartered
+    from palmfield.skin.mesh.cylinder import cylinder_patch, cylinder_surface
     from palmfield.skin.mesh.disc import disc_patch
     from palmfield.skin.mesh.ordering import dissection_order
     from palmfield.skin.mesh.rows import rows_of
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
 
 _WHERE = {
     **dict.fromkeys(("Sizes", "box_patch", "graded_fractions", "quartered"), "body_mesh"),
+    **dict.fromkeys(("cylinder_patch", "cylinder_surface"), "cylinder"),
     "disc_patch": "disc",
     "dissection_order": "ordering",
     "rows_of": "rows",
@@ -25,6 +27,8 @@ __all__ = [
     "WedgeMesh",
     "box_patch",
     "closed_boundary",
+    "cylinder_patch",
+    "cylinder_surface",
     "disc_patch",
     "dissection_order",
     "extrude",

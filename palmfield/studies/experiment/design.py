@@ -12,9 +12,16 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from palmfield.errors import OutputError, PalmfieldError
 from palmfield.perception.psychometric import PsychometricFunction, Shape
-from palmfield.studies.experiment.procedures import Adjustment, ConstantStimuli, Procedure, Staircase
+from palmfield.studies.experiment.procedures import Adjustment, ConstantStimuli, Limits, Procedure, Staircase
 
-KINDS: dict[str, type[Any]] = {"staircase": Staircase, "constant": ConstantStimuli, "adjustment": Adjustment}
+KINDS: dict[str, type[Any]] = {
+    "staircase": Staircase,
+    "limits": Limits,
+    "constant": ConstantStimuli,
+    "adjustment": Adjustment,
+}
+ONE_LEVEL = ("limits", "adjustment")
+"""Procedures of one interval, of which it is said whether it was felt."""
 Scalar = bool | float | int | str | list[float]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Number = Annotated[float, Field(allow_inf_nan=False)]
@@ -149,8 +156,8 @@ class Design(_Part):
         kind = self.procedure.get("kind")
         if kind not in KINDS:
             raise ValueError(f"procedure.kind is {kind!r}; allowed: {', '.join(KINDS)}")
-        if kind == "adjustment" and self.task.kind != "yes_no":
-            raise ValueError("task.kind is 'nafc'; allowed with procedure 'adjustment': yes_no, as one level is heard")
+        if kind in ONE_LEVEL and self.task.kind != "yes_no":
+            raise ValueError(f"task.kind is 'nafc'; allowed with procedure '{kind}': yes_no, as one level is heard")
         if self.procedure.get("scale", self.varied.scale) != self.varied.scale:
             raise ValueError(
                 f"procedure.scale is '{self.procedure['scale']}' and varied.scale '{self.varied.scale}'; allowed: equal"
@@ -168,7 +175,7 @@ class Design(_Part):
         kind = KINDS[self.procedure["kind"]]
         if kind is not ConstantStimuli:
             keys.setdefault("scale", self.varied.scale)
-        if kind is not Staircase:
+        if kind not in (Staircase, Limits):
             keys["seed"] = (self.seed, block, condition)
         from pydantic import TypeAdapter
 

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 from filelock import FileLock, Timeout
 
-from palmfield.errors import OutputError
+from palmfield.errors import OutputError, unwritable
 from palmfield.session.scene_text import read_scene_text
 from palmfield.studies.experiment.design import Design
 from palmfield.studies.experiment.procedures import Answered
@@ -117,7 +117,7 @@ class LogWriter:
         except Timeout:
             raise OutputError(f"{path} is being written by another run; wait for it, or give another --log") from None
         except OSError as error:
-            raise self._unwritable(error) from None
+            raise unwritable(self.path, error) from None
         try:
             self.trials: list[Trial] = []
             self.session = 1
@@ -134,7 +134,7 @@ class LogWriter:
             self._line({"session": self.session, "begun": _iso(time.time()), "clock_zero": _iso(zero)})
         except OSError as error:
             self._lock.release()
-            raise self._unwritable(error) from None
+            raise unwritable(self.path, error) from None
         except BaseException:
             self._lock.release()
             raise
@@ -159,10 +159,7 @@ class LogWriter:
             self._file.flush()
             os.fsync(self._file.fileno())
         except OSError as error:
-            raise self._unwritable(error) from None
-
-    def _unwritable(self, error: OSError) -> OutputError:
-        return OutputError(f"cannot write {self.path}: {error.strerror}; choose a folder that exists and has room")
+            raise unwritable(self.path, error) from None
 
     def close(self) -> None:
         self._file.close()

@@ -11,6 +11,7 @@ from typing import NamedTuple, Protocol, TextIO
 import numpy as np
 
 from palmfield.errors import OutputError, did_you_mean
+from palmfield.perception.detection import detection_probability
 from palmfield.perception.registry import ALL_OBSERVERS
 from palmfield.session.duration import step_count
 from palmfield.session.simulation import Simulation
@@ -156,8 +157,7 @@ class FeelingObserver(SimulatedObserver):
 
     def detected(self, shown: Shown, interval: int) -> float:
         level_dB = self.level_dB(shown.keys[interval])
-        strength = 10.0 ** (level_dB / 20.0)
-        return float(-np.expm1(-math.log(2.0) * min(strength**self.design.skin.slope, 700.0)))
+        return float(detection_probability(level_dB, slope=self.design.skin.slope))
 
     def level_dB(self, keys: Mapping[str, object]) -> float:
         """Level above threshold with some keys [dB SL]; -inf in silence.

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from palmfield.errors import OutputError
 from palmfield.studies.experiment.design import Design
-from palmfield.studies.experiment.procedures import Adjustment, Staircase
+from palmfield.studies.experiment.procedures import Adjustment, Limits, Staircase
 from palmfield.studies.experiment.report import ConditionReport, Report
 
 BLUE, ORANGE, GREY = "#2060a0", "#d07020", "#808080"
@@ -54,7 +54,7 @@ def _runs(axes: Axes, condition: ConditionReport, design: Design) -> None:
         if isinstance(procedure, Staircase):
             turns = procedure.turns(run)
             axes.plot(x[turns], y[turns], "s", color=ORANGE, markersize=8, markerfacecolor="none")
-        if isinstance(procedure, Staircase | Adjustment):
+        if isinstance(procedure, Staircase | Limits | Adjustment):
             estimate = condition.estimates[block]
             if np.isfinite(estimate):
                 axes.plot(x[[0, -1]], [design.varied.told(estimate)] * 2, "--", color=ORANGE, linewidth=1.2)

@@ -1,4 +1,4 @@
-"""Which level comes next: staircases, constant stimuli, adjustment. All follow from the answers so far alone.
+"""Which level comes next: staircases, limits, constant stimuli, adjustment. All follow from the answers so far alone.
 
 A procedure keeps no state: it is asked with the trials of its run so far, so that an experiment that was cut off goes
 on where it was.
@@ -7,6 +7,7 @@ on where it was.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -213,4 +214,65 @@ class Adjustment:
         return ends[-1] + 1 if ends else 0
 
 
-Procedure = Staircase | ConstantStimuli | Adjustment
+@with_config(ConfigDict(extra="forbid", strict=False))
+@dataclass(frozen=True)
+class Limits:
+    """The method of limits: series of rising and of falling levels, in turn, each until the answer changes.
+
+    levels: rising; series: how many, half of them rising where the number is even, a rising one first
+    scale: of the mean. A rising series ends at the first yes, a falling one at the first no, each at the last level
+    anyway. Hasegawa & Shinoda 2018 (section 6.1) took six.
+    """
+
+    levels: tuple[float, ...]
+    series: int = 6
+    scale: Scale = "log"
+
+    def __post_init__(self) -> None:
+        if len(self.levels) < 2 or any(high <= low for low, high in pairwise(self.levels)):
+            raise OutputError(f"levels {list(self.levels)}; allowed: two or more, each above the one before")
+        if self.scale == "log" and self.levels[0] <= 0.0:
+            raise OutputError(f"levels {list(self.levels)}; allowed with scale 'log': above 0")
+        if self.series < 1:
+            raise OutputError(f"series {self.series}; allowed: 1 or more")
+
+    def next_level(self, run: Sequence[Answered]) -> float | None:
+        """The level of the next trial, None at the end."""
+        number, place = self._at(run)
+        return None if number >= self.series else self._order(number)[place]
+
+    def estimate(self, run: Sequence[Answered]) -> float:
+        """Mean by the scale of the series' ends, each midway between the level that changed the answer and the one
+        before; NaN without one.
+
+        A series whose answer never changed, or was another from its first level on, has no such end and is left out.
+        """
+        ends = []
+        number, place = 0, 0
+        for trial in run:
+            order = self._order(number)
+            turned = trial.right == (number % 2 == 0)
+            if turned and place:
+                pair = order[place - 1], order[place]
+                ends.append(math.sqrt(pair[0] * pair[1]) if self.scale == "log" else 0.5 * sum(pair))
+            number, place = self._after(number, place, trial)
+        if not ends:
+            return math.nan
+        return float(np.exp(np.mean(np.log(ends)))) if self.scale == "log" else float(np.mean(ends))
+
+    def _order(self, number: int) -> tuple[float, ...]:
+        return self.levels if number % 2 == 0 else self.levels[::-1]
+
+    def _at(self, run: Sequence[Answered]) -> tuple[int, int]:
+        """Number of the series and place in it of the next trial."""
+        number, place = 0, 0
+        for trial in run:
+            number, place = self._after(number, place, trial)
+        return number, place
+
+    def _after(self, number: int, place: int, trial: Answered) -> tuple[int, int]:
+        turned = trial.right == (number % 2 == 0)
+        return (number + 1, 0) if turned or place + 1 == len(self.levels) else (number, place + 1)
+
+
+Procedure = Staircase | Limits | ConstantStimuli | Adjustment

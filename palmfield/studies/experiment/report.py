@@ -12,7 +12,7 @@ from palmfield.errors import OutputError
 from palmfield.perception.psychometric import Fit, Shape, counts, fit
 from palmfield.studies.experiment.design import Design
 from palmfield.studies.experiment.log import Log, Trial, next_trial, read_experiment_log
-from palmfield.studies.experiment.procedures import Adjustment, Answered, Staircase
+from palmfield.studies.experiment.procedures import Adjustment, Answered, Limits, Staircase
 
 STEEP = 0.5
 """Of the smallest distance between levels: a function with a smaller spread goes up between two of them."""
@@ -102,7 +102,7 @@ def _condition(design: Design, number: int, trials: Sequence[Trial], settings: _
         run = [trial.answered for trial in trials if trial.block == block]
         procedure = design.procedure_of(block, number)
         runs.append(tuple(run))
-        if isinstance(procedure, Staircase | Adjustment):
+        if isinstance(procedure, Staircase | Limits | Adjustment):
             estimates.append(procedure.estimate(run))
     adjusted = design.procedure["kind"] == "adjustment"
     # Steps of ratios meet again but for rounding
@@ -114,7 +114,7 @@ def _condition(design: Design, number: int, trials: Sequence[Trial], settings: _
         why = "settings are no answers to levels" if adjusted else "no trial yet"
         return ConditionReport(name, tuple(runs), tuple(estimates), (), (), (), None, why)
     levels, count, right = counts([level for level, _ in heard], [right for _, right in heard])
-    adaptive = design.procedure["kind"] == "staircase"
+    adaptive = design.procedure["kind"] in ("staircase", "limits")
     found, notes = None, [f"{silent} trials of level 0 are left out"] if silent else []
     try:
         found = fit(levels, count, right, guess=design.task.chance, adaptive=adaptive, **settings._asdict())

@@ -87,8 +87,8 @@ class Belief:
         sample_s, frames = self._last
         if self.tracker.ahead_s != 0.0:
             until_s = heard_s if self.tracker.ahead_s is None else sample_s + self.tracker.ahead_s
-            positions, quaternions, *_ = self._filter.at(min(until_s, sample_s + LONGEST_AHEAD_S))
-            frames = Frames(positions, Rotation.from_quat(quaternions, scalar_first=True).as_matrix())
+            positions, turned = self._filter.frames(min(until_s, sample_s + LONGEST_AHEAD_S))
+            frames = Frames(positions, turned.as_matrix())
         return Believed(self.course.posed(sample_s, frames), sample_s)
 
     def _seen(self, time_s: float) -> Frames:

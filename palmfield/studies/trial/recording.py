@@ -7,6 +7,7 @@ outward normal, at its point nearest to the place as the trial begins. The place
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,7 +21,7 @@ from palmfield.studies.trial.sending import Heard
 from palmfield.types import Float
 
 Quantity = Literal["pressure", "displacement", "velocity"]
-UNITS: dict[str, dict[str, float]] = {
+UNITS: dict[Quantity, dict[str, float]] = {
     "pressure": {"Pa": 1.0, "kPa": 1e3, "mPa": 1e-3},
     "displacement": {"m": 1.0, "mm": 1e-3, "um": 1e-6, "nm": 1e-9},
     "velocity": {"m/s": 1.0, "mm/s": 1e-3, "um/s": 1e-6},
@@ -88,10 +89,8 @@ def read_recording(path: str | Path) -> Recording:
     except (OSError, UnicodeDecodeError) as error:
         raise SceneError(f"recording {file} cannot be read: {error}; give a CSV file (UTF-8)") from None
     head: dict[str, str] = {}
-    begin = 0
-    for begin, line in enumerate(lines):  # noqa: B007
-        if not line.startswith("#"):
-            break
+    begin = sum(1 for _ in takewhile(lambda line: line.startswith("#"), lines))
+    for line in lines[:begin]:
         name, _, value = line[1:].partition(":")
         if name.strip() in HEAD:
             head[name.strip()] = value.strip()
@@ -101,15 +100,15 @@ def read_recording(path: str | Path) -> Recording:
                 f"recording {file}: the head has no '# {name}: ...'; begin with lines '# quantity: pressure', "
                 "'# unit: Pa', '# place_m: 0 0 0.15'"
             )
-    quantity = head["quantity"]
-    if quantity not in UNITS:
-        near = did_you_mean(quantity, UNITS)
-        raise SceneError(f"recording {file}: quantity is '{quantity}'{near}; allowed: {', '.join(UNITS)}")
+    quantity = next((known for known in UNITS if known == head["quantity"]), None)
+    if quantity is None:
+        near = did_you_mean(head["quantity"], UNITS)
+        raise SceneError(f"recording {file}: quantity is '{head['quantity']}'{near}; allowed: {', '.join(UNITS)}")
     if head["unit"] not in UNITS[quantity]:
         raise SceneError(
             f"recording {file}: unit of {quantity} is '{head['unit']}'; allowed: {', '.join(UNITS[quantity])}"
         )
-    if [cell.strip() for cell in lines[begin].split(",")] != ["t", "value"] if lines else True:
+    if begin == len(lines) or [cell.strip() for cell in lines[begin].split(",")] != ["t", "value"]:
         raise SceneError(f"recording {file}: line {begin + 1} is no line of names; give 't,value' after the head")
     rows = [_row(file, number, line) for number, line in enumerate(lines[begin + 1 :], begin + 2) if line.strip()]
     table = np.array(rows).reshape(-1, 2)
@@ -120,8 +119,7 @@ def read_recording(path: str | Path) -> Recording:
         n = int(late[0])
         raise SceneError(f"recording {file}: t = {table[n + 1, 0]:g} s comes after {table[n, 0]:g} s; let t rise")
     scale = UNITS[quantity][head["unit"]]
-    kind: Quantity = quantity  # type: ignore[assignment]
-    return Recording(kind, table[:, 0], scale * table[:, 1], _place(file, head["place_m"]), file.name)
+    return Recording(quantity, table[:, 0], scale * table[:, 1], _place(file, head["place_m"]), file.name)
 
 
 def _row(file: Path, number: int, line: str) -> list[float]:

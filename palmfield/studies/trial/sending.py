@@ -30,6 +30,9 @@ PRACTICE = 4
 """So many are made then."""
 HANDING_S = 1.5e-3
 """From when a frame is made until its first byte can be on the line, when nothing is in the way."""
+REST = 0.2
+"""Of the time in which a frame was made, until the next one is begun. Linux stops threads with real-time priority, the
+player's among them, for 50 ms where they leave others less than 5 % of a second."""
 MAKING_SHARE = 0.9
 LAST_MADE = 50
 """Frames are begun as early as that share of so many last ones took to be made."""
@@ -295,17 +298,20 @@ def _make_and_give(
     begins = [*(sent.zero_s + due_s - takes_s for due_s in times_s), np.inf]
     with contextlib.suppress(KeyboardInterrupt), undisturbed() as priority:
         sent.interrupted = True
+        rested_s = 0.0
         for number, due_s in enumerate(times_s):
             sent.due = number + 1
-            if begins[number + 1] < time.monotonic() + making.took_s:
+            if begins[number + 1] < max(rested_s, time.monotonic()) + making.took_s + HANDING_S:
                 continue
-            time.sleep(max(0.0, begins[number] - making.ahead_s - time.monotonic()))
+            time.sleep(max(0.0, max(rested_s, begins[number] - making.ahead_s) - time.monotonic()))
             now = time.monotonic()
             frame = make(now - sent.zero_s, due_s)
             player.send([frame.data], float(frame.sounds), made_s=now, due_s=sent.zero_s + due_s)
             given.append((number, now - sent.zero_s, frame))
-            making.add(time.monotonic() - now)
             told(now - sent.zero_s)
+            done_s = time.monotonic()
+            making.add(done_s - now)
+            rested_s = done_s + REST * (done_s - now)
         time.sleep(max(0.0, sent.zero_s + max(duration_s, first_s + takes_s) - time.monotonic()))
         sent.interrupted, sent.end_s = False, duration_s
     sent.notes.append(f"frames made at {priority}: {making}")

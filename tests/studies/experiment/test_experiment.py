@@ -203,6 +203,26 @@ def test_yes_no_and_adjustment_end_at_the_threshold(experiment):
     assert report.conditions[0].fit is None and "settings are no answers" in report.conditions[0].why
 
 
+def test_limits_of_an_experiment_end_at_the_threshold(experiment):
+    """As Hasegawa & Shinoda asked: six series, here of 1 dB, an observer with a spread of 0.2 dB."""
+    levels = [round(float(10 ** (dB / 20)), 6) for dB in range(-40, 1)]
+    limits = f'[procedure]\nkind = "limits"\nlevels = {levels}\nseries = 6\n'
+    # No lapses: one "no" far above the threshold ends a falling series there
+    path = experiment(procedure=limits, kind='"yes_no"', spread="0.2\nlapse = 0.0")
+    path.write_text(path.read_text().replace('kind = "yes_no"\nlevels', 'kind = "limits"\nlevels'))
+    run(path, "limits.jsonl")
+    report = report_of(path.with_name("limits.jsonl"))
+    assert [20 * np.log10(one.estimates[0]) for one in report.conditions] == pytest.approx([-20.0, -26.0], abs=0.75)
+    assert report.convergence is None and all(one.fit is not None for one in report.conditions)
+
+
+def test_limits_need_one_interval(experiment):
+    path = experiment(procedure='[procedure]\nkind = "limits"\nlevels = [0.1, 0.2]\n')
+    path.write_text(path.read_text().replace('kind = "nafc"\nlevels', 'kind = "limits"\nlevels'))
+    with pytest.raises(OutputError, match="allowed with procedure 'limits': yes_no"):
+        read_design(path)
+
+
 def test_answers_of_a_known_observer_have_its_rates(experiment):
     """2AFC: right in 1/2 + (1/2 - lapse) F of 4000 trials at the threshold and far above it, by chance in silence."""
     design = read_design(experiment())

@@ -6,7 +6,7 @@ from scipy.stats import binom
 
 from palmfield.errors import OutputError
 from palmfield.perception.psychometric import PsychometricFunction, counts, fit
-from palmfield.studies.experiment.procedures import Adjustment, Answered, ConstantStimuli, Staircase
+from palmfield.studies.experiment.procedures import Adjustment, Answered, ConstantStimuli, Limits, Staircase
 
 OBSERVER = PsychometricFunction("normal", 0.0, 4.0, 0.0)
 
@@ -110,9 +110,61 @@ def test_a_setting_that_never_ends_is_left_after_so_many_presses():
     assert len(run) == 10 and procedure.settings_of(run) == [] and np.isnan(procedure.estimate(run))
 
 
+HASEGAWA = tuple(np.round([*np.arange(1, 6) * 0.005, *np.arange(2, 41) * 0.025], 3).tolist())
+
+
+def test_limits_end_between_the_levels_where_a_sure_answer_changes():
+    """Hasegawa & Shinoda's levels and six series, an observer without noise: up to 0.05, down from 1 to 0.025."""
+    procedure = Limits(HASEGAWA)
+    run = played(procedure, np.random.default_rng(0), lambda level: float(level > 0.03))
+    rising, falling = HASEGAWA[:6], HASEGAWA[::-1][:40]
+    assert [trial.level for trial in run] == [*rising, *falling] * 3
+    assert procedure.estimate(run) == pytest.approx(np.sqrt(0.025 * 0.05))
+    # 1 dB below the end of a series: the estimate can't be nearer than half a step
+    assert 20 * np.log10(procedure.estimate(run) / 0.03) == pytest.approx(1.4, abs=0.05)
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_ends_of_limits_come_as_often_as_products_of_probabilities_say(number):
+    """A rising series ends at level j with probability p_j times those of all no's before, a falling one likewise."""
+    levels = tuple(np.arange(-12.0, 13.0, 2.0).tolist())
+    procedure = Limits(levels, series=2, scale="linear")
+    order = np.array(levels if number == 0 else levels[::-1])
+    change = OBSERVER(order) if number == 0 else 1.0 - OBSERVER(order)
+    ends = change * np.cumprod([1.0, *(1.0 - change[:-1])])
+    wanted = float(ends[1:] @ (0.5 * (order[1:] + order[:-1])) / ends[1:].sum())
+    rng, found = np.random.default_rng(5), []
+    for _ in range(2000):
+        run = played(procedure, rng)
+        first = next(i for i, trial in enumerate(run) if trial.right) + 1
+        part = run[:first] if number == 0 else run[first:]
+        alone = Limits(levels, series=1, scale="linear")
+        if number == 1:
+            # the falling series as a rising one of the other answer on mirrored levels, whose end is mirrored too
+            part = [Answered(-trial.level, not trial.right) for trial in part]
+            alone = Limits(tuple((-order).tolist()), series=1, scale="linear")
+        value = alone.estimate(part)
+        found.append(value if number == 0 else -value)
+    kept = np.array(found)[np.isfinite(found)]
+    assert kept.mean() == pytest.approx(wanted, abs=4.0 * kept.std() / np.sqrt(len(kept)))
+    assert (wanted < 0.0) == (number == 0)
+
+
+def test_series_that_end_at_once_or_never_tell_no_threshold():
+    always, never = (Limits((1.0, 2.0, 3.0), series=2, scale="linear") for _ in range(2))
+    run = played(always, np.random.default_rng(0), lambda level: 1.0)
+    assert [trial.level for trial in run] == [1.0, 3.0, 2.0, 1.0] and np.isnan(always.estimate(run))
+    run = played(never, np.random.default_rng(0), lambda level: 0.0)
+    assert [trial.level for trial in run] == [1.0, 2.0, 3.0, 3.0] and np.isnan(never.estimate(run))
+
+
 @pytest.mark.parametrize(
     ("make", "told"),
     [
+        (lambda: Limits((1.0,)), "two or more, each above the one before"),
+        (lambda: Limits((2.0, 1.0)), "each above the one before"),
+        (lambda: Limits((0.0, 1.0)), "allowed with scale 'log': above 0"),
+        (lambda: Limits((1.0, 2.0), series=0), "series 0; allowed: 1 or more"),
         (lambda: Staircase(1.0, (1.0,), up=2, down=2), "up 2, down 2; allowed: 1 to 8, one of them 1"),
         (lambda: Staircase(1.0, ()), "one step or more"),
         (lambda: Staircase(0.0, (1.0,)), "start 0; allowed"),

@@ -55,13 +55,13 @@ def drive(load: Load, line: Timeline, waves: WaveSet, part: slice) -> Float:
     The transform of a spot's shape is part of the wave's weight; here are its amplitude and the phase of its centre.
     """
     if not isinstance(load, Spot):
-        return _given(load.law, load.times_s, transform(waves.vectors[part], _weighted(load), load.points[:, :2]), line)
+        return given(load.law, load.times_s, transform(waves.vectors[part], _weighted(load), load.points[:, :2]), line)
     if waves.centre is not None:
         still = np.ones((len(waves.group[part]), 1)) * load.peak_Pa
-        return _given(load.law, load.times_s, still.astype(complex), line)
+        return given(load.law, load.times_s, still.astype(complex), line)
     centres = load.centres()
     if load.law == "held":
-        return _given("held", load.times_s, np.exp(-1j * (waves.vectors[part] @ centres.T)) * load.peak_Pa, line)
+        return given("held", load.times_s, np.exp(-1j * (waves.vectors[part] @ centres.T)) * load.peak_Pa, line)
     path = np.stack([np.interp(line.edges, load.times_s, centres[:, axis]) for axis in range(2)])
     size = np.interp(line.edges, load.times_s, load.peak_Pa)
     turned = waves.vectors[part] @ path
@@ -78,8 +78,8 @@ def _weighted(load: Load) -> Float:
     return load.pressure_Pa * load.weights_m2
 
 
-def _given(law: str, times: Float, values: Complex, line: Timeline) -> Float:
-    """Forces known at times, shape (n, f), that hold or run straight between them."""
+def given(law: str, times: Float, values: Complex, line: Timeline) -> Float:
+    """Forces known at times, shape (n, f), that hold or run straight between them, as of `drive`."""
     last = len(times) - 1
     result = np.empty((len(values), len(line.kind), 7))
     place = np.clip(np.searchsorted(times, 0.5 * (line.edges[:-1] + line.edges[1:]), side="right") - 1, 0, last)

@@ -51,8 +51,11 @@ def march(
     to_points: Callable[[slice, Complex], Float],
     device: str,
     threads: int | None,
+    force_on: Callable[[slice], Float] | None = None,
 ) -> Float:
     """Sum over all waves of to_points(part, amplitude), see `waves.at_points`, in chunks of waves.
+
+    force_on: the force on a part of the waves, as `drive` gives it; None where the waves are plane or axial
 
     Chunks run side by side on the CPU and are added in their order, so that the sum is always the same.
     """
@@ -66,7 +69,7 @@ def march(
     def run(part: slice) -> Float:
         group = waves.group[part]
         count = len(group)
-        force = drive(load, line, waves, part)
+        force = drive(load, line, waves, part) if force_on is None else force_on(part)
         result: Any = wp.zeros(rows * count * 8, dtype=wp.float64, device=device)
         inputs = [
             count,

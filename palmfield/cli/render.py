@@ -1,0 +1,36 @@
+"""What `palmfield render` does with its options."""
+
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from palmfield.cli.as_json import print_json
+from palmfield.errors import OutputError
+from palmfield.outputs.film import FPS, Cut, film
+from palmfield.outputs.store import RESULT, open_result
+
+
+def size_of(text: str) -> tuple[int, int]:
+    """ "960x720" as numbers. Raises OutputError for another text."""
+    width, _, height = text.partition("x")
+    if not (width.isdigit() and height.isdigit()):
+        raise OutputError(f"--size has value '{text}'; allowed: WIDTHxHEIGHT, for example 960x720")
+    return int(width), int(height)
+
+
+def render(run: Path, video: Path, cut: Cut, *, quiet: bool, as_json: bool) -> None:
+    """Make the film and say what was written."""
+    file = run / RESULT if run.is_dir() else run
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+    with (
+        open_result(file) as result,
+        Progress(*columns, console=console, disable=quiet or not console.is_terminal, transient=True) as bar,
+    ):
+        task = bar.add_task("drawing frames", total=None)
+        frames = film(result, video, cut, lambda done, of: bar.update(task, completed=done, total=of))
+    if as_json:
+        print_json({"video": str(video), "frames": frames, "fps": FPS})
+        return
+    print(f"wrote {video}: {frames} frames, {frames / FPS:.1f} s")

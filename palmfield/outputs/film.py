@@ -1,0 +1,276 @@
+"""A film of a run: the skin with its motion or its ARP in colour, slowed down and magnified, without a window."""
+
+import contextlib
+import importlib
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import trimesh
+import xarray as xr
+from matplotlib import colormaps
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import ListedColormap, Normalize
+from matplotlib.figure import Figure
+from scipy.spatial import cKDTree
+
+from palmfield.errors import OutputError, did_you_mean, unwritable
+from palmfield.outputs.camera import Camera, look_along_emission
+from palmfield.outputs.frames import in_world, nearest, pose_at
+from palmfield.outputs.motion import extremes, normal_component
+from palmfield.outputs.pictures.asked import IN_MICRO, UNITS
+from palmfield.outputs.render import Part, cast, joined
+from palmfield.outputs.schema import has_records, instances
+from palmfield.outputs.style import style
+from palmfield.types import Float, Int
+
+SHOWN = ("displacement", "velocity", "arp")
+FPS = 25
+SLOW = 200.0
+"""A second of film is 5 ms."""
+SEEN_M = 2e-3
+"""As far as the largest motion is magnified, where no factor is given."""
+COVERED_M = 1.5e-3
+"""A body's vertex nearer than this to its skin is covered by it."""
+LIFT_M = 3e-4
+"""By so much the skin is drawn above its body, that the two do not flicker."""
+QUALITY = (1, 3)
+FLESH = (0.86, 0.74, 0.66)
+DPI = 100
+NICE = (1.0, 2.0, 5.0)
+
+
+@dataclass(frozen=True)
+class Cut:
+    """What a film shows. start_s, end_s: of the run [s], None for its ends; slow: times slower than it was
+
+    magnify: of the motion along the normal, None so that the largest is seen as SEEN_M
+    shown: what the colours are, one of SHOWN
+    limits: of the colours, in their unit; size: width and height [pixels], even
+    """
+
+    start_s: float | None = None
+    end_s: float | None = None
+    slow: float = SLOW
+    magnify: float | None = None
+    shown: str = "displacement"
+    limits: tuple[float, float] | None = None
+    size: tuple[int, int] = (960, 720)
+
+
+class _Look(NamedTuple):
+    """What stays the same in all frames. around: triangles of each skin's body that it does not lie on"""
+
+    skins: dict[str, xr.Dataset]
+    around: dict[str, Int]
+    camera: Camera
+    colours: ListedColormap
+    limits: tuple[float, float]
+    unit: str
+    magnify: float
+
+
+def film(
+    result: xr.DataTree, path: str | Path, cut: Cut | None = None, on_frame: Callable[[int, int], None] | None = None
+) -> int:
+    """Write an MP4 (H.264) of a run's skins; returns how many frames it has.
+
+    result: of `open_result`, with displacement of at least one skin; on_frame: gets the number done and of all
+    The camera stands where it sees all skins all the time. Ctrl-C ends the film early; what is done can be played.
+    Raises OutputError for times outside the run, numbers that are not possible, a result without motion, where PyAV is
+    missing (extra `video`), and where `path` can't be written.
+    """
+    told = cut or Cut()
+    file = Path(path)
+    if file.suffix.lower() != ".mp4":
+        raise OutputError(f"cannot write {file}: a film is an MP4; name a file that ends in .mp4")
+    times = _times(result, told)
+    look = _look(result, told, times)
+    done = 0
+    with _encoder(file, told.size) as add, contextlib.suppress(KeyboardInterrupt), style():
+        frame = _Frame(look, told)
+        for done, time_s in enumerate(times, 1):
+            add(frame.image(result, float(time_s)))
+            if on_frame is not None:
+                on_frame(done, len(times))
+    return done
+
+
+def _times(result: xr.DataTree, cut: Cut) -> Float:
+    """The run's times of which there are frames [s]."""
+    all_times: Float = np.asarray(result.coords["time"])
+    if len(all_times) < 2:
+        raise OutputError("the result holds fewer than two times; run for longer")
+    start = float(all_times[0]) if cut.start_s is None else cut.start_s
+    end = float(all_times[-1]) if cut.end_s is None else cut.end_s
+    if not all_times[0] <= start < end <= all_times[-1]:
+        raise OutputError(
+            f"the film would go from {1e3 * start:g} to {1e3 * end:g} ms; allowed: rising, within "
+            f"{1e3 * all_times[0]:g} to {1e3 * all_times[-1]:g} ms"
+        )
+    for name, value, most in (("--slow", cut.slow, 1e6), ("--magnify", cut.magnify, 1e9)):
+        if value is not None and not 0.0 < value <= most:
+            raise OutputError(f"{name} has value {value:g}; allowed: above 0, up to {most:g}")
+    if cut.shown not in SHOWN:
+        raise OutputError(
+            f"--show has value '{cut.shown}'{did_you_mean(cut.shown, SHOWN)}; allowed: {', '.join(SHOWN)}"
+        )
+    width, height = cut.size
+    if not (64 <= width <= 4096 and 64 <= height <= 4096 and width % 2 == height % 2 == 0):
+        raise OutputError(f"--size has value {width}x{height}; allowed: even numbers from 64 to 4096")
+    return start + np.arange(0.0, end - start, 1.0 / (FPS * cut.slow))
+
+
+def _look(result: xr.DataTree, cut: Cut, times: Float) -> _Look:
+    skins = {name: skin for name, skin in instances(result, "skin").items() if has_records(skin, "displacement")}
+    if not skins or not instances(result, "array"):
+        raise OutputError("the result holds no displacement of a skin, or no array; run at least one step with both")
+    most = max(float(extremes(skin).peak.max()) for skin in skins.values())
+    magnify = cut.magnify if cut.magnify is not None else _round(SEEN_M / most) if most > 0.0 else 1.0
+    if cut.shown == "arp":
+        top, unit = max(float(skin["arp"].max()) for skin in skins.values()), "Pa"
+        low, colours = 0.0, colormaps["magma_r"](np.linspace(0.05, 0.85, 256))
+    else:
+        top = IN_MICRO * max(float(extremes(skin, cut.shown).peak.max()) for skin in skins.values())
+        unit, low = UNITS["velocity" if cut.shown == "velocity" else "displacement"], -top
+        colours = colormaps["RdBu_r"](np.linspace(0.02, 0.98, 256))
+    groups = instances(result, "body")
+    moments = [float(times[0]), float(times[len(times) // 2]), float(times[-1])]
+    surfaces = instances(result, "surface")
+    whole = {name: surfaces.get(name, skin) for name, skin in skins.items()}
+    points = np.concatenate([in_world(mesh, groups.get(name), t) for name, mesh in whole.items() for t in moments])
+    first = next(iter(instances(result, "array").values()))
+    width, height = cut.size
+    window = (0.0, 0.10 * height, 0.88 * width, 0.88 * height)
+    camera = look_along_emission(points, pose_at(first, moments[0]), window)
+    limits = cut.limits or (low, max(top, low + 1e-12))
+    around = {name: _uncovered(surfaces[name], skin) for name, skin in skins.items() if name in surfaces}
+    return _Look(skins, around, camera, ListedColormap(colours), limits, unit, magnify)
+
+
+def _uncovered(surface: xr.Dataset, skin: xr.Dataset) -> Int:
+    """Triangles of a body's surface that its skin does not lie on, shape (n, 3)."""
+    faces: Int = surface["face"].values
+    corners = skin["rest_position"].values[skin["face"].values]
+    # Middles of edges and triangles too: a coarse body's vertex may lie far from all of the skin's
+    over = np.concatenate(
+        [corners.reshape(-1, 3), corners.mean(axis=1), 0.5 * (corners + np.roll(corners, 1, axis=1)).reshape(-1, 3)]
+    )
+    away, _ = cKDTree(over).query(surface["rest_position"].values)
+    covered = away < COVERED_M
+    return faces[~covered[faces].all(axis=1)]
+
+
+def _round(value: float) -> float:
+    """The next lower of 1, 2, 5, 10, 20, ..."""
+    ten = 10.0 ** np.floor(np.log10(value))
+    return float(ten * max(step for step in NICE if step * ten <= value * (1.0 + 1e-9)))
+
+
+class _Frame:
+    """The canvas that is drawn on again for each frame."""
+
+    def __init__(self, look: _Look, cut: Cut) -> None:
+        self._look, self._cut = look, cut
+        width, height = cut.size
+        self._figure = Figure(figsize=(width / DPI, height / DPI), dpi=DPI)
+        self._canvas = FigureCanvasAgg(self._figure)
+        axes = self._figure.add_axes((0.0, 0.0, 1.0, 1.0))
+        axes.set_axis_off()
+        blank = np.ones((height, width, 3))
+        self._picture = axes.imshow(blank, interpolation="none", aspect="auto", extent=(0, width, height, 0))
+        self._clock = self._figure.text(0.025, 0.915, "", fontsize=10, color="#444444", va="center")
+        what = "ARP" if cut.shown == "arp" else f"Normal {cut.shown}"
+        self._figure.text(0.025, 0.955, f"{what} on the skin", fontsize=13, fontweight="bold", va="center")
+        bar = self._figure.add_axes((0.90, 0.18, 0.018, 0.56))
+        scale = ScalarMappable(Normalize(*look.limits), look.colours)
+        self._figure.colorbar(scale, cax=bar).outline.set_visible(False)
+        bar.set_title(look.unit, fontsize=9, loc="left", fontweight="normal")
+        self._axes = axes
+        self._scale_bar: list[Any] = []
+
+    def image(self, result: xr.DataTree, time_s: float) -> Any:
+        """The picture of a time, uint8, shape (height, width, 3)."""
+        look, cut = self._look, self._cut
+        meshes, levels, parts = [], [], []
+        groups, surfaces = instances(result, "body"), instances(result, "surface")
+        for name, skin in look.skins.items():
+            index = nearest(skin["time"].values, time_s)
+            vertices = in_world(skin, groups.get(name), time_s)
+            mesh = trimesh.Trimesh(vertices, skin["face"].values, process=False)
+            now = slice(index, index + 1)
+            push = normal_component(skin, "displacement", now).values[0].astype(float)
+            if cut.shown == "arp":
+                shown = skin["arp"].isel(time=index).values.astype(float)
+            else:
+                shown = IN_MICRO * normal_component(skin, cut.shown, now).values[0].astype(float)
+            outward = np.array(mesh.vertex_normals)
+            mesh.vertices = vertices + (LIFT_M + look.magnify * push)[:, None] * outward
+            meshes.append(mesh)
+            low, high = look.limits
+            levels.append(np.clip((shown - low) / (high - low), 0.0, 1.0))
+            if len(look.around.get(name, ())):
+                places = in_world(surfaces[name], groups.get(name), time_s)
+                body = trimesh.Trimesh(places, look.around[name], process=False)
+                body.unmerge_vertices()
+                parts.append(Part(body, FLESH, 0.05, 1.0))
+        painted = joined(meshes)
+        picture = cast(painted, np.concatenate(levels), parts, look.camera, cut.size, look.colours, QUALITY)
+        self._picture.set_data(np.clip(picture, 0.0, 1.0))
+        self._clock.set_text(
+            f"{1e3 * time_s:8.2f} ms, {cut.slow:g} times slower; motion magnified {look.magnify:,.0f} times"
+        )
+        if not self._scale_bar:
+            self._draw_scale(painted.vertices)
+        self._canvas.draw()
+        return np.asarray(self._canvas.buffer_rgba())[..., :3].copy()
+
+    def _draw_scale(self, points: Float) -> None:
+        """A bar of a round length at the distance of the skin's middle."""
+        camera, middle = self._look.camera, points.mean(axis=0)
+        ends = camera.project(np.stack([middle, middle + 0.01 * camera.right]))
+        pixels_a_cm = float(np.linalg.norm(ends[1] - ends[0]))
+        width, height = self._cut.size
+        length_mm = 10.0 * _round(max(0.18 * width / pixels_a_cm, 1e-3))
+        end = 0.03 * width + 0.1 * length_mm * pixels_a_cm
+        y = 0.955 * height
+        self._scale_bar = self._axes.plot([0.03 * width, end], [y, y], "-", color="#333333", lw=2.5)
+        self._axes.text(0.03 * width, y - 0.012 * height, f"{length_mm:g} mm", fontsize=9, color="#333333")
+
+
+@contextlib.contextmanager
+def _encoder(path: Path, size: tuple[int, int]) -> Iterator[Callable[[Any], None]]:
+    """Takes pictures, uint8, shape (height, width, 3), and writes them; a film that is cut off can be played."""
+    try:
+        av = importlib.import_module("av")
+    except ImportError:
+        raise OutputError("a film needs PyAV; install the extra: pip install 'palmfield[video]'") from None
+    temporary = path.with_name(f".{path.stem}.tmp.mp4")
+    try:
+        temporary.touch()
+        # Fragments, so that what is written can be read wherever it ends
+        container = av.open(str(temporary), "w", options={"movflags": "frag_keyframe+empty_moov+default_base_moof"})
+        stream = container.add_stream("libx264", rate=FPS)
+        stream.width, stream.height = size
+        stream.pix_fmt = "yuv420p"
+        stream.options = {"crf": "20", "preset": "veryfast", "g": str(FPS)}
+
+        def add(picture: Any) -> None:
+            for packet in stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")):
+                container.mux(packet)
+
+        try:
+            yield add
+        finally:
+            for packet in stream.encode():
+                container.mux(packet)
+            container.close()
+        os.replace(temporary, path)
+    except OSError as error:
+        raise unwritable(path, error) from None
+    finally:
+        temporary.unlink(missing_ok=True)

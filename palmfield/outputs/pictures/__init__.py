@@ -1,0 +1,1 @@
+"""Pictures of a result, one kind a function: `palmfield plot` takes their names from the registry."""

@@ -1,0 +1,143 @@
+"""What is asked of a picture, and what a result has of it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import xarray as xr
+
+from palmfield.errors import OutputError, did_you_mean
+from palmfield.outputs.frames import in_world, nearest
+from palmfield.outputs.motion import extremes
+from palmfield.outputs.schema import has_records, instances
+from palmfield.outputs.skin_view import probe_vertices
+from palmfield.types import Float
+
+Quantity = Literal["displacement", "velocity"]
+IN_MICRO = 1e6
+UNITS: dict[Quantity, str] = {"displacement": "µm", "velocity": "µm/s"}
+"""Of a millionth of the quantity's SI unit."""
+FAR_M = 0.01
+"""A place farther than this from the skin is none of it."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a picture is to show.
+
+    time_s: None for the moment that says most; places: points in the world as the run begins [m], whose nearest vertex
+        is taken; limits: of the colours or the axis, in the unit that the picture shows
+    skin: which one, where there are several; quantity: of the skin's motion along its outward normal
+    observer: of levels, by name; None for each that has a value
+    """
+
+    time_s: float | None = None
+    places: tuple[tuple[float, float, float], ...] = ()
+    limits: tuple[float, float] | None = None
+    skin: str | None = None
+    quantity: Quantity = "displacement"
+    observer: str | None = None
+
+
+def asked_for(
+    time_ms: float | None,
+    places_mm: Sequence[str],
+    limits: str | None,
+    skin: str | None,
+    quantity: str,
+    observer: str | None,
+) -> Asked:
+    """What a command line asks for: times in ms, places "X,Y,Z" in mm, limits "LOW,HIGH".
+
+    Raises OutputError for another quantity, and for what isn't as many finite numbers.
+    """
+    motion = next((known for known in UNITS if known == quantity), None)
+    if motion is None:
+        raise OutputError(
+            f"--quantity has value '{quantity}'{did_you_mean(quantity, UNITS)}; allowed: {', '.join(UNITS)}"
+        )
+    places = [_numbers("--place", text, 3) for text in places_mm]
+    ends = None if limits is None else _numbers("--limits", limits, 2)
+    if ends is not None and not ends[0] < ends[1]:
+        raise OutputError(f"--limits has value '{limits}'; allowed: a lower number, then a higher one")
+    return Asked(
+        None if time_ms is None else 1e-3 * time_ms,
+        tuple((1e-3 * x, 1e-3 * y, 1e-3 * z) for x, y, z in places),
+        None if ends is None else (ends[0], ends[1]),
+        skin,
+        motion,
+        observer,
+    )
+
+
+def _numbers(option: str, text: str, count: int) -> list[float]:
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) != count or not np.isfinite(values).all():
+        raise OutputError(f"{option} has value '{text}'; allowed: {count} numbers with commas between them")
+    return values
+
+
+def chosen_skin(result: xr.DataTree, asked: Asked, variable: str) -> tuple[str, xr.Dataset]:
+    """Name and group of the skin that is asked for, which holds a variable over time.
+
+    Raises OutputError where there is none, where it isn't said which of several, and for an unknown name.
+    """
+    skins = instances(result, "skin")
+    if asked.skin is not None and asked.skin not in skins:
+        near = did_you_mean(asked.skin, skins)
+        raise OutputError(f"--skin has value '{asked.skin}'{near}; the result has: {', '.join(skins) or 'no skin'}")
+    held = {name: skin for name, skin in skins.items() if has_records(skin, variable)}
+    if asked.skin is not None:
+        held = {name: skin for name, skin in held.items() if name == asked.skin}
+    if not held:
+        raise OutputError(f"the result holds no {variable} of a skin; run at least one step with it")
+    return next(iter(held.items()))
+
+
+def chosen_time(skin: xr.Dataset, asked: Asked, otherwise: int) -> int:
+    """The place along `time` that is asked for. Raises OutputError for a time outside the run."""
+    times: Float = skin["time"].values
+    if asked.time_s is None:
+        return otherwise
+    if not times[0] <= asked.time_s <= times[-1]:
+        raise OutputError(
+            f"--time has value {1e3 * asked.time_s:g} ms; allowed: {1e3 * times[0]:g} to {1e3 * times[-1]:g} ms"
+        )
+    return nearest(times, asked.time_s)
+
+
+def chosen_vertices(result: xr.DataTree, name: str, skin: xr.Dataset, asked: Asked) -> list[tuple[int, str]]:
+    """Vertices and what they are, in words: nearest to the places asked for, or where the skin moves most and beside.
+
+    Raises OutputError for a place that is not on the skin.
+    """
+    if not asked.places:
+        rest = skin["rest_position"].values
+        found = probe_vertices(rest, extremes(skin, asked.quantity).peak)
+        return [(v, "largest motion" if far == 0 else f"{1e3 * far:.1f} mm away") for v, far in found]
+    begins = float(skin["time"].values[0])
+    vertices = in_world(skin, instances(result, "body").get(name), begins)
+    out = []
+    for place in asked.places:
+        away = np.linalg.norm(vertices - np.array(place), axis=1)
+        vertex = int(away.argmin())
+        told = ", ".join(f"{1e3 * x:g}" for x in place)
+        if away[vertex] > FAR_M:
+            middle = ", ".join(f"{1e3 * x:.0f}" for x in vertices.mean(axis=0))
+            raise OutputError(
+                f"--place has value {told} mm, {1e3 * away[vertex]:.3g} mm from skin '{name}'; allowed: up to "
+                f"{1e3 * FAR_M:g} mm (the skin's middle is at {middle} mm)"
+            )
+        out.append((vertex, f"({told}) mm"))
+    return out
+
+
+def limits_of(asked: Asked, low: float, high: float) -> tuple[float, float]:
+    """The limits that are asked for, or the given ones, never empty."""
+    if asked.limits is not None:
+        return asked.limits
+    return low, high if high > low else low + 1e-9

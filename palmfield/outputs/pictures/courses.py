@@ -1,0 +1,86 @@
+"""A skin's motion over time at a few places: courses, spectra and spectrograms."""
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+from scipy.signal import ShortTimeFFT
+from scipy.signal.windows import hann
+
+from palmfield.errors import OutputError
+from palmfield.metrics.spectra import amplitude_spectrum
+from palmfield.outputs.motion import at_vertices
+from palmfield.outputs.pictures.asked import IN_MICRO, UNITS, Asked, chosen_skin, chosen_vertices, limits_of
+from palmfield.outputs.style import COLOURS
+
+LINES = ("-", "--", ":", "-.")
+"""Lines differ in grey too."""
+WINDOW_S = 0.02
+SHOWN_DB = 60.0
+LEAST_Hz = 1000.0
+
+
+def course(result: xr.DataTree, asked: Asked) -> Figure:
+    """Normal displacement or velocity over time."""
+    name, skin = chosen_skin(result, asked, asked.quantity)
+    chosen = chosen_vertices(result, name, skin, asked)
+    motion = IN_MICRO * at_vertices(skin, [vertex for vertex, _ in chosen], asked.quantity).astype(float)
+    figure = Figure(figsize=(7.0, 3.4), layout="constrained")
+    axes = figure.subplots()
+    for n, ((_, what), values) in enumerate(zip(chosen, motion.T, strict=True)):
+        axes.plot(1e3 * skin["time"].values, values, LINES[n % len(LINES)], color=COLOURS[n % len(COLOURS)], label=what)
+    axes.set(xlabel="time [ms]", ylabel=f"normal {asked.quantity} [{UNITS[asked.quantity]}]")
+    axes.set_title("Motion of the skin (negative: inward)")
+    if asked.limits is not None:
+        axes.set_ylim(*asked.limits)
+    axes.margins(x=0)
+    axes.margins(y=0.15)
+    axes.legend(ncols=min(3, len(chosen)), loc="upper right")
+    return figure
+
+
+def spectrum(result: xr.DataTree, asked: Asked) -> Figure:
+    """Single-sided amplitude spectra of the normal motion, Hann window, without its mean."""
+    name, skin = chosen_skin(result, asked, asked.quantity)
+    chosen = chosen_vertices(result, name, skin, asked)
+    motion = IN_MICRO * at_vertices(skin, [vertex for vertex, _ in chosen], asked.quantity).astype(float)
+    figure = Figure(figsize=(7.0, 3.4), layout="constrained")
+    axes = figure.subplots()
+    top = 0.0
+    for n, ((_, what), values) in enumerate(zip(chosen, motion.T, strict=True)):
+        at, size = amplitude_spectrum(skin["time"].values, values)
+        top = max(top, float(size.max()))
+        style = LINES[n % len(LINES)]
+        axes.semilogy(at, np.maximum(size, 1e-12), style, color=COLOURS[n % len(COLOURS)], label=what)
+    axes.set(xlabel="frequency [Hz]", ylabel=f"amplitude [{UNITS[asked.quantity]}]")
+    axes.set_xlim(0.0, min(LEAST_Hz, float(at[-1])))
+    axes.set_ylim(*limits_of(asked, 1e-4 * max(top, 1e-9), 2.0 * max(top, 1e-9)))
+    axes.set_title(f"Amplitude spectrum of the normal {asked.quantity} (bins of {at[0]:.3g} Hz)")
+    axes.legend(loc="best")
+    return figure
+
+
+def spectrogram(result: xr.DataTree, asked: Asked) -> Figure:
+    """Power of the normal motion over time and frequency at one place, the first that is asked for."""
+    name, skin = chosen_skin(result, asked, asked.quantity)
+    vertex, what = chosen_vertices(result, name, skin, asked)[0]
+    values = at_vertices(skin, [vertex], asked.quantity)[:, 0].astype(float)
+    times = skin["time"].values
+    step_s = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+    count = min(round(WINDOW_S / step_s), len(times) // 2) if step_s > 0.0 else 0
+    if count < 8:
+        raise OutputError(f"a spectrogram of {len(times)} samples says nothing; run for longer, or record more often")
+    hop = max(1, count // 16)
+    transform = ShortTimeFFT(hann(count, sym=False), hop, 1.0 / step_s, scale_to="magnitude")
+    power = transform.spectrogram(values - values.mean())
+    level = 10.0 * np.log10(np.maximum(power / max(float(power.max()), 1e-300), 1e-30))
+    moments = 1e3 * (times[0] + transform.t(len(values)))
+    figure = Figure(figsize=(7.0, 3.6), layout="constrained")
+    axes = figure.subplots()
+    low, high = limits_of(asked, -SHOWN_DB, 0.0)
+    drawn = axes.pcolormesh(moments, transform.f, level, cmap="magma", vmin=low, vmax=high, shading="nearest")
+    axes.set(xlabel="time [ms]", ylabel="frequency [Hz]", xlim=(1e3 * times[0], 1e3 * times[-1]))
+    axes.set_ylim(0.0, min(LEAST_Hz, float(transform.f[-1])))
+    axes.grid(visible=False)
+    axes.set_title(f"Normal {asked.quantity} at {what} (windows of {1e3 * count * step_s:.3g} ms)")
+    figure.colorbar(drawn, ax=axes, label="dB re largest")
+    return figure

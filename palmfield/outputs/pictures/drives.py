@@ -1,0 +1,43 @@
+"""What the transducers do: phase and amplitude of each on the face of its array."""
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+from palmfield.errors import OutputError
+from palmfield.outputs.frames import nearest
+from palmfield.outputs.pictures.asked import Asked
+from palmfield.outputs.schema import has_records, instances
+
+
+def drives(result: xr.DataTree, asked: Asked) -> Figure:
+    """Phase of each transducer by colour, which comes back on itself, and its amplitude by size, at a time."""
+    arrays = {
+        name: array for name, array in instances(result, "array").items() if has_records(array, "drive_amplitude")
+    }
+    if not arrays:
+        raise OutputError("the result holds no drives of an array; run at least one step")
+    figure = Figure(figsize=(5.4 * len(arrays), 4.8), layout="constrained")
+    for axes, (name, array) in zip(figure.subplots(1, len(arrays), squeeze=False)[0], arrays.items(), strict=True):
+        times = array["frame_time"].values
+        amplitude = array["drive_amplitude"].values
+        index = int(amplitude.sum(axis=1).argmax())
+        if asked.time_s is not None:
+            if not times[0] <= asked.time_s <= times[-1]:
+                told = f"{1e3 * times[0]:g} to {1e3 * times[-1]:g} ms"
+                raise OutputError(f"--time has value {1e3 * asked.time_s:g} ms; allowed: {told}")
+            index = nearest(times, asked.time_s)
+        x, y, _ = 1e3 * array["transducer_position"].values.T
+        phase = np.mod(array["drive_phase"].values[index], 2.0 * np.pi)
+        size = np.hypot(np.ptp(x), np.ptp(y))
+        # A transducer at full drive fills its share of the face
+        dots = (4.6 * 72.0 / max(size, 1e-9)) ** 2 * np.ptp(x) * np.ptp(y) / len(x) * 0.35
+        areas = np.maximum(dots * amplitude[index], 0.5)
+        drawn = axes.scatter(x, y, s=areas, c=phase, cmap="twilight", vmin=0.0, vmax=2.0 * np.pi)
+        axes.set(xlabel="array x [mm]", ylabel="array y [mm]", aspect="equal")
+        axes.grid(visible=False)
+        most = f"area: amplitude, {amplitude[index].max():.2f} at most"
+        axes.set_title(f"Drive of '{name}' at {1e3 * times[index]:.2f} ms\n({most})")
+        bar = figure.colorbar(drawn, ax=axes, shrink=0.85, label="phase [rad] (positive: delay)")
+        bar.set_ticks([0.0, np.pi, 2.0 * np.pi], labels=["0", "π", "2π"])
+    return figure

@@ -1,0 +1,105 @@
+"""Maps of a skin's motion, seen from the array: at a time, as root mean square, and as levels above threshold."""
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+from palmfield.errors import OutputError, did_you_mean
+from palmfield.outputs.frames import in_world, to_local
+from palmfield.outputs.motion import extremes, normal_component
+from palmfield.outputs.pictures.asked import IN_MICRO, UNITS, Asked, chosen_skin, chosen_time, limits_of
+from palmfield.outputs.recorded_keys import keys_of
+from palmfield.outputs.schema import instances
+from palmfield.outputs.skin_view import SkinView, draw_patch, seen_from_array
+from palmfield.perception.maps import level_map, lines_in
+from palmfield.perception.observers import OBSERVERS
+from palmfield.stimulus.resolved import ResolvedStimulus
+from palmfield.stimulus.schedule import main_frequencies, steady_stretch_s
+from palmfield.types import Float
+
+SIGNED, SIZES = "RdBu_r", "cividis"
+LEAST_LEVEL_DB = -20.0
+"""Levels below are drawn as this: nobody feels them, and -inf has no colour."""
+
+
+def motion_map(result: xr.DataTree, asked: Asked) -> Figure:
+    """Normal displacement or velocity of the skin at a time, by default when it moves most."""
+    name, skin = chosen_skin(result, asked, asked.quantity)
+    found = extremes(skin, asked.quantity)
+    index = chosen_time(skin, asked, int(found.when[found.peak.argmax()]))
+    values = IN_MICRO * normal_component(skin, asked.quantity, slice(index, index + 1)).values[0].astype(float)
+    time_s = float(skin["time"].values[index])
+    largest = float(np.abs(values).max())
+    unit = UNITS[asked.quantity]
+    view = seen_from_array(result, name, skin)
+    vertices = to_local(in_world(skin, instances(result, "body").get(name), time_s), view.pose)
+    limits = limits_of(asked, -max(largest, 1e-9), max(largest, 1e-9))
+    range_of = f"{values.min():.3g} to {values.max():.3g} {unit}"
+    title = f"Normal {asked.quantity} at {1e3 * time_s:.2f} ms\n(negative: inward), {range_of}"
+    return _one(view._replace(vertices=vertices), skin, values, SIGNED, limits, unit, title)
+
+
+def rms_map(result: xr.DataTree, asked: Asked) -> Figure:
+    """Root mean square over the run of the normal displacement or velocity, the mean kept."""
+    name, skin = chosen_skin(result, asked, asked.quantity)
+    values = IN_MICRO * np.sqrt(extremes(skin, asked.quantity).mean_square)
+    unit = UNITS[asked.quantity]
+    title = f"RMS of the normal {asked.quantity} over the run\n(mean kept), at most {values.max():.3g} {unit}"
+    limits = limits_of(asked, 0.0, float(values.max()))
+    return _one(seen_from_array(result, name, skin), skin, values, SIZES, limits, unit, title)
+
+
+def level_map_of(result: xr.DataTree, asked: Asked) -> Figure:
+    """Level above the threshold of one observer, or of each in a panel of its own, by vertex, without summation."""
+    name, skin = chosen_skin(result, asked, "displacement")
+    if asked.observer is not None and asked.observer not in OBSERVERS:
+        near = did_you_mean(asked.observer, OBSERVERS)
+        raise OutputError(f"--observer has value '{asked.observer}'{near}; allowed: {', '.join(OBSERVERS)}")
+    steady, lines = _repeating(result, skin)
+    times = skin["time"].values[steady]
+    motion = normal_component(skin, times=steady).values.astype(float)
+    shown: list[tuple[str, Float]] = []
+    for key in [asked.observer] if asked.observer else list(OBSERVERS):
+        levels = level_map(OBSERVERS[key], times, motion, lines)
+        if np.isfinite(levels).any():
+            shown.append((key, np.maximum(levels, LEAST_LEVEL_DB)))
+    if not shown:
+        told = ", ".join(f"{f:g}" for f in lines)
+        raise OutputError(f"no observer has a threshold at {told} Hz; see docs/results.md")
+    top = max(float(levels.max()) for _, levels in shown)
+    limits = limits_of(asked, min(0.0, top), top)
+    view = seen_from_array(result, name, skin)
+    figure = Figure(figsize=(0.6 + 4.4 * len(shown), 4.6), layout="constrained")
+    for axes, (key, levels) in zip(figure.subplots(1, len(shown), squeeze=False)[0], shown, strict=True):
+        draw_patch(figure, axes, skin["face"].values, view.vertices, levels, SIZES, limits, "dB above threshold")
+        felt = f"{levels.max():.0f} dB SL at most" if levels.max() > 0.0 else "below threshold"
+        axes.set_title(f"{OBSERVERS[key].name}\n{felt}")
+    return figure
+
+
+def _repeating(result: xr.DataTree, skin: xr.Dataset) -> tuple[slice, list[float]]:
+    """The records between ramp and silence, and the frequencies in which most of the response to the stimuli lies.
+
+    Raises OutputError where nothing repeats, or not for two periods.
+    """
+    configs = [keys_of(ResolvedStimulus, name, one) for name, one in instances(result, "stimulus").items()]
+    times: Float = skin["time"].values
+    for config in configs:
+        begin, end = steady_stretch_s(config)
+        stretch = slice(*np.searchsorted(times, [begin, min(end, np.inf)]).tolist())
+        if lines := lines_in(times[stretch], main_frequencies(config)):
+            return stretch, lines
+    raise OutputError(
+        "nothing repeats for two periods between ramp and silence, so that no level above threshold is told; "
+        "give AM or a closed path, or run for longer"
+    )
+
+
+def _one(
+    view: SkinView, skin: xr.Dataset, values: Float, colours: str, limits: tuple[float, float], unit: str, title: str
+) -> Figure:
+    figure = Figure(figsize=(5.6, 5.2), layout="constrained")
+    axes = figure.subplots()
+    draw_patch(figure, axes, skin["face"].values, view.vertices, values, colours, limits, unit)
+    axes.set_title(title)
+    return figure

@@ -1,0 +1,53 @@
+"""Space and time: how the skin's motion runs along a straight line over it."""
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+from palmfield.errors import OutputError
+from palmfield.outputs.frames import in_world
+from palmfield.outputs.motion import extremes, normal_component
+from palmfield.outputs.pictures.asked import IN_MICRO, UNITS, Asked, chosen_skin, chosen_vertices, limits_of
+from palmfield.outputs.schema import instances
+
+FEWEST = 8
+"""Vertices near the line that make a picture."""
+
+
+def wavefronts(result: xr.DataTree, asked: Asked) -> Figure:
+    """Normal motion along a line over the skin and over time; straight fronts are waves of one speed.
+
+    The line goes through the first two places asked for, or along the longest way over the skin through the vertex
+    that moves most. Vertices within the spacing of the mesh of it are shown, by their place along it.
+    """
+    name, skin = chosen_skin(result, asked, asked.quantity)
+    at_rest = in_world(skin, instances(result, "body").get(name), float(skin["time"].values[0]))
+    if len(asked.places) == 1:
+        raise OutputError("wavefronts run along a line; give --place twice, or not at all")
+    if asked.places:
+        (first, _), (second, _) = chosen_vertices(result, name, skin, asked)[:2]
+        middle, way = at_rest[first], at_rest[second] - at_rest[first]
+    else:
+        middle = at_rest[int(extremes(skin, asked.quantity).peak.argmax())]
+        way = np.linalg.svd(at_rest - at_rest.mean(axis=0), full_matrices=False)[2][0]
+    way = way / np.linalg.norm(way)
+    faces = skin["face"].values
+    spacing = float(np.median(np.linalg.norm(at_rest[faces[:, 0]] - at_rest[faces[:, 1]], axis=1)))
+    along = (at_rest - middle) @ way
+    beside = np.linalg.norm(at_rest - middle - along[:, None] * way, axis=1)
+    near = np.flatnonzero(beside <= spacing)
+    if len(near) < FEWEST:
+        raise OutputError(f"{len(near)} vertices lie near the line; allowed: {FEWEST} or more, give places on the skin")
+    order = near[np.argsort(along[near])]
+    motion = IN_MICRO * normal_component(skin.isel(vertex=order), asked.quantity).values.astype(float)
+    largest = max(float(np.abs(motion).max()), 1e-9)
+    low, high = limits_of(asked, -largest, largest)
+    figure = Figure(figsize=(7.0, 4.2), layout="constrained")
+    axes = figure.subplots()
+    times = 1e3 * skin["time"].values
+    drawn = axes.pcolormesh(times, 1e3 * along[order], motion.T, cmap="RdBu_r", vmin=low, vmax=high, shading="nearest")
+    axes.set(xlabel="time [ms]", ylabel="along the line [mm]")
+    axes.grid(visible=False)
+    axes.set_title(f"Normal {asked.quantity} along a line over the skin ({len(order)} vertices, negative: inward)")
+    figure.colorbar(drawn, ax=axes, label=UNITS[asked.quantity])
+    return figure

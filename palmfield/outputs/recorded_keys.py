@@ -1,0 +1,18 @@
+"""The keys of a scene's instances, as a result holds them."""
+
+from typing import TypeVar
+
+import xarray as xr
+
+from palmfield.config.base import Config, recorded
+from palmfield.errors import OutputError, SceneError
+
+T = TypeVar("T", bound=Config)
+
+
+def keys_of(model: type[T], name: str, group: xr.Dataset) -> T:
+    """The keys of an instance in a result. Raises OutputError where it has none that can be read."""
+    try:
+        return recorded(model, str(group.attrs.get("config", "")))
+    except SceneError as error:
+        raise OutputError(f"instance '{name}' of the result: {error}") from None

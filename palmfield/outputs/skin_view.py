@@ -1,0 +1,64 @@
+"""A skin as the array that it faces sees it: flat, with a value at each vertex in colour."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+from matplotlib.tri import Triangulation
+
+from palmfield.outputs.frames import Loudest, in_world, loudest, nearest, pose_at, to_local
+from palmfield.outputs.schema import instances
+from palmfield.types import Float
+
+DISTANCES_M = (0.010, 0.020)
+
+
+class SkinView(NamedTuple):
+    """A skin as an array sees it when the sound on the skin is loudest.
+
+    array: its name; pose: of the array, shape (7,); vertices: of the skin in the array's frame [m], shape (n, 3)
+    """
+
+    array: str
+    pose: Float
+    vertices: Float
+    loudest: Loudest
+
+
+def seen_from_array(result: xr.DataTree, name: str, skin: xr.Dataset) -> SkinView:
+    """A skin seen from the array in whose direction its normals point most."""
+    when, body = loudest(skin), instances(result, "body").get(name)
+    vertices = in_world(skin, body, when.time_s)
+    corners = vertices[skin["face"].values]
+    outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).sum(axis=0)
+    poses = {key: pose_at(array, when.time_s) for key, array in instances(result, "array").items()}
+    ways = {key: pose[:3] - vertices.mean(axis=0) for key, pose in poses.items()}
+    best = max(poses, key=lambda key: float(ways[key] @ outward) / max(float(np.linalg.norm(ways[key])), 1e-9))
+    return SkinView(best, poses[best], to_local(vertices, poses[best]), when)
+
+
+def draw_patch(
+    figure: Any, axes: Any, faces: Any, seen: Float, values: Float, colours: str, limits: tuple[float, float], unit: str
+) -> None:
+    """The patch in the array's x and y with a colour bar, far triangles first so that near ones cover them.
+
+    seen: vertices in the array's frame [m], shape (n, 3); values: shape (n,), in `unit`
+    """
+    order = np.argsort(-seen[faces].mean(axis=1)[:, 2])
+    triangles = Triangulation(seen[:, 0] * 1e3, seen[:, 1] * 1e3, faces[order])
+    low, high = limits
+    drawn = axes.tripcolor(triangles, values, shading="gouraud", cmap=colours, vmin=low, vmax=high)
+    axes.set(xlabel="array x [mm]", ylabel="array y [mm]", aspect="equal")
+    axes.grid(visible=False)
+    # Looking along +z with y up, +x points left.
+    axes.invert_xaxis()
+    figure.colorbar(drawn, ax=axes, shrink=0.85, pad=0.02, label=unit)
+
+
+def probe_vertices(rest: Float, peak: Float) -> list[tuple[int, float]]:
+    """(vertex, distance [m]) of the largest |u| and of those nearest to 10 and 20 mm from it (small patch: less)."""
+    first = int(peak.argmax())
+    distance = np.linalg.norm(rest - rest[first], axis=1)
+    scale = min(1.0, 0.9 * float(distance.max()) / DISTANCES_M[-1])
+    others = [nearest(distance, scale * target) for target in DISTANCES_M]
+    return [(first, 0.0)] + [(v, float(distance[v])) for v in others if v != first]

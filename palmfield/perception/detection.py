@@ -1,0 +1,46 @@
+"""From a level above threshold to how often it is felt, and what a course in time does to the level.
+
+p = g + (1 - g - l) (1 - exp(-ln 2 E^b)), E the level as a ratio: at threshold, E = 1, it is felt in half of the cases.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.signal import lfilter
+
+from palmfield.errors import OutputError
+from palmfield.perception.psychometric import PsychometricFunction
+from palmfield.types import Float
+
+SLOPE = 2.0
+"""b of detection where nothing better is known: with it E^b is the energy that the levels sum."""
+
+
+def detection_probability(
+    level_dB_SL: ArrayLike, *, slope: float = SLOPE, guess: float = 0.0, lapse: float = 0.0
+) -> Float:
+    """Probability that something is felt, or of a right answer, of the shape of level_dB_SL [dB]; -inf is silence.
+
+    slope: b; guess: rate of right answers by chance: 0 for the method of limits, 0.5 of two alternatives; lapse: rate
+    of lapses. Raises OutputError for a slope that is not above 0, and for rates that are none.
+    """
+    if not slope > 0.0:
+        raise OutputError(f"slope {slope:g}; allowed: above 0")
+    ratio = 10.0 ** (np.asarray(level_dB_SL, dtype=np.float64) / 20.0)
+    return PsychometricFunction("weibull", 1.0, 1.0 / slope, guess, lapse)(ratio)
+
+
+def summed_gain(envelope: ArrayLike, step_s: float, tau_s: float) -> float:
+    """How strong a vibration with an envelope is to a channel that sums its energy with a leak.
+
+    Relative to a steady one of amplitude 1: the root of the largest of y, tau y' = envelope^2 - y, from y = 0.
+
+    envelope: of the amplitude, each value held for step_s [s], shape (n,); tau_s: `TemporalSummation.tau_s` [s]
+    Levels change by 20 log10 of it. For a burst of length T it is
+    sqrt(1 - exp(-T/tau)). Source: J. J. Zwislocki, J. Acoust. Soc. Am. 32 (1960) 1046.
+    Raises OutputError for a step or time constant that is not above 0.
+    """
+    power = np.asarray(envelope, dtype=np.float64) ** 2
+    if not (tau_s > 0.0 and step_s > 0.0):
+        raise OutputError(f"step_s {step_s:g}, tau_s {tau_s:g}; allowed: above 0")
+    kept = float(np.exp(-step_s / tau_s))
+    return float(np.sqrt(lfilter([1.0 - kept], [1.0, -kept], power).max()))

@@ -1,0 +1,93 @@
+"""Steady motion of an endless flat layer under a spot that goes round again and again: its lines, exact in frequency.
+
+A load that repeats with period T has lines at n/T. Each is a pattern of pressure, whose waves the layer's compliance
+(`layer_oracle`) turns into motion. The layer repeats itself after `span_m` both ways, far enough for waves to die out.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.fft import fftfreq, ifft2
+from scipy.interpolate import CubicSpline
+
+from palmfield.errors import SceneError
+from palmfield.skin.analytic.layer_oracle import layer_compliance
+from palmfield.skin.materials.material import Material
+from palmfield.types import Complex, Float
+
+TABLE = 400
+"""Wavenumbers at which the compliance is computed; between them it is a cubic."""
+
+
+@dataclass(frozen=True)
+class RepeatedSpot:
+    """A Gaussian spot, each place and pressure held for one of equal parts of a period.
+
+    centres_m: shape (p, 2) [m]; peak_Pa: peak pressure at each [Pa], shape (p,); fwhm_m: full width at half maximum [m]
+    Raises SceneError for other shapes, and a width that is not above 0.
+    """
+
+    centres_m: Float
+    peak_Pa: Float
+    fwhm_m: float
+
+    def __post_init__(self) -> None:
+        count = len(np.atleast_1d(self.peak_Pa))
+        if np.shape(self.centres_m) != (count, 2) or np.shape(self.peak_Pa) != (count,):
+            raise SceneError(
+                f"centres_m has shape {np.shape(self.centres_m)} and peak_Pa {np.shape(self.peak_Pa)}; allowed: (p, 2) "
+                "and (p,)"
+            )
+        if not self.fwhm_m > 0.0:
+            raise SceneError(f"fwhm_m is {self.fwhm_m}; give a width above 0")
+
+
+@dataclass(frozen=True)
+class FlatLayer:
+    """An endless layer bonded to bone, of which a square is looked at.
+
+    span_m: period of the square [m]; cells: places along it, span_m / cells apart
+    """
+
+    material: Material
+    thickness_m: float
+    span_m: float = 0.4
+    cells: int = 160
+
+    def places(self) -> Float:
+        """Coordinates of the grid along x and along y [m], shape (cells,), with 0 among them."""
+        return np.asarray((np.arange(self.cells) - self.cells // 2) * (self.span_m / self.cells), dtype=float)
+
+    def lines(self, spots: Sequence[RepeatedSpot], rate_Hz: float, orders: Sequence[int]) -> Complex:
+        """Displacement into the layer at the lines of some orders [m], shape (n, cells, cells), x along the last axis.
+
+        Complex peak amplitudes, under e^{-iwt}, at `places`. spots: that press at once, all with the period 1/rate_Hz
+        orders: 1 or more. Raises SceneError for others, and a rate that is not above 0.
+        """
+        if not rate_Hz > 0.0 or min(orders) < 1:
+            raise SceneError(f"rate_Hz {rate_Hz}, orders {list(orders)}; allowed: above 0, and orders of 1 or more")
+        k = 2.0 * math.pi * fftfreq(self.cells, self.span_m / self.cells)
+        length = np.hypot(k[:, None], k[None, :])
+        pressure = np.sum([_transform(spot, k, length, orders) for spot in spots], axis=0)
+        table = np.linspace(0.0, float(length.max()), TABLE)
+        result = np.empty((len(orders), self.cells, self.cells), dtype=complex)
+        for row, order in enumerate(orders):
+            compliance = CubicSpline(table, layer_compliance(table, order * rate_Hz, self.material, self.thickness_m))
+            waves = compliance(length) * pressure[row]
+            result[row] = np.fft.fftshift(ifft2(waves)) * (self.cells / self.span_m) ** 2
+        return result
+
+
+def _transform(spot: RepeatedSpot, k: Float, length: Float, orders: Sequence[int]) -> Complex:
+    """Of the pressure's lines over the face [Pa m2], shape (n, cells, cells)."""
+    count = len(spot.peak_Pa)
+    number = np.asarray(orders, dtype=float)[:, None]
+    edges = np.exp(2j * math.pi * number * np.arange(count + 1) / count)
+    # Twice the mean of q e^{+iwt}: Re(line e^{-iwt}) is the line
+    weights = np.diff(edges, axis=1) / (1j * math.pi * number) * spot.peak_Pa
+    along_x, along_y = (np.exp(-1j * np.outer(spot.centres_m[:, axis], k)) for axis in (0, 1))
+    waves = np.einsum("nj,jy,jx->nyx", weights, along_y, along_x, optimize=True)
+    spread = spot.fwhm_m / math.sqrt(8.0 * math.log(2.0))
+    return np.asarray(waves * (2.0 * math.pi * spread**2 * np.exp(-0.5 * (length * spread) ** 2)))

@@ -1,0 +1,361 @@
+"""Whole fields of a slab's face: the normal velocity on a grid at many times, under a spot that moves.
+
+`solve` sums every wave at every point, which is right for points and takes minutes for pictures of an endless slab.
+Here its waves are those of a square that repeats itself, so that their sum on a grid is a Fourier transform; or those
+of a disc within a smooth wall, so that it is one round the disc. Modes in depth and steps in time are the solver's own.
+
+from palmfield.skin.solvers.lateral_waves.fields import PeriodicSlab
+plate = PeriodicSlab(Slab((Sheet(preset("gelatin_2"), 0.01),), base="free"), fwhm_m=0.006, period_m=0.6)
+velocity = plate.normal_velocity(spot, times, half_m=0.125, cells=600)
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.fft import ifft, irfft
+from scipy.interpolate import CubicSpline
+from scipy.special import jnp_zeros, jv
+
+from palmfield.errors import SceneError
+from palmfield.skin.problem import Slab, Spot, rising
+from palmfield.skin.solvers.lateral_waves.depth import depth_problem
+from palmfield.skin.solvers.lateral_waves.drive import Timeline, given, spot_transform, timeline
+from palmfield.skin.solvers.lateral_waves.march import march
+from palmfield.skin.solvers.lateral_waves.modes import FaceModes, face_modes
+from palmfield.skin.solvers.lateral_waves.radial import compute_modes
+from palmfield.skin.solvers.lateral_waves.resolution import Resolution
+from palmfield.skin.solvers.lateral_waves.waves import WaveSet, lattice
+from palmfield.types import Complex, Float, Float32, Int
+
+LEAST_SHARE = 1e-2
+"""Of the spot's transform, by which the tolerance of the modes of short waves is loosened at most."""
+MODES = 0.1
+"""Tolerance of the modes in depth over that of the waves."""
+CLEAR_WIDTHS = 1.6
+"""Widths of the spot that its centre keeps from the wall: there the pressure is below 1e-3 of its peak."""
+PHASE = 0.25
+"""Radians by which the shortest wave may turn between two places of the spot, between which its load is linear."""
+SAME_DIGITS = 7
+"""Decimals of wavenumbers [rad/m] that are one and the same."""
+FINER_ANGLES = 2
+"""Angles of the polar grid over those that its waves need, so that cubic polynomials between them do."""
+ROWS = 32
+"""Moments that are summed at once."""
+WALL_STEP_m = 5e-4
+"""Between radii at which the disc's waves are tabulated; the shortest are seven times as long."""
+
+
+@dataclass(frozen=True)
+class PeriodicSlab:
+    """An endless slab whose load repeats itself with a period both ways.
+
+    What the face does is right until waves of the repeated loads arrive: about (period - way to the load) over the
+    fastest group speed, which is twice the shear speed on a free slab and below it on a bonded one.
+
+    slab: endless; fwhm_m: width of the spot [m]; period_m: [m]
+    tolerance: of the cut of short waves and of the modes, of which modes_tolerance may say another
+    horizon_s: for how long it will be asked [s]; speed_m_s: how fast the spot runs at most; threads: None for all cores
+    Raises SceneError for another shape and sizes that are not above 0.
+    """
+
+    slab: Slab
+    fwhm_m: float
+    period_m: float
+    tolerance: float = 3e-3
+    horizon_s: float = 0.05
+    speed_m_s: float = 20.0
+    threads: int | None = None
+    modes_tolerance: float | None = None
+
+    def __post_init__(self) -> None:
+        _check(self.slab, "infinite", fwhm_m=self.fwhm_m, period_m=self.period_m)
+
+    @cached_property
+    def waves(self) -> WaveSet:
+        """One of each pair of waves k, -k, with the spot's transform in the weights."""
+        half = 0.5 * self.period_m
+        resolution = _resolution(self.tolerance, self.speed_m_s)
+        vectors, weights, k, group = lattice((half, half), resolution.cut(self.fwhm_m))
+        modes = _modes(self, k)
+        return WaveSet(modes, group, weights * spot_transform(self.fwhm_m, np.linalg.norm(vectors, axis=1)), vectors)
+
+    def normal_velocity(self, spot: Spot, times_s: Float, *, half_m: float, cells: int, device: str = "cpu") -> Float32:
+        """Normal velocity [m/s], outward, at times [s] on the square of +- half_m, shape (t, n, n), float32.
+
+        cells: places of the grid in a period, whose spacing is period_m / cells; `places` gives them
+        Raises SceneError for a spot of another width, a grid too coarse for the waves, and times that do not rise.
+        """
+        times = _asked(spot, times_s, self.fwhm_m)
+        waves = self.waves
+        step = 2.0 * math.pi / self.period_m
+        numbers = np.round(waves.vectors / step).astype(int)
+        most = int(np.abs(numbers).max())
+        if cells < 2 * most + 1:
+            raise SceneError(f"cells is {cells}; waves of {self.fwhm_m:g} m spots need at least {2 * most + 1}")
+        shown = self._shown(half_m, cells)
+        line = timeline(spot, times)
+        result = np.zeros((len(times), len(shown), len(shown)), dtype=np.float32)
+        if line is None:
+            return result
+        amplitude = _amplitudes(spot, line, waves, len(times), device, self.threads)
+        sums = np.empty((2 * most + 1, most + 1), dtype=complex)
+        along = np.zeros((len(shown), cells // 2 + 1), dtype=complex)
+        # Half planes of e^{i(mx + ny)} with m >= 0: the transform along y is complex, then that along x real
+        for row, values in enumerate(amplitude):
+            sums[...] = 0.0
+            sums[numbers[:, 1], numbers[:, 0]] = values
+            # On the line m = 0 both a wave and its mirror are wanted; k = 0 has half a weight
+            sums[:, 0] += np.roll(sums[::-1, 0], 1).conj()
+            padded = np.zeros((cells, most + 1), dtype=complex)
+            padded[: most + 1], padded[cells - most :] = sums[: most + 1], sums[most + 1 :]
+            along[:, : most + 1] = ifft(padded, axis=0, norm="forward", overwrite_x=True)[shown]
+            result[row] = irfft(along, cells, axis=1, norm="forward")[:, shown].T
+        return result
+
+    def places(self, half_m: float, cells: int) -> Float:
+        """Coordinates of the grid of `normal_velocity` along x and along y [m], rising, shape (n,)."""
+        shown = self._shown(half_m, cells)
+        return np.asarray(np.where(shown > cells // 2, shown - cells, shown) * self.period_m / cells)
+
+    def _shown(self, half_m: float, cells: int) -> Int:
+        if not 0.0 < half_m <= 0.5 * self.period_m:
+            raise SceneError(
+                f"half_m is {half_m:g} m; allowed: above 0, up to half the period, {0.5 * self.period_m:g}"
+            )
+        reach = math.floor(half_m * cells / self.period_m * (1.0 + 1e-9))
+        return np.asarray(np.arange(-reach, reach + 1) % cells)
+
+
+@dataclass(frozen=True)
+class WalledDisc:
+    """A disc within a smooth wall, which sends back all waves: no radial motion there, nothing that holds it along z.
+
+    Its lateral waves are J_m(k r) e^{i m phi} with J_m'(k R) = 0. They leave a shear traction along the wall of about
+    2 m / (k R)^2 of a wave's own, from the wall's curvature, which is neglected: 1 % of waves of 12 mm on 25 cm.
+    A free slab moves as a whole, as nothing holds it.
+
+    slab: a disc with rollers; others as of `PeriodicSlab`
+    """
+
+    slab: Slab
+    fwhm_m: float
+    tolerance: float = 3e-3
+    horizon_s: float = 0.05
+    speed_m_s: float = 20.0
+    threads: int | None = None
+    modes_tolerance: float | None = None
+
+    def __post_init__(self) -> None:
+        _check(self.slab, "disc", fwhm_m=self.fwhm_m)
+        if self.slab.side != "roller":
+            raise SceneError(f"slab: side is '{self.slab.side}'; the wall is smooth: use 'roller'")
+
+    @property
+    def radius_m(self) -> float:
+        """Of the disc [m]."""
+        assert self.slab.radius_m is not None
+        return self.slab.radius_m
+
+    @cached_property
+    def waves(self) -> tuple[WaveSet, Int]:
+        """Waves with vectors (k, m), and the orders m; weights hold transform and norm, 1 / integral of J_m^2."""
+        resolution = _resolution(self.tolerance, self.speed_m_s)
+        orders, k = wall_wavenumbers(self.radius_m, resolution.cut(self.fwhm_m))
+        different, group = np.unique(k, return_inverse=True)
+        modes = _modes(self, different)
+        x = k * self.radius_m
+        share = np.where(x > 0.0, 1.0 - (orders / np.where(x > 0.0, x, 1.0)) ** 2, 1.0)
+        norm = math.pi * self.radius_m**2 * share * jv(orders, x) ** 2
+        weights = spot_transform(self.fwhm_m, k) / norm
+        vectors = np.stack([k, orders.astype(float)], axis=1)
+        return WaveSet(modes, group.astype(np.int32), weights, vectors), orders
+
+    @cached_property
+    def _radii(self) -> Float:
+        return np.linspace(0.0, self.radius_m, math.ceil(self.radius_m / WALL_STEP_m) + 1)
+
+    @cached_property
+    def _table(self) -> Float:
+        """J_m(k r) of each wave at `_radii`, shape (n, r)."""
+        waves, orders = self.waves
+        return np.asarray(jv(orders[:, None], np.outer(waves.vectors[:, 0], self._radii)))
+
+    def normal_velocity(
+        self, spot: Spot, times_s: Float, *, places_m: Float | None = None, spacing_m: float = 1e-3, device: str = "cpu"
+    ) -> Float32:
+        """Normal velocity [m/s], outward, at times [s] on the square round the disc, shape (t, n, n); 0 off the disc.
+
+        places_m: coordinates along x and along y [m], shape (n,); by default `spacing_m` apart about the middle
+        Raises SceneError for a spot of another width or nearer to the wall than 1.6 widths, and times as `solve`.
+        """
+        times = _asked(spot, times_s, self.fwhm_m)
+        places = self.places(spacing_m) if places_m is None else np.asarray(places_m, dtype=float)
+        amplitude, orders = self._amplitudes(spot, times, device)
+        count = FINER_ANGLES * 2 ** math.ceil(math.log2(2 * int(orders.max()) + 2))
+        inside, to_square = self._to_square(tuple(places.tolist()), count)
+        by_order = [np.flatnonzero(orders == m) for m in range(int(orders.max()) + 1)]
+        result = np.zeros((len(times), *inside.shape), dtype=np.float32)
+        for start in range(0, len(times), ROWS):
+            rows = amplitude[start : start + ROWS]
+            spectrum = np.zeros((len(rows), len(self._radii), count // 2 + 1), dtype=complex)
+            for m, chosen in enumerate(by_order):
+                spectrum[:, :, m] = rows[:, chosen] @ self._table[chosen]
+            polar = irfft(spectrum, count, axis=2, norm="forward").reshape(len(rows), -1)
+            result[start : start + ROWS][:, inside] = (to_square @ polar.T).T
+        return result
+
+    @lru_cache(maxsize=2)  # noqa: B019 (of a frozen object that lives as long as its waves)
+    def _to_square(self, places: tuple[float, ...], count: int) -> tuple[NDArray[np.bool_], sparse.csr_array]:
+        """Which places of the square lie on the disc, (n, n), and the matrix that takes polar values there: cubic
+        polynomials through four radii and four angles."""
+        x, y = np.meshgrid(places, places, indexing="ij")
+        inside = np.hypot(x, y) <= self.radius_m * (1.0 + 1e-9)
+        radius = np.hypot(x, y)[inside] / self._radii[1]
+        angle = np.mod(np.arctan2(y, x)[inside], 2.0 * np.pi) / (2.0 * np.pi) * count
+        last = len(self._radii) - 1
+        first = np.clip(np.floor(radius).astype(int) - 1, 0, last - 3)
+        begin = np.floor(angle).astype(int) - 1
+        parts = []
+        for i, across in enumerate(_cubic(radius - first)):
+            for j, along in enumerate(_cubic(angle - begin)):
+                column = (first + i) * count + (begin + j) % count
+                parts.append((across * along, column))
+        rows = np.tile(np.arange(len(radius)), len(parts))
+        values, columns = (np.concatenate(part) for part in zip(*parts, strict=True))
+        shape = (len(radius), (last + 1) * count)
+        return inside, sparse.csr_array((values, (rows, columns)), shape=shape)
+
+    def places(self, spacing_m: float) -> Float:
+        """Coordinates of the default grid along x and along y [m], shape (n,)."""
+        reach = math.floor(self.radius_m / spacing_m * (1.0 + 1e-9))
+        return np.asarray(spacing_m * np.arange(-reach, reach + 1), dtype=float)
+
+    def _amplitudes(self, spot: Spot, times: Float, device: str) -> tuple[Complex, Int]:
+        """Normal velocity of each wave at the asked times with its weight, shape (t, n), and the orders."""
+        waves, orders = self.waves
+        fine = self._linear(spot)
+        line = timeline(fine, times)
+        if line is None:
+            return np.zeros((len(times), len(waves)), dtype=complex), orders
+        centres = fine.centres()
+        radius, angle = np.hypot(*centres.T), np.arctan2(centres[:, 1], centres[:, 0])
+        if radius.max() > self.radius_m - CLEAR_WIDTHS * self.fwhm_m:
+            raise SceneError(
+                f"the spot comes to {radius.max():g} m from the middle; on a disc of {self.radius_m:g} m it must keep "
+                f"{CLEAR_WIDTHS * self.fwhm_m:g} m from the wall"
+            )
+        turns = np.exp(-1j * np.outer(np.arange(int(orders.max()) + 1), angle))
+
+        def force(part: slice) -> Float:
+            values = CubicSpline(self._radii, self._table[part], axis=1)(radius)
+            return given(fine.law, fine.times_s, values * turns[orders[part]] * fine.peak_Pa, line)
+
+        return _amplitudes(fine, line, waves, len(times), device, self.threads, force), orders
+
+    def _linear(self, spot: Spot) -> Spot:
+        """The spot with so many places that the shortest wave turns by less than PHASE between two."""
+        if spot.law == "held":
+            return spot
+        short = _resolution(self.tolerance, self.speed_m_s).cut(self.fwhm_m)
+        step = PHASE / short
+        times, centres = [spot.times_s[:1]], spot.centres()
+        for n in range(len(spot.times_s) - 1):
+            way = float(np.linalg.norm(centres[n + 1] - centres[n]))
+            times.append(np.linspace(spot.times_s[n], spot.times_s[n + 1], max(1, math.ceil(way / step)) + 1)[1:])
+        fine = np.concatenate(times)
+        places = np.stack([np.interp(fine, spot.times_s, centres[:, axis]) for axis in range(2)], axis=1)
+        return Spot(spot.fwhm_m, fine, np.interp(fine, spot.times_s, spot.peak_Pa), places, "linear")
+
+
+def _cubic(x: Float) -> tuple[Float, ...]:
+    """Weights of values at 0, 1, 2, 3 for the cubic polynomial through them, at x."""
+    return (
+        (1.0 - x) * (2.0 - x) * (3.0 - x) / 6.0,
+        x * (2.0 - x) * (3.0 - x) / 2.0,
+        -x * (1.0 - x) * (3.0 - x) / 2.0,
+        x * (1.0 - x) * (2.0 - x) / 6.0,
+    )
+
+
+def wall_wavenumbers(radius_m: float, k_end: float) -> tuple[Int, Float]:
+    """Orders m and wavenumbers k [rad/m] up to k_end with J_m'(k R) = 0, k = 0 of order 0 among them."""
+    end = k_end * radius_m
+    orders, k = [np.zeros(1, dtype=int)], [np.zeros(1)]
+    for m in range(math.floor(end) + 1):
+        # Zeros below `end` by the phase of J_m, of which the estimate is off by less than one
+        ahead = (math.sqrt(end**2 - m**2) - m * math.acos(m / end)) / math.pi
+        zeros = jnp_zeros(m, math.ceil(ahead) + 2)
+        zeros = zeros[zeros <= end]
+        orders.append(np.full(len(zeros), m))
+        k.append(zeros / radius_m)
+    return np.concatenate(orders), np.concatenate(k)
+
+
+def _amplitudes(
+    spot: Spot,
+    line: Timeline,
+    waves: WaveSet,
+    rows: int,
+    device: str,
+    threads: int | None,
+    force_on: Callable[[slice], Float] | None = None,
+) -> Complex:
+    """Normal velocity of each wave at the asked times, with its weight, shape (rows, n)."""
+    result = np.zeros((rows, len(waves)), dtype=complex)
+
+    def keep(part: slice, amplitude: Complex) -> Float:
+        result[:, part] = amplitude[:, :, 2] * waves.weights[part]
+        return np.zeros(1)
+
+    march(spot, line, waves, rows, keep, device, threads, force_on)
+    return result
+
+
+@lru_cache(maxsize=8)
+def _found(slab: Slab, fwhm_m: float, resolution: Resolution, horizon_s: float) -> dict[float, FaceModes]:
+    """Modes by rounded wavenumber, which lattices of half a period share; an endless slab's are also a disc's."""
+    return {}
+
+
+def _modes(of: PeriodicSlab | WalledDisc, k: Float) -> tuple[FaceModes, ...]:
+    slab, fwhm_m, horizon_s = of.slab, of.fwhm_m, of.horizon_s
+    resolution = _resolution(of.modes_tolerance or of.tolerance, of.speed_m_s)
+    whole = float(spot_transform(fwhm_m, np.zeros(1))[0])
+
+    def modes_at(number: float) -> FaceModes:
+        share = float(spot_transform(fwhm_m, np.array([number]))[0]) / whole
+        tolerance = MODES * resolution.tolerance / max(share, LEAST_SHARE)
+        return face_modes(
+            depth_problem(slab, number, resolution.degrees(slab, number)), horizon_s, min(tolerance, 0.03)
+        )
+
+    found = _found(slab, fwhm_m, resolution, horizon_s)
+    keys = np.round(k, SAME_DIGITS).tolist()
+    missing = [n for n, key in enumerate(keys) if key not in found]
+    new = compute_modes(modes_at, k[missing], of.threads)
+    found.update((keys[n], modes) for n, modes in zip(missing, new, strict=True))
+    return tuple(found[key] for key in keys)
+
+
+def _resolution(tolerance: float, speed_m_s: float) -> Resolution:
+    digits = -math.log10(tolerance)
+    return Resolution(tolerance, math.ceil(4.0 + 2.0 * digits), 0.6 + 0.2 * digits, 0.0, speed_m_s)
+
+
+def _check(slab: Slab, shape: str, **sizes: float) -> None:
+    if slab.shape != shape:
+        raise SceneError(f"slab: shape is '{slab.shape}'; here it must be '{shape}'")
+    for name, value in sizes.items():
+        if not (math.isfinite(value) and value > 0.0):
+            raise SceneError(f"{name} is {value}; give metres above 0")
+
+
+def _asked(spot: Spot, times_s: Float, fwhm_m: float) -> Float:
+    if spot.fwhm_m != fwhm_m:
+        raise SceneError(f"spot: fwhm_m is {spot.fwhm_m:g}; the waves are those of a spot of {fwhm_m:g} m")
+    return rising("times", times_s)

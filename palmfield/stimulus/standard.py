@@ -1,0 +1,81 @@
+"""Standard stimuli: what experiments in mid-air have used, with source and published outcome, one file each.
+
+from palmfield.stimulus.standard import standard
+print(standard("lm_small_steps").published)
+palmfield.load(scene, keys=standard("lm_small_steps").keys_for("stimulus"))
+"""
+
+import tomllib
+from functools import cache
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from palmfield.config import StimulusConfig
+from palmfield.config.base import Positive
+from palmfield.data import folder
+from palmfield.errors import SceneError, did_you_mean
+
+
+class StandardStimulus(BaseModel):
+    """One stimulus. keys: of palmfield.stimulus, as Python has them
+
+    source: who used it; published: what came out; read: how much of the source was read for this file
+    assumed: what the source at hand doesn't say and this file chooses; duration_s: for which it is worth playing [s]
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    name: str
+    about: str = Field(min_length=1)
+    source: str = Field(min_length=1)
+    published: str = Field(min_length=1)
+    read: Literal["whole text", "abstract"]
+    assumed: str = ""
+    duration_s: Positive
+    keys: dict[str, Any]
+
+    @model_validator(mode="after")
+    def _plays(self) -> "StandardStimulus":
+        StimulusConfig(**self.keys)
+        return self
+
+    @property
+    def config(self) -> StimulusConfig:
+        """Its keys, checked."""
+        return StimulusConfig(**self.keys)
+
+    def keys_for(self, instance: str) -> dict[str, object]:
+        """Its keys as `palmfield.load` and `--set` name them, of an instance of palmfield.stimulus."""
+        return {f"{instance}.{key}": value for key, value in self.keys.items()}
+
+    def texts(self) -> dict[str, str]:
+        """Its keys as MJCF has them: lists with blanks between."""
+        return {
+            key: " ".join(f"{x:g}" for x in value) if isinstance(value, list) else str(value)
+            for key, value in self.keys.items()
+        }
+
+
+@cache
+def names() -> tuple[str, ...]:
+    """Of all standard stimuli, sorted."""
+    return tuple(sorted(path.stem for path in (folder("mjcf") / "stimuli").glob("*.toml")))
+
+
+def standard(name: str) -> StandardStimulus:
+    """The stimulus of a name. Raises SceneError for another one."""
+    if name not in names():
+        known = ", ".join(names())
+        raise SceneError(f"stimulus '{name}'{did_you_mean(name, names())} is unknown; allowed: {known}")
+    return read_stimulus(folder("mjcf") / "stimuli" / f"{name}.toml")
+
+
+def read_stimulus(path: Path) -> StandardStimulus:
+    """A file of one stimulus. Raises SceneError for one that can't be read, and for keys that can't be."""
+    try:
+        return StandardStimulus(name=path.stem, **tomllib.loads(path.read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError) as error:
+        first = error.errors()[0] if isinstance(error, ValidationError) else None
+        told = f"{'.'.join(map(str, first['loc']))}: {first['msg']}" if first else str(error)
+        raise SceneError(f"{path}: {told}; give about, source, published, read, duration_s and [keys]") from None

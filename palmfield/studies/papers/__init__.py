@@ -1,0 +1,1 @@
+"""What four papers claim, computed again and held against tolerances that were fixed beforehand (docs/gallery)."""

@@ -1,0 +1,62 @@
+"""What the rows of a paper come to: counts of verdicts, and whether each control was noticed."""
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from palmfield.studies.papers.entries import Control
+from palmfield.studies.papers.rows import Row
+from palmfield.studies.papers.verdicts import VERDICTS
+
+SHARE = 3
+"""One in so many of the claims that a control lists beforehand must turn."""
+
+
+@dataclass(frozen=True)
+class Noticed:
+    """A control: ids of listed claims that it turned, that it did not, and that gave no answer; wanted: at least."""
+
+    control: Control
+    turned: tuple[str, ...]
+    kept: tuple[str, ...]
+    silent: tuple[str, ...]
+    wanted: int
+
+    @property
+    def works(self) -> bool:
+        return len(self.turned) >= max(1, self.wanted)
+
+
+def counts(rows: Sequence[Row]) -> dict[str, int]:
+    """How many claims have which verdict."""
+    found = Counter(row.verdict for row in rows if row.verdict is not None)
+    return {name: found[name] for name in VERDICTS}
+
+
+def noticed(controls: Sequence[Control], rows: Sequence[Row]) -> list[Noticed]:
+    """Each control that lists a claim of these rows."""
+    by_id = {row.entry.id: row for row in rows}
+    out = []
+    for control in controls:
+        listed = [by_id[name] for name in control.sensitive if name in by_id]
+        if not listed:
+            continue
+        said = {row.entry.id: row.turned(control.name) if control.name in row.controls else None for row in listed}
+        out.append(
+            Noticed(
+                control,
+                tuple(name for name, one in said.items() if one),
+                tuple(name for name, one in said.items() if one is False),
+                tuple(name for name, one in said.items() if one is None),
+                math.ceil(len(control.sensitive) / SHARE),
+            )
+        )
+    return out
+
+
+def untested(rows: Sequence[Row]) -> list[str]:
+    """Claims that agree and that no control turns."""
+    return [
+        row.entry.id for row in rows if row.verdict == "agrees" and not any(row.turned(name) for name in row.controls)
+    ]

@@ -1,0 +1,52 @@
+"""From a number at a level of fineness to an answer with its numerical error."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+from palmfield.studies.papers.answer import Answer, Setting
+from palmfield.studies.papers.entries import book
+from palmfield.studies.papers.reardon2023.runs import COARSE, FINER, FULL, QUICK
+
+Number = Callable[[Setting, int], float]
+"""A number under a setting at a level of fineness (COARSE to FINER)."""
+HOW = "error: at the base readings, to finer waves, samples and another period (quick: to coarser ones, same period)"
+
+
+def level_of(setting: Setting) -> int:
+    """The level at which a setting's value is computed."""
+    return QUICK if setting.quick else FULL
+
+
+def base_of(setting: Setting) -> Setting:
+    """The same axes at their base values, without a control."""
+    axes = book().axes
+    return replace(setting, readings=tuple((name, axes[name][0]) for name, _ in setting.readings), control="")
+
+
+@cache
+def _error(number: Number, base: Setting) -> float:
+    level = level_of(base)
+    return abs(number(base, level) - number(base, COARSE if level == QUICK else FINER))
+
+
+def answered(
+    number: Number,
+    setting: Setting,
+    *,
+    margin: Callable[[float], float] | None = None,
+    note: str = "",
+    shown: Mapping[str, float] | None = None,
+    changes: Mapping[str, Any] | None = None,
+) -> Answer:
+    """The number with its error; margin: of the number, for inequalities. number: one function for all settings.
+
+    changes: to the slab, of a possible cause, whose error is not estimated
+    """
+    value = number(setting, level_of(setting))
+    error, how = (None, "") if changes else (_error(number, base_of(setting)), HOW)
+    return Answer(
+        value, error, margin=None if margin is None else margin(value), note="; ".join(filter(None, (note, how))),
+        shown=shown or {},
+    )  # fmt: skip

@@ -1,0 +1,205 @@
+"""`palmfield papers`: the rows of each paper, its page, figures and rows.json, and an index over all."""
+
+import json
+import logging
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from palmfield.errors import SceneError, did_you_mean, unwritable
+from palmfield.outputs.store import write_whole
+from palmfield.outputs.style import save, style
+from palmfield.studies.bench.field import git_commit
+from palmfield.studies.bench.table import processor
+from palmfield.studies.papers.answer import Paper, Picture, Setting
+from palmfield.studies.papers.counts import counts, noticed, untested
+from palmfield.studies.papers.entries import Book, book
+from palmfield.studies.papers.index import as_html, index
+from palmfield.studies.papers.page import page
+from palmfield.studies.papers.registry import NAMES, TITLES, paper
+from palmfield.studies.papers.rows import Row, row
+
+logger = logging.getLogger(__name__)
+FORMAT = 1
+ROWS, PAGE, INDEX = "rows.json", "README.md", "index.html"
+
+
+@dataclass(frozen=True)
+class Done:
+    """What a paper came to. verdicts: counts; failed: ids of rows that raised; folder: of its files"""
+
+    name: str
+    verdicts: dict[str, int]
+    failed: tuple[str, ...]
+    folder: Path
+    seconds: float
+    interrupted: bool
+
+    def __str__(self) -> str:
+        told = ", ".join(f"{count} {name}" for name, count in self.verdicts.items() if count) or "no claims"
+        failed = f"; failed: {', '.join(self.failed)}" if self.failed else ""
+        return f"{self.name}: {told} in {self.seconds:.0f} s of processor{failed}; {self.folder / PAGE}"
+
+
+def papers(
+    names: Sequence[str] = NAMES,
+    *,
+    quick: bool = False,
+    out: str | Path = "out/papers",
+    device: str = "cpu",
+    progress: bool = False,
+) -> list[Done]:
+    """Compute what papers claim, and write out/NAME/{README.md, rows.json, *.png} and out/index.html.
+
+    names: of the papers; quick: coarser, in minutes; device: where kernels run that can run on a GPU
+    rows.json is written after each row, so that what is done stays readable whatever happens. A row that fails says so
+    on the page, and the next one follows. Ctrl-C writes the pages of what is done, and raises KeyboardInterrupt then.
+    Raises SceneError for an unknown paper, OutputError where files can't be written.
+    """
+    chosen = [paper(name) for name in names]
+    held = book()
+    done = []
+    setting = Setting(quick=quick, device=device)
+    for one in chosen:
+        done.append(_paper(one, held, setting, Path(out), progress))
+        if done[-1].interrupted:
+            break
+    _write_text(Path(out) / INDEX, as_html("Four papers, computed again", index(Path(out)), home=False))
+    if done[-1].interrupted:
+        raise KeyboardInterrupt
+    return done
+
+
+def numbers(ids: Sequence[str], *, quick: bool = False, device: str = "cpu") -> list[Row]:
+    """Some numbers alone, by the ids of their entries; nothing is written. Raises SceneError for an unknown id."""
+    held = book()
+    entries = {entry.id: entry for entry in held.entries}
+    for name in ids:
+        if name not in entries:
+            near = did_you_mean(name, entries)
+            raise SceneError(f"number '{name}'{near} is unknown; see docs/gallery/tolerances.toml")
+    by_title = {title: name for name, title in TITLES.items()}
+    chosen = [(entries[name], paper(by_title[entries[name].paper])) for name in ids]
+    return [row(entry, one, held, Setting(quick=quick, device=device)) for entry, one in chosen]
+
+
+def _paper(one: Paper, held: Book, setting: Setting, out: Path, progress: bool) -> Done:
+    folder = out / one.name
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise unwritable(folder, error) from None
+    found: list[Row] = []
+    pictures: list[tuple[Path, str]] = []
+    notes, interrupted = "", False
+    head = _head(one, setting)
+    started = time.process_time()
+    try:
+        entries = held.of_paper(one.paper)
+        with _bar(progress, one.name, len(entries)) as told:
+            for entry in entries:
+                told(entry.id)
+                found.append(row(entry, one, held, setting))
+                told("")
+                _write_rows(folder / ROWS, head, held, found)
+        pictures += _pictures(one, setting, folder)
+        notes = _notes(one, setting)
+    except KeyboardInterrupt:
+        interrupted = True
+    seconds = time.process_time() - started
+    _write_rows(folder / ROWS, head | {"seconds": round(seconds, 1)}, held, found)
+    command = f"palmfield papers {one.name}{' --quick' if setting.quick else ''}"
+    cut = " It was cut off: rows or figures are missing." if interrupted else ""
+    made = (
+        f"Written by `{command}` at commit {head['commit']}, in {seconds:.0f} s of processor ({head['processor']}, "
+        f"kernels on {setting.device}).{cut}"
+    )
+    text = page(one, held, found, pictures, notes, made)
+    _write_text(folder / PAGE, text)
+    _write_text(folder / INDEX, as_html(one.title, text, home=True))
+    failed = tuple(row.entry.id for row in found if any(tried.failed for tried in row.tried))
+    return Done(one.name, counts(found), failed, folder, seconds, interrupted)
+
+
+def _notes(one: Paper, setting: Setting) -> str:
+    """The notes; what went wrong, where writing them fails."""
+    if one.notes is None:
+        return ""
+    try:
+        return one.notes(setting)
+    except Exception as error:
+        logger.exception("notes of %s failed", one.name)
+        return f"**failed:** {type(error).__name__}: {error}"
+
+
+def _head(one: Paper, setting: Setting) -> dict[str, Any]:
+    return {
+        "format": FORMAT,
+        "name": one.name,
+        "paper": one.paper,
+        "title": one.title,
+        "quick": setting.quick,
+        "device": setting.device,
+        "commit": git_commit(),
+        "processor": processor(),
+    }
+
+
+def _write_rows(path: Path, head: dict[str, Any], held: Book, found: Sequence[Row]) -> None:
+    told = {
+        "counts": counts(found),
+        "untested": untested(found),
+        "controls": [
+            {"name": one.control.name, "turned": one.turned, "kept": one.kept, "silent": one.silent,
+             "wanted": one.wanted, "works": one.works}
+            for one in noticed(held.controls, found)
+        ],
+    }  # fmt: skip
+    text = json.dumps(head | told | {"rows": [one.as_dict() for one in found]}, indent=1, allow_nan=False)
+    _write_text(path, text + "\n")
+
+
+def _write_text(path: Path, text: str) -> None:
+    write_whole(path, text.encode())
+
+
+def _pictures(one: Paper, setting: Setting, folder: Path) -> Iterator[tuple[Path, str]]:
+    for picture in one.pictures:
+        figure = _drawn(picture, replace(setting, readings=()))
+        if figure is not None:
+            path = folder / f"{picture.name}.png"
+            save(figure, path)
+            yield path, picture.caption
+
+
+def _drawn(picture: Picture, setting: Setting) -> Figure | None:
+    """The figure; None, with an error in the log, where drawing fails: a picture must not cost the page either."""
+    try:
+        with style():
+            return picture.draw(setting)
+    except Exception:
+        logger.exception("figure %s failed", picture.name)
+        return None
+
+
+@contextmanager
+def _bar(show: bool, name: str, total: int) -> Iterator[Any]:
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, disable=not (show and console.is_terminal), transient=True) as bar:
+        task = bar.add_task(name, total=total)
+
+        def told(entry: str) -> None:
+            if entry:
+                bar.update(task, description=f"{name} {entry}")
+            else:
+                bar.advance(task)
+
+        yield told

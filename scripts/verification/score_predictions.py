@@ -1,0 +1,153 @@
+#!/usr/bin/env python3
+"""The committed predictions of findings against what was published: docs/gallery/predictions_score.md.
+
+python scripts/verification/score_predictions.py [--out docs/gallery]
+
+Rules are those of predictions.md. It reads predictions.json as it was committed and computes nothing anew.
+"""
+
+import argparse
+import json
+import statistics
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from predictions import NUMBERS, ROOT
+
+PAGE = "predictions_score.md"
+TEXT = """\
+# Predictions of findings, held against what was published
+
+Written by `python scripts/verification/score_predictions.py` from [predictions.json](predictions.json), whose numbers
+were computed at commit {commit} and committed before this page. Rules stand in [predictions.md](predictions.md).
+
+**Directions: {ours} of {of} by the simulated skin and the observers, {baseline} of {of} by duration and energy alone.
+Sizes: {within} of {sizes}.**
+
+| finding | claim | predicted | published | ours | duration and energy | size |
+|---|---|---|---|---|---|---|
+{rows}
+
+How much that says:
+
+- The claims were written by someone who had read the abstracts, and what is published are effects that were found.
+  Whoever guessed "yes" each time would have {of} of {of}. So a wrong row says more than a right one.
+- The row of the best speed is right by its claim alone. The abstract says more: that the best speed is that of surface
+  waves. Ours, {speed:.3g} m/s by the median, is twice that of the palm preset's own surface waves (4.5 to 5.5 m/s from
+  50 to 400 Hz, deep skin), so that this part did not come out.
+- The baseline can't tell most pairs apart, as they have the same energy. It is a low bar.
+- The outcomes are those of abstracts. Sizes of stimuli that these don't say are ours, so that a row compares
+  directions under like stimuli, not the experiment.
+- One observer's level at one place stands for perceived strength. Nothing here knows of touch by movement, of
+  attention or of pressure that is steady.
+"""
+LIKELY, UNLIKELY = 5, 1
+"""Answers of six that have the claim's direction: so many or more predict it, so many or fewer deny it."""
+FACTOR, LEVEL_dB = 1.5, 3.0
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What was published. holds: whether the claim's direction came out; size: in the prediction's unit, or None"""
+
+    source: str
+    told: str
+    holds: bool
+    size: float | None = None
+
+
+OUTCOMES = {
+    "STM speed": Outcome(
+        "Frier et al. 2018, EuroHaptics (doi 10.1007/978-3-319-93445-7_24), abstract",
+        "intensity is greatest where the focus moves as fast as surface waves of the skin; the abstract has no number",
+        True,
+    ),
+    "gap": Outcome(
+        "Howard et al. 2023, ACM Trans. Appl. Percept., abstract",
+        "mean threshold 32.3 mm; one below 15 mm in over 95 %, two at 45 mm in 84 %",
+        True, 32.3,
+    ),
+    "LM step": Outcome(
+        "Morisaki et al. 2022 (doi 10.1109/TOH.2021.3125843), abstract",
+        "vibration is suppressed at 5 to 15 Hz with steps below 1 mm; the step has a significant effect on it",
+        True,
+    ),
+    "LM over AM": Outcome(
+        "Takahashi et al. 2020, IEEE Trans. Haptics 13, 334, abstract",
+        "circular LM is sensed stronger than AM of the same largest output, 10 to 200 Hz",
+        True,
+    ),
+    "sampling": Outcome(
+        "Frier et al. 2019, CHI, abstract",
+        "the update rate changes the strength, most of all below 10 turns a second, and higher rates don't improve it; "
+        "that fewer points are stronger is read from the 'optimal update rate' of the abstract",
+        True,
+    ),
+    "rate of turns": Outcome(
+        "Freeman & Wilson 2021, ICMI, abstract", "intensity rises linearly with speed up to 17 turns a second", True
+    ),
+    "more foci": Outcome(
+        "Shen et al. 2023 (doi 10.1145/3544548.3580641), abstract", "more focal points are felt less intensely", True
+    ),
+    "tactile pointer": Outcome(
+        "Hajas et al. 2020 (doi 10.1109/TOH.2020.2966445), abstract",
+        "shapes drawn by a pointer are recognised more accurately than outlines; contrast was not measured",
+        True,
+    ),
+}  # fmt: skip
+
+
+def predicted(finding: dict[str, Any]) -> str:
+    """yes, no or split: whether the answers have the claim's direction."""
+    count = finding["with_the_claim"] * 6 / finding["of"]
+    return "yes" if count >= LIKELY else "no" if count <= UNLIKELY else "split"
+
+
+def median(finding: dict[str, Any]) -> float:
+    """Of all answers that there are."""
+    return statistics.median(value for row in finding["sizes"].values() for value in row.values() if value is not None)
+
+
+def size_told(finding: dict[str, Any], outcome: Outcome) -> str:
+    if outcome.size is None:
+        return "none published"
+    ours = median(finding)
+    if finding["unit"] == "dB":
+        within = abs(ours - outcome.size) <= LEVEL_dB
+    else:
+        within = 1.0 / FACTOR <= ours / outcome.size <= FACTOR
+    return f"{ours:.3g} against {outcome.size:g} {finding['unit']}: {'within' if within else 'outside'}"
+
+
+def page(numbers: dict[str, Any]) -> str:
+    findings = {one["name"]: one for one in numbers["findings"]}
+    lines, ours_right, baseline_right = [], 0, 0
+    for name, outcome in OUTCOMES.items():
+        one = findings[name]
+        ours = predicted(one) == ("yes" if outcome.holds else "no")
+        baseline = one["baseline_holds"] == outcome.holds
+        ours_right, baseline_right = ours_right + ours, baseline_right + baseline
+        lines.append(
+            f"| {name} | {one['claim']} | {predicted(one)} ({one['with_the_claim']} of {one['of']}) | {outcome.told} "
+            f"({outcome.source}) | {'right' if ours else 'wrong'} | {'right' if baseline else 'wrong'} | "
+            f"{size_told(one, outcome)} |"
+        )
+    sizes = [size_told(findings[name], outcome) for name, outcome in OUTCOMES.items() if outcome.size is not None]
+    within = sum("within" in one for one in sizes)
+    return TEXT.format(
+        commit=numbers["commit"], ours=ours_right, baseline=baseline_right, of=len(OUTCOMES), within=within,
+        sizes=len(sizes), rows="\n".join(lines), speed=median(findings["STM speed"]),
+    )  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "gallery")
+    arguments = parser.parse_args()
+    numbers = json.loads((arguments.out / NUMBERS).read_text(encoding="utf-8"))
+    (arguments.out / PAGE).write_text(page(numbers), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

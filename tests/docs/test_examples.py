@@ -1,0 +1,34 @@
+"""examples/: at most 40 lines each, and each runs as it stands and prints something with a number in it."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+
+
+def test_there_are_ten_short_ones_and_the_page_names_each():
+    assert len(EXAMPLES) >= 10
+    page = (ROOT / "examples" / "README.md").read_text()
+    for path in EXAMPLES:
+        text = path.read_text()
+        assert text.count("\n") <= 40, path.name
+        assert text.startswith('"""'), path.name
+        assert path.name in page
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_each_runs(path, tmp_path):
+    (tmp_path / "mjcf").symlink_to(ROOT / "mjcf")
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
+    done = subprocess.run(
+        [sys.executable, str(path)], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300
+    )
+    assert done.returncode == 0, done.stderr[-3000:]
+    assert re.search(r"\d", done.stdout)

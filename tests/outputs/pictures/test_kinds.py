@@ -1,0 +1,166 @@
+"""Pictures of a run: what is in them, against what the run was made of."""
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from palmfield.acoustics import layout
+from palmfield.acoustics.focus import focus as focus_on
+from palmfield.acoustics.reference import pressure64
+from palmfield.config.array import ArrayConfig
+from palmfield.config.stimulus import StimulusConfig
+from palmfield.errors import OutputError
+from palmfield.outputs.frames import loudest
+from palmfield.outputs.pictures.asked import Asked, asked_for
+from palmfield.outputs.pictures.draw import draw_pictures
+from palmfield.outputs.pictures.kinds import KINDS
+from palmfield.outputs.schema import instances
+from palmfield.outputs.style import save
+from palmfield.types import Air
+
+SINE_Hz = 200.0
+"""Of the waves of the synthetic run (tests/outputs/conftest.py)."""
+SPEED_m_s = 5.0
+
+
+def colour_values(figure, axes=0):
+    """What a map or a mesh of a figure shows, flat."""
+    return np.asarray(figure.axes[axes].collections[0].get_array()).ravel()
+
+
+def test_a_map_of_motion_shows_the_normal_component_at_the_time(result):
+    skin = instances(result, "skin")["palm"]
+    index = 7
+    figure = KINDS["motion"].draw(result, Asked(time_s=float(skin["time"].values[index]), skin="palm"))
+    normal = np.einsum("vi,vi->v", skin["displacement"].values[index], skin["rest_normal"].values)
+    np.testing.assert_allclose(colour_values(figure), 1e6 * normal, rtol=1e-5, atol=1e-6)
+    low, high = figure.axes[0].collections[0].get_clim()
+    assert low == -high == pytest.approx(-1e6 * np.abs(normal).max(), rel=1e-5)
+
+
+def test_a_map_of_the_rms_is_the_root_of_the_mean_square(result):
+    skin = instances(result, "skin")["palm"]
+    figure = KINDS["rms"].draw(result, Asked(skin="palm", quantity="velocity"))
+    normal = np.einsum("tvi,vi->tv", skin["velocity"].values.astype(float), skin["rest_normal"].values)
+    np.testing.assert_allclose(colour_values(figure), 1e6 * np.sqrt((normal**2).mean(axis=0)), rtol=1e-4)
+
+
+def test_the_course_is_that_of_the_vertex_nearest_to_the_place(result):
+    skin = instances(result, "skin")["palm"]
+    place = (0.01, 0.005, 0.15)
+    figure = KINDS["course"].draw(result, Asked(places=(place,), skin="palm"))
+    rest = skin["rest_position"].values + np.array([0.0, 0.0, 0.15])
+    vertex = int(np.linalg.norm(rest - place, axis=1).argmin())
+    normal = skin["displacement"].values[:, vertex] @ skin["rest_normal"].values[vertex]
+    [line] = figure.axes[0].lines
+    np.testing.assert_allclose(line.get_ydata(), 1e6 * normal, rtol=1e-5, atol=1e-6)
+
+
+def test_the_spectrum_has_its_line_where_the_skin_was_driven(result):
+    figure = KINDS["spectrum"].draw(result, Asked(skin="palm"))
+    at, size = figure.axes[0].lines[0].get_data()
+    assert at[np.argmax(size)] == pytest.approx(SINE_Hz, abs=at[0])
+
+
+def test_wavefronts_run_at_the_speed_of_the_waves(result):
+    figure = KINDS["wavefronts"].draw(result, Asked(skin="palm", quantity="velocity"))
+    mesh = figure.axes[0].collections[0]
+    values = mesh.get_array().reshape(mesh.get_coordinates().shape[0] - 1, -1)
+    corners = mesh.get_coordinates()
+    along = 0.5e-3 * (corners[1:, 0, 1] + corners[:-1, 0, 1])
+    times = 0.5e-3 * (corners[0, 1:, 0] + corners[0, :-1, 0])
+    spectrum = (values * np.exp(2j * np.pi * SINE_Hz * times)).sum(axis=1)
+    side = (along > 0.003) & (along < 0.025)
+    phase = np.unwrap(np.angle(spectrum[side]))
+    slope = np.polyfit(along[side], phase, 1)[0]
+    assert 2.0 * np.pi * SINE_Hz / abs(slope) == pytest.approx(SPEED_m_s, rel=0.05)
+
+
+@pytest.fixture
+def with_keys(result):
+    """The run with the keys of an array and of a stimulus, as `palmfield run` writes them."""
+    tree = result.copy()
+    tree["array/below"].attrs["config"] = ArrayConfig(layout="uhev1").model_dump_json()
+    keys = {"modulation": "am", "am_quantity": "amplitude", "am_frequency_Hz": SINE_Hz, "am_depth": 1.0}
+    for name in instances(tree, "stimulus"):
+        tree[f"stimulus/{name}"].attrs["config"] = StimulusConfig(**keys).model_dump_json()
+    return tree
+
+
+def test_levels_are_told_for_what_repeats_and_refused_else(with_keys, result):
+    figure = KINDS["levels"].draw(with_keys, Asked(skin="palm", observer="bolanowski_1988"))
+    assert colour_values(figure).max() > 0.0
+    still = result.copy()
+    for name in instances(still, "stimulus"):
+        still[f"stimulus/{name}"].attrs["config"] = StimulusConfig().model_dump_json()
+    with pytest.raises(OutputError, match="nothing repeats"):
+        KINDS["levels"].draw(still, Asked(skin="palm"))
+    with pytest.raises(OutputError, match=r"--observer has value 'bolanowski'.*bolanowski_1988"):
+        KINDS["levels"].draw(with_keys, Asked(observer="bolanowski"))
+
+
+def test_all_kinds_draw_what_the_run_holds_and_say_what_it_does_not(result, tmp_path):
+    files, missing = draw_pictures(result, tmp_path)
+    assert set(files) | set(missing) == set(KINDS)
+    assert {"pressure", "motion", "rms", "course", "spectrum", "wavefronts"} <= set(files)
+    for path in files.values():
+        assert imread(path).shape[0] > 600
+    assert all(missing.values())
+
+
+@pytest.mark.parametrize("suffix", ["svg", "pdf"])
+def test_other_formats_keep_their_text(result, tmp_path, suffix):
+    files, _ = draw_pictures(result, tmp_path, ["course"], suffix=suffix)
+    data = files["course"].read_bytes()
+    assert data.startswith(b"%PDF") if suffix == "pdf" else b"Motion of the skin" in data
+
+
+def test_bad_questions_are_refused_with_what_is_allowed(result, tmp_path):
+    for asked, words in (
+        (("x", None), r"--place has value 'x'"),
+        ((None, "2,1"), r"--limits has value '2,1'"),
+    ):
+        with pytest.raises(OutputError, match=words):
+            asked_for(None, [asked[0]] if asked[0] else [], asked[1], None, "displacement", None)
+    with pytest.raises(OutputError, match=r"displacment.*displacement"):
+        asked_for(None, [], None, None, "displacment", None)
+    with pytest.raises(OutputError, match=r"--time has value 9000 ms"):
+        KINDS["motion"].draw(result, Asked(time_s=9.0))
+    with pytest.raises(OutputError, match=r"--place has value 0, 0, 300 mm, 1[0-9]+ mm from skin 'palm'"):
+        KINDS["course"].draw(result, Asked(places=((0.0, 0.0, 0.3),), skin="palm"))
+    with pytest.raises(OutputError, match=r"--skin has value 'pa'"):
+        KINDS["rms"].draw(result, Asked(skin="pa"))
+    with pytest.raises(OutputError, match=r"picture 'motions'.*motion"):
+        draw_pictures(result, tmp_path, ["motions"])
+    with pytest.raises(OutputError, match="format 'gif'"):
+        save(KINDS["rms"].draw(result, Asked()), tmp_path / "a.gif")
+    assert loudest(instances(result, "skin")["palm"]).arp_Pa > 0.0
+
+
+def test_a_slice_has_its_peak_near_the_focus_and_the_pressure_of_the_field(with_keys):
+    tree = with_keys.copy()
+    where = tree["array/below"]["transducer_position"].values
+    focus = np.array([0.01, 0.0, 0.15])
+    own = layout("uhev1")
+    drive = focus_on(own, Air(), focus)
+    shape = tree["array/below"]["drive_amplitude"].shape
+    # The run's transducers are a lattice of their own; a slice takes those of the layout
+    assert len(where) == len(own.positions)
+    tree["array/below"]["drive_amplitude"].values[:] = np.broadcast_to(np.abs(drive), shape)
+    tree["array/below"]["drive_phase"].values[:] = np.broadcast_to(np.angle(drive), shape)
+    tree["array/beside"]["drive_amplitude"].values[:] = 0.0
+    for name in instances(tree, "stimulus"):
+        tree[f"stimulus/{name}"]["foci"].values[:] = focus
+        tree[f"stimulus/{name}"]["sounding"].values[:] = True
+    figure = KINDS["field"].draw(tree, Asked())
+    mesh = figure.axes[0].collections[0]
+    corners = mesh.get_coordinates()
+    size = mesh.get_array().reshape(corners.shape[0] - 1, -1)
+    row, column = np.unravel_index(size.argmax(), size.shape)
+    x = 0.5e-3 * (corners[row, column, 0] + corners[row, column + 1, 0])
+    z = 0.5e-3 * (corners[row, column, 1] + corners[row + 1, column, 1])
+    assert abs(x - focus[0]) < 2e-3
+    # The maximum lies nearer to the array than the focus does
+    assert focus[2] - 0.015 < z <= focus[2] + 1e-3
+    there = pressure64(np.array([[x, 0.0, z]]), own, drive, Air())[0]
+    assert size.max() == pytest.approx(abs(there[0]), rel=1e-3)

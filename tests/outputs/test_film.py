@@ -1,0 +1,73 @@
+"""A film of a run: its frames, its times, and what is refused."""
+
+import math
+
+import numpy as np
+import pytest
+
+from palmfield.errors import OutputError
+from palmfield.outputs.film import FPS, Cut, film
+
+av = pytest.importorskip("av")
+SMALL = (192, 144)
+
+
+def frames_of(path):
+    with av.open(str(path)) as container:
+        return [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+
+
+def test_a_film_has_a_frame_for_each_step_of_its_clock_and_what_moves_is_seen(result, tmp_path):
+    cut = Cut(start_s=0.0, end_s=0.005, slow=100.0, size=SMALL)
+    told = []
+    count = film(result, tmp_path / "a.mp4", cut, lambda done, of: told.append((done, of)))
+    assert count == math.ceil(0.005 * 100.0 * FPS) == len(told)
+    frames = frames_of(tmp_path / "a.mp4")
+    assert len(frames) == count and frames[0].shape == (SMALL[1], SMALL[0], 3)
+    # A period of 5 ms: half of it later the skin looks otherwise, and the corner of the picture does not
+    half = count // 2
+    moved = np.abs(frames[0].astype(float) - frames[half]).mean(axis=2)
+    assert moved.max() > 40.0
+    assert moved[-10:, -10:].max() < 12.0
+
+
+def test_other_colours_are_other_pictures(result, tmp_path):
+    pictures = []
+    for shown in ("displacement", "velocity", "arp"):
+        film(result, tmp_path / "b.mp4", Cut(0.001, 0.0014, 100.0, shown=shown, size=SMALL))
+        pictures.append(frames_of(tmp_path / "b.mp4")[0].astype(float))
+    assert np.abs(pictures[0] - pictures[2]).max() > 40.0
+    assert np.abs(pictures[0] - pictures[1]).max() > 40.0
+
+
+def test_ctrl_c_leaves_a_film_of_what_was_drawn(result, tmp_path):
+    def stop(done, of):
+        if done == 3:
+            raise KeyboardInterrupt
+
+    assert film(result, tmp_path / "c.mp4", Cut(0.0, 0.005, 100.0, size=SMALL), stop) == 3
+    assert len(frames_of(tmp_path / "c.mp4")) == 3
+
+
+@pytest.mark.parametrize(
+    ("cut", "words"),
+    [
+        (Cut(start_s=0.002, end_s=0.001), "rising, within 0 to"),
+        (Cut(end_s=9.0), "9000 ms"),
+        (Cut(slow=0.0), "--slow has value 0"),
+        (Cut(magnify=-1.0), "--magnify has value -1"),
+        (Cut(shown="preasure"), "--show has value 'preasure'"),
+        (Cut(size=(191, 144)), "--size has value 191x144"),
+    ],
+)
+def test_bad_films_are_refused_before_a_frame_is_drawn(result, tmp_path, cut, words):
+    with pytest.raises(OutputError, match=words):
+        film(result, tmp_path / "d.mp4", cut)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_film_is_an_mp4_in_a_folder_that_is_there(result, tmp_path):
+    with pytest.raises(OutputError, match=r"ends in \.mp4"):
+        film(result, tmp_path / "d.avi")
+    with pytest.raises(OutputError, match="cannot write"):
+        film(result, tmp_path / "no" / "d.mp4", Cut(0.0, 0.001, 100.0, size=SMALL))
