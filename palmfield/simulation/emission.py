@@ -230,8 +230,9 @@ class Emission:
         level = mean_level(part.config, drive, part.response, emitted, place, t0, timestep_s / count, count)
         if level == 0.0:
             return SILENCE
-        point = first_point(part.config)
-        if part.config.path != "point":
+        if part.config.path == "point":
+            point = first_point(part.config)
+        else:
             points, factors = frames_at(part.config, np.array([t0]))
             first = None if self.model.response_on else self._first(posed, emitted, t0)
             if first is not None and factors[0] > 0.0:

@@ -212,9 +212,16 @@ def frame_at(config: StimulusConfig, t: float) -> Frame:
     return Frame(focus[0], float(factor[0]))
 
 
-@lru_cache(maxsize=KEPT)
 def first_point(config: StimulusConfig) -> Float:
     """The stimulus's point where its sound begins, `Frame.focus` at start_s, shape (3,)."""
+    if config.path != "point":
+        return _first_on_path(config)
+    _, timing = _timings.get(id(config)) or _timed(config)
+    return timing.focus
+
+
+@lru_cache(maxsize=KEPT)
+def _first_on_path(config: StimulusConfig) -> Float:
     return _locked(frame_at(config, config.start_s).focus)
 
 

@@ -92,6 +92,13 @@ def test_the_first_point_is_where_the_sound_begins():
     assert not first_point(config).flags.writeable
 
 
+def test_a_first_point_is_found_as_fast_where_another_stimulus_has_equal_keys(python_calls):
+    """Equal scenes of one process: looking it up by its keys compared all 40 of them each time."""
+    other = AM.model_copy()
+    np.testing.assert_array_equal(first_point(AM), first_point(other))
+    assert python_calls(lambda: first_point(other)) <= 1
+
+
 def test_lean(python_calls):
     circle = StimulusConfig(path="circle", path_diameter_m=0.02, path_rate_Hz=70)
     letters = StimulusConfig(path="letters", path_text="PALM", path_height_m=0.02, path_speed_m_s=5)
