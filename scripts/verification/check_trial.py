@@ -9,6 +9,7 @@ real time: they hang on what else this machine does. Exit code 1 where the loop 
 """
 
 import argparse
+import os
 import shutil
 import subprocess
 import sys
@@ -138,7 +139,7 @@ def reports(folder: Path, write: Path | None) -> list[str]:
 
 def page(seconds: float, write: Path | None, commit: str) -> tuple[str, Latency]:
     """The page, and the latency of the loop."""
-    began = time.perf_counter()
+    began, busy = time.perf_counter(), os.getloadavg()[0]
     with TemporaryDirectory() as made:
         folder = Path(made)
         rows = [row(how, trial(SCENE, **board, tracker=own, skin=False)) for how, board, own in CASES]
@@ -156,7 +157,7 @@ def page(seconds: float, write: Path | None, commit: str) -> tuple[str, Latency]
     head = f"""# Trials of a fingertip that moves
 
 Written by `python scripts/verification/check_trial.py --write docs/bench/trials.md`, commit {commit}, {processor()},
-{time.perf_counter() - began:.0f} s on a machine that others used.
+{time.perf_counter() - began:.0f} s on {os.cpu_count()} cores, load average {busy:.1f} at the start.
 
 {ABOUT}
 """
