@@ -253,17 +253,17 @@ def register(module: type[Module]) -> None:
 
     def visualize(model: int, data: int, options: int, scene: int, instance: int) -> None:
         world = _worlds.get(data)
-        if world is None or world.undrawn or getattr(_compiling, "active", False):
+        if world is None or getattr(_compiling, "active", False):
             return
         try:
-            world.modules[instance].draw(Drawing(scene, options))
+            world.modules[instance].draw(Drawing(world.model, scene, options))
         except KeyboardInterrupt:
             _thread.start_new_thread(_thread.interrupt_main, ())
         except Exception as error:
             # A picture is no result: the run goes on without it, and one warning is enough
+            if not world.undrawn:
+                lib.mju_warning(b"%s", f"{module.name} can't be drawn: {explained(error)}".encode())
             world.undrawn = True
-            text = f"{module.name}: nothing more is drawn of the sound: {explained(error)}"
-            lib.mju_warning(b"%s", text.encode())
 
     void, integer = ctypes.c_void_p, ctypes.c_int
     flags = 0 if module.forces is Module.forces else int(mujoco.mjtPluginCapabilityBit.mjPLUGIN_PASSIVE)

@@ -168,9 +168,13 @@ class SceneView:
 
 
 def view_of(world: World) -> SceneView | None:
-    """The view of a mjData's scene, made when it is first drawn; None where there is none to draw."""
+    """The view of a mjData's scene, made when it is first drawn.
+
+    None where there is nothing to draw, and for data in which nothing has been placed yet: a viewer draws it before its
+    first step.
+    """
     scene = world.scene
-    if scene is None:
+    if scene is None or not scene.view.frames["site"][1][scene.binding.array_sites[0]].any():
         return None
     if world.view is None or world.view.model is not scene.model:
         world.view = SceneView(scene)

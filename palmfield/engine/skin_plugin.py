@@ -95,7 +95,7 @@ class SkinModule(Module):
         if seen is None or seen.arp.max() <= 0.0:
             return
         loudest = int(np.argmax(seen.arp))
-        drawing.label(seen.vertices[loudest] + LABEL_m * seen.normals[loudest], f"{seen.arp[loudest]:.3g} Pa")
+        drawing.label(seen.vertices[loudest] + LABEL_m * seen.normals[loudest], f"ARP {seen.arp[loudest]:.3g} Pa")
         shares = seen.arp[seen.faces].mean(axis=1) / seen.top
         order = np.argsort(-shares)[: int(np.count_nonzero(shares > FAINT))]
         drawing.triangles(seen.vertices + LIFT_m * seen.normals, seen.faces[order], arp_colours(shares[order]))

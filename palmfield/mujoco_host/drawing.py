@@ -8,22 +8,28 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from palmfield.mujoco_host.mujoco_view import ModelView
 from palmfield.mujoco_host.structs import mirror
 from palmfield.types import Float, Int
 
 GLOW = 0.6
 """Of a shape's colour that needs no light: what is seen means a number, in the shade as well."""
 LABEL = 100
+SPARE = 200
+"""Shapes left to MuJoCo beside the model's own: joints, contacts, lights, what is under the mouse."""
 
 
 class Drawing:
     """A scene that MuJoCo is about to draw; shapes for which there is no room are left out, the first given come first.
 
-    Positions are in the world [m], colours red, green, blue and opacity from 0 to 1.
+    MuJoCo asks plugins before it adds the model's own shapes, for which room is kept. Positions are in the world [m],
+    colours red, green, blue and opacity from 0 to 1.
     """
 
-    def __init__(self, scene: int, options: int):
+    def __init__(self, model: ModelView, scene: int, options: int):
         self._scene = mirror("mjvScene").from_address(scene)
+        raw = model.raw
+        self._kept = raw.ngeom + raw.nsite + raw.nskin + raw.nflex + SPARE
         self._options = mirror("mjvOption").from_address(options)
 
     def shows(self, kind: Literal["geom", "site"], group: int) -> bool:
@@ -33,7 +39,7 @@ class Drawing:
     @property
     def room(self) -> int:
         """How many shapes can still be added."""
-        return max(0, self._scene.maxgeom - self._scene.ngeom)
+        return max(0, int(self._scene.maxgeom - self._scene.ngeom - self._kept))
 
     def spheres(self, centres: Float, radius: Float | float, colours: Float) -> None:
         """Add spheres. centres: shape (n, 3); radius: [m], one or (n,); colours: shape (n, 4) or (4,)"""
