@@ -9,6 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import sparse
 
+from palmfield.acoustics.phased_array import PhasedArray
+from palmfield.acoustics.surface_arp import SurfaceArp
 from palmfield.engine.host import World
 from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.hand.subdivide import split_long_edges
@@ -23,6 +25,8 @@ MOMENTS = 23
 """In an exposure; with no common period with usual modulations."""
 EDGE_m = 0.002
 """Longest edge of the coloured triangles, a quarter of the wavelength of 40 kHz."""
+FEW = 2
+"""Of more drives the mean is smooth: it is computed at the skin's nodes and drawn straight between them."""
 ALIKE = 1e-6
 """Drives that differ by less, over the louder one, are one drive at two levels."""
 
@@ -82,6 +86,7 @@ class SceneView:
         self._positions, self._matrices = np.zeros((runtime.frames, 3)), np.zeros((runtime.frames, 9))
         self._last: tuple[tuple[float, bytes, bytes], _Moment] | None = None
         self._meshes: dict[int, _ColouredMesh] = {}
+        self._evaluators: dict[tuple[int, int], tuple[PhasedArray, SurfaceArp]] = {}
         self._seen: dict[int, tuple[PosedScene, bytes, SeenSkin]] = {}
         self._top = 0.0
 
@@ -113,7 +118,11 @@ class SceneView:
         nodes, directions = posed.skins[number].nodes
         points, normals = mesh.carry @ nodes, mesh.carry @ directions
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        arp = self._arp(posed, number, points, normals, units)
+        if len(units) <= FEW:
+            arp = self._arp(posed, number, points, normals, units)
+        else:
+            coarse = self._arp(posed, number, nodes, directions, units)
+            arp = None if coarse is None else mesh.carry @ coarse
         if arp is None:
             return None
         self._top = max(self._top, float(arp.max()))
@@ -127,9 +136,16 @@ class SceneView:
         """Mean ARP [Pa] at points of a skin, array frame, shapes (n, 3); None as `skin`."""
         if not units:
             return None
-        if self.model.skins[skin].spec.config.body_sound != "scattering":
-            sounds = [self._radiation.at(posed, skin, "vertices", points, normals, unit).arp for unit, _ in units]
-            return np.asarray(np.tensordot([weight for _, weight in units], sounds, axes=1), dtype=np.float64)
+        kind = self.model.skins[skin].spec.config.body_sound
+        if kind != "scattering":
+            weights = np.array([weight for _, weight in units])
+            if kind == "none":
+                drives = np.array([unit for unit, _ in units])
+                sounds = self._evaluator(posed, skin, len(points)).evaluate_many(points, normals, drives)
+            else:
+                many = [self._radiation.at(posed, skin, "vertices", points, normals, unit).arp for unit, _ in units]
+                sounds = np.array(many)
+            return np.asarray(weights @ sounds, dtype=np.float64)
         solved = self.runtime.work.radiation.scattered_fields().get(skin)
         if solved is None or len(units) > 1:
             return None
@@ -139,6 +155,14 @@ class SceneView:
             return None
         own = posed.skins[skin].body.frame.inverse_points(points)
         return np.asarray(units[0][1] * level * field.at(own).arp, dtype=np.float64)
+
+    def _evaluator(self, posed: PosedScene, skin: int, count: int) -> SurfaceArp:
+        """Free field at so many points of a skin; kept while the arrays stand to one another as they do."""
+        known = self._evaluators.get((skin, count))
+        if known is None or known[0] is not posed.arrays:
+            law = self.model.skins[skin].spec.arp_law
+            known = self._evaluators[skin, count] = posed.arrays, SurfaceArp(posed.arrays.field, count, law)
+        return known[1]
 
     def _mesh(self, skin: int) -> _ColouredMesh:
         mesh = self._meshes.get(skin)
