@@ -207,3 +207,71 @@ def test_what_is_wrong_in_a_mat_is_named(tmp_path):
     (tmp_path / "a.mat").write_bytes(b"no such thing")
     with pytest.raises(MeasurementError, match="cannot be read"):
         read_scan(tmp_path / "a.mat")
+
+
+# -- Polytec's text ------------------------------------------------------------------------------------------------
+
+# As files begin that public programs describe which read them
+HEAD = "Source File Name:\tScan\nPoint Index:\t{}\nComponent:\tRoot\nSignal:\tTime - Vib Velocity - Samples\n\n"
+TABLE = "Time\tTime Signal\n[ s ]\t[ mm/s ]\n"
+
+
+def polytec(folder, count=3):
+    """A folder of text files, one for each point, numbered from 5 on; returns times and values [mm/s]."""
+    times = np.arange(20) / 8e3
+    values = np.random.default_rng(4).normal(size=(20, count))
+    for n in range(count):
+        rows = "".join(f"{time:.9g}\t{value:.9g}\n" for time, value in zip(times, values[:, n], strict=True))
+        (folder / f"scan_{n}.txt").write_text(HEAD.format(5 + n) + TABLE + rows, encoding="cp1252")
+    lines = "".join(f"{5 + n},{0.001 * n},0,0\n" for n in reversed(range(count)))
+    (folder / "places.csv").write_text("point,x_m,y_m,z_m\n" + lines)
+    return times, values
+
+
+def test_polytecs_text_files_are_a_scan_with_a_table_of_places(tmp_path):
+    times, values = polytec(tmp_path)
+    found = read_scan(tmp_path)
+    assert found.quantity == "velocity" and found.sights is None and found.times_s == pytest.approx(times)
+    assert found.values == pytest.approx(1e-3 * values, rel=1e-8)
+    assert found.points[:, 0] == pytest.approx([0.0, 0.001, 0.002])
+    with pytest.raises(MeasurementError, match="give the folder that holds them"):
+        read_scan(tmp_path / "scan_0.txt")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("Component:\tRoot", "Average:\t3", "line 3 is 'Average"),
+        ("Point Index:\t5\n", "", "no line 'Point Index:'"),
+        ("Point Index:\t5", "Point Index:\t9", "of point 9, which places.csv has no line for"),
+        ("Point Index:\t5", "Point Index:\t6", "point 6 has several files"),
+        ("Vib Velocity", "Vib 3D Velocity", "Signal is 'Time - Vib 3D Velocity"),
+        ("Time - Vib", "FFT - Vib", "samples over time along one beam"),
+        ("Vib Velocity", "Vib Displacement", r"units are '\[ s \] \[ mm/s \]'; allowed"),
+        ("[ mm/s ]", "[ V ]", "of velocity, "),
+        ("[ s ]", "[ ms ]", r"allowed: \[ s \]"),
+        ("Time\tTime Signal", "Frequency\tSpectrum", "two columns follow the head, Time"),
+        ("\n\n", "\n", "no empty line after its head|line 5 is 'Time"),
+        ("0.000125\t", "0,000125\t", "line 9 is '0,000125.*decimals by points"),
+        ("0.00025\t", "0.000251\t", "times are not"),
+    ],
+)
+def test_what_isnt_known_in_polytecs_text_is_refused(tmp_path, old, new, words):
+    polytec(tmp_path)
+    text = (tmp_path / "scan_0.txt").read_text(encoding="cp1252")
+    assert old in text
+    (tmp_path / "scan_0.txt").write_text(text.replace(old, new, 1), encoding="cp1252")
+    with pytest.raises(MeasurementError, match=words):
+        read_scan(tmp_path)
+
+
+def test_polytecs_folders_without_files_or_places_are_refused(tmp_path):
+    with pytest.raises(MeasurementError, match=r"holds no \.txt files"):
+        read_scan(tmp_path)
+    polytec(tmp_path)
+    (tmp_path / "places.csv").write_text("point,x_m,y_m\n5,0,0\n")
+    with pytest.raises(MeasurementError, match="has no column 'z_m'"):
+        read_scan(tmp_path)
+    (tmp_path / "places.csv").unlink()
+    with pytest.raises(MeasurementError, match=r"places.csv: cannot be read.*columns point, x_m"):
+        read_scan(tmp_path)
