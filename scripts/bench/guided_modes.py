@@ -217,17 +217,16 @@ def main() -> None:
 HEAD = """# The guided mode of a scan, told or not
 
 `scripts/bench/guided_modes.py` fits the strongest wave ([instruments](../instruments.md#the-guided-mode)) of scans
-that another model makes: elements through the depth of a bonded layer of a fractional material, all its waves at once; beams
-at 45 degrees, which see motion along the surface too; a grid told 1 mm off its place; 20 dB of noise; 120 mm with points
-5 mm apart. Seeds were drawn after the code was finished. An answer is wrong where a wavenumber that is told, the
-strongest's or another's, is more than 3 % from each of the layer's waves, or where it isn't the strongest's and that
-carries over 1.25 times as much.
+that another model makes: elements through the depth of a bonded layer of a fractional material, all its waves at
+once; beams at 45 degrees, which see motion along the surface too; a grid told 1 mm off its place; 20 dB of noise; 120
+mm with points 5 mm apart. Seeds were drawn after the code was finished. An answer is wrong where a wavenumber that is
+told, the strongest's or another's, is more than 3 % from each of the layer's waves, or where it isn't the strongest's
+and that carries over 1.25 times as much.
 
-"Bound" is the Cramer-Rao bound of the strongest wave's wavenumber: no estimator without bias, told how many waves carry
-3 % of the motion or more, has a smaller standard deviation in this noise. Where it is above 1.3 % the noise is why
-nothing is told: an answer within 3 % would be luck. With 34 dB, which 25 times as many averages of
-records give, the same layers say more. Layers of which no wave travels are left
-out.
+"Bound" is the Cramer-Rao bound of the strongest wave's wavenumber: no estimator without bias, told how many waves
+carry 3 % of the motion or more, has a smaller standard deviation in this noise. Where it is above 1.3 % the noise is
+why nothing is told: an answer within 3 % would be luck. With 34 dB, which 25 times as many averages of records give,
+the same layers say more. Layers of which no wave travels are left out.
 
 """
 

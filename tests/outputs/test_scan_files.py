@@ -53,6 +53,9 @@ def test_units_become_si(tmp_path):
         ("time_s,P1,P2", "t,P1,P2", "begins with 't'"),
         ("y_m,0,0\n", "", "has no line 'y_m"),
         ("z_m,0,0\n", "z_m,0,0\nsight_x,1,1\n", "has no line 'sight_y"),
+        ("x_m,0,0.005", "x_mm,0,5", r"line 4 begins with 'x_mm' \(did you mean 'x_m'\?\); allowed: a time, or x_m"),
+        ("y_m,0,0\n", "y_m,0,0\ny_m,0,1\n", "line 6 gives 'y_m' again"),
+        ("x_m,0,0.005", "x_m,0,0", r"points 0 and 1 lie in one place, \(0, 0, 0\) mm"),
         ("0.003,3,-3", "0.003,3", "line 10 has 2 values for 3 columns"),
         ("0.003,3,-3", "0.003,x,-3", "line 10, column P1: 'x' is not a number"),
         ("0.003,3,-3", "0.003,nan,-3", "line 10, column P1: nan; give a finite number"),
@@ -133,6 +136,11 @@ def test_uff_of_others_with_millimetres_single_nodes_and_turned_axes(tmp_path):
     pyuff.UFF(str(tmp_path / "b.uff")).write_sets(sets, mode="overwrite")
     with pytest.raises(MeasurementError, match="of node 8, which has no place"):
         read_scan(tmp_path / "b.uff")
+    sets[3] |= {"rsp_node": 9, "rsp_dir": 1}
+    pyuff.UFF(str(tmp_path / "b.uff")).write_sets(sets, mode="overwrite")
+    with pytest.raises(MeasurementError, match="of node 9 is in direction 1; read are those along z"):
+        read_scan(tmp_path / "b.uff")
+    sets[3] |= {"rsp_node": 8, "rsp_dir": 3}
     sets[2]["ordinate_spec_data_type"] = 12
     pyuff.UFF(str(tmp_path / "b.uff")).write_sets(sets, mode="overwrite")
     with pytest.raises(MeasurementError, match="data types 11, 12; allowed: one of 8"):

@@ -96,7 +96,7 @@ class Comparison:
         rms, most = 1e3 * place.rms_m, 1e3 * place.residual_m.max()
         lines = [
             f"scan            {self.measured}: {self.quantity} at {len(self.near)} points"
-            + (f", {left_out} of them off the skin and left out" if left_out else ""),
+            + (f", {left_out} of them left out" if left_out else ""),
             f"registration    {rms:.2f} mm rms from skin '{self.skin}', {most:.2f} "
             f"at most; moved by {1e3 * np.linalg.norm(place.transform.position):.2f} mm and "
             f"{np.linalg.norm(numbers['rotation_vector_deg']):.2f} deg",

@@ -84,6 +84,11 @@ def compare(
         motion = of_skin(data, place.transform.points(scan.points[near]), OFF_M)
     ours = _through_instrument(motion, scan.at_points(near), place, settings)
     count = len(ours.times_s)
+    moves = (np.abs(ours.values).max(axis=0) > 0.0) & (np.abs(scan.values[:count, near]).max(axis=0) > 0.0)
+    if moves.sum() < 2:
+        raise MeasurementError(f"{scan.name}: fewer than two points move both in the scan and in the run")
+    still, ours = int((~moves).sum()), ours.at_points(moves)
+    near[near] = moves
     theirs = Scan(scan.quantity, scan.times_s[:count], scan.points[near], scan.values[:count, near], name=scan.name)
     try:
         numbers = agreement(theirs.times_s, theirs.values, ours.values, most_delay_s=most_delay_s)
@@ -91,8 +96,20 @@ def compare(
         raise MeasurementError(f"{scan.name}: {error}") from None
     on_skin = Scan(theirs.quantity, theirs.times_s, ours.points, theirs.values, name=scan.name)
     odd = doubts(on_skin, ours, motion, numbers, most_delay_s)
+    if still:
+        one = still == 1
+        odd.append(
+            f"{still} point{'' if one else 's'} keep{'s' if one else ''} still, in the scan or where the run holds the "
+            f"skin at its rim: {'it is' if one else 'they are'} left out"
+        )
+    moved = float(np.linalg.norm(place.transform.points(scan.points).mean(axis=0) - scan.points.mean(axis=0)))
+    if fiducials is None and moved > float(np.linalg.norm(np.ptp(scan.points, axis=0))):
+        odd.append(
+            f"the scan was moved by {1e3 * moved:.3g} mm until it lay on the skin, farther than it is wide, and may "
+            "have met another part of it: give --fiducials"
+        )
     if near.mean() < 0.5:
-        odd.append("more than half of the points lie off the skin: its place, its unit or its axes may be wrong")
+        odd.append("more than half of the points are left out: the scan's place, unit or axes may be wrong")
     modes = None
     if mode_Hz is not None:
         source = None if source_m is None else np.asarray(source_m, dtype=float)
