@@ -26,6 +26,7 @@ FLOOR = 2e-3
 them, are not taken for exact."""
 APART = 0.25
 """Beginnings of one more ring lie apart by this share of the wavenumber."""
+HIDDEN_SPAN, HIDDEN_APART = (0.35, 2.2), 0.2
 NEAREST_M = 1e-4
 """From the source: rings are infinite there."""
 
@@ -96,6 +97,37 @@ def ring_fits(scanned: Scanned) -> list[Rings]:
         x = min(runs, key=lambda run: run[0])[1]
         fits.append(_told(scanned, x))
     return fits
+
+
+def hidden_change(scanned: Scanned, fit: Rings, number: int) -> float:
+    """By how much a wave that hides in the noise could change a ring's wavenumber at worst, relative to |k|.
+
+    One more ring, seen along the normal, is put at wavenumbers round the ring's own, HIDDEN_APART from all of the fit,
+    with losses as the ring has; to first order the fit then moves by a shift and has another standard deviation. The
+    largest root of the sum of their squares.
+    """
+    k, source = _unpacked(scanned, fit.x)
+    field = _field(scanned, k, source)
+    basis, parts, left = _projected(field, scanned.values)
+    by_x = -_residual(scanned, fit.x)[1]
+    free = 2 * len(left) - len(fit.x) - 2 * parts.size
+    power = max(float(np.linalg.norm(left) ** 2), FLOOR**2 * len(left)) / max(free, 1)
+    own, worst, unit = complex(k[number]), 0.0, scanned.top / abs(complex(k[number]))
+    for real in np.geomspace(*HIDDEN_SPAN, 14) * own.real:
+        for loss in (0.7, 1.3):
+            hidden = complex(real, own.imag * loss)
+            if np.any(np.abs(hidden - k) < HIDDEN_APART * np.abs(k)) or real > WIDEST * scanned.top:
+                continue
+            column = _field(scanned, np.array([hidden]), source).columns[:, 0, :1]
+            column = column - basis @ (basis.conj().T @ column)
+            slopes = _real(np.concatenate([by_x, column, 1j * column], axis=1))
+            sizes = np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
+            covariance = np.linalg.pinv((slopes / sizes).T @ (slopes / sizes), rcond=1e-12, hermitian=True)
+            shift = covariance @ ((slopes / sizes).T @ _real(left)) / sizes
+            spread = np.sqrt(np.maximum(np.diag(covariance), 0.0) * power) / sizes
+            both = [number, len(k) + number]
+            worst = max(worst, unit * float(np.sqrt((shift[both] ** 2 + spread[both] ** 2).sum())))
+    return worst
 
 
 def _with(x: Float, more: list[complex], but: int | None = None) -> Float:

@@ -111,8 +111,16 @@ def test_uff_comes_back(tmp_path, binary, sights):
     assert back.values == pytest.approx(one.values, rel=1e-6 if binary else 1e-10, abs=1e-15)
     assert (back.sights is None) != sights and (not sights or back.sights == pytest.approx(one.sights, abs=1e-8))
     # As other software reads it
-    kinds = list(pyuff.UFF(str(tmp_path / "a.uff")).get_set_types())
+    opened = pyuff.UFF(str(tmp_path / "a.uff"))
+    kinds = list(opened.get_set_types())
     assert kinds[:2] == [164, 2411] and kinds.count(82) == 2 and kinds.count(58) == 300
+    units, nodes, line, record = (opened.read_sets(n) for n in (0, 1, 2, 4))
+    assert units["length"] == 1.0 and nodes["y"] == pytest.approx(one.points[:, 1], abs=1e-12)
+    assert list(line["nodes"]) == list(range(1, 251))
+    assert record["binary"] == int(binary) and record["rsp_node"] == 1 and record["ordinate_spec_data_type"] == 8
+    assert record["data"] == pytest.approx(one.values[:, 0], rel=1e-6, abs=1e-15)
+    text = (tmp_path / "a.uff").read_bytes()
+    assert (b"    58b" in text) == binary
 
 
 def test_uff_of_others_with_millimetres_single_nodes_and_turned_axes(tmp_path):
