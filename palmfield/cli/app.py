@@ -52,6 +52,8 @@ BoardName = Annotated[
     ),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="print JSON only, with units in the names, for other programs")]
+INTERRUPTED_CODE = 130
+"""Exit code after Ctrl-C."""
 ANYWHERE = {"-v": 0, "--verbose": 0, "-q": 0, "--quiet": 0, "--log-level": 1}
 """Options of the whole program, which may also stand after a command, and how many values follow each."""
 
@@ -933,11 +935,19 @@ def main() -> None:
     except PalmfieldError as error:
         complain(str(error))
         sys.exit(2)
-    except (KeyboardInterrupt, Exception) as error:
+    except (KeyboardInterrupt, SystemExit, Exception) as error:
+        if isinstance(error, SystemExit) and not _unsaid(error):
+            raise
         if not _from_ctrl_c(error):
             raise
         complain("interrupted")
-        sys.exit(130)
+        sys.exit(INTERRUPTED_CODE)
+
+
+def _unsaid(error: SystemExit) -> bool:
+    """Whether Typer ended the program for Ctrl-C, of which it says nothing; commands that do raise Exit from None."""
+    ended = error.__context__
+    return error.code == INTERRUPTED_CODE and ended is not None and isinstance(ended.__cause__, KeyboardInterrupt)
 
 
 def _from_ctrl_c(error: BaseException) -> bool:

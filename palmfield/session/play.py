@@ -25,8 +25,9 @@ from palmfield.drive.frame_log import FrameLog, LogHead
 from palmfield.drive.limits import SoundLimits
 from palmfield.drive.playback import REFRESH_S, TimedFrame, filled, frame_times
 from palmfield.drive.player import Player
+from palmfield.drive.player.report import PlayReport
 from palmfield.drive.recording import record
-from palmfield.errors import DeviceError, SceneError
+from palmfield.errors import DeviceError, OutputError, SceneError
 from palmfield.session.load import Source
 from palmfield.session.log_head import log_head
 from palmfield.session.preview import Preview, preview
@@ -298,14 +299,34 @@ def play_on_port(
     ):
         task = bar.add_task(f"playing {duration_s:g} s on {port}", total=duration_s)
         begin = time.monotonic()
-        report = player.play(
-            frames,
-            duration_s=duration_s,
-            on_progress=lambda *_: bar.update(task, completed=time.monotonic() - begin),
-        )
-    return Performance(
-        f"played {report.frames} frames on {port} (skipped {report.skipped}, worst delay "
-        f"{1e3 * report.late_s:.0f} ms, limit {board.max_frame_rate_Hz:.1f} frames/s; player at {report.priority}); "
-        "the board is off",
-        report.warning,
+        try:
+            report = player.play(
+                frames,
+                duration_s=duration_s,
+                on_progress=lambda *_: bar.update(task, completed=time.monotonic() - begin),
+            )
+        except KeyboardInterrupt:
+            player.close()
+            LOG.warning(f"ended by Ctrl-C after {time.monotonic() - begin:.1f} s; the board is off")
+            check_log(player, log)
+            raise
+    done = played_in_words(report, board, port)
+    check_log(player, log, f"{done}; ")
+    return Performance(done, report.warning)
+
+
+def played_in_words(report: PlayReport, board: Board, port: str) -> str:
+    """How a player's frames went, with the board silent afterwards."""
+    return (
+        f"played {report.frames} frames on {port} (skipped {report.skipped}, worst delay {1e3 * report.late_s:.0f} ms, "
+        f"limit {board.max_frame_rate_Hz:.1f} frames/s; player at {report.priority}); the board is off"
     )
+
+
+def check_log(player: Player, log: Path | None, done: str = "") -> None:
+    """Raises OutputError where a closed player's log ends early, as it does on a full disk. done: what else there is"""
+    if player.log_error:
+        raise OutputError(
+            f"{done}the log {log} ends early: {player.log_error}; what is in it can be decoded, and the board was not "
+            "held up by it"
+        )

@@ -37,6 +37,7 @@ from palmfield.studies.trial.recording import Compared, Recording, compare
 from palmfield.studies.trial.report import Numbers, as_text, numbers_of, table_of
 from palmfield.studies.trial.sending import Heard, MadeFrame, Sent, send
 from palmfield.tables import write_table
+from palmfield.whole_files import whole
 
 LOG = logging.getLogger(__name__)
 FINEST_S = 1e-3
@@ -314,7 +315,8 @@ def _written(result: Trial, folder: Path, logged: bool) -> dict[str, Path]:
     if result.compared is not None:
         numbers["recording"] = result.compared.as_dict()
     try:
-        files["trial.json"].write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
+        with whole(files["trial.json"]) as part:
+            part.write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
     except OSError as error:
         raise OutputError(f"cannot write {files['trial.json']}: {error.strerror}; choose another folder") from None
     draw_trial(names, rows, numbers, files["trial.png"])
