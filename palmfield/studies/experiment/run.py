@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from palmfield.config.driver import SAFETY_KEYS
+from palmfield.drive.ports import check_port
 from palmfield.drive.virtual import VirtualBoard
 from palmfield.errors import DeviceError, OutputError, PalmfieldError
 from palmfield.session.load import no_scene
@@ -60,6 +61,8 @@ def run_experiment(
         raise OutputError(f"{experiment}: scene: {no_scene(scene)}")
     if port is not None and virtual:
         raise DeviceError(f"a port ({port}) and --virtual are given; allowed: one of them")
+    if port is not None:
+        check_port(port)
     plays = virtual or port is not None
     if observer == "keyboard" and answers is None and not plays:
         raise DeviceError("a person needs a board to feel anything; give --port, or --virtual to rehearse")

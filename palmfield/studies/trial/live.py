@@ -12,7 +12,7 @@ from palmfield.drive.frame_log import FrameLog
 from palmfield.drive.limits import SoundLimits
 from palmfield.drive.playback import frame_times
 from palmfield.motion.alignment import read_alignment
-from palmfield.motion.listening import By
+from palmfield.motion.line_listener import By
 from palmfield.motion.live_hand import STALE_S, LiveHand
 from palmfield.motion.tracking import Stream
 from palmfield.session.live_scene import LiveScene

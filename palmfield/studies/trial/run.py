@@ -18,6 +18,7 @@ from palmfield.drive.board import Board, Emitted
 from palmfield.drive.frame_log import FrameLog
 from palmfield.drive.limits import SoundLimits
 from palmfield.drive.playback import frame_times
+from palmfield.drive.ports import check_port
 from palmfield.errors import DeviceError, OutputError
 from palmfield.interrupts import interrupts_held
 from palmfield.motion.tracking import write_stream
@@ -35,7 +36,7 @@ from palmfield.studies.trial.field import Moment, TrueSound, focus_in, last_due,
 from palmfield.studies.trial.live import Live, play_live
 from palmfield.studies.trial.recording import Compared, Recording, compare
 from palmfield.studies.trial.report import Numbers, as_text, numbers_of, table_of
-from palmfield.studies.trial.sending import Heard, MadeFrame, Sent, send
+from palmfield.studies.trial.sending import VIRTUAL, Heard, MadeFrame, Sent, send
 from palmfield.tables import write_table
 from palmfield.whole_files import whole
 
@@ -99,6 +100,8 @@ def trial(
     where its board can't play it or is lost, and on a port
     where it would be too loud at a head (key head_limit_dB), OutputError where the folder holds another trial.
     """
+    if port is not None and port != VIRTUAL:
+        check_port(port)
     folder = None if out is None else _folder(Path(out), overwrite)
     given = dict(keys or {})
     view = preview(scene, device="cpu", board=board, keys=given)
