@@ -1,5 +1,6 @@
 """Sound at the hand's true place: with and without latency, rounding and calibration error."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -82,6 +83,8 @@ class TrueSound:
                 f"a true calibration is given for a scene of {len(model.spec.arrays)} arrays; allowed: one array"
             )
         self.speed_m_s = sound_speed(model.arrays.air)
+        middle = model.arrays.array.positions[model.stimuli[number].transducers].mean(axis=0)
+        self._middle: list[float] = middle.tolist()
         self._wavenumber = 2.0 * np.pi * model.arrays.array.frequency_Hz / self.speed_m_s
         self.true_arrays(model.arrays)
 
@@ -101,8 +104,7 @@ class TrueSound:
         """Time that sound takes from the middle of the transducers to a focus [s]."""
         if not self.flight:
             return 0.0
-        middle = self.model.arrays.array.positions[self.model.stimuli[self.number].transducers].mean(axis=0)
-        return float(np.linalg.norm(focus - middle)) / self.speed_m_s
+        return math.dist(focus.tolist(), self._middle) / self.speed_m_s
 
     def focus(self, posed_s: float, due_s: float) -> Float:
         """Where the focus of a due time is on the hand at another time [s], array frame [m], shape (3,)."""
