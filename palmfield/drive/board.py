@@ -366,8 +366,9 @@ def check(
     too_fast = slow(board, rate)
     if not needs_amplitude and not too_fast:
         return
-    amplitude = "continuous amplitude at " if needs_amplitude else ""
-    needs = f"stimulus '{element}' needs {amplitude}{rate:.4g} frames/s"
+    wanted = ["continuous amplitude"] if needs_amplitude else []
+    wanted += [f"{rate:.4g} frames/s"] if rate else []
+    needs = f"stimulus '{element}' needs {' at '.join(wanted)}"
     if modulation_Hz and rate == 2.0 * modulation_Hz:
         needs += f" ({modulation_Hz:g} Hz, two frames a period)"
     gives = f"{board.name} gives {'any' if board.levels else 'on/off'} amplitude"

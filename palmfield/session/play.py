@@ -176,19 +176,16 @@ def scene_frames(scene: Preview, duration_s: float) -> Iterator[TimedFrame]:
         model.configs, duration_s, model.spec.timestep_s if moves else None, ramp, model.board.frame_time_s
     )
 
-    def share(time_s: float) -> float:
-        return limits.level_at(time_s, duration_s) if model.board.levels else 1.0
-
     if not moves:
         frames = Frames(model, scene.runtime.work.emission)
         for time_s in times:
-            data = frames.at(scene.runtime.posed, time_s, share(time_s))
+            data = frames.at(scene.runtime.posed, time_s, limits.share(model.board, time_s, duration_s))
             yield TimedFrame(time_s, data, frames.sounds)
         return
     moving: Frames | None = None
     for time_s, runtime, posed in scene.posed_at(times):
         moving = moving or Frames(runtime.model, runtime.work.emission)
-        data = moving.at(posed, time_s, share(time_s))
+        data = moving.at(posed, time_s, limits.share(model.board, time_s, duration_s))
         yield TimedFrame(time_s, data, moving.sounds)
 
 

@@ -1,7 +1,7 @@
 """Sound at the hand's true place: with and without latency, rounding and calibration error."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -67,12 +67,21 @@ class TrueSound:
     flight: whether the time that sound takes to the hand counts
     """
 
-    def __init__(self, course: SceneCourse, number: int, truth: Calibration | None, *, flight: bool = True) -> None:
+    def __init__(
+        self,
+        course: SceneCourse,
+        number: int,
+        truth: Calibration | None,
+        *,
+        flight: bool = True,
+        share: Callable[[float], float] = lambda due_s: 1.0,
+    ) -> None:
         """truth: what the transducers of the scene's only array really do; None: what the scene says of them
 
+        share: of all amplitudes, of a frame that is due at a time [s], by the driver's ramp
         Raises SceneError for a truth where there are several arrays, and for one of another layout.
         """
-        self.course, self.number, self.flight = course, number, flight
+        self.course, self.number, self.flight, self.share = course, number, flight, share
         model = self.model = course.model
         self._truth = truth
         self._exact = Frames(model, Emission(model))
@@ -112,7 +121,7 @@ class TrueSound:
 
     def ideal(self, time_s: float, due_s: float) -> Complex:
         """The drive of a due time [s] for where the hand truly is at another, before any board's limits, shape (N,)."""
-        return self._exact.wanted(self.course.posed(time_s), due_s)
+        return self.share(due_s) * self._exact.wanted(self.course.posed(time_s), due_s)
 
     def moment(self, time_s: float, due_times: Sequence[float], heard: Heard, loudest: float) -> Moment | None:
         """What a hand gets at a time [s]; None before the first frame.

@@ -29,6 +29,7 @@ from palmfield.session.safety.exposure import check_head
 from palmfield.session.safety.scene_sound import scene_at_head
 from palmfield.simulation.emission import Emission
 from palmfield.simulation.frames import Frames
+from palmfield.simulation.model import HapticModel
 from palmfield.studies.trial.belief import Belief, Tracker
 from palmfield.studies.trial.course import SceneCourse
 from palmfield.studies.trial.felt import Felt, felt
@@ -169,12 +170,11 @@ def _scripted(
     """Send a scene whose motion is known, to a system that knows what a tracker would have told."""
     told("stepping the scene", None)
     course = SceneCourse(view, duration_s)
-    sound = TrueSound(course, course.model.sounding, truth, flight=flight)
-    board = course.model.board
+    board, limits = course.model.board, SoundLimits.of(course.model.spec.driver)
+    sound = TrueSound(course, course.model.sounding, truth, flight=flight, share=_share(course.model, duration_s))
     times = _due(course, board, duration_s)
     make = _maker(course, sound, Belief(course, tracker), times, duration_s)
     told("sending", duration_s)
-    limits = SoundLimits.of(course.model.spec.driver)
     sent = send(
         board, times, make, duration_s, port=port, log=log, limits=limits, on_progress=lambda at: told(None, at)
     )
@@ -206,7 +206,14 @@ def _followed(
     write_stream(folder / "tracked.npz", played.stream)
     own = live.keys(played.motion, folder / "tracked.npz", played.start_s)
     course = SceneCourse(preview(scene, device="cpu", board=board, keys={**keys, **own}), duration_s)
-    return _Done(TrueSound(course, number, truth, flight=flight), played.sent, played.times, played.notes, own)
+    sound = TrueSound(course, number, truth, flight=flight, share=_share(course.model, duration_s))
+    return _Done(sound, played.sent, played.times, played.notes, own)
+
+
+def _share(model: HapticModel, duration_s: float) -> Callable[[float], float]:
+    """Of all amplitudes at a time of the trial [s], by the driver's ramp."""
+    limits = SoundLimits.of(model.spec.driver)
+    return lambda time_s: limits.share(model.board, time_s, duration_s)
 
 
 def _maker(
@@ -223,11 +230,12 @@ def _maker(
         until_s = float(ends[np.searchsorted(times, due_s)])
         middle_s = due_s if exact else 0.5 * (due_s + until_s)
         known = belief.at(now_s, middle_s + flight_s)
-        data = b"" if exact else frames.at(known.posed, due_s)
+        share = sound.share(due_s)
+        data = b"" if exact else frames.at(known.posed, due_s, share)
         focus = focus_in(course.model, sound.number, known.posed, due_s)
         flight_s = sound.flight_s(focus)
         sounds = exact or frames.sounds
-        return MadeFrame(data, focus, known.seen_s, lambda: afterwards.wanted(known.posed, due_s), sounds)
+        return MadeFrame(data, focus, known.seen_s, lambda: share * afterwards.wanted(known.posed, due_s), sounds)
 
     return make
 
@@ -243,7 +251,9 @@ def _due(course: SceneCourse, board: Board, duration_s: float) -> list[float]:
     """When frames are due [s]; of a board without limits, whenever the sound is looked at."""
     if board.exact and course.moves:
         return _moments(course, duration_s)
-    return frame_times(course.model.configs, duration_s, course.step_s if course.moves else None)
+    ramp = SoundLimits.of(course.model.spec.driver).ramp_times(board, duration_s)
+    step_s = course.step_s if course.moves else None
+    return frame_times(course.model.configs, duration_s, step_s, ramp, board.frame_time_s)
 
 
 def _course(
