@@ -726,7 +726,9 @@ def plot_command(
     observer: Annotated[str | None, typer.Option(help="of levels [default: each]", metavar="NAME")] = None,
     suffix: Annotated[str, typer.Option("--format", help="png, svg or pdf")] = "png",
     out: Annotated[Path | None, typer.Option(help="folder for the pictures [default: DIR/plots]")] = None,
-    listed: Annotated[bool, typer.Option("--list", help="say which kinds there are, and draw none")] = False,
+    listed: Annotated[
+        bool, typer.Option("--list", help="say which kinds there are; of a run, draw small ones into one")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Draw pictures of a run for a paper: field, drives, maps of motion and of levels, courses, spectra, wavefronts.
@@ -741,7 +743,7 @@ def plot_command(
     from palmfield.outputs.pictures.asked import asked_for
 
     if listed:
-        list_kinds(as_json)
+        list_kinds(run, out, as_json)
         return
     if run is None:
         raise SceneError("plot needs DIR, the folder of a run; `palmfield plot --list` says what it can draw")
@@ -769,7 +771,8 @@ def render_command(
 ) -> None:
     """Make a film of a run: the hand with the motion or the ARP on its skin, slowed down and magnified.
 
-    Takes about a second a frame; Ctrl-C keeps what is drawn by then. Needs the extra `video`.
+    Takes half a second of one core a frame, shared out among all; Ctrl-C keeps what is drawn by then. Needs the extra
+    `video`.
 
     Example: palmfield render out/palm --video palm.mp4 --from 20 --to 40
     """
