@@ -1,0 +1,58 @@
+"""The process that shows: what it begins with, and how it ends."""
+
+import contextlib
+import importlib.util
+import os
+import signal
+import sys
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+
+from palmfield.errors import OutputError, PalmfieldError
+from palmfield.studies.view.messages import Ready
+
+PORT = 8080
+KINDER = 5
+"""By so much the page's process gives way to the simulation."""
+
+
+@dataclass(frozen=True)
+class Address:
+    """Where the page is to be found.
+
+    host: address to listen at; port: None for the first free one from PORT on; token: that who comes must have, empty
+    for none; rate_Hz: pictures a second
+    """
+
+    host: str
+    port: int | None
+    token: str
+    rate_Hz: float
+
+
+def need_viser() -> None:
+    """Raises OutputError where the library that shows is missing."""
+    if importlib.util.find_spec("viser") is None:
+        raise OutputError("a live view needs the package viser: pip install 'palmfield[view]'")
+
+
+def run_page(talk: Connection, place: Address) -> None:
+    """Show what comes, until the other end is closed or says so."""
+    # The terminal's Ctrl-C is for the simulation, which ends this process when its recording is safe
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with contextlib.suppress(OSError):
+        os.nice(KINDER)
+    # viser greets and says goodbye there, with an address that is not the page's
+    sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - for the rest of the process
+    try:
+        from palmfield.studies.view.page import Page
+
+        page = Page(talk, place)
+    except (PalmfieldError, OSError) as error:
+        talk.send(Ready("", str(error)))
+        return
+    talk.send(Ready(page.address))
+    page.run()
+    # Threads of viser's that wait for nobody would hold the process for seconds
+    sys.stderr.flush()
+    os._exit(0)
