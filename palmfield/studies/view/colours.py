@@ -63,20 +63,19 @@ def rounded_up(value: float) -> float:
 
 
 def phase_colours(drive: Complex) -> NDArray[np.uint8]:
-    """Of transducers by their phase, greyer the softer they are beside the loudest, (N, 3)."""
+    """Of transducers by their phase, greyer the softer they are beside the loudest, (N, 4)."""
     size = np.abs(drive)
     share = (size / size.max() if size.max() > 0.0 else size)[:, None]
     turn = np.mod(np.angle(drive) / (2.0 * np.pi), 1.0)
     colour = PHASE[np.round(255.0 * turn).astype(np.uint8)][:, :3]
-    return np.round(share * colour + (1.0 - share) * np.array(SILENT)).astype(np.uint8)
-
-
-PHASE_LEGEND_TITLE = "phase of each transducer's drive"
+    shown = np.full((len(drive), 4), 255, np.uint8)
+    shown[:, :3] = np.round(share * colour + (1.0 - share) * np.array(SILENT))
+    return shown
 
 
 def phase_legend() -> str:
     """As HTML."""
-    return _bar(PHASE_LEGEND_TITLE, PHASE, "0", "360 deg")
+    return _bar("phase of each transducer's drive", PHASE, "0", "360 deg")
 
 
 def _bar(title: str, table: NDArray[np.uint8], low: str, high: str) -> str:

@@ -56,6 +56,11 @@ class Link:
             raise OutputError(ready.failed)
         return ready.address
 
+    @property
+    def pid(self) -> int | None:
+        """Of the page's process."""
+        return self._process.pid
+
     def send(self, message: FromSimulation) -> None:
         """Have a message sent, after those before it."""
         self._outbox.put(message)

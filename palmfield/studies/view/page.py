@@ -22,7 +22,7 @@ from palmfield.studies.view.colours import (
     size_scale,
 )
 from palmfield.studies.view.gate import Gate, is_loopback
-from palmfield.studies.view.glb import GlbMesh
+from palmfield.studies.view.glb import GlbMesh, linear
 from palmfield.studies.view.messages import (
     Ask,
     End,
@@ -106,9 +106,9 @@ class Page:
         self._server.scene.set_up_direction("+z")
         # A palm looks down, where viser's own lights leave it dark
         self._server.scene.configure_default_lights(enabled=False)
-        self._server.scene.add_light_ambient("/light/all", intensity=1.6)
+        self._server.scene.add_light_ambient("/light/all", intensity=1.3)
         for number, lit_from in enumerate(((0.3, 0.5, 1.0), (1.0, 1.2, -0.6))):
-            self._server.scene.add_light_directional(f"/light/{number}", intensity=1.3, position=lit_from)
+            self._server.scene.add_light_directional(f"/light/{number}", intensity=1.1, position=lit_from)
         self._scene: SceneShown | None = None
         self._moment: Moment | None = None
         self._replay: Replay | None = None
@@ -289,7 +289,8 @@ class Page:
             for node, own in zip(self._skins, moment.pose.skins, strict=True):
                 node.pose = own
             self._array.batched_positions = moment.pose.transducers
-        colours = phase_colours(moment.drive)
+        # viser takes the colours of such meshes as they are in light
+        colours = linear(phase_colours(moment.drive))[:, :3]
         if self._phases is None or not np.array_equal(colours, self._phases):
             self._phases = self._array.batched_colors = colours
         self._foci.points = moment.foci
