@@ -31,7 +31,7 @@ from palmfield.studies.view.messages import (
     Values,
 )
 from palmfield.studies.view.page_process import Address, need_viser
-from palmfield.studies.view.periods import Periods
+from palmfield.studies.view.periods import Periods, steps_watched
 from palmfield.studies.view.recording import Recording, next_folder
 from palmfield.studies.view.sight import Sight, scene_shown
 from palmfield.studies.view.sliders import stimulus_sliders, turned, value_of
@@ -43,6 +43,8 @@ QUIET_s = 0.3
 """So long after the last turn of a slider a scene is rebuilt."""
 IDLE_s = 0.02
 SPEED_OVER_s = 0.5
+UNWATCHED = 9
+"""Steps without being watched for each one that was, where the simulation goes as fast as it can."""
 BEHIND_s = 0.2
 """By more than this the clock doesn't try to catch up."""
 
@@ -92,6 +94,12 @@ class ShownScene:
         self._sight = Sight(self.sim)
         self._texts = stimulus_texts(self.sim.runtime)
         self._begin_clock()
+        self._watch_soon()
+
+    def _watch_soon(self) -> None:
+        """What was seen of the periods before holds no more."""
+        self._unwatched: float = math.inf
+        self._held_up = False
 
     def _begin_clock(self) -> None:
         """Real time is counted from here."""
@@ -176,6 +184,7 @@ class ShownScene:
         wait_s = IDLE_s
         if self.playing:
             wait_s = self._ahead_s()
+            self._held_up = self._held_up or wait_s > 0.0
             if wait_s <= 0.0:
                 self.playing = self._guarded(self._step)
         self._answer()
@@ -192,22 +201,27 @@ class ShownScene:
         return ahead
 
     def _step(self) -> None:
-        if self._recording is None and self._periods is None and "replay" in self._asked:
+        if self._recording is None and self._periods is None and "replay" in self._asked and self._may_watch():
             self._periods = Periods(self.sim)
         self.sim.step()
+        self._unwatched += 1
         if self._recording is not None:
             if not self._guarded(self._recording.step):
                 self.stop_recording("it could not be written any further")
         elif self._periods is not None:
             seen = self._periods.step()
             if seen is not None:
-                self._periods = None
+                self._periods, self._unwatched, self._held_up = None, 0, False
                 self._asked.discard("replay")
                 self.send(seen)
         now = time.monotonic()
         if now - self._measured[0] > SPEED_OVER_s:
             self._speed = (self.sim.time - self._measured[1]) / (now - self._measured[0])
             self._measured = now, self.sim.time
+
+    def _may_watch(self) -> bool:
+        """Whether steps may take longer now: there is time, or enough steps went by without, or nothing is known."""
+        return self._held_up or self._unwatched >= UNWATCHED * steps_watched(self.sim)
 
     def _answer(self) -> None:
         moment = self._asked & {"moment", "full moment"}
@@ -266,6 +280,7 @@ class ShownScene:
             if change_stimuli(self.sim, own):
                 self.keys |= texts
                 self._texts = own
+                self._watch_soon()
                 self.send(Told("info", f"{told}: goes on as it was"))
                 return
         self.send(Told("busy", f"rebuilding with {told}; what you see is still the scene before"))
@@ -287,6 +302,7 @@ class ShownScene:
         self._stop_watching()
         self.sim.reset()
         self._begin_clock()
+        self._watch_soon()
         self.send(Told("info", "back to time 0"))
 
     def stop_recording(self, reason: str) -> None:
