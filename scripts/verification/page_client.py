@@ -70,6 +70,15 @@ class PageClient:
                     return all_messages
         raise TimeoutError(f"it did not come in {seconds:g} s; the page says: {self.texts}")
 
+    def until_says(self, words: str, seconds: float = 30.0) -> None:
+        """Until the page says so, or a button does. Raises TimeoutError as `until`."""
+        if not self._says(words):
+            self.until(lambda _: self._says(words), seconds)
+
+    def _says(self, words: str) -> bool:
+        labels = [str(one.get("label")) for one in self._by_uuid.values()]
+        return any(words in text for text in (*self.texts, *labels))
+
     @property
     def texts(self) -> list[str]:
         """What the page says in its HTML."""

@@ -61,6 +61,11 @@ class Link:
         """Of the page's process."""
         return self._process.pid
 
+    @property
+    def alive(self) -> bool:
+        """Whether the page's process is there."""
+        return self._process.is_alive()
+
     def send(self, message: FromSimulation) -> None:
         """Have a message sent, after those before it."""
         self._outbox.put(message)

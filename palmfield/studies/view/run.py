@@ -173,6 +173,11 @@ class ShownScene:
             LOG.warning("%s", error)
             self.send(Told("error", str(error)))
             return False
+        except Exception as error:
+            # Whoever looks on loses nothing by a fault of ours: the scene stands as it was, and can be turned back
+            LOG.exception("the live view has a fault")
+            self.send(Told("error", f"a fault of palmfield's, not yours: {type(error).__name__}: {error}"))
+            return False
         return True
 
     # -- stepping ------------------------------------------------------------------------------------------------------
