@@ -55,6 +55,7 @@ SHOWN = (*REPLAYS, *STILL, *NOWS)
 PACES = {
     "real time": 1.0, "1/10 of real time": 0.1, "1/100 of real time": 0.01, "as fast as it goes": math.inf,
 }  # fmt: skip
+NOW_WORDS = "the state at each picture (what is faster than the pictures is seen at a slower pace only)"
 TURNS_IN_s = 2.0
 """A slowed-down stretch takes about so long."""
 DISC_SIDES = 12
@@ -199,7 +200,7 @@ class Page:
             side="double", lod="off",
         )  # fmt: skip
         self._foci = api.add_point_cloud(
-            "/foci", np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8), point_size=2e-3, point_shape="circle"
+            "/foci", np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8), point_size=1.5e-3, point_shape="circle"
         )
         if first:
             self._look(pose, scene.transducer_directions)
@@ -358,7 +359,11 @@ class Page:
             if moment is None or not moment.displacement:
                 return [], nothing, ""
             scale, values = self._now_scale(shown, moment)
-            return list(zip(moment.displacement, values, strict=True)), scale, "as it is at the moment of each picture"
+            return (
+                list(zip(moment.displacement, values, strict=True)),
+                scale,
+                NOW_WORDS,
+            )
         if replay is None:
             return [], nothing, ""
         repeats = self._repeats()
@@ -370,7 +375,7 @@ class Page:
             still = [skin.rms for skin in replay.skins]
             scale = size_scale("RMS of the normal displacement", _most(still), "um", 1e6)
             return list(zip(motion, still, strict=True)), scale, f"over {replay.what}"
-        words = f"{replay.what} {self._slow:.3g} times slower"
+        words = f"{replay.what}, {self._slow:.3g} times slower"
         if shown == REPLAYS[1]:
             scale = size_scale("radiation pressure (ARP)", _most([skin.arp for skin in replay.skins]), "Pa", 1.0)
             return [(u, skin.arp[place]) for u, skin in zip(motion, replay.skins, strict=True)], scale, words

@@ -97,7 +97,7 @@ def replay(sim: Simulation, blocks: list[Arrays], recorder: Recorder) -> Replay:
         levels = _levels(sim, number, recorder, times, normal, arp.max(axis=1))
         skins.append(SkinReplay(normal[chosen], arp[chosen], normal.std(axis=0), levels))
     begun = recorder.begun_s
-    what = f"{1e3 * shown_s:.4g} ms" if period is None or period > shown_s else f"one period, {1e3 * shown_s:.4g} ms,"
+    what = f"{1e3 * shown_s:.4g} ms" + ("" if period is None or period > shown_s else " (one period)")
     return Replay(begun + times[chosen], shown_s, f"{what} until {begun + times[-1]:.3f} s", tuple(skins))
 
 

@@ -3,15 +3,15 @@
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
 
+from palmfield.hand.meshquery import build_mesh, closest_faces
 from palmfield.session.simulation import Simulation
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.studies.view.messages import Moment, Pose, SceneShown, Slider
 from palmfield.types import Float32, Int
 
-COVERED_m = 2.5e-3
+COVERED_m = 3e-3
 """A body's vertex nearer than this to a skin on it is covered by that."""
 SUNK_m = 4e-3
 """By so much it is drawn deeper: what the motion's magnified push may take."""
@@ -30,21 +30,14 @@ class Under(NamedTuple):
         """Those of a body, by its number."""
         skins = model.carried(body)
         vertices, _ = model.skins[skins[0]].closed_surface
-        nearest, owner, node = (
-            np.full(len(vertices), np.inf),
-            np.zeros(len(vertices), int),
-            np.zeros(len(vertices), int),
-        )
+        owner, node = np.full(len(vertices), -1, np.int32), np.zeros(len(vertices), np.int32)
         for number in skins:
             nodes, faces = model.skins[number].nodes[0], model.skins[number].faces
-            # Middles of triangles too, of a coarse skin
-            points = np.concatenate([nodes, nodes[faces].mean(axis=1)])
-            away, which = cKDTree(points).query(vertices)
-            nearer = away < nearest
-            whose = np.concatenate([np.arange(len(nodes)), faces[:, 0]])[which]
-            nearest[nearer], owner[nearer], node[nearer] = away[nearer], number, whose[nearer]
-        under = np.flatnonzero(nearest < COVERED_m)
-        return Under(*(one.astype(np.int32) for one in (under, owner[under], node[under])))
+            face = closest_faces(build_mesh(nodes, faces), vertices, COVERED_m)
+            under = np.flatnonzero((face >= 0) & (owner < 0))
+            owner[under], node[under] = number, faces[face[under], 0]
+        under = np.flatnonzero(owner >= 0).astype(np.int32)
+        return Under(under, owner[under], node[under])
 
 
 def scene_shown(sim: Simulation, name: str, pose: Pose, sliders: tuple[Slider, ...], no_pose: str) -> SceneShown:
