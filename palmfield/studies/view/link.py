@@ -73,6 +73,8 @@ class Link:
     def received(self, wait_s: float = 0.0) -> list[FromPage]:
         """What has come since the last call; waits for the first so long [s]. `gone` is set once the page has ended."""
         messages: list[FromPage] = []
+        if not wait_s and self._inbox.empty():
+            return messages
         with contextlib.suppress(queue.Empty):
             while True:
                 one = self._inbox.get(timeout=wait_s) if wait_s and not messages else self._inbox.get_nowait()

@@ -2,6 +2,7 @@
 
 import html
 import math
+import socket
 import time
 from collections.abc import Callable
 from multiprocessing.connection import Connection
@@ -100,6 +101,9 @@ class Page:
         self._server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
         gate = Gate(place.host, place.port, PORT, self._server.get_port(), place.token)
         host = "localhost" if is_loopback(place.host) else place.host
+        if host in ("0.0.0.0", "::"):
+            # All addresses of this machine: its name is one that others may know
+            host = socket.gethostname()
         host = f"[{host}]" if ":" in host else host
         self.address = f"http://{host}:{gate.port}/" + (f"?token={place.token}" if place.token else "")
         # viser's button would make a public address, past the gate

@@ -192,7 +192,8 @@ class ShownScene:
             self._held_up = self._held_up or wait_s > 0.0
             if wait_s <= 0.0:
                 self.playing = self._guarded(self._step)
-        self._answer()
+        if self._asked:
+            self._answer()
         return min(max(wait_s, 0.0), IDLE_s)
 
     def _ahead_s(self) -> float:

@@ -36,8 +36,8 @@ class Under(NamedTuple):
             face = closest_faces(build_mesh(nodes, faces), vertices, COVERED_m)
             under = np.flatnonzero((face >= 0) & (owner < 0))
             owner[under], node[under] = number, faces[face[under], 0]
-        under = np.flatnonzero(owner >= 0).astype(np.int32)
-        return Under(under, owner[under], node[under])
+        under = np.flatnonzero(owner >= 0)
+        return Under(np.asarray(under, np.int32), owner[under], node[under])
 
 
 def scene_shown(sim: Simulation, name: str, pose: Pose, sliders: tuple[Slider, ...], no_pose: str) -> SceneShown:
