@@ -23,7 +23,7 @@ from typing import NamedTuple
 from page_client import PageClient, is_picture
 
 from palmfield.studies.view.link import Link
-from palmfield.studies.view.messages import Pace
+from palmfield.studies.view.messages import Pace, Told
 from palmfield.studies.view.page_process import Address
 from palmfield.studies.view.run import GPU_RATE_Hz, RATE_Hz, ShownScene, Wanted
 
@@ -103,7 +103,7 @@ def measure(scene: Path, device: str | None, rate_Hz: float | None, stretches: i
     context = get_context("spawn")
     shown, alone = [], []
     with Link(Address("127.0.0.1", None, "", rate)) as link:
-        live.send = link.send
+        live.send = lambda message: (sent.append(message) if isinstance(message, Told) else None, link.send(message))[1]
         live.show()
         talk, theirs = context.Pipe()
         client = context.Process(target=count_pictures, args=(link.address, theirs), daemon=True)
@@ -128,6 +128,8 @@ def measure(scene: Path, device: str | None, rate_Hz: float | None, stretches: i
 
         steps(3.0 * WARM_s, True)
         for _ in range(stretches):
+            while live.watching:
+                live.go_on()
             for pid in others:
                 os.kill(pid, signal.SIGSTOP)
             try:
@@ -138,6 +140,7 @@ def measure(scene: Path, device: str | None, rate_Hz: float | None, stretches: i
                     os.kill(pid, signal.SIGCONT)
             steps(WARM_s, True)
             shown.append(steps(stretch_s, True))
+            assert live.playing, sent
         talk.send("end")
         client.join(10.0)
     return Measured(scene.name, on, rate, shown, alone)

@@ -60,6 +60,8 @@ NOW_WORDS = "the state at each picture (what is faster than the pictures is seen
 TURNS_IN_s = 2.0
 """A slowed-down stretch takes about so long."""
 DISC_SIDES = 12
+AGAIN_s = 5.0
+"""What didn't come so long is asked for again: it may be that it could not be told then."""
 
 
 class SkinNode:
@@ -117,7 +119,7 @@ class Page:
         self._scene: SceneShown | None = None
         self._moment: Moment | None = None
         self._replay: Replay | None = None
-        self._asked_moment = self._asked_replay = 0.0
+        self._asked_moment = self._asked_replay = -math.inf
         self._picture = 0
         self._skins: list[SkinNode] = []
         self._bodies: list[viser.MeshHandle] = []
@@ -157,10 +159,10 @@ class Page:
         if isinstance(message, SceneShown):
             self._begin(message)
         elif isinstance(message, Moment):
-            self._asked_moment = 0.0
+            self._asked_moment = -math.inf
             self._take_moment(message)
         elif isinstance(message, Replay):
-            self._asked_replay = 0.0
+            self._asked_replay = -math.inf
             self._take_replay(message)
         elif isinstance(message, Told):
             self._tell(message)
@@ -181,7 +183,7 @@ class Page:
         """Show a scene, the first one or one that was rebuilt."""
         first = self._scene is None
         self._scene, self._replay, self._moment = scene, None, None
-        self._asked_moment = self._asked_replay = 0.0
+        self._asked_moment = self._asked_replay = -math.inf
         self._picture, self._phases = 0, None
         api = self._server.scene
         for skin in self._skins:
@@ -324,11 +326,11 @@ class Page:
         """One picture, and ask for what the next ones need."""
         shown = self._shown.value
         now = time.monotonic()
-        if self._asked_moment == 0.0:
+        if now - self._asked_moment > AGAIN_s:
             self._asked_moment = now
             self._say(Ask("full moment" if shown in NOWS else "moment"))
         through = self._replay is None or self._picture >= len(self._replay.times) * self._repeats()
-        if self._asked_replay == 0.0 and through:
+        if now - self._asked_replay > AGAIN_s and through:
             self._asked_replay = now
             self._say(Ask("replay"))
         states, scale, words = self._state(shown)

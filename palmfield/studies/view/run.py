@@ -214,16 +214,31 @@ class ShownScene:
         if self._recording is not None:
             if not self._guarded(self._recording.step):
                 self.stop_recording("it could not be written any further")
-        elif self._periods is not None:
-            seen = self._periods.step()
-            if seen is not None:
-                self._periods, self._unwatched, self._held_up = None, 0, False
-                self._asked.discard("replay")
-                self.send(seen)
+        elif self._periods is not None and not self._guarded(self._watch):
+            # What can't be told is no reason to stand still
+            self._stop_watching()
+            self._seen()
         now = time.monotonic()
         if now - self._measured[0] > SPEED_OVER_s:
             self._speed = (self.sim.time - self._measured[1]) / (now - self._measured[0])
             self._measured = now, self.sim.time
+
+    def _watch(self) -> None:
+        assert self._periods is not None
+        seen = self._periods.step()
+        if seen is not None:
+            self._periods = None
+            self._seen()
+            self.send(seen)
+
+    def _seen(self) -> None:
+        self._unwatched, self._held_up = 0, False
+        self._asked.discard("replay")
+
+    @property
+    def watching(self) -> bool:
+        """Whether steps are being watched for a replay: whoever steps the simulation past this must not then."""
+        return self._periods is not None
 
     def _may_watch(self) -> bool:
         """Whether steps may take longer now: there is time, or enough steps went by without, or nothing is known."""
@@ -241,11 +256,14 @@ class ShownScene:
                     self._sight.moment(full=full, speed=speed, playing=self.playing, recording=folder)
                 )
             )  # fmt: skip
-        if "replay" in self._asked and self._recording is not None:
-            seen = self._recording.last_periods()
-            if seen is not None:
-                self._asked.discard("replay")
-                self.send(seen)
+        if "replay" in self._asked and self._recording is not None and not self._guarded(self._replay_recorded):
+            self._asked.discard("replay")
+
+    def _replay_recorded(self) -> None:
+        seen = None if self._recording is None else self._recording.last_periods()
+        if seen is not None:
+            self._asked.discard("replay")
+            self.send(seen)
 
     def _stop_watching(self) -> None:
         if self._periods is not None:
