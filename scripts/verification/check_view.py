@@ -23,8 +23,7 @@ from typing import NamedTuple
 from page_client import PageClient, is_picture
 
 from palmfield.studies.view.link import Link
-from palmfield.studies.view.messages import Pace, Told
-from palmfield.studies.view.page_process import Address
+from palmfield.studies.view.messages import Address, Pace, Told
 from palmfield.studies.view.run import GPU_RATE_Hz, RATE_Hz, ShownScene, Wanted
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -179,7 +178,9 @@ def table(result: Measured, command: str) -> str:
 HEAD = """# Bench: the live view
 
 Made by `scripts/verification/check_view.py`, which says how it measures. A picture is another state of the skin's mesh,
-with its colours, as a client gets it over its websocket; a browser's own time to draw it is not in here.
+with its colours, as a client gets it over its websocket; a browser's own time to draw it is not in here. The load is how
+many processes wanted a core, over the last minute: where it is well above the number of cores, steps a second tell more of
+who else ran than of the page, and the CPU time that a step takes tells what the page costs.
 
 """
 

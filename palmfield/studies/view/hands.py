@@ -5,10 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from palmfield.engine.host import world_of
-from palmfield.engine.motion_plugin import MotionModule
 from palmfield.motion.pose import HandPose
 from palmfield.motion.source import Motion
+from palmfield.session.live_scene import scripts
 from palmfield.session.simulation import Simulation
 from palmfield.studies.view.messages import Place, Slider
 from palmfield.types import Float
@@ -43,7 +42,7 @@ class Hands:
     """
 
     def __init__(self, sim: Simulation) -> None:
-        self.offsets = {name: Offset.none() for name in _scripted(sim)}
+        self.offsets = {name: Offset.none() for name in scripts(sim.data)}
         self.sliders: tuple[Slider, ...] = tuple(
             Slider(
                 ("pose", f"{name}.{kind}", axis), f"Hand: {name}", f"{kind} {AXES[axis]}", -most, most, 0.5, 0.0, *unit
@@ -57,7 +56,7 @@ class Hands:
 
     def attach(self, sim: Simulation) -> None:
         """Move the hands of another simulation of the scene from now on."""
-        self._modules = _scripted(sim)
+        self._modules = scripts(sim.data)
         self._scripts = {name: module.motion for name, module in self._modules.items()}
         for name in self.offsets:
             self._lead(name)
@@ -88,11 +87,3 @@ class Hands:
     def _lead(self, name: str) -> None:
         script, offset = self._scripts[name], self.offsets[name]
         self._modules[name].motion = Motion(script.hand, lambda time_s: offset.put(script.at(time_s)))
-
-
-def _scripted(sim: Simulation) -> dict[str, MotionModule]:
-    """The modules that lead hands, by instance."""
-    world = world_of(sim.data)
-    assert world is not None
-    names = {number: name for number, _, name in world.model.instances()}
-    return {names[number]: one for number, one in world.modules.items() if isinstance(one, MotionModule)}

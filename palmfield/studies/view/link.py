@@ -8,8 +8,8 @@ from multiprocessing.connection import Connection
 from typing import Self
 
 from palmfield.errors import OutputError
-from palmfield.studies.view.messages import End, FromPage, FromSimulation, Ready
-from palmfield.studies.view.page_process import Address, run_page
+from palmfield.studies.view.messages import Address, End, FromPage, FromSimulation, Ready
+from palmfield.studies.view.page_process import run_page
 
 STARTS_WITHIN_S = 60.0
 ENDS_WITHIN_S = 5.0

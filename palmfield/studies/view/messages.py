@@ -18,6 +18,20 @@ Place = tuple[Group, str, int | None]
 """A number that can be turned: of a key (INSTANCE.key) or of a hand's pose (INSTANCE.axis), and which of several."""
 
 
+@dataclass(frozen=True)
+class Address:
+    """Where the page is to be found.
+
+    host: address to listen at; port: None for the first free one from 8080 on; token: that who comes must have, empty
+    for none; rate_Hz: pictures a second
+    """
+
+    host: str
+    port: int | None
+    token: str
+    rate_Hz: float
+
+
 # -- what the simulation sends -----------------------------------------------------------------------------------------
 
 

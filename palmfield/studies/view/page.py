@@ -25,6 +25,7 @@ from palmfield.studies.view.colours import (
 from palmfield.studies.view.gate import Gate, is_loopback
 from palmfield.studies.view.glb import GlbMesh, linear
 from palmfield.studies.view.messages import (
+    Address,
     Ask,
     End,
     FromPage,
@@ -42,9 +43,10 @@ from palmfield.studies.view.messages import (
     Turn,
     Values,
 )
-from palmfield.studies.view.page_process import PORT, Address
 from palmfield.types import Float32
 
+PORT = 8080
+"""First that is tried where none is asked for."""
 LIFT_m = 3e-4
 """By so much a skin is drawn above its body, that the two do not flicker."""
 SEEN_m = 3e-3

@@ -5,29 +5,13 @@ import importlib.util
 import os
 import signal
 import sys
-from dataclasses import dataclass
 from multiprocessing.connection import Connection
 
 from palmfield.errors import OutputError, PalmfieldError
-from palmfield.studies.view.messages import Ready
+from palmfield.studies.view.messages import Address, Ready
 
-PORT = 8080
 KINDER = 5
 """By so much the page's process gives way to the simulation."""
-
-
-@dataclass(frozen=True)
-class Address:
-    """Where the page is to be found.
-
-    host: address to listen at; port: None for the first free one from PORT on; token: that who comes must have, empty
-    for none; rate_Hz: pictures a second
-    """
-
-    host: str
-    port: int | None
-    token: str
-    rate_Hz: float
 
 
 def need_viser() -> None:

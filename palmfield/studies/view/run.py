@@ -12,12 +12,14 @@ from types import FrameType
 from palmfield.drive.exit_signals import handling
 from palmfield.errors import PalmfieldError, SceneError
 from palmfield.session.changed_stimuli import change_stimuli
+from palmfield.session.load import FILES
 from palmfield.session.simulation import Simulation
 from palmfield.session.worlds import stimulus_texts
 from palmfield.studies.view.gate import is_loopback
 from palmfield.studies.view.hands import NO_HAND, Hands
 from palmfield.studies.view.link import Link
 from palmfield.studies.view.messages import (
+    Address,
     Ask,
     FromPage,
     FromSimulation,
@@ -30,7 +32,7 @@ from palmfield.studies.view.messages import (
     Turn,
     Values,
 )
-from palmfield.studies.view.page_process import Address, need_viser
+from palmfield.studies.view.page_process import need_viser
 from palmfield.studies.view.periods import Periods, steps_watched
 from palmfield.studies.view.recording import Recording, next_folder
 from palmfield.studies.view.sight import Sight, scene_shown
@@ -45,6 +47,8 @@ IDLE_s = 0.02
 SPEED_OVER_s = 0.5
 UNWATCHED = 9
 """Steps without being watched for each one that was, where the simulation goes as fast as it can."""
+NOT_FROM_A_PAGE = {"function", "hand", *(key for keys in FILES.values() for key in keys)}
+"""Keys by which whoever has the page's address could have files read and code run."""
 BEHIND_s = 0.2
 """By more than this the clock doesn't try to catch up."""
 
@@ -148,6 +152,11 @@ class ShownScene:
         name, equals, value = text.partition("=")
         if not equals or not name.strip():
             raise SceneError(f"'{text}' sets no key; write INSTANCE.key=VALUE, for example stimulus.ramp_s=0.05")
+        if name.strip().rpartition(".")[2] in NOT_FROM_A_PAGE:
+            raise SceneError(
+                f"key '{name.strip()}' names code or files of this machine, which a page can't choose; end the view, and "
+                f"give it to `palmfield view` with --set"
+            )
         self._set[name.strip()] = value.strip()
         self._turned_at = time.monotonic()
 

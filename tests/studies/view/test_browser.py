@@ -13,7 +13,7 @@ from headless_browser import Browser, found
 from PIL import Image
 
 from palmfield.studies.view.link import Link
-from palmfield.studies.view.page_process import Address
+from palmfield.studies.view.messages import Address
 from palmfield.studies.view.run import Ending, ShownScene, Wanted, run_for
 
 pytestmark = [

@@ -21,8 +21,7 @@ from websockets.exceptions import ConnectionClosed
 
 from palmfield.outputs.store import open_result
 from palmfield.studies.view.link import Link
-from palmfield.studies.view.messages import Pace
-from palmfield.studies.view.page_process import Address
+from palmfield.studies.view.messages import Address, Pace
 from palmfield.studies.view.run import Ending, ShownScene, Wanted, run_for
 
 
@@ -171,7 +170,7 @@ def test_ctrl_c_ends_both_processes_and_finishes_the_recording(small_scene, tmp_
 ALONE = """
 import time
 from palmfield.studies.view.link import Link
-from palmfield.studies.view.page_process import Address
+from palmfield.studies.view.messages import Address
 if __name__ == "__main__":
     link = Link(Address("127.0.0.1", None, "", 10.0))
     print(link.pid, flush=True)

@@ -180,6 +180,9 @@ def test_turns_of_one_drag_are_taken_together(shown):
         (SetKey("nobody.focus_m=0 0 0.1"), "nobody"),
         (SetKey("skin.material=stone"), "stone"),
         (SetKey("skin.element_m"), "skin.element_m"),
+        (SetKey("skin.mesh=/etc/passwd"), "skin.mesh"),
+        (SetKey(" motion.function =os:getcwd"), "motion.function"),
+        (SetKey("=1"), "=1"),
     ],
 )
 def test_a_bad_value_is_told_and_leaves_the_scene_as_it_was(shown, message, named):
