@@ -155,7 +155,7 @@ class ShownScene:
         if name.strip().rpartition(".")[2] in NOT_FROM_A_PAGE:
             raise SceneError(
                 f"key '{name.strip()}' names code or files of this machine, which a page can't choose; end the view, and "
-                f"give it to `palmfield view` with --set"
+                "give it to `palmfield view` with --set"
             )
         self._set[name.strip()] = value.strip()
         self._turned_at = time.monotonic()
