@@ -178,9 +178,9 @@ def table(result: Measured, command: str) -> str:
 HEAD = """# Bench: the live view
 
 Made by `scripts/verification/check_view.py`, which says how it measures. A picture is another state of the skin's mesh,
-with its colours, as a client gets it over its websocket; a browser's own time to draw it is not in here. The load is how
-many processes wanted a core, over the last minute: where it is well above the number of cores, steps a second tell more of
-who else ran than of the page, and the CPU time that a step takes tells what the page costs.
+with its colours, as a client gets it over its websocket; a browser's own time to draw it is not in here. The load is
+how many processes wanted a core, over the last minute: where it is well above the number of cores, steps a second tell
+more of who else ran than of the page, and the CPU time that a step takes tells what the page costs.
 
 """
 

@@ -154,8 +154,8 @@ class ShownScene:
             raise SceneError(f"'{text}' sets no key; write INSTANCE.key=VALUE, for example stimulus.ramp_s=0.05")
         if name.strip().rpartition(".")[2] in NOT_FROM_A_PAGE:
             raise SceneError(
-                f"key '{name.strip()}' names code or files of this machine, which a page can't choose; end the view, and "
-                "give it to `palmfield view` with --set"
+                f"key '{name.strip()}' names code or files of this machine, which a page can't choose; end the view, "
+                "and give it to `palmfield view` with --set"
             )
         self._set[name.strip()] = value.strip()
         self._turned_at = time.monotonic()
