@@ -67,24 +67,23 @@ AGAIN_s = 5.0
 
 
 class SkinNode:
-    """A skin in the page: two meshes, of which one is seen while the browser reads the other."""
+    """A skin in the page: three meshes, of which one is seen while the browser reads the others."""
 
     def __init__(self, server: viser.ViserServer, name: str, faces: np.ndarray, pose: tuple[Float32, Float32]) -> None:
         self.faces, self.pose = faces, pose
         self._mesh = GlbMesh(faces, len(pose[0]))
         self._nodes: list[viser.GlbHandle] = []
-        for half in "ab":
+        for part in "abc":
             data = self._file(np.zeros(len(pose[0]), np.float32), 0.0, np.full((len(pose[0]), 4), 200, np.uint8))
-            self._nodes.append(server.scene.add_glb(f"/skins/{name}/{half}", data, visible=half == "a"))
+            self._nodes.append(server.scene.add_glb(f"/skins/{name}/{part}", data, visible=part == "a"))
         self._seen = 0
 
     def show(self, displacement: Float32, magnify: float, colours: np.ndarray) -> None:
-        """Another state of it; what was sent before is seen now. displacement: along the outward normal [m], (S,)"""
-        hidden = 1 - self._seen
-        self._nodes[hidden].visible = True
-        self._nodes[self._seen].visible = False
-        self._nodes[self._seen].glb_data = self._file(displacement, magnify, colours)
-        self._seen = hidden
+        """Another state of it, which is seen two pictures later. displacement: along the outward normal [m], (S,)"""
+        last, self._seen = self._seen, (self._seen + 1) % len(self._nodes)
+        self._nodes[self._seen].visible = True
+        self._nodes[last].visible = False
+        self._nodes[last].glb_data = self._file(displacement, magnify, colours)
 
     def _file(self, displacement: Float32, magnify: float, colours: np.ndarray) -> bytes:
         places, normals = self.pose
