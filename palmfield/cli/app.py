@@ -786,6 +786,50 @@ def render_command(
     render(run, video, cut, quiet=context.obj, as_json=as_json)
 
 
+@app.command("view")
+def view_command(
+    context: typer.Context,
+    scene: SceneFile,
+    out: Annotated[
+        Path | None, typer.Option(help="folder in which recordings are made [default: out/view_SCENE]")
+    ] = None,
+    device: Device = None,
+    accuracy: Accuracy = None,
+    board: BoardName = None,
+    keys: Keys = None,
+    modes: Annotated[
+        bool,
+        typer.Option(
+            "--modes", help="skins move by modes for any sound, so that sliders act at once; made once, in minutes"
+        ),
+    ] = False,
+    host: Annotated[
+        str, typer.Option(help="address to listen at; another than this machine's own gets a token")
+    ] = "127.0.0.1",
+    port: Annotated[
+        int | None, typer.Option(min=1, max=65535, help="[default: the first free one from 8080 on]")
+    ] = None,
+    rate: Annotated[
+        float | None, typer.Option(help="pictures a second [default: 15, on a GPU 30]", metavar="HZ")
+    ] = None,
+    pace: Annotated[str, typer.Option(help="at most so many simulated seconds in a second, or max", metavar="X")] = "1",
+    browser: Annotated[bool, typer.Option("--browser", help="open the page in the default browser")] = False,
+) -> None:
+    """Run a scene and watch it in the browser: hand, array, sound and motion on the skin, level above threshold.
+
+    Sliders turn focus, modulation, path, level and the hand's pose; a recording is a result folder, as of
+    `palmfield run`. Ctrl-C ends it. Needs the extra `view`.
+
+    Example: palmfield view mjcf/scenes/palm_am200.xml
+    """
+    from palmfield.cli.view import show
+
+    show(
+        scene, out, device=device, accuracy=accuracy, board=board, keys=given_keys(keys), modes=modes, host=host,
+        port=port, rate_Hz=rate, pace=pace, browser=browser, quiet=context.obj,
+    )  # fmt: skip
+
+
 @app.command("papers")
 def papers_command(
     context: typer.Context,

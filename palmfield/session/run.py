@@ -129,12 +129,12 @@ def run(
             finished = store.finish(about, complete=stopped is None)
             if isinstance(finished, xr.DataTree):
                 tree, files = finished, dict[str, Path]()
-                result = Result(None, files, summary(tree, _ending(tree)), tree)
+                result = Result(None, files, summary(tree, ending(tree)), tree)
             else:
                 assert out is not None
                 tree, files = opened.enter_context(open_result(finished)), {"result.nc": finished}
                 files["summary.json"] = Path(out) / "summary.json"
-                result = Result(Path(out), files, summary(tree, _ending(tree)))
+                result = Result(Path(out), files, summary(tree, ending(tree)))
             with _carried_by_errors(result):
                 if stopped is None and not tree.attrs["complete"]:
                     stopped = store.lost or OutputError(f"{out} is incomplete: {tree.attrs['reason']}")
@@ -147,7 +147,7 @@ def run(
                 held.close()
                 if ended := stopped or cut:
                     raise ended
-                whole = _whole_summary(sim, recorder, budgets, tree, _ending(tree) | _spent(started))
+                whole = _whole_summary(sim, recorder, budgets, tree, ending(tree) | _spent(started))
                 if out is not None:
                     files |= draw(tree, Path(out), bar, plots)
                     whole |= _spent(started)
@@ -155,7 +155,7 @@ def run(
     return replace(result, summary=whole)
 
 
-def _ending(tree: xr.DataTree) -> dict[str, Any]:
+def ending(tree: xr.DataTree) -> dict[str, Any]:
     """Whether all of a run was written, and why it ended, as its result says."""
     return {"complete": bool(tree.attrs["complete"]), "reason": str(tree.attrs["reason"])}
 
@@ -226,7 +226,7 @@ def _prepare(sim: Simulation, out: Path | None, overwrite: bool, bar: Progress) 
     for lazy in model.begin:
         _ = lazy.value
     static = static_arrays(model, world_with(sim.data), runtime)
-    attributes = _attributes(sim)
+    attributes = result_attributes(sim)
     store = MemoryStore(static, attributes) if out is None else Store(out, static, attributes, overwrite)
     bar.remove_task(task)
     LOG.debug("prepared the skin layers in %.2f s", time.perf_counter() - started)
@@ -309,7 +309,7 @@ def _progress(show: bool) -> Progress:
     return Progress(*columns, console=console, disable=not (show and console.is_terminal), transient=True)
 
 
-def _attributes(sim: Simulation) -> dict[str, dict[str, Any]]:
+def result_attributes(sim: Simulation) -> dict[str, dict[str, Any]]:
     """Every setting, convention and version, as attributes of the result and its groups."""
     model = sim.runtime.model
     packages = ("palmfield", "warp-lang", "mujoco", "numpy", "scipy", "trimesh", "usd-core", "xarray")
