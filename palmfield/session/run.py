@@ -20,6 +20,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from palmfield.errors import MeasurementError, OutputError
 from palmfield.interrupts import interrupts_held
 from palmfield.outputs.motion import normal_component, pieces
+from palmfield.outputs.mujoco_scene import INSTANCE, body_poses
 from palmfield.outputs.pictures.draw import checked_kinds, draw_pictures
 from palmfield.outputs.plots import plot_displacement, plot_pressure
 from palmfield.outputs.render import render_scene
@@ -225,12 +226,12 @@ def _prepare(sim: Simulation, out: Path | None, overwrite: bool, bar: Progress) 
     model, runtime = sim.runtime.model, sim.runtime
     for lazy in model.begin:
         _ = lazy.value
-    static = static_arrays(model, world_with(sim.data), runtime)
+    static = static_arrays(model, world_with(sim.data), runtime, sim.model)
     attributes = _attributes(sim)
     store = MemoryStore(static, attributes) if out is None else Store(out, static, attributes, overwrite)
     bar.remove_task(task)
     LOG.debug("prepared the skin layers in %.2f s", time.perf_counter() - started)
-    return store, Recorder(runtime, world_with(sim.data), store)
+    return store, Recorder(runtime, world_with(sim.data), store, lambda: body_poses(sim.data))
 
 
 def _simulate(sim: Simulation, recorder: Recorder, duration_s: float, bar: Progress) -> BaseException | None:
@@ -309,6 +310,14 @@ def _progress(show: bool) -> Progress:
     return Progress(*columns, console=console, disable=not (show and console.is_terminal), transient=True)
 
 
+def _shown_better(sim: Simulation) -> list[str]:
+    """MuJoCo's bodies of which the result has more than their geoms: those that carry skin, and the arrays' boards."""
+    binding = sim.runtime.binding
+    numbers = [number for skin in binding.skins for number in (skin.body, *skin.bones)]
+    numbers += [int(sim.model.site_bodyid[site]) for site in binding.array_sites]
+    return list(dict.fromkeys(sim.model.body(number).name for number in numbers))
+
+
 def _attributes(sim: Simulation) -> dict[str, dict[str, Any]]:
     """Every setting, convention and version, as attributes of the result and its groups."""
     model = sim.runtime.model
@@ -331,6 +340,10 @@ def _attributes(sim: Simulation) -> dict[str, dict[str, Any]]:
         # Ten thousand numbers of a file would be more than an attribute takes
         keys = part.config.model_dump_json(exclude={"am_table", "focus_table"})
         attributes[group("stimulus", part.spec.name)] = {"config": keys, "arrays": arrays}
+    attributes[group("mujoco", INSTANCE)] = {
+        "gravity": json.dumps(sim.model.opt.gravity.tolist()),
+        "shown_better": json.dumps(_shown_better(sim)),
+    }
     for skin in model.skins:
         layer, name = skin.layer, skin.spec.name
         sizes = {key: np.asarray(value).tolist() for key, value in asdict(layer.sizes).items()}

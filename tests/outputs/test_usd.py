@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from palmfield.outputs.usd.skeleton import identifiers
 from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 from palmfield.errors import OutputError
@@ -12,8 +13,7 @@ from palmfield.outputs.frames import to_world
 from palmfield.outputs.motion import normal_component
 from palmfield.outputs.schema import instances, tree
 from palmfield.outputs.store import Store, open_result
-from palmfield.outputs.usd import MOST_FRAMES, quantise, validate_usd, write_usd
-from palmfield.outputs.usdskel import identifiers
+from palmfield.outputs.usd import validate_usd, write_usd
 
 PALM = "/Scene/Bodies/hand/Skins/palm"
 
