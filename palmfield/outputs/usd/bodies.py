@@ -19,6 +19,7 @@ from palmfield.types import Float, Float32, Int
 
 SKIN_COLOUR = (0.70, 0.47, 0.36)
 PATCH_COLOUR = (0.60, 0.30, 0.22)
+FORCE_ROUNDING = "up or down to 1/1000 of the moment's range, so that the sum over areas stays"
 FORCE_PART = 1000
 """What presses on faces is rounded to this part of its range: it adds up to the force, even where it is a small one."""
 
@@ -87,7 +88,7 @@ class BodyWriter:
         if has_records(first, "face_arp"):
             low, high = float(first["face_arp"].min()), float(first["face_arp"].max())
             rounded = rounding(low, high, face_areas(points, faces), FORCE_PART)
-            told = rounding_told(rounded)
+            told = rounding_told(rounded) | {"quantisation": FORCE_ROUNDING}
             primvar = add_primvar(
                 mesh.GetPrim(), "arp", "Pa", "mean over the step; positive pushes into the surface", told, "uniform"
             )
@@ -131,7 +132,9 @@ class BodyWriter:
             pressed, last = rows_at(surface["face_arp"], "step_time", steps), -1
             for code, step, row in zip(codes, steps.tolist(), pressed, strict=True):
                 if step != last:
-                    self._arp, last = rounded.of(row), step
+                    # To a part of the moment's own range, so that small forces are as exact as large ones
+                    own = rounding(float(row.min()), float(row.max()), rounded.weights, FORCE_PART)
+                    self._arp, last = own.of(row), step
                 samples.add(code, self._arp)
 
     def stand(self) -> None:

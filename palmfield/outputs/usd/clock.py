@@ -56,5 +56,5 @@ def clock_of(result: xr.DataTree, shown: Shown) -> Clock:
     last = max(last, first + 1)
     places = slice(first, last, max(1, -(-(last - first) // shown.frames)))
     chosen = times[places]
-    per_second = float(f"{1.0 / float(np.median(np.diff(chosen))):.9g}") if len(chosen) > 1 else 1.0
+    per_second = float(f"{1.0 / float(np.median(np.diff(chosen))):.12g}") if len(chosen) > 1 else 1.0
     return Clock(places, chosen, np.round(chosen * per_second, DECIMALS), per_second)

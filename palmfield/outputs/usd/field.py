@@ -19,19 +19,22 @@ from palmfield.outputs.usd.samples import Samples
 from palmfield.outputs.usd.shown import Shown
 from palmfield.types import Float, Int
 
-SIDE_M, SLICE_STEP_M = 0.06, 1.5e-3
-"""Half the width of the slice; a sixth of a wavelength."""
+SLICE_STEP_M = 1.5e-3
+"""A sixth of a wavelength."""
+BESIDE_M = 0.05
+"""The slice goes so far beyond the foci to either side."""
 BEGINS_M, BEYOND_M = 0.01, 0.04
 """The slice goes from so far before the array to so far beyond the focus."""
-BOX_M, BOX_STEP_M = 0.03, 1.5e-3
-"""Half the side of the box round the foci in which points and surfaces are looked for."""
+ROUND_M = 0.025
+"""So far round the foci goes the box in which points and surfaces are looked for."""
+MOST_IN_BOX = 100_000
 REACH_M = 0.2
 """Where nothing has a focus it is taken to be so far before the array."""
 POINT_M = 1.2e-3
 
 
 class _Moment(NamedTuple):
-    """The sound at a time. time_s: [s]; slice_Pa: peak amplitudes on the slice's grid; box_Pa: in the box, (n, n, n)"""
+    """The sound at a time. time_s: [s]; slice_Pa: peak amplitudes on the slice, (n,); box_Pa: in the box, (m,)"""
 
     time_s: float
     slice_Pa: Float
@@ -39,12 +42,12 @@ class _Moment(NamedTuple):
 
 
 class _Grid(NamedTuple):
-    """Points of the world [m]. slice: shape (n, 3), of a grid of `shape`; box: shape (m, 3), of a cube of `side`"""
+    """Points of the world [m]. slice: shape (n, 3), of a grid of `shape`; box: shape (m, 3), of a grid of `sides`"""
 
     slice: Float
     shape: tuple[int, int]
     box: Float
-    side: int
+    sides: tuple[int, int, int]
 
 
 def add_field(stage: Usd.Stage, result: xr.DataTree, shown: Shown, clock: Clock) -> Palette:
@@ -80,14 +83,22 @@ def add_field(stage: Usd.Stage, result: xr.DataTree, shown: Shown, clock: Clock)
 def _grid(result: xr.DataTree, array: xr.Dataset, times: tuple[float, ...]) -> _Grid:
     frame = pose_at(array, times[0])
     foci = np.concatenate([to_local(sounding_foci(result, time_s), frame) for time_s in times])
-    focus = foci.mean(axis=0) if len(foci) else np.array([0.0, 0.0, REACH_M])
-    across = np.arange(-SIDE_M, SIDE_M + SLICE_STEP_M, SLICE_STEP_M) + focus[0]
-    ahead = np.arange(BEGINS_M, focus[2] + BEYOND_M, SLICE_STEP_M)
-    x, z = np.meshgrid(across, ahead, indexing="ij")
-    points = np.column_stack([x.ravel(), np.full(x.size, focus[1]), z.ravel()])
-    axis = np.arange(-BOX_M, BOX_M + 0.5 * BOX_STEP_M, BOX_STEP_M)
-    box = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3) + focus
-    return _Grid(to_world(points, frame), (len(across), len(ahead)), to_world(box, frame), len(axis))
+    if len(foci) == 0:
+        foci = np.array([[0.0, 0.0, REACH_M]])
+    middle = foci.mean(axis=0)
+    spread = np.linalg.svd((foci - middle)[:, :2])[2][0] if len(foci) > 1 else np.array([1.0, 0.0])
+    places = (foci - middle)[:, :2] @ spread
+    across = np.arange(places.min() - BESIDE_M, places.max() + BESIDE_M, SLICE_STEP_M)
+    ahead = np.arange(BEGINS_M, foci[:, 2].max() + BEYOND_M, SLICE_STEP_M)
+    side, away = np.meshgrid(across, ahead, indexing="ij")
+    flat = middle[:2] + side.ravel()[:, None] * spread
+    low, high = foci.min(axis=0) - ROUND_M, foci.max(axis=0) + ROUND_M
+    step = max(SLICE_STEP_M, float(np.prod(high - low) / MOST_IN_BOX) ** (1.0 / 3.0))
+    ticks = [np.arange(a, b + 0.5 * step, step) for a, b in zip(low, high, strict=True)]
+    box = np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1)
+    sides = box.shape[0], box.shape[1], box.shape[2]
+    slice_ = to_world(np.column_stack([flat, away.ravel()]), frame)
+    return _Grid(slice_, (len(across), len(ahead)), to_world(box.reshape(-1, 3), frame), sides)
 
 
 def _add_slice(
@@ -148,7 +159,7 @@ def _add_surface(
         Samples(attribute, make) for attribute, make in zip(attributes, (vectors, integers, integers), strict=True)
     )
     for moment in moments:
-        points, faces = isosurface(moment.box_Pa.reshape(3 * (grid.side,)), level)
+        points, faces = isosurface(moment.box_Pa.reshape(grid.sides), level)
         code = clock.code(moment.time_s)
         places.add(code, _between(grid, points))
         counts.add(code, np.full(len(faces), 3, np.int32))
@@ -156,21 +167,21 @@ def _add_surface(
 
 
 def isosurface(values: Float, level: float) -> tuple[Float, Int]:
-    """Where values on a cube's grid (n, n, n) have a level: points in steps of the grid, (p, 3), and triangles, (m, 3).
+    """Where values on a grid (a, b, c) have a level: points in steps of the grid, (p, 3), and triangles, (m, 3).
 
     Triangles are counter-clockwise as seen from where values are lower.
     """
     if not values.min() < level < values.max():
         return np.zeros((0, 3)), np.zeros((0, 3), np.int32)
     field: Any = wp.array(values, dtype=wp.float32, device="cpu")
-    last = float(len(values) - 1)
-    points, corners = IsoSurfaceMarchingCubes.extract(field, threshold=level, lower=wp.vec3(0.0), upper=wp.vec3(last))
+    last = [float(side - 1) for side in values.shape]
+    points, corners = IsoSurfaceMarchingCubes.extract(field, threshold=level, lower=wp.vec3(0.0), upper=wp.vec3(*last))
     return points.numpy().astype(float), corners.numpy().reshape(-1, 3)[:, ::-1]
 
 
 def _between(grid: _Grid, points: Float) -> Float:
     """Points in steps of the box's grid in the world [m]."""
-    box = grid.box.reshape(*3 * (grid.side,), 3)
+    box = grid.box.reshape(*grid.sides, 3)
     origin = box[0, 0, 0]
     steps = np.stack([box[1, 0, 0] - origin, box[0, 1, 0] - origin, box[0, 0, 1] - origin])
     return origin + points @ steps

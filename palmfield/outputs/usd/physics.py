@@ -65,7 +65,7 @@ class PhysicsWriter:
         for number in range(scene.sizes.get("geom", 0)):
             self._add_geom(number, names[int(scene["geom_body"].values[number])] in shown)
         left_out = self._add_joints()
-        about(root, left_out=left_out)
+        about(root, left_out="; ".join(left_out))
         self._add_variants(root)
 
     def write(self, clock: Clock, frames: slice) -> None:

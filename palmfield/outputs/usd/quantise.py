@@ -46,7 +46,7 @@ def rounding(low: float, high: float, weights: Float | None = None, part: int = 
     """For values from low to high, to within a part of that; a range without extent is kept as it is."""
     if not high > low:
         return Rounding(low, high, 0.0, 0.0)
-    bound = (high - low) / part
-    step = 2.0 * bound if weights is None else bound
+    step = (high - low) / (part if weights is not None else (part + 1) // 2)
     largest = np.float32(max(abs(low), abs(high)) + step)
-    return Rounding(low, high, step, bound + 0.5 * float(np.spacing(largest)), weights)
+    bound = (0.5 if weights is None else 1.0) * step + 0.5 * float(np.spacing(largest))
+    return Rounding(low, high, step, bound, weights)

@@ -1,13 +1,11 @@
 """What a USD scene of a run shows."""
 
 from dataclasses import dataclass
-from typing import Literal, get_args
 
 from palmfield.errors import OutputError, did_you_mean
 from palmfield.outputs.usd.quantities import QUANTITIES
 
-FieldShape = Literal["slice", "points", "isosurface"]
-FIELD_SHAPES: tuple[str, ...] = get_args(FieldShape)
+FIELD_SHAPES = "slice", "points", "isosurface"
 NO_COLOUR = "none"
 MOST_FRAMES = 600
 
@@ -22,7 +20,7 @@ class Shown:
         2 mm, if its points take 8 MB or less; 0 for none at all
     quantities: which are written as primvars, None for all that the result has
     start_s, end_s: of the run [s], None for its ends; frames: at most so many time codes
-    field: shapes of the sound field; field_times_s: when [s], () for the moment of the highest ARP
+    field: shapes of the sound field, of FIELD_SHAPES; field_times_s: when [s], () for the moment of the highest ARP
     level_Pa: of the isosurface and from where on there are points, peak amplitude [Pa]; None for half of the largest
     observer: of the level above threshold
     """
@@ -34,7 +32,7 @@ class Shown:
     start_s: float | None = None
     end_s: float | None = None
     frames: int = MOST_FRAMES
-    field: tuple[FieldShape, ...] = ()
+    field: tuple[str, ...] = ()
     field_times_s: tuple[float, ...] = ()
     level_Pa: float | None = None
     observer: str = "bolanowski_1988"
