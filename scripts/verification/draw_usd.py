@@ -30,7 +30,7 @@ class Piece(NamedTuple):
 
 def pieces_of(stage: Usd.Stage, code: float, purposes: tuple[str, ...] = ("default", "render")) -> list[Piece]:
     """All that is seen at a time code."""
-    skinned = _skinned(stage, code)
+    skinned = skinned_points(stage, code)
     found: list[Piece] = []
     walk = iter(Usd.PrimRange(stage.GetPseudoRoot()))
     for prim in walk:
@@ -64,7 +64,7 @@ def pieces_of(stage: Usd.Stage, code: float, purposes: tuple[str, ...] = ("defau
     return [piece for piece in found if len(piece.corners)]
 
 
-def _skinned(stage: Usd.Stage, code: float) -> dict[str, np.ndarray]:
+def skinned_points(stage: Usd.Stage, code: float) -> dict[str, np.ndarray]:
     """Points of meshes that a skeleton moves, in their own frames."""
     found = {}
     cache = UsdSkel.Cache()

@@ -207,6 +207,11 @@ def only(arrays, skins, arrays_named, stimuli):
 
 
 @pytest.fixture(scope="session")
+def mjcf():
+    return MJCF
+
+
+@pytest.fixture(scope="session")
 def attributes():
     return ATTRIBUTES
 

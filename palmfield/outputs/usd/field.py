@@ -67,9 +67,9 @@ def add_field(stage: Usd.Stage, result: xr.DataTree, shown: Shown, clock: Clock)
         places = [grid.slice, grid.box] if set(shown.field) - {"slice"} else [grid.slice]
         amplitude = np.abs(sound_at(arrays, np.concatenate(places), time_s))
         moments.append(_Moment(time_s, amplitude[: len(grid.slice)], amplitude[len(grid.slice) :]))
-    top = max(float(moment.slice_Pa.max()) for moment in moments)
-    top = max(top, *(float(moment.box_Pa.max(initial=0.0)) for moment in moments)) or 1.0
-    palette, level = palette_of(0.0, top, False, None), 0.5 * top if shown.level_Pa is None else shown.level_Pa
+    boxed = max(float(moment.box_Pa.max(initial=0.0)) for moment in moments)
+    top = max(boxed, *(float(moment.slice_Pa.max()) for moment in moments)) or 1.0
+    palette, level = palette_of(0.0, top, False, None), 0.5 * boxed if shown.level_Pa is None else shown.level_Pa
     about(root, times_s=[moment.time_s for moment in moments], level_Pa=level)
     if "slice" in shown.field:
         _add_slice(stage, grid, moments, palette, rounding(0.0, top), clock)

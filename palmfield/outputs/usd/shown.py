@@ -20,8 +20,9 @@ class Shown:
         2 mm, if its points take 8 MB or less; 0 for none at all
     quantities: which are written as primvars, None for all that the result has
     start_s, end_s: of the run [s], None for its ends; frames: at most so many time codes
-    field: shapes of the sound field, of FIELD_SHAPES; field_times_s: when [s], () for the moment of the highest ARP
-    level_Pa: of the isosurface and from where on there are points, peak amplitude [Pa]; None for half of the largest
+    field: shapes of the sound field, of FIELD_SHAPES; field_times_s: when [s], () for when the array is loudest
+    level_Pa: of the isosurface and from where on there are points, peak amplitude [Pa];
+        None for half of the largest round the foci
     observer: of the level above threshold
     """
 

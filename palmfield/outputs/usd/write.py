@@ -256,6 +256,8 @@ def _add_view(
     points = _points(result, [float(times[0]), float(times[len(times) // 2]), float(times[-1])])
     if len(points) == 0:
         return
+    if field is not None:
+        points = np.concatenate([points, _corners(stage.GetPrimAtPath("/Scene/Field"))])
     first = next(iter(instances(result, "array").values()), None)
     width, height = PICTURE
     left = 0.0 if field is None or palette is None else FIELD_LEGEND_SHARE * width
@@ -277,6 +279,15 @@ def _add_legends(
         shift = 0.0 if palette is None else LEGEND_SHARE * PICTURE[0]
         left = camera._replace(centre=camera.centre + np.array([shift, 0.0]))
         add_legend(stage, "/Scene/FieldLegend", "pressure", QUANTITIES["pressure"], field, left, depth_m)
+
+
+def _corners(root: Usd.Prim) -> Float:
+    """Corners of boxes round what lies under a prim, shape (n, 3)."""
+    ends = np.concatenate(
+        [np.array(UsdGeom.Boundable(one).GetExtentAttr().Get(), float)[None] for one in root.GetChildren()]
+    )
+    sides = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1]), axis=-1).reshape(-1, 3)
+    return np.concatenate([ends[:, sides[:, k], k].reshape(-1, 1) for k in range(3)], axis=1)
 
 
 def _points(result: xr.DataTree, times: list[float]) -> Float:
