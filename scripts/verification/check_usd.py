@@ -259,8 +259,9 @@ def page(rows: list[Row], large: list[str], options: argparse.Namespace, command
 
 Written by `{command}`, commit {options.commit or git_commit()}, {processor()}. Each scene
 was run for {1e3 * options.duration:g} ms at accuracy {options.accuracy:g}, and its `scene.usdc` written with all
-quantities, coloured by normal displacement, with magnified points where they take 8 MB or less. What stands in the table was read from the USD file;
-`scripts/verification/check_usd.py` says how each is compared. Seconds are of a machine that others use too.
+quantities, coloured by normal displacement, with magnified points where they take 8 MB or less. What stands in the
+table was read from the USD file; `scripts/verification/check_usd.py` says how each is compared. Seconds are of a
+machine that others use too.
 
 - *findings*: of all of USD's validators and of those of `palmfield.outputs.usd.validate_usd`, in both variants;
 - *force*: radiation pressure times area over the surface, against the sound's force on the body: worst frame, and the

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, UsdShade, Vt
 from scipy.spatial.transform import Rotation
 from trimesh.creation import icosphere
@@ -37,22 +38,25 @@ class PhysicsWriter:
     are not square to each other, which the prim's customData lists.
     """
 
-    def __init__(self, stage: Usd.Stage, scene: xr.Dataset):
-        """scene: the result's group /mujoco/scene"""
-        self._stage, self._scene = stage, scene.load()
-        moves = has_records(scene, "pose")
-        self._poses: Float | None = scene["pose"].values if moves else None
-        self._step_times: Float = scene["step_time"].values if moves else np.zeros(0)
+    def __init__(self, stage: Usd.Stage, group: xr.Dataset):
+        """group: the result's /mujoco/scene"""
+        self._stage = stage
+        attributes, moves = group.attrs, has_records(group, "pose")
+        self._step_times: Float = group["step_time"].values if moves else np.zeros(0)
+        # All of them are small, and asked for thousands of times
+        scene: dict[str, NDArray[Any]] = {str(name): one.values for name, one in group.data_vars.items()}
+        self._scene = scene
+        self._poses: Float | None = scene["pose"] if moves else None
         root = UsdGeom.Xform.Define(stage, ROOT).GetPrim()
         physics = UsdPhysics.Scene.Define(stage, f"{ROOT}/PhysicsScene")
-        gravity = np.asarray(json.loads(str(scene.attrs.get("gravity", EARTH))), float)
+        gravity = np.asarray(json.loads(str(attributes.get("gravity", EARTH))), float)
         size = float(np.linalg.norm(gravity))
         physics.CreateGravityDirectionAttr(Gf.Vec3f(*(gravity / size if size > 0 else gravity).tolist()))
         physics.CreateGravityMagnitudeAttr(size)
         for scope in ("Bodies", "Joints", "Materials"):
             UsdGeom.Scope.Define(stage, f"{ROOT}/{scope}")
-        names = [str(name) for name in scene["body_name"].values]
-        shown = set(json.loads(str(scene.attrs.get("shown_better", "[]"))))
+        names = [str(name) for name in scene["body_name"]]
+        shown = set(json.loads(str(attributes.get("shown_better", "[]"))))
         self._paths = {k: f"{ROOT}/Bodies/{name}" for k, name in enumerate(identifiers(_unlike(names)).values())}
         self._moves: dict[int, Moves] = {}
         for number, name in enumerate(names):
@@ -62,8 +66,8 @@ class PhysicsWriter:
                 UsdGeom.Xform.Define(stage, self._paths[0])
             about(stage.GetPrimAtPath(self._paths[number]), mujoco_name=name)
         self._materials: dict[float, UsdShade.Material] = {}
-        for number in range(scene.sizes.get("geom", 0)):
-            self._add_geom(number, names[int(scene["geom_body"].values[number])] in shown)
+        for number in range(len(scene.get("geom_name", ()))):
+            self._add_geom(number, names[int(scene["geom_body"][number])] in shown)
         left_out = self._add_joints()
         about(root, left_out="; ".join(left_out))
         self._add_variants(root)
@@ -80,10 +84,10 @@ class PhysicsWriter:
     def stand(self) -> None:
         """Write where the bodies are while all joints are at their reference, of a run without steps."""
         scene = self._scene
-        poses = np.zeros((scene.sizes["mujoco_body"], 7))
+        poses = np.zeros((len(scene["body_name"]), 7))
         poses[0, 3] = 1.0
         for number in range(1, len(poses)):
-            outer, own = poses[scene["body_parent"].values[number]], scene["body_frame"].values[number]
+            outer, own = poses[scene["body_parent"][number]], scene["body_frame"][number]
             turn = _rotation(outer[3:])
             poses[number, :3] = outer[:3] + turn.apply(own[:3])
             poses[number, 3:] = np.roll((turn * _rotation(own[3:])).as_quat(), 1)
@@ -93,45 +97,45 @@ class PhysicsWriter:
         scene = self._scene
         prim = UsdGeom.Xform.Define(self._stage, self._paths[number])
         self._moves[number] = Moves(prim)
-        if bool(scene["body_held"].values[number]) and not bool(scene["body_placed"].values[number]):
+        if bool(scene["body_held"][number]) and not bool(scene["body_placed"][number]):
             return
         UsdPhysics.RigidBodyAPI.Apply(prim.GetPrim())
-        mass = float(scene["body_mass"].values[number])
+        mass = float(scene["body_mass"][number])
         if mass > 0.0:
             api = UsdPhysics.MassAPI.Apply(prim.GetPrim())
-            frame = scene["body_inertial_frame"].values[number]
+            frame = scene["body_inertial_frame"][number]
             api.CreateMassAttr(mass)
-            api.CreateDiagonalInertiaAttr(Gf.Vec3f(*scene["body_inertia"].values[number].tolist()))
+            api.CreateDiagonalInertiaAttr(Gf.Vec3f(*scene["body_inertia"][number].tolist()))
             api.CreateCenterOfMassAttr(Gf.Vec3f(*frame[:3].tolist()))
             api.CreatePrincipalAxesAttr(Gf.Quatf(*frame[3:].tolist()))
 
     def _add_geom(self, number: int, shown_better: bool) -> None:
         scene = self._scene
-        body = int(scene["geom_body"].values[number])
+        body = int(scene["geom_body"][number])
         name = Sdf.Path(self._paths[body]).AppendChild(f"geom_{number}")
-        size, kind = scene["geom_size"].values[number], str(scene["geom_type"].values[number])
-        made = self._shape(str(name), kind, size, int(scene["geom_mesh"].values[number]))
+        size, kind = scene["geom_size"][number], str(scene["geom_type"][number])
+        made = self._shape(str(name), kind, size, int(scene["geom_mesh"][number]))
         if made is None:
             return
         prim, extra = made
-        frame = scene["geom_frame"].values[number]
+        frame = scene["geom_frame"][number]
         prim.AddTranslateOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Vec3d(*frame[:3].tolist()))
         prim.AddOrientOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Quatd(*frame[3:].tolist()))
         if extra is not None:
             prim.AddScaleOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Vec3d(*extra.tolist()))
-        colour = scene["geom_rgba"].values[number]
+        colour = scene["geom_rgba"][number]
         prim.CreateDisplayColorAttr(vectors(linear(colour[None, :3])))
         if colour[3] < 1.0:
             prim.CreateDisplayOpacityAttr(Vt.FloatArray([float(colour[3])]))
         if shown_better or colour[3] == 0.0:
             prim.CreatePurposeAttr(UsdGeom.Tokens.guide)
-        about(prim.GetPrim(), mujoco_name=str(scene["geom_name"].values[number]))
-        if bool(scene["geom_collides"].values[number]):
+        about(prim.GetPrim(), mujoco_name=str(scene["geom_name"][number]))
+        if bool(scene["geom_collides"][number]):
             UsdPhysics.CollisionAPI.Apply(prim.GetPrim())
             if kind in ("mesh", "ellipsoid"):
                 # MuJoCo's meshes touch by their convex hulls
                 UsdPhysics.MeshCollisionAPI.Apply(prim.GetPrim()).CreateApproximationAttr("convexHull")
-            friction = float(scene["geom_friction"].values[number])
+            friction = float(scene["geom_friction"][number])
             binding = UsdShade.MaterialBindingAPI.Apply(prim.GetPrim())
             binding.Bind(self._material(friction), UsdShade.Tokens.weakerThanDescendants, "physics")
 
@@ -162,9 +166,9 @@ class PhysicsWriter:
             points, faces = _ball()
             return add_mesh(stage, path, points * size, faces, None), None
         elif kind == "mesh" and mesh >= 0:
-            own = self._scene["mesh_vertex_owner"].values == mesh
-            corners = self._scene["mesh_face"].values[self._scene["mesh_face_owner"].values == mesh]
-            return add_mesh(stage, path, self._scene["mesh_vertex"].values[own], corners, None), None
+            own = self._scene["mesh_vertex_owner"] == mesh
+            corners = self._scene["mesh_face"][self._scene["mesh_face_owner"] == mesh]
+            return add_mesh(stage, path, self._scene["mesh_vertex"][own], corners, None), None
         else:
             return None
         boundable = UsdGeom.Boundable(made)
@@ -185,30 +189,30 @@ class PhysicsWriter:
     def _add_joints(self) -> list[str]:
         """Joints of all bodies; returns what UsdPhysics has no joint for."""
         scene, left_out = self._scene, []
-        owners = scene["joint_body"].values if "joint_body" in scene else np.zeros(0, np.int32)
-        for body in range(1, scene.sizes["mujoco_body"]):
-            if bool(scene["body_held"].values[body]) or bool(scene["body_placed"].values[body]):
+        owners = scene["joint_body"] if "joint_body" in scene else np.zeros(0, np.int32)
+        for body in range(1, len(scene["body_name"])):
+            if bool(scene["body_held"][body]) or bool(scene["body_placed"][body]):
                 continue
             own = np.flatnonzero(owners == body).tolist()
-            kinds = [str(scene["joint_type"].values[k]) for k in own]
+            kinds = [str(scene["joint_type"][k]) for k in own]
             if kinds == ["free"]:
                 continue
             if not own:
                 self._attach(UsdPhysics.FixedJoint, body, np.zeros(3), Rotation.identity(), [])
             elif len(own) == 1 and kinds[0] == "ball":
-                anchor = scene["joint_position"].values[own[0]]
+                anchor = scene["joint_position"][own[0]]
                 self._attach(UsdPhysics.SphericalJoint, body, anchor, Rotation.identity(), own)
             elif len(own) == 1:
                 self._add_single(body, own[0], kinds[0])
             elif not self._add_several(body, own, kinds):
-                left_out.append(", ".join(str(scene["joint_name"].values[k]) for k in own))
+                left_out.append(", ".join(str(scene["joint_name"][k]) for k in own))
         return left_out
 
     def _add_single(self, body: int, joint: int, kind: str) -> None:
         scene = self._scene
-        turn = _onto_x(scene["joint_axis"].values[joint])
+        turn = _onto_x(scene["joint_axis"][joint])
         schema = UsdPhysics.RevoluteJoint if kind == "hinge" else UsdPhysics.PrismaticJoint
-        made = self._attach(schema, body, scene["joint_position"].values[joint], turn, [joint])
+        made = self._attach(schema, body, scene["joint_position"][joint], turn, [joint])
         made.CreateAxisAttr(UsdGeom.Tokens.x)
         ends = self._ends(joint)
         if ends is not None:
@@ -218,8 +222,8 @@ class PhysicsWriter:
     def _add_several(self, body: int, joints: list[int], kinds: list[str]) -> bool:
         """One joint of six degrees of freedom for slides and hinges about axes that are square to one another."""
         scene = self._scene
-        axes = scene["joint_axis"].values[joints]
-        anchors = scene["joint_position"].values[joints]
+        axes = scene["joint_axis"][joints]
+        anchors = scene["joint_position"][joints]
         hinges = [k for k, kind in enumerate(kinds) if kind == "hinge"]
         if set(kinds) - {"hinge", "slide"} or (hinges and np.ptp(anchors[hinges], axis=0).max() > 1e-9):
             return False
@@ -261,22 +265,22 @@ class PhysicsWriter:
     def _ends(self, joint: int) -> tuple[float, float] | None:
         """A joint's limits from its reference on, degrees for hinges; None where it has none."""
         scene = self._scene
-        if not bool(scene["joint_limited"].values[joint]):
+        if not bool(scene["joint_limited"][joint]):
             return None
-        ends = scene["joint_range"].values[joint] - scene["joint_reference"].values[joint]
-        if str(scene["joint_type"].values[joint]) == "hinge":
+        ends = scene["joint_range"][joint] - scene["joint_reference"][joint]
+        if str(scene["joint_type"][joint]) == "hinge":
             ends = DEGREES * ends
         return float(ends[0]), float(ends[1])
 
     def _attach(self, schema: Any, body: int, anchor: Float, turn: Rotation, joints: list[int]) -> Any:
         """A joint between a body and its parent. anchor, turn: of its frame, in the body's"""
         scene = self._scene
-        names = [str(scene["joint_name"].values[k]) for k in joints]
+        names = [str(scene["joint_name"][k]) for k in joints]
         prim_name = Sdf.Path(self._paths[body]).name
         made = schema.Define(self._stage, f"{ROOT}/Joints/{prim_name}")
-        frame = scene["body_frame"].values[body]
+        frame = scene["body_frame"][body]
         to_parent = _rotation(frame[3:])
-        parent = int(scene["body_parent"].values[body])
+        parent = int(scene["body_parent"][body])
         if parent > 0:
             made.CreateBody0Rel().SetTargets([self._paths[parent]])
         made.CreateBody1Rel().SetTargets([self._paths[body]])
@@ -293,7 +297,7 @@ class PhysicsWriter:
         bodies = [
             path for path in self._paths.values() if self._stage.GetPrimAtPath(path).HasAPI(UsdPhysics.RigidBodyAPI)
         ]
-        placed = self._scene["body_placed"].values
+        placed = self._scene["body_placed"]
         for name in (SIMULATED, RECORDED):
             variants.AddVariant(name)
             variants.SetVariantSelection(name)
