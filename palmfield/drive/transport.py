@@ -23,6 +23,8 @@ TAKEN_MARK = b"\x00pfVB\xff"
 TAKEN_BYTES = len(TAKEN_MARK) + 8
 TOLD_WITHIN_S = 0.06
 """A virtual board tells its number more often than that."""
+FIRST_LOOKS, FIRST_PATIENCE = 50, 4.0
+"""How often a port listens for the first number, within so many times of `TOLD_WITHIN_S`."""
 
 # pyserial lets termios.error through, which is neither a SerialException nor an OSError and exists on POSIX only.
 LOST: tuple[type[Exception], ...] = (serial.SerialException, OSError)
@@ -132,10 +134,14 @@ class SerialTransport:
             raise PortLost(f"{self.name} is gone: {reason(error)}") from error
 
     def hear_first(self) -> None:
-        """Wait until a virtual board has told its number, where there is one; before anything is written."""
-        ends = time.monotonic() + TOLD_WITHIN_S
-        while not self.tells and time.monotonic() < ends:
-            time.sleep(2e-3)
+        """Wait until a virtual board has told its number, where there is one; before anything is written.
+
+        It looks several times: a machine that stands still for a moment keeps the board from telling, too.
+        """
+        for _ in range(FIRST_LOOKS):
+            if self.tells:
+                return
+            time.sleep(TOLD_WITHIN_S / FIRST_LOOKS * FIRST_PATIENCE)
             self.waiting()
 
     def _listen(self) -> None:
@@ -237,7 +243,7 @@ def open_serial(port: str, baud: int | None) -> SerialTransport:
             port, baudrate=baud or VIRTUAL_BAUD, write_timeout=WRITE_TIMEOUT_S, exclusive=True
         )
     except CANNOT_OPEN as error:
-        raise DeviceError(f"cannot open {port}: {reason(error)}; {_choices()}") from error
+        raise DeviceError(f"cannot open {port}: {reason(error)}; {choices()}") from error
     return SerialTransport(port, stream)
 
 
@@ -256,7 +262,8 @@ def reason(error: Exception) -> str:
     return os.strerror(number) if number else str(error).splitlines()[0] if str(error) else type(error).__name__
 
 
-def _choices() -> str:
+def choices() -> str:
+    """Which serial ports there are, in words."""
     ports = sorted(port.device for port in comports())
     return (
         f"ports found: {', '.join(ports)}" if ports else "no serial port found: connect the board, or check its cable"

@@ -4,6 +4,7 @@ check_faults.py makes a table of them; the tests assert it.
 """
 
 import json
+import math
 import os
 import signal
 import subprocess
@@ -123,14 +124,21 @@ def play(board: VirtualBoard, seconds: float, rate_Hz: float = RATE_HZ, **settin
 
 
 def stall(length_s: float, seconds: float) -> Outcome:
-    """The line takes nothing from 1 s on."""
+    """The line takes nothing from 1 s on; `stood_s` is for how long the machine itself stood still after that."""
     with VirtualBoard(BOARD, realtime=True) as board:
         Player(BOARD, board.port).close()  # so that what is loaded once is
-        began = board.clock
-        with at([(1.0, board.stall), (1.0 + length_s, lambda: board.stall(False))]):
-            done = play(board, seconds)
+        goes_on: list[float] = []
+
+        def go_on() -> None:
+            board.stall(False)
+            goes_on.extend((board.clock, time.monotonic()))
+
+        with machine_pauses() as pauses:
+            with at([(1.0, board.stall), (1.0 + length_s, go_on)]):
+                done = play(board, seconds)
+            stood = stood_s(pauses(), goes_on[1])
         result = outcome(board, **done)
-        result.numbers["stalled_until_s"] = began + 1.0 + length_s
+        result.numbers |= {"stalled_until_s": goes_on[0], "stood_s": stood}
         return result
 
 
@@ -296,7 +304,7 @@ def host_at_100(seconds: float = 2.0, realtime: bool = True) -> Outcome:
         with Player(BOARD, port, realtime=realtime) as player:
             report = player.play(frames(seconds))
         heard = ended()
-        numbers = {"pauses": float(sum(pause > 0.5 * FRAME_S for pause in pauses()))}
+        numbers = {"pauses": float(sum(pause > 0.5 * FRAME_S for _, pause in pauses()))}
         return Outcome(
             heard["off"], heard["torn"], "", report, heard["emitted_s"], heard["late_s"], numbers
         )  # fmt: skip
@@ -304,36 +312,48 @@ def host_at_100(seconds: float = 2.0, realtime: bool = True) -> Outcome:
 
 PROBE = """
 import json, os, select, sys, time
+os.sched_setaffinity(0, {int(sys.argv[1])})
 os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(80))
 pauses, due = [], time.monotonic()
 while not select.select([sys.stdin], [], [], max(0.0, due - time.monotonic()))[0]:
     now = time.monotonic()
-    pauses.append(now - due)
+    pauses.append((due, now - due))
     due = now + 1e-3
 print(json.dumps(pauses))
 """
 
 
 @contextmanager
-def machine_pauses() -> Iterator[Callable[[], list[float]]]:
-    """How late the machine itself wakes a process of the highest priority that wants 1000 turns a second [s].
+def machine_pauses() -> Iterator[Callable[[], list[tuple[float, float]]]]:
+    """How late the machine itself wakes processes of the highest priority that want 1000 turns a second.
 
+    One on each core: of the core that stood longest, when a turn was due on `time.monotonic` and how late it came [s].
     A virtual machine stands still while its host does something else. Empty where no priority is permitted.
     """
-    process = subprocess.Popen(
-        [sys.executable, "-c", PROBE], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-        text=True,
-    )  # fmt: skip
+    cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
+    processes = [
+        subprocess.Popen(
+            [sys.executable, "-c", PROBE, str(core)], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL, text=True,
+        )
+        for core in cores
+    ]  # fmt: skip
 
-    def ended() -> list[float]:
-        told = process.communicate("\n")[0] if process.poll() is None else ""
-        return json.loads(told) if told else []
+    def ended() -> list[tuple[float, float]]:
+        told = [process.communicate("\n")[0] if process.poll() is None else "" for process in processes]
+        return max((json.loads(one) for one in told if one), key=stood_s, default=[])
 
     try:
         yield ended
     finally:
-        process.kill()
-        process.wait()
+        for process in processes:
+            process.kill()
+            process.wait()
+
+
+def stood_s(pauses: list[tuple[float, float]], start_s: float = -math.inf, end_s: float = math.inf) -> float:
+    """For how long a core stood still between two moments on `time.monotonic`, in pauses of over 1 ms [s]."""
+    return sum(late for due, late in pauses if late > 1e-3 and due + late > start_s and due < end_s)
 
 
 REAL_BOARD = """

@@ -146,7 +146,7 @@ def stream_autd(seconds: float, works: Sequence[Callable[[threading.Event], None
             writer.start()
             report = player.play([(number * PERIOD_S, packet) for number, packet in enumerate(packets)])
             writer.join()
-        stood = sum(math.ceil(pause / PERIOD_S - 0.5) for pause in pauses())
+        stood = sum(math.ceil(pause / PERIOD_S - 0.5) for _, pause in pauses())
     played = Stream(
         report.frames, report.skipped, lost(line, report.frames), Late(report.late_p99_s, report.late_s),
         Late(report.write_p99_s, report.write_worst_s),

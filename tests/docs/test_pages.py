@@ -117,7 +117,7 @@ def test_the_page_of_scenarios_begins_as_its_script_writes_it():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["skin.md", "hands.md", "instruments.md", "motion.md", "worlds.md"])
+@pytest.mark.parametrize("name", ["skin.md", "hands.md", "instruments.md", "motion.md", "stock_viewer.md", "worlds.md"])
 def test_python_of_a_page_runs(name, tmp_path):
     code = "\n".join(re.findall(r"```python\n(.*?)```", (DOCS / name).read_text(), flags=re.DOTALL))
     code = code.replace("accuracy=0.01", "accuracy=0.1")

@@ -24,8 +24,9 @@ def field_slice(result: xr.DataTree, asked: Asked) -> Figure:
     """Amplitude of the incident pressure in the x z plane of the first array that sounds, through the focus.
 
     As the arrays would sound in free air, with nothing in the way; the amplitudes and phases are those of the drive, so
-    that the ringing of transducers is not in it. Raises OutputError for arrays whose transducers the result doesn't
-    tell in full (layouts sites and csv, calibrations).
+    that the ringing of transducers is not in it. Transducers are those of the result: calibrated, tilted or one by one.
+    Raises OutputError for a result of an earlier version with layout sites or csv, or a calibration, which it doesn't
+    tell in full.
     """
     arrays = driven_arrays(result)
     loud = {name: array["drive_amplitude"].values.sum(axis=1) for name, array in arrays.items()}

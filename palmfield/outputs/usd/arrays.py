@@ -3,8 +3,9 @@
 import numpy as np
 import trimesh
 import xarray as xr
-from pxr import Usd, UsdGeom, Vt
+from pxr import Gf, Usd, UsdGeom, Vt
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 from palmfield.outputs.frames import nearest
 from palmfield.outputs.schema import has_records
@@ -44,9 +45,13 @@ class ArrayWriter:
         instancer.CreatePrototypesRel().SetTargets([prototype.GetPath()])
         instancer.CreateProtoIndicesAttr(Vt.IntArray([0] * len(positions)))
         instancer.CreatePositionsAttr(vectors(positions))
+        turns = _facing(array["transducer_direction"].values) if "transducer_direction" in array else None
+        if turns is not None:
+            quaternions = np.roll(turns.as_quat(), 1, axis=1)
+            instancer.CreateOrientationsAttr(Vt.QuathArray([Gf.Quath(*one) for one in quaternions.tolist()]))
         instancer.CreateExtentAttr(instancer.ComputeExtentAtTime(Usd.TimeCode.Default(), Usd.TimeCode.Default()))
         self._palette = _with_silence(cyclic_palette(TURN))
-        discs = np.concatenate([_discs(positions, 0.36 * gap, above) for above in (0.02 * gap, -0.72 * gap)])
+        discs = np.concatenate([_discs(positions, turns, 0.36 * gap, above) for above in (0.02 * gap, -0.72 * gap)])
         faces = np.arange(len(discs)).reshape(-1, CORNERS)
         self._drive: tuple[Samples, Samples, Samples] | None = None
         if not has_records(array, "drive_amplitude", "drive_phase"):
@@ -101,8 +106,21 @@ def _numbers(palette: Palette, size: Float, phase: Float) -> Int:
     return np.where(size > SILENT, palette.numbers(phase), len(palette.colours) - 1).astype(np.int32)
 
 
-def _discs(positions: Float, radius: float, above: float) -> Float:
+def _facing(directions: Float) -> Rotation | None:
+    """What turns z into each direction, shape (n, 3); None where all are z."""
+    axis = np.cross([0.0, 0.0, 1.0], directions)
+    sine = np.linalg.norm(axis, axis=1)
+    if sine.max() < 1e-9 and directions[:, 2].min() > 0.0:
+        return None
+    # Straight back is half a turn about x
+    axis = np.where(sine[:, None] > 1e-9, axis / np.maximum(sine, 1e-9)[:, None], [1.0, 0.0, 0.0])
+    return Rotation.from_rotvec(np.arctan2(sine, directions[:, 2])[:, None] * axis)
+
+
+def _discs(positions: Float, turns: Rotation | None, radius: float, above: float) -> Float:
     """Corners of a disc at each transducer, so far above its face, shape (n * CORNERS, 3)."""
     angle = TURN * np.arange(CORNERS) / CORNERS
     ring = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.full(CORNERS, above)])
-    return (positions[:, None, :] + ring).reshape(-1, 3)
+    if turns is None:
+        return (positions[:, None, :] + ring).reshape(-1, 3)
+    return (positions[:, None, :] + np.einsum("nij,cj->nci", turns.as_matrix(), ring)).reshape(-1, 3)

@@ -15,8 +15,10 @@ def test_after_a_stall_of_a_second_latency_is_back_within_a_frame_in_a_tenth_of_
     result = faults.stall(1.0, 2.6)
     until_s = result.numbers["stalled_until_s"]
     assert result.late_between(until_s - 0.9, until_s + 0.05) > 0.5, "the line did not stand"
-    # The board's clock has ticks of some ms on a busy machine
-    assert result.late_between(until_s + 0.1, until_s + 1.0) < FRAME_S + 8e-3
+    # The board's clock has ticks of some ms on a busy machine, and a virtual machine stands still at times
+    allowed_s = FRAME_S + 8e-3 + result.numbers["stood_s"]
+    assert allowed_s < 0.5, f"the machine stood still for {result.numbers['stood_s']:.2f} s of a second and a half"
+    assert result.late_between(until_s + 0.1, until_s + 1.0) < allowed_s
     assert result.report is not None and result.report.skipped > 70
     assert result.report.late_s > 0.5, "the player does not know that the line stood"
     assert "frames that were due were not sent" in result.report.warning

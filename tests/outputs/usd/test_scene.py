@@ -398,3 +398,22 @@ def test_bad_names_and_places(tmp_path, still):
         write_usd(still, tmp_path / "file" / "scene.usdc")
     with pytest.raises(OutputError, match="cannot be opened as USD"):
         validate_usd(tmp_path / "missing.usdc")
+
+
+def test_tilted_transducers_face_where_they_do(tmp_path, static_arrays, block_arrays, merge, attributes):
+    """Cases of the instancer and discs before them, one of which looks straight back."""
+    static = dict(static_arrays)
+    directions = np.tile([0.6, 0.0, 0.8], (64, 1))
+    directions[5] = [0.0, 0.0, -1.0]
+    static["/array/beside"] = static["/array/beside"] | {"transducer_direction": directions}
+    write_usd(tree(merge(static, block_arrays(0, 3)), attributes), tmp_path / "s.usdc")
+    assert validate_usd(tmp_path / "s.usdc") == []
+    stage = Usd.Stage.Open(str(tmp_path / "s.usdc"))
+    instancer = UsdGeom.PointInstancer(stage.GetPrimAtPath("/Scene/Arrays/beside/Transducers"))
+    for number, matrix in enumerate(instancer.ComputeInstanceTransformsAtTime(0, 0)):
+        np.testing.assert_allclose(np.array(matrix)[2, :3], directions[number], atol=2e-3)
+    discs = np.array(UsdGeom.Mesh(stage.GetPrimAtPath("/Scene/Arrays/beside/Drive")).GetPointsAttr().Get(), float)
+    ring = discs.reshape(2, 64, -1, 3)[0]
+    np.testing.assert_allclose(
+        np.einsum("ncj,nj->nc", ring - ring.mean(axis=1, keepdims=True), directions), 0, atol=1e-8
+    )
