@@ -10,7 +10,8 @@ import numpy as np
 from palmfield.outputs.schema import Arrays, group
 from palmfield.perception import OBSERVERS
 from palmfield.perception.force_threshold import FORCE_OBSERVER
-from palmfield.session.recorder import Recorder, world_with
+from palmfield.session.recorder import Recorder
+from palmfield.session.run import recorder_of
 from palmfield.session.sensation_levels import felt_levels
 from palmfield.session.simulation import Simulation
 from palmfield.stimulus.schedule import main_frequencies
@@ -46,7 +47,7 @@ class Periods:
         """Begins to watch."""
         self._sim = sim
         self._blocks = Blocks(steps_watched(sim))
-        self._recorder = Recorder(sim.runtime, world_with(sim.data), self._blocks)
+        self._recorder = recorder_of(sim, self._blocks)
         self._recorder.start()
         # The state before the first step is no step
         self._blocks.kept.clear()

@@ -7,8 +7,7 @@ from typing import Any
 from palmfield.errors import OutputError
 from palmfield.outputs.store import Store, open_result, write_json
 from palmfield.outputs.summary import summary
-from palmfield.session.recorder import Recorder, static_arrays, world_with
-from palmfield.session.run import ending, result_attributes
+from palmfield.session.run import ending, known_before, recorder_of, result_attributes
 from palmfield.session.simulation import Simulation
 from palmfield.studies.view.messages import Replay
 from palmfield.studies.view.periods import Blocks, replay, steps_watched
@@ -26,11 +25,9 @@ class Recording:
     def __init__(self, sim: Simulation, out: Path, scene: str, keys: Mapping[str, object]) -> None:
         """scene: file that is shown; keys: that differ from its own. Raises OutputError as `Store` does."""
         self.out, self._sim = out, sim
-        world = world_with(sim.data)
-        static = static_arrays(sim.runtime.model, world, sim.runtime)
-        self._store = Store(out, static, result_attributes(sim))
+        self._store = Store(out, known_before(sim), result_attributes(sim))
         self._blocks = Blocks(steps_watched(sim), self._store)
-        self._recorder = Recorder(sim.runtime, world, self._blocks)
+        self._recorder = recorder_of(sim, self._blocks)
         # Recordings are made of one set of keys each, so that this says how to have it again
         told: dict[str, Any] = {"scene": scene, "keys": dict(keys), "begun_s": sim.time}
         write_json(out / KEYS_FILE, told)
