@@ -1,6 +1,8 @@
-"""Puts the scenes and hand presets, which lie beside the package, into it while a wheel is built."""
+"""Puts what lies beside the package, scenes and hand presets, into it while it is built, and describes it for PyPI."""
 
+import re
 import shutil
+import tomllib
 from pathlib import Path
 
 from setuptools import setup
@@ -9,6 +11,9 @@ from setuptools.command.build_py import build_py
 ROOT = Path(__file__).resolve().parent
 FOLDERS = ("mjcf", "hand_models")
 TOLERANCES = "tolerances.toml"
+FENCE = re.compile(r"(^```.*?^```$)", re.DOTALL | re.MULTILINE)
+PICTURE = re.compile(r"!\[([^\]]*)\]\((?!https?://)([^)]+)\)\n*")
+LINK = re.compile(r"(?<!!)\[([^\]]*)\]\((?!https?://)([^)]+)\)")
 
 
 class BuildWithData(build_py):
@@ -27,4 +32,29 @@ class BuildWithData(build_py):
         shutil.copy2(ROOT / "docs" / "gallery" / TOLERANCES, gallery / TOLERANCES)
 
 
-setup(cmdclass={"build_py": BuildWithData})
+def described(readme: str, source: str | None) -> str:
+    """README.md for a page that is not beside the repository.
+
+    Where pyproject.toml names a public address of the source (`[project.urls]` Source), pictures and links lead there;
+    without one pictures are left out, and of links the words stay.
+    """
+    parts = FENCE.split(readme)
+    for number in range(0, len(parts), 2):
+        if source is None:
+            parts[number] = LINK.sub(r"\1", PICTURE.sub("", parts[number]))
+        else:
+            at = source.rstrip("/")
+            parts[number] = PICTURE.sub(rf"![\1]({at}/raw/HEAD/\2)\n\n", parts[number])
+            parts[number] = LINK.sub(rf"[\1]({at}/blob/HEAD/\2)", parts[number])
+    return "".join(parts)
+
+
+if __name__ == "__main__":
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    setup(
+        cmdclass={"build_py": BuildWithData},
+        long_description=described(
+            (ROOT / "README.md").read_text(encoding="utf-8"), project.get("urls", {}).get("Source")
+        ),
+        long_description_content_type="text/markdown",
+    )

@@ -3,7 +3,8 @@
 
 python scripts/list_licences.py [--write docs/licences.md]
 
-Lists what `pip install palmfield` brings, dependencies of dependencies included, and what each extra asks for.
+Lists what `pip install palmfield` brings, dependencies of dependencies included, libraries that wheels bundle, and what
+each extra asks for.
 """
 
 import argparse
@@ -23,20 +24,108 @@ metadata of the installed packages; *through* is the package that asks for it, w
 | package | licence | through |
 |---|---|---|
 """
+BUNDLES = """
+## What wheels bundle
+
+Shared libraries that wheels for Linux on x86-64 carry beside their own code, by the licences that the wheels and the
+libraries' makers tell. Those of the GPL in a plain install are GCC's run-time libraries, whose exception lets any
+program use them.
+
+What is linked into a wheel's own code is told in its folder of licences. Of mujoco it is permissive, with Eigen under
+the MPL and Glslang's parser, made by Bison, under the GPL with the exception that lets any program have it. Of
+warp-lang it is permissive too, but for NVIDIA's CUDA run time, NVRTC and libmathdx: they are proprietary, may be passed
+on with Warp free of charge, and do nothing where there is no NVIDIA GPU.
+
+| wheel | library | licence |
+|---|---|---|
+"""
 EXTRAS = """
 ## Extras
 
-What is installed only when it is asked for by name (`pip install 'palmfield[sweep]'`). `mkl` brings Intel's libraries,
-which are free of charge and not open source; no other package here is proprietary.
+What is installed only when it is asked for by name (`pip install 'palmfield[sweep]'`); what these bring in turn is not
+listed, but for two. **`mkl`** brings Intel's libraries (mkl, intel-openmp, tbb), which are free of charge and not open
+source: no other package of an extra is proprietary. **`video`**: PyAV is under a BSD licence, and its wheels bundle
+FFmpeg, under the LGPL by what it says of itself, with x264 and x265, under the GPL (table above). Nothing of them is in
+palmfield or its wheel; whoever passes on an environment with them passes on software under the GPL.
 
-| extra | packages |
-|---|---|
+| extra | package | licence |
+|---|---|---|
 """
+ABSENT = {
+    "autd3": "MIT",
+    "autd3-emulator": "MIT",
+    "autd3-pattern": "MIT",
+    "pylsl": "MIT License",
+    "pypardiso": "BSD-3-Clause",
+}
+"""What the metadata of their wheels say, for packages of extras that the tests' environment does without."""
+LIBRARIES = {
+    "SvtAv1Enc": "BSD-3-Clause-Clear",
+    "Xau": "MIT",
+    "aec": "BSD-2-Clause",
+    "asound": "LGPL-2.1-or-later",
+    "avcodec": "LGPL-3.0-or-later",
+    "avdevice": "LGPL-3.0-or-later",
+    "avfilter": "LGPL-3.0-or-later",
+    "avformat": "LGPL-3.0-or-later",
+    "avif": "BSD-2-Clause",
+    "avutil": "LGPL-3.0-or-later",
+    "brotlicommon": "MIT",
+    "brotlidec": "MIT",
+    "dav1d": "BSD-2-Clause",
+    "drm": "MIT",
+    "freetype": "FTL",
+    "gfortran": "GPL-3.0-or-later WITH GCC-exception-3.1",
+    "gmp": "LGPL-3.0-or-later OR GPL-2.0-or-later",
+    "gnutls": "LGPL-2.1-or-later",
+    "harfbuzz": "MIT-Modern-Variant",
+    "hdf5": "BSD-3-Clause",
+    "hdf5_hl": "BSD-3-Clause",
+    "hogweed": "LGPL-3.0-or-later OR GPL-2.0-or-later",
+    "jpeg": "IJG AND BSD-3-Clause",
+    "lcms2": "MIT",
+    "lzma": "0BSD",
+    "mp3lame": "LGPL-2.0-or-later",
+    "nettle": "LGPL-3.0-or-later OR GPL-2.0-or-later",
+    "opencore-amrnb": "Apache-2.0",
+    "opencore-amrwb": "Apache-2.0",
+    "openjp2": "BSD-2-Clause",
+    "opus": "BSD-3-Clause",
+    "png16": "libpng-2.0",
+    "quadmath": "LGPL-2.1-or-later",
+    "scipy_openblas": "BSD-3-Clause",
+    "scipy_openblas64_": "BSD-3-Clause",
+    "sharpyuv": "BSD-3-Clause",
+    "swresample": "LGPL-3.0-or-later",
+    "swscale": "LGPL-3.0-or-later",
+    "sz": "BSD-2-Clause",
+    "tbb": "Apache-2.0",
+    "tiff": "libtiff",
+    "unistring": "LGPL-3.0-or-later OR GPL-2.0-or-later",
+    "usd_ms": "LicenseRef-TOST-1.0",
+    "vpl": "MIT",
+    "vpx": "BSD-3-Clause",
+    "webp": "BSD-3-Clause",
+    "webpdemux": "BSD-3-Clause",
+    "webpmux": "BSD-3-Clause",
+    "x264": "GPL-2.0-or-later",
+    "x265": "GPL-2.0-or-later",
+    "xcb": "MIT",
+    "xcb-shape": "MIT",
+    "xcb-shm": "MIT",
+    "xcb-xfixes": "MIT",
+    "zstd": "BSD-3-Clause",
+}
+"""Of the libraries in wheels, by name. FFmpeg's are what `av._core.library_meta` says of the build."""
+SHARED = re.compile(r"lib(.+?)-[0-9a-f]{8}(?:-[0-9a-f]{8})?\.so")
 
 
 def licence(name: str) -> str:
     """What a package says of its licence: the expression, else its classifiers, else the field's first line."""
-    told = distribution(name).metadata
+    try:
+        told = distribution(name).metadata
+    except PackageNotFoundError:
+        return ABSENT[canonicalize_name(name)]
     if expression := told.get("License-Expression"):
         return str(expression)
     kinds = [line.rsplit(" :: ", 1)[1] for line in told.get_all("Classifier") or [] if line.startswith("License :: ")]
@@ -76,10 +165,24 @@ def extras() -> dict[str, list[str]]:
     return found
 
 
+def bundled(name: str) -> list[str]:
+    """Names of the shared libraries that an installed wheel carries in a folder of its own."""
+    files = distribution(name).files or []
+    matches = (SHARED.match(file.name) for file in files if file.parts[0].endswith(".libs"))
+    return sorted({match[1] for match in matches if match})
+
+
 def page() -> str:
     rows = [f"| {name} | {licence(name)} | {through} |" for name, through in sorted(needed().items())]
-    more = [f"| {name} | {', '.join(sorted(set(packages)))} |" for name, packages in sorted(extras().items())]
-    return HEAD + "\n".join(rows) + "\n" + EXTRAS + "\n".join(more) + "\n"
+    wheels = {name: bundled(name) for name in [*sorted(needed()), "av"]}
+    libraries = [f"| {name} | {one} | {LIBRARIES[one]} |" for name, found in wheels.items() for one in found]
+    more = [
+        f"| {extra} | {name} | {licence(name)} |"
+        for extra, packages in sorted(extras().items())
+        for name in sorted(set(packages) - {"palmfield"})
+    ]
+    parts = HEAD + "\n".join(rows), BUNDLES + "\n".join(libraries), EXTRAS + "\n".join(more)
+    return "\n".join(parts) + "\n"
 
 
 def main() -> None:

@@ -6,7 +6,7 @@ python scripts/make_hand_mjcf.py [PRESET ...]    default: open_men_p50
 import sys
 
 from palmfield.data import folder
-from palmfield.hand.articulated import articulated_mjcf
+from palmfield.hand.articulated_mjcf import articulated_mjcf
 from palmfield.hand.mjcf import hand_mjcf
 from palmfield.hand.preset import load_preset
 

@@ -1,7 +1,11 @@
 """The package as users get it: a wheel, an editable install, an sdist; and the scripts on a bare Python."""
 
+import email
+import email.message
 import importlib.util
+import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -11,10 +15,16 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from markdown_it import MarkdownIt
 
 CLONE = Path(__file__).resolve().parents[1]
 SOURCES = ("palmfield", "warp_kernels", "mjcf", "hand_models")
-FILES = ("pyproject.toml", "setup.py", "MANIFEST.in", "README.md", "LICENSE")
+FILES = (
+    "pyproject.toml", "setup.py", "MANIFEST.in", "README.md", "LICENSE", "CHANGELOG.md", "CITATION.cff",
+    "CONTRIBUTING.md",
+)  # fmt: skip
+MOST_MB = 1050
+"""Of a plain install without the interpreter's compiled files, which make it 1.2 GB."""
 TOLERANCES = "docs/gallery/tolerances.toml"
 TELL = """
 import palmfield.data
@@ -100,12 +110,88 @@ def test_the_wheel_holds_the_packages_the_licence_and_nothing_else(wheel):
     assert "License-Expression: Apache-2.0" in metadata
     assert "palmfield = palmfield.cli.app:main" in entry_points
     assert "[mujoco.plugins]" in entry_points
+    assert "palmfield/py.typed" in names
     modules = {name for name in names if name.endswith(".py")}
     assert modules == {
         str(path.relative_to(CLONE))
         for package in ("palmfield", "warp_kernels")
         for path in (CLONE / package).rglob("*.py")
     }
+
+
+def links(markdown: str) -> list[str]:
+    """Where the links and pictures of a page lead."""
+    html = MarkdownIt("commonmark").enable("table").render(markdown)
+    return re.findall(r'(?:href|src)="([^"]*)"', html)
+
+
+def metadata_of(wheel: Path) -> email.message.Message:
+    with zipfile.ZipFile(wheel) as archive:
+        name = next(name for name in archive.namelist() if name.endswith("METADATA"))
+        return email.message_from_bytes(archive.read(name))
+
+
+def test_the_description_leads_nowhere_beside_the_repository(wheel):
+    """PyPI shows it on a page of its own, where a relative picture is a broken one."""
+    told = metadata_of(wheel)
+    text = told.get_payload(decode=True).decode()
+    readme = (CLONE / "README.md").read_text()
+    assert told["Description-Content-Type"] == "text/markdown"
+    assert [link for link in links(readme) if not link.startswith("http")], "README.md leads beside itself"
+    assert all(link.startswith("http") for link in links(text))
+    for kept in (r"^#+ .*$", r"```.*?```", r"^\| `"):
+        flags = re.DOTALL | re.MULTILINE if "```" in kept else re.MULTILINE
+        assert re.findall(kept, text, flags) == re.findall(kept, readme, flags)
+    assert "![" not in text and "](docs" not in text
+
+
+def test_with_a_public_address_the_description_has_its_pictures(monkeypatch):
+    monkeypatch.syspath_prepend(str(CLONE))
+    spec = importlib.util.spec_from_file_location("palmfield_setup", CLONE / "setup.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    page = "![a hand](docs/a.png)\n\nsee [there](docs/a.md#b) and [PyPI](https://pypi.org)\n```\n[x](y)\n```\n"
+    assert module.described(page, "https://example.org/palmfield/") == (
+        "![a hand](https://example.org/palmfield/raw/HEAD/docs/a.png)\n\nsee "
+        "[there](https://example.org/palmfield/blob/HEAD/docs/a.md#b) and [PyPI](https://pypi.org)\n```\n[x](y)\n```\n"
+    )
+    assert module.described(page, None) == "see there and [PyPI](https://pypi.org)\n```\n[x](y)\n```\n"
+
+
+def test_what_pypi_shows_beside_the_description(wheel):
+    told = metadata_of(wheel)
+    assert told["Summary"] and len(told["Keywords"].split(",")) > 5
+    classifiers = told.get_all("Classifier")
+    assert "Operating System :: POSIX :: Linux" in classifiers and not any("License ::" in one for one in classifiers)
+    cited = (CLONE / "CITATION.cff").read_text()
+    assert f"version: {told['Version']}\n" in cited and f"license: {told['License-Expression']}\n" in cited
+
+
+@pytest.mark.slow
+def test_the_demo_runs_from_a_plain_install_elsewhere(wheel, tmp_path):
+    """An environment with nothing in it but what the wheel asks for, in a folder that is not the clone."""
+    python("-m", "venv", "there", cwd=tmp_path)
+    own = tmp_path / "there" / "bin"
+    environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+
+    def run(*command: object) -> str:
+        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=900)
+        assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-3000:]
+        return done.stdout
+
+    run(own / "pip", "install", "--quiet", "--disable-pip-version-check", "--no-compile", wheel)
+    site = Path(run(own / "python", "-c", "import palmfield; print(palmfield.__path__[0])").strip()).parent
+    assert site.is_relative_to(tmp_path)
+    files = [path for path in site.rglob("*") if path.is_file() and path.suffix != ".pyc"]
+    size_MB = sum(path.stat().st_size for path in files) / 1e6
+    assert size_MB <= MOST_MB
+    # The demo's scene, with a shorter run: what it shows is that nothing is missing, neither data nor dependencies
+    scene = site / "palmfield" / "_data" / "mjcf" / "scenes" / "palm_am200.xml"
+    told = run(own / "palmfield", "run", scene, "--out", "out", "--accuracy", "0.3", "--duration", "0.01")
+    assert "displacement" in told
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    assert {"result.nc", "summary.json", "scene.usdc", "pressure.png", "displacement.png", "scene.png"} <= names
+    assert json.loads((tmp_path / "out" / "summary.json").read_text())["peak_displacement_m"] > 1e-7
 
 
 def test_building_leaves_no_data_in_the_source_tree(wheel, source):

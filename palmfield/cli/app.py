@@ -52,6 +52,8 @@ BoardName = Annotated[
     ),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="print JSON only, with units in the names, for other programs")]
+INTERRUPTED_CODE = 130
+"""Exit code after Ctrl-C."""
 ANYWHERE = {"-v": 0, "--verbose": 0, "-q": 0, "--quiet": 0, "--log-level": 1}
 """Options of the whole program, which may also stand after a command, and how many values follow each."""
 
@@ -177,6 +179,14 @@ def drive(
         tuple[float, float, float] | None, typer.Option(help="a still focus in the array frame [m]", metavar="X Y Z")
     ] = None,
     board: BoardName = None,
+    live: Annotated[
+        str | None,
+        typer.Option(
+            metavar="[HOST:]PORT",
+            help="play foci that come in here, a line of JSON each (docs/boards.md), by udp or with tcp:[HOST:]PORT, "
+            "until Ctrl-C or for --duration; --focus is then in the frame of the poses that come",
+        ),
+    ] = None,
     port: Annotated[
         str | None, typer.Option(help="serial port or URL: /dev/ttyUSB0, COM3, socket://host:port, loop://")
     ] = None,
@@ -218,22 +228,35 @@ def drive(
     palmfield drive mjcf/scenes/palm_circle_sonicsurface.xml --record circle.bin
 
     palmfield drive mjcf/scenes/follow_fingertip.xml --board autd2018 --port socket://127.0.0.1:5000 --log sent.jsonl
+
+    palmfield drive --live 9200 --board sonicsurface --port /dev/ttyUSB0
     """
     from palmfield.cli.boards import show_performance
-    from palmfield.session.play import FocusSound, Target, play_focus, play_scene
+    from palmfield.session.focus_board import FocusSound
+    from palmfield.session.play import Target, play_focus, play_scene
     from palmfield.types import Air
 
-    if (scene is None) == (focus is None):
-        raise SceneError("`palmfield drive` plays either a SCENE.xml or --focus X Y Z; give one of them")
+    if live is not None and scene is not None:
+        raise SceneError(
+            "--live plays foci that come in; a scene follows a live hand by `palmfield trial SCENE --live`"
+        )
+    if live is None and (scene is None) == (focus is None):
+        raise SceneError("`palmfield drive` plays a SCENE.xml, --focus X Y Z, or --live PORT; give one of them")
     if scene is not None:
         _refuse_focus_options(context)
     if (port is None) == (record is None):
         raise SceneError("`palmfield drive` needs either --port (a board) or --record (a file); give one of them")
     _check_duration(duration)
     target = Target(port, record, log)
-    if focus is not None:
-        sound = FocusSound(level, am_frequency, p0, Air(temperature, humidity, air_pressure), layout, calibration)
-        own = {name.removeprefix("driver."): value for name, value in given_keys(keys).items()}
+    sound = FocusSound(level, am_frequency, p0, Air(temperature, humidity, air_pressure), layout, calibration)
+    own = {name.removeprefix("driver."): value for name, value in given_keys(keys).items()}
+    if live is not None:
+        from palmfield.cli.live import live_input
+        from palmfield.session.live_focus import play_live
+
+        given = live_input(live, focus)
+        done = play_live(given, board or "sonicsurface", target, duration, sound=sound, keys=own)
+    elif focus is not None:
         lasts = 10.0 if duration is None else duration
         done = play_focus(focus, board or "sonicsurface", target, lasts, sound=sound, keys=own, progress=True)
     else:
@@ -933,11 +956,19 @@ def main() -> None:
     except PalmfieldError as error:
         complain(str(error))
         sys.exit(2)
-    except (KeyboardInterrupt, Exception) as error:
+    except (KeyboardInterrupt, SystemExit, Exception) as error:
+        if isinstance(error, SystemExit) and not _unsaid(error):
+            raise
         if not _from_ctrl_c(error):
             raise
         complain("interrupted")
-        sys.exit(130)
+        sys.exit(INTERRUPTED_CODE)
+
+
+def _unsaid(error: SystemExit) -> bool:
+    """Whether Typer ended the program for Ctrl-C, of which it says nothing; commands that do raise Exit from None."""
+    ended = error.__context__
+    return error.code == INTERRUPTED_CODE and ended is not None and isinstance(ended.__cause__, KeyboardInterrupt)
 
 
 def _from_ctrl_c(error: BaseException) -> bool:

@@ -2,9 +2,16 @@
 
 from typing import Any, ClassVar
 
+import numpy as np
+
 from palmfield.config import ArrayConfig, Config
 from palmfield.engine.host import Module
+from palmfield.mujoco_host.drawing import Drawing
 from palmfield.mujoco_host.mujoco_view import ModelView
+
+PHASES_GROUP = 1
+"""Of geoms: a viewer shows the transducers' phases while it is on."""
+LEAST_RADIUS, DISC_m, ABOVE_m = 0.25, 2e-4, 2e-4
 
 
 class ArrayModule(Module):
@@ -24,3 +31,17 @@ class ArrayModule(Module):
         spec, _ = read_scene(model)
         number = next(i for i, array in enumerate(spec.arrays) if array.config == settings)
         return array_room(len(model_of(spec).arrays.parts[number]))
+
+    def draw(self, drawing: Drawing) -> None:
+        """A disc on each transducer: its colour the phase, which comes back on itself, its size the amplitude."""
+        from palmfield.engine.scene_view import view_of
+        from palmfield.engine.view_colours import phase_colours
+
+        view = view_of(self.world) if drawing.shows("geom", PHASES_GROUP) else None
+        if view is None:
+            return
+        seen = view.transducers(view.runtime.binding.array_instances.index(self.instance))
+        shown = seen.levels > 0.0
+        radius = seen.radius_m * (LEAST_RADIUS + (1.0 - LEAST_RADIUS) * np.minimum(seen.levels[shown], 1.0))
+        places, colours = seen.places[shown] + ABOVE_m * seen.axes[shown], phase_colours(seen.phases[shown])
+        drawing.discs(places, seen.axes[shown], radius, DISC_m, colours)

@@ -16,6 +16,7 @@ import mujoco
 
 from palmfield.config import Config, known_keys, parse
 from palmfield.errors import PalmfieldError, explained
+from palmfield.mujoco_host.drawing import Drawing
 from palmfield.mujoco_host.mujoco_view import DataView, ModelView
 from palmfield.mujoco_host.structs import Plugin, library
 
@@ -23,7 +24,8 @@ from palmfield.mujoco_host.structs import Plugin, library
 class World(DataView):
     """One mjData with the modules of its plugin instances.
 
-    scene: the palmfield scene that it holds, made by its first skin
+    scene: the palmfield scene that it holds, made by its first skin; view: what is drawn of it, made when it first is
+    undrawn: whether drawing it once failed
     error: what a module could not raise through C; quiet: whether somebody will raise it, so that MuJoCo need not warn
     """
 
@@ -31,8 +33,9 @@ class World(DataView):
         super().__init__(model, data)
         self.modules: dict[int, Module] = {}
         self.scene: Any = None
+        self.view: Any = None
         self.error: Exception | KeyboardInterrupt | None = None
-        self.quiet = False
+        self.quiet = self.undrawn = False
 
 
 class Module:
@@ -70,6 +73,9 @@ class Module:
 
     def advance(self) -> None:
         """Carry the module's own state over one step; MuJoCo's time already stands at its end."""
+
+    def draw(self, drawing: Drawing) -> None:
+        """Add to the picture that a viewer is about to draw; nothing of the simulation may change by it."""
 
     def copy_from(self, other: Any) -> None:
         """mj_copyData has copied another mjData's state into this one; `other` is its module."""
@@ -245,6 +251,20 @@ def register(module: type[Module]) -> None:
         except Exception as error:
             _fail(world, module.name, explained(error))
 
+    def visualize(model: int, data: int, options: int, scene: int, instance: int) -> None:
+        world = _worlds.get(data)
+        if world is None or getattr(_compiling, "active", False):
+            return
+        try:
+            world.modules[instance].draw(Drawing(world.model, scene, options))
+        except KeyboardInterrupt:
+            _thread.start_new_thread(_thread.interrupt_main, ())
+        except Exception as error:
+            # A picture is no result: the run goes on without it, and one warning is enough
+            if not world.undrawn:
+                lib.mju_warning(b"%s", f"{module.name} can't be drawn: {explained(error)}".encode())
+            world.undrawn = True
+
     void, integer = ctypes.c_void_p, ctypes.c_int
     flags = 0 if module.forces is Module.forces else int(mujoco.mjtPluginCapabilityBit.mjPLUGIN_PASSIVE)
     if module.sensor:
@@ -266,9 +286,12 @@ def register(module: type[Module]) -> None:
         "reset": (reset, ctypes.CFUNCTYPE(None, void, void, void, integer)),
         "compute": (compute, ctypes.CFUNCTYPE(None, void, void, integer, integer)),
         "advance": (advance, ctypes.CFUNCTYPE(None, void, void, integer)),
+        "visualize": (visualize, ctypes.CFUNCTYPE(None, void, void, void, void, integer)),
     }
     if module.advance is Module.advance:
         del prototypes["advance"]
+    if module.draw is Module.draw:
+        del prototypes["visualize"]
     for field, (function, prototype) in prototypes.items():
         thunk = prototype(function)
         # MuJoCo calls destroy after the interpreter has begun to shut down: the thunk must never be freed.

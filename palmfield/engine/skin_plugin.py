@@ -2,10 +2,18 @@
 
 from typing import Any, ClassVar
 
+import numpy as np
+
 from palmfield.config import Config, SkinConfig
 from palmfield.engine.host import Module, World
+from palmfield.mujoco_host.drawing import Drawing
 from palmfield.mujoco_host.mujoco_view import ModelView, PluginSensor
 from palmfield.types import Float
+
+ARP_GROUP = 2
+"""Of geoms: a viewer shows the ARP on the skins while it is on."""
+LIFT_m, LABEL_m = 6e-4, 0.02
+"""Colours lie so far off the skin, which a viewer draws of larger triangles, and the label of the largest ARP."""
 
 
 class SkinModule(Module):
@@ -76,6 +84,21 @@ class SkinModule(Module):
     def advance(self) -> None:
         """Carry the scene over MuJoCo's last step."""
         self.scene.advance()
+
+    def draw(self, drawing: Drawing) -> None:
+        """The mean ARP on the skin by colour, and how much it is at most."""
+        from palmfield.engine.scene_view import view_of
+        from palmfield.engine.view_colours import FAINT, arp_colours
+
+        view = view_of(self.world) if drawing.shows("geom", ARP_GROUP) else None
+        seen = None if view is None else view.skin(self.number)
+        if seen is None or seen.arp.max() <= 0.0:
+            return
+        loudest = int(np.argmax(seen.arp))
+        drawing.label(seen.vertices[loudest] + LABEL_m * seen.normals[loudest], f"ARP {seen.arp[loudest]:.3g} Pa")
+        shares = seen.arp[seen.faces].mean(axis=1) / seen.top
+        order = np.argsort(-shares)[: int(np.count_nonzero(shares > FAINT))]
+        drawing.triangles(seen.vertices + LIFT_m * seen.normals, seen.faces[order], arp_colours(shares[order]))
 
     def hand_over(self) -> list[PluginSensor]:
         """Leave forces, sensors and state to who steps several worlds together; returns the sensors."""

@@ -4,6 +4,12 @@ from typing import ClassVar
 
 from palmfield.config import Config, StimulusConfig
 from palmfield.engine.host import Module
+from palmfield.mujoco_host.drawing import Drawing
+
+FOCI_GROUP = 1
+"""Of sites: a viewer shows the foci while it is on."""
+FOCUS_m, TRAIL_m = 2e-3, 8e-4
+"""Radius of a focus, and of the places that it comes to next."""
 
 
 class StimulusModule(Module):
@@ -11,3 +17,18 @@ class StimulusModule(Module):
 
     name: ClassVar[str] = StimulusConfig.plugin
     config: ClassVar[type[Config]] = StimulusConfig
+
+    def draw(self, drawing: Drawing) -> None:
+        """A ball at each focus, and small ones where it will be in the next moments."""
+        from palmfield.engine.scene_view import view_of
+        from palmfield.engine.view_colours import FOCUS
+
+        view = view_of(self.world) if drawing.shows("site", FOCI_GROUP) else None
+        if view is None:
+            return
+        same = [number for number, plugin, _ in self.world.model.instances() if plugin == self.name]
+        foci = view.foci(same.index(self.instance))
+        if len(foci):
+            drawing.spheres(foci[0], FOCUS_m, FOCUS)
+            moved = foci[1:][(foci[1:] != foci[0]).any(axis=(1, 2))].reshape(-1, 3)
+            drawing.spheres(moved, TRAIL_m, FOCUS)

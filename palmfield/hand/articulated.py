@@ -1,18 +1,15 @@
-"""A hand preset as a tree of bones with joints: its geometry, its poses, and its MJCF."""
+"""A hand preset as a tree of bones with joints: its geometry and its poses."""
 
-import xml.etree.ElementTree as ET
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from palmfield.errors import SceneError
-from palmfield.hand.mjcf import HEIGHT_m, numbers_text, skin_geom
 from palmfield.hand.preset import DIGITS, HandPreset
-from palmfield.hand.skeleton import Skeleton, SkinSegment, unit
+from palmfield.hand.skeleton import Skeleton, unit
 from palmfield.hand.surface import centred_skeleton
 from palmfield.types import Float
 
@@ -31,16 +28,6 @@ RANGES_deg = {
 negative flexion is extension, negative deviation is radial."""
 THUMB_ABDUCTION_deg = 60.0
 """Palmar abduction of the thumb out of the plane of the palm, at most; tables give 45 to 70."""
-
-STIFFNESS_N_m = {"wrist": 10.0, "cmc": 0.8, "mcp": 0.5, "mp": 0.5, "pip": 0.3, "ip": 0.3, "dip": 0.2}
-"""Stiffness of the position servos by joint [N m / rad]: 10 mN on a fingertip, which is what an array can push with,
-bends a finger by less than 0.3 mm, and no joint alone swings faster than 30 Hz."""
-ARMATURE_kg_m2 = 1e-5
-"""Added to each joint's inertia, about that of a whole finger: end joints of 5 g would swing within a step."""
-WELD_TIME_s = 0.01
-DIGITS_IN_FILE = 9
-"""Rounding adds up along a chain of bodies: to the nanometre, no fingertip is off by more than a few."""
-CONTACT_PARTS = ("forearm", "thenar", "hypothenar")
 
 
 @dataclass(frozen=True)
@@ -215,89 +202,11 @@ def poses_at(hand: ArticulatedHand, angles_deg: Float) -> tuple[Float, Float]:
 
 def posed_landmark(hand: ArticulatedHand, name: str, positions: Float, rotations: Float) -> Float:
     """Where a landmark of the skeleton is when the bones are at `positions` and `rotations` [m], shape (3,)."""
-    bone = _bone_of_landmark(hand, name)
+    bone = bone_of_landmark(hand, name)
     return positions[bone] + rotations[bone] @ (hand.skeleton.landmarks[name] - hand.bones[bone].origin)
 
 
-def _bone_of_landmark(hand: ArticulatedHand, name: str) -> int:
+def bone_of_landmark(hand: ArticulatedHand, name: str) -> int:
+    """Index of the bone that carries a landmark of the skeleton."""
     digit, _, place = name.partition("_")
     return hand.bone(f"{digit}_distal") if place in ("tip", "pad") else hand.bone("hand")
-
-
-def articulated_mjcf(preset: HandPreset) -> str:
-    """MJCF text of the articulated hand, to be named by `<include file=.../>` or opened as it is.
-
-    Body `hand_target` is a mocap body at the hand frame's origin; a weld holds the free body `forearm` to it, so a
-    script may put the hand anywhere in any orientation: the weld is soft and solved with the constraints, has no
-    orientation at which angles of a gimbal lock, yields to forces, and lets the fingers feel the motion, which a hand
-    hung from the mocap body itself would not. Steps of up to 2 ms are stable. `hand` is the palm, in the hand frame.
-    Joints as in `articulate` (angles in degrees in the file, so no `<compiler angle="radian">` in what includes it),
-    with servos of the same names whose controls are angles [rad]; control 0 is the flat hand. Gravity is compensated.
-    Capsules touch other things and each other, but for neighbours that lie within each other.
-    """
-    hand = articulate(preset)
-    root = ET.Element("mujoco", model=f"articulated_{preset.name}")
-    world = ET.SubElement(root, "worldbody")
-    ET.SubElement(world, "body", name="hand_target", mocap="true", pos=_text([0.0, 0.0, HEIGHT_m]))
-    elements: list[ET.Element] = []
-    for bone in hand.bones:
-        base = np.array([0.0, 0.0, -HEIGHT_m]) if bone.parent < 0 else hand.bones[bone.parent].origin
-        above = world if bone.parent < 0 else elements[bone.parent]
-        body = ET.SubElement(above, "body", name=bone.name, pos=_text(bone.origin - base), gravcomp="1")
-        if bone.parent < 0:
-            ET.SubElement(body, "freejoint", name="hand_root")
-        elements.append(body)
-    for joint in hand.joints:
-        attributes = {
-            "name": joint.name,
-            "pos": _text(joint.pivot - hand.bones[joint.bone].origin),
-            "axis": _text(joint.axis),
-            "ref": f"{joint.rest_deg:g}",
-            "range": _text([joint.low_deg, joint.high_deg]),
-            "armature": f"{ARMATURE_kg_m2:g}",
-        }
-        ET.SubElement(elements[joint.bone], "joint", attributes)
-    for segment in hand.skeleton.skin:
-        _geom(hand, segment, elements)
-    for name in hand.skeleton.landmarks:
-        owner = _bone_of_landmark(hand, name)
-        at = hand.skeleton.landmarks[name] - hand.bones[owner].origin
-        ET.SubElement(elements[owner], "site", name=name, pos=_text(at), size="0.002")
-    contact = ET.SubElement(root, "contact")
-    for a, b in _excluded(hand):
-        ET.SubElement(contact, "exclude", body1=a, body2=b)
-    equality = ET.SubElement(root, "equality")
-    solref = f"{WELD_TIME_s:g} 1"
-    ET.SubElement(equality, "weld", name="hand_root", body1="hand_target", body2="forearm", solref=solref)
-    actuators = ET.SubElement(root, "actuator")
-    for joint in hand.joints:
-        place = joint.name.split("_")[0 if joint.bone == 1 else 1]
-        servo = {"name": joint.name, "joint": joint.name, "kp": f"{STIFFNESS_N_m[place]:g}"}
-        ET.SubElement(actuators, "position", servo | {"dampratio": "1", "inheritrange": "1"})
-    ET.indent(root)
-    return (
-        f"<!-- Written by scripts/make_hand_mjcf.py from hand_models/{preset.name}.toml. -->\n"
-        + ET.tostring(root, encoding="unicode")
-        + "\n"
-    )
-
-
-def _geom(hand: ArticulatedHand, segment: SkinSegment, elements: list[ET.Element]) -> None:
-    names = [bone.name for bone in hand.bones]
-    bone = names.index(segment.name) if segment.name in names else hand.bone("hand")
-    touches = segment.group > 0 or segment.name in CONTACT_PARTS or segment.name.endswith("metacarpal")
-    geom = skin_geom(segment, hand.bones[bone].origin, DIGITS_IN_FILE, touches)
-    ET.SubElement(elements[bone], "geom", geom | {"name": f"{segment.name}_skin"})
-
-
-def _excluded(hand: ArticulatedHand) -> list[tuple[str, str]]:
-    """Pairs of bodies whose capsules lie within each other in every pose: at the webs and about the thumb's root."""
-    first = [f"{digit}_proximal" for digit in DIGITS]
-    pairs = [("hand", name) for name in first]
-    pairs += list(pairwise(first))[1:]
-    pairs += [("forearm", "thumb_metacarpal"), ("hand", "thumb_metacarpal"), ("thumb_metacarpal", "index_proximal")]
-    return pairs
-
-
-def _text(numbers: Float | Sequence[float]) -> str:
-    return numbers_text(numbers, DIGITS_IN_FILE)

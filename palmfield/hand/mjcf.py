@@ -5,9 +5,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from palmfield.hand.mjcf_text import SKIN_RGBA, numbers_text
 from palmfield.hand.preset import DIGITS, HandPreset
 from palmfield.hand.skeleton import SkinSegment
-from palmfield.hand.surface import centred_skeleton
+from palmfield.hand.surface import centred_skeleton, hand_surface
+from palmfield.hand.visual_skin import EDGE_m, SkinBone, add_skin
 from palmfield.types import Float
 
 # 50 mN moves the hand by 0.05 / 2000 m = 25 um.
@@ -18,15 +20,17 @@ HEIGHT_m = 0.2
 PALM_SWELL_m = 0.002
 PARTS_OF_ONE_MASS = ("forearm", "carpus", "palm_body")
 DIGITS_IN_FILE = 6
-SKIN_RGBA = "0.87 0.68 0.58 1"
+VIEW_GROUP = "3"
+"""Of geoms and sites, which viewers leave out until it is asked for: the skin is seen in their place."""
 
 
 def hand_mjcf(preset: HandPreset) -> str:
     """MJCF text with one body `hand`, in the hand frame, to be named by `<include file=.../>` or opened as it is.
 
-    Geoms are capsules on the bones with the skin's mean radius (the palm's body: ellipsoids); they touch nothing.
-    MuJoCo takes mass and inertia from them at 1100 kg/m3; parts that lie inside others weigh nothing. Slide joints
-    hand_x, hand_y, hand_z carry position servos of the same names (2 kN/m, critically damped); gravity is compensated.
+    Viewers show its skin, of triangles of 4 mm; geoms and sites are in group 3. Geoms are capsules on bones with the
+    skin's mean radius (the palm's body: ellipsoids); they touch nothing. MuJoCo takes mass and inertia from them at
+    1100 kg/m3; parts that lie inside others weigh nothing. Slide joints hand_x, hand_y, hand_z carry position servos of
+    the same names (2 kN/m, critically damped); gravity is compensated.
     """
     skeleton = centred_skeleton(preset)
     root = ET.Element("mujoco", model=preset.name)
@@ -42,11 +46,13 @@ def hand_mjcf(preset: HandPreset) -> str:
         "hypothenar",
         *(f"{digit}_{at}" for digit in DIGITS for at in ("tip", "pad")),
     ):
-        ET.SubElement(body, "site", name=name, pos=_text(skeleton.landmarks[name]), size="0.002")
+        ET.SubElement(body, "site", name=name, pos=_text(skeleton.landmarks[name]), size="0.002", group=VIEW_GROUP)
     actuators = ET.SubElement(root, "actuator")
     for axis in "xyz":
         name = f"hand_{axis}"
         ET.SubElement(actuators, "position", name=name, joint=name, kp=f"{STIFFNESS_N_m:g}", dampratio="1")
+    surface = hand_surface(preset, EDGE_m).surface
+    add_skin(root, "hand", surface, [SkinBone("hand", np.zeros(3), np.ones(len(surface.vertices)))])
     ET.indent(root)
     return (
         f"<!-- Written by scripts/make_hand_mjcf.py from hand_models/{preset.name}.toml. -->\n"
@@ -66,7 +72,7 @@ def skin_geom(segment: SkinSegment, origin: Float, digits: int, touches: bool) -
     height = 0.5 * (semi[1] + semi[2])
     # Parts that lie inside others weigh nothing.
     weighs = segment.group > 0 or segment.name in PARTS_OF_ONE_MASS
-    geom = {"name": segment.name}
+    geom = {"name": segment.name, "group": VIEW_GROUP}
     if not touches:
         geom |= {"contype": "0", "conaffinity": "0"}
     geom |= {"rgba": SKIN_RGBA, "density": f"{DENSITY_kg_m3 if weighs else 0:g}"}
@@ -78,11 +84,6 @@ def skin_geom(segment: SkinSegment, origin: Float, digits: int, touches: bool) -
     ends = np.concatenate([segment.start + shift, segment.end + shift])
     radius = 0.5 * (semi[0] + height) if segment.group else height
     return geom | {"type": "capsule", "fromto": numbers_text(ends, digits), "size": numbers_text([radius], digits)}
-
-
-def numbers_text(numbers: Float | Sequence[float], digits: int) -> str:
-    """Numbers as MJCF has them, rounded to so many digits after the point."""
-    return " ".join(f"{number + 0.0:.{digits}g}" for number in np.round(numbers, digits))
 
 
 def _text(numbers: Float | Sequence[float]) -> str:

@@ -9,11 +9,13 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from palmfield.errors import SceneError
-from palmfield.hand.articulated import DIGITS_IN_FILE, ARMATURE_kg_m2
+from palmfield.hand.articulated_mjcf import DIGITS_IN_FILE, ARMATURE_kg_m2
 from palmfield.hand.chirality import Chirality, chirality, fingers_direction
 from palmfield.hand.joint_tree import named_side
-from palmfield.hand.mjcf import SKIN_RGBA, DENSITY_kg_m3, HEIGHT_m, numbers_text
+from palmfield.hand.mjcf import VIEW_GROUP, DENSITY_kg_m3, HEIGHT_m
+from palmfield.hand.mjcf_text import SKIN_RGBA, numbers_text
 from palmfield.hand.rigged import RiggedMesh
+from palmfield.hand.visual_skin import SkinBone, add_skin
 from palmfield.types import Float, Int
 
 SWING_Hz = 25.0
@@ -44,11 +46,12 @@ def rigged_mjcf(mesh: RiggedMesh, name: str) -> str:
 
     A body for every joint, of its name, at its place and parallel to the file's axes; further joints without a parent
     hang on the first one. That one is free, and a soft weld holds it to the mocap body `hand_target`, as in
-    `palmfield.hand.articulated.articulated_mjcf`. A joint turns (a ball joint of its name, with a spring to the file's
-    pose that swings at SWING_Hz and critical damping) where it carries skin and so does one above it; all others are
-    rigid, having no mass to move. Capsules along the bones, to the next joints that carry skin, have the skin's
+    `palmfield.hand.articulated_mjcf.articulated_mjcf`. A joint turns (a ball joint of its name, with a spring to the
+    file's pose that swings at SWING_Hz and critical damping) where it carries skin and so does one above it; all others
+    are rigid, having no mass to move. Capsules along the bones, to the next joints that carry skin, have the skin's
     distance from the bone as radius, the median along it; all together have the mesh's volume times 1100 kg/m3 as mass.
-    They touch other things and each other, but for pairs that do in the file's pose. Gravity is compensated.
+    They touch other things and each other, but for pairs that do in the file's pose. Gravity is compensated. Viewers
+    show the mesh as skin, and the capsules and sites, group 3, where they are asked for.
 
     Sites: JOINT_tip, the farthest skin of each last joint; and, where `palmfield.hand.chirality` is sure which side the
     palm is, JOINT_pad, the skin of each joint on that side. There, the first joint and hand_target are turned so that
@@ -101,11 +104,15 @@ def rigged_mjcf(mesh: RiggedMesh, name: str) -> str:
             last = not _next_carrying(j, parents, carries)
             _add_geoms(bodies[j], places[j], capsules[j], density)
             for site, point in _sites(own, places[j], capsules[j], side, last).items():
-                ET.SubElement(bodies[j], "site", name=f"{names[j]}_{site}", pos=_text(point - places[j]), size="0.002")
+                at, name_of_site = _text(point - places[j]), f"{names[j]}_{site}"
+                ET.SubElement(bodies[j], "site", name=name_of_site, pos=at, size="0.002", group=VIEW_GROUP)
     equality = ET.SubElement(root, "equality")
     first, solref = names[root_joint], f"{WELD_TIME_s:g} 1"
     ET.SubElement(equality, "weld", name=first, body1="hand_target", body2=first, solref=solref)
     _add_springs_and_excludes(root)
+    shares = np.zeros((len(vertices), len(names)))
+    np.add.at(shares, (np.arange(len(vertices))[:, None], mesh.indices), mesh.weights)
+    add_skin(root, name, mesh.surface, [SkinBone(*bone) for bone in zip(names, places, shares.T, strict=True)])
     ET.indent(root)
     axes = "the file's own" if side.side == "unknown" else "fingers to y, palm to -z"
     note = f"<!-- Written by `palmfield hand` of a rigged mesh. Side: {side.side}; axes in the world: {axes}. -->\n"
@@ -191,6 +198,7 @@ def _add_geoms(body: ET.Element, origin: Float, capsules: list[_Capsule], densit
         ends = _text(np.concatenate([capsule.start - origin, capsule.end - origin]))
         size = _text(np.array([capsule.radius]))
         geom = {"type": "capsule", "fromto": ends, "size": size, "density": density, "rgba": SKIN_RGBA}
+        geom["group"] = VIEW_GROUP
         ET.SubElement(body, "geom", geom)
 
 

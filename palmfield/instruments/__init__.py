@@ -12,7 +12,7 @@ from palmfield.lazy_names import lazy_names
 if TYPE_CHECKING:
     from palmfield.instruments.displacement_meter import DisplacementMeter, displacement_reading
     from palmfield.instruments.force import Plate, PlateForce, Scale, mesh_force, plate_force, scale_reading
-    from palmfield.instruments.guided_mode import GuidedMode, guided_mode_fit, line_amplitudes
+    from palmfield.instruments.guided_mode import GuidedMode, Wave, guided_mode_fit, line_amplitudes
     from palmfield.instruments.mechanical_analyser import (
         Analyser,
         analyser_reading,
@@ -49,6 +49,7 @@ _WHERE = {
     **dict.fromkeys(
         (
             "GuidedMode",
+            "Wave",
             "guided_mode_fit",
             "line_amplitudes",
         ),
@@ -124,6 +125,7 @@ __all__ = [
     "Scan",
     "SurfaceMotion",
     "Vibrometer",
+    "Wave",
     "analyser_reading",
     "apparent_modulus",
     "disc_grid",

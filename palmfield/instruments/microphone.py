@@ -15,6 +15,7 @@ from scipy.signal import butter, freqs_zpk
 
 from palmfield.acoustics.sphere import surface_pressure
 from palmfield.errors import MeasurementError
+from palmfield.instruments.microphone_body import face_rise
 from palmfield.instruments.settings import NonNegative, Positive, Settings, Vector3
 from palmfield.metrics.checks import even_step, trace
 from palmfield.types import Complex, Float
@@ -32,9 +33,10 @@ class Microphone(Settings):
     diaphragm: Literal["piston", "membrane"] = Field(
         default="piston", description="all of it weighs alike, or as a clamped membrane moves, 1 - (r/a)^2"
     )
-    face: Literal["free", "doubling"] = Field(
+    face: Literal["free", "doubling", "cylinder"] = Field(
         default="free",
-        description="free: the sound as without the microphone; doubling: a wall's, twice the sound from ahead",
+        description="free: the sound as without the microphone; doubling: a wall's, twice the sound from ahead; "
+        "cylinder: what the face of a rigid cylinder of the diaphragm's diameter takes of sound from ahead",
     )
     low_Hz: Positive | None = Field(default=None, description="lower end of its band, -3 dB")
     high_Hz: Positive | None = Field(default=None, description="upper end of its band, -3 dB")
@@ -67,12 +69,15 @@ def diaphragm_points(settings: Microphone, rings: int = 6) -> tuple[Float, Float
     return places, np.repeat(share / len(angles), len(angles))
 
 
-def microphone_scan(pressure_at: PressureAt, places_m: ArrayLike, settings: Microphone) -> xr.DataArray:
+def microphone_scan(
+    pressure_at: PressureAt, places_m: ArrayLike, settings: Microphone, *, wavenumber: float | None = None
+) -> xr.DataArray:
     """The pressure that a microphone reads at places of its diaphragm's middle [Pa], complex, dimension (point,).
 
     pressure_at: the sound without the microphone, for example `palmfield.acoustics.pressure` at points
-    The mean over the diaphragm, twice that where its face doubles. Sound that comes round the microphone's body from
-    behind, and the rise between no doubling and doubling where the diaphragm is as small as a wave, are left out.
+    wavenumber: of the sound [rad/m], which a face "cylinder" needs
+    The mean over the diaphragm, times `face_factor`, which is that of sound from ahead; for sound from the side
+    `angle_response` and `palmfield.instruments.microphone_body.face_rise` say what changes.
     """
     places = np.asarray(places_m, dtype=float)
     if places.ndim != 2 or places.shape[1] != 3 or not np.isfinite(places).all():
@@ -81,7 +86,7 @@ def microphone_scan(pressure_at: PressureAt, places_m: ArrayLike, settings: Micr
     sound = np.asarray(pressure_at((places[:, None] + offsets).reshape(-1, 3)))
     if sound.shape != (len(places) * len(offsets),):
         raise MeasurementError(f"pressure_at gave shape {sound.shape} for {len(places) * len(offsets)} places")
-    read = sound.reshape(len(places), -1) @ weights * face_factor(settings)
+    read = sound.reshape(len(places), -1) @ weights * face_factor(settings, wavenumber)
     coordinates = {axis: ("point", places[:, n], {"units": "m"}) for n, axis in enumerate("xyz")}
     attributes = {"units": "Pa", "long_name": "peak amplitude of the carrier as the microphone reads it"}
     return xr.DataArray(read, coordinates, ("point",), "pressure", attributes)
@@ -113,8 +118,15 @@ def angle_response(cosine: ArrayLike, diameter_m: float, wavenumber: float) -> C
     return np.asarray(surface_pressure(ka, -np.clip(ahead, -1.0, 1.0)) / surface_pressure(ka, -1.0))
 
 
-def face_factor(settings: Microphone) -> float:
-    """2 in pressure, 4 in its square, where the face doubles; else 1."""
+def face_factor(settings: Microphone, wavenumber: float | None = None) -> float:
+    """By what the face raises the pressure of sound from ahead: 1 free, 2 where it doubles, between for a cylinder.
+
+    wavenumber: [rad/m], which a cylinder needs. Raises MeasurementError without it, and as `face_rise`.
+    """
+    if settings.face == "cylinder":
+        if wavenumber is None:
+            raise MeasurementError("microphone: face is 'cylinder', whose rise depends on the sound: give a wavenumber")
+        return abs(face_rise(settings.diameter_m, wavenumber))
     return 2.0 if settings.face == "doubling" else 1.0
 
 

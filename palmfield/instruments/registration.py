@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import null_space
 from scipy.spatial.transform import Rotation
 
 from palmfield.errors import MeasurementError
@@ -23,12 +24,14 @@ class Registration(NamedTuple):
     transform: from the scan's frame to the surface's; residual_m: distance of each point from the surface, shape (n,)
     fiducials_m: distance of each fiducial from its partner, shape (k,), empty without them
     undetermined: of three shifts and three turns, how many the surface does not tell; these stay as they were given
+    turns: how many of these turn the scan without shifting it, 1 on a plane
     """
 
     transform: Transform
     residual_m: Float
     fiducials_m: Float
     undetermined: int
+    turns: int = 3
 
     @property
     def rms_m(self) -> float:
@@ -54,8 +57,11 @@ def by_fiducials(measured_m: ArrayLike, surface_m: ArrayLike) -> Transform:
     return Transform(ours.mean(axis=0) - rotation @ theirs.mean(axis=0), rotation)
 
 
-def to_surface(points_m: ArrayLike, vertices: Float, faces: Int, begin: Transform = IDENTITY) -> tuple[Transform, int]:
-    """The rigid motion near `begin` that brings points onto a mesh, and how many of six directions it does not tell.
+def to_surface(
+    points_m: ArrayLike, vertices: Float, faces: Int, begin: Transform = IDENTITY
+) -> tuple[Transform, int, int]:
+    """The rigid motion near `begin` that brings points onto a mesh; how many of six directions it does not tell, and
+    how many of these are turns.
 
     Least squares of the distances along the surface's normals, point to plane (Chen & Medioni 1992), until nothing
     moves. Directions in which the points slide along the surface, on a plane two shifts and one turn, are left alone.
@@ -64,7 +70,7 @@ def to_surface(points_m: ArrayLike, vertices: Float, faces: Int, begin: Transfor
     corners = np.asarray(vertices, dtype=float)[np.asarray(faces)]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)
-    transform, undetermined = begin, 6
+    transform, known = begin, np.zeros((0, 6))
     for _ in range(ROUNDS):
         at = transform.points(points)
         found = on_mesh(vertices, faces, at)
@@ -76,7 +82,7 @@ def to_surface(points_m: ArrayLike, vertices: Float, faces: Int, begin: Transfor
         columns = np.hstack([normals, np.cross(at - middle, normals) / radius]) / np.sqrt(len(at))
         left, sizes, right = np.linalg.svd(columns, full_matrices=False)
         told = sizes > LEAST_DIRECTION
-        undetermined = int(6 - told.sum())
+        known = right[told]
         inverse = np.where(told, 1.0 / np.where(told, sizes, 1.0), 0.0)
         step = -right.T @ (inverse * (left.T @ (gaps / np.sqrt(len(at)))))
         turn = Rotation.from_rotvec(step[3:] / radius).as_matrix()
@@ -84,7 +90,9 @@ def to_surface(points_m: ArrayLike, vertices: Float, faces: Int, begin: Transfor
         transform = Transform(position, turn @ transform.rotation)
         if np.abs(step).max() < SETTLED_M:
             break
-    return transform, undetermined
+    free = null_space(known) if len(known) else np.eye(6)
+    shifts = int((np.linalg.svd(free[:3], compute_uv=False) > LEAST_DIRECTION).sum()) if free.size else 0
+    return transform, free.shape[1], free.shape[1] - shifts
 
 
 def registration(
@@ -93,10 +101,10 @@ def registration(
 ) -> Registration:  # fmt: skip
     """A scan's place: by fiducials where there are pairs (measured, on the surface), then onto the surface."""
     begin = IDENTITY if pairs is None else by_fiducials(*pairs)
-    transform, undetermined = to_surface(points_m, vertices, faces, begin) if surface else (begin, 6)
+    transform, undetermined, turns = to_surface(points_m, vertices, faces, begin) if surface else (begin, 6, 3)
     residual = on_mesh(vertices, faces, transform.points(np.asarray(points_m, dtype=float))).distance_m
     apart = np.zeros(0)
     if pairs is not None:
         measured, ours = (np.asarray(part, dtype=float) for part in pairs)
         apart = np.linalg.norm(transform.points(measured) - ours, axis=1)
-    return Registration(transform, residual, apart, undetermined)
+    return Registration(transform, residual, apart, undetermined, turns)

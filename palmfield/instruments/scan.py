@@ -51,6 +51,13 @@ class Scan:
             raise MeasurementError(
                 f"{self.name}: values are {values.shape}, points {points.shape}; give shapes (t, n) and (n, 3), finite"
             )
+        first, second = _in_one_place(points)
+        if second:
+            place = ", ".join(f"{1e3 * x:.4g}" for x in points[first])
+            raise MeasurementError(
+                f"{self.name}: points {first} and {second} lie in one place, ({place}) mm; leave one out, or give "
+                "their mean"
+            )
         for name, value in (("times_s", times), ("values", values), ("points", points)):
             object.__setattr__(self, name, value)
         if self.sights is not None:
@@ -71,6 +78,16 @@ class Scan:
         """The scan of some of its points, by number or as a mask."""
         sights = None if self.sights is None else self.sights[chosen]
         return Scan(self.quantity, self.times_s, self.points[chosen], self.values[:, chosen], sights, self.name)
+
+
+def _in_one_place(points: Float) -> tuple[int, int]:
+    """Numbers of the first two points that do, (0, 0) for none. points: [m], shape (n, 3)"""
+    order = np.lexsort(points.T)
+    same = np.flatnonzero((np.diff(points[order], axis=0) == 0.0).all(axis=1))
+    if len(same) == 0:
+        return 0, 0
+    pair = sorted(int(order[n]) for n in (same[0], same[0] + 1))
+    return pair[0], pair[1]
 
 
 def of_record(record: xr.DataArray, name: str = "palmfield") -> Scan:

@@ -118,6 +118,22 @@ GROUPS: dict[str, dict[str, Variable]] = {
     },
     "array": {
         "transducer_position": Variable(("transducer", "xyz"), "float64", "m", "transducers", "this array's own"),
+        "transducer_direction": Variable(
+            ("transducer", "xyz"), "float64", "1", "directions in which they emit, of length 1", "this array's own"
+        ),
+        "transducer_p0": Variable(
+            ("transducer",), "float64", "Pa m",
+            "peak pressure of each at 1 m on its axis at full drive, without absorption; 0 where it is dead",
+        ),
+        "transducer_phase": Variable(
+            ("transducer",), "float64", "rad", "phase of each one's sound against its drive",
+            sign="positive is a delay (time factor e^{-i w t})",
+        ),
+        "piston_radius": Variable((), "float64", "m", "of the pistons whose directivity they have; 0 is a point"),
+        "off_axis_angle": Variable(
+            ("off_axis",), "float64", "degree", "angles of a measured directivity, which goes before the piston's"
+        ),
+        "off_axis_level": Variable(("off_axis",), "float64", "1", "its amplitude relative to that on the axis"),
         "drive_amplitude": Variable(
             ("frame_time", "transducer"), "float32", "1", "amplitude of the drive, 1 is full drive"
         ),

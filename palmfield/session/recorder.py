@@ -20,7 +20,7 @@ from palmfield.simulation.sensors import CHANNELS, UNITS
 from palmfield.simulation.step import StepTrace
 from palmfield.stimulus.schedule import frames_at
 from palmfield.transforms import quaternion
-from palmfield.types import Complex, Float, Float32
+from palmfield.types import Array, Complex, Float, Float32
 
 Block = dict[str, dict[str, NDArray[Any]]]
 
@@ -235,7 +235,7 @@ def static_arrays(model: HapticModel, world: World, runtime: SceneRuntime) -> Bl
     """What is known before the first step."""
     block: Block = {}
     for array, part in zip(model.spec.arrays, model.arrays.parts, strict=True):
-        block[group("array", array.name)] = {"transducer_position": part.positions}
+        block[group("array", array.name)] = _transducers(part)
     for skin in model.skins:
         nodes, normals = skin.nodes
         vertices, faces = skin.closed_surface
@@ -257,6 +257,22 @@ def static_arrays(model: HapticModel, world: World, runtime: SceneRuntime) -> Bl
         for sensor in world.sensors(bound.instance):
             block[group("sensors", sensor.name)] = sensor_channels(list(CHANNELS), list(UNITS))
     return block
+
+
+def _transducers(array: Array) -> dict[str, NDArray[Any]]:
+    """All that the sound of an array depends on but its drive, pose and air."""
+    gain = np.ones(len(array), np.complex128) if array.gain is None else array.gain
+    told = {
+        "transducer_position": array.positions,
+        "transducer_direction": array.normals,
+        "transducer_p0": array.p0_Pa_m * np.abs(gain),
+        "transducer_phase": np.angle(gain),
+        "piston_radius": np.array(array.piston_radius_m),
+    }
+    if array.directivity_table is not None:
+        angles, levels = array.directivity_table.T
+        told |= {"off_axis_angle": angles, "off_axis_level": levels}
+    return told
 
 
 def world_with(data: mujoco.MjData) -> World:

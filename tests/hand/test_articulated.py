@@ -1,11 +1,13 @@
 import mujoco
 import numpy as np
 import pytest
+from mjcf_files import assert_same_file
 from scipy.spatial.transform import Rotation
 
 from palmfield.data import folder
 from palmfield.errors import SceneError
-from palmfield.hand.articulated import articulate, articulated_mjcf, bone_poses, checked_angles, posed_landmark
+from palmfield.hand.articulated import articulate, bone_poses, checked_angles, posed_landmark
+from palmfield.hand.articulated_mjcf import articulated_mjcf
 from palmfield.hand.preset import DIGITS, load_preset, mirrored, preset_names
 
 MEN = load_preset("open_men_p50")
@@ -27,13 +29,13 @@ def landmark(hand, name, **angles):
 
 
 def test_committed_file_is_what_the_generator_writes():
-    assert FILE.read_text(encoding="utf-8") == articulated_mjcf(MEN)
+    assert_same_file(FILE.read_text(encoding="utf-8"), articulated_mjcf(MEN))
 
 
 @pytest.mark.parametrize("name", preset_names())
 def test_every_preset_has_plausible_mass_and_no_contacts_at_rest(name):
     for preset in (load_preset(name), mirrored(load_preset(name))):
-        model = mujoco.MjModel.from_xml_string(articulated_mjcf(preset))
+        model = mujoco.MjModel.from_xml_string(articulated_mjcf(preset, skin=False))
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
         assert data.ncon == 0

@@ -1,6 +1,7 @@
 import mujoco
 import numpy as np
 import pytest
+from mjcf_files import assert_same_file
 
 from palmfield.data import folder
 from palmfield.hand.mjcf import hand_mjcf
@@ -36,7 +37,7 @@ def hand():
 
 
 def test_committed_file_is_what_the_generator_writes():
-    assert FILE.read_text(encoding="utf-8") == hand_mjcf(load_preset(NAME))
+    assert_same_file(FILE.read_text(encoding="utf-8"), hand_mjcf(load_preset(NAME)))
 
 
 def test_opens_alone_and_included(hand, tmp_path):

@@ -4,7 +4,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from palmfield.errors import SceneError
-from palmfield.hand.articulated import articulated_mjcf, bone_poses
+from palmfield.hand.articulated import bone_poses
+from palmfield.hand.articulated_mjcf import articulated_mjcf
 from palmfield.hand.preset import load_preset, mirrored
 from palmfield.hand.skinning import SkinnedHand, SMOOTHING_m
 from palmfield.hand.triangles import vertex_normals
@@ -36,7 +37,7 @@ def with_skin(hand):
     vertices = " ".join(f"{x:.9g}" for x in surface.vertices.ravel())
     faces = " ".join(map(str, surface.faces.ravel()))
     skin = f'<deformable><skin name="s" vertex="{vertices}" face="{faces}">{"".join(parts)}</skin></deformable>'
-    return articulated_mjcf(hand.hand.preset).replace("</mujoco>", skin + "</mujoco>")
+    return articulated_mjcf(hand.hand.preset, skin=False).replace("</mujoco>", skin + "</mujoco>")
 
 
 @pytest.mark.parametrize("side", ["right", "left"])

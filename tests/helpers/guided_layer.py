@@ -6,7 +6,7 @@ plane waves along the layer. Shares no code with palmfield. e^{-i w t}, moduli G
 
 import numpy as np
 from scipy.linalg import eig
-from scipy.special import j0, j1
+from scipy.special import hankel1, j0, j1
 
 
 def fractional(f_Hz, stiff_Pa=8e3, pot_Pa=6e3, reference_Hz=100.0, power=0.3):
@@ -65,6 +65,23 @@ class GuidedLayer:
             parts.append(0.5j * k * (self.down @ shape) ** 2 / norm * np.exp(-0.5 * (k * spread) ** 2))
         order = np.argsort(np.imag(found))
         return np.array(found)[order], np.array(parts)[order]
+
+    def seen(self, spot_m, ways, tilt=0.0, furthest=600.0):
+        """Wavenumbers of modes, and what a beam in the x-z plane sees of each under 1 N, over the cosine of its angle.
+
+        ways: from the source, shape (n, 2); tilt: tangent of the beam's angle. Returns shapes (modes,), (modes, n).
+        """
+        r = np.linalg.norm(ways, axis=1)
+        spread = spot_m / np.sqrt(8.0 * np.log(2.0))
+        k, parts = self.modes(spot_m, furthest)
+        fields = []
+        for one, part in zip(k, parts, strict=True):
+            shape = self._newton(one)[1]
+            norm = shape @ ((2.0 * one * self.a2 + self.a1) @ shape)
+            out = -0.5j * one * (self.down @ shape) * (self.along @ shape) / norm
+            out *= np.exp(-0.5 * (one * spread) ** 2)
+            fields.append(-part * hankel1(0, one * r) + tilt * out * hankel1(1, one * r) * ways[:, 0] / r)
+        return k, np.array(fields)
 
     def _eigenvalues(self):
         n = len(self.a0)

@@ -104,3 +104,32 @@ def test_a_point_hears_all_alike_and_odd_cosines_are_refused():
         angle_response([1.2], 3e-3, 700.0)
     with pytest.raises(MeasurementError, match="wavenumber"):
         angle_response([1.0], 3e-3, 0.0)
+
+
+def test_a_cylinders_face_rises_from_no_doubling_to_more_than_doubling():
+    from palmfield.instruments.microphone_body import face_rise
+
+    assert abs(face_rise(0.2, 1.0)) == pytest.approx(1.0, abs=0.01)
+    eighth = abs(face_rise(0.003175, K))
+    # The rigid sphere, exact, rises by 3.4 dB there; an edge adds to a flat face's sound
+    sphere = 1.48
+    assert sphere < eighth < 1.7
+    assert 2.0 < abs(face_rise(0.2, 30.0)) < 2.3
+    # In the shadow of its own body, which is short beside a wave no longer
+    assert abs(face_rise(0.2, 30.0, -1.0)) < 0.6
+    head = Microphone(diameter_m=0.003175, face="cylinder")
+    read = microphone_scan(wave(0.0), [[0.0, 0.0, 0.0]], head, wavenumber=K)
+    assert abs(read.values[0]) == pytest.approx(7.0 * eighth)
+    with pytest.raises(MeasurementError, match="give a wavenumber"):
+        microphone_scan(wave(0.0), [[0.0, 0.0, 0.0]], head)
+    with pytest.raises(MeasurementError, match="k a is 7; allowed: above 0, up to 6"):
+        face_rise(0.2, 70.0)
+
+
+def test_the_mesh_of_a_cylinder_is_closed_and_of_its_size():
+    import trimesh
+
+    from palmfield.instruments.microphone_body import LENGTH_RADII, cylinder
+
+    body = trimesh.Trimesh(*cylinder(6), process=False)
+    assert body.is_watertight and body.volume == pytest.approx(np.pi * LENGTH_RADII, rel=0.03)

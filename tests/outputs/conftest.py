@@ -73,7 +73,13 @@ def _bones(count):
 def _array(count):
     grid = (np.arange(count) - 0.5 * (count - 1)) * 0.0105
     x, y = np.meshgrid(grid, grid)
-    return {"transducer_position": np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])}
+    return {
+        "transducer_position": np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]),
+        "transducer_direction": np.tile([0.0, 0.0, 1.0], (x.size, 1)),
+        "transducer_p0": np.full(x.size, 1.5),
+        "transducer_phase": np.zeros(x.size),
+        "piston_radius": np.array(4.5e-3),
+    }
 
 
 @pytest.fixture(scope="session")
@@ -81,7 +87,8 @@ def static_arrays():
     """What is known before the first step, and the loudest instant's."""
     groups = {
         "/array/below": _array(16),
-        "/array/beside": _array(8),
+        "/array/beside": _array(8)
+        | {"off_axis_angle": np.array([0.0, 45.0, 90.0]), "off_axis_level": np.array([1.0, 0.7, 0.5])},
         "/skin/palm": _skin(0.03, 12, 0.006),
         "/skin/tip": _skin(0.008, 6, 0.003),
         "/surface/palm": _surface(np.array([0.045, 0.09, 0.015]), 0.006),

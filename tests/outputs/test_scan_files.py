@@ -53,6 +53,9 @@ def test_units_become_si(tmp_path):
         ("time_s,P1,P2", "t,P1,P2", "begins with 't'"),
         ("y_m,0,0\n", "", "has no line 'y_m"),
         ("z_m,0,0\n", "z_m,0,0\nsight_x,1,1\n", "has no line 'sight_y"),
+        ("x_m,0,0.005", "x_mm,0,5", r"line 4 begins with 'x_mm' \(did you mean 'x_m'\?\); allowed: a time, or x_m"),
+        ("y_m,0,0\n", "y_m,0,0\ny_m,0,1\n", "line 6 gives 'y_m' again"),
+        ("x_m,0,0.005", "x_m,0,0", r"points 0 and 1 lie in one place, \(0, 0, 0\) mm"),
         ("0.003,3,-3", "0.003,3", "line 10 has 2 values for 3 columns"),
         ("0.003,3,-3", "0.003,x,-3", "line 10, column P1: 'x' is not a number"),
         ("0.003,3,-3", "0.003,nan,-3", "line 10, column P1: nan; give a finite number"),
@@ -108,8 +111,16 @@ def test_uff_comes_back(tmp_path, binary, sights):
     assert back.values == pytest.approx(one.values, rel=1e-6 if binary else 1e-10, abs=1e-15)
     assert (back.sights is None) != sights and (not sights or back.sights == pytest.approx(one.sights, abs=1e-8))
     # As other software reads it
-    kinds = list(pyuff.UFF(str(tmp_path / "a.uff")).get_set_types())
+    opened = pyuff.UFF(str(tmp_path / "a.uff"))
+    kinds = list(opened.get_set_types())
     assert kinds[:2] == [164, 2411] and kinds.count(82) == 2 and kinds.count(58) == 300
+    units, nodes, line, record = (opened.read_sets(n) for n in (0, 1, 2, 4))
+    assert units["length"] == 1.0 and nodes["y"] == pytest.approx(one.points[:, 1], abs=1e-12)
+    assert list(line["nodes"]) == list(range(1, 251))
+    assert record["binary"] == int(binary) and record["rsp_node"] == 1 and record["ordinate_spec_data_type"] == 8
+    assert record["data"] == pytest.approx(one.values[:, 0], rel=1e-6, abs=1e-15)
+    text = (tmp_path / "a.uff").read_bytes()
+    assert (b"    58b" in text) == binary
 
 
 def test_uff_of_others_with_millimetres_single_nodes_and_turned_axes(tmp_path):
@@ -133,6 +144,11 @@ def test_uff_of_others_with_millimetres_single_nodes_and_turned_axes(tmp_path):
     pyuff.UFF(str(tmp_path / "b.uff")).write_sets(sets, mode="overwrite")
     with pytest.raises(MeasurementError, match="of node 8, which has no place"):
         read_scan(tmp_path / "b.uff")
+    sets[3] |= {"rsp_node": 9, "rsp_dir": 1}
+    pyuff.UFF(str(tmp_path / "b.uff")).write_sets(sets, mode="overwrite")
+    with pytest.raises(MeasurementError, match="of node 9 is in direction 1; read are those along z"):
+        read_scan(tmp_path / "b.uff")
+    sets[3] |= {"rsp_node": 8, "rsp_dir": 3}
     sets[2]["ordinate_spec_data_type"] = 12
     pyuff.UFF(str(tmp_path / "b.uff")).write_sets(sets, mode="overwrite")
     with pytest.raises(MeasurementError, match="data types 11, 12; allowed: one of 8"):
@@ -207,3 +223,71 @@ def test_what_is_wrong_in_a_mat_is_named(tmp_path):
     (tmp_path / "a.mat").write_bytes(b"no such thing")
     with pytest.raises(MeasurementError, match="cannot be read"):
         read_scan(tmp_path / "a.mat")
+
+
+# -- Polytec's text ------------------------------------------------------------------------------------------------
+
+# As files begin that public programs describe which read them
+HEAD = "Source File Name:\tScan\nPoint Index:\t{}\nComponent:\tRoot\nSignal:\tTime - Vib Velocity - Samples\n\n"
+TABLE = "Time\tTime Signal\n[ s ]\t[ mm/s ]\n"
+
+
+def polytec(folder, count=3):
+    """A folder of text files, one for each point, numbered from 5 on; returns times and values [mm/s]."""
+    times = np.arange(20) / 8e3
+    values = np.random.default_rng(4).normal(size=(20, count))
+    for n in range(count):
+        rows = "".join(f"{time:.9g}\t{value:.9g}\n" for time, value in zip(times, values[:, n], strict=True))
+        (folder / f"scan_{n}.txt").write_text(HEAD.format(5 + n) + TABLE + rows, encoding="cp1252")
+    lines = "".join(f"{5 + n},{0.001 * n},0,0\n" for n in reversed(range(count)))
+    (folder / "places.csv").write_text("point,x_m,y_m,z_m\n" + lines)
+    return times, values
+
+
+def test_polytecs_text_files_are_a_scan_with_a_table_of_places(tmp_path):
+    times, values = polytec(tmp_path)
+    found = read_scan(tmp_path)
+    assert found.quantity == "velocity" and found.sights is None and found.times_s == pytest.approx(times)
+    assert found.values == pytest.approx(1e-3 * values, rel=1e-8)
+    assert found.points[:, 0] == pytest.approx([0.0, 0.001, 0.002])
+    with pytest.raises(MeasurementError, match="give the folder that holds them"):
+        read_scan(tmp_path / "scan_0.txt")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("Component:\tRoot", "Average:\t3", "line 3 is 'Average"),
+        ("Point Index:\t5\n", "", "no line 'Point Index:'"),
+        ("Point Index:\t5", "Point Index:\t9", "of point 9, which places.csv has no line for"),
+        ("Point Index:\t5", "Point Index:\t6", "point 6 has several files"),
+        ("Vib Velocity", "Vib 3D Velocity", "Signal is 'Time - Vib 3D Velocity"),
+        ("Time - Vib", "FFT - Vib", "samples over time along one beam"),
+        ("Vib Velocity", "Vib Displacement", r"units are '\[ s \] \[ mm/s \]'; allowed"),
+        ("[ mm/s ]", "[ V ]", "of velocity, "),
+        ("[ s ]", "[ ms ]", r"allowed: \[ s \]"),
+        ("Time\tTime Signal", "Frequency\tSpectrum", "two columns follow the head, Time"),
+        ("\n\n", "\n", "no empty line after its head|line 5 is 'Time"),
+        ("0.000125\t", "0,000125\t", "line 9 is '0,000125.*decimals by points"),
+        ("0.00025\t", "0.000251\t", "times are not"),
+    ],
+)
+def test_what_isnt_known_in_polytecs_text_is_refused(tmp_path, old, new, words):
+    polytec(tmp_path)
+    text = (tmp_path / "scan_0.txt").read_text(encoding="cp1252")
+    assert old in text
+    (tmp_path / "scan_0.txt").write_text(text.replace(old, new, 1), encoding="cp1252")
+    with pytest.raises(MeasurementError, match=words):
+        read_scan(tmp_path)
+
+
+def test_polytecs_folders_without_files_or_places_are_refused(tmp_path):
+    with pytest.raises(MeasurementError, match=r"holds no \.txt files"):
+        read_scan(tmp_path)
+    polytec(tmp_path)
+    (tmp_path / "places.csv").write_text("point,x_m,y_m\n5,0,0\n")
+    with pytest.raises(MeasurementError, match="has no column 'z_m'"):
+        read_scan(tmp_path)
+    (tmp_path / "places.csv").unlink()
+    with pytest.raises(MeasurementError, match=r"places.csv: cannot be read.*columns point, x_m"):
+        read_scan(tmp_path)

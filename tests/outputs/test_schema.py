@@ -31,7 +31,7 @@ def test_every_variable_says_what_it_is():
 
 def test_units_are_those_of_udunits():
     units = {v.units for variables in (ROOT, *GROUPS.values()) for v in variables.values()}
-    assert units == {"s", "m", "1", "m s-1", "Pa", "rad", "N", "N m", ""}
+    assert units == {"s", "m", "1", "m s-1", "Pa", "Pa m", "rad", "degree", "N", "N m", ""}
 
 
 def test_no_variable_has_the_name_of_a_dimension_that_it_shares_with_others():

@@ -15,7 +15,7 @@ from palmfield.outputs.pictures.asked import Asked, limits_of
 from palmfield.outputs.recorded_keys import keys_of
 from palmfield.outputs.schema import has_records, instances
 from palmfield.transforms import IDENTITY, Placement
-from palmfield.types import Air, Complex, Float
+from palmfield.types import Air, Array, Complex, Float
 
 SIDE_M = 0.12
 """Half the width of the slice."""
@@ -33,8 +33,9 @@ def field_slice(result: xr.DataTree, asked: Asked) -> Figure:
     """Amplitude of the incident pressure in the x z plane of the first array that sounds, through the focus.
 
     As the arrays would sound in free air, with nothing in the way; the amplitudes and phases are those of the drive, so
-    that the ringing of transducers is not in it. Raises OutputError for arrays whose transducers the result doesn't
-    tell in full (layouts sites and csv, calibrations).
+    that the ringing of transducers is not in it. Transducers are those of the result: calibrated, tilted or one by one.
+    Raises OutputError for a result of an earlier version with layout sites or csv, or a calibration, which it doesn't
+    tell in full.
     """
     arrays = {
         name: array for name, array in instances(result, "array").items() if has_records(array, "drive_amplitude")
@@ -85,16 +86,34 @@ def _foci(result: xr.DataTree, time_s: float, frame: Float) -> Float:
 def _sound(name: str, array: xr.Dataset, points: Float, time_s: float) -> Complex:
     """Complex amplitude [Pa] of one array at points of the world [m], shape (n, 3) -> (n,)."""
     config = keys_of(ArrayConfig, name, array)
-    for key, found in (("layout", config.layout in ("sites", "csv")), ("calibration", config.calibration is not None)):
-        if found:
-            raise OutputError(
-                f"array '{name}' has {key} {getattr(config, key)!r}, which a result does not hold in full; a slice is "
-                "drawn of layouts by name without calibration"
-            )
     pose = pose_at(array, time_s)
-    own = ArrayInstance(config, Placement.of(IDENTITY)).array()
-    here = placed(own, pose[:3], axes_of(pose).T)
+    here = placed(_transducers(name, array, config), pose[:3], axes_of(pose).T)
     index = nearest(array["frame_time"].values, time_s)
     drive = array["drive_amplitude"].values[index] * np.exp(1j * array["drive_phase"].values[index])
     air = Air(config.temperature_C, config.humidity_percent, config.pressure_Pa)
     return pressure(points, here, drive.astype(complex), air, device="cpu", warn=False).pressure.astype(complex)
+
+
+def _transducers(name: str, group: xr.Dataset, config: ArrayConfig) -> Array:
+    """An array's transducers in its own frame, as the result has them; from its keys if it is of an earlier version."""
+    if "transducer_p0" in group:
+        phase = np.exp(1j * group["transducer_phase"].values)
+        table = None
+        if "off_axis_angle" in group:
+            table = np.column_stack([group["off_axis_angle"].values, group["off_axis_level"].values])
+        return Array(
+            name,
+            group["transducer_position"].values,
+            group["transducer_direction"].values,
+            1.0,
+            piston_radius_m=float(group["piston_radius"].item()),
+            gain=group["transducer_p0"].values * phase,
+            directivity_table=table,
+        )
+    for key, found in (("layout", config.layout in ("sites", "csv")), ("calibration", config.calibration is not None)):
+        if found:
+            raise OutputError(
+                f"array '{name}' has {key} {getattr(config, key)!r}, which this result, of an earlier version, doesn't "
+                "hold in full: run the scene again"
+            )
+    return ArrayInstance(config, Placement.of(IDENTITY)).array()

@@ -1,10 +1,14 @@
-"""Files of measured scans, by their ending: read into and written from `palmfield.instruments.scan.Scan`."""
+"""Files of measured scans: read into and written from `palmfield.instruments.scan.Scan`.
+
+By their ending, or a folder of Polytec's text files, which are read alone.
+"""
 
 from pathlib import Path
 
 from palmfield.errors import MeasurementError, OutputError
 from palmfield.instruments.scan import Scan
 from palmfield.outputs.scan_files.matlab import read_mat, write_mat
+from palmfield.outputs.scan_files.polytec_text import read_polytec
 from palmfield.outputs.scan_files.uff import read_uff, write_uff
 from palmfield.outputs.scan_files.wide_csv import read_csv, write_csv
 
@@ -13,11 +17,22 @@ WRITERS = {".csv": write_csv, ".uff": write_uff, ".unv": write_uff, ".mat": writ
 
 
 def read_scan(path: str | Path) -> Scan:
-    """A scan from a file. Raises MeasurementError for one that isn't there, of another kind, or with faults."""
+    """A scan from a file, or a folder of Polytec's text files.
+
+    Raises MeasurementError for one that isn't there, of another kind, or with faults.
+    """
     file = Path(path)
+    if file.is_dir():
+        return read_polytec(file)
     reader = READERS.get(file.suffix.lower())
+    if file.suffix.lower() == ".txt":
+        raise MeasurementError(
+            f"{file}: is a text file; of Polytec's, one for each point, give the folder that holds them and places.csv"
+        )
     if reader is None:
-        raise MeasurementError(f"{file}: the file's kind is '{file.suffix}'; allowed: {', '.join(READERS)}")
+        raise MeasurementError(
+            f"{file}: the file's kind is '{file.suffix}'; allowed: {', '.join(READERS)}, or a folder"
+        )
     return reader(file)
 
 

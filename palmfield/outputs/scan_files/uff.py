@@ -18,6 +18,7 @@ KINDS: dict[int, Quantity] = {8: "displacement", 11: "velocity"}
 NUMBERS = {quantity: number for number, quantity in KINDS.items()}
 TIME_RESPONSE = 1
 SIGHT = "sight "
+ALONG_BEAM = (0, 3)
 LONGEST_LINE = 250
 LONGEST_PATH = 80
 """pyuff passes on files with any path; messages of it are cut at so many letters."""
@@ -96,11 +97,17 @@ def read_uff(file: Path) -> Scan:
         node = int(one["rsp_node"])
         if node not in places:
             raise MeasurementError(f"{file}: a time response is of node {node}, which has no place")
+        direction = int(one.get("rsp_dir", 0))
+        if abs(direction) not in ALONG_BEAM:
+            raise MeasurementError(
+                f"{file}: a time response of node {node} is in direction {direction}; read are those along z, 3 and "
+                "-3, in which one head's beam is told, and 0"
+            )
         record = np.asarray(one["data"])
         if len(record) != len(times) or np.abs(np.asarray(one["x"]) - np.asarray(first["x"])).max() > 1e-9:
             raise MeasurementError(f"{file}: the times of node {node} are not those of node {int(first['rsp_node'])}")
         # A direction of the node's axes; towards -3 is what moves away along z
-        values.append((-metre if int(one.get("rsp_dir", 0)) < 0 else metre) * record.real)
+        values.append((-metre if direction < 0 else metre) * record.real)
         points.append(places[node])
         sights.append(_sight(str(one.get("id4", ""))))
     known = all(sight is not None for sight in sights)

@@ -54,8 +54,15 @@ def read_csv(file: Path) -> Scan:
             raise MeasurementError(
                 f"{file}: line {line_number} has {len(cells)} values for {len(names) + 1} columns; give one for each"
             )
+        if cells[0] in labelled:
+            raise MeasurementError(f"{file}: line {line_number} gives '{cells[0]}' again; give it once")
         if cells[0] in (*PLACES, *SIGHTS):
             labelled[cells[0]] = [_number(file, line_number, n, c) for n, c in zip(names, cells[1:], strict=True)]
+        elif cells[0][:1].isalpha() and cells[0].lower() not in ("nan", "inf", "infinity"):
+            raise MeasurementError(
+                f"{file}: line {line_number} begins with '{cells[0]}'{did_you_mean(cells[0], (*PLACES, *SIGHTS))}; "
+                f"allowed: a time, or {', '.join((*PLACES, *SIGHTS))}, places in metres"
+            )
         else:
             columns = zip(("time_s", *names), cells, strict=True)
             numbers.append([_number(file, line_number, n, c) for n, c in columns])

@@ -28,7 +28,8 @@ class Comparison:
     measured, skin: their names; quantity: what was read; place: where the scan lies on the skin
     near: which of its points are close enough to be compared, shape (points,), bool; computed: ours, at these
     numbers: of these points; bare: no instrument was told; cut_s: how much of the scan is later than the run [s]
-    most_delay_s: within what delays were sought; modes: the guided mode at mode_Hz, measured and computed, if asked for
+    most_delay_s: within what delays were sought; doubts: what looks like a fault, in sentences
+    modes: the guided mode at mode_Hz, measured and computed, if asked for
     """
 
     measured: str
@@ -41,6 +42,7 @@ class Comparison:
     bare: bool
     cut_s: float
     most_delay_s: float
+    doubts: tuple[str, ...] = ()
     mode_Hz: float | None = None
     modes: tuple[GuidedMode, GuidedMode] | None = None
 
@@ -70,6 +72,7 @@ class Comparison:
             "residual_largest_m": float(self.place.residual_m.max()),
             "fiducials_m": self.place.fiducials_m.tolist(),
             "undetermined_directions": self.place.undetermined,
+            "undetermined_turns": self.place.turns,
             "cut_off_s": self.cut_s,
             "instrument_told": not self.bare,
             **{
@@ -77,6 +80,7 @@ class Comparison:
                 for name in ("gain", "delay_s", "l2", "l2_shape", "coherence")
             },
             **self._modes(),
+            "doubts": list(self.doubts),
             "ambiguous_delays": int(self.numbers.ambiguous[self.loud].sum()),
         }
 
@@ -92,7 +96,7 @@ class Comparison:
         rms, most = 1e3 * place.rms_m, 1e3 * place.residual_m.max()
         lines = [
             f"scan            {self.measured}: {self.quantity} at {len(self.near)} points"
-            + (f", {left_out} of them off the skin and left out" if left_out else ""),
+            + (f", {left_out} of them left out" if left_out else ""),
             f"registration    {rms:.2f} mm rms from skin '{self.skin}', {most:.2f} "
             f"at most; moved by {1e3 * np.linalg.norm(place.transform.position):.2f} mm and "
             f"{np.linalg.norm(numbers['rotation_vector_deg']):.2f} deg",
@@ -100,10 +104,14 @@ class Comparison:
         if len(place.fiducials_m):
             lines.append(f"                fiducials {1e3 * np.sqrt(np.mean(place.fiducials_m**2)):.2f} mm rms apart")
         elif place.undetermined:
+            shifts = place.undetermined - place.turns
             lines.append(
-                f"                {place.undetermined} of 6 directions are not told by the skin's shape, and stay as "
-                "the file has them: give fiducials"
+                f"                {place.undetermined} of 6 directions are not told by the skin's shape and stay as "
+                f"the file has them ({shifts} {'shift' if shifts == 1 else 'shifts'}, {place.turns} "
+                f"{'turn' if place.turns == 1 else 'turns'})"
             )
+            lines.append("                an error in these shows in no residual, but in all numbers below: give "
+                         "--fiducials, three pairs or more")  # fmt: skip
         for name, unit, factor in (("gain", "", 1.0), ("delay_s", " ms", 1e3), ("l2", "", 1.0), ("l2_shape", "", 1.0),
                                    ("coherence", "", 1.0)):  # fmt: skip
             middle, low, high = (factor * value for value in self.median(name))
@@ -118,6 +126,7 @@ class Comparison:
         if self.modes is not None and self.mode_Hz is not None:
             for name, mode in zip(("measured", "computed"), self.modes, strict=True):
                 lines.append(f"{f'{self.mode_Hz:g} Hz wave':16}{name} {in_words(mode, self.mode_Hz)}")
+        lines += [f"{'doubt':16}{text}" for text in self.doubts]
         if self.bare:
             lines.append("instrument      none told: ours is seen along the skin's mean normal, or the scan's lines of "
                          "sight, without filters")  # fmt: skip

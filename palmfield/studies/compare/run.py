@@ -11,12 +11,13 @@ from palmfield.instruments.frequency_wavenumber import frequency_wavenumber
 from palmfield.instruments.registration import Registration, registration
 from palmfield.instruments.scan import Scan, of_record
 from palmfield.instruments.settings import read_settings
-from palmfield.instruments.surface_motion import of_skin
+from palmfield.instruments.surface_motion import SurfaceMotion, of_skin
 from palmfield.instruments.vibrometer import Vibrometer, vibrometer_record
 from palmfield.outputs.compare_picture import draw_agreement, draw_wavenumbers
 from palmfield.outputs.scan_files import read_scan, write_scan
 from palmfield.outputs.schema import instances
 from palmfield.outputs.store import open_result
+from palmfield.studies.compare.doubts import doubts
 from palmfield.studies.compare.report import Comparison, write_report
 from palmfield.studies.compare.waves import guided_modes
 from palmfield.tables import read_table
@@ -24,6 +25,8 @@ from palmfield.types import Float
 
 OFF_M = 5e-3
 """A measured point farther from the skin than this is left out [m]."""
+HUGE = 20.0
+"""A scan that is larger than the skin by this is in another unit."""
 PAIR_COLUMNS = ("x_m", "y_m", "z_m", "skin_x_m", "skin_y_m", "skin_z_m")
 FILES = ("compare.json", "points.csv", "computed.csv", "agreement.png", "wavenumbers.png")
 
@@ -76,18 +79,44 @@ def compare(
             raise MeasurementError(
                 f"{scan.name}: {near.sum()} of {len(near)} points lie within {1e3 * OFF_M:g} mm of the skin, the "
                 f"nearest at {1e3 * place.residual_m.min():.3g} mm; give it in the resting body's frame, or fiducials"
+                + _in_millimetres(scan, data["rest_position"].values)
             )
-        ours = _through_instrument(data, scan.at_points(near), place, settings)
+        motion = of_skin(data, place.transform.points(scan.points[near]), OFF_M)
+    ours = _through_instrument(motion, scan.at_points(near), place, settings)
     count = len(ours.times_s)
+    moves = (np.abs(ours.values).max(axis=0) > 0.0) & (np.abs(scan.values[:count, near]).max(axis=0) > 0.0)
+    if moves.sum() < 2:
+        raise MeasurementError(f"{scan.name}: fewer than two points move both in the scan and in the run")
+    still, ours = int((~moves).sum()), ours.at_points(moves)
+    near[near] = moves
     theirs = Scan(scan.quantity, scan.times_s[:count], scan.points[near], scan.values[:count, near], name=scan.name)
-    numbers = agreement(theirs.times_s, theirs.values, ours.values, most_delay_s=most_delay_s)
+    try:
+        numbers = agreement(theirs.times_s, theirs.values, ours.values, most_delay_s=most_delay_s)
+    except MeasurementError as error:
+        raise MeasurementError(f"{scan.name}: {error}") from None
+    on_skin = Scan(theirs.quantity, theirs.times_s, ours.points, theirs.values, name=scan.name)
+    odd = doubts(on_skin, ours, motion, numbers, most_delay_s)
+    if still:
+        one = still == 1
+        odd.append(
+            f"{still} point{'' if one else 's'} keep{'s' if one else ''} still, in the scan or where the run holds the "
+            f"skin at its rim: {'it is' if one else 'they are'} left out"
+        )
+    moved = float(np.linalg.norm(place.transform.points(scan.points).mean(axis=0) - scan.points.mean(axis=0)))
+    if fiducials is None and moved > float(np.linalg.norm(np.ptp(scan.points, axis=0))):
+        odd.append(
+            f"the scan was moved by {1e3 * moved:.3g} mm until it lay on the skin, farther than it is wide, and may "
+            "have met another part of it: give --fiducials"
+        )
+    if near.mean() < 0.5:
+        odd.append("more than half of the points are left out: the scan's place, unit or axes may be wrong")
     modes = None
     if mode_Hz is not None:
         source = None if source_m is None else np.asarray(source_m, dtype=float)
         modes = guided_modes(theirs, ours, mode_Hz, source, source_radius_m)
     done = Comparison(
         scan.name, name, scan.quantity, place, near, ours, numbers, settings is None,
-        float(scan.times_s[-1] - theirs.times_s[-1]), most_delay_s, mode_Hz, modes,
+        float(scan.times_s[-1] - theirs.times_s[-1]), most_delay_s, tuple(odd), mode_Hz, modes,
     )  # fmt: skip
     if folder is None:
         return done
@@ -127,9 +156,16 @@ def _pairs(file: str | Path | None) -> tuple[Float, Float] | None:
     return table[:, :3], table[:, 3:]
 
 
-def _through_instrument(data: xr.Dataset, scan: Scan, place: Registration, settings: Vibrometer | None) -> Scan:
+def _in_millimetres(scan: Scan, vertices: Float) -> str:
+    """A hint where a scan is so much larger than the skin that its places are no metres, else empty."""
+    sizes = [float(np.linalg.norm(np.ptp(points, axis=0))) for points in (scan.points, vertices)]
+    if sizes[0] < HUGE * sizes[1]:
+        return ""
+    return f" (it is {sizes[0]:.3g} m large, the skin {sizes[1]:.2g} m: places are in metres)"
+
+
+def _through_instrument(motion: SurfaceMotion, scan: Scan, place: Registration, settings: Vibrometer | None) -> Scan:
     """Our motion at the scan's places, as its instrument reads it, at the scan's times as long as the run lasts."""
-    motion = of_skin(data, place.transform.points(scan.points), OFF_M)
     head = settings or _straight(motion.normals.mean(axis=0))
     rate = scan.rate_Hz
     trigger = head.trigger_s + float(scan.times_s[0])

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from palmfield.errors import MeasurementError
-from palmfield.instruments.guided_mode import GuidedMode, guided_mode_fit, line_amplitudes
+from palmfield.instruments.guided_mode import GuidedMode, Wave, guided_mode_fit, line_amplitudes
 from palmfield.instruments.scan import Scan
 from palmfield.types import Float
 
@@ -43,21 +43,34 @@ def guided_modes(
 
 
 def in_words(mode: GuidedMode, frequency_Hz: float) -> str:
-    """Speed and 1/e length, or why there are none."""
-    if mode.wavenumber_rad_m is None:
-        return f"not resolved: {mode.reason}"
-    k = mode.wavenumber_rad_m
+    """Speed and 1/e length, or why there are none; the same of other waves that carry much of the motion."""
+    told = [_wave_in_words(mode, frequency_Hz)]
+    for other in mode.others:
+        share = other.motion / mode.motion
+        told.append(f"beside it {share:.2g} of its motion: {_wave_in_words(other, frequency_Hz)}")
+    return "; ".join(told)
+
+
+def _wave_in_words(wave: Wave | GuidedMode, frequency_Hz: float) -> str:
+    if wave.wavenumber_rad_m is None:
+        return f"not resolved: {wave.reason}"
+    k = wave.wavenumber_rad_m
     return (
         f"{2.0 * np.pi * frequency_Hz / k.real:.3g} m/s, 1/e length {1e3 / k.imag:.3g} mm (k {k.real:.4g} + "
-        f"{k.imag:.3g}i rad/m, +-{100 * mode.deviation:.2g} % by noise)"
+        f"{k.imag:.3g}i rad/m, +-{100 * wave.error:.2g} %)"
     )
 
 
 def as_dict(mode: GuidedMode) -> dict[str, Any]:
     """For JSON."""
-    k = mode.wavenumber_rad_m
+    others = [_wave_as_dict(other) for other in mode.others]
+    return {**_wave_as_dict(mode), "misfit": mode.misfit, "waves_fitted": mode.rings, "other_waves": others}
+
+
+def _wave_as_dict(wave: Wave | GuidedMode) -> dict[str, Any]:
+    k = wave.wavenumber_rad_m
     return {
-        "resolved": k is not None, "reason": mode.reason, "wavenumber_real_rad_m": None if k is None else k.real,
-        "wavenumber_imaginary_rad_m": None if k is None else k.imag, "deviation_relative": mode.deviation,
-        "waves_in_width": mode.waves, "points_a_wave": mode.points_a_wave, "misfit": mode.misfit,
+        "resolved": k is not None, "reason": wave.reason, "wavenumber_real_rad_m": None if k is None else k.real,
+        "wavenumber_imaginary_rad_m": None if k is None else k.imag, "error_relative": wave.error,
+        "motion_relative": wave.motion, "waves_in_width": wave.waves, "points_a_wave": wave.points_a_wave,
     }  # fmt: skip

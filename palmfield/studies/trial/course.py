@@ -4,14 +4,14 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.drive.playback import ON_STEP
+from palmfield.motion.quaternions import inverse, matrices, of_turns, product, turns_of
 from palmfield.session.preview import Preview
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene, PosedSkin, PosedSurface
-from palmfield.transforms import Transform
+from palmfield.transforms import Transform, quaternion
 from palmfield.types import Float
 
 NO_OBSTACLES = np.zeros((0, 3)), np.zeros((0, 3, 3))
@@ -20,11 +20,12 @@ NO_OBSTACLES = np.zeros((0, 3)), np.zeros((0, 3, 3))
 class Frames(NamedTuple):
     """Frames that move, seen from the first array: those of the stimuli, then those of the bodies.
 
-    positions: [m], shape (m, 3); rotations: axes as columns, shape (m, 3, 3)
+    positions: [m], shape (m, 3); rotations: axes as columns, shape (m, 3, 3); quaternions: the same, w first, (m, 4)
     """
 
     positions: Float
     rotations: Float
+    quaternions: Float
 
 
 class SceneCourse:
@@ -39,6 +40,7 @@ class SceneCourse:
         count = math.ceil(duration_s / self.step_s - ON_STEP) + 1 if view.moves else 1
         self.model: HapticModel = view.runtime.model
         self._rows: list[Frames] = []
+        self._turns: dict[int, Float] = {}
         self._bones: list[list[tuple[Float, Float]]] = []
         self._outer: list[tuple[Transform, PhasedArray]] = []
         if view.moves:
@@ -61,15 +63,16 @@ class SceneCourse:
         if share == 0.0:
             return before
         after = self._rows[row + 1]
-        first = Rotation.from_matrix(before.rotations)
-        turn = (Rotation.from_matrix(after.rotations) * first.inv()).as_rotvec()
-        rotations = (Rotation.from_rotvec(share * turn) * first).as_matrix()
-        return Frames((1.0 - share) * before.positions + share * after.positions, rotations)
+        if row not in self._turns:
+            self._turns[row] = turns_of(product(after.quaternions, inverse(before.quaternions)))
+        quaternions = product(of_turns(share * self._turns[row]), before.quaternions)
+        positions = (1.0 - share) * before.positions + share * after.positions
+        return Frames(positions, matrices(quaternions), quaternions)
 
     def posed(self, time_s: float, frames: Frames | None = None) -> PosedScene:
         """The scene at a time [s], or with some frames elsewhere: as far as focuses need it, without obstacles."""
         row, _ = self._place(time_s)
-        positions, rotations = self.frames(time_s) if frames is None else frames
+        positions, rotations, _ = self.frames(time_s) if frames is None else frames
         of_stimuli = len(self.model.stimuli)
         parts = [Transform(*pair) for pair in zip(positions, rotations, strict=True)]
         bodies = []
@@ -90,6 +93,7 @@ class SceneCourse:
 
     def _add(self, posed: PosedScene) -> None:
         parts = [*posed.frames, *(body.frame for body in posed.bodies)]
-        self._rows.append(Frames(np.array([one.position for one in parts]), np.array([one.rotation for one in parts])))
+        positions, rotations = np.array([one.position for one in parts]), np.array([one.rotation for one in parts])
+        self._rows.append(Frames(positions, rotations, np.array([quaternion(one) for one in rotations])))
         self._bones.append([(body.bone_positions, body.bone_rotations) for body in posed.bodies])
         self._outer.append((posed.array_frame, posed.arrays))

@@ -12,7 +12,7 @@ from palmfield.drive.frame_log import FrameLog
 from palmfield.drive.limits import SoundLimits
 from palmfield.drive.playback import frame_times
 from palmfield.motion.alignment import read_alignment
-from palmfield.motion.listening import By
+from palmfield.motion.line_listener import By
 from palmfield.motion.live_hand import STALE_S, LiveHand
 from palmfield.motion.tracking import Stream
 from palmfield.session.live_scene import LiveScene
@@ -103,7 +103,8 @@ def play_live(
     runtime = scene.runtime
     model, board = runtime.model, runtime.model.board
     # A live hand's poses are not tied to MuJoCo's steps
-    times = frame_times(model.configs, duration_s)
+    limits = SoundLimits.of(model.spec.driver)
+    times = frame_times(model.configs, duration_s, None, limits.ramp_times(board, duration_s), board.frame_time_s)
     period_s = float(np.median(np.diff(times))) if len(times) > 1 else board.frame_time_s
     ahead_s = tracker.ahead_s
     if ahead_s is None:
@@ -135,10 +136,10 @@ def play_live(
                 focused = board.takes == "focus"
                 data = board.encode_focus(focus, 0.0) if focused else board.encode(wanted)
                 return MadeFrame(data, focus, seen_s, lambda: wanted, sounds=False)
-            data = frames.at(posed, due_s)
-            return MadeFrame(data, focus, seen_s, lambda: afterwards.wanted(posed, due_s), frames.sounds)
+            share = limits.share(board, due_s, duration_s)
+            data = frames.at(posed, due_s, share)
+            return MadeFrame(data, focus, seen_s, lambda: share * afterwards.wanted(posed, due_s), frames.sounds)
 
-        limits = SoundLimits.of(model.spec.driver)
         sent = send(
             board, times, make, duration_s, port=port or VIRTUAL, log=log, limits=limits, on_progress=on_progress
         )

@@ -1,7 +1,11 @@
 """Pictures of a run: what is in them, against what the run was made of."""
 
+import json
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import xarray as xr
 from matplotlib.image import imread
 
 from palmfield.acoustics import layout
@@ -21,6 +25,8 @@ from palmfield.types import Air
 SINE_Hz = 200.0
 """Of the waves of the synthetic run (tests/outputs/conftest.py)."""
 SPEED_m_s = 5.0
+NEW = ("transducer_direction", "transducer_p0", "transducer_phase", "piston_radius", "off_axis_angle", "off_axis_level")
+"""What a result tells of transducers since it tells all."""
 
 
 def colour_values(figure, axes=0):
@@ -137,30 +143,91 @@ def test_bad_questions_are_refused_with_what_is_allowed(result, tmp_path):
     assert loudest(instances(result, "skin")["palm"]).arp_Pa > 0.0
 
 
-def test_a_slice_has_its_peak_near_the_focus_and_the_pressure_of_the_field(with_keys):
-    tree = with_keys.copy()
-    where = tree["array/below"]["transducer_position"].values
-    focus = np.array([0.01, 0.0, 0.15])
-    own = layout("uhev1")
+def made_known(tree, name, array):
+    """A result whose array has these transducers, as many as it had."""
+    changed = (
+        tree[f"array/{name}"]
+        .to_dataset()
+        .assign(
+            transducer_position=(("transducer", "xyz"), array.positions),
+            transducer_direction=(("transducer", "xyz"), array.normals),
+            transducer_p0=(
+                "transducer",
+                array.p0_Pa_m * (np.ones(len(array)) if array.gain is None else abs(array.gain)),
+            ),
+            transducer_phase=("transducer", np.zeros(len(array)) if array.gain is None else np.angle(array.gain)),
+            piston_radius=array.piston_radius_m,
+        )
+    )
+    if array.directivity_table is not None:
+        angles, levels = array.directivity_table.T
+        changed = changed.assign(off_axis_angle=("off_axis", angles), off_axis_level=("off_axis", levels))
+    tree[f"array/{name}"] = xr.DataTree(changed)
+
+
+def focused(tree, own, focus):
+    """The same with array `below` alone sounding, at a focus."""
     drive = focus_on(own, Air(), focus)
     shape = tree["array/below"]["drive_amplitude"].shape
-    # The run's transducers are a lattice of their own; a slice takes those of the layout
-    assert len(where) == len(own.positions)
     tree["array/below"]["drive_amplitude"].values[:] = np.broadcast_to(np.abs(drive), shape)
     tree["array/below"]["drive_phase"].values[:] = np.broadcast_to(np.angle(drive), shape)
     tree["array/beside"]["drive_amplitude"].values[:] = 0.0
     for name in instances(tree, "stimulus"):
         tree[f"stimulus/{name}"]["foci"].values[:] = focus
         tree[f"stimulus/{name}"]["sounding"].values[:] = True
-    figure = KINDS["field"].draw(tree, Asked())
+    return drive
+
+
+def peak_of(figure):
+    """Where the slice is largest [m], and how much it is [Pa]."""
     mesh = figure.axes[0].collections[0]
     corners = mesh.get_coordinates()
     size = mesh.get_array().reshape(corners.shape[0] - 1, -1)
     row, column = np.unravel_index(size.argmax(), size.shape)
     x = 0.5e-3 * (corners[row, column, 0] + corners[row, column + 1, 0])
     z = 0.5e-3 * (corners[row, column, 1] + corners[row + 1, column, 1])
+    return x, z, size.max()
+
+
+def calibrated_array():
+    """A board whose transducers are out of place, tilted, unlike, dead, the other way round, and no pistons."""
+    rng, plain = np.random.default_rng(5), layout("uhev1")
+    gain = rng.uniform(0.7, 1.3, len(plain)) * np.exp(1j * rng.normal(0.0, 0.3, len(plain)))
+    gain[:5], gain[5:9] = 0.0, -gain[5:9]
+    tilted = plain.normals + rng.normal(0.0, 0.05, plain.normals.shape)
+    tilted /= np.linalg.norm(tilted, axis=1, keepdims=True)
+    moved = plain.positions + rng.normal(0.0, 3e-4, plain.positions.shape)
+    table = np.array([[0.0, 1.0], [45.0, 0.7], [90.0, 0.5]])
+    return replace(plain, positions=moved, normals=tilted, p0_Pa_m=0.9, gain=gain, directivity_table=table)
+
+
+@pytest.mark.parametrize("board", ["plain", "calibrated", "earlier"])
+def test_a_slice_has_its_peak_near_the_focus_and_the_pressure_of_the_field(with_keys, board):
+    """earlier: a result that doesn't tell its transducers, whose keys name a layout"""
+    tree = with_keys.copy()
+    focus = np.array([0.01, 0.0, 0.15])
+    own = calibrated_array() if board == "calibrated" else layout("uhev1")
+    if board == "earlier":
+        known = tree["array/below"].to_dataset()
+        tree["array/below"] = xr.DataTree(known.drop_vars([name for name in known if name in NEW]))
+    else:
+        made_known(tree, "below", own)
+    drive = focused(tree, own, focus)
+    x, z, size = peak_of(KINDS["field"].draw(tree, Asked()))
     assert abs(x - focus[0]) < 2e-3
     # The maximum lies nearer to the array than the focus does
     assert focus[2] - 0.015 < z <= focus[2] + 1e-3
     there = pressure64(np.array([[x, 0.0, z]]), own, drive, Air())[0]
-    assert size.max() == pytest.approx(abs(there[0]), rel=1e-3)
+    assert size == pytest.approx(abs(there[0]), rel=1e-3)
+
+
+def test_a_slice_of_an_earlier_calibrated_result_is_refused(with_keys):
+    tree = with_keys.copy()
+    known = tree["array/below"].to_dataset()
+    keys = json.loads(known.attrs["config"]) | {"calibration": "board.toml"}
+    tree["array/below"] = xr.DataTree(
+        known.drop_vars([name for name in known if name in NEW]).assign_attrs(config=json.dumps(keys))
+    )
+    focused(tree, layout("uhev1"), np.array([0.01, 0.0, 0.15]))
+    with pytest.raises(OutputError, match=r"'below' has calibration 'board.toml'.*run the scene again"):
+        KINDS["field"].draw(tree, Asked())

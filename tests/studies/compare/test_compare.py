@@ -1,6 +1,8 @@
 """A run against a scan that was made of it: moved, louder, later, at 45 degrees behind a filter."""
 
 import json
+import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,8 +15,10 @@ from palmfield.cli.app import app
 from palmfield.errors import MeasurementError, OutputError
 from palmfield.instruments import Vibrometer, disc_grid, of_skin, vibrometer_record
 from palmfield.instruments.scan import Scan, of_record
+from palmfield.instruments.surface_motion import SurfaceMotion
 from palmfield.outputs import instances, open_result
 from palmfield.outputs.scan_files import read_scan, write_scan
+from palmfield.studies.compare.doubts import above
 from palmfield.studies.compare.run import FILES, compare
 from palmfield.studies.compare.waves import guided_modes, in_words
 
@@ -80,6 +84,35 @@ def test_a_scan_that_is_longer_is_cut_and_one_that_is_elsewhere_is_refused(run):
     late = Scan("velocity", scan.times_s + 1.0, scan.points, scan.values)
     with pytest.raises(MeasurementError, match="0 of its samples lie within the run"):
         compare(run / "run", late)
+
+
+def test_what_looks_like_a_fault_of_the_scan_is_said(run):
+    scan = read_scan(run / "scan.csv")
+
+    def said(**changed):
+        return str(compare(run / "run", replace(scan, **changed), instrument=run / "head.toml"))
+
+    assert "doubt" not in said()
+    assert "not told by the skin's shape and stay as the file has them (2 shifts, 1 turn)" in said()
+    assert "loudest place of the measured motion lies 3.9 mm from" in said(points=scan.points + np.array([4e-3, 0, 0]))
+    assert "was moved by 102 mm until it lay on the skin" in said(points=scan.points + np.array([0, 0, 0.1]))
+    assert "looks like another unit" in said(values=1e3 * scan.values)
+    assert "most points are turned round" in said(values=-scan.values)
+    assert "1 point keeps still" in said(values=np.where(np.arange(49) == 4, 0.0, scan.values))
+    late = np.vstack([np.zeros((90, 49)), scan.values[:-90]])
+    assert re.search(r"a delay of 7\.\d+ ms fits better than any within 5", said(values=late))
+    with pytest.raises(MeasurementError, match=r"the skin 0.056 m: places are in metres\)"):
+        said(points=1e3 * scan.points)
+    with pytest.raises(MeasurementError, match=r"scan.csv: times have shape \(18,\); give a row of at least 32"):
+        said(times_s=scan.times_s[::20], values=scan.values[::20])
+
+
+def test_what_is_above_half_the_scans_rate_is_a_share_of_power():
+    times = np.arange(1000) / 10e3
+    speed = np.sin(2 * np.pi * 200 * times) + 0.5 * np.sin(2 * np.pi * 900 * times)
+    velocity = speed[:, None, None] * np.array([0.0, 0.0, 1.0])
+    motion = SurfaceMotion(times, np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]), velocity, velocity)
+    assert above(motion, 500.0) == pytest.approx(0.2, abs=1e-6) and above(motion, 1000.0) < 1e-6
 
 
 def test_the_command_line(run, tmp_path):

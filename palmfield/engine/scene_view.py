@@ -1,0 +1,227 @@
+"""What is seen of a scene's sound while MuJoCo draws it: foci, transducers, and ARP on the skins.
+
+It is computed apart from the simulation, from poses and stimuli alone, so that nothing of a run depends on whether it
+was looked at. What changes too fast to see is shown as a camera would, which opens for EXPOSURE_s.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import sparse
+
+from palmfield.acoustics.phased_array import PhasedArray
+from palmfield.acoustics.surface_arp import SurfaceArp
+from palmfield.engine.host import World
+from palmfield.engine.scene_runtime import SceneRuntime
+from palmfield.hand.subdivide import split_long_edges
+from palmfield.simulation.emission import Emission
+from palmfield.simulation.posed_scene import PosedScene, posed_scene
+from palmfield.simulation.radiation import Radiation
+from palmfield.stimulus.schedule import factors_at
+from palmfield.types import Complex, Float, Int
+
+EXPOSURE_s = 0.02
+MOMENTS = 23
+"""In an exposure; with no common period with usual modulations."""
+EDGE_m = 0.002
+"""Longest edge of the coloured triangles, a quarter of the wavelength of 40 kHz."""
+FEW = 2
+"""Of more drives the mean is smooth: it is computed at the skin's nodes and drawn straight between them."""
+ALIKE = 1e-6
+"""Drives that differ by less, over the louder one, are one drive at two levels."""
+
+
+class SeenTransducers(NamedTuple):
+    """What an array is told. places [m], axes: shape (n, 3), world; levels: rms amplitude, of full drive, shape (n,)
+
+    phases: [rad], when they next sound, positive: delay, shape (n,); radius_m: of a transducer
+    """
+
+    places: Float
+    axes: Float
+    levels: Float
+    phases: Float
+    radius_m: float
+
+
+class SeenSkin(NamedTuple):
+    """ARP on a skin, the mean over an exposure. vertices [m], normals: shape (v, 3), world; faces: shape (f, 3)
+
+    arp: by vertex [Pa], shape (v,); top: the largest since the view began [Pa]
+    """
+
+    vertices: Float
+    normals: Float
+    faces: Int
+    arp: Float
+    top: float
+
+
+class _Moment(NamedTuple):
+    """What an exposure sees. posed: where everything is; times: [s], shape (k,); told: drives then, shape (k, N)
+
+    units: different drives among them, shape (N,) each, and the mean squares of their levels
+    """
+
+    posed: PosedScene
+    times: Float
+    told: Complex
+    units: list[tuple[Complex, float]]
+
+
+class _ColouredMesh(NamedTuple):
+    """A skin's surface of small triangles. carry: makes its vertices of the skin's nodes; faces: shape (f, 3)"""
+
+    carry: sparse.csr_array
+    faces: Int
+
+
+class SceneView:
+    """What is to be seen of one mjData."""
+
+    def __init__(self, runtime: SceneRuntime):
+        self.runtime, self.model = runtime, runtime.model
+        self._emission, self._radiation = Emission(runtime.model), Radiation(runtime.model)
+        self._posed = runtime.work.reference
+        self._positions, self._matrices = np.zeros((runtime.frames, 3)), np.zeros((runtime.frames, 9))
+        self._last: tuple[tuple[float, bytes, bytes], _Moment] | None = None
+        self._meshes: dict[int, _ColouredMesh] = {}
+        self._evaluators: dict[tuple[int, int], tuple[PhasedArray, SurfaceArp]] = {}
+        self._seen: dict[int, tuple[PosedScene, bytes, SeenSkin]] = {}
+        self._top = 0.0
+
+    def transducers(self, array: int) -> SeenTransducers:
+        """What one array is told, by its number."""
+        posed, _, told, _ = self._now()
+        part = posed.arrays.slices[array]
+        mine, own = told[:, part], posed.arrays.array
+        sounding = mine[int(np.argmax(mine.any(axis=1)))]
+        places, axes = posed.array_frame.surface(own.positions[part], own.normals[part])
+        levels = np.sqrt(np.mean(np.abs(mine) ** 2, axis=0))
+        return SeenTransducers(places, axes, levels, np.angle(sounding), posed.arrays.parts[array].piston_radius_m)
+
+    def foci(self, stimulus: int) -> Float:
+        """Where a stimulus's foci are over the exposure, in order [m], world, shape (k, m, 3); k is 0 in silence."""
+        posed, times, _, _ = self._now()
+        foci = self._emission.foci(posed, times)[stimulus]
+        sounding = foci[factors_at(self.model.configs[stimulus], times) > 0.0]
+        return posed.array_frame.points(sounding.reshape(-1, 3)).reshape(sounding.shape)
+
+    def skin(self, number: int) -> SeenSkin | None:
+        """ARP on one skin; None in silence, and on a body that scatters sound before the run itself has solved it."""
+        posed, _, _, units = self._now()
+        key = b"".join(unit.tobytes() + np.float64(weight).tobytes() for unit, weight in units)
+        known = self._seen.get(number)
+        if known is not None and known[0] is posed and known[1] == key:
+            return known[2]._replace(top=self._top)
+        mesh = self._mesh(number)
+        nodes, directions = posed.skins[number].nodes
+        points, normals = mesh.carry @ nodes, mesh.carry @ directions
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        if len(units) <= FEW:
+            arp = self._arp(posed, number, points, normals, units)
+        else:
+            coarse = self._arp(posed, number, nodes, directions, units)
+            arp = None if coarse is None else mesh.carry @ coarse
+        if arp is None:
+            return None
+        self._top = max(self._top, float(arp.max()))
+        seen = SeenSkin(*posed.array_frame.surface(points, normals), mesh.faces, arp, self._top)
+        self._seen[number] = posed, key, seen
+        return seen
+
+    def _arp(
+        self, posed: PosedScene, skin: int, points: Float, normals: Float, units: list[tuple[Complex, float]]
+    ) -> Float | None:
+        """Mean ARP [Pa] at points of a skin, array frame, shapes (n, 3); None as `skin`."""
+        if not units:
+            return None
+        kind = self.model.skins[skin].spec.config.body_sound
+        if kind != "scattering":
+            weights = np.array([weight for _, weight in units])
+            if kind == "none":
+                drives = np.array([unit for unit, _ in units])
+                sounds = self._evaluator(posed, skin, len(points)).evaluate_many(points, normals, drives)
+            else:
+                many = [self._radiation.at(posed, skin, "vertices", points, normals, unit).arp for unit, _ in units]
+                sounds = np.array(many)
+            return np.asarray(weights @ sounds, dtype=np.float64)
+        solved = self.runtime.work.radiation.scattered_fields().get(skin)
+        if solved is None or len(units) > 1:
+            return None
+        where, drive, field = solved
+        level = _level(units[0][0], drive)
+        if level is None or where.skins[skin] is not posed.skins[skin]:
+            return None
+        own = posed.skins[skin].body.frame.inverse_points(points)
+        return np.asarray(units[0][1] * level * field.at(own).arp, dtype=np.float64)
+
+    def _evaluator(self, posed: PosedScene, skin: int, count: int) -> SurfaceArp:
+        """Free field at so many points of a skin; kept while the arrays stand to one another as they do."""
+        known = self._evaluators.get((skin, count))
+        if known is None or known[0] is not posed.arrays:
+            law = self.model.skins[skin].spec.arp_law
+            known = self._evaluators[skin, count] = posed.arrays, SurfaceArp(posed.arrays.field, count, law)
+        return known[1]
+
+    def _mesh(self, skin: int) -> _ColouredMesh:
+        mesh = self._meshes.get(skin)
+        if mesh is None:
+            part = self.model.skins[skin]
+            mesh = self._meshes[skin] = _ColouredMesh(*split_long_edges(part.nodes[0], part.faces, EDGE_m))
+        return mesh
+
+    def _now(self) -> _Moment:
+        """What the exposure that begins at MuJoCo's time sees."""
+        runtime = self.runtime
+        for kind, chosen, part in runtime.taken:
+            positions, matrices = runtime.view.frames[kind]
+            self._positions[part], self._matrices[part] = positions[chosen], matrices[chosen]
+        key = runtime.view.time, self._positions.tobytes(), self._matrices.tobytes()
+        if self._last is not None and self._last[0] == key:
+            return self._last[1]
+        rotations = self._matrices.reshape(-1, 3, 3)
+        reference = runtime.work.reference
+        self._posed = posed_scene(self.model, runtime.layout, self._positions, rotations, self._posed, reference)
+        self._emission.held = list(runtime.work.emission.held)
+        times = key[0] + EXPOSURE_s / MOMENTS * np.arange(MOMENTS, dtype=np.float64)
+        told = self._emission.commanded(self._posed, times)
+        moment = _Moment(self._posed, times, told, _units(told))
+        self._last = key, moment
+        return moment
+
+
+def view_of(world: World) -> SceneView | None:
+    """The view of a mjData's scene, made when it is first drawn.
+
+    None where there is nothing to draw, and for data in which nothing has been placed yet: a viewer draws it before its
+    first step.
+    """
+    scene = world.scene
+    if scene is None or not scene.view.frames["site"][1][scene.binding.array_sites[0]].any():
+        return None
+    if world.view is None or world.view.model is not scene.model:
+        world.view = SceneView(scene)
+    view: SceneView = world.view
+    return view
+
+
+def _units(told: Complex) -> list[tuple[Complex, float]]:
+    """The different drives among several, shape (k, N), with the mean squares of their levels; none in silence."""
+    units: list[tuple[Complex, float]] = []
+    for drive in told[told.any(axis=1)]:
+        for number, (unit, weight) in enumerate(units):
+            level = _level(drive, unit)
+            if level is not None:
+                units[number] = unit, weight + level / len(told)
+                break
+        else:
+            units.append((drive, 1.0 / len(told)))
+    return units
+
+
+def _level(drive: Complex, unit: Complex) -> float | None:
+    """Power of a drive over that of another of which it is a multiple, shapes (N,); None where it isn't."""
+    factor = np.vdot(unit, drive) / np.vdot(unit, unit).real
+    apart = np.abs(drive - factor * unit).max()
+    return float(abs(factor) ** 2) if apart <= ALIKE * np.abs(drive).max() else None

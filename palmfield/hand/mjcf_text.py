@@ -1,0 +1,14 @@
+"""Numbers and colours as palmfield's MJCF files have them."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from palmfield.types import Float
+
+SKIN_RGBA = "0.87 0.68 0.58 1"
+
+
+def numbers_text(numbers: Float | Sequence[float], digits: int) -> str:
+    """Numbers as MJCF has them, rounded to so many digits after the point."""
+    return " ".join(f"{number + 0.0:.{digits}g}" for number in np.round(numbers, digits))

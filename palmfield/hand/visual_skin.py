@@ -1,0 +1,48 @@
+"""A surface on bones as MuJoCo's <skin>, which viewers show in place of capsules; the physics doesn't know of it."""
+
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from palmfield.hand.mjcf_text import SKIN_RGBA, numbers_text
+from palmfield.types import Float, Surface
+
+EDGE_m = 0.004
+"""Of the triangles of the shipped hands' skins."""
+DIGITS_OF_PLACE, DIGITS_OF_SHARE = 5, 3
+"""Places to 10 um, which is less than 4 mm triangles leave out."""
+
+
+class SkinBone(NamedTuple):
+    """A body that moves skin.
+
+    place: of its origin where the skin rests [m], shape (3,); shares: by vertex, shape (n,)
+    """
+
+    body: str
+    place: Float
+    shares: Float
+
+
+def add_skin(root: ET.Element, name: str, surface: Surface, bones: Sequence[SkinBone]) -> None:
+    """Add a surface to a model as its skin `name`.
+
+    surface: where the bones' bodies have no rotation; bones without a share are left out
+    """
+    attributes = {
+        "name": name,
+        "rgba": SKIN_RGBA,
+        "vertex": numbers_text(surface.vertices.ravel(), DIGITS_OF_PLACE),
+        "face": " ".join(map(str, surface.faces.ravel().tolist())),
+    }
+    skin = ET.SubElement(ET.SubElement(root, "deformable"), "skin", attributes)
+    for bone in bones:
+        moved = np.flatnonzero(np.round(bone.shares, DIGITS_OF_SHARE))
+        if len(moved):
+            weights = numbers_text(bone.shares[moved], DIGITS_OF_SHARE)
+            numbers = " ".join(map(str, moved.tolist()))
+            place = numbers_text(bone.place, DIGITS_OF_PLACE + 4)
+            rest = {"bindpos": place, "bindquat": "1 0 0 0", "vertid": numbers, "vertweight": weights}
+            ET.SubElement(skin, "bone", {"body": bone.body} | rest)

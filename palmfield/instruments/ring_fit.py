@@ -1,0 +1,268 @@
+"""Rings that lead away from a small source, fitted to complex amplitudes at points along a flat surface.
+
+Phasors go with e^{-i w t}, wavenumbers k = w/c + i/L. Each wave of a layer is a ring outside the source: H0(k r) in the
+motion along the normal, H1(k r) in the motion along the surface, away from the source. An oblique beam sees both.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.special import hankel1
+
+from palmfield.types import Complex, Float
+
+MOST_RINGS = 6
+"""Waves that are fitted at most."""
+REACH_M = 4e-3
+"""The source is sought within this of where it is said to be, each way."""
+STARTS, SPLITS = 3, 2
+WIDEST = 1.5
+"""Wavenumbers are sought up to this share of pi over the points' pitch: real and imaginary part."""
+LEAST_LOSS = 2e-3
+FLOOR = 2e-3
+"""Of the motion's rms: what a fit leaves counts as at least so much noise, so that scans without any, as a run gives
+them, are not taken for exact."""
+APART = 0.25
+"""Beginnings of one more ring lie apart by this share of the wavenumber."""
+HIDDEN_SPAN, HIDDEN_APART = (0.35, 2.2), 0.2
+NEAREST_M = 1e-4
+"""From the source: rings are infinite there."""
+
+
+class Scanned(NamedTuple):
+    """What is fitted.
+
+    values: amplitudes over their rms, shape (n,); flat: places about the source's supposed place [m], shape (n, 2)
+    along: parts of the beams along the surface over that along the normal, shape (n, 2), or None where they see none
+    top: pi over the pitch [rad/m], the unit of wavenumbers within the fit
+    """
+
+    values: Complex
+    flat: Float
+    along: Float | None
+    top: float
+
+
+class Rings(NamedTuple):
+    """A fit.
+
+    k: wavenumbers [rad/m], shape (rings,); motion: rms of each ring at the points over that of the scan, shape (rings,)
+    deviation: standard deviation of each wavenumber by noise, relative to |k|, shape (rings,)
+    misfit: rms of what is left over the scan's; left: what is left, shape (n,)
+    score: Bayesian information criterion, less is better; source: its place, shape (2,) [m]; x: the fit's own numbers
+    """
+
+    k: Complex
+    motion: Float
+    deviation: Float
+    misfit: float
+    left: Complex
+    score: float
+    source: Float
+    x: Float
+
+
+class _Field(NamedTuple):
+    """columns: what rings of unit amplitude look like, shape (n, rings, 1 or 2), the second of motion along the surface
+
+    h0, h1: at k r, shape (n, rings); ways, r: from the source; towards: along . ways / r
+    """
+
+    columns: Complex
+    h0: Complex
+    h1: Complex
+    kr: Complex
+    ways: Float
+    r: Float
+    towards: Float | None
+
+
+def ring_fits(scanned: Scanned) -> list[Rings]:
+    """Fits of 1, 2, ... rings, until two more have not lowered the score, or MOST_RINGS.
+
+    Each takes the rings of the one before and one more, from the STARTS places at which one more leaves least, or with
+    two in place of one: where two waves are alike the fit of one fewer holds one between them.
+    """
+    fits: list[Rings] = []
+    x = np.zeros(2)
+    for rings in range(1, MOST_RINGS + 1):
+        if len(scanned.values) <= 4 * rings + 8:
+            break
+        if rings > 3 and min(one.score for one in fits[:-2]) < min(one.score for one in fits[-2:]):
+            break
+        begins = [_with(x, [one]) for one in _beginnings(scanned, x)] + _split(scanned, x)
+        runs = [_descend(scanned, begin) for begin in begins]
+        x = min(runs, key=lambda run: run[0])[1]
+        fits.append(_told(scanned, x))
+    return fits
+
+
+def hidden_change(scanned: Scanned, fit: Rings, number: int) -> float:
+    """By how much a wave that hides in the noise could change a ring's wavenumber at worst, relative to |k|.
+
+    One more ring, seen along the normal, is put at wavenumbers round the ring's own, HIDDEN_APART from all of the fit,
+    with losses as the ring has; to first order the fit then moves by a shift and has another standard deviation. The
+    largest root of the sum of their squares.
+    """
+    k, source = _unpacked(scanned, fit.x)
+    field = _field(scanned, k, source)
+    basis, parts, left = _projected(field, scanned.values)
+    by_x = -_residual(scanned, fit.x)[1]
+    free = 2 * len(left) - len(fit.x) - 2 * parts.size
+    power = max(float(np.linalg.norm(left) ** 2), FLOOR**2 * len(left)) / max(free, 1)
+    own, worst, unit = complex(k[number]), 0.0, scanned.top / abs(complex(k[number]))
+    for real in np.geomspace(*HIDDEN_SPAN, 14) * own.real:
+        for loss in (0.7, 1.3):
+            hidden = complex(real, own.imag * loss)
+            if np.any(np.abs(hidden - k) < HIDDEN_APART * np.abs(k)) or real > WIDEST * scanned.top:
+                continue
+            column = _field(scanned, np.array([hidden]), source).columns[:, 0, :1]
+            column = column - basis @ (basis.conj().T @ column)
+            slopes = _real(np.concatenate([by_x, column, 1j * column], axis=1))
+            sizes = np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
+            covariance = np.linalg.pinv((slopes / sizes).T @ (slopes / sizes), rcond=1e-12, hermitian=True)
+            shift = covariance @ ((slopes / sizes).T @ _real(left)) / sizes
+            spread = np.sqrt(np.maximum(np.diag(covariance), 0.0) * power) / sizes
+            both = [number, len(k) + number]
+            worst = max(worst, unit * float(np.sqrt((shift[both] ** 2 + spread[both] ** 2).sum())))
+    return worst
+
+
+def _with(x: Float, more: list[complex], but: int | None = None) -> Float:
+    """The unknowns of a fit with more rings, but for one."""
+    real, imaginary, source = np.split(x, [(len(x) - 2) // 2, len(x) - 2])
+    if but is not None:
+        real, imaginary = np.delete(real, but), np.delete(imaginary, but)
+    added = np.array(more)
+    return np.concatenate([real, added.real, imaginary, added.imag, source])
+
+
+def _split(scanned: Scanned, x: Float) -> list[Float]:
+    """Each ring in turn as two, nearer and farther in wavenumber; of these the SPLITS that leave least."""
+    begins = []
+    for number in range((len(x) - 2) // 2):
+        k = complex(x[number], x[(len(x) - 2) // 2 + number])
+        begins.append(_with(x, [k * (1.0 - APART / 2.0), k * (1.0 + APART / 2.0)], number))
+    left = [float(np.linalg.norm(_residual(scanned, begin)[0])) for begin in begins]
+    return [begins[number] for number in np.argsort(left)[:SPLITS]]
+
+
+def _unpacked(scanned: Scanned, x: Float) -> tuple[Complex, Float]:
+    rings = (len(x) - 2) // 2
+    return np.asarray((x[:rings] + 1j * x[rings:-2]) * scanned.top, complex), x[-2:] * REACH_M
+
+
+def _field(scanned: Scanned, k: Complex, source: Float) -> _Field:
+    ways = scanned.flat - source
+    r = np.maximum(np.linalg.norm(ways, axis=1), NEAREST_M)
+    kr = np.outer(r, k)
+    # Every ring is of size 1 where its distance is the scan's middle one, so that columns are alike in size
+    size = np.abs(hankel1(0, k * float(np.median(r))))
+    h0, h1 = hankel1(0, kr) / size, hankel1(1, kr) / size
+    if scanned.along is None:
+        return _Field(h0[:, :, None], h0, h1, kr, ways, r, None)
+    towards = np.einsum("ni,ni->n", scanned.along, ways) / r
+    return _Field(np.stack([h0, h1 * towards[:, None]], axis=2), h0, h1, kr, ways, r, towards)
+
+
+def _projected(field: _Field, values: Complex) -> tuple[Complex, Complex, Complex]:
+    """An orthonormal basis of the rings' columns, their amplitudes by least squares, and what these leave."""
+    flat = field.columns.reshape(len(values), -1)
+    basis, sizes, right = np.linalg.svd(flat, full_matrices=False)
+    held = sizes > 1e-9 * sizes[0]
+    basis = basis[:, held]
+    inside = basis.conj().T @ values
+    parts = right[held].conj().T @ (inside / sizes[held])
+    return basis, parts.reshape(field.columns.shape[1:]), values - basis @ inside
+
+
+def _residual(scanned: Scanned, x: Float) -> tuple[Complex, Complex]:
+    """What the best amplitudes leave, shape (n,), and its derivatives, shape (n, len(x)).
+
+    Variable projection (Golub & Pereyra 1973) with Kaufman's derivative: amplitudes never enter as unknowns.
+    """
+    k, source = _unpacked(scanned, x)
+    field = _field(scanned, k, source)
+    basis, parts, left = _projected(field, scanned.values)
+    by_k, by_r = -field.h1 * field.r[:, None] * parts[:, 0], -field.h1 * k * parts[:, 0]
+    slope = field.h0 - field.h1 / field.kr
+    if field.towards is not None:
+        by_k = by_k + slope * (field.r * field.towards)[:, None] * parts[:, 1]
+        by_r = by_r + slope * k * field.towards[:, None] * parts[:, 1]
+    columns = [by_k * scanned.top, 1j * by_k * scanned.top]
+    for axis in range(2):
+        moved = -field.ways[:, axis] / field.r * by_r.sum(axis=1)
+        if field.towards is not None and scanned.along is not None:
+            turned = field.towards * field.ways[:, axis] / field.r**2 - scanned.along[:, axis] / field.r
+            moved = moved + turned * (field.h1 @ parts[:, 1])
+        columns.append(REACH_M * moved[:, None])
+    by_x = np.concatenate(columns, axis=1)
+    return left, basis @ (basis.conj().T @ by_x) - by_x
+
+
+def _real(values: Complex) -> Float:
+    return np.concatenate([values.real, values.imag])
+
+
+def _descend(scanned: Scanned, x: Float) -> tuple[float, Float]:
+    """Half the sum of squares that is left, and where."""
+    rings = (len(x) - 2) // 2
+    low = np.concatenate([np.full(rings, -WIDEST), np.full(rings, LEAST_LOSS), [-1.0, -1.0]])
+    high = np.concatenate([np.full(2 * rings, WIDEST), [1.0, 1.0]])
+    last: list[tuple[Float, Complex, Complex]] = []
+
+    def at(x: Float) -> tuple[Complex, Complex]:
+        if not last or not np.array_equal(last[0][0], x):
+            last[:] = [(x.copy(), *_residual(scanned, x))]
+        return last[0][1:]
+
+    found = least_squares(
+        lambda x: _real(at(x)[0]), np.clip(x, low + 1e-6, high - 1e-6), jac=lambda x: _real(at(x)[1]),
+        bounds=(low, high), xtol=1e-8, ftol=1e-8, max_nfev=60,
+    )  # fmt: skip
+    return float(found.cost), np.asarray(found.x)
+
+
+def _beginnings(scanned: Scanned, x: Float) -> list[complex]:
+    """Wavenumbers, over scanned.top, of one more ring that would take most of what the rings so far leave."""
+    grid = [complex(real, real * loss) for real in np.geomspace(0.03, 1.2, 18) for loss in (0.08, 0.25, 0.6, 1.2)]
+    grid += [complex(-real, max(real, 0.15) * loss) for real in (0.07, 0.2, 0.4) for loss in (0.54, 0.8, 1.1)]
+    k, source = _unpacked(scanned, x)
+    tried: Complex = np.array(grid, dtype=np.complex128)
+    columns = _field(scanned, tried * scanned.top, source).columns
+    left = scanned.values
+    if len(k):
+        basis, _, left = _projected(_field(scanned, k, source), scanned.values)
+        inside = np.einsum("nb,ngm->bgm", basis.conj(), columns)
+        columns = columns - np.einsum("nb,bgm->ngm", basis, inside)
+    products = np.einsum("ngm,ngl->gml", columns.conj(), columns)
+    ridge = 1e-9 * np.einsum("gmm->g", products).real
+    products += ridge[:, None, None] * np.eye(products.shape[1])
+    seen = np.einsum("ngm,n->gm", columns.conj(), left)
+    gain = np.einsum("gm,gm->g", seen.conj(), np.linalg.solve(products, seen[:, :, None])[:, :, 0]).real
+    chosen: list[complex] = []
+    for number in np.argsort(-gain):
+        one = grid[int(number)]
+        if all(abs(one - other) > APART * abs(other) for other in chosen):
+            chosen.append(one)
+        if len(chosen) == STARTS:
+            break
+    return chosen
+
+
+def _told(scanned: Scanned, x: Float) -> Rings:
+    k, source = _unpacked(scanned, x)
+    field = _field(scanned, k, source)
+    _, parts, _ = _projected(field, scanned.values)
+    left, by_x = _residual(scanned, x)
+    motion = np.sqrt(np.mean(np.abs(np.einsum("nrm,rm->nr", field.columns, parts)) ** 2, axis=0))
+    count, free = 2 * len(left), len(x) + 2 * parts.size
+    power = max(float(np.linalg.norm(left) ** 2), FLOOR**2 * len(left))
+    jacobian = _real(by_x)
+    spread = np.sqrt(np.diag(np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-13)) * power / max(count - free, 1))
+    deviation = np.hypot(spread[: len(k)], spread[len(k) : -2]) * scanned.top / np.abs(k)
+    score = count * math.log(power / count) + free * math.log(count)
+    misfit = float(np.linalg.norm(left)) / math.sqrt(len(left))
+    return Rings(k, motion, deviation, misfit, left, score, source, x)

@@ -1,0 +1,111 @@
+"""What a plugin adds to a picture: MuJoCo's list of shapes (mjvScene), filled as arrays and never beyond its end."""
+
+import ctypes
+from functools import cached_property
+from typing import Any, Literal
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from palmfield.mujoco_host.mujoco_view import ModelView
+from palmfield.mujoco_host.structs import mirror
+from palmfield.types import Float, Int
+
+GLOW = 0.6
+"""Of a shape's colour that needs no light: what is seen means a number, in the shade as well."""
+LABEL = 100
+SPARE = 200
+"""Shapes left to MuJoCo beside the model's own: joints, contacts, lights, what is under the mouse."""
+
+
+class Drawing:
+    """A scene that MuJoCo is about to draw; shapes for which there is no room are left out, the first given come first.
+
+    MuJoCo asks plugins before it adds the model's own shapes, for which room is kept. Positions are in the world [m],
+    colours red, green, blue and opacity from 0 to 1.
+    """
+
+    def __init__(self, model: ModelView, scene: int, options: int):
+        self._scene = mirror("mjvScene").from_address(scene)
+        raw = model.raw
+        self._kept = raw.ngeom + raw.nsite + raw.nskin + raw.nflex + SPARE
+        self._options = mirror("mjvOption").from_address(options)
+
+    def shows(self, kind: Literal["geom", "site"], group: int) -> bool:
+        """Whether the viewer's user has a group of geoms or sites switched on."""
+        return bool(getattr(self._options, f"{kind}group")[group])
+
+    @property
+    def room(self) -> int:
+        """How many shapes can still be added."""
+        return max(0, int(self._scene.maxgeom - self._scene.ngeom - self._kept))
+
+    def spheres(self, centres: Float, radius: Float | float, colours: Float) -> None:
+        """Add spheres. centres: shape (n, 3); radius: [m], one or (n,); colours: shape (n, 4) or (4,)"""
+        shapes = self._new(mujoco.mjtGeom.mjGEOM_SPHERE, len(centres), colours)
+        count = len(shapes)
+        shapes["pos"], shapes["mat"] = centres[:count], np.eye(3).ravel()
+        shapes["size"] = np.broadcast_to(radius, len(centres))[:count, None]
+
+    def discs(self, centres: Float, axes: Float, radius: Float | float, thickness: float, colours: Float) -> None:
+        """Add flat cylinders. centres, axes: shape (n, 3); radius, thickness [m]; colours: shape (n, 4)"""
+        shapes = self._new(mujoco.mjtGeom.mjGEOM_CYLINDER, len(centres), colours)
+        count = len(shapes)
+        across = np.where(np.abs(axes[:, :1]) < 0.9, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
+        first = np.cross(across, axes)
+        first /= np.linalg.norm(first, axis=1, keepdims=True)
+        turns = np.stack([first, np.cross(axes, first), axes], axis=2)
+        shapes["pos"], shapes["mat"] = centres[:count], turns[:count].reshape(-1, 9)
+        shapes["size"][:, :2] = np.broadcast_to(radius, len(centres))[:count, None]
+        shapes["size"][:, 2] = 0.5 * thickness
+
+    def triangles(self, vertices: Float, faces: Int, colours: Float) -> None:
+        """Add triangles. vertices: shape (v, 3); faces: shape (n, 3); colours: shape (n, 4)"""
+        shapes = self._new(mujoco.mjtGeom.mjGEOM_TRIANGLE, len(faces), colours)
+        corners = vertices[faces[: len(shapes)]]
+        # MuJoCo's triangle has the corners 0, x and y of a frame whose axes need not be square to one another
+        sides = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=1)
+        normals = np.cross(sides[:, 0], sides[:, 1])
+        frame = np.concatenate([sides, normals[:, None]], axis=1)
+        lengths = np.maximum(np.linalg.norm(frame, axis=2), 1e-12)
+        shapes["pos"], shapes["size"] = corners[:, 0], lengths
+        shapes["mat"] = (frame / lengths[..., None]).transpose(0, 2, 1).reshape(-1, 9)
+
+    def label(self, place: Float, text: str) -> None:
+        """Add a text at a place, shape (3,)."""
+        shapes = self._new(mujoco.mjtGeom.mjGEOM_LABEL, 1, np.ones(4))
+        shapes["pos"], shapes["mat"], shapes["label"] = place, np.eye(3).ravel(), text.encode()[: LABEL - 1]
+
+    def _new(self, kind: mujoco.mjtGeom, count: int, colours: Float) -> NDArray[Any]:
+        """Claim as many shapes as there is room for, with all that is common to them filled in."""
+        count = min(count, self.room)
+        first = self._scene.ngeom
+        shapes = self._shapes[first : first + count]
+        self._scene.ngeom = first + count
+        shapes[:] = np.zeros((), shapes.dtype)
+        shapes["type"], shapes["category"] = int(kind), int(mujoco.mjtCatBit.mjCAT_DECOR)
+        shapes["dataid"] = shapes["objid"] = shapes["matid"] = shapes["texid"] = shapes["segid"] = -1
+        shapes["objtype"] = int(mujoco.mjtObj.mjOBJ_UNKNOWN)
+        shapes["rgba"] = colours if colours.ndim == 1 else colours[:count]
+        shapes["emission"], shapes["texrepeat"] = GLOW, 1.0
+        return shapes
+
+    @cached_property
+    def _shapes(self) -> NDArray[Any]:
+        """All of the scene's shapes, used or not."""
+        kind: Any = mirror("mjvGeom")
+        whole = (kind * int(self._scene.maxgeom)).from_address(self._scene.geoms)
+        size = ctypes.sizeof(kind)
+        return np.frombuffer(whole, _dtype(kind, size))
+
+
+def _dtype(kind: Any, size: int) -> np.dtype[Any]:
+    """NumPy's own words for mjvGeom, in which the label is bytes."""
+    names, formats, offsets = [], [], []
+    for name, field in kind._fields_:
+        text = name == "label"
+        names.append(name)
+        formats.append(f"S{LABEL}" if text else np.dtype(field))
+        offsets.append(getattr(kind, name).offset)
+    return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": size})

@@ -1,0 +1,171 @@
+"""Scans as Polytec's software (PSV, VibSoft) exports time signals as text: a file for each point, in one folder.
+
+Source File Name:   palm
+Point Index:        12
+Component:          Root
+Signal:             Time - Vib Velocity - Samples
+
+Time    Time Signal
+[ s ]   [ m/s ]
+0       -0.000201617
+...
+
+Tabs stand between names, values and columns. Polytec has published no description; this is what public programs say
+that read such files, and what they don't say is refused. In what length a point's place is written there none of them
+says, so that places come from `places.csv` in the same folder: columns point, x_m, y_m, z_m and, if the lines of sight
+are known, sight_x, sight_y, sight_z.
+"""
+
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from palmfield.errors import MeasurementError, SceneError, did_you_mean
+from palmfield.instruments.scan import UNITS, Quantity, Scan
+from palmfield.tables import read_table
+from palmfield.types import Float
+
+HEADINGS = ("Source File Name", "Point Index", "Component", "Signal")
+QUANTITIES: dict[str, Quantity] = {"Vib Velocity": "velocity", "Vib Displacement": "displacement"}
+PLACES = "places.csv"
+COLUMNS = ("point", "x_m", "y_m", "z_m")
+SIGHTS = ("sight_x", "sight_y", "sight_z")
+ENCODINGS = ("utf-8-sig", "cp1252")
+
+
+class _Point(NamedTuple):
+    number: int
+    quantity: Quantity
+    times_s: Float
+    values: Float
+
+
+def read_polytec(folder: Path) -> Scan:
+    """A scan from a folder of text files and its table of places.
+
+    Raises MeasurementError for what isn't recognised in a file, for files without a place, and for signals of different
+    kinds or times.
+    """
+    files = sorted(folder.glob("*.txt"))
+    if not files:
+        raise MeasurementError(f"{folder}: holds no .txt files; give a folder of one text file for each point")
+    places, sights = _places(folder / PLACES)
+    points = [_point(file) for file in files]
+    first = points[0]
+    for file, one in zip(files, points, strict=True):
+        if one.number not in places:
+            raise MeasurementError(f"{file}: is of point {one.number}, which {PLACES} has no line for")
+        if one.quantity != first.quantity:
+            raise MeasurementError(f"{file}: is of {one.quantity}, {files[0].name} of {first.quantity}; give one kind")
+        if one.times_s.shape != first.times_s.shape or np.abs(one.times_s - first.times_s).max() > 1e-9:
+            raise MeasurementError(f"{file}: its times are not those of {files[0].name}")
+    numbers = [one.number for one in points]
+    twice = [number for number in numbers if numbers.count(number) > 1]
+    if twice:
+        raise MeasurementError(f"{folder}: point {twice[0]} has several files; give one for each point")
+    return Scan(
+        first.quantity, first.times_s, np.array([places[number] for number in numbers]),
+        np.column_stack([one.values for one in points]),
+        None if sights is None else np.array([sights[number] for number in numbers]), folder.name,
+    )  # fmt: skip
+
+
+def _places(file: Path) -> tuple[dict[int, Float], dict[int, Float] | None]:
+    try:
+        columns, _ = read_table(file)
+    except SceneError as error:
+        raise MeasurementError(
+            f"{error} (the places of the points: columns {', '.join(COLUMNS)} and, if known, {', '.join(SIGHTS)})"
+        ) from None
+    known = any(name in columns for name in SIGHTS)
+    for name in (*COLUMNS, *(SIGHTS if known else ())):
+        if name not in columns:
+            raise MeasurementError(f"{file}: has no column '{name}'{did_you_mean(name, columns)}")
+    numbers = columns["point"]
+    if not np.array_equal(numbers, np.round(numbers)) or len(np.unique(numbers)) < len(numbers):
+        raise MeasurementError(f"{file}: column point must hold whole numbers, each once")
+
+    def by_number(names: tuple[str, ...]) -> dict[int, Float]:
+        table = np.column_stack([columns[name] for name in names])
+        return {int(number): row for number, row in zip(numbers, table, strict=True)}
+
+    return by_number(COLUMNS[1:]), by_number(SIGHTS) if known else None
+
+
+def _point(file: Path) -> _Point:
+    lines = _text(file)
+    heading: dict[str, str] = {}
+    for at, line in enumerate(lines):
+        if not line.strip():
+            break
+        name, colon, value = line.partition(":")
+        if not colon or name.strip() not in HEADINGS:
+            raise MeasurementError(
+                f"{file}: line {at + 1} is '{line.strip()[:60]}'; its head has lines {', '.join(HEADINGS)} and ends "
+                "with an empty one"
+            )
+        heading[name.strip()] = value.strip()
+    else:
+        raise MeasurementError(f"{file}: has no empty line after its head, as Polytec's text files do")
+    for name in ("Point Index", "Signal"):
+        if name not in heading:
+            raise MeasurementError(f"{file}: its head has no line '{name}:', so that its {name.lower()} is not known")
+    number = re.match(r"\d+", heading["Point Index"])
+    if number is None:
+        raise MeasurementError(f"{file}: Point Index is '{heading['Point Index']}'; it begins with a whole number")
+    quantity = _quantity(file, heading["Signal"])
+    table = _table(file, lines[at + 1 :], at + 2, quantity)
+    return _Point(int(number.group()), quantity, table[:, 0], table[:, 1])
+
+
+def _text(file: Path) -> list[str]:
+    for encoding in ENCODINGS:
+        try:
+            return file.read_text(encoding=encoding).splitlines()
+        except UnicodeDecodeError:
+            continue
+        except OSError as error:
+            raise MeasurementError(f"{file}: cannot be read: {error.strerror}; give a text file") from None
+    raise MeasurementError(f"{file}: is no text")
+
+
+def _quantity(file: Path, signal: str) -> Quantity:
+    parts = [part.strip() for part in signal.split(" - ")]
+    if len(parts) != 3 or parts[0] != "Time" or parts[2] != "Samples" or parts[1] not in QUANTITIES:
+        raise MeasurementError(
+            f"{file}: Signal is '{signal}'; read are samples over time along one beam: "
+            + " and ".join(f"'Time - {name} - Samples'" for name in QUANTITIES)
+        )
+    return QUANTITIES[parts[1]]
+
+
+def _table(file: Path, lines: list[str], first: int, quantity: Quantity) -> Float:
+    """Times [s] and values [m or m/s], shape (t, 2). first: number of the first of these lines in the file"""
+    names, units = ([cell.strip() for cell in line.split("\t")] for line in (*lines[:2], "", "")[:2])
+    if len(names) != 2 or names[0] != "Time" or len(units) != 2:
+        raise MeasurementError(
+            f"{file}: line {first} is '{' '.join(names)[:60]}'; two columns follow the head, Time and the signal"
+        )
+    time, unit = (re.fullmatch(r"\[\s*(.*?)\s*\]", cell) for cell in units)
+    kind = "" if unit is None else unit.group(1).replace("\u00b5", "u").replace("\u03bc", "u")
+    if time is None or time.group(1) != "s" or kind not in UNITS[quantity]:
+        raise MeasurementError(
+            f"{file}: line {first + 1}: units are '{' '.join(units)}'; allowed: [ s ] and, of {quantity}, "
+            + ", ".join(f"[ {name} ]" for name in UNITS[quantity])
+        )
+    rows = []
+    for at, line in enumerate(lines[2:], first + 2):
+        if not line.strip():
+            continue
+        cells = line.split("\t")
+        try:
+            rows.append([float(cells[0]), float(cells[1])])
+        except (ValueError, IndexError):
+            raise MeasurementError(
+                f"{file}: line {at} is '{line.strip()[:40]}'; give two numbers, a tab between them, decimals by points"
+            ) from None
+        if len(cells) > 2 or not np.isfinite(rows[-1]).all():
+            raise MeasurementError(f"{file}: line {at} is '{line.strip()[:40]}'; give two finite numbers")
+    return np.array(rows, dtype=float).reshape(-1, 2) * [1.0, UNITS[quantity][kind]]

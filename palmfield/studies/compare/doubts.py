@@ -1,0 +1,73 @@
+"""What in a comparison looks like a fault of the scan or of its place, in sentences."""
+
+import numpy as np
+
+from palmfield.instruments.agreement import Agreement, delays
+from palmfield.instruments.scan import Scan
+from palmfield.instruments.scan_grids import pitch
+from palmfield.instruments.surface_motion import SurfaceMotion
+from palmfield.metrics.checks import even_step
+from palmfield.types import Float
+
+UNIT = 30.0
+"""A gain this far from 1, either way, is rather a unit than a level."""
+FOLDED = 0.02
+"""Share of our power above half of the scan's rate from which on it is told."""
+SHARPEN = 4
+"""Power of the rms that weighs places for the middle of a motion, so that the loudest place counts most."""
+LEAST_APART_M = 1e-3
+
+
+def middle(scan: Scan) -> Float:
+    """Where a scan moves most [m], shape (3,), between its points: their mean, weighted by the rms to the SHARPEN."""
+    weights = np.sqrt(np.mean(scan.values**2, axis=0))
+    weights = (weights / weights.max()) ** SHARPEN
+    return np.asarray(weights @ scan.points / weights.sum())
+
+
+def doubts(measured: Scan, computed: Scan, motion: SurfaceMotion, numbers: Agreement, most_delay_s: float) -> list[str]:
+    """Sentences for a report, none where nothing is odd.
+
+    measured, computed: at the same points and times; the measured one's places are those on the skin
+    motion: ours as it was computed, before any instrument
+    """
+    found = []
+    gain = float(np.median(np.abs(numbers.gain)))
+    if not 1.0 / UNIT < gain < UNIT:
+        found.append(
+            f"the gain of {gain:.3g} looks like another unit (mm/s for m/s), displacement for velocity, or another "
+            "level of the sound"
+        )
+    if float(np.median(numbers.gain)) < 0.0:
+        found.append("most points are turned round: the beam's sign, or the trigger, may be another")
+    step = even_step(measured.times_s)
+    wide = delays(measured.values, computed.values, step, 0.5 * (measured.times_s[-1] - measured.times_s[0]))[0]
+    beyond = np.abs(wide) > most_delay_s + step
+    late = float(np.median(wide))
+    if beyond.mean() > 0.5 and np.abs(wide - late).max(where=beyond, initial=0.0) < most_delay_s:
+        found.append(
+            f"a delay of {1e3 * late:.4g} ms fits better than any within {1e3 * most_delay_s:.3g}: mend trigger_s, or "
+            "give a larger --most-delay"
+        )
+    apart = float(np.linalg.norm(middle(measured) - middle(computed)))
+    if len(measured.points) > 3 and apart > max(LEAST_APART_M, 0.5 * pitch(measured.points)):
+        found.append(
+            f"the loudest place of the measured motion lies {1e3 * apart:.2g} mm from that of ours: the scan may lie "
+            "elsewhere on the skin, or the sound's focus on the specimen"
+        )
+    folded = above(motion, 0.5 / step)
+    if folded > FOLDED:
+        found.append(
+            f"{100 * folded:.2g} % of our motion's power lies above half of the scan's rate, {0.5 / step:.4g} Hz: ours "
+            "has passed a low-pass; what was measured without one has folded back"
+        )
+    return found
+
+
+def above(motion: SurfaceMotion, frequency_Hz: float) -> float:
+    """Share of the power of the normal velocity above a frequency, 0 to 1."""
+    velocity = np.einsum("tni,ni->tn", motion.velocity_m_s, motion.normals)
+    power = (np.abs(np.fft.rfft(velocity - velocity.mean(axis=0), axis=0)) ** 2).sum(axis=1)
+    lines = np.fft.rfftfreq(len(velocity), float(np.median(np.diff(motion.times_s))))
+    total = float(power.sum())
+    return float(power[lines > frequency_Hz].sum()) / total if total > 0.0 else 0.0
