@@ -23,6 +23,8 @@ OFF_S = 1e-9
 """In which a load goes to 0 when the stimulus ends."""
 LOAD_RATE_HZ = 32e3
 """Of the corners of a load's course: between them it is linear, which cuts 0.1 % off a sine of 400 Hz."""
+CIRCLE_RATE_HZ = 8e3
+"""The same of the circle, whose sides are 0.004 mm off it; solvers cut them further."""
 
 Stimulus = Literal["step", "ramp", "am_load", "am_pressure", "stm"]
 MaterialName = Literal["given", "half", "soft", "stiff", "tau_printed", "bulk_corrected"]
@@ -143,7 +145,8 @@ def load_of(stimulus: Stimulus, fwhm_m: float) -> Spot:
     """The spot with a peak of 1 Pa, on for 200 ms from time 0."""
     if stimulus == "step":
         return Spot(fwhm_m, np.array([0.0, STIMULUS_S, STIMULUS_S + OFF_S]), np.array([1.0, 1.0, 0.0]))
-    times = np.linspace(0.0, STIMULUS_S, round(STIMULUS_S * LOAD_RATE_HZ) + 1)
+    rate = CIRCLE_RATE_HZ if stimulus == "stm" else LOAD_RATE_HZ
+    times = np.linspace(0.0, STIMULUS_S, round(STIMULUS_S * rate) + 1)
     peak = np.append(course(stimulus, times), 0.0)
     turn = 2.0 * np.pi * CIRCLE_HZ * np.append(times, STIMULUS_S)
     circle = CIRCLE_RADIUS_M * np.column_stack([np.cos(turn), np.sin(turn)])
