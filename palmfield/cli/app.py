@@ -919,6 +919,7 @@ def papers_command(
     quick: Annotated[bool, typer.Option("--quick", help="coarser runs, for answers in minutes")] = False,
     out: Annotated[Path, typer.Option(help="folder for pages, figures and rows.json")] = Path("out/papers"),
     device: Annotated[str, typer.Option(help="where kernels run that can run on a GPU: cpu or cuda")] = "cpu",
+    jobs: Annotated[int, typer.Option(min=1, help="papers computed side by side, some 3 GB of memory each")] = 1,
     only: Annotated[
         list[str] | None,
         typer.Option(help="only this number of docs/gallery/tolerances.toml, printed; may be repeated", metavar="ID"),
@@ -936,7 +937,7 @@ def papers_command(
     if only:
         raise typer.Exit(compute_numbers(only, quick=quick, device=device, as_json=as_json))
     raise typer.Exit(
-        compute_papers(names or (), quick=quick, out=out, device=device, quiet=context.obj, as_json=as_json)
+        compute_papers(names or (), quick=quick, out=out, device=device, jobs=jobs, quiet=context.obj, as_json=as_json)
     )
 
 
