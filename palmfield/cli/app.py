@@ -726,7 +726,9 @@ def plot_command(
     observer: Annotated[str | None, typer.Option(help="of levels [default: each]", metavar="NAME")] = None,
     suffix: Annotated[str, typer.Option("--format", help="png, svg or pdf")] = "png",
     out: Annotated[Path | None, typer.Option(help="folder for the pictures [default: DIR/plots]")] = None,
-    listed: Annotated[bool, typer.Option("--list", help="say which kinds there are, and draw none")] = False,
+    listed: Annotated[
+        bool, typer.Option("--list", help="say which kinds there are; of a run, draw small ones into one")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Draw pictures of a run for a paper: field, drives, maps of motion and of levels, courses, spectra, wavefronts.
@@ -741,7 +743,7 @@ def plot_command(
     from palmfield.outputs.pictures.asked import asked_for
 
     if listed:
-        list_kinds(as_json)
+        list_kinds(run, out, as_json)
         return
     if run is None:
         raise SceneError("plot needs DIR, the folder of a run; `palmfield plot --list` says what it can draw")
@@ -769,7 +771,8 @@ def render_command(
 ) -> None:
     """Make a film of a run: the hand with the motion or the ARP on its skin, slowed down and magnified.
 
-    Takes about a second a frame; Ctrl-C keeps what is drawn by then. Needs the extra `video`.
+    Takes half a second of one core a frame, shared out among all; Ctrl-C keeps what is drawn by then. Needs the extra
+    `video`.
 
     Example: palmfield render out/palm --video palm.mp4 --from 20 --to 40
     """
@@ -781,6 +784,50 @@ def render_command(
     start, end = (None if at is None else 1e-3 * at for at in (start_ms, end_ms))
     cut = Cut(start, end, slow, magnify, show, ends, size_of(size))
     render(run, video, cut, quiet=context.obj, as_json=as_json)
+
+
+@app.command("view")
+def view_command(
+    context: typer.Context,
+    scene: SceneFile,
+    out: Annotated[
+        Path | None, typer.Option(help="folder in which recordings are made [default: out/view_SCENE]")
+    ] = None,
+    device: Device = None,
+    accuracy: Accuracy = None,
+    board: BoardName = None,
+    keys: Keys = None,
+    modes: Annotated[
+        bool,
+        typer.Option(
+            "--modes", help="skins move by modes for any sound, so that sliders act at once; made once, in minutes"
+        ),
+    ] = False,
+    host: Annotated[
+        str, typer.Option(help="address to listen at; another than this machine's own gets a token")
+    ] = "127.0.0.1",
+    port: Annotated[
+        int | None, typer.Option(min=1, max=65535, help="[default: the first free one from 8080 on]")
+    ] = None,
+    rate: Annotated[
+        float | None, typer.Option(help="pictures a second [default: 15, on a GPU 30]", metavar="HZ")
+    ] = None,
+    pace: Annotated[str, typer.Option(help="at most so many simulated seconds in a second, or max", metavar="X")] = "1",
+    browser: Annotated[bool, typer.Option("--browser", help="open the page in the default browser")] = False,
+) -> None:
+    """Run a scene and watch it in the browser: hand, array, sound and motion on the skin, level above threshold.
+
+    Sliders turn focus, modulation, path, level and the hand's pose; a recording is a result folder, as of
+    `palmfield run`. Ctrl-C ends it. Needs the extra `view`.
+
+    Example: palmfield view mjcf/scenes/palm_am200.xml
+    """
+    from palmfield.cli.view import show
+
+    show(
+        scene, out, device=device, accuracy=accuracy, board=board, keys=given_keys(keys), modes=modes, host=host,
+        port=port, rate_Hz=rate, pace=pace, browser=browser, quiet=context.obj,
+    )  # fmt: skip
 
 
 @app.command("usd")
@@ -872,6 +919,7 @@ def papers_command(
     quick: Annotated[bool, typer.Option("--quick", help="coarser runs, for answers in minutes")] = False,
     out: Annotated[Path, typer.Option(help="folder for pages, figures and rows.json")] = Path("out/papers"),
     device: Annotated[str, typer.Option(help="where kernels run that can run on a GPU: cpu or cuda")] = "cpu",
+    jobs: Annotated[int, typer.Option(min=1, help="papers computed side by side, some 3 GB of memory each")] = 1,
     only: Annotated[
         list[str] | None,
         typer.Option(help="only this number of docs/gallery/tolerances.toml, printed; may be repeated", metavar="ID"),
@@ -889,7 +937,7 @@ def papers_command(
     if only:
         raise typer.Exit(compute_numbers(only, quick=quick, device=device, as_json=as_json))
     raise typer.Exit(
-        compute_papers(names or (), quick=quick, out=out, device=device, quiet=context.obj, as_json=as_json)
+        compute_papers(names or (), quick=quick, out=out, device=device, jobs=jobs, quiet=context.obj, as_json=as_json)
     )
 
 

@@ -164,10 +164,10 @@ class _Frame:
         width, height = cut.size
         self._figure = Figure(figsize=(width / DPI, height / DPI), dpi=DPI)
         self._canvas = FigureCanvasAgg(self._figure)
-        axes = self._figure.add_axes((0.0, 0.0, 1.0, 1.0))
+        # Only what is written lies on it: to draw a picture through Matplotlib takes longer than to lay it under
+        self._figure.patch.set_alpha(0.0)
+        axes = self._figure.add_axes((0.0, 0.0, 1.0, 1.0), xlim=(0, width), ylim=(height, 0))
         axes.set_axis_off()
-        blank = np.ones((height, width, 3))
-        self._picture = axes.imshow(blank, interpolation="none", aspect="auto", extent=(0, width, height, 0))
         self._clock = self._figure.text(0.025, 0.915, "", fontsize=10, color="#444444", va="center")
         what = "ARP" if cut.shown == "arp" else f"Normal {cut.shown}"
         self._figure.text(0.025, 0.955, f"{what} on the skin", fontsize=13, fontweight="bold", va="center")
@@ -205,14 +205,16 @@ class _Frame:
                 parts.append(Part(body, FLESH, 0.05, 1.0))
         painted = joined(meshes)
         picture = cast(painted, np.concatenate(levels), parts, look.camera, cut.size, look.colours, QUALITY)
-        self._picture.set_data(np.clip(picture, 0.0, 1.0))
         self._clock.set_text(
             f"{1e3 * time_s:8.2f} ms, {cut.slow:g} times slower; motion magnified {look.magnify:,.0f} times"
         )
         if not self._scale_bar:
             self._draw_scale(painted.vertices)
         self._canvas.draw()
-        return np.asarray(self._canvas.buffer_rgba())[..., :3].copy()
+        written = np.asarray(self._canvas.buffer_rgba())
+        opacity = written[..., 3:].astype(np.float32) / 255.0
+        mixed = opacity * written[..., :3] + (1.0 - opacity) * (255.0 * picture)
+        return (mixed + 0.5).astype(np.uint8)
 
     def _draw_scale(self, points: Float) -> None:
         """A bar of a round length at the distance of the skin's middle."""

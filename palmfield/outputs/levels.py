@@ -25,9 +25,9 @@ def level_maps(result: xr.DataTree, skin: str | None = None, stimulus: str | Non
 
     result: of `open_result` or `tree`, of a run that began at 0 s; skin, stimulus: instances, the only ones by default.
     Lines are the stimulus's main frequencies that the record can tell.
-    Returns `level` [dB SL], dimensions (observer, vertex), -inf where an observer's table has none of the lines or the
-    vertex is at rest; attributes skin, stimulus and frequencies_Hz. Each vertex is taken by itself, without summation
-    over area. The observer that goes by force has no map: it knows nothing of the skin's motion.
+    Returns `level` [dB SL], dimensions (observer, vertex), NaN where an observer's table has none of the lines, -inf
+    where the vertex is at rest; attributes skin, stimulus and frequencies_Hz. Each vertex is taken by itself, without
+    summation over area. The observer that goes by force has no map: it knows nothing of the skin's motion.
     Raises OutputError for an unknown instance, several of which none is named, a result without displacement, and one
     that is shorter than two periods of the main frequency.
     """

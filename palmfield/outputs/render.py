@@ -21,6 +21,7 @@ from palmfield.outputs.camera import AZIMUTH_DEG, Camera, look_along_emission
 from palmfield.outputs.frames import arrays_of, bodies, foci_at, in_world, loudest, nearest, pose_at, to_local, to_world
 from palmfield.outputs.schema import has_records, instances
 from palmfield.outputs.style import save, style
+from palmfield.threads import cores, share
 from palmfield.types import Float
 from warp_kernels import raycast
 
@@ -29,6 +30,7 @@ SUPERSAMPLING = 2
 AMBIENT_RAYS = 5
 AMBIENT_REACH_M = 0.035
 SAME_INSTANT_S = 1e-9
+BAND_ROWS = 16
 AZIMUTHS_DEG = (0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180)
 BOARD_RIM_M = 0.008
 # magma from pale to dark, short of black: a silent palm looks like skin and shading stays visible everywhere.
@@ -271,24 +273,26 @@ def cast(
     everything = wp.Mesh(points=vectors[0], indices=corners)
     solid = wp.Mesh(points=vectors[0], indices=solid_corners)
     image = wp.zeros(size[0] * size[1], dtype=wp.vec3, device=device)
-    wp.launch(
-        raycast.render,
-        dim=size[0] * size[1],
-        inputs=[
-            everything.id,
-            solid.id,
-            corners,
-            *vectors[1:],
-            *(wp.array(a, dtype=float, device=device) for a in (levels, gloss, opacity)),
-            wp.array(_linear(np.asarray(colours.colors)[:, :3]), dtype=wp.vec3, device=device),
-            *(wp.vec3(*v) for v in (camera.eye, corner, right, down, key, fill, camera.up)),
-            AMBIENT_REACH_M,
-            *size,
-            *quality,
-        ],
-        outputs=[image],
-        device=device,
-    )
+    inputs = [
+        everything.id,
+        solid.id,
+        corners,
+        *vectors[1:],
+        *(wp.array(a, dtype=float, device=device) for a in (levels, gloss, opacity)),
+        wp.array(_linear(np.asarray(colours.colors)[:, :3]), dtype=wp.vec3, device=device),
+        *(wp.vec3(*v) for v in (camera.eye, corner, right, down, key, fill, camera.up)),
+        AMBIENT_REACH_M,
+        *size,
+        *quality,
+    ]
+    # A launch on the CPU takes one thread: bands of rows are shared out among all
+    bands = []
+    for row in range(0, size[1], BAND_ROWS):
+        pixels = size[0] * min(BAND_ROWS, size[1] - row)
+        kernel = raycast.render
+        band = wp.launch(kernel, pixels, [*inputs, size[0] * row], [image], device=device, record_cmd=True)
+        bands.append((band.launch,))
+    share(bands, cores())
     return _srgb(image.numpy().reshape(size[1], size[0], 3))
 
 

@@ -31,7 +31,7 @@ from palmfield.outputs.usd import write_usd
 from palmfield.session.duration import check_duration, step_count
 from palmfield.session.load import Source
 from palmfield.session.mujoco_scene import body_poses
-from palmfield.session.recorder import Recorder, static_arrays, world_with
+from palmfield.session.recorder import Block, Recorder, Sink, static_arrays, world_with
 from palmfield.session.simulation import Simulation
 from palmfield.session.summary import array_numbers, estimated_budget, scene_numbers, skin_numbers, stimulus_numbers
 from palmfield.types import Float
@@ -130,12 +130,12 @@ def run(
             finished = store.finish(about, complete=stopped is None)
             if isinstance(finished, xr.DataTree):
                 tree, files = finished, dict[str, Path]()
-                result = Result(None, files, summary(tree, _ending(tree)), tree)
+                result = Result(None, files, summary(tree, ending(tree)), tree)
             else:
                 assert out is not None
                 tree, files = opened.enter_context(open_result(finished)), {"result.nc": finished}
                 files["summary.json"] = Path(out) / "summary.json"
-                result = Result(Path(out), files, summary(tree, _ending(tree)))
+                result = Result(Path(out), files, summary(tree, ending(tree)))
             with _carried_by_errors(result):
                 if stopped is None and not tree.attrs["complete"]:
                     stopped = store.lost or OutputError(f"{out} is incomplete: {tree.attrs['reason']}")
@@ -148,7 +148,7 @@ def run(
                 held.close()
                 if ended := stopped or cut:
                     raise ended
-                whole = _whole_summary(sim, recorder, budgets, tree, _ending(tree) | _spent(started))
+                whole = _whole_summary(sim, recorder, budgets, tree, ending(tree) | _spent(started))
                 if out is not None:
                     files |= draw(tree, Path(out), bar, plots)
                     whole |= _spent(started)
@@ -156,7 +156,7 @@ def run(
     return replace(result, summary=whole)
 
 
-def _ending(tree: xr.DataTree) -> dict[str, Any]:
+def ending(tree: xr.DataTree) -> dict[str, Any]:
     """Whether all of a run was written, and why it ended, as its result says."""
     return {"complete": bool(tree.attrs["complete"]), "reason": str(tree.attrs["reason"])}
 
@@ -223,15 +223,23 @@ def _prepare(sim: Simulation, out: Path | None, overwrite: bool, bar: Progress) 
     """Everything that can fail before the first step."""
     started = time.perf_counter()
     task = bar.add_task("preparing the skin layers", total=None)
-    model, runtime = sim.runtime.model, sim.runtime
-    for lazy in model.begin:
+    for lazy in sim.runtime.model.begin:
         _ = lazy.value
-    static = static_arrays(model, world_with(sim.data), runtime, sim.model)
-    attributes = _attributes(sim)
+    static, attributes = known_before(sim), result_attributes(sim)
     store = MemoryStore(static, attributes) if out is None else Store(out, static, attributes, overwrite)
     bar.remove_task(task)
     LOG.debug("prepared the skin layers in %.2f s", time.perf_counter() - started)
-    return store, Recorder(runtime, world_with(sim.data), store, lambda: body_poses(sim.data))
+    return store, recorder_of(sim, store)
+
+
+def recorder_of(sim: Simulation, sink: Sink) -> Recorder:
+    """What writes a simulation's steps to a sink, from `start` to `stop`."""
+    return Recorder(sim.runtime, world_with(sim.data), sink, lambda: body_poses(sim.data))
+
+
+def known_before(sim: Simulation) -> Block:
+    """What a result holds of a simulation before the first step."""
+    return static_arrays(sim.runtime.model, world_with(sim.data), sim.runtime, sim.model)
 
 
 def _simulate(sim: Simulation, recorder: Recorder, duration_s: float, bar: Progress) -> BaseException | None:
@@ -318,7 +326,7 @@ def _shown_better(sim: Simulation) -> list[str]:
     return list(dict.fromkeys(sim.model.body(number).name for number in numbers))
 
 
-def _attributes(sim: Simulation) -> dict[str, dict[str, Any]]:
+def result_attributes(sim: Simulation) -> dict[str, dict[str, Any]]:
     """Every setting, convention and version, as attributes of the result and its groups."""
     model = sim.runtime.model
     packages = ("palmfield", "warp-lang", "mujoco", "numpy", "scipy", "trimesh", "usd-core", "xarray")

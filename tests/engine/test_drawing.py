@@ -1,5 +1,9 @@
 """What the plugins add to MuJoCo's pictures, read from the scene that MuJoCo is about to draw; no window, no OpenGL."""
 
+import os
+import subprocess
+import sys
+
 import mujoco
 import numpy as np
 import pytest
@@ -211,3 +215,44 @@ def test_what_was_made_for_another_model_is_not_shown(module_scene):
     other.step(1)
     (second,) = drawn(other, ("foci",))
     assert second.pos == pytest.approx([0.005, 0.0, 0.12], abs=1e-6)
+
+
+RENDERED = """
+import sys
+import mujoco
+import numpy as np
+from palmfield.engine.array_plugin import PHASES_GROUP
+from palmfield.engine.skin_plugin import ARP_GROUP
+
+model = mujoco.MjModel.from_xml_path(sys.argv[1])
+data = mujoco.MjData(model)
+mujoco.mj_step(model, data)
+try:
+    renderer = mujoco.Renderer(model, 120, 160)
+except Exception as error:
+    sys.exit(f"no OpenGL: {error!r}")
+camera = mujoco.MjvCamera()
+camera.lookat[:], camera.distance, camera.elevation = (0.0, 0.0, 0.1), 0.2, 60.0
+pictures = {}
+for shown in (True, False):
+    option = mujoco.MjvOption()
+    option.geomgroup[PHASES_GROUP] = option.geomgroup[ARP_GROUP] = option.sitegroup[1] = shown
+    renderer.update_scene(data, camera, option)
+    pictures[shown] = renderer.render().astype(int)
+renderer.close()
+apart = np.abs(pictures[True] - pictures[False]).max(axis=2)
+print((apart > 40).mean())
+"""
+
+
+def test_the_renderer_shows_them(module_scene, tmp_path):
+    """With OpenGL as there is on a machine without a display; where there is none, the tests above must do."""
+    path = module_scene(stimulus=STEADY)
+    done = subprocess.run(
+        [sys.executable, "-c", RENDERED, str(path)],
+        cwd=tmp_path, env=os.environ | {"MUJOCO_GL": "egl"}, capture_output=True, text=True, timeout=200,
+    )  # fmt: skip
+    if "no OpenGL" in done.stderr or "EGL" in done.stderr:
+        pytest.skip(done.stderr.strip().splitlines()[-1])
+    assert done.returncode == 0, done.stderr
+    assert 0.002 < float(done.stdout) < 0.5

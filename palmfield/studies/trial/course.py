@@ -7,6 +7,7 @@ import numpy as np
 
 from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.drive.playback import ON_STEP
+from palmfield.errors import SceneError
 from palmfield.motion.quaternions import inverse, matrices, of_turns, product, turns_of
 from palmfield.session.preview import Preview
 from palmfield.simulation.model import HapticModel
@@ -31,11 +32,15 @@ class Frames(NamedTuple):
 class SceneCourse:
     """The scene's poses at MuJoCo's steps, and straight between two of them; before and after, the first and the last.
 
-    model: of the scene; step_s: between poses [s]; end_s: time of the last one [s]
+    model: of the scene; step_s: between poses [s]; end_s: time of the last one [s]; refused: why that comes early
     """
 
-    def __init__(self, view: Preview, duration_s: float) -> None:
-        """Steps a copy of the scene, with all but its skins. Raises what a module raises in a step."""
+    def __init__(self, view: Preview, duration_s: float, *, as_far_as_it_goes: bool = False) -> None:
+        """Steps a copy of the scene, with all but its skins. Raises what a module raises in a step.
+
+        as_far_as_it_goes: a hand that reaches into the array, as one that was tracked may, ends the course instead
+        """
+        self.refused = ""
         self.step_s = view.runtime.spec.timestep_s
         count = math.ceil(duration_s / self.step_s - ON_STEP) + 1 if view.moves else 1
         self.model: HapticModel = view.runtime.model
@@ -44,9 +49,14 @@ class SceneCourse:
         self._bones: list[list[tuple[Float, Float]]] = []
         self._outer: list[tuple[Transform, PhasedArray]] = []
         if view.moves:
-            for _, runtime, posed in view.posed_at(self.step_s * np.arange(count)):
-                self.model = runtime.model
-                self._add(posed)
+            try:
+                for _, runtime, posed in view.posed_at(self.step_s * np.arange(count)):
+                    self.model = runtime.model
+                    self._add(posed)
+            except SceneError as error:
+                if not as_far_as_it_goes or len(self._rows) < 2:
+                    raise
+                count, self.refused = len(self._rows), str(error)
         else:
             self._add(view.runtime.posed)
         self.end_s = (count - 1) * self.step_s

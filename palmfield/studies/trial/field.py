@@ -120,8 +120,14 @@ class TrueSound:
         return focus_in(self.model, self.number, self.course.posed(posed_s), due_s)
 
     def ideal(self, time_s: float, due_s: float) -> Complex:
-        """The drive of a due time [s] for where the hand truly is at another, before any board's limits, shape (N,)."""
-        return self.share(due_s) * self._exact.wanted(self.course.posed(time_s), due_s)
+        """The drive of a due time [s] for where the hand truly is at another, before any board's limits, shape (N,).
+
+        Silence where that can't be made, as a live hand may be behind the array.
+        """
+        try:
+            return self.share(due_s) * self._exact.wanted(self.course.posed(time_s), due_s)
+        except SceneError:
+            return np.zeros(len(self.model.arrays), np.complex128)
 
     def moment(self, time_s: float, due_times: Sequence[float], heard: Heard, loudest: float) -> Moment | None:
         """What a hand gets at a time [s]; None before the first frame.

@@ -205,9 +205,14 @@ def _followed(
     told("stepping the scene as the tracker saw it", None)
     write_stream(folder / "tracked.npz", played.stream)
     own = live.keys(played.motion, folder / "tracked.npz", played.start_s)
-    course = SceneCourse(preview(scene, device="cpu", board=board, keys={**keys, **own}), duration_s)
+    seen = preview(scene, device="cpu", board=board, keys={**keys, **own})
+    course = SceneCourse(seen, duration_s, as_far_as_it_goes=True)
+    notes = list(played.notes)
+    if course.refused:
+        notes.append(f"the sound at the hand is told up to {course.end_s:.3f} s: {course.refused}")
+        played.sent.end_s = min(played.sent.end_s, course.end_s)
     sound = TrueSound(course, number, truth, flight=flight, share=_share(course.model, duration_s))
-    return _Done(sound, played.sent, played.times, played.notes, own)
+    return _Done(sound, played.sent, played.times, notes, own)
 
 
 def _share(model: HapticModel, duration_s: float) -> Callable[[float], float]:

@@ -18,6 +18,7 @@ from palmfield.outputs.frames import loudest
 from palmfield.outputs.pictures.asked import Asked, asked_for
 from palmfield.outputs.pictures.draw import draw_pictures
 from palmfield.outputs.pictures.kinds import KINDS
+from palmfield.outputs.pictures.sheet import draw_sheet
 from palmfield.outputs.schema import instances
 from palmfield.outputs.style import save
 from palmfield.types import Air
@@ -112,6 +113,16 @@ def test_all_kinds_draw_what_the_run_holds_and_say_what_it_does_not(result, tmp_
     for path in files.values():
         assert imread(path).shape[0] > 600
     assert all(missing.values())
+
+
+def test_a_sheet_has_a_small_picture_of_each_kind_and_says_what_is_missing(result, tmp_path):
+    missing = draw_sheet(result, tmp_path / "plots" / "kinds.png")
+    assert "field" in missing and "motion" not in missing
+    sheet = imread(tmp_path / "plots" / "kinds.png")
+    assert sheet.shape[1] > 1000 and np.ptp(sheet[..., :3]) > 0.9
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError, match="cannot write"):
+        draw_sheet(result, tmp_path / "file" / "kinds.png")
 
 
 @pytest.mark.parametrize("suffix", ["svg", "pdf"])

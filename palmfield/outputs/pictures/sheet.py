@@ -1,0 +1,51 @@
+"""One picture with a small one of each kind that a run can be drawn as."""
+
+import textwrap
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from palmfield.errors import MeasurementError, OutputError, unwritable
+from palmfield.outputs.pictures.asked import Asked
+from palmfield.outputs.pictures.kinds import KINDS
+from palmfield.outputs.style import save, style
+
+COLUMNS, SIDE_INCH = 4, 2.6
+SMALL_DPI, DPI = 110, 150
+
+
+def draw_sheet(result: xr.DataTree, path: Path, asked: Asked | None = None) -> dict[str, str]:
+    """Draw a small picture of every kind, with its name and what it shows, into one PNG.
+
+    Returns why some could not be drawn, by kind; the sheet says so in their places. Raises OutputError where the file
+    can't be written.
+    """
+    missing: dict[str, str] = {}
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise unwritable(path, error) from None
+    rows = -(-len(KINDS) // COLUMNS)
+    with style():
+        size = (COLUMNS * SIDE_INCH, rows * SIDE_INCH)
+        sheet = Figure(figsize=size, dpi=DPI, layout="constrained")
+        axes = sheet.subplots(rows, COLUMNS, squeeze=False).ravel()
+        for axis, (name, kind) in zip(axes, KINDS.items(), strict=False):
+            try:
+                figure = kind.draw(result, asked or Asked())
+            except (OutputError, MeasurementError) as problem:
+                missing[name] = str(problem)
+                axis.text(0.5, 0.5, textwrap.fill(str(problem), 34), ha="center", va="center", fontsize=6)
+            else:
+                figure.set_dpi(SMALL_DPI)
+                canvas = FigureCanvasAgg(figure)
+                canvas.draw()
+                axis.imshow(np.asarray(canvas.buffer_rgba()), interpolation="antialiased")
+            axis.set_title(f"{name}\n{textwrap.fill(kind.about, 40)}", fontsize=7)
+        for axis in axes:
+            axis.set_axis_off()
+        save(sheet, path, DPI)
+    return missing
