@@ -253,6 +253,8 @@ LABELS: dict[str, tuple[tuple[str, ...], str]] = {
     "pose7": (("x", "y", "z", "qw", "qx", "qy", "qz"), "component of a pose"),
 }
 """Coordinates of the root that name components."""
+MUJOCO_SCENE = "scene"
+"""The name of the only instance of the group /mujoco."""
 RECORDS = ("time", "step_time", "frame_time")
 """Dimensions along which a run grows."""
 

@@ -12,9 +12,9 @@ from palmfield.drive.transducer_response import EmittedCourse, rows
 from palmfield.engine.host import World, world_of
 from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.hand.triangles import vertex_normals
-from palmfield.outputs.mujoco_scene import INSTANCE, mujoco_arrays
-from palmfield.outputs.schema import Arrays, group, sensor_channels
+from palmfield.outputs.schema import MUJOCO_SCENE, Arrays, group, sensor_channels
 from palmfield.session.loudest_moment import LoudestMoment
+from palmfield.session.mujoco_scene import mujoco_arrays
 from palmfield.simulation.emission import Emission
 from palmfield.simulation.model import HapticModel, SkinModel
 from palmfield.simulation.posed_scene import PosedScene
@@ -126,7 +126,7 @@ class Recorder:
             self._add_body(block, skin.spec.name, skin.body, posed)
             if number in self._carried:
                 self._add_pressed(block, skin)
-        block[group("mujoco", INSTANCE)] = {"pose": self._body_poses()[None]}
+        block[group("mujoco", MUJOCO_SCENE)] = {"pose": self._body_poses()[None]}
         for name, data in self._sensors:
             block[group("sensors", name)] = {"value": data[None].copy()}
         self.sink.append(block)
@@ -260,7 +260,7 @@ class Recorder:
 
 def static_arrays(model: HapticModel, world: World, runtime: SceneRuntime, compiled: mujoco.MjModel) -> Block:
     """What is known before the first step. compiled: MuJoCo's model of the scene"""
-    block: Block = {group("mujoco", INSTANCE): mujoco_arrays(compiled)}
+    block: Block = {group("mujoco", MUJOCO_SCENE): mujoco_arrays(compiled)}
     for array, part in zip(model.spec.arrays, model.arrays.parts, strict=True):
         block[group("array", array.name)] = _transducers(part)
     for skin in model.skins:

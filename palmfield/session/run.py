@@ -20,17 +20,17 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from palmfield.errors import MeasurementError, OutputError
 from palmfield.interrupts import interrupts_held
 from palmfield.outputs.motion import normal_component, pieces
-from palmfield.outputs.mujoco_scene import INSTANCE, body_poses
 from palmfield.outputs.pictures.draw import checked_kinds, draw_pictures
 from palmfield.outputs.plots import plot_displacement, plot_pressure
 from palmfield.outputs.render import render_scene
-from palmfield.outputs.schema import group, instances
+from palmfield.outputs.schema import MUJOCO_SCENE, group, instances
 from palmfield.outputs.store import MemoryStore, Store, open_result, refuse_occupied, write_json
 from palmfield.outputs.store import recover as assemble
 from palmfield.outputs.summary import summary
 from palmfield.outputs.usd import write_usd
 from palmfield.session.duration import check_duration, step_count
 from palmfield.session.load import Source
+from palmfield.session.mujoco_scene import body_poses
 from palmfield.session.recorder import Block, Recorder, Sink, static_arrays, world_with
 from palmfield.session.simulation import Simulation
 from palmfield.session.summary import array_numbers, estimated_budget, scene_numbers, skin_numbers, stimulus_numbers
@@ -348,7 +348,7 @@ def result_attributes(sim: Simulation) -> dict[str, dict[str, Any]]:
         # Ten thousand numbers of a file would be more than an attribute takes
         keys = part.config.model_dump_json(exclude={"am_table", "focus_table"})
         attributes[group("stimulus", part.spec.name)] = {"config": keys, "arrays": arrays}
-    attributes[group("mujoco", INSTANCE)] = {
+    attributes[group("mujoco", MUJOCO_SCENE)] = {
         "gravity": json.dumps(sim.model.opt.gravity.tolist()),
         "shown_better": json.dumps(_shown_better(sim)),
     }

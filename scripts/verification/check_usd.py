@@ -254,6 +254,7 @@ def page(rows: list[Row], large: list[str], options: argparse.Namespace, command
     ]
     findings = [f"- {r.name}: {line}" for r in rows for line in r.findings] or ["Validators find nothing in any scene."]
     left = sorted({f"- {r.name}: {r.left_out}" for r in rows if r.left_out})
+    silent = ", ".join(r.name for r in rows if r.skin_share == 0.0)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10
     return f"""# USD scenes of all shipped scenes
 
@@ -274,7 +275,8 @@ machine that others use too.
 
 {chr(10).join(findings)}
 
-Quantities that a run does not have, and why:
+Silent all that time, so that force and skin say nothing: {silent or "none"}. Quantities that a run does not have, and
+why:
 
 {chr(10).join(left) or "none"}
 

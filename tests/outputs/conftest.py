@@ -7,8 +7,8 @@ import pytest
 import trimesh
 from scipy.spatial import Delaunay
 
-from palmfield.outputs.mujoco_scene import body_poses, mujoco_arrays
 from palmfield.outputs.schema import sensor_channels, tree
+from palmfield.session.mujoco_scene import body_poses, mujoco_arrays
 
 HEIGHT_M = 0.15
 SINE_HZ = 200.0

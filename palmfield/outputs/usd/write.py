@@ -13,8 +13,7 @@ from palmfield.errors import OutputError
 from palmfield.outputs.camera import Camera, look_along_emission
 from palmfield.outputs.frames import IDENTITY, bodies, in_world, pose_at, to_world
 from palmfield.outputs.levels import FLOOR_DB, LevelCourse, level_course
-from palmfield.outputs.mujoco_scene import INSTANCE
-from palmfield.outputs.schema import has_records, instances
+from palmfield.outputs.schema import MUJOCO_SCENE, has_records, instances
 from palmfield.outputs.usd.arrays import ArrayWriter
 from palmfield.outputs.usd.bodies import BodyWriter
 from palmfield.outputs.usd.clock import Clock, clock_of
@@ -124,7 +123,7 @@ def _write(
         StimulusWriter(stage, f"/Scene/Stimuli/{prim}", stimuli[name], clock)
         for name, prim in identifiers(stimuli).items()
     ]
-    scene = instances(result, "mujoco").get(INSTANCE)
+    scene = instances(result, "mujoco").get(MUJOCO_SCENE)
     physics = [] if scene is None else [PhysicsWriter(stage, scene)]
     writers += physics
     field = add_field(stage, result, shown, clock) if shown.field else None

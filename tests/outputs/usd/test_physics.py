@@ -6,9 +6,9 @@ import pytest
 from pxr import Usd, UsdGeom, UsdPhysics
 from scipy.spatial.transform import Rotation
 
-from palmfield.outputs.mujoco_scene import mujoco_arrays
 from palmfield.outputs.schema import tree
 from palmfield.outputs.usd import Shown, validate_usd, write_usd
+from palmfield.session.mujoco_scene import mujoco_arrays
 
 BODIES = "/Scene/MuJoCo/Bodies"
 JOINTS = "/Scene/MuJoCo/Joints"

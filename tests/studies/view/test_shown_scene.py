@@ -11,8 +11,7 @@ from palmfield.outputs.pictures.draw import draw_pictures
 from palmfield.outputs.store import MemoryStore, open_result
 from palmfield.perception import ALL_OBSERVERS
 from palmfield.session.changed_stimuli import change_stimuli
-from palmfield.session.recorder import Recorder, static_arrays, world_with
-from palmfield.session.run import recover, result_attributes
+from palmfield.session.run import known_before, recorder_of, recover, result_attributes
 from palmfield.session.sensation_levels import contact_levels, vertex_areas
 from palmfield.session.worlds import stimulus_texts
 from palmfield.studies.view.hands import Offset
@@ -53,8 +52,8 @@ class Shown:
 
 def recorded(sim, steps):
     """What a run of so many steps records."""
-    store = MemoryStore(static_arrays(sim.runtime.model, world_with(sim.data), sim.runtime), result_attributes(sim))
-    recorder = Recorder(sim.runtime, world_with(sim.data), store)
+    store = MemoryStore(known_before(sim), result_attributes(sim))
+    recorder = recorder_of(sim, store)
     recorder.start()
     for _ in range(steps):
         sim.step()

@@ -8,10 +8,6 @@ from numpy.typing import NDArray
 
 from palmfield.types import Float
 
-INSTANCE = "scene"
-"""The name of the only instance of the group /mujoco."""
-WORLD = "world"
-
 
 def mujoco_arrays(model: mujoco.MjModel) -> dict[str, NDArray[Any]]:
     """What a model's bodies are, as variables of the group /mujoco/scene; what a model has none of is left out.
