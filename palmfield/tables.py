@@ -10,6 +10,7 @@ import numpy as np
 
 from palmfield.errors import OutputError, SceneError
 from palmfield.types import Float
+from palmfield.whole_files import whole
 
 UNREADABLE = (OSError, EOFError, ValueError, NotImplementedError, BadZipFile, zlib.error, csv.Error)
 """What open, csv, zipfile and NumPy raise for a broken file; undecodable text is a ValueError."""
@@ -108,11 +109,11 @@ def write_table(file: Path, names: Sequence[str], table: Float) -> None:
         raise OutputError(f"{file}: the file's kind is '{file.suffix}'; use .csv or .npz")
     try:
         if file.suffix.lower() == ".npz":
-            with file.open("wb") as data:
+            with whole(file) as part, part.open("wb") as data:
                 # Not with allow_pickle=False, which numpy below 2.2 takes for one more array, and numbers don't need
                 np.savez_compressed(data, **dict(zip(names, table.T, strict=True)))
         else:
-            with file.open("w", newline="", encoding="utf-8") as text:
+            with whole(file) as part, part.open("w", newline="", encoding="utf-8") as text:
                 writer = csv.writer(text)
                 writer.writerow(names)
                 writer.writerows(table.tolist())

@@ -30,6 +30,8 @@ BAND_HZ = np.geomspace(10.0, 1000.0, 61)
 GEL_SOLID = (4e4, 6e4, 30.0)
 """E1, E2 [Pa], eta3 [Pa s] of a gel like those of Mizushima & Sato 2024, who do not print theirs."""
 EXAMPLE = """```python
+import numpy as np
+
 from palmfield.skin.materials.prony_fit import fit_prony, fractional, fractional_kelvin_voigt
 from palmfield.skin.materials.material import elastic, kelvin_voigt, prony, standard_linear
 from palmfield.skin.materials.catalogue import CATALOGUE, hand_skin, preset
@@ -37,6 +39,8 @@ from palmfield.skin.materials.dispersion import describe
 
 gel = standard_linear("gel", 1030.0, 12.5e3, 20e3, 171e-6, nu=0.4999)  # rho, G_r, G_1, tau
 describe(gel, 200.0, thickness_m=0.010)  # moduli, speeds, 1/e lengths, cut-off of a bonded layer
+f_Hz = np.geomspace(1.0, 1000.0, 20)  # your analyser's frequencies, and its moduli
+storage_Pa, loss_Pa = 2e4 + 50.0 * f_Hz**0.7, 40.0 * f_Hz**0.7
 fit_prony(f_Hz, storage_Pa, loss_Pa, branches=3).material("mine", 1000.0)
 hand_skin("palm")  # four sheets, skin to bone
 ```"""

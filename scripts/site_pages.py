@@ -1,28 +1,60 @@
-"""What the documentation site has beside docs/: the README, the changelog, the examples and the API, as pages.
+"""What the documentation site has beside docs/: the README, the changelog, examples, notebooks and the API, as pages.
 
-A hook of mkdocs: `mkdocs build` (mkdocs.yml). Links to files that are not pages of the site lose their target.
+A hook of mkdocs: `mkdocs build` (mkdocs.yml). Equations between dollars become MathML here, which browsers show
+without a script. Links to files that are not pages of the site lose their target.
 """
 
 import importlib
+import inspect
+import json
 import posixpath
 import re
 from pathlib import Path
 from typing import Any
 
+from latex2mathml.converter import convert
+from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
+from pygments.formatters import HtmlFormatter
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("", "acoustics", "skin", "stimulus", "drive", "hand", "motion", "perception", "instruments", "metrics")
 LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)\s]+)\)")
+EQUATION = re.compile(r"\$\$(.+?)\$\$|(?<![\w$\\])\$(?=\S)([^$\n]+?)(?<=\S)\$(?![\w$])", re.DOTALL)
+CODE = re.compile(r"(```.*?```|`[^`\n]*`)", re.DOTALL)
+PLACE = "equation{}here"
+"""What stands for an equation while Markdown, which knows no MathML, makes a page."""
+EQUATIONS: dict[str, list[str]] = {}
+"""Of each page, as MathML."""
 
 
 def api(package: str) -> str:
     """The page of a package: its docstring, then each public name."""
     full = f"palmfield.{package}" if package else "palmfield"
     module = importlib.import_module(full)
-    names = [name for name in module.__all__ if not name.startswith("__")]
+    names = sorted((name for name in module.__all__ if not name.startswith("__")), key=str.lower)
+    rows = [f"| [`{name}`](#{full}.{name}) | {first_line(getattr(module, name))} |" for name in names]
     parts = [f"# {full}", (module.__doc__ or "").strip().split("\n\n")[0]]
-    parts += [f"::: {full}.{name}" for name in sorted(names, key=str.lower)]
+    parts += ["\n".join(["| name | what it is |", "|---|---|", *rows])]
+    parts += [f"::: {full}.{name}" for name in names]
+    return "\n\n".join(parts) + "\n"
+
+
+def first_line(thing: Any) -> str:
+    """The first line of a docstring, for a table's cell; nothing for values, which have none of their own."""
+    if not (inspect.isroutine(thing) or inspect.isclass(thing) or inspect.ismodule(thing)):
+        return ""
+    return (inspect.getdoc(thing) or "").strip().split("\n")[0].replace("|", "\\|")
+
+
+def notebook(path: Path) -> str:
+    """A notebook's cells as Markdown, with what they printed."""
+    parts = []
+    for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
+        source = "".join(cell["source"])
+        parts.append(source if cell["cell_type"] == "markdown" else f"```python\n{source}\n```")
+        for output in cell.get("outputs", []):
+            parts.append("```text\n" + "".join(output["text"]) + "```")
     return "\n\n".join(parts) + "\n"
 
 
@@ -43,6 +75,8 @@ def generated() -> dict[str, str]:
     pages["index.md"] = (ROOT / "README.md").read_text(encoding="utf-8")
     pages["changelog.md"] = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     pages["examples.md"] = examples()
+    docs = ROOT / "docs"
+    pages |= {str(path.relative_to(docs).with_suffix(".md")): notebook(path) for path in docs.rglob("*.ipynb")}
     return pages
 
 
@@ -60,7 +94,6 @@ def on_config(config: Any) -> Any:
     bench = sorted((docs / "bench").rglob("*.md"))
     for name, pages in (("Gallery", gallery), ("Bench", bench)):
         config.nav.append({name: [{title(page): str(page.relative_to(docs))} for page in pages]})
-    config.nav += [{"Roadmap and limits": "roadmap.md"}, {"Changelog": "changelog.md"}]
     return config
 
 
@@ -68,6 +101,10 @@ def on_files(files: Files, config: Any) -> Files:
     """Add the pages that are made."""
     for path, text in generated().items():
         files.append(File.generated(config, path, content=text))
+    # Colours of code are in the page, and need no script from elsewhere
+    files.append(
+        File.generated(config, "pygments.css", content=HtmlFormatter(style="friendly").get_style_defs(".codehilite"))
+    )
     return files
 
 
@@ -86,12 +123,32 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str
         at = posixpath.normpath(posixpath.join(base, path))
         at = {"README.md": "docs/index.md", "CHANGELOG.md": "docs/changelog.md"}.get(at, at)
         at = "docs/examples.md" if at in ("examples", "examples/README.md") else at
+        at = at.removesuffix(".ipynb") + ".md" if at.endswith(".ipynb") else at
         inside = at.removeprefix("docs/")
         if not at.startswith("docs/") or inside not in known:
             return text
         there = posixpath.relpath(inside, posixpath.dirname(here) or ".")
         return f"{image}[{text}]({there}{'#' + anchor if anchor else ''})"
 
-    # Code keeps its brackets
-    parts = re.split(r"(```.*?```|`[^`\n]*`)", markdown, flags=re.DOTALL)
-    return "".join(part if number % 2 else LINK.sub(mended, part) for number, part in enumerate(parts))
+    EQUATIONS[here] = []
+
+    def kept(found: re.Match[str]) -> str:
+        display, inline = found.groups()
+        written = convert((display or inline).strip(), display="block" if display else "inline")
+        if "\\" in written:
+            raise PluginError(f"{here}: this equation has a command that is not known: {found[0]}")
+        EQUATIONS[here].append(f'<div class="equation">{written}</div>' if display else written)
+        return PLACE.format(len(EQUATIONS[here]) - 1)
+
+    # Code keeps its brackets and dollars
+    parts = CODE.split(markdown)
+    parts[::2] = [LINK.sub(mended, EQUATION.sub(kept, part)) for part in parts[::2]]
+    return "".join(parts)
+
+
+def on_page_content(html: str, page: Any, config: Any, files: Files) -> str:
+    """Put the equations where they belong: those of their own in place of their paragraph."""
+    for number, written in enumerate(EQUATIONS.get(page.file.src_uri, ())):
+        place = PLACE.format(number)
+        html = html.replace(f"<p>{place}</p>", written) if f"<p>{place}</p>" in html else html.replace(place, written)
+    return html

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from palmfield.acoustics.placement import placed
 from palmfield.errors import OutputError, SceneError
 from palmfield.types import Array, Complex, Estimate
+from palmfield.whole_files import whole
 
 Place = tuple[float, float, float]
 NonNegative = Annotated[float, Field(ge=0)]
@@ -177,10 +178,9 @@ def _told(error: Any) -> str:
 def write_calibration(path: str | Path, calibration: Calibration) -> None:
     """Write a calibration that `read_calibration` reads back. Raises OutputError where it cannot be written."""
     file, text = Path(path), calibration.model_dump_json(indent=1, exclude_none=True)
-    part = file.with_name(file.name + ".part")
     try:
-        part.write_text(text + "\n", encoding="utf-8")
-        part.replace(file)
+        with whole(file) as part:
+            part.write_text(text + "\n", encoding="utf-8")
     except OSError as error:
         raise OutputError(f"{file}: cannot be written: {error}; give a place that can be written to") from None
 

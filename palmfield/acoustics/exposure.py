@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from palmfield.acoustics.air import density, sound_speed
+from palmfield.acoustics.air import absorption_Np_m, density, sound_speed
 from palmfield.acoustics.nonlinear import NONLINEARITY
 from palmfield.acoustics.reference import directivity
 from palmfield.errors import PalmfieldError
@@ -67,10 +67,28 @@ def demodulated_Pa(power_W: float, length_m: float, distance_m: float, frequency
     """Peak pressure of the sound that ultrasound makes in air whose intensity goes up and down by all of itself.
 
     power_W: of the ultrasound; length_m: of its beam; frequency_Hz: of the going up and down, shape (k,)
-    Westervelt's source is a point here: right for wavelengths longer than the beam, too loud for shorter ones.
+    Westervelt's source is a point here: right for wavelengths longer than the beam; `beam_share` for shorter ones.
     """
     w = 2.0 * math.pi * np.asarray(frequency_Hz, float)
     return NONLINEARITY * w**2 * power_W * length_m / (4.0 * math.pi * sound_speed(air) ** 3 * distance_m)
+
+
+def beam_share(frequency_Hz: Float, along_m: float, aside_m: float, air: Air, carrier_Hz: float) -> Float:
+    """What a beam's length leaves of `demodulated_Pa`, whose source is a point, shape (k,).
+
+    Westervelt's sources lie along the beam from its beginning on, fall as exp(-2 alpha x) and come with the sound's own
+    phase, k x: their sum at a listener, over that of 1/(2 alpha) of them at the listener's distance from the beam.
+    along_m, aside_m: of the listener, along the beam from its beginning and from its axis
+    """
+    alpha = absorption_Np_m(air, carrier_Hz)
+    k = 2.0 * math.pi * np.asarray(frequency_Hz, float) / sound_speed(air)
+    # A dozen parts of a wavelength at the highest frequency, as far as e^-9 of the sources
+    step = min(4e-3, 2.0 * math.pi / (12.0 * max(float(k.max(initial=0.0)), 1e-9)))
+    x = (np.arange(math.ceil(4.5 / (alpha * step))) + 0.5) * step
+    far = np.hypot(along_m - x, aside_m)
+    weight = np.exp(-2.0 * alpha * x) / far * step
+    sums = np.array([abs(np.sum(weight * np.exp(1j * one * (x + far)))) for one in k])
+    return sums * 2.0 * alpha * aside_m
 
 
 def force_sound_Pa(force_N: float, distance_m: float, frequency_Hz: Float, air: Air) -> Float:

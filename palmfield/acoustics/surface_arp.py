@@ -160,10 +160,11 @@ class SurfaceArp:
         out: Float32 | None = None,
         of: tuple[int, int] | None = None,
         shades: Shades | None = None,
+        amplitudes: Float32 | None = None,
     ) -> "_Sums | None":
         """Fill the buffers for one drive after another, complex128, shape (m, N).
 
-        out: takes their ARP, shape (m, count)
+        out: takes their ARP, amplitudes: the pressures' peak amplitudes, shapes (m, count)
         of: shape of the levels of sums: the drives' fields are kept for them, in what is returned
         """
         self._points.host[...] = points
@@ -216,6 +217,8 @@ class SurfaceArp:
                 raise _not_finite("normals", self._normals.host)
             if out is not None:
                 out[i] = arp
+            if amplitudes is not None:
+                amplitudes[i] = amplitude
         if not math.isfinite(np.add.reduce(self._flat_normals)):
             raise _not_finite("normals", self._normals.host)
         return sums
@@ -227,6 +230,7 @@ class SurfaceArp:
         drives: Complex,
         out: Float32 | None = None,
         shades: Shades | None = None,
+        amplitudes: Float32 | None = None,
     ) -> Float32:
         """ARP [Pa] of many drives at the points, shape (m, count), by the cheaper way.
 
@@ -234,6 +238,7 @@ class SurfaceArp:
         one otherwise, and where directivities differ, mode is "accurate" or points are too far apart for the matrix.
 
         drives: shape (m, field.count); out: array to fill and return, float32; shades: as `evaluate`, one by one then
+        amplitudes: array to fill with the pressures' peak amplitudes [Pa], shape (m, count), float32
         Raises PalmfieldError as `evaluate`, and for normals that are not unit vectors.
         """
         evaluator, frames = self.field.evaluators[0], len(drives)
@@ -246,14 +251,19 @@ class SurfaceArp:
             shape = self.count, 3
             if points.shape != shape or normals.shape != shape or drives.shape[1:] != (self.field.count,):
                 self.evaluate(points, normals, drives[0])  # says what is expected
-            self._run(points, normals, drives.astype(np.complex128, copy=False), result, shades=shades)
+            exact = drives.astype(np.complex128, copy=False)
+            self._run(points, normals, exact, result, shades=shades, amplitudes=amplitudes)
             return result
         if transfer is None:
             size = matrix_bytes(self.field.count, self.count)
             if size > min(MATRIX_KEPT_BYTES, memory_limit(self.field.device)):
+                if amplitudes is not None:
+                    self._run(points, normals, drives.astype(np.complex128, copy=False), amplitudes=amplitudes)
                 result[:] = arp_frames(evaluator, points, normals, drives, self.law)
                 return result
             transfer = self._transfer = Transfer(evaluator, points, normals)
+        if amplitudes is not None:
+            amplitudes[:] = np.abs(transfer.pressure(drives))
         if self._gpu:
             result[:] = transfer.arp_on_gpu(drives, self.law).numpy()
             return result

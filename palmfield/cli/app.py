@@ -52,6 +52,8 @@ BoardName = Annotated[
     ),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="print JSON only, with units in the names, for other programs")]
+INTERRUPTED_CODE = 130
+"""Exit code after Ctrl-C."""
 ANYWHERE = {"-v": 0, "--verbose": 0, "-q": 0, "--quiet": 0, "--log-level": 1}
 """Options of the whole program, which may also stand after a command, and how many values follow each."""
 
@@ -177,6 +179,14 @@ def drive(
         tuple[float, float, float] | None, typer.Option(help="a still focus in the array frame [m]", metavar="X Y Z")
     ] = None,
     board: BoardName = None,
+    live: Annotated[
+        str | None,
+        typer.Option(
+            metavar="[HOST:]PORT",
+            help="play foci that come in here, a line of JSON each (docs/boards.md), by udp or with tcp:[HOST:]PORT, "
+            "until Ctrl-C or for --duration; --focus is then in the frame of the poses that come",
+        ),
+    ] = None,
     port: Annotated[
         str | None, typer.Option(help="serial port or URL: /dev/ttyUSB0, COM3, socket://host:port, loop://")
     ] = None,
@@ -218,22 +228,35 @@ def drive(
     palmfield drive mjcf/scenes/palm_circle_sonicsurface.xml --record circle.bin
 
     palmfield drive mjcf/scenes/follow_fingertip.xml --board autd2018 --port socket://127.0.0.1:5000 --log sent.jsonl
+
+    palmfield drive --live 9200 --board sonicsurface --port /dev/ttyUSB0
     """
     from palmfield.cli.boards import show_performance
-    from palmfield.session.play import FocusSound, Target, play_focus, play_scene
+    from palmfield.session.focus_board import FocusSound
+    from palmfield.session.play import Target, play_focus, play_scene
     from palmfield.types import Air
 
-    if (scene is None) == (focus is None):
-        raise SceneError("`palmfield drive` plays either a SCENE.xml or --focus X Y Z; give one of them")
+    if live is not None and scene is not None:
+        raise SceneError(
+            "--live plays foci that come in; a scene follows a live hand by `palmfield trial SCENE --live`"
+        )
+    if live is None and (scene is None) == (focus is None):
+        raise SceneError("`palmfield drive` plays a SCENE.xml, --focus X Y Z, or --live PORT; give one of them")
     if scene is not None:
         _refuse_focus_options(context)
     if (port is None) == (record is None):
         raise SceneError("`palmfield drive` needs either --port (a board) or --record (a file); give one of them")
     _check_duration(duration)
     target = Target(port, record, log)
-    if focus is not None:
-        sound = FocusSound(level, am_frequency, p0, Air(temperature, humidity, air_pressure), layout, calibration)
-        own = {name.removeprefix("driver."): value for name, value in given_keys(keys).items()}
+    sound = FocusSound(level, am_frequency, p0, Air(temperature, humidity, air_pressure), layout, calibration)
+    own = {name.removeprefix("driver."): value for name, value in given_keys(keys).items()}
+    if live is not None:
+        from palmfield.cli.live import live_input
+        from palmfield.session.live_focus import play_live
+
+        given = live_input(live, focus)
+        done = play_live(given, board or "sonicsurface", target, duration, sound=sound, keys=own)
+    elif focus is not None:
         lasts = 10.0 if duration is None else duration
         done = play_focus(focus, board or "sonicsurface", target, lasts, sound=sound, keys=own, progress=True)
     else:
@@ -763,6 +786,129 @@ def render_command(
     render(run, video, cut, quiet=context.obj, as_json=as_json)
 
 
+@app.command("view")
+def view_command(
+    context: typer.Context,
+    scene: SceneFile,
+    out: Annotated[
+        Path | None, typer.Option(help="folder in which recordings are made [default: out/view_SCENE]")
+    ] = None,
+    device: Device = None,
+    accuracy: Accuracy = None,
+    board: BoardName = None,
+    keys: Keys = None,
+    modes: Annotated[
+        bool,
+        typer.Option(
+            "--modes", help="skins move by modes for any sound, so that sliders act at once; made once, in minutes"
+        ),
+    ] = False,
+    host: Annotated[
+        str, typer.Option(help="address to listen at; another than this machine's own gets a token")
+    ] = "127.0.0.1",
+    port: Annotated[
+        int | None, typer.Option(min=1, max=65535, help="[default: the first free one from 8080 on]")
+    ] = None,
+    rate: Annotated[
+        float | None, typer.Option(help="pictures a second [default: 15, on a GPU 30]", metavar="HZ")
+    ] = None,
+    pace: Annotated[str, typer.Option(help="at most so many simulated seconds in a second, or max", metavar="X")] = "1",
+    browser: Annotated[bool, typer.Option("--browser", help="open the page in the default browser")] = False,
+) -> None:
+    """Run a scene and watch it in the browser: hand, array, sound and motion on the skin, level above threshold.
+
+    Sliders turn focus, modulation, path, level and the hand's pose; a recording is a result folder, as of
+    `palmfield run`. Ctrl-C ends it. Needs the extra `view`.
+
+    Example: palmfield view mjcf/scenes/palm_am200.xml
+    """
+    from palmfield.cli.view import show
+
+    show(
+        scene, out, device=device, accuracy=accuracy, board=board, keys=given_keys(keys), modes=modes, host=host,
+        port=port, rate_Hz=rate, pace=pace, browser=browser, quiet=context.obj,
+    )  # fmt: skip
+
+
+@app.command("usd")
+def usd_command(
+    context: typer.Context,
+    run: Annotated[Path | None, typer.Argument(help="folder of a run, or its result.nc", metavar="[DIR]")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="the scene to write, .usdc, .usda or .usdz [default: DIR/scene.usdc]", metavar="FILE"),
+    ] = None,
+    colour: Annotated[
+        str,
+        typer.Option(help="what skins are coloured by (see --list), or none"),
+    ] = "normal_displacement",
+    limits: Annotated[
+        str | None, typer.Option(help="ends of the colours, in m, m/s, Pa or dB", metavar="LOW,HIGH")
+    ] = None,
+    magnify: Annotated[
+        float | None,
+        typer.Option(
+            help="of the motion in the variant 'magnified'; 0 for no such variant [default: the largest is seen as "
+            "about 2 mm, if it takes 8 MB or less]"
+        ),
+    ] = None,
+    quantities: Annotated[
+        str | None, typer.Option(help="which are written as primvars [default: all]", metavar="NAME,...")
+    ] = None,
+    start_ms: Annotated[float | None, typer.Option("--from", help="[ms] [default: the run's begin]")] = None,
+    end_ms: Annotated[float | None, typer.Option("--to", help="[ms] [default: the run's end]")] = None,
+    frames: Annotated[int, typer.Option(help="at most so many time codes; others of the run are left out")] = 600,
+    field: Annotated[
+        list[str] | None, typer.Option(help="slice, points or isosurface of the sound; may be repeated")
+    ] = None,
+    field_ms: Annotated[
+        list[float] | None,
+        typer.Option("--field-time", help="when [ms]; may be repeated [default: when the array is loudest]"),
+    ] = None,
+    level_Pa: Annotated[
+        float | None,
+        typer.Option(
+            "--level", help="of the isosurface, and from where on there are points [Pa] [default: half of most]"
+        ),
+    ] = None,
+    observer: Annotated[str, typer.Option(help="of the level above threshold")] = "bolanowski_1988",
+    check: Annotated[bool, typer.Option("--check", help="run all of USD's validators on the file")] = False,
+    listed: Annotated[
+        bool, typer.Option("--list", help="say what skins can be coloured by, and write nothing")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Write a run as a USD scene for usdview, Blender or Omniverse: hands, skins, arrays, foci, field, rigid bodies.
+
+    Every skin has what the run recorded of it as primvars over time, and colours that any viewer shows. Exit code 4
+    where --check finds something. What is in the file: docs/usd.md.
+
+    Examples: palmfield usd out/palm --colour arp --out palm.usdz
+
+    palmfield usd out/palm --from 20 --to 40 --magnify 5000 --field slice --field isosurface --check
+    """
+    from palmfield.cli.usd import list_quantities, write_scene
+    from palmfield.outputs.pictures.asked import asked_for
+    from palmfield.outputs.usd.shown import Shown
+
+    if listed:
+        list_quantities(as_json)
+        return
+    if run is None:
+        raise SceneError(
+            "usd needs DIR, the folder of a run; `palmfield usd --list` says what skins can be coloured by"
+        )
+    start, end = (None if at is None else 1e-3 * at for at in (start_ms, end_ms))
+    shown = Shown(
+        colour=colour, limits=asked_for(None, (), limits, None, "displacement", None).limits, magnify=magnify,
+        quantities=None if quantities is None else tuple(name for name in quantities.split(",") if name),
+        start_s=start, end_s=end, frames=frames, field=tuple(field or ()),
+        field_times_s=tuple(1e-3 * at for at in field_ms or ()), level_Pa=level_Pa, observer=observer,
+    )  # fmt: skip
+    if write_scene(run, out, shown, check=check, quiet=context.obj, as_json=as_json):
+        raise typer.Exit(4)
+
+
 @app.command("papers")
 def papers_command(
     context: typer.Context,
@@ -773,6 +919,7 @@ def papers_command(
     quick: Annotated[bool, typer.Option("--quick", help="coarser runs, for answers in minutes")] = False,
     out: Annotated[Path, typer.Option(help="folder for pages, figures and rows.json")] = Path("out/papers"),
     device: Annotated[str, typer.Option(help="where kernels run that can run on a GPU: cpu or cuda")] = "cpu",
+    jobs: Annotated[int, typer.Option(min=1, help="papers computed side by side, some 3 GB of memory each")] = 1,
     only: Annotated[
         list[str] | None,
         typer.Option(help="only this number of docs/gallery/tolerances.toml, printed; may be repeated", metavar="ID"),
@@ -790,7 +937,7 @@ def papers_command(
     if only:
         raise typer.Exit(compute_numbers(only, quick=quick, device=device, as_json=as_json))
     raise typer.Exit(
-        compute_papers(names or (), quick=quick, out=out, device=device, quiet=context.obj, as_json=as_json)
+        compute_papers(names or (), quick=quick, out=out, device=device, jobs=jobs, quiet=context.obj, as_json=as_json)
     )
 
 
@@ -936,11 +1083,19 @@ def main() -> None:
     except PalmfieldError as error:
         complain(str(error))
         sys.exit(2)
-    except (KeyboardInterrupt, Exception) as error:
+    except (KeyboardInterrupt, SystemExit, Exception) as error:
+        if isinstance(error, SystemExit) and not _unsaid(error):
+            raise
         if not _from_ctrl_c(error):
             raise
         complain("interrupted")
-        sys.exit(130)
+        sys.exit(INTERRUPTED_CODE)
+
+
+def _unsaid(error: SystemExit) -> bool:
+    """Whether Typer ended the program for Ctrl-C, of which it says nothing; commands that do raise Exit from None."""
+    ended = error.__context__
+    return error.code == INTERRUPTED_CODE and ended is not None and isinstance(ended.__cause__, KeyboardInterrupt)
 
 
 def _from_ctrl_c(error: BaseException) -> bool:

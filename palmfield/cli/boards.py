@@ -10,7 +10,7 @@ from palmfield.cli.messages import complain
 from palmfield.drive.board import Board
 from palmfield.drive.boards import BOARDS, playable_board
 from palmfield.drive.virtual import Faults, VirtualBoard
-from palmfield.errors import DeviceError
+from palmfield.errors import DeviceError, unwritable
 from palmfield.session.play import Performance
 
 UNSENT_CODE = 4
@@ -137,7 +137,10 @@ def run_virtual(
         except KeyboardInterrupt:
             pass
         if received is not None:
-            received.write_bytes(bytes(virtual.received))
+            try:
+                received.write_bytes(bytes(virtual.received))
+            except OSError as error:
+                raise unwritable(received, error) from None
         on = int((abs(virtual.twin.emitted) > 0.0).sum())
         print(
             f"{board.name}: {len(virtual.received)} bytes, {len(virtual.emitted)} changes of what is emitted; {on} of "

@@ -9,10 +9,12 @@ from palmfield.studies.papers.registry import NAMES
 from palmfield.studies.papers.run import INDEX, numbers, papers
 
 
-def compute_papers(names: Sequence[str], *, quick: bool, out: Path, device: str, quiet: bool, as_json: bool) -> int:
+def compute_papers(
+    names: Sequence[str], *, quick: bool, out: Path, device: str, jobs: int, quiet: bool, as_json: bool
+) -> int:
     """Compute, print a line for each paper, and return the exit code: 4 where a row failed."""
     chosen = NAMES if "all" in names or not names else tuple(dict.fromkeys(names))
-    done = papers(chosen, quick=quick, out=out, device=device, progress=not quiet)
+    done = papers(chosen, quick=quick, out=out, device=device, jobs=jobs, progress=not quiet)
     if as_json:
         print_json({one.name: one.__dict__ | {"folder": str(one.folder)} for one in done})
     else:

@@ -9,6 +9,7 @@ from palmfield.outputs.safety_picture import draw_levels
 from palmfield.session.preview import preview
 from palmfield.session.safety.sheet import safety_sheet
 from palmfield.session.safety.sheet_text import as_dict, as_markdown
+from palmfield.whole_files import whole
 
 
 def show_sheet(
@@ -34,7 +35,8 @@ def show_sheet(
     if out is not None and picture is not None:
         try:
             out.parent.mkdir(parents=True, exist_ok=True)
-            out.write_text(as_markdown(sheet, picture.name), encoding="utf-8")
+            with whole(out) as part:
+                part.write_text(as_markdown(sheet, picture.name), encoding="utf-8")
         except OSError as error:
             raise OutputError(f"--out {out} can't be written: {error.strerror}; give another file") from error
         title = (

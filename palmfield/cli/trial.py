@@ -5,8 +5,7 @@ from pathlib import Path
 
 from palmfield.cli.as_json import print_json
 from palmfield.errors import SceneError
-from palmfield.motion.listening import By
-from palmfield.motion.replaying import address
+from palmfield.motion.replaying import address_by
 from palmfield.motion.tracking import column_names
 from palmfield.studies.trial import Live, Tracker, read_recording, trial
 
@@ -62,9 +61,7 @@ def run_trial(
 
 def listening_at(text: str, align: Path | None) -> Live:
     """Where `--live` says that samples come in."""
-    kind, colon, rest = text.partition(":")
-    by: By = "tcp" if kind == "tcp" and colon else "udp"
-    host, port = address(rest if kind in ("tcp", "udp") and colon else text)
+    host, port, by = address_by(text)
 
     def told(host: str, port: int) -> None:
         print(f"listening for a tracker at {host}:{port} by {by}", file=sys.stderr, flush=True)

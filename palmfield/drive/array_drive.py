@@ -122,7 +122,13 @@ class ArrayDrive:
     def level_at(self, focal_points: FocalPoints, point: Float) -> float:
         """`unit_drive_at(...).level` of a board that takes a focus, without what the board makes of it."""
         loudness = None if focal_points.table is None else focal_points.loudness(point)
-        return self._asked(focal_points.at(point), loudness)[2]
+        place = focal_points.at(point)
+        if loudness is not None or place.ndim > 1:
+            return self._asked(place, loudness)[2]
+        # Phases are the board's own
+        if not np.logical_or.reduce(self._rays(*place)[1] > 0.0):
+            self._refuse(place)
+        return self.amplitude if self.arp_peak_Pa is None else float(self._levels(place[None])[0])
 
     def _asked(self, point: Float, loudness: Float | None) -> tuple[Float, Complex, float]:
         """The focus or foci that sound, what the transducers' sound needs there, and the level."""

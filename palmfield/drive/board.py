@@ -2,7 +2,7 @@
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple, Self
 
@@ -338,6 +338,11 @@ REFERENCE_SPEED_m_s = sound_speed(Air())
 # -- what a board can't play -----------------------------------------------------------------------------------------
 
 
+def slow(board: Board, rate_Hz: float) -> bool:
+    """Whether the board takes fewer frames a second than that."""
+    return rate_Hz > board.max_frame_rate_Hz * (1.0 + 1e-9)
+
+
 def check(
     board: Board,
     *,
@@ -346,22 +351,24 @@ def check(
     modulated: bool,
     element: str,
     modulation_Hz: float = 0.0,
+    instead: Sequence[str] = ("ideal",),
 ) -> None:
     """Refuse a stimulus that the board cannot play.
 
     frame_rate_Hz: drive frames a second that the stimulus needs, 0 when it stands still
     points_per_turn: points on each turn of a closed path at that rate, None when there is no path
     modulated: whether the amplitude takes values between 0 and full; modulation_Hz: how often a second, 0 if not known
-    element: what the scene calls the stimulus, for the message
+    element: what the scene calls the stimulus, for the message; instead: boards that may, for it too
     Raises DeviceError that says what the scene needs and what the board gives.
     """
     rate = max(frame_rate_Hz, 2.0 * modulation_Hz)
     needs_amplitude = modulated and not board.levels
-    too_fast = rate > board.max_frame_rate_Hz * (1.0 + 1e-9)
+    too_fast = slow(board, rate)
     if not needs_amplitude and not too_fast:
         return
-    amplitude = "continuous amplitude at " if needs_amplitude else ""
-    needs = f"stimulus '{element}' needs {amplitude}{rate:.4g} frames/s"
+    wanted = ["continuous amplitude"] if needs_amplitude else []
+    wanted += [f"{rate:.4g} frames/s"] if rate else []
+    needs = f"stimulus '{element}' needs {' at '.join(wanted)}"
     if modulation_Hz and rate == 2.0 * modulation_Hz:
         needs += f" ({modulation_Hz:g} Hz, two frames a period)"
     gives = f"{board.name} gives {'any' if board.levels else 'on/off'} amplitude"
@@ -369,7 +376,7 @@ def check(
     if points_per_turn is not None and too_fast:
         needs += f" ({points_per_turn:.4g} points a turn)"
         gives += f", {points_per_turn * board.max_frame_rate_Hz / rate:.2g} points a turn"
-    mends = ["board ideal"]
+    mends = [f"board {', '.join(instead[:-1]) + ' or ' * (len(instead) > 1)}{instead[-1]}"] if instead else []
     if needs_amplitude:
         gives += f", so on/off AM up to {board.max_frame_rate_Hz / 2:.1f} Hz"
         mends.append("modulation none or a rectangle of am_depth 1")

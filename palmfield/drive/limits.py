@@ -31,6 +31,10 @@ class SoundLimits:
         inside = min(time_s, duration_s - time_s) / min(self.ramp_s, 0.5 * duration_s)
         return 0.5 - 0.5 * math.cos(math.pi * min(1.0, max(0.0, inside)))
 
+    def share(self, board: Board, time_s: float, duration_s: float) -> float:
+        """`level_at` as far as the board has levels: 1 where it has none, and of one that is no real board."""
+        return self.level_at(time_s, duration_s) if board.levels and not board.exact else 1.0
+
     def ramp_times(self, board: Board, duration_s: float) -> list[float]:
         """When frames are due besides, so that the ramps have as many steps as the board can take."""
         if self.ramp_s <= 0.0 or not board.levels:

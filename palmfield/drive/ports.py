@@ -1,8 +1,20 @@
 """Ports by their names: which transport is behind one."""
 
-from palmfield.drive.transport import Transport, open_serial
+import os
+
+from palmfield.drive.transport import Transport, choices, open_serial
+from palmfield.errors import DeviceError
 
 AUTD3 = "autd3:"
+
+
+def check_port(port: str) -> None:
+    """Refuse a device that isn't there, without opening it: that resets some boards. Raises DeviceError.
+
+    Of URLs, ways to AUTD3 units and Windows' ports nothing is known before they are opened.
+    """
+    if os.name == "posix" and "://" not in port and not port.startswith(AUTD3) and not os.path.exists(port):
+        raise DeviceError(f"cannot open {port}: there is no such port; {choices()}")
 
 
 def open_port(port: str, baud: int | None) -> Transport:

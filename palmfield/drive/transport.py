@@ -243,7 +243,7 @@ def open_serial(port: str, baud: int | None) -> SerialTransport:
             port, baudrate=baud or VIRTUAL_BAUD, write_timeout=WRITE_TIMEOUT_S, exclusive=True
         )
     except CANNOT_OPEN as error:
-        raise DeviceError(f"cannot open {port}: {reason(error)}; {_choices()}") from error
+        raise DeviceError(f"cannot open {port}: {reason(error)}; {choices()}") from error
     return SerialTransport(port, stream)
 
 
@@ -262,7 +262,8 @@ def reason(error: Exception) -> str:
     return os.strerror(number) if number else str(error).splitlines()[0] if str(error) else type(error).__name__
 
 
-def _choices() -> str:
+def choices() -> str:
+    """Which serial ports there are, in words."""
     ports = sorted(port.device for port in comports())
     return (
         f"ports found: {', '.join(ports)}" if ports else "no serial port found: connect the board, or check its cable"

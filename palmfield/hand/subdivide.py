@@ -19,6 +19,11 @@ def with_short_edges(vertices: Float, faces: Int, longest_m: float) -> tuple[Flo
     return points, corners
 
 
+def short_edge_parents(vertices: Float, faces: Int, longest_m: float) -> Int:
+    """The face that each of the faces of `with_short_edges` was cut from, shape (m,)."""
+    return np.asarray(subdivide_to_size(vertices, faces, longest_m, max_iter=20, return_index=True)[2], np.int32)
+
+
 def split_long_edges(vertices: Float, faces: Int, longest_m: float) -> tuple[sparse.csr_array, Int]:
     """Matrix that makes the new vertices (and any value at them) from the old, shape (n_new, n), and the new faces.
 

@@ -29,10 +29,8 @@ MOST_LOSS = 0.5
 LASTING, HEARD = 0.25, 0.05
 """A ring that carries HEARD of the motion and whose Im k is below LASTING of the strongest's stands for several waves
 alike, of which the fit knows too little: the losses of one material are more alike."""
-HIDES = 0.08
-"""And where a wave that hides in the noise could not change it by more than this, to first order and at worst. Of 300
-scans of layers drawn at random while this was made, one wavenumber that passed all else was 5 % off; it has 10 % here.
-"""
+HIDES = 0.03
+"""And where a wave that hides in the noise could not change it by more than this, to first order and at worst."""
 COUNTS = 0.2
 """Other waves that carry at least this share of the motion that the strongest does are told too."""
 ALIKE, LEFT = 0.35, 0.05

@@ -84,10 +84,13 @@ def co_rotating_average(
     count = maps.shape[2]
     orders = np.fft.rfftfreq(count, 1.0 / count)
     weight = np.where((orders == 0.0) | (2.0 * orders == count), 1.0, 2.0) / count
+    # Seen from the focus each order of a snapshot turns by itself
+    turn = np.exp(2j * np.pi * turn_Hz * np.outer(times, orders))
+    back = np.exp(1j * np.outer(orders, angles))
+    if not square:
+        mean = sum(np.fft.rfft(snapshot, axis=1) * now for snapshot, now in zip(maps, turn, strict=True)) / len(times)
+        return np.asarray(((mean * weight) @ back).real)
     total = np.zeros((maps.shape[1], len(angles)))
-    for time, snapshot in zip(times, maps, strict=True):
-        turned = angles + 2.0 * np.pi * turn_Hz * time
-        seen = ((np.fft.rfft(snapshot, axis=1) * weight) @ np.exp(1j * np.outer(orders, turned))).real
-        total += seen**2 if square else seen
-    mean = total / len(times)
-    return np.asarray(np.sqrt(mean) if square else mean)
+    for snapshot, now in zip(maps, turn, strict=True):
+        total += ((np.fft.rfft(snapshot, axis=1) * (now * weight)) @ back).real ** 2
+    return np.asarray(np.sqrt(total / len(times)))

@@ -12,6 +12,7 @@ from palmfield.errors import SceneError, unwritable
 from palmfield.tables import read_table
 from palmfield.transforms import Transform
 from palmfield.types import Float
+from palmfield.whole_files import whole
 
 COLUMNS = tuple(f"{frame}_{axis}_m" for frame in ("array", "tracker") for axis in "xyz")
 FEWEST = 3
@@ -148,7 +149,8 @@ def read_alignment(path: str | Path) -> Alignment:
 def write_alignment(path: str | Path, alignment: Alignment) -> None:
     """Write an alignment that `read_alignment` reads back. Raises OutputError where it can't be written."""
     try:
-        Path(path).write_text(alignment.model_dump_json(indent=1) + "\n", encoding="utf-8")
+        with whole(path) as part:
+            part.write_text(alignment.model_dump_json(indent=1) + "\n", encoding="utf-8")
     except OSError as error:
         raise unwritable(path, error) from None
 

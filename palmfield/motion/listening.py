@@ -1,25 +1,17 @@
 """A hand that a tracker tells of over a socket: lines of JSON by UDP or TCP, the bad ones counted and skipped."""
 
-import contextlib
 import math
-import socket
 import threading
-import time
 from collections import Counter
 from collections.abc import Callable
-from typing import Literal, NamedTuple, Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
-from palmfield.errors import DeviceError
+from palmfield.motion.line_listener import By, LineListener
 from palmfield.motion.tracking import Stream
 from palmfield.motion.wire import BadSample, Sample, read_sample
-from palmfield.realtime import follower
 
-By = Literal["udp", "tcp"]
-LONGEST_LINE = 65536
-LOOK_S = 0.1
-"""So often it is looked whether to stop."""
 TOLD = 5
 """Bad samples of a kind that are told in words."""
 
@@ -45,28 +37,15 @@ class Listener:
 
         Raises DeviceError for an address that can't be listened at.
         """
-        if by not in ("udp", "tcp"):
-            raise DeviceError(f"a tracker is listened to by '{by}'; allowed: udp, tcp")
-        self.by, self._on_sample = by, on_sample
+        self._on_sample = on_sample
         self.taken: list[Arrived] = []
         self.bad: Counter[str] = Counter()
         self.told: list[str] = []
         self._joints: tuple[int, ...] | None = None
         self._offset_s = math.inf
-        self._ended = threading.Event()
         self._came = threading.Event()
-        try:
-            if by == "udp":
-                self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-                self._socket.bind((host, port))
-            else:
-                self._socket = socket.create_server((host, port))
-        except (OSError, OverflowError) as error:
-            raise DeviceError(f"{host}:{port} can't be listened at: {error}; give an address of this machine") from None
-        self._socket.settimeout(LOOK_S)
-        self.host, self.port = self._socket.getsockname()[:2]
-        self._thread = follower(self._listen)
-        self._thread.start()
+        self._lines = LineListener(self._take, host, port, by)
+        self.host, self.port, self.by = self._lines.host, self._lines.port, by
 
     def wait(self, timeout_s: float) -> bool:
         """Wait for the first good sample; whether there is one."""
@@ -90,9 +69,7 @@ class Listener:
         return f"{len(self.taken)} samples taken, {sum(self.bad.values())} skipped{f' ({skipped})' if skipped else ''}"
 
     def close(self) -> None:
-        self._ended.set()
-        self._thread.join()
-        self._socket.close()
+        self._lines.close()
 
     def __enter__(self) -> Self:
         return self
@@ -100,42 +77,7 @@ class Listener:
     def __exit__(self, *exception: object) -> None:
         self.close()
 
-    def _listen(self) -> None:
-        while not self._ended.is_set():
-            with contextlib.suppress(TimeoutError):
-                if self.by == "udp":
-                    data = self._socket.recv(LONGEST_LINE)
-                    now = time.monotonic()
-                    for line in data.splitlines():
-                        self._take(line, now)
-                else:
-                    peer, _ = self._socket.accept()
-                    with peer:
-                        self._serve(peer)
-
-    def _serve(self, peer: socket.socket) -> None:
-        """Lines of one connection, until it ends; what was cut off at its end is garbled."""
-        peer.settimeout(LOOK_S)
-        rest = b""
-        while not self._ended.is_set():
-            try:
-                data = peer.recv(LONGEST_LINE)
-            except TimeoutError:
-                continue
-            except OSError:
-                data = b""
-            now = time.monotonic()
-            *lines, rest = (rest + data).split(b"\n")
-            for line in lines:
-                self._take(line, now)
-            if not data or len(rest) > LONGEST_LINE:
-                if rest:
-                    self._take(rest, now)
-                return
-
     def _take(self, line: bytes, now: float) -> None:
-        if not line.strip():
-            return
         try:
             sample = read_sample(line)
             joints = tuple(np.flatnonzero(sample.flags).tolist())

@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 from palmfield.errors import SceneError
 from palmfield.hand.articulated import ArticulatedHand
 from palmfield.motion.joints import POSITION_VALID
-from palmfield.motion.listening import Arrived, By, Listener
+from palmfield.motion.line_listener import By
+from palmfield.motion.listening import Arrived, Listener
 from palmfield.motion.pose import HandPose
 from palmfield.motion.prediction import Noise, Predictor
 from palmfield.motion.retarget import RIGID, Bool, Follower, fixes_palm

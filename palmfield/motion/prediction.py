@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
 from palmfield.errors import SceneError
 from palmfield.motion.joints import JOINTS, ORIENTATION_TRACKED, ORIENTATION_VALID, POSITION_TRACKED, POSITION_VALID
 from palmfield.motion.keyframes import rising
+from palmfield.motion.quaternions import inverse, of_turns, product, turns_of, unit
 from palmfield.motion.tracking import Stream, StreamReport, checked_stream, stream_report
 from palmfield.types import Float, Int
 
@@ -88,7 +88,7 @@ class Predictor:
         self._place = _Filter(n, noise.position_m, noise.accel_m_s2, 1.0)
         self._turn = _Filter(n, noise.angle_rad, noise.accel_rad_s2, 10.0)
         self._position = np.zeros((n, 3))
-        self._orientation = Rotation.identity(n)
+        self._orientation = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
         self._radius = np.zeros(n)
         self._placed_s = np.full(n, -np.inf)
         self._turned_s = np.full(n, -np.inf)
@@ -112,27 +112,24 @@ class Predictor:
     def _add_turn(self, time_s: float, quaternion: Float, valid: Bool) -> None:
         new = valid & (time_s - self._turned_s > self._predict_s)
         known = valid & ~new
-        seen = Rotation.from_quat(quaternion, scalar_first=True)
-        after = self._orientation.as_quat()
         if known.any():
             dt = (time_s - self._turned_s[known])[:, None]
-            guess = Rotation.from_rotvec(self._turn.speed[known] * dt) * self._orientation[known]
-            miss = (seen[known] * guess.inv()).as_rotvec()
+            guess = product(of_turns(self._turn.speed[known] * dt), self._orientation[known])
+            miss = turns_of(product(unit(quaternion[known]), inverse(guess)))
             gain, gain_speed = self._turn.advance(known, dt[:, 0])
-            after[known] = (Rotation.from_rotvec(gain * miss) * guess).as_quat()
+            self._orientation[known] = unit(product(of_turns(gain * miss), guess))
             self._turn.speed[known] += gain_speed * miss
-        after[new] = seen.as_quat()[new]
-        self._orientation = Rotation.from_quat(after)
+        self._orientation[new] = unit(quaternion[new])
         self._turn.start(new)
         self._turned_s[valid] = time_s
 
-    def frames(self, time_s: float) -> tuple[Float, Rotation]:
-        """Positions [m], shape (n, 3), and orientations of the joints at a time [s]."""
+    def frames(self, time_s: float) -> tuple[Float, Float]:
+        """Positions [m], shape (n, 3), and orientations (w, x, y, z), shape (n, 4), of the joints at a time [s]."""
         # A joint that was never seen has been so since minus infinity, and its speed is 0
         ahead = np.where(np.isfinite(self._placed_s), np.minimum(time_s - self._placed_s, self._predict_s), 0.0)
         ahead_turn = np.where(np.isfinite(self._turned_s), np.minimum(time_s - self._turned_s, self._predict_s), 0.0)
         positions = self._position + self._place.speed * ahead[:, None]
-        return positions, Rotation.from_rotvec(self._turn.speed * ahead_turn[:, None]) * self._orientation
+        return positions, product(of_turns(self._turn.speed * ahead_turn[:, None]), self._orientation)
 
     def at(self, time_s: float) -> tuple[Float, Float, Float, Int, Float]:
         """Positions, quaternions (w first), radii, flags and ages [s] of the joints at a time [s]."""
@@ -143,7 +140,7 @@ class Predictor:
         fresh, fresh_turn = known & (age <= self._predict_s), known_turn & (time_s - self._turned_s <= self._predict_s)
         flags = POSITION_VALID * known + ORIENTATION_VALID * known_turn
         flags = flags + POSITION_TRACKED * fresh + ORIENTATION_TRACKED * fresh_turn
-        return positions, turned.as_quat(scalar_first=True), self._radius, flags, age
+        return positions, turned, self._radius, flags, age
 
 
 def resample(

@@ -6,7 +6,7 @@ import time
 import numpy as np
 
 from palmfield.errors import DeviceError
-from palmfield.motion.listening import By
+from palmfield.motion.line_listener import By
 from palmfield.motion.tracking import Stream, ordered
 from palmfield.motion.wire import Convention, Sample, write_sample
 
@@ -19,6 +19,14 @@ def address(text: str) -> tuple[str, int]:
     if not port.isdigit() or int(port) > 65535 or (colon and not host):
         raise DeviceError(f"'{text}' is no address; give HOST:PORT, or PORT for this machine")
     return host or "127.0.0.1", int(port)
+
+
+def address_by(text: str) -> tuple[str, int, By]:
+    """As `address`, with `tcp:` or `udp:` before it; without, udp. Raises DeviceError for anything else."""
+    kind, colon, rest = text.partition(":")
+    given = kind in ("tcp", "udp") and colon
+    host, port = address(rest if given else text)
+    return host, port, "tcp" if given and kind == "tcp" else "udp"
 
 
 def replay(

@@ -16,10 +16,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
-from scipy.spatial import cKDTree
 
 from palmfield.errors import OutputError, did_you_mean, unwritable
 from palmfield.outputs.camera import Camera, look_along_emission
+from palmfield.outputs.covered import uncovered_faces
 from palmfield.outputs.frames import in_world, nearest, pose_at
 from palmfield.outputs.motion import extremes, normal_component
 from palmfield.outputs.pictures.asked import IN_MICRO, UNITS
@@ -34,8 +34,6 @@ SLOW = 200.0
 """A second of film is 5 ms."""
 SEEN_M = 2e-3
 """As far as the largest motion is magnified, where no factor is given."""
-COVERED_M = 1.5e-3
-"""A body's vertex nearer than this to its skin is covered by it."""
 LIFT_M = 3e-4
 """By so much the skin is drawn above its body, that the two do not flicker."""
 QUALITY = (1, 3)
@@ -148,21 +146,8 @@ def _look(result: xr.DataTree, cut: Cut, times: Float) -> _Look:
     window = (0.0, 0.10 * height, 0.88 * width, 0.88 * height)
     camera = look_along_emission(points, pose_at(first, moments[0]), window)
     limits = cut.limits or (low, max(top, low + 1e-12))
-    around = {name: _uncovered(surfaces[name], skin) for name, skin in skins.items() if name in surfaces}
+    around = {name: uncovered_faces(surfaces[name], [skin]) for name, skin in skins.items() if name in surfaces}
     return _Look(skins, around, camera, ListedColormap(colours), limits, unit, magnify)
-
-
-def _uncovered(surface: xr.Dataset, skin: xr.Dataset) -> Int:
-    """Triangles of a body's surface that its skin does not lie on, shape (n, 3)."""
-    faces: Int = surface["face"].values
-    corners = skin["rest_position"].values[skin["face"].values]
-    # Middles of edges and triangles too: a coarse body's vertex may lie far from all of the skin's
-    over = np.concatenate(
-        [corners.reshape(-1, 3), corners.mean(axis=1), 0.5 * (corners + np.roll(corners, 1, axis=1)).reshape(-1, 3)]
-    )
-    away, _ = cKDTree(over).query(surface["rest_position"].values)
-    covered = away < COVERED_M
-    return faces[~covered[faces].all(axis=1)]
 
 
 def _round(value: float) -> float:

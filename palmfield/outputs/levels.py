@@ -17,6 +17,7 @@ from palmfield.perception.maps import level_map, lines_in
 from palmfield.perception.observers import OBSERVERS
 from palmfield.stimulus.resolved import ResolvedStimulus
 from palmfield.stimulus.schedule import main_frequencies, steady_stretch_s
+from palmfield.types import Float32
 
 
 def level_maps(result: xr.DataTree, skin: str | None = None, stimulus: str | None = None) -> xr.Dataset:
@@ -24,9 +25,9 @@ def level_maps(result: xr.DataTree, skin: str | None = None, stimulus: str | Non
 
     result: of `open_result` or `tree`, of a run that began at 0 s; skin, stimulus: instances, the only ones by default.
     Lines are the stimulus's main frequencies that the record can tell.
-    Returns `level` [dB SL], dimensions (observer, vertex), -inf where an observer's table has none of the lines or the
-    vertex is at rest; attributes skin, stimulus and frequencies_Hz. Each vertex is taken by itself, without summation
-    over area. The observer that goes by force has no map: it knows nothing of the skin's motion.
+    Returns `level` [dB SL], dimensions (observer, vertex), NaN where an observer's table has none of the lines, -inf
+    where the vertex is at rest; attributes skin, stimulus and frequencies_Hz. Each vertex is taken by itself, without
+    summation over area. The observer that goes by force has no map: it knows nothing of the skin's motion.
     Raises OutputError for an unknown instance, several of which none is named, a result without displacement, and one
     that is shorter than two periods of the main frequency.
     """
@@ -50,6 +51,65 @@ def level_maps(result: xr.DataTree, skin: str | None = None, stimulus: str | Non
         {"observer": list(OBSERVERS)},
         {"skin": chosen, "stimulus": sounding, "frequencies_Hz": frequencies},
     )
+
+
+FLOOR_DB = -40.0
+"""Of levels over time: what lies lower, or is at rest, counts as this far below threshold [dB SL]."""
+WINDOW_PERIODS = 2
+
+
+class LevelCourse:
+    """Level above threshold at each vertex of a skin, by one observer, in one window of a run after the other.
+
+    frequencies_Hz: lines that count; window_s: length of each window, WINDOW_PERIODS of the lowest of them
+    Each window is taken as if it went on, and each vertex by itself. What is read of a run is one window at a time.
+    """
+
+    def __init__(self, skin: xr.Dataset, observer: str, frequencies_Hz: list[float]):
+        """skin: of `instances(result, "skin")`. Raises OutputError for a skin whose record has no line to go by."""
+        self._skin, self._observer = skin, OBSERVERS[observer]
+        times = skin["time"].values.astype(float)
+        self.frequencies_Hz = lines_in(times, frequencies_Hz)
+        if not self.frequencies_Hz:
+            raise OutputError("the record has no line to go by; levels need two periods of what repeats itself")
+        self.window_s = WINDOW_PERIODS / self.frequencies_Hz[0]
+        step = float(times[1] - times[0])
+        self.count = max(1, int((times[-1] - times[0] + step) / self.window_s + 1e-6))
+        begins = times[0] + self.window_s * np.arange(self.count)
+        self._starts = np.searchsorted(times, begins - 0.5 * step)
+        self._ends = np.searchsorted(times, begins + self.window_s - 0.5 * step)
+
+    def window_at(self, time_s: float) -> int:
+        """The window that a time [s] lies in; the last whole one for what is left at the end."""
+        begin = float(self._skin["time"].values[0])
+        return min(self.count - 1, max(0, int((time_s - begin) / self.window_s + 1e-9)))
+
+    def levels(self, window: int) -> Float32:
+        """Levels [dB SL] in a window, shape (vertices,), FLOOR_DB at least."""
+        chosen = slice(int(self._starts[window]), int(self._ends[window]))
+        normal = normal_component(self._skin, times=chosen)
+        times = self._skin["time"].values[chosen].astype(float)
+        found = level_map(self._observer, times, np.asarray(normal), self.frequencies_Hz)
+        return np.maximum(found, FLOOR_DB).astype(np.float32)
+
+
+def level_course(result: xr.DataTree, skin: str, observer: str) -> LevelCourse:
+    """The course of the level on a skin, by the lines of all stimuli.
+
+    Raises OutputError for an unknown observer, and for a run whose stimuli or record have no line to go by.
+    """
+    if observer not in OBSERVERS:
+        known = list(OBSERVERS)
+        raise OutputError(
+            f"observer '{observer}'{did_you_mean(observer, known)} is unknown; allowed: {', '.join(known)}"
+        )
+    data = instances(result, "skin")[skin]
+    if not has_records(data, "displacement"):
+        raise OutputError(f"skin '{skin}' holds no displacement")
+    lines: set[float] = set()
+    for name, stimulus in instances(result, "stimulus").items():
+        lines |= set(main_frequencies(keys_of(ResolvedStimulus, name, stimulus)))
+    return LevelCourse(data, observer, sorted(lines))
 
 
 def _one(result: xr.DataTree, kind: str, name: str | None) -> str:

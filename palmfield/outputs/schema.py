@@ -105,6 +105,9 @@ GROUPS: dict[str, dict[str, Variable]] = {
         "arp": Variable(
             ("time", "vertex"), "float32", "Pa", "acoustic radiation pressure (ARP) on the skin patch", sign=_INTO
         ),
+        "pressure": Variable(
+            ("time", "vertex"), "float32", "Pa", "peak amplitude of the sound pressure on the skin patch"
+        ),
     },
     "surface": _mesh("whole surface of the skin's body")
     | {
@@ -114,6 +117,11 @@ GROUPS: dict[str, dict[str, Variable]] = {
         ),
         "obstacle_face": Variable(
             ("obstacle_triangle", "corner"), "int32", "1", "their triangles, counter-clockwise from outside; first 0"
+        ),
+        "face_arp": Variable(
+            ("step_time", "triangle"), "float32", "Pa",
+            "ARP on each triangle, mean over triangle and step: times area and inward normal, it adds up to the force",
+            sign=_INTO,
         ),
     },
     "array": {
@@ -191,8 +199,53 @@ GROUPS: dict[str, dict[str, Variable]] = {
             ("step_time", "channel"), "float64", "1", "what the sensor reads, each channel in its unit of channel_units"
         ),
     },
+    "mujoco": {
+        "pose": Variable(
+            ("step_time", "mujoco_body", "pose7"), "float64", "1",
+            "all of MuJoCo's bodies: position, then unit quaternion (w, x, y, z)", _WORLD, _POSE,
+        ),
+        "body_name": Variable(("mujoco_body",), "str", "", "names of the bodies; the first is the world"),
+        "body_parent": Variable(("mujoco_body",), "int32", "1", "what each body hangs on; first 0"),
+        "body_frame": Variable(
+            ("mujoco_body", "pose7"), "float64", "1", "where each body is while all joints are at joint_reference",
+            "parent body", _POSE,
+        ),
+        "body_mass": Variable(("mujoco_body",), "float64", "kg", "masses"),
+        "body_inertia": Variable(
+            ("mujoco_body", "xyz"), "float64", "kg m2", "moments of inertia about the axes of body_inertial_frame",
+            "principal axes",
+        ),
+        "body_inertial_frame": Variable(
+            ("mujoco_body", "pose7"), "float64", "1", "centre of mass and principal axes", "body", _POSE
+        ),
+        "body_held": Variable(("mujoco_body",), "bool", "1", "whether nothing lets a body move in the world"),
+        "body_placed": Variable(("mujoco_body",), "bool", "1", "whether a body is placed from outside (mocap)"),
+        "geom_name": Variable(("geom",), "str", "", "names of the geoms"),
+        "geom_body": Variable(("geom",), "int32", "1", "the body of each; first 0"),
+        "geom_type": Variable(("geom",), "str", "", "sphere, capsule, box and so on"),
+        "geom_size": Variable(("geom", "xyz"), "float64", "m", "half lengths as MuJoCo has them by type", "geom"),
+        "geom_frame": Variable(("geom", "pose7"), "float64", "1", "where each geom is", "body", _POSE),
+        "geom_rgba": Variable(("geom", "channel"), "float64", "1", "colour and opacity"),
+        "geom_collides": Variable(("geom",), "bool", "1", "whether anything can touch it"),
+        "geom_friction": Variable(("geom",), "float64", "1", "coefficient of sliding friction"),
+        "geom_mesh": Variable(("geom",), "int32", "1", "the mesh of each, -1 for none; first 0"),
+        "mesh_vertex": Variable(("mesh_vertex_number", "xyz"), "float64", "m", "vertices of all meshes", "geom"),
+        "mesh_vertex_owner": Variable(("mesh_vertex_number",), "int32", "1", "the mesh of each vertex; first 0"),
+        "mesh_face": Variable(("mesh_triangle", "corner"), "int32", "1", "triangles; each mesh's first vertex is 0"),
+        "mesh_face_owner": Variable(("mesh_triangle",), "int32", "1", "the mesh of each triangle; first 0"),
+        "joint_name": Variable(("joint",), "str", "", "names of the joints"),
+        "joint_type": Variable(("joint",), "str", "", "free, ball, slide or hinge"),
+        "joint_body": Variable(("joint",), "int32", "1", "the body that each lets move in its parent; first 0"),
+        "joint_position": Variable(("joint", "xyz"), "float64", "m", "anchors", "body"),
+        "joint_axis": Variable(("joint", "xyz"), "float64", "1", "unit axes of slides and hinges", "body"),
+        "joint_range": Variable(("joint", "end"), "float64", "1", "ends of the range: m of a slide, rad of others"),
+        "joint_limited": Variable(("joint",), "bool", "1", "whether the range holds"),
+        "joint_reference": Variable(("joint",), "float64", "1", "position of the joint in body_frame: m or rad"),
+    },
 }  # fmt: skip
-"""Variables by kind of group. Variables along `bone` and `influence` are there for bodies with bones only, obstacles
+"""Variables by kind of group. What MuJoCo's model has none of is left out of /mujoco.
+
+Variables along `bone` and `influence` are there for bodies with bones only, obstacles
 where there are some; a run cut off early lacks the loudest instant's."""
 LABELS: dict[str, tuple[tuple[str, ...], str]] = {
     "xyz": (("x", "y", "z"), "Cartesian component"),

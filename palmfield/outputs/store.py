@@ -44,7 +44,7 @@ from palmfield.outputs.schema import (
 )
 
 RESULT = "result.nc"
-DERIVED = ("summary.json", "pressure.png", "displacement.png", "scene.png", "scene.usdc")
+DERIVED = ("summary.json", "pressure.png", "displacement.png", "scene.png", "scene.usdc", "scene.partial.usdc")
 """Files that a run makes of its result."""
 FLUSH_BYTES = 8_000_000
 FLUSH_SECONDS = 2.0

@@ -17,7 +17,9 @@ def level_map(
     *,
     periods: int | None = None,
 ) -> Float:
-    """Level above an observer's threshold at each place of the skin [dB SL], shape (m,); -inf where nothing counts.
+    """Level above an observer's threshold at each place of the skin [dB SL], shape (m,); -inf where nothing moves.
+
+    NaN where all lines that move lie outside the observer's table.
 
     times_s: rising [s], shape (n,); displacement_m: normal displacement of m places [m], shape (n, m)
     frequencies_Hz: lines of the motion that count, as `palmfield.stimulus.schedule.main_frequencies` has them

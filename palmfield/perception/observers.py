@@ -119,7 +119,7 @@ def _morioka_griffin() -> Observer:
         source="M. Morioka and M. J. Griffin, J. Sound Vib. 295 (2006) 633-648: hand-transmitted vibration, hand round "
         "a handle. The contact is large, so thresholds for a small area lie higher. Percent correct not established "
         "here.",
-        why="a handle in the hand's grip, a large contact: a small spot needs more",
+        why="a handle in the hand's grip, a large contact: a lower bound of the threshold of a small spot",
         spread_dB=None,
         spread_of="not established",
     )
@@ -201,7 +201,7 @@ def levels_dB_SL(
     duration_s: float | None = None,
 ) -> Float:
     """Sensation levels 20 log10 sqrt(sum (A_i / T(f_i))^2) [dB], shape (m,); 0 dB is just felt, -inf where nothing
-    counts.
+    moves, NaN (no value) where something does, but at frequencies alone for which the observer has no threshold.
 
     frequencies: lines of the motion [Hz], shape (n,); peak_amplitudes_m: their peak amplitudes at m places [m], (n, m)
     area_m2, duration_s: as of `threshold_m`, which says what it raises
@@ -214,8 +214,12 @@ def levels_dB_SL(
     excess = np.nan_to_num(amplitude / threshold[:, None]) ** 2
     channel = np.digitize(frequency, observer.channels_from_Hz)
     energies = [excess[channel == number].sum(axis=0) for number in range(len(observer.channels_from_Hz) + 1)]
+    known = np.isfinite(threshold)
+    unknown = (np.abs(amplitude[(frequency > 0.0) & ~known]) > 0.0).any(axis=0)
+    silent = ~(np.abs(amplitude[known]) > 0.0).any(axis=0)
     with np.errstate(divide="ignore"):
-        return np.asarray(10.0 * np.log10(np.max(energies, axis=0)))
+        levels = 10.0 * np.log10(np.max(energies, axis=0))
+    return np.where(unknown & silent, np.nan, levels)
 
 
 def share_left_out(observer: Observer, frequencies: ArrayLike, peak_amplitudes_m: ArrayLike) -> float:

@@ -17,6 +17,7 @@ from palmfield.drive.focus_fit import fitted_focus
 from palmfield.drive.frame_log import LogHead, Piece, is_log, read_log
 from palmfield.errors import SceneError, unwritable
 from palmfield.types import Float
+from palmfield.whole_files import whole
 
 FREQUENCY_HZ = 40e3
 GOOD_RAD = 1.0
@@ -138,7 +139,7 @@ def as_table(decoded: Decoded, most: int | None = None) -> str:
 def write_csv(decoded: Decoded, path: Path) -> None:
     """All rows, with units in the names of columns. Raises OutputError where it can't be written."""
     try:
-        with path.open("w", newline="", encoding="utf-8") as file:
+        with whole(path) as part, part.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
             writer.writerow(["time_s", "x_m", "y_m", "z_m", "misfit_rad", "sounding", "level"])
             for row in decoded.foci:

@@ -28,12 +28,7 @@ class LiveScene:
         world = world_of(self._data)
         assert world is not None and world.scene is not None
         self.runtime: SceneRuntime = world.scene
-        names = {number: name for number, _, name in world.model.instances()}
-        moving = [
-            (names[number], module)
-            for number, module in world.modules.items()
-            if isinstance(module, MotionModule) and module.motion.hand is not None
-        ]
+        moving = [one for one in scripts(self._data).items() if one[1].motion.hand is not None]
         if len(moving) != 1:
             raise SceneError(
                 f"{view.name} has {len(moving)} instances of plugin 'palmfield.motion' with key hand; a live hand "
@@ -51,3 +46,11 @@ class LiveScene:
         self._module.place()
         mujoco.mj_kinematics(self._data.model, self._data)
         return self.runtime.posed
+
+
+def scripts(data: mujoco.MjData) -> dict[str, MotionModule]:
+    """The modules that move bodies of some data by script, by instance; another `motion` of theirs holds at once."""
+    world = world_of(data)
+    assert world is not None
+    names = {number: name for number, _, name in world.model.instances()}
+    return {names[number]: one for number, one in world.modules.items() if isinstance(one, MotionModule)}

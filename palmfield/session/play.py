@@ -3,30 +3,27 @@
 import logging
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 from rich.console import Console
 from rich.progress import Progress
 
-from palmfield.acoustics.arrays import LAYOUTS, layout
-from palmfield.acoustics.calibration_file import calibrated, read_calibration
-from palmfield.acoustics.focus import compensate, focus
 from palmfield.acoustics.reference import pressure64
-from palmfield.config import DriverConfig, parse
-from palmfield.config.driver import SAFETY_KEYS
 from palmfield.config.stimulus import too_far
-from palmfield.drive.board import Board, check
-from palmfield.drive.boards import board_of, playable_board
+from palmfield.drive.board import Board
+from palmfield.drive.boards import playable_board
 from palmfield.drive.focal_peak import loudest_point
 from palmfield.drive.frame_log import FrameLog, LogHead
 from palmfield.drive.limits import SoundLimits
 from palmfield.drive.playback import REFRESH_S, TimedFrame, filled, frame_times
 from palmfield.drive.player import Player
+from palmfield.drive.player.report import PlayReport
+from palmfield.drive.ports import check_port
 from palmfield.drive.recording import record
-from palmfield.errors import DeviceError, SceneError
+from palmfield.errors import DeviceError, OutputError, SceneError
+from palmfield.session.focus_board import FocusSound, am_share, focus_board
 from palmfield.session.load import Source
 from palmfield.session.log_head import log_head
 from palmfield.session.preview import Preview, preview
@@ -34,7 +31,7 @@ from palmfield.session.safety.exposure import Moment, at_head, check_head, with_
 from palmfield.session.safety.scene_sound import scene_at_head
 from palmfield.session.sending import offset_words, peak_offset, sending
 from palmfield.simulation.frames import Frames
-from palmfield.types import Air, Complex, Float
+from palmfield.types import Complex, Float
 
 LOG = logging.getLogger(__name__)
 
@@ -46,6 +43,17 @@ class Target:
     port: str | None = None
     record: Path | None = None
     log: Path | None = None
+
+    def check(self) -> None:
+        """Refuse what can't be opened or made before the frames are, which may take long.
+
+        Raises DeviceError for a device that isn't there, OutputError for a folder that isn't.
+        """
+        if self.port is not None:
+            check_port(self.port)
+        for file in (self.record, self.log):
+            if file is not None and not file.parent.is_dir():
+                raise OutputError(f"cannot write {file}: there is no folder {file.parent}; make it, or choose another")
 
 
 @dataclass(frozen=True)
@@ -61,24 +69,6 @@ class Performance:
     def saying(self, *more: str) -> "Performance":
         """With more lines."""
         return replace(self, text="\n".join((self.text, *more)))
-
-
-@dataclass(frozen=True)
-class FocusSound:
-    """How a focus that is played by itself sounds.
-
-    level: amplitude of all transducers, 0..1; am_frequency_Hz: of a sine between silence and that level, 0 for none
-    p0_Pa_m: as of layouts, None for the layout's own; air: in which the sound travels
-    layout: of the array, None for the board's first one; calibration: of its transducers, a file as of key
-    `calibration` of palmfield.array
-    """
-
-    level: float = 1.0
-    am_frequency_Hz: float = 0.0
-    p0_Pa_m: float | None = None
-    air: Air = field(default_factory=Air)
-    layout: str | None = None
-    calibration: Path | None = None
 
 
 def play_focus(
@@ -97,85 +87,46 @@ def play_focus(
     Raises SceneError for a focus behind the array or too far for metres, DeviceError for an unknown or lost board, and
     for a level or a modulation that it can't play.
     """
-    sound = sound or FocusSound()
-    chosen = playable_board(board)
-    name = chosen.layouts[0] if sound.layout is None else sound.layout
-    if name not in chosen.layouts:
-        raise DeviceError(f"board '{board}' drives no layout '{name}'; allowed: {', '.join(chosen.layouts)}")
-    if chosen.arrays[0] > 1:
-        raise SceneError(f"board '{board}' drives {chosen.arrays[0]} arrays; give a scene that says where they stand")
+    target.check()
     if (far := too_far(point)) is not None:
         raise SceneError(f"--focus has value {' '.join(f'{x:g}' for x in point)}, {far}")
-    if not 0.0 <= sound.level <= 1.0:
-        raise SceneError(f"--level has value {sound.level:g}; allowed: 0 (off) to 1 (full drive)")
-    array, p0 = layout(name, sound.p0_Pa_m), LAYOUTS[name].p0
-    if sound.calibration is not None:
-        known = read_calibration(sound.calibration)
-        if known.p0 is not None and sound.p0_Pa_m is None:
-            array, p0 = replace(array, p0_Pa_m=known.p0.value), known.p0
-        array = calibrated(array, known)
-    texts = {key: str(value) for key, value in (keys or {}).items()}
-    driver = cast(DriverConfig, parse(DriverConfig, {**texts, "board": board}, "--focus with driver keys"))
+    made = focus_board(board, sound or FocusSound(), keys or {})
+    chosen, array, driver, sound = made.board, made.array, made.driver, made.sound
     limits = SoundLimits.of(driver)
-    chosen = board_of(driver, len(array), calibrated=sound.calibration is not None, address=array.address)
-    said = []
-    if chosen.modulates:
-        # The board does that by itself, of any focus
-        if sound.am_frequency_Hz > 0.0:
-            chosen, sound = chosen.modulating(sound.am_frequency_Hz), replace(sound, am_frequency_Hz=0.0)
-        else:
-            said.append(f"{board} modulates whatever it plays, at its own rate; give another by --am-frequency")
-    modulated = sound.am_frequency_Hz > 0.0 or sound.level not in (0.0, 1.0)
-    check(chosen, frame_rate_Hz=0.0, modulated=modulated, element="focus", modulation_Hz=sound.am_frequency_Hz)
     place: Float = np.array(point)
-    unit = focus(array, sound.air, place)
-    if chosen.compensate:
-        unit = compensate(array, unit)
+    unit = made.unit(place)
     played = np.zeros(len(array), np.complex128)
     if sound.level > 0.0:
-        played = chosen.decode(chosen.start + _bytes(chosen, place, unit, sound.level))[-1]
+        played = chosen.decode(chosen.start + made.frame(place, unit, sound.level))[-1]
     if sound.level > 0.0 and not played.any():
         raise DeviceError(
             f"--level has value {sound.level:g}, which {board} rounds to silence; allowed: 0, or a level that one of "
             f"its {chosen.amplitude_steps or chosen.transducers} steps comes near to"
         )
+    am_Hz = sound.am_frequency_Hz
 
     def frame(time_s: float, share: float) -> TimedFrame:
-        level = sound.level * (share if chosen.levels else 1.0)
-        if sound.am_frequency_Hz > 0.0:
-            level *= 0.5 * (1.0 + np.sin(2.0 * np.pi * sound.am_frequency_Hz * time_s))
-        return TimedFrame(time_s, _bytes(chosen, place, unit, level), level > 0.0)
+        level = made.sound.level * (share if chosen.levels else 1.0) * am_share(time_s, am_Hz)
+        return TimedFrame(time_s, made.frame(place, unit, level), level > 0.0)
 
-    period_s = 1.0 / chosen.max_frame_rate_Hz if sound.am_frequency_Hz > 0.0 else REFRESH_S
+    period_s = 1.0 / chosen.max_frame_rate_Hz if am_Hz > 0.0 else REFRESH_S
     due = (period_s * np.arange(np.ceil(duration_s / period_s - 1e-9))).tolist()
     times = filled(due, limits.ramp_times(chosen, duration_s), chosen.frame_time_s, duration_s)
     frames = (frame(time_s, limits.level_at(time_s, duration_s)) for time_s in times)
 
     def at_loudest(points: Float) -> Complex:
-        return pressure64(points, array, played, sound.air)[0]
+        return pressure64(points, array, played, made.sound.air)[0]
 
     if driver.head_m is not None:
-        share = 0.375 if sound.am_frequency_Hz > 0.0 else 1.0  # mean square of (1 + sin)/2
-        # A pressure that is given is taken as it is
-        band = (1.0, 1.0) if sound.p0_Pa_m is not None else ((p0.low / p0.value) ** 2, (p0.high / p0.value) ** 2)
+        share = 0.375 if am_Hz > 0.0 else 1.0  # mean square of (1 + sin)/2
         moments = [Moment(at_loudest, share)] if played.any() else []
-        _warn(check_head(with_band(at_head(moments, driver, array.positions), band), driver))
-    limited = driver.model_dump(include=set(SAFETY_KEYS), exclude_none=True, exclude_defaults=True)
-    own, loudness = driver.of_board(chosen.keys), array.p0_Pa_m
-    high = loudness if sound.p0_Pa_m is not None else loudness * p0.high / p0.value
-    head = LogHead(board, len(array), name, sound.air, own, limited, p0_Pa_m=loudness, p0_high_Pa_m=high)
-    head = head.measured(array, chosen.places)
-    done = send(frames, chosen, duration_s, target, head, limits, progress).saying(*said)
+        _warn(check_head(with_band(at_head(moments, driver, array.positions), made.band), driver))
+    done = send(frames, chosen, duration_s, target, made.head, limits, progress).saying(*made.said)
     if not played.any():
         return done
     loudest = loudest_point(at_loudest, np.zeros(3), place)
     peak = float(np.abs(at_loudest(loudest[None]))[0])
     return done.saying(f"{offset_words(loudest - place)}: {peak:.0f} Pa there")
-
-
-def _bytes(board: Board, place: Float, unit: Complex, level: float) -> bytes:
-    """One frame of a focus [m], shape (3,), with amplitudes `unit` at full level."""
-    return board.encode_focus(place, level) if board.takes == "focus" else board.encode(level * unit)
 
 
 def play_scene(
@@ -192,6 +143,7 @@ def play_scene(
     board: another one than the scene's, as `palmfield.load` takes it; keys: as there
     Raises SceneError for a bad scene, DeviceError where the board cannot play it or is lost.
     """
+    target.check()
     if board is not None:
         playable_board(board)
     view = preview(scene, board=board, keys=keys)
@@ -224,19 +176,16 @@ def scene_frames(scene: Preview, duration_s: float) -> Iterator[TimedFrame]:
         model.configs, duration_s, model.spec.timestep_s if moves else None, ramp, model.board.frame_time_s
     )
 
-    def share(time_s: float) -> float:
-        return limits.level_at(time_s, duration_s) if model.board.levels else 1.0
-
     if not moves:
         frames = Frames(model, scene.runtime.work.emission)
         for time_s in times:
-            data = frames.at(scene.runtime.posed, time_s, share(time_s))
+            data = frames.at(scene.runtime.posed, time_s, limits.share(model.board, time_s, duration_s))
             yield TimedFrame(time_s, data, frames.sounds)
         return
     moving: Frames | None = None
     for time_s, runtime, posed in scene.posed_at(times):
         moving = moving or Frames(runtime.model, runtime.work.emission)
-        data = moving.at(posed, time_s, share(time_s))
+        data = moving.at(posed, time_s, limits.share(model.board, time_s, duration_s))
         yield TimedFrame(time_s, data, moving.sounds)
 
 
@@ -298,14 +247,34 @@ def play_on_port(
     ):
         task = bar.add_task(f"playing {duration_s:g} s on {port}", total=duration_s)
         begin = time.monotonic()
-        report = player.play(
-            frames,
-            duration_s=duration_s,
-            on_progress=lambda *_: bar.update(task, completed=time.monotonic() - begin),
-        )
-    return Performance(
-        f"played {report.frames} frames on {port} (skipped {report.skipped}, worst delay "
-        f"{1e3 * report.late_s:.0f} ms, limit {board.max_frame_rate_Hz:.1f} frames/s; player at {report.priority}); "
-        "the board is off",
-        report.warning,
+        try:
+            report = player.play(
+                frames,
+                duration_s=duration_s,
+                on_progress=lambda *_: bar.update(task, completed=time.monotonic() - begin),
+            )
+        except KeyboardInterrupt:
+            player.close()
+            LOG.warning(f"ended by Ctrl-C after {time.monotonic() - begin:.1f} s; the board is off")
+            check_log(player, log)
+            raise
+    done = played_in_words(report, board, port)
+    check_log(player, log, f"{done}; ")
+    return Performance(done, report.warning)
+
+
+def played_in_words(report: PlayReport, board: Board, port: str) -> str:
+    """How a player's frames went, with the board silent afterwards."""
+    return (
+        f"played {report.frames} frames on {port} (skipped {report.skipped}, worst delay {1e3 * report.late_s:.0f} ms, "
+        f"limit {board.max_frame_rate_Hz:.1f} frames/s; player at {report.priority}); the board is off"
     )
+
+
+def check_log(player: Player, log: Path | None, done: str = "") -> None:
+    """Raises OutputError where a closed player's log ends early, as it does on a full disk. done: what else there is"""
+    if player.log_error:
+        raise OutputError(
+            f"{done}the log {log} ends early: {player.log_error}; what is in it can be decoded, and the board was not "
+            "held up by it"
+        )

@@ -1,26 +1,29 @@
 """What a running simulation writes: blocks of arrays, a MuJoCo step each, for a store."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from palmfield.acoustics.arp import SurfaceSound
 from palmfield.drive.transducer_response import EmittedCourse, rows
 from palmfield.engine.host import World, world_of
 from palmfield.engine.scene_runtime import SceneRuntime
 from palmfield.hand.triangles import vertex_normals
+from palmfield.outputs.mujoco_scene import INSTANCE, mujoco_arrays
 from palmfield.outputs.schema import Arrays, group, sensor_channels
 from palmfield.session.loudest_moment import LoudestMoment
 from palmfield.simulation.emission import Emission
-from palmfield.simulation.model import HapticModel
+from palmfield.simulation.model import HapticModel, SkinModel
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.simulation.radiation import Role
 from palmfield.simulation.sensors import CHANNELS, UNITS
 from palmfield.simulation.step import StepTrace
 from palmfield.stimulus.schedule import frames_at
 from palmfield.transforms import quaternion
-from palmfield.types import Array, Complex, Float, Float32
+from palmfield.types import Array, Complex, Float
 
 Block = dict[str, dict[str, NDArray[Any]]]
 
@@ -65,7 +68,10 @@ class Recorder:
     begun_s: MuJoCo's clock when it started [s]
     """
 
-    def __init__(self, runtime: SceneRuntime, world: World, sink: Sink):
+    def __init__(self, runtime: SceneRuntime, world: World, sink: Sink, body_poses: Callable[[], Float]):
+        """body_poses: of all of MuJoCo's bodies in the world, shape (bodies, 7)"""
+        self._body_poses = body_poses
+        self._carried = {runtime.model.carried(number)[0] for number in range(len(runtime.model.bodies))}
         self.runtime, self.model, self.world, self.sink = runtime, runtime.model, world, sink
         self.loudest: list[LoudestMoment | None] = [None] * len(self.model.skins)
         self._loudest_Pa = [0.0] * len(self.model.skins)
@@ -116,11 +122,29 @@ class Recorder:
             own = placement.transform
             pose = pose7(frame.points(own.position), frame.rotation @ own.rotation)
             block.setdefault(group("array", array.name), {})["pose"] = pose[None]
-        for skin in self.model.skins:
+        for number, skin in enumerate(self.model.skins):
             self._add_body(block, skin.spec.name, skin.body, posed)
+            if number in self._carried:
+                self._add_pressed(block, skin)
+        block[group("mujoco", INSTANCE)] = {"pose": self._body_poses()[None]}
         for name, data in self._sensors:
             block[group("sensors", name)] = {"value": data[None].copy()}
         self.sink.append(block)
+
+    def _add_pressed(self, block: Block, skin: SkinModel) -> None:
+        """ARP on the faces of a skin's body; a GPU adds up forces without it."""
+        if self.runtime.work.device_sound is not None:
+            return
+        faces = len(skin.closed_surface[1])
+        known = self.runtime.work.unit_forces.pressed(skin.body)
+        arp: Float = np.zeros(faces)
+        if known is not None:
+            (_, _, areas, numbers), pressure = known
+            owners, shares = skin.sample_faces
+            filled = areas > 0.0
+            chosen = numbers[filled]
+            arp = np.bincount(owners[chosen], pressure[filled] * shares[chosen], minlength=faces).astype(np.float64)
+        block[group("surface", skin.spec.name)] = {"face_arp": arp.astype(np.float32)[None]}
 
     def _add_body(self, block: Block, name: str, number: int, posed: PosedScene) -> None:
         runtime, frame = self.runtime, posed.array_frame
@@ -146,29 +170,32 @@ class Recorder:
         for number, skin in enumerate(self.model.skins):
             count = len(skin.nodes[0])
             motion = motions[number].reshape(len(times), 2, count, 3).astype(np.float32)
-            arp = self._arp(posed, number, emitted, times)
+            sound = self._sound(posed, number, emitted, times)
             block[group("skin", skin.spec.name)] = {
-                "displacement": motion[:, 0], "velocity": motion[:, 1], "arp": arp,
+                "displacement": motion[:, 0], "velocity": motion[:, 1], "arp": sound.arp, "pressure": sound.amplitude,
             }  # fmt: skip
         self._add_stimuli(block, times, posed)
         self._add_drive(block, times, posed)
         return block
 
-    def _arp(self, posed: PosedScene, number: int, emitted: Emitted, times: Float) -> Float32:
-        """ARP at a skin's surface nodes, shape (t, S); keeps the loudest moment."""
+    def _sound(self, posed: PosedScene, number: int, emitted: Emitted, times: Float) -> SurfaceSound:
+        """ARP and amplitude at a skin's surface nodes, shapes (t, S); keeps the loudest moment."""
         radiation = self.runtime.work.radiation
         if emitted.drives.ndim == 1:
-            unit = radiation.on(posed, number, "nodes", emitted.drives).arp
-            arp = (emitted.factors[:, None] * unit).astype(np.float32)
+            unit, factors = radiation.on(posed, number, "nodes", emitted.drives), emitted.factors[:, None]
+            sound = SurfaceSound(
+                (factors * unit.arp).astype(np.float32), (np.sqrt(factors) * unit.amplitude).astype(np.float32)
+            )
         else:
-            arp = radiation.many(posed, number, emitted.drives, "nodes")
+            sound = radiation.sounds(posed, number, emitted.drives, "nodes")
+        arp = sound.arp
         peaks = arp.max(axis=1)
         first = int(peaks.argmax())
         if peaks[first] > self._loudest_Pa[number]:
             self._loudest_Pa[number] = float(peaks[first])
             drive = emitted.drives if emitted.drives.ndim == 1 else emitted.drives[first].copy()
             self.loudest[number] = LoudestMoment(float(times[first]), posed, drive, float(emitted.factors[first]))
-        return arp
+        return sound
 
     def _add_stimuli(self, block: Block, times: Float, posed: PosedScene) -> None:
         foci = self.runtime.work.emission.foci(posed, times)
@@ -231,9 +258,9 @@ class Recorder:
         return block
 
 
-def static_arrays(model: HapticModel, world: World, runtime: SceneRuntime) -> Block:
-    """What is known before the first step."""
-    block: Block = {}
+def static_arrays(model: HapticModel, world: World, runtime: SceneRuntime, compiled: mujoco.MjModel) -> Block:
+    """What is known before the first step. compiled: MuJoCo's model of the scene"""
+    block: Block = {group("mujoco", INSTANCE): mujoco_arrays(compiled)}
     for array, part in zip(model.spec.arrays, model.arrays.parts, strict=True):
         block[group("array", array.name)] = _transducers(part)
     for skin in model.skins:

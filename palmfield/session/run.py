@@ -20,6 +20,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from palmfield.errors import MeasurementError, OutputError
 from palmfield.interrupts import interrupts_held
 from palmfield.outputs.motion import normal_component, pieces
+from palmfield.outputs.mujoco_scene import INSTANCE, body_poses
 from palmfield.outputs.pictures.draw import checked_kinds, draw_pictures
 from palmfield.outputs.plots import plot_displacement, plot_pressure
 from palmfield.outputs.render import render_scene
@@ -30,7 +31,7 @@ from palmfield.outputs.summary import summary
 from palmfield.outputs.usd import write_usd
 from palmfield.session.duration import check_duration, step_count
 from palmfield.session.load import Source
-from palmfield.session.recorder import Recorder, static_arrays, world_with
+from palmfield.session.recorder import Block, Recorder, Sink, static_arrays, world_with
 from palmfield.session.simulation import Simulation
 from palmfield.session.summary import array_numbers, estimated_budget, scene_numbers, skin_numbers, stimulus_numbers
 from palmfield.types import Float
@@ -129,12 +130,12 @@ def run(
             finished = store.finish(about, complete=stopped is None)
             if isinstance(finished, xr.DataTree):
                 tree, files = finished, dict[str, Path]()
-                result = Result(None, files, summary(tree, _ending(tree)), tree)
+                result = Result(None, files, summary(tree, ending(tree)), tree)
             else:
                 assert out is not None
                 tree, files = opened.enter_context(open_result(finished)), {"result.nc": finished}
                 files["summary.json"] = Path(out) / "summary.json"
-                result = Result(Path(out), files, summary(tree, _ending(tree)))
+                result = Result(Path(out), files, summary(tree, ending(tree)))
             with _carried_by_errors(result):
                 if stopped is None and not tree.attrs["complete"]:
                     stopped = store.lost or OutputError(f"{out} is incomplete: {tree.attrs['reason']}")
@@ -147,7 +148,7 @@ def run(
                 held.close()
                 if ended := stopped or cut:
                     raise ended
-                whole = _whole_summary(sim, recorder, budgets, tree, _ending(tree) | _spent(started))
+                whole = _whole_summary(sim, recorder, budgets, tree, ending(tree) | _spent(started))
                 if out is not None:
                     files |= draw(tree, Path(out), bar, plots)
                     whole |= _spent(started)
@@ -155,7 +156,7 @@ def run(
     return replace(result, summary=whole)
 
 
-def _ending(tree: xr.DataTree) -> dict[str, Any]:
+def ending(tree: xr.DataTree) -> dict[str, Any]:
     """Whether all of a run was written, and why it ended, as its result says."""
     return {"complete": bool(tree.attrs["complete"]), "reason": str(tree.attrs["reason"])}
 
@@ -222,15 +223,23 @@ def _prepare(sim: Simulation, out: Path | None, overwrite: bool, bar: Progress) 
     """Everything that can fail before the first step."""
     started = time.perf_counter()
     task = bar.add_task("preparing the skin layers", total=None)
-    model, runtime = sim.runtime.model, sim.runtime
-    for lazy in model.begin:
+    for lazy in sim.runtime.model.begin:
         _ = lazy.value
-    static = static_arrays(model, world_with(sim.data), runtime)
-    attributes = _attributes(sim)
+    static, attributes = known_before(sim), result_attributes(sim)
     store = MemoryStore(static, attributes) if out is None else Store(out, static, attributes, overwrite)
     bar.remove_task(task)
     LOG.debug("prepared the skin layers in %.2f s", time.perf_counter() - started)
-    return store, Recorder(runtime, world_with(sim.data), store)
+    return store, recorder_of(sim, store)
+
+
+def recorder_of(sim: Simulation, sink: Sink) -> Recorder:
+    """What writes a simulation's steps to a sink, from `start` to `stop`."""
+    return Recorder(sim.runtime, world_with(sim.data), sink, lambda: body_poses(sim.data))
+
+
+def known_before(sim: Simulation) -> Block:
+    """What a result holds of a simulation before the first step."""
+    return static_arrays(sim.runtime.model, world_with(sim.data), sim.runtime, sim.model)
 
 
 def _simulate(sim: Simulation, recorder: Recorder, duration_s: float, bar: Progress) -> BaseException | None:
@@ -309,7 +318,15 @@ def _progress(show: bool) -> Progress:
     return Progress(*columns, console=console, disable=not (show and console.is_terminal), transient=True)
 
 
-def _attributes(sim: Simulation) -> dict[str, dict[str, Any]]:
+def _shown_better(sim: Simulation) -> list[str]:
+    """MuJoCo's bodies of which the result has more than their geoms: those that carry skin, and the arrays' boards."""
+    binding = sim.runtime.binding
+    numbers = [number for skin in binding.skins for number in (skin.body, *skin.bones)]
+    numbers += [int(sim.model.site_bodyid[site]) for site in binding.array_sites]
+    return list(dict.fromkeys(sim.model.body(number).name for number in numbers))
+
+
+def result_attributes(sim: Simulation) -> dict[str, dict[str, Any]]:
     """Every setting, convention and version, as attributes of the result and its groups."""
     model = sim.runtime.model
     packages = ("palmfield", "warp-lang", "mujoco", "numpy", "scipy", "trimesh", "usd-core", "xarray")
@@ -331,6 +348,10 @@ def _attributes(sim: Simulation) -> dict[str, dict[str, Any]]:
         # Ten thousand numbers of a file would be more than an attribute takes
         keys = part.config.model_dump_json(exclude={"am_table", "focus_table"})
         attributes[group("stimulus", part.spec.name)] = {"config": keys, "arrays": arrays}
+    attributes[group("mujoco", INSTANCE)] = {
+        "gravity": json.dumps(sim.model.opt.gravity.tolist()),
+        "shown_better": json.dumps(_shown_better(sim)),
+    }
     for skin in model.skins:
         layer, name = skin.layer, skin.spec.name
         sizes = {key: np.asarray(value).tolist() for key, value in asdict(layer.sizes).items()}

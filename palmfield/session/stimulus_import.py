@@ -16,6 +16,7 @@ from palmfield.session.scene_text import Element, elements_of
 from palmfield.stimulus.autd3_stm import read_foci_stm, table_of_stm
 from palmfield.stimulus.focus_table import FocusTable, focus_table, read_focus_table, write_focus_table
 from palmfield.transforms import Transform
+from palmfield.whole_files import whole
 
 ARRAY, STIMULUS, SKIN = "palmfield.array", "palmfield.stimulus", "palmfield.skin"
 REPLACED = (
@@ -105,7 +106,8 @@ def import_stimulus(
         compiled(scene, keys=changes)
     write_focus_table(beside, table)
     try:
-        target.write_bytes(data)
+        with whole(target) as part:
+            part.write_bytes(data)
     except OSError as error:
         raise OutputError(f"{target}: cannot be written: {error}; give a place that can be written to") from None
     return Imported(target, beside, name, keys, dropped, table.foci, len(table.samples), table.length_s)

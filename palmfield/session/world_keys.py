@@ -11,7 +11,7 @@ from palmfield.config import CONFIGS, Config, StimulusConfig, parse
 from palmfield.errors import SceneError
 from palmfield.session.load import as_text
 from palmfield.simulation.scene_reader import STIMULUS_FILES, am_table_of, element_of, focus_table_of, with_files_found
-from palmfield.simulation.spec import SceneSpec
+from palmfield.simulation.spec import SceneSpec, StimulusSpec
 
 BY_PLUGIN: dict[str, type[Config]] = {config.plugin: config for config in CONFIGS}
 BOUND = ("arrays", "frame", "path_on", "on_skin", "path_sites")
@@ -85,13 +85,21 @@ def world_specs(
                 if values[world] is not None:
                     own[key] = as_text(values[world])
             element = f"world {world}: {element_of(StimulusConfig, stimulus.name)}"
-            config: Any = with_files_found(parse(StimulusConfig, own, element), STIMULUS_FILES, element)
-            table, foci = stimulus.am_table, stimulus.focus_table
-            if any(getattr(config, key) != getattr(stimulus.config, key) for key in OF_TABLES):
-                table, foci = am_table_of(config, element), focus_table_of(config, element)
-            stimuli.append(replace(stimulus, config=config, am_table=table, focus_table=foci))
+            stimuli.append(with_texts(stimulus, own, element))
         specs.append(replace(spec, stimuli=tuple(stimuli)))
     return specs
+
+
+def with_texts(stimulus: StimulusSpec, texts: Mapping[str, str], element: str) -> StimulusSpec:
+    """A stimulus with other values for its keys, but for BOUND ones.
+
+    texts: of all keys that it has; element: how messages name it. Raises SceneError for a value that a key can't have.
+    """
+    config: Any = with_files_found(parse(StimulusConfig, dict(texts), element), STIMULUS_FILES, element)
+    table, foci = stimulus.am_table, stimulus.focus_table
+    if any(getattr(config, key) != getattr(stimulus.config, key) for key in OF_TABLES):
+        table, foci = am_table_of(config, element), focus_table_of(config, element)
+    return replace(stimulus, config=config, am_table=table, focus_table=foci)
 
 
 def axes_of(config: type[Config], key: str) -> int:

@@ -25,6 +25,7 @@ class BodyForces:
         self._owners: dict[int, Int] = {}
         self._pushes: dict[int, tuple[SeenSamples, Float, Parts]] = {}
         self._last: dict[int, tuple[SurfaceSound, tuple[Float, Float]]] = {}
+        self._pressed: dict[int, tuple[SeenSamples, Float | Float32, float]] = {}
 
     def over(self, emission: Emission, posed: PosedScene, emitted: Complex, t0: float) -> list[tuple[Float, Float]]:
         """Forces [N] on each body's parts and torques about their origins [N m], array frame, shapes (b, 3).
@@ -35,6 +36,7 @@ class BodyForces:
         drives, weights, levels = emission.mean_drives(posed, emitted, t0)
         forces = []
         for body, shape in enumerate(self._shapes):
+            self._pressed.pop(body, None)
             if len(drives) == 0:
                 forces.append((np.zeros(shape), np.zeros(shape)))
                 continue
@@ -42,17 +44,27 @@ class BodyForces:
             if levels is None and self._path_sound is not None:
                 arp = self._path_sound.arp(posed, skin, "samples", drives)
             if arp is not None:
-                forces.append(self._resultants(posed, body, weights @ arp))
+                forces.append(self._pressing(posed, body, weights @ arp))
             elif levels is None and len(drives) == 1:
                 force, torque = self.under(posed, body, drives[0])
+                pressure = self.radiation.on(posed, skin, "samples", drives[0]).arp
+                self._pressed[body] = self.radiation.samples(posed, skin), pressure, float(weights[0])
                 forces.append((weights[0] * force, weights[0] * torque))
             else:
                 if levels is None:
                     arp = self.radiation.many(posed, skin, drives, "samples")
                 else:
                     arp = self.radiation.sums(posed, skin, drives, levels, "samples")
-                forces.append(self._resultants(posed, body, weights @ arp))
+                forces.append(self._pressing(posed, body, weights @ arp))
         return forces
+
+    def pressed(self, body: int) -> tuple[SeenSamples, Float] | None:
+        """The mean ARP [Pa] at a body's samples in the step that `over` was asked for last; None where nothing sounded.
+
+        Shape (n,), of the samples that are returned with it.
+        """
+        known = self._pressed.get(body)
+        return None if known is None else (known[0], known[2] * known[1].astype(np.float64))
 
     def under(self, posed: PosedScene, body: int, drive: Complex) -> tuple[Float, Float]:
         """The same for one body under what the transducers emit, shape (N,)."""
@@ -61,6 +73,11 @@ class BodyForces:
         if known is None or known[0] is not sound:
             known = self._last[body] = sound, self._resultants(posed, body, sound.arp)
         return known[1]
+
+    def _pressing(self, posed: PosedScene, body: int, arp: Float | Float32) -> tuple[Float, Float]:
+        """Resultants of the mean ARP over a step, which is kept."""
+        self._pressed[body] = self.radiation.samples(posed, self._skins[body]), arp, 1.0
+        return self._resultants(posed, body, arp)
 
     def _resultants(self, posed: PosedScene, body: int, arp: Float | Float32) -> tuple[Float, Float]:
         samples, origins = self.radiation.samples(posed, self._skins[body]), posed.bodies[body].origins

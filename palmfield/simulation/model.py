@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
+from scipy.spatial import cKDTree
 
 from palmfield.acoustics.phased_array import ArrayInstance, PhasedArray
 from palmfield.config import StimulusConfig
@@ -20,7 +21,7 @@ from palmfield.drive.response import Pole
 from palmfield.drive.transducer_response import TransducerResponse
 from palmfield.hand.posed_surface import FaceSampler, SkinBinding, face_samples
 from palmfield.hand.skinning import SkinnedSurface
-from palmfield.hand.subdivide import EDGE_m, with_short_edges
+from palmfield.hand.subdivide import EDGE_m, short_edge_parents, with_short_edges
 from palmfield.locked import Lazy, locked_cached_property
 from palmfield.simulation.spec import SceneSpec, SkinSpec, StimulusSpec
 from palmfield.skin.explicit_layer import explicit_layer
@@ -233,6 +234,22 @@ class SkinModel:
         """Vertices [m] and faces of the body that the sound meets, closed, at rest."""
         surface = self.carrier.surface
         return closed_boundary(self.layer.mesh) if surface is None else (surface.vertices, surface.faces)
+
+    @locked_cached_property
+    def sample_faces(self) -> tuple[Int, Float]:
+        """The face of `closed_surface` on which each sample for the force lies, and its share of that, shapes (n,)."""
+        vertices, faces = self.closed_surface
+        if self.carrier.hand is not None:
+            return np.arange(len(faces), dtype=np.int32), np.ones(len(faces))
+        centroids, _, face_areas = face_samples(vertices, faces)
+        if self.carrier.surface is not None:
+            owners, areas = short_edge_parents(vertices, faces, EDGE_m), self.carrier.rest_samples[2]
+        else:
+            # The skin's own face comes first
+            quadrature = self.layer.quadrature
+            lit = centroids[: len(output_triangles(self.layer.mesh))]
+            owners, areas = cKDTree(lit).query(quadrature.points)[1].astype(np.int32), quadrature.weights
+        return owners, areas / face_areas[owners]
 
 
 @dataclass(frozen=True)

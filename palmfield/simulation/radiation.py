@@ -85,6 +85,20 @@ class Radiation:
         shades = self._shades(posed, skin, role, points, normals) if bent else None
         return evaluator.evaluate_many(points, normals, drives, shades=shades)
 
+    def sounds(self, posed: PosedScene, skin: int, drives: Complex, role: Role = "quadrature") -> SurfaceSound:
+        """ARP as `many` gives it, and the pressures' peak amplitudes, shapes (m, n)."""
+        bent = self._bent[skin]
+        if self.model.skins[skin].spec.config.body_sound != "none" and not bent:
+            each = [self.on(posed, skin, role, drive) for drive in drives]
+            return SurfaceSound(np.stack([one.arp for one in each]), np.stack([one.amplitude for one in each]))
+        points, normals = self.points(posed, skin, role)
+        evaluator = self._evaluator(posed, skin, role, len(points))
+        shades = self._shades(posed, skin, role, points, normals) if bent else None
+        amplitudes = np.empty((len(drives), len(points)), np.float32)
+        return SurfaceSound(
+            evaluator.evaluate_many(points, normals, drives, shades=shades, amplitudes=amplitudes), amplitudes
+        )
+
     def sums(self, posed: PosedScene, skin: int, units: Complex, levels: Complex, role: Role = "quadrature") -> Float32:
         """ARP as `many` gives it for levels (m, k) @ units (k, N), of which there are few, shape (m, n)."""
         if self.model.skins[skin].spec.config.body_sound != "none":

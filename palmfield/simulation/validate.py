@@ -10,6 +10,7 @@ from palmfield.acoustics.phased_array import HOUSING_M, PhasedArray
 from palmfield.acoustics.surface_load import CLEARANCE_M
 from palmfield.acoustics.transfer import available_bytes
 from palmfield.drive.board import Board, check
+from palmfield.drive.boards import boards_for
 from palmfield.drive.response import Pole
 from palmfield.errors import DeviceError, SceneError
 from palmfield.simulation.array_face import TILT_RAD
@@ -259,13 +260,15 @@ def check_board(stimulus: StimulusSpec, board: Board) -> None:
         needed = max(needed, (config.am_frequency_Hz or 0.0) / min(duty, 1.0 - duty))
     wants_level = config.arp_peak_Pa is not None or config.drive_amplitude not in (None, 0.0, 1.0)
     wants_level = wants_level or (am and config.am_normalisation != "peak")
+    modulation_Hz = (config.am_frequency_Hz or 0.0) if am and not switched else 0.0
     check(
         board,
         frame_rate_Hz=needed,
         points_per_turn=turn,
         modulated=modulated,
         element=stimulus.name,
-        modulation_Hz=(config.am_frequency_Hz or 0.0) if am and not switched else 0.0,
+        modulation_Hz=modulation_Hz,
+        instead=boards_for(max(needed, 2.0 * modulation_Hz), modulated, several_foci=several > 1),
     )
     if not board.levels and (config.ramp_s > 0 or wants_level):
         raise DeviceError(

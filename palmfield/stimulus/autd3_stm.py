@@ -22,6 +22,7 @@ from palmfield.acoustics.arrays import layout
 from palmfield.errors import OutputError, SceneError
 from palmfield.stimulus.focus_table import FocusTable, focus_table
 from palmfield.types import Float
+from palmfield.whole_files import whole
 
 CARRIER_HZ = 40e3
 LEVELS = 255
@@ -147,7 +148,8 @@ def write_foci_stm(path: Path, stm: FociStm) -> None:
     entries = ",\n  ".join(json.dumps(entry) for entry in content.pop("points"))
     head = json.dumps(content)[:-1]
     try:
-        path.write_text(f'{head}, "points": [\n  {entries}\n]}}\n', encoding="utf-8")
+        with whole(path) as part:
+            part.write_text(f'{head}, "points": [\n  {entries}\n]}}\n', encoding="utf-8")
     except OSError as error:
         raise OutputError(f"{path}: cannot be written: {error}; give a place that can be written to") from None
 

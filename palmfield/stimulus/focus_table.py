@@ -29,6 +29,7 @@ from palmfield.config.stimulus import too_far
 from palmfield.errors import OutputError, SceneError, did_you_mean
 from palmfield.stimulus.duty_law import relative_pressure
 from palmfield.types import Float
+from palmfield.whole_files import whole
 
 VERSION = 1
 TableFrame = Literal["array", "skin", "world"]
@@ -384,6 +385,7 @@ def focus_table_text(table: FocusTable) -> str:
 def write_focus_table(path: Path, table: FocusTable) -> None:
     """Write a table as `focus_table_text`. Raises OutputError where it can't be written."""
     try:
-        path.write_text(focus_table_text(table), encoding="utf-8")
+        with whole(path) as part:
+            part.write_text(focus_table_text(table), encoding="utf-8")
     except OSError as error:
         raise OutputError(f"{path}: cannot be written: {error}; give a place that can be written to") from None

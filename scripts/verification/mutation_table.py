@@ -575,10 +575,10 @@ MUTATIONS = (
     Mutation(
         "stage in centimetres",
         "USD scale",
-        "palmfield/outputs/usd.py",
+        "palmfield/outputs/usd/stage_file.py",
         "UsdGeom.SetStageMetersPerUnit(stage, 1.0)",
         "UsdGeom.SetStageMetersPerUnit(stage, 0.01)",
-        "tests/outputs/test_usd.py::test_stage_metadata",
+        "tests/outputs/usd/test_scene.py::test_stage_metadata",
     ),
     Mutation(
         "p0 of half of what was read",

@@ -267,8 +267,10 @@ def test_many_drives(name: str, frames: int) -> None:
     at = SurfaceArp(array.field, 100)
     drives = np.array([driven(array, seed) for seed in range(frames)])
     one_by_one = np.array([at.evaluate(points, normals, drive).arp.copy() for drive in drives])
-    out = np.empty_like(one_by_one)
-    assert at.evaluate_many(points, normals, drives, out=out) is out
+    sizes = np.array([at.evaluate(points, normals, drive).amplitude.copy() for drive in drives])
+    out, amplitudes = np.empty_like(one_by_one), np.empty_like(one_by_one)
+    assert at.evaluate_many(points, normals, drives, out=out, amplitudes=amplitudes) is out
+    np.testing.assert_allclose(amplitudes, sizes, atol=1e-4 * sizes.max())
     sure = np.abs(out - one_by_one) < 1e-4 * one_by_one.max()
     assert sure.mean() > 0.998  # the side of a grazing flow is float32's guess
     moved = points - [0.0, 0.0, 1e-3]

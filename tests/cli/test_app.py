@@ -28,6 +28,7 @@ SCENES = Path(__file__).parents[2] / "mjcf" / "scenes"
 
 COMMANDS = (
     "run", "plan", "info", "drive", "boards", "board", "decode", "replay", "keys", "new", "migrate", "recover", "hand",
+    "usd",
 )  # fmt: skip
 
 

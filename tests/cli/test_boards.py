@@ -1,8 +1,11 @@
 """Commands about boards: a list, a virtual one, bytes to it, and what they were."""
 
 import json
+import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +13,7 @@ import pytest
 
 from palmfield.cli.app import main
 from palmfield.drive.boards import BOARDS
+from palmfield.drive.virtual import VirtualBoard
 
 
 def call(monkeypatch, capsys, *arguments):
@@ -86,3 +90,21 @@ def test_what_makes_no_sense_is_refused(arguments, words, monkeypatch, capsys, t
     code, out = call(monkeypatch, capsys, *arguments)
     assert code == 2 and words in out.err
     assert not list(Path(tmp_path).iterdir())
+
+
+@pytest.mark.wall_clock
+@pytest.mark.skipif(os.name != "posix", reason="the player needs POSIX")
+def test_ctrl_c_says_that_the_board_is_off():
+    """As at a terminal: by the program itself, which Typer ends for Ctrl-C without a word."""
+    with VirtualBoard(BOARDS["sonicsurface"]) as virtual:
+        command = [sys.executable, "-m", "palmfield", "drive", "--focus", "0", "0", "0.15", "--port", virtual.port]
+        with subprocess.Popen([*command, "--duration", "60"], stderr=subprocess.PIPE, text=True) as drive:
+            ends = time.monotonic() + 60.0
+            while not virtual.twin.emitted.any() or len(virtual.emitted) < 3:
+                assert time.monotonic() < ends and drive.poll() is None
+                time.sleep(0.02)
+            drive.send_signal(signal.SIGINT)
+            told = drive.communicate(timeout=30)[1]
+        virtual.settle()
+        assert not virtual.twin.emitted.any()
+    assert drive.returncode == 130 and "ended by Ctrl-C after" in told and "the board is off" in told

@@ -1,6 +1,7 @@
 """The documentation site: built by mkdocs with warnings as errors, every public name described in it."""
 
 import importlib
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -24,5 +25,9 @@ def test_the_site_builds_without_a_warning_and_has_every_public_name(tmp_path):
         for name in importlib.import_module(package).__all__:
             assert name.startswith("__") or f'id="{package}.{name}"' in page, f"{package}.{name}"
     index = (site / "index.html").read_text()
-    assert 'href="skin.html"' in index and "images/palm_am200_displacement.png" in index
+    assert 'href="skin.html"' in index and "images/front.png" in index
     assert "Drive your array" in index
+    # Equations are MathML and nothing is fetched from elsewhere
+    skin = (site / "concepts" / "skin_mechanics.html").read_text()
+    assert skin.count("<math") > 20 and "equation0here" not in skin
+    assert not re.search(r"(?:src|rel=\"stylesheet\" href)=\"https?:", index + skin)

@@ -64,7 +64,7 @@ def test_the_layer_of_elements_agrees_with_plane_waves_and_with_its_own_modes():
 
 @pytest.mark.parametrize(
     ("thickness", "frequency"),
-    [(0.004, 300.0), (0.006, 250.0), (0.008, 200.0), (0.01, 250.0), (0.01, 300.0), (0.01, 400.0), (0.015, 250.0)],
+    [(0.004, 300.0), (0.006, 250.0), (0.008, 400.0), (0.01, 250.0), (0.01, 300.0), (0.01, 400.0), (0.015, 250.0)],
 )
 def test_the_wavenumber_is_within_3_percent(thickness, frequency):
     told, read, true = scan(frequency, thickness)

@@ -1,16 +1,47 @@
 """A synthetic run: two arrays below, a flattened sphere and a small ball as bodies, a disc of skin under each with
 waves on it. The small body has two bones."""
 
+import mujoco
 import numpy as np
 import pytest
 import trimesh
 from scipy.spatial import Delaunay
 
+from palmfield.outputs.mujoco_scene import body_poses, mujoco_arrays
 from palmfield.outputs.schema import sensor_channels, tree
 
 HEIGHT_M = 0.15
 SINE_HZ = 200.0
 STEP_S = 2e-4
+MJCF = """
+<mujoco>
+  <asset>
+    <mesh name="wedge" vertex="0 0 0  0.02 0 0  0 0.02 0  0 0 0.02"/>
+    <material name="red" rgba="1 0 0 1"/>
+  </asset>
+  <worldbody>
+    <geom name="floor" type="plane" size="0 0 0.1"/>
+    <body name="board"><geom type="box" size="0.08 0.08 0.002" contype="0" conaffinity="0"/></body>
+    <body name="target" mocap="true" pos="0 0 0.3"/>
+    <body name="hand" pos="0 0 0.15">
+      <joint name="x" type="slide" axis="1 0 0"/>
+      <joint name="z" type="slide" axis="0 0 1" range="-0.01 0.02" limited="true"/>
+      <geom name="palm" type="ellipsoid" size="0.04 0.08 0.01" density="1000"/>
+      <body name="finger" pos="0 0.08 0">
+        <joint name="flexion" axis="1 0 0" pos="0 0.001 0" range="-10 80" ref="5" limited="true"/>
+        <joint name="abduction" axis="0 0 1" pos="0 0.001 0"/>
+        <geom type="capsule" size="0.008 0.02" friction="0.7 0.005 0.0001" mass="0.02"/>
+        <body name="tip" pos="0 0.03 0"><geom type="sphere" size="0.007" material="red"/></body>
+        <body name="nail" pos="0 0.03 0.01" quat="0.9238795 0.3826834 0 0">
+          <joint name="hinge" axis="0 1 0" range="-20 40" limited="true"/>
+          <geom type="mesh" mesh="wedge" mass="0.001"/>
+        </body>
+      </body>
+    </body>
+    <body name="ball" pos="0.1 0 0.2"><freejoint/><geom type="cylinder" size="0.01 0.02" rgba="0 1 0 0.5"/></body>
+  </worldbody>
+</mujoco>"""
+"""A scene of all kinds of geoms and joints that the synthetic run is said to be of."""
 ATTRIBUTES = {
     "/": {"scene": "synthetic"},
     "/body/palm": {"body": "hand"},
@@ -82,6 +113,12 @@ def _array(count):
     }
 
 
+def bodies_at_rest():
+    data = mujoco.MjData(mujoco.MjModel.from_xml_string(MJCF))
+    mujoco.mj_forward(data.model, data)
+    return body_poses(data)
+
+
 @pytest.fixture(scope="session")
 def static_arrays():
     """What is known before the first step, and the loudest instant's."""
@@ -95,6 +132,7 @@ def static_arrays():
         "/surface/tip": _surface(np.array([0.012, 0.02, 0.010]), 0.003),
         "/body/tip": {"bone": np.array(["proximal", "distal"]), "bone_rest": np.array([[0, 0, 0], [0, 0.01, 0.0]])},
         "/forces/tip": {"bone": np.array(["proximal", "distal"])},
+        "/mujoco/scene": mujoco_arrays(mujoco.MjModel.from_xml_string(MJCF)),
         "/sensors/nose": sensor_channels(["normal_displacement", "arp"], ["m", "Pa"]),
     }
     for kind in ("skin", "surface"):
@@ -114,6 +152,7 @@ def block_arrays(static_arrays):
         load = 16.0 * np.exp(-((radius / 0.008) ** 2)) * (1 - np.cos(2 * np.pi * SINE_HZ * time))[:, None]
         return {
             "displacement": (along[..., None] * skin["rest_normal"] + [1e-6, 0, 0]).astype(np.float32),
+            "pressure": np.sqrt(1.4e5 * load).astype(np.float32),
             "velocity": (5e-3 * wave[..., None] * skin["rest_normal"]).astype(np.float32),
             "arp": load.astype(np.float32),
         }
@@ -141,11 +180,14 @@ def block_arrays(static_arrays):
                 "sounding": np.ones(count, bool),
             },
             "/sensors/nose": {"value": np.ones((count, 2))},
+            "/mujoco/scene": {"pose": np.tile(bodies_at_rest(), (count, 1, 1))},
         }
         for name in ("palm", "tip"):
             groups[f"/skin/{name}"] = moving(f"/skin/{name}", time)
             force = np.tile([0.0, 0.0, 0.003], (count, 1))
             groups[f"/forces/{name}"] = {"force": force, "torque": 0.01 * force}
+            pressed = static_arrays[f"/surface/{name}"]["loudest_arp"][static_arrays[f"/surface/{name}"]["face"]]
+            groups[f"/surface/{name}"] = {"face_arp": np.tile(pressed.mean(axis=1), (count, 1))}
         half = np.tile([0.0, 0.0, 0.0015], (count, 2, 1))
         groups["/forces/tip"] |= {"bone_force": half, "bone_torque": 0.01 * half}
         for name, transducers in (("below", 256), ("beside", 64)):
@@ -167,8 +209,13 @@ def merged(*parts):
 
 def only(arrays, skins, arrays_named, stimuli):
     """Less instances: names to keep."""
-    kept = {"array": arrays_named, "stimulus": stimuli, "sensors": ()}
+    kept = {"array": arrays_named, "stimulus": stimuli, "sensors": (), "mujoco": ("scene",)}
     return {p: v for p, v in arrays.items() if p == "/" or p.split("/")[2] in kept.get(p.split("/")[1], skins)}
+
+
+@pytest.fixture(scope="session")
+def mjcf():
+    return MJCF
 
 
 @pytest.fixture(scope="session")

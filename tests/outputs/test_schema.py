@@ -31,7 +31,7 @@ def test_every_variable_says_what_it_is():
 
 def test_units_are_those_of_udunits():
     units = {v.units for variables in (ROOT, *GROUPS.values()) for v in variables.values()}
-    assert units == {"s", "m", "1", "m s-1", "Pa", "Pa m", "rad", "degree", "N", "N m", ""}
+    assert units == {"s", "m", "1", "m s-1", "Pa", "Pa m", "rad", "degree", "N", "N m", "kg", "kg m2", ""}
 
 
 def test_no_variable_has_the_name_of_a_dimension_that_it_shares_with_others():
@@ -73,7 +73,7 @@ def test_any_name_makes_a_group(name):
 @pytest.mark.parametrize(
     ("arrays", "words"),
     [
-        ({"/skin/p": {"pressure": np.zeros(3)}}, ["'pressure' of group '/skin/p'", "unknown", "loudest_pressure"]),
+        ({"/skin/p": {"loudness": np.zeros(3)}}, ["'loudness' of group '/skin/p'", "unknown", "loudest_pressure"]),
         ({"/palm": {}}, ["'/palm'", "/skin/NAME"]),
         ({"/skin": {}}, ["'/skin'", "/skin/NAME"]),
         ({"/skin/p": {"loudest_arp": np.zeros(3)}}, ["/skin/p/loudest_arp", "float64", "float32", ".astype"]),

@@ -9,6 +9,7 @@ from palmfield.errors import OutputError
 from palmfield.perception.observers import (
     OBSERVERS,
     level_dB_SL,
+    levels_dB_SL,
     line_amplitude,
     line_amplitudes,
     share_left_out,
@@ -113,9 +114,15 @@ def test_lines_add_by_energy_and_dc_and_outsiders_do_not():
     assert level_dB_SL(HUMAN, frequencies, amplitudes) == pytest.approx(13.979, abs=1e-3)
 
 
-def test_nothing_that_counts_is_minus_infinity():
-    assert level_dB_SL(HUMAN, [0, 1000], [1e-3, 1e-3]) == -np.inf
+def test_nothing_that_moves_is_minus_infinity_and_what_the_table_lacks_has_no_value():
     assert level_dB_SL(HUMAN, [100], [0.0]) == -np.inf
+    assert level_dB_SL(HUMAN, [0], [1e-3]) == -np.inf
+    assert level_dB_SL(HUMAN, [1000], [0.0]) == -np.inf
+    for name, f_Hz in (("morioka_griffin_2006", 5), ("morioka_griffin_2006", 500), ("afferent_human", 500),
+                       ("bolanowski_1988", 1000), ("afferent_human", 1000)):  # fmt: skip
+        assert np.isnan(level_dB_SL(OBSERVERS[name], [0, f_Hz], [1e-3, 1e-3])), (name, f_Hz)
+    both = levels_dB_SL(HUMAN, [100, 1000], [[0.079e-6, 0.0, 0.0], [1e-3, 1e-3, 0.0]])
+    assert both[0] == pytest.approx(0.0, abs=1e-9) and np.isnan(both[1]) and both[2] == -np.inf
 
 
 def test_share_left_out():

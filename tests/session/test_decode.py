@@ -16,7 +16,8 @@ from palmfield.config import DriverConfig
 from palmfield.drive.boards import BOARDS, board_of
 from palmfield.drive.frame_log import FrameLog, LogHead, read_log
 from palmfield.session.decode import as_table, decode, write_csv
-from palmfield.session.play import FocusSound, Target, play_focus, play_scene, scene_frames
+from palmfield.session.focus_board import FocusSound
+from palmfield.session.play import Target, play_focus, play_scene, scene_frames
 from palmfield.session.preview import preview
 from palmfield.types import Air
 

@@ -11,8 +11,9 @@ from palmfield.acoustics.arrays import layout
 from palmfield.acoustics.calibration_file import Calibration, Elements, write_calibration
 from palmfield.acoustics.reference import directivity
 from palmfield.drive.boards import BOARDS
+from palmfield.session.focus_board import FocusSound
 from palmfield.session.other_board import PluginKeys, exchange_board
-from palmfield.session.play import FocusSound, Target, play_focus, play_scene, scene_frames
+from palmfield.session.play import Target, play_focus, play_scene, scene_frames
 from palmfield.session.preview import preview
 from palmfield.types import Air, Estimate
 

@@ -13,7 +13,8 @@ from palmfield.acoustics.arrays import layout
 from palmfield.acoustics.reference import pressure64
 from palmfield.config import DriverConfig
 from palmfield.drive.boards import BOARDS
-from palmfield.session.play import FocusSound, Target, play_focus, play_scene
+from palmfield.session.focus_board import FocusSound
+from palmfield.session.play import Target, play_focus, play_scene
 from palmfield.session.preview import preview
 from palmfield.session.safety.exposure import Heard, Moment, at_head, check_head, with_band
 from palmfield.session.safety.scene_sound import moments_of, scene_at_head

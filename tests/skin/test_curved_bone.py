@@ -54,17 +54,26 @@ def test_a_thin_ring_answers_as_a_flat_layer(base):
 
 
 @pytest.mark.numerics
-@pytest.mark.parametrize(("base", "within"), list(zip(BASES, (0.025, 0.01), strict=True)))
-def test_wedges_on_a_curved_bone_are_the_exact_ring(base, within):
-    """Middle of a tube ten layers long to each side, under cos(2 theta): a flat layer is off by 18 to 30 %."""
-    bone, face, length = 0.004, 0.006, 0.04
+@pytest.mark.parametrize(
+    ("base", "within", "bone", "sparse"),
+    [("bonded", 0.025, 0.004, 0), ("free_slip", 0.01, 0.004, 0), ("bonded", 0.02, 0.005, 1)],
+)
+def test_wedges_on_a_curved_bone_are_the_exact_ring(base, within, bone, sparse):
+    """Middle of a tube under cos(2 theta): a flat layer is off by 13 to 30 %.
+
+    sparse: how often triangles are quartered under points that stay where they are. Forces at the points themselves
+    moved the layer of 1 mm 3.9 times too far.
+    """
+    face = 0.006
+    length = 0.04 if sparse == 0 else 0.01
     edge = 2.0 * np.pi * face / 24
-    patch = cylinder_patch(face, length, face - bone, (edge, length / 10))
+    patch = cylinder_patch(face, length, face - bone, (edge, min(length / 10, 0.004)))
     points, areas = face_points(patch, 0)
     push = np.cos(2.0 * np.arctan2(points[:, 2], points[:, 1]))
     pressure = Traction(points, areas, np.zeros(1), push[None], "held")
     ring = patch.vertices[np.abs(patch.vertices[:, 0]) < 1e-9]
-    sizes = Sizes((0.0, 0.0), face, edge, edge, 0.5 * (face - bone), 0.5 * (face - bone), 0, length, length, 100.0)
+    row = 0.5 * (face - bone)
+    sizes = Sizes((0.0, 0.0), face, edge, edge, row, row, sparse, length, length, 100.0)
     motion = static_wedges(Layer(patch, (Sheet(SOLID, 1.0),), base, "fixed"), pressure, ring, sizes=sizes)
     angle = np.arctan2(ring[:, 2], ring[:, 1])
     radial = (motion.displacement_m[0, :, 1:] * ring[:, 1:]).sum(axis=1) / face
@@ -72,7 +81,7 @@ def test_wedges_on_a_curved_bone_are_the_exact_ring(base, within):
     exact = ring_compliance(2, bone, face, base)
     assert amplitude == pytest.approx(exact, rel=within)
     flat = layer_compliance(2.0 / face, 0.0, SOLID, face - bone, base).real
-    assert abs(flat / exact - 1.0) > 5.0 * within
+    assert abs(flat / exact - 1.0) > 4.0 * within
 
 
 def test_face_points_hold_the_area_and_lie_on_the_face():

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from palmfield.config import DriverConfig
-from palmfield.drive.board import Board
+from palmfield.drive.board import Board, slow
 from palmfield.errors import DeviceError, did_you_mean
 
 
@@ -39,6 +39,19 @@ def playable_board(name: str) -> Board:
     return board_named(name)
 
 
+def boards_for(frame_rate_Hz: float, modulated: bool, *, several_foci: bool = False) -> list[str]:
+    """Boards of one array that take so many frames a second, and levels where those are asked for; ideal is the last.
+
+    several_foci: whether frames hold more foci than one
+    """
+    able = [
+        board.name for board in BOARDS.values()
+        if board.arrays[0] == 1 and not board.modulates and not slow(board, frame_rate_Hz)
+        and (board.levels or not modulated) and not (several_foci and board.takes == "focus")
+    ]  # fmt: skip
+    return sorted(able, key=lambda name: BOARDS[name].exact)
+
+
 def board_of(
     driver: DriverConfig, transducers: int, *, calibrated: bool = False, address: ArrayLike | None = None
 ) -> Board:
@@ -64,4 +77,4 @@ def board_of(
     return replace(board, compensate=on, places=() if board.exact else places)
 
 
-__all__ = ["BOARDS", "Board", "board_named", "board_of", "playable_board"]
+__all__ = ["BOARDS", "Board", "board_named", "board_of", "boards_for", "playable_board"]

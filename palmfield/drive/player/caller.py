@@ -34,6 +34,7 @@ class Player:
 
     priority: that the process got, in words; silent: why live frames don't sound, empty where they do
     begin_s: when its log begins, on time.monotonic() [s]; report: of what is played last, once this is closed
+    log_error: why the log ends early, once this is closed; empty where it doesn't
     """
 
     def __init__(
@@ -58,7 +59,7 @@ class Player:
         if board.line is None:
             raise DeviceError(f"board '{board.name}' takes no bytes, so that no port plays it; allowed: another board")
         self.board, self.port = board, port
-        self.priority = self.silent = ""
+        self.priority = self.silent = self.log_error = ""
         self.begin_s = 0.0
         self.report: PlayReport | None = None
         self._on_trouble = on_trouble
@@ -184,6 +185,7 @@ class Player:
                 self._on_trouble(f"{line['lost']}; trying to silence the board (Ctrl-C gives up)")
             if "ended" in line:
                 self._ended, self.report = line, _report(line["played"])
+                self.log_error = line["log_error"]
             lines.append(line)
         if self._ended is not None and not self._closed:
             self._raise_end(self._ended)

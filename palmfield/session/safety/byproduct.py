@@ -4,13 +4,14 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from scipy.signal import lfilter
 
 from palmfield.acoustics.air import absorption_Np_m, sound_speed
-from palmfield.acoustics.exposure import a_weighting_dB, demodulated_Pa, force_sound_Pa, level_dB
-from palmfield.types import Air, Float
+from palmfield.acoustics.exposure import a_weighting_dB, beam_share, demodulated_Pa, force_sound_Pa, level_dB
+from palmfield.types import Air, Complex, Float
 
-RATE_HZ, COUNT = 8192, 2048
-"""At which intensities are sampled, and how many there are: a quarter of a second, sound up to 4 kHz."""
+RATE_HZ, COUNT = 16384, 4096
+"""At which intensities are sampled, and how many there are: a quarter of a second, sound up to 8 kHz."""
 LOWEST_HZ = 20.0
 ROUND_OFF = 1e-9
 """Of the mean power: what changes by less is still."""
@@ -43,11 +44,23 @@ def lines(values: Float) -> tuple[Float, Float]:
     return np.asarray(frequencies[heard], float), peaks[heard]
 
 
-def byproduct(powers_W: Float, distance_m: float, air: Air, carrier_Hz: float) -> Byproduct:
+def rung(pressures: Complex, carrier_Hz: float, quality: float) -> Complex:
+    """What transducers of one resonance make of a pressure at RATE_HZ that changes in steps, shape (k,).
+
+    One pole, as `palmfield.drive.transducer_response`: exact for what is held from sample to sample.
+    """
+    kept = math.exp(-math.pi * carrier_Hz / (quality * RATE_HZ))
+    return np.asarray(lfilter([1.0 - kept], [1.0, -kept], pressures, zi=[kept * pressures[0]])[0])
+
+
+def byproduct(
+    powers_W: Float, distance_m: float, air: Air, carrier_Hz: float, along_m: float | None = None
+) -> Byproduct:
     """Of ultrasound with this power at RATE_HZ, shape (k,), as if all of it came and went.
 
-    The beam is as long as absorption lets it be, 1/(2 alpha), and a hand that stops all of it takes the force 2 P/c:
-    both are upper estimates. distance_m: of the listener from the beam
+    The beam is as long as absorption lets it be, and a hand that stops all of it takes the force 2 P/c: both are upper
+    estimates. distance_m: of the listener from the beam; along_m: along it from its beginning, None for a beam that is
+    a point
     """
     if np.ptp(powers_W) <= ROUND_OFF * powers_W.mean():
         return Byproduct(-math.inf, -math.inf, 0.0)
@@ -56,6 +69,8 @@ def byproduct(powers_W: Float, distance_m: float, air: Air, carrier_Hz: float) -
     air_Pa = np.array([
         float(demodulated_Pa(power, beam_m, distance_m, f, air)) for f, power in zip(frequencies, peaks, strict=True)
     ])  # fmt: skip
+    if along_m is not None:
+        air_Pa *= beam_share(frequencies, along_m, distance_m, air, carrier_Hz)
     unit_Pa = force_sound_Pa(1.0, distance_m, frequencies, air)
     weights = 10.0 ** (a_weighting_dB(frequencies) / 20.0)
     air_Pa, force_Pa = weights * air_Pa, weights * unit_Pa * peaks * 2.0 / sound_speed(air)

@@ -11,7 +11,7 @@ from palmfield.drive.board import Board
 from palmfield.errors import DeviceError
 from palmfield.outputs.safety_picture import LevelCourse, LevelMap
 from palmfield.session.preview import Preview
-from palmfield.session.safety.byproduct import COUNT, RATE_HZ, Byproduct, byproduct
+from palmfield.session.safety.byproduct import COUNT, RATE_HZ, Byproduct, byproduct, rung
 from palmfield.session.safety.exposure import Heard, at_head, check_head
 from palmfield.session.safety.maps import course, head_map, skin_map
 from palmfield.session.safety.scene_sound import MOMENTS, banded, moments_of, power_W, sound_of
@@ -156,12 +156,15 @@ def _audible(view: Preview, driver: DriverConfig, loudest: _Loudest) -> tuple[fl
     row = np.array(
         [posed.arrays.pressure64(loudest.place[None], one)[0] for one in np.eye(drives.shape[1], dtype=complex)]
     )
-    intensity = np.abs(drives @ row) ** 2
-    power = power_W(posed.arrays, drives[int(intensity.argmax())])
+    carrier = posed.arrays.array.frequency_Hz
+    quality = min(one.quality.value for one in array_instances(view.runtime.model.spec))
+    told = drives @ row
+    power = power_W(posed.arrays, drives[int(np.abs(told).argmax())])
+    intensity = np.abs(rung(told, carrier, quality)) ** 2
     most = float(intensity.max())
     shape = intensity / most if most > 0.0 else intensity
-    air, carrier = posed.arrays.air, posed.arrays.array.frequency_Hz
-    return distance, byproduct(power * shape, distance, air, carrier)
+    along_m = share * float(np.linalg.norm(along))
+    return distance, byproduct(power * shape, distance, posed.arrays.air, carrier, along_m)
 
 
 __all__ = ["DEFAULT_HEAD_M", "AtHand", "SafetySheet", "safety_sheet"]

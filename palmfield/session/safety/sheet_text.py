@@ -116,9 +116,8 @@ def _audible(sheet: SafetySheet) -> list[str]:
     low, high = (2.0 * end for end in max(sheet.hands, key=lambda hand: hand.heard.peak_Pa).heard.band_dB)
     if _stepped(sound):
         return [
-            "Not estimated: the drive changes in steps, whose sound ends where the estimate does, at 4 kHz. The "
-            "transducers' ring-up, which is left out, makes them smooth. Expect clicks and a buzz at the rate of "
-            "frames, and measure them."
+            f"Not estimated: the sound's loudest part lies where the estimate ends, at {0.5e-3 * RATE_HZ:g} kHz. "
+            "Expect clicks and a buzz at the rate of frames, and measure them."
         ]
     level = sound.level_dBA
     return [
@@ -131,9 +130,9 @@ def _audible(sheet: SafetySheet) -> list[str]:
         "",
         "The estimate is rough, and mostly too high: all of the ultrasound is taken to come and go as it does at the "
         "loudest place of the "
-        "skin, which overstates a focus that moves; the beam is as long as absorption lets it be, and is taken for a "
-        "point, which holds below some 100 Hz and is too loud above; the hand stops all of it. It "
-        "leaves out what lies above 4 kHz, rooms, and noise of transducers and "
+        "skin, which overstates a focus that moves; the beam is a straight line as long as absorption lets it be; the "
+        "hand stops all of it. Steps of the drive are as smooth as one resonance makes them. It "
+        f"leaves out what lies above {0.5e-3 * RATE_HZ:g} kHz, rooms, and noise of transducers and "
         "electronics, which can be louder. Measure it.",
     ]
 

@@ -3,15 +3,18 @@
 import itertools
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import Delaunay, cKDTree
 
 from palmfield.errors import SceneError
 from palmfield.skin.fem.assembly import SkinSystem
 from palmfield.skin.fem.probe import SurfaceProbe
+from palmfield.skin.fem.scattered_pressure import between_points, spread_forces
 from palmfield.skin.mesh.element import triangle_rule, triangle_shape
 from palmfield.skin.mesh.wedges import WedgeMesh
 from palmfield.skin.problem import GAUSSIAN, Load, Spot, Traction
@@ -23,6 +26,9 @@ MOST_HALVINGS = 4
 
 STEEPEST = 3.0
 """Longest edge of a triangle of a traction's points over the longest seen from above, from which it is left out."""
+
+COVERED = 0.2
+"""By which the surface between points about a body may differ from their areas."""
 
 WRAPPED = 0.1
 """Share of such triangles above which the points lie about a body."""
@@ -83,10 +89,9 @@ def quartered_rule(halvings: int) -> tuple[Float, Float]:
 def face_points(patch: Patch, halvings: int = 1) -> tuple[Float, Float]:
     """Points of a patch and the area that each stands for, for a Traction on it: shapes (q, 3) [m] and (q,) [m2].
 
-    They are those of the quadrature of its own triangles, each cut into 4^halvings, so that forces at the points are
-    the load itself also on a body all round, where pressures are not made linear between points (`sampled`).
-    halvings: how often the triangles are going to be quartered, which wedges do once or twice. On elements smaller than
-        the points lie apart they are single forces, under which a bonded thin layer moved 6 times too far.
+    They are those of the quadrature of its own triangles, each cut into 4^halvings: where elements are these, forces at
+    the points are the load itself. On others the pressure is linear between the points (`sampled`).
+    halvings: how often the triangles are going to be quartered, which wedges do once or twice
     """
     points, weights = quartered_rule(halvings)
     corners = patch.vertices[patch.faces]
@@ -99,20 +104,89 @@ def face_points(patch: Patch, halvings: int = 1) -> tuple[Float, Float]:
 def sampled(mesh: WedgeMesh, system: SkinSystem, load: Traction) -> sparse.csr_matrix:
     """Nodal forces [N] of pressures [Pa] at a traction's points, csr, shape (n, p).
 
-    The pressure is linear between the points (Delaunay triangles in x and y), reaches half a spacing beyond the
-    outermost as it is there, and is integrated on a rule about as close as they lie. Forces at the points themselves,
-    of the areas that they stand for, would be a rough load on elements not much larger than those, to which a thin
-    layer answers more than to a smooth one. They are left for points on a line or about a body, for those whose areas
-    are half or twice what lies between them, and for one that no point of the rule is near. Skin above or below a
-    triangle, farther from it than its longest edge, has no pressure.
+    The pressure is linear between the points, reaches half a spacing beyond the outermost as it is there, and is
+    integrated on a rule about as close as they lie. Forces at the points themselves, of the areas that they stand for,
+    would be a rough load on elements not much larger than those, to which a thin layer answers more than to a smooth
+    one: a bonded layer of 1 mm round a bone moved up to 200 times too far. They are left for points that no point of
+    the rule is near, whose areas are small beside the elements, and for the rule's own points on a body
+    (`face_points`).
+    Points seen from above are joined by Delaunay triangles in x and y. Skin above or below a triangle, farther from it
+    than its longest edge, has no pressure. Points about a body are joined by triangles in its own surface. The
+    forces of points on a line, or whose areas are not what lies between them, are spread over discs of these areas.
     """
     probe = SurfaceProbe(mesh, load.points, system)
     forces = sparse.csr_matrix(-(probe.operator.T @ sparse.diags(load.weights_m2)))
+    net = seen_from_above(load)
+    if net is None and of_rule(mesh, system, load.points):
+        return forces
+    corners = mesh.nodes[mesh.surface_triangles6[:, :3]]
+    under = np.unique(probe.triangles)
+    edge = float(np.linalg.norm(corners[under] - np.roll(corners[under], 1, axis=1), axis=2).mean())
+    difference = math.sqrt(float(np.median(load.weights_m2)))
+    halvings = int(np.clip(math.ceil(math.log2(max(0.5 * edge / difference, 1.0))), 0, MOST_HALVINGS))
+    reach = net.longest_m.max() if net else 2.0 * math.sqrt(float(load.weights_m2.max()))
+    middles = corners.mean(axis=1)
+    size = np.linalg.norm(corners - middles[:, None], axis=2).max(axis=1)
+    near = cKDTree(net.points if net else load.points).query(middles)[0] <= size + reach
+    quadrature = SurfaceQuadrature(mesh, system, halvings, np.flatnonzero(near).astype(np.int32))
+    if net:
+        between = net.between(quadrature.points, len(load.points))
+    else:
+        here = (load.points, probe.normals, load.weights_m2, quadrature.points, quadrature.normals)
+        between = between_points(*here)
+        covered = float(quadrature.weights @ between.sum(axis=1).A1)
+        if abs(covered / float(load.weights_m2.sum()) - 1.0) > COVERED:
+            between = spread_forces(*here, quadrature.weights)
+    alone = sparse.diags((between.T @ quadrature.weights <= 0.0).astype(float))
+    return sparse.csr_matrix(quadrature.operator @ between + forces @ alone)
+
+
+def of_rule(mesh: WedgeMesh, system: SkinSystem, points: Float) -> bool:
+    """Whether points are those of the rule of the mesh's triangles, however often quartered."""
+    halvings = math.log(len(points) / (len(triangle_rule()[0]) * len(mesh.surface_triangles6)), 4.0)
+    if halvings < 0.0 or not halvings.is_integer():
+        return False
+    own = SurfaceQuadrature(mesh, system, round(halvings))
+    spacing = math.sqrt(float(own.weights.min()))
+    return bool(cKDTree(own.points).query(points)[0].max() < 1e-3 * spacing)
+
+
+@dataclass(frozen=True)
+class Net:
+    """Triangles in x and y between a traction's points and others half a spacing beyond the outermost.
+
+    points: [m], (m, 3); owner: whose pressure each has, (m,); delaunay: of their x and y
+    longest_m: edge of each triangle [m]; steep: triangles that are left out
+    """
+
+    points: Float
+    owner: Int
+    delaunay: Delaunay
+    longest_m: Float
+    steep: NDArray[np.bool_]
+
+    def between(self, places: Float, count: int) -> sparse.csr_matrix:
+        """Shares of the pressures at `count` points in that at places [m] (q, 3), csr, shape (q, count)."""
+        net = self.delaunay
+        place = net.find_simplex(places[:, :2])
+        seen = np.flatnonzero(place >= 0)
+        turn = net.transform[place[seen]]
+        two = np.einsum("qij,qj->qi", turn[:, :2], places[seen, :2] - turn[:, 2])
+        shares = np.column_stack([two, 1.0 - two.sum(axis=1)])
+        corner = net.simplices[place[seen]]
+        away = np.linalg.norm(places[seen] - np.einsum("qi,qic->qc", shares, self.points[corner]), axis=1)
+        shares[self.steep[place[seen]] | (away > self.longest_m[place[seen]])] = 0.0
+        rows, columns = np.repeat(seen, 3), self.owner[corner.ravel()]
+        return sparse.coo_matrix((shares.ravel(), (rows, columns)), shape=(len(places), count)).tocsr()
+
+
+def seen_from_above(load: Traction) -> Net | None:
+    """The net of a traction's points; None for points on a line or about a body, and whose areas leave gaps."""
     flat = load.points[:, :2]
     if len(flat) < 3 or np.linalg.matrix_rank(flat - flat.mean(axis=0), tol=1e-9) < 2:
-        return forces
+        return None
     outer, beyond = beyond_rim(Delaunay(flat), np.sqrt(load.weights_m2))
-    owner = np.concatenate([np.arange(len(flat)), outer])
+    owner = np.concatenate([np.arange(len(flat)), outer]).astype(np.int32)
     points = np.concatenate([load.points, np.column_stack([beyond, load.points[outer, 2]])])
     net = Delaunay(points[:, :2])
     sides = points[net.simplices] - points[np.roll(net.simplices, 1, axis=1)]
@@ -121,28 +195,8 @@ def sampled(mesh: WedgeMesh, system: SkinSystem, load: Traction) -> sparse.csr_m
     covered = 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)[~steep].sum()
     given = float(load.weights_m2.sum())
     if steep.mean() > WRAPPED or not 0.5 * given < covered < 2.0 * given:
-        return forces
-    corners = mesh.nodes[mesh.surface_triangles6[:, :3]]
-    under = np.unique(probe.triangles)
-    edge = float(np.linalg.norm(corners[under] - np.roll(corners[under], 1, axis=1), axis=2).mean())
-    difference = math.sqrt(float(np.median(load.weights_m2)))
-    halvings = int(np.clip(math.ceil(math.log2(max(0.5 * edge / difference, 1.0))), 0, MOST_HALVINGS))
-    middles = corners.mean(axis=1)
-    size = np.linalg.norm(corners - middles[:, None], axis=2).max(axis=1)
-    near = cKDTree(points).query(middles)[0] <= size + longest.max()
-    quadrature = SurfaceQuadrature(mesh, system, halvings, np.flatnonzero(near).astype(np.int32))
-    place = net.find_simplex(quadrature.points[:, :2])
-    seen = np.flatnonzero(place >= 0)
-    turn = net.transform[place[seen]]
-    two = np.einsum("qij,qj->qi", turn[:, :2], quadrature.points[seen, :2] - turn[:, 2])
-    shares = np.column_stack([two, 1.0 - two.sum(axis=1)])
-    corner = net.simplices[place[seen]]
-    away = np.linalg.norm(quadrature.points[seen] - np.einsum("qi,qic->qc", shares, points[corner]), axis=1)
-    shares[steep[place[seen]] | (away > longest[place[seen]])] = 0.0
-    rows, columns = np.repeat(seen, 3), owner[corner.ravel()]
-    between = sparse.coo_matrix((shares.ravel(), (rows, columns)), shape=(len(quadrature.points), len(flat))).tocsr()
-    alone = sparse.diags((between.T @ quadrature.weights <= 0.0).astype(float))
-    return sparse.csr_matrix(quadrature.operator @ between + forces @ alone)
+        return None
+    return Net(points, owner, net, longest, steep)
 
 
 def beyond_rim(net: Delaunay, spacing: Float) -> tuple[Int, Float]:

@@ -151,8 +151,9 @@ class Reduced:
 
     def propagators(self, step_s: float) -> tuple[Float, Float, Float]:
         """exp(A h) and the integrals that the force at the step's start and end get (Van Loan 1978)."""
-        if step_s not in self._steps:
-            if len(self._steps) == MOST_STEPS:
+        found = self._steps.get(step_s)
+        if found is None:
+            if len(self._steps) >= MOST_STEPS:
                 self._steps.clear()
             size, inputs = self.inputs.shape
             block = np.zeros((size + 2 * inputs, size + 2 * inputs))
@@ -161,8 +162,9 @@ class Reduced:
             block[size : size + inputs, size + inputs :] = np.eye(inputs)
             whole = expm(block)
             ramp = whole[:size, size + inputs :]
-            self._steps[step_s] = whole[:size, :size], whole[:size, size : size + inputs] - ramp, ramp
-        return self._steps[step_s]
+            # Several threads may share a model, so that what was found isn't looked up again
+            found = self._steps[step_s] = whole[:size, :size], whole[:size, size : size + inputs] - ramp, ramp
+        return found
 
 
 @dataclass(frozen=True)

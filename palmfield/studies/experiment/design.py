@@ -197,6 +197,11 @@ class Design(_Part):
         """Keys of a presentation, as `palmfield.load` takes them."""
         return {**self.keys, **self.conditions[condition].keys, self.varied.key: level}
 
+    def highest(self) -> float | None:
+        """The highest level that may be played; None where the procedure has no end."""
+        levels: list[float] = self.procedure.get("levels") or [self.procedure.get("high", math.inf)]
+        return None if math.isinf(max(levels)) else max(levels)
+
     def next_condition(self, block: int, number: int, unfinished: list[int]) -> int:
         """The condition of a block's trial of a number, of those that have trials left."""
         if self.order == "blocked":

@@ -1,5 +1,6 @@
 """Presentations: a scene's frames, made before they are due, sent to a board, and the times at which they sounded."""
 
+import logging
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -9,13 +10,17 @@ from typing import Any, NamedTuple, Self
 
 from palmfield.drive.board import Board
 from palmfield.drive.frame_log import FrameLog, LogHead
+from palmfield.drive.limits import SoundLimits
 from palmfield.drive.playback import TimedFrame
 from palmfield.drive.player import Player
 from palmfield.errors import DeviceError, OutputError
 from palmfield.session.log_head import log_head
 from palmfield.session.play import scene_frames
 from palmfield.session.preview import preview
+from palmfield.session.safety.exposure import check_head
+from palmfield.session.safety.scene_sound import scene_at_head
 
+LOG = logging.getLogger(__name__)
 Heard = Callable[[float], None]
 """Told, as soon as it is known, when the first frame sounds [s, time.monotonic]."""
 MOST_KEPT = 256
@@ -54,15 +59,22 @@ class Emission(NamedTuple):
 def presentation(
     scene: Path, board: str | None, keys: Mapping[str, object], duration_s: float
 ) -> Presentation:  # fmt: skip
-    """The frames of a scene with other keys, as `drive` sends them.
+    """The frames of a scene with other keys, as `drive` sends them and within the limits of its driver.
 
-    Raises SceneError for a bad scene or key, DeviceError where the board can't play it or takes no bytes.
+    Raises SceneError for a bad scene or key, DeviceError where the board can't play it or takes no bytes, and for what
+    is longer or louder than the driver's keys allow.
     """
     view = preview(scene, board=board, keys=keys)
     model = view.runtime.model
     if model.board.exact:
         raise DeviceError(f"{view.name} is played by board '{model.board.name}', which takes no bytes; give --board")
-    return Presentation(tuple(scene_frames(view, duration_s)), model.board, log_head(model), duration_s)
+    driver = model.spec.driver
+    if driver.head_m is not None:
+        for line in check_head(scene_at_head(view, duration_s), driver):
+            LOG.warning(line)
+    frames = tuple(scene_frames(view, duration_s))
+    SoundLimits.of(driver).check([one.time_s for one in frames], [one.sounds for one in frames], duration_s)
+    return Presentation(frames, model.board, log_head(model), duration_s)
 
 
 class Sender:

@@ -9,16 +9,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from palmfield.drive.board import Board
+from palmfield.config.driver import SAFETY_KEYS
+from palmfield.drive.ports import check_port
 from palmfield.drive.virtual import VirtualBoard
 from palmfield.errors import DeviceError, OutputError, PalmfieldError
 from palmfield.session.load import no_scene
-from palmfield.session.preview import preview
+from palmfield.session.preview import Preview, preview
 from palmfield.studies.experiment.design import Design, read_design
 from palmfield.studies.experiment.log import LogWriter, Trial, next_trial
 from palmfield.studies.experiment.markers import Markers
 from palmfield.studies.experiment.observers import Keyboard, Observer, Shown, Stopped, observer_of
-from palmfield.studies.experiment.presentation import Sender
+from palmfield.studies.experiment.presentation import Sender, presentation
 from palmfield.studies.experiment.procedures import Answered
 
 OnTrial = Callable[[Trial, float], None]
@@ -60,22 +61,28 @@ def run_experiment(
         raise OutputError(f"{experiment}: scene: {no_scene(scene)}")
     if port is not None and virtual:
         raise DeviceError(f"a port ({port}) and --virtual are given; allowed: one of them")
+    if port is not None:
+        check_port(port)
     plays = virtual or port is not None
     if observer == "keyboard" and answers is None and not plays:
         raise DeviceError("a person needs a board to feel anything; give --port, or --virtual to rehearse")
     wanted = board or design.board
     with ExitStack() as opened:
         # Values that a key can't have, and what the board can't play, are refused before anything begins
-        boards = [_checked(design, experiment, scene, wanted, 0)]
+        first = _checked(design, experiment, scene, wanted, 0)
         opened.enter_context(_said_once())
-        boards += [_checked(design, experiment, scene, wanted, one) for one in range(1, len(design.conditions))]
-        if plays and boards[0].exact:
-            raise DeviceError(f"{scene} is played by board '{boards[0].name}', which takes no bytes; give --board")
-        name = boards[0].name if plays else wanted or "none"
+        for number in range(1, len(design.conditions)):
+            _checked(design, experiment, scene, wanted, number)
+        played = first.runtime.model.board
+        if plays and played.exact:
+            raise DeviceError(f"{scene} is played by board '{played.name}', which takes no bytes; give --board")
+        if plays and first.runtime.spec.driver.model_fields_set & set(SAFETY_KEYS):
+            _allowed(design, experiment, scene, wanted)
+        name = played.name if plays else wanted or "none"
         writer = opened.enter_context(LogWriter(log, design, scene, participant, observer, name))
         markers = opened.enter_context(Markers.of(design))
         if virtual:
-            port = opened.enter_context(VirtualBoard(boards[0])).port
+            port = opened.enter_context(VirtualBoard(played)).port
         frames = log.with_name(f"{log.name}.frames") / f"session_{writer.session}.jsonl"
         sender = opened.enter_context(Sender(scene, wanted, port, design.duration_s, frames))
         who = answers or observer_of(observer, design, scene, wanted)
@@ -102,8 +109,8 @@ def _said_once() -> Iterator[None]:
         log.setLevel(before)
 
 
-def _checked(design: Design, experiment: Path, scene: Path, board: str | None, condition: int) -> Board:
-    """The board that plays a condition, after a look at its first level and its reference."""
+def _checked(design: Design, experiment: Path, scene: Path, board: str | None, condition: int) -> Preview:
+    """The scene at a condition's first level, after a look at its reference too."""
     first = design.procedure_of(0, condition).next_level([])
     assert first is not None
     levels = [first, design.varied.reference] if design.task.kind == "nafc" else [first]
@@ -111,7 +118,18 @@ def _checked(design: Design, experiment: Path, scene: Path, board: str | None, c
         views = [preview(scene, board=board, keys=design.keys_at(condition, level)) for level in levels]
     except PalmfieldError as error:
         raise type(error)(f"{experiment}: condition '{design.conditions[condition].name}': {error}") from None
-    return views[0].runtime.model.board
+    return views[0]
+
+
+def _allowed(design: Design, experiment: Path, scene: Path, board: str | None) -> None:
+    """Make the highest level of each condition: what is longer or louder than the driver allows is refused now."""
+    level = design.highest()
+    for number, condition in enumerate(design.conditions if level is not None else ()):
+        assert level is not None
+        try:
+            presentation(scene, board, design.keys_at(number, level), design.duration_s)
+        except PalmfieldError as error:
+            raise type(error)(f"{experiment}: condition '{condition.name}', level {level:g}: {error}") from None
 
 
 class _Session:

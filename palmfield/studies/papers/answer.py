@@ -80,6 +80,8 @@ class Paper:
 
     name: as on the command line; paper: as in the entries of tolerances.toml; about: two or three sentences
     answers: by id of the entry; causes: of claims that disagree, by id
+    later: of claims that agree and that no listed control turns, by id: what the entry says it could fail by, done on
+        purpose. They were written when answers were known, and stand apart from the controls
     notes: Markdown that stands below the tables (hypotheses, chains, what was printed and what is right)
     """
 
@@ -89,5 +91,6 @@ class Paper:
     about: str
     answers: Mapping[str, Compute]
     causes: Mapping[str, tuple[Cause, ...]] = field(default_factory=dict)
+    later: Mapping[str, tuple[Cause, ...]] = field(default_factory=dict)
     pictures: tuple[Picture, ...] = ()
     notes: Callable[[Setting], str] | None = None

@@ -55,6 +55,12 @@ def noticed(controls: Sequence[Control], rows: Sequence[Row]) -> list[Noticed]:
     return out
 
 
+def turned_later(rows: Sequence[Row]) -> list[str]:
+    """Of the claims of `untested`, those that a change turns which was written when answers were known."""
+    by_id = {row.entry.id: row for row in rows}
+    return [name for name in untested(rows) if any(by_id[name].differs(one) for _, one in by_id[name].later)]
+
+
 def untested(rows: Sequence[Row]) -> list[str]:
     """Claims that agree and that no control turns."""
     return [

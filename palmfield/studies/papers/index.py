@@ -28,10 +28,18 @@ def index(out: Path) -> str:
         cells = (
             f"[{table['title']}]({name}/index.html)", *(str(table["counts"][one]) for one in VERDICTS),
             f"{len(table['controls']) - len(failed)} of {len(table['controls'])}", ", ".join(table["untested"]) or NONE,
+            ", ".join(table["turned_later"]) or NONE,
             "quick" if table["quick"] else "full", f"{table.get('seconds', 0.0):.0f}", table["commit"],
         )  # fmt: skip
         lines.append("| " + " | ".join(cells) + " |")
-    last = ("controls that work", "agreeing claims that no control turns", "run", "s of processor", "commit")
+    last = (
+        "controls that work",
+        "agreeing claims that no control turns",
+        "of these turned later",
+        "run",
+        "s of processor",
+        "commit",
+    )
     head = ("paper", *VERDICTS, *last)
     return "\n".join(
         ["# Four papers, computed again", "", "| " + " | ".join(head) + " |", "|" + "---|" * len(head), *lines, ""]

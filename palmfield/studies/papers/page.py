@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from palmfield.studies.papers.answer import Paper
-from palmfield.studies.papers.counts import counts, noticed, untested
+from palmfield.studies.papers.counts import counts, noticed, turned_later, untested
 from palmfield.studies.papers.entries import Book, Entry
 from palmfield.studies.papers.rows import Row, Tried
 
@@ -159,6 +159,22 @@ def _controls(book: Book, rows: Sequence[Row]) -> list[str]:
     return out
 
 
+def _later(rows: Sequence[Row]) -> list[str]:
+    return _table(
+        ("id", "what could make it fail, as fixed beforehand", "what was done, written later", "distance without",
+         "distance with", "ours with", "turned"),
+        (
+            (
+                row.entry.id, _cell(row.entry.why_it_could_fail or ""), _cell(what), _distance(row.base),
+                _distance(one), _ours(one)[0],
+                {True: "yes", False: "no", None: _note(one) or "no answer"}[row.differs(one)],
+            )
+            for row in rows
+            for what, one in row.later
+        ),
+    )  # fmt: skip
+
+
 def _others(rows: Sequence[Row]) -> list[str]:
     return _table(
         ("id", "what", "paper", "ours", "numerical error", "band of inputs", "distance", "remark"),
@@ -189,6 +205,7 @@ def told(row: Row) -> str:
     tried = [(_by_itself(row, one), one) for one in row.tried]
     tried += [(f"control {name}", one) for name, one in row.controls.items()]
     tried += [(f"cause: {what}", one) for what, one in row.causes]
+    tried += [(f"later: {what}", one) for what, one in row.later]
     for what, one in tried:
         ours, error, band = _ours(one)
         lines.append(f"  {what}: {ours} (error {error}, band {band}), distance {_distance(one)} {_note(one)}".rstrip())
@@ -203,7 +220,7 @@ def page(
     claims = kinds["CLAIM"]
     came = counts(rows)
     agreeing = came["agrees"]
-    loose = untested(rows)
+    loose, late = untested(rows), turned_later(rows)
     told = ", ".join(f"{count} {name}" for name, count in came.items() if count)
     hanging = [row.entry.id for row in claims if row.verdict == "depends"]
     changes = [change for change in book.changes if change["id"] in {row.entry.id for row in rows}]
@@ -214,13 +231,19 @@ def page(
         "limit), of inequalities in the unit of what is compared.", "",
         f"**{len(claims)} claims: {told}.** "
         + (f"What depends on a reading: {', '.join(hanging)}. " if hanging else "")
-        + (f"Of {agreeing} that agree no control turns {len(loose)}: {', '.join(loose)}." if loose else ""), "",
+        + (f"Of {agreeing} that agree no control turns {len(loose)}: {', '.join(loose)}. " if loose else "")
+        + (f"Of these {len(late)} are turned by controls that were written later: {', '.join(late)}." if late else ""),
+        "",
         "## Claims", "", *_claims(claims),
         "## Figures", "",
         *(line for path, caption in pictures for line in (f"![{caption}]({path.name})", "", caption, "")),
         "## Why claims disagree", "", *_causes(claims),
         "## Readings", "", *_readings(claims),
         "## Controls", "", *_controls(book, claims),
+        "## Controls written later", "",
+        "Of claims that agree and that no control above turns. What could make them fail was fixed beforehand, in "
+        "words; how it is done here was written when answers were known, and says less than a control does.", "",
+        *_later(claims),
         "## Shown beside, not counted", "", *_shown(rows),
         "## Where the paper contradicts itself", "", *_others(kinds["ERRATUM"]),
         "## Checks of ours", "", *_others(kinds["CALC"]),

@@ -45,7 +45,7 @@ class Tried:
 class Row:
     """One entry and all that was tried for it, the base readings first.
 
-    controls: by name, for claims alone; causes: what was changed, and what came then; seconds: of processor
+    controls: by name, for claims alone; causes, later: what was changed, and what came then; seconds: of processor
     """
 
     entry: Entry
@@ -53,6 +53,7 @@ class Row:
     verdict: Verdict | None
     controls: Mapping[str, Tried] = field(default_factory=dict)
     causes: tuple[tuple[str, Tried], ...] = ()
+    later: tuple[tuple[str, Tried], ...] = ()
     seconds: float = 0.0
 
     @property
@@ -61,10 +62,13 @@ class Row:
 
     def turned(self, control: str) -> bool | None:
         """Whether the yes or no changes under a control; None where one of both has none."""
-        base, other = self.base, self.controls[control]
-        if base is None or base.held is None or other.held is None:
+        return self.differs(self.controls[control])
+
+    def differs(self, other: Tried) -> bool | None:
+        """Whether the yes or no is another than under the base; None where one of both has none."""
+        if self.base is None or self.base.held is None or other.held is None:
             return None
-        return base.held.within != other.held.within
+        return self.base.held.within != other.held.within
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
@@ -85,6 +89,7 @@ class Row:
             "tried": [one.as_dict() for one in self.tried],
             "controls": {name: one.as_dict() | {"turned": self.turned(name)} for name, one in self.controls.items()},
             "causes": [{"what": what, **one.as_dict()} for what, one in self.causes],
+            "later": [{"what": what, **one.as_dict(), "turned": self.differs(one)} for what, one in self.later],
             "seconds": round(self.seconds, 3),
         }
 
@@ -101,10 +106,10 @@ def _tried(entry: Entry, compute: Compute, setting: Setting) -> Tried:
         return Tried(readings, None, None, f"{type(error).__name__}: {error}")
 
 
-def _acts_on(control: Control, entry: Entry, said: Verdict | None, quick: bool) -> bool:
+def _acts_on(control: Control, entry: Entry, said: Verdict | None) -> bool:
     if control.name in entry.sensitive_to:
         return True
-    return not quick and said == "agrees" and entry.configuration in control.configurations
+    return said == "agrees" and entry.configuration in control.configurations
 
 
 def row(entry: Entry, paper: Paper, book: Book, setting: Setting) -> Row:
@@ -128,13 +133,17 @@ def row(entry: Entry, paper: Paper, book: Book, setting: Setting) -> Row:
     controls = {
         control.name: _tried(entry, compute, replace(base, control=control.name))
         for control in book.controls
-        if entry.counts and _acts_on(control, entry, said, setting.quick)
+        if entry.counts and _acts_on(control, entry, said)
     }
     causes = tuple(
         (cause.what, _tried(entry, cause.compute, base))
         for cause in (paper.causes.get(entry.id, ()) if said == "disagrees" else ())
     )
-    return Row(entry, tried, said, controls, causes, time.process_time() - started)
+    found = Row(entry, tried, said, controls, causes)
+    later: tuple[tuple[str, Tried], ...] = ()
+    if said == "agrees" and not any(found.turned(name) for name in controls):
+        later = tuple((one.what, _tried(entry, one.compute, base)) for one in paper.later.get(entry.id, ()))
+    return replace(found, later=later, seconds=time.process_time() - started)
 
 
 def rows(paper: Paper, book: Book, setting: Setting) -> Iterator[Row]:

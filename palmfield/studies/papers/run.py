@@ -2,8 +2,11 @@
 
 import json
 import logging
+import multiprocessing
+import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,13 +16,14 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from palmfield.device import resolve
 from palmfield.errors import SceneError, did_you_mean, unwritable
 from palmfield.outputs.store import write_whole
 from palmfield.outputs.style import save, style
 from palmfield.studies.bench.field import git_commit
 from palmfield.studies.bench.table import processor
 from palmfield.studies.papers.answer import Paper, Picture, Setting
-from palmfield.studies.papers.counts import counts, noticed, untested
+from palmfield.studies.papers.counts import counts, noticed, turned_later, untested
 from palmfield.studies.papers.entries import Book, book
 from palmfield.studies.papers.index import as_html, index
 from palmfield.studies.papers.page import page
@@ -29,6 +33,8 @@ from palmfield.studies.papers.rows import Row, row
 logger = logging.getLogger(__name__)
 FORMAT = 1
 ROWS, PAGE, INDEX = "rows.json", "README.md", "index.html"
+Told = Callable[[str, str], None]
+"""Hears of a paper's progress: its name and the entry that begins, or nothing when one has ended."""
 
 
 @dataclass(frozen=True)
@@ -54,27 +60,67 @@ def papers(
     quick: bool = False,
     out: str | Path = "out/papers",
     device: str = "cpu",
+    jobs: int = 1,
     progress: bool = False,
 ) -> list[Done]:
     """Compute what papers claim, and write out/NAME/{README.md, rows.json, *.png} and out/index.html.
 
     names: of the papers; quick: coarser, in minutes; device: where kernels run that can run on a GPU
+    jobs: papers that are computed side by side, each in a process of its own
     rows.json is written after each row, so that what is done stays readable whatever happens. A row that fails says so
     on the page, and the next one follows. Ctrl-C writes the pages of what is done, and raises KeyboardInterrupt then.
-    Raises SceneError for an unknown paper, OutputError where files can't be written.
+    Raises SceneError for an unknown paper, device or less than one job, OutputError where files can't be written.
     """
+    if jobs < 1:
+        raise SceneError(f"jobs is {jobs}; give 1 or more")
     chosen = [paper(name) for name in names]
-    held = book()
-    done = []
-    setting = Setting(quick=quick, device=device)
-    for one in chosen:
-        done.append(_paper(one, held, setting, Path(out), progress))
-        if done[-1].interrupted:
-            break
+    sizes = {name: len(book().of_paper(one.paper)) for name, one in zip(names, chosen, strict=True)}
+    setting = Setting(quick=quick, device=_device(device))
+    with _bar(progress, sizes) as told:
+        if min(jobs, len(names)) > 1:
+            done = _side_by_side(names, setting, Path(out), jobs, told)
+        else:
+            done = _in_turn(names, setting, Path(out), told)
     _write_text(Path(out) / INDEX, as_html("Four papers, computed again", index(Path(out)), home=False))
-    if done[-1].interrupted:
+    if any(one.interrupted for one in done):
         raise KeyboardInterrupt
     return done
+
+
+def _device(name: str) -> str:
+    return resolve("cuda:0" if name == "cuda" else name)
+
+
+def _in_turn(names: Sequence[str], setting: Setting, out: Path, told: Told) -> list[Done]:
+    done = []
+    for name in names:
+        done.append(_paper(name, setting, out, told))
+        if done[-1].interrupted:
+            break
+    return done
+
+
+def _side_by_side(names: Sequence[str], setting: Setting, out: Path, jobs: int, told: Told) -> list[Done]:
+    """Each paper in a process: they share no runs. Ctrl-C reaches all processes, which write what is done."""
+    context = multiprocessing.get_context("spawn")
+    with context.Manager() as manager, ProcessPoolExecutor(min(jobs, len(names)), mp_context=context) as pool:
+        heard: Any = manager.Queue()
+
+        def listen() -> None:
+            for news in iter(heard.get, None):
+                told(*news)
+
+        listener = threading.Thread(target=listen, daemon=True)
+        listener.start()
+        running = [pool.submit(_paper_in_process, name, setting, out, heard) for name in names]
+        done = [one.result() for one in running]
+        heard.put(None)
+        listener.join()
+    return done
+
+
+def _paper_in_process(name: str, setting: Setting, out: Path, heard: Any) -> Done:
+    return _paper(name, setting, out, lambda *news: heard.put(news))
 
 
 def numbers(ids: Sequence[str], *, quick: bool = False, device: str = "cpu") -> list[Row]:
@@ -87,10 +133,12 @@ def numbers(ids: Sequence[str], *, quick: bool = False, device: str = "cpu") -> 
             raise SceneError(f"number '{name}'{near} is unknown; see docs/gallery/tolerances.toml")
     by_title = {title: name for name, title in TITLES.items()}
     chosen = [(entries[name], paper(by_title[entries[name].paper])) for name in ids]
-    return [row(entry, one, held, Setting(quick=quick, device=device)) for entry, one in chosen]
+    setting = Setting(quick=quick, device=_device(device))
+    return [row(entry, one, held, setting) for entry, one in chosen]
 
 
-def _paper(one: Paper, held: Book, setting: Setting, out: Path, progress: bool) -> Done:
+def _paper(name: str, setting: Setting, out: Path, told: Told) -> Done:
+    one, held = paper(name), book()
     folder = out / one.name
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -102,13 +150,11 @@ def _paper(one: Paper, held: Book, setting: Setting, out: Path, progress: bool) 
     head = _head(one, setting)
     started = time.process_time()
     try:
-        entries = held.of_paper(one.paper)
-        with _bar(progress, one.name, len(entries)) as told:
-            for entry in entries:
-                told(entry.id)
-                found.append(row(entry, one, held, setting))
-                told("")
-                _write_rows(folder / ROWS, head, held, found)
+        for entry in held.of_paper(one.paper):
+            told(name, entry.id)
+            found.append(row(entry, one, held, setting))
+            told(name, "")
+            _write_rows(folder / ROWS, head, held, found)
         pictures += _pictures(one, setting, folder)
         notes = _notes(one, setting)
     except KeyboardInterrupt:
@@ -156,6 +202,7 @@ def _write_rows(path: Path, head: dict[str, Any], held: Book, found: Sequence[Ro
     told = {
         "counts": counts(found),
         "untested": untested(found),
+        "turned_later": turned_later(found),
         "controls": [
             {"name": one.control.name, "turned": one.turned, "kept": one.kept, "silent": one.silent,
              "wanted": one.wanted, "works": one.works}
@@ -190,16 +237,18 @@ def _drawn(picture: Picture, setting: Setting) -> Figure | None:
 
 
 @contextmanager
-def _bar(show: bool, name: str, total: int) -> Iterator[Any]:
+def _bar(show: bool, sizes: Mapping[str, int]) -> Iterator[Told]:
+    """A bar for each paper. sizes: how many entries each has"""
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, disable=not (show and console.is_terminal), transient=True) as bar:
-        task = bar.add_task(name, total=total)
+        tasks = {name: bar.add_task(name, total=size, start=False) for name, size in sizes.items()}
 
-        def told(entry: str) -> None:
+        def told(name: str, entry: str) -> None:
             if entry:
-                bar.update(task, description=f"{name} {entry}")
+                bar.start_task(tasks[name])
+                bar.update(tasks[name], description=f"{name} {entry}")
             else:
-                bar.advance(task)
+                bar.advance(tasks[name])
 
         yield told

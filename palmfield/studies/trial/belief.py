@@ -1,15 +1,16 @@
 """Where a system believes a hand to be: what its tracker has told by now, some time ago, and how it moves on."""
 
 import math
+from collections import deque
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from palmfield.errors import SceneError
 from palmfield.motion.joints import ORIENTATION_VALID, POSITION_VALID
 from palmfield.motion.prediction import Noise, Predictor
+from palmfield.motion.quaternions import matrices
 from palmfield.simulation.posed_scene import PosedScene
 from palmfield.studies.trial.course import Frames, SceneCourse
 
@@ -17,6 +18,8 @@ LONGEST_AHEAD_S = 0.2
 """A hand is not known farther ahead."""
 BEFORE_S = 0.5
 """For so long a tracker was on before the trial begins."""
+MOST_AHEAD = 10_000
+"""So many of its samples at most are computed before the trial begins."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +71,9 @@ class Belief:
         self._tracked = np.array(stimuli + [True] * len(course.model.bodies))[:, None]
         self._next = -round(BEFORE_S * tracker.rate_Hz)
         self._last: tuple[float, Frames] | None = None
+        # What the tracker is going to see takes no time from the frames that are made of it
+        count = min(MOST_AHEAD, math.floor(course.end_s * tracker.rate_Hz) - self._next + 1) if tracker.rate_Hz else 0
+        self._coming = deque(self._seen((self._next + number) / tracker.rate_Hz) for number in range(count))
 
     def at(self, now_s: float, heard_s: float) -> Believed:
         """What the system knows at a time of the trial [s], which must not fall.
@@ -80,7 +86,7 @@ class Belief:
             return Believed(self.course.posed(known_s, frames), known_s)
         while self._last is None or self._next <= math.floor(known_s * rate + 1e-9):
             sample_s = self._next / rate
-            self._last = sample_s, self._seen(sample_s)
+            self._last = sample_s, self._coming.popleft() if self._coming else self._seen(sample_s)
             if self.tracker.ahead_s != 0.0:
                 self._add(*self._last)
             self._next += 1
@@ -88,7 +94,7 @@ class Belief:
         if self.tracker.ahead_s != 0.0:
             until_s = heard_s if self.tracker.ahead_s is None else sample_s + self.tracker.ahead_s
             positions, turned = self._filter.frames(min(until_s, sample_s + LONGEST_AHEAD_S))
-            frames = Frames(positions, turned.as_matrix())
+            frames = Frames(positions, matrices(turned), turned)
         return Believed(self.course.posed(sample_s, frames), sample_s)
 
     def _seen(self, time_s: float) -> Frames:
@@ -102,6 +108,5 @@ class Belief:
 
     def _add(self, time_s: float, frames: Frames) -> None:
         count = len(frames.positions)
-        quaternions = Rotation.from_matrix(frames.rotations).as_quat(scalar_first=True)
         flags = np.full(count, POSITION_VALID | ORIENTATION_VALID, np.int32)
-        self._filter.add(time_s, frames.positions, quaternions, np.ones(count), flags)
+        self._filter.add(time_s, frames.positions, frames.quaternions, np.ones(count), flags)

@@ -4,14 +4,15 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from palmfield.acoustics.phased_array import PhasedArray
 from palmfield.drive.playback import ON_STEP
+from palmfield.errors import SceneError
+from palmfield.motion.quaternions import inverse, matrices, of_turns, product, turns_of
 from palmfield.session.preview import Preview
 from palmfield.simulation.model import HapticModel
 from palmfield.simulation.posed_scene import PosedScene, PosedSkin, PosedSurface
-from palmfield.transforms import Transform
+from palmfield.transforms import Transform, quaternion
 from palmfield.types import Float
 
 NO_OBSTACLES = np.zeros((0, 3)), np.zeros((0, 3, 3))
@@ -20,31 +21,42 @@ NO_OBSTACLES = np.zeros((0, 3)), np.zeros((0, 3, 3))
 class Frames(NamedTuple):
     """Frames that move, seen from the first array: those of the stimuli, then those of the bodies.
 
-    positions: [m], shape (m, 3); rotations: axes as columns, shape (m, 3, 3)
+    positions: [m], shape (m, 3); rotations: axes as columns, shape (m, 3, 3); quaternions: the same, w first, (m, 4)
     """
 
     positions: Float
     rotations: Float
+    quaternions: Float
 
 
 class SceneCourse:
     """The scene's poses at MuJoCo's steps, and straight between two of them; before and after, the first and the last.
 
-    model: of the scene; step_s: between poses [s]; end_s: time of the last one [s]
+    model: of the scene; step_s: between poses [s]; end_s: time of the last one [s]; refused: why that comes early
     """
 
-    def __init__(self, view: Preview, duration_s: float) -> None:
-        """Steps a copy of the scene, with all but its skins. Raises what a module raises in a step."""
+    def __init__(self, view: Preview, duration_s: float, *, as_far_as_it_goes: bool = False) -> None:
+        """Steps a copy of the scene, with all but its skins. Raises what a module raises in a step.
+
+        as_far_as_it_goes: a hand that reaches into the array, as one that was tracked may, ends the course instead
+        """
+        self.refused = ""
         self.step_s = view.runtime.spec.timestep_s
         count = math.ceil(duration_s / self.step_s - ON_STEP) + 1 if view.moves else 1
         self.model: HapticModel = view.runtime.model
         self._rows: list[Frames] = []
+        self._turns: dict[int, Float] = {}
         self._bones: list[list[tuple[Float, Float]]] = []
         self._outer: list[tuple[Transform, PhasedArray]] = []
         if view.moves:
-            for _, runtime, posed in view.posed_at(self.step_s * np.arange(count)):
-                self.model = runtime.model
-                self._add(posed)
+            try:
+                for _, runtime, posed in view.posed_at(self.step_s * np.arange(count)):
+                    self.model = runtime.model
+                    self._add(posed)
+            except SceneError as error:
+                if not as_far_as_it_goes or len(self._rows) < 2:
+                    raise
+                count, self.refused = len(self._rows), str(error)
         else:
             self._add(view.runtime.posed)
         self.end_s = (count - 1) * self.step_s
@@ -61,15 +73,16 @@ class SceneCourse:
         if share == 0.0:
             return before
         after = self._rows[row + 1]
-        first = Rotation.from_matrix(before.rotations)
-        turn = (Rotation.from_matrix(after.rotations) * first.inv()).as_rotvec()
-        rotations = (Rotation.from_rotvec(share * turn) * first).as_matrix()
-        return Frames((1.0 - share) * before.positions + share * after.positions, rotations)
+        if row not in self._turns:
+            self._turns[row] = turns_of(product(after.quaternions, inverse(before.quaternions)))
+        quaternions = product(of_turns(share * self._turns[row]), before.quaternions)
+        positions = (1.0 - share) * before.positions + share * after.positions
+        return Frames(positions, matrices(quaternions), quaternions)
 
     def posed(self, time_s: float, frames: Frames | None = None) -> PosedScene:
         """The scene at a time [s], or with some frames elsewhere: as far as focuses need it, without obstacles."""
         row, _ = self._place(time_s)
-        positions, rotations = self.frames(time_s) if frames is None else frames
+        positions, rotations, _ = self.frames(time_s) if frames is None else frames
         of_stimuli = len(self.model.stimuli)
         parts = [Transform(*pair) for pair in zip(positions, rotations, strict=True)]
         bodies = []
@@ -90,6 +103,7 @@ class SceneCourse:
 
     def _add(self, posed: PosedScene) -> None:
         parts = [*posed.frames, *(body.frame for body in posed.bodies)]
-        self._rows.append(Frames(np.array([one.position for one in parts]), np.array([one.rotation for one in parts])))
+        positions, rotations = np.array([one.position for one in parts]), np.array([one.rotation for one in parts])
+        self._rows.append(Frames(positions, rotations, np.array([quaternion(one) for one in rotations])))
         self._bones.append([(body.bone_positions, body.bone_rotations) for body in posed.bodies])
         self._outer.append((posed.array_frame, posed.arrays))

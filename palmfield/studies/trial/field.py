@@ -1,6 +1,7 @@
 """Sound at the hand's true place: with and without latency, rounding and calibration error."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -66,12 +67,21 @@ class TrueSound:
     flight: whether the time that sound takes to the hand counts
     """
 
-    def __init__(self, course: SceneCourse, number: int, truth: Calibration | None, *, flight: bool = True) -> None:
+    def __init__(
+        self,
+        course: SceneCourse,
+        number: int,
+        truth: Calibration | None,
+        *,
+        flight: bool = True,
+        share: Callable[[float], float] = lambda due_s: 1.0,
+    ) -> None:
         """truth: what the transducers of the scene's only array really do; None: what the scene says of them
 
+        share: of all amplitudes, of a frame that is due at a time [s], by the driver's ramp
         Raises SceneError for a truth where there are several arrays, and for one of another layout.
         """
-        self.course, self.number, self.flight = course, number, flight
+        self.course, self.number, self.flight, self.share = course, number, flight, share
         model = self.model = course.model
         self._truth = truth
         self._exact = Frames(model, Emission(model))
@@ -82,6 +92,8 @@ class TrueSound:
                 f"a true calibration is given for a scene of {len(model.spec.arrays)} arrays; allowed: one array"
             )
         self.speed_m_s = sound_speed(model.arrays.air)
+        middle = model.arrays.array.positions[model.stimuli[number].transducers].mean(axis=0)
+        self._middle: list[float] = middle.tolist()
         self._wavenumber = 2.0 * np.pi * model.arrays.array.frequency_Hz / self.speed_m_s
         self.true_arrays(model.arrays)
 
@@ -101,16 +113,21 @@ class TrueSound:
         """Time that sound takes from the middle of the transducers to a focus [s]."""
         if not self.flight:
             return 0.0
-        middle = self.model.arrays.array.positions[self.model.stimuli[self.number].transducers].mean(axis=0)
-        return float(np.linalg.norm(focus - middle)) / self.speed_m_s
+        return math.dist(focus.tolist(), self._middle) / self.speed_m_s
 
     def focus(self, posed_s: float, due_s: float) -> Float:
         """Where the focus of a due time is on the hand at another time [s], array frame [m], shape (3,)."""
         return focus_in(self.model, self.number, self.course.posed(posed_s), due_s)
 
     def ideal(self, time_s: float, due_s: float) -> Complex:
-        """The drive of a due time [s] for where the hand truly is at another, before any board's limits, shape (N,)."""
-        return self._exact.wanted(self.course.posed(time_s), due_s)
+        """The drive of a due time [s] for where the hand truly is at another, before any board's limits, shape (N,).
+
+        Silence where that can't be made, as a live hand may be behind the array.
+        """
+        try:
+            return self.share(due_s) * self._exact.wanted(self.course.posed(time_s), due_s)
+        except SceneError:
+            return np.zeros(len(self.model.arrays), np.complex128)
 
     def moment(self, time_s: float, due_times: Sequence[float], heard: Heard, loudest: float) -> Moment | None:
         """What a hand gets at a time [s]; None before the first frame.

@@ -12,7 +12,7 @@ import numpy as np
 
 from palmfield.drive.board import Board
 from palmfield.errors import DeviceError, SceneError
-from palmfield.motion.listening import By
+from palmfield.motion.line_listener import By
 from palmfield.motion.tracking import Stream, stream_of, write_stream
 from palmfield.session.live_scene import LiveScene
 from palmfield.session.preview import Preview, preview

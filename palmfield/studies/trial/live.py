@@ -11,8 +11,9 @@ from scipy.spatial.transform import Rotation
 from palmfield.drive.frame_log import FrameLog
 from palmfield.drive.limits import SoundLimits
 from palmfield.drive.playback import frame_times
+from palmfield.errors import SceneError
 from palmfield.motion.alignment import read_alignment
-from palmfield.motion.listening import By
+from palmfield.motion.line_listener import By
 from palmfield.motion.live_hand import STALE_S, LiveHand
 from palmfield.motion.tracking import Stream
 from palmfield.session.live_scene import LiveScene
@@ -24,6 +25,7 @@ from palmfield.studies.trial.belief import Tracker
 from palmfield.studies.trial.field import focus_in
 from palmfield.studies.trial.sending import VIRTUAL, MadeFrame, Sent, send
 from palmfield.transforms import Transform
+from palmfield.types import Float
 
 FIT_S = 5e-3
 """What fitting the hand to a sample takes, about."""
@@ -103,7 +105,8 @@ def play_live(
     runtime = scene.runtime
     model, board = runtime.model, runtime.model.board
     # A live hand's poses are not tied to MuJoCo's steps
-    times = frame_times(model.configs, duration_s)
+    limits = SoundLimits.of(model.spec.driver)
+    times = frame_times(model.configs, duration_s, None, limits.ramp_times(board, duration_s), board.frame_time_s)
     period_s = float(np.median(np.diff(times))) if len(times) > 1 else board.frame_time_s
     ahead_s = tracker.ahead_s
     if ahead_s is None:
@@ -112,11 +115,17 @@ def play_live(
     array = view.runtime.posed.array_frame
     posed_of: list[tuple[object, PosedScene]] = []
     silenced = 0
+    unreachable: list[str] = []
     with LiveHand(
         scene.hand, live.frame(array), ahead_s=ahead_s, host=live.host, port=live.port, by=live.by
     ) as follower:
         live.on_listening(follower.listener.host, follower.listener.port)
         follower.wait(live.wait_s)
+
+        def silent(focus: Float, seen_s: float) -> MadeFrame:
+            wanted = np.zeros(len(model.arrays), np.complex128)
+            data = board.encode(wanted) if board.takes == "amplitudes" else board.encode_focus((0.0, 0.0, 0.2), 0.0)
+            return MadeFrame(data, focus, seen_s, lambda: wanted, sounds=False)
 
         def make(now_s: float, due_s: float) -> MadeFrame:
             nonlocal silenced
@@ -131,14 +140,16 @@ def play_live(
             seen_s = newest.sample_s
             if follower.stale:
                 silenced += 1
-                wanted = np.zeros(len(model.arrays), np.complex128)
-                focused = board.takes == "focus"
-                data = board.encode_focus(focus, 0.0) if focused else board.encode(wanted)
-                return MadeFrame(data, focus, seen_s, lambda: wanted, sounds=False)
-            data = frames.at(posed, due_s)
-            return MadeFrame(data, focus, seen_s, lambda: afterwards.wanted(posed, due_s), frames.sounds)
+                return silent(focus, seen_s)
+            share = limits.share(board, due_s, duration_s)
+            try:
+                data = frames.at(posed, due_s, share)
+            except SceneError as error:
+                # A hand goes where it likes, behind the array too
+                unreachable.append(str(error))
+                return silent(focus, seen_s)
+            return MadeFrame(data, focus, seen_s, lambda: share * afterwards.wanted(posed, due_s), frames.sounds)
 
-        limits = SoundLimits.of(model.spec.driver)
         sent = send(
             board, times, make, duration_s, port=port or VIRTUAL, log=log, limits=limits, on_progress=on_progress
         )
@@ -154,5 +165,9 @@ def play_live(
         ]
         if silenced:
             notes.append(f"tracker: {silenced} frames were silent, as the hand was not seen for {1e3 * STALE_S:g} ms")
+        if unreachable:
+            notes.append(
+                f"tracker: {len(unreachable)} frames were silent, as no focus can be made there: {unreachable[0]}"
+            )
         stream = listener.stream()
     return LivePlayed(sent, scene.motion, stream, start_s, notes, times)

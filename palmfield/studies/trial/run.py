@@ -18,6 +18,7 @@ from palmfield.drive.board import Board, Emitted
 from palmfield.drive.frame_log import FrameLog
 from palmfield.drive.limits import SoundLimits
 from palmfield.drive.playback import frame_times
+from palmfield.drive.ports import check_port
 from palmfield.errors import DeviceError, OutputError
 from palmfield.interrupts import interrupts_held
 from palmfield.motion.tracking import write_stream
@@ -28,6 +29,7 @@ from palmfield.session.safety.exposure import check_head
 from palmfield.session.safety.scene_sound import scene_at_head
 from palmfield.simulation.emission import Emission
 from palmfield.simulation.frames import Frames
+from palmfield.simulation.model import HapticModel
 from palmfield.studies.trial.belief import Belief, Tracker
 from palmfield.studies.trial.course import SceneCourse
 from palmfield.studies.trial.felt import Felt, felt
@@ -35,8 +37,9 @@ from palmfield.studies.trial.field import Moment, TrueSound, focus_in, last_due,
 from palmfield.studies.trial.live import Live, play_live
 from palmfield.studies.trial.recording import Compared, Recording, compare
 from palmfield.studies.trial.report import Numbers, as_text, numbers_of, table_of
-from palmfield.studies.trial.sending import Heard, MadeFrame, Sent, send
+from palmfield.studies.trial.sending import VIRTUAL, Heard, MadeFrame, Sent, send
 from palmfield.tables import write_table
+from palmfield.whole_files import whole
 
 LOG = logging.getLogger(__name__)
 FINEST_S = 1e-3
@@ -98,6 +101,8 @@ def trial(
     where its board can't play it or is lost, and on a port
     where it would be too loud at a head (key head_limit_dB), OutputError where the folder holds another trial.
     """
+    if port is not None and port != VIRTUAL:
+        check_port(port)
     folder = None if out is None else _folder(Path(out), overwrite)
     given = dict(keys or {})
     view = preview(scene, device="cpu", board=board, keys=given)
@@ -165,12 +170,11 @@ def _scripted(
     """Send a scene whose motion is known, to a system that knows what a tracker would have told."""
     told("stepping the scene", None)
     course = SceneCourse(view, duration_s)
-    sound = TrueSound(course, course.model.sounding, truth, flight=flight)
-    board = course.model.board
+    board, limits = course.model.board, SoundLimits.of(course.model.spec.driver)
+    sound = TrueSound(course, course.model.sounding, truth, flight=flight, share=_share(course.model, duration_s))
     times = _due(course, board, duration_s)
     make = _maker(course, sound, Belief(course, tracker), times, duration_s)
     told("sending", duration_s)
-    limits = SoundLimits.of(course.model.spec.driver)
     sent = send(
         board, times, make, duration_s, port=port, log=log, limits=limits, on_progress=lambda at: told(None, at)
     )
@@ -201,8 +205,20 @@ def _followed(
     told("stepping the scene as the tracker saw it", None)
     write_stream(folder / "tracked.npz", played.stream)
     own = live.keys(played.motion, folder / "tracked.npz", played.start_s)
-    course = SceneCourse(preview(scene, device="cpu", board=board, keys={**keys, **own}), duration_s)
-    return _Done(TrueSound(course, number, truth, flight=flight), played.sent, played.times, played.notes, own)
+    seen = preview(scene, device="cpu", board=board, keys={**keys, **own})
+    course = SceneCourse(seen, duration_s, as_far_as_it_goes=True)
+    notes = list(played.notes)
+    if course.refused:
+        notes.append(f"the sound at the hand is told up to {course.end_s:.3f} s: {course.refused}")
+        played.sent.end_s = min(played.sent.end_s, course.end_s)
+    sound = TrueSound(course, number, truth, flight=flight, share=_share(course.model, duration_s))
+    return _Done(sound, played.sent, played.times, notes, own)
+
+
+def _share(model: HapticModel, duration_s: float) -> Callable[[float], float]:
+    """Of all amplitudes at a time of the trial [s], by the driver's ramp."""
+    limits = SoundLimits.of(model.spec.driver)
+    return lambda time_s: limits.share(model.board, time_s, duration_s)
 
 
 def _maker(
@@ -219,11 +235,12 @@ def _maker(
         until_s = float(ends[np.searchsorted(times, due_s)])
         middle_s = due_s if exact else 0.5 * (due_s + until_s)
         known = belief.at(now_s, middle_s + flight_s)
-        data = b"" if exact else frames.at(known.posed, due_s)
+        share = sound.share(due_s)
+        data = b"" if exact else frames.at(known.posed, due_s, share)
         focus = focus_in(course.model, sound.number, known.posed, due_s)
         flight_s = sound.flight_s(focus)
         sounds = exact or frames.sounds
-        return MadeFrame(data, focus, known.seen_s, lambda: afterwards.wanted(known.posed, due_s), sounds)
+        return MadeFrame(data, focus, known.seen_s, lambda: share * afterwards.wanted(known.posed, due_s), sounds)
 
     return make
 
@@ -239,7 +256,9 @@ def _due(course: SceneCourse, board: Board, duration_s: float) -> list[float]:
     """When frames are due [s]; of a board without limits, whenever the sound is looked at."""
     if board.exact and course.moves:
         return _moments(course, duration_s)
-    return frame_times(course.model.configs, duration_s, course.step_s if course.moves else None)
+    ramp = SoundLimits.of(course.model.spec.driver).ramp_times(board, duration_s)
+    step_s = course.step_s if course.moves else None
+    return frame_times(course.model.configs, duration_s, step_s, ramp, board.frame_time_s)
 
 
 def _course(
@@ -314,7 +333,8 @@ def _written(result: Trial, folder: Path, logged: bool) -> dict[str, Path]:
     if result.compared is not None:
         numbers["recording"] = result.compared.as_dict()
     try:
-        files["trial.json"].write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
+        with whole(files["trial.json"]) as part:
+            part.write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
     except OSError as error:
         raise OutputError(f"cannot write {files['trial.json']}: {error.strerror}; choose another folder") from None
     draw_trial(names, rows, numbers, files["trial.png"])

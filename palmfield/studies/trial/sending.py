@@ -275,6 +275,8 @@ def _play_on_port(
     sent.end_s = sent.end_s if sent.interrupted else max(sent.end_s, ended_s)
     late = len(given) - len(sent.frames)
     sent.notes.append(f"sent by a player at {player.priority}; {late} frames that were made came too late for the line")
+    if player.log_error:
+        sent.notes.append(f"the log ends early: {player.log_error}")
     if player.silent:
         sent.notes.append(f"the player fell silent: {player.silent}")
     return sent

@@ -14,7 +14,8 @@ from palmfield.drive.frame_log import FrameLog, LogHead, read_log
 from palmfield.drive.player import Player
 from palmfield.drive.player.report import PlayReport
 from palmfield.drive.virtual import VirtualBoard
-from palmfield.errors import DeviceError
+from palmfield.errors import DeviceError, OutputError
+from palmfield.session.play import check_log
 
 BOARD = BOARDS["sonicsurface"]
 pytestmark = [pytest.mark.skipif(os.name != "posix", reason="the player needs POSIX"), pytest.mark.wall_clock]
@@ -191,3 +192,17 @@ def test_drive_ends_with_code_4_where_frames_were_left_out(tmp_path):
     assert done.returncode == 4, done.stderr
     assert "warning: " in done.stderr and "frames that were due were not sent" in done.stderr
     assert json.loads(path.read_text().splitlines()[1])["t"] == 0.0
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs a device that is always full")
+def test_a_log_that_a_full_disk_ends_is_told_after_the_play(tmp_path):
+    log = tmp_path / "full.jsonl"
+    log.symlink_to("/dev/full")
+    with VirtualBoard(BOARD) as virtual:
+        with Player(BOARD, virtual.port, log=log) as player:
+            assert player.play([(0.0, frame(1)), (0.05, frame(2))], duration_s=0.1).frames == 2
+        virtual.settle()
+        assert "No space left" in player.log_error
+        assert bytes(virtual.received) == BOARD.start + frame(1) + frame(2) + BOARD.stop
+        with pytest.raises(OutputError, match=r"played 2; the log .*full.jsonl ends early: No space left"):
+            check_log(player, log, "played 2; ")

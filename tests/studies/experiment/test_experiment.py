@@ -332,6 +332,23 @@ def test_what_cannot_be_played_is_refused_before_anything_begins(experiment, tmp
     assert not log.exists() or not read_experiment_log(log).trials
 
 
+@pytest.mark.parametrize(
+    ("keys", "what"),
+    [
+        ('"driver.head_m" = "0 0 0.3", "driver.head_limit_dB" = 100', "head_limit_dB allows 100"),
+        ('"driver.on_time_s" = 0.01', "on_time_s allows 0.01"),
+        ('"driver.duty_limit" = 0.2', "duty_limit allows 20 %"),
+    ],
+)
+def test_what_a_driver_does_not_allow_is_refused_at_its_loudest_level_before_anything_begins(experiment, keys, what):
+    path = experiment(start="0.02")
+    path.write_text(path.read_text().replace("[varied]", f"[keys]\n{keys.replace(', ', chr(10))}\n\n[varied]"))
+    with pytest.raises(DeviceError, match=rf"condition '100 Hz', level 1: .*{what}"):
+        run(path, virtual=True)
+    # Nothing is played to an observer that needs no board
+    assert run(path).trials > 0
+
+
 # -- designs -------------------------------------------------------------------------------------------------------
 
 

@@ -1,7 +1,10 @@
 """The committed gallery: its verdicts follow from its numbers, and numbers computed again are those of its pages."""
 
 import json
+import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -11,6 +14,7 @@ from palmfield.studies.papers.counts import counts
 from palmfield.studies.papers.entries import book
 from palmfield.studies.papers.registry import NAMES, paper
 from palmfield.studies.papers.rows import Row, Tried
+from palmfield.studies.papers.run import numbers
 from palmfield.studies.papers.verdicts import hold, verdict
 
 GALLERY = Path(__file__).parents[3] / "docs" / "gallery"
@@ -85,6 +89,20 @@ def test_the_pages_pictures_are_there(name):
     shown = re.findall(r"!\[[^\]]*\]\(([^)]+)\)", text)
     assert len(shown) == len(paper(name).pictures)
     assert all((GALLERY / name / file).is_file() for file in shown)
+
+
+@pytest.mark.slow
+def test_another_process_gives_the_same_numbers_to_1e_6():
+    """With another seed of hashes, and one thread where there are more here."""
+    ids = ("C6d", "R5i", "M4-M5e", "H13-H14f")
+    asked = [part for one in ids for part in ("--only", one)]
+    command = [sys.executable, "-m", "palmfield", "papers", "--quick", "--json", *asked]
+    environment = os.environ | {"PYTHONHASHSEED": "7", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    ran = subprocess.run(command, capture_output=True, text=True, env=environment, check=True)
+    there = json.loads(ran.stdout)
+    for one in numbers(ids, quick=True):
+        for ours, other in zip(one.as_dict()["tried"], there[one.entry.id]["tried"], strict=True):
+            assert other["ours"] == pytest.approx(ours["ours"], rel=1e-6), one.entry.id
 
 
 @pytest.mark.slow

@@ -2,17 +2,18 @@
 
 import json
 import math
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import pytest
 
-from palmfield.errors import MeasurementError, SceneError
+from palmfield.errors import MeasurementError, PalmfieldError, SceneError
 from palmfield.studies.papers import run as running
 from palmfield.studies.papers.answer import Answer, Cause, Paper, Picture, Setting
-from palmfield.studies.papers.counts import counts, noticed, untested
+from palmfield.studies.papers.counts import counts, noticed, turned_later, untested
 from palmfield.studies.papers.entries import Book, Control, Entry, Tolerance, book
 from palmfield.studies.papers.index import as_html
-from palmfield.studies.papers.page import told
+from palmfield.studies.papers.page import page, told
 from palmfield.studies.papers.registry import paper
 from palmfield.studies.papers.rows import row
 from palmfield.studies.papers.verdicts import distance_in_tolerances, hold, verdict
@@ -158,6 +159,21 @@ def test_causes_are_tested_only_where_a_claim_disagrees():
     assert what == "the other size" and tried.held.within
 
 
+def test_what_was_written_later_is_told_apart_from_controls():
+    one = entry("N1a", sensitive=())
+    held = replace(book_of(one), controls=())
+    later = {"N1a": (Cause("thrice", lambda setting: Answer(30.0)), Cause("the same", lambda setting: Answer(10.5)))}
+    came = row(one, nobody({"N1a": by_size(10.0, 10.0)}, later=later), held, Setting())
+    assert [came.differs(tried) for _, tried in came.later] == [True, False]
+    assert (untested([came]), turned_later([came])) == (["N1a"], ["N1a"])
+    assert [one["turned"] for one in came.as_dict()["later"]] == [True, False]
+    text = page(nobody({}), held, [came], [], "", "made")
+    assert "Of these 1 are turned by controls that were written later: N1a" in text and "| thrice |" in text
+    # where a listed control turns it, nothing else is tried
+    listed = entry("N1a")
+    assert row(listed, nobody({"N1a": by_size(10.0, 10.0)}, later=later), book_of(listed), Setting()).later == ()
+
+
 def test_a_row_that_fails_costs_neither_page_nor_rows(tmp_path, monkeypatch, caplog):
     good, bad, given = entry("N1a"), entry("N2a"), entry("N3a", kind="INPUT", readings=(), sensitive=())
     never = entry("N4a", testable=False)
@@ -232,6 +248,26 @@ def test_counts_have_every_verdict():
     one = entry("N1a")
     rows = [row(one, nobody({"N1a": by_size(10.0, 10.0)}), book_of(one), Setting())]
     assert counts(rows) == {"agrees": 1, "disagrees": 0, "depends": 0, "not testable": 0, "no answer": 0}
+
+
+def test_less_than_one_job_and_an_unknown_device_are_refused(tmp_path):
+    with pytest.raises(SceneError, match="jobs is 0"):
+        running.papers(["mizushima2024"], out=tmp_path, jobs=0)
+    with pytest.raises(PalmfieldError, match="device 'gpu9'"):
+        running.papers(["mizushima2024"], out=tmp_path, device="gpu9")
+
+
+def test_papers_side_by_side_are_told_of_and_stand_in_the_order_asked(tmp_path, monkeypatch):
+    """By threads in place of processes, which could not know these papers."""
+    made = {name: nobody({"N1a": by_size(10.0, 10.0)}) for name in ("second", "first")}
+    monkeypatch.setattr(running, "paper", lambda name: replace(made[name], name=name))
+    monkeypatch.setattr(running, "book", lambda: book_of(entry("N1a")))
+    monkeypatch.setattr(running, "ProcessPoolExecutor", lambda count, mp_context: ThreadPoolExecutor(count))
+    heard = []
+    done = running._side_by_side(["second", "first"], Setting(), tmp_path, 2, lambda *news: heard.append(news))
+    assert [one.name for one in done] == ["second", "first"]
+    assert sorted(heard) == [("first", ""), ("first", "N1a"), ("second", ""), ("second", "N1a")]
+    assert (tmp_path / "first" / "rows.json").is_file()
 
 
 def test_an_unknown_paper_is_named_with_what_was_meant():

@@ -13,6 +13,7 @@ from palmfield.drive.boards import BOARDS
 from palmfield.motion.alignment import Touches, align, write_alignment
 from palmfield.motion.tracking import Stream, write_stream
 from palmfield.session.preview import preview
+from palmfield.simulation.frames import Frames
 from palmfield.studies.trial import Live, Tracker, trial
 from palmfield.studies.trial.latency import measure_latency, scene_stream
 from palmfield.types import Air
@@ -104,6 +105,23 @@ def test_frames_are_silent_while_the_hand_is_lost(view, followed):
     assert silent and len(silent) < len(result.sent.frames)
     assert silent[0].due_s > 0.1 and any("frames were silent" in note for note in result.numbers.notes)
     assert not BOARDS["sonicsurface"].decode(silent[0].frame.data)[-1].any()
+
+
+def test_a_focus_that_cannot_be_made_is_silence_and_no_end(view, followed, monkeypatch):
+    """As of a hand that is lowered below the board, or a tracker that has lost its way for a while."""
+    made = Frames.at
+
+    def at(self, posed, time_s, share=1.0):
+        if int(10 * time_s) % 2:
+            raise palmfield.SceneError("focus [0.0, 0.0, -0.1] is behind the array")
+        return made(self, posed, time_s, share)
+
+    monkeypatch.setattr(Frames, "at", at)
+    result = followed(straight(view, 1.6), tracker=Tracker(latency_s=0.0, ahead_s=0.0), duration_s=0.4)
+    assert any("silent, as no focus can be made there: focus" in note for note in result.numbers.notes)
+    sounds = {one.number: one.frame.sounds for one in result.sent.frames}
+    assert set(sounds.values()) == {True, False}
+    assert all(on == (int(10 * result.sent.frames[n].due_s) % 2 == 0) for n, on in enumerate(sounds.values()))
 
 
 def test_the_loop_is_longer_than_a_frame_on_the_line_and_shorter_than_what_is_stale():

@@ -11,8 +11,10 @@ from palmfield.acoustics.calibration_file import Calibration, Elements, write_ca
 from palmfield.drive.boards import BOARDS
 from palmfield.drive.frame_log import read_log
 from palmfield.session.decode import decode
+from palmfield.session.preview import preview
 from palmfield.studies.trial import Tracker, trial
 from palmfield.studies.trial.belief import Belief
+from palmfield.studies.trial.course import SceneCourse
 from palmfield.types import Air
 
 SPEED_m_s = np.array([0.2, 0.1, 0.05])
@@ -168,6 +170,43 @@ def test_the_files_of_a_trial_agree(moving_scene, tmp_path):
         assert np.linalg.norm(np.array([one.sounding for one in result.moments]) - place, axis=1).min() < 1e-6
     with pytest.raises(palmfield.OutputError, match="holds another trial"):
         trial(moving_scene(), board="sonicsurface", skin=False, out=out)
+
+
+def test_the_course_of_a_tracked_hand_ends_where_it_reaches_into_the_array(moving_scene, tmp_path):
+    path = moving_scene()
+    rows = ["0,0,0,0.1,0,1,0,0", "0.1,0,0,-0.1,0,1,0,0", "0.5,0,0,-0.1,0,1,0,0"]
+    (tmp_path / "straight.csv").write_text("\n".join(["time_s,x_m,y_m,z_m,qw,qx,qy,qz", *rows]) + "\n")
+    with pytest.raises(palmfield.SceneError, match="reaches into the array"):
+        SceneCourse(preview(path, device="cpu"), 0.1)
+    course = SceneCourse(preview(path, device="cpu"), 0.1, as_far_as_it_goes=True)
+    # 2 m/s from 100 mm above it on
+    assert "reaches into the array" in course.refused and 0.03 < course.end_s < 0.051
+    assert course.frames(0.09).positions[-1][2] == course.frames(course.end_s).positions[-1][2] > 0.0
+
+
+def test_sound_rises_and_falls_within_the_drivers_ramp(moving_scene, tmp_path):
+    """By the bytes: a raised cosine over 20 ms at both ends of the trial, which costs no share of the pressure."""
+    out = tmp_path / "out"
+    keys = {"driver.ramp_s": 0.02}
+    result = trial(moving_scene(), board="autd3", keys=keys, skin=False, out=out, duration_s=0.1)
+    board, levels = BOARDS["autd3"], {}
+    for one in result.sent.frames:
+        intensities = np.frombuffer(one.frame.data, np.uint8)[249:]
+        assert np.ptp(intensities) == 0
+        levels[one.due_s] = intensities[0] / 255
+    rise = [0.5 - 0.5 * np.cos(np.pi * min(t, 0.1 - t) / 0.02) if min(t, 0.1 - t) < 0.02 else 1.0 for t in levels]
+    np.testing.assert_allclose(list(levels.values()), rise, atol=0.5 * np.pi / 512 + 0.5 / 255)
+    assert min(levels.values()) < 0.01 and max(levels.values()) == 1.0
+    plain = trial(moving_scene(), board="autd3", skin=False, duration_s=0.1)
+    # What is told of the pressure is told at full level, where it is loud enough
+    full_at = {one.time_s: one.pressures for one in plain.moments}
+    loud = [(one.pressures, full_at[one.time_s]) for one in result.moments if one.level > 0.4]
+    assert len(loud) > 50
+    for ramped, full in loud:
+        np.testing.assert_allclose(ramped, full, rtol=5e-3)
+    # A board without levels has none
+    hard = trial(moving_scene(), board="sonicsurface", keys=keys, skin=False, duration_s=0.05)
+    assert all(32 not in one.frame.data[1:-1] for one in hard.sent.frames) and board.levels
 
 
 def test_ctrl_c_keeps_what_there_is(moving_scene, tmp_path, monkeypatch):

@@ -16,7 +16,8 @@ import os
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -42,6 +43,7 @@ from palmfield.skin.problem import (
     spread,
     stated,
 )
+from palmfield.skin.reduction.reduced import Reduced
 from palmfield.skin.reduction.reducer import reduce
 from palmfield.skin.solvers.axisymmetric.element import DiscGrid, Line, graded
 from palmfield.skin.solvers.axisymmetric.samples import REACH, Samples, band_of, principal_shapes, sample
@@ -60,6 +62,8 @@ TIGHTER, TIGHTEST = 0.35, 2e-5
 CORNER = 0.15
 """Width of the elements at a singular corner, in those of their neighbours (Szabo & Babuska 1991, ch. 10)."""
 MOST_DEGREE = 9
+GRIDS, KEPT = 8, 64
+"""Discs, and reduced models of spots in the middle, that are kept for other courses of the pressure: 0.1 to 10 MB."""
 
 
 def refusal_axisymmetric(body: Body, load: Load) -> str | None:
@@ -270,7 +274,14 @@ def _motions(
     """Whole motions side by side, each of a problem, elements of one degree and reduced models of one band [Hz]."""
     tasks, grids = [], []
     for problem, degree, band_Hz in runs:
-        grid = DiscGrid(problem.body, *_grid(problem.body, problem.load, problem.samples, degree, fine or FINE))
+        radial, depth, sheets = _grid(problem.body, problem.load, problem.samples, degree, fine or FINE)
+        grid = _disc(
+            replace(problem.body, sheets=tuple(problem.body.sheets)),
+            _breaks(radial),
+            _breaks(depth),
+            tuple(sheets.tolist()),
+            degree,
+        )
         grids.append(grid)
         tasks += [(grid, problem, m, band_Hz) for m in problem.numbers]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -356,33 +367,77 @@ def _grid(body: Slab, load: Spot, samples: Samples, degree: int, fine: float) ->
 
 def _harmonic(grid: DiscGrid, problem: _Problem, m: int, band_Hz: float) -> tuple[Complex, Complex]:
     """U, V, W of one harmonic at all samples and requested points: displacement and velocity, (t, n, 3)."""
-    samples, system = problem.samples, grid.system(m)
-    s = spread(problem.load.fwhm_m)
+    samples = problem.samples
     near, far = float(samples.distance_m.min()), float(samples.distance_m.max())
-    table = np.linspace(near, far, 2 + math.ceil(10.0 * (far - near) / s))
-
-    def pressure(r: Float) -> Float:
-        x = r[:, None] * table / s**2
-        return (1.0 if m == 0 else 2.0) * np.exp(-0.5 * ((r[:, None] - table) / s) ** 2) * ive(m, x)
-
-    forces = system.spread.T @ grid.pressure_force(pressure)
     radii, which = np.unique(np.hypot(*problem.points[:, :2].T), return_inverse=True)
-    reader = grid.face_reader(radii) @ system.spread
-    if far - near < 1e-9 * s:
-        inputs, coordinates = forces[:, :1], np.ones((len(samples.times_s), 1))
-    else:
-        inputs, shares = principal_shapes(forces, problem.tolerance)
-        coordinates = CubicSpline(table, shares, axis=1)(samples.distance_m).T
-    turning = samples.peak_Pa * np.exp(-1j * m * samples.angle_rad)
     # A weak harmonic may err by more of itself.
     tolerance = (
         problem.tolerance if m < 2 else min(0.1, problem.tolerance * float(problem.share.max() / problem.share[m]))
     )
-    small = reduce(system, inputs, reader, (0.0, band_Hz), tolerance)
+    shape = _SpotShape(
+        grid, m, problem.load.fwhm_m, near, far, tuple(radii.tolist()), band_Hz, tolerance, problem.tolerance
+    )
+    # A spot that moves has tens of models, which would push those of spots at rest out
+    small, table, shares = _kept(shape) if far == 0.0 else _small(shape)
+    if shares is None:
+        coordinates = np.ones((len(samples.times_s), 1))
+    else:
+        coordinates = CubicSpline(table, shares, axis=1)(samples.distance_m).T
+    turning = samples.peak_Pa * np.exp(-1j * m * samples.angle_rad)
     moved = small.run(coordinates * turning[:, None], samples.times_s, samples.law)
-    shape = (len(samples.times_s), len(radii), 3)
-    displacement, velocity = (part.reshape(shape)[:, which] for part in moved)
+    size = (len(samples.times_s), len(radii), 3)
+    displacement, velocity = (part.reshape(size)[:, which] for part in moved)
     return displacement, velocity
+
+
+@dataclass(frozen=True)
+class _SpotShape:
+    """What a harmonic's reduced model depends on: not on the course of the spot's pressure and angle."""
+
+    grid: DiscGrid
+    m: int
+    fwhm_m: float
+    near_m: float
+    far_m: float
+    radii_m: tuple[float, ...]
+    band_Hz: float
+    tolerance: float
+    shape_tolerance: float
+
+
+def _small(of: _SpotShape) -> tuple[Reduced, Float, Float | None]:
+    """The model, distances of the spot from the axis [m] and coordinates of its shapes there; None for one distance."""
+    s = spread(of.fwhm_m)
+    table = np.linspace(of.near_m, of.far_m, 2 + math.ceil(10.0 * (of.far_m - of.near_m) / s))
+
+    def pressure(r: Float) -> Float:
+        x = r[:, None] * table / s**2
+        return (1.0 if of.m == 0 else 2.0) * np.exp(-0.5 * ((r[:, None] - table) / s) ** 2) * ive(of.m, x)
+
+    system = of.grid.system(of.m)
+    forces = system.spread.T @ of.grid.pressure_force(pressure)
+    shares = None
+    if of.far_m - of.near_m < 1e-9 * s:
+        forces = forces[:, :1]
+    else:
+        forces, shares = principal_shapes(forces, of.shape_tolerance)
+    reader = of.grid.face_reader(np.array(of.radii_m)) @ system.spread
+    return reduce(system, forces, reader, (0.0, of.band_Hz), of.tolerance), table, shares
+
+
+_kept = lru_cache(maxsize=KEPT)(_small)
+
+
+@lru_cache(maxsize=GRIDS)
+def _disc(
+    body: Slab, radial: tuple[float, ...], depth: tuple[float, ...], sheets: tuple[int, ...], degree: int
+) -> DiscGrid:
+    """A grid by its breaks [m]: one object for equal discs, by which their models are kept."""
+    return DiscGrid(body, Line(np.array(radial), degree), Line(np.array(depth), degree), np.array(sheets))
+
+
+def _breaks(line: Line) -> tuple[float, ...]:
+    return tuple(line.breaks.tolist())
 
 
 def _harmonic_at_rest(grid: DiscGrid, problem: _Problem, m: int, _: float) -> tuple[Complex, Complex]:

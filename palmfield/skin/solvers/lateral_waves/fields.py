@@ -91,31 +91,45 @@ class PeriodicSlab:
         Raises SceneError for a spot of another width, a grid too coarse for the waves, and times that do not rise.
         """
         times = _asked(spot, times_s, self.fwhm_m)
-        waves = self.waves
-        step = 2.0 * math.pi / self.period_m
-        numbers = np.round(waves.vectors / step).astype(int)
+        numbers, shown = self._grid(half_m, cells)
+        return _maps(self._amplitudes(spot, times, device), numbers, cells, shown)
+
+    def line_and_maps(
+        self, spot: Spot, times_s: Float, maps: Int, *, half_m: float, cells: int, device: str = "cpu"
+    ) -> tuple[Float32, Float32]:
+        """The same along the line y = 0 at all times, shape (t, n), and on the whole square at some, (m, n, n).
+
+        maps: numbers of the times at which the square is wanted, shape (m,); others as of `normal_velocity`
+        """
+        times = _asked(spot, times_s, self.fwhm_m)
+        numbers, shown = self._grid(half_m, cells)
+        amplitude = self._amplitudes(spot, times, device)
+        most = int(numbers[:, 0].max())
+        of_column = sparse.csr_array(
+            (np.ones(len(numbers)), (np.arange(len(numbers)), numbers[:, 0])), shape=(len(numbers), most + 1)
+        )
+        sums = (of_column.T @ amplitude.T).T
+        # On the line m = 0 both a wave and its mirror are wanted
+        sums[:, 0] = 2.0 * sums[:, 0].real
+        spectrum = np.zeros((len(times), cells // 2 + 1), dtype=complex)
+        spectrum[:, : most + 1] = sums
+        line = irfft(spectrum, cells, axis=1, norm="forward", overwrite_x=True)[:, shown]
+        return line.astype(np.float32), _maps(amplitude[maps], numbers, cells, shown)
+
+    def _grid(self, half_m: float, cells: int) -> tuple[Int, Int]:
+        """Whole numbers of each wave along x and y, shape (n, 2), and which cells are shown."""
+        numbers = np.round(self.waves.vectors / (2.0 * math.pi / self.period_m)).astype(np.int32)
         most = int(np.abs(numbers).max())
         if cells < 2 * most + 1:
             raise SceneError(f"cells is {cells}; waves of {self.fwhm_m:g} m spots need at least {2 * most + 1}")
-        shown = self._shown(half_m, cells)
+        return numbers, self._shown(half_m, cells)
+
+    def _amplitudes(self, spot: Spot, times: Float, device: str) -> Complex:
+        """Normal velocity of each wave at the times with its weight, shape (t, n)."""
         line = timeline(spot, times)
-        result = np.zeros((len(times), len(shown), len(shown)), dtype=np.float32)
         if line is None:
-            return result
-        amplitude = _amplitudes(spot, line, waves, len(times), device, self.threads)
-        sums = np.empty((2 * most + 1, most + 1), dtype=complex)
-        along = np.zeros((len(shown), cells // 2 + 1), dtype=complex)
-        # Half planes of e^{i(mx + ny)} with m >= 0: the transform along y is complex, then that along x real
-        for row, values in enumerate(amplitude):
-            sums[...] = 0.0
-            sums[numbers[:, 1], numbers[:, 0]] = values
-            # On the line m = 0 both a wave and its mirror are wanted; k = 0 has half a weight
-            sums[:, 0] += np.roll(sums[::-1, 0], 1).conj()
-            padded = np.zeros((cells, most + 1), dtype=complex)
-            padded[: most + 1], padded[cells - most :] = sums[: most + 1], sums[most + 1 :]
-            along[:, : most + 1] = ifft(padded, axis=0, norm="forward", overwrite_x=True)[shown]
-            result[row] = irfft(along, cells, axis=1, norm="forward")[:, shown].T
-        return result
+            return np.zeros((len(times), len(self.waves)), dtype=complex)
+        return _amplitudes(spot, line, self.waves, len(times), device, self.threads)
 
     def places(self, half_m: float, cells: int) -> Float:
         """Coordinates of the grid of `normal_velocity` along x and along y [m], rising, shape (n,)."""
@@ -129,6 +143,28 @@ class PeriodicSlab:
             )
         reach = math.floor(half_m * cells / self.period_m * (1.0 + 1e-9))
         return np.asarray(np.arange(-reach, reach + 1) % cells)
+
+
+def _maps(amplitude: Complex, numbers: Int, cells: int, shown: Int) -> Float32:
+    """Sums of plane waves on the shown places of a period's cells, shape (t, n, n).
+
+    amplitude: shape (t, w); numbers: waves in a period along x and y, shape (w, 2)
+    """
+    most = int(np.abs(numbers).max())
+    result = np.zeros((len(amplitude), len(shown), len(shown)), dtype=np.float32)
+    sums = np.empty((2 * most + 1, most + 1), dtype=complex)
+    along = np.zeros((len(shown), cells // 2 + 1), dtype=complex)
+    # Half planes of e^{i(mx + ny)} with m >= 0: the transform along y is complex, then that along x real
+    for row, values in enumerate(amplitude):
+        sums[...] = 0.0
+        sums[numbers[:, 1], numbers[:, 0]] = values
+        # On the line m = 0 both a wave and its mirror are wanted; k = 0 has half a weight
+        sums[:, 0] += np.roll(sums[::-1, 0], 1).conj()
+        padded = np.zeros((cells, most + 1), dtype=complex)
+        padded[: most + 1], padded[cells - most :] = sums[: most + 1], sums[most + 1 :]
+        along[:, : most + 1] = ifft(padded, axis=0, norm="forward", overwrite_x=True)[shown]
+        result[row] = irfft(along, cells, axis=1, norm="forward")[:, shown].T
+    return result
 
 
 @dataclass(frozen=True)
@@ -199,14 +235,17 @@ class WalledDisc:
         count = FINER_ANGLES * 2 ** math.ceil(math.log2(2 * int(orders.max()) + 2))
         inside, to_square = self._to_square(tuple(places.tolist()), count)
         by_order = [np.flatnonzero(orders == m) for m in range(int(orders.max()) + 1)]
+        tables = [self._table[chosen] for chosen in by_order]
         result = np.zeros((len(times), *inside.shape), dtype=np.float32)
         for start in range(0, len(times), ROWS):
             rows = amplitude[start : start + ROWS]
-            spectrum = np.zeros((len(rows), len(self._radii), count // 2 + 1), dtype=complex)
-            for m, chosen in enumerate(by_order):
-                spectrum[:, :, m] = rows[:, chosen] @ self._table[chosen]
-            polar = irfft(spectrum, count, axis=2, norm="forward").reshape(len(rows), -1)
-            result[start : start + ROWS][:, inside] = (to_square @ polar.T).T
+            spectrum = np.zeros((count // 2 + 1, len(self._radii), len(rows)), dtype=complex)
+            for m, (chosen, table) in enumerate(zip(by_order, tables, strict=True)):
+                spectrum[m].real = table.T @ rows[:, chosen].real.T
+                spectrum[m].imag = table.T @ rows[:, chosen].imag.T
+            polar = irfft(spectrum, count, axis=0, norm="forward", overwrite_x=True)
+            flat = np.ascontiguousarray(polar.transpose(1, 0, 2)).reshape(-1, len(rows))
+            result[start : start + ROWS][:, inside] = (to_square @ flat).T
         return result
 
     @lru_cache(maxsize=2)  # noqa: B019 (of a frozen object that lives as long as its waves)

@@ -29,6 +29,7 @@ PAPER = Paper(
         **modulated_rows.ANSWERS,
     },
     causes=causes.CAUSES,
+    later=modulated_rows.LATER,
     pictures=PICTURES,
     notes=notes,
 )

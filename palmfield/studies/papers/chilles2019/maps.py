@@ -24,6 +24,8 @@ from palmfield.types import Float
 
 GRID_M = 1e-3
 STEADY_S = (0.18, 0.2)
+RAYS = 8
+"""Steps of the angle from the head's side to the other, on whose rays readings are computed."""
 GROUP = 1000
 
 
@@ -79,14 +81,24 @@ def measured_map(case: Case, stimulus: Stimulus, sight: Sight) -> Map:
 
 @cache
 def _measured_map(case: Case, stimulus: Stimulus, sight: Sight) -> Map:
+    """From places on rays: the mean square is a sum of cosines of the angle to the head, two with parallel beams."""
     run, axis = along_radius(case, stimulus), grid_axis()
-    half = axis[axis >= 0.0]
-    x, y = (part.ravel() for part in np.meshgrid(axis, half, indexing="ij"))
+    angles = np.pi * np.arange(RAYS + 1) / RAYS
+    radii = run.motion.points[:, 0]
+    places = (radii[:, None, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)).reshape(-1, 2)
+    square = np.concatenate([_rms(part, sight) for part in _spun(run.motion, places)]).reshape(len(radii), -1) ** 2
+    cosines = np.cos(np.outer(angles, np.arange(RAYS + 1)))
+    parts = np.linalg.solve(cosines, square.T).T
+    # Across the middle even ones go on, and odd ones change their sign
+    beyond = parts[:0:-1] * (-1.0) ** np.arange(RAYS + 1)
+    of_radius = CubicSpline(np.concatenate([-radii[:0:-1], radii]), np.concatenate([beyond, parts]))
+    x, y = np.meshgrid(axis, axis, indexing="ij")
     inside = np.hypot(x, y) <= RADIUS_M + 1e-9
-    values = np.zeros(len(x))
-    values[inside] = np.concatenate([_rms(part, sight) for part in _spun(run.motion, np.column_stack([x, y])[inside])])
-    upper = values.reshape(len(axis), len(half))
-    return Map(axis, np.concatenate([upper[:, :0:-1], upper], axis=1), run.error)
+    angle = np.arctan2(np.abs(y), x)[inside]
+    seen = of_radius(np.hypot(x, y)[inside]) * np.cos(np.outer(angle, np.arange(RAYS + 1)))
+    values = np.zeros(x.shape)
+    values[inside] = np.sqrt(np.maximum(seen.sum(axis=1), 0.0))
+    return Map(axis, values, run.error)
 
 
 def _rms(motion: SurfaceMotion, sight: Sight) -> Float:

@@ -8,7 +8,7 @@ import numpy as np
 from palmfield.metrics.spectra import harmonics, strongest_line
 from palmfield.metrics.traces import peak_to_peak, rms, within
 from palmfield.skin.materials.material import shear_wave
-from palmfield.studies.papers.answer import Answer, Compute, Setting
+from palmfield.studies.papers.answer import Answer, Cause, Compute, Setting
 from palmfield.studies.papers.chilles2019.maps import Circles, Map, measured_circles, measured_map
 from palmfield.studies.papers.chilles2019.setup import (
     AM_HZ,
@@ -125,7 +125,7 @@ def loudest_of(circles: Circles) -> float:
 
 def _map_band(setting: Setting, case: Case, value: Callable[[Case], float]) -> tuple[float, float] | None:
     """Maps of the moving spot take longest: their band is of the base readings of the full run alone."""
-    return None if setting.quick or case != Case() else banded(setting, case, value)
+    return None if setting.quick or case != Case(device=case.device) else banded(setting, case, value)
 
 
 def far_over_middle(one: Map) -> float:
@@ -244,3 +244,44 @@ ANSWERS: dict[str, Compute] = {
     "C21b": far_am,
     "C21c": far_stm,
 }
+
+
+def with_case(answer: Callable[[Case], Answer], change: Callable[[Case], Case], *, full: bool = False) -> Compute:
+    """full: computed in full runs alone, as it takes minutes"""
+
+    def compute(setting: Setting) -> Answer:
+        if full and setting.quick:
+            return Answer(None, note="in full runs alone: it takes minutes")
+        return answer(change(case_of(setting)))
+
+    return compute
+
+
+def _rises(case: Case) -> Answer:
+    trace = raw(case, "stm")
+    value = float(trace.values.max())
+    return Answer(value, trace.error, margin=value - SHARE * float(np.ptp(trace.values)))
+
+
+def _lossless(case: Case) -> Case:
+    return replace(case, material="tau_printed")
+
+
+def _far_am(case: Case) -> Answer:
+    value = far_over_middle(measured_map(case, "am_pressure", Sight()))
+    return Answer(value, margin=0.5 - value)
+
+
+def _far_stm(case: Case) -> Answer:
+    value = far_over_circle(measured_circles(case, Sight()))
+    return Answer(value, margin=1.0 - value)
+
+
+LATER = {
+    "C20h": (
+        Cause("a slab of a thousandth of the density, which is nearly static",
+              with_case(_rises, lambda case: replace(case, material="massless"))),
+    ),
+    "C21b": (Cause("tau as printed, 0.171 us: next to no damping", with_case(_far_am, _lossless, full=True)),),
+    "C21c": (Cause("tau as printed, 0.171 us: next to no damping", with_case(_far_stm, _lossless, full=True)),),
+}  # fmt: skip

@@ -14,6 +14,7 @@ PAPER = Paper(
     "table of the T4010A1; pressures are those that a microphone of an eighth of an inch reads.",
     answers={**focus.ANSWERS, **drive.ANSWERS, **observer.ANSWERS},
     causes={**focus.CAUSES, **drive.CAUSES, **observer.CAUSES},
+    later={**focus.LATER, **drive.LATER},
     pictures=(*PICTURES, *observer.PICTURES),
     notes=notes,
 )

@@ -307,3 +307,4 @@ CAUSES = {
         Cause("the sound's flight from four units counts", flatness_with("rms pressure", 25.0, True)),
     )
 }
+LATER = {"H12a": (Cause("quality 250 instead of 25: the envelope falls", flatness_with("rms pressure", 250.0, False)),)}

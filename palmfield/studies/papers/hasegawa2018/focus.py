@@ -222,8 +222,11 @@ def amplitude_of_forces(directivity: str) -> Compute:
 
 
 @cache
-def peaks_mm(units: Units, rounded: bool, step_m: float = 0.1e-3) -> tuple[float, ...]:
-    """Where the pressure is largest along x for each command of STEPS_M [mm]."""
+def peaks_mm(units: Units, rounded: bool, step_m: float = 0.1e-3, delays: int | None = None) -> tuple[float, ...]:
+    """Where the pressure is largest along x for each command of STEPS_M [mm].
+
+    rounded: in the board's ticks and packets; delays: else to so many of a period
+    """
     board = BOARD.sized(len(array_of(units)))
     line = np.arange(LINE_M[0], LINE_M[-1] + 0.5 * step_m, step_m)
     points = np.column_stack([line, np.zeros(len(line)), np.full(len(line), FORCE_DEPTH_M)])
@@ -234,6 +237,9 @@ def peaks_mm(units: Units, rounded: bool, step_m: float = 0.1e-3) -> tuple[float
             drive = board.focused(told, HASEGAWA_TICKS // 2)
         else:
             drive = drive_of(units, FORCE_DEPTH_M, float(x))
+            if delays is not None:
+                step = 2.0 * math.pi / delays
+                drive = np.exp(1j * step * np.rint(np.angle(drive) / step))
         # float64: single precision would move a flat top by a step of the grid
         found.append(1e3 * _parabola(line, np.abs(_exactly(units, points, drive))))
     return tuple(found)
@@ -261,6 +267,24 @@ def largest_step(setting: Setting) -> Answer:
         note="with delays in 640 ticks a period and places in packets of 0.025 mm",
         shown={"least step [mm]": float(steps.min()), "largest step, delays not rounded [mm]": float(smooth.max())},
     )
+
+
+def step_with_delays(delays: int) -> Compute:
+    """The same with delays rounded to so many of a period."""
+
+    def compute(setting: Setting) -> Answer:
+        steps = np.diff(peaks_mm(units_of(setting), False, delays=delays))
+        return Answer(float(steps.max()), margin=float(min(1.0 - steps.max(), steps.min())))
+
+    return compute
+
+
+def ratio_of_wide_pistons(count: int, depth_m: float, radius_m: float) -> Compute:
+    def compute(setting: Setting) -> Answer:
+        units = Units(count, "piston", radius_m)
+        return Answer(ratio(units, depth_m, reference_m(setting, units)))
+
+    return compute
 
 
 def reach(setting: Setting) -> Answer:
@@ -391,4 +415,10 @@ CAUSES = {
         Cause("the law of a rigid wall on a plate of 0.4 m, instead of alpha p^2/(rho c^2)", force_by(Units(4), 0.4)),
         Cause("the table of the T4010A1 on a plate of 0.3 m", force_by(Units(4, "table"), 0.3)),
     ),
+}
+LATER = {
+    "H13-H14b": (
+        Cause("pistons of 9 mm, twice as wide, which send less to the side", ratio_of_wide_pistons(1, 0.4, 9e-3)),
+    ),
+    "H17a": (Cause("delays rounded to a quarter of a period instead of a 640th", step_with_delays(4)),),
 }

@@ -30,11 +30,12 @@ TABLE = "measured table of the T4010A1"
 class Units:
     """What sounds. Hashable, so that runs can be kept by it.
 
-    count: 1 or 4; directivity: "piston", "table" or "point"
+    count: 1 or 4; directivity: "piston", of radius_m, "table" or "point"
     """
 
     count: int = 4
     directivity: str = "piston"
+    radius_m: float = PISTON_M
 
 
 def value_of(setting: Setting, axis: str) -> str:
@@ -54,7 +55,7 @@ def array_of(units: Units) -> Array:
     array = layout(LAYOUTS[units.count])
     if units.directivity == "table":
         return array
-    radius = PISTON_M if units.directivity == "piston" else 0.0
+    radius = units.radius_m if units.directivity == "piston" else 0.0
     return replace(array, directivity_table=None, piston_radius_m=radius)
 
 

@@ -13,6 +13,7 @@ PAPER = Paper(
     "(doi 10.18494/SAM5054). Speakers are baffled pistons in air of 23 degrees; the gel is a flat linear layer.",
     answers={**field.ANSWERS, **drive.ANSWERS, **gel.ANSWERS},
     causes={**field.CAUSES, **gel.CAUSES},
+    later=field.LATER,
     pictures=PICTURES,
     notes=notes,
 )

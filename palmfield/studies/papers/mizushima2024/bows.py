@@ -28,6 +28,7 @@ class Bows:
     receiver_m: diameter of the microphone, 0 for a point
     in_phase: all speakers alike, as one generator drives them, instead of in step at the focus
     faces: each speaker as points all over its face (Rayleigh's integral) instead of by its far field
+    sounding: how many of a bow, those in its middle
     """
 
     focal_length_m: float = 50e-3
@@ -36,6 +37,7 @@ class Bows:
     receiver_m: float = QUARTER_INCH_M
     in_phase: bool = False
     faces: bool = False
+    sounding: int = SPEAKERS
 
 
 def value_of(setting: Setting, axis: str) -> str:
@@ -71,6 +73,8 @@ def drives_of(bows: Bows) -> list[Complex]:
     """Drives whose pressures add up (one), or whose squares do (one a bow), each of shape (12,)."""
     array = array_of(bows)
     drive = np.ones(len(array), complex) if bows.in_phase else focus(array, ROOM, focus_of(bows))
+    place = np.arange(len(array)) % SPEAKERS
+    drive = drive * (np.abs(2 * place - SPEAKERS + 1) < bows.sounding)
     if bows.coherent:
         return [drive]
     first = np.arange(len(array)) < SPEAKERS

@@ -328,3 +328,11 @@ ANSWERS: dict[str, Compute] = {
     "M7k": check_of("z", _quarter_inch),
 }
 CAUSES = {"M7a": causes("y"), "M7b": causes("x"), "M7c": causes("z")}
+LATER = {
+    "M7a": (
+        Cause(
+            "two speakers of a bow in place of six: a third of the aperture",
+            width_with("y", lambda bows: replace(bows, sounding=2)),
+        ),
+    )
+}

@@ -15,7 +15,7 @@ from palmfield.stimulus.curves import line, zigzagged
 from palmfield.studies.papers.answer import Answer, Setting
 from palmfield.studies.papers.reardon2023.configuration import Course, FWHM_m, Plate, RADIUS_m, first_number, plate_of
 from palmfield.studies.papers.reardon2023.held import answered, level_of
-from palmfield.studies.papers.reardon2023.runs import COARSE, FINER, FULL, QUICK, SPACING_m, run
+from palmfield.studies.papers.reardon2023.runs import COARSE, FINER, FULL, QUICK, GRID_m, SPACING_m, run
 from palmfield.types import Float
 
 ZIGZAG_m = 0.16
@@ -224,7 +224,9 @@ def _place(**changes: Any) -> Callable[[Setting], Answer]:
     def number(setting: Setting, level: int) -> float:
         return inside_mm(_of_square(setting, level, 8.0, **changes), 0.03)
 
-    return lambda setting: answered(number, setting, changes=changes, margin=lambda v: v - 3.0)
+    return lambda setting: answered(
+        number, setting, changes=changes, margin=lambda v: v - 3.0, resolution=0.5e3 * GRID_m
+    )
 
 
 def _maxima(**changes: Any) -> Callable[[Setting], Answer]:
@@ -347,8 +349,9 @@ def _shrinks(**changes: Any) -> Callable[[Setting], Answer]:
         note = "the least decrease from one speed to the next [mm]; no decrease is none"
         # Radii are told in half millimetres: one that stays where it is does not decrease
         return answered(
-            number, setting, changes=changes, margin=lambda v: v - 0.5 * 1e3 * RING_STEP_m, note=note, shown=shown
-        )
+            number, setting, changes=changes, margin=lambda v: v - 0.5 * 1e3 * RING_STEP_m, note=note, shown=shown,
+            resolution=1e3 * RING_STEP_m,
+        )  # fmt: skip
 
     return answer
 
@@ -366,7 +369,8 @@ def _quiet(**changes: Any) -> Callable[[Setting], Answer]:
                 one.ring[0] / one.ring[: round(path_radius(setting) / RING_STEP_m) + 1].max()
             )
         }
-        return answered(number, setting, changes=changes, shown=shown)
+        resolution = 0.5 * RING_STEP_m / path_radius(setting)
+        return answered(number, setting, changes=changes, shown=shown, resolution=resolution)
 
     return answer
 

@@ -16,7 +16,7 @@ from palmfield.studies.papers.reardon2023.configuration import Course, Plate, ti
 from palmfield.studies.papers.reardon2023.figures import zigzag_corners
 from palmfield.studies.papers.reardon2023.held import answered, level_of
 from palmfield.studies.papers.reardon2023.lines import LATERAL_m
-from palmfield.studies.papers.reardon2023.runs import FULL, QUICK, run, sampled
+from palmfield.studies.papers.reardon2023.runs import FULL, QUICK, line_run, sampled
 from palmfield.types import Float
 
 PATH_m, WIDTH_m, ACROSS_m_s = 0.16, 0.02, 2.5
@@ -62,13 +62,10 @@ def hand_course(along: float, level: int) -> Course:
 def passed(plate: Plate, along: float, level: int, device: str) -> Pass:
     """A pass at a speed along the path."""
     course = hand_course(along, level)
-    motion = run(plate, course, level, device)
+    motion, line = line_run(plate, course, level, device, course.steps * 7 // 8 - 1)
     columns = np.abs(motion.places_m[:, None] - RECEPTORS_m).argmin(axis=0)
-    row = int(np.abs(motion.places_m).argmin())
-    trace = motion.velocity[:, columns, row].astype(float)
-    moved = cumulative_trapezoid(trace, motion.times_s, axis=0, initial=0.0)
-    place = course.steps * 7 // 8 - 1
-    return Pass(motion.places_m, motion.velocity[place].astype(float), motion.times_s, moved, PATH_m / along)
+    moved = cumulative_trapezoid(line[:, columns].astype(float), motion.times_s, axis=0, initial=0.0)
+    return Pass(motion.places_m, motion.velocity[0].astype(float), motion.times_s, moved, PATH_m / along)
 
 
 def wake_cm(one: Pass) -> float:

@@ -39,13 +39,17 @@ def answered(
     note: str = "",
     shown: Mapping[str, float] | None = None,
     changes: Mapping[str, Any] | None = None,
+    resolution: float = 0.0,
 ) -> Answer:
     """The number with its error; margin: of the number, for inequalities. number: one function for all settings.
 
     changes: to the slab, of a possible cause, whose error is not estimated
+    resolution: by how much the grid on which a place is read may move the number, which two runs don't show
     """
     value = number(setting, level_of(setting))
-    error, how = (None, "") if changes else (_error(number, base_of(setting)), HOW)
+    error, how = (None, "") if changes else (max(_error(number, base_of(setting)), resolution), HOW)
+    if error is not None and resolution:
+        how += "; at least that of the grid"
     return Answer(
         value, error, margin=None if margin is None else margin(value), note="; ".join(filter(None, (note, how))),
         shown=shown or {},

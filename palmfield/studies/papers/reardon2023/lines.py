@@ -31,7 +31,7 @@ from palmfield.studies.papers.reardon2023.configuration import (
     threshold_of,
 )
 from palmfield.studies.papers.reardon2023.held import answered, level_of
-from palmfield.studies.papers.reardon2023.runs import Straight, focus_at, run, straight
+from palmfield.studies.papers.reardon2023.runs import GRID_m, Straight, focus_at, run, straight
 from palmfield.types import Float
 
 PATH_m = 0.16
@@ -42,6 +42,8 @@ FAST = (5.0, 7.0, 10.0, 20.0)
 AROUND_m = 0.1
 """Of the focus, where fields of control rates are compared."""
 FOCUS_AT_m = 0.12
+RIDGE_deg = math.degrees(0.5 * GRID_m / 0.04)
+"""Half a place of the grid in the middle of the ridge that is fitted, 20 to 60 mm behind the focus."""
 
 
 def seen(setting: Setting, level: int, speed: float, length: float | None = None, **changes: Any) -> Straight:
@@ -126,7 +128,9 @@ def _angle(speed: float, **changes: Any) -> Callable[[Setting], Answer]:
         slanted = mach_angle(
             one.at_12_cm, one.places_m, one.places_m, focus_x_m=FOCUS_AT_m - 0.5 * PATH_m, estimator="slant_stack"
         )
-        return answered(number, setting, changes=changes, shown={"by a slant stack [deg]": slanted})
+        return answered(
+            number, setting, changes=changes, shown={"by a slant stack [deg]": slanted}, resolution=RIDGE_deg
+        )
 
     return answer
 
@@ -165,7 +169,7 @@ def own_angle(setting: Setting) -> Answer:
     one = seen(setting, level_of(setting), 7.0, PATH_m)
     curve, k = own_curve_deg(one, plate_of(setting), 7.0)
     note = f"the phase speed of the strongest mode at {k:.0f} rad/m, the mean of the snapshot, gives {curve:.1f} deg"
-    return replace(answered(_angle_at_seven, setting, note=note), against=curve)
+    return replace(answered(_angle_at_seven, setting, note=note, resolution=RIDGE_deg), against=curve)
 
 
 # R8, R9

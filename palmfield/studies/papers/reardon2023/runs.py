@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from functools import cache, lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from palmfield.metrics import energy_density
 from palmfield.skin.problem import Spot
@@ -126,8 +127,33 @@ def focus_at(course: Course, seconds: float) -> Float:
 
 def run(plate: Plate, course: Course, level: int, device: str, times_s: Float | None = None) -> Motion:
     """The motion at the course's samples, or at other times [s]. Not kept: it is large."""
+    times, spot = _asked(plate, course, times_s)
+    if plate.rim == "reflecting":
+        disc = walled(plate, level)
+        places = disc.places(GRID_m)
+        velocity = disc.normal_velocity(spot, times, spacing_m=GRID_m, device=device)
+    else:
+        slab, cells = _lattice(plate, float(times[-1]), level)
+        places = slab.places(RADIUS_m, cells)
+        velocity = slab.normal_velocity(spot, times, half_m=RADIUS_m, cells=cells, device=device)
+    velocity[:, _off(places)] = 0.0
+    return Motion(times, places, velocity)
+
+
+def line_run(plate: Plate, course: Course, level: int, device: str, snapshot: int) -> tuple[Motion, Float32]:
+    """The motion of an endless slab at one of the course's samples, and along y = 0 at all of them, shape (t, n)."""
+    times, spot = _asked(plate, course, None)
+    slab, cells = _lattice(plate, float(times[-1]), level)
+    places = slab.places(RADIUS_m, cells)
+    chosen = np.array([snapshot], dtype=np.int32)
+    line, velocity = slab.line_and_maps(spot, times, chosen, half_m=RADIUS_m, cells=cells, device=device)
+    velocity[:, _off(places)] = 0.0
+    return Motion(times, places, velocity), line
+
+
+def _asked(plate: Plate, course: Course, times_s: Float | None) -> tuple[Float, Spot]:
+    """Times of the answer and the spot of the plate's width."""
     times, load, end = sampled(course)
-    times = times if times_s is None else times_s
     ends, peaks, centres = load.times_s, load.peak_Pa, load.centres()
     if course.still_after_s > 0.0:
         if course.rate_Hz is not None:
@@ -135,19 +161,17 @@ def run(plate: Plate, course: Course, level: int, device: str, times_s: Float | 
         # A line to nothing that takes a microsecond
         ends = np.append(ends, end + 1e-6)
         peaks, centres = np.append(peaks, 0.0), np.vstack([centres, centres[-1:]])
-    spot = Spot(plate.fwhm_m, ends, peaks, centres, load.law)
-    if plate.rim == "reflecting":
-        disc = walled(plate, level)
-        places = disc.places(GRID_m)
-        velocity = disc.normal_velocity(spot, times, spacing_m=GRID_m, device=device)
-    else:
-        period = period_for(plate, float(times[-1]), level)
-        slab = endless(plate, period, level)
-        cells = round(period / GRID_m)
-        places = slab.places(RADIUS_m, cells)
-        velocity = slab.normal_velocity(spot, times, half_m=RADIUS_m, cells=cells, device=device)
-    velocity[:, np.hypot(*np.meshgrid(places, places, indexing="ij")) > RADIUS_m * (1.0 + 1e-9)] = 0.0
-    return Motion(times, places, velocity)
+    return times if times_s is None else times_s, Spot(plate.fwhm_m, ends, peaks, centres, load.law)
+
+
+def _lattice(plate: Plate, seconds: float, level: int) -> tuple[PeriodicSlab, int]:
+    period = period_for(plate, seconds, level)
+    return endless(plate, period, level), round(period / GRID_m)
+
+
+def _off(places: Float) -> NDArray[np.bool_]:
+    """Places of the square that are off the slab."""
+    return np.asarray(np.hypot(*np.meshgrid(places, places, indexing="ij")) > RADIUS_m * (1.0 + 1e-9))
 
 
 @dataclass(frozen=True)

@@ -2,11 +2,11 @@
 
 from collections.abc import Iterable
 
-import numpy as np
 import xarray as xr
 from pxr import Gf, Tf, Usd, UsdGeom, UsdSkel, Vt
 
-from palmfield.outputs.frames import nearest
+from palmfield.outputs.usd.prims import vectors
+from palmfield.outputs.usd.samples import Samples
 from palmfield.types import Float, Float32, Int
 
 
@@ -21,10 +21,10 @@ def identifiers(names: Iterable[str]) -> dict[str, str]:
     return result
 
 
-def add_skeleton(stage: Usd.Stage, root: str, body: xr.Dataset, times_s: Float) -> UsdSkel.Skeleton:
-    """Skeleton and animation under a UsdSkel root, whose frame is the body's.
+def add_skeleton(stage: Usd.Stage, root: str, body: xr.Dataset) -> tuple[UsdSkel.Skeleton, UsdSkel.Animation]:
+    """Skeleton and animation, which does not move yet, under a UsdSkel root, whose frame is the body's.
 
-    body: a result's group /body with bone_rest and bone_pose; times_s: of the time codes [s], shape (n,)
+    body: a result's group /body with bone_rest
     """
     skeleton = UsdSkel.Skeleton.Define(stage, f"{root}/Skeleton")
     count = body.sizes["bone"]
@@ -37,15 +37,25 @@ def add_skeleton(stage: Usd.Stage, root: str, body: xr.Dataset, times_s: Float) 
     animation = UsdSkel.Animation.Define(stage, f"{root}/Skeleton/Motion")
     animation.CreateJointsAttr(names)
     animation.CreateScalesAttr(Vt.Vec3hArray([Gf.Vec3h(1.0, 1.0, 1.0)] * count))
-    moves, turns = animation.CreateTranslationsAttr(), animation.CreateRotationsAttr()
-    steps: Float = body["step_time"].values
-    poses: Float = body["bone_pose"].values
-    for code, time_s in enumerate(times_s):
-        pose = poses[nearest(steps, float(time_s))]
-        moves.Set(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(pose[:, :3], np.float32)), code)
-        turns.Set(Vt.QuatfArray([Gf.Quatf(*quaternion) for quaternion in pose[:, 3:].tolist()]), code)
     UsdSkel.BindingAPI.Apply(skeleton.GetPrim()).CreateAnimationSourceRel().SetTargets([animation.GetPath()])
-    return skeleton
+    return skeleton, animation
+
+
+class BoneMoves:
+    """Translations and rotations of a skeleton's bones over time."""
+
+    def __init__(self, animation: UsdSkel.Animation):
+        self._moves = Samples(animation.CreateTranslationsAttr(), vectors)
+        self._turns = Samples(animation.CreateRotationsAttr(), _quaternions)
+
+    def add(self, code: float, poses: Float) -> None:
+        """Poses of all bones in the body's frame, shape (bones, 7), at a time code."""
+        self._moves.add(code, poses[:, :3])
+        self._turns.add(code, poses[:, 3:])
+
+
+def _quaternions(turns: Float) -> Vt.QuatfArray:
+    return Vt.QuatfArray([Gf.Quatf(*turn) for turn in turns.tolist()])
 
 
 def bind(mesh: UsdGeom.Mesh, skeleton: UsdSkel.Skeleton, bones: Int, weights: Float32) -> None:

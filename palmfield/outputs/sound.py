@@ -1,0 +1,85 @@
+"""The sound of a result's arrays in free air, computed again from its drives."""
+
+import numpy as np
+import xarray as xr
+
+from palmfield.acoustics.field import pressure
+from palmfield.acoustics.phased_array import ArrayInstance
+from palmfield.acoustics.placement import placed
+from palmfield.config.array import ArrayConfig
+from palmfield.errors import OutputError
+from palmfield.outputs.frames import axes, foci_at, nearest, pose_at
+from palmfield.outputs.recorded_keys import keys_of
+from palmfield.outputs.schema import has_records, instances
+from palmfield.transforms import IDENTITY, Placement
+from palmfield.types import Air, Array, Complex, Float
+
+
+def driven_arrays(result: xr.DataTree) -> dict[str, xr.Dataset]:
+    """The arrays of which a result holds drives. Raises OutputError where there are none."""
+    arrays = {
+        name: array for name, array in instances(result, "array").items() if has_records(array, "drive_amplitude")
+    }
+    if not arrays:
+        raise OutputError("the result holds no drives of an array; run at least one step")
+    return arrays
+
+
+def sounding_foci(result: xr.DataTree, time_s: float) -> Float:
+    """Focal points that sound at a time, in the world [m], shape (n, 3)."""
+    found = [np.empty((0, 3))]
+    for stimulus in instances(result, "stimulus").values():
+        if has_records(stimulus, "foci"):
+            found.append(foci_at(stimulus, nearest(stimulus["time"].values, time_s)))
+    return np.concatenate(found)
+
+
+def sound_at(arrays: dict[str, xr.Dataset], points: Float, time_s: float) -> Complex:
+    """Complex amplitude [Pa] of the arrays' sound at points of the world [m], shape (n, 3) -> (n,), at a time [s].
+
+    arrays: of `driven_arrays`. With nothing in the way; amplitudes and phases are those of the drive, so that the
+    ringing of transducers is not in it. Transducers are those of the result: calibrated, tilted or one by one. Raises
+    OutputError for a result of an earlier version with layout sites or csv, or a calibration, which it doesn't tell in
+    full.
+    """
+    total: Complex = np.zeros(len(points), complex)
+    for name, array in arrays.items():
+        if array["drive_amplitude"].values[nearest(array["frame_time"].values, time_s)].any():
+            total += _sound(name, array, points, time_s)
+    return total
+
+
+def _sound(name: str, array: xr.Dataset, points: Float, time_s: float) -> Complex:
+    """Complex amplitude [Pa] of one array at points of the world [m], shape (n, 3) -> (n,)."""
+    config = keys_of(ArrayConfig, name, array)
+    pose = pose_at(array, time_s)
+    here = placed(_transducers(name, array, config), pose[:3], axes(pose).T)
+    index = nearest(array["frame_time"].values, time_s)
+    drive = array["drive_amplitude"].values[index] * np.exp(1j * array["drive_phase"].values[index])
+    air = Air(config.temperature_C, config.humidity_percent, config.pressure_Pa)
+    return pressure(points, here, drive.astype(complex), air, device="cpu", warn=False).pressure.astype(complex)
+
+
+def _transducers(name: str, group: xr.Dataset, config: ArrayConfig) -> Array:
+    """An array's transducers in its own frame, as the result has them; from its keys if it is of an earlier version."""
+    if "transducer_p0" in group:
+        phase = np.exp(1j * group["transducer_phase"].values)
+        table = None
+        if "off_axis_angle" in group:
+            table = np.column_stack([group["off_axis_angle"].values, group["off_axis_level"].values])
+        return Array(
+            name,
+            group["transducer_position"].values,
+            group["transducer_direction"].values,
+            1.0,
+            piston_radius_m=float(group["piston_radius"].item()),
+            gain=group["transducer_p0"].values * phase,
+            directivity_table=table,
+        )
+    for key, found in (("layout", config.layout in ("sites", "csv")), ("calibration", config.calibration is not None)):
+        if found:
+            raise OutputError(
+                f"array '{name}' has {key} {getattr(config, key)!r}, which this result, of an earlier version, doesn't "
+                "hold in full: run the scene again"
+            )
+    return ArrayInstance(config, Placement.of(IDENTITY)).array()

@@ -1,0 +1,126 @@
+"""Arrays of a run in USD: transducers where they are, with amplitude and phase of each over time."""
+
+import numpy as np
+import trimesh
+import xarray as xr
+from pxr import Gf, Usd, UsdGeom, Vt
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from palmfield.outputs.frames import nearest
+from palmfield.outputs.schema import has_records
+from palmfield.outputs.usd.clock import Clock, rows_at
+from palmfield.outputs.usd.palette import Palette, cyclic_palette, indices_of, paint
+from palmfield.outputs.usd.prims import Moves, add_mesh, add_primvar, floats, integers, rounding_told, vectors
+from palmfield.outputs.usd.quantise import rounding
+from palmfield.outputs.usd.samples import Samples
+from palmfield.types import Float, Int
+
+CASE_COLOUR = (0.35, 0.37, 0.40)
+CORNERS = 16
+TURN = 2.0 * np.pi
+SILENT = 1e-3
+"""A transducer below this amplitude keeps the case's colour."""
+
+
+class ArrayWriter:
+    """Writes what changes of one array, from frame to frame.
+
+    The prim holds Transducers, a point instancer whose primvars drive_amplitude and drive_phase have a value for each,
+    and Drive, discs before and behind each of them (first all before), coloured by its phase while it sounds.
+    """
+
+    def __init__(self, stage: Usd.Stage, path: str, array: xr.Dataset):
+        positions: Float = array["transducer_position"].values
+        gap = float(cKDTree(positions).query(positions, k=2)[0][:, 1].min()) if len(positions) > 1 else 0.010
+        self._array = array
+        self._moves = Moves(UsdGeom.Xform.Define(stage, path))
+        moves = has_records(array, "pose")
+        self._poses: Float | None = array["pose"].values if moves else None
+        self._step_times: Float = array["step_time"].values if moves else np.zeros(0)
+        case = trimesh.creation.cylinder(0.46 * gap, 0.7 * gap, sections=CORNERS)
+        case.apply_translation([0.0, 0.0, -0.35 * gap])
+        instancer = UsdGeom.PointInstancer.Define(stage, f"{path}/Transducers")
+        prototype = add_mesh(stage, f"{path}/Transducers/Case", case.vertices, case.faces, CASE_COLOUR)
+        instancer.CreatePrototypesRel().SetTargets([prototype.GetPath()])
+        instancer.CreateProtoIndicesAttr(Vt.IntArray([0] * len(positions)))
+        instancer.CreatePositionsAttr(vectors(positions))
+        turns = _facing(array["transducer_direction"].values) if "transducer_direction" in array else None
+        if turns is not None:
+            quaternions = np.roll(turns.as_quat(), 1, axis=1)
+            instancer.CreateOrientationsAttr(Vt.QuathArray([Gf.Quath(*one) for one in quaternions.tolist()]))
+        instancer.CreateExtentAttr(instancer.ComputeExtentAtTime(Usd.TimeCode.Default(), Usd.TimeCode.Default()))
+        self._palette = _with_silence(cyclic_palette(TURN))
+        discs = np.concatenate([_discs(positions, turns, 0.36 * gap, above) for above in (0.02 * gap, -0.72 * gap)])
+        faces = np.arange(len(discs)).reshape(-1, CORNERS)
+        self._drive: tuple[Samples, Samples, Samples] | None = None
+        if not has_records(array, "drive_amplitude", "drive_phase"):
+            return
+        face = add_mesh(stage, f"{path}/Drive", discs, faces, None)
+        colour = paint(
+            face, self._palette, "uniform", quantity="drive_phase", units="rad",
+            last="the last colour is of transducers that are silent",
+        )  # fmt: skip
+        self._frame_times: Float = array["frame_time"].values
+        largest = float(array["drive_amplitude"].max())
+        self._roundings = rounding(0.0, largest), rounding(0.0, TURN)
+        signs = "1 is full drive", "positive is a delay (time factor e^{-i w t}); from 0 to a turn"
+        made = []
+        for name, unit, sign, rounded in zip(
+            ("drive_amplitude", "drive_phase"), ("1", "rad"), signs, self._roundings, strict=True
+        ):
+            told = rounding_told(rounded)
+            primvar = add_primvar(instancer.GetPrim(), name, unit, sign, told)
+            made.append(Samples(primvar.GetAttr(), floats))
+        self._drive = made[0], made[1], Samples(indices_of(colour), integers)
+
+    def write(self, clock: Clock, frames: slice) -> None:
+        """Write some frames, which come after those before."""
+        codes, times = clock.codes[frames].tolist(), clock.times_s[frames]
+        if self._poses is not None:
+            for code, time_s in zip(codes, times.tolist(), strict=True):
+                self._moves.add(code, self._poses[nearest(self._step_times, time_s)])
+        if self._drive is None:
+            return
+        array = self._array
+        now = drive_frames(self._frame_times, times)
+        sizes = rows_at(array["drive_amplitude"], "frame_time", now)
+        phases = np.mod(rows_at(array["drive_phase"], "frame_time", now).astype(float), TURN)
+        amplitudes, turns, numbers = self._drive
+        for code, size, phase in zip(codes, sizes, phases, strict=True):
+            amplitudes.add(code, self._roundings[0].of(size))
+            turns.add(code, self._roundings[1].of(phase))
+            numbers.add(code, np.tile(_numbers(self._palette, size, phase), 2))
+
+
+def drive_frames(frame_times: Float, times_s: Float) -> Int:
+    """The drive frames that are in force at times [s], shape (n,)."""
+    return np.maximum(0, np.searchsorted(frame_times, times_s + 1e-9, "right") - 1).astype(np.int32)
+
+
+def _with_silence(palette: Palette) -> Palette:
+    return palette._replace(colours=np.vstack([palette.colours, CASE_COLOUR]))
+
+
+def _numbers(palette: Palette, size: Float, phase: Float) -> Int:
+    return np.where(size > SILENT, palette.numbers(phase), len(palette.colours) - 1).astype(np.int32)
+
+
+def _facing(directions: Float) -> Rotation | None:
+    """What turns z into each direction, shape (n, 3); None where all are z."""
+    axis = np.cross([0.0, 0.0, 1.0], directions)
+    sine = np.linalg.norm(axis, axis=1)
+    if sine.max() < 1e-9 and directions[:, 2].min() > 0.0:
+        return None
+    # Straight back is half a turn about x
+    axis = np.where(sine[:, None] > 1e-9, axis / np.maximum(sine, 1e-9)[:, None], [1.0, 0.0, 0.0])
+    return Rotation.from_rotvec(np.arctan2(sine, directions[:, 2])[:, None] * axis)
+
+
+def _discs(positions: Float, turns: Rotation | None, radius: float, above: float) -> Float:
+    """Corners of a disc at each transducer, so far above its face, shape (n * CORNERS, 3)."""
+    angle = TURN * np.arange(CORNERS) / CORNERS
+    ring = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.full(CORNERS, above)])
+    if turns is None:
+        return (positions[:, None, :] + ring).reshape(-1, 3)
+    return (positions[:, None, :] + np.einsum("nij,cj->nci", turns.as_matrix(), ring)).reshape(-1, 3)

@@ -1,0 +1,147 @@
+"""Bodies of a run in USD: where they are, their surface, their bones, and the sound's force on them."""
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from pxr import Sdf, Usd, UsdGeom, UsdSkel
+
+from palmfield.outputs.covered import uncovered_faces
+from palmfield.outputs.frames import IDENTITY, nearest
+from palmfield.outputs.schema import has_records
+from palmfield.outputs.usd.clock import Clock, rows_at
+from palmfield.outputs.usd.prims import Moves, about, add_mesh, add_primvar, floats, rounding_told, vector
+from palmfield.outputs.usd.quantise import rounding
+from palmfield.outputs.usd.samples import Samples
+from palmfield.outputs.usd.skeleton import BoneMoves, add_skeleton, bind, identifiers
+from palmfield.outputs.usd.skins import SkinWriter, face_areas
+from palmfield.types import Float, Float32, Int
+
+SKIN_COLOUR = (0.70, 0.47, 0.36)
+PATCH_COLOUR = (0.60, 0.30, 0.22)
+FORCE_ROUNDING = "up or down to 1/1000 of the moment's range, so that the sum over areas stays"
+FORCE_PART = 1000
+"""What presses on faces is rounded to this part of its range: it adds up to the force, even where it is a small one."""
+
+
+class BodyWriter:
+    """Writes what changes of one body, from frame to frame.
+
+    skins: what writes each of its skins, by the name that the result has for it
+    """
+
+    def __init__(
+        self,
+        stage: Usd.Stage,
+        path: str,
+        body: xr.Dataset | None,
+        forces: xr.Dataset | None,
+        surfaces: list[xr.Dataset],
+        skins: dict[str, xr.Dataset],
+    ):
+        """body, forces: groups of any of its skins; surfaces: of those that have one; skins: by name"""
+        boned = body is not None and has_records(body, "bone_pose")
+        moves = body is not None and has_records(body, "pose")
+        self._poses: Float = body["pose"].values if body is not None and moves else IDENTITY[None]
+        timed = next(
+            (one for one in (body, forces, *surfaces) if one is not None and has_records(one, "step_time")), None
+        )
+        self._step_times: Float = np.zeros(0) if timed is None else timed["step_time"].values
+        self._arp: Float32 = np.zeros(0, np.float32)
+        prim = (UsdSkel.Root if boned else UsdGeom.Xform).Define(stage, path)
+        self._moves = Moves(prim)
+        meshes: list[tuple[UsdGeom.Mesh, xr.Dataset, Int | slice]] = []
+        self._pressed: tuple[xr.Dataset, Any, Samples] | None = None
+        if surfaces:
+            meshes += self._add_surface(stage, path, surfaces, list(skins.values()))
+        UsdGeom.Scope.Define(stage, f"{path}/Skins")
+        self.skins: dict[str, SkinWriter] = {}
+        for name, identifier in identifiers(skins).items():
+            writer = SkinWriter(stage, f"{path}/Skins/{identifier}", skins[name], PATCH_COLOUR)
+            self.skins[name] = writer
+            meshes.append((writer.mesh, skins[name], writer.order))
+        self._bones: tuple[BoneMoves, Float] | None = None
+        if body is not None and boned:
+            skeleton, animation = add_skeleton(stage, path, body)
+            self._bones = BoneMoves(animation), body["bone_pose"].values
+            for mesh, ds, order in meshes:
+                if "bone_index" in ds:
+                    bind(mesh, skeleton, ds["bone_index"].values[order], ds["bone_weight"].values[order])
+        self._forces = self._add_forces(prim.GetPrim(), forces)
+
+    def _add_surface(
+        self, stage: Usd.Stage, path: str, surfaces: list[xr.Dataset], skins: list[xr.Dataset]
+    ) -> list[tuple[UsdGeom.Mesh, xr.Dataset, slice]]:
+        """The body's closed surface with what presses on it, and what of it is seen beside its skins."""
+        first, everything = surfaces[0], slice(None)
+        points, faces = first["rest_position"].values, first["face"].values
+        mesh = add_mesh(stage, f"{path}/Surface", points, faces, SKIN_COLOUR)
+        about(mesh.GetPrim(), holds="all of the body's surface; what of it no skin covers is drawn as Uncovered")
+        for name, sign in (
+            ("loudest_arp", "at the loudest instant; positive pushes into the surface"),
+            ("loudest_pressure", "peak amplitude at the loudest instant"),
+        ):
+            # Skins on one body share its surface; each brings its own loudest instant
+            values = [surface[name].values for surface in surfaces if has_records(surface, name)]
+            if values:
+                add_primvar(mesh.GetPrim(), name, "Pa", sign, {}).Set(floats(np.maximum.reduce(values)))
+        if has_records(first, "face_arp"):
+            low, high = float(first["face_arp"].min()), float(first["face_arp"].max())
+            rounded = rounding(low, high, face_areas(points, faces), FORCE_PART)
+            told = rounding_told(rounded) | {"quantisation": FORCE_ROUNDING}
+            primvar = add_primvar(
+                mesh.GetPrim(), "arp", "Pa", "mean over the step; positive pushes into the surface", told, "uniform"
+            )
+            self._pressed = first, rounded, Samples(primvar.GetAttr(), floats)
+        mesh.CreatePurposeAttr(UsdGeom.Tokens.guide)
+        rest = uncovered_faces(first, skins)
+        if len(rest) == 0:
+            return [(mesh, first, everything)]
+        seen = add_mesh(stage, f"{path}/Uncovered", points, rest, SKIN_COLOUR)
+        return [(mesh, first, everything), (seen, first, everything)]
+
+    def _add_forces(self, prim: Usd.Prim, forces: xr.Dataset | None) -> list[tuple[Float, Samples]]:
+        if forces is None or not has_records(forces, "force"):
+            return []
+        added = []
+        for name, unit, sign in (
+            ("force", "N", "of the sound on the body, world axes, mean over MuJoCo's step"),
+            ("torque", "N m", "about the body's origin, world axes, mean over MuJoCo's step"),
+        ):
+            attribute = prim.CreateAttribute(f"palmfield:{name}", Sdf.ValueTypeNames.Vector3d, custom=True)
+            about(attribute, units=unit, sign=sign)
+            added.append((forces[name].values, Samples(attribute, vector)))
+        return added
+
+    def write(self, clock: Clock, frames: slice) -> None:
+        """Write some frames, which come after those before; skins are written by themselves."""
+        codes, times = clock.codes[frames].tolist(), clock.times_s[frames]
+        for code, time_s in zip(codes, times.tolist(), strict=True):
+            now = nearest(self._step_times, time_s) if len(self._poses) > 1 else 0
+            self._moves.add(code, self._poses[now])
+            if self._bones is not None:
+                self._bones[0].add(code, self._bones[1][now])
+        if not self._forces and self._pressed is None:
+            return
+        steps = steps_of(self._step_times, times)
+        for values, samples in self._forces:
+            for code, row in zip(codes, values[steps], strict=True):
+                samples.add(code, row)
+        if self._pressed is not None:
+            surface, rounded, samples = self._pressed
+            pressed, last = rows_at(surface["face_arp"], "step_time", steps), -1
+            for code, step, row in zip(codes, steps.tolist(), pressed, strict=True):
+                if step != last:
+                    # To a part of the moment's own range, so that small forces are as exact as large ones
+                    own = rounding(float(row.min()), float(row.max()), rounded.weights, FORCE_PART)
+                    self._arp, last = own.of(row), step
+                samples.add(code, self._arp)
+
+    def stand(self) -> None:
+        """Write where the body is, of a run without times."""
+        self._moves.add(0.0, self._poses[0])
+
+
+def steps_of(step_times: Float, times_s: Float) -> Int:
+    """The MuJoCo steps at whose ends, or before those, times [s] are, shape (n,); of the run's beginning the first."""
+    return np.maximum(0, np.searchsorted(step_times, times_s - 1e-9) - 1).astype(np.int32)

@@ -1,0 +1,60 @@
+"""Which times of a run a USD scene has, and which time codes they are: a time code over codes per second is seconds."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from palmfield.errors import OutputError
+from palmfield.outputs.usd.shown import Shown
+from palmfield.types import Float, Int
+
+DECIMALS = 6
+"""Of time codes: a millionth of a frame is far below the precision of the run's times."""
+
+
+class Clock(NamedTuple):
+    """places: which of the run's times there are; times_s: those [s], shape (n,); codes: theirs, shape (n,)
+
+    per_second: time codes a second of the run
+    """
+
+    places: slice
+    times_s: Float
+    codes: Float
+    per_second: float
+
+    def code(self, time_s: float) -> float:
+        """The time code of any time of the run [s]."""
+        return round(time_s * self.per_second, DECIMALS)
+
+
+def rows_at(variable: xr.DataArray, dim: str, numbers: Int) -> NDArray[Any]:
+    """The rows of a variable along its dimension of records with these numbers, which rise; read in one go."""
+    first = int(numbers[0])
+    return np.asarray(variable.isel({dim: slice(first, int(numbers[-1]) + 1)}).values)[numbers - first]
+
+
+def clock_of(result: xr.DataTree, shown: Shown) -> Clock:
+    """The clock of a result; without times where it has none.
+
+    Raises OutputError for times that are not within the run.
+    """
+    times: Float = np.asarray(result.coords["time"].values, float) if "time" in result.coords else np.zeros(0)
+    if len(times) == 0:
+        return Clock(slice(0, 0), times, times, 1.0)
+    start = times[0] if shown.start_s is None else shown.start_s
+    end = times[-1] if shown.end_s is None else shown.end_s
+    if not times[0] <= start <= end <= times[-1]:
+        raise OutputError(
+            f"the scene would go from {1e3 * start:g} to {1e3 * end:g} ms; allowed: rising, within {1e3 * times[0]:g} "
+            f"to {1e3 * times[-1]:g} ms"
+        )
+    slack = 1e-9 * max(1.0, abs(float(times[-1])))
+    first, last = int(np.searchsorted(times, start - slack)), int(np.searchsorted(times, end + slack, "right"))
+    last = max(last, first + 1)
+    places = slice(first, last, max(1, -(-(last - first) // shown.frames)))
+    chosen = times[places]
+    per_second = float(f"{1.0 / float(np.median(np.diff(chosen))):.12g}") if len(chosen) > 1 else 1.0
+    return Clock(places, chosen, np.round(chosen * per_second, DECIMALS), per_second)

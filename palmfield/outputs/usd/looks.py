@@ -1,0 +1,65 @@
+"""What makes a USD scene look right anywhere: a material that reads the prims' own colours, lights and a camera."""
+
+import numpy as np
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdShade
+
+from palmfield.outputs.camera import Camera
+from palmfield.types import Float
+
+PICTURE = (960, 720)
+"""Width and height of the camera's picture [pixels]."""
+LEGEND_SHARE = 0.80
+"""So much of its width is the scene's; the legend stands in the rest."""
+APERTURE = 36.0
+
+
+def add_material(stage: Usd.Stage) -> None:
+    """A UsdPreviewSurface whose colour is the primvar displayColor, for all of the scene."""
+    material = UsdShade.Material.Define(stage, "/Scene/Looks/DisplayColour")
+    surface = UsdShade.Shader.Define(stage, "/Scene/Looks/DisplayColour/Surface")
+    surface.CreateIdAttr("UsdPreviewSurface")
+    reader = UsdShade.Shader.Define(stage, "/Scene/Looks/DisplayColour/Colour")
+    reader.CreateIdAttr("UsdPrimvarReader_float3")
+    reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("displayColor")
+    reader.CreateInput("fallback", Sdf.ValueTypeNames.Float3).Set(Gf.Vec3f(0.5, 0.5, 0.5))
+    colour = reader.CreateOutput("result", Sdf.ValueTypeNames.Float3)
+    surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).ConnectToSource(colour)
+    surface.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(0.7)
+    surface.CreateInput("metallic", Sdf.ValueTypeNames.Float).Set(0.0)
+    material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", Sdf.ValueTypeNames.Token))
+    UsdShade.MaterialBindingAPI.Apply(stage.GetDefaultPrim()).Bind(material)
+
+
+def add_lights(stage: Usd.Stage, camera: Camera) -> None:
+    """Even light from everywhere, and a lamp beside the camera."""
+    UsdGeom.Scope.Define(stage, "/Scene/Lights")
+    dome = UsdLux.DomeLight.Define(stage, "/Scene/Lights/Dome")
+    dome.CreateIntensityAttr(0.7)
+    key = UsdLux.DistantLight.Define(stage, "/Scene/Lights/Key")
+    key.CreateIntensityAttr(1.5)
+    key.CreateAngleAttr(5.0)
+    side = camera.forward - 0.5 * camera.right - 0.4 * camera.up
+    key.AddTransformOp().Set(_matrix(side / np.linalg.norm(side), camera.up, np.zeros(3)))
+
+
+def add_camera(stage: Usd.Stage, camera: Camera, reach_m: float) -> None:
+    """The camera of the run's pictures. reach_m: how far what it sees may be [m]"""
+    UsdGeom.Scope.Define(stage, "/Scene/Cameras")
+    seen = UsdGeom.Camera.Define(stage, "/Scene/Cameras/Main")
+    width, height = PICTURE
+    seen.AddTransformOp().Set(_matrix(camera.forward, camera.up, camera.eye))
+    seen.CreateHorizontalApertureAttr(APERTURE)
+    seen.CreateVerticalApertureAttr(APERTURE * height / width)
+    seen.CreateFocalLengthAttr(APERTURE * camera.focal / width)
+    seen.CreateHorizontalApertureOffsetAttr(APERTURE * (0.5 * width - float(camera.centre[0])) / width)
+    seen.CreateVerticalApertureOffsetAttr(APERTURE * (float(camera.centre[1]) - 0.5 * height) / width)
+    seen.CreateClippingRangeAttr(Gf.Vec2f(0.01, 10.0 * reach_m))
+
+
+def _matrix(forward: Float, up: Float, place: Float) -> Gf.Matrix4d:
+    """Of what looks along its own -z, its y up, as USD's cameras and lights do."""
+    right = np.cross(forward, up)
+    right /= np.linalg.norm(right)
+    rows = np.eye(4)
+    rows[0, :3], rows[1, :3], rows[2, :3], rows[3, :3] = right, np.cross(right, forward), -forward, place
+    return Gf.Matrix4d(rows.tolist())

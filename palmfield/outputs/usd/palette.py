@@ -1,0 +1,62 @@
+"""Colours of a quantity: a palette that never changes, of which numbers over time say who has which."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib import colormaps
+from numpy.typing import NDArray
+from pxr import UsdGeom
+
+from palmfield.outputs.usd.prims import about, vectors
+from palmfield.types import Float, Int
+
+COLOURS = 256
+
+
+class Palette(NamedTuple):
+    """low, high: the range that is mapped, in the primvar's unit; colours: sRGB, shape (256, 3); map: its name"""
+
+    low: float
+    high: float
+    colours: Float
+    map: str
+
+    def numbers(self, values: NDArray[np.floating]) -> Int:
+        """The colour of each value; those outside the range have that of its nearer end."""
+        share = (np.asarray(values, np.float64) - self.low) / (self.high - self.low)
+        return np.rint(np.clip(share, 0.0, 1.0) * (COLOURS - 1)).astype(np.int32)
+
+
+def palette_of(low: float, high: float, two_sided: bool, limits: tuple[float, float] | None) -> Palette:
+    """The palette of a quantity whose values go from low to high.
+
+    two_sided: blue below zero, red above, as far on either side; else from pale to dark, from zero on
+    """
+    if limits is None:
+        top = max(abs(low), abs(high)) or 1.0
+        limits = (-top, top) if two_sided else (min(low, 0.0), max(high, 0.0) if high > min(low, 0.0) else 1.0)
+    name, ends = ("RdBu_r", (0.03, 0.97)) if two_sided else ("magma_r", (0.04, 0.90))
+    return Palette(*limits, np.asarray(colormaps[name](np.linspace(*ends, COLOURS)))[:, :3], name)
+
+
+def cyclic_palette(period: float) -> Palette:
+    """Of phases from 0 to a period."""
+    return Palette(0.0, period, np.asarray(colormaps["twilight"](np.linspace(0.0, 1.0, COLOURS)))[:, :3], "twilight")
+
+
+def linear(colours: Float) -> Float:
+    """USD's colours are linear; those of a map are sRGB (IEC 61966-2-1)."""
+    return np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
+
+
+def paint(prim: UsdGeom.Gprim, palette: Palette, interpolation: str, **said: Any) -> UsdGeom.Primvar:
+    """Give a prim a palette, which says what it shows; its numbers are the primvar's indices."""
+    colour = prim.CreateDisplayColorPrimvar(interpolation)
+    colour.Set(vectors(linear(palette.colours)))
+    about(colour.GetAttr(), low=palette.low, high=palette.high, map=palette.map, **said)
+    return colour
+
+
+def indices_of(colour: UsdGeom.Primvar) -> Any:
+    """The attribute of a painted primvar's numbers."""
+    return colour.CreateIndicesAttr()

@@ -1,0 +1,104 @@
+"""Meshes, curves and primvars as all parts of a USD scene make them."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pxr import Gf, Sdf, Usd, UsdGeom, Vt
+
+from palmfield.outputs.usd.quantise import Rounding
+from palmfield.outputs.usd.samples import Samples
+from palmfield.types import Float
+
+NAMESPACE = "palmfield"
+
+
+def about(thing: Any, **said: Any) -> None:
+    """Say something in the customData of a prim or an attribute: `palmfield:NAME` for each name."""
+    for name, value in said.items():
+        if isinstance(value, list):
+            value = (Vt.StringArray if value and isinstance(value[0], str) else Vt.DoubleArray)(value)
+        thing.SetCustomDataByKey(f"{NAMESPACE}:{name}", value)
+
+
+def floats(values: NDArray[Any]) -> Vt.FloatArray:
+    return Vt.FloatArray.FromNumpy(np.ascontiguousarray(values, np.float32))
+
+
+def integers(values: NDArray[Any]) -> Vt.IntArray:
+    return Vt.IntArray.FromNumpy(np.ascontiguousarray(values, np.int32))
+
+
+def vectors(values: ArrayLike) -> Vt.Vec3fArray:
+    return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(values, np.float32).reshape(-1, 3))
+
+
+def vector(values: NDArray[Any]) -> Gf.Vec3d:
+    return Gf.Vec3d(*values.tolist())
+
+
+def add_mesh(
+    stage: Usd.Stage, path: str, points: ArrayLike, faces: ArrayLike, colour: tuple[float, ...] | None
+) -> UsdGeom.Mesh:
+    """A mesh of polygons of one size, faces of shape (m, corners), in one colour or with none yet."""
+    mesh = UsdGeom.Mesh.Define(stage, path)
+    placed, corners = vectors(points), np.asarray(faces, np.int32)
+    mesh.CreatePointsAttr(placed)
+    mesh.CreateFaceVertexCountsAttr(integers(np.full(len(corners), corners.shape[1])))
+    mesh.CreateFaceVertexIndicesAttr(integers(corners.ravel()))
+    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    mesh.CreateDoubleSidedAttr(True)
+    mesh.CreateExtentAttr(UsdGeom.PointBased.ComputeExtent(placed))
+    if colour is not None:
+        mesh.CreateDisplayColorAttr(Vt.Vec3fArray([Gf.Vec3f(*colour)]))
+    return mesh
+
+
+def add_lines(
+    stage: Usd.Stage, path: str, lines: list[Float], width_m: float, colour: tuple[float, ...]
+) -> UsdGeom.BasisCurves:
+    """Polygonal lines, each of shape (n, 3), n >= 2 [m]."""
+    curves = UsdGeom.BasisCurves.Define(stage, path)
+    curves.CreateTypeAttr(UsdGeom.Tokens.linear)
+    curves.CreateCurveVertexCountsAttr(integers(np.array([len(line) for line in lines])))
+    points = vectors(np.concatenate(lines))
+    curves.CreatePointsAttr(points)
+    curves.CreateWidthsAttr(Vt.FloatArray([width_m]))
+    curves.SetWidthsInterpolation(UsdGeom.Tokens.constant)
+    curves.CreateExtentAttr(UsdGeom.Curves.ComputeExtent(points, Vt.FloatArray([width_m])))
+    curves.CreateDisplayColorAttr(Vt.Vec3fArray([Gf.Vec3f(*colour)]))
+    return curves
+
+
+def rounding_told(rounded: Rounding) -> dict[str, Any]:
+    """What a primvar says of how its values are rounded."""
+    return {
+        "low": rounded.low, "high": rounded.high, "error_bound": rounded.bound, "quantisation_step": rounded.step,
+        "quantisation": "to the nearest" if rounded.weights is None else "up or down, so that the sum over areas stays",
+    }  # fmt: skip
+
+
+def add_primvar(
+    prim: Usd.Prim, name: str, unit: str, sign: str, said: Mapping[str, Any], interpolation: str = "vertex"
+) -> UsdGeom.Primvar:
+    """A primvar of floats that says its unit, its sign and what else is told of it."""
+    created = UsdGeom.PrimvarsAPI(prim).CreatePrimvar(name, Sdf.ValueTypeNames.FloatArray, interpolation)
+    about(created.GetAttr(), units=unit, sign=sign, **said)
+    return created
+
+
+class Moves:
+    """Translation and orientation of a prim over time; it stands where its pose does not change."""
+
+    def __init__(self, prim: UsdGeom.Xformable):
+        precise = UsdGeom.XformOp.PrecisionDouble
+        self._ops = (
+            Samples(prim.AddTranslateOp(precise).GetAttr(), vector),
+            Samples(prim.AddOrientOp(precise).GetAttr(), lambda turn: Gf.Quatd(*turn.tolist())),
+        )
+
+    def add(self, code: float, pose: Float) -> None:
+        """A pose of seven numbers at a time code."""
+        for op, part in zip(self._ops, (pose[:3], pose[3:]), strict=True):
+            op.add(code, part)

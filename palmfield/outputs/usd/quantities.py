@@ -1,0 +1,57 @@
+"""What a skin of a run has by vertex over time, as a USD scene shows it."""
+
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from palmfield.types import Float32
+
+
+class Quantity(NamedTuple):
+    """A quantity of skin, the name of whose primvar is its key in QUANTITIES.
+
+    variable: of the result's group /skin; "" for one that is derived from the displacement
+    along_normal: whether it is the component of that along the outward normal at rest
+    unit: of the primvar, SI; sign: what a positive value means; title: as legends name it
+    shown_unit, per_unit: of the legend, and how many of them make one of the primvar's
+    two_sided: whether colours go to both sides of zero; keeps_sum: whether its sum over areas has to stay
+    """
+
+    variable: str
+    along_normal: bool
+    unit: str
+    sign: str
+    title: str
+    shown_unit: str
+    per_unit: float
+    two_sided: bool
+    keeps_sum: bool
+
+
+OUTWARD = "positive along the outward normal: a push is negative"
+QUANTITIES: dict[str, Quantity] = {
+    "normal_displacement": Quantity(
+        "displacement", True, "m", OUTWARD, "normal displacement", "µm", 1e6, True, False
+    ),
+    "normal_velocity": Quantity("velocity", True, "m/s", OUTWARD, "normal velocity", "mm/s", 1e3, True, False),
+    "arp": Quantity(
+        "arp", False, "Pa", "positive pushes into the surface", "radiation pressure", "Pa", 1.0, False, True
+    ),
+    "pressure": Quantity(
+        "pressure", False, "Pa", "peak amplitude of the sound pressure, never negative", "sound pressure", "Pa",
+        1.0, False, False,
+    ),
+    "level": Quantity(
+        "", False, "dB", "dB SL: above 0 is felt", "level", "dB SL", 1.0, False, False
+    ),
+}  # fmt: skip
+
+
+def values_at(skin: xr.Dataset, quantity: Quantity, times: slice) -> Float32:
+    """A recorded quantity at some of the run's times, shape (t, vertices), float32."""
+    values = skin[quantity.variable].isel(time=times).values
+    if not quantity.along_normal:
+        return np.asarray(values, np.float32)
+    normals = skin["rest_normal"].values.astype(np.float32)
+    return np.asarray(np.einsum("tvi,vi->tv", values, normals), np.float32)

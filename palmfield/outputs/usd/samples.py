@@ -1,0 +1,45 @@
+"""An attribute over time: samples only where something changes."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Usd
+
+Make = Callable[[NDArray[Any]], Any]
+"""A USD value of an array."""
+
+
+class Samples:
+    """Writes an attribute from time code to time code.
+
+    What never changes has a default value and no samples. What changes has a sample there and one at the code before:
+    viewers interpolate between samples, and hold the old value until then.
+    """
+
+    def __init__(self, attribute: Usd.Attribute, make: Make):
+        self._attribute, self._make = attribute, make
+        self._last: NDArray[Any] | None = None
+        self._written: float | None = None
+        self._begun = self._seen = 0.0
+
+    def add(self, code: float, value: NDArray[Any]) -> None:
+        """The value at a time code, which is later than those before."""
+        if self._last is None:
+            self._attribute.Set(self._make(value))
+            self._begun = self._seen = code
+            self._last = value.copy()
+            return
+        if np.array_equal(self._last, value):
+            self._seen = code
+            return
+        before = self._make(self._last)
+        if self._written is None:
+            self._attribute.Set(before, self._begun)
+            self._written = self._begun
+        if self._seen > self._written:
+            self._attribute.Set(before, self._seen)
+        self._attribute.Set(self._make(value), code)
+        self._written = self._seen = code
+        self._last = value.copy()

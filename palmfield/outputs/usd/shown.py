@@ -1,0 +1,61 @@
+"""What a USD scene of a run shows."""
+
+from dataclasses import dataclass
+
+from palmfield.errors import OutputError, did_you_mean
+from palmfield.outputs.usd.quantities import QUANTITIES
+
+FIELD_SHAPES = "slice", "points", "isosurface"
+NO_COLOUR = "none"
+MOST_FRAMES = 600
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What a USD scene shows of a run.
+
+    colour: which quantity the skins are coloured by, of `palmfield.outputs.usd.quantities.QUANTITIES`, or "none"
+    limits: of the colours, in the quantity's SI unit; None for the whole range of the run, of both signs alike
+    magnify: factor of the motion in the variant "magnified": None for one by which the largest motion is seen as about
+        2 mm, if its points take 8 MB or less; 0 for none at all
+    quantities: which are written as primvars, None for all that the result has
+    start_s, end_s: of the run [s], None for its ends; frames: at most so many time codes
+    field: shapes of the sound field, of FIELD_SHAPES; field_times_s: when [s], () for when the array is loudest
+    level_Pa: of the isosurface and from where on there are points, peak amplitude [Pa];
+        None for half of the largest round the foci
+    observer: of the level above threshold
+    """
+
+    colour: str = "normal_displacement"
+    limits: tuple[float, float] | None = None
+    magnify: float | None = None
+    quantities: tuple[str, ...] | None = None
+    start_s: float | None = None
+    end_s: float | None = None
+    frames: int = MOST_FRAMES
+    field: tuple[str, ...] = ()
+    field_times_s: tuple[float, ...] = ()
+    level_Pa: float | None = None
+    observer: str = "bolanowski_1988"
+
+
+def check_shown(shown: Shown) -> None:
+    """Raises OutputError for what no run can show."""
+    _one_of("colour", shown.colour, [*QUANTITIES, NO_COLOUR])
+    for name in shown.quantities or ():
+        _one_of("quantities", name, list(QUANTITIES))
+    for name in shown.field:
+        _one_of("field", name, list(FIELD_SHAPES))
+    if shown.limits is not None and not -float("inf") < shown.limits[0] < shown.limits[1] < float("inf"):
+        raise OutputError(f"limits have values {shown.limits[0]:g}, {shown.limits[1]:g}; allowed: finite and rising")
+    if shown.magnify is not None and not 0.0 <= shown.magnify <= 1e9:
+        raise OutputError(f"magnify has value {shown.magnify:g}; allowed: 0 (no magnified points) to 1e9")
+    if not 1 <= shown.frames <= 1_000_000:
+        raise OutputError(f"frames has value {shown.frames}; allowed: 1 to 1000000")
+    if shown.level_Pa is not None and not 0.0 < shown.level_Pa < float("inf"):
+        raise OutputError(f"level_Pa has value {shown.level_Pa:g}; allowed: above 0")
+
+
+def _one_of(key: str, value: str, known: list[str]) -> None:
+    if value not in known:
+        raise OutputError(f"{key} has value '{value}'{did_you_mean(value, known)}; allowed: {', '.join(known)}")

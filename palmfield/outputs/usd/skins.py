@@ -1,0 +1,180 @@
+"""The skins of a run in USD: what is at each vertex over time, their colours and their magnified motion."""
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+from pxr import Sdf, Usd, UsdGeom
+
+from palmfield.outputs.levels import LevelCourse
+from palmfield.outputs.motion import PIECE_BYTES
+from palmfield.outputs.schema import has_records
+from palmfield.outputs.usd.clock import Clock
+from palmfield.outputs.usd.order import strip_order
+from palmfield.outputs.usd.palette import Palette, indices_of, paint
+from palmfield.outputs.usd.prims import about, add_mesh, add_primvar, floats, integers, rounding_told, vectors
+from palmfield.outputs.usd.quantise import Rounding, rounding
+from palmfield.outputs.usd.quantities import QUANTITIES, Quantity, values_at
+from palmfield.outputs.usd.samples import Samples
+from palmfield.types import Float, Float32, Int
+
+MOTION = "motion"
+REST, MAGNIFIED = "rest", "magnified"
+"""The variant set of each skin and its variants: points where they rest, and points moved by a factor."""
+
+
+def frame_blocks(skin: xr.Dataset | None, clock: Clock, most: int) -> Iterator[slice]:
+    """The frames in blocks of at most `most`, fewer where a skin's vectors would take more than a piece."""
+    row = 12 * (1 if skin is None else skin.sizes["vertex"])
+    size = max(1, min(most, PIECE_BYTES // row))
+    for start in range(0, len(clock.codes), size):
+        yield slice(start, min(start + size, len(clock.codes)))
+
+
+def result_times(clock: Clock, frames: slice) -> slice:
+    """Which of the result's times some frames are."""
+    step = clock.places.step
+    return slice(clock.places.start + frames.start * step, clock.places.start + (frames.stop - 1) * step + 1, step)
+
+
+def vertex_areas(vertices: Float, faces: Int) -> Float:
+    """A third of the areas of the triangles round each vertex [m2], shape (n,)."""
+    third = face_areas(vertices, faces) / 3.0
+    return np.bincount(faces.ravel(), np.repeat(third, 3), minlength=len(vertices)).astype(np.float64)
+
+
+def face_areas(vertices: Float, faces: Int) -> Float:
+    """Areas of triangles [m2], shape (m,)."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    return np.asarray(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
+
+
+def recorded_quantities(skin: xr.Dataset) -> dict[str, Quantity]:
+    """Those that a skin of a result has over time."""
+    return {name: q for name, q in QUANTITIES.items() if q.variable and has_records(skin, q.variable)}
+
+
+def ranges_of(skin: xr.Dataset, clock: Clock, names: list[str]) -> dict[str, tuple[float, float]]:
+    """Lowest and highest value of recorded quantities over the clock's times, in one pass."""
+    found = {name: (np.inf, -np.inf) for name in names}
+    for frames in frame_blocks(skin, clock, PIECE_BYTES):
+        for name, (low, high) in found.items():
+            values = values_at(skin, QUANTITIES[name], result_times(clock, frames))
+            found[name] = min(low, float(values.min())), max(high, float(values.max()))
+    return found
+
+
+class _Track(NamedTuple):
+    """One quantity on its way into the file. colour: its palette and where its numbers go, if it is the colour"""
+
+    quantity: Quantity
+    rounding: Rounding
+    samples: Samples
+    colour: tuple[Palette, Samples] | None
+
+    def add(self, code: float, values: Float32) -> None:
+        """The values at a time code."""
+        self.samples.add(code, self.rounding.of(values))
+        if self.colour is not None:
+            palette, numbers = self.colour
+            numbers.add(code, palette.numbers(values))
+
+
+class SkinWriter:
+    """Writes what changes of one skin, from frame to frame.
+
+    mesh: of the skin, its vertices strip by strip; order: the result's number of each of them
+    """
+
+    def __init__(self, stage: Usd.Stage, path: str, skin: xr.Dataset, colour: tuple[float, float, float]):
+        """colour: where it has no colours over time"""
+        rest = skin["rest_position"].values
+        self._stage, self._skin = stage, skin
+        self.order: Int = strip_order(rest)
+        place = np.empty(len(rest), np.int32)
+        place[self.order] = np.arange(len(rest), dtype=np.int32)
+        self._areas = vertex_areas(rest, skin["face"].values)[self.order]
+        self.mesh = add_mesh(stage, path, rest[self.order], place[skin["face"].values], colour)
+        numbers = UsdGeom.PrimvarsAPI(self.mesh).CreatePrimvar("vertex_number", Sdf.ValueTypeNames.IntArray, "vertex")
+        numbers.Set(integers(self.order))
+        about(numbers.GetAttr(), units="1", sign="number of the vertex in result.nc, from 0")
+        for name, unit, sign in (
+            ("loudest_arp", "Pa", "at the loudest instant; positive pushes into the surface"),
+            ("loudest_pressure", "Pa", "peak amplitude at the loudest instant"),
+        ):
+            if has_records(skin, name):
+                add_primvar(self.mesh.GetPrim(), name, unit, sign, {}).Set(floats(skin[name].values[self.order]))
+        self._tracks: dict[str, _Track] = {}
+        self._levels: LevelCourse | None = None
+        self._window = -1
+        self._row: Float32 = np.zeros(0, np.float32)
+        self._magnify: tuple[float, Any] | None = None
+
+    def take(self, name: str, low: float, high: float, palette: Palette | None, **said: Any) -> None:
+        """Write a quantity, whose values go from low to high; with a palette it colours the skin, too."""
+        quantity = QUANTITIES[name]
+        rounded = rounding(low, high, self._areas if quantity.keeps_sum else None)
+        told = rounding_told(rounded) | said
+        primvar = add_primvar(self.mesh.GetPrim(), name, quantity.unit, quantity.sign, told)
+        coloured = None
+        if palette is not None:
+            colour = paint(self.mesh, palette, "vertex", quantity=name, units=quantity.unit)
+            coloured = palette, Samples(indices_of(colour), integers)
+        self._tracks[name] = _Track(quantity, rounded, Samples(primvar.GetAttr(), floats), coloured)
+
+    def take_levels(self, course: LevelCourse) -> None:
+        """Where the level above threshold comes from; `take` has been told of it."""
+        self._levels = course
+
+    def magnify(self, factor: float) -> None:
+        """Let the points move by a factor in the variant "magnified"; the variant "rest" is chosen."""
+        about(self.mesh.GetPrim(), magnification=factor)
+        variants = self.mesh.GetPrim().GetVariantSets().AddVariantSet(MOTION)
+        # What a prim says itself is stronger than what it says in a variant: it is said in the variants only
+        kept = {attribute: attribute.Get() for attribute in (self.mesh.GetPointsAttr(), self.mesh.GetExtentAttr())}
+        for attribute in kept:
+            attribute.Clear()
+        for name in (MAGNIFIED, REST):
+            variants.AddVariant(name)
+            variants.SetVariantSelection(name)
+            with variants.GetVariantEditContext():
+                for attribute, value in kept.items():
+                    attribute.Set(value)
+        self._magnify = factor, variants
+
+    def write(self, clock: Clock, frames: slice) -> None:
+        """Write some frames, which come after those before."""
+        times = result_times(clock, frames)
+        columns = {name: values_at(self._skin, track.quantity, times)[:, self.order]
+                   for name, track in self._tracks.items() if track.quantity.variable}  # fmt: skip
+        for name, values in columns.items():
+            for code, row in zip(clock.codes[frames], values, strict=True):
+                self._tracks[name].add(float(code), row)
+        self._write_levels(clock, frames)
+        self._write_points(clock, frames)
+
+    def _write_levels(self, clock: Clock, frames: slice) -> None:
+        if self._levels is None:
+            return
+        for time_s, code in zip(clock.times_s[frames], clock.codes[frames], strict=True):
+            window = self._levels.window_at(float(time_s))
+            if window != self._window:
+                self._window, self._row = window, self._levels.levels(window)[self.order]
+            self._tracks["level"].add(float(code), self._row)
+
+    def _write_points(self, clock: Clock, frames: slice) -> None:
+        if self._magnify is None:
+            return
+        factor, variants = self._magnify
+        rest = self._skin["rest_position"].values[self.order]
+        normals = self._skin["rest_normal"].values[self.order]
+        motion = values_at(self._skin, QUANTITIES["normal_displacement"], result_times(clock, frames))[:, self.order]
+        variants.SetVariantSelection(MAGNIFIED)
+        with variants.GetVariantEditContext():
+            points, extent = self.mesh.GetPointsAttr(), self.mesh.GetExtentAttr()
+            for code, row in zip(clock.codes[frames].tolist(), motion.astype(np.float64), strict=True):
+                moved = vectors(rest + factor * row[:, None] * normals)
+                points.Set(moved, code)
+                extent.Set(UsdGeom.PointBased.ComputeExtent(moved), code)
+        variants.SetVariantSelection(REST)

@@ -1,0 +1,99 @@
+"""The file of a USD scene while it grows: saved every few frames, readable after a kill, whole at the end."""
+
+import os
+import re
+import shutil
+from pathlib import Path
+
+from pxr import Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdUtils
+
+from palmfield.errors import OutputError
+
+SUFFIXES = (".usdc", ".usda", ".usdz")
+SAVE_EVERY = 50
+"""Frames between two savings."""
+
+
+def partial_of(path: Path) -> Path:
+    """Where what is written so far can be read while a scene is being written, and after that was killed."""
+    return path.with_name(f"{path.stem}.partial.usdc")
+
+
+class StageFile:
+    """A crate that grows and becomes the file of a name in the end.
+
+    USD saves into the file that it reads from: a kill within a saving leaves it unreadable, as one in twenty did in a
+    test. So what has been saved is copied, and the copy takes the place of the one before in one step.
+    """
+
+    def __init__(self, path: Path):
+        """Raises OutputError for a name that ends in none of SUFFIXES and for a folder that can't be written."""
+        self.path = path
+        if path.suffix not in SUFFIXES:
+            raise OutputError(f"cannot write {path}: name a file that ends in {', '.join(SUFFIXES)}")
+        self._growing = path.with_name(f".{path.stem}.tmp.usdc")
+        self._copied = path.with_name(f".{path.stem}.copy.usdc")
+        self._whole = path.with_name(f".{path.stem}.whole{path.suffix}")
+        try:
+            self._growing.unlink(missing_ok=True)
+            self._growing.touch()
+            self._growing.unlink()
+            self.stage: Usd.Stage = Usd.Stage.CreateNew(str(self._growing))
+        except (OSError, Tf.ErrorException) as error:
+            raise unwritable_scene(path, error) from error
+
+    def begin(self, per_second: float, fps: float) -> Usd.Prim:
+        """Units and axes; returns the root prim. per_second, fps: time codes a second of the run, and of a player."""
+        stage = self.stage
+        UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+        UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+        UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
+        stage.SetTimeCodesPerSecond(per_second)
+        stage.SetFramesPerSecond(fps)
+        root = UsdGeom.Xform.Define(stage, "/Scene").GetPrim()
+        stage.SetDefaultPrim(root)
+        return root
+
+    def save(self, end_code: float | None) -> None:
+        """Save what there is up to a time code, let go of it, and let others read it."""
+        if end_code is not None:
+            self.stage.SetEndTimeCode(end_code)
+        self.stage.Save()
+        shutil.copyfile(self._growing, self._copied)
+        os.replace(self._copied, partial_of(self.path))
+
+    def finish(self) -> None:
+        """Put the whole scene in its place."""
+        self.stage.Save()
+        whole = self._growing
+        if self.path.suffix == ".usda":
+            whole = self._whole
+            if not Sdf.Layer.FindOrOpen(str(self._growing)).Export(str(whole)):
+                raise OSError("USD could not save it")
+        elif self.path.suffix == ".usdz":
+            whole = self._whole
+            # The package names the layer in it, so that it has to have a name of its own
+            inner = self._growing.with_name(f"{self.path.stem}.inner.usdc")
+            os.replace(self._growing, inner)
+            try:
+                if not UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(str(inner)), str(whole), f"{self.path.stem}.usdc"):
+                    raise OSError("USD could not save it")
+            finally:
+                inner.unlink(missing_ok=True)
+        os.replace(whole, self.path)
+
+    def clear(self) -> None:
+        """Take away all but the file itself."""
+        if self._growing.parent.is_dir():
+            for left in (self._growing, self._copied, self._whole, partial_of(self.path)):
+                left.unlink(missing_ok=True)
+
+
+def unwritable_scene(path: Path, error: Exception) -> OutputError:
+    """The cause in one line; USD's own errors are pages long and name the function, then the cause, in quotes."""
+    if isinstance(error, OSError):
+        cause = error.strerror or str(error)
+    else:
+        quoted = re.findall("'([^']*)'", str(error))
+        cause = quoted[1] if len(quoted) > 1 else "USD could not save it"
+    return OutputError(f"cannot write {path}: {cause}; choose a folder on a disk with room for it")

@@ -1,0 +1,320 @@
+"""A result as a USD scene, from frame to frame, so that memory does not grow with the run."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NamedTuple, Protocol
+
+import numpy as np
+import xarray as xr
+from pxr import Sdf, Tf, Usd, UsdGeom
+
+from palmfield.errors import OutputError
+from palmfield.outputs.camera import Camera, look_along_emission
+from palmfield.outputs.frames import IDENTITY, bodies, in_world, pose_at, to_world
+from palmfield.outputs.levels import FLOOR_DB, LevelCourse, level_course
+from palmfield.outputs.mujoco_scene import INSTANCE
+from palmfield.outputs.schema import has_records, instances
+from palmfield.outputs.usd.arrays import ArrayWriter
+from palmfield.outputs.usd.bodies import BodyWriter
+from palmfield.outputs.usd.clock import Clock, clock_of
+from palmfield.outputs.usd.field import add_field
+from palmfield.outputs.usd.legend import add_legend
+from palmfield.outputs.usd.looks import LEGEND_SHARE, PICTURE, add_camera, add_lights, add_material
+from palmfield.outputs.usd.palette import Palette, palette_of
+from palmfield.outputs.usd.physics import PhysicsWriter
+from palmfield.outputs.usd.prims import about
+from palmfield.outputs.usd.quantities import QUANTITIES
+from palmfield.outputs.usd.samples import Samples
+from palmfield.outputs.usd.shown import NO_COLOUR, Shown, check_shown
+from palmfield.outputs.usd.skeleton import identifiers
+from palmfield.outputs.usd.skins import SkinWriter, frame_blocks, ranges_of, recorded_quantities
+from palmfield.outputs.usd.stage_file import SAVE_EVERY, StageFile, unwritable_scene
+from palmfield.outputs.usd.stimuli import StimulusWriter
+from palmfield.types import Float
+
+FPS = 30.0
+FIELD_LEGEND_SHARE = 0.17
+"""So much of the picture's width is the legend's of the field, where skins are coloured too."""
+SEEN_M = 2e-3
+"""As far as the largest motion is magnified, where no factor is given."""
+POINTS_BYTES = 8_000_000
+"""Magnified points that nobody asked for take this much at most."""
+
+
+class _Writer(Protocol):
+    def write(self, clock: Clock, frames: slice) -> None: ...
+
+
+class _Ranges(NamedTuple):
+    """Of all skins. own: range by skin and quantity; courses: of the level by skin; missing: what has no values, why"""
+
+    own: dict[str, dict[str, tuple[float, float]]]
+    courses: dict[str, LevelCourse]
+    missing: list[str]
+
+    def whole(self, name: str) -> tuple[float, float] | None:
+        """Lowest and highest value of a quantity on any skin; None where no skin has it."""
+        found = [ranges[name] for ranges in self.own.values() if name in ranges]
+        return (min(low for low, _ in found), max(high for _, high in found)) if found else None
+
+
+def write_usd(
+    result: xr.DataTree,
+    path: str | Path,
+    shown: Shown | None = None,
+    fps: float = FPS,
+    on_frame: Callable[[int, int], None] | None = None,
+) -> None:
+    """Write a result as a USD scene: .usdc (crate), .usda (text) or .usdz (package), by the name's ending.
+
+    result: of `open_result` or `tree`; shown: what of it, see `Shown`; fps: frames a second that players are told,
+        whatever the run's own pace [1/s]; on_frame: gets the number of time codes done and of all
+    Metres, kilograms, z up. A time code over timeCodesPerSecond is the run's time in seconds. docs/usd.md lists prims
+    and primvars. Every 50 frames what is there is saved and copied to NAME.partial.usdc, which a killed process leaves,
+    and which goes when the scene is whole.
+    Raises OutputError where `path` can't be written or has another ending, for numbers that are not possible, and for a
+    colour or a field that the result does not hold.
+    """
+    told = shown or Shown()
+    check_shown(told)
+    if not fps > 0:
+        raise OutputError(f"{fps} frames per second is not possible; give a number above 0")
+    clock = clock_of(result, told)
+    with _written(StageFile(Path(path))) as file:
+        _write(result, file, told, clock, fps, on_frame)
+
+
+@contextmanager
+def _written(file: StageFile) -> Iterator[StageFile]:
+    try:
+        yield file
+        file.finish()
+    except (OSError, Tf.ErrorException) as error:
+        raise unwritable_scene(file.path, error) from error
+    finally:
+        file.clear()
+
+
+def _write(
+    result: xr.DataTree,
+    file: StageFile,
+    shown: Shown,
+    clock: Clock,
+    fps: float,
+    on_frame: Callable[[int, int], None] | None,
+) -> None:
+    stage = file.stage
+    root = file.begin(clock.per_second, fps)
+    add_material(stage)
+    arrays, stimuli, skins = (instances(result, kind) for kind in ("array", "stimulus", "skin"))
+    for scope in ("Arrays", "Bodies", "Stimuli"):
+        UsdGeom.Scope.Define(stage, f"/Scene/{scope}")
+    writers: list[_Writer] = [
+        ArrayWriter(stage, f"/Scene/Arrays/{prim}", arrays[name]) for name, prim in identifiers(arrays).items()
+    ]
+    standing = _add_bodies(stage, result)
+    skin_writers = {name: writer for body in standing for name, writer in body.skins.items()}
+    ranges = _ranges(result, shown, clock)
+    palette = _palette(shown, ranges)
+    for name, skin_writer in skin_writers.items():
+        _take(skin_writer, name, skins[name], shown, clock, ranges, palette)
+    writers += [*standing, *skin_writers.values()]
+    writers += [
+        StimulusWriter(stage, f"/Scene/Stimuli/{prim}", stimuli[name], clock)
+        for name, prim in identifiers(stimuli).items()
+    ]
+    scene = instances(result, "mujoco").get(INSTANCE)
+    physics = [] if scene is None else [PhysicsWriter(stage, scene)]
+    writers += physics
+    field = add_field(stage, result, shown, clock) if shown.field else None
+    _add_view(stage, result, shown, clock, palette, field)
+    _say(stage, root, result, shown, clock, ranges)
+    if len(clock.codes) == 0:
+        for body in standing:
+            body.stand()
+        for one in physics:
+            one.stand()
+        return
+    stage.SetStartTimeCode(float(clock.codes[0]))
+    stage.SetEndTimeCode(float(clock.codes[-1]))
+    times = Samples(root.GetAttribute("palmfield:time_s"), float)
+    largest = max(skins.values(), key=lambda skin: skin.sizes["vertex"], default=None)
+    for frames in frame_blocks(largest, clock, SAVE_EVERY):
+        for writer in writers:
+            writer.write(clock, frames)
+        for number in range(frames.start, frames.stop):
+            times.add(float(clock.codes[number]), clock.times_s[number])
+        file.save(float(clock.codes[frames.stop - 1]))
+        if on_frame is not None:
+            on_frame(frames.stop, len(clock.codes))
+
+
+def _add_bodies(stage: Usd.Stage, result: xr.DataTree) -> list[BodyWriter]:
+    skins, surfaces = instances(result, "skin"), instances(result, "surface")
+    groups, forces = instances(result, "body"), instances(result, "forces")
+    named = bodies(result)
+    made = []
+    for name, prim in identifiers(named).items():
+        own = named[name]
+        on_it = [surfaces[one] for one in own if one in surfaces]
+        made.append(
+            BodyWriter(
+                stage, f"/Scene/Bodies/{prim}", groups.get(own[0]), forces.get(own[0]), on_it,
+                {one: skins[one] for one in own},
+            )
+        )  # fmt: skip
+    return made
+
+
+def _ranges(result: xr.DataTree, shown: Shown, clock: Clock) -> _Ranges:
+    """Ranges of all that is written; what the result does not hold is left out, and said."""
+    ranges = _Ranges({}, {}, [])
+    if len(clock.codes) == 0:
+        return ranges
+    names = list(QUANTITIES) if shown.quantities is None else list(shown.quantities)
+    if shown.colour not in (*names, NO_COLOUR):
+        names.append(shown.colour)
+    for name, skin in instances(result, "skin").items():
+        recorded = recorded_quantities(skin)
+        ranges.own[name] = ranges_of(skin, clock, [one for one in names if one in recorded])
+        ranges.missing.extend(f"{name}: {one}: the result does not hold it over time" for one in names
+                              if one not in recorded and one != "level")  # fmt: skip
+        if "level" not in names:
+            continue
+        try:
+            course = ranges.courses[name] = level_course(result, name, shown.observer)
+        except OutputError as error:
+            ranges.missing.append(f"{name}: level: {error}")
+            continue
+        windows = range(course.window_at(float(clock.times_s[0])), course.window_at(float(clock.times_s[-1])) + 1)
+        found = [course.levels(window) for window in windows]
+        ranges.own[name]["level"] = min(float(one.min()) for one in found), max(float(one.max()) for one in found)
+    return ranges
+
+
+def _palette(shown: Shown, ranges: _Ranges) -> Palette | None:
+    """The palette of the colour that is asked for; None without one, and for a run without times.
+
+    Raises OutputError where skins have no such quantity; the usual colour is left out then.
+    """
+    whole = None if shown.colour == NO_COLOUR else ranges.whole(shown.colour)
+    if whole is None:
+        why = [text for text in ranges.missing if f": {shown.colour}: " in text]
+        if why and shown.colour != Shown().colour:
+            raise OutputError(f"no skin can be coloured by '{shown.colour}': {why[0]}")
+        return None
+    limits = shown.limits
+    if limits is None and shown.colour == "level":
+        limits = 0.0, max(1.0, whole[1])
+    return palette_of(*whole, QUANTITIES[shown.colour].two_sided, limits)
+
+
+def _take(
+    writer: SkinWriter,
+    name: str,
+    skin: xr.Dataset,
+    shown: Shown,
+    clock: Clock,
+    ranges: _Ranges,
+    palette: Palette | None,
+) -> None:
+    for quantity, (low, high) in ranges.own.get(name, {}).items():
+        said = {}
+        if quantity == "level":
+            course = ranges.courses[name]
+            writer.take_levels(course)
+            said = {"observer": shown.observer, "window_s": course.window_s, "floor_dB": FLOOR_DB}
+        writer.take(quantity, low, high, palette if quantity == shown.colour else None, **said)
+    factor = _magnification(shown, clock, ranges, skin)
+    if factor > 0.0:
+        writer.magnify(factor)
+
+
+def _magnification(shown: Shown, clock: Clock, ranges: _Ranges, skin: xr.Dataset) -> float:
+    """By how much a skin's motion is magnified, as much as that of the others; 0 for not at all."""
+    if shown.magnify is not None:
+        return shown.magnify if has_records(skin, "displacement") and len(clock.codes) else 0.0
+    whole = ranges.whole("normal_displacement")
+    most = 0.0 if whole is None else max(map(abs, whole))
+    if most == 0.0 or 12 * skin.sizes["vertex"] * len(clock.codes) > POINTS_BYTES:
+        return 0.0
+    ten = 10.0 ** np.floor(np.log10(SEEN_M / most))
+    return float(ten * max(step for step in (1.0, 2.0, 5.0) if step * ten * most <= SEEN_M * (1.0 + 1e-9)))
+
+
+def _add_view(
+    stage: Usd.Stage,
+    result: xr.DataTree,
+    shown: Shown,
+    clock: Clock,
+    palette: Palette | None,
+    field: Palette | None,
+) -> None:
+    """Camera and lights, and the legend of what is coloured: of the skins, else of the field."""
+    times = clock.times_s if len(clock.codes) else np.zeros(1)
+    points = _points(result, [float(times[0]), float(times[len(times) // 2]), float(times[-1])])
+    if len(points) == 0:
+        return
+    if field is not None:
+        points = np.concatenate([points, _corners(stage.GetPrimAtPath("/Scene/Field"))])
+    first = next(iter(instances(result, "array").values()), None)
+    width, height = PICTURE
+    left = 0.0 if field is None or palette is None else FIELD_LEGEND_SHARE * width
+    window = (left, 0.0, LEGEND_SHARE * width - left, float(height))
+    camera = look_along_emission(points, IDENTITY if first is None else pose_at(first, float(times[0])), window)
+    depth = float(((points - camera.eye) @ camera.forward).mean())
+    add_camera(stage, camera, 2.0 * depth)
+    add_lights(stage, camera)
+    _add_legends(stage, shown, palette, field, camera, depth)
+
+
+def _add_legends(
+    stage: Usd.Stage, shown: Shown, palette: Palette | None, field: Palette | None, camera: Camera, depth_m: float
+) -> None:
+    if palette is not None:
+        add_legend(stage, "/Scene/Legend", shown.colour, QUANTITIES[shown.colour], palette, camera, depth_m)
+    if field is not None:
+        # On the left, where the skins' legend does not stand
+        shift = 0.0 if palette is None else LEGEND_SHARE * PICTURE[0]
+        left = camera._replace(centre=camera.centre + np.array([shift, 0.0]))
+        add_legend(stage, "/Scene/FieldLegend", "pressure", QUANTITIES["pressure"], field, left, depth_m)
+
+
+def _corners(root: Usd.Prim) -> Float:
+    """Corners of boxes round what lies under a prim, shape (n, 3)."""
+    ends = np.concatenate(
+        [np.array(UsdGeom.Boundable(one).GetExtentAttr().Get(), float)[None] for one in root.GetChildren()]
+    )
+    sides = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1]), axis=-1).reshape(-1, 3)
+    return np.concatenate([ends[:, sides[:, k], k].reshape(-1, 1) for k in range(3)], axis=1)
+
+
+def _points(result: xr.DataTree, times: list[float]) -> Float:
+    """Points of all bodies and arrays at some times, in the world [m], shape (n, 3)."""
+    groups, surfaces = instances(result, "body"), instances(result, "surface")
+    found = [np.empty((0, 3))]
+    for time_s in dict.fromkeys(times):
+        for name, skin in instances(result, "skin").items():
+            found.append(in_world(surfaces.get(name, skin), groups.get(name), time_s))
+        for array in instances(result, "array").values():
+            found.append(to_world(array["transducer_position"].values, pose_at(array, time_s)))
+    return np.concatenate(found)
+
+
+def _say(stage: Usd.Stage, root: Usd.Prim, result: xr.DataTree, shown: Shown, clock: Clock, ranges: _Ranges) -> None:
+    """What the file is of, in the root layer's customLayerData."""
+    said: dict[str, str | float] = {
+        "scene": str(result.attrs.get("scene", "")),
+        "colour": shown.colour,
+        "left_out": "; ".join(ranges.missing),
+    }
+    if len(clock.codes):
+        said |= {
+            "start_s": float(clock.times_s[0]),
+            "seconds_per_time_code": 1.0 / clock.per_second,
+            "stride": clock.places.step,
+        }
+    stage.GetRootLayer().customLayerData = {"palmfield": said}
+    attribute = root.CreateAttribute("palmfield:time_s", Sdf.ValueTypeNames.Double, custom=True)
+    about(attribute, units="s", sign="from the run's start")

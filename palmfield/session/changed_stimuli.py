@@ -1,0 +1,63 @@
+"""A simulation that goes on with other keys of its stimuli, as it stands, where modes for any load move its skins."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from palmfield.config import StimulusConfig
+from palmfield.session.simulation import Simulation
+from palmfield.session.world_keys import BOUND, with_texts
+from palmfield.simulation.build import build, demands_of
+from palmfield.simulation.model import HapticModel
+from palmfield.simulation.scene_reader import element_of
+from palmfield.simulation.state import WHOLE, at_rest, claim, stepper_of
+from palmfield.skin.reduction.modal_stepper import ModalStepper
+
+LEAST_SPOT = 0.8
+"""Of the spot for which a layer is meshed: a smaller one asks for finer elements."""
+
+
+def change_stimuli(sim: Simulation, texts: Mapping[str, Mapping[str, str]]) -> bool:
+    """Give a running simulation's stimuli other keys, if its skins can go on; whether they can.
+
+    texts: of all keys of some stimuli, by instance and key
+    Where they can, time, poses and the skins' motion stay as they are, and the new keys hold from the next step on.
+    They can't where a skin is stepped by something that was made for one load, or as a whole; where a key names parts
+    of the scene; and where a new sound needs a finer mesh. Then nothing has changed. MuJoCo's own model keeps the old
+    texts. Raises SceneError or DeviceError, with nothing changed, for values that the scene can't have.
+    """
+    runtime = sim.runtime
+    known, state = runtime.model, runtime.state
+    stimuli = []
+    for stimulus in known.spec.stimuli:
+        own = texts.get(stimulus.name)
+        new = stimulus if own is None else with_texts(stimulus, own, element_of(StimulusConfig, stimulus.name))
+        if any(getattr(new.config, key) != getattr(stimulus.config, key) for key in BOUND):
+            return False
+        stimuli.append(new)
+    made = replace(known.spec, stimuli=tuple(stimuli))
+    other = build(made, known)
+    steppers = []
+    for number, begun in enumerate(known.begin):
+        if not (begun.made and isinstance(begun.value, ModalStepper)) or state.skins[number][0, 0] == WHOLE:
+            return False
+        steppers.append(None if at_rest(state, number) else stepper_of(known, state, number)[0])
+    if not _meshed_for(known, other):
+        return False
+    model = replace(known, spec=made, stimuli=other.stimuli, response_on=other.response_on, board=other.board, marks={})
+    runtime.exchange(model)
+    for number, stepper in enumerate(steppers):
+        if stepper is not None:
+            # The motion is as good as it was: the modes serve any load, and only the mark is of the old keys
+            claim(model, state, number, stepper)
+    return True
+
+
+def _meshed_for(known: HapticModel, other: HapticModel) -> bool:
+    """Whether the layers of a model are fine enough for the sound of another one on the same bodies."""
+    carriers = [other.bodies[skin.body] for skin in other.skins]
+    demands = demands_of(other.spec, other.stimuli, other.arrays, other.board, carriers)
+    return all(
+        demand.max_frequency_Hz <= skin.layer.demand.max_frequency_Hz
+        and demand.spot_fwhm_m >= LEAST_SPOT * skin.layer.demand.spot_fwhm_m
+        for skin, demand in zip(known.skins, demands, strict=True)
+    )

@@ -1,0 +1,127 @@
+"""A board with one array and no scene: what makes it emit a focus."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+
+from palmfield.acoustics.arrays import LAYOUTS, layout
+from palmfield.acoustics.calibration_file import calibrated, read_calibration
+from palmfield.acoustics.focus import compensate, focus
+from palmfield.config import DriverConfig, parse
+from palmfield.config.driver import SAFETY_KEYS
+from palmfield.drive.board import Board, check
+from palmfield.drive.boards import BOARDS, board_of, boards_for, playable_board
+from palmfield.drive.frame_log import LogHead
+from palmfield.errors import DeviceError, SceneError
+from palmfield.types import Air, Array, Complex, Estimate, Float
+
+
+@dataclass(frozen=True)
+class FocusSound:
+    """How a focus that is played by itself sounds.
+
+    level: amplitude of all transducers, 0..1; am_frequency_Hz: of a sine between silence and that level, 0 for none
+    p0_Pa_m: as of layouts, None for the layout's own; air: in which the sound travels
+    layout: of the array, None for the board's first one; calibration: of its transducers, a file as of key
+    `calibration` of palmfield.array
+    """
+
+    level: float = 1.0
+    am_frequency_Hz: float = 0.0
+    p0_Pa_m: float | None = None
+    air: Air = field(default_factory=Air)
+    layout: str | None = None
+    calibration: Path | None = None
+
+
+@dataclass(frozen=True)
+class FocusBoard:
+    """A board, its array and how it sounds. p0: of the array's layout or calibration; said: what users are told first
+
+    sound: without the modulation that the board makes by itself; layout: of the array
+    """
+
+    board: Board
+    array: Array
+    p0: Estimate
+    sound: FocusSound
+    driver: DriverConfig
+    layout: str
+    said: tuple[str, ...]
+
+    def unit(self, place: Float) -> Complex:
+        """Amplitudes of all transducers for a focus [m] at full level. Raises SceneError for one that can't be made."""
+        unit = focus(self.array, self.sound.air, place)
+        return compensate(self.array, unit) if self.board.compensate else unit
+
+    def frame(self, place: Float, unit: Complex, level: float) -> bytes:
+        """One frame of a focus [m], shape (3,), whose `unit` is known."""
+        board = self.board
+        return board.encode_focus(place, level) if board.takes == "focus" else board.encode(level * unit)
+
+    @property
+    def band(self) -> tuple[float, float]:
+        """Factors on the square of the pressure at the ends of p0's range; a p0 that is given is taken as it is."""
+        if self.sound.p0_Pa_m is not None:
+            return 1.0, 1.0
+        return (self.p0.low / self.p0.value) ** 2, (self.p0.high / self.p0.value) ** 2
+
+    @property
+    def head(self) -> LogHead:
+        """Of a log of its frames."""
+        driver, loudness = self.driver, self.array.p0_Pa_m
+        limits = driver.model_dump(include=set(SAFETY_KEYS), exclude_none=True, exclude_defaults=True)
+        own, high = driver.of_board(self.board.keys), loudness * self.band[1] ** 0.5
+        head = LogHead(
+            self.board.name, len(self.array), self.layout, self.sound.air, own, limits,
+            p0_Pa_m=loudness, p0_high_Pa_m=high,
+        )  # fmt: skip
+        return head.measured(self.array, self.board.places)
+
+
+def focus_board(board: str, sound: FocusSound, keys: Mapping[str, object]) -> FocusBoard:
+    """A board of that name with its array.
+
+    keys: of the board, as palmfield.driver has them
+    Raises SceneError for a board of several arrays and a level that there is not, DeviceError for an unknown board, a
+    layout that it does not drive, and a level or a modulation that it can't play.
+    """
+    chosen = playable_board(board)
+    name = chosen.layouts[0] if sound.layout is None else sound.layout
+    if name not in chosen.layouts:
+        raise DeviceError(f"board '{board}' drives no layout '{name}'; allowed: {', '.join(chosen.layouts)}")
+    if chosen.arrays[0] > 1:
+        raise SceneError(f"board '{board}' drives {chosen.arrays[0]} arrays; give a scene that says where they stand")
+    if not 0.0 <= sound.level <= 1.0:
+        raise SceneError(f"--level has value {sound.level:g}; allowed: 0 (off) to 1 (full drive)")
+    array, p0 = layout(name, sound.p0_Pa_m), LAYOUTS[name].p0
+    if sound.calibration is not None:
+        known = read_calibration(sound.calibration)
+        if known.p0 is not None and sound.p0_Pa_m is None:
+            array, p0 = replace(array, p0_Pa_m=known.p0.value), known.p0
+        array = calibrated(array, known)
+    texts = {key: str(value) for key, value in keys.items()}
+    driver = cast(DriverConfig, parse(DriverConfig, {**texts, "board": board}, "--focus with driver keys"))
+    chosen = board_of(driver, len(array), calibrated=sound.calibration is not None, address=array.address)
+    said = []
+    if chosen.modulates:
+        # The board does that by itself, of any focus
+        if sound.am_frequency_Hz > 0.0:
+            chosen, sound = chosen.modulating(sound.am_frequency_Hz), replace(sound, am_frequency_Hz=0.0)
+        else:
+            said.append(f"{board} modulates whatever it plays, at its own rate; give another by --am-frequency")
+    modulated = sound.am_frequency_Hz > 0.0 or sound.level not in (0.0, 1.0)
+    able = [one for one in boards_for(2.0 * sound.am_frequency_Hz, modulated) if not BOARDS[one].exact]
+    check(
+        chosen, frame_rate_Hz=0.0, modulated=modulated, element="focus", modulation_Hz=sound.am_frequency_Hz,
+        instead=able,
+    )  # fmt: skip
+    return FocusBoard(chosen, array, p0, sound, driver, name, tuple(said))
+
+
+def am_share(time_s: float, frequency_Hz: float) -> float:
+    """Share of the level at a time [s]: a sine between silence and all of it, 1 without modulation."""
+    return 0.5 * (1.0 + float(np.sin(2.0 * np.pi * frequency_Hz * time_s))) if frequency_Hz > 0.0 else 1.0

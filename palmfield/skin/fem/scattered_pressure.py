@@ -1,0 +1,122 @@
+"""Pressures at points scattered over a curved surface, made into a pressure between them or spread over their areas."""
+
+import itertools
+
+import numpy as np
+from scipy import sparse
+from scipy.spatial import cKDTree
+
+from palmfield.types import Float, Int
+
+NEIGHBOURS = 9
+"""Points nearest to a place, of which three are the corners of the triangle round it."""
+CLOSEST = 6
+"""Points, the own among them, over which the spacing is a mean: those of a triangle's rule stand for unlike areas."""
+LONGEST = 3.0
+"""Spacings that a corner is off at most: wider gaps have no pressure."""
+DISC = 1.0 / np.sqrt(np.pi)
+"""Spacings, the roots of areas, that are the radius of a disc of that area."""
+SAME_SIDE = 0.3
+"""Least cosine between normals of a place and of a point that acts there: skin on the other side of a finger is off."""
+FLAT = 1e-6
+"""Area of a triangle, in squared spacings, below which its corners lie on a line."""
+CHUNK = 20_000
+
+
+def between_points(points: Float, normals: Float, areas_m2: Float, places: Float, facing: Float) -> sparse.csr_matrix:
+    """Shares of the pressures at points in that at places, csr, shape (q, p): linear on triangles between the points.
+
+    Rows sum to 1 or, where there is no pressure, to 0. Of the triangles of near points round a place, in the plane that
+    touches the surface there, it is the one whose corners' squared distances have the least mean, which is Delaunay's
+    (Rajan 1994, Discrete Comput. Geom. 12, 189). A place outside all triangles has the pressure of the nearest point,
+    as far as a disc of its area reaches.
+
+    points, normals: [m] and outward unit vectors, shape (p, 3); areas_m2: that each point stands for, (p,)
+    places, facing: the same of the places, shape (q, 3)
+    """
+    tree = cKDTree(points)
+    spacing = _spacing(tree, points, areas_m2)
+    parts = [
+        _shares(tree, points, normals, spacing, places[n : n + CHUNK], facing[n : n + CHUNK])
+        for n in range(0, len(places), CHUNK)
+    ]
+    return sparse.csr_matrix(sparse.vstack(parts))
+
+
+def spread_forces(
+    points: Float, normals: Float, areas_m2: Float, places: Float, facing: Float, weights_m2: Float
+) -> sparse.csr_matrix:
+    """Pressures at places of unit pressures at points, csr, shape (q, p), each over a disc of its area by itself.
+
+    Its pressure falls from the middle as a parabola does, and its force is that of the area; a column is empty where no
+    place lies on the disc. Arguments as of `between_points`; weights_m2: areas of the places, shape (q,)
+    """
+    # The parabola whose spread is that of the disc
+    reach = np.sqrt(1.5 * areas_m2 / np.pi)
+    found = cKDTree(places).query_ball_point(points, reach)
+    columns = np.repeat(np.arange(len(points)), [len(one) for one in found])
+    rows = np.concatenate([np.asarray(one, dtype=int) for one in found])
+    far = np.linalg.norm(places[rows] - points[columns], axis=1) / reach[columns]
+    shape = np.where((facing[rows] * normals[columns]).sum(axis=1) > SAME_SIDE, np.maximum(1.0 - far**2, 0.0), 0.0)
+    force = np.bincount(columns, shape * weights_m2[rows], len(points))
+    scale = np.divide(areas_m2, force, out=np.zeros_like(force), where=force > 0.0)
+    return sparse.coo_matrix((shape * scale[columns], (rows, columns)), (len(places), len(points))).tocsr()
+
+
+def _spacing(tree: cKDTree, points: Float, areas_m2: Float) -> Float:
+    """Root of the mean area of each point and those around it [m], shape (p,)."""
+    own = np.sqrt(areas_m2)
+    count = min(CLOSEST, len(points))
+    far, who = (part.reshape(len(points), count) for part in tree.query(points, count))
+    around = far <= LONGEST * own[:, None]
+    return np.asarray(np.sqrt((areas_m2[who] * around).sum(axis=1) / around.sum(axis=1)))
+
+
+def _shares(
+    tree: cKDTree, points: Float, normals: Float, spacing: Float, places: Float, facing: Float
+) -> sparse.csr_matrix:
+    count = min(NEIGHBOURS, len(points))
+    far, chosen = (part.reshape(len(places), count) for part in tree.query(places, count))
+    alike = np.einsum("qkc,qc->qk", normals[chosen], facing) > SAME_SIDE
+    far = np.where(alike, far, np.inf)
+    first = far.argmin(axis=1)
+    rows = np.arange(len(places))
+    step = spacing[chosen[rows, first]]
+    flat = _in_plane(points[chosen] - places[:, None], facing) / step[:, None, None]
+    corners, shares = _triangle(flat, far <= LONGEST * step[:, None])
+    inside = corners[:, 0] >= 0
+    beside = ~inside & (far[rows, first] <= DISC * step)
+    three = np.take_along_axis(chosen[inside], corners[inside], axis=1)
+    row = np.concatenate([np.repeat(rows[inside], 3), rows[beside]])
+    column = np.concatenate([three.ravel(), chosen[beside, first[beside]]])
+    value = np.concatenate([shares[inside].ravel(), np.ones(int(beside.sum()))])
+    return sparse.coo_matrix((value, (row, column)), (len(places), len(points))).tocsr()
+
+
+def _in_plane(steps: Float, normals: Float) -> Float:
+    """Two components of vectors (q, k, 3) across normals (q, 3), shape (q, k, 2)."""
+    helper = np.eye(3)[np.abs(normals).argmin(axis=1)]
+    along = np.cross(normals, helper)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    axes = np.stack([along, np.cross(normals, along)], axis=1)
+    return np.einsum("qkc,qac->qka", steps, axes)
+
+
+def _triangle(flat: Float, counted: np.ndarray) -> tuple[Int, Float]:
+    """Corners (q, 3) of the Delaunay triangle round 0 and their shares there; -1 where no triangle holds 0.
+
+    flat: near points, shape (q, k, 2), of which those `counted` (q, k) may be corners
+    """
+    best = np.full(len(flat), np.inf)
+    corners, shares = np.full((len(flat), 3), -1), np.zeros((len(flat), 3))
+    squared = (flat**2).sum(axis=2)
+    cross = flat[:, :, None, 0] * flat[:, None, :, 1] - flat[:, :, None, 1] * flat[:, None, :, 0]
+    for a, b, c in itertools.combinations(range(flat.shape[1]), 3):
+        parts = np.stack([cross[:, b, c], cross[:, c, a], cross[:, a, b]], axis=1)
+        twice = parts.sum(axis=1)
+        good = counted[:, a] & counted[:, b] & counted[:, c] & (np.abs(twice) > FLAT)
+        parts = np.divide(parts, twice[:, None], out=np.full_like(parts, -1.0), where=good[:, None])
+        mean = (parts * squared[:, [a, b, c]]).sum(axis=1)
+        better = (parts.min(axis=1) >= -1e-12) & (mean < best)
+        best[better], corners[better], shares[better] = mean[better], (a, b, c), parts[better]
+    return corners.astype(np.int32), shares

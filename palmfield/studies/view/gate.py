@@ -1,0 +1,170 @@
+"""What stands before the page's own server: who may come in, on which address, with which token.
+
+viser serves whoever connects, and asks for nothing. It listens on this machine alone, at a port that nobody is told;
+this gate listens where the page is to be found, looks at the head of each connection, and passes on those that may.
+"""
+
+import asyncio
+import contextlib
+import errno
+import hmac
+import http
+import ipaddress
+import threading
+from urllib.parse import parse_qs, quote, urlsplit
+
+from palmfield.errors import OutputError
+
+HEAD_BYTES = 32768
+"""Longest head of a request."""
+HEAD_S = 10.0
+"""In which it must have come."""
+CHUNK = 1 << 16
+LOCAL = ("localhost", "127.0.0.1", "::1")
+PORTS = 20
+"""So many ports are tried where none is asked for."""
+
+
+def is_loopback(host: str) -> bool:
+    """Whether an address is reached from this machine only."""
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+class Head:
+    """The head of a request: method, path with query, and headers by lower-case name."""
+
+    def __init__(self, raw: bytes) -> None:
+        """Raises ValueError for one that is not HTTP/1.1."""
+        lines = raw.decode("latin-1").split("\r\n")
+        self.method, self.target, version = lines[0].split(" ")
+        if version != "HTTP/1.1":
+            raise ValueError(version)
+        self.headers: dict[str, str] = {}
+        for line in lines[1:]:
+            name, colon, value = line.partition(":")
+            if not colon or name.lower() in self.headers:
+                # A header twice could mean one thing here and another behind
+                raise ValueError(line)
+            self.headers[name.lower()] = value.strip()
+
+    @property
+    def cookies(self) -> dict[str, str]:
+        """By name."""
+        pairs = (part.strip().partition("=") for part in self.headers.get("cookie", "").split(";"))
+        return {name: value for name, _, value in pairs}
+
+
+class Refused(Exception):
+    """A connection that may not come in. status, words: of the answer; headers: more of it"""
+
+    def __init__(self, status: http.HTTPStatus, words: str, headers: str = "") -> None:
+        super().__init__(words)
+        self.status, self.words, self.headers = status, words, headers
+
+    @property
+    def answer(self) -> bytes:
+        body = f"{self.words}\n".encode()
+        return (
+            f"HTTP/1.1 {self.status.value} {self.status.phrase}\r\n{self.headers}Content-Type: text/plain; "
+            f"charset=utf-8\r\nContent-Length: {len(body)}\r\nConnection: close\r\n\r\n"
+        ).encode() + body
+
+
+def check(head: Head, token: str, cookie: str) -> None:
+    """Raises Refused for a request that may not come in, and to lead one with the token in its address to the page.
+
+    token: empty for a page that only this machine reaches, which then must be called by this machine's name
+    cookie: name of the one that carries the token
+    """
+    host = head.headers.get("host", "")
+    origin = head.headers.get("origin")
+    if origin is not None and urlsplit(origin).netloc != host:
+        # Another site's script in this user's browser
+        raise Refused(http.HTTPStatus.FORBIDDEN, f"the page of {origin} may not use this one")
+    if not token:
+        if urlsplit(f"//{host}").hostname not in LOCAL:
+            # A name that someone has made to mean this machine
+            raise Refused(http.HTTPStatus.FORBIDDEN, f"this page is at {' or '.join(LOCAL)}, not at '{host}'")
+        return
+    target = urlsplit(head.target)
+    given = parse_qs(target.query).get("token", [])
+    if given and hmac.compare_digest(given[0].encode(), token.encode()):
+        raise Refused(
+            http.HTTPStatus.SEE_OTHER, "this way",
+            f"Location: {target.path}\r\nSet-Cookie: {cookie}={quote(token)}; Path=/; HttpOnly; SameSite=Strict\r\n",
+        )  # fmt: skip
+    if not hmac.compare_digest(head.cookies.get(cookie, "").encode(), quote(token).encode()):
+        raise Refused(
+            http.HTTPStatus.FORBIDDEN, "this page needs its token: open the address that `palmfield view` printed"
+        )
+
+
+class Gate:
+    """Listens in a thread of its own. port: at which"""
+
+    def __init__(self, host: str, port: int | None, first: int, behind: int, token: str) -> None:
+        """port: None for the first free one from `first` on; behind: port of this machine to which is passed on
+
+        Raises OutputError for a place where nobody can listen.
+        """
+        self._behind, self._token = behind, token
+        self._loop = asyncio.new_event_loop()
+        threading.Thread(target=self._loop.run_forever, daemon=True).start()
+        self.port = 0
+        tried = [port] if port is not None else list(range(first, first + PORTS))
+        for number in tried:
+            try:
+                asyncio.run_coroutine_threadsafe(self._listen(host, number), self._loop).result()
+                return
+            except OSError as error:
+                if error.errno != errno.EADDRINUSE:
+                    raise OutputError(
+                        f"cannot listen at {host}, port {number}; give another --host or --port"
+                    ) from None
+        ports = f"port {tried[0]} is" if len(tried) == 1 else f"ports {tried[0]} to {tried[-1]} are"
+        raise OutputError(f"{ports} taken at {host}; give another --port")
+
+    async def _listen(self, host: str, port: int) -> None:
+        server = await asyncio.start_server(self._meet, host, port, limit=HEAD_BYTES)
+        self.port = server.sockets[0].getsockname()[1]
+
+    async def _meet(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        with contextlib.suppress(OSError, asyncio.TimeoutError, asyncio.IncompleteReadError, asyncio.LimitOverrunError):
+            try:
+                raw = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), HEAD_S)
+                check(Head(raw[:-4]), self._token, f"palmfield_{self.port}")
+            except ValueError:
+                writer.write(Refused(http.HTTPStatus.BAD_REQUEST, "this is no request of HTTP/1.1").answer)
+                await writer.drain()
+            except Refused as refused:
+                writer.write(refused.answer)
+                await writer.drain()
+            else:
+                # What is behind answers one request a connection, or turns it into a websocket: one look is enough
+                await self._pass_on(raw, reader, writer)
+        writer.close()
+
+    async def _pass_on(self, raw: bytes, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        inside, outside = await asyncio.open_connection("127.0.0.1", self._behind)
+        outside.write(raw)
+        both = [asyncio.ensure_future(_copy(reader, outside)), asyncio.ensure_future(_copy(inside, writer))]
+        await asyncio.wait(both, return_when=asyncio.FIRST_COMPLETED)
+        # The end of either is the end of both, once what was on its way out is out
+        await asyncio.wait(both, timeout=1.0)
+        for one in both:
+            one.cancel()
+        outside.close()
+
+
+async def _copy(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    with contextlib.suppress(OSError):
+        while data := await reader.read(CHUNK):
+            writer.write(data)
+            await writer.drain()
+        if writer.can_write_eof():
+            writer.write_eof()

@@ -1,0 +1,89 @@
+"""Hands that a scene moves, put aside and turned from where its script has them."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from palmfield.motion.pose import HandPose
+from palmfield.motion.source import Motion
+from palmfield.session.live_scene import scripts
+from palmfield.session.simulation import Simulation
+from palmfield.studies.view.messages import Place, Slider
+from palmfield.types import Float
+
+AXES = "xyz"
+ASIDE_mm, TURN_deg = 60.0, 60.0
+NO_HAND = "no palmfield.motion moves a hand in this scene"
+
+
+@dataclass(frozen=True)
+class Offset:
+    """By how much a hand is moved [m] and turned about its own axes (rotation vector [deg])."""
+
+    shift: Float
+    turn_deg: Float
+
+    @staticmethod
+    def none() -> "Offset":
+        return Offset(np.zeros(3), np.zeros(3))
+
+    def put(self, pose: HandPose) -> HandPose:
+        """A pose of the script's, moved."""
+        own = Rotation.from_quat(np.roll(pose.quaternion, -1))
+        turned = own * Rotation.from_rotvec(self.turn_deg, degrees=True)
+        return replace(pose, position=pose.position + self.shift, quaternion=np.roll(turned.as_quat(), 1))
+
+
+class Hands:
+    """The scripted hands of a scene, which stay where they were put when it is rebuilt.
+
+    sliders: of all; offsets: by instance of palmfield.motion
+    """
+
+    def __init__(self, sim: Simulation) -> None:
+        self.offsets = {name: Offset.none() for name in scripts(sim.data)}
+        self.sliders: tuple[Slider, ...] = tuple(
+            Slider(
+                ("pose", f"{name}.{kind}", axis), f"Hand: {name}", f"{kind} {AXES[axis]}", -most, most, 0.5, 0.0, *unit
+            )
+            for name in self.offsets
+            for kind, most, unit in (("shift", ASIDE_mm, ("mm", 1e3)), ("turn", TURN_deg, ("deg", 1.0)))
+            for axis in range(3)
+        )
+        self._scripts: dict[str, Motion] = {}
+        self.attach(sim)
+
+    def attach(self, sim: Simulation) -> None:
+        """Move the hands of another simulation of the scene from now on."""
+        self._modules = scripts(sim.data)
+        self._scripts = {name: module.motion for name, module in self._modules.items()}
+        for name in self.offsets:
+            self._lead(name)
+
+    def turn(self, place: Place, value: float) -> None:
+        """A slider stands at a value, in its unit."""
+        _, named, axis = place
+        name, _, kind = named.rpartition(".")
+        assert axis is not None
+        old = self.offsets[name]
+        parts = {"shift": old.shift.copy(), "turn": old.turn_deg.copy()}
+        parts[kind][axis] = 1e-3 * value if kind == "shift" else value
+        self.offsets[name] = Offset(parts["shift"], parts["turn"])
+        self._lead(name)
+
+    @property
+    def values(self) -> dict[Place, float]:
+        """What the sliders stand at."""
+        found = {}
+        for slider in self.sliders:
+            _, named, axis = slider.place
+            name, _, kind = named.rpartition(".")
+            offset = self.offsets[name]
+            assert axis is not None
+            found[slider.place] = float(1e3 * offset.shift[axis] if kind == "shift" else offset.turn_deg[axis])
+        return found
+
+    def _lead(self, name: str) -> None:
+        script, offset = self._scripts[name], self.offsets[name]
+        self._modules[name].motion = Motion(script.hand, lambda time_s: offset.put(script.at(time_s)))

@@ -1,0 +1,117 @@
+"""The simulation's end of the talk with the process that shows: it starts that process, and never waits for it."""
+
+import contextlib
+import queue
+import threading
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from typing import Self
+
+from palmfield.errors import OutputError
+from palmfield.studies.view.messages import Address, End, FromPage, FromSimulation, Ready
+from palmfield.studies.view.page_process import run_page
+
+STARTS_WITHIN_S = 60.0
+ENDS_WITHIN_S = 5.0
+
+
+class Link:
+    """A page in a process of its own. Use as a context manager: that process ends with it.
+
+    A thread sends and another one receives, so that a page which hangs or is stopped holds nothing up.
+
+    address: for the browser
+    """
+
+    def __init__(self, place: Address) -> None:
+        """place: where the page is to be found. Raises OutputError where it can't be shown there."""
+        # Spawned, not forked: the page gets neither Warp's state nor MuJoCo's
+        context = get_context("spawn")
+        self._talk, talk = context.Pipe()
+        self._process = context.Process(target=run_page, args=(talk, place), name="palmfield view", daemon=True)
+        self._process.start()
+        # Else the pipe would not end with the page's process
+        talk.close()
+        self._inbox: queue.SimpleQueue[FromPage | None] = queue.SimpleQueue()
+        self._outbox: queue.SimpleQueue[FromSimulation] = queue.SimpleQueue()
+        self.gone = False
+        try:
+            self.address = self._first_word()
+        except BaseException:
+            self._process.terminate()
+            raise
+        threading.Thread(target=_receive, args=(self._talk, self._inbox), daemon=True).start()
+        self._sender = threading.Thread(target=_send, args=(self._talk, self._outbox), daemon=True)
+        self._sender.start()
+
+    def _first_word(self) -> str:
+        try:
+            if not self._talk.poll(STARTS_WITHIN_S):
+                raise OutputError(f"the page said nothing for {STARTS_WITHIN_S:g} s; is the machine overloaded?")
+            ready = self._talk.recv()
+        except (EOFError, ConnectionError):
+            raise OutputError("the page's process has ended before it began; its own words are above") from None
+        assert isinstance(ready, Ready)
+        if ready.failed:
+            raise OutputError(ready.failed)
+        return ready.address
+
+    @property
+    def pid(self) -> int | None:
+        """Of the page's process."""
+        return self._process.pid
+
+    @property
+    def alive(self) -> bool:
+        """Whether the page's process is there."""
+        return self._process.is_alive()
+
+    def send(self, message: FromSimulation) -> None:
+        """Have a message sent, after those before it."""
+        self._outbox.put(message)
+
+    def received(self, wait_s: float = 0.0) -> list[FromPage]:
+        """What has come since the last call; waits for the first so long [s]. `gone` is set once the page has ended."""
+        messages: list[FromPage] = []
+        if not wait_s and self._inbox.empty():
+            return messages
+        with contextlib.suppress(queue.Empty):
+            while True:
+                one = self._inbox.get(timeout=wait_s) if wait_s and not messages else self._inbox.get_nowait()
+                if one is None:
+                    self.gone = True
+                    break
+                messages.append(one)
+        return messages
+
+    def close(self) -> None:
+        """End the page's process; returns when it has ended."""
+        self.send(End())
+        self._process.join(ENDS_WITHIN_S)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join(ENDS_WITHIN_S)
+        self._talk.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+
+def _receive(talk: Connection, inbox: "queue.SimpleQueue[FromPage | None]") -> None:
+    try:
+        while True:
+            inbox.put(talk.recv())
+    except (EOFError, OSError):
+        inbox.put(None)
+
+
+def _send(talk: Connection, outbox: "queue.SimpleQueue[FromSimulation]") -> None:
+    with contextlib.suppress(OSError):
+        while True:
+            message = outbox.get()
+            talk.send(message)
+            if isinstance(message, End):
+                return

@@ -1,0 +1,212 @@
+"""What the process that simulates and the one that shows tell one another.
+
+The simulation sends SceneShown at its start and after each rebuilding, Told and Values when there is something to say,
+and Moment and Replay only when they were asked for, so that it never waits for who looks on. All positions are in the
+world [m]. All here is pickled between two processes of one program.
+"""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palmfield.types import Complex, Float32, Int
+
+Group = Literal["key", "pose"]
+Place = tuple[Group, str, int | None]
+"""A number that can be turned: of a key (INSTANCE.key) or of a hand's pose (INSTANCE.axis), and which of several."""
+
+
+@dataclass(frozen=True)
+class Address:
+    """Where the page is to be found.
+
+    host: address to listen at; port: None for the first free one from 8080 on; token: that who comes must have, empty
+    for none; rate_Hz: pictures a second
+    """
+
+    host: str
+    port: int | None
+    token: str
+    rate_Hz: float
+
+
+# -- what the simulation sends -----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Slider:
+    """One number that can be turned.
+
+    folder: heading under which it stands; low, high, step, value: in `unit`, of which there are `scale` in the SI unit
+    """
+
+    place: Place
+    folder: str
+    label: str
+    low: float
+    high: float
+    step: float
+    value: float
+    unit: str
+    scale: float
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where things are. bodies: vertices, (v, 3) each; skins: surface nodes and outward normals, (S, 3) each
+    transducers: (N, 3)"""
+
+    bodies: tuple[Float32, ...]
+    skins: tuple[tuple[Float32, Float32], ...]
+    transducers: Float32
+
+
+@dataclass(frozen=True)
+class SceneShown:
+    """What stays the same until the scene is rebuilt.
+
+    body_faces: of the closed bodies, (m, 3) each; skins: names; skin_faces: (f, 3) each; pose: the first
+    transducer_directions: unit vectors, (N, 3); transducer_radius: [m]
+    no_pose: why the hand has no sliders, empty where it has; timestep_s: of MuJoCo's [s]
+    """
+
+    name: str
+    device: str
+    body_faces: tuple[Int, ...]
+    skins: tuple[str, ...]
+    skin_faces: tuple[Int, ...]
+    pose: Pose
+    transducer_directions: Float32
+    transducer_radius: float
+    sliders: tuple[Slider, ...]
+    no_pose: str
+    timestep_s: float
+
+
+@dataclass(frozen=True)
+class Moment:
+    """The scene now.
+
+    time_s: simulated time; speed: simulated seconds in a second, over the last part of one, 0 while paused
+    pose: None where nothing has moved since the last one that was sent
+    drive: what the transducers are told, (N,); foci: (m, 3), none in silence
+    solvers: what steps each skin; recording: folder, or empty
+    displacement, arp: of each skin along the outward normal [m] and [Pa], (S,), where they were asked for
+    """
+
+    time_s: float
+    speed: float
+    playing: bool
+    pose: Pose | None
+    drive: Complex
+    foci: Float32
+    solvers: tuple[str, ...]
+    recording: str
+    displacement: tuple[Float32, ...] = ()
+    arp: tuple[Float32, ...] = ()
+
+
+@dataclass(frozen=True)
+class Level:
+    """What an observer makes of a skin's last periods: level_dB above threshold, None where refused; why: in words."""
+
+    observer: str
+    level_dB: float | None
+    why: str
+
+
+@dataclass(frozen=True)
+class SkinReplay:
+    """A skin's last periods. displacement along the outward normal [m] and arp [Pa]: (k, S) each
+    rms: of the displacement about its mean [m], (S,); levels: by observer"""
+
+    displacement: Float32
+    arp: Float32
+    rms: Float32
+    levels: tuple[Level, ...]
+
+
+@dataclass(frozen=True)
+class Replay:
+    """The last periods of all skins: times [s], (k,), of which the first is `begin_s` and the stretch lasts `length_s`;
+    what: that stretch in words"""
+
+    times: NDArray[np.float64]
+    length_s: float
+    what: str
+    skins: tuple[SkinReplay, ...]
+
+
+@dataclass(frozen=True)
+class Told:
+    """A sentence for the page. kind: `busy` stays until the next one, `error` is red, `info` is not"""
+
+    kind: Literal["info", "busy", "error"]
+    text: str
+
+
+@dataclass(frozen=True)
+class Values:
+    """What the sliders stand at, in their units, by place."""
+
+    values: dict[Place, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class End:
+    """There is nothing more to come."""
+
+
+FromSimulation = SceneShown | Moment | Replay | Told | Values | End
+
+
+# -- what the page sends -----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Ready:
+    """The page is there. address: for the browser; or failed: why not"""
+
+    address: str
+    failed: str = ""
+
+
+@dataclass(frozen=True)
+class Ask:
+    """For the next Moment, with motion and ARP or without, or for the next Replay."""
+
+    what: Literal["moment", "full moment", "replay"]
+
+
+@dataclass(frozen=True)
+class Turn:
+    """A slider stands at a value, in its unit."""
+
+    place: Place
+    value: float
+
+
+@dataclass(frozen=True)
+class SetKey:
+    """A key by its text, INSTANCE.key=VALUE."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class Press:
+    """A button."""
+
+    what: Literal["play", "pause", "reset", "record", "stop recording"]
+
+
+@dataclass(frozen=True)
+class Pace:
+    """At most so many simulated seconds in a second; inf for as fast as it goes."""
+
+    most: float
+
+
+FromPage = Ready | Ask | Turn | SetKey | Press | Pace

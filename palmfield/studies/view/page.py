@@ -1,0 +1,455 @@
+"""The page: what viser shows in the browser, and what it hands back."""
+
+import html
+import math
+import socket
+import time
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from threading import Lock
+from typing import Any
+
+import numpy as np
+import viser
+
+from palmfield.studies.view.colours import (
+    FLESH,
+    PRESSURE,
+    Scale,
+    motion_scale,
+    phase_colours,
+    phase_legend,
+    rounded_up,
+    size_scale,
+)
+from palmfield.studies.view.gate import Gate, is_loopback
+from palmfield.studies.view.glb import GlbMesh, linear
+from palmfield.studies.view.messages import (
+    Address,
+    Ask,
+    End,
+    FromPage,
+    FromSimulation,
+    Moment,
+    Pace,
+    Place,
+    Pose,
+    Press,
+    Replay,
+    SceneShown,
+    SetKey,
+    Slider,
+    Told,
+    Turn,
+    Values,
+)
+from palmfield.types import Float32
+
+PORT = 8080
+"""First that is tried where none is asked for."""
+LIFT_m = 3e-4
+"""By so much a skin is drawn above its body, that the two do not flicker."""
+SEEN_m = 3e-3
+"""As far as the largest motion is magnified by itself."""
+REPLAYS = ("motion, slowed down", "ARP, slowed down")
+STILL = ("RMS of the motion",)
+NOWS = ("motion now", "ARP now")
+SHOWN = (*REPLAYS, *STILL, *NOWS)
+PACES = {
+    "real time": 1.0, "1/10 of real time": 0.1, "1/100 of real time": 0.01, "as fast as it goes": math.inf,
+}  # fmt: skip
+NOW_WORDS = "the state at each picture (what is faster than the pictures is seen at a slower pace only)"
+TURNS_IN_s = 2.0
+"""A slowed-down stretch takes about so long."""
+DISC_SIDES = 12
+AGAIN_s = 5.0
+"""What didn't come so long is asked for again: it may be that it could not be told then."""
+
+
+class SkinNode:
+    """A skin in the page: three meshes, of which one is seen while the browser reads the others."""
+
+    def __init__(self, server: viser.ViserServer, name: str, faces: np.ndarray, pose: tuple[Float32, Float32]) -> None:
+        self.faces, self.pose = faces, pose
+        self._mesh = GlbMesh(faces, len(pose[0]))
+        self._nodes: list[viser.GlbHandle] = []
+        for part in "abc":
+            data = self._file(np.zeros(len(pose[0]), np.float32), 0.0, np.full((len(pose[0]), 4), 200, np.uint8))
+            self._nodes.append(server.scene.add_glb(f"/skins/{name}/{part}", data, visible=part == "a"))
+        self._seen = 0
+
+    def show(self, displacement: Float32, magnify: float, colours: np.ndarray) -> None:
+        """Another state of it, which is seen two pictures later. displacement: along the outward normal [m], (S,)"""
+        last, self._seen = self._seen, (self._seen + 1) % len(self._nodes)
+        self._nodes[self._seen].visible = True
+        self._nodes[last].visible = False
+        self._nodes[last].glb_data = self._file(displacement, magnify, colours)
+
+    def _file(self, displacement: Float32, magnify: float, colours: np.ndarray) -> bytes:
+        places, normals = self.pose
+        return self._mesh.file(places + (LIFT_m + magnify * displacement)[:, None] * normals, colours)
+
+    def remove(self) -> None:
+        for node in self._nodes:
+            node.remove()
+
+
+class Page:
+    """The page, in the process that shows it. address: for the browser"""
+
+    def __init__(self, talk: Connection, place: Address) -> None:
+        """Raises OutputError where nobody can listen."""
+        self._talk, self._lock, self._place = talk, Lock(), place
+        # Never at another address: viser asks nobody who he is, the gate does
+        self._server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+        gate = Gate(place.host, place.port, PORT, self._server.get_port(), place.token)
+        host = "localhost" if is_loopback(place.host) else place.host
+        if host in ("0.0.0.0", "::"):
+            # All addresses of this machine: its name is one that others may know
+            host = socket.gethostname()
+        host = f"[{host}]" if ":" in host else host
+        self.address = f"http://{host}:{gate.port}/" + (f"?token={place.token}" if place.token else "")
+        # viser's button would make a public address, past the gate
+        self._server.gui.configure_theme(show_share_button=False, control_width="medium", dark_mode=False)
+        self._server.scene.set_up_direction("+z")
+        # A palm looks down, where viser's own lights leave it dark
+        self._server.scene.configure_default_lights(enabled=False)
+        self._server.scene.add_light_ambient("/light/all", intensity=1.3)
+        for number, lit_from in enumerate(((0.3, 0.5, 1.0), (1.0, 1.2, -0.6))):
+            self._server.scene.add_light_directional(f"/light/{number}", intensity=1.1, position=lit_from)
+        self._scene: SceneShown | None = None
+        self._moment: Moment | None = None
+        self._replay: Replay | None = None
+        self._asked_moment = self._asked_replay = -math.inf
+        self._picture = 0
+        self._skins: list[SkinNode] = []
+        self._bodies: list[viser.MeshHandle] = []
+        self._sliders: dict[Place, Any] = {}
+        self._slow = 1.0
+        self._magnified = 1.0
+        self._phases: np.ndarray | None = None
+        self._legend_told = ""
+
+    # -- to and from the simulation ------------------------------------------------------------------------------------
+
+    def _say(self, message: FromPage) -> None:
+        with self._lock:
+            self._talk.send(message)
+
+    def run(self) -> None:
+        """Take what comes and draw, until the simulation has ended."""
+        period_s = 1.0 / self._place.rate_Hz
+        due = time.monotonic()
+        while True:
+            wait = due - time.monotonic()
+            try:
+                if self._talk.poll(max(wait, 0.0)):
+                    message: FromSimulation = self._talk.recv()
+                    if isinstance(message, End):
+                        return
+                    self._take(message)
+                    continue
+                if self._scene is not None and self._server.get_clients():
+                    self._draw()
+            except (EOFError, OSError):
+                # The simulation has been killed
+                return
+            due = max(due + period_s, time.monotonic())
+
+    def _take(self, message: FromSimulation) -> None:
+        if isinstance(message, SceneShown):
+            self._begin(message)
+        elif isinstance(message, Moment):
+            self._asked_moment = -math.inf
+            self._take_moment(message)
+        elif isinstance(message, Replay):
+            self._asked_replay = -math.inf
+            self._take_replay(message)
+        elif isinstance(message, Told):
+            self._tell(message)
+        elif isinstance(message, Values):
+            for place, value in message.values.items():
+                if place in self._sliders:
+                    self._put(self._sliders[place], value)
+
+    def _put(self, handle: Any, value: float) -> None:
+        """A slider to a value that the scene has, which may be beyond its ends."""
+        handle.min, handle.max = min(handle.min, value), max(handle.max, value)
+        if handle.value != value:
+            handle.value = value
+
+    # -- what there is -------------------------------------------------------------------------------------------------
+
+    def _begin(self, scene: SceneShown) -> None:
+        """Show a scene, the first one or one that was rebuilt."""
+        first = self._scene is None
+        self._scene, self._replay, self._moment = scene, None, None
+        self._asked_moment = self._asked_replay = -math.inf
+        self._picture, self._phases = 0, None
+        api = self._server.scene
+        for skin in self._skins:
+            skin.remove()
+        for body in self._bodies:
+            body.remove()
+        pose = scene.pose
+        self._bodies = [
+            api.add_mesh_simple(f"/bodies/{number}", vertices, faces, color=FLESH, side="double")
+            for number, (vertices, faces) in enumerate(zip(pose.bodies, scene.body_faces, strict=True))
+        ]
+        self._skins = [
+            SkinNode(self._server, name, faces, own)
+            for name, faces, own in zip(scene.skins, scene.skin_faces, pose.skins, strict=True)
+        ]
+        vertices, faces = disc(0.9 * max(scene.transducer_radius, 2e-3))
+        self._array = api.add_batched_meshes_simple(
+            "/array", vertices, faces, batched_wxyzs=facing(scene.transducer_directions),
+            batched_positions=pose.transducers, batched_colors=np.full((len(pose.transducers), 3), 150, np.uint8),
+            side="double", lod="off",
+        )  # fmt: skip
+        self._foci = api.add_point_cloud(
+            "/foci", np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8), point_size=1.5e-3, point_shape="circle"
+        )
+        if first:
+            self._look(pose, scene.transducer_directions)
+            self._controls(scene)
+
+    def _look(self, pose: Pose, directions: Float32) -> None:
+        """Put the camera beside the sound's way, so that skin and array are seen."""
+        array = pose.transducers.mean(axis=0)
+        skin = np.concatenate([points for points, _ in pose.skins]).mean(axis=0)
+        axis = directions.mean(axis=0)
+        axis = axis / max(float(np.linalg.norm(axis)), 1e-9)
+        beside = np.cross(axis, (0.0, 1.0, 0.0) if abs(axis[1]) < 0.9 else (1.0, 0.0, 0.0))
+        beside = beside / np.linalg.norm(beside)
+        ahead = np.cross(beside, axis)
+        far = max(float(np.linalg.norm(skin - array)), 0.1)
+        middle = array + 0.62 * (skin - array)
+        camera = self._server.initial_camera
+        camera.position = tuple(middle + far * (0.85 * beside + 0.9 * ahead - 0.38 * axis))
+        camera.look_at = tuple(middle)
+
+    def _controls(self, scene: SceneShown) -> None:
+        gui = self._server.gui
+        self._status = gui.add_html("")
+        self._notice = gui.add_html("")
+        self._play = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE)
+        self._on_press(self._play, self._play_pressed)
+        self._on_press(gui.add_button("Reset", icon=viser.Icon.PLAYER_SKIP_BACK), lambda: self._say(Press("reset")))
+        self._record = gui.add_button("Record", icon=viser.Icon.PLAYER_RECORD)
+        self._on_press(self._record, self._record_pressed)
+        with gui.add_folder("What is seen"):
+            self._shown = gui.add_dropdown("on the skin", SHOWN, initial_value=SHOWN[0])
+            self._magnify = gui.add_slider("magnify", -2.0, 2.0, 0.1, 0.0, hint="powers of ten beside its own factor")
+            self._pace = gui.add_dropdown("at most", tuple(PACES), initial_value="real time")
+            self._legend = gui.add_html("")
+            gui.add_html(phase_legend())
+        with gui.add_folder("Level above threshold"):
+            self._meter = gui.add_html("")
+        folders: dict[str, Any] = {}
+        for slider in scene.sliders:
+            if slider.folder not in folders:
+                folders[slider.folder] = gui.add_folder(slider.folder)
+            with folders[slider.folder]:
+                self._add_slider(slider)
+        if scene.no_pose:
+            with gui.add_folder("Hand"):
+                gui.add_html(_small(html.escape(scene.no_pose)))
+        with gui.add_folder("Any key", expand_by_default=False):
+            text = gui.add_text("INSTANCE.key=VALUE", "")
+            self._on_press(gui.add_button("Set it"), lambda: self._say(SetKey(text.value)))
+        self._pace.on_update(lambda event: self._say(Pace(PACES[self._pace.value])) if event.client else None)
+
+    def _add_slider(self, slider: Slider) -> None:
+        label = f"{slider.label} [{slider.unit}]" if slider.unit else slider.label
+        low, high = min(slider.low, slider.value), max(slider.high, slider.value)
+        handle = self._server.gui.add_slider(label, low, high, slider.step, slider.value)
+        # What the simulation says comes without a client, and need not be said again
+        handle.on_update(lambda event: self._say(Turn(slider.place, float(handle.value))) if event.client else None)
+        self._sliders[slider.place] = handle
+
+    @staticmethod
+    def _on_press(button: Any, do: Callable[[], None]) -> None:
+        button.on_click(lambda _: do())
+
+    def _play_pressed(self) -> None:
+        self._say(Press("pause" if self._moment is not None and self._moment.playing else "play"))
+
+    def _record_pressed(self) -> None:
+        going = self._moment is not None and self._moment.recording
+        self._say(Press("stop recording" if going else "record"))
+
+    # -- what comes ----------------------------------------------------------------------------------------------------
+
+    def _tell(self, told: Told) -> None:
+        colour, mark = {"info": ("#444", ""), "busy": ("#8a5a00", "&#8987; "), "error": ("#b00020", "&#9888; ")}[
+            told.kind
+        ]
+        self._notice.content = (
+            f'<div style="margin:0.3em 0.8em;font-size:0.8em;color:{colour};overflow-wrap:anywhere">{mark}'
+            f"{html.escape(told.text)}</div>"
+        )
+
+    def _take_moment(self, moment: Moment) -> None:
+        self._moment = moment
+        if moment.pose is not None:
+            for body, vertices in zip(self._bodies, moment.pose.bodies, strict=True):
+                body.vertices = vertices
+            for node, own in zip(self._skins, moment.pose.skins, strict=True):
+                node.pose = own
+            self._array.batched_positions = moment.pose.transducers
+        # viser takes the colours of such meshes as they are in light
+        colours = linear(phase_colours(moment.drive))[:, :3]
+        if self._phases is None or not np.array_equal(colours, self._phases):
+            self._phases = self._array.batched_colors = colours
+        self._foci.points = moment.foci
+        self._foci.colors = np.tile(np.array([[0, 120, 90]], np.uint8), (len(moment.foci), 1))
+        label = "Pause" if moment.playing else "Play"
+        if self._play.label != label:
+            self._play.label = label
+            self._play.icon = viser.Icon.PLAYER_PAUSE if moment.playing else viser.Icon.PLAYER_PLAY
+        label = "Stop recording" if moment.recording else "Record"
+        if self._record.label != label:
+            self._record.label = label
+            self._record.color = "red" if moment.recording else None
+
+    def _take_replay(self, replay: Replay) -> None:
+        self._replay, self._picture = replay, 0
+        rows = []
+        for name, skin in zip(self._scene.skins if self._scene else (), replay.skins, strict=True):
+            rows.append(f"<div><b>{html.escape(name)}</b></div>" if len(replay.skins) > 1 else "")
+            for level in skin.levels:
+                rows.append(_meter_row(level.observer, level.level_dB, level.why))
+        self._meter.content = f'<div style="margin:0 0.8em;font-size:0.8em">{"".join(rows)}</div>'
+
+    # -- pictures ------------------------------------------------------------------------------------------------------
+
+    def _draw(self) -> None:
+        """One picture, and ask for what the next ones need."""
+        shown = self._shown.value
+        now = time.monotonic()
+        if now - self._asked_moment > AGAIN_s:
+            self._asked_moment = now
+            self._say(Ask("full moment" if shown in NOWS else "moment"))
+        through = self._replay is None or self._picture >= len(self._replay.times) * self._repeats()
+        if now - self._asked_replay > AGAIN_s and through:
+            self._asked_replay = now
+            self._say(Ask("replay"))
+        states, scale, words = self._state(shown)
+        if not states:
+            return
+        largest = max(float(np.abs(one).max(initial=0.0)) for one, _ in states)
+        if shown in NOWS or self._picture == 0:
+            self._magnified = magnified(largest if self._replay is None or shown in NOWS else self._largest())
+        magnify = self._magnified * 10.0**self._magnify.value
+        with self._server.atomic():
+            for node, (displacement, values) in zip(self._skins, states, strict=True):
+                node.show(displacement, magnify, scale.colours(values))
+        self._picture += 1
+        if scale.legend != self._legend_told:
+            self._legend_told = self._legend.content = scale.legend
+        self._say_how(words, magnify)
+
+    def _repeats(self) -> int:
+        """Pictures for which each state of a replay stays, so that a stretch of few states is slow enough."""
+        assert self._replay is not None
+        return max(1, round(TURNS_IN_s * self._place.rate_Hz / max(len(self._replay.times), 1)))
+
+    def _largest(self) -> float:
+        assert self._replay is not None
+        return max(float(np.abs(skin.displacement).max(initial=0.0)) for skin in self._replay.skins)
+
+    def _state(self, shown: str) -> tuple[list[tuple[Float32, Float32]], Scale, str]:
+        """Of each skin its displacement, and what is seen as colour, with their scale and what that is in words."""
+        nothing = Scale("", PRESSURE, 0.0, 1.0, "", 1.0)
+        moment, replay = self._moment, self._replay
+        if shown in NOWS:
+            if moment is None or not moment.displacement:
+                return [], nothing, ""
+            scale, values = self._now_scale(shown, moment)
+            return (
+                list(zip(moment.displacement, values, strict=True)),
+                scale,
+                NOW_WORDS,
+            )
+        if replay is None:
+            return [], nothing, ""
+        repeats = self._repeats()
+        place = (self._picture // repeats) % len(replay.times)
+        pictures = len(replay.times) * repeats
+        self._slow = pictures / self._place.rate_Hz / max(replay.length_s, 1e-9)
+        motion = [skin.displacement[place] for skin in replay.skins]
+        if shown in STILL:
+            still = [skin.rms for skin in replay.skins]
+            scale = size_scale("RMS of the normal displacement", _most(still), "um", 1e6)
+            return list(zip(motion, still, strict=True)), scale, f"over {replay.what}"
+        words = f"{replay.what}, {self._slow:.3g} times slower"
+        if shown == REPLAYS[1]:
+            scale = size_scale("radiation pressure (ARP)", _most([skin.arp for skin in replay.skins]), "Pa", 1.0)
+            return [(u, skin.arp[place]) for u, skin in zip(motion, replay.skins, strict=True)], scale, words
+        scale = motion_scale("normal displacement, outward positive", self._largest())
+        return [(one, one) for one in motion], scale, words
+
+    def _now_scale(self, shown: str, moment: Moment) -> tuple[Scale, tuple[Float32, ...]]:
+        if shown == NOWS[1]:
+            top = max(_most(moment.arp), _most([skin.arp for skin in self._replay.skins]) if self._replay else 0.0)
+            return size_scale("radiation pressure (ARP)", top, "Pa", 1.0), moment.arp
+        top = max(_most(moment.displacement), self._largest() if self._replay else 0.0)
+        return motion_scale("normal displacement, outward positive", top), moment.displacement
+
+    def _say_how(self, words: str, magnify: float) -> None:
+        moment, scene = self._moment, self._scene
+        if moment is None or scene is None:
+            return
+        pace = "paused" if not moment.playing else f"{moment.speed:.2g} x real time"
+        recording = f"<br><b>recording</b> to {html.escape(moment.recording)}" if moment.recording else ""
+        solvers = ", ".join(sorted(set(moment.solvers)))
+        self._status.content = _small(
+            f"<b>{moment.time_s:.3f} s</b>, {pace}; {html.escape(scene.device)}, skin by {html.escape(solvers)}<br>"
+            f"shown: {html.escape(words)}; motion magnified {magnify:,.0f} times{recording}"
+        )
+
+
+def _most(values: Any) -> float:
+    return max((float(np.abs(one).max(initial=0.0)) for one in values), default=0.0)
+
+
+def magnified(largest_m: float) -> float:
+    """A round factor by which the largest motion is seen as about SEEN_m."""
+    return 1.0 if largest_m <= 0.0 else rounded_up(0.4 * SEEN_m / largest_m)
+
+
+def _small(text: str) -> str:
+    return f'<div style="margin:0.3em 0.8em;font-size:0.8em;overflow-wrap:anywhere">{text}</div>'
+
+
+def _meter_row(name: str, level_dB: float | None, why: str) -> str:
+    """A bar from 0 to 60 dB above threshold, or why there is none."""
+    title = html.escape(f"{name}: {why}", quote=True)
+    if level_dB is None:
+        return (
+            f'<div title="{title}" style="color:#777">{name}: none, {html.escape(why.removeprefix("refused: "))}</div>'
+        )
+    share = min(max(level_dB / 60.0, 0.0), 1.0)
+    return (
+        f'<div title="{title}">{name}: <b>{level_dB:.0f} dB SL</b>'
+        f'<div style="height:0.45em;background:#e4e4e4;margin-bottom:0.25em"><div style="height:100%;'
+        f'width:{100.0 * share:.0f}%;background:#0f766e"></div></div></div>'
+    )
+
+
+def disc(radius_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """A flat disc about the z axis: vertices and faces."""
+    angles = 2.0 * np.pi * np.arange(DISC_SIDES) / DISC_SIDES
+    rim = radius_m * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(DISC_SIDES)])
+    ring = np.arange(1, DISC_SIDES + 1)
+    faces = np.column_stack([np.zeros(DISC_SIDES, int), ring, np.roll(ring, -1)])
+    return np.vstack([np.zeros(3), rim]).astype(np.float32), faces.astype(np.uint32)
+
+
+def facing(directions: Float32) -> np.ndarray:
+    """Quaternions (w, x, y, z) that turn the z axis to unit vectors, (n, 3) -> (n, 4)."""
+    x, y, z = np.asarray(directions, np.float64).T
+    half = np.column_stack([1.0 + z, -y, x, np.zeros(len(z))])
+    # Straight down: half a turn about x
+    half[z < -1.0 + 1e-9] = (0.0, 1.0, 0.0, 0.0)
+    return half / np.linalg.norm(half, axis=1, keepdims=True)

@@ -1,0 +1,42 @@
+"""The process that shows: what it begins with, and how it ends."""
+
+import contextlib
+import importlib.util
+import os
+import signal
+import sys
+from multiprocessing.connection import Connection
+
+from palmfield.errors import OutputError, PalmfieldError
+from palmfield.studies.view.messages import Address, Ready
+
+KINDER = 5
+"""By so much the page's process gives way to the simulation."""
+
+
+def need_viser() -> None:
+    """Raises OutputError where the library that shows is missing."""
+    if importlib.util.find_spec("viser") is None:
+        raise OutputError("a live view needs the package viser: pip install 'palmfield[view]'")
+
+
+def run_page(talk: Connection, place: Address) -> None:
+    """Show what comes, until the other end is closed or says so."""
+    # The terminal's Ctrl-C is for the simulation, which ends this process when its recording is safe
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with contextlib.suppress(OSError):
+        os.nice(KINDER)
+    # viser greets and says goodbye there, with an address that is not the page's
+    sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - for the rest of the process
+    try:
+        from palmfield.studies.view.page import Page
+
+        page = Page(talk, place)
+    except (PalmfieldError, OSError) as error:
+        talk.send(Ready("", str(error)))
+        return
+    talk.send(Ready(page.address))
+    page.run()
+    # Threads of viser's that wait for nobody would hold the process for seconds
+    sys.stderr.flush()
+    os._exit(0)

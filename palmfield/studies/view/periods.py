@@ -1,0 +1,126 @@
+"""The last periods of a running simulation: the skins' motion and the ARP at all substeps, and what is felt of them."""
+
+from collections import deque
+from dataclasses import replace
+from math import ceil
+from typing import Any
+
+import numpy as np
+
+from palmfield.outputs.schema import Arrays, group
+from palmfield.perception import OBSERVERS
+from palmfield.perception.force_threshold import FORCE_OBSERVER
+from palmfield.session.recorder import Recorder
+from palmfield.session.run import recorder_of
+from palmfield.session.sensation_levels import felt_levels
+from palmfield.session.simulation import Simulation
+from palmfield.stimulus.schedule import main_frequencies
+from palmfield.studies.view.messages import Level, Replay, SkinReplay
+from palmfield.types import Float
+
+PERIODS = 2
+"""Of the lowest main frequency: fewer say nothing of a level."""
+SHORTEST_s, LONGEST_s = 4e-3, 0.25
+MOST_PICTURES = 24
+"""Of a replay."""
+
+
+class Blocks:
+    """A sink for a recorder that keeps the last blocks, one of a MuJoCo step each, and hands all on."""
+
+    def __init__(self, steps: int, on: Any = None) -> None:
+        """steps: how many are kept; on: another sink"""
+        self.kept: deque[Arrays] = deque(maxlen=steps)
+        self._on = on
+
+    def append(self, block: Arrays) -> None:
+        """Take a block."""
+        self.kept.append(block)
+        if self._on is not None:
+            self._on.append(block)
+
+
+class Periods:
+    """Watches a simulation for as many steps as tell what is felt, and for no longer: to watch takes time."""
+
+    def __init__(self, sim: Simulation) -> None:
+        """Begins to watch."""
+        self._sim = sim
+        self._blocks = Blocks(steps_watched(sim))
+        self._recorder = recorder_of(sim, self._blocks)
+        self._recorder.start()
+        # The state before the first step is no step
+        self._blocks.kept.clear()
+
+    def step(self) -> Replay | None:
+        """A step has ended; the replay once there are enough of them, and then nothing is watched any more."""
+        self._recorder.step()
+        if len(self._blocks.kept) < (self._blocks.kept.maxlen or 0):
+            return None
+        self.stop()
+        return replay(self._sim, list(self._blocks.kept), self._recorder)
+
+    def stop(self) -> None:
+        """Watch no longer."""
+        self._recorder.stop()
+
+
+def period_s(sim: Simulation) -> float | None:
+    """Of the sound's slowest main frequency [s]; None for one that doesn't repeat itself."""
+    model = sim.runtime.model
+    frequencies = main_frequencies(model.configs[model.sounding])
+    return 1.0 / frequencies[0] if frequencies else None
+
+
+def steps_watched(sim: Simulation) -> int:
+    """How many of MuJoCo's steps a replay is made of."""
+    period, step_s = period_s(sim), sim.runtime.spec.timestep_s
+    # A sample more than the periods: a record of two periods reaches from the first sample to the last
+    wanted = SHORTEST_s if period is None else PERIODS * period + sim.runtime.model.step_s
+    return max(1, ceil(min(max(wanted, SHORTEST_s), LONGEST_s) / step_s - 1e-6))
+
+
+def replay(sim: Simulation, blocks: list[Arrays], recorder: Recorder) -> Replay:
+    """What the steps of some blocks, one after the other, come to; recorder: that handed them on"""
+    model = sim.runtime.model
+    times: Float = np.concatenate([block["/"]["time"] for block in blocks])
+    period = period_s(sim)
+    shown_s = times[-1] - times[0] if period is None else min(period, times[-1] - times[0])
+    first = int(np.searchsorted(times, times[-1] - shown_s + 1e-9))
+    chosen = np.arange(first, len(times), ceil((len(times) - first) / MOST_PICTURES))
+    skins = []
+    for number, part in enumerate(model.skins):
+        own = [block[group("skin", part.spec.name)] for block in blocks]
+        # As floats of single precision all along: thousands of points, hundreds of times
+        normals = part.nodes[1].astype(np.float32)
+        normal = np.einsum("tsi,si->ts", np.concatenate([one["displacement"] for one in own]), normals)
+        arp = np.concatenate([one["arp"] for one in own])
+        levels = _levels(sim, number, recorder, times, normal, arp.max(axis=1))
+        skins.append(SkinReplay(normal[chosen], arp[chosen], normal.std(axis=0), levels))
+    begun = recorder.begun_s
+    what = f"{1e3 * shown_s:.4g} ms" + ("" if period is None or period > shown_s else " (one period)")
+    return Replay(begun + times[chosen], shown_s, f"{what} until {begun + times[-1]:.3f} s", tuple(skins))
+
+
+def _levels(
+    sim: Simulation, skin: int, recorder: Recorder, times: Float, normal: np.ndarray, arp_peaks: np.ndarray
+) -> tuple[Level, ...]:
+    """What each observer makes of a skin's motion, or why none does."""
+    runtime = sim.runtime
+    model, loudest = runtime.model, recorder.loudest[skin]
+    if loudest is not None and arp_peaks.max() > 0.0:
+        # A recording may have been louder before
+        unit = runtime.work.radiation.on(loudest.posed, skin, "nodes", loudest.drive).arp
+        loudest = replace(loudest, factor=float(arp_peaks.max() / unit.max())) if unit.max() > 0.0 else loudest
+    told = felt_levels(
+        model, skin, loudest if arp_peaks.max() > 0.0 else None, runtime.work.radiation, runtime.work.reference,
+        times, normal, arp_peaks, begun_s=recorder.begun_s,
+    )  # fmt: skip
+    period = period_s(sim)
+    nothing = "the sound doesn't repeat itself" if period is None else f"it takes {PERIODS} periods of {period:.3g} s"
+    levels = []
+    for name in (FORCE_OBSERVER.name, *OBSERVERS):
+        level = told.get(f"level_all_lines_{name}_dB_SL")
+        level = told.get(f"level_{name}_dB_SL") if level is None else level
+        levels.append(Level(name, level, str(told.get(f"level_{name}_why", f"refused: {nothing}"))))
+    return tuple(levels)

@@ -1,0 +1,435 @@
+"""A scene run for a page: it steps as fast as is wanted, turns keys, records, and tells what there is to see."""
+
+import logging
+import math
+import secrets
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+
+from palmfield.drive.exit_signals import handling
+from palmfield.errors import PalmfieldError, SceneError
+from palmfield.session.changed_stimuli import change_stimuli
+from palmfield.session.load import FILES
+from palmfield.session.simulation import Simulation
+from palmfield.session.worlds import stimulus_texts
+from palmfield.studies.view.gate import is_loopback
+from palmfield.studies.view.hands import NO_HAND, Hands
+from palmfield.studies.view.link import Link
+from palmfield.studies.view.messages import (
+    Address,
+    Ask,
+    FromPage,
+    FromSimulation,
+    Pace,
+    Place,
+    Press,
+    SetKey,
+    Slider,
+    Told,
+    Turn,
+    Values,
+)
+from palmfield.studies.view.page_process import need_viser
+from palmfield.studies.view.periods import Periods, steps_watched
+from palmfield.studies.view.recording import Recording, next_folder
+from palmfield.studies.view.sight import Sight, scene_shown
+from palmfield.studies.view.sliders import stimulus_sliders, turned, value_of
+
+LOG = logging.getLogger("palmfield.studies")
+RATE_Hz, GPU_RATE_Hz = 15.0, 30.0
+"""Pictures a second by default."""
+QUIET_s = 0.3
+"""So long after the last turn of a slider a scene is rebuilt."""
+IDLE_s = 0.02
+SPEED_OVER_s = 0.5
+UNWATCHED = 9
+"""Steps without being watched for each one that was, where the simulation goes as fast as it can."""
+NOT_FROM_A_PAGE = {"function", "hand", *(key for keys in FILES.values() for key in keys)}
+"""Keys by which whoever has the page's address could have files read and code run."""
+BEHIND_s = 0.2
+"""By more than this the clock doesn't try to catch up."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """How a scene is opened, each time it is. keys: those given beside the scene's own"""
+
+    scene: Path
+    device: str | None
+    accuracy: float | None
+    board: str | None
+
+    def open(self, keys: Mapping[str, object]) -> Simulation:
+        """Errors as `palmfield.Simulation`. What steps the skins is made here, not in the first step."""
+        sim = Simulation(self.scene, device=self.device, accuracy=self.accuracy, board=self.board, keys=keys)
+        for lazy in sim.runtime.model.begin:
+            _ = lazy.value
+        return sim
+
+
+class ShownScene:
+    """A scene that is stepped and turned. Whoever runs it calls `take` with what the page sends, and `go_on`.
+
+    send: gets what the page is to know; sim: the simulation as it is now; keys: other than the scene's own
+    """
+
+    def __init__(
+        self, wanted: Wanted, keys: Mapping[str, object], out: Path, send: Callable[[FromSimulation], None]
+    ) -> None:
+        """out: folder in which recordings are made, each in one of its own. Errors as `palmfield.Simulation`."""
+        self.wanted, self.keys, self.out, self.send = wanted, dict(keys), out, send
+        self.playing, self.most_pace = True, 1.0
+        self._turns: dict[Place, float] = {}
+        self._turned_at = 0.0
+        self._set: dict[str, object] = {}
+        self._asked: set[str] = set()
+        self._periods: Periods | None = None
+        self._recording: Recording | None = None
+        self.sim = wanted.open(keys)
+        self._hands = Hands(self.sim)
+        listed = (*stimulus_sliders(self.sim.runtime.spec.stimuli), *self._hands.sliders)
+        self.sliders: dict[Place, Slider] = {one.place: one for one in listed}
+        self._attach()
+
+    def _attach(self) -> None:
+        self._sight = Sight(self.sim)
+        self._texts = stimulus_texts(self.sim.runtime)
+        self._begin_clock()
+        self._watch_soon()
+
+    def _watch_soon(self) -> None:
+        """What was seen of the periods before holds no more."""
+        self._unwatched: float = math.inf
+        self._held_up = False
+
+    def _begin_clock(self) -> None:
+        """Real time is counted from here."""
+        self._clock = time.monotonic(), self.sim.time
+        self._measured, self._speed = self._clock, 0.0
+
+    def show(self) -> None:
+        """Tell the page what there is, once it is there and after each rebuilding."""
+        no_pose = "" if self._hands.sliders else NO_HAND
+        self.send(
+            scene_shown(self.sim, str(self.wanted.scene), self._sight.pose(), tuple(self.sliders.values()), no_pose)
+        )
+        self.send(self._values())
+
+    def _values(self) -> Values:
+        stimuli = self.sim.runtime.spec.stimuli
+        values = {place: value_of(one, stimuli) for place, one in self.sliders.items() if place[0] == "key"}
+        return Values(values | self._hands.values)
+
+    # -- what the page sends -------------------------------------------------------------------------------------------
+
+    def take(self, message: FromPage) -> None:
+        """Do what the page asks for; what goes wrong is told there."""
+        if isinstance(message, Ask):
+            self._asked.add(message.what)
+        elif isinstance(message, Turn):
+            self._turn(message)
+        elif isinstance(message, Pace):
+            self.most_pace = message.most if message.most > 0.0 else 1.0
+            self._begin_clock()
+        elif isinstance(message, SetKey):
+            self._guarded(lambda: self._take_text(message.text))
+        elif isinstance(message, Press):
+            self._guarded(lambda: self._press(message.what))
+
+    def _turn(self, turn: Turn) -> None:
+        if turn.place not in self.sliders:
+            return
+        if turn.place[0] == "pose":
+            self._guarded(lambda: self._hands.turn(turn.place, turn.value))
+            return
+        self._turns[turn.place] = turn.value
+        self._turned_at = time.monotonic()
+
+    def _take_text(self, text: str) -> None:
+        name, equals, value = text.partition("=")
+        if not equals or not name.strip():
+            raise SceneError(f"'{text}' sets no key; write INSTANCE.key=VALUE, for example stimulus.ramp_s=0.05")
+        if name.strip().rpartition(".")[2] in NOT_FROM_A_PAGE:
+            raise SceneError(
+                f"key '{name.strip()}' names code or files of this machine, which a page can't choose; end the view, "
+                "and give it to `palmfield view` with --set"
+            )
+        self._set[name.strip()] = value.strip()
+        self._turned_at = time.monotonic()
+
+    def _press(self, what: str) -> None:
+        if what in ("play", "pause"):
+            self.playing = what == "play"
+            self._begin_clock()
+        elif what == "reset":
+            self._reset()
+        elif what == "record" and self._recording is None:
+            self._stop_watching()
+            folder = next_folder(self.out)
+            self._recording = Recording(self.sim, folder, str(self.wanted.scene), self.keys)
+            self.send(Told("info", f"recording to {folder}"))
+        elif what == "stop recording":
+            self.stop_recording("stopped in the live view")
+
+    def _guarded(self, do: Callable[[], None]) -> bool:
+        """Do something, and tell the page what is wrong with it; whether it went well."""
+        try:
+            do()
+        except PalmfieldError as error:
+            LOG.warning("%s", error)
+            self.send(Told("error", str(error)))
+            return False
+        except Exception as error:
+            # Whoever looks on loses nothing by a fault of ours: the scene stands as it was, and can be turned back
+            LOG.exception("the live view has a fault")
+            self.send(Told("error", f"a fault of palmfield's, not yours: {type(error).__name__}: {error}"))
+            return False
+        return True
+
+    # -- stepping ------------------------------------------------------------------------------------------------------
+
+    def go_on(self) -> float:
+        """Make the next step if it is due, and answer what was asked; returns how long there is nothing to do [s]."""
+        if (self._turns or self._set) and self._due():
+            self._change()
+        wait_s = IDLE_s
+        if self.playing:
+            wait_s = self._ahead_s()
+            self._held_up = self._held_up or wait_s > 0.0
+            if wait_s <= 0.0:
+                self.playing = self._guarded(self._step)
+        if self._asked:
+            self._answer()
+        return min(max(wait_s, 0.0), IDLE_s)
+
+    def _ahead_s(self) -> float:
+        """How long the simulation must wait for the clock [s]; the clock is set back where it runs away."""
+        if math.isinf(self.most_pace):
+            return 0.0
+        began_s, from_s = self._clock
+        ahead = (self.sim.time - from_s) / self.most_pace - (time.monotonic() - began_s)
+        if ahead < -BEHIND_s:
+            self._clock = time.monotonic(), self.sim.time
+        return ahead
+
+    def _step(self) -> None:
+        if self._recording is None and self._periods is None and "replay" in self._asked and self._may_watch():
+            self._periods = Periods(self.sim)
+        self.sim.step()
+        self._unwatched += 1
+        if self._recording is not None:
+            if not self._guarded(self._recording.step):
+                self.stop_recording("it could not be written any further")
+        elif self._periods is not None and not self._guarded(self._watch):
+            # What can't be told is no reason to stand still
+            self._stop_watching()
+            self._seen()
+        now = time.monotonic()
+        if now - self._measured[0] > SPEED_OVER_s:
+            self._speed = (self.sim.time - self._measured[1]) / (now - self._measured[0])
+            self._measured = now, self.sim.time
+
+    def _watch(self) -> None:
+        assert self._periods is not None
+        seen = self._periods.step()
+        if seen is not None:
+            self._periods = None
+            self._seen()
+            self.send(seen)
+
+    def _seen(self) -> None:
+        self._unwatched, self._held_up = 0, False
+        self._asked.discard("replay")
+
+    @property
+    def watching(self) -> bool:
+        """Whether steps are being watched for a replay: whoever steps the simulation past this must not then."""
+        return self._periods is not None
+
+    def _may_watch(self) -> bool:
+        """Whether steps may take longer now: there is time, or enough steps went by without, or nothing is known."""
+        return self._held_up or self._unwatched >= UNWATCHED * steps_watched(self.sim)
+
+    def _answer(self) -> None:
+        moment = self._asked & {"moment", "full moment"}
+        if moment:
+            self._asked -= moment
+            folder = "" if self._recording is None else str(self._recording.out)
+            speed = self._speed if self.playing else 0.0
+            full = "full moment" in moment
+            self._guarded(
+                lambda: self.send(
+                    self._sight.moment(full=full, speed=speed, playing=self.playing, recording=folder)
+                )
+            )  # fmt: skip
+        if "replay" in self._asked and self._recording is not None and not self._guarded(self._replay_recorded):
+            self._asked.discard("replay")
+
+    def _replay_recorded(self) -> None:
+        seen = None if self._recording is None else self._recording.last_periods()
+        if seen is not None:
+            self._asked.discard("replay")
+            self.send(seen)
+
+    def _stop_watching(self) -> None:
+        if self._periods is not None:
+            self._periods.stop()
+            self._periods = None
+
+    # -- changes -------------------------------------------------------------------------------------------------------
+
+    def _due(self) -> bool:
+        """Whether what was turned is to be taken now: at once where that is quick, else once nothing is turned any
+        more."""
+        return time.monotonic() - self._turned_at > QUIET_s or (self._quick() and not self._set)
+
+    def _quick(self) -> bool:
+        return all(skin.choice.name == "modal" for skin in self.sim.runtime.model.skins)
+
+    def _change(self) -> None:
+        turns, given = self._turns, self._set
+        self._turns, self._set = {}, {}
+        texts: dict[str, object] = dict(turned(self.sliders, turns, self.sim.runtime.spec.stimuli))
+        texts |= given
+        recorded = self._recording is not None
+        self._guarded(lambda: self._change_to(texts, only_stimuli=not given))
+        if recorded and self._recording is None:
+            self._guarded(lambda: self._press("record"))
+        self.send(self._values())
+
+    def _change_to(self, texts: Mapping[str, object], *, only_stimuli: bool) -> None:
+        told = ", ".join(f"{name} = {value}" for name, value in texts.items())
+        if only_stimuli:
+            own = {name: dict(keys) for name, keys in self._texts.items()}
+            for name, value in texts.items():
+                instance, _, key = name.rpartition(".")
+                own[instance][key] = str(value)
+            self._stop_watching()
+            if self._recording is not None and self._quick():
+                self.stop_recording(f"then {told}")
+            if change_stimuli(self.sim, own):
+                self.keys |= texts
+                self._texts = own
+                self._watch_soon()
+                self.send(Told("info", f"{told}: goes on as it was"))
+                return
+        self.send(Told("busy", f"rebuilding with {told}; what you see is still the scene before"))
+        started = time.monotonic()
+        keys = self.keys | {name: value or None for name, value in texts.items()}
+        new = self.wanted.open(keys)
+        # Only now: until here nothing has changed, and a value that can't be leaves everything as it was
+        self.stop_recording(f"then {told}")
+        self._stop_watching()
+        self.sim, self.keys = new, keys
+        self._hands.attach(new)
+        new.reset()
+        self._attach()
+        self.show()
+        self.send(Told("info", f"{told}: rebuilt in {time.monotonic() - started:.1f} s, from time 0"))
+
+    def _reset(self) -> None:
+        self.stop_recording("reset in the live view")
+        self._stop_watching()
+        self.sim.reset()
+        self._begin_clock()
+        self._watch_soon()
+        self.send(Told("info", "back to time 0"))
+
+    def stop_recording(self, reason: str) -> None:
+        """Finish a recording if there is one, and say where it is."""
+        if self._recording is None:
+            return
+        recording, self._recording = self._recording, None
+        if self._guarded(lambda: _finish(recording, reason)):
+            LOG.info("wrote %s: `palmfield plot %s` draws it", recording.out, recording.out)
+            self.send(Told("info", f"wrote {recording.out}: `palmfield plot {recording.out}` draws it"))
+
+
+def _finish(recording: Recording, reason: str) -> None:
+    recording.finish(reason)
+
+
+def view(
+    scene: str | Path,
+    out: str | Path | None = None,
+    *,
+    device: str | None = None,
+    accuracy: float | None = None,
+    board: str | None = None,
+    keys: Mapping[str, object] | None = None,
+    modes: bool = False,
+    host: str = "127.0.0.1",
+    port: int | None = None,
+    rate_Hz: float | None = None,
+    pace: float = 1.0,
+    on_ready: Callable[[str], None] | None = None,
+) -> None:
+    """Run a scene and show it in the browser; returns after Ctrl-C, SIGTERM or SIGHUP, with recordings finished.
+
+    out: folder in which recordings are made, out/view_SCENE by default
+    device, accuracy, board, keys: as `palmfield.Simulation` takes them
+    modes: whether all skins move by modes that serve any sound, so that a slider acts at once; they take a minute or
+        two to make, once for a skin
+    host: address to listen at, this machine's own by default; any other one needs the token that is in the page's
+        address, which goes over the network as plain text; port: by default the first free one from 8080 on
+    rate_Hz: pictures a second, 15 by default, and 30 on a GPU
+    pace: at most so many simulated seconds in a second; inf for as fast as it goes
+    on_ready: gets the page's address
+    Raises SceneError or DeviceError as `palmfield.Simulation`, and OutputError where there is no page to be had.
+    """
+    need_viser()
+    path = Path(scene)
+    if rate_Hz is not None and not 1.0 <= rate_Hz <= 60.0:
+        raise SceneError(f"--rate has value {rate_Hz:g}; allowed: 1 to 60 pictures a second")
+    if not pace > 0.0:
+        raise SceneError(f"--pace has value {pace:g}; allowed: above 0, inf for as fast as it goes")
+    given = dict(keys or {})
+    if modes:
+        given.setdefault("palmfield.skin.solver", "modal")
+    unsent: list[FromSimulation] = []
+    folder = Path("out") / f"view_{path.stem}" if out is None else Path(out)
+    live = ShownScene(Wanted(path, device, accuracy, board), given, folder, unsent.append)
+    live.take(Pace(pace))
+    on_gpu = live.sim.runtime.spec.device != "cpu"
+    rate = rate_Hz or (GPU_RATE_Hz if on_gpu else RATE_Hz)
+    token = "" if is_loopback(host) else secrets.token_urlsafe(24)
+    end = Ending()
+    with (
+        handling(dict.fromkeys(("SIGINT", "SIGTERM", "SIGHUP"), end.note)),
+        Link(Address(host, port, token, rate)) as link,
+    ):
+        live.send = link.send
+        live.show()
+        if on_ready is not None:
+            on_ready(link.address)
+        try:
+            run_for(live, link, end)
+        finally:
+            live.stop_recording("the live view has ended")
+
+
+class Ending:
+    """Signals that end a view between two steps: in the middle of one, an exception could not pass through MuJoCo.
+
+    asked: whether one has come
+    """
+
+    asked = False
+
+    def note(self, number: int, frame: FrameType | None) -> None:
+        """The first signal is noted; the second one raises KeyboardInterrupt where the program stands."""
+        if self.asked:
+            raise KeyboardInterrupt
+        self.asked = True
+
+
+def run_for(live: ShownScene, link: Link, end: Ending) -> None:
+    """Step a scene and do what its page asks for, until the page is gone or a signal asks for the end."""
+    wait_s = 0.0
+    while not (link.gone or end.asked):
+        for message in link.received(wait_s):
+            live.take(message)
+        wait_s = live.go_on()

@@ -1,0 +1,112 @@
+"""What there is to see of a simulation, as the page takes it."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from palmfield.hand.meshquery import build_mesh, closest_faces
+from palmfield.session.simulation import Simulation
+from palmfield.simulation.model import HapticModel
+from palmfield.simulation.posed_scene import PosedScene
+from palmfield.studies.view.messages import Moment, Pose, SceneShown, Slider
+from palmfield.types import Float32, Int
+
+COVERED_m = 3e-3
+"""A body's vertex nearer than this to a skin on it is covered by that."""
+SUNK_m = 4e-3
+"""By so much it is drawn deeper: what the motion's magnified push may take."""
+SILENT = np.zeros((0, 3), np.float32)
+
+
+class Under(NamedTuple):
+    """Vertices of a body's surface that skins lie on. vertex: their numbers; skin, node: what lies there, (c,) each"""
+
+    vertex: Int
+    skin: Int
+    node: Int
+
+    @staticmethod
+    def of(model: HapticModel, body: int) -> "Under":
+        """Those of a body, by its number."""
+        skins = model.carried(body)
+        vertices, _ = model.skins[skins[0]].closed_surface
+        owner, node = np.full(len(vertices), -1, np.int32), np.zeros(len(vertices), np.int32)
+        for number in skins:
+            nodes, faces = model.skins[number].nodes[0], model.skins[number].faces
+            face = closest_faces(build_mesh(nodes, faces), vertices, COVERED_m)
+            under = np.flatnonzero((face >= 0) & (owner < 0))
+            owner[under], node[under] = number, faces[face[under], 0]
+        under = np.flatnonzero(owner >= 0)
+        return Under(np.asarray(under, np.int32), owner[under], node[under])
+
+
+def scene_shown(sim: Simulation, name: str, pose: Pose, sliders: tuple[Slider, ...], no_pose: str) -> SceneShown:
+    """What stays the same while the scene is stepped. pose: its first; sliders, no_pose: as SceneShown has them"""
+    model, posed = sim.runtime.model, sim.runtime.posed
+    surfaces = [model.skins[model.carried(number)[0]].closed_surface for number in range(len(model.bodies))]
+    return SceneShown(
+        name=name,
+        device=model.spec.device,
+        body_faces=tuple(np.asarray(faces, np.int32) for _, faces in surfaces),
+        skins=sim.skins,
+        skin_faces=tuple(np.asarray(skin.faces, np.int32) for skin in model.skins),
+        pose=pose,
+        transducer_directions=_in_world(posed.array_frame.vectors(posed.arrays.array.normals)),
+        transducer_radius=model.arrays.array.piston_radius_m,
+        sliders=sliders,
+        no_pose=no_pose,
+        timestep_s=model.spec.timestep_s,
+    )
+
+
+def _in_world(array: np.ndarray) -> Float32:
+    return np.array(array, np.float32)
+
+
+class Sight:
+    """Makes moments and poses of a simulation, and keeps which pose was shown last."""
+
+    def __init__(self, sim: Simulation) -> None:
+        self._sim = sim
+        model = sim.runtime.model
+        self._under = [Under.of(model, number) for number in range(len(model.bodies))]
+        self._shown: PosedScene | None = None
+
+    def pose(self) -> Pose:
+        """Where bodies, skins and transducers are now. Bodies are sunk where skins lie on them, so as not to show."""
+        posed = self._shown = self._sim.runtime.posed
+        frame = posed.array_frame
+        skins = []
+        for skin in posed.skins:
+            points, normals = frame.surface(*skin.nodes)
+            skins.append((_in_world(points), _in_world(normals)))
+        bodies = []
+        for body, (vertex, owner, node) in zip(posed.bodies, self._under, strict=True):
+            vertices = _in_world(frame.points(body.vertices_in_array))
+            for number in np.unique(owner):
+                own = owner == number
+                vertices[vertex[own]] -= np.float32(SUNK_m) * skins[number][1][node[own]]
+            bodies.append(vertices)
+        return Pose(tuple(bodies), tuple(skins), _in_world(frame.points(posed.arrays.array.positions)))
+
+    def moment(self, *, full: bool, speed: float, playing: bool, recording: str) -> Moment:
+        """The scene now. full: with the skins' motion and ARP; the others as Moment has them"""
+        sim, runtime = self._sim, self._sim.runtime
+        posed = runtime.posed
+        moved = posed is not self._shown
+        now = np.array([sim.time])
+        foci = runtime.work.emission.foci(posed, now)
+        sounding = [part[0] for part, one in zip(foci, runtime.model.stimuli, strict=True) if not one.silent]
+        skins = [sim.skin(name) for name in sim.skins]
+        return Moment(
+            time_s=sim.time,
+            speed=speed,
+            playing=playing,
+            pose=self.pose() if moved else None,
+            drive=sim.drive,
+            foci=_in_world(posed.array_frame.points(np.concatenate(sounding))) if sounding else SILENT,
+            solvers=tuple(skin.solver for skin in skins),
+            recording=recording,
+            displacement=tuple(_in_world(skin.normal_displacement) for skin in skins) if full else (),
+            arp=tuple(_in_world(skin.arp) for skin in skins) if full else (),
+        )

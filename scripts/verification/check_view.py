@@ -1,0 +1,219 @@
+"""How many pictures a second the live view's page sends, and by how much it slows the simulation down.
+
+Stretches with the page and stretches without take turns in one run, as fast as the simulation goes; without, the page's
+process and its client are stopped, so that they take no time of the machine. A client of its own process takes the
+pictures in place of a browser. Writes docs/bench/view.md:
+
+    python scripts/verification/check_view.py                        # the demo on the CPU
+    python scripts/verification/check_view.py --device cuda:0        # and on a GPU: another table of the page
+"""
+
+import argparse
+import math
+import os
+import platform
+import signal
+import statistics
+import time
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import NamedTuple
+
+from page_client import PageClient, is_picture
+
+from palmfield.studies.view.link import Link
+from palmfield.studies.view.messages import Address, Pace, Told
+from palmfield.studies.view.run import GPU_RATE_Hz, RATE_Hz, ShownScene, Wanted
+
+ROOT = Path(__file__).resolve().parents[2]
+DEMO = ROOT / "mjcf" / "scenes" / "palm_am200.xml"
+PAGE = ROOT / "docs" / "bench" / "view.md"
+WARM_s = 2.0
+
+
+class Stretch(NamedTuple):
+    """steps_s: MuJoCo's steps in a second; cpu_us: of the simulation's process a step; pictures_s: that the client got
+    page_share: of a core, that the page's process takes; load: of the machine over a minute"""
+
+    steps_s: float
+    cpu_us: float
+    page_share: float
+    pictures_s: float
+    load: float
+
+
+class Measured(NamedTuple):
+    """Stretches with the page and without, in turn."""
+
+    scene: str
+    device: str
+    rate_Hz: float
+    shown: list[Stretch]
+    alone: list[Stretch]
+
+    @property
+    def slower(self) -> float:
+        """By which part a stretch with the page is slower than the one before it without, median."""
+        return 1.0 - statistics.median(a.steps_s / b.steps_s for a, b in zip(self.shown, self.alone, strict=True))
+
+    @property
+    def more_cpu(self) -> float:
+        """Which part of CPU time a step takes more with the page, median; who else uses the machine matters less."""
+        return statistics.median(a.cpu_us / b.cpu_us for a, b in zip(self.shown, self.alone, strict=True)) - 1.0
+
+    @property
+    def pictures_s(self) -> float:
+        return statistics.median(one.pictures_s for one in self.shown)
+
+
+def count_pictures(address: str, talk: Connection) -> None:
+    """The client's process: sends the number of pictures so far whenever it is asked."""
+    with PageClient(address) as client:
+        count = 0
+        while True:
+            count += sum(map(is_picture, client.received(0.05)))
+            if talk.poll():
+                if talk.recv() == "end":
+                    return
+                talk.send(count)
+
+
+def cpu_of(pid: int | None) -> float:
+    """CPU time of a process so far [s]."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def asked(talk: Connection) -> int:
+    """Pictures that the client has got so far."""
+    talk.send("how many")
+    count: int = talk.recv()
+    return count
+
+
+def measure(scene: Path, device: str | None, rate_Hz: float | None, stretches: int, stretch_s: float) -> Measured:
+    """Step a scene with the page and without, in turn."""
+    sent: list[object] = []
+    live = ShownScene(Wanted(scene, device, None, None), {}, Path("out") / "view", sent.append)
+    on = live.sim.runtime.spec.device
+    rate = rate_Hz or (RATE_Hz if on == "cpu" else GPU_RATE_Hz)
+    live.take(Pace(math.inf))
+    context = get_context("spawn")
+    shown, alone = [], []
+    with Link(Address("127.0.0.1", None, "", rate)) as link:
+        live.send = lambda message: (sent.append(message) if isinstance(message, Told) else None, link.send(message))[1]
+        live.show()
+        talk, theirs = context.Pipe()
+        client = context.Process(target=count_pictures, args=(link.address, theirs), daemon=True)
+        client.start()
+        others = [child for child in (link.pid, client.pid) if child]
+
+        def steps(seconds: float, page: bool) -> Stretch:
+            begun, began_s, began_cpu = live.sim.time, time.monotonic(), time.process_time()
+            page_cpu, before = cpu_of(link.pid), asked(talk) if page else 0
+            while time.monotonic() < began_s + seconds:
+                if not page:
+                    live.sim.step()
+                    continue
+                for message in link.received():
+                    live.take(message)
+                live.go_on()
+            took, cpu = time.monotonic() - began_s, time.process_time() - began_cpu
+            count = max((live.sim.time - begun) / live.sim.model.opt.timestep, 1.0)
+            pictures = (asked(talk) - before) / len(live.sim.skins) if page else 0
+            own = (cpu_of(link.pid) - page_cpu) / took
+            return Stretch(count / took, 1e6 * cpu / count, own, pictures / took, os.getloadavg()[0])
+
+        steps(3.0 * WARM_s, True)
+        for _ in range(stretches):
+            while live.watching:
+                live.go_on()
+            for pid in others:
+                os.kill(pid, signal.SIGSTOP)
+            try:
+                steps(0.5, False)
+                alone.append(steps(stretch_s, False))
+            finally:
+                for pid in others:
+                    os.kill(pid, signal.SIGCONT)
+            steps(WARM_s, True)
+            shown.append(steps(stretch_s, True))
+            assert live.playing, sent
+        talk.send("end")
+        client.join(10.0)
+    return Measured(scene.name, on, rate, shown, alone)
+
+
+def machine(device: str) -> str:
+    """What it ran on, in words."""
+    cores = f"{len(os.sched_getaffinity(0))} cores of {platform.processor() or platform.machine()}"
+    if device == "cpu":
+        return cores
+    import warp
+
+    return f"{warp.get_device(device).name} and {cores}"
+
+
+def table(result: Measured, command: str) -> str:
+    """A section of the page."""
+    rows = [
+        f"| {number} | {b.steps_s:.0f} | {a.steps_s:.0f} | {1.0 - a.steps_s / b.steps_s:+.1%} | {b.cpu_us:.0f} | "
+        f"{a.cpu_us:.0f} | {a.cpu_us / b.cpu_us - 1.0:+.1%} | {a.pictures_s:.1f} | {a.page_share:.2f} | {a.load:.1f} |"
+        for number, (a, b) in enumerate(zip(result.shown, result.alone, strict=True), 1)
+    ]
+    return "\n".join(
+        [
+            f"## {result.scene} on {'the CPU' if result.device == 'cpu' else 'a GPU'}", "",
+            f"`{command}`, on {machine(result.device)}. Asked for {result.rate_Hz:g} pictures a second.", "",
+            f"**{result.pictures_s:.1f} pictures a second** arrived, and the simulation was **{result.slower:+.1%}** "
+            f"slower with the page than without; a step took **{result.more_cpu:+.1%}** more CPU time of its own "
+            "process (medians).", "",
+            "| stretch | steps/s without | with | slower by | CPU us a step without | with | more by | pictures/s | "
+            "page's share of a core | load of the machine |", "|---|---|---|---|---|---|---|---|---|---|", *rows, "",
+        ]
+    )  # fmt: skip
+
+
+HEAD = """# Bench: the live view
+
+Made by `scripts/verification/check_view.py`, which says how it measures. A picture is another state of the skin's mesh,
+with its colours, as a client gets it over its websocket; a browser's own time to draw it is not in here. The load is
+how many processes wanted a core, over the last minute: where it is well above the number of cores, steps a second tell
+more of who else ran than of the page, and the CPU time that a step takes tells what the page costs.
+
+"""
+
+
+def write(result: Measured, command: str, path: Path) -> None:
+    """Put a section into the page, in place of an earlier one of the same scene and kind of device."""
+    new = table(result, command)
+    heading = new.partition("\n")[0]
+    old = path.read_text() if path.exists() else HEAD
+    parts = old.split("\n## ")
+    kept = [part for part in parts[1:] if f"## {part.partition(chr(10))[0]}" != heading]
+    sections = sorted([f"## {part.rstrip()}\n" for part in kept] + [new])
+    path.write_text(HEAD + "\n".join(sections))
+
+
+def main() -> None:
+    words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    words.add_argument("scene", nargs="?", type=Path, default=DEMO)
+    words.add_argument("--device", default=None)
+    words.add_argument("--rate", type=float, default=None, help="pictures a second")
+    words.add_argument("--stretches", type=int, default=9)
+    words.add_argument("--seconds", type=float, default=4.0, help="of a stretch")
+    words.add_argument("--page", type=Path, default=PAGE, help="page to write")
+    given = words.parse_args()
+    result = measure(given.scene, given.device, given.rate, given.stretches, given.seconds)
+    name = given.scene.resolve()
+    told = name.relative_to(ROOT) if name.is_relative_to(ROOT) else name
+    command = f"python scripts/verification/check_view.py {told}" + (
+        f" --device {given.device}" if given.device else ""
+    )
+    print(table(result, command))
+    write(result, command, given.page)
+
+
+if __name__ == "__main__":
+    main()
