@@ -183,6 +183,25 @@ def test_passes_repeat_for_as_long_as_the_slowest():
     assert len(repeated) == len(several) == 9 * 32 + 40
 
 
+def test_both_directions_run_one_path_so_that_places_alone_tell_nothing():
+    """Skin that doesn't propagate, passes repeated: at 4 m/s the zigzag is its own mirror image, at 11 m/s it is not,
+    and there a mirrored stimulus would be told by where it has its corners."""
+    apart = {}
+    for v in (4.0, 11.0):
+        (times, there), (_, back) = (hand.local_displacement(v, runs.QUICK, back=way) for way in (False, True))
+        x, y = runs.sampled(hand.hand_course(v, runs.QUICK, back=True))[1].centres().T
+        ahead = runs.sampled(hand.hand_course(v, runs.QUICK))[1].centres()
+        assert np.column_stack([x, y]) == pytest.approx(ahead[::-1])
+        ways = {"mirrored": there[:, ::-1], "back": back}
+        (many, one), *_ = (hand.repeated(times, motion, hand.PATH_m / v) for motion in (there,))
+        apart[v] = {
+            name: hand.apart(many, (one, hand.repeated(times, motion, hand.PATH_m / v)[1]), hand.INTEGRATION_s)
+            for name, motion in ways.items()
+        }
+    assert apart[4.0]["back"] == pytest.approx(apart[4.0]["mirrored"], rel=1e-6)
+    assert apart[11.0]["mirrored"] > 5.0 * apart[11.0]["back"] > 0.0
+
+
 def test_an_answer_has_an_error_and_an_inequality_a_margin():
     answer = PAPER.answers["R12k"](
         base("R12k", reardon_back="bonded", reardon_viscosity="1 Pa s, plausible for tissue")

@@ -209,7 +209,7 @@ def beat(setting: Setting) -> Figure:
         level = np.abs(np.exp(2j * np.pi * CARRIER_HZ * late) @ np.array(parts)) / together
         panel.plot(times, level, color=colour, label=label)
     panel.set(xlabel="time [s]", ylabel="pressure / in step", ylim=(0.0, 1.05))
-    panel.legend(loc="lower left")
+    panel.legend(loc=(0.42, 0.72))
     return figure
 
 

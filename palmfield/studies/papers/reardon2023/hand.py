@@ -50,18 +50,19 @@ class Pass:
     end_s: float
 
 
-def hand_course(along: float, level: int) -> Course:
-    """16 cm of a zigzag 2 cm wide, samples half a millisecond apart and less."""
+def hand_course(along: float, level: int, *, back: bool = False) -> Course:
+    """16 cm of a zigzag 2 cm wide, samples half a millisecond apart and less; back: the same path the other way."""
     corners = zigzag_corners(PATH_m, WIDTH_m, along, ACROSS_m_s)
+    corners = corners[::-1] if back else corners
     seconds = PATH_m / along
     most = 5e-4 if level <= QUICK else 2.5e-4 if level == FULL else 1.6e-4
     return Course(corners, math.hypot(along, ACROSS_m_s), 8 * math.ceil(seconds / most / 8.0), still_after_s=SILENCE_s)
 
 
 @cache
-def passed(plate: Plate, along: float, level: int, device: str) -> Pass:
+def passed(plate: Plate, along: float, level: int, device: str, *, back: bool = False) -> Pass:
     """A pass at a speed along the path."""
-    course = hand_course(along, level)
+    course = hand_course(along, level, back=back)
     motion, line = line_run(plate, course, level, device, course.steps * 7 // 8 - 1)
     columns = np.abs(motion.places_m[:, None] - RECEPTORS_m).argmin(axis=0)
     moved = cumulative_trapezoid(line[:, columns].astype(float), motion.times_s, axis=0, initial=0.0)
@@ -117,9 +118,9 @@ def _long(**changes: Any) -> Callable[[Setting], Answer]:
 # R19
 
 
-def local_displacement(along: float, level: int) -> tuple[Float, Float]:
+def local_displacement(along: float, level: int, *, back: bool = False) -> tuple[Float, Float]:
     """A skin that doesn't propagate: each receptor moves as the pressure on it, in any unit. Times [s], (t, 33)."""
-    course = hand_course(along, level)
+    course = hand_course(along, level, back=back)
     times, spot, end = sampled(course)
     places = np.stack([np.interp(times, spot.times_s, spot.centres()[:, n]) for n in range(2)], axis=1)
     squared = (places[:, :1] - RECEPTORS_m) ** 2 + places[:, 1:] ** 2
@@ -137,10 +138,12 @@ def repeated(times: Float, motion: Float, end_s: float) -> tuple[Float, Float]:
     return np.asarray(step * np.arange(1, len(result) + 1), dtype=float), result
 
 
-def apart(times: Float, motion: Float, integration_s: float) -> float:
-    """Separation of the directions; the reversed stimulus is the forward one mirrored."""
-    level = level_course(times, motion, OBSERVERS["afferent_human"], integration_s=integration_s)
-    return separation(level, level[:, ::-1], float(times[1] - times[0]), float(np.diff(RECEPTORS_m)[0]))
+def apart(times: Float, motions: tuple[Float, Float], integration_s: float) -> float:
+    """Separation of the directions, on one path: on a mirrored zigzag the places alone would tell them."""
+    there, back = (
+        level_course(times, motion, OBSERVERS["afferent_human"], integration_s=integration_s) for motion in motions
+    )
+    return separation(there, back, float(times[1] - times[0]), float(np.diff(RECEPTORS_m)[0]))
 
 
 @cache
@@ -151,13 +154,14 @@ def separations(
     found = {}
     for v in FELT:
         if plate is None:
-            times, motion = local_displacement(v, level)
+            both = [local_displacement(v, level, back=back) for back in (False, True)]
         else:
-            one = passed(plate, v, level, device)
-            times, motion = one.times_s, one.displacement_m
+            passes = [passed(plate, v, level, device, back=back) for back in (False, True)]
+            both = [(one.times_s, one.displacement_m) for one in passes]
         if same_duration:
-            times, motion = repeated(times, motion, PATH_m / v)
-        found[v] = apart(times, motion, integration_s)
+            both = [repeated(times, motion, PATH_m / v) for times, motion in both]
+        (times, there), (_, back) = both
+        found[v] = apart(times, (there, back), integration_s)
     return found
 
 

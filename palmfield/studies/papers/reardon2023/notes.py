@@ -23,7 +23,8 @@ CHOSEN = """## What was chosen where the file leaves room
   largest within 3 mm of radius from angle to angle, and ends after three turns.
 - R19: the text prints no accuracy. The noise is set so that the mean at 0.5 and 1 m/s is 95 %; 75 and 99 % stand beside
   it, as do shorter memories. Receptors lie 5 mm apart on the path and are weighed by the table afferent_human, 2 to
-  350 Hz, and by nothing outside. The reversed stimulus is the mirrored one.
+  350 Hz, and by nothing outside. The reversed stimulus runs the same path back. A first version took the mirrored one,
+  whose zigzag has other corners: places alone then told the direction, to 97 % on skin that doesn't propagate.
 """
 HYPOTHESES = """## Hypotheses, found by looking at the answers
 
