@@ -62,7 +62,7 @@ TIGHTER, TIGHTEST = 0.35, 2e-5
 CORNER = 0.15
 """Width of the elements at a singular corner, in those of their neighbours (Szabo & Babuska 1991, ch. 10)."""
 MOST_DEGREE = 9
-GRIDS, KEPT = 8, 64
+GRIDS, KEPT = 8, 160
 """Discs, and reduced models of spots in the middle, that are kept for other courses of the pressure: 0.1 to 10 MB."""
 
 
