@@ -24,7 +24,7 @@ class BodyForces:
         self._shapes = [(body.parts, 3) for body in model.bodies]
         self._owners: dict[int, Int] = {}
         self._pushes: dict[int, tuple[SeenSamples, Float, Parts]] = {}
-        self._last: dict[int, tuple[SurfaceSound, tuple[Float, Float]]] = {}
+        self._last: dict[int, tuple[SurfaceSound, tuple[Float, Float], SeenSamples]] = {}
         self._pressed: dict[int, tuple[SeenSamples, Float | Float32, float]] = {}
 
     def over(self, emission: Emission, posed: PosedScene, emitted: Complex, t0: float) -> list[tuple[Float, Float]]:
@@ -43,19 +43,19 @@ class BodyForces:
             skin, arp = self._skins[body], None
             if levels is None and self._path_sound is not None:
                 arp = self._path_sound.arp(posed, skin, "samples", drives)
-            if arp is not None:
-                forces.append(self._pressing(posed, body, weights @ arp))
-            elif levels is None and len(drives) == 1:
+            if arp is None and levels is None and len(drives) == 1:
                 force, torque = self.under(posed, body, drives[0])
-                pressure = self.radiation.on(posed, skin, "samples", drives[0]).arp
-                self._pressed[body] = self.radiation.samples(posed, skin), pressure, float(weights[0])
+                sound, _, samples = self._last[body]
+                self._pressed[body] = samples, sound.arp, float(weights[0])
                 forces.append((weights[0] * force, weights[0] * torque))
-            else:
-                if levels is None:
-                    arp = self.radiation.many(posed, skin, drives, "samples")
-                else:
-                    arp = self.radiation.sums(posed, skin, drives, levels, "samples")
-                forces.append(self._pressing(posed, body, weights @ arp))
+                continue
+            if arp is None and levels is None:
+                arp = self.radiation.many(posed, skin, drives, "samples")
+            elif arp is None:
+                arp = self.radiation.sums(posed, skin, drives, levels, "samples")
+            mean = weights @ arp
+            forces.append(self._resultants(posed, body, mean))
+            self._pressed[body] = self._pushes[body][0], mean, 1.0
         return forces
 
     def pressed(self, body: int) -> tuple[SeenSamples, Float] | None:
@@ -71,13 +71,9 @@ class BodyForces:
         sound = self.radiation.on(posed, self._skins[body], "samples", drive)
         known = self._last.get(body)
         if known is None or known[0] is not sound:
-            known = self._last[body] = sound, self._resultants(posed, body, sound.arp)
+            made = self._resultants(posed, body, sound.arp)
+            known = self._last[body] = sound, made, self._pushes[body][0]
         return known[1]
-
-    def _pressing(self, posed: PosedScene, body: int, arp: Float | Float32) -> tuple[Float, Float]:
-        """Resultants of the mean ARP over a step, which is kept."""
-        self._pressed[body] = self.radiation.samples(posed, self._skins[body]), arp, 1.0
-        return self._resultants(posed, body, arp)
 
     def _resultants(self, posed: PosedScene, body: int, arp: Float | Float32) -> tuple[Float, Float]:
         samples, origins = self.radiation.samples(posed, self._skins[body]), posed.bodies[body].origins

@@ -560,8 +560,8 @@ MUTATIONS = (
         "decibels of a power taken twice",
         "perception",
         "palmfield/perception/observers.py",
-        "return np.asarray(10.0 * np.log10(np.max(energies, axis=0)))",
-        "return np.asarray(20.0 * np.log10(np.max(energies, axis=0)))",
+        "levels = 10.0 * np.log10(np.max(energies, axis=0))",
+        "levels = 20.0 * np.log10(np.max(energies, axis=0))",
         "tests/perception/test_observers.py::test_a_line_at_threshold_is_0_dB_and_ten_times_that_20_dB",
     ),
     Mutation(
