@@ -43,16 +43,16 @@ class BodyForces:
             skin, arp = self._skins[body], None
             if levels is None and self._path_sound is not None:
                 arp = self._path_sound.arp(posed, skin, "samples", drives)
-            if arp is None and levels is None and len(drives) == 1:
+            if arp is None and levels is not None:
+                arp = self.radiation.sums(posed, skin, drives, levels, "samples")
+            elif arp is None and len(drives) > 1:
+                arp = self.radiation.many(posed, skin, drives, "samples")
+            if arp is None:
                 force, torque = self.under(posed, body, drives[0])
                 sound, _, samples = self._last[body]
                 self._pressed[body] = samples, sound.arp, float(weights[0])
                 forces.append((weights[0] * force, weights[0] * torque))
                 continue
-            if arp is None and levels is None:
-                arp = self.radiation.many(posed, skin, drives, "samples")
-            elif arp is None:
-                arp = self.radiation.sums(posed, skin, drives, levels, "samples")
             mean = weights @ arp
             forces.append(self._resultants(posed, body, mean))
             self._pressed[body] = self._pushes[body][0], mean, 1.0
