@@ -1,5 +1,6 @@
 """Scenes small enough to step in a test."""
 
+import gc
 import os
 import sys
 from collections.abc import Callable
@@ -78,11 +79,16 @@ def python_calls() -> Callable[[Callable[[], object]], int]:
             nonlocal seen
             seen += event == "call"
 
+        # What an earlier test left behind is not collected in the middle
+        collects = gc.isenabled()
+        gc.disable()
         sys.setprofile(note)
         try:
             call()
         finally:
             sys.setprofile(None)
+            if collects:
+                gc.enable()
         return seen - 1
 
     return count
