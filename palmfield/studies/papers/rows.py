@@ -106,10 +106,11 @@ def _tried(entry: Entry, compute: Compute, setting: Setting) -> Tried:
         return Tried(readings, None, None, f"{type(error).__name__}: {error}")
 
 
-def _acts_on(control: Control, entry: Entry, said: Verdict | None) -> bool:
+def _acts_on(control: Control, entry: Entry, said: Verdict | None, quick: bool) -> bool:
+    """Those that list the claim; in full runs those of its configuration too, if it agrees."""
     if control.name in entry.sensitive_to:
         return True
-    return said == "agrees" and entry.configuration in control.configurations
+    return not quick and said == "agrees" and entry.configuration in control.configurations
 
 
 def row(entry: Entry, paper: Paper, book: Book, setting: Setting) -> Row:
@@ -133,7 +134,7 @@ def row(entry: Entry, paper: Paper, book: Book, setting: Setting) -> Row:
     controls = {
         control.name: _tried(entry, compute, replace(base, control=control.name))
         for control in book.controls
-        if entry.counts and _acts_on(control, entry, said)
+        if entry.counts and _acts_on(control, entry, said, setting.quick)
     }
     causes = tuple(
         (cause.what, _tried(entry, cause.compute, base))

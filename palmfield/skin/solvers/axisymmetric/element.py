@@ -121,6 +121,9 @@ class DiscGrid:
         second = [0.5 * (c - 2.0 * b + a) for a, b, c in zip(*whole, strict=True)]
         first = [b - a - d for (a, b, _), d in zip(zip(*whole, strict=True), second, strict=True)]
         self._powers = [whole[0], first, second]
+        # SciPy sorts indices when it first needs to: harmonics side by side would find them in either order
+        for matrix in (one for power in self._powers for one in power):
+            matrix.sum_duplicates()
 
     def _strains(self, m: int) -> list[tuple[float, list[tuple[int, Float, int]]]]:
         """Weight in 2 e:e - 2/3 div^2 and terms (component, its radial factor, order of its slope in z)."""

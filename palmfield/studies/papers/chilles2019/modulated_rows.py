@@ -280,7 +280,7 @@ def _far_stm(case: Case) -> Answer:
 LATER = {
     "C20h": (
         Cause("a slab of a thousandth of the density, which is nearly static",
-              with_case(_rises, lambda case: replace(case, material="massless"))),
+              with_case(_rises, lambda case: replace(case, material="massless"), full=True)),
     ),
     "C21b": (Cause("tau as printed, 0.171 us: next to no damping", with_case(_far_am, _lossless, full=True)),),
     "C21c": (Cause("tau as printed, 0.171 us: next to no damping", with_case(_far_stm, _lossless, full=True)),),

@@ -75,7 +75,7 @@ def step(setting: Setting) -> Figure:
     right.axvspan(100, 500, color="#efefef", zorder=0)
     right.set(xlim=(0, 600), ylim=(1e-4, 1), xlabel="frequency [Hz]", ylabel="amplitude [µm]", title="Its spectrum")
     left.legend(fontsize=7, loc="upper right")
-    right.legend(fontsize=7)
+    right.legend(fontsize=7, loc="upper right")
     return figure
 
 

@@ -148,7 +148,7 @@ def _on_circles(case: Case) -> Run:
     times = map_times()
     group = len(points) if case.side == "infinite" else GROUP
     parts = [
-        _solved(case, "stm", times, points[first : first + group], 2.0 * case.accuracy)
+        _solved(case, "stm", times, points[first : first + group], (4.0 if case.quick else 2.0) * case.accuracy)
         for first in range(0, len(points), group)
     ]
     whole = replace(
