@@ -12,7 +12,6 @@ is sampled often enough for the load to be linear in between.
 """
 
 import math
-import os
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -284,7 +283,7 @@ def _motions(
         )
         grids.append(grid)
         tasks += [(grid, problem, m, band_Hz) for m in problem.numbers]
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
+    with ThreadPoolExecutor(1) as pool:
         parts = pool.map(lambda task: (harmonic or _harmonic)(*task), tasks)
         result = [[next(parts) for _ in problem.numbers] for problem, _, _ in runs]
     return [_summed(run[0], grid, each) for run, grid, each in zip(runs, grids, result, strict=True)]
