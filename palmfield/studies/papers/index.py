@@ -28,7 +28,7 @@ def index(out: Path) -> str:
         cells = (
             f"[{table['title']}]({name}/index.html)", *(str(table["counts"][one]) for one in VERDICTS),
             f"{len(table['controls']) - len(failed)} of {len(table['controls'])}", ", ".join(table["untested"]) or NONE,
-            ", ".join(table["turned_later"]) or NONE,
+            ", ".join(table.get("turned_later", ())) or NONE,
             "quick" if table["quick"] else "full", f"{table.get('seconds', 0.0):.0f}", table["commit"],
         )  # fmt: skip
         lines.append("| " + " | ".join(cells) + " |")
