@@ -198,6 +198,7 @@ def test_both_directions_run_one_path_so_that_places_alone_tell_nothing():
             name: hand.apart(many, (one, hand.repeated(times, motion, hand.PATH_m / v)[1]), hand.INTEGRATION_s)
             for name, motion in ways.items()
         }
+    assert [v for v in hand.FELT if hand.own_mirror(v)] == [0.5, 1.0, 2.0, 4.0]
     assert apart[4.0]["back"] == pytest.approx(apart[4.0]["mirrored"], rel=1e-6)
     assert apart[11.0]["mirrored"] > 5.0 * apart[11.0]["back"] > 0.0
 

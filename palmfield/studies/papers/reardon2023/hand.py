@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -59,9 +59,18 @@ def hand_course(along: float, level: int, *, back: bool = False) -> Course:
     return Course(corners, math.hypot(along, ACROSS_m_s), 8 * math.ceil(seconds / most / 8.0), still_after_s=SILENCE_s)
 
 
+def own_mirror(along: float) -> bool:
+    """Whether the path run back is the path mirrored in x, and perhaps in y, which the receptors don't notice."""
+    ahead = np.array(hand_course(along, QUICK).corners)
+    return any(np.allclose(ahead[::-1], ahead * (-1.0, sign), atol=1e-9) for sign in (1.0, -1.0))
+
+
 @cache
 def passed(plate: Plate, along: float, level: int, device: str, *, back: bool = False) -> Pass:
-    """A pass at a speed along the path."""
+    """A pass at a speed along the path; back: of which the snapshot is not to be used."""
+    if back and own_mirror(along):
+        ahead = passed(plate, along, level, device)
+        return replace(ahead, displacement_m=ahead.displacement_m[:, ::-1])
     course = hand_course(along, level, back=back)
     motion, line = line_run(plate, course, level, device, course.steps * 7 // 8 - 1)
     columns = np.abs(motion.places_m[:, None] - RECEPTORS_m).argmin(axis=0)
