@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import minimize
 from scipy.special import logsumexp, softmax
-from threadpoolctl import threadpool_limits
 
 from palmfield.acoustics import check
 from palmfield.acoustics.air import absorption_Np_m, sound_speed
 from palmfield.acoustics.reference import directivity
+from palmfield.blas import one_blas_thread
 from palmfield.errors import SceneError
 from palmfield.types import Air, Array, Complex, Float
 
@@ -310,7 +310,7 @@ def lbfgs(matrix: Complex, targets: Float, phases: Complex, count: int) -> tuple
     def note(angles: Float) -> None:
         residual.append(misfit(matrix @ np.exp(1j * angles), targets))
 
-    with threadpool_limits(1, user_api="blas"):  # threads of the BLAS made these small products 40 times slower
+    with one_blas_thread:  # threads of the BLAS made these small products 40 times slower
         for stage, sharpness in enumerate(SHARPNESS):
             left = (count - (len(residual) - 1)) // (len(SHARPNESS) - stage)
             if left > 0:

@@ -12,6 +12,7 @@ is sampled often enough for the load to be linear in between.
 """
 
 import math
+import os
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -22,6 +23,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.special import ive
 
+from palmfield.blas import one_blas_thread
 from palmfield.errors import SceneError
 from palmfield.skin.approximation.load_scales import motion_width
 from palmfield.skin.approximation.richardson import differences
@@ -283,7 +285,8 @@ def _motions(
         )
         grids.append(grid)
         tasks += [(grid, problem, m, band_Hz) for m in problem.numbers]
-    with ThreadPoolExecutor(1) as pool:
+    # A harmonic that found BLAS at one thread or at two, as another one's factor has just set it, would differ in bits.
+    with one_blas_thread, ThreadPoolExecutor(os.cpu_count()) as pool:
         parts = pool.map(lambda task: (harmonic or _harmonic)(*task), tasks)
         result = [[next(parts) for _ in problem.numbers] for problem, _, _ in runs]
     return [_summed(run[0], grid, each) for run, grid, each in zip(runs, grids, result, strict=True)]

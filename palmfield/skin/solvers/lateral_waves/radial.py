@@ -14,8 +14,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.polynomial.legendre import leggauss, legvander
 from scipy.special import j0
-from threadpoolctl import threadpool_limits
 
+from palmfield.blas import one_blas_thread
 from palmfield.errors import SceneError
 from palmfield.skin.solvers.lateral_waves.modes import FaceModes
 from palmfield.types import Float
@@ -45,7 +45,7 @@ def compute_modes(
 ) -> tuple[FaceModes, ...]:
     """Modes at each wavenumber, side by side: LAPACK lets go of Python's lock, and its matrices are too small for more
     than one of its own threads."""
-    with threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(threads or os.cpu_count()) as pool:
+    with one_blas_thread, ThreadPoolExecutor(threads or os.cpu_count()) as pool:
         return tuple(pool.map(modes_at, wavenumbers))
 
 
