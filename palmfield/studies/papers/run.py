@@ -23,7 +23,7 @@ from palmfield.outputs.style import save, style
 from palmfield.studies.bench.field import git_commit
 from palmfield.studies.bench.table import processor
 from palmfield.studies.papers.answer import Paper, Picture, Setting
-from palmfield.studies.papers.counts import counts, noticed, turned_later, untested
+from palmfield.studies.papers.counts import counts, noticed, turned_later, unsure, untested
 from palmfield.studies.papers.entries import Book, book
 from palmfield.studies.papers.index import as_html, index
 from palmfield.studies.papers.page import page
@@ -203,6 +203,7 @@ def _write_rows(path: Path, head: dict[str, Any], held: Book, found: Sequence[Ro
         "counts": counts(found),
         "untested": untested(found),
         "turned_later": turned_later(found),
+        "unsure": unsure(found),
         "controls": [
             {"name": one.control.name, "turned": one.turned, "kept": one.kept, "silent": one.silent,
              "wanted": one.wanted, "works": one.works}

@@ -10,7 +10,7 @@ import pytest
 from palmfield.errors import MeasurementError, PalmfieldError, SceneError
 from palmfield.studies.papers import run as running
 from palmfield.studies.papers.answer import Answer, Cause, Paper, Picture, Setting
-from palmfield.studies.papers.counts import counts, noticed, turned_later, untested
+from palmfield.studies.papers.counts import counts, noticed, turned_later, unsure, untested
 from palmfield.studies.papers.entries import Book, Control, Entry, Tolerance, book
 from palmfield.studies.papers.index import as_html
 from palmfield.studies.papers.page import page, told
@@ -145,6 +145,26 @@ def test_a_control_that_turns_what_it_lists_works_and_one_that_does_not_fails():
     [seen] = noticed(held.controls, rows)
     assert (seen.turned, seen.works) == ((), False)
     assert untested(rows) == ["N1a", "N2a"]
+
+
+@pytest.mark.parametrize(
+    ("ours", "error", "said", "loose"),
+    [
+        ((12.4, 10.0), 0.2, "agrees", True), ((12.4, 10.0), 0.05, "agrees", False),
+        ((12.6, 30.0), 0.2, "disagrees", True),
+        ((12.6, 10.0), 0.2, "depends", True), ((12.4, 30.0), None, "depends", False),
+    ],
+)  # fmt: skip
+def test_a_verdict_within_the_numerical_error_is_told(ours, error, said, loose):
+    one = entry("N1a")
+
+    def answer(setting):
+        return Answer(dict(small=ours[0], large=ours[1])[setting.reading("size")], error)
+
+    came = row(one, nobody({"N1a": answer}), book_of(one), Setting())
+    assert came.verdict == said and unsure([came]) == (["N1a"] if loose else [])
+    told = "Within the numerical error of one answer the verdict would differ: N1a."
+    assert (told in page(nobody({}), book_of(one), [came], [], "", "made")) == loose
 
 
 def test_causes_are_tested_only_where_a_claim_disagrees():
