@@ -2,7 +2,6 @@
 
 import json
 import math
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import pytest
@@ -275,19 +274,6 @@ def test_less_than_one_job_and_an_unknown_device_are_refused(tmp_path):
         running.papers(["mizushima2024"], out=tmp_path, jobs=0)
     with pytest.raises(PalmfieldError, match="device 'gpu9'"):
         running.papers(["mizushima2024"], out=tmp_path, device="gpu9")
-
-
-def test_papers_side_by_side_are_told_of_and_stand_in_the_order_asked(tmp_path, monkeypatch):
-    """By threads in place of processes, which could not know these papers."""
-    made = {name: nobody({"N1a": by_size(10.0, 10.0)}) for name in ("second", "first")}
-    monkeypatch.setattr(running, "paper", lambda name: replace(made[name], name=name))
-    monkeypatch.setattr(running, "book", lambda: book_of(entry("N1a")))
-    monkeypatch.setattr(running, "ProcessPoolExecutor", lambda count, mp_context: ThreadPoolExecutor(count))
-    heard = []
-    done = running._side_by_side(["second", "first"], Setting(), tmp_path, 2, lambda *news: heard.append(news))
-    assert [one.name for one in done] == ["second", "first"]
-    assert sorted(heard) == [("first", ""), ("first", "N1a"), ("second", ""), ("second", "N1a")]
-    assert (tmp_path / "first" / "rows.json").is_file()
 
 
 def test_an_unknown_paper_is_named_with_what_was_meant():
