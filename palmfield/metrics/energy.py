@@ -36,6 +36,7 @@ def strip(x_m: ArrayLike, y_m: ArrayLike, path_m: ArrayLike, width_m: float) -> 
     path = np.asarray(path_m, dtype=float)
     if path.ndim != 2 or path.shape[1] != 2 or len(path) == 0:
         raise MeasurementError(f"path_m has shape {path.shape}; give corners of shape (k, 2)")
+    finite("path_m", path)
     _, x, y = grid(np.zeros((np.size(x_m), np.size(y_m))), x_m, y_m)
     places = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
     nearest = np.linalg.norm(places - path[0], axis=-1)

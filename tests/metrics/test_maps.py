@@ -175,3 +175,5 @@ def test_areas_and_shares_of_nothing_are_refused():
         share_within(gaussian(FWHM), X, Y, inside[:5])
     with pytest.raises(MeasurementError, match="level is nan"):
         area_above(gaussian(FWHM), X, Y, np.nan)
+    with pytest.raises(MeasurementError, match="path_m at"):
+        strip(X, Y, [[np.nan, 0.0], [1.0, 1.0]], 0.1)
