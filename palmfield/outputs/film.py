@@ -25,7 +25,7 @@ from palmfield.outputs.motion import extremes, normal_component
 from palmfield.outputs.pictures.asked import IN_MICRO, UNITS
 from palmfield.outputs.render import Part, cast, joined
 from palmfield.outputs.schema import has_records, instances
-from palmfield.outputs.style import style
+from palmfield.outputs.style import signed_colours, style
 from palmfield.types import Float, Int
 
 SHOWN = ("displacement", "velocity", "arp")
@@ -141,7 +141,7 @@ def _look(result: xr.DataTree, cut: Cut, times: Float) -> _Look:
     else:
         top = IN_MICRO * max(float(extremes(skin, cut.shown).peak.max()) for skin in skins.values())
         unit, low = UNITS["velocity" if cut.shown == "velocity" else "displacement"], -top
-        colours = colormaps["RdBu_r"](np.linspace(0.02, 0.98, 256))
+        colours = np.zeros((0, 4))
     groups = instances(result, "body")
     moments = times[np.unique(np.linspace(0, len(times) - 1, POSES).astype(int))].tolist()
     surfaces = instances(result, "surface")
@@ -152,6 +152,8 @@ def _look(result: xr.DataTree, cut: Cut, times: Float) -> _Look:
     window = (0.0, 0.10 * height, 0.88 * width, 0.88 * height)
     camera = look_along_emission(points, pose_at(first, moments[0]), window)
     limits = cut.limits or (low, max(top, low + 1e-12))
+    if cut.shown != "arp":
+        colours = signed_colours(*limits, left_out=0.02)
     around: dict[str, Int] = {}
     for on_body in bodies(result).values():
         own = [name for name in on_body if name in skins]
