@@ -73,9 +73,11 @@ def spectrogram(result: xr.DataTree, asked: Asked) -> Figure:
         raise OutputError(f"a spectrogram of {len(times)} samples says nothing; run for longer, or record more often")
     hop = max(1, count // 16)
     transform = ShortTimeFFT(hann(count, sym=False), hop, 1.0 / step_s, scale_to="magnitude")
-    power = transform.spectrogram(values - values.mean())
+    # Windows that reach over an end would take the record to begin or end with a jump
+    first, last = transform.lower_border_end[1], transform.upper_border_begin(len(values))[1]
+    power = transform.spectrogram(values - values.mean(), p0=first, p1=last)
     level = 10.0 * np.log10(np.maximum(power / max(float(power.max()), 1e-300), 1e-30))
-    moments = 1e3 * (times[0] + transform.t(len(values)))
+    moments = 1e3 * (times[0] + transform.t(len(values), first, last))
     figure = Figure(figsize=(7.0, 3.6), layout="constrained")
     axes = figure.subplots()
     low, high = limits_of(asked, -SHOWN_DB, 0.0)
@@ -83,6 +85,6 @@ def spectrogram(result: xr.DataTree, asked: Asked) -> Figure:
     axes.set(xlabel="time [ms]", ylabel="frequency [Hz]", xlim=(1e3 * times[0], 1e3 * times[-1]))
     axes.set_ylim(0.0, min(LEAST_Hz, float(transform.f[-1])))
     axes.grid(visible=False)
-    axes.set_title(f"Normal {asked.quantity} at {what} (windows of {1e3 * count * step_s:.3g} ms)")
+    axes.set_title(f"Normal {asked.quantity} at {what} (whole windows of {1e3 * count * step_s:.3g} ms)")
     figure.colorbar(drawn, ax=axes, label="dB re largest", extend=beyond(level, low, high))
     return figure

@@ -69,6 +69,15 @@ def test_the_spectrum_has_its_line_where_the_skin_was_driven(result):
     assert at[np.argmax(size)] == pytest.approx(SINE_Hz, abs=at[0])
 
 
+def test_the_spectrogram_of_a_sine_is_one_line_from_its_first_window_to_its_last(result):
+    mesh = KINDS["spectrogram"].draw(result, Asked(skin="palm")).axes[0].collections[0]
+    level, corners = np.asarray(mesh.get_array()), np.asarray(mesh.get_coordinates())
+    frequencies = 0.5 * (corners[1:, 0, 1] + corners[:-1, 0, 1])
+    assert level.shape[1] > 10
+    assert (level[np.abs(frequencies - SINE_Hz) < 30.0].max(axis=0) > -1.0).all()
+    assert level[np.abs(frequencies - SINE_Hz) > 150.0].max() < -40.0
+
+
 def test_wavefronts_run_at_the_speed_of_the_waves(result):
     figure = KINDS["wavefronts"].draw(result, Asked(skin="palm", quantity="velocity"))
     mesh = figure.axes[0].collections[0]
