@@ -40,7 +40,7 @@ Keys = Annotated[
         "--set",
         help="another value for a key of one instance, or of all instances of a plugin, e.g. "
         "stimulus.path_speed_m_s=11 (see `palmfield keys`); give it several times for several keys. A file that is "
-        "in the current folder is taken from there, others are relative to the scene",
+        "in the current folder is taken from there, others are relative to the scene. The value unset takes a key out",
         metavar="INSTANCE.KEY=VALUE",
         autocompletion=completion.settings,
     ),

@@ -10,6 +10,7 @@ from palmfield.session.preview import Preview
 from palmfield.simulation.emission import array_drives
 from palmfield.simulation.model import HapticModel, SkinModel, array_instances
 from palmfield.skin.materials.material import complex_shear
+from palmfield.terminal import columns, folded
 from palmfield.types import Estimate
 
 Rows = list[tuple[str, str]]
@@ -33,11 +34,11 @@ def describe(scene: Preview) -> str:
             "e^{-i w t}, pressure as complex peak; ARP positive into the surface; displacement positive outward",
         )
     )
-    grid = Table(show_header=False)
+    grid = Table(*folded(("", "")), show_header=False)
     for name, text in rows:
         grid.add_row(name, text)
     stream = io.StringIO()
-    Console(file=stream, width=130).print(grid)
+    Console(file=stream, width=columns(130)).print(grid)
     return stream.getvalue()
 
 

@@ -6,12 +6,15 @@ from pathlib import Path
 from palmfield.errors import SceneError
 
 LOG = logging.getLogger("palmfield.cli")
+UNSET = "unset"
+"""A value that takes the scene's own out, so that the key's default counts."""
 
 
 def given_keys(keys: list[str] | None) -> dict[str, str]:
     """Keys as `palmfield.load` takes them; a file that is in the current folder is taken from there, and told.
 
-    Other files are relative to the scene. Raises SceneError for a key without a value, and for one given twice.
+    Other files are relative to the scene. Empty for a key that is taken out, by the word `unset`.
+    Raises SceneError for a key without a value, and for one given twice.
     """
     result: dict[str, str] = {}
     for text in keys or ():
@@ -20,12 +23,12 @@ def given_keys(keys: list[str] | None) -> dict[str, str]:
             raise SceneError(f"--set {text} has no value; write INSTANCE.KEY=VALUE, e.g. stimulus.path_speed_m_s=11")
         if not value.strip():
             raise SceneError(
-                f"--set {text} has no value behind the =; write INSTANCE.KEY=VALUE, or leave it out for what the scene "
-                "has"
+                f"--set {text} has no value behind the =; write INSTANCE.KEY=VALUE, INSTANCE.KEY={UNSET} to take the "
+                "key out, or leave it out for what the scene has"
             )
         if name in result:
             raise SceneError(f"--set gives {name} twice, '{result[name]}' and '{value}'; allowed: each key once")
-        result[name] = _file(name, value)
+        result[name] = "" if value.strip() == UNSET else _file(name, value)
     return result
 
 

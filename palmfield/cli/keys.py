@@ -7,8 +7,10 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from palmfield.cli.given import UNSET
 from palmfield.config import CONFIGS, Config, renamed_table, table
 from palmfield.errors import SceneError, did_you_mean
+from palmfield.terminal import columns, folded
 
 HEADINGS = ("key", "unit", "allowed", "default", "meaning")
 RENAMED = "Since the last version; a scene that has these is told what to use."
@@ -27,14 +29,14 @@ def as_text(plugin: str | None = None) -> str:
     """
     chosen = chosen_configs(plugin)
     stream = io.StringIO()
-    console = Console(file=stream, width=130)
+    console = Console(file=stream, width=columns(130))
     for config in chosen:
-        grid = Table(*HEADINGS, title=f"{config.plugin}: {config.about}", title_justify="left")
+        grid = Table(*folded(HEADINGS), title=f"{config.plugin}: {config.about}", title_justify="left")
         for row in table(config):
             grid.add_row(*row)
         console.print(grid)
     if plugin is None:
-        grid = Table(*HEADINGS, title=SCENE, title_justify="left")
+        grid = Table(*folded(HEADINGS), title=SCENE, title_justify="left")
         for row in SCENE_KEYS:
             grid.add_row(*row)
         console.print(grid)
@@ -81,7 +83,8 @@ def chosen_configs(plugin: str | None) -> list[type[Config]]:
 def as_markdown() -> str:
     """The page docs/keys.md."""
     lines = ["# Keys of a scene", "", "Made by `palmfield keys --markdown`; do not edit.", ""]
-    lines += ["A key is named INSTANCE.key, or PLUGIN.key for all instances of a plugin, in `--set` and `keys=`.", ""]
+    about = "A key is named INSTANCE.key, or PLUGIN.key for all instances of a plugin, in `--set` and `keys=`. "
+    lines += [f"{about}`--set INSTANCE.key={UNSET}` takes one out, as None does in `keys=`.", ""]
     for config in CONFIGS:
         lines += _section(config.plugin, config.about, table(config))
     lines += _section("The scene", SCENE.replace("<custom>", "`<custom>`"), SCENE_KEYS)

@@ -352,6 +352,7 @@ def check(
     element: str,
     modulation_Hz: float = 0.0,
     instead: Sequence[str] = ("ideal",),
+    plainly: str = "modulation none or a rectangle of am_depth 1",
 ) -> None:
     """Refuse a stimulus that the board cannot play.
 
@@ -359,6 +360,7 @@ def check(
     points_per_turn: points on each turn of a closed path at that rate, None when there is no path
     modulated: whether the amplitude takes values between 0 and full; modulation_Hz: how often a second, 0 if not known
     element: what the scene calls the stimulus, for the message; instead: boards that may, for it too
+    plainly: how to ask for what an amplitude that is on or off can play, for it too
     Raises DeviceError that says what the scene needs and what the board gives.
     """
     rate = max(frame_rate_Hz, 2.0 * modulation_Hz)
@@ -379,7 +381,7 @@ def check(
     mends = [f"board {', '.join(instead[:-1]) + ' or ' * (len(instead) > 1)}{instead[-1]}"] if instead else []
     if needs_amplitude:
         gives += f", so on/off AM up to {board.max_frame_rate_Hz / 2:.1f} Hz"
-        mends.append("modulation none or a rectangle of am_depth 1")
+        mends.append(plainly)
         if "dither" in board.keys:
             mends.append("key dither")
     if too_fast:

@@ -10,8 +10,10 @@ from rich.table import Table
 
 from palmfield.outputs.budget_text import COARSE, Row, budget_rows, figures, widest
 from palmfield.perception.registry import ALL_OBSERVERS
+from palmfield.terminal import columns, folded
 
 WIDTH = 110
+"""Columns of the table where the terminal is no narrower."""
 
 
 def format_summary(summary: Mapping[str, Any]) -> str:
@@ -32,7 +34,7 @@ def format_summary(summary: Mapping[str, Any]) -> str:
         if "drive_level" in one
     ] + array_rows(summary["arrays"])
     level = max((one.get("drive_level", 0.0) for one in stimuli), default=0.0)
-    grid = Table(show_header=False)
+    grid = Table(*folded(("", "")), show_header=False)
     for number, skin in enumerate(skins):
         sound, motion = _sound(skin, level), _motion(skin)
         # With one skin, sound, drive and motion stand in the order in which one follows from the other.
@@ -47,7 +49,7 @@ def format_summary(summary: Mapping[str, Any]) -> str:
         took = f"{summary['wall_time_s']:.1f} s, {summary['peak_memory_MiB']:.0f} MiB"
         grid.add_row("wall time, peak memory", took)
     stream = io.StringIO()
-    Console(file=stream, width=WIDTH).print(grid)
+    Console(file=stream, width=columns(WIDTH)).print(grid)
     return stream.getvalue()
 
 

@@ -117,7 +117,7 @@ def focus_board(board: str, sound: FocusSound, keys: Mapping[str, object]) -> Fo
     able = [one for one in boards_for(2.0 * sound.am_frequency_Hz, modulated) if not BOARDS[one].exact]
     check(
         chosen, frame_rate_Hz=0.0, modulated=modulated, element="focus", modulation_Hz=sound.am_frequency_Hz,
-        instead=able,
+        instead=able, plainly="no --am-frequency and --level 1",
     )  # fmt: skip
     return FocusBoard(chosen, array, p0, sound, driver, name, tuple(said))
 

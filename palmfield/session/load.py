@@ -201,7 +201,10 @@ def no_scene(path: Path) -> str:
 
 def _check_plugins(spec: mujoco.MjSpec, name: str) -> None:
     if SKIN not in [plugin.plugin_name for plugin in spec.plugins]:
-        raise SceneError(f"{name} has no plugin '{SKIN}'; it is a plain MuJoCo scene (see `palmfield new`)")
+        raise SceneError(
+            f"{name} has no plugin '{SKIN}', and without a skin nothing is felt; `palmfield new NAME` writes a scene "
+            "with one, and the sound alone is what palmfield.acoustics computes (examples/01_pressure_at_a_focus.py)"
+        )
 
 
 def _check_names(text: SceneText) -> None:

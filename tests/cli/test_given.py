@@ -2,7 +2,10 @@
 
 import logging
 
+import pytest
+
 from palmfield.cli.given import given_keys
+from palmfield.errors import SceneError
 
 
 def test_a_file_of_the_current_folder_is_taken_from_there_and_told(tmp_path, monkeypatch, caplog):
@@ -21,3 +24,9 @@ def test_what_names_no_file_and_what_is_whole_already_stays(tmp_path, monkeypatc
     monkeypatch.chdir(tmp_path)
     whole = str(tmp_path / "palm")
     assert given_keys(["skin.material=palm", f"skin.mesh={whole}"]) == {"skin.material": "palm", "skin.mesh": whole}
+
+
+def test_unset_takes_a_key_out(tmp_path, monkeypatch):
+    assert given_keys(["stimulus.am_depth=unset", "skin.mesh=unset"]) == {"stimulus.am_depth": "", "skin.mesh": ""}
+    with pytest.raises(SceneError, match="KEY=unset to take"):
+        given_keys(["stimulus.am_depth="])

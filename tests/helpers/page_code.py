@@ -35,7 +35,8 @@ MARK = re.compile(r"<!-- (file|not run|exit code): (.*?) -->")
 FRAME = str.maketrans(dict.fromkeys("┏━┳┓┃┡╇┩│└┴┘─┌┬┐├┼┤╇╭╮╰╯", " "))
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w]*\.\w)")
 RUN = ("sh", "bash", "python")
-WIDTH = "100"
+WIDTH = "130"
+"""Columns of the terminal for which pages show tables."""
 
 
 class Block(NamedTuple):

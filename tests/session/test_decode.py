@@ -66,8 +66,9 @@ def test_a_modulated_focus_is_sent_at_the_boards_rate(tmp_path):
 
 
 def test_level_and_modulation_are_refused_where_there_is_only_off_and_full(tmp_path):
-    with pytest.raises(palmfield.DeviceError, match="continuous amplitude"):
+    with pytest.raises(palmfield.DeviceError, match="no --am-frequency and --level 1") as refused:
         play_focus(POINT, "sonicsurface", Target(record=tmp_path / "x.bin"), 0.1, sound=FocusSound(level=0.5))
+    assert "continuous amplitude" in str(refused.value) and "modulation none" not in str(refused.value)
     told = play_focus(
         POINT,
         "sonicsurface",

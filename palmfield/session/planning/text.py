@@ -6,13 +6,17 @@ from collections.abc import Mapping, Sequence
 from rich.console import Console
 from rich.table import Table
 
+from palmfield import terminal
 from palmfield.session.planning.rows import Row
+
+WIDTH = 130
+"""Columns of the tables where the terminal is no narrower."""
 
 
 def as_text(scene: str, parts: Mapping[str, Sequence[Row]], warnings: Sequence[str], seconds: float) -> str:
     """A table for each part, by its title, then the warnings and the expected wall time [s]."""
     stream = io.StringIO()
-    console = Console(file=stream, width=130)
+    console = Console(file=stream, width=terminal.columns(WIDTH))
     console.print(f"Plan for {scene}", highlight=False)
     every = [row for rows in parts.values() for row in rows]
     # One of each kind needs no names.
@@ -21,7 +25,7 @@ def as_text(scene: str, parts: Mapping[str, Sequence[Row]], warnings: Sequence[s
     )
     for title, rows in parts.items():
         columns = ("what", "of", "size", "why") if named else ("what", "size", "why")
-        grid = Table(*columns, title=title, title_justify="left")
+        grid = Table(*terminal.folded(columns), title=title, title_justify="left")
         for row in rows:
             grid.add_row(*((row.what, row.instance) if named else (row.what,)), row.size, row.why)
         console.print(grid)

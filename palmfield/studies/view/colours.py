@@ -11,6 +11,8 @@ from palmfield.types import Complex, Float32
 FLESH = (222, 190, 170)
 SILENT = (150, 150, 150)
 NICE = (1.0, 2.0, 5.0, 10.0)
+NOTHING = 1e-6
+"""In um, or Pa: what is left once a sound has ended, or a skin has come to rest; not to be seen in full colours."""
 
 
 def _table(name: str, low: float = 0.0, high: float = 1.0) -> NDArray[np.uint8]:
@@ -55,8 +57,8 @@ def size_scale(title: str, largest: float, unit: str, factor: float) -> Scale:
 
 
 def rounded_up(value: float) -> float:
-    """The next of 1, 2, 5, 10, 20, ... above; 1 for nothing."""
-    if not np.isfinite(value) or value <= 0.0:
+    """The next of 1, 2, 5, 10, 20, ... above; 1 for nothing, and for less than is ever seen (NOTHING)."""
+    if not np.isfinite(value) or value < NOTHING:
         return 1.0
     ten = 10.0 ** np.floor(np.log10(value))
     return float(f"{ten * min(step for step in NICE if step * ten >= value * (1 - 1e-9)):.3g}")

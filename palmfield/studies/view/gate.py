@@ -87,8 +87,8 @@ def check(head: Head, token: str, cookie: str) -> None:
         # Another site's script in this user's browser
         raise Refused(http.HTTPStatus.FORBIDDEN, f"the page of {origin} may not use this one")
     if not token:
-        if urlsplit(f"//{host}").hostname not in LOCAL:
-            # A name that someone has made to mean this machine
+        if not is_loopback(urlsplit(f"//{host}").hostname or ""):
+            # A name that someone has made to mean this machine, which no address of its own can be
             raise Refused(http.HTTPStatus.FORBIDDEN, f"this page is at {' or '.join(LOCAL)}, not at '{host}'")
         return
     target = urlsplit(head.target)

@@ -14,6 +14,7 @@ import viser
 
 from palmfield.studies.view.colours import (
     FLESH,
+    NOTHING,
     PRESSURE,
     Scale,
     motion_scale,
@@ -22,7 +23,7 @@ from palmfield.studies.view.colours import (
     rounded_up,
     size_scale,
 )
-from palmfield.studies.view.gate import Gate, is_loopback
+from palmfield.studies.view.gate import LOCAL, Gate
 from palmfield.studies.view.glb import GlbMesh, linear
 from palmfield.studies.view.messages import (
     Address,
@@ -103,7 +104,7 @@ class Page:
         # Never at another address: viser asks nobody who he is, the gate does
         self._server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
         gate = Gate(place.host, place.port, PORT, self._server.get_port(), place.token)
-        host = "localhost" if is_loopback(place.host) else place.host
+        host = "localhost" if place.host in LOCAL else place.host
         if host in ("0.0.0.0", "::"):
             # All addresses of this machine: its name is one that others may know
             host = socket.gethostname()
@@ -125,6 +126,7 @@ class Page:
         self._skins: list[SkinNode] = []
         self._bodies: list[viser.MeshHandle] = []
         self._sliders: dict[Place, Any] = {}
+        self._folders: dict[str, Any] = {}
         self._slow = 1.0
         self._magnified = 1.0
         self._phases: np.ndarray | None = None
@@ -212,6 +214,8 @@ class Page:
         if first:
             self._look(pose, scene.transducer_directions)
             self._controls(scene)
+        else:
+            self._add_sliders(scene)
 
     def _look(self, pose: Pose, directions: Float32) -> None:
         """Put the camera beside the sound's way, so that skin and array are seen."""
@@ -245,19 +249,29 @@ class Page:
             gui.add_html(phase_legend())
         with gui.add_folder("Level above threshold"):
             self._meter = gui.add_html("")
-        folders: dict[str, Any] = {}
+        self._pace.on_update(lambda event: self._say(Pace(PACES[self._pace.value])) if event.client else None)
+        with gui.add_folder("Any key", expand_by_default=False):
+            text = gui.add_text("INSTANCE.key=VALUE", "", hint="several with ; between them")
+            self._on_press(gui.add_button("Set it"), lambda: self._say(SetKey(text.value)))
+        self._add_sliders(scene)
+
+    def _add_sliders(self, scene: SceneShown) -> None:
+        """Those of a scene in place of those that were there; none is touched where they are the same."""
+        if self._sliders and set(self._sliders) == {slider.place for slider in scene.sliders}:
+            return
+        for folder in self._folders.values():
+            folder.remove()
+        self._folders, self._sliders = {}, {}
+        gui = self._server.gui
         for slider in scene.sliders:
-            if slider.folder not in folders:
-                folders[slider.folder] = gui.add_folder(slider.folder)
-            with folders[slider.folder]:
+            if slider.folder not in self._folders:
+                self._folders[slider.folder] = gui.add_folder(slider.folder)
+            with self._folders[slider.folder]:
                 self._add_slider(slider)
         if scene.no_pose:
-            with gui.add_folder("Hand"):
+            self._folders["Hand"] = gui.add_folder("Hand")
+            with self._folders["Hand"]:
                 gui.add_html(_small(html.escape(scene.no_pose)))
-        with gui.add_folder("Any key", expand_by_default=False):
-            text = gui.add_text("INSTANCE.key=VALUE", "")
-            self._on_press(gui.add_button("Set it"), lambda: self._say(SetKey(text.value)))
-        self._pace.on_update(lambda event: self._say(Pace(PACES[self._pace.value])) if event.client else None)
 
     def _add_slider(self, slider: Slider) -> None:
         label = f"{slider.label} [{slider.unit}]" if slider.unit else slider.label
@@ -414,8 +428,8 @@ def _most(values: Any) -> float:
 
 
 def magnified(largest_m: float) -> float:
-    """A round factor by which the largest motion is seen as about SEEN_m."""
-    return 1.0 if largest_m <= 0.0 else rounded_up(0.4 * SEEN_m / largest_m)
+    """A round factor by which the largest motion is seen as about SEEN_m; 1 where nothing moves any more."""
+    return 1.0 if largest_m < 1e-6 * NOTHING else rounded_up(0.4 * SEEN_m / largest_m)
 
 
 def _small(text: str) -> str:

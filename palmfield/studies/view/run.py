@@ -2,6 +2,7 @@
 
 import logging
 import math
+import re
 import secrets
 import time
 from collections.abc import Callable, Mapping
@@ -10,7 +11,7 @@ from pathlib import Path
 from types import FrameType
 
 from palmfield.drive.exit_signals import handling
-from palmfield.errors import PalmfieldError, SceneError
+from palmfield.errors import OutputError, PalmfieldError, SceneError
 from palmfield.session.changed_stimuli import change_stimuli
 from palmfield.session.load import FILES
 from palmfield.session.simulation import Simulation
@@ -47,6 +48,8 @@ IDLE_s = 0.02
 SPEED_OVER_s = 0.5
 UNWATCHED = 9
 """Steps without being watched for each one that was, where the simulation goes as fast as it can."""
+NEXT_KEY = re.compile(r";\s*(?=[\w.]+\s*=)")
+"""Between several keys of one text: a semicolon before INSTANCE.key=."""
 NOT_FROM_A_PAGE = {"function", "hand", *(key for keys in FILES.values() for key in keys)}
 """Keys by which whoever has the page's address could have files read and code run."""
 BEHIND_s = 0.2
@@ -90,12 +93,14 @@ class ShownScene:
         self._recording: Recording | None = None
         self.sim = wanted.open(keys)
         self._hands = Hands(self.sim)
-        listed = (*stimulus_sliders(self.sim.runtime.spec.stimuli), *self._hands.sliders)
-        self.sliders: dict[Place, Slider] = {one.place: one for one in listed}
+        self.sliders: dict[Place, Slider] = {}
         self._attach()
 
     def _attach(self) -> None:
         self._sight = Sight(self.sim)
+        listed = (*stimulus_sliders(self.sim.runtime.spec.stimuli), *self._hands.sliders)
+        # One that was there keeps its ends: they follow from where it stood at first
+        self.sliders = {one.place: self.sliders.get(one.place, one) for one in listed}
         self._texts = stimulus_texts(self.sim.runtime)
         self._begin_clock()
         self._watch_soon()
@@ -149,15 +154,19 @@ class ShownScene:
         self._turned_at = time.monotonic()
 
     def _take_text(self, text: str) -> None:
-        name, equals, value = text.partition("=")
-        if not equals or not name.strip():
-            raise SceneError(f"'{text}' sets no key; write INSTANCE.key=VALUE, for example stimulus.ramp_s=0.05")
-        if name.strip().rpartition(".")[2] in NOT_FROM_A_PAGE:
-            raise SceneError(
-                f"key '{name.strip()}' names code or files of this machine, which a page can't choose; end the view, "
-                "and give it to `palmfield view` with --set"
-            )
-        self._set[name.strip()] = value.strip()
+        given: dict[str, object] = {}
+        # Keys that need one another must be set at once
+        for part in NEXT_KEY.split(text):
+            name, equals, value = part.partition("=")
+            if not equals or not name.strip():
+                raise SceneError(f"'{part}' sets no key; write INSTANCE.key=VALUE, for example stimulus.ramp_s=0.05")
+            if name.strip().rpartition(".")[2] in NOT_FROM_A_PAGE:
+                raise SceneError(
+                    f"key '{name.strip()}' names code or files of this machine, which a page can't choose; end the "
+                    "view, and give it to `palmfield view` with --set"
+                )
+            given[name.strip()] = value.strip()
+        self._set |= given
         self._turned_at = time.monotonic()
 
     def _press(self, what: str) -> None:
@@ -378,7 +387,8 @@ def view(
     rate_Hz: pictures a second, 15 by default, and 30 on a GPU
     pace: at most so many simulated seconds in a second; inf for as fast as it goes
     on_ready: gets the page's address
-    Raises SceneError or DeviceError as `palmfield.Simulation`, and OutputError where there is no page to be had.
+    Raises SceneError or DeviceError as `palmfield.Simulation`, and OutputError where there is no page to be had or its
+    process ends before the view does.
     """
     need_viser()
     path = Path(scene)
@@ -409,6 +419,8 @@ def view(
             run_for(live, link, end)
         finally:
             live.stop_recording("the live view has ended")
+        if link.gone and not end.asked:
+            raise OutputError("the page's process has ended, and the view with it; what was recorded is finished")
 
 
 class Ending:

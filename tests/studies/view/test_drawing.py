@@ -74,6 +74,13 @@ def test_the_largest_motion_is_seen_as_some_millimetres():
     assert page.magnified(0.0) == 1.0
 
 
+def test_what_is_left_when_nothing_moves_any_more_is_neither_magnified_nor_coloured():
+    assert page.magnified(4e-40) == 1.0
+    scale = motion_scale("", 4e-40)
+    assert scale.high == 1.0
+    np.testing.assert_array_equal(scale.colours(np.array([-4e-40])), scale.colours(np.array([0.0])))
+
+
 def test_discs_face_where_transducers_emit():
     rng = np.random.default_rng(1)
     directions = rng.normal(size=(50, 3))

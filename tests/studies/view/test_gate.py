@@ -18,7 +18,7 @@ def head(target="/", **headers):
     return Head("\r\n".join([f"GET {target} HTTP/1.1", *lines]).encode())
 
 
-@pytest.mark.parametrize("host", ["localhost:8080", "127.0.0.1:9", "[::1]:8080", "localhost"])
+@pytest.mark.parametrize("host", ["localhost:8080", "127.0.0.1:9", "127.0.0.2:9", "[::1]:8080", "localhost"])
 def test_this_machine_comes_in_without_a_token(host):
     check(head(Host=host), "", "c")
     check(head(Host=host, Origin=f"http://{host}"), "", "c")
@@ -32,6 +32,7 @@ def test_this_machine_comes_in_without_a_token(host):
         {"Host": "localhost:8080", "Origin": "http://localhost:9999"},
         {"Host": "localhost:8080", "Origin": "null"},
         {"Host": ""},
+        {"Host": "127.0.0.1.evil.example:8080"},
     ],
 )
 def test_other_names_and_other_sites_are_refused(headers):

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import pytest
 
@@ -189,6 +190,24 @@ def test_the_page_ends_with_a_simulation_that_is_killed(tmp_path):
     process.kill()
     process.wait(10.0)
     assert gone([page])
+
+
+@pytest.mark.wall_clock
+def test_a_command_whose_page_is_killed_says_so_and_fails(module_scene, tmp_path):
+    process, _ = started(module_scene(), tmp_path / "out")
+    for pid in children(process.pid):
+        if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes():
+            os.kill(pid, signal.SIGKILL)
+    told = process.communicate(timeout=30.0)[1]
+    assert process.returncode == 2 and "the page's process has ended" in told
+
+
+def test_a_page_is_found_where_it_listens(module_scene, tmp_path):
+    with Link(Address("127.0.0.2", None, "", 10.0)) as link:
+        assert link.address.startswith("http://127.0.0.2:")
+        talk = HTTPConnection("127.0.0.2", port_of(link.address), timeout=10.0)
+        talk.request("GET", "/")
+        assert talk.getresponse().status == 200
 
 
 def test_a_view_whose_page_is_killed_ends_too(module_scene, tmp_path):

@@ -182,6 +182,7 @@ def test_turns_of_one_drag_are_taken_together(shown):
         (SetKey("skin.mesh=/etc/passwd"), "skin.mesh"),
         (SetKey(" motion.function =os:getcwd"), "motion.function"),
         (SetKey("=1"), "=1"),
+        (SetKey("stimulus.ramp_s=0.01; skin.mesh=/etc/passwd"), "skin.mesh"),
     ],
 )
 def test_a_bad_value_is_told_and_leaves_the_scene_as_it_was(shown, message, named):
@@ -205,6 +206,15 @@ def test_a_place_that_is_no_slider_is_passed_over(shown):
 def test_any_key_can_be_set(shown):
     shown.change(SetKey("stimulus.ramp_s=0.01"))
     assert shown.scene.sim.runtime.spec.stimuli[0].config.ramp_s == 0.01
+
+
+def test_keys_that_need_one_another_are_set_at_once_and_get_their_sliders(shown):
+    shown.change(SetKey("stimulus.path=circle; stimulus.path_diameter_m=0.01;stimulus.path_rate_Hz=50"))
+    assert shown.last(Told).kind == "info"
+    places = {slider.place for slider in shown.last(SceneShown).sliders}
+    assert {("key", "stimulus.path_diameter_m", None), ("key", "stimulus.path_rate_Hz", None), FREQUENCY} <= places
+    shown.change(SetKey("stimulus.path=; stimulus.path_diameter_m=;stimulus.path_rate_Hz="))
+    assert ("key", "stimulus.path_rate_Hz", None) not in {slider.place for slider in shown.last(SceneShown).sliders}
 
 
 def test_play_pause_and_reset(shown):
