@@ -16,7 +16,6 @@ from palmfield.outputs.pictures.maps import level_map_of, motion_map, rms_map
 from palmfield.outputs.pictures.wavefronts import wavefronts
 from palmfield.outputs.plots import pressure_picture
 
-
 ALL = frozenset(one.name for one in fields(Asked))
 
 
