@@ -94,8 +94,9 @@ def film(
     done = 0
     with _encoder(file, told.size) as add, contextlib.suppress(KeyboardInterrupt), style():
         frame = _Frame(look, told)
-        for done, time_s in enumerate(times, 1):
+        for number, time_s in enumerate(times, 1):
             add(frame.image(result, float(time_s)))
+            done = number
             if on_frame is not None:
                 on_frame(done, len(times))
     return done

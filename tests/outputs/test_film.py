@@ -7,6 +7,7 @@ import pytest
 
 from palmfield.errors import OutputError
 from palmfield.outputs.film import FPS, Cut, film
+from palmfield.outputs.render import cast
 from palmfield.outputs.schema import tree
 
 av = pytest.importorskip("av")
@@ -48,6 +49,20 @@ def test_ctrl_c_leaves_a_film_of_what_was_drawn(result, tmp_path):
 
     assert film(result, tmp_path / "c.mp4", Cut(0.0, 0.005, 100.0, size=SMALL), stop) == 3
     assert len(frames_of(tmp_path / "c.mp4")) == 3
+
+
+def test_a_frame_that_ctrl_c_meets_half_drawn_is_not_counted(result, tmp_path, monkeypatch):
+    drawn = []
+
+    def cast_twice(*given):
+        if len(drawn) == 2:
+            raise KeyboardInterrupt
+        drawn.append(0)
+        return cast(*given)
+
+    monkeypatch.setattr("palmfield.outputs.film.cast", cast_twice)
+    assert film(result, tmp_path / "h.mp4", Cut(0.0, 0.005, 100.0, size=SMALL)) == 2
+    assert len(frames_of(tmp_path / "h.mp4")) == 2
 
 
 @pytest.mark.parametrize(

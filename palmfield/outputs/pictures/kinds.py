@@ -1,6 +1,7 @@
 """The kinds of pictures, by name: what `palmfield plot` can draw."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import fields
 from typing import NamedTuple
 
 import xarray as xr
@@ -15,16 +16,18 @@ from palmfield.outputs.pictures.maps import level_map_of, motion_map, rms_map
 from palmfield.outputs.pictures.wavefronts import wavefronts
 from palmfield.outputs.plots import pressure_picture
 
+ALL = frozenset(one.name for one in fields(Asked))
+
 
 class Kind(NamedTuple):
     """draw: raises OutputError or MeasurementError where the result doesn't hold what it needs; about: a sentence
 
-    heeds: what of `Asked` changes the picture; unit: of its limits
+    heeds: what of `Asked` changes the picture, all where it isn't said; unit: of its limits
     """
 
     draw: Callable[[xr.DataTree, Asked], Figure]
     about: str
-    heeds: frozenset[str]
+    heeds: frozenset[str] = ALL
     unit: str = ""
 
 
@@ -75,6 +78,6 @@ def check_heeded(kinds: Sequence[str], asked: Asked) -> None:
         if getattr(asked, name) != getattr(Asked(), name) and not any(name in KINDS[kind].heeds for kind in kinds):
             able = [kind for kind, one in KINDS.items() if name in one.heeds]
             raise OutputError(f"{option} changes nothing in {', '.join(kinds)}; it is for: {', '.join(able)}")
-    units = list(dict.fromkeys(KINDS[kind].unit for kind in kinds if "limits" in KINDS[kind].heeds))
+    units = list(dict.fromkeys(KINDS[kind].unit for kind in kinds if KINDS[kind].unit))
     if asked.limits is not None and len(units) > 1:
         raise OutputError(f"--limits would be of several units ({', '.join(units)}); name kinds of one unit")

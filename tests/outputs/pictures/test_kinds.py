@@ -17,7 +17,7 @@ from palmfield.errors import OutputError
 from palmfield.outputs.frames import drive_frames, loudest
 from palmfield.outputs.pictures.asked import Asked, asked_for
 from palmfield.outputs.pictures.draw import draw_pictures
-from palmfield.outputs.pictures.kinds import KINDS
+from palmfield.outputs.pictures.kinds import KINDS, Kind
 from palmfield.outputs.pictures.sheet import draw_sheet
 from palmfield.outputs.schema import instances
 from palmfield.outputs.style import save
@@ -263,6 +263,7 @@ def test_what_is_asked_is_heeded_or_refused(result, tmp_path):
     ):
         with pytest.raises(OutputError, match=words):
             draw_pictures(result, tmp_path, kinds, asked)
+    assert Kind(KINDS["rms"].draw, "one of a user's own").heeds >= {"time_s", "places", "limits"}
     for kind, asked, words in (
         ("pressure", Asked(time_s=9.0), "--time has value 9000 ms"),
         ("pressure", Asked(skin="pa"), "--skin has value 'pa'"),
