@@ -10,6 +10,8 @@ import os
 import statistics
 import time
 from collections.abc import Callable
+from dataclasses import replace
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +30,7 @@ from palmfield.studies.bench.table import processor
 ROOT = Path(__file__).resolve().parents[1]
 TIMES = 1e-4 * np.arange(1, 2001)
 AT = np.array([[0.0, 0.0], [0.01, 0.0]])
+OTHER_m = count(0.0, 1e-12)
 MATRIX = np.random.default_rng(0).standard_normal((1000, 1000))
 
 
@@ -70,7 +73,8 @@ def disc_rows(runs: int, solve: Callable[..., Motion], accuracy: float) -> list[
             body = disc(side)
 
             def call(body=body, load=load) -> Motion:
-                return solve(body, load, TIMES, AT, accuracy=accuracy)
+                # Another spot each time: models of the same one are kept, for other courses of its pressure
+                return solve(body, replace(load, fwhm_m=load.fwhm_m + next(OTHER_m)), TIMES, AT, accuracy=accuracy)
 
             def finer(body=body, load=load) -> Motion:
                 return solve_axisymmetric(body, load, TIMES, AT, accuracy=0.002, degree=7)

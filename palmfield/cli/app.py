@@ -706,13 +706,17 @@ def compare_command(
 @app.command("plot")
 def plot_command(
     context: typer.Context,
-    run: Annotated[Path | None, typer.Argument(help="folder of a run, or its result.nc", metavar="[DIR]")] = None,
+    run: Annotated[
+        Path | None,
+        typer.Argument(help="folder of a run, or its result.nc; or a table of palmfield bench", metavar="[DIR]"),
+    ] = None,
     kinds: Annotated[
         list[str] | None,
         typer.Argument(help="which (see --list) [default: all that the run holds]", metavar="[KIND]..."),
     ] = None,
     time_ms: Annotated[
-        float | None, typer.Option("--time", help="of maps and drives [ms] [default: when most happens]", metavar="MS")
+        float | None,
+        typer.Option("--time", help="of maps, field and drives [ms] [default: when most happens]", metavar="MS"),
     ] = None,
     place: Annotated[
         list[str] | None,
@@ -738,6 +742,8 @@ def plot_command(
     Examples: palmfield plot out/palm
 
     palmfield plot out/palm motion wavefronts --time 12.5 --format svg
+
+    palmfield plot skin.md --format pdf  (speed against error, after palmfield bench skin --out skin.md)
     """
     from palmfield.cli.plot import list_kinds, plot
     from palmfield.outputs.pictures.asked import asked_for

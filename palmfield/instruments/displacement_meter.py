@@ -9,9 +9,13 @@ from numpy.typing import ArrayLike
 from pydantic import Field
 
 from palmfield.errors import MeasurementError
+from palmfield.instruments.scan_grids import pitch
 from palmfield.instruments.settings import NonNegative, Positive, Settings, Vector3
 from palmfield.instruments.signal_chain import sampled
 from palmfield.instruments.surface_motion import SurfaceMotion
+
+NEAR_M = 1e-3
+"""A beam without a width may pass a point of the motion at this distance, or at that between points."""
 
 
 class DisplacementMeter(Settings):
@@ -35,13 +39,22 @@ def spot_weights(points_m: ArrayLike, at_m: ArrayLike, settings: DisplacementMet
     """Shares of points about a place in the spot's mean, shape (n,): a Gaussian of the light's intensity.
 
     The points stand for equal areas. Without a spot only the nearest point counts.
-    Raises MeasurementError where less than four points lie within the spot.
+    Raises MeasurementError where less than four points lie within the spot, and without a spot where none is nearer
+    than they are to each other, or NEAR_M.
     """
-    points = np.asarray(points_m, dtype=float)
+    points, at = np.asarray(points_m, dtype=float), np.asarray(at_m, dtype=float)
+    if at.shape != (3,) or not np.isfinite(at).all():
+        raise MeasurementError(f"displacement_meter: the place is {at.tolist()}; give three finite numbers")
     beam = np.array(settings.beam) / np.linalg.norm(settings.beam)
-    away = points - np.asarray(at_m, dtype=float)
+    away = points - at
     distance = np.linalg.norm(away - np.outer(away @ beam, beam), axis=1)
     if settings.spot_m == 0.0:
+        allowed = max(NEAR_M, pitch(points) if len(points) > 1 else 0.0)
+        if distance.min() > allowed:
+            raise MeasurementError(
+                f"displacement_meter: the beam passes the nearest point of the motion {distance.min():.3g} m off; "
+                f"allowed: {allowed:.3g} m"
+            )
         return np.asarray(np.arange(len(points)) == distance.argmin(), dtype=float)
     within = int((distance <= 0.5 * settings.spot_m).sum())
     if within < 4:

@@ -19,6 +19,8 @@ from palmfield.types import Float
 
 ArpAt = Callable[[Float, Float], Float]
 """ARP [Pa] at places [m] with outward normals, both of shape (n, 3): shape (n,)."""
+LEAST = 4
+"""Places along an edge or a radius, at least, so that half of them still say something of the error."""
 SPLITS = 8
 """A triangle of a mesh is cut into the square of so many, of which those count whose middle lies on the plate."""
 
@@ -57,19 +59,19 @@ def plate_force(arp_at: ArpAt, plate: Plate) -> PlateForce:
     arp_at: for example `palmfield.acoustics.arp.arp` of a field; for a plate narrower than some wavelengths the law
         leaves out what its edges do to the sound.
     """
-    fine, coarse = (_integral(arp_at, plate, spacing) for spacing in (plate.spacing_m, 2.0 * plate.spacing_m))
+    fine, coarse = (_integral(arp_at, plate, coarser) for coarser in (1, 2))
     return PlateForce(fine, coarse)
 
 
-def _integral(arp_at: ArpAt, plate: Plate, spacing: float) -> float:
+def _integral(arp_at: ArpAt, plate: Plate, coarser: int) -> float:
     normal, along, across = _axes(plate)
     if plate.shape == "rectangle":
-        places = [_middles(length, spacing) for length in (plate.width_m, plate.height_m)]
+        places = [_middles(length, _count(length, plate, coarser)) for length in (plate.width_m, plate.height_m)]
         x, y = (grid.ravel() for grid in np.meshgrid(*(at for at, _ in places), indexing="ij"))
         weights = np.full(x.size, places[0][1] * places[1][1])
     else:
         radius = 0.5 * plate.width_m
-        rings = max(2, math.ceil(radius / spacing))
+        rings = _count(radius, plate, coarser)
         nodes, shares = np.polynomial.legendre.leggauss(rings)
         radii = radius * np.sqrt(0.5 * (1.0 + nodes))
         angles = 2.0 * math.pi * np.arange(6 * rings) / (6 * rings)
@@ -83,8 +85,11 @@ def _integral(arp_at: ArpAt, plate: Plate, spacing: float) -> float:
     return float(pressure @ weights)
 
 
-def _middles(length: float, spacing: float) -> tuple[Float, float]:
-    count = max(2, math.ceil(length / spacing * (1.0 - 1e-9)))
+def _count(length: float, plate: Plate, coarser: int) -> int:
+    return math.ceil(max(LEAST, math.ceil(length / plate.spacing_m * (1.0 - 1e-9))) / coarser)
+
+
+def _middles(length: float, count: int) -> tuple[Float, float]:
     return ((np.arange(count) + 0.5) / count - 0.5) * length, length / count
 
 
@@ -100,10 +105,12 @@ def _axes(plate: Plate) -> tuple[Float, Float, Float]:
 
 
 def mesh_force(arp: ArrayLike, vertices: ArrayLike, faces: ArrayLike, plate: Plate) -> Float:
-    """Force along the plate's normal on the part of a mesh that lies before a plate [N], shape (...,).
+    """Force against the plate's normal on the part of a mesh that lies before a plate [N], shape (...,).
 
-    arp: [Pa] at the vertices, shape (..., v), as `arp` of a skin in a result; vertices: [m], (v, 3); faces: (f, 3)
-    The ARP is linear between vertices; triangles are cut where the outline, seen along its normal, crosses them.
+    arp: [Pa] at the vertices, shape (..., v), as `arp` of a skin in a result; vertices: [m], (v, 3); faces: (f, 3),
+    whose corners go round counter-clockwise as seen from outside
+    The ARP is linear between vertices; triangles are cut where the outline, seen along its normal, crosses them. What
+    presses on faces that turn away from the plate's normal, as those of a finger's back, pushes the other way.
     """
     pressure, corners = np.asarray(arp, dtype=float), np.asarray(vertices, dtype=float)[np.asarray(faces)]
     normal, along, across = _axes(plate)
@@ -115,7 +122,7 @@ def mesh_force(arp: ArrayLike, vertices: ArrayLike, faces: ArrayLike, plate: Pla
         inside = (x <= 0.5 * plate.width_m) & (y <= 0.5 * plate.height_m)
     else:
         inside = np.hypot(x, y) <= 0.5 * plate.width_m
-    parts = np.einsum("fk,kc->fc", inside.astype(float), shares) / len(shares) * np.abs(area)[:, None]
+    parts = np.einsum("fk,kc->fc", inside.astype(float), shares) / len(shares) * area[:, None]
     weights = np.zeros(len(np.asarray(vertices)))
     np.add.at(weights, np.asarray(faces), parts)
     if pressure.shape[-1:] != weights.shape:

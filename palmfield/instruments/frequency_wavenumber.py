@@ -41,8 +41,12 @@ def frequency_wavenumber(
     Hann window over time. Wavenumbers end at pi over the points' pitch, where a grid begins to fold back.
     """
     times, signal = trace(times_s, values, 16)
-    if signal.ndim != 2:
-        raise MeasurementError(f"records have shape {signal.shape}; give (t, n)")
+    if signal.ndim != 2 or np.shape(points_m) != (signal.shape[1], 3):
+        raise MeasurementError(
+            f"records have shape {signal.shape} and points {np.shape(points_m)}; give (t, n) and (n, 3)"
+        )
+    if not np.ptp(signal, axis=0).max() > 0.0:
+        raise MeasurementError("the records are silent and have no spectrum")
     flat = on_plane(points_m)
     window = hann(len(times), sym=False)[:, None]
     spectrum = 2.0 * np.fft.rfft((signal - signal.mean(axis=0)) * window, axis=0) / window.sum()

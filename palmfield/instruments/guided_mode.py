@@ -206,6 +206,8 @@ def _checked(
     if not (np.isfinite(values).all() and np.isfinite(points).all()):
         raise MeasurementError("amplitudes and points must be finite")
     above_zero("source_radius_m", radius)
+    if np.shape(source_m) != (2,):
+        raise MeasurementError(f"source_m has shape {np.shape(source_m)}; give its x and y, (2,)")
     beams = None if sights is None else np.asarray(sights, dtype=float)
     if beams is not None and (beams.shape != (len(points), 3) or np.abs(beams[:, 2]).min() < 1e-3):
         raise MeasurementError(f"sights have shape {beams.shape}; give ({len(points)}, 3), none along the surface")

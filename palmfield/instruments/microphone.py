@@ -80,7 +80,7 @@ def microphone_scan(
     `angle_response` and `palmfield.instruments.microphone_body.face_rise` say what changes.
     """
     places = np.asarray(places_m, dtype=float)
-    if places.ndim != 2 or places.shape[1] != 3 or not np.isfinite(places).all():
+    if places.ndim != 2 or places.shape[1] != 3 or len(places) == 0 or not np.isfinite(places).all():
         raise MeasurementError(f"places of a microphone have shape {places.shape}; give finite numbers, shape (n, 3)")
     offsets, weights = diaphragm_points(settings)
     sound = np.asarray(pressure_at((places[:, None] + offsets).reshape(-1, 3)))

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from palmfield.errors import MeasurementError
 from palmfield.instruments.surface_motion import on_mesh
+from palmfield.metrics.checks import finite
 from palmfield.transforms import IDENTITY, Transform
 from palmfield.types import Float, Int
 
@@ -42,13 +43,14 @@ class Registration(NamedTuple):
 def by_fiducials(measured_m: ArrayLike, surface_m: ArrayLike) -> Transform:
     """The rigid motion that takes points nearest to their partners, shapes (k, 3), k >= 3 (Kabsch 1976).
 
-    Raises MeasurementError for fewer points, and for points on one line.
+    Raises MeasurementError for fewer points, NaN, and points on one line.
     """
     theirs, ours = np.asarray(measured_m, dtype=float), np.asarray(surface_m, dtype=float)
     if theirs.shape != ours.shape or theirs.ndim != 2 or theirs.shape[1] != 3 or len(theirs) < 3:
         raise MeasurementError(
             f"fiducials have shapes {theirs.shape} and {ours.shape}; give pairs of (k, 3), three or more"
         )
+    finite("the fiducials", np.hstack([theirs, ours]))
     spread = np.linalg.svd(theirs - theirs.mean(axis=0), compute_uv=False)
     if spread[1] < 1e-3 * max(spread[0], 1e-300):
         raise MeasurementError("the fiducials lie on one line, about which nothing tells a turn; give others")

@@ -41,6 +41,12 @@ class Scan:
     def __post_init__(self) -> None:
         if self.quantity not in QUANTITIES:
             raise MeasurementError(f"{self.name}: quantity is '{self.quantity}'; allowed: {', '.join(QUANTITIES)}")
+        bad = np.argwhere(~np.isfinite(np.atleast_2d(np.asarray(self.values, dtype=float))))
+        if len(bad):
+            raise MeasurementError(
+                f"{self.name}: point {bad[0][1]} has a value that is no finite number, at sample {bad[0][0]}; mend it, "
+                "or leave the point out"
+            )
         try:
             times, values = trace(self.times_s, self.values, 16)
             even_step(times)

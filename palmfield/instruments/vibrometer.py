@@ -18,6 +18,9 @@ from palmfield.instruments.signal_chain import Phase, highpass, integrated, lowp
 from palmfield.instruments.surface_motion import SurfaceMotion
 from palmfield.types import Float
 
+MOVES = 0.01
+"""Share of its largest velocity from which on motion is not at rest."""
+
 
 class Vibrometer(Settings):
     """How a vibrometer stands and what it is set to. Raises MeasurementError for values out of their limits."""
@@ -104,7 +107,8 @@ def vibrometer_record(
     Time 0 is the trigger. sights: measured lines of sight, shape (n, 3), in place of those of the settings
     seed: of the noise; None: another each time
     Coordinates: time [s]; x, y, z [m] and sight_x, sight_y, sight_z of each point.
-    Raises MeasurementError for points seen from behind, and records that outlast the motion or hold under four samples.
+    Raises MeasurementError for points seen from behind, records that outlast the motion or hold under four samples, and
+    those that begin before it where it does not begin at rest.
     """
     beams = lines_of_sight(motion.points, settings) if sights is None else np.asarray(sights, dtype=float)
     if beams.shape != motion.points.shape:
@@ -117,12 +121,25 @@ def vibrometer_record(
     count = math.floor(lasts * rate * (1.0 + 1e-12) + 1e-6) + (settings.duration_s is None)
     if count < 4:
         raise MeasurementError(f"a record of {lasts:g} s holds {count} samples at {rate:g} Hz; it takes four or more")
+    _check_rest(motion.times_s, seen, start)
     times = np.arange(count) / rate
     signal = sampled(motion.times_s, seen, start + times)
     if settings.noise_m_s_rtHz > 0.0:
         rng = np.random.default_rng(seed)
         signal = signal + white_noise(signal.shape, settings.noise_m_s_rtHz, rate, settings.averages, rng)
     return labelled(times, chain(signal, settings), motion.points, beams, settings.reading)
+
+
+def _check_rest(times: Float, seen: Float, start: float) -> None:
+    """Of what was before the motion's first time nothing is known, unless it was rest."""
+    if start >= times[0] - 1e-6 * (times[1] - times[0]):
+        return
+    first, most = float(np.abs(seen[0]).max()), float(np.abs(seen).max())
+    if first > MOVES * most:
+        raise MeasurementError(
+            f"a record from {start:g} s on is asked of motion that begins at {times[0]:g} s, where it already has "
+            f"{100 * first / most:.2g} % of its largest velocity; begin at rest, or mend trigger_s and flight_s"
+        )
 
 
 def _check_seen(motion: SurfaceMotion, beams: Float) -> None:

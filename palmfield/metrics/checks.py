@@ -1,10 +1,12 @@
 """What the metrics ask of the signals and maps that they are given."""
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from palmfield.errors import MeasurementError
 from palmfield.types import Float
+
+Mask = NDArray[np.bool_]
 
 
 def trace(times_s: ArrayLike, values: ArrayLike, least: int = 2) -> tuple[Float, Float]:
@@ -47,6 +49,14 @@ def grid(values: ArrayLike, x_m: ArrayLike, y_m: ArrayLike) -> tuple[Float, Floa
             raise MeasurementError(f"{name} of a map must be at least two finite places that rise")
     finite("the map", field)
     return field, x, y
+
+
+def mask(inside: ArrayLike, values: Float) -> Mask:
+    """Which places of a map count, shape (m, n), bool. Raises MeasurementError for another shape than the map's."""
+    chosen = np.asarray(inside, dtype=bool)
+    if chosen.shape != values.shape:
+        raise MeasurementError(f"inside has shape {chosen.shape}; the map has {values.shape}")
+    return chosen
 
 
 def cell_areas(x_m: Float, y_m: Float) -> Float:

@@ -8,15 +8,14 @@ import itertools
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter
 
 from palmfield.errors import MeasurementError
-from palmfield.metrics.checks import above_zero, cell_areas, finite, grid
+from palmfield.metrics.checks import Mask, above_zero, cell_areas, finite, grid, mask
 from palmfield.metrics.traces import Window, rms_map
 from palmfield.types import Float
 
-Mask = NDArray[np.bool_]
 Over = Literal["outside", "total"]
 
 
@@ -37,6 +36,7 @@ def strip(x_m: ArrayLike, y_m: ArrayLike, path_m: ArrayLike, width_m: float) -> 
     path = np.asarray(path_m, dtype=float)
     if path.ndim != 2 or path.shape[1] != 2 or len(path) == 0:
         raise MeasurementError(f"path_m has shape {path.shape}; give corners of shape (k, 2)")
+    finite("path_m", path)
     _, x, y = grid(np.zeros((np.size(x_m), np.size(y_m))), x_m, y_m)
     places = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
     nearest = np.linalg.norm(places - path[0], axis=-1)
@@ -63,7 +63,7 @@ def focal_energy_ratio(
     """
     values, x, y = grid(density, x_m, y_m)
     weighted = cell_areas(x, y) * values
-    within = float(weighted[_mask(inside, values)].sum())
+    within = float(weighted[mask(inside, values)].sum())
     if over not in ("outside", "total"):
         raise MeasurementError(f"over is '{over}'; use outside or total")
     rest = float(weighted.sum()) - (within if over == "outside" else 0.0)
@@ -75,7 +75,7 @@ def focal_energy_ratio(
 def average_residual_energy(density: ArrayLike, x_m: ArrayLike, y_m: ArrayLike, inside: ArrayLike) -> float:
     """Mean over the area outside a strip of an energy density, in its unit (ARE)."""
     values, x, y = grid(density, x_m, y_m)
-    areas = np.where(_mask(inside, values), 0.0, cell_areas(x, y))
+    areas = np.where(mask(inside, values), 0.0, cell_areas(x, y))
     if not areas.sum() > 0.0:
         raise MeasurementError("the strip covers the whole map: nothing is outside it")
     return float((areas * values).sum() / areas.sum())
@@ -107,12 +107,15 @@ def ssim(
     covariance with Gaussian weights of `sigma` places in windows of 2 radius + 1; the mean is over windows that lie
     inside the map.
     normalised: each map divided by its own largest magnitude first; data_range: L of the paper
-    Raises MeasurementError for maps smaller than a window.
+    Raises MeasurementError for maps smaller than a window, a sigma that is not above 0 and a radius below 0.
     """
+    above_zero("data_range", data_range)
+    above_zero("sigma", sigma)
+    if radius < 0:
+        raise MeasurementError(f"radius is {radius}; allowed: 0 places or more")
     a, b = _pair(map_a, map_b, normalised)
     if a.ndim != 2 or min(a.shape) <= 2 * radius:
         raise MeasurementError(f"maps have shape {a.shape}; a window takes {2 * radius + 1} places each way")
-    above_zero("data_range", data_range)
 
     def local(values: Float) -> Float:
         smooth = gaussian_filter(values, sigma, radius=radius)
@@ -139,10 +142,3 @@ def _pair(map_a: ArrayLike, map_b: ArrayLike, normalised: bool) -> tuple[Float, 
             raise MeasurementError("a map of zeros can't be divided by its largest: give normalised=False")
         a, b = a / tops[0], b / tops[1]
     return a, b
-
-
-def _mask(inside: ArrayLike, values: Float) -> Mask:
-    mask = np.asarray(inside, dtype=bool)
-    if mask.shape != values.shape:
-        raise MeasurementError(f"inside has shape {mask.shape}; the map has {values.shape}")
-    return mask

@@ -8,7 +8,7 @@ from contourpy import contour_generator
 from numpy.typing import ArrayLike
 
 from palmfield.errors import MeasurementError
-from palmfield.metrics.checks import cell_areas, finite, grid, share
+from palmfield.metrics.checks import cell_areas, finite, grid, mask, share
 from palmfield.types import Float
 
 Diameter = Literal["equal_area", "widest"]
@@ -21,6 +21,8 @@ def area_above(values: ArrayLike, x_m: ArrayLike, y_m: ArrayLike, level: float) 
     values: shape (m, n) at x (m,) and y (n,) [m], both rising
     """
     field, x, y = grid(values, x_m, y_m)
+    if not np.isfinite(level):
+        raise MeasurementError(f"level is {level}; give a finite number in the map's unit")
     total = 0.0
     for corners in _filled(field, x, y, level):
         ahead = np.roll(corners, -1, axis=0)
@@ -81,10 +83,16 @@ def radial_profile(
 
 
 def share_within(values: ArrayLike, x_m: ArrayLike, y_m: ArrayLike, inside: ArrayLike) -> float:
-    """Share of a map's integral that lies where `inside` (m, n) is True, between 0 and 1 for maps of one sign."""
+    """Share of a map's integral that lies where `inside` (m, n) is True, between 0 and 1 for maps of one sign.
+
+    Raises MeasurementError for a map whose integral is 0.
+    """
     field, x, y = grid(values, x_m, y_m)
     whole = cell_areas(x, y) * field
-    return float(whole[np.asarray(inside, dtype=bool)].sum() / whole.sum())
+    total = float(whole.sum())
+    if total == 0.0:
+        raise MeasurementError("the map's integral is 0, and nothing has a share in it")
+    return float(whole[mask(inside, field)].sum()) / total
 
 
 def level_depth(depth_m: ArrayLike, values: ArrayLike, reference_m: float, level: float = 0.5) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from palmfield.errors import MeasurementError
-from palmfield.metrics.checks import grid, share
+from palmfield.metrics.checks import finite, grid, share
 from palmfield.metrics.maps import area_above
 from palmfield.skin.analytic.mach import mach_half_angle
 from palmfield.types import Float
@@ -67,6 +67,7 @@ def wake_along_path(
     """
     share("threshold", threshold)
     size, places = np.abs(np.asarray(velocity, dtype=float)), np.asarray(places_m, dtype=float)
+    finite("the velocity", size)
     gone = places <= arc_m
     beside = np.asarray(near, dtype=bool)
     if beside.shape != (len(places), len(size)) or not gone.any():

@@ -20,12 +20,12 @@ from matplotlib.figure import Figure
 from palmfield.errors import OutputError, did_you_mean, unwritable
 from palmfield.outputs.camera import Camera, look_along_emission
 from palmfield.outputs.covered import uncovered_faces
-from palmfield.outputs.frames import in_world, nearest, pose_at
+from palmfield.outputs.frames import bodies, in_world, nearest, pose_at
 from palmfield.outputs.motion import extremes, normal_component
 from palmfield.outputs.pictures.asked import IN_MICRO, UNITS
 from palmfield.outputs.render import Part, cast, joined
 from palmfield.outputs.schema import has_records, instances
-from palmfield.outputs.style import style
+from palmfield.outputs.style import signed_colours, style
 from palmfield.types import Float, Int
 
 SHOWN = ("displacement", "velocity", "arp")
@@ -38,7 +38,10 @@ LIFT_M = 3e-4
 """By so much the skin is drawn above its body, that the two do not flicker."""
 QUALITY = (1, 3)
 FLESH = (0.86, 0.74, 0.66)
-DPI = 100
+DPI, DRAWN_FOR = 100, (800, 600)
+"""Text has its size at so many pixels an inch in a picture of that width and height, and grows with the picture."""
+POSES = 16
+"""Moments of the film whose poses the camera has to see."""
 NICE = (1.0, 2.0, 5.0)
 
 
@@ -61,7 +64,7 @@ class Cut:
 
 
 class _Look(NamedTuple):
-    """What stays the same in all frames. around: triangles of each skin's body that it does not lie on"""
+    """What stays the same in all frames. around: by one skin of each body, its triangles that no skin lies on"""
 
     skins: dict[str, xr.Dataset]
     around: dict[str, Int]
@@ -129,15 +132,18 @@ def _look(result: xr.DataTree, cut: Cut, times: Float) -> _Look:
         raise OutputError("the result holds no displacement of a skin, or no array; run at least one step with both")
     most = max(float(extremes(skin).peak.max()) for skin in skins.values())
     magnify = cut.magnify if cut.magnify is not None else _round(SEEN_M / most) if most > 0.0 else 1.0
+    lacking = [name for name, skin in skins.items() if not has_records(skin, cut.shown)]
+    if lacking:
+        raise OutputError(f"the result holds no {cut.shown} of skin '{lacking[0]}'; show what it holds (--show)")
     if cut.shown == "arp":
         top, unit = max(float(skin["arp"].max()) for skin in skins.values()), "Pa"
         low, colours = 0.0, colormaps["magma_r"](np.linspace(0.05, 0.85, 256))
     else:
         top = IN_MICRO * max(float(extremes(skin, cut.shown).peak.max()) for skin in skins.values())
         unit, low = UNITS["velocity" if cut.shown == "velocity" else "displacement"], -top
-        colours = colormaps["RdBu_r"](np.linspace(0.02, 0.98, 256))
+        colours = np.zeros((0, 4))
     groups = instances(result, "body")
-    moments = [float(times[0]), float(times[len(times) // 2]), float(times[-1])]
+    moments = times[np.unique(np.linspace(0, len(times) - 1, POSES).astype(int))].tolist()
     surfaces = instances(result, "surface")
     whole = {name: surfaces.get(name, skin) for name, skin in skins.items()}
     points = np.concatenate([in_world(mesh, groups.get(name), t) for name, mesh in whole.items() for t in moments])
@@ -146,7 +152,15 @@ def _look(result: xr.DataTree, cut: Cut, times: Float) -> _Look:
     window = (0.0, 0.10 * height, 0.88 * width, 0.88 * height)
     camera = look_along_emission(points, pose_at(first, moments[0]), window)
     limits = cut.limits or (low, max(top, low + 1e-12))
-    around = {name: uncovered_faces(surfaces[name], [skin]) for name, skin in skins.items() if name in surfaces}
+    if cut.shown != "arp":
+        colours = signed_colours(*limits, left_out=0.02)
+    around: dict[str, Int] = {}
+    for on_body in bodies(result).values():
+        own = [name for name in on_body if name in skins]
+        # Skins on one body share its surface
+        first_own = next((name for name in own if name in surfaces), None)
+        if first_own is not None:
+            around[first_own] = uncovered_faces(surfaces[first_own], [skins[name] for name in own])
     return _Look(skins, around, camera, ListedColormap(colours), limits, unit, magnify)
 
 
@@ -162,7 +176,9 @@ class _Frame:
     def __init__(self, look: _Look, cut: Cut) -> None:
         self._look, self._cut = look, cut
         width, height = cut.size
-        self._figure = Figure(figsize=(width / DPI, height / DPI), dpi=DPI)
+        dpi = DPI * min(width / DRAWN_FOR[0], height / DRAWN_FOR[1])
+        # A canvas has whole pixels, cut off and not rounded
+        self._figure = Figure(figsize=((width + 0.01) / dpi, (height + 0.01) / dpi), dpi=dpi)
         self._canvas = FigureCanvasAgg(self._figure)
         # Only what is written lies on it: to draw a picture through Matplotlib takes longer than to lay it under
         self._figure.patch.set_alpha(0.0)
@@ -206,7 +222,7 @@ class _Frame:
         painted = joined(meshes)
         picture = cast(painted, np.concatenate(levels), parts, look.camera, cut.size, look.colours, QUALITY)
         self._clock.set_text(
-            f"{1e3 * time_s:8.2f} ms, {cut.slow:g} times slower; motion magnified {look.magnify:,.0f} times"
+            f"{1e3 * time_s:.2f} ms, {cut.slow:g} times slower; motion magnified {look.magnify:,.0f} times"
         )
         if not self._scale_bar:
             self._draw_scale(painted.vertices)

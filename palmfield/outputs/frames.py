@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from palmfield.hand.blend import blended, bone_shifts
 from palmfield.outputs.motion import pieces
 from palmfield.outputs.schema import has_records, instances
-from palmfield.types import Float
+from palmfield.types import Float, Int
 
 IDENTITY = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 
@@ -33,6 +33,11 @@ def axes(pose: Float) -> Float:
 def nearest(times_s: Float, time_s: float) -> int:
     """Place of the time that is nearest to `time_s` [s]."""
     return int(np.abs(times_s - time_s).argmin())
+
+
+def drive_frames(starts_s: Float, times_s: Float) -> Int:
+    """Places of the drive frames that hold at times [s]: the last that have begun; the first before all."""
+    return np.maximum(0, np.searchsorted(starts_s, times_s + 1e-9, "right") - 1).astype(np.int32)
 
 
 def poses_at(group: xr.Dataset | None, times_s: Float) -> Float:

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from palmfield.errors import MeasurementError, OutputError
 from palmfield.metrics.spectra import amplitude_spectrum, spectral_peaks
 from palmfield.outputs.budget_text import in_a_line
-from palmfield.outputs.frames import Loudest, foci_at, in_world, loudest, to_local
+from palmfield.outputs.frames import Loudest, foci_at, in_world, loudest, nearest, to_local
 from palmfield.outputs.motion import at_vertices, extremes
 from palmfield.outputs.schema import has_records, instances
 from palmfield.outputs.skin_view import SkinView, draw_patch, probe_vertices, seen_from_array
@@ -29,25 +29,29 @@ def plot_pressure(result: xr.DataTree, path: Path) -> None:
         save(pressure_picture(result), path, DPI)
 
 
-def pressure_picture(result: xr.DataTree) -> Figure:
+def pressure_picture(result: xr.DataTree, names: list[str] | None = None, time_s: float | None = None) -> Figure:
     """Peak pressure amplitude and ARP on each skin at its loudest instant, seen from the array that it faces.
 
     result: of `open_result` or `tree`, with a skin and loudest_pressure or arp, and an array. One row a skin.
-    Raises OutputError where none of these is there.
+    names: of skins, None for all; time_s: another instant [s], of results that hold pressure or arp over time
+    Raises OutputError where none of these is there, and for a time outside the run.
     """
-    skins = {name: skin for name, skin in instances(result, "skin").items() if _pressures(skin, loudest(skin))}
+    shown = {name: skin for name, skin in instances(result, "skin").items() if names is None or name in names}
+    instants = {name: loudest(skin) if time_s is None else _instant(skin, time_s) for name, skin in shown.items()}
+    panels = {name: _pressures(skin, instants[name], time_s is not None) for name, skin in shown.items()}
+    skins = {name: skin for name, skin in shown.items() if panels[name]}
     if not skins:
         raise OutputError("the result holds neither loudest_pressure nor arp; run at least one step before plotting")
     if not instances(result, "array"):
         raise OutputError("the result holds no array, from which the skin is seen; keep the groups /array")
-    views = {name: seen_from_array(result, name, skin) for name, skin in skins.items()}
+    views = {name: seen_from_array(result, name, skin, instants[name]) for name, skin in skins.items()}
     foci = _foci_of_skins(result)
-    columns = max(len(_pressures(skin, views[name].loudest)) for name, skin in skins.items())
+    columns = max(len(panels[name]) for name in skins)
     figure = Figure(figsize=(0.6 + 4.4 * columns, 4.4 * len(skins)), dpi=DPI, layout="constrained")
     rows: list[Any] = [figure] if len(skins) == 1 else list(figure.subfigures(len(skins), 1, squeeze=False)[:, 0])
     for row, (name, skin) in zip(rows, skins.items(), strict=True):
         stimuli = instances(result, "stimulus")
-        _draw_skin(row, skin, views[name], [(stimuli[key], own) for key, own in foci[name].items()])
+        _draw_skin(row, skin, views[name], panels[name], [(stimuli[key], own) for key, own in foci[name].items()])
         height = float(np.median(views[name].vertices[:, 2])) * 1e3
         whose = f" '{name}'" if len(skins) > 1 else ""
         seer = f"array '{views[name].array}'" if len(instances(result, "array")) > 1 else "the array"
@@ -80,9 +84,27 @@ def plot_displacement(result: xr.DataTree, path: Path) -> None:
         save(figure, path, DPI)
 
 
-def _pressures(skin: xr.Dataset, when: Loudest) -> list[tuple[str, str, Float]]:
-    """Title, colours and values [Pa] of each panel of a skin."""
+def _instant(skin: xr.Dataset, time_s: float) -> Loudest:
+    """A time of a skin's record [s]. Raises OutputError for one outside it."""
+    times: Float = skin["time"].values
+    if not (len(times) and times[0] <= time_s <= times[-1]):
+        allowed = f"{1e3 * times[0]:g} to {1e3 * times[-1]:g} ms" if len(times) else "none, as nothing was recorded"
+        raise OutputError(f"--time has value {1e3 * time_s:g} ms; allowed: {allowed}")
+    place = nearest(times, time_s)
+    return Loudest(float(times[place]), place, 0.0)
+
+
+def _pressures(skin: xr.Dataset, when: Loudest, over_time: bool) -> list[tuple[str, str, Float]]:
+    """Title, colours and values [Pa] of each panel of a skin; over_time: of its record, at the instant."""
     panels: list[tuple[str, str, Float]] = []
+    if over_time:
+        for name, title, colours in (
+            ("pressure", "Peak pressure", "magma"),
+            ("arp", "Radiation pressure (ARP)", "viridis"),
+        ):
+            if has_records(skin, name):
+                panels.append((title, colours, skin[name].isel(time=when.place).values.astype(float)))
+        return panels
     if has_records(skin, "loudest_pressure"):
         panels.append(("Peak pressure", "magma", skin["loudest_pressure"].values.astype(float)))
     if has_records(skin, "loudest_arp"):
@@ -110,9 +132,14 @@ def _foci_of_skins(result: xr.DataTree) -> dict[str, dict[str, list[int]]]:
     return by_skin
 
 
-def _draw_skin(figure: Any, skin: xr.Dataset, view: SkinView, stimuli: list[tuple[xr.Dataset, list[int]]]) -> None:
+def _draw_skin(
+    figure: Any,
+    skin: xr.Dataset,
+    view: SkinView,
+    panels: list[tuple[str, str, Float]],
+    stimuli: list[tuple[xr.Dataset, list[int]]],
+) -> None:
     """stimuli: with the numbers of their focal points that are drawn here"""
-    panels = _pressures(skin, view.loudest)
     columns = figure.subplots(1, len(panels), squeeze=False)[0]
     for axes, (title, colours, values) in zip(columns, panels, strict=True):
         draw_patch(

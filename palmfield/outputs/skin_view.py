@@ -4,10 +4,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
+from matplotlib.colors import Colormap
 from matplotlib.tri import Triangulation
 
 from palmfield.outputs.frames import Loudest, in_world, loudest, nearest, pose_at, to_local
 from palmfield.outputs.schema import instances
+from palmfield.outputs.style import beyond
 from palmfield.types import Float
 
 DISTANCES_M = (0.010, 0.020)
@@ -25,9 +27,9 @@ class SkinView(NamedTuple):
     loudest: Loudest
 
 
-def seen_from_array(result: xr.DataTree, name: str, skin: xr.Dataset) -> SkinView:
-    """A skin seen from the array in whose direction its normals point most."""
-    when, body = loudest(skin), instances(result, "body").get(name)
+def seen_from_array(result: xr.DataTree, name: str, skin: xr.Dataset, when: Loudest | None = None) -> SkinView:
+    """A skin seen from the array in whose direction its normals point most; when: another instant than the loudest"""
+    when, body = when or loudest(skin), instances(result, "body").get(name)
     vertices = in_world(skin, body, when.time_s)
     corners = vertices[skin["face"].values]
     outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).sum(axis=0)
@@ -38,7 +40,14 @@ def seen_from_array(result: xr.DataTree, name: str, skin: xr.Dataset) -> SkinVie
 
 
 def draw_patch(
-    figure: Any, axes: Any, faces: Any, seen: Float, values: Float, colours: str, limits: tuple[float, float], unit: str
+    figure: Any,
+    axes: Any,
+    faces: Any,
+    seen: Float,
+    values: Float,
+    colours: str | Colormap,
+    limits: tuple[float, float],
+    unit: str,
 ) -> None:
     """The patch in the array's x and y with a colour bar, far triangles first so that near ones cover them.
 
@@ -52,7 +61,7 @@ def draw_patch(
     axes.grid(visible=False)
     # Looking along +z with y up, +x points left.
     axes.invert_xaxis()
-    figure.colorbar(drawn, ax=axes, shrink=0.85, pad=0.02, label=unit)
+    figure.colorbar(drawn, ax=axes, shrink=0.85, pad=0.02, label=unit, extend=beyond(values, low, high))
 
 
 def probe_vertices(rest: Float, peak: Float) -> list[tuple[int, float]]:

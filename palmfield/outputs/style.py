@@ -5,10 +5,12 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from palmfield.errors import OutputError, unwritable
+from palmfield.types import Float
 
 RC: Any = {
     "font.family": "DejaVu Sans",
@@ -36,6 +38,32 @@ COLOURS = ("#c2410c", "#0f766e", "#4338ca")
 def style() -> Any:
     """Context in which figures get palmfield's look; other figures of the process keep theirs."""
     return mpl.rc_context(RC)
+
+
+def same_scale(axes: Any, x: Float, y: Float, least: float) -> None:
+    """Limits of equal length on both axes about points, NaN where there is none, `least` or longer."""
+    known = np.isfinite(x) & np.isfinite(y)
+    pairs = np.stack([x[known], y[known]]) if known.any() else np.zeros((2, 1))
+    middle = 0.5 * (pairs.min(axis=1) + pairs.max(axis=1))
+    half = 0.55 * max(least, float(np.ptp(pairs, axis=1).max()))
+    axes.set(xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] - half, middle[1] + half))
+    axes.set_aspect("equal", adjustable="box")
+
+
+def signed_colours(low: float, high: float, left_out: float = 0.0) -> Float:
+    """Colours from blue by white to red, shape (256, 4), of which white is 0 wherever the ends lie.
+
+    left_out: part of the map at each end that is too dark to be used
+    """
+    most = max(abs(low), abs(high))
+    return np.asarray(mpl.colormaps["RdBu_r"](0.5 + (0.5 - left_out) * np.linspace(low, high, 256) / most))
+
+
+def beyond(values: Float, low: float, high: float) -> Any:
+    """Where a colour bar gets a point because values lie beyond its ends: "min", "max", "both" or "neither"."""
+    slack = 1e-6 * (high - low)
+    below, above = bool((values < low - slack).any()), bool((values > high + slack).any())
+    return "both" if below and above else "min" if below else "max" if above else "neither"
 
 
 FORMATS = ("png", "svg", "pdf")

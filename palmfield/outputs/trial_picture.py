@@ -8,6 +8,8 @@ import numpy as np
 
 from palmfield.types import Float
 
+LEAST_MM = 10.0
+"""Of axes of places: a hand at rest has no extent."""
 LOSSES = (
     ("late_Pa", "wanted_Pa", "left by latency", "C0"),
     ("rounded_Pa", "late_Pa", "left by the board", "C1"),
@@ -24,7 +26,7 @@ def draw_trial(names: Sequence[str], rows: Float, numbers: Mapping[str, Any], pa
     """
     from matplotlib.figure import Figure
 
-    from palmfield.outputs.style import save
+    from palmfield.outputs.style import same_scale, save
 
     column = {name: rows[:, number] for number, name in enumerate(names)}
     moments = 1e3 * column["time_s"]
@@ -52,7 +54,10 @@ def draw_trial(names: Sequence[str], rows: Float, numbers: Mapping[str, Any], pa
             axes.plot(1e3 * column[f"{what}_x_m"], 1e3 * column[f"{what}_{up}_m"], style, ms=3, lw=1.0, label=label)
         axes.set_xlabel("x [mm]")
         axes.set_ylabel(f"{up} [mm]")
-        axes.set_aspect("equal", adjustable="datalim")
+        x, rest = (
+            1e3 * np.concatenate([column[f"{what}_{one}_m"] for what in ("true", "sounding")]) for one in ("x", up)
+        )
+        same_scale(axes, x, rest, LEAST_MM)
     above.legend(fontsize=8)
     figure.suptitle(f"{Path(str(numbers['scene'])).stem} on {numbers['board']}", fontsize=11)
     save(figure, path, dpi=110)

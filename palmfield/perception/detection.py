@@ -37,9 +37,11 @@ def summed_gain(envelope: ArrayLike, step_s: float, tau_s: float) -> float:
     envelope: of the amplitude, each value held for step_s [s], shape (n,); tau_s: `TemporalSummation.tau_s` [s]
     Levels change by 20 log10 of it. For a burst of length T it is
     sqrt(1 - exp(-T/tau)). Source: J. J. Zwislocki, J. Acoust. Soc. Am. 32 (1960) 1046.
-    Raises OutputError for a step or time constant that is not above 0.
+    Raises OutputError for a step or time constant that is not above 0, and for an envelope that is empty or not finite.
     """
     power = np.asarray(envelope, dtype=np.float64) ** 2
+    if power.ndim != 1 or len(power) == 0 or not np.isfinite(power).all():
+        raise OutputError(f"the envelope has shape {power.shape}; give finite numbers of shape (n,), one or more")
     if not (tau_s > 0.0 and step_s > 0.0):
         raise OutputError(f"step_s {step_s:g}, tau_s {tau_s:g}; allowed: above 0")
     kept = float(np.exp(-step_s / tau_s))

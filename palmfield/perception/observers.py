@@ -203,15 +203,20 @@ def levels_dB_SL(
     """Sensation levels 20 log10 sqrt(sum (A_i / T(f_i))^2) [dB], shape (m,); 0 dB is just felt, -inf where nothing
     moves, NaN (no value) where something does, but at frequencies alone for which the observer has no threshold.
 
-    frequencies: lines of the motion [Hz], shape (n,); peak_amplitudes_m: their peak amplitudes at m places [m], (n, m)
+    frequencies: lines of the motion [Hz], shape (n,); peak_amplitudes_m: their peak amplitudes at m places [m], (n, m);
+    a place whose amplitude is NaN has the level NaN
     area_m2, duration_s: as of `threshold_m`, which says what it raises
     The sum goes over the lines of one channel; the channel with the highest level counts.
     DC and lines outside the observer's table are left out: `share_left_out` tells how much that is. Give lines
     (`line_amplitude`), not the bins of a windowed spectrum: Hann's count every line 1.5 times.
     """
     frequency, amplitude = (np.asarray(one, dtype=np.float64) for one in (frequencies, peak_amplitudes_m))
+    if frequency.ndim != 1 or amplitude.ndim != 2 or len(amplitude) != len(frequency):
+        raise OutputError(
+            f"frequencies have shape {frequency.shape} and amplitudes {amplitude.shape}; give (n,) and (n, m)"
+        )
     threshold = threshold_m(observer, frequency, area_m2, duration_s)
-    excess = np.nan_to_num(amplitude / threshold[:, None]) ** 2
+    excess = np.where(np.isfinite(threshold)[:, None], amplitude / threshold[:, None], 0.0) ** 2
     channel = np.digitize(frequency, observer.channels_from_Hz)
     energies = [excess[channel == number].sum(axis=0) for number in range(len(observer.channels_from_Hz) + 1)]
     known = np.isfinite(threshold)
@@ -219,7 +224,7 @@ def levels_dB_SL(
     silent = ~(np.abs(amplitude[known]) > 0.0).any(axis=0)
     with np.errstate(divide="ignore"):
         levels = 10.0 * np.log10(np.max(energies, axis=0))
-    return np.where(unknown & silent, np.nan, levels)
+    return np.where(unknown & silent | np.isnan(amplitude).any(axis=0), np.nan, levels)
 
 
 def share_left_out(observer: Observer, frequencies: ArrayLike, peak_amplitudes_m: ArrayLike) -> float:
@@ -243,11 +248,14 @@ def line_amplitudes(time: ArrayLike, x: ArrayLike, f: float, periods: int | None
 
     time: rising [s], shape (n,); x: courses, shape (n, m), in any unit, which the result (m,) shares; f: [Hz]
     periods: how many periods before the end are used; None for all that fit
-    Raises OutputError for f <= 0, and for a record shorter than that or with fewer than 3 samples a period.
+    Raises OutputError for f that is not above 0, for a record shorter than that or with fewer than 3 samples a period,
+    for times that are not finite, and for courses of another length.
     """
     times = np.asarray(time, dtype=np.float64)
-    if not f > 0:
+    if not 0 < f < np.inf:
         raise OutputError(f"frequency {f} Hz has no line; give one above 0")
+    if not np.isfinite(times).all() or np.shape(x)[:1] != times.shape:
+        raise OutputError(f"times of shape {times.shape} and courses of {np.shape(x)}: give finite (n,) and (n, m)")
     # A record of n samples stands for n steps, so its length is one step more than from first to last sample.
     step = (times[-1] - times[0]) / (len(times) - 1) if len(times) > 1 else 0.0
     held = int(np.floor((times[-1] - times[0] + step) * f + 1e-6))

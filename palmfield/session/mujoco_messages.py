@@ -89,6 +89,11 @@ def _value(found: re.Match[str], element: Element | None) -> str:
 
 
 def _unknown_plugin(found: re.Match[str], element: object, text: object, plugins: Sequence[str]) -> str:
+    if found[1] in plugins:
+        return (
+            f"plugin '{found[1]}' is not known to MuJoCo, which finds the plugins of installed packages only, and this "
+            "Python takes palmfield from a folder: install it (pip install FOLDER, or pip install -e FOLDER)"
+        )
     near = did_you_mean(found[1], plugins)
     return f"plugin '{found[1]}' is not installed{near}; palmfield's are: {', '.join(plugins)}"
 

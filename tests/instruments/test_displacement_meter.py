@@ -58,3 +58,10 @@ def test_wrong_beams_and_spots_are_told():
         displacement_reading(motion, [0, 0, 0], DisplacementMeter(beam=(0, 0, 0)))
     with pytest.raises(MeasurementError, match="points lie within the spot"):
         displacement_reading(motion, [0, 0, 0], DisplacementMeter(spot_m=1e-4))
+    for place, told in (
+        ([np.nan, 0, 0], "give three finite"),
+        ([0, 0], "give three finite"),
+        ([1, 0, 0], "m off; allowed"),
+    ):
+        with pytest.raises(MeasurementError, match=told):
+            displacement_reading(motion, place, DisplacementMeter())

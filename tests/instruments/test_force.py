@@ -28,6 +28,17 @@ def test_a_plate_takes_the_integral_over_its_face(side):
     assert abs(found.force_N - on_square(side)) <= abs(found.force_N - found.coarser_N) + 1e-12
 
 
+@pytest.mark.parametrize("shape", ["rectangle", "disc"])
+def test_the_error_of_a_plate_of_few_places_is_told(shape):
+    for plate in (Plate(shape=shape, spacing_m=0.006), Plate(shape=shape, width_m=0.002, height_m=0.002)):
+        found = plate_force(gaussian, plate)
+        width = plate.width_m
+        disc = 2.0 * np.pi * SIGMA**2 * PEAK * -np.expm1(-(width**2) / 8.0 / SIGMA**2)
+        off = found.force_N - (on_square(width) if shape == "rectangle" else disc)
+        # Gauss' rule on a small disc has no error left
+        assert abs(off) <= abs(found.force_N - found.coarser_N) + 1e-15, plate
+
+
 def test_a_disc_and_a_plate_off_the_middle():
     found = plate_force(gaussian, Plate(shape="disc", width_m=0.01, centre_m=(0, 0, 0)))
     exact = 2.0 * np.pi * SIGMA**2 * PEAK * (1.0 - np.exp(-(0.005**2) / 2.0 / SIGMA**2))
@@ -59,7 +70,7 @@ def test_a_part_of_a_mesh(shape, x):
     a, b, c, d = number[:-1, :-1].ravel(), number[1:, :-1].ravel(), number[1:, 1:].ravel(), number[:-1, 1:].ravel()
     faces = np.vstack([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
     vertices = np.column_stack([grid, np.zeros(len(grid))])
-    plate = Plate(shape=shape, centre_m=(x, 0, 0))
+    plate = Plate(shape=shape, centre_m=(x, 0, 0), normal=(0, 0, 1))
     found = mesh_force(np.stack([gaussian(vertices), np.ones(len(vertices))]), vertices, faces, plate)
     exact = (
         on_square(0.012, x) if shape == "rectangle"
@@ -67,6 +78,10 @@ def test_a_part_of_a_mesh(shape, x):
     )  # fmt: skip
     assert found[0] == pytest.approx(exact, rel=0.01)
     assert found[1] == pytest.approx(0.012**2 if shape == "rectangle" else np.pi * 0.006**2, rel=0.01)
+    # The back of a closed body is pushed the other way
+    back = (vertices - [0, 0, 0.01], faces[:, ::-1] + len(vertices))
+    closed = np.vstack([vertices, back[0]]), np.vstack([faces, back[1]])
+    assert abs(mesh_force(np.ones(len(closed[0])), *closed, plate)) < 1e-12
     with pytest.raises(MeasurementError, match="arp has shape"):
         mesh_force(np.ones(3), vertices, faces, plate)
 

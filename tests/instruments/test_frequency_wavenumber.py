@@ -41,3 +41,10 @@ def test_no_lines_in_the_band_is_told():
         frequency_wavenumber(
             TIMES, np.random.default_rng(0).normal(size=(2000, 9)), disc_grid(0.01, 0.007), most_Hz=0.1
         )
+
+
+def test_silence_and_records_of_other_points_are_told():
+    with pytest.raises(MeasurementError, match="the records are silent"):
+        frequency_wavenumber(TIMES, np.ones((len(TIMES), 9)), np.eye(9)[:, :3])
+    with pytest.raises(MeasurementError, match="give \\(t, n\\) and"):
+        frequency_wavenumber(TIMES, np.ones((len(TIMES), 9)), np.eye(3))

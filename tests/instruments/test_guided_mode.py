@@ -135,3 +135,5 @@ def test_scans_that_don_t_serve_are_refused():
         guided_mode_fit(np.ones(len(told)), told, [0, 0], 0.01, sights=np.tile([1.0, 0, 0], (len(told), 1)))
     with pytest.raises(MeasurementError, match="amplitudes have shape"):
         guided_mode_fit(np.ones(3), told, [0, 0], 0.01)
+    with pytest.raises(MeasurementError, match="source_m has shape"):
+        guided_mode_fit(np.ones(len(told)), told, [0, 0, 0], 0.01)

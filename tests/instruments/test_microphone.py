@@ -133,3 +133,8 @@ def test_the_mesh_of_a_cylinder_is_closed_and_of_its_size():
 
     body = trimesh.Trimesh(*cylinder(6), process=False)
     assert body.is_watertight and body.volume == pytest.approx(np.pi * LENGTH_RADII, rel=0.03)
+
+
+def test_a_scan_of_no_places_is_told():
+    with pytest.raises(MeasurementError, match="places of a microphone have shape"):
+        microphone_scan(lambda points: np.ones(len(points)), np.zeros((0, 3)), Microphone())

@@ -72,3 +72,5 @@ def test_fiducials_must_tell_a_place():
         by_fiducials(line, line)
     with pytest.raises(MeasurementError, match="three or more"):
         by_fiducials(line[:2], line[:2])
+    with pytest.raises(MeasurementError, match="the fiducials at"):
+        by_fiducials(np.full((3, 3), np.nan), np.eye(3))

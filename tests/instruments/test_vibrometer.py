@@ -178,6 +178,16 @@ def test_flight_and_trigger_shift_the_record():
         vibrometer_record(bump, head.model_copy(update={"duration_s": 1e-5}))
 
 
+def test_nothing_is_made_up_of_the_time_before_motion_that_does_not_begin_at_rest():
+    swinging = moving(lambda t: only(t, z=np.cos(2.0 * np.pi * 200.0 * t)), seconds=0.1)
+    late = swinging._replace(times_s=swinging.times_s + 0.05)
+    head = Vibrometer(sampling_rate_Hz=RATE)
+    for told, motion in (({"flight_s": 0.58e-3}, swinging), ({}, late)):
+        with pytest.raises(MeasurementError, match="where it already has 1e\\+02 % of its largest velocity"):
+            vibrometer_record(motion, head.model_copy(update=told))
+    assert vibrometer_record(late, head.model_copy(update={"trigger_s": 0.05})).sizes["time"] == 1601
+
+
 def test_noise_has_its_density_and_falls_with_averages():
     still = moving(lambda t: only(t), points=disc_grid(0.01, 0.005))
     head = Vibrometer(sampling_rate_Hz=RATE, reading="velocity", noise_m_s_rtHz=1e-7, averages=4)

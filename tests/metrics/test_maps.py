@@ -14,6 +14,7 @@ from palmfield.metrics import (
     level_depth,
     mse,
     radial_profile,
+    share_within,
     spot_diameter,
     ssim,
     strip,
@@ -131,6 +132,9 @@ def test_ssim_is_the_mean_of_the_formula_over_windows():
     assert ssim(a, 3.0 * a) == pytest.approx(1.0)
     with pytest.raises(MeasurementError, match="11 places"):
         ssim(a[:8], b[:8])
+    for wrong in ({"sigma": 0.0}, {"sigma": -1.0}, {"radius": -1}):
+        with pytest.raises(MeasurementError, match=f"{next(iter(wrong))} is"):
+            ssim(a, b, **wrong)
 
 
 def test_half_width_of_a_hump_is_half_its_full_width():
@@ -161,3 +165,15 @@ def test_half_width_refuses_a_curve_that_ends_too_soon():
         half_width([0.0, 1.0, 2.0], [0.0, 0.0, 0.0])
     with pytest.raises(MeasurementError, match="outermost or central"):
         half_width([0.0, 1.0, 2.0], [0.0, 1.0, 0.0], of="inner")
+
+
+def test_areas_and_shares_of_nothing_are_refused():
+    inside = XX > 0.0
+    with pytest.raises(MeasurementError, match="the map's integral is 0"):
+        share_within(np.zeros(XX.shape), X, Y, inside)
+    with pytest.raises(MeasurementError, match="inside has shape"):
+        share_within(gaussian(FWHM), X, Y, inside[:5])
+    with pytest.raises(MeasurementError, match="level is nan"):
+        area_above(gaussian(FWHM), X, Y, np.nan)
+    with pytest.raises(MeasurementError, match="path_m at"):
+        strip(X, Y, [[np.nan, 0.0], [1.0, 1.0]], 0.1)

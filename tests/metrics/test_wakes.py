@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from palmfield.errors import MeasurementError
-from palmfield.metrics import co_rotating_average, mach_angle, moving_frame_average, wake_area, wake_length
+from palmfield.metrics import (
+    co_rotating_average,
+    mach_angle,
+    moving_frame_average,
+    wake_along_path,
+    wake_area,
+    wake_length,
+)
 
 X = np.arange(-0.12, 0.0405, 0.001)
 Y = np.arange(-0.08, 0.0805, 0.001)
@@ -102,3 +109,8 @@ def test_a_wave_that_turns_stands_in_the_turning_frame_and_another_vanishes(turn
     assert squares[1] == pytest.approx(np.full(17, np.sqrt(0.5)), abs=1e-12)
     with pytest.raises(MeasurementError, match="holds no turn"):
         co_rotating_average(t[:50], maps[:50], turn_Hz, out)
+
+
+def test_velocities_that_are_no_numbers_have_no_wake():
+    with pytest.raises(MeasurementError, match="the velocity at"):
+        wake_along_path(1.0, [np.nan, 1.0], [0.0, 0.5], np.eye(2, dtype=bool))

@@ -7,6 +7,7 @@ import pytest
 
 from palmfield.errors import OutputError
 from palmfield.outputs.film import FPS, Cut, film
+from palmfield.outputs.schema import tree
 
 av = pytest.importorskip("av")
 SMALL = (192, 144)
@@ -71,3 +72,45 @@ def test_a_film_is_an_mp4_in_a_folder_that_is_there(result, tmp_path):
         film(result, tmp_path / "d.avi")
     with pytest.raises(OutputError, match="cannot write"):
         film(result, tmp_path / "no" / "d.mp4", Cut(0.0, 0.001, 100.0, size=SMALL))
+
+
+def part_of(skin, chosen):
+    """The triangles of a skin that have a chosen vertex, as a skin of its own."""
+    count = len(chosen)
+    used, faces = np.unique(skin["face"][chosen[skin["face"]].any(axis=1)], return_inverse=True)
+    part = {}
+    for name, values in skin.items():
+        along = [axis for axis, size in enumerate(values.shape) if size == count]
+        part[name] = np.take(values, used, axis=along[0]) if along else values
+    return part | {"face": faces.reshape(-1, 3).astype(np.int32)}
+
+
+def test_skins_on_one_body_are_seen_where_they_are_pushed_in(whole, keep, tmp_path):
+    """Two halves of a skin look like the whole: the body is drawn under neither."""
+    one = keep(whole, ("palm",), ("below",), ())
+    left = one["/skin/palm"]["rest_position"][:, 0] < 0.0
+    halves = dict(one)
+    for path in list(one):
+        if path.endswith("/palm"):
+            halves[path.replace("palm", "right")] = one[path]
+    halves |= {"/skin/palm": part_of(one["/skin/palm"], left), "/skin/right": part_of(one["/skin/palm"], ~left)}
+    seen = []
+    for arrays in (one, halves):
+        attributes = {path: {"body": "hand"} for path in arrays if path.startswith("/body")}
+        # Half a period of 5 ms, in which the middle is pushed in
+        film(tree(arrays, attributes), tmp_path / "f.mp4", Cut(0.0025, 0.005, 40.0, size=SMALL))
+        seen.append(np.array(frames_of(tmp_path / "f.mp4"), float))
+    assert (np.abs(seen[0] - seen[1]).max(axis=3) > 30.0).mean() < 2e-3
+
+
+def test_words_fit_into_a_narrow_film(result, tmp_path):
+    film(result, tmp_path / "g.mp4", Cut(0.001, 0.0014, 100.0, size=(160, 640)))
+    heading = frames_of(tmp_path / "g.mp4")[0][:80]
+    assert heading.min() < 120 and heading[:, -4:].min() > 200
+
+
+def test_a_film_of_what_was_not_recorded_is_refused(whole, keep, tmp_path):
+    arrays = keep(whole, ("palm",), ("below",), ())
+    arrays["/skin/palm"] = {name: values for name, values in arrays["/skin/palm"].items() if name != "arp"}
+    with pytest.raises(OutputError, match="holds no arp of skin 'palm'"):
+        film(tree(arrays), tmp_path / "e.mp4", Cut(shown="arp", size=SMALL))

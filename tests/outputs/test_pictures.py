@@ -9,6 +9,7 @@ from matplotlib.image import imread
 
 from palmfield.errors import OutputError
 from palmfield.outputs.camera import look_along_emission
+from palmfield.outputs.foci_picture import draw_foci
 from palmfield.outputs.frames import arrays_of, bodies, loudest, pose_at, posed, to_local, to_world
 from palmfield.outputs.plots import plot_displacement, plot_pressure
 from palmfield.outputs.render import COLOURS, render_scene
@@ -233,3 +234,11 @@ def test_pictures_of_a_silent_run(tmp_path, whole):
         quiet[f"/stimulus/{stimulus}"] = quiet[f"/stimulus/{stimulus}"] | {"sounding": np.zeros(500, bool)}
     for draw in (plot_pressure, plot_displacement, render_scene):
         draw(tree(quiet), tmp_path / "x.png")
+
+
+def test_places_of_what_rests_have_axes_of_one_scale(tmp_path, recwarn):
+    """A focus at rest has no extent, and one that is silent no place."""
+    for foci in (np.tile([0.0, 0.0, 0.15], (2, 1)), np.array([[0.0, 0.0, 0.15]]), np.full((2, 3), np.nan)):
+        draw_foci(range(len(foci)), foci, tmp_path / "foci.png")
+        assert imread(tmp_path / "foci.png").shape[0] > 100
+    assert not recwarn.list

@@ -162,6 +162,14 @@ def test_uff_that_is_none_is_told(tmp_path):
         read_scan(tmp_path / "a.uff")
     with pytest.raises(MeasurementError, match="it is no file"):
         read_scan(tmp_path / "none.uff")
+    write_scan(tmp_path / "b.uff", scan())
+    whole = (tmp_path / "b.uff").read_bytes()
+    for cut in (whole[:-300], whole[:-7]):
+        (tmp_path / "b.uff").write_bytes(cut)
+        with pytest.raises(MeasurementError, match="ends within a data set: it was cut off"):
+            read_scan(tmp_path / "b.uff")
+    (tmp_path / "b.uff").write_bytes(whole + b"\r\n \n")
+    assert read_scan(tmp_path / "b.uff").values.shape == scan().values.shape
     with pytest.raises(OutputError, match="cannot be written"):
         write_scan(tmp_path / "no" / "a.uff", scan())
 

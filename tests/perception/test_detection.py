@@ -62,6 +62,12 @@ def test_no_time_to_sum_over(step, tau):
         summed_gain([1.0], step, tau)
 
 
+@pytest.mark.parametrize("envelope", [[], [1.0, math.nan], [[1.0]]])
+def test_an_envelope_that_is_none(envelope):
+    with pytest.raises(OutputError, match="the envelope has shape"):
+        summed_gain(envelope, 1e-3, 0.2)
+
+
 def test_short_stimuli_need_more_in_the_pacinian_channel_alone():
     """10 log10(1/(1 - exp(-T/0.2))): 10.3 dB at 20 ms, and nothing at 20 Hz."""
     long, short = (threshold_m(PROBE, [20.0, 250.0], duration_s=duration) for duration in (100.0, 0.02))

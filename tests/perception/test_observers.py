@@ -186,3 +186,18 @@ def test_too_few_samples_a_period():
         line_amplitude(np.arange(100) / 100, np.zeros(100), 40)
     with pytest.raises(OutputError, match="holds 0"):
         line_amplitude([0.0], [1.0], 10)
+
+
+def test_what_is_no_number_is_no_silence():
+    observer = OBSERVERS["bolanowski_1988"]
+    levels = levels_dB_SL(observer, [200.0, 400.0], [[np.nan, 1e-6], [1e-6, 0.0]])
+    assert np.isnan(levels[0]) and levels[1] == pytest.approx(level_dB_SL(observer, [200.0], [1e-6]))
+    assert level_dB_SL(observer, [200.0], [np.inf]) == np.inf
+    with pytest.raises(OutputError, match=r"frequencies have shape \(2,\) and amplitudes \(1, 1\)"):
+        level_dB_SL(observer, [100.0, 200.0], [1e-6])
+    times = np.arange(100) / 1e3
+    for wrong in ((times, times[:50], 100.0), (np.where(times < 0.05, times, np.nan), times, 100.0)):
+        with pytest.raises(OutputError, match=r"give finite \(n,\) and \(n, m\)"):
+            line_amplitude(*wrong)
+    with pytest.raises(OutputError, match="frequency inf Hz has no line"):
+        line_amplitude(times, times, np.inf)

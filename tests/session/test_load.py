@@ -10,6 +10,8 @@ import pytest
 import palmfield
 from palmfield.cli.app import main
 from palmfield.errors import PalmfieldError
+from palmfield.session.mujoco_messages import in_words
+from palmfield.session.scene_text import read_scene_text
 
 SCENES = Path(__file__).parents[2] / "mjcf" / "scenes"
 HAPTIC = sorted(p for p in SCENES.glob("*.xml") if not p.name.startswith("plain_"))
@@ -108,6 +110,14 @@ def test_unknown_plugin(small_scene):
     refuse(
         path, r"line 13: .*'palmfield.drivr' is not installed \(did you mean 'palmfield.driver'\?\); palmfield's are: "
     )
+
+
+def test_palmfield_beside_a_python_that_has_not_installed_it(small_scene):
+    """As with PYTHONPATH: MuJoCo finds plugins by entry points."""
+    path = small_scene()
+    said = "XML Error: plugin palmfield.driver not found\nElement 'plugin', line 13\n"
+    told = in_words(said, str(path), read_scene_text(path), ["palmfield.driver", "palmfield.array"])
+    assert "did you mean" not in told and "pip install" in told and "palmfield.driver" in told
 
 
 def test_zero_size_mesh(small_scene):

@@ -8,9 +8,9 @@ import numpy as np
 import xarray as xr
 
 from palmfield.errors import OutputError, did_you_mean
-from palmfield.outputs.frames import in_world, nearest
+from palmfield.outputs.frames import drive_frames, in_world, nearest
 from palmfield.outputs.motion import extremes
-from palmfield.outputs.schema import has_records, instances
+from palmfield.outputs.schema import RECORDS, has_records, instances
 from palmfield.outputs.skin_view import probe_vertices
 from palmfield.types import Float
 
@@ -20,6 +20,8 @@ UNITS: dict[Quantity, str] = {"displacement": "µm", "velocity": "µm/s"}
 """Of a millionth of the quantity's SI unit."""
 FAR_M = 0.01
 """A place farther than this from the skin is none of it."""
+TOLD_M = 5e-4
+"""From here on a picture says how far from the place its vertex lies."""
 
 
 @dataclass(frozen=True)
@@ -81,18 +83,24 @@ def _numbers(option: str, text: str, count: int) -> list[float]:
     return values
 
 
+def chosen_names(result: xr.DataTree, asked: Asked) -> list[str]:
+    """Names of all skins, or of the one that is asked for. Raises OutputError for an unknown one."""
+    skins = list(instances(result, "skin"))
+    if asked.skin is None:
+        return skins
+    if asked.skin not in skins:
+        near = did_you_mean(asked.skin, skins)
+        raise OutputError(f"--skin has value '{asked.skin}'{near}; the result has: {', '.join(skins) or 'no skin'}")
+    return [asked.skin]
+
+
 def chosen_skin(result: xr.DataTree, asked: Asked, variable: str) -> tuple[str, xr.Dataset]:
     """Name and group of the skin that is asked for, which holds a variable over time.
 
     Raises OutputError where there is none, where it isn't said which of several, and for an unknown name.
     """
     skins = instances(result, "skin")
-    if asked.skin is not None and asked.skin not in skins:
-        near = did_you_mean(asked.skin, skins)
-        raise OutputError(f"--skin has value '{asked.skin}'{near}; the result has: {', '.join(skins) or 'no skin'}")
-    held = {name: skin for name, skin in skins.items() if has_records(skin, variable)}
-    if asked.skin is not None:
-        held = {name: skin for name, skin in held.items() if name == asked.skin}
+    held = {name: skins[name] for name in chosen_names(result, asked) if has_records(skins[name], variable)}
     if not held:
         raise OutputError(f"the result holds no {variable} of a skin; run at least one step with it")
     return next(iter(held.items()))
@@ -103,11 +111,28 @@ def chosen_time(skin: xr.Dataset, asked: Asked, otherwise: int) -> int:
     times: Float = skin["time"].values
     if asked.time_s is None:
         return otherwise
-    if not times[0] <= asked.time_s <= times[-1]:
-        raise OutputError(
-            f"--time has value {1e3 * asked.time_s:g} ms; allowed: {1e3 * times[0]:g} to {1e3 * times[-1]:g} ms"
-        )
+    _check_time(asked.time_s, float(times[0]), float(times[-1]))
     return nearest(times, asked.time_s)
+
+
+def chosen_frame(result: xr.DataTree, array: xr.Dataset, asked: Asked) -> tuple[int, float]:
+    """Place along `frame_time` of the drive that holds at the time asked for, by default the loudest, and the time.
+
+    Raises OutputError for a time outside the run.
+    """
+    starts: Float = array["frame_time"].values
+    if asked.time_s is None:
+        loudest = int(array["drive_amplitude"].values.sum(axis=1).argmax())
+        return loudest, float(starts[loudest])
+    coords = result.coords
+    ends = [float(coords[name].values[-1]) for name in RECORDS if name in coords and coords[name].size]
+    _check_time(asked.time_s, float(starts[0]), max(ends))
+    return int(drive_frames(starts, np.array([asked.time_s]))[0]), asked.time_s
+
+
+def _check_time(time_s: float, first_s: float, last_s: float) -> None:
+    if not first_s <= time_s <= last_s:
+        raise OutputError(f"--time has value {1e3 * time_s:g} ms; allowed: {1e3 * first_s:g} to {1e3 * last_s:g} ms")
 
 
 def chosen_vertices(result: xr.DataTree, name: str, skin: xr.Dataset, asked: Asked) -> list[tuple[int, str]]:
@@ -132,7 +157,8 @@ def chosen_vertices(result: xr.DataTree, name: str, skin: xr.Dataset, asked: Ask
                 f"--place has value {told} mm, {1e3 * away[vertex]:.3g} mm from skin '{name}'; allowed: up to "
                 f"{1e3 * FAR_M:g} mm (the skin's middle is at {middle} mm)"
             )
-        out.append((vertex, f"({told}) mm"))
+        off = f", vertex {1e3 * away[vertex]:.1f} mm away" if away[vertex] > TOLD_M else ""
+        out.append((vertex, f"({told}) mm{off}"))
     return out
 
 

@@ -10,7 +10,7 @@ from palmfield.errors import OutputError
 from palmfield.metrics.spectra import amplitude_spectrum
 from palmfield.outputs.motion import at_vertices
 from palmfield.outputs.pictures.asked import IN_MICRO, UNITS, Asked, chosen_skin, chosen_vertices, limits_of
-from palmfield.outputs.style import COLOURS
+from palmfield.outputs.style import COLOURS, beyond
 
 LINES = ("-", "--", ":", "-.")
 """Lines differ in grey too."""
@@ -53,6 +53,8 @@ def spectrum(result: xr.DataTree, asked: Asked) -> Figure:
         axes.semilogy(at, np.maximum(size, 1e-12), style, color=COLOURS[n % len(COLOURS)], label=what)
     axes.set(xlabel="frequency [Hz]", ylabel=f"amplitude [{UNITS[asked.quantity]}]")
     axes.set_xlim(0.0, min(LEAST_Hz, float(at[-1])))
+    if asked.limits is not None and asked.limits[0] <= 0.0:
+        raise OutputError(f"--limits has value {asked.limits[0]:g},{asked.limits[1]:g}; allowed of a spectrum: above 0")
     axes.set_ylim(*limits_of(asked, 1e-4 * max(top, 1e-9), 2.0 * max(top, 1e-9)))
     axes.set_title(f"Amplitude spectrum of the normal {asked.quantity} (bins of {at[0]:.3g} Hz)")
     axes.legend(loc="best")
@@ -71,9 +73,11 @@ def spectrogram(result: xr.DataTree, asked: Asked) -> Figure:
         raise OutputError(f"a spectrogram of {len(times)} samples says nothing; run for longer, or record more often")
     hop = max(1, count // 16)
     transform = ShortTimeFFT(hann(count, sym=False), hop, 1.0 / step_s, scale_to="magnitude")
-    power = transform.spectrogram(values - values.mean())
+    # Windows that reach over an end would take the record to begin or end with a jump
+    first, last = transform.lower_border_end[1], transform.upper_border_begin(len(values))[1]
+    power = transform.spectrogram(values - values.mean(), p0=first, p1=last)
     level = 10.0 * np.log10(np.maximum(power / max(float(power.max()), 1e-300), 1e-30))
-    moments = 1e3 * (times[0] + transform.t(len(values)))
+    moments = 1e3 * (times[0] + transform.t(len(values), first, last))
     figure = Figure(figsize=(7.0, 3.6), layout="constrained")
     axes = figure.subplots()
     low, high = limits_of(asked, -SHOWN_DB, 0.0)
@@ -81,6 +85,6 @@ def spectrogram(result: xr.DataTree, asked: Asked) -> Figure:
     axes.set(xlabel="time [ms]", ylabel="frequency [Hz]", xlim=(1e3 * times[0], 1e3 * times[-1]))
     axes.set_ylim(0.0, min(LEAST_Hz, float(transform.f[-1])))
     axes.grid(visible=False)
-    axes.set_title(f"Normal {asked.quantity} at {what} (windows of {1e3 * count * step_s:.3g} ms)")
-    figure.colorbar(drawn, ax=axes, label="dB re largest")
+    axes.set_title(f"Normal {asked.quantity} at {what} (whole windows of {1e3 * count * step_s:.3g} ms)")
+    figure.colorbar(drawn, ax=axes, label="dB re largest", extend=beyond(level, low, high))
     return figure

@@ -7,7 +7,7 @@ import xarray as xr
 
 from palmfield.errors import MeasurementError, OutputError, did_you_mean, unwritable
 from palmfield.outputs.pictures.asked import Asked
-from palmfield.outputs.pictures.kinds import KINDS
+from palmfield.outputs.pictures.kinds import KINDS, check_heeded
 from palmfield.outputs.style import FORMATS, save, style
 
 DPI = 300
@@ -29,10 +29,12 @@ def draw_pictures(
     kinds: of KINDS; none for all; suffix: one of FORMATS
     Returns the files by kind, and why others could not be drawn: of all kinds what the result doesn't hold is left out;
     of kinds that are named the first that can't be drawn raises its OutputError or MeasurementError.
-    Raises OutputError for an unknown kind or format, and where a file can't be written.
+    Raises OutputError for an unknown kind or format, for what none of the kinds heeds, and where a file can't be
+    written.
     """
     folder = Path(out)
     chosen = checked_kinds(kinds)
+    check_heeded(chosen, asked or Asked())
     if suffix not in FORMATS:
         raise OutputError(f"--format has value '{suffix}'; allowed: {', '.join(FORMATS)}")
     try:

@@ -5,8 +5,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from palmfield.errors import OutputError
-from palmfield.outputs.frames import nearest
-from palmfield.outputs.pictures.asked import Asked
+from palmfield.outputs.pictures.asked import Asked, chosen_frame
 from palmfield.outputs.schema import has_records, instances
 
 
@@ -19,14 +18,8 @@ def drives(result: xr.DataTree, asked: Asked) -> Figure:
         raise OutputError("the result holds no drives of an array; run at least one step")
     figure = Figure(figsize=(5.4 * len(arrays), 4.8), layout="constrained")
     for axes, (name, array) in zip(figure.subplots(1, len(arrays), squeeze=False)[0], arrays.items(), strict=True):
-        times = array["frame_time"].values
         amplitude = array["drive_amplitude"].values
-        index = int(amplitude.sum(axis=1).argmax())
-        if asked.time_s is not None:
-            if not times[0] <= asked.time_s <= times[-1]:
-                told = f"{1e3 * times[0]:g} to {1e3 * times[-1]:g} ms"
-                raise OutputError(f"--time has value {1e3 * asked.time_s:g} ms; allowed: {told}")
-            index = nearest(times, asked.time_s)
+        index, time_s = chosen_frame(result, array, asked)
         x, y, _ = 1e3 * array["transducer_position"].values.T
         phase = np.mod(array["drive_phase"].values[index], 2.0 * np.pi)
         size = np.hypot(np.ptp(x), np.ptp(y))
@@ -37,7 +30,7 @@ def drives(result: xr.DataTree, asked: Asked) -> Figure:
         axes.set(xlabel="array x [mm]", ylabel="array y [mm]", aspect="equal")
         axes.grid(visible=False)
         most = f"area: amplitude, {amplitude[index].max():.2f} at most"
-        axes.set_title(f"Drive of '{name}' at {1e3 * times[index]:.2f} ms\n({most})")
+        axes.set_title(f"Drive of '{name}' at {1e3 * time_s:.2f} ms\n({most})")
         bar = figure.colorbar(drawn, ax=axes, shrink=0.85, label="phase [rad] (positive: delay)")
         bar.set_ticks([0.0, np.pi, 2.0 * np.pi], labels=["0", "π", "2π"])
     return figure

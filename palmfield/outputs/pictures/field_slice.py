@@ -4,9 +4,10 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from palmfield.outputs.frames import nearest, pose_at, to_local, to_world
-from palmfield.outputs.pictures.asked import Asked, limits_of
+from palmfield.outputs.frames import pose_at, to_local, to_world
+from palmfield.outputs.pictures.asked import Asked, chosen_frame, limits_of
 from palmfield.outputs.sound import driven_arrays, sound_at, sounding_foci
+from palmfield.outputs.style import beyond
 
 SIDE_M = 0.12
 """Half the width of the slice."""
@@ -31,9 +32,7 @@ def field_slice(result: xr.DataTree, asked: Asked) -> Figure:
     arrays = driven_arrays(result)
     loud = {name: array["drive_amplitude"].values.sum(axis=1) for name, array in arrays.items()}
     first = max(loud, key=lambda name: float(loud[name].max()))
-    times = arrays[first]["frame_time"].values
-    index = int(loud[first].argmax()) if asked.time_s is None else nearest(times, asked.time_s)
-    time_s = float(times[index])
+    _, time_s = chosen_frame(result, arrays[first], asked)
     frame = pose_at(arrays[first], time_s)
     foci = to_local(sounding_foci(result, time_s), frame)
     focus = foci.mean(axis=0) if len(foci) else np.array([0.0, 0.0, REACH_M - BEYOND_M])
@@ -52,5 +51,5 @@ def field_slice(result: xr.DataTree, asked: Asked) -> Figure:
     panel.grid(visible=False)
     where = f"y = {1e3 * focus[1]:.0f} mm, {1e3 * time_s:.2f} ms"
     panel.set_title(f"Incident pressure at {where},\nin free air: {size.max():.0f} Pa at most")
-    figure.colorbar(drawn, ax=panel, shrink=0.85, label="peak amplitude [Pa]")
+    figure.colorbar(drawn, ax=panel, shrink=0.85, label="peak amplitude [Pa]", extend=beyond(size, low, high))
     return figure

@@ -1,25 +1,38 @@
 """Maps of a skin's motion, seen from the array: at a time, as root mean square, and as levels above threshold."""
 
+from typing import Any
+
 import numpy as np
 import xarray as xr
+from matplotlib.colors import Colormap, ListedColormap
 from matplotlib.figure import Figure
 
 from palmfield.errors import OutputError, did_you_mean
 from palmfield.outputs.frames import in_world, to_local
 from palmfield.outputs.motion import extremes, normal_component
-from palmfield.outputs.pictures.asked import IN_MICRO, UNITS, Asked, chosen_skin, chosen_time, limits_of
+from palmfield.outputs.pictures.asked import (
+    IN_MICRO,
+    UNITS,
+    Asked,
+    chosen_skin,
+    chosen_time,
+    chosen_vertices,
+    limits_of,
+)
 from palmfield.outputs.recorded_keys import keys_of
 from palmfield.outputs.schema import instances
 from palmfield.outputs.skin_view import SkinView, draw_patch, seen_from_array
+from palmfield.outputs.style import signed_colours
 from palmfield.perception.maps import level_map, lines_in
 from palmfield.perception.observers import OBSERVERS
 from palmfield.stimulus.resolved import ResolvedStimulus
 from palmfield.stimulus.schedule import main_frequencies, steady_stretch_s
 from palmfield.types import Float
 
-SIGNED, SIZES = "RdBu_r", "cividis"
+SIZES = "cividis"
 LEAST_LEVEL_DB = -20.0
 """Levels below are drawn as this: nobody feels them, and -inf has no colour."""
+MARKERS = "os^Dv"
 
 
 def motion_map(result: xr.DataTree, asked: Asked) -> Figure:
@@ -34,9 +47,11 @@ def motion_map(result: xr.DataTree, asked: Asked) -> Figure:
     view = seen_from_array(result, name, skin)
     vertices = to_local(in_world(skin, instances(result, "body").get(name), time_s), view.pose)
     limits = limits_of(asked, -max(largest, 1e-9), max(largest, 1e-9))
+    colours = ListedColormap(signed_colours(*limits))
     range_of = f"{values.min():.3g} to {values.max():.3g} {unit}"
     title = f"Normal {asked.quantity} at {1e3 * time_s:.2f} ms\n(negative: inward), {range_of}"
-    return _one(view._replace(vertices=vertices), skin, values, SIGNED, limits, unit, title)
+    marks = _marked(result, name, skin, asked)
+    return _one(view._replace(vertices=vertices), skin, values, colours, limits, unit, title, marks)
 
 
 def rms_map(result: xr.DataTree, asked: Asked) -> Figure:
@@ -46,7 +61,8 @@ def rms_map(result: xr.DataTree, asked: Asked) -> Figure:
     unit = UNITS[asked.quantity]
     title = f"RMS of the normal {asked.quantity} over the run\n(mean kept), at most {values.max():.3g} {unit}"
     limits = limits_of(asked, 0.0, float(values.max()))
-    return _one(seen_from_array(result, name, skin), skin, values, SIZES, limits, unit, title)
+    marks = _marked(result, name, skin, asked)
+    return _one(seen_from_array(result, name, skin), skin, values, SIZES, limits, unit, title, marks)
 
 
 def level_map_of(result: xr.DataTree, asked: Asked) -> Figure:
@@ -69,9 +85,11 @@ def level_map_of(result: xr.DataTree, asked: Asked) -> Figure:
     top = max(float(levels.max()) for _, levels in shown)
     limits = limits_of(asked, min(0.0, top), top)
     view = seen_from_array(result, name, skin)
+    marks = _marked(result, name, skin, asked)
     figure = Figure(figsize=(0.6 + 4.4 * len(shown), 4.6), layout="constrained")
     for axes, (key, levels) in zip(figure.subplots(1, len(shown), squeeze=False)[0], shown, strict=True):
         draw_patch(figure, axes, skin["face"].values, view.vertices, levels, SIZES, limits, "dB above threshold")
+        _mark(axes, view.vertices, levels, "dB SL", marks)
         felt = f"{levels.max():.0f} dB SL at most" if levels.max() > 0.0 else "below threshold"
         axes.set_title(f"{OBSERVERS[key].name}\n{felt}")
     return figure
@@ -95,11 +113,35 @@ def _repeating(result: xr.DataTree, skin: xr.Dataset) -> tuple[slice, list[float
     )
 
 
+def _marked(result: xr.DataTree, name: str, skin: xr.Dataset, asked: Asked) -> list[tuple[int, str]]:
+    """Vertices and words of the places that are asked for."""
+    return chosen_vertices(result, name, skin, asked) if asked.places else []
+
+
+def _mark(axes: Any, vertices: Float, values: Float, unit: str, marks: list[tuple[int, str]]) -> None:
+    """Mark places on a map, with what is there in the legend below."""
+    for number, (vertex, what) in enumerate(marks):
+        axes.plot(
+            *(1e3 * vertices[vertex, :2]), MARKERS[number % len(MARKERS)], ms=6, mfc="none", mec="black", mew=1.2,
+            ls="none", label=f"{what}: {values[vertex]:.3g} {unit}",
+        )  # fmt: skip
+    if marks:
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), fontsize=8)
+
+
 def _one(
-    view: SkinView, skin: xr.Dataset, values: Float, colours: str, limits: tuple[float, float], unit: str, title: str
+    view: SkinView,
+    skin: xr.Dataset,
+    values: Float,
+    colours: str | Colormap,
+    limits: tuple[float, float],
+    unit: str,
+    title: str,
+    marks: list[tuple[int, str]],
 ) -> Figure:
     figure = Figure(figsize=(5.6, 5.2), layout="constrained")
     axes = figure.subplots()
     draw_patch(figure, axes, skin["face"].values, view.vertices, values, colours, limits, unit)
+    _mark(axes, view.vertices, values, unit, marks)
     axes.set_title(title)
     return figure

@@ -2,6 +2,7 @@
 
 import numpy as np
 import xarray as xr
+from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
 from palmfield.errors import OutputError
@@ -9,6 +10,7 @@ from palmfield.outputs.frames import in_world
 from palmfield.outputs.motion import extremes, normal_component
 from palmfield.outputs.pictures.asked import IN_MICRO, UNITS, Asked, chosen_skin, chosen_vertices, limits_of
 from palmfield.outputs.schema import instances
+from palmfield.outputs.style import beyond, signed_colours
 
 FEWEST = 8
 """Vertices near the line that make a picture."""
@@ -26,6 +28,8 @@ def wavefronts(result: xr.DataTree, asked: Asked) -> Figure:
         raise OutputError("wavefronts run along a line; give --place twice, or not at all")
     if asked.places:
         (first, _), (second, _) = chosen_vertices(result, name, skin, asked)[:2]
+        if first == second:
+            raise OutputError("both ends of the line are nearest to one vertex; give --place farther apart")
         middle, way = at_rest[first], at_rest[second] - at_rest[first]
     else:
         middle = at_rest[int(extremes(skin, asked.quantity).peak.argmax())]
@@ -42,12 +46,13 @@ def wavefronts(result: xr.DataTree, asked: Asked) -> Figure:
     motion = IN_MICRO * normal_component(skin.isel(vertex=order), asked.quantity).values.astype(float)
     largest = max(float(np.abs(motion).max()), 1e-9)
     low, high = limits_of(asked, -largest, largest)
+    colours = ListedColormap(signed_colours(low, high))
     figure = Figure(figsize=(7.0, 4.2), layout="constrained")
     axes = figure.subplots()
     times = 1e3 * skin["time"].values
-    drawn = axes.pcolormesh(times, 1e3 * along[order], motion.T, cmap="RdBu_r", vmin=low, vmax=high, shading="nearest")
+    drawn = axes.pcolormesh(times, 1e3 * along[order], motion.T, cmap=colours, vmin=low, vmax=high, shading="nearest")
     axes.set(xlabel="time [ms]", ylabel="along the line [mm]")
     axes.grid(visible=False)
     axes.set_title(f"Normal {asked.quantity} along a line over the skin ({len(order)} vertices, negative: inward)")
-    figure.colorbar(drawn, ax=axes, label=UNITS[asked.quantity])
+    figure.colorbar(drawn, ax=axes, label=UNITS[asked.quantity], extend=beyond(motion, low, high))
     return figure

@@ -20,6 +20,8 @@ TIME_RESPONSE = 1
 SIGHT = "sight "
 ALONG_BEAM = (0, 3)
 LONGEST_LINE = 250
+DELIMITER, TAIL = b"    -1", 4096
+"""A line of these ends a data set; so many bytes of blank lines may follow the last one."""
 LONGEST_PATH = 80
 """pyuff passes on files with any path; messages of it are cut at so many letters."""
 
@@ -55,6 +57,9 @@ def _sets(file: Path) -> list[dict[str, Any]]:
         raise MeasurementError(f"{file}: is not readable as UFF: {text or type(error).__name__}") from None
     if not found:
         raise MeasurementError(f"{file}: holds no data sets 15, 2411, 58 or 55; give a UFF file of a scan")
+    # pyuff leaves out a set without an end, so that a point would be missing without a word
+    if not file.read_bytes()[-TAIL:].rstrip().endswith(DELIMITER):
+        raise MeasurementError(f"{file}: ends within a data set: it was cut off; give the whole file")
     return [one for one in found if one]
 
 

@@ -44,7 +44,7 @@ def read_csv(file: Path) -> Scan:
     if not rows or rows[0][1][0] != "time_s" or len(rows[0][1]) < 2:
         found = rows[0][1][0] if rows else "nothing"
         raise MeasurementError(
-            f"{file}: begins with '{found}'; the first line of values is time_s and the points' names"
+            f"{file}: begins with '{found[:40]}'; the first line of values is time_s and the points' names, by commas"
         )
     names = rows[0][1][1:]
     labelled: dict[str, list[float]] = {}
@@ -100,7 +100,9 @@ def _number(file: Path, line: int, column: str, cell: str) -> float:
     except ValueError:
         raise MeasurementError(f"{file}: line {line}, column {column}: '{cell}' is not a number") from None
     if not np.isfinite(value):
-        raise MeasurementError(f"{file}: line {line}, column {column}: {cell}; give a finite number")
+        raise MeasurementError(
+            f"{file}: line {line}, column {column}: {cell}; give a finite number, or leave the column out"
+        )
     return value
 
 

@@ -7,7 +7,7 @@ from pxr import Gf, Usd, UsdGeom, Vt
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from palmfield.outputs.frames import nearest
+from palmfield.outputs.frames import drive_frames, nearest
 from palmfield.outputs.schema import has_records
 from palmfield.outputs.usd.clock import Clock, rows_at
 from palmfield.outputs.usd.palette import Palette, cyclic_palette, indices_of, paint
@@ -91,11 +91,6 @@ class ArrayWriter:
             amplitudes.add(code, self._roundings[0].of(size))
             turns.add(code, self._roundings[1].of(phase))
             numbers.add(code, np.tile(_numbers(self._palette, size, phase), 2))
-
-
-def drive_frames(frame_times: Float, times_s: Float) -> Int:
-    """The drive frames that are in force at times [s], shape (n,)."""
-    return np.maximum(0, np.searchsorted(frame_times, times_s + 1e-9, "right") - 1).astype(np.int32)
 
 
 def _with_silence(palette: Palette) -> Palette:

@@ -8,6 +8,7 @@ import xarray as xr
 from pxr import Gf, Usd, UsdGeom, Vt
 from warp.geometry import IsoSurfaceMarchingCubes
 
+from palmfield.errors import OutputError
 from palmfield.outputs.frames import pose_at, to_local, to_world
 from palmfield.outputs.sound import driven_arrays, sound_at, sounding_foci
 from palmfield.outputs.usd.clock import Clock
@@ -54,12 +55,19 @@ def add_field(stage: Usd.Stage, result: xr.DataTree, shown: Shown, clock: Clock)
     """The shapes of the field that are asked for, at their times; returns the palette that they share.
 
     Peak amplitude of the incident sound, in free air, as of `palmfield.outputs.sound.sound_at`; it raises what that
-    raises, and OutputError for a result without drives.
+    raises, and OutputError for a result without drives and for times outside the run.
     """
     arrays = driven_arrays(result)
     loud = {name: array["drive_amplitude"].values.sum(axis=1) for name, array in arrays.items()}
     first = max(loud, key=lambda name: float(loud[name].max()))
     times = shown.field_times_s or (float(arrays[first]["frame_time"].values[int(loud[first].argmax())]),)
+    recorded = result.coords["time"].values
+    for time_s in times:
+        if not recorded[0] <= time_s <= recorded[-1]:
+            raise OutputError(
+                f"--field-time has value {1e3 * time_s:g} ms; allowed: {1e3 * recorded[0]:g} to "
+                f"{1e3 * recorded[-1]:g} ms"
+            )
     root = UsdGeom.Scope.Define(stage, "/Scene/Field").GetPrim()
     grid = _grid(result, arrays[first], times)
     moments = []

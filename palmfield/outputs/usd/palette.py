@@ -7,6 +7,7 @@ from matplotlib import colormaps
 from numpy.typing import NDArray
 from pxr import UsdGeom
 
+from palmfield.outputs.style import signed_colours
 from palmfield.outputs.usd.prims import about, vectors
 from palmfield.types import Float, Int
 
@@ -30,13 +31,15 @@ class Palette(NamedTuple):
 def palette_of(low: float, high: float, two_sided: bool, limits: tuple[float, float] | None) -> Palette:
     """The palette of a quantity whose values go from low to high.
 
-    two_sided: blue below zero, red above, as far on either side; else from pale to dark, from zero on
+    two_sided: blue below zero, red above, as far on either side unless limits say otherwise; else from pale to dark,
+        from zero on
     """
     if limits is None:
         top = max(abs(low), abs(high)) or 1.0
         limits = (-top, top) if two_sided else (min(low, 0.0), max(high, 0.0) if high > min(low, 0.0) else 1.0)
-    name, ends = ("RdBu_r", (0.03, 0.97)) if two_sided else ("magma_r", (0.04, 0.90))
-    return Palette(*limits, np.asarray(colormaps[name](np.linspace(*ends, COLOURS)))[:, :3], name)
+    if two_sided:
+        return Palette(*limits, signed_colours(*limits, left_out=0.03)[:, :3], "RdBu_r")
+    return Palette(*limits, np.asarray(colormaps["magma_r"](np.linspace(0.04, 0.90, COLOURS)))[:, :3], "magma_r")
 
 
 def cyclic_palette(period: float) -> Palette:

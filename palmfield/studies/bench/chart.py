@@ -17,6 +17,12 @@ LABEL_POINTS = 10.0
 
 
 def draw(rows: list[Row], models: dict[str, str], path: Path) -> None:
+    """Write `speed_figure`."""
+    with style():
+        save(speed_figure(rows, models), path)
+
+
+def speed_figure(rows: list[Row], models: dict[str, str]) -> Figure:
     """One panel a range, both axes logarithmic, up to three models; every point carries its method's name."""
     measured = [row for row in rows if not row.missing]
     looks = dict(zip(models, zip(COLOURS, MARKERS, strict=True), strict=False))
@@ -42,7 +48,7 @@ def draw(rows: list[Row], models: dict[str, str], path: Path) -> None:
             label(axis, some)
         keys = [axes[0].plot([], [], marker, color=colour)[0] for colour, marker in looks.values()]
         figure.legend(keys, list(models.values()), loc="outside lower center", ncols=len(models))
-        save(figure, path)
+    return figure
 
 
 def speed(row: Row) -> float:

@@ -196,6 +196,12 @@ def as_markdown(
 
 
 def draw(rows: list[Row], path: Path) -> None:
+    """Write `speed_figure`."""
+    with style():
+        save(speed_figure(rows), path)
+
+
+def speed_figure(rows: list[Row]) -> Figure:
     """Seconds against the larger of both errors, a line for each method."""
     with style():
         figure = Figure(figsize=(7.5, 5.0), layout="constrained")
@@ -213,4 +219,4 @@ def draw(rows: list[Row], path: Path) -> None:
         axis.set_xlabel("error of the centre's push [%], the larger of rest and 200 Hz")
         axis.set_ylabel("seconds")
         axis.legend(fontsize="small")
-        save(figure, path)
+    return figure

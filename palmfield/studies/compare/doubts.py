@@ -1,6 +1,8 @@
 """What in a comparison looks like a fault of the scan or of its place, in sentences."""
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from palmfield.instruments.agreement import Agreement, delays
 from palmfield.instruments.scan import Scan
@@ -16,6 +18,23 @@ FOLDED = 0.02
 SHARPEN = 4
 """Power of the rms that weighs places for the middle of a motion, so that the loudest place counts most."""
 LEAST_APART_M = 1e-3
+WILD = 4.0
+"""A point so many times louder than all its neighbours, and than ours ever is at the scan's level, is a broken channel.
+"""
+NEIGHBOURS = 4
+
+
+def wild(measured: Scan, computed: Scan) -> NDArray[np.bool_]:
+    """Points of a scan whose channel is broken, as where the beam was lost, shape (n,).
+
+    One of them would stand for the loudest place, by which it is told which points move enough to count.
+    """
+    theirs, ours = (np.sqrt(np.mean(scan.values**2, axis=0)) for scan in (measured, computed))
+    count = min(NEIGHBOURS, len(theirs) - 1)
+    beside = cKDTree(measured.points).query(measured.points, k=count + 1)[1][:, 1:]
+    alone = theirs > WILD * theirs[beside].max(axis=1)
+    level = float(np.median(theirs / ours))
+    return np.asarray(alone & (theirs > WILD * level * ours.max()))
 
 
 def middle(scan: Scan) -> Float:

@@ -17,7 +17,7 @@ from palmfield.outputs.compare_picture import draw_agreement, draw_wavenumbers
 from palmfield.outputs.scan_files import read_scan, write_scan
 from palmfield.outputs.schema import instances
 from palmfield.outputs.store import open_result
-from palmfield.studies.compare.doubts import doubts
+from palmfield.studies.compare.doubts import WILD, doubts, wild
 from palmfield.studies.compare.report import Comparison, write_report
 from palmfield.studies.compare.waves import guided_modes
 from palmfield.tables import read_table
@@ -89,6 +89,11 @@ def compare(
         raise MeasurementError(f"{scan.name}: fewer than two points move both in the scan and in the run")
     still, ours = int((~moves).sum()), ours.at_points(moves)
     near[near] = moves
+    broken = wild(Scan(scan.quantity, scan.times_s[:count], scan.points[near], scan.values[:count, near]), ours)
+    if (~broken).sum() < 2:
+        broken[:] = False
+    lost, ours = np.flatnonzero(near)[broken], ours.at_points(~broken)
+    near[lost] = False
     theirs = Scan(scan.quantity, scan.times_s[:count], scan.points[near], scan.values[:count, near], name=scan.name)
     try:
         numbers = agreement(theirs.times_s, theirs.values, ours.values, most_delay_s=most_delay_s)
@@ -101,6 +106,11 @@ def compare(
         odd.append(
             f"{still} point{'' if one else 's'} keep{'s' if one else ''} still, in the scan or where the run holds the "
             f"skin at its rim: {'it is' if one else 'they are'} left out"
+        )
+    if len(lost):
+        odd.append(
+            f"the channel of point{'' if len(lost) == 1 else 's'} {', '.join(map(str, lost))} seems broken: it is over "
+            f"{WILD:g} times louder than all neighbours, and than the scan can be by ours; left out"
         )
     moved = float(np.linalg.norm(place.transform.points(scan.points).mean(axis=0) - scan.points.mean(axis=0)))
     if fiducials is None and moved > float(np.linalg.norm(np.ptp(scan.points, axis=0))):

@@ -3,11 +3,11 @@
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from palmfield.studies.papers.entries import Control
 from palmfield.studies.papers.rows import Row
-from palmfield.studies.papers.verdicts import VERDICTS
+from palmfield.studies.papers.verdicts import VERDICTS, sure, verdict
 
 SHARE = 3
 """One in so many of the claims that a control lists beforehand must turn."""
@@ -53,6 +53,20 @@ def noticed(controls: Sequence[Control], rows: Sequence[Row]) -> list[Noticed]:
             )
         )
     return out
+
+
+def unsure(rows: Sequence[Row]) -> list[str]:
+    """Claims that would have another verdict if one of their answers were off by its numerical error."""
+    return [row.entry.id for row in rows if row.entry.counts and any(_hangs_on(row, n) for n in range(len(row.tried)))]
+
+
+def _hangs_on(row: Row, number: int) -> bool:
+    one = row.tried[number]
+    if one.answer is None or one.held is None or sure(row.entry, one.answer):
+        return False
+    held = [other.held for other in row.tried]
+    held[number] = replace(one.held, within=not one.held.within)
+    return verdict(row.entry, held) != row.verdict
 
 
 def turned_later(rows: Sequence[Row]) -> list[str]:

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from palmfield.studies.papers.answer import Paper
-from palmfield.studies.papers.counts import counts, noticed, turned_later, untested
+from palmfield.studies.papers.counts import counts, noticed, turned_later, unsure, untested
 from palmfield.studies.papers.entries import Book, Entry
 from palmfield.studies.papers.rows import Row, Tried
 
@@ -220,7 +220,7 @@ def page(
     claims = kinds["CLAIM"]
     came = counts(rows)
     agreeing = came["agrees"]
-    loose, late = untested(rows), turned_later(rows)
+    loose, late, near = untested(rows), turned_later(rows), unsure(rows)
     told = ", ".join(f"{count} {name}" for name, count in came.items() if count)
     hanging = [row.entry.id for row in claims if row.verdict == "depends"]
     changes = [change for change in book.changes if change["id"] in {row.entry.id for row in rows}]
@@ -232,7 +232,8 @@ def page(
         f"**{len(claims)} claims: {told}.** "
         + (f"What depends on a reading: {', '.join(hanging)}. " if hanging else "")
         + (f"Of {agreeing} that agree no control turns {len(loose)}: {', '.join(loose)}. " if loose else "")
-        + (f"Of these {len(late)} are turned by controls that were written later: {', '.join(late)}." if late else ""),
+        + (f"Of these {len(late)} are turned by controls that were written later: {', '.join(late)}. " if late else "")
+        + (f"Within the numerical error of one answer the verdict would differ: {', '.join(near)}." if near else ""),
         "",
         "## Claims", "", *_claims(claims),
         "## Figures", "",

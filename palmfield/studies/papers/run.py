@@ -2,13 +2,11 @@
 
 import json
 import logging
-import multiprocessing
-import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,18 +21,17 @@ from palmfield.outputs.style import save, style
 from palmfield.studies.bench.field import git_commit
 from palmfield.studies.bench.table import processor
 from palmfield.studies.papers.answer import Paper, Picture, Setting
-from palmfield.studies.papers.counts import counts, noticed, turned_later, untested
+from palmfield.studies.papers.counts import counts, noticed, turned_later, unsure, untested
 from palmfield.studies.papers.entries import Book, book
 from palmfield.studies.papers.index import as_html, index
 from palmfield.studies.papers.page import page
 from palmfield.studies.papers.registry import NAMES, TITLES, paper
 from palmfield.studies.papers.rows import Row, row
+from palmfield.studies.papers.side_by_side import Told, side_by_side
 
 logger = logging.getLogger(__name__)
 FORMAT = 1
 ROWS, PAGE, INDEX = "rows.json", "README.md", "index.html"
-Told = Callable[[str, str], None]
-"""Hears of a paper's progress: its name and the entry that begins, or nothing when one has ended."""
 
 
 @dataclass(frozen=True)
@@ -78,11 +75,11 @@ def papers(
     setting = Setting(quick=quick, device=_device(device))
     with _bar(progress, sizes) as told:
         if min(jobs, len(names)) > 1:
-            done = _side_by_side(names, setting, Path(out), jobs, told)
+            done = side_by_side(partial(_paper, setting=setting, out=Path(out)), names, jobs, told)
         else:
             done = _in_turn(names, setting, Path(out), told)
     _write_text(Path(out) / INDEX, as_html("Four papers, computed again", index(Path(out)), home=False))
-    if any(one.interrupted for one in done):
+    if len(done) < len(names) or any(one.interrupted for one in done):
         raise KeyboardInterrupt
     return done
 
@@ -94,33 +91,10 @@ def _device(name: str) -> str:
 def _in_turn(names: Sequence[str], setting: Setting, out: Path, told: Told) -> list[Done]:
     done = []
     for name in names:
-        done.append(_paper(name, setting, out, told))
+        done.append(_paper(name, told, setting=setting, out=out))
         if done[-1].interrupted:
             break
     return done
-
-
-def _side_by_side(names: Sequence[str], setting: Setting, out: Path, jobs: int, told: Told) -> list[Done]:
-    """Each paper in a process: they share no runs. Ctrl-C reaches all processes, which write what is done."""
-    context = multiprocessing.get_context("spawn")
-    with context.Manager() as manager, ProcessPoolExecutor(min(jobs, len(names)), mp_context=context) as pool:
-        heard: Any = manager.Queue()
-
-        def listen() -> None:
-            for news in iter(heard.get, None):
-                told(*news)
-
-        listener = threading.Thread(target=listen, daemon=True)
-        listener.start()
-        running = [pool.submit(_paper_in_process, name, setting, out, heard) for name in names]
-        done = [one.result() for one in running]
-        heard.put(None)
-        listener.join()
-    return done
-
-
-def _paper_in_process(name: str, setting: Setting, out: Path, heard: Any) -> Done:
-    return _paper(name, setting, out, lambda *news: heard.put(news))
 
 
 def numbers(ids: Sequence[str], *, quick: bool = False, device: str = "cpu") -> list[Row]:
@@ -137,7 +111,7 @@ def numbers(ids: Sequence[str], *, quick: bool = False, device: str = "cpu") -> 
     return [row(entry, one, held, setting) for entry, one in chosen]
 
 
-def _paper(name: str, setting: Setting, out: Path, told: Told) -> Done:
+def _paper(name: str, told: Told, *, setting: Setting, out: Path) -> Done:
     one, held = paper(name), book()
     folder = out / one.name
     try:
@@ -203,6 +177,7 @@ def _write_rows(path: Path, head: dict[str, Any], held: Book, found: Sequence[Ro
         "counts": counts(found),
         "untested": untested(found),
         "turned_later": turned_later(found),
+        "unsure": unsure(found),
         "controls": [
             {"name": one.control.name, "turned": one.turned, "kept": one.kept, "silent": one.silent,
              "wanted": one.wanted, "works": one.works}

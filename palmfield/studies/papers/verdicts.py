@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from palmfield.errors import MeasurementError
@@ -59,6 +59,20 @@ def hold(entry: Entry, answer: Answer) -> Held | None:
         raise MeasurementError(f"entry {entry.id} has value {entry.value!r}, which no number can be held against")
     distance = distance_in_tolerances(answer.value, float(paper), entry.tolerance.kind, entry.tolerance.value)
     return Held(bool(distance >= 0.0), float(distance))
+
+
+def sure(entry: Entry, answer: Answer) -> bool:
+    """Whether the yes or no is the same all over the answer's numerical error."""
+    held, error = hold(entry, answer), answer.error
+    if held is None or answer.value is None or not error:
+        return True
+
+    def off(by: float, value: float) -> Held | None:
+        margin = None if answer.margin is None else answer.margin + by
+        return hold(entry, replace(answer, value=value + by, margin=margin))
+
+    ends = [off(by, answer.value) for by in (-error, error)]
+    return all(end is not None and end.within == held.within for end in ends)
 
 
 def verdict(entry: Entry, held: Sequence[Held | None]) -> Verdict:

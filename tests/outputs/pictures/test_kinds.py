@@ -14,7 +14,7 @@ from palmfield.acoustics.reference import pressure64
 from palmfield.config.array import ArrayConfig
 from palmfield.config.stimulus import StimulusConfig
 from palmfield.errors import OutputError
-from palmfield.outputs.frames import loudest
+from palmfield.outputs.frames import drive_frames, loudest
 from palmfield.outputs.pictures.asked import Asked, asked_for
 from palmfield.outputs.pictures.draw import draw_pictures
 from palmfield.outputs.pictures.kinds import KINDS
@@ -67,6 +67,15 @@ def test_the_spectrum_has_its_line_where_the_skin_was_driven(result):
     figure = KINDS["spectrum"].draw(result, Asked(skin="palm"))
     at, size = figure.axes[0].lines[0].get_data()
     assert at[np.argmax(size)] == pytest.approx(SINE_Hz, abs=at[0])
+
+
+def test_the_spectrogram_of_a_sine_is_one_line_from_its_first_window_to_its_last(result):
+    mesh = KINDS["spectrogram"].draw(result, Asked(skin="palm")).axes[0].collections[0]
+    level, corners = np.asarray(mesh.get_array()), np.asarray(mesh.get_coordinates())
+    frequencies = 0.5 * (corners[1:, 0, 1] + corners[:-1, 0, 1])
+    assert level.shape[1] > 10
+    assert (level[np.abs(frequencies - SINE_Hz) < 30.0].max(axis=0) > -1.0).all()
+    assert level[np.abs(frequencies - SINE_Hz) > 150.0].max() < -40.0
 
 
 def test_wavefronts_run_at_the_speed_of_the_waves(result):
@@ -242,3 +251,55 @@ def test_a_slice_of_an_earlier_calibrated_result_is_refused(with_keys):
     focused(tree, layout("uhev1"), np.array([0.01, 0.0, 0.15]))
     with pytest.raises(OutputError, match=r"'below' has calibration 'board.toml'.*run the scene again"):
         KINDS["field"].draw(tree, Asked())
+
+
+def test_what_is_asked_is_heeded_or_refused(result, tmp_path):
+    for kinds, asked, words in (
+        (["rms"], Asked(time_s=0.01), r"--time changes nothing in rms; it is for: pressure, field"),
+        (["pressure"], Asked(limits=(0.0, 1.0)), r"--limits changes nothing in pressure"),
+        (["drives"], Asked(skin="palm"), r"--skin changes nothing in drives"),
+        (["motion", "field"], Asked(limits=(0.0, 1.0)), r"--limits would be of several units"),
+        ([], Asked(limits=(0.0, 1.0)), r"--limits would be of several units"),
+    ):
+        with pytest.raises(OutputError, match=words):
+            draw_pictures(result, tmp_path, kinds, asked)
+    for kind, asked, words in (
+        ("pressure", Asked(time_s=9.0), "--time has value 9000 ms"),
+        ("pressure", Asked(skin="pa"), "--skin has value 'pa'"),
+        ("drives", Asked(time_s=9.0), "--time has value 9000 ms"),
+        ("spectrum", Asked(limits=(-1.0, 1.0)), "above 0"),
+        ("motion", Asked(places=((0.5, 0.0, 0.15),), skin="palm"), "--place has value 500, 0, 150 mm"),
+        ("wavefronts", Asked(places=((0.01, 0.0, 0.15),) * 2, skin="palm"), "nearest to one vertex"),
+    ):
+        with pytest.raises(OutputError, match=words):
+            KINDS[kind].draw(result, asked)
+
+
+def test_the_pressure_at_a_time_is_the_record_then(result):
+    skin = instances(result, "skin")["tip"]
+    index = 7
+    figure = KINDS["pressure"].draw(result, Asked(time_s=float(skin["time"].values[index]), skin="tip"))
+    np.testing.assert_allclose(colour_values(figure), skin["pressure"].values[index], rtol=1e-6)
+
+
+def test_a_map_marks_places_with_what_is_there(result):
+    skin = instances(result, "skin")["palm"]
+    vertex, index = 40, 7
+    place = skin["rest_position"].values[vertex] + np.array([0.0, 0.0, 0.15])
+    asked = Asked(time_s=float(skin["time"].values[index]), places=(tuple(place),), skin="palm")
+    (words,) = KINDS["motion"].draw(result, asked).axes[0].get_legend().get_texts()
+    normal = 1e6 * skin["displacement"].values[index, vertex] @ skin["rest_normal"].values[vertex]
+    assert words.get_text().endswith(f" mm: {normal:.3g} µm")
+
+
+def test_white_stays_zero_with_limits_of_ones_own(result):
+    drawn = KINDS["motion"].draw(result, Asked(limits=(-4.0, 1.0), skin="palm")).axes[0].collections[0]
+    blue, white, red = (drawn.cmap(drawn.norm(value))[:3] for value in (-3.9, 0.0, 0.9))
+    assert min(white) > 0.95
+    # As far from white as the value from 0
+    assert blue[0] < 0.2 and red[2] > 0.6
+
+
+def test_a_drive_holds_until_the_next_begins():
+    starts = np.array([0.0, 0.001, 0.002])
+    assert drive_frames(starts, np.array([0.0, 0.0009, 0.001, 0.0019, 0.5])).tolist() == [0, 0, 1, 1, 2]

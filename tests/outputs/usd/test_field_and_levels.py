@@ -48,6 +48,11 @@ def _amplitude(points):
     return np.abs(pressure(points, layout("uhev1"), np.ones(256, complex), Air(), device="cpu", warn=False).pressure)
 
 
+def test_a_field_after_the_run_is_refused(result, tmp_path):
+    with pytest.raises(OutputError, match="--field-time has value 9000 ms; allowed: 0 to"):
+        write_usd(result, tmp_path / "s.usdc", Shown(field=("slice",), field_times_s=(9.0,)))
+
+
 def test_the_slice_is_the_field(stage):
     mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/Scene/Field/Slice"))
     points = np.array(mesh.GetPointsAttr().Get(), float)

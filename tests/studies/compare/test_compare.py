@@ -98,9 +98,16 @@ def test_what_looks_like_a_fault_of_the_scan_is_said(run):
     assert "was moved by 102 mm until it lay on the skin" in said(points=scan.points + np.array([0, 0, 0.1]))
     assert "looks like another unit" in said(values=1e3 * scan.values)
     assert "most points are turned round" in said(values=-scan.values)
+    wild = np.random.default_rng(0).normal(scale=20 * np.abs(scan.values).max(), size=len(scan.values))
+    loose = compare(run / "run", replace(scan, values=np.where(np.arange(49) == 7, wild[:, None], scan.values)),
+                    instrument=run / "head.toml")  # fmt: skip
+    assert "the channel of point 7 seems broken" in str(loose) and "48 points that move more" in str(loose)
+    assert loose.median("gain")[0] == pytest.approx(GAIN, rel=0.02) and "loudest place" not in str(loose)
     assert "1 point keeps still" in said(values=np.where(np.arange(49) == 4, 0.0, scan.values))
     late = np.vstack([np.zeros((90, 49)), scan.values[:-90]])
     assert re.search(r"a delay of 7\.\d+ ms fits better than any within 5", said(values=late))
+    with pytest.raises(MeasurementError, match=r"scan\.csv: point 4 has a value that is no finite number, at sample 0"):
+        said(values=np.where(np.arange(49) == 4, np.nan, scan.values))
     with pytest.raises(MeasurementError, match=r"the skin 0.056 m: places are in metres\)"):
         said(points=1e3 * scan.points)
     with pytest.raises(MeasurementError, match=r"scan.csv: times have shape \(18,\); give a row of at least 32"):

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from palmfield.studies.papers.answer import Answer, Setting
-from palmfield.studies.papers.counts import counts
+from palmfield.studies.papers.counts import counts, unsure
 from palmfield.studies.papers.entries import book
 from palmfield.studies.papers.registry import NAMES, paper
 from palmfield.studies.papers.rows import Row, Tried
@@ -63,6 +63,33 @@ def test_the_verdicts_follow_from_the_numbers(name):
             assert verdict(entry, [each.held for each in tried]) == one["verdict"], one["id"]
         rows.append(Row(entry, tuple(tried), one["verdict"]))
     assert counts(rows) == committed["counts"]
+
+
+def rows_of(name):
+    """The claims of a committed page."""
+    rows = []
+    for one in table(name)["rows"]:
+        entry = ENTRIES[one["id"]]
+        answers = [
+            None if each["ours"] is None else
+            Answer(each["ours"], each["error"], margin=each["margin"], against=each["against"])
+            for each in one["tried"]
+        ]  # fmt: skip
+        tried = [Tried({}, given, hold(entry, given) if given and entry.counts else None) for given in answers]
+        rows.append(Row(entry, tuple(tried), one["verdict"]))
+    return rows
+
+
+def test_the_gallerys_page_says_what_is_weak():
+    page = (GALLERY / "README.md").read_text()
+    committed = [table(name) for name in NAMES]
+    loose, late = (sum(len(one[key]) for one in committed) for key in ("untested", "turned_later"))
+    agreeing = sum(one["counts"]["agrees"] for one in committed)
+    assert f"lists them, {loose} of {agreeing}, of which controls that were written later turn {late}. The\n" in page
+    assert ("it is missed" in page) == (loose > agreeing / 3)
+    near = [key for name in NAMES for key in unsure(rows_of(name))]
+    [told] = re.findall(r"these would\nhave another verdict: ([^.]+)\.", page)
+    assert told == ", ".join(near)
 
 
 def test_the_counts_on_the_gallerys_page_are_those_of_the_rows():

@@ -2,7 +2,6 @@
 
 import json
 import math
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import pytest
@@ -10,7 +9,7 @@ import pytest
 from palmfield.errors import MeasurementError, PalmfieldError, SceneError
 from palmfield.studies.papers import run as running
 from palmfield.studies.papers.answer import Answer, Cause, Paper, Picture, Setting
-from palmfield.studies.papers.counts import counts, noticed, turned_later, untested
+from palmfield.studies.papers.counts import counts, noticed, turned_later, unsure, untested
 from palmfield.studies.papers.entries import Book, Control, Entry, Tolerance, book
 from palmfield.studies.papers.index import as_html
 from palmfield.studies.papers.page import page, told
@@ -147,6 +146,26 @@ def test_a_control_that_turns_what_it_lists_works_and_one_that_does_not_fails():
     assert untested(rows) == ["N1a", "N2a"]
 
 
+@pytest.mark.parametrize(
+    ("ours", "error", "said", "loose"),
+    [
+        ((12.4, 10.0), 0.2, "agrees", True), ((12.4, 10.0), 0.05, "agrees", False),
+        ((12.6, 30.0), 0.2, "disagrees", True),
+        ((12.6, 10.0), 0.2, "depends", True), ((12.4, 30.0), None, "depends", False),
+    ],
+)  # fmt: skip
+def test_a_verdict_within_the_numerical_error_is_told(ours, error, said, loose):
+    one = entry("N1a")
+
+    def answer(setting):
+        return Answer(dict(small=ours[0], large=ours[1])[setting.reading("size")], error)
+
+    came = row(one, nobody({"N1a": answer}), book_of(one), Setting())
+    assert came.verdict == said and unsure([came]) == (["N1a"] if loose else [])
+    told = "Within the numerical error of one answer the verdict would differ: N1a."
+    assert (told in page(nobody({}), book_of(one), [came], [], "", "made")) == loose
+
+
 def test_causes_are_tested_only_where_a_claim_disagrees():
     one = entry("N1a")
     causes = {"N1a": (Cause("the other size", lambda setting: Answer(10.0)),)}
@@ -255,19 +274,6 @@ def test_less_than_one_job_and_an_unknown_device_are_refused(tmp_path):
         running.papers(["mizushima2024"], out=tmp_path, jobs=0)
     with pytest.raises(PalmfieldError, match="device 'gpu9'"):
         running.papers(["mizushima2024"], out=tmp_path, device="gpu9")
-
-
-def test_papers_side_by_side_are_told_of_and_stand_in_the_order_asked(tmp_path, monkeypatch):
-    """By threads in place of processes, which could not know these papers."""
-    made = {name: nobody({"N1a": by_size(10.0, 10.0)}) for name in ("second", "first")}
-    monkeypatch.setattr(running, "paper", lambda name: replace(made[name], name=name))
-    monkeypatch.setattr(running, "book", lambda: book_of(entry("N1a")))
-    monkeypatch.setattr(running, "ProcessPoolExecutor", lambda count, mp_context: ThreadPoolExecutor(count))
-    heard = []
-    done = running._side_by_side(["second", "first"], Setting(), tmp_path, 2, lambda *news: heard.append(news))
-    assert [one.name for one in done] == ["second", "first"]
-    assert sorted(heard) == [("first", ""), ("first", "N1a"), ("second", ""), ("second", "N1a")]
-    assert (tmp_path / "first" / "rows.json").is_file()
 
 
 def test_an_unknown_paper_is_named_with_what_was_meant():

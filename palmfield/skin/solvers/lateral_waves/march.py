@@ -1,6 +1,5 @@
 """Runs the oscillators of a wave set, on the CPU or a GPU, and sums the waves at points."""
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -12,6 +11,7 @@ from palmfield.device import load_kernels
 from palmfield.skin.problem import Load
 from palmfield.skin.solvers.lateral_waves.drive import Timeline, drive
 from palmfield.skin.solvers.lateral_waves.waves import WaveSet
+from palmfield.threads import cores
 from palmfield.types import Complex, Float
 from warp_kernels import oscillators as kernels
 
@@ -88,7 +88,7 @@ def march(
 
     size = max(1, min(CHUNK_NUMBERS // (7 * segments + 8 * rows), -(-len(waves) // LEAST_CHUNKS)))
     parts = [slice(start, min(start + size, len(waves))) for start in range(0, len(waves), size)]
-    workers = min((threads or os.cpu_count() or 1) if device == "cpu" else 1, len(parts))
+    workers = min((threads or cores()) if device == "cpu" else 1, len(parts))
     if workers == 1:
         return sum((run(part) for part in parts[1:]), start=run(parts[0]))
     with ThreadPoolExecutor(workers) as pool:

@@ -5,7 +5,6 @@ load. A mode w(k) turns the integrand by dw/dk t, the way that its waves go in t
 what the panels have to follow, and the damping of the modes is what ends it.
 """
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -18,8 +17,11 @@ from scipy.special import j0
 from palmfield.blas import one_blas_thread
 from palmfield.errors import SceneError
 from palmfield.skin.solvers.lateral_waves.modes import FaceModes
+from palmfield.threads import cores
 from palmfield.types import Float
 
+MOST_THREADS = 4
+"""On 16 cores more took no less time: they wait for Python's lock between the calls of LAPACK."""
 NODES = 10
 MOST_PANELS = 4000
 MOST_LEVELS = 24
@@ -45,7 +47,7 @@ def compute_modes(
 ) -> tuple[FaceModes, ...]:
     """Modes at each wavenumber, side by side: LAPACK lets go of Python's lock, and its matrices are too small for more
     than one of its own threads."""
-    with one_blas_thread, ThreadPoolExecutor(threads or os.cpu_count()) as pool:
+    with one_blas_thread, ThreadPoolExecutor(threads or min(cores(), MOST_THREADS)) as pool:
         return tuple(pool.map(modes_at, wavenumbers))
 
 

@@ -125,8 +125,12 @@ def diameter(through_vibrometer: bool) -> Compute:
             value = diameter_of(found)
         except MeasurementError as reason:
             return Answer(None, note=str(reason))
-        band = banded(setting, case, lambda one: diameter_of(seen(one)))
-        return Answer(value, diameter_error(found), band, note="error: the solver's, carried to the level")
+        note = "error: the solver's, carried to the level"
+        try:
+            band = banded(setting, case, lambda one: diameter_of(seen(one)))
+        except MeasurementError as reason:
+            band, note = None, f"{note}; no band: with the moduli at an end, {reason}"
+        return Answer(value, diameter_error(found), band, note=note)
 
     return compute
 
