@@ -25,6 +25,8 @@ from palmfield.motion.trajectory import from_callable, read_trajectory
 from palmfield.transforms import IDENTITY, Transform
 from palmfield.types import Float
 
+FARTHEST_m = 10.0
+"""No hand is so far from an array: who says so has another unit in mind."""
 KEY_FIELDS = ("time_s", "position_m", "quaternion", "turn_deg", "pose", "joints_deg")
 DEFAULT_HAND = "open_men_p50"
 
@@ -116,7 +118,13 @@ def read_keyframes(path: Path, hand: ArticulatedHand, preset: str | None) -> Cal
         if preset is None and ("pose" in key or "joints_deg" in key):
             raise SceneError(f"{where}: pose and joints_deg are an articulated hand's: name its preset by key 'hand'")
         times.append(float(numbers(key["time_s"], (), f"{where}: time_s")))
-        places.append(numbers(key["position_m"], (3,), f"{where}: position_m"))
+        place = numbers(key["position_m"], (3,), f"{where}: position_m")
+        if (far := float(np.linalg.norm(place))) > FARTHEST_m:
+            raise SceneError(
+                f"{where}: position_m is {key['position_m']}, {far:g} m away; allowed: metres, at most {FARTHEST_m:g} "
+                "from the origin"
+            )
+        places.append(place)
         turns.append(_turn(key, where))
         poses.append(_angles(key, hand, where))
     if preset is not None:

@@ -159,6 +159,11 @@ def test_bad_keyframes_are_named_with_their_number(tmp_path):
         (tmp_path / "keys.toml").write_text(good + bad)
         with pytest.raises(SceneError, match=words):
             opened(**{"motion.keyframes": tmp_path / "keys.toml"})
+    (tmp_path / "keys.toml").write_text(good + "[[key]]\ntime_s = 2\nposition_m = [0, 0, 200]\n")
+    with pytest.raises(
+        SceneError, match=r"key 3: position_m is \[0, 0, 200\], 200 m away; allowed: metres, at most 10 "
+    ):
+        opened(**{"motion.keyframes": tmp_path / "keys.toml"})
 
 
 @pytest.mark.parametrize(
