@@ -1,5 +1,6 @@
 """What `palmfield render` does with its options."""
 
+import math
 from pathlib import Path
 
 from rich.console import Console
@@ -20,7 +21,7 @@ def size_of(text: str) -> tuple[int, int]:
 
 
 def render(run: Path, video: Path, cut: Cut, *, quiet: bool, as_json: bool) -> None:
-    """Make the film and say what was written."""
+    """Make the film and say what was written. Raises KeyboardInterrupt after a film that Ctrl-C has ended early."""
     file = run / RESULT if run.is_dir() else run
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
@@ -29,8 +30,17 @@ def render(run: Path, video: Path, cut: Cut, *, quiet: bool, as_json: bool) -> N
         Progress(*columns, console=console, disable=quiet or not console.is_terminal, transient=True) as bar,
     ):
         task = bar.add_task("drawing frames", total=None)
-        frames = film(result, video, cut, lambda done, of: bar.update(task, completed=done, total=of))
+        wanted = math.inf
+
+        def drawn(done: int, of: int) -> None:
+            nonlocal wanted
+            wanted = of
+            bar.update(task, completed=done, total=of)
+
+        frames = film(result, video, cut, drawn)
     if as_json:
         print_json({"video": str(video), "frames": frames, "fps": FPS})
-        return
-    print(f"wrote {video}: {frames} frames, {frames / FPS:.1f} s")
+    else:
+        print(f"wrote {video}: {frames} frames, {frames / FPS:.1f} s")
+    if frames < wanted:
+        raise KeyboardInterrupt

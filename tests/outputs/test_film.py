@@ -1,10 +1,12 @@
 """A film of a run: its frames, its times, and what is refused."""
 
+import contextlib
 import math
 
 import numpy as np
 import pytest
 
+from palmfield.cli import render
 from palmfield.errors import OutputError
 from palmfield.outputs.film import FPS, Cut, film
 from palmfield.outputs.render import cast
@@ -63,6 +65,18 @@ def test_a_frame_that_ctrl_c_meets_half_drawn_is_not_counted(result, tmp_path, m
     monkeypatch.setattr("palmfield.outputs.film.cast", cast_twice)
     assert film(result, tmp_path / "h.mp4", Cut(0.0, 0.005, 100.0, size=SMALL)) == 2
     assert len(frames_of(tmp_path / "h.mp4")) == 2
+
+
+def test_the_command_says_that_ctrl_c_ended_the_film(tmp_path, monkeypatch, capsys):
+    def cut_short(result, video, cut, on_frame):
+        on_frame(2, 5)
+        return 2
+
+    monkeypatch.setattr(render, "film", cut_short)
+    monkeypatch.setattr(render, "open_result", contextlib.nullcontext)
+    with pytest.raises(KeyboardInterrupt):
+        render.render(tmp_path, tmp_path / "a.mp4", Cut(), quiet=True, as_json=False)
+    assert "2 frames" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
