@@ -277,11 +277,24 @@ def _far_stm(case: Case) -> Answer:
     return Answer(value, margin=1.0 - value)
 
 
+def _wide(case: Case) -> Case:
+    return replace(case, circle_m=0.025)
+
+
+def _loudest(case: Case) -> Answer:
+    return Answer(1e3 * loudest_of(measured_circles(case, Sight())))
+
+
+WIDE = "the spot on a circle of 25 mm in place of 10"
 LATER = {
     "C20h": (
         Cause("a slab of a thousandth of the density, which is nearly static",
               with_case(_rises, lambda case: replace(case, material="massless"), full=True)),
     ),
+    "C21a": (Cause(WIDE, with_case(_loudest, _wide, full=True)),),
     "C21b": (Cause("tau as printed, 0.171 us: next to no damping", with_case(_far_am, _lossless, full=True)),),
-    "C21c": (Cause("tau as printed, 0.171 us: next to no damping", with_case(_far_stm, _lossless, full=True)),),
+    "C21c": (
+        Cause("tau as printed, 0.171 us: next to no damping", with_case(_far_stm, _lossless, full=True)),
+        Cause(WIDE, with_case(_far_stm, _wide, full=True)),
+    ),
 }  # fmt: skip

@@ -78,7 +78,7 @@ def _solved(case: Case, stimulus: Stimulus, times_s: Float, at_m: Float, accurac
         accuracy = max(accuracy, LOSSLESS_QUICK if case.quick else LOSSLESS_ACCURACY)
     # Time 0 is rest, which no solver needs to be asked for
     motion = solve(
-        slab_of(case), load_of(stimulus, case.fwhm_m), times_s[1:], at_m,
+        slab_of(case), load_of(stimulus, case.fwhm_m, case.circle_m), times_s[1:], at_m,
         solver=solver, accuracy=accuracy, device=case.device, **pinned,
     )  # fmt: skip
     still = np.zeros((1, len(at_m), 3))

@@ -39,6 +39,7 @@ class Case:
     """One configuration: a slab, a spot, its peak pressure. Hashable, so that runs are kept by it.
 
     side: a value of reading chilles_sides; level_Pa: which runs don't depend on, as they are linear
+    circle_m: radius on which the spot runs
     device: of the endless slab's waves; discs are solved on the host
     """
 
@@ -48,6 +49,7 @@ class Case:
     thickness_m: float = THICKNESS_M
     fwhm_m: float = FWHM_M
     level_Pa: float = LEVEL_PA
+    circle_m: float = CIRCLE_RADIUS_M
     quick: bool = False
     device: str = "cpu"
 
@@ -146,7 +148,7 @@ def course(stimulus: Stimulus, times_s: Float) -> Float:
     return np.ones_like(times_s)
 
 
-def load_of(stimulus: Stimulus, fwhm_m: float) -> Spot:
+def load_of(stimulus: Stimulus, fwhm_m: float, circle_m: float = CIRCLE_RADIUS_M) -> Spot:
     """The spot with a peak of 1 Pa, on for 200 ms from time 0."""
     if stimulus == "step":
         return Spot(fwhm_m, np.array([0.0, STIMULUS_S, STIMULUS_S + OFF_S]), np.array([1.0, 1.0, 0.0]))
@@ -154,6 +156,6 @@ def load_of(stimulus: Stimulus, fwhm_m: float) -> Spot:
     times = np.linspace(0.0, STIMULUS_S, round(STIMULUS_S * rate) + 1)
     peak = np.append(course(stimulus, times), 0.0)
     turn = 2.0 * np.pi * CIRCLE_HZ * np.append(times, STIMULUS_S)
-    circle = CIRCLE_RADIUS_M * np.column_stack([np.cos(turn), np.sin(turn)])
+    circle = circle_m * np.column_stack([np.cos(turn), np.sin(turn)])
     centre = circle if stimulus == "stm" else np.zeros(2)
     return Spot(fwhm_m, np.append(times, STIMULUS_S + OFF_S), peak, centre)
