@@ -20,9 +20,10 @@ Of = Literal["magnitude", "negative", "positive"]
 def within(times_s: ArrayLike, values: ArrayLike, window_s: Window) -> tuple[Float, Float]:
     """The samples of a window. values: shape (t, ...).
 
-    times_s: rising [s], shape (t,); values: in any unit, shape (t, ...); window_s: (start, end) [s] with both ends, None is
-        the whole record
-    Returns times, shape (k,), and values, shape (k, ...). Raises MeasurementError for other shapes, NaN, and a window that holds less than two samples.
+    times_s: rising [s], shape (t,); values: in any unit, shape (t, ...); window_s: (start, end) [s] with both
+        ends, None is the whole record
+    Returns times, shape (k,), and values, shape (k, ...).
+    Raises MeasurementError for other shapes, NaN, and a window that holds less than two samples.
     """
     times, signal = trace(times_s, values)
     if window_s is None:
@@ -78,8 +79,8 @@ def peak(
 ) -> tuple[float, float]:
     """Time [s] and value, with its sign, of the largest magnitude, or of the lowest or highest value.
 
-    times_s: rising [s], shape (t,); values: in any unit, shape (t,); window_s: as of `within`; of: "magnitude", "negative",
-        or "positive"
+    times_s: rising [s], shape (t,); values: in any unit, shape (t,); window_s: as of `within`
+    of: "magnitude", "negative" or "positive"
     Raises MeasurementError as `within`, and for another `of`.
     """
     times, signal = within(times_s, values, window_s)
@@ -153,7 +154,8 @@ def rms(
 ) -> float:
     """Root of the mean square over a window, with its mean or without, in the signal's unit.
 
-    times_s: rising [s], shape (t,); values: in any unit, shape (t,); window_s: as of `within`; mean: "kept" or "removed"
+    times_s: rising [s], shape (t,); values: in any unit, shape (t,); window_s: as of `within`
+    mean: "kept" or "removed"
     Raises MeasurementError as `within`, and for another `mean`.
     """
     signal = within(times_s, values, window_s)[1]

@@ -32,8 +32,8 @@ def wake_length(
 ) -> float:
     """Distance behind the focus over which the largest magnitude across the way reaches a threshold [m].
 
-    normal_velocity: a snapshot [m/s], shape (m, n), at x_m (m,) and y_m (n,) [m], both rising; the focus is at focus_x_m
-        [m] on y = 0 and runs along +x
+    normal_velocity: a snapshot [m/s], shape (m, n), at x_m (m,) and y_m (n,) [m], both rising; the focus is at
+        focus_x_m [m] on y = 0 and runs along +x
     threshold: share of the snapshot's largest magnitude, above 0 and below 1
     lateral_m: full width of the strip about the way that is looked at; None is the whole snapshot
     until: "last_above", to the farthest place that reaches it; "first_below", to where it first falls below
