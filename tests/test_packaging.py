@@ -46,6 +46,8 @@ def source(tmp_path_factory):
     (copy / TOLERANCES).parent.mkdir(parents=True)
     for name in (*FILES, TOLERANCES):
         shutil.copy(CLONE / name, copy / name)
+    (copy / "tests").mkdir()
+    (copy / "tests" / "test_one.py").touch()
     return copy
 
 
@@ -228,6 +230,7 @@ def test_the_sdist_can_build_the_same_wheel(source, wheel, tmp_path):
     with tarfile.open(build("sdist", source, tmp_path / "sdist")) as archive:
         archive.extractall(tmp_path, filter="data")
     (unpacked,) = tmp_path.glob("palmfield-*")
+    assert not (unpacked / "tests").exists(), "some of the tests, without what they need"
     with zipfile.ZipFile(build("wheel", unpacked, tmp_path / "wheel")) as mine, zipfile.ZipFile(wheel) as first:
         assert sorted(mine.namelist()) == sorted(first.namelist())
 

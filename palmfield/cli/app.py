@@ -573,6 +573,7 @@ def hand(
     Exit code 0: accepted; 3: accepted with doubts, for example whether it is a hand; 2: refused.
 
     Examples: palmfield hand my_hand.glb --json card.json --png card.png
+
     palmfield hand my_hand.glb --mjcf my_hand.xml
     """
     from palmfield.cli.hand import show_hand

@@ -158,7 +158,12 @@ def describe(board: str | None, markdown: bool) -> None:
         print(as_text(), end="")
     else:
         known = playable_board(board)
+        # Of hundreds of bytes people read what they are, runs as N x BYTE; `--json` has each
+        sequences = {"start_hex": ("start", known.start), "stop_hex": ("stop", known.stop)}
         for key, value in facts(known).items():
+            if key in sequences:
+                key, data = sequences[key]
+                value = f"{_bytes(data)} ({len(data)} bytes, in decimals)"
             print(f"{key:<20}{value if not isinstance(value, list) else ', '.join(map(str, value)) or '-'}")
 
 

@@ -30,7 +30,9 @@ def energy_density(times_s: ArrayLike, normal_velocity: ArrayLike, window_s: Win
 def strip(x_m: ArrayLike, y_m: ArrayLike, path_m: ArrayLike, width_m: float) -> Mask:
     """Which places of a grid lie within half of width_m of a path, shape (m, n), bool.
 
+    x_m, y_m: places of the grid, rising [m], shapes (m,) and (n,)
     path_m: corners of the path [m], shape (k, 2), k >= 1
+    Raises MeasurementError for other shapes and a width that is not above 0.
     """
     above_zero("width_m", width_m)
     path = np.asarray(path_m, dtype=float)
@@ -59,6 +61,7 @@ def focal_energy_ratio(
 ) -> float:
     """Energy inside a strip over all that is outside it, or over the total; each place counts by its area.
 
+    density, x_m, y_m, inside: as of `average_residual_energy`; over: "outside" or "total"
     Raises MeasurementError where there is no energy to divide by.
     """
     values, x, y = grid(density, x_m, y_m)
@@ -73,7 +76,11 @@ def focal_energy_ratio(
 
 
 def average_residual_energy(density: ArrayLike, x_m: ArrayLike, y_m: ArrayLike, inside: ArrayLike) -> float:
-    """Mean over the area outside a strip of an energy density, in its unit (ARE)."""
+    """Mean over the area outside a strip of an energy density, in its unit (ARE).
+
+    density: shape (m, n), at x_m (m,) and y_m (n,) [m], both rising; inside: of `strip`, shape (m, n), bool
+    Raises MeasurementError for other shapes, and for a strip that covers the whole map.
+    """
     values, x, y = grid(density, x_m, y_m)
     areas = np.where(mask(inside, values), 0.0, cell_areas(x, y))
     if not areas.sum() > 0.0:

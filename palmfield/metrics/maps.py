@@ -19,6 +19,7 @@ def area_above(values: ArrayLike, x_m: ArrayLike, y_m: ArrayLike, level: float) 
     """Area where a map reaches `level`, in the map's unit [m^2]; between the grid's places the map is linear.
 
     values: shape (m, n) at x (m,) and y (n,) [m], both rising
+    Raises MeasurementError for other shapes, and values or a level that are not finite.
     """
     field, x, y = grid(values, x_m, y_m)
     if not np.isfinite(level):

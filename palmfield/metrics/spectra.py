@@ -71,7 +71,11 @@ def harmonics(time_s: ArrayLike, signal: ArrayLike, fundamental_Hz: float, count
 def strongest_line(
     time_s: ArrayLike, signal: ArrayLike, band_Hz: tuple[float, float], *, taper: Taper = "none"
 ) -> tuple[float, float]:
-    """Frequency [Hz] and amplitude of the largest bin of `amplitude_spectrum` in a band, ends within it."""
+    """Frequency [Hz] and amplitude of the largest bin of `amplitude_spectrum` in a band, ends within it.
+
+    time_s, signal, taper: as of `amplitude_spectrum`; band_Hz: (lowest, highest) [Hz]
+    Raises MeasurementError as `amplitude_spectrum`, and where no bin lies in the band.
+    """
     frequency, amplitude = amplitude_spectrum(time_s, signal, taper=taper)
     chosen = _in_band(frequency, band_Hz)
     best = int(np.argmax(np.where(chosen, amplitude, -1.0)))
@@ -81,7 +85,10 @@ def strongest_line(
 def spectral_centroid(
     time_s: ArrayLike, signal: ArrayLike, band_Hz: tuple[float, float], *, taper: Taper = "none"
 ) -> float:
-    """Mean frequency in a band, weighted by power, the square of `amplitude_spectrum` [Hz]. NaN for silence."""
+    """Mean frequency in a band, weighted by power, the square of `amplitude_spectrum` [Hz]. NaN for silence.
+
+    Arguments and errors are those of `strongest_line`.
+    """
     frequency, amplitude = amplitude_spectrum(time_s, signal, taper=taper)
     chosen = _in_band(frequency, band_Hz)
     power = amplitude[chosen] ** 2

@@ -18,7 +18,13 @@ Of = Literal["magnitude", "negative", "positive"]
 
 
 def within(times_s: ArrayLike, values: ArrayLike, window_s: Window) -> tuple[Float, Float]:
-    """The samples of a window. values: shape (t, ...)."""
+    """The samples of a window. values: shape (t, ...).
+
+    times_s: rising [s], shape (t,); values: in any unit, shape (t, ...); window_s: (start, end) [s] with both
+        ends, None is the whole record
+    Returns times, shape (k,), and values, shape (k, ...).
+    Raises MeasurementError for other shapes, NaN, and a window that holds less than two samples.
+    """
     times, signal = trace(times_s, values)
     if window_s is None:
         return times, signal
@@ -51,19 +57,32 @@ def last_periods(times_s: ArrayLike, frequency_Hz: float, periods: int) -> tuple
 
 
 def mean_value(times_s: ArrayLike, values: ArrayLike, window_s: Window = None) -> float:
-    """Mean over a window, of the samples, in the signal's unit."""
+    """Mean over a window, of the samples, in the signal's unit.
+
+    times_s: rising [s], shape (t,); values: in any unit, shape (t,); window_s: as of `within`
+    Raises MeasurementError as `within`.
+    """
     return float(within(times_s, values, window_s)[1].mean())
 
 
 def steady_value(times_s: ArrayLike, values: ArrayLike, window_s: tuple[float, float]) -> float:
-    """What a step ends at: the mean over a window near the stimulus' end, in the signal's unit."""
+    """What a step ends at: the mean over a window near the stimulus' end, in the signal's unit.
+
+    times_s: rising [s], shape (t,); values: in any unit, shape (t,); window_s: as of `within`
+    Raises MeasurementError as `within`.
+    """
     return mean_value(times_s, values, window_s)
 
 
 def peak(
     times_s: ArrayLike, values: ArrayLike, window_s: Window = None, *, of: Of = "magnitude"
 ) -> tuple[float, float]:
-    """Time [s] and value, with its sign, of the largest magnitude, or of the lowest or highest value."""
+    """Time [s] and value, with its sign, of the largest magnitude, or of the lowest or highest value.
+
+    times_s: rising [s], shape (t,); values: in any unit, shape (t,); window_s: as of `within`
+    of: "magnitude", "negative" or "positive"
+    Raises MeasurementError as `within`, and for another `of`.
+    """
     times, signal = within(times_s, values, window_s)
     if of not in ("magnitude", "negative", "positive"):
         raise MeasurementError(f"of is '{of}'; use magnitude, negative or positive")
@@ -75,7 +94,9 @@ def peak(
 def overshoot(times_s: ArrayLike, values: ArrayLike, steady: float, window_s: Window = None) -> float:
     """How far a step goes beyond its steady value, relative to that value: (peak - steady)/steady; 0 where it doesn't.
 
+    times_s, values, window_s: as of `mean_value`
     steady: in the signal's unit, not 0, for example by `steady_value`; the peak is on its side of 0
+    Raises MeasurementError as `within`, and for a steady value of 0.
     """
     if not (np.isfinite(steady) and steady != 0.0):
         raise MeasurementError(f"the steady value is {steady}; an overshoot is relative to one that is not 0")
@@ -94,6 +115,7 @@ def settling_time(
 ) -> float:
     """Time from `start_s` until the signal stays within band * |steady| of the steady value [s].
 
+    times_s, values: as of `mean_value`; steady: as of `overshoot`
     band: share of the steady value, above 0 and below 1; the last crossing is placed linearly between two samples
     end_s: up to where the signal is looked at, for example where the stimulus ends
     Raises MeasurementError where the signal is still outside the band at the end.
@@ -119,8 +141,10 @@ def settling_time(
 def peak_to_peak(times_s: ArrayLike, values: ArrayLike, window_s: Window = None) -> float:
     """Largest less smallest value, in the signal's unit.
 
+    times_s, values: as of `mean_value`
     window_s: None is the whole record from rest, onset and all; `last_periods` gives the steady part. The two differ:
     a modulated load from rest moves the skin's mean too.
+    Raises MeasurementError as `within`.
     """
     return float(np.ptp(within(times_s, values, window_s)[1]))
 
@@ -128,7 +152,12 @@ def peak_to_peak(times_s: ArrayLike, values: ArrayLike, window_s: Window = None)
 def rms(
     times_s: ArrayLike, values: ArrayLike, window_s: Window = None, *, mean: Literal["kept", "removed"] = "kept"
 ) -> float:
-    """Root of the mean square over a window, with its mean or without, in the signal's unit."""
+    """Root of the mean square over a window, with its mean or without, in the signal's unit.
+
+    times_s: rising [s], shape (t,); values: in any unit, shape (t,); window_s: as of `within`
+    mean: "kept" or "removed"
+    Raises MeasurementError as `within`, and for another `mean`.
+    """
     signal = within(times_s, values, window_s)[1]
     return float(np.sqrt(np.mean((signal - _mean(signal, mean)) ** 2)))
 
@@ -136,7 +165,10 @@ def rms(
 def rms_map(
     times_s: ArrayLike, values: ArrayLike, window_s: Window = None, *, mean: Literal["kept", "removed"] = "kept"
 ) -> Float:
-    """`rms` of many signals at once: values of shape (t, ...) give the shape behind t."""
+    """`rms` of many signals at once: values of shape (t, ...) give the shape behind t.
+
+    The other arguments and errors are those of `rms`.
+    """
     signal = within(times_s, values, window_s)[1]
     return np.asarray(np.sqrt(np.mean((signal - _mean(signal, mean)) ** 2, axis=0)))
 

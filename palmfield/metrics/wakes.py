@@ -32,12 +32,16 @@ def wake_length(
 ) -> float:
     """Distance behind the focus over which the largest magnitude across the way reaches a threshold [m].
 
+    normal_velocity: a snapshot [m/s], shape (m, n), at x_m (m,) and y_m (n,) [m], both rising; the focus is at
+        focus_x_m [m] on y = 0 and runs along +x
+    threshold: share of the snapshot's largest magnitude, above 0 and below 1
     lateral_m: full width of the strip about the way that is looked at; None is the whole snapshot
     until: "last_above", to the farthest place that reaches it; "first_below", to where it first falls below
     The envelope is linear between the places along x. Where it reaches the threshold up to the snapshot's end the
     length ends there: a lower bound.
     For a straight way on a grid. `wake_along_path` is for ways that turn, on the nodes of a skin: there the threshold
     is a share of what lies behind the focus alone, and the length is told to the next place and not between two.
+    Raises MeasurementError for other shapes and shares, a snapshot of zeros, and one with nothing behind the focus.
     """
     share("threshold", threshold)
     values, x, y = grid(normal_velocity, x_m, y_m)
@@ -81,7 +85,10 @@ def wake_along_path(
 
 
 def wake_area(normal_velocity: ArrayLike, x_m: ArrayLike, y_m: ArrayLike, *, threshold: float = 0.1) -> float:
-    """Area where the magnitude of a snapshot reaches a threshold, ahead of the focus too [m^2]."""
+    """Area where the magnitude of a snapshot reaches a threshold, ahead of the focus too [m^2].
+
+    Arguments and errors are those of `wake_length`.
+    """
     share("threshold", threshold)
     values, x, y = grid(normal_velocity, x_m, y_m)
     size = np.abs(values)

@@ -83,7 +83,7 @@ def direction_share(apart: float, noise: float) -> float:
     """Expected share of right answers between two directions that are equally frequent, 0.5 to 1.
 
     apart: as of `separation`; noise: spectral density of the noise in the same unit, above 0
-    The likelihood ratio of two known courses in white noise: Phi(apart / (2 noise)).
+    The likelihood ratio of two known courses in white noise: Phi(apart / (2 noise)). Raises OutputError for others.
     """
     if not (noise > 0.0 and apart >= 0.0):
         raise OutputError(f"noise is {noise:g} and the separation {apart:g}; give noise above 0 and 0 or more")

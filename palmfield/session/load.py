@@ -192,8 +192,9 @@ def no_scene(path: Path) -> str:
     if path.is_dir():
         return f"scene {path} is a folder; allowed: the path of an MJCF file, for example {path / 'scene.xml'}"
     shipped = data_folder("mjcf") / "scenes"
-    places = {file.name: str(file) for where in (shipped, path.parent) for file in sorted(where.glob("*.xml"))}
-    near = did_you_mean(path.name if path.suffix else f"{path.name}.xml", places)
+    # Without their suffix, which all have in common: it would bring any two short names near each other
+    places = {file.stem: str(file) for where in (shipped, path.parent) for file in sorted(where.glob("*.xml"))}
+    near = did_you_mean(path.stem, places)
     for name, file in places.items():
         near = near.replace(f"'{name}'", f"'{file}'")
     return f"scene {path} does not exist{near}; `palmfield new NAME` writes one to start from"

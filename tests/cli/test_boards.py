@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -28,6 +29,8 @@ def test_boards_are_listed_with_what_they_cannot_guarantee(monkeypatch, capsys):
     assert code == 0 and [line.split()[0] for line in out.out.splitlines()] == list(BOARDS)
     code, out = call(monkeypatch, capsys, "boards", "sonicsurface")
     assert code == 0 and "keeps emitting its last frame until power is cut" in out.out
+    assert re.search(r"^start +`151 192 254 256 x 32 253`, twice \(520 bytes, in decimals\)$", out.out, re.MULTILINE)
+    assert max(map(len, out.out.splitlines())) < 400, "bytes by the hundred"
     code, out = call(monkeypatch, capsys, "boards", "--json")
     facts = json.loads(out.out)
     assert facts["sonicsurface"]["stop_hex"] == 2 * ("97c0fe" + 256 * "20" + "fd")

@@ -141,6 +141,10 @@ def test_a_scene_that_is_not_there_names_the_one_that_is(small_scene, tmp_path):
         palmfield.load(path.with_name("smal.xml"))
     with pytest.raises(SceneError, match=r"did you mean '/.*mjcf/scenes/palm_am200\.xml'\?"):
         palmfield.load(tmp_path / "palm_am200")
+    beside = path.with_name("uhev1.xml")
+    beside.touch()
+    with pytest.raises(SceneError, match=r"nothere\.xml does not exist; `palmfield new"):  # 6 of 10 letters in common
+        palmfield.load(beside.with_name("nothere.xml"))
     with pytest.raises(SceneError, match="is a folder; allowed: the path of an MJCF file"):
         palmfield.load(tmp_path)
 
