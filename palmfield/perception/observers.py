@@ -1,6 +1,6 @@
 """From skin motion to level above threshold, by named contact observers; and the amplitude of lines in a motion.
 
-The observers differ by up to 18 dB: give results for each, with its own spread, rather than for one. None of them was
+The observers differ by up to 19 dB: give results for each, with its own spread, rather than for one. None of them was
 measured in mid-air; the one that was goes by force (`palmfield.perception.force_threshold`).
 """
 
