@@ -19,6 +19,8 @@ from palmfield.types import Air, Array, Complex, Float
 
 # A test computes what it tests, and leaves nothing behind
 os.environ["PALMFIELD_CACHE"] = "off"
+# Tables are as wide as their words want, whatever terminal the tests run in
+os.environ["COLUMNS"] = "130"
 
 AIR = Air()
 

@@ -114,20 +114,27 @@ def vibrometer_record(
     if beams.shape != motion.points.shape:
         raise MeasurementError(f"lines of sight have shape {beams.shape}; the points have {motion.points.shape}")
     _check_seen(motion, beams)
-    seen = along_beam(motion.velocity_m_s, beams, settings)
+    moments, seen = _from_rest(motion.times_s, along_beam(motion.velocity_m_s, beams, settings))
     rate = settings.sampling_rate_Hz
     start = settings.trigger_s - settings.flight_s
     lasts = motion.times_s[-1] - start if settings.duration_s is None else settings.duration_s
     count = math.floor(lasts * rate * (1.0 + 1e-12) + 1e-6) + (settings.duration_s is None)
     if count < 4:
         raise MeasurementError(f"a record of {lasts:g} s holds {count} samples at {rate:g} Hz; it takes four or more")
-    _check_rest(motion.times_s, seen, start)
+    _check_rest(moments, seen, start)
     times = np.arange(count) / rate
-    signal = sampled(motion.times_s, seen, start + times)
+    signal = sampled(moments, seen, start + times)
     if settings.noise_m_s_rtHz > 0.0:
         rng = np.random.default_rng(seed)
         signal = signal + white_noise(signal.shape, settings.noise_m_s_rtHz, rate, settings.averages, rng)
     return labelled(times, chain(signal, settings), motion.points, beams, settings.reading)
+
+
+def _from_rest(times: Float, seen: Float) -> tuple[Float, Float]:
+    """With time 0, where runs and solvers are at rest, which they tell from one step on."""
+    if not 0.0 < times[0] <= 1.5 * (times[1] - times[0]):
+        return times, seen
+    return np.append(0.0, times), np.concatenate([np.zeros_like(seen[:1]), seen])
 
 
 def _check_rest(times: Float, seen: Float, start: float) -> None:

@@ -31,9 +31,13 @@ def side_by_side(work: Callable[[str, Told], T], names: Sequence[str], jobs: int
 
         listener = threading.Thread(target=listen, daemon=True)
         listener.start()
-        # Processes inherit it: what is idle or still imports has nothing to write, and would print a traceback
-        with _interrupts(signal.SIG_IGN):
-            running = [pool.submit(_one, work, name, heard, ending) for name in names]
+        running: list[Future[list[T]]] = []
+        try:
+            # Processes inherit it: what is idle or still imports has nothing to write, and would print a traceback
+            with _held():
+                running += [pool.submit(_one, work, name, heard, ending) for name in names]
+        except KeyboardInterrupt:
+            _end(running, ending)
         _wait(running, ending)
         heard.put(None)
         listener.join()
@@ -41,26 +45,39 @@ def side_by_side(work: Callable[[str, Told], T], names: Sequence[str], jobs: int
 
 
 def _wait(running: Sequence[Future[Any]], ending: Any) -> None:
-    """Until all have ended. A terminal's Ctrl-C reaches all processes, but one that is sent reaches this one alone."""
+    """Until all have ended."""
     while True:
         try:
             wait(running)
             return
         except KeyboardInterrupt:
-            ending.set()
-            for one in running:
-                one.cancel()
-            for process in multiprocessing.active_children():
-                if process.pid is not None:
-                    os.kill(process.pid, signal.SIGINT)
+            _end(running, ending)
+
+
+def _end(running: Sequence[Future[Any]], ending: Any) -> None:
+    """A terminal's Ctrl-C reaches all processes, but one that is sent reaches this one alone."""
+    ending.set()
+    for one in running:
+        one.cancel()
+    for process in multiprocessing.active_children():
+        if process.pid is not None:
+            os.kill(process.pid, signal.SIGINT)
 
 
 def _one(work: Callable[[str, Told], T], name: str, heard: Any, ending: Any) -> list[T]:
     """What came of it; nothing where it has not begun."""
     if ending.is_set():
         return []
-    with _interrupts(_once):
+    before = signal.signal(signal.SIGINT, _once)
+    try:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+    except KeyboardInterrupt:
+        return []
+    try:
         return [work(name, lambda *news: heard.put(news))]
+    finally:
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        signal.signal(signal.SIGINT, before or signal.SIG_DFL)
 
 
 def _once(number: int, frame: object) -> None:
@@ -70,13 +87,10 @@ def _once(number: int, frame: object) -> None:
 
 
 @contextmanager
-def _interrupts(handler: Any) -> Iterator[None]:
-    """Ctrl-C is handled so; as before where that can't be said, which is outside a main thread."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, handler)
+def _held() -> Iterator[None]:
+    """Ctrl-C waits for the end of the block, in this thread and for good in processes that begin in it."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before or signal.SIG_DFL)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
