@@ -34,7 +34,7 @@ from palmfield.skin.reduction.reduced_stepper import (
     reduced_stepper,
 )
 from palmfield.skin.scene_layer import SceneLayer
-from palmfield.skin.solver_choice import scene_choices
+from palmfield.skin.solver_choice import RUNS, scene_choices
 from palmfield.skin.stepper import SkinStepper
 from palmfield.stimulus.schedule import (
     frames_at,
@@ -109,7 +109,8 @@ def choose_stepper(
         )
     vectors = 0 if reason is not None else expected_vectors(_sounding(stimuli), pole, response_on)
     modes = load_class.expected_modes(skin, layer)
-    choices = scene_choices(layer.dofs, substeps, vectors, reason, modes, modal_reason, load_class.laws(layer))
+    size = (layer.dofs, substeps, vectors, reason, modes, modal_reason, load_class.laws(layer))
+    choices = scene_choices(*size)
     seconds = {choice.name: choice.seconds for choice in choices}
     name: str = requested
     if requested != "auto":
@@ -117,11 +118,16 @@ def choose_stepper(
     elif reason is None:
         # Where the load is known ahead, what is made for it alone is smaller than what serves every load
         name = "reduced" if seconds["reduced"] < seconds["wedges"] else "wedges"
-        why = f"the load is known ahead; about {seconds['reduced']:.1f} s against {seconds['wedges']:.1f} s"
+        small_s, whole_s = seconds["reduced"], seconds["wedges"]
+        why = f"the load is known ahead; reduced about {small_s:.1f} s, wedges about {whole_s:.1f} s"
     else:
         name, why = choices[0].name, f"no small model: {reason}"
         if name == "modal":
             why = f"{reason}, so that no load is known ahead"
+        if name == "modal" and scene_choices(*size, kept=False)[0].name != name:
+            why += f"; making the modes counts as 1/{RUNS}, since the cache keeps them: without one wedges is chosen"
+        elif name == "wedges" and scene_choices(*size, kept=True)[0].name != name:
+            why += "; modes do not pay, since no cache keeps them: with one modal is chosen"
     return StepperChoice(name, why, seconds[name], seconds["wedges"])
 
 

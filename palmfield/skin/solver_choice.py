@@ -119,19 +119,21 @@ def scene_choices(
     modes: float,
     modal_refusal: str | None,
     laws: int = 1,
+    kept: bool | None = None,
 ) -> list[Choice]:
     """The solvers that can step a scene's layer, the cheapest first.
 
     dofs: unknowns of the layer; substeps: of the whole run; vectors: of a reduced model for its load, about
     refusal: why there can't be one, in a sentence, or None; modes, modal_refusal: the same for modes for every load
     laws: by which the layer relaxes
+    kept: whether modes serve RUNS runs; None: as there is a cache or none
     """
     reduced, modal = Choice("reduced", math.inf, refusal), Choice("modal", math.inf, modal_refusal)
     if refusal is None:
         reduced = Choice("reduced", reduced_s(dofs, substeps, vectors))
     if modal_refusal is None:
         # Kept on disk, they serve the runs to come as well
-        share = 1.0 if cache.folder() is None else 1.0 / RUNS
+        share = 1.0 / RUNS if (cache.folder() is not None if kept is None else kept) else 1.0
         modal = Choice("modal", share * modes_s(dofs, modes, laws) + substeps * modal_step_s(modes, laws))
     return ranked([reduced, modal, Choice("wedges", wedges_s(dofs, substeps))])
 

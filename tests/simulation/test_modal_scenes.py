@@ -74,6 +74,20 @@ def test_sheets_take_modes_by_themselves_where_these_pay(small_scene):
     assert names == ["wedges", "modal"]
 
 
+def test_the_plan_says_where_the_cache_decides_which_solver_is_taken(small_scene, tmp_path, monkeypatch):
+    # Of no other test, and each for itself: equal scenes share their model, with its choice
+    rows = []
+    for folder, accuracy in ((str(tmp_path / "cache"), 0.21), ("off", 0.22)):
+        monkeypatch.setenv("PALMFIELD_CACHE", folder)
+        scene = small_scene(stimulus=LETTER, skin=SKIN | {"accuracy": accuracy}, duration_s=0.3)
+        rows.append(" ".join(str(plan(scene)).replace("│", " ").split()))
+    assert "skin solver modal" in rows[0] and "without one wedges is chosen" in rows[0]
+    assert "skin solver wedges" in rows[1] and "with one modal is chosen" in rows[1]
+    monkeypatch.setenv("PALMFIELD_CACHE", "off")
+    asked = str(plan(small_scene(skin=SKIN | {"solver": "modal", "accuracy": 0.23})))
+    assert "made once, kept nowhere, since there is no cache" in " ".join(asked.replace("│", " ").split())
+
+
 FINGER = (
     '<body name="finger" mocap="true" pos="-0.015 0 0.1" quat="0.7071068 0.7071068 0 0">'
     '<geom type="capsule" size="0.005 0.06" contype="0" conaffinity="0"/></body>'

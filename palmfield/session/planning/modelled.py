@@ -1,5 +1,6 @@
 """What a plan says is modelled, and how."""
 
+from palmfield import cache
 from palmfield.acoustics.body_scattering import BODY_SOUNDS
 from palmfield.config.skin import EXPLICIT
 from palmfield.outputs.summary_table import of_full
@@ -142,11 +143,12 @@ def _solver(skin: SkinModel, still_m: float) -> Row:
         why = f"implicit on the whole layer, factorised once; {choice.why}"
         return Row("skin solver wedges", f"about {choice.seconds:.0f} s", why, name)
     if choice.name == "modal":
+        kept = "kept in the cache" if cache.folder() is not None else "kept nowhere, since there is no cache"
         beyond = "the run's error says so" if config.solver == "modal" else "the whole layer goes on by wedges"
         return Row(
             "skin solver modal",
             f"about {choice.seconds:.0f} s, wedges about {choice.wedges_s:.0f} s",
-            f"{choice.why}; modes for every sound of these arrays on this region, made once, kept in the cache; what "
+            f"{choice.why}; modes for every sound of these arrays on this region, made once, {kept}; what "
             f"of a load lies outside is measured in every step; beyond {100 * config.accuracy:g} % {beyond}",
             name,
         )
