@@ -224,7 +224,7 @@ def calibrated_array():
 @pytest.mark.parametrize("board", ["plain", "calibrated", "earlier"])
 def test_a_slice_has_its_peak_near_the_focus_and_the_pressure_of_the_field(with_keys, board):
     """earlier: a result that doesn't tell its transducers, whose keys name a layout"""
-    tree = with_keys.copy()
+    tree = with_keys.copy(deep=True)
     focus = np.array([0.01, 0.0, 0.15])
     own = calibrated_array() if board == "calibrated" else layout("uhev1")
     if board == "earlier":
@@ -242,7 +242,7 @@ def test_a_slice_has_its_peak_near_the_focus_and_the_pressure_of_the_field(with_
 
 
 def test_a_slice_of_an_earlier_calibrated_result_is_refused(with_keys):
-    tree = with_keys.copy()
+    tree = with_keys.copy(deep=True)
     known = tree["array/below"].to_dataset()
     keys = json.loads(known.attrs["config"]) | {"calibration": "board.toml"}
     tree["array/below"] = xr.DataTree(
