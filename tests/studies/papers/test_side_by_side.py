@@ -8,7 +8,7 @@ import time
 import pytest
 
 PROGRAM = """
-import sys, time
+import signal, sys, time
 from pathlib import Path
 from palmfield.studies.papers.side_by_side import side_by_side
 
@@ -26,6 +26,7 @@ def work(name, told):
     return name
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # what a shell starts in the background ignores Ctrl-C
     heard = []
     print(side_by_side(work, sys.argv[3:], 2, lambda *news: heard.append(news)), sorted(heard))
 """
