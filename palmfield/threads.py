@@ -24,6 +24,14 @@ def cores() -> int:
     return min([there, *_most])
 
 
+def python_threads() -> int:
+    """Threads for calls so short that they wait for Python's lock in between.
+
+    On 16 cores the harmonics of a disc took 0.6 of the time of one thread with 4 threads, 0.7 with 8.
+    """
+    return min(cores(), 4)
+
+
 def limit(count: int | None) -> None:
     """Use at most `count` cores from now on, >= 1; None for all. What is already shared out among threads stays so.
 

@@ -1,6 +1,5 @@
 """What `palmfield render` does with its options."""
 
-import math
 from pathlib import Path
 
 from rich.console import Console
@@ -30,17 +29,10 @@ def render(run: Path, video: Path, cut: Cut, *, quiet: bool, as_json: bool) -> N
         Progress(*columns, console=console, disable=quiet or not console.is_terminal, transient=True) as bar,
     ):
         task = bar.add_task("drawing frames", total=None)
-        wanted = math.inf
-
-        def drawn(done: int, of: int) -> None:
-            nonlocal wanted
-            wanted = of
-            bar.update(task, completed=done, total=of)
-
-        frames = film(result, video, cut, drawn)
+        frames = film(result, video, cut, lambda done, of: bar.update(task, completed=done, total=of))
     if as_json:
         print_json({"video": str(video), "frames": frames, "fps": FPS})
     else:
         print(f"wrote {video}: {frames} frames, {frames / FPS:.1f} s")
-    if frames < wanted:
+    if not bar.finished:
         raise KeyboardInterrupt

@@ -7,9 +7,6 @@ import numpy as np
 
 from palmfield.types import Float
 
-LEAST_MM = 10.0
-"""Of axes of places: a focus at rest has no extent."""
-
 
 def draw_foci(times_s: Sequence[float], foci: Float, path: Path) -> None:
     """Draw foci [m], shape (n, 3), NaN where there is none, by their times [s], into a PNG.
@@ -28,7 +25,7 @@ def draw_foci(times_s: Sequence[float], foci: Float, path: Path) -> None:
     for axes, up in ((above, 1), (side, 2)):
         axes.set_xlabel("x [mm]")
         axes.set_ylabel(f"{'xyz'[up]} [mm]")
-        same_scale(axes, places[:, 0], places[:, up], LEAST_MM)
+        same_scale(axes, places[:, 0], places[:, up])
     for number, name in enumerate("xyz"):
         # A single moment is no line
         course.step(moments, places[:, number], "." if len(moments) == 1 else "", where="post", label=name)

@@ -7,6 +7,7 @@ import numpy as np
 import xarray as xr
 from scipy.spatial.transform import Rotation
 
+from palmfield.errors import OutputError
 from palmfield.hand.blend import blended, bone_shifts
 from palmfield.outputs.motion import pieces
 from palmfield.outputs.schema import has_records, instances
@@ -38,6 +39,17 @@ def nearest(times_s: Float, time_s: float) -> int:
 def drive_frames(starts_s: Float, times_s: Float) -> Int:
     """Places of the drive frames that hold at times [s]: the last that have begun; the first before all."""
     return np.maximum(0, np.searchsorted(starts_s, times_s + 1e-9, "right") - 1).astype(np.int32)
+
+
+def drive_frame(array: xr.Dataset, time_s: float) -> int:
+    """Place along `frame_time` of an array's drive that holds at a time [s]."""
+    return int(drive_frames(array["frame_time"].values, np.array([time_s]))[0])
+
+
+def check_time(option: str, time_s: float, first_s: float, last_s: float) -> None:
+    """Raises OutputError for a time that an option gives and that the record does not hold, with its ends [s]."""
+    if not first_s <= time_s <= last_s:
+        raise OutputError(f"{option} has value {1e3 * time_s:g} ms; allowed: {1e3 * first_s:g} to {1e3 * last_s:g} ms")
 
 
 def poses_at(group: xr.Dataset | None, times_s: Float) -> Float:

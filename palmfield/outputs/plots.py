@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from palmfield.errors import MeasurementError, OutputError
 from palmfield.metrics.spectra import amplitude_spectrum, spectral_peaks
 from palmfield.outputs.budget_text import in_a_line
-from palmfield.outputs.frames import Loudest, foci_at, in_world, loudest, nearest, to_local
+from palmfield.outputs.frames import Loudest, check_time, foci_at, in_world, loudest, nearest, to_local
 from palmfield.outputs.motion import at_vertices, extremes
 from palmfield.outputs.schema import has_records, instances
 from palmfield.outputs.skin_view import SkinView, draw_patch, probe_vertices, seen_from_array
@@ -87,9 +87,9 @@ def plot_displacement(result: xr.DataTree, path: Path) -> None:
 def _instant(skin: xr.Dataset, time_s: float) -> Loudest:
     """A time of a skin's record [s]. Raises OutputError for one outside it."""
     times: Float = skin["time"].values
-    if not (len(times) and times[0] <= time_s <= times[-1]):
-        allowed = f"{1e3 * times[0]:g} to {1e3 * times[-1]:g} ms" if len(times) else "none, as nothing was recorded"
-        raise OutputError(f"--time has value {1e3 * time_s:g} ms; allowed: {allowed}")
+    if not len(times):
+        raise OutputError(f"--time has value {1e3 * time_s:g} ms; allowed: none, as nothing was recorded")
+    check_time("--time", time_s, float(times[0]), float(times[-1]))
     place = nearest(times, time_s)
     return Loudest(float(times[place]), place, 0.0)
 
@@ -97,21 +97,17 @@ def _instant(skin: xr.Dataset, time_s: float) -> Loudest:
 def _pressures(skin: xr.Dataset, when: Loudest, over_time: bool) -> list[tuple[str, str, Float]]:
     """Title, colours and values [Pa] of each panel of a skin; over_time: of its record, at the instant."""
     panels: list[tuple[str, str, Float]] = []
-    if over_time:
-        for name, title, colours in (
-            ("pressure", "Peak pressure", "magma"),
-            ("arp", "Radiation pressure (ARP)", "viridis"),
-        ):
-            if has_records(skin, name):
-                panels.append((title, colours, skin[name].isel(time=when.place).values.astype(float)))
-        return panels
-    if has_records(skin, "loudest_pressure"):
-        panels.append(("Peak pressure", "magma", skin["loudest_pressure"].values.astype(float)))
-    if has_records(skin, "loudest_arp"):
-        panels.append(("Radiation pressure (ARP)", "viridis", skin["loudest_arp"].values.astype(float)))
-    elif has_records(skin, "arp"):
-        arp = skin["arp"].isel(time=when.place).values.astype(float)
-        panels.append(("Radiation pressure (ARP)", "viridis", arp))
+    for name, title, colours in (
+        ("pressure", "Peak pressure", "magma"),
+        ("arp", "Radiation pressure (ARP)", "viridis"),
+    ):
+        if not over_time and has_records(skin, f"loudest_{name}"):
+            values = skin[f"loudest_{name}"]
+        elif (over_time or name == "arp") and has_records(skin, name):
+            values = skin[name].isel(time=when.place)
+        else:
+            continue
+        panels.append((title, colours, values.values.astype(float)))
     return panels
 
 

@@ -8,7 +8,7 @@ from palmfield.acoustics.phased_array import ArrayInstance
 from palmfield.acoustics.placement import placed
 from palmfield.config.array import ArrayConfig
 from palmfield.errors import OutputError
-from palmfield.outputs.frames import axes, drive_frames, foci_at, nearest, pose_at
+from palmfield.outputs.frames import axes, drive_frame, foci_at, nearest, pose_at
 from palmfield.outputs.recorded_keys import keys_of
 from palmfield.outputs.schema import has_records, instances
 from palmfield.transforms import IDENTITY, Placement
@@ -44,24 +44,20 @@ def sound_at(arrays: dict[str, xr.Dataset], points: Float, time_s: float) -> Com
     """
     total: Complex = np.zeros(len(points), complex)
     for name, array in arrays.items():
-        if array["drive_amplitude"].values[_frame(array, time_s)].any():
-            total += _sound(name, array, points, time_s)
+        index = drive_frame(array, time_s)
+        if array["drive_amplitude"].values[index].any():
+            total += _sound(name, array, points, time_s, index)
     return total
 
 
-def _sound(name: str, array: xr.Dataset, points: Float, time_s: float) -> Complex:
+def _sound(name: str, array: xr.Dataset, points: Float, time_s: float, index: int) -> Complex:
     """Complex amplitude [Pa] of one array at points of the world [m], shape (n, 3) -> (n,)."""
     config = keys_of(ArrayConfig, name, array)
     pose = pose_at(array, time_s)
     here = placed(_transducers(name, array, config), pose[:3], axes(pose).T)
-    index = _frame(array, time_s)
     drive = array["drive_amplitude"].values[index] * np.exp(1j * array["drive_phase"].values[index])
     air = Air(config.temperature_C, config.humidity_percent, config.pressure_Pa)
     return pressure(points, here, drive.astype(complex), air, device="cpu", warn=False).pressure.astype(complex)
-
-
-def _frame(array: xr.Dataset, time_s: float) -> int:
-    return int(drive_frames(array["frame_time"].values, np.array([time_s]))[0])
 
 
 def _transducers(name: str, group: xr.Dataset, config: ArrayConfig) -> Array:

@@ -35,17 +35,21 @@ RC: Any = {
 COLOURS = ("#c2410c", "#0f766e", "#4338ca")
 
 
+LEAST_MM = 10.0
+"""Of axes of places: a focus or a hand at rest has no extent."""
+
+
 def style() -> Any:
     """Context in which figures get palmfield's look; other figures of the process keep theirs."""
     return mpl.rc_context(RC)
 
 
-def same_scale(axes: Any, x: Float, y: Float, least: float) -> None:
-    """Limits of equal length on both axes about points, NaN where there is none, `least` or longer."""
+def same_scale(axes: Any, x: Float, y: Float) -> None:
+    """Limits of equal length on both axes about points [mm], NaN where there is none."""
     known = np.isfinite(x) & np.isfinite(y)
     pairs = np.stack([x[known], y[known]]) if known.any() else np.zeros((2, 1))
     middle = 0.5 * (pairs.min(axis=1) + pairs.max(axis=1))
-    half = 0.55 * max(least, float(np.ptp(pairs, axis=1).max()))
+    half = 0.55 * max(LEAST_MM, float(np.ptp(pairs, axis=1).max()))
     axes.set(xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] - half, middle[1] + half))
     axes.set_aspect("equal", adjustable="box")
 

@@ -8,8 +8,6 @@ import numpy as np
 
 from palmfield.types import Float
 
-LEAST_MM = 10.0
-"""Of axes of places: a hand at rest has no extent."""
 LOSSES = (
     ("late_Pa", "wanted_Pa", "left by latency", "C0"),
     ("rounded_Pa", "late_Pa", "left by the board", "C1"),
@@ -57,7 +55,7 @@ def draw_trial(names: Sequence[str], rows: Float, numbers: Mapping[str, Any], pa
         x, rest = (
             1e3 * np.concatenate([column[f"{what}_{one}_m"] for what in ("true", "sounding")]) for one in ("x", up)
         )
-        same_scale(axes, x, rest, LEAST_MM)
+        same_scale(axes, x, rest)
     above.legend(fontsize=8)
     figure.suptitle(f"{Path(str(numbers['scene'])).stem} on {numbers['board']}", fontsize=11)
     save(figure, path, dpi=110)

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from palmfield.errors import OutputError, did_you_mean
-from palmfield.outputs.frames import drive_frames, in_world, nearest
+from palmfield.outputs.frames import check_time, drive_frame, in_world, nearest
 from palmfield.outputs.motion import extremes
 from palmfield.outputs.schema import RECORDS, has_records, instances
 from palmfield.outputs.skin_view import probe_vertices
@@ -111,7 +111,7 @@ def chosen_time(skin: xr.Dataset, asked: Asked, otherwise: int) -> int:
     times: Float = skin["time"].values
     if asked.time_s is None:
         return otherwise
-    _check_time(asked.time_s, float(times[0]), float(times[-1]))
+    check_time("--time", asked.time_s, float(times[0]), float(times[-1]))
     return nearest(times, asked.time_s)
 
 
@@ -126,13 +126,8 @@ def chosen_frame(result: xr.DataTree, array: xr.Dataset, asked: Asked) -> tuple[
         return loudest, float(starts[loudest])
     coords = result.coords
     ends = [float(coords[name].values[-1]) for name in RECORDS if name in coords and coords[name].size]
-    _check_time(asked.time_s, float(starts[0]), max(ends))
-    return int(drive_frames(starts, np.array([asked.time_s]))[0]), asked.time_s
-
-
-def _check_time(time_s: float, first_s: float, last_s: float) -> None:
-    if not first_s <= time_s <= last_s:
-        raise OutputError(f"--time has value {1e3 * time_s:g} ms; allowed: {1e3 * first_s:g} to {1e3 * last_s:g} ms")
+    check_time("--time", asked.time_s, float(starts[0]), max(ends))
+    return drive_frame(array, asked.time_s), asked.time_s
 
 
 def chosen_vertices(result: xr.DataTree, name: str, skin: xr.Dataset, asked: Asked) -> list[tuple[int, str]]:

@@ -8,8 +8,7 @@ import xarray as xr
 from pxr import Gf, Usd, UsdGeom, Vt
 from warp.geometry import IsoSurfaceMarchingCubes
 
-from palmfield.errors import OutputError
-from palmfield.outputs.frames import pose_at, to_local, to_world
+from palmfield.outputs.frames import check_time, pose_at, to_local, to_world
 from palmfield.outputs.sound import driven_arrays, sound_at, sounding_foci
 from palmfield.outputs.usd.clock import Clock
 from palmfield.outputs.usd.palette import Palette, indices_of, paint, palette_of
@@ -63,11 +62,7 @@ def add_field(stage: Usd.Stage, result: xr.DataTree, shown: Shown, clock: Clock)
     times = shown.field_times_s or (float(arrays[first]["frame_time"].values[int(loud[first].argmax())]),)
     recorded = result.coords["time"].values
     for time_s in times:
-        if not recorded[0] <= time_s <= recorded[-1]:
-            raise OutputError(
-                f"--field-time has value {1e3 * time_s:g} ms; allowed: {1e3 * recorded[0]:g} to "
-                f"{1e3 * recorded[-1]:g} ms"
-            )
+        check_time("--field-time", time_s, float(recorded[0]), float(recorded[-1]))
     root = UsdGeom.Scope.Define(stage, "/Scene/Field").GetPrim()
     grid = _grid(result, arrays[first], times)
     moments = []

@@ -89,12 +89,13 @@ def compare(
         raise MeasurementError(f"{scan.name}: fewer than two points move both in the scan and in the run")
     still, ours = int((~moves).sum()), ours.at_points(moves)
     near[near] = moves
-    broken = wild(Scan(scan.quantity, scan.times_s[:count], scan.points[near], scan.values[:count, near]), ours)
+    theirs = Scan(scan.quantity, scan.times_s[:count], scan.points[near], scan.values[:count, near], name=scan.name)
+    broken = wild(theirs, ours)
     if (~broken).sum() < 2:
         broken[:] = False
-    lost, ours = np.flatnonzero(near)[broken], ours.at_points(~broken)
+    lost = np.flatnonzero(near)[broken]
     near[lost] = False
-    theirs = Scan(scan.quantity, scan.times_s[:count], scan.points[near], scan.values[:count, near], name=scan.name)
+    theirs, ours = theirs.at_points(~broken), ours.at_points(~broken)
     try:
         numbers = agreement(theirs.times_s, theirs.values, ours.values, most_delay_s=most_delay_s)
     except MeasurementError as error:

@@ -47,7 +47,7 @@ from palmfield.skin.reduction.reduced import Reduced
 from palmfield.skin.reduction.reducer import reduce
 from palmfield.skin.solvers.axisymmetric.element import DiscGrid, Line, graded
 from palmfield.skin.solvers.axisymmetric.samples import REACH, Samples, band_of, principal_shapes, sample
-from palmfield.threads import cores
+from palmfield.threads import python_threads
 from palmfield.types import Complex, Float
 
 FINE = 1.8
@@ -63,8 +63,6 @@ TIGHTER, TIGHTEST = 0.35, 2e-5
 CORNER = 0.15
 """Width of the elements at a singular corner, in those of their neighbours (Szabo & Babuska 1991, ch. 10)."""
 MOST_DEGREE = 9
-MOST_THREADS = 4
-"""Harmonics side by side: on 16 cores 4 threads took 0.6 of the time of one, 8 0.7, as they wait for Python's lock."""
 GRIDS, KEPT = 8, 160
 """Discs, and reduced models of spots in the middle, that are kept for other courses of the pressure: 0.1 to 10 MB."""
 
@@ -288,7 +286,7 @@ def _motions(
         grids.append(grid)
         tasks += [(grid, problem, m, band_Hz) for m in problem.numbers]
     # A harmonic that found BLAS at one thread or at two, as another one's factor has just set it, would differ in bits.
-    with one_blas_thread, ThreadPoolExecutor(min(cores(), MOST_THREADS)) as pool:
+    with one_blas_thread, ThreadPoolExecutor(python_threads()) as pool:
         parts = pool.map(lambda task: (harmonic or _harmonic)(*task), tasks)
         result = [[next(parts) for _ in problem.numbers] for problem, _, _ in runs]
     return [_summed(run[0], grid, each) for run, grid, each in zip(runs, grids, result, strict=True)]

@@ -17,11 +17,9 @@ from scipy.special import j0
 from palmfield.blas import one_blas_thread
 from palmfield.errors import SceneError
 from palmfield.skin.solvers.lateral_waves.modes import FaceModes
-from palmfield.threads import cores
+from palmfield.threads import python_threads
 from palmfield.types import Float
 
-MOST_THREADS = 4
-"""On 16 cores more took no less time: they wait for Python's lock between the calls of LAPACK."""
 NODES = 10
 MOST_PANELS = 4000
 MOST_LEVELS = 24
@@ -47,7 +45,7 @@ def compute_modes(
 ) -> tuple[FaceModes, ...]:
     """Modes at each wavenumber, side by side: LAPACK lets go of Python's lock, and its matrices are too small for more
     than one of its own threads."""
-    with one_blas_thread, ThreadPoolExecutor(threads or min(cores(), MOST_THREADS)) as pool:
+    with one_blas_thread, ThreadPoolExecutor(threads or python_threads()) as pool:
         return tuple(pool.map(modes_at, wavenumbers))
 
 
