@@ -13,7 +13,7 @@ import numpy as np
 import viser
 
 from palmfield.studies.view.colours import (
-    FLESH,
+    AT_REST,
     NOTHING,
     PRESSURE,
     Scale,
@@ -195,7 +195,7 @@ class Page:
             body.remove()
         pose = scene.pose
         self._bodies = [
-            api.add_mesh_simple(f"/bodies/{number}", vertices, faces, color=FLESH, side="double")
+            api.add_mesh_simple(f"/bodies/{number}", vertices, faces, color=AT_REST, side="double")
             for number, (vertices, faces) in enumerate(zip(pose.bodies, scene.body_faces, strict=True))
         ]
         self._skins = [
