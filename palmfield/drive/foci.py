@@ -218,8 +218,8 @@ def together(transfer: Complex, pressures: Float | None = None) -> Complex:
 def in_gauge(matrix: Complex, drive: Complex) -> Complex:
     """Turn a drive, shape (n,), so that its pressure at the first focus is real and positive, as a single focus has it.
 
-    Where the first focus is FAINT, the first one that is not takes its place. Magnitudes do not depend on this phase, but
-    transducers that ring need it to follow from the present foci alone: eigenvectors have it from rounding.
+    Where the first focus is FAINT, the first one that is not takes its place. Magnitudes do not depend on this phase,
+    but transducers that ring need it to follow from the present foci: eigenvectors have it from rounding.
     matrix: complex pressure at the foci from each transducer at full drive [Pa], shape (m, n)
     """
     pressure = matrix @ drive
