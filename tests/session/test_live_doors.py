@@ -108,7 +108,7 @@ def test_no_line_makes_the_listener_deaf(name, by):
 @pytest.mark.parametrize("door", DOORS)
 def test_ten_thousand_random_and_mutated_lines_are_counted_once_each(door):
     """A million of them by scripts/verification/fuzz_lines.py, whose counts are in docs/bench/fuzzing.md."""
-    outcomes, faults = sent(door, 10_000, 29)
+    outcomes, faults, _ = sent(door, 10_000, 29)
     assert not faults and outcomes.total() == 10_000
     assert outcomes["none", "taken"] > 300 and outcomes["noise", "garbled"] > 800
 
