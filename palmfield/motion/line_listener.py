@@ -22,7 +22,7 @@ STALE_S = 0.1
 """What arrived longer ago is not used any more."""
 HELD_BACK, LINE_COSTS = 49152, 512
 """After so many bytes that waited, the system of their sender may hold back more that are as old; and what a line takes
-of the system's memory besides. Linux blocks senders that aren't read from 94 kB on, with lines of 50 bytes from 142 on."""
+of the system's memory besides. Linux blocks a sender that is not read from 94 kB on, or from 142 lines of 50 bytes."""
 NEXT_SENDER_S = 1.0
 """A UDP sender that has been silent for so long may be followed by another one."""
 WAITING = 8
