@@ -1,4 +1,4 @@
-"""Maps of a skin's motion, seen from the array: at a time, as root mean square, and as levels above threshold."""
+"""Maps of a skin's motion, looking onto the array: at a time, as root mean square, and as levels above threshold."""
 
 from typing import Any
 
@@ -21,7 +21,7 @@ from palmfield.outputs.pictures.asked import (
 )
 from palmfield.outputs.recorded_keys import keys_of
 from palmfield.outputs.schema import instances
-from palmfield.outputs.skin_view import SkinView, draw_patch, seen_from_array
+from palmfield.outputs.skin_view import SkinView, draw_patch, view_of_skin
 from palmfield.outputs.style import signed_colours
 from palmfield.perception.maps import level_map, lines_in
 from palmfield.perception.observers import OBSERVERS
@@ -44,7 +44,7 @@ def motion_map(result: xr.DataTree, asked: Asked) -> Figure:
     time_s = float(skin["time"].values[index])
     largest = float(np.abs(values).max())
     unit = UNITS[asked.quantity]
-    view = seen_from_array(result, name, skin)
+    view = view_of_skin(result, name, skin)
     vertices = to_local(in_world(skin, instances(result, "body").get(name), time_s), view.pose)
     limits = limits_of(asked, -max(largest, 1e-9), max(largest, 1e-9))
     colours = ListedColormap(signed_colours(*limits))
@@ -62,7 +62,7 @@ def rms_map(result: xr.DataTree, asked: Asked) -> Figure:
     title = f"RMS of the normal {asked.quantity} over the run\n(mean kept), at most {values.max():.3g} {unit}"
     limits = limits_of(asked, 0.0, float(values.max()))
     marks = _marked(result, name, skin, asked)
-    return _one(seen_from_array(result, name, skin), skin, values, SIZES, limits, unit, title, marks)
+    return _one(view_of_skin(result, name, skin), skin, values, SIZES, limits, unit, title, marks)
 
 
 def level_map_of(result: xr.DataTree, asked: Asked) -> Figure:
@@ -84,7 +84,7 @@ def level_map_of(result: xr.DataTree, asked: Asked) -> Figure:
         raise OutputError(f"no observer has a threshold at {told} Hz; see docs/results.md")
     top = max(float(levels.max()) for _, levels in shown)
     limits = limits_of(asked, min(0.0, top), top)
-    view = seen_from_array(result, name, skin)
+    view = view_of_skin(result, name, skin)
     marks = _marked(result, name, skin, asked)
     figure = Figure(figsize=(0.6 + 4.4 * len(shown), 4.6), layout="constrained")
     for axes, (key, levels) in zip(figure.subplots(1, len(shown), squeeze=False)[0], shown, strict=True):

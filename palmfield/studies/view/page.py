@@ -2,6 +2,7 @@
 
 import html
 import math
+import secrets
 import socket
 import time
 from collections.abc import Callable
@@ -13,7 +14,7 @@ import numpy as np
 import viser
 
 from palmfield.studies.view.colours import (
-    FLESH,
+    AT_REST,
     NOTHING,
     PRESSURE,
     Scale,
@@ -23,7 +24,7 @@ from palmfield.studies.view.colours import (
     rounded_up,
     size_scale,
 )
-from palmfield.studies.view.gate import LOCAL, Gate
+from palmfield.studies.view.gate import LOCAL, Gate, only_for_gate
 from palmfield.studies.view.glb import GlbMesh, linear
 from palmfield.studies.view.messages import (
     Address,
@@ -101,9 +102,11 @@ class Page:
     def __init__(self, talk: Connection, place: Address) -> None:
         """Raises OutputError where nobody can listen."""
         self._talk, self._lock, self._place = talk, Lock(), place
-        # Never at another address: viser asks nobody who he is, the gate does
-        self._server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
-        gate = Gate(place.host, place.port, PORT, self._server.get_port(), place.token)
+        # Never at another address, and for the gate alone: viser asks nobody who he is
+        secret = secrets.token_urlsafe(24)
+        with only_for_gate(secret):
+            self._server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+        gate = Gate(place.host, place.port, PORT, self._server.get_port(), place.token, secret)
         host = "localhost" if place.host in LOCAL else place.host
         if host in ("0.0.0.0", "::"):
             # All addresses of this machine: its name is one that others may know
@@ -195,7 +198,7 @@ class Page:
             body.remove()
         pose = scene.pose
         self._bodies = [
-            api.add_mesh_simple(f"/bodies/{number}", vertices, faces, color=FLESH, side="double")
+            api.add_mesh_simple(f"/bodies/{number}", vertices, faces, color=AT_REST, side="double")
             for number, (vertices, faces) in enumerate(zip(pose.bodies, scene.body_faces, strict=True))
         ]
         self._skins = [
