@@ -10,6 +10,10 @@ from palmfield.motion.line_listener import BadLine, By, LineListener
 from palmfield.motion.tracking import Stream
 from palmfield.motion.wire import Sample, read_sample
 
+JUMP_S = 1.0
+"""The tracker's clock and this machine's may differ by so much between two samples: one sample with a time far ahead
+would make all later ones late."""
+
 
 class Arrived(NamedTuple):
     """A good sample. time_s: when it arrived, on the monotonic clock of this machine [s]"""
@@ -33,6 +37,7 @@ class Listener(LineListener):
         """
         self._on_sample = on_sample
         self.samples: list[Arrived] = []
+        self._before: tuple[float, float] | None = None
         self._joints: tuple[int, ...] | None = None
         self._offset_s = math.inf
         super().__init__(host, port, by)
@@ -55,6 +60,10 @@ class Listener(LineListener):
 
     def take(self, line: bytes, came_s: float) -> None:
         sample = read_sample(line)
+        before, self._before = self._before, (sample.time_s, came_s)
+        if before is not None and not abs(sample.time_s - before[0] - (came_s - before[1])) < JUMP_S:
+            ahead_s = sample.time_s - before[0]
+            raise BadLine("clock", f"its time {sample.time_s:g} s is {ahead_s:.3g} s after that of the line before")
         joints = tuple(np.flatnonzero(sample.flags).tolist())
         if self.samples and sample.time_s <= self.samples[-1].sample.time_s:
             last = self.samples[-1].sample.time_s
