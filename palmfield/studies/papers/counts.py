@@ -26,8 +26,8 @@ WEIGHTLESS = {
     "H17a": "delays rounded to 1/50 of a period move a focus by far less than 1 mm",
     "H22a": "34 dB lie between both sides",
 }
-"""Agreements that no answer of a run could have turned, and why. Found after the first runs, by what each number follows
-from: verdicts stay as they are, and these are counted separately."""
+"""Agreements that no answer of a run could have turned, and why. Found after the first runs, by what each number
+follows from: verdicts stay as they are, and these are counted separately."""
 
 
 @dataclass(frozen=True)
