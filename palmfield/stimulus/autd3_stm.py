@@ -20,6 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from palmfield.acoustics.arrays import layout
 from palmfield.errors import OutputError, SceneError
+from palmfield.given_files import read_json
 from palmfield.stimulus.focus_table import FocusTable, focus_table
 from palmfield.types import Float
 from palmfield.whole_files import whole
@@ -69,7 +70,7 @@ def read_foci_stm(path: str | Path) -> FociStm:
     """The file's content. Raises SceneError, with the entry's place, for what can't be read or isn't allowed."""
     file = Path(path)
     try:
-        return FociStm.model_validate(json.loads(file.read_text(encoding="utf-8")))
+        return FociStm.model_validate(read_json(file))
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"]) or "the whole"
