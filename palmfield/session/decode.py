@@ -70,8 +70,7 @@ def pieces_of(
     chosen = playable_board(board)
     name = array or chosen.layouts[0]
     count = len(layout(name)) * chosen.arrays[0]
-    head = LogHead(board, count, name)
-    return _measured(head, calibration), [Piece(0.0, data)]
+    return _measured(LogHead(board, count, name), calibration), [Piece(0.0, data)]
 
 
 def _measured(head: LogHead, calibration: Path | None) -> LogHead:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from palmfield.acoustics.arrays import LAYOUTS
 from palmfield.acoustics.calibration_file import Calibration, calibrated
 from palmfield.acoustics.focus import compensate, focus
 from palmfield.drive.calibration.element_fit import fit_elements
@@ -71,6 +72,7 @@ def put_elements(
 ) -> Measured:
     """Transducers one by one: see `fit_elements`."""
     element = _whole(file, columns, "element", len(array))
+    _check_version(file, columns, array.name)
     at, place = np.unique(_places(columns), axis=0, return_inverse=True)
     seen = np.full((len(at), len(array)), np.nan, complex)
     seen[place, element] = _complex(columns)
@@ -220,7 +222,7 @@ def put_warm_up(
 MEASUREMENTS: dict[str, Measurement] = {
     "elements": Measurement(
         "one transducer at a time at full drive with phase 0, before a microphone at 3 places or more (8 are better)",
-        ("element", *XYZ, "pressure_Pa", "phase_deg"), put_elements,
+        ("element", *XYZ, "pressure_Pa", "phase_deg"), put_elements, ("layout_version",),
     ),
     "level": Measurement(
         "rising levels of the drive, before a microphone or a scale", ("level",), put_level,
@@ -283,6 +285,19 @@ def _whole(file: Path, columns: dict[str, Float], name: str, count: int) -> np.n
     if bad.any():
         raise SceneError(f"{file}: {name} {values[bad][0]:g} is none of the array's; give 0 to {count - 1}")
     return values.astype(int)
+
+
+def _check_version(file: Path, columns: dict[str, Float], name: str) -> None:
+    """Raises SceneError where transducers may be counted in the order of another version of the layout."""
+    now = LAYOUTS[name].version
+    said = columns.get("layout_version", np.array([1.0]))
+    if (said != now).any():
+        old, earlier = said[said != now][0], LAYOUTS[name].earlier
+        raise SceneError(
+            f"{file}: its transducers are counted as in version {old:g} of a layout (column layout_version, 1 where "
+            f"there is none); allowed: {now} for '{name}': read them again (`palmfield calibrate sound`)"
+            + (f", or give --layout {earlier[-1]}" if earlier else "")
+        )
 
 
 def _drive(array: Array, under: Circumstances) -> Complex:

@@ -21,7 +21,7 @@ from palmfield.outputs.style import save, style
 from palmfield.studies.bench.field import git_commit
 from palmfield.studies.bench.table import processor
 from palmfield.studies.papers.answer import Paper, Picture, Setting
-from palmfield.studies.papers.counts import counts, noticed, turned_later, unsure, untested
+from palmfield.studies.papers.counts import counts, noticed, turned_later, unsure, untested, weightless
 from palmfield.studies.papers.entries import Book, book
 from palmfield.studies.papers.index import as_html, index
 from palmfield.studies.papers.page import page
@@ -176,6 +176,7 @@ def _write_rows(path: Path, head: dict[str, Any], held: Book, found: Sequence[Ro
     told = {
         "counts": counts(found),
         "untested": untested(found),
+        "weightless": weightless(found),
         "turned_later": turned_later(found),
         "unsure": unsure(found),
         "controls": [
