@@ -16,6 +16,7 @@ from palmfield.drive.boards import board_of, playable_board
 from palmfield.drive.focus_fit import fitted_focus
 from palmfield.drive.frame_log import LogHead, Piece, is_log, read_log
 from palmfield.errors import SceneError, unwritable
+from palmfield.given_files import read_bytes
 from palmfield.types import Float
 from palmfield.whole_files import whole
 
@@ -62,7 +63,7 @@ def pieces_of(
         return _measured(head, calibration), pieces
     file = Path(path)
     try:
-        data = file.read_bytes()
+        data = read_bytes(file)
     except OSError as error:
         raise SceneError(f"{file} can't be read: {error.strerror}; give a file of --record or --log") from None
     if board is None:
