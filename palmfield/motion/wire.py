@@ -73,7 +73,7 @@ def read_sample(line: str | bytes) -> Sample:
         flags[number] = POSITION_VALID | POSITION_TRACKED
         if turn is not None:
             x, y, z, w = _numbers(turn, 4, name)
-            length = math.sqrt(x * x + y * y + z * z + w * w)
+            length = math.hypot(x, y, z, w)
             if length < 1e-6:
                 raise BadLine("numbers", f"orientation of {name} has length {length:g}")
             quaternions[number] = np.array([w, x, y, z]) / length

@@ -12,6 +12,7 @@ import time
 
 import numpy as np
 import pytest
+from fuzz_lines import DOORS, sent
 
 from palmfield.drive.boards import BOARDS
 from palmfield.drive.live_foci import FocusListener
@@ -102,6 +103,14 @@ def test_no_line_makes_the_listener_deaf(name, by):
         out.close()
     assert sum(listener.bad.values()) == 1 and set(listener.bad) <= {"garbled", "numbers", "keys"}
     assert all(text.isprintable() for text in listener.told)
+
+
+@pytest.mark.parametrize("door", DOORS)
+def test_ten_thousand_random_and_mutated_lines_are_counted_once_each(door):
+    """A million of them by scripts/verification/fuzz_lines.py, whose counts are in docs/bench/fuzzing.md."""
+    outcomes, faults, _ = sent(door, 10_000, 29)
+    assert not faults and outcomes.total() == 10_000
+    assert outcomes["none", "taken"] > 300 and outcomes["noise", "garbled"] > 800
 
 
 def test_a_listener_that_dies_ends_the_play_with_the_board_off(monkeypatch):
