@@ -201,7 +201,10 @@ def drive(
         float, typer.Option(help="with --focus: sine between silence and the level [Hz]; 0 for none")
     ] = 0.0,
     layout: Annotated[
-        str | None, typer.Option(help="with --focus: of the array, of those that the board drives [default: its first]")
+        str | None,
+        typer.Option(
+            help="with --focus: of the array, of those that the board drives [default: its first], or FILE.csv"
+        ),
     ] = None,
     p0: Annotated[
         float | None,
