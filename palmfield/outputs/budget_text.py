@@ -64,7 +64,7 @@ def combined(parts: Sequence[Part]) -> tuple[float, float]:
 
     It holds for inputs that are independent of each other, of which the motion is a product.
     """
-    lows, highs = ([one[side] for one in parts] for side in (1, 2))
+    lows, highs = [low for _, low, _ in parts], [high for _, _, high in parts]
     low = 0.0 if min(lows, default=1.0) <= 0.0 else math.exp(-math.hypot(*(math.log(min(one, 1.0)) for one in lows)))
     return low, math.exp(math.hypot(*(math.log(max(one, 1.0)) for one in highs)))
 
