@@ -59,9 +59,7 @@ PAPER = Paper(
         **_causes(hand.VARIED, HAND_CHANGES),
         "R12k": (
             *_causes(lines.VARIED, CHANGES)["R12k"],
-            Cause(
-                "compared with a focus late by half a control step, as the hold is", lines.late_rate(4200.0)
-            ),
+            Cause("compared with a focus late by half a control step, as the hold is", lines.late_rate(4200.0)),
         ),
     },
     later=LATER,
