@@ -98,7 +98,7 @@ class SkinModule(Module):
         over = f"mean over {1e3 * EXPOSURE_s:g} ms"
         drawing.label(
             seen.vertices[loudest] + LABEL_m * seen.normals[loudest],
-            f"ARP {seen.arp[loudest]:.3g} Pa, mean over {1e3 * EXPOSURE_s:g} ms",
+            f"ARP {seen.arp[loudest]:.3g} Pa, {over}",
         )
         shares = seen.arp[seen.faces].mean(axis=1) / seen.top
         order = np.argsort(-shares)[: int(np.count_nonzero(shares > FAINT))]
