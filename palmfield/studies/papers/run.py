@@ -11,8 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from matplotlib.figure import Figure
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from palmfield.device import resolve
 from palmfield.errors import SceneError, did_you_mean, unwritable
@@ -28,6 +26,7 @@ from palmfield.studies.papers.page import page
 from palmfield.studies.papers.registry import NAMES, TITLES, paper
 from palmfield.studies.papers.rows import Row, row
 from palmfield.studies.papers.side_by_side import Told, side_by_side
+from palmfield.terminal import bars
 
 logger = logging.getLogger(__name__)
 FORMAT = 1
@@ -215,9 +214,7 @@ def _drawn(picture: Picture, setting: Setting) -> Figure | None:
 @contextmanager
 def _bar(show: bool, sizes: Mapping[str, int]) -> Iterator[Told]:
     """A bar for each paper. sizes: how many entries each has"""
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, disable=not (show and console.is_terminal), transient=True) as bar:
+    with bars(show) as bar:
         tasks = {name: bar.add_task(name, total=size, start=False) for name, size in sizes.items()}
 
         def told(name: str, entry: str) -> None:
