@@ -121,7 +121,7 @@ def judged(case: Case, limit_s: float) -> dict[str, Any]:
     best = math.inf
     for name in (name for name in TRUTHS[case["body"]["shape"]] + ("wedges",) if name not in (own, SAME_MESH.get(own))):
         try:
-            with at_most(3.0 * limit_s):
+            with at_most(2.0 * limit_s):
                 truth = solve(
                     *arguments, solver=name, accuracy=max(3e-4, FINER * case["accuracy"]), accuracy_of="velocity",
                     device="cpu", whole=True,
